@@ -1,0 +1,42 @@
+"""Array types and the checks that every public constructor shares."""
+
+from __future__ import annotations
+
+import math
+from typing import TypeAlias
+
+import numpy as np
+import numpy.typing as npt
+
+FloatArray: TypeAlias = npt.NDArray[np.float64]
+Float32Array: TypeAlias = npt.NDArray[np.float32]
+IntArray: TypeAlias = npt.NDArray[np.int64]
+BoolArray: TypeAlias = npt.NDArray[np.bool_]
+
+
+def require_positive(name: str, value: float, unit: str = "") -> float:
+    """Return ``value`` as a float, or raise ``ValueError`` when it is not finite and positive."""
+    if not (math.isfinite(value) and value > 0):
+        raise ValueError(f"{name} must be a finite number above 0{unit}, got {value!r}")
+    return float(value)
+
+
+def require_non_negative(name: str, value: float) -> float:
+    """Return ``value`` as a float, or raise ``ValueError`` when it is not finite and at least 0."""
+    if not (math.isfinite(value) and value >= 0):
+        raise ValueError(f"{name} must be a finite number of at least 0, got {value!r}")
+    return float(value)
+
+
+def require_count(name: str, value: int, minimum: int) -> int:
+    """Return ``value``, or raise ``ValueError`` when it is not a whole number of at least ``minimum``."""
+    if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < minimum:
+        raise ValueError(f"{name} must be a whole number of at least {minimum}, got {value!r}")
+    return int(value)
+
+
+def frozen(array: npt.ArrayLike) -> FloatArray:
+    """A read-only float64 copy, safe to hand to many readers."""
+    result = np.array(array, dtype=np.float64)
+    result.flags.writeable = False
+    return result

@@ -1,0 +1,273 @@
+"""How time passes: time transformations t = λ(s) and the table of steps."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from typing import Literal, TypeAlias, get_args
+
+import numpy as np
+import numpy.typing as npt
+from scipy import optimize, special
+
+from ptne_env.arrays import FloatArray, frozen, require_count, require_non_negative, require_positive
+
+Spacing: TypeAlias = Literal["effective", "transformed", "physical"]
+
+
+class LemmaViolationError(ValueError):
+    """A function is not a time transformation in the sense of Lemma 1."""
+
+
+class TimeTransformation(ABC):
+    """A function t = λ(s) of Lemma 1, from s ∈ [0, ∞) onto t ∈ [0, T).
+
+    Args:
+        deadline: T in seconds, the prescribed time.
+
+    Raises:
+        ValueError: when T is not positive.
+    """
+
+    def __init__(self, deadline: float) -> None:
+        self.deadline = require_positive("deadline", deadline, " (T, in seconds)")
+
+    @abstractmethod
+    def time(self, s: npt.ArrayLike) -> FloatArray:
+        """T = λ(s), in seconds."""
+
+    @abstractmethod
+    def derivative(self, s: npt.ArrayLike) -> FloatArray:
+        """λ'(s), in seconds per unit of s."""
+
+    @abstractmethod
+    def inverse(self, t: npt.ArrayLike) -> FloatArray:
+        """S = λ^{-1}(t) for t < T."""
+
+    def gain(self, t: npt.ArrayLike, constant: float = 0.0) -> FloatArray:
+        """g(t) = c + 1/λ'(λ^{-1}(t)) for t < T and c from T on: the prescribed-time gain (eq. PrescribedTimeAlgorithm).
+
+        Args:
+            t: instants in seconds.
+            constant: c, in 1/s.
+        """
+        times = np.asarray(t, dtype=np.float64)
+        before = times < self.deadline
+        s = self.inverse(np.where(before, times, 0.0))
+        return np.where(before, constant + 1 / self.derivative(s), constant)
+
+    def effective_time(self, s: npt.ArrayLike, constant: float) -> FloatArray:
+        """τ = s + c λ(s), the time in which every law's loop is dx/dτ = u."""
+        return np.asarray(s, dtype=np.float64) + constant * self.time(s)
+
+    def from_effective_time(self, tau: npt.ArrayLike, constant: float) -> FloatArray:
+        """The s with s + c λ(s) = τ, by bracketing; transformations with a closed form override this."""
+        times = np.asarray(tau, dtype=np.float64)
+
+        def solve(value: float) -> float:
+            if value <= 0:
+                return 0.0
+            residual = lambda s: float(self.effective_time(s, constant)) - value  # noqa: E731 - closes over value
+            return float(optimize.brentq(residual, 0.0, value, xtol=1e-15, rtol=8.9e-16, maxiter=200))
+
+        return np.array([solve(float(value)) for value in times.ravel()]).reshape(times.shape)
+
+
+class Exponential(TimeTransformation):
+    """The paper's λ(s) = T (1 − e^{−s}), for which the gain is c + 1/(T − t) (eq. TimeTransformFunction)."""
+
+    def time(self, s: npt.ArrayLike) -> FloatArray:
+        """T (1 − e^{−s})."""
+        return np.asarray(-self.deadline * np.expm1(-np.asarray(s, dtype=np.float64)))
+
+    def derivative(self, s: npt.ArrayLike) -> FloatArray:
+        """T e^{−s}."""
+        return np.asarray(self.deadline * np.exp(-np.asarray(s, dtype=np.float64)))
+
+    def inverse(self, t: npt.ArrayLike) -> FloatArray:
+        """−ln(1 − t/T)."""
+        return np.asarray(-np.log1p(-np.asarray(t, dtype=np.float64) / self.deadline))
+
+    def from_effective_time(self, tau: npt.ArrayLike, constant: float) -> FloatArray:
+        """τ − C + ω(ln C + C − τ) with C = cT and Wright's ω."""
+        times = np.asarray(tau, dtype=np.float64)
+        scale = constant * self.deadline
+        if scale == 0:
+            return times.copy()
+        return np.maximum(times - scale + special.wrightomega(np.log(scale) + scale - times), 0.0)
+
+
+class Rational(TimeTransformation):
+    """λ(s) = T s/(1 + s), whose gain is c + T/(T − t)²."""
+
+    def time(self, s: npt.ArrayLike) -> FloatArray:
+        """T s/(1 + s)."""
+        value = np.asarray(s, dtype=np.float64)
+        return np.asarray(self.deadline * value / (1 + value))
+
+    def derivative(self, s: npt.ArrayLike) -> FloatArray:
+        """T/(1 + s)²."""
+        return np.asarray(self.deadline / (1 + np.asarray(s, dtype=np.float64)) ** 2)
+
+    def inverse(self, t: npt.ArrayLike) -> FloatArray:
+        """t/(T − t)."""
+        value = np.asarray(t, dtype=np.float64)
+        return np.asarray(value / (self.deadline - value))
+
+
+class HyperbolicTangent(TimeTransformation):
+    """λ(s) = T tanh s, whose gain is c + T/(T² − t²)."""
+
+    def time(self, s: npt.ArrayLike) -> FloatArray:
+        """T tanh s."""
+        return np.asarray(self.deadline * np.tanh(np.asarray(s, dtype=np.float64)))
+
+    def derivative(self, s: npt.ArrayLike) -> FloatArray:
+        """T/cosh² s, written with e^{−2s} so that it never overflows."""
+        decay = np.exp(-2 * np.asarray(s, dtype=np.float64))
+        return np.asarray(4 * self.deadline * decay / (1 + decay) ** 2)
+
+    def inverse(self, t: npt.ArrayLike) -> FloatArray:
+        """artanh(t/T)."""
+        return np.asarray(np.arctanh(np.asarray(t, dtype=np.float64) / self.deadline))
+
+
+def check_time_transformation(transformation: TimeTransformation) -> None:
+    """Check the conditions of Lemma 1 (eq. TFcondition) on a grid, and that λ, λ' and λ^{-1} belong together.
+
+    Raises:
+        LemmaViolationError: naming the first condition that is violated.
+    """
+    deadline = transformation.deadline
+    grid = np.linspace(0.0, 6.0, 2001)
+    time, derivative = transformation.time(grid), transformation.derivative(grid)
+    step = grid[1]
+    far = np.array([1e3, 1e5, 1e7])
+
+    def require(condition: str, holds: bool, found: str) -> None:
+        if not holds:
+            raise LemmaViolationError(f"{type(transformation).__name__} violates {condition} of Lemma 1: {found}")
+
+    require("(7a) λ(0) = 0", abs(time[0]) <= 1e-12 * deadline, f"λ(0) = {time[0]}")
+    require(
+        "(7a) λ'(0) = T", abs(derivative[0] - deadline) <= 1e-9 * deadline, f"λ'(0) = {derivative[0]}, T = {deadline}"
+    )
+    central = (time[2:] - time[:-2]) / (2 * step)
+    mismatch = float(np.max(np.abs(central - derivative[1:-1])))
+    require("(7a) λ is differentiable with derivative λ'", mismatch <= 1e-4 * deadline, f"off by {mismatch:.3g} s")
+    require("(7b) λ is strictly increasing", bool(np.all(np.diff(time) > 0)), "λ decreases or stalls on [0, 6]")
+    remaining = deadline - transformation.time(far)
+    require(
+        "(7c) λ(s) → T",
+        bool(np.all(np.abs(remaining) <= 2 * deadline / far)),
+        f"T − λ(s) = {remaining[-1]:.3g} s at s = {far[-1]:.0e}",
+    )
+    slope = float(transformation.derivative(far[-1]))
+    require("(7c) λ'(s) → 0", 0 <= slope <= deadline * 1e-6, f"λ'({far[-1]:.0e}) = {slope:.3g}")
+    recovered = transformation.inverse(transformation.time(grid))
+    error = float(np.max(np.abs(recovered - grid)))
+    require("λ^{-1}(λ(s)) = s", error <= 1e-6, f"off by {error:.3g}")
+
+
+class StepClock:
+    """The table of steps of an episode: K steps to the deadline, then an optional hold phase.
+
+    Instant k = 0..K+H is the start of step k; instant K is the deadline, where the clock is set to T with the
+    estimates unchanged. Step k holds its input over Δs_k of transformed time and Δt_k of physical time, and the
+    update x_{k+1} = x_k + Θ_k u_k with Θ_k = Δs_k + c Δt_k is then exact. In the hold phase Θ = c Δt is the mean Θ
+    of the episode.
+
+    Args:
+        transformation: λ, with its deadline T.
+        gain: c ≥ 0 in 1/s, the constant part of the prescribed-time gain.
+        steps: K ≥ 1.
+        s_end: transformed time at which the steps to the deadline stop, > 0.
+        spacing: which of τ (``effective``), s (``transformed``) or t (``physical``) is divided evenly.
+        hold_steps: H ≥ 0 steps after the deadline.
+
+    Attributes:
+        t: physical time of each instant in seconds, shape (K+H+1,), with t[K] = T.
+        s: transformed time of each instant, shape (K+H+1,); stays s_end in the hold phase.
+        theta: Θ_k of each step, shape (K+H+1,); 0 at the terminal instant.
+        dt: Δt_k of each step in seconds, shape (K+H+1,); 0 at the terminal instant.
+        time_reached: t_K = λ(s_end) < T, what the last step before the deadline reaches.
+
+    Raises:
+        ValueError: for a value outside these ranges, or hold steps with c = 0.
+    """
+
+    def __init__(
+        self,
+        transformation: TimeTransformation,
+        *,
+        gain: float,
+        steps: int,
+        s_end: float,
+        spacing: Spacing = "effective",
+        hold_steps: int = 0,
+    ) -> None:
+        if spacing not in get_args(Spacing):
+            raise ValueError(f"spacing is one of {', '.join(get_args(Spacing))}, got {spacing!r}")
+        self.transformation = transformation
+        self.gain = require_non_negative("gain (c)", gain)
+        self.steps = require_count("steps (K)", steps, 1)
+        self.s_end = require_positive("s_end", s_end)
+        self.spacing: Spacing = spacing
+        self.hold_steps = require_count("hold_steps", hold_steps, 0)
+        if self.hold_steps and self.gain == 0:
+            raise ValueError("hold_steps need a gain c > 0: with c = 0 nothing moves after the deadline")
+
+        deadline = transformation.deadline
+        s = self._grid()
+        t = transformation.time(s)
+        self.time_reached = float(t[-1])
+        if not (self.time_reached < deadline and np.all(np.diff(t) > 0)):
+            raise ValueError(
+                f"s_end = {s_end} is too long: float64 cannot tell T − t from 0 there; shorten it (36 is the limit of "
+                "the exponential transformation)"
+            )
+        dt = np.diff(t)
+        theta = np.diff(s) + self.gain * dt
+        hold_theta = np.full(self.hold_steps, theta.mean())
+        hold_dt = hold_theta / self.gain if self.hold_steps else hold_theta
+        self.t = frozen(np.concatenate([t[:-1], deadline + np.concatenate([[0.0], np.cumsum(hold_dt)])]))
+        self.s = frozen(np.concatenate([s, np.full(self.hold_steps, s[-1])]))
+        self.theta = frozen(np.concatenate([theta, hold_theta, [0.0]]))
+        self.dt = frozen(np.concatenate([dt, hold_dt, [0.0]]))
+
+    def _grid(self) -> FloatArray:
+        fractions = np.linspace(0.0, 1.0, self.steps + 1)
+        if self.spacing == "effective":
+            end = float(self.transformation.effective_time(self.s_end, self.gain))
+            s = self.transformation.from_effective_time(fractions * end, self.gain)
+        elif self.spacing == "transformed":
+            s = fractions * self.s_end
+        else:
+            s = self.transformation.inverse(fractions * float(self.transformation.time(self.s_end)))
+        s[0], s[-1] = 0.0, self.s_end
+        return s
+
+    @property
+    def deadline(self) -> float:
+        """T in seconds."""
+        return self.transformation.deadline
+
+    @property
+    def total_steps(self) -> int:
+        """K + H."""
+        return self.steps + self.hold_steps
+
+    @property
+    def shortfall(self) -> float:
+        """1 − t_K/T: how far short of the deadline the last step ends, as a fraction of T."""
+        return 1 - self.time_reached / self.deadline
+
+    @property
+    def effective_time(self) -> float:
+        """τ_K = s_end + c t_K = Σ Θ_k over the steps to the deadline."""
+        return self.s_end + self.gain * self.time_reached
+
+    @property
+    def signal_times(self) -> dict[str, FloatArray]:
+        """The clocks that signals follow at each instant: t, and s that goes on with s_end + c (t − T) after T."""
+        hold = self.gain * (self.t[self.steps :] - self.deadline)
+        return {"physical": self.t, "transformed": np.concatenate([self.s[: self.steps], self.s_end + hold])}

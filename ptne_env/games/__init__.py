@@ -1,0 +1,8 @@
+"""Noncooperative games: what each player minimises."""
+
+from ptne_env.games.base import Game as Game
+from ptne_env.games.base import NoBestResponseError as NoBestResponseError
+from ptne_env.games.check import GameReport as GameReport
+from ptne_env.games.check import check_game as check_game
+from ptne_env.games.energy import EnergyGame as EnergyGame
+from ptne_env.games.non_quadratic import NonQuadraticGame as NonQuadraticGame

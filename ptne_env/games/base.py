@@ -1,0 +1,119 @@
+"""The interface of every game."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from functools import cached_property
+
+import numpy as np
+from scipy import optimize
+
+from ptne_env.arrays import FloatArray, IntArray, frozen, require_count
+
+RESIDUAL_TOLERANCE = 1e-10
+"""Largest ‖F(x*)‖, relative to 1 + ‖x*‖, with which a computed point is accepted as an equilibrium."""
+
+
+class NoBestResponseError(ValueError):
+    """A player's cost has no minimiser, so the game has no best response."""
+
+
+class Game(ABC):
+    """N players, player i choosing a strategy x_i in R^{n_i} to minimise its cost J_i(x_i, x_{-i}).
+
+    Arrays are float64 with environments last: a joint strategy of B environments has shape (n, B) with
+    n = Σ n_i, and everybody's estimates have shape (n, N, B), where column i is player i's estimate x^i.
+
+    Args:
+        action_dims: n_i of each player, each at least 1.
+
+    Raises:
+        ValueError: when there are fewer than two players or a dimension is below 1.
+    """
+
+    is_affine: bool = False
+    """Whether the pseudo-gradient F is affine, so that exact oracles apply."""
+
+    def __init__(self, action_dims: tuple[int, ...]) -> None:
+        if len(action_dims) < 2:
+            raise ValueError(f"a game needs at least 2 players, got action_dims={action_dims!r}")
+        self.action_dims = tuple(require_count("each entry of action_dims", dim, 1) for dim in action_dims)
+
+    @property
+    def num_players(self) -> int:
+        """N."""
+        return len(self.action_dims)
+
+    @cached_property
+    def dimension(self) -> int:
+        """N = Σ n_i."""
+        return sum(self.action_dims)
+
+    @cached_property
+    def offsets(self) -> IntArray:
+        """First component of each player's block, shape (N,)."""
+        return np.concatenate([[0], np.cumsum(self.action_dims)[:-1]]).astype(np.int64)
+
+    @cached_property
+    def owners(self) -> IntArray:
+        """The player who owns each component, shape (n,)."""
+        return np.repeat(np.arange(self.num_players), self.action_dims).astype(np.int64)
+
+    @abstractmethod
+    def costs(self, strategies: FloatArray) -> FloatArray:
+        """J_i(x) of every player: strategies (n, B) to costs (N, B)."""
+
+    @abstractmethod
+    def own_gradients(self, estimates: FloatArray) -> FloatArray:
+        """∂J_i/∂x_i(x^i) of every player on its own estimate: (n, N, B) to (n, B), the blocks stacked.
+
+        This is **F** of the paper's eq. StackedVariable; block i depends on column i alone.
+        """
+
+    @abstractmethod
+    def best_response(self, strategies: FloatArray) -> FloatArray:
+        """Argmin over y of J_i(y, x_{-i}) for every player: (n, B) to (n, B).
+
+        Raises:
+            NoBestResponseError: when some player's cost has no minimiser for some x_{-i}.
+        """
+
+    def pseudo_gradient(self, strategies: FloatArray) -> FloatArray:
+        """F(x) = col(∂J_i/∂x_i(x)): (n, B) to (n, B)."""
+        shape = (self.dimension, self.num_players, strategies.shape[1])
+        return self.own_gradients(np.broadcast_to(strategies[:, None, :], shape))
+
+    def jacobian(self, strategies: FloatArray) -> FloatArray | None:  # noqa: ARG002 - the signature is the interface
+        """dF(x) where it is known: (n, B) to (n, n, B), row = component of F; ``None`` where it is not."""
+        return None
+
+    @property
+    def has_best_response(self) -> bool:
+        """Whether :meth:`best_response` exists everywhere; decided on the equilibrium unless a game knows better."""
+        try:
+            self.best_response(self.nash_equilibrium[:, None])
+        except NoBestResponseError:
+            return False
+        return True
+
+    @cached_property
+    def nash_equilibrium(self) -> FloatArray:
+        """x* with F(x*) = 0, shape (n,), read-only; verified by its residual.
+
+        Raises:
+            ArithmeticError: when the solver's point is not an equilibrium to 1e-10.
+        """
+        point = np.asarray(self._solve_nash_equilibrium(), dtype=np.float64)
+        residual = float(np.linalg.norm(self.pseudo_gradient(point[:, None])))
+        if not residual <= RESIDUAL_TOLERANCE * (1 + float(np.linalg.norm(point))):
+            raise ArithmeticError(
+                f"{type(self).__name__}: the point found has ‖F(x)‖ = {residual:.3g}; no Nash equilibrium was found"
+            )
+        return frozen(point)
+
+    def _solve_nash_equilibrium(self) -> FloatArray:
+        """A zero of F by ``scipy.optimize.root``; games with a closed form override this."""
+        solution = optimize.root(
+            lambda x: self.pseudo_gradient(x[:, None])[:, 0], np.zeros(self.dimension), method="hybr", tol=1e-14
+        )
+        return np.asarray(solution.x, dtype=np.float64)

@@ -1,0 +1,106 @@
+"""A check that a game's formulas agree with each other and with Assumption 3 of the paper."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+from scipy import differentiate
+
+from ptne_env.arrays import FloatArray
+from ptne_env.games.base import Game
+
+_RADII = np.array([1e2, 1e3, 1e4])
+
+
+@dataclass(frozen=True)
+class GameReport:
+    """What :func:`check_game` found, on sampled points.
+
+    Attributes:
+        gradient_error: largest |own-gradient − numerical derivative of J_i| / (1 + |derivative|).
+        strictly_convex: per player, whether every sampled chord of J_i in its own strategy lies above J_i.
+        radially_unbounded: per player, whether J_i grew along every sampled ray of its own strategy.
+    """
+
+    gradient_error: float
+    strictly_convex: tuple[bool, ...]
+    radially_unbounded: tuple[bool, ...]
+
+    @property
+    def gradients_agree(self) -> bool:
+        """Whether the own-gradients are the derivatives of the costs, to 1e-6."""
+        return self.gradient_error <= 1e-6
+
+    @property
+    def assumption_3_holds(self) -> bool:
+        """Whether every cost was strictly convex and radially unbounded in its own strategy on all samples."""
+        return all(self.strictly_convex) and all(self.radially_unbounded)
+
+
+def check_game(game: Game, *, samples: int = 64, radius: float = 5.0, seed: int = 0) -> GameReport:
+    """Compare own-gradients with numerical differentiation; test convexity and radial growth of each J_i in x_i.
+
+    Sampling can refute an assumption and never prove it; a game that passes has passed on ``samples`` points.
+
+    Args:
+        game: the game to check.
+        samples: number of random joint strategies.
+        radius: strategies are drawn from U(−radius, radius).
+        seed: of the draws.
+    """
+    generator = np.random.default_rng(seed)
+    points = generator.uniform(-radius, radius, (game.dimension, samples))
+    gradients = game.pseudo_gradient(points)
+    error = 0.0
+    for component, owner in enumerate(game.owners):
+        numerical = _derivative(game, points, component, int(owner))
+        error = max(error, float(np.max(np.abs(gradients[component] - numerical) / (1 + np.abs(numerical)))))
+
+    convex, unbounded = [], []
+    for player in range(game.num_players):
+        block = slice(int(game.offsets[player]), int(game.offsets[player]) + game.action_dims[player])
+        direction = generator.normal(size=(game.action_dims[player], samples))
+        direction /= np.linalg.norm(direction, axis=0)
+        convex.append(_strictly_convex(game, points, player, block, direction))
+        unbounded.append(_radially_unbounded(game, points, player, block, direction))
+    return GameReport(error, tuple(convex), tuple(unbounded))
+
+
+def _derivative(game: Game, points: FloatArray, component: int, owner: int) -> FloatArray:
+    def derivative(point: FloatArray) -> float:
+        result = differentiate.derivative(partial(_cost_along, game, point, component, owner), point[component])
+        return float(result.df)
+
+    return np.array([derivative(point) for point in points.T])
+
+
+def _cost_along(game: Game, point: FloatArray, component: int, owner: int, values: FloatArray) -> FloatArray:
+    flat = np.ravel(values)
+    moved = np.repeat(point[:, None], flat.size, axis=1)
+    moved[component] = flat
+    return game.costs(moved)[owner].reshape(np.shape(values))
+
+
+def _cost_on_ray(
+    game: Game, points: FloatArray, player: int, block: slice, direction: FloatArray, distance: float
+) -> FloatArray:
+    moved = points.copy()
+    moved[block] = points[block] + distance * direction
+    with np.errstate(over="ignore"):  # an exponential cost is +inf far out, and that is growth
+        return game.costs(moved)[player]
+
+
+def _strictly_convex(game: Game, points: FloatArray, player: int, block: slice, direction: FloatArray) -> bool:
+    low, middle, high = (_cost_on_ray(game, points, player, block, direction, step) for step in (-1.0, 0.0, 1.0))
+    return bool(np.all(low + high - 2 * middle > 1e-9 * (1 + np.abs(middle))))
+
+
+def _radially_unbounded(game: Game, points: FloatArray, player: int, block: slice, direction: FloatArray) -> bool:
+    grows = True
+    for sign in (-1.0, 1.0):
+        costs = [_cost_on_ray(game, points, player, block, sign * direction, radius) for radius in _RADII]
+        grows &= all(bool(np.all(far >= near)) for near, far in zip(costs, costs[1:], strict=False))
+        grows &= bool(np.all(costs[-1] > _cost_on_ray(game, points, player, block, direction, 0.0)))
+    return grows

@@ -1,0 +1,83 @@
+"""Example 2 of the paper: five players with non-quadratic costs."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import numpy as np
+
+from ptne_env.arrays import FloatArray
+from ptne_env.games.base import Game, NoBestResponseError
+
+_SLOPE_OF_FOURTH = {"printed": 1.0, "corrected": 4.0}
+
+
+class NonQuadraticGame(Game):
+    """J1 = x1²/2 + x1 Σ_{j≥2} x_j, J2 = e^{x2/2}/2 + x2 x4, J3 = x3²/2 + x1³, J5 = x5² − 5 x5 + x1³ x2 + x3 x4⁴.
+
+    J4 = w x4 + x4² + x3³, where w = 1 as printed (ln e^{x4}) and w = 4 in the corrected variant, which alone has
+    the equilibrium that the paper prints (docs/errata.md, 1). F is neither strongly monotone nor globally
+    Lipschitz, and J2 is unbounded below in x2 wherever x4 ≥ 0.
+
+    Args:
+        variant: ``"corrected"`` or ``"printed"``.
+
+    Raises:
+        ValueError: for another variant.
+    """
+
+    def __init__(self, variant: Literal["printed", "corrected"] = "corrected") -> None:
+        super().__init__((1,) * 5)
+        if variant not in _SLOPE_OF_FOURTH:
+            raise ValueError(f"variant must be 'printed' or 'corrected', got {variant!r}")
+        self.variant = variant
+        self._slope = _SLOPE_OF_FOURTH[variant]
+
+    def costs(self, strategies: FloatArray) -> FloatArray:
+        """J_i(x): (5, B) to (5, B)."""
+        x1, x2, x3, x4, x5 = strategies
+        return np.stack(
+            [
+                x1**2 / 2 + x1 * (x2 + x3 + x4 + x5),
+                np.exp(x2 / 2) / 2 + x2 * x4,
+                x3**2 / 2 + x1**3,
+                self._slope * x4 + x4**2 + x3**3,
+                x5**2 - 5 * x5 + x1**3 * x2 + x3 * x4**4,
+            ]
+        )
+
+    def own_gradients(self, estimates: FloatArray) -> FloatArray:
+        """(Σ_j x^1_j, e^{x^2_2/2}/4 + x^2_4, x^3_3, w + 2 x^4_4, 2 x^5_5 − 5): (5, 5, B) to (5, B)."""
+        gradients = np.empty((5, estimates.shape[2]))
+        np.add.reduce(estimates[:, 0], axis=0, out=gradients[0])
+        gradients[1] = np.exp(estimates[1, 1] / 2) / 4 + estimates[3, 1]
+        gradients[2] = estimates[2, 2]
+        gradients[3] = self._slope + 2 * estimates[3, 3]
+        gradients[4] = 2 * estimates[4, 4] - 5
+        return gradients
+
+    def jacobian(self, strategies: FloatArray) -> FloatArray:
+        """dF(x): (5, B) to (5, 5, B)."""
+        matrix = np.zeros((5, 5, strategies.shape[1]))
+        matrix[0] = 1
+        matrix[1, 1] = np.exp(strategies[1] / 2) / 8
+        matrix[1, 3] = 1
+        matrix[2, 2] = 1
+        matrix[3, 3] = 2
+        matrix[4, 4] = 2
+        return matrix
+
+    def best_response(self, strategies: FloatArray) -> FloatArray:
+        """Does not exist: J2 is unbounded below in x2 wherever x4 ≥ 0.
+
+        Raises:
+            NoBestResponseError: always.
+        """
+        raise NoBestResponseError(
+            "the non-quadratic game has no best response: J2 is unbounded below in x2 wherever x4 ≥ 0"
+        )
+
+    def _solve_nash_equilibrium(self) -> FloatArray:
+        x4 = -self._slope / 2
+        x2 = 2 * np.log(-4 * x4)
+        return np.array([-(x2 + x4 + 2.5), x2, 0.0, x4, 2.5])

@@ -1,0 +1,251 @@
+"""Who hears whom, and when that changes: communication graphs and switching signals."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Literal, TypeAlias
+
+import networkx as nx
+import numpy as np
+import numpy.typing as npt
+
+from ptne_env.arrays import FloatArray, IntArray, frozen, require_count, require_positive
+
+SignalClock: TypeAlias = Literal["physical", "transformed"]
+
+_BOUNDARY_TOLERANCE = 1e-9
+"""Fraction of a dwell within which an instant before a switch counts as the switch, against rounding of k·Δt."""
+
+
+class Graph:
+    """An undirected weighted graph on players 0..N−1.
+
+    Args:
+        adjacency: a_ij of shape (N, N), symmetric, a_ij ≥ 0, zero diagonal.
+
+    Raises:
+        ValueError: when the matrix is not of this kind.
+    """
+
+    def __init__(self, adjacency: npt.ArrayLike) -> None:
+        matrix = frozen(adjacency)
+        if matrix.ndim != 2 or matrix.shape[0] != matrix.shape[1] or matrix.shape[0] < 2:
+            raise ValueError(f"an adjacency matrix is square with at least 2 players, got the shape {matrix.shape}")
+        if not np.all(np.isfinite(matrix)) or matrix.min() < 0:
+            raise ValueError("an adjacency matrix has finite weights a_ij ≥ 0")
+        if np.any(np.diagonal(matrix)):
+            raise ValueError("the graphs of the paper have no self-loops: the adjacency diagonal must be 0")
+        if not np.array_equal(matrix, matrix.T):
+            raise ValueError("the graphs of the paper are undirected: the adjacency matrix must be symmetric")
+        self.adjacency = matrix
+
+    @property
+    def num_players(self) -> int:
+        """N."""
+        return self.adjacency.shape[0]
+
+    @cached_property
+    def laplacian(self) -> FloatArray:
+        """L = diag(Σ_j a_ij) − A, shape (N, N), read-only."""
+        return frozen(np.diag(self.adjacency.sum(axis=1)) - self.adjacency)
+
+    @cached_property
+    def algebraic_connectivity(self) -> float:
+        """λ2(L), positive exactly when the graph is connected."""
+        return float(np.linalg.eigvalsh(self.laplacian)[1])
+
+    @cached_property
+    def is_connected(self) -> bool:
+        """Assumption 1 of the paper."""
+        return bool(nx.is_connected(self.to_networkx()))
+
+    @property
+    def edges(self) -> list[tuple[int, int]]:
+        """Pairs (i, j) with i < j and a_ij > 0."""
+        return [(int(i), int(j)) for i, j in np.argwhere(np.triu(self.adjacency) > 0)]
+
+    def to_networkx(self) -> nx.Graph[int]:
+        """The same graph for networkx, weights in ``weight``."""
+        return nx.from_numpy_array(self.adjacency)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Graph) and np.array_equal(self.adjacency, other.adjacency)
+
+    def __hash__(self) -> int:
+        return hash(self.adjacency.tobytes())
+
+    def __repr__(self) -> str:
+        return f"Graph(players={self.num_players}, edges={self.edges})"
+
+
+def cycle(players: int) -> Graph:
+    """The cycle 0-1-…-(N−1)-0, N ≥ 3."""
+    return from_networkx(nx.cycle_graph(require_count("players", players, 3)))
+
+
+def path(players: int) -> Graph:
+    """The path 0-1-…-(N−1), N ≥ 2."""
+    return from_networkx(nx.path_graph(require_count("players", players, 2)))
+
+
+def star(players: int) -> Graph:
+    """Player 0 linked to every other, N ≥ 2."""
+    return from_networkx(nx.star_graph(require_count("players", players, 2) - 1))
+
+
+def complete(players: int) -> Graph:
+    """Everybody linked to everybody, N ≥ 2."""
+    return from_networkx(nx.complete_graph(require_count("players", players, 2)))
+
+
+def from_edges(players: int, edges: Iterable[Sequence[int]]) -> Graph:
+    """The graph with weight 1 on each listed pair of players 0..N−1.
+
+    Raises:
+        ValueError: when a pair names a player outside 0..N−1.
+    """
+    matrix = np.zeros((require_count("players", players, 2),) * 2)
+    for edge in edges:
+        if len(edge) != 2 or not all(0 <= player < players for player in edge):
+            raise ValueError(f"an edge is a pair of players 0..{players - 1}, got {tuple(edge)!r}")
+        i, j = edge
+        matrix[i, j] = matrix[j, i] = 1
+    return Graph(matrix)
+
+
+def from_networkx(graph: nx.Graph[int]) -> Graph:
+    """Any undirected networkx graph; nodes are taken in their order, ``weight`` defaults to 1."""
+    return Graph(nx.to_numpy_array(graph))
+
+
+def union(graphs: Iterable[Graph]) -> Graph:
+    """The union graph: a link where any graph has one, with the largest of its weights."""
+    return Graph(np.max([graph.adjacency for graph in graphs], axis=0))
+
+
+@dataclass(frozen=True)
+class Schedule:
+    """A signal sampled on the steps of an episode.
+
+    Attributes:
+        modes: index of the active graph at each instant, shape (instants,).
+        age: time since the last switch over the mean dwell, clipped to [0, 1], 0 for a fixed graph; shape (instants,).
+    """
+
+    modes: IntArray
+    age: FloatArray
+
+
+class Signal:
+    """A switching signal σ: a periodic sequence of graphs with a dwell time each; one graph is the fixed case.
+
+    A signal dwells in the unit of its clock. On the ``physical`` clock (t, the paper's) only finitely many switches
+    happen before the deadline; on the ``transformed`` clock (s) infinitely many do (docs/errata.md, 2).
+
+    Args:
+        graphs: the modes, in order, all on the same players.
+        dwells: dwell time of each mode, in seconds of t or in units of s; ``None`` for one fixed graph.
+        clock: ``"physical"`` or ``"transformed"``.
+
+    Raises:
+        ValueError: when numbers of graphs, dwells or players disagree, a dwell is not positive, or the clock is unknown.
+    """
+
+    def __init__(
+        self, graphs: Sequence[Graph], dwells: Sequence[float] | None = None, clock: SignalClock = "physical"
+    ) -> None:
+        if clock not in ("physical", "transformed"):
+            raise ValueError(f"a signal's clock is 'physical' or 'transformed', got {clock!r}")
+        if not graphs or len({graph.num_players for graph in graphs}) != 1:
+            raise ValueError("a signal needs at least one graph, all with the same number of players")
+        if dwells is None and len(graphs) > 1:
+            raise ValueError("a signal with several graphs needs their dwell times")
+        if dwells is not None and len(dwells) != len(graphs):
+            raise ValueError(f"a signal needs one dwell time per graph, got {len(dwells)} for {len(graphs)} graphs")
+        self.graphs = tuple(graphs)
+        self.clock: SignalClock = clock
+        self.dwells = (
+            tuple(require_positive("a dwell time", dwell) for dwell in dwells or ()) if len(graphs) > 1 else ()
+        )
+
+    @property
+    def is_fixed(self) -> bool:
+        """Whether the graph never changes."""
+        return len(self.graphs) == 1
+
+    @property
+    def num_players(self) -> int:
+        """N."""
+        return self.graphs[0].num_players
+
+    @cached_property
+    def union(self) -> Graph:
+        """The union of all modes."""
+        return union(self.graphs)
+
+    @property
+    def is_jointly_connected(self) -> bool:
+        """Assumption 2 of the paper (Assumption 1 when fixed): the union over one period is connected."""
+        return self.union.is_connected
+
+    @property
+    def period(self) -> float:
+        """Sum of the dwell times, in the unit of the clock; infinite when fixed."""
+        return float(sum(self.dwells)) if self.dwells else float("inf")
+
+    @property
+    def mean_dwell(self) -> float:
+        """Mean dwell time, in the unit of the clock; infinite when fixed."""
+        return self.period / len(self.graphs)
+
+    def schedule(self, instants: npt.ArrayLike) -> Schedule:
+        """Sample the signal at ``instants`` (any shape) of its clock.
+
+        Raises:
+            ValueError: when an instant is negative.
+        """
+        times = np.asarray(instants, dtype=np.float64)
+        if times.size and times.min() < 0:
+            raise ValueError(f"a signal starts at 0, got the instant {times.min()}")
+        if self.is_fixed:
+            return Schedule(np.zeros(times.shape, dtype=np.int64), np.zeros(times.shape))
+        ends = np.cumsum(self.dwells)
+        phase = np.mod(times, self.period)
+        slack = _BOUNDARY_TOLERANCE * min(self.dwells)
+        wraps = phase >= self.period - slack
+        phase = np.where(wraps, 0.0, phase)
+        modes = np.searchsorted(ends, phase + slack, side="right").astype(np.int64)
+        starts = np.concatenate([[0.0], ends[:-1]])
+        age = np.clip((phase - starts[modes]) / self.mean_dwell, 0.0, 1.0)
+        return Schedule(modes, age)
+
+    def switches(self, start: float, end: float) -> FloatArray:
+        """The switching instants in the open interval (start, end), in the unit of the clock."""
+        if self.is_fixed:
+            return np.empty(0)
+        periods = np.arange(np.floor(start / self.period), np.floor(end / self.period) + 1)
+        instants = (periods[:, None] * self.period + np.cumsum(self.dwells)).ravel()
+        slack = _BOUNDARY_TOLERANCE * min(self.dwells)
+        return instants[(instants > start + slack) & (instants < end - slack)]
+
+
+def fixed(graph: Graph) -> Signal:
+    """The signal that never switches."""
+    return Signal([graph])
+
+
+def periodic(graphs: Sequence[Graph], dwells: Sequence[float], clock: SignalClock = "physical") -> Signal:
+    """The signal that repeats ``graphs`` with their ``dwells``, in the unit of ``clock``."""
+    return Signal(graphs, dwells, clock)
+
+
+def paper_signal(dwell: float = 0.1, clock: SignalClock = "physical") -> Signal:
+    """The paper's eq. SwitchingSignal: four disconnected modes of ``dwell`` each, Γ = 4·dwell = 0.4 s.
+
+    The paper's figure of the modes is lost; ours are the pairs {12, 34}, {23, 45}, {34, 51}, {45, 12} of edges of
+    the 5-cycle (players 1..5), whose union is the cycle.
+    """
+    pairs = [[(0, 1), (2, 3)], [(1, 2), (3, 4)], [(2, 3), (4, 0)], [(3, 4), (0, 1)]]
+    return Signal([from_edges(5, pair) for pair in pairs], [dwell] * 4, clock)

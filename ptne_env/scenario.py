@@ -1,0 +1,251 @@
+"""Which experiment is this? A frozen, serialisable composition of the world's parts, and the catalogue of named ones."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import warnings
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from ptne_env.arrays import require_positive
+from ptne_env.clock import Spacing, StepClock, TimeTransformation
+from ptne_env.games import Game
+from ptne_env.graphs import Signal
+from ptne_env.parts import Part
+from ptne_env.starts import Start
+
+SHORTFALL_WARNING = 0.01
+"""A scenario whose last step ends more than this fraction of T short of the deadline says so."""
+
+_SHORTHANDS: dict[str, dict[str, Part]] = {
+    "start": {
+        "paper": Part.of("ptne_env.starts:paper_start"),
+        "random": Part.of("ptne_env.starts:UniformStart", low=-20.0, high=20.0),
+    },
+    "transformation": {
+        "exponential": Part.of("ptne_env.clock:Exponential"),
+        "rational": Part.of("ptne_env.clock:Rational"),
+        "tanh": Part.of("ptne_env.clock:HyperbolicTangent"),
+    },
+}
+_PARTS = {"game": Game, "signal": Signal, "start": Start, "transformation": TimeTransformation}
+
+
+def _as_part(field: str, value: Any) -> Part:
+    if isinstance(value, Part):
+        return value
+    if isinstance(value, Mapping):
+        return Part.from_dict(value)
+    if isinstance(value, str):
+        known = _SHORTHANDS.get(field, {})
+        if value in known:
+            return known[value]
+        if ":" in value:
+            return Part.of(value)
+        choices = [*map(repr, known), "a 'module:object' string", "a Part"]
+        raise ValueError(f"{field} is {', '.join(choices[:-1])} or {choices[-1]}; got {value!r}")
+    raise TypeError(f"{field} is a name, a 'module:object' string or a Part, got {type(value).__name__}")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Scenario:
+    """The physics of an experiment. Two scenarios are equal when every field is, and can be dictionary keys.
+
+    ``game``, ``signal``, ``start`` and ``transformation`` accept a :class:`~ptne_env.parts.Part`, a
+    ``"module:object"`` string or the short names below, and hold a Part afterwards.
+
+    Attributes:
+        name: for tables and files.
+        game: builds a :class:`~ptne_env.games.Game`.
+        signal: builds a :class:`~ptne_env.graphs.Signal` on the game's players.
+        start: builds a :class:`~ptne_env.starts.Start`; ``"paper"`` or ``"random"`` (every estimate U(−20, 20)).
+        transformation: builds λ from ``deadline``; ``"exponential"`` (paper), ``"rational"`` or ``"tanh"``.
+        deadline: T in seconds.
+        gain: c in 1/s, the constant part of the prescribed-time gain.
+        steps: K, steps to the deadline.
+        s_end: transformed time at which they stop.
+        spacing: ``"effective"``, ``"transformed"`` or ``"physical"``; see :class:`~ptne_env.clock.StepClock`.
+        hold_steps: steps after the deadline.
+        input_limit: largest |u| of every component, the same for every policy.
+
+    Raises:
+        ValueError: when a part cannot be built, a number is out of range, the game and the graphs disagree on the
+            number of players, the graphs are not (jointly) connected, or a dwell is shorter than the longest step.
+    """
+
+    name: str
+    game: Part
+    signal: Part
+    start: Part
+    transformation: Part = _SHORTHANDS["transformation"]["exponential"]
+    deadline: float = 1.2
+    gain: float = 20.0
+    steps: int = 400
+    s_end: float = 8.0
+    spacing: Spacing = "effective"
+    hold_steps: int = 0
+    input_limit: float = 1000.0
+
+    def __post_init__(self) -> None:
+        for field in _PARTS:
+            object.__setattr__(self, field, _as_part(field, getattr(self, field)))
+        require_positive("input_limit", self.input_limit)
+        clock = self.built_clock  # validates deadline, gain, steps, s_end, spacing, hold_steps
+        game, signal = self.built_game, self.built_signal
+        if signal.num_players != game.num_players:
+            raise ValueError(
+                f"scenario {self.name!r}: the game has {game.num_players} players and the graphs {signal.num_players}"
+            )
+        if not signal.is_jointly_connected:
+            kind = "graph is disconnected" if signal.is_fixed else "graphs are not jointly connected over a period"
+            raise ValueError(
+                f"scenario {self.name!r}: the {kind} (Assumptions 1 and 2), so no law can reach the equilibrium; add "
+                f"links between the components of {signal.union!r}"
+            )
+        if not signal.is_fixed:
+            longest = float(np.diff(clock.signal_times[signal.clock]).max())
+            if min(signal.dwells) < longest * (1 - 1e-9):
+                raise ValueError(
+                    f"scenario {self.name!r}: the shortest dwell, {min(signal.dwells):.4g} on the {signal.clock} clock, "
+                    f"is shorter than the longest step, {longest:.4g}, so graphs would be skipped; use more steps, "
+                    "another spacing or longer dwells"
+                )
+        # Fails here, not at the first reset, when the table of a fixed start has the wrong shape.
+        self.built_start.draw(game.num_players, game.dimension, np.random.default_rng(0))
+        if clock.shortfall > SHORTFALL_WARNING:
+            warnings.warn(
+                f"scenario {self.name!r}: the last step ends {clock.shortfall:.2%} of T short of the deadline; "
+                "raise s_end to come closer",
+                stacklevel=3,
+            )
+
+    def _build(self, field: str, **extra: Any) -> Any:
+        part: Part = getattr(self, field)
+        built = part.build(**extra)
+        if not isinstance(built, _PARTS[field]):
+            raise ValueError(
+                f"scenario {self.name!r}: the part {part.target!r} built a {type(built).__name__} where {field} needs a "
+                f"{_PARTS[field].__name__}"
+            )
+        return built
+
+    @cached_property
+    def built_game(self) -> Game:
+        """The game, built once."""
+        game: Game = self._build("game")
+        return game
+
+    @cached_property
+    def built_signal(self) -> Signal:
+        """The switching signal, built once."""
+        signal: Signal = self._build("signal")
+        return signal
+
+    @cached_property
+    def built_start(self) -> Start:
+        """The law of the initial estimates, built once."""
+        start: Start = self._build("start")
+        return start
+
+    @cached_property
+    def built_clock(self) -> StepClock:
+        """The table of steps, built once."""
+        return StepClock(
+            self._build("transformation", deadline=require_positive("deadline", self.deadline, " (T, in seconds)")),
+            gain=self.gain,
+            steps=self.steps,
+            s_end=self.s_end,
+            spacing=self.spacing,
+            hold_steps=self.hold_steps,
+        )
+
+    def replace(self, **changes: Any) -> Scenario:
+        """A copy with some fields changed.
+
+        Raises:
+            ValueError: when a key is not a field, naming the fields, or the result is not a valid scenario.
+        """
+        known = [field.name for field in dataclasses.fields(self)]
+        unknown = sorted(set(changes) - set(known))
+        if unknown:
+            raise ValueError(
+                f"unknown scenario field {', '.join(map(repr, unknown))}; the fields are {', '.join(known)}"
+            )
+        return dataclasses.replace(self, **changes) if changes else self
+
+    def to_dict(self) -> dict[str, Any]:
+        """A JSON object with one entry per field."""
+        values = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
+        return {name: value.to_dict() if isinstance(value, Part) else value for name, value in values.items()}
+
+    @classmethod
+    def from_dict(cls, data: Mapping[str, Any]) -> Scenario:
+        """The inverse of :meth:`to_dict`. Building it imports the modules that its parts name.
+
+        Raises:
+            ValueError: when a key is unknown or missing, or the scenario is not valid.
+        """
+        fields = dataclasses.fields(cls)
+        unknown = sorted(set(data) - {field.name for field in fields})
+        required = {field.name for field in fields if field.default is dataclasses.MISSING}
+        missing = sorted(required - set(data))
+        if unknown or missing:
+            raise ValueError(f"not a scenario: unknown keys {unknown}, missing keys {missing}")
+        return cls(**data)
+
+    def to_json(self) -> str:
+        """The scenario as a JSON text."""
+        return json.dumps(self.to_dict(), indent=2, allow_nan=False)
+
+    @classmethod
+    def from_json(cls, text: str) -> Scenario:
+        """The inverse of :meth:`to_json`.
+
+        Raises:
+            ValueError: when the text is not JSON or not a valid scenario.
+        """
+        data = json.loads(text)
+        if not isinstance(data, dict):
+            raise ValueError(f"not a scenario: expected a JSON object, got {type(data).__name__}")
+        return cls.from_dict(data)
+
+
+def _catalogue() -> dict[str, Scenario]:
+    energy = Part.of("ptne_env.games:EnergyGame")
+    corrected = Part.of("ptne_env.games:NonQuadraticGame", variant="corrected")
+    printed = Part.of("ptne_env.games:NonQuadraticGame", variant="printed")
+    ring = Part.of("ptne_env.graphs:fixed", graph=Part.of("ptne_env.graphs:cycle", players=5))
+    physical = Part.of("ptne_env.graphs:paper_signal", dwell=0.1, clock="physical")
+    transformed = Part.of("ptne_env.graphs:paper_signal", dwell=0.25, clock="transformed")
+    start = _SHORTHANDS["start"]["paper"]
+    scenarios = [
+        Scenario(name="energy", game=energy, signal=ring, start=start),
+        Scenario(name="energy-switching", game=energy, signal=physical, start=start),
+        Scenario(name="energy-switching-transformed", game=energy, signal=transformed, start=start),
+        Scenario(name="non-quadratic", game=corrected, signal=ring, start=start),
+        Scenario(name="non-quadratic-switching", game=corrected, signal=physical, start=start),
+        Scenario(name="non-quadratic-printed", game=printed, signal=ring, start=start),
+    ]
+    return {scenario.name: scenario for scenario in scenarios}
+
+
+CATALOGUE: Mapping[str, Scenario] = _catalogue()
+"""The named scenarios, in the order in which tables list them."""
+
+
+def get_scenario(scenario: str | Scenario, **overrides: Any) -> Scenario:
+    """A scenario by name (or as it is), with some fields changed: ``get_scenario("energy", start="random")``.
+
+    Raises:
+        ValueError: for an unknown name or field, or an invalid result.
+    """
+    if isinstance(scenario, str):
+        if scenario not in CATALOGUE:
+            raise ValueError(f"unknown scenario {scenario!r}; the catalogue has {', '.join(CATALOGUE)}")
+        scenario = CATALOGUE[scenario]
+    return scenario.replace(**overrides)
