@@ -30,7 +30,7 @@ def require_non_negative(name: str, value: float) -> float:
 
 def require_count(name: str, value: int, minimum: int) -> int:
     """Return ``value``, or raise ``ValueError`` when it is not a whole number of at least ``minimum``."""
-    if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < minimum:
+    if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < minimum:  # type: ignore[redundant-expr]  # callers may pass anything
         raise ValueError(f"{name} must be a whole number of at least {minimum}, got {value!r}")
     return int(value)
 

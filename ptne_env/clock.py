@@ -143,29 +143,36 @@ def check_time_transformation(transformation: TimeTransformation) -> None:
     step = grid[1]
     far = np.array([1e3, 1e5, 1e7])
 
-    def require(condition: str, holds: bool, found: str) -> None:
+    def require(condition: str, *, holds: bool, found: str) -> None:
         if not holds:
             raise LemmaViolationError(f"{type(transformation).__name__} violates {condition} of Lemma 1: {found}")
 
-    require("(7a) λ(0) = 0", abs(time[0]) <= 1e-12 * deadline, f"λ(0) = {time[0]}")
+    require("(7a) λ(0) = 0", holds=abs(time[0]) <= 1e-12 * deadline, found=f"λ(0) = {time[0]}")
     require(
-        "(7a) λ'(0) = T", abs(derivative[0] - deadline) <= 1e-9 * deadline, f"λ'(0) = {derivative[0]}, T = {deadline}"
+        "(7a) λ'(0) = T",
+        holds=abs(derivative[0] - deadline) <= 1e-9 * deadline,
+        found=f"λ'(0) = {derivative[0]}, T = {deadline}",
     )
     central = (time[2:] - time[:-2]) / (2 * step)
     mismatch = float(np.max(np.abs(central - derivative[1:-1])))
-    require("(7a) λ is differentiable with derivative λ'", mismatch <= 1e-4 * deadline, f"off by {mismatch:.3g} s")
-    require("(7b) λ is strictly increasing", bool(np.all(np.diff(time) > 0)), "λ decreases or stalls on [0, 6]")
+    require(
+        "(7a) λ is differentiable with derivative λ'",
+        holds=mismatch <= 1e-4 * deadline,
+        found=f"off by {mismatch:.3g} s",
+    )
+    require(
+        "(7b) λ is strictly increasing", holds=bool(np.all(np.diff(time) > 0)), found="λ decreases or stalls on [0, 6]"
+    )
     remaining = deadline - transformation.time(far)
     require(
         "(7c) λ(s) → T",
-        bool(np.all(np.abs(remaining) <= 2 * deadline / far)),
-        f"T − λ(s) = {remaining[-1]:.3g} s at s = {far[-1]:.0e}",
+        holds=bool(np.all(np.abs(remaining) <= 2 * deadline / far)),
+        found=f"T − λ(s) = {remaining[-1]:.3g} s at s = {far[-1]:.0e}",
     )
     slope = float(transformation.derivative(far[-1]))
-    require("(7c) λ'(s) → 0", 0 <= slope <= deadline * 1e-6, f"λ'({far[-1]:.0e}) = {slope:.3g}")
-    recovered = transformation.inverse(transformation.time(grid))
-    error = float(np.max(np.abs(recovered - grid)))
-    require("λ^{-1}(λ(s)) = s", error <= 1e-6, f"off by {error:.3g}")
+    require("(7c) λ'(s) → 0", holds=0 <= slope <= deadline * 1e-6, found=f"λ'({far[-1]:.0e}) = {slope:.3g}")
+    error = float(np.max(np.abs(transformation.inverse(time) - grid)))
+    require("λ^{-1}(λ(s)) = s", holds=error <= 1e-6, found=f"off by {error:.3g}")
 
 
 class StepClock:

@@ -150,7 +150,8 @@ class Signal:
         clock: ``"physical"`` or ``"transformed"``.
 
     Raises:
-        ValueError: when numbers of graphs, dwells or players disagree, a dwell is not positive, or the clock is unknown.
+        ValueError: when numbers of graphs, dwells or players disagree, a dwell is not positive, or the clock is
+            unknown.
     """
 
     def __init__(

@@ -1,4 +1,4 @@
-"""Which experiment is this? A frozen, serialisable composition of the world's parts, and the catalogue of named ones."""
+"""Which experiment is this? A frozen, serialisable composition of parts, and the catalogue of named ones."""
 
 from __future__ import annotations
 
@@ -99,7 +99,7 @@ class Scenario:
         game, signal = self.built_game, self.built_signal
         if signal.num_players != game.num_players:
             raise ValueError(
-                f"scenario {self.name!r}: the game has {game.num_players} players and the graphs {signal.num_players}"
+                f"scenario {self.name!r}: the game has {game.num_players} players, the graphs {signal.num_players}"
             )
         if not signal.is_jointly_connected:
             kind = "graph is disconnected" if signal.is_fixed else "graphs are not jointly connected over a period"
@@ -111,9 +111,9 @@ class Scenario:
             longest = float(np.diff(clock.signal_times[signal.clock]).max())
             if min(signal.dwells) < longest * (1 - 1e-9):
                 raise ValueError(
-                    f"scenario {self.name!r}: the shortest dwell, {min(signal.dwells):.4g} on the {signal.clock} clock, "
-                    f"is shorter than the longest step, {longest:.4g}, so graphs would be skipped; use more steps, "
-                    "another spacing or longer dwells"
+                    f"scenario {self.name!r}: the shortest dwell, {min(signal.dwells):.4g} on the {signal.clock} "
+                    f"clock, is shorter than the longest step, {longest:.4g}, so graphs would be skipped; use more "
+                    "steps, another spacing or longer dwells"
                 )
         # Fails here, not at the first reset, when the table of a fixed start has the wrong shape.
         self.built_start.draw(game.num_players, game.dimension, np.random.default_rng(0))
@@ -129,8 +129,8 @@ class Scenario:
         built = part.build(**extra)
         if not isinstance(built, _PARTS[field]):
             raise ValueError(
-                f"scenario {self.name!r}: the part {part.target!r} built a {type(built).__name__} where {field} needs a "
-                f"{_PARTS[field].__name__}"
+                f"scenario {self.name!r}: the part {part.target!r} built a {type(built).__name__} where {field} needs "
+                f"a {_PARTS[field].__name__}"
             )
         return built
 

@@ -74,7 +74,7 @@ class FixedStart(Start):
 
 
 def paper_start() -> FixedStart:
-    """The start of both examples: x^i_i(0) = (−2, −4, −6, −8, −10); the rest of x^i(0) is (15, 10, 5, 0) in order of j."""
+    """Both examples: x^i_i(0) = (−2, −4, −6, −8, −10), the rest of x^i(0) is (15, 10, 5, 0) in order of j."""
     own = (-2.0, -4.0, -6.0, -8.0, -10.0)
     rows = np.empty((5, 5))
     for player in range(5):

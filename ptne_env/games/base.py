@@ -78,6 +78,20 @@ class Game(ABC):
             NoBestResponseError: when some player's cost has no minimiser for some x_{-i}.
         """
 
+    def regrets(self, strategies: FloatArray) -> FloatArray:
+        """J_i(x) − min over y of J_i(y, x_{-i}) ≥ 0 of every player: (n, B) to (N, B).
+
+        Their sum over players is the Nikaido–Isoda gap, 0 exactly at an equilibrium.
+
+        Raises:
+            NoBestResponseError: as :meth:`best_response`.
+        """
+        players, (n, batch) = np.arange(self.num_players), strategies.shape
+        deviated = np.repeat(strategies[:, None, :], self.num_players, axis=1)
+        deviated[np.arange(n), self.owners] = self.best_response(strategies)
+        costs = self.costs(deviated.reshape(n, -1)).reshape(self.num_players, self.num_players, batch)
+        return self.costs(strategies) - costs[players, players]
+
     def pseudo_gradient(self, strategies: FloatArray) -> FloatArray:
         """F(x) = col(∂J_i/∂x_i(x)): (n, B) to (n, B)."""
         shape = (self.dimension, self.num_players, strategies.shape[1])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import partial
+from itertools import pairwise
 
 import numpy as np
 from scipy import differentiate
@@ -101,6 +102,6 @@ def _radially_unbounded(game: Game, points: FloatArray, player: int, block: slic
     grows = True
     for sign in (-1.0, 1.0):
         costs = [_cost_on_ray(game, points, player, block, sign * direction, radius) for radius in _RADII]
-        grows &= all(bool(np.all(far >= near)) for near, far in zip(costs, costs[1:], strict=False))
+        grows &= all(bool(np.all(far >= near)) for near, far in pairwise(costs))
         grows &= bool(np.all(costs[-1] > _cost_on_ray(game, points, player, block, direction, 0.0)))
     return grows

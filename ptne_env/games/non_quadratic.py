@@ -67,7 +67,7 @@ class NonQuadraticGame(Game):
         matrix[4, 4] = 2
         return matrix
 
-    def best_response(self, strategies: FloatArray) -> FloatArray:
+    def best_response(self, strategies: FloatArray) -> FloatArray:  # noqa: ARG002 - the signature is the interface
         """Does not exist: J2 is unbounded below in x2 wherever x4 ≥ 0.
 
         Raises:

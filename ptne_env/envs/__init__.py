@@ -1,0 +1,4 @@
+"""How PettingZoo, Gymnasium and Stable-Baselines3 talk to the world: adapters without physics."""
+
+from ptne_env.envs.parallel import NashSeekingEnv as NashSeekingEnv
+from ptne_env.envs.parallel import parallel_env as parallel_env

@@ -1,0 +1,398 @@
+"""How does a policy see and act? Observation layouts, units, order of components and action modes.
+
+A *layout* is what a policy knows about its observations: named slices, the neighbours in its slots, units and limits.
+A *port* connects one layout to a running world: it turns states into observations and actions into inputs.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Literal, NamedTuple, TypeAlias, get_args
+
+import numpy as np
+import numpy.typing as npt
+from gymnasium import spaces
+
+from ptne_env.arrays import BoolArray, Float32Array, FloatArray, IntArray, require_positive
+from ptne_env.dynamics import RANGE_LIMIT, Dynamics, State
+
+InterfaceKind: TypeAlias = Literal["physical", "local", "full"]
+ActionMode: TypeAlias = Literal["input", "gains"]
+
+OBSERVATION_BOUND = 1e6
+"""Box bound of every observed entry that carries units."""
+
+SMALLEST_SCALE = 1e-30
+"""The scale σ_i of the ``local`` interface is at least this, so that a player at rest divides by something."""
+
+GAIN_OCTAVES = 3.0
+"""In action mode ``gains`` an action of ±1 multiplies or divides a gain by 2^3."""
+
+CONSENSUS_GAIN = 2.0
+"""In action mode ``gains`` the action 0 means gradient gain 1 and this consensus gain, the paper's κ."""
+
+
+@dataclass(frozen=True)
+class Interface:
+    """How a policy sees and acts. A policy carries its own; the physics does not depend on it.
+
+    Attributes:
+        kind: ``"physical"`` (natural units, player order), ``"local"`` (scale-free, ego order) or ``"full"``
+            (``physical`` and what no player can see; for oracles only).
+        action_mode: ``"input"`` (an action is the input u^i) or ``"gains"`` (two numbers per player).
+        action_scale: under ``local``, an action of 1 is this many times σ_i.
+
+    Raises:
+        ValueError: for an unknown kind or action mode, or a scale that is not positive.
+    """
+
+    kind: InterfaceKind = "physical"
+    action_mode: ActionMode = "input"
+    action_scale: float = 5.0
+
+    def __post_init__(self) -> None:
+        if self.kind not in get_args(InterfaceKind):
+            raise ValueError(f"unknown interface {self.kind!r}; choose from {', '.join(get_args(InterfaceKind))}")
+        if self.action_mode not in get_args(ActionMode):
+            raise ValueError(f"unknown action mode {self.action_mode!r}; choose from {', '.join(get_args(ActionMode))}")
+        require_positive("action_scale", self.action_scale)
+
+
+class Reading(NamedTuple):
+    """Observations of R players, read back into float64 and player order. Gradients and estimates are in ``unit``.
+
+    Attributes:
+        player: who observes, shape (R,).
+        gradient: R_i^T ∂J_i/∂x_i(x^i), zero outside the own block, shape (R, n).
+        relative_estimates: x^j − x^i per neighbour slot, shape (R, D, n).
+        weights: a_ij per neighbour slot, shape (R, D).
+        unit: what 1 of the above is in natural units, shape (R, 1); 1 under ``physical``, σ_i under ``local``.
+        theta: Θ_k of the coming step, shape (R, 1).
+        dt: Δt_k of the coming step in seconds, shape (R, 1).
+        relative_strategies: x − x^i, shape (R, n); empty (R, 0) unless the interface is ``full``.
+        pseudo_gradient: F(x), shape (R, n); empty (R, 0) unless the interface is ``full``.
+    """
+
+    player: IntArray
+    gradient: FloatArray
+    relative_estimates: FloatArray
+    weights: FloatArray
+    unit: FloatArray
+    theta: FloatArray
+    dt: FloatArray
+    relative_strategies: FloatArray
+    pseudo_gradient: FloatArray
+
+
+@dataclass(frozen=True)
+class Layout:
+    """What a policy knows about its observations and actions, which it was built for.
+
+    An observation is a flat float32 vector of named slices, in the order of :attr:`slices`:
+
+    ====================== ======== ========================================================================
+    name                   size     content
+    ====================== ======== ========================================================================
+    ``own_gradient``       m        ∂J_i/∂x_i(x^i), padded with 0 to the largest n_i
+    ``own_estimate``       n        x^i (not under ``local``)
+    ``relative_estimates`` D n      x^j − x^i per neighbour slot, taken in float64; 0 where the link is down
+    ``weights``            D        a_ij per neighbour slot; 0 where the link is down
+    ``log_scale``          1        log10 σ_i (only under ``local``)
+    ``clock``              4        t/T, s, Θ_k, Δt_k/T
+    ``time_since_switch``  1        over the signal's mean dwell, clipped to 1; 0 for a fixed graph
+    ``player``             N        one-hot
+    ``relative_strategies`` n       x − x^i (only under ``full``)
+    ``pseudo_gradient``    n        F(x) at the real strategies (only under ``full``)
+    ====================== ======== ========================================================================
+
+    Under ``local``, gradient and relative estimates are divided by σ_i = max(‖own gradient‖_∞, max over live links
+    ‖x^j − x^i‖_∞, 1e-30), and components are in ego order: the own block first, then cyclically.
+
+    Attributes:
+        interface: units, order and action mode.
+        action_dims: n_i of each player.
+        neighbours: per player, the player in each of its D slots; a padded slot holds the player itself.
+        input_limit: largest |u|.
+        deadline: T in seconds.
+    """
+
+    interface: Interface
+    action_dims: tuple[int, ...]
+    neighbours: tuple[tuple[int, ...], ...]
+    input_limit: float
+    deadline: float
+
+    @property
+    def num_players(self) -> int:
+        """N."""
+        return len(self.action_dims)
+
+    @cached_property
+    def dimension(self) -> int:
+        """n = Σ n_i."""
+        return sum(self.action_dims)
+
+    @property
+    def slots(self) -> int:
+        """D, neighbour slots per player."""
+        return len(self.neighbours[0])
+
+    @cached_property
+    def slices(self) -> dict[str, slice]:
+        """The named parts of an observation, in order."""
+        n, slots, kind = self.dimension, self.slots, self.interface.kind
+        sizes = {"own_gradient": max(self.action_dims)}
+        if kind != "local":
+            sizes["own_estimate"] = n
+        sizes |= {"relative_estimates": slots * n, "weights": slots}
+        if kind == "local":
+            sizes["log_scale"] = 1
+        sizes |= {"clock": 4, "time_since_switch": 1, "player": self.num_players}
+        if kind == "full":
+            sizes |= {"relative_strategies": n, "pseudo_gradient": n}
+        ends = np.cumsum(list(sizes.values()))
+        return {name: slice(int(end) - size, int(end)) for (name, size), end in zip(sizes.items(), ends, strict=True)}
+
+    @cached_property
+    def size(self) -> int:
+        """Length of an observation."""
+        return max(part.stop for part in self.slices.values())
+
+    @property
+    def action_size(self) -> int:
+        """Length of an action: n in mode ``input``, 2 in mode ``gains``."""
+        return self.dimension if self.interface.action_mode == "input" else 2
+
+    @property
+    def action_bound(self) -> float:
+        """Actions live in the box [−bound, bound]: the input limit under ``physical``, else 1."""
+        physical = self.interface.kind != "local" and self.interface.action_mode == "input"
+        return float(np.float32(self.input_limit)) if physical else 1.0
+
+    @cached_property
+    def own_components(self) -> IntArray:
+        """Components of each player's own block, padded with n to the largest n_i; shape (N, m)."""
+        result = np.full((self.num_players, max(self.action_dims)), self.dimension, dtype=np.int64)
+        offset = 0
+        for player, dim in enumerate(self.action_dims):
+            result[player, :dim] = np.arange(offset, offset + dim)
+            offset += dim
+        return result
+
+    @cached_property
+    def ego_order(self) -> IntArray:
+        """Which component stands at each place in a player's ego order, shape (N, n)."""
+        return (self.own_components[:, :1] + np.arange(self.dimension)) % self.dimension
+
+    @cached_property
+    def ego_place(self) -> IntArray:
+        """At which place of a player's ego order each component stands, shape (N, n); inverse of ``ego_order``."""
+        return np.argsort(self.ego_order, axis=1)
+
+    @cached_property
+    def neighbour_components(self) -> BoolArray:
+        """Whether component c belongs to the neighbour in slot d of player i, shape (N, D, n)."""
+        owners = np.repeat(np.arange(self.num_players), self.action_dims)
+        neighbours = np.array(self.neighbours)
+        own = neighbours == np.arange(self.num_players)[:, None]
+        return (owners == neighbours[:, :, None]) & ~own[:, :, None]
+
+    @cached_property
+    def own_mask(self) -> BoolArray:
+        """Whether component c is player i's own, shape (N, n)."""
+        owners = np.repeat(np.arange(self.num_players), self.action_dims)
+        return owners == np.arange(self.num_players)[:, None]
+
+    def select(self, observation: npt.NDArray[np.floating], name: str) -> npt.NDArray[np.floating]:
+        """The slice ``name`` of observations of shape (..., size), as a view.
+
+        Raises:
+            ValueError: when this layout has no such slice.
+        """
+        if name not in self.slices:
+            raise ValueError(f"the {self.interface.kind!r} layout has no {name!r}; it has {', '.join(self.slices)}")
+        return observation[..., self.slices[name]]
+
+    def neighbour_estimates(self, observation: npt.NDArray[np.floating]) -> FloatArray:
+        """The neighbours' estimates x^j per slot, (..., size) to (..., D, n), float64; a dead link repeats x^i.
+
+        Raises:
+            ValueError: under ``local``, where the own estimate is not observed.
+        """
+        own = np.asarray(self.select(observation, "own_estimate"), dtype=np.float64)
+        relative = np.asarray(self.select(observation, "relative_estimates"), dtype=np.float64)
+        return relative.reshape(*own.shape[:-1], self.slots, self.dimension) + own[..., None, :]
+
+    def read(self, observation: npt.NDArray[np.floating]) -> Reading:
+        """Read observations of R players, shape (R, size).
+
+        Raises:
+            ValueError: when the observations have another shape than this layout's.
+        """
+        if observation.ndim != 2 or observation.shape[1] != self.size:
+            raise ValueError(
+                f"this policy was built for observations of length {self.size} ({self.interface.kind!r} layout, "
+                f"{self.num_players} players, {self.slots} neighbour slots), got the shape {observation.shape}"
+            )
+        rows = observation.shape[0]
+        values = {name: np.asarray(observation[:, part], dtype=np.float64) for name, part in self.slices.items()}
+        player = values["player"].argmax(axis=1)
+        own = np.zeros((rows, self.dimension + 1))  # one column more, into which padding falls
+        np.put_along_axis(own, self.own_components[player], values["own_gradient"], axis=1)
+        relative = values["relative_estimates"].reshape(rows, self.slots, self.dimension)
+        unit = np.ones((rows, 1))
+        if self.interface.kind == "local":
+            relative = np.take_along_axis(relative, self.ego_place[player][:, None, :], axis=2)
+            unit = 10.0 ** values["log_scale"]
+        unseen = np.empty((rows, 0))
+        return Reading(
+            player=player,
+            gradient=own[:, :-1],
+            relative_estimates=relative,
+            weights=values["weights"],
+            unit=unit,
+            theta=values["clock"][:, 2:3],
+            dt=values["clock"][:, 3:4] * self.deadline,
+            relative_strategies=values.get("relative_strategies", unseen),
+            pseudo_gradient=values.get("pseudo_gradient", unseen),
+        )
+
+    def write(self, inputs: FloatArray, reading: Reading) -> Float32Array:
+        """The actions that ask for ``inputs`` (R, n), given in the reading's unit and player order; (R, n) float32.
+
+        Actions are clipped to the action box.
+        """
+        if self.interface.kind == "local":
+            inputs = np.take_along_axis(inputs, self.ego_order[reading.player], axis=1) / self.interface.action_scale
+        return np.clip(inputs, -self.action_bound, self.action_bound).astype(np.float32)
+
+
+class Port:
+    """Where policies plug into a world: states to observations, actions to inputs, for every batch size.
+
+    Args:
+        dynamics: the world.
+        interface: units, order and action mode.
+    """
+
+    def __init__(self, dynamics: Dynamics, interface: Interface) -> None:
+        self.dynamics = dynamics
+        self.interface = interface
+        game, clock = dynamics.game, dynamics.clock
+        self.layout = layout = Layout(
+            interface=interface,
+            action_dims=game.action_dims,
+            neighbours=tuple(tuple(int(j) for j in column) for column in dynamics.neighbours.T),
+            input_limit=dynamics.scenario.input_limit,
+            deadline=clock.deadline,
+        )
+        n, players, slots = game.dimension, game.num_players, dynamics.slots
+        # What every observation of an instant shares: the clock and the age of the graph; (5, K+H+1).
+        self._clock_table = np.stack(
+            [clock.t / clock.deadline, clock.s, clock.theta, clock.dt / clock.deadline, dynamics.time_since_switch]
+        ).astype(np.float32)
+        self._template = np.zeros((1, players, layout.size), dtype=np.float32)
+        self._template[0, :, layout.slices["player"]] = np.eye(players, dtype=np.float32)
+        # Row of own_gradients in each place of a player's own block, shape (m, N); padding is masked out.
+        own = layout.own_components.T
+        self._gradient_rows = np.minimum(own, n - 1)
+        self._gradient_mask = (own < n)[:, :, None] if (own == n).any() else None
+        # Rows of a (n N, B) array: in ego order from player order, and back.
+        everybody = np.arange(players)
+        self._ego_rows = layout.ego_order.T * players + everybody
+        self._player_rows = layout.ego_place.T * players + everybody
+        blocks = np.arange(slots)[:, None, None] * n * players
+        self._ego_slot_rows = blocks + self._ego_rows
+        self._own_rows = np.arange(n), game.owners
+
+    def observation_space(self) -> spaces.Box:
+        """A new Box for one player's observation, float32."""
+        layout = self.layout
+        low = np.full(layout.size, -OBSERVATION_BOUND, dtype=np.float32)
+        high = np.full(layout.size, OBSERVATION_BOUND, dtype=np.float32)
+
+        def bound(name: str, lowest: npt.ArrayLike, highest: npt.ArrayLike) -> None:
+            low[layout.slices[name]], high[layout.slices[name]] = lowest, highest
+
+        bound("weights", 0.0, self.dynamics.mode_weights.max())
+        bound("clock", 0.0, self._clock_table[:4].max(axis=1))
+        bound("time_since_switch", 0.0, 1.0)
+        bound("player", 0.0, 1.0)
+        if self.interface.kind == "local":
+            bound("own_gradient", -1.0, 1.0)
+            bound("relative_estimates", -1.0, 1.0)
+            bound("log_scale", np.log10(SMALLEST_SCALE), np.log10(2 * RANGE_LIMIT))
+        return spaces.Box(low, high, dtype=np.float32)
+
+    def action_space(self) -> spaces.Box:
+        """A new Box for one player's action, float32, symmetric about 0."""
+        bound = self.layout.action_bound
+        return spaces.Box(-bound, bound, (self.layout.action_size,), dtype=np.float32)
+
+    def observe(self, state: State) -> Float32Array:
+        """Everybody's observations, shape (B, N, size), float32, C-contiguous and owned by the caller."""
+        layout, (_, players, batch) = self.layout, state.estimates.shape
+        observations = np.repeat(self._template, batch, axis=0)
+        fields = observations.transpose(2, 1, 0)  # environments last, (size, N, B)
+        parts = layout.slices
+        gradients, relative = self._own_gradients(state), state.relative_estimates.reshape(-1, players, batch)
+        if self.interface.kind == "local":
+            scale = self._scale(state)
+            fields[parts["log_scale"]] = np.log10(scale)
+            rows = relative.reshape(-1, batch).take(self._ego_slot_rows, axis=0)
+            relative = (rows / scale).reshape(-1, players, batch)
+            gradients = gradients / scale
+        else:
+            fields[parts["own_estimate"]] = state.estimates
+        fields[parts["own_gradient"]] = gradients
+        fields[parts["relative_estimates"]] = relative
+        fields[parts["weights"]] = state.weights
+        clock = self._clock_table.take(state.step, axis=1)[:, None, :]
+        fields[parts["clock"].start : parts["time_since_switch"].stop] = clock
+        if self.interface.kind == "full":
+            strategies = self.dynamics.strategies(state)
+            fields[parts["relative_strategies"]] = strategies[:, None, :] - state.estimates
+            with np.errstate(over="ignore"):
+                pseudo_gradient = self.dynamics.game.pseudo_gradient(strategies)
+            fields[parts["pseudo_gradient"]] = np.clip(pseudo_gradient, -OBSERVATION_BOUND, OBSERVATION_BOUND)[:, None]
+        return observations
+
+    def decode(self, actions: npt.NDArray[np.floating], state: State) -> FloatArray:
+        """Turn actions (B, N, action size), finite, into inputs u within the input limit, shape (n, N, B).
+
+        Entries outside the action box are clipped to it and rounded to float32, as the space declares.
+        """
+        bound = self.layout.action_bound
+        fields = np.clip(actions, -bound, bound).astype(np.float32, copy=False).transpose(2, 1, 0).astype(np.float64)
+        if self.interface.action_mode == "gains":
+            gradient_gain, consensus_gain = 2.0 ** (GAIN_OCTAVES * fields)
+            inputs = np.einsum("dib,dcib->cib", state.weights, state.relative_estimates)
+            inputs *= CONSENSUS_GAIN * consensus_gain
+            owners = self.dynamics.game.owners
+            inputs[self._own_rows] -= gradient_gain[owners] * state.own_gradients
+        elif self.interface.kind == "local":
+            fields *= self.interface.action_scale * self._scale(state)
+            inputs = fields.reshape(-1, fields.shape[2]).take(self._player_rows, axis=0)
+        else:
+            inputs = fields
+        limit = self.layout.input_limit
+        return np.clip(inputs, -limit, limit)
+
+    def clipped(self, actions: npt.NDArray[np.floating]) -> IntArray:
+        """How many entries of each player's action lie outside the box: (B, N, action size) to (B, N)."""
+        outside = np.abs(actions) > self.layout.action_bound
+        return outside.sum(axis=2)
+
+    def _own_gradients(self, state: State) -> FloatArray:
+        """Own gradients per player, padded with 0, shape (m, N, B)."""
+        gradients = state.own_gradients.take(self._gradient_rows, axis=0)
+        if self._gradient_mask is not None:
+            gradients *= self._gradient_mask
+        return gradients
+
+    def _scale(self, state: State) -> FloatArray:
+        """σ_i = max(‖own gradient‖_∞, max over live links ‖x^j − x^i‖_∞, 1e-30), shape (N, B)."""
+        scale = np.abs(self._own_gradients(state)).max(axis=0)
+        np.maximum(scale, np.abs(state.relative_estimates).max(axis=(0, 1)), out=scale)
+        return np.maximum(scale, SMALLEST_SCALE, out=scale)

@@ -1,0 +1,78 @@
+"""The paper's static law (Theorem 1) and the same law without the time gain (Corollary 1)."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ptne_env.arrays import Float32Array, FloatArray, require_non_negative, require_positive
+from ptne_env.interface import CONSENSUS_GAIN, GAIN_OCTAVES, Layout, Reading
+from ptne_env.laws.base import Law, consensus
+
+
+class Static(Law):
+    """u^i = −R_i^T ∂J_i/∂x_i(x^i) − κ Σ_j a_ij (x^i − x^j) (eq. PrescribedTimeAlgorithm, Theorem 1).
+
+    The environment's dynamics supply the gain c + 1/(T − t). Through action mode ``gains`` it asks for its two gains,
+    which must lie within a factor 8 of 1 and of 2.
+
+    Args:
+        layout: of the environment.
+        kappa: κ ≥ 0.
+        gradient_gain: factor on the own gradient; other than 1 it is the same law for scaled costs.
+
+    Raises:
+        ValueError: for a negative gain, or one out of reach in action mode ``gains``.
+    """
+
+    def __init__(self, layout: Layout, kappa: float = 2.0, gradient_gain: float = 1.0) -> None:
+        super().__init__(layout)
+        self.kappa = require_non_negative("kappa", kappa)
+        self.gradient_gain = require_positive("gradient_gain", gradient_gain)
+        if layout.interface.action_mode == "gains":
+            wanted = np.array([self.gradient_gain, self.kappa / CONSENSUS_GAIN])
+            with np.errstate(divide="ignore"):  # κ = 0 is out of reach and refused below
+                self._gain_action = np.log2(wanted) / GAIN_OCTAVES
+            if np.abs(self._gain_action).max() > 1:
+                raise ValueError(
+                    f"action mode 'gains' reaches gradient gains in [1/8, 8] and kappa in [1/4, 16], got "
+                    f"{gradient_gain} and {kappa}"
+                )
+
+    def _inputs(self, reading: Reading, memory: None) -> tuple[FloatArray, None]:
+        inputs = consensus(reading.weights, reading.relative_estimates)
+        inputs *= self.kappa
+        inputs -= self.gradient_gain * reading.gradient
+        return inputs, memory
+
+    def _actions(self, inputs: FloatArray, reading: Reading) -> Float32Array:
+        if self.layout.interface.action_mode == "gains":
+            return np.tile(self._gain_action.astype(np.float32), (len(inputs), 1))
+        return super()._actions(inputs, reading)
+
+    def _acts_through_gains(self) -> bool:
+        return True
+
+
+class CorollaryOne(Law):
+    """dx^i/dt = −R_i^T ∂J_i/∂x_i(x^i) − κ Σ_j a_ij (x^i − x^j): the static law without the time gain (Corollary 1).
+
+    The paper prints e^i − e^j where x^i − x^j is meant (docs/errata.md, 5). At κ = 1 it is Gadjov and Pavel's law.
+    The environment multiplies every input by Θ_k, so the law undoes that gain: it asks for u·Δt_k/Θ_k.
+
+    Args:
+        layout: of the environment.
+        kappa: κ ≥ 0.
+
+    Raises:
+        ValueError: for a negative gain.
+    """
+
+    def __init__(self, layout: Layout, kappa: float = 10.0) -> None:
+        super().__init__(layout)
+        self.kappa = require_non_negative("kappa", kappa)
+
+    def _inputs(self, reading: Reading, memory: None) -> tuple[FloatArray, None]:
+        inputs = self.kappa * consensus(reading.weights, reading.relative_estimates) - reading.gradient
+        over = reading.theta == 0  # the terminal observation, from which nobody acts
+        inputs *= np.where(over, 0.0, reading.dt / np.where(over, 1.0, reading.theta))
+        return inputs, memory

@@ -1,0 +1,35 @@
+"""What would you do with this observation? The signature that every policy has, analytic or learned."""
+
+from __future__ import annotations
+
+from typing import Any, Protocol, runtime_checkable
+
+import numpy as np
+import numpy.typing as npt
+
+from ptne_env.arrays import BoolArray
+
+
+@runtime_checkable
+class Policy(Protocol):
+    """Stable-Baselines3's ``predict``: an SB3 model is a policy as it is, and a law is a model to SB3's tools."""
+
+    def predict(
+        self,
+        observation: npt.NDArray[np.float32],
+        state: Any = None,
+        episode_start: BoolArray | None = None,
+        deterministic: bool = False,  # noqa: FBT001, FBT002 - Stable-Baselines3's signature
+    ) -> tuple[npt.NDArray[np.float32], Any]:
+        """Actions for observations, batched over the leading axis.
+
+        Args:
+            observation: of R players (in any number of environments), shape (R, size), or one of shape (size,).
+            state: the memory that the previous call returned; ``None`` at first. Opaque to callers.
+            episode_start: where True, that row's memory starts afresh; shape (R,).
+            deterministic: whether a stochastic policy takes its mode.
+
+        Returns:
+            Actions of shape (R, action size), float32, and the memory for the next call.
+        """
+        ...

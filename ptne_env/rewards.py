@@ -1,0 +1,121 @@
+"""What is being optimised? Named reward terms; the reward is their weighted sum.
+
+========== =====================================================================================================
+term       value for player i at step k
+========== =====================================================================================================
+digits     log10 d^i_k − log10 d^i_{k+1} with d^i = ‖x^i − x*‖/‖x*‖ floored at 1e-12; the return is digits gained
+tracking   −d^i_{k+1}
+payoff     −J_i at the real strategies after the step
+regret     −(J_i(x) − min over y of J_i(y, x_{-i})) after the step; over players it sums to minus the Nikaido–Isoda
+           gap. Only for games whose best response exists everywhere.
+========== =====================================================================================================
+
+The rewards know x*. That is training's privilege: no observation does.
+
+A diverged environment is charged, for the step and all that remain, the reward at the range limit, which no state in
+range undercuts, so that crashing never pays.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from ptne_env import distances
+from ptne_env.arrays import FloatArray
+from ptne_env.dynamics import RANGE_LIMIT, Dynamics, State
+from ptne_env.games import NoBestResponseError
+
+TERMS = ("digits", "tracking", "payoff", "regret")
+"""The names of the reward terms."""
+
+REWARD_LIMIT = RANGE_LIMIT**2
+"""Payoff and regret are clipped to ±REWARD_LIMIT, the order of a quadratic cost at the range limit."""
+
+
+def parse_reward(reward: str | Mapping[str, float]) -> dict[str, float]:
+    """A reward's weights by term; a bare name means weight 1.
+
+    Raises:
+        ValueError: for an unknown term, no term, or a weight that is not finite.
+    """
+    weights = {reward: 1.0} if isinstance(reward, str) else dict(reward)
+    unknown = sorted(set(weights) - set(TERMS))
+    if unknown or not weights:
+        raise ValueError(f"unknown reward {', '.join(map(repr, unknown)) or '{}'}; choose from {', '.join(TERMS)}")
+    if not all(np.isfinite(list(weights.values()))):
+        raise ValueError(f"reward weights must be finite, got {weights!r}")
+    return weights
+
+
+class Reward:
+    """The reward of one world; remembers the distances of the previous instant.
+
+    Args:
+        dynamics: the world.
+        reward: a term's name, or weights by name.
+
+    Attributes:
+        weights: by term.
+
+    Raises:
+        ValueError: for an unknown term, or ``regret`` on a game without best response.
+    """
+
+    def __init__(self, dynamics: Dynamics, reward: str | Mapping[str, float] = "digits") -> None:
+        self.weights = parse_reward(reward)
+        self.dynamics = dynamics
+        if "regret" in self.weights and not dynamics.game.has_best_response:
+            raise NoBestResponseError(
+                f"reward 'regret' needs a best response, which {type(dynamics.game).__name__} does not have "
+                "everywhere; choose digits, tracking or payoff"
+            )
+        self._equilibrium = dynamics.game.nash_equilibrium
+        self._distance = np.empty((0, 0))
+        self._log_distance = np.empty((0, 0))
+
+    def reset(self, state: State) -> None:
+        """Start from ``state``."""
+        self._measure(state)
+
+    def step(self, state: State) -> dict[str, FloatArray]:
+        """The value of each term for the step that ended in ``state``, each of shape (N, B)."""
+        before = self._log_distance
+        self._measure(state)
+        terms = {name: self._term(name, state, before) for name in self.weights}
+        if state.diverged.any():
+            remaining = 1 + self.dynamics.clock.total_steps - state.step
+            for name, value in terms.items():
+                if name in self._worst:
+                    terms[name] = np.where(state.diverged, self._worst[name] * remaining, value)
+        return terms
+
+    def total(self, terms: Mapping[str, FloatArray]) -> FloatArray:
+        """The weighted sum of the terms, shape (N, B)."""
+        total = np.zeros_like(self._distance)
+        for name, weight in self.weights.items():
+            total += weight * terms[name]
+        return total
+
+    @property
+    def _worst(self) -> dict[str, float]:
+        """Reward per remaining step at the range limit; the digits' is 0 once the distance is at its limit."""
+        return {"tracking": -self.dynamics.distance_limit, "payoff": -REWARD_LIMIT, "regret": -REWARD_LIMIT}
+
+    def _measure(self, state: State) -> None:
+        distance = distances.player_distances(state.estimates, self._equilibrium)
+        if state.diverged.any():
+            distance = np.where(state.diverged, self.dynamics.distance_limit, distance)
+        self._distance = distance
+        self._log_distance = np.log10(np.maximum(distance, distances.FLOOR))
+
+    def _term(self, name: str, state: State, log_distance_before: FloatArray) -> FloatArray:
+        if name == "digits":
+            return log_distance_before - self._log_distance
+        if name == "tracking":
+            return -self._distance
+        game, strategies = self.dynamics.game, self.dynamics.strategies(state)
+        with np.errstate(over="ignore", invalid="ignore"):  # only a diverged environment overflows
+            loss = game.costs(strategies) if name == "payoff" else game.regrets(strategies)
+        return np.clip(-loss, -REWARD_LIMIT, REWARD_LIMIT)

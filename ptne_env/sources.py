@@ -1,0 +1,35 @@
+"""Random numbers: one generator per source, so that changing what one source draws leaves the others alone."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+
+@dataclass(frozen=True)
+class Sources:
+    """The generators of one environment, spawned from one seed.
+
+    Attributes:
+        game: draws the game of an episode.
+        start: draws the initial estimates.
+        graph: draws switching signals.
+        channel: draws what happens to messages.
+    """
+
+    game: np.random.Generator
+    start: np.random.Generator
+    graph: np.random.Generator
+    channel: np.random.Generator
+
+    @classmethod
+    def from_seed(cls, seed: int | None) -> Sources:
+        """Spawn the generators; ``None`` takes fresh entropy.
+
+        Raises:
+            ValueError: when the seed is negative or not a whole number.
+        """
+        if seed is not None and (isinstance(seed, bool) or not isinstance(seed, (int, np.integer)) or seed < 0):  # type: ignore[redundant-expr]  # callers may pass anything
+            raise ValueError(f"a seed is a whole number of at least 0 or None, got {seed!r}")
+        return cls(*(np.random.default_rng(child) for child in np.random.SeedSequence(seed).spawn(4)))
