@@ -17,6 +17,7 @@ from scipy import linalg
 
 from ptne_env.arrays import FloatArray, require_count, require_non_negative, require_positive
 from ptne_env.clock import TimeTransformation
+from ptne_env.distances import scale
 from ptne_env.games import Game, check_game
 from ptne_env.graphs import Graph, Signal
 from ptne_env.scenario import SHORTFALL_WARNING, Scenario
@@ -437,6 +438,5 @@ def _sampled_digits(scenario: Scenario, matrices: list[FloatArray]) -> tuple[flo
         if not np.all(np.abs(error) < 1e150):  # squares would overflow; the loop has diverged beyond doubt
             error = np.full_like(error, 1e150)
             break
-    scale = float(np.linalg.norm(game.nash_equilibrium)) or 1.0
-    distance = float(np.linalg.norm(error)) / (math.sqrt(game.num_players) * scale)
+    distance = float(np.linalg.norm(error)) / (math.sqrt(game.num_players) * scale(game.nash_equilibrium))
     return -math.log10(max(distance, float(np.finfo(np.float64).tiny))), peak

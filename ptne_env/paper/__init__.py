@@ -1,0 +1,10 @@
+"""The paper reproduced: continuous-time simulation, Table 1, every figure, every claim and erratum measured."""
+
+from ptne_env.paper.claims import Claim as Claim
+from ptne_env.paper.claims import run_checks as run_checks
+from ptne_env.paper.experiments import Experiments as Experiments
+from ptne_env.paper.reproduction import Reproduction as Reproduction
+from ptne_env.paper.reproduction import render as render
+from ptne_env.paper.reproduction import reproduce as reproduce
+from ptne_env.paper.table import TableRow as TableRow
+from ptne_env.paper.table import table_one as table_one

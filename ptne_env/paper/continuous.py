@@ -1,0 +1,361 @@
+"""The paper's loops in continuous time, integrated in effective time τ where every one of them is dx/dτ = u.
+
+With τ = s + c t the prescribed-time gain disappears (eq. ClosedLoopSysteminSpace has θ = dτ/ds), the instant T lies at
+s = ∞ and not in a singularity, and the phase after T is the same equation with dτ = c dt. The state is the error
+x − 1⊗x*, so that it keeps its relative precision while it vanishes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import numpy.typing as npt
+from scipy import integrate, linalg
+
+from ptne_env.arrays import FloatArray, require_count, require_non_negative, require_positive
+from ptne_env.clock import TimeTransformation
+from ptne_env.distances import SUCCESS_DISTANCE, scale
+from ptne_env.games import Game
+from ptne_env.graphs import Signal
+from ptne_env.theory import closed_loop_matrix
+
+RELATIVE_TOLERANCE = 1e-12
+ABSOLUTE_TOLERANCE = 1e-14
+
+
+@dataclass(frozen=True)
+class Segment:
+    """A stretch of effective time on which one graph acts.
+
+    Attributes:
+        start: τ at which it starts.
+        end: τ at which it ends.
+        mode: index of the graph in the signal.
+    """
+
+    start: float
+    end: float
+    mode: int
+
+
+@dataclass(frozen=True)
+class Timeline:
+    """The instants at which a run is sampled, and the stretches between switches.
+
+    Attributes:
+        tau: effective time of each sample, shape (S,), not decreasing; an interior switch is among them.
+        s: transformed time, shape (S,); stays at its end in the hold phase, and equals t where no time is transformed.
+        t: physical time in seconds, shape (S,).
+        segments: cover [tau[0], tau[-1]] in order.
+        deadline_index: the sample at which the approach of T ends; the last one when nothing follows.
+    """
+
+    tau: FloatArray
+    s: FloatArray
+    t: FloatArray
+    segments: tuple[Segment, ...]
+    deadline_index: int
+
+    def after_deadline(self) -> Timeline:
+        """The hold phase alone."""
+        first = self.deadline_index
+        return Timeline(
+            tau=self.tau[first:],
+            s=self.s[first:],
+            t=self.t[first:],
+            segments=tuple(segment for segment in self.segments if segment.start >= self.tau[first]),
+            deadline_index=0,
+        )
+
+
+def plain_timeline(signal: Signal, horizon: float, *, samples: int = 2001) -> Timeline:
+    """Physical time as it is, [0, horizon], for dx/dt = u without the prescribed-time gain (Corollary 1).
+
+    Args:
+        signal: on the physical clock.
+        horizon: end in seconds.
+        samples: evenly spaced instants, to which the switches are added.
+
+    Raises:
+        ValueError: when the horizon is not positive, fewer than 2 samples are asked for, or the signal switches on
+            the transformed clock.
+    """
+    require_positive("horizon", horizon, " (seconds)")
+    require_count("samples", samples, 2)
+    if not signal.is_fixed and signal.clock == "transformed":
+        raise ValueError("without a prescribed time there is no transformed clock; give a physical signal")
+    switches = signal.switches(0.0, horizon)
+    t = np.union1d(np.linspace(0.0, horizon, samples), switches)
+    segments = _segments(signal, switches, switches, (0.0, horizon), (0.0, horizon))
+    return Timeline(tau=t, s=t, t=t, segments=segments, deadline_index=t.size - 1)
+
+
+def prescribed_timeline(
+    signal: Signal,
+    transformation: TimeTransformation,
+    constant: float,
+    *,
+    s_end: float = 30.0,
+    hold: float = 0.0,
+    samples: int = 2001,
+) -> Timeline:
+    """The approach of T up to s_end, sampled evenly in τ, and then ``hold`` seconds after T.
+
+    Args:
+        signal: on either clock; after T a transformed one goes on with s_end + c (t − T).
+        transformation: λ, with its deadline T.
+        constant: c ≥ 0 in 1/s.
+        s_end: transformed time at which the approach stops; the state there stands for the one at T.
+        hold: seconds after T.
+        samples: instants of the approach, to which the switches are added; the hold phase has the same density.
+
+    Raises:
+        ValueError: when a number is out of range, or a hold phase is asked for with c = 0.
+    """
+    require_non_negative("constant (c)", constant)
+    require_positive("s_end", s_end)
+    require_non_negative("hold", hold)
+    require_count("samples", samples, 2)
+    if hold > 0 and constant == 0:
+        raise ValueError("a hold phase needs c > 0: with c = 0 nothing moves after the deadline")
+    deadline = transformation.deadline
+
+    def to_s(instants: FloatArray) -> FloatArray:
+        return transformation.inverse(instants) if signal.clock == "physical" else instants
+
+    end = float(transformation.effective_time(s_end, constant))
+    # A graph that physical time would change after s_end does not change before it: the approach stops there.
+    stop = float(transformation.time(s_end)) if signal.clock == "physical" else s_end
+    switches = signal.switches(0.0, stop)
+    s_switches = to_s(switches)
+    tau_switches = transformation.effective_time(s_switches, constant)
+    regular = np.linspace(0.0, end, samples)
+    s_regular = transformation.from_effective_time(regular, constant)
+    s_regular[0], s_regular[-1] = 0.0, s_end
+    tau = np.concatenate([regular, tau_switches])
+    order = np.argsort(tau, kind="stable")
+    tau, s = tau[order], np.concatenate([s_regular, s_switches])[order]
+    t = transformation.time(s)
+    segments = _segments(signal, switches, tau_switches, (0.0, stop), (0.0, end))
+    deadline_index = tau.size - 1
+    if hold > 0:
+        # In the hold phase dτ = c dt, and so does the transformed clock run.
+        span = (deadline, deadline + hold) if signal.clock == "physical" else (s_end, s_end + constant * hold)
+        later = signal.switches(*span)
+        unit = constant if signal.clock == "physical" else 1.0
+        tau_later = end + unit * (later - span[0])
+        count = max(2, round(samples * constant * hold / end))
+        tau_hold = np.union1d(np.linspace(end, end + constant * hold, count), tau_later)[1:]
+        segments += _segments(signal, later, tau_later, span, (end, end + constant * hold))
+        tau = np.concatenate([tau, tau_hold])
+        s = np.concatenate([s, np.full(tau_hold.size, s_end)])
+        t = np.concatenate([t, deadline + (tau_hold - end) / constant])
+    return Timeline(tau=tau, s=s, t=t, segments=segments, deadline_index=deadline_index)
+
+
+def _segments(
+    signal: Signal,
+    switches: FloatArray,
+    tau_switches: FloatArray,
+    span: tuple[float, float],
+    tau_span: tuple[float, float],
+) -> tuple[Segment, ...]:
+    bounds = np.concatenate([[span[0]], switches, [span[1]]])
+    tau_bounds = np.concatenate([[tau_span[0]], tau_switches, [tau_span[1]]])
+    # The middle of a stretch is safely inside it, whatever rounding does to its ends.
+    modes = signal.schedule((bounds[:-1] + bounds[1:]) / 2).modes
+    stretches = zip(tau_bounds[:-1], tau_bounds[1:], modes, strict=True)
+    return tuple(Segment(float(start), float(end), int(mode)) for start, end, mode in stretches)
+
+
+@dataclass(frozen=True)
+class Run:
+    """A continuous-time trajectory of all players' estimates.
+
+    Attributes:
+        game: what was played.
+        signal: over which graphs.
+        timeline: the instants, S of them.
+        errors: x^i − x*, shape (S, N, n), row i of an instant being player i's.
+        gains: κ_ij of each link of the union graph, shape (S, E), in the order of ``signal.union.edges``.
+    """
+
+    game: Game
+    signal: Signal
+    timeline: Timeline
+    errors: FloatArray
+    gains: FloatArray
+
+    @cached_property
+    def estimates(self) -> FloatArray:
+        """x^i, shape (S, N, n)."""
+        return self.errors + self.game.nash_equilibrium
+
+    @cached_property
+    def strategy_distance(self) -> FloatArray:
+        """‖x − x*‖/‖x*‖ of the strategies, shape (S,): the paper's relative error."""
+        components = np.arange(self.game.dimension)
+        return np.linalg.norm(self.errors[:, self.game.owners, components], axis=1) / scale(self.game.nash_equilibrium)
+
+    @cached_property
+    def estimate_distance(self) -> FloatArray:
+        """‖**x** − 1⊗x*‖/(√N ‖x*‖) of all estimates, shape (S,): what the theorems claim to vanish."""
+        norms = np.linalg.norm(self.errors, axis=(1, 2))
+        return norms / (np.sqrt(self.game.num_players) * scale(self.game.nash_equilibrium))
+
+    @cached_property
+    def inputs(self) -> FloatArray:
+        """u^i at each instant, shape (S, N, n); at a switch the input of the graph that ends there."""
+        loop = _Loop(self.game, self.signal)
+        modes = self._modes()
+        return np.stack([loop.input(e, k, int(m)) for e, k, m in zip(self.errors, self.gains, modes, strict=True)])
+
+    def strategy_distance_at(self, t: float) -> float:
+        """The strategies' distance at the last sample up to ``t`` seconds; at T that is where the approach ends."""
+        return float(self.strategy_distance[np.searchsorted(self.timeline.t, t, side="right") - 1])
+
+    def settling_time(self, threshold: float = SUCCESS_DISTANCE) -> float | None:
+        """The instant in seconds after which the strategies' distance stays at or below ``threshold``.
+
+        The crossing is interpolated in the logarithm of the distance; ``None`` when the run ends above it.
+        """
+        above = np.flatnonzero(self.strategy_distance > threshold)
+        if above.size == 0:
+            return 0.0
+        last = int(above[-1])
+        if last == self.strategy_distance.size - 1:
+            return None
+        levels = np.log(self.strategy_distance[[last + 1, last]])
+        return float(np.interp(np.log(threshold), levels, self.timeline.t[[last + 1, last]]))
+
+    def _modes(self) -> npt.NDArray[np.int64]:
+        ends = np.array([segment.end for segment in self.timeline.segments])
+        modes = np.array([segment.mode for segment in self.timeline.segments])
+        return modes[np.minimum(np.searchsorted(ends, self.timeline.tau), modes.size - 1)]
+
+
+class _Loop:
+    """The right-hand side u and dκ/dτ of the laws, on the error and with one κ per link."""
+
+    def __init__(self, game: Game, signal: Signal) -> None:
+        self.game = game
+        edges = signal.union.edges
+        self.incidence = np.zeros((game.num_players, len(edges)))
+        for column, (i, j) in enumerate(edges):
+            self.incidence[[i, j], column] = 1.0, -1.0
+        self.weights = [np.array([graph.adjacency[edge] for edge in edges]) for graph in signal.graphs]
+        self.components = np.arange(game.dimension)
+
+    def input(self, error: FloatArray, gains: FloatArray, mode: int) -> FloatArray:
+        """u^i = −R_iᵀ ∂J_i/∂x_i(x^i) − Σ_j κ_ij a_ij (x^i − x^j), shape (N, n)."""
+        differences = self.incidence.T @ error
+        u = -self.incidence @ ((gains * self.weights[mode])[:, None] * differences)
+        estimates = (error + self.game.nash_equilibrium).T[:, :, None]
+        u[self.game.owners, self.components] -= self.game.own_gradients(estimates)[:, 0]
+        return u
+
+    def gain_growth(self, error: FloatArray, gamma: float, mode: int) -> FloatArray:
+        """dκ_ij/dτ = γ a_ij ‖x^i − x^j‖², shape (E,)."""
+        differences = self.incidence.T @ error
+        return gamma * self.weights[mode] * np.einsum("en,en->e", differences, differences)
+
+
+def simulate(
+    game: Game,
+    signal: Signal,
+    start: npt.ArrayLike,
+    timeline: Timeline,
+    *,
+    initial_gain: float | Sequence[float],
+    gamma: float = 0.0,
+) -> Run:
+    """Integrate the adaptive law, of which the static one is the case γ = 0 with κ = ``initial_gain``.
+
+    Covers eq. PrescribedTimeAlgorithm, eq. PrescribedTimeAlgorithmAdaptive, eq.
+    PrescribedTimeAlgorithmAdaptiveSwitching and, on a :func:`plain_timeline`, Corollary 1. ``solve_ivp`` (DOP853)
+    is started afresh at every switch, so that no step straddles one.
+
+    Args:
+        game: what is played.
+        signal: over which graphs.
+        start: x^i(0), shape (N, n), row i being player i's.
+        timeline: the instants.
+        initial_gain: κ_ij(0) ≥ 0, one number or one per link of the union graph.
+        gamma: γ_ij ≥ 0, the same for all links.
+
+    Raises:
+        ValueError: when a gain is negative or a shape does not fit.
+        ArithmeticError: when the integrator fails or the run diverges.
+    """
+    require_non_negative("gamma", gamma)
+    players, dimension = game.num_players, game.dimension
+    edges = signal.union.edges
+    gains = np.broadcast_to(np.asarray(initial_gain, dtype=np.float64), (len(edges),))
+    if not (np.all(np.isfinite(gains)) and np.all(gains >= 0)):
+        raise ValueError(f"initial_gain must be finite and at least 0, got {initial_gain!r}")
+    estimates = np.asarray(start, dtype=np.float64)
+    if estimates.shape != (players, dimension):
+        raise ValueError(f"start must have the shape {(players, dimension)}, got {estimates.shape}")
+    loop, size = _Loop(game, signal), players * dimension
+    state = np.concatenate([(estimates - game.nash_equilibrium).ravel(), gains])
+    states = np.empty((timeline.tau.size, state.size))
+
+    for segment in timeline.segments:
+
+        def derivative(_: float, y: FloatArray, mode: int = segment.mode) -> FloatArray:
+            error, kappa = y[:size].reshape(players, dimension), y[size:]
+            growth = loop.gain_growth(error, gamma, mode)
+            return np.concatenate([loop.input(error, kappa, mode).ravel(), growth])
+
+        inside = (timeline.tau >= segment.start) & (timeline.tau <= segment.end)
+        instants = timeline.tau[inside]
+        solution = integrate.solve_ivp(
+            derivative,
+            (segment.start, segment.end),
+            state,
+            method="DOP853",
+            t_eval=np.union1d(instants, [segment.end]),
+            rtol=RELATIVE_TOLERANCE,
+            atol=ABSOLUTE_TOLERANCE,
+        )
+        if not (solution.success and np.all(np.isfinite(solution.y))):
+            raise ArithmeticError(f"the integration failed between τ = {segment.start} and {segment.end}")
+        states[inside] = solution.y.T[np.searchsorted(solution.t, instants)]
+        state = solution.y[:, -1]
+    errors = states[:, :size].reshape(-1, players, dimension)
+    return Run(game, signal, timeline, errors, states[:, size:])
+
+
+def exact_static(game: Game, signal: Signal, start: npt.ArrayLike, timeline: Timeline, *, kappa: float) -> Run:
+    """The static law by matrix exponentials, x(τ) = x* + e^{−Mτ}(x(0) − x*) piecewise; for affine F only.
+
+    Args:
+        game: with affine F.
+        signal: over which graphs.
+        start: x^i(0), shape (N, n).
+        timeline: the instants.
+        kappa: κ ≥ 0.
+
+    Raises:
+        ValueError: when F is not affine, κ < 0 or a shape does not fit.
+    """
+    if not game.is_affine:
+        raise ValueError(f"the matrix exponential solves games with affine F; {type(game).__name__} is not one")
+    players, dimension = game.num_players, game.dimension
+    estimates = np.asarray(start, dtype=np.float64)
+    if estimates.shape != (players, dimension):
+        raise ValueError(f"start must have the shape {(players, dimension)}, got {estimates.shape}")
+    matrices = [closed_loop_matrix(game, graph, kappa) for graph in signal.graphs]
+    state = (estimates - game.nash_equilibrium).ravel()
+    states = np.empty((timeline.tau.size, state.size))
+    for segment in timeline.segments:
+        inside = (timeline.tau >= segment.start) & (timeline.tau <= segment.end)
+        spans = np.append(timeline.tau[inside], segment.end) - segment.start
+        propagators = linalg.expm(-matrices[segment.mode] * spans[:, None, None])
+        states[inside] = propagators[:-1] @ state
+        state = propagators[-1] @ state
+    gains = np.full((timeline.tau.size, len(signal.union.edges)), float(kappa))
+    return Run(game, signal, timeline, states.reshape(-1, players, dimension), gains)

@@ -1,0 +1,390 @@
+"""Every figure of the paper, and two that show errata, drawn with matplotlib's object-oriented interface."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import networkx as nx
+import numpy as np
+
+from ptne_env.arrays import FloatArray
+from ptne_env.clock import Exponential
+from ptne_env.graphs import Graph, SignalClock, cycle
+from ptne_env.paper.claims import Claim
+from ptne_env.paper.continuous import Run
+from ptne_env.paper.experiments import DEADLINE, DWELLS, GAIN, GAMMA, HOLD, KAPPA, Experiments
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+# Okabe and Ito's palette: distinct for colour-blind readers too, and none of them pale.
+COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00")
+INK, GREY, LIGHT = "#222222", "#777777", "#CCCCCC"
+_CLOCK_NAMES: dict[SignalClock, str] = {
+    "physical": f"dwell {DWELLS['physical']:g} s in $t$ (as in the paper)",
+    "transformed": f"dwell {DWELLS['transformed']:g} in $s$",
+}
+_STYLE: dict[Any, Any] = {
+    "font.size": 9,
+    "axes.titlesize": 9.5,
+    "axes.labelsize": 9,
+    "axes.edgecolor": GREY,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.grid": True,
+    "grid.color": "#E6E6E6",
+    "grid.linewidth": 0.6,
+    "axes.axisbelow": True,
+    "legend.frameon": False,
+    "legend.fontsize": 8,
+    "lines.linewidth": 1.3,
+    "svg.fonttype": "none",
+    "svg.hashsalt": "ptne_env",  # the same picture gives the same file
+    "mathtext.fontset": "dejavusans",
+}
+
+
+@dataclass(frozen=True)
+class FigureSpec:
+    """One figure.
+
+    Attributes:
+        name: file name without extension.
+        caption: what it shows, naming the paper's figure; printed below the figure.
+        size: width and height in inches.
+        draw: fills the figure.
+    """
+
+    name: str
+    caption: str
+    size: tuple[float, float]
+    draw: Callable[[Figure, Experiments, Sequence[Claim]], None]
+
+
+def save(spec: FigureSpec, experiments: Experiments, claims: Sequence[Claim], out: Path) -> tuple[Path, Path]:
+    """Draw one figure and write ``out/<name>.png`` (200 dots per inch) and ``out/<name>.svg``.
+
+    Args:
+        spec: which figure, from :data:`FIGURES`.
+        experiments: the runs.
+        claims: measured claims, from which the figures of errata take their numbers.
+        out: an existing directory.
+
+    Raises:
+        ImportError: naming the extra to install when matplotlib is missing.
+    """
+    try:
+        from matplotlib import rc_context  # matplotlib is an extra
+        from matplotlib.backends.backend_agg import FigureCanvasAgg
+        from matplotlib.figure import Figure
+    except ImportError as error:
+        raise ImportError('figures need matplotlib: pip install "ptne-env[bench]"') from error
+    png, svg = out / f"{spec.name}.png", out / f"{spec.name}.svg"
+    with rc_context(_STYLE):
+        width, height = spec.size
+        lines = _wrap(spec.caption, width)
+        band = 0.17 * len(lines) + 0.12  # inches for the caption below the axes
+        figure = Figure(figsize=(width, height + band), layout="constrained")
+        FigureCanvasAgg(figure)
+        figure.get_layout_engine().set(rect=(0, band / (height + band), 1, 1 - band / (height + band)))  # type: ignore[union-attr, call-arg]
+        spec.draw(figure, experiments, claims)
+        figure.text(0.5, 0.08 / (height + band), "\n".join(lines), ha="center", va="bottom", color=INK, fontsize=8.5)
+        figure.savefig(png, dpi=200)
+        figure.savefig(svg, metadata={"Date": None})
+    return png, svg
+
+
+def _wrap(text: str, width: float) -> list[str]:
+    import textwrap
+
+    return textwrap.wrap(text, int(16.5 * width))
+
+
+# --- what several figures share -------------------------------------------------------------------------------------
+
+
+def _strategies(axes: Axes, run: Run, end: float) -> None:
+    """All estimates x^i_j over time: one colour per estimated player j, thick the player's own x_j."""
+    t, estimates, equilibrium = run.timeline.t, run.estimates, run.game.nash_equilibrium
+    for j in range(run.game.dimension):
+        owner = int(run.game.owners[j])
+        for i in range(run.game.num_players):
+            if i != owner:
+                axes.plot(t, estimates[:, i, j], color=COLOURS[j], linewidth=0.6, alpha=0.55)
+        axes.plot(t, estimates[:, owner, j], color=COLOURS[j], linewidth=1.7, label=f"$j={j + 1}$")
+        axes.plot([0, end], [equilibrium[j]] * 2, color=COLOURS[j], linestyle=(0, (1, 2)), linewidth=0.9)
+    axes.set(xlabel="time $t$ [s]", ylabel="estimates $x^i_j$", xlim=(0, end))
+    axes.legend(loc="upper center", ncols=5, columnspacing=1.0, handlelength=1.2, bbox_to_anchor=(0.5, 1.0))
+    low, high = estimates.min(), estimates.max()
+    axes.set_ylim(low - 0.06 * (high - low), high + 0.2 * (high - low))  # room for the legend above the curves
+
+
+def _relative_errors(axes: Axes, run: Run, end: float, *, floor: float = 1e-13) -> None:
+    t = run.timeline.t
+    axes.semilogy(t, np.maximum(run.strategy_distance, floor), color=COLOURS[0], label=r"strategies $x$")
+    axes.semilogy(
+        t,
+        np.maximum(run.estimate_distance, floor),
+        color=COLOURS[1],
+        linestyle="--",
+        label=r"all estimates $\mathbf{x}$",
+    )
+    axes.axhline(0.005, color=GREY, linewidth=0.8, linestyle=":")
+    axes.text(0.015 * end, 0.005 * 1.3, "0.5 %", color=GREY, fontsize=7.5)
+    axes.set(xlabel="time $t$ [s]", ylabel="relative error", xlim=(0, end))
+
+
+def _mark_deadline(axes: Axes) -> None:
+    axes.axvline(DEADLINE, color=INK, linewidth=0.8)
+    axes.annotate(
+        "$T$",
+        (DEADLINE, 0.0),
+        xycoords=("data", "axes fraction"),
+        xytext=(3, 4),
+        textcoords="offset points",
+        fontsize=9,
+    )
+
+
+def _runs(figure: Figure, runs: Sequence[tuple[str, Run]], end: float, *, deadline: bool) -> None:
+    """One row per run: (a) the estimates, (b) the relative errors."""
+    grid: Any = figure.subplots(len(runs), 2, squeeze=False)
+    for row, (name, run) in zip(grid, runs, strict=True):
+        _strategies(row[0], run, end)
+        _relative_errors(row[1], run, end)
+        row[0].set_title(f"(a) all players' estimates{name}")
+        row[1].set_title(f"(b) relative errors{name}")
+        row[1].legend(loc="lower left" if deadline else "upper right")
+        for axes in row:
+            if deadline:
+                _mark_deadline(axes)
+
+
+def _gains(axes: Axes, run: Run, title: str) -> None:
+    for (i, j), colour, gain in zip(run.signal.union.edges, COLOURS, run.gains.T, strict=True):
+        axes.plot(run.timeline.t, gain, color=colour, label=rf"$\kappa_{{{i + 1}{j + 1}}}$")
+    axes.set(xlabel="time $t$ [s]", ylabel=r"gain $\kappa_{ij}$", xlim=(0, DEADLINE + HOLD), ylim=(0, None))
+    axes.set_title(title)
+    axes.legend(loc="lower right", ncols=len(run.signal.union.edges), columnspacing=1.0, handlelength=1.2)
+    _mark_deadline(axes)
+
+
+def _network(axes: Axes, graph: Graph, union: Graph) -> None:
+    """The players on a circle, clockwise from the top; links of the union that are down are grey."""
+    angles = np.pi / 2 - 2 * np.pi * np.arange(graph.num_players) / graph.num_players
+    places = {i: np.array([np.cos(angle), np.sin(angle)]) for i, angle in enumerate(angles)}
+    down = [edge for edge in union.edges if edge not in graph.edges]
+    pair = union.to_networkx()
+    nx.draw_networkx_edges(pair, places, edgelist=down, ax=axes, edge_color=LIGHT, style="dotted", width=1.0)
+    nx.draw_networkx_edges(pair, places, edgelist=graph.edges, ax=axes, edge_color=INK, width=1.8)
+    nx.draw_networkx_nodes(pair, places, ax=axes, node_color=COLOURS[: graph.num_players], node_size=330)
+    labels = {i: str(i + 1) for i in places}
+    nx.draw_networkx_labels(pair, places, labels, ax=axes, font_size=10, font_color="white", font_weight="bold")
+    axes.set_aspect("equal")
+    axes.margins(0.18)
+    axes.axis("off")
+
+
+# --- the figures ----------------------------------------------------------------------------------------------------
+
+
+def _time_transformation(figure: Figure, _: Experiments, __: Sequence[Claim]) -> None:
+    s, transformation = np.linspace(0, 8, 400), Exponential(DEADLINE)
+    left, right = figure.subplots(1, 2)
+    left.plot(s, transformation.time(s), color=COLOURS[0])
+    left.axhline(DEADLINE, color=INK, linewidth=0.8, linestyle=":")
+    left.text(0.15, DEADLINE + 0.02, f"$T={DEADLINE:g}$ s", color=INK)
+    left.set(xlabel="transformed time $s$", ylabel=r"$\lambda(s)$ [s]", ylim=(0, 1.35), xlim=(0, 8))
+    left.set_title(r"(a) $t=\lambda(s)=T(1-e^{-s})$")
+    right.plot(s, transformation.derivative(s), color=COLOURS[1])
+    right.set(xlabel="transformed time $s$", ylabel=r"$\lambda'(s)$ [s]", ylim=(0, 1.35), xlim=(0, 8))
+    right.set_title(r"(b) $\lambda'(s)=T e^{-s}$")
+
+
+def _graph(figure: Figure, _: Experiments, __: Sequence[Claim]) -> None:
+    left, right = figure.subplots(1, 2)
+    graph = cycle(5)
+    _network(left, graph, graph)
+    left.set_title(r"(a) fixed graph $\mathcal{G}$")
+    laplacian = graph.laplacian
+    limit = float(np.abs(laplacian).max())
+    right.imshow(laplacian, cmap="RdBu_r", vmin=-2 * limit, vmax=2 * limit)
+    for (i, j), value in np.ndenumerate(laplacian):
+        right.text(j, i, f"{value:.0f}".replace("-", "−"), ha="center", va="center", color=INK, fontsize=10)
+    right.set_xticks(range(5), [str(i + 1) for i in range(5)])
+    right.set_yticks(range(5), [str(i + 1) for i in range(5)])
+    right.tick_params(length=0)
+    right.grid(visible=False)
+    right.spines[:].set_visible(False)
+    right.set_title(rf"(b) Laplacian $\mathcal{{L}}$, $\lambda_2={graph.algebraic_connectivity:.3f}$")
+
+
+def _static(figure: Figure, experiments: Experiments, _: Sequence[Claim]) -> None:
+    _runs(figure, [("", experiments.static)], DEADLINE + HOLD, deadline=True)
+
+
+def _comparison(figure: Figure, experiments: Experiments, _: Sequence[Claim]) -> None:
+    runs = [
+        (r", Corollary 1 ($\kappa=10$)", experiments.corollary_one),
+        (r", Gadjov–Pavel ($\kappa=1$)", experiments.gadjov_pavel),
+    ]
+    _runs(figure, runs, 30.0, deadline=False)
+    for axes, (_name, run) in zip(figure.axes[1::2], runs, strict=True):
+        settled = run.settling_time()
+        axes.set_ylim(1e-5, 10)
+        if settled is not None:
+            axes.plot(settled, 0.005, "o", color=INK, markersize=4)
+            axes.annotate(f"{settled:.2f} s", (settled, 0.005), xytext=(5, 5), textcoords="offset points", color=INK)
+
+
+def _adaptive(figure: Figure, experiments: Experiments, _: Sequence[Claim]) -> None:
+    _runs(figure, [("", experiments.adaptive)], DEADLINE + HOLD, deadline=True)
+
+
+def _adaptive_gains(figure: Figure, experiments: Experiments, _: Sequence[Claim]) -> None:
+    _gains(figure.subplots(), experiments.adaptive, rf"fixed graph, $\gamma={GAMMA:g}$")
+
+
+def _switching_graphs(figure: Figure, experiments: Experiments, _: Sequence[Claim]) -> None:
+    signal = experiments.switching["physical"].signal
+    period, dwell = signal.period, signal.dwells[0]
+    for m, (axes, graph) in enumerate(zip(figure.subplots(1, 4), signal.graphs, strict=True)):
+        _network(axes, graph, signal.union)
+        axes.set_title(
+            rf"$\mathcal{{G}}_{m + 1}$: $t$ mod {period:g} s in [{m * dwell:.1f}, {(m + 1) * dwell:.1f})", fontsize=8.5
+        )
+
+
+def _by_clock(figure: Figure, runs: dict[SignalClock, Run]) -> None:
+    named = [(f", {_CLOCK_NAMES[clock]}", run) for clock, run in runs.items()]
+    _runs(figure, named, DEADLINE + HOLD, deadline=True)
+
+
+def _switching(figure: Figure, experiments: Experiments, _: Sequence[Claim]) -> None:
+    _by_clock(figure, experiments.switching)
+
+
+def _switching_gains(figure: Figure, experiments: Experiments, _: Sequence[Claim]) -> None:
+    for axes, (clock, run) in zip(figure.subplots(1, 2, sharey=True), experiments.switching.items(), strict=True):
+        _gains(axes, run, _CLOCK_NAMES[clock])
+
+
+def _non_quadratic(figure: Figure, experiments: Experiments, _: Sequence[Claim]) -> None:
+    _by_clock(figure, experiments.non_quadratic_switching)
+
+
+def _erratum_2(figure: Figure, _: Experiments, claims: Sequence[Claim]) -> None:
+    measured = next(claim.measured for claim in claims if claim.name.startswith("Erratum 2"))
+    axes = figure.subplots()
+    axes.loglog(
+        measured["periods"],
+        measured["error_at_deadline"],
+        "o-",
+        color=COLOURS[1],
+        label="signal dwells in $t$, period Γ",
+    )
+    axes.axhline(
+        measured["error_at_deadline_transformed"], color=COLOURS[0], linestyle="--", label="signal dwells 0.25 in $s$"
+    )
+    axes.set(xlabel="period Γ of the signal in $t$ [s]", ylabel="relative error of the estimates at $T$")
+    axes.set_xticks(measured["periods"], [f"{period:g}" for period in measured["periods"]])
+    axes.minorticks_off()
+    axes.set_ylim(1e-8, 10)
+    axes.legend(loc="center right")
+
+
+def _erratum_3(figure: Figure, experiments: Experiments, _: Sequence[Claim]) -> None:
+    run = experiments.static_exact
+    # T − t = T e^{−s} is exact where T − t itself has long been rounded away.
+    upto = slice(0, int(np.searchsorted(run.timeline.s, 20.0)))
+    s = run.timeline.s[upto]
+    remaining: FloatArray = experiments.transformation.derivative(s)
+    inputs = np.linalg.norm(run.inputs[upto], axis=(1, 2))
+    axes = figure.subplots()
+    axes.loglog(remaining, inputs, color=COLOURS[0], label=r"$\Vert \mathbf{u}\Vert$")
+    axes.loglog(
+        remaining,
+        (GAIN + 1 / remaining) * inputs,
+        color=COLOURS[1],
+        linestyle="--",
+        label=r"$\Vert g\,\mathbf{u}\Vert$, the velocity",
+    )
+    axes.invert_xaxis()
+    axes.set(xlabel="time left $T-t$ [s]", ylabel="norm over all players")
+    axes.legend(loc="center left")
+
+
+_STATIC = rf"static law, $\kappa={KAPPA:g}$, $c={GAIN:g}$ s$^{{-1}}$, $T={DEADLINE:g}$ s"
+_READING = "Thick lines: the players' own strategies; thin: what the others estimate; dotted: the Nash equilibrium."
+
+FIGURES: tuple[FigureSpec, ...] = (
+    FigureSpec(
+        "time-transformation",
+        "The time transformation λ and its derivative (paper: Fig. TimeTransFunction).",
+        (6.6, 2.5),
+        _time_transformation,
+    ),
+    FigureSpec(
+        "graph",
+        "The fixed graph and its Laplacian (paper: Fig. UndirectedGraph). The paper's drawing is not in our copy; the "
+        "5-cycle is our choice.",
+        (6.0, 2.7),
+        _graph,
+    ),
+    FigureSpec("static", f"Example 1, {_STATIC} (paper: Fig. AlgorithmStatic). {_READING}", (8.2, 3.3), _static),
+    FigureSpec(
+        "corollary-one",
+        f"Example 1 without the time gain (paper: Fig. Positionerror). {_READING}",
+        (8.2, 6.0),
+        _comparison,
+    ),
+    FigureSpec(
+        "adaptive", f"Example 1, adaptive law (paper: Fig. AlgorithmAdaptive). {_READING}", (8.2, 3.3), _adaptive
+    ),
+    FigureSpec(
+        "adaptive-gains", "The gains of the adaptive law (paper: Fig. DynamicGain).", (5.2, 3.0), _adaptive_gains
+    ),
+    FigureSpec(
+        "switching-graphs",
+        "The four modes of the switching signal (paper: Fig. SwitchingGraphs), each disconnected, jointly connected. The "
+        "paper's drawing is not in our copy; these are our choice.",
+        (8.2, 2.1),
+        _switching_graphs,
+    ),
+    FigureSpec(
+        "switching",
+        f"Example 1, adaptive law over switching graphs (paper: Fig. AlgorithmAdaptiveSwitching): with dwell times in t "
+        f"the error at T does not vanish. {_READING}",
+        (8.2, 6.2),
+        _switching,
+    ),
+    FigureSpec(
+        "switching-gains",
+        "The gains of the adaptive law over switching graphs (paper: Fig. AlgorithmAdaptiveSwitchingK).",
+        (8.2, 3.0),
+        _switching_gains,
+    ),
+    FigureSpec(
+        "non-quadratic",
+        f"Example 2 (corrected), adaptive law over switching graphs (paper: Fig. NonQuadraticGame). {_READING}",
+        (8.2, 6.2),
+        _non_quadratic,
+    ),
+    FigureSpec(
+        "erratum-2",
+        "Erratum 2: what is left at T when the signal dwells in t, against its period. Not in the paper.",
+        (5.2, 3.2),
+        _erratum_2,
+    ),
+    FigureSpec(
+        "erratum-3",
+        f"Erratum 3: input and velocity near T, Example 1, {_STATIC}. Not in the paper.",
+        (5.2, 3.2),
+        _erratum_3,
+    ),
+)
+"""Every figure, in the order of the paper; the last two are ours."""

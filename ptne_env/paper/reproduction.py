@@ -1,0 +1,147 @@
+"""The whole paper at once: Table 1, every figure, every claim, written to a directory and shown in a terminal."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import os
+import tempfile
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from ptne_env._version import __version__
+from ptne_env.paper.claims import CHECKS, Claim
+from ptne_env.paper.experiments import DEADLINE, GAIN, GAMMA, INITIAL_GAIN, S_END, Experiments
+from ptne_env.paper.figures import FIGURES, save
+from ptne_env.paper.table import TableRow, table_one
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+RESULTS_FILE = "results.json"
+
+
+@dataclass(frozen=True)
+class Reproduction:
+    """What :func:`reproduce` found.
+
+    Attributes:
+        table: the rows of Table 1.
+        claims: every claim and erratum with its verdict.
+        figures: the files written, a PNG and an SVG per figure.
+        results: the JSON file with all numbers.
+        seconds: how long it took.
+    """
+
+    table: tuple[TableRow, ...]
+    claims: tuple[Claim, ...]
+    figures: tuple[Path, ...]
+    results: Path
+    seconds: float
+
+    def to_dict(self) -> dict[str, Any]:
+        """A JSON object without NaN or infinite numbers; the same code gives the same object."""
+        return {
+            "version": __version__,
+            "settings": {
+                "deadline": DEADLINE,
+                "gain": GAIN,
+                "gamma": GAMMA,
+                "initial_gain": INITIAL_GAIN,
+                "s_end": S_END,
+                "graph": "5-cycle",
+            },
+            "table_1": [dataclasses.asdict(row) for row in self.table],
+            "claims": [dataclasses.asdict(claim) for claim in self.claims],
+            "figures": [path.name for path in self.figures],
+        }
+
+
+def reproduce(out: Path, *, progress: Callable[[int, int, str], None] | None = None) -> Reproduction:
+    """Run every experiment of the paper and write its table, figures and claims to ``out``.
+
+    Args:
+        out: directory for the figures (PNG and SVG) and ``results.json``; made when it does not exist.
+        progress: called as ``progress(done, total, what)`` before each part and once more at the end.
+
+    Raises:
+        ImportError: naming the extra to install when matplotlib is missing.
+        NotADirectoryError: when ``out`` is a file.
+    """
+    began = time.perf_counter()
+    if out.exists() and not out.is_dir():
+        raise NotADirectoryError(f"{out} is a file; name a directory to write the figures to")
+    out.mkdir(parents=True, exist_ok=True)
+    experiments, total, done = Experiments(), 1 + len(CHECKS) + len(FIGURES), 0
+
+    def announce(what: str) -> None:
+        nonlocal done
+        if progress is not None:
+            progress(done, total, what)
+        done += 1
+
+    announce("Table 1")
+    table = table_one(experiments)
+    claims: list[Claim] = []
+    for check in CHECKS:
+        announce(check.__name__.replace("_", " ").capitalize())
+        claims += check(experiments)
+    figures: list[Path] = []
+    for spec in FIGURES:
+        announce(f"Figure {spec.name}")
+        figures += save(spec, experiments, claims, out)
+    announce("Done")
+    results = out / RESULTS_FILE
+    reproduction = Reproduction(table, tuple(claims), tuple(figures), results, time.perf_counter() - began)
+    _write(results, json.dumps(reproduction.to_dict(), indent=2, ensure_ascii=False, allow_nan=False) + "\n")
+    return reproduction
+
+
+def render(reproduction: Reproduction) -> tuple[Table, Table]:
+    """Two rich tables for a terminal: Table 1 with ours beside the paper's, and every claim with its verdict.
+
+    Raises:
+        ImportError: naming the extra to install when rich is missing.
+    """
+    try:
+        from rich.table import Table  # rich is an extra
+        from rich.text import Text
+    except ImportError as error:
+        raise ImportError('terminal tables need rich: pip install "ptne-env[bench]"') from error
+    times = Table(title="Table 1: seconds until the strategies are within 0.5 % of the equilibrium")
+    times.add_column("Algorithm")
+    for heading in ("κ", "c [1/s]", "Paper [s]", "Ours [s]", "Error at the paper's time"):
+        times.add_column(heading, justify="right")
+    for row in reproduction.table:
+        ours = "never" if row.ours is None else f"{row.ours:.2f}"
+        cells = (row.algorithm, f"{row.kappa:g}", f"{row.gain:g}", f"{row.paper:g}", ours, f"{row.at_paper_time:.2g}")
+        times.add_row(*cells)
+    verdicts = Table(
+        title="Claims and errata, each decided by measurement",
+        caption="An erratum holds when the measurement confirms what docs/errata.md says.",
+        show_lines=True,
+    )
+    verdicts.add_column("Claim", ratio=3)
+    verdicts.add_column("Verdict", no_wrap=True)
+    verdicts.add_column("Measured", ratio=6)
+    for claim in reproduction.claims:
+        colour = "green" if claim.verdict == "holds" else "red"
+        # Text, because brackets in a finding are no markup.
+        verdicts.add_row(Text(claim.name), Text(claim.verdict, style=colour), Text(claim.finding))
+    return times, verdicts
+
+
+def _write(path: Path, text: str) -> None:
+    """Write all or nothing: readers never see half a file."""
+    handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
+    try:
+        with os.fdopen(handle, "w", encoding="utf-8") as file:
+            file.write(text)
+        Path(temporary).chmod(0o644)
+        Path(temporary).replace(path)
+    except BaseException:
+        Path(temporary).unlink(missing_ok=True)
+        raise
