@@ -70,13 +70,21 @@ class Part:
         """The part ``target`` with keyword ``arguments``; lists and arrays are frozen to tuples."""
         return cls(target, tuple((name, _freeze(value)) for name, value in sorted(arguments.items())))
 
+    def resolve(self) -> Any:
+        """The object that the target names, not called.
+
+        Raises:
+            ValueError: as :func:`resolve`.
+        """
+        return resolve(self.target)
+
     def build(self, **extra: Any) -> Any:
         """Import the object and call it with the arguments, and ``extra`` ones that only the builder knows.
 
         Raises:
             ValueError: when the object cannot be found or refuses the arguments.
         """
-        target = resolve(self.target)
+        target = self.resolve()
         arguments = {name: _build(value) for name, value in self.arguments}
         try:
             return target(**arguments, **extra)

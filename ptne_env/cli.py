@@ -1,0 +1,155 @@
+"""The command line: ``ptne compare | reproduce | certify | list``. It only calls the library and prints."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Annotated
+
+try:
+    import typer
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+except ImportError as error:  # pragma: no cover - exercised in an environment without the extra
+    raise SystemExit('the command line needs an extra: pip install "ptne-env[bench]"') from error
+
+from ptne_env import theory
+from ptne_env._version import __version__
+from ptne_env.evaluation import ENTRIES, evaluate
+from ptne_env.evaluation.compare import count_cells
+from ptne_env.files import write_atomically
+from ptne_env.report import certificate_tables, comparison_tables, entry_table, metric_table, scenario_table
+from ptne_env.scenario import CATALOGUE, get_scenario
+
+_PIPE_WIDTH = 172
+"""Width of tables where the output is no terminal, which would otherwise be cut to 80 columns."""
+
+app = typer.Typer(
+    no_args_is_help=True,
+    add_completion=True,
+    pretty_exceptions_enable=False,
+    help="Prescribed-time Nash-equilibrium seeking: compare policies with the analytical laws of Feng and Hu's paper, "
+    "reproduce the paper, and certify scenarios beforehand.",
+)
+
+
+def _console(*, stderr: bool = False) -> Console:
+    stream = sys.stderr if stderr else sys.stdout
+    return Console(stderr=stderr, width=None if stream.isatty() else _PIPE_WIDTH)
+
+
+def _progress(console: Console) -> Progress:
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    return Progress(*columns, console=console, transient=True, disable=not console.is_terminal)
+
+
+def _version(value: bool) -> None:  # noqa: FBT001 - typer's callback signature
+    if value:
+        typer.echo(f"ptne_env {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def _root(
+    version: Annotated[  # noqa: FBT002 - handled by its callback
+        bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version and exit.")
+    ] = False,
+) -> None:
+    """Options of every command."""
+
+
+@app.command()
+def compare(
+    scenario: Annotated[
+        list[str] | None,
+        typer.Option(help="A scenario by name; repeat for several. All of the catalogue if left out. See 'ptne list'."),
+    ] = None,
+    policy: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="A policy by name, or 'module:object' that is called with the layout and returns something with "
+            "predict(); repeat for several. All laws if left out."
+        ),
+    ] = None,
+    episodes: Annotated[int, typer.Option(min=1, help="Random starts per scenario, the same for every policy.")] = 200,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the starts.")] = 0,
+    hold_steps: Annotated[int, typer.Option(min=0, help="Steps after the deadline, for 'digits after hold'.")] = 50,
+    json: Annotated[str | None, typer.Option(help="Write everything as JSON to this file; '-' for stdout.")] = None,
+    csv: Annotated[Path | None, typer.Option(help="Write the records as CSV to this file.")] = None,
+) -> None:
+    """Run policies on scenarios and print how close they came to the equilibrium by the deadline, and at what cost.
+
+    Every policy meets the same seeded random starts; the paper's own start is a row of its own. Intervals are 95 %
+    percentile bootstrap intervals of the mean over starts.
+    """
+    entries, scenarios = policy or list(ENTRIES), scenario or list(CATALOGUE)
+    with _progress(_console(stderr=True)) as progress:
+        task = progress.add_task("comparing", total=count_cells(entries, scenarios))
+
+        def advance(cell: str) -> None:
+            progress.update(task, advance=1, description=cell)
+
+        results = evaluate(entries, scenarios, episodes=episodes, seed=seed, hold_steps=hold_steps, progress=advance)
+    if csv is not None:
+        write_atomically(csv, results.to_csv())
+    if json == "-":
+        typer.echo(results.to_json())
+        return
+    _console().print(comparison_tables(results))
+    if json is not None:
+        write_atomically(Path(json), results.to_json() + "\n")
+    for path in (json, csv):
+        if path is not None:
+            _console().print(f"Results written to {path}", soft_wrap=True)
+
+
+@app.command()
+def certify(
+    scenario: Annotated[str, typer.Argument(help="A scenario by name; see 'ptne list'.")],
+    kappa: Annotated[float, typer.Option(help="Consensus gain κ of the static law.")] = 2.0,
+    json: Annotated[
+        str | None, typer.Option(help="Write the certificate as JSON to this file; '-' for stdout.")
+    ] = None,
+) -> None:
+    """Say before anything runs what the static law can promise on a scenario.
+
+    Prints the paper's assumptions with the number that decides each, the gain condition, the closed-loop rate, the
+    digits predicted at the deadline and the largest stable step.
+    """
+    from json import dumps
+
+    certificate = theory.certify(get_scenario(scenario), kappa)
+    text = dumps(certificate.to_dict(), indent=2, allow_nan=False, ensure_ascii=False)
+    if json == "-":
+        typer.echo(text)
+        return
+    _console().print(certificate_tables(certificate))
+    if json is not None:
+        write_atomically(Path(json), text + "\n")
+        _console().print(f"Certificate written to {json}", soft_wrap=True)
+
+
+@app.command("list")
+def list_() -> None:
+    """Show what there is: scenarios, policies and metrics."""
+    console = _console()
+    console.print(scenario_table(), entry_table(), metric_table())
+
+
+def main() -> None:
+    """Run the command line; exit codes are 0 done, 1 failed, 2 wrong usage."""
+    try:
+        app()
+    except ValueError as error:
+        _fail(str(error), 2)
+    except (OSError, ImportError) as error:
+        _fail(str(error), 1)
+
+
+def _fail(message: str, code: int) -> None:
+    _console(stderr=True).print(f"[bold red]Error:[/] {message}", soft_wrap=True)
+    raise SystemExit(code)
+
+
+if __name__ == "__main__":
+    main()

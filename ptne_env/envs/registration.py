@@ -1,0 +1,20 @@
+"""Registration with PettingZoo: ``pettingzoo.make("parallel", "ptne/energy-v0")``."""
+
+from __future__ import annotations
+
+from pettingzoo import aec_registry, parallel_registry, register
+
+from ptne_env.scenario import CATALOGUE
+
+NAMESPACE = "ptne"
+
+
+def register_environments() -> None:
+    """Register every scenario of the catalogue in PettingZoo's two registries; a second call changes nothing."""
+    for scenario in CATALOGUE:
+        environment_id = f"{NAMESPACE}/{scenario}-v0"
+        module = f"ptne_env.{scenario.replace('-', '_')}_v0"
+        if environment_id not in parallel_registry:
+            register("parallel", environment_id, entry_point=f"{module}:parallel_env")
+        if environment_id not in aec_registry:
+            register("aec", environment_id, entry_point=f"{module}:env")

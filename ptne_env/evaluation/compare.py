@@ -1,0 +1,210 @@
+"""Comparisons: any set of policies on any set of scenarios, everyone from the same seeded starts."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any, TypeVar
+
+import numpy as np
+
+from ptne_env._version import __version__
+from ptne_env.arrays import FloatArray, require_count
+from ptne_env.dynamics import Dynamics
+from ptne_env.evaluation.bank import draw_estimates
+from ptne_env.evaluation.entries import Entry, get_entry
+from ptne_env.evaluation.metrics import METRICS, measure
+from ptne_env.evaluation.rollout import rollout
+from ptne_env.evaluation.statistics import summarise
+from ptne_env.interface import Port
+from ptne_env.scenario import Scenario, get_scenario
+
+PAPER_START = " (paper start)"
+"""Suffix of the row that runs a catalogue scenario from the paper's own start."""
+
+Record = dict[str, Any]
+
+Item = TypeVar("Item")
+
+
+@dataclass(frozen=True)
+class Cell:
+    """One policy on one scenario.
+
+    Attributes:
+        scenario: the label of the scenario.
+        policy: the name of the entry.
+        samples: per metric, one value per episode; NaN where it does not exist.
+    """
+
+    scenario: str
+    policy: str
+    samples: dict[str, FloatArray]
+
+    def records(self) -> list[Record]:
+        """One record per metric: scenario, policy, metric, mean, low, high, episodes; ``None`` where nothing exists."""
+        table = np.array([self.samples[metric] for metric in METRICS])
+        return [
+            {
+                "scenario": self.scenario,
+                "policy": self.policy,
+                "metric": metric,
+                "mean": summary.mean,
+                "low": summary.low,
+                "high": summary.high,
+                "episodes": table.shape[1],
+            }
+            for metric, summary in zip(METRICS, summarise(table), strict=True)
+        ]
+
+
+@dataclass(frozen=True)
+class Results:
+    """The outcome of a comparison.
+
+    Attributes:
+        seed: of the starts.
+        scenarios: by label, in the order of the comparison.
+        entries: by name, in the order of the comparison.
+        cells: one per scenario and policy.
+        records: one per scenario, policy and metric, with mean and 95 % interval over episodes.
+    """
+
+    seed: int
+    scenarios: dict[str, Scenario]
+    entries: dict[str, Entry]
+    cells: tuple[Cell, ...]
+    records: tuple[Record, ...]
+
+    @property
+    def episodes(self) -> list[Record]:
+        """One row per scenario, policy, episode and metric; ``value`` is ``None`` where it does not exist."""
+        return [
+            {
+                "scenario": cell.scenario,
+                "policy": cell.policy,
+                "episode": episode,
+                "metric": metric,
+                "value": float(value) if np.isfinite(value) else None,
+            }
+            for cell in self.cells
+            for metric, values in cell.samples.items()
+            for episode, value in enumerate(values)
+        ]
+
+    def record(self, scenario: str, policy: str, metric: str) -> Record:
+        """The record of one scenario, policy and metric.
+
+        Raises:
+            KeyError: when the comparison has no such record.
+        """
+        for record in self.records:
+            if (record["scenario"], record["policy"], record["metric"]) == (scenario, policy, metric):
+                return record
+        raise KeyError(f"no record of {metric!r} for policy {policy!r} on scenario {scenario!r}")
+
+    def to_dict(self) -> dict[str, Any]:
+        """Version, seed, scenarios and policies with their parameters, and the records, as a JSON object."""
+        return {
+            "version": __version__,
+            "seed": self.seed,
+            "scenarios": {label: scenario.to_dict() for label, scenario in self.scenarios.items()},
+            "policies": {name: entry.to_dict() for name, entry in self.entries.items()},
+            "records": list(self.records),
+        }
+
+    def to_json(self) -> str:
+        """:meth:`to_dict` as a JSON text without NaN or Infinity."""
+        return json.dumps(self.to_dict(), indent=2, allow_nan=False, ensure_ascii=False)
+
+    def to_csv(self) -> str:
+        """The records as CSV, each with version, seed and the parameters of its scenario and policy as JSON texts."""
+        buffer = io.StringIO()
+        fields = ["scenario", "policy", "metric", "mean", "low", "high", "episodes"]
+        fields += ["version", "seed", "scenario_parameters", "policy_parameters"]
+        writer = csv.DictWriter(buffer, fields, lineterminator="\n")
+        writer.writeheader()
+        scenarios = {label: json.dumps(scenario.to_dict()) for label, scenario in self.scenarios.items()}
+        policies = {name: json.dumps(entry.to_dict()) for name, entry in self.entries.items()}
+        for record in self.records:
+            writer.writerow(
+                {
+                    **record,
+                    "version": __version__,
+                    "seed": self.seed,
+                    "scenario_parameters": scenarios[record["scenario"]],
+                    "policy_parameters": policies[record["policy"]],
+                }
+            )
+        return buffer.getvalue()
+
+
+def evaluate(
+    entries: Iterable[str | Entry],
+    scenarios: Iterable[str | Scenario],
+    *,
+    episodes: int = 100,
+    seed: int = 0,
+    hold_steps: int = 0,
+    progress: Callable[[str], None] | None = None,
+) -> Results:
+    """Run every policy on every scenario from the same seeded starts.
+
+    A scenario given by name is run twice: from ``episodes`` random starts under its own name, and once from the
+    paper's start, labelled ``"NAME (paper start)"``. A :class:`~ptne_env.scenario.Scenario` is run as it is: from
+    ``episodes`` starts when they are random, else once.
+
+    Args:
+        entries: names (:data:`~ptne_env.evaluation.entries.ENTRIES`), ``"module:object"`` strings or entries.
+        scenarios: names of the catalogue or scenarios.
+        episodes: number of random starts.
+        seed: of the starts; the draws never depend on a policy.
+        hold_steps: steps after the deadline for the scenarios given by name.
+        progress: called with ``"scenario: policy"`` after each cell.
+
+    Raises:
+        ValueError: for unknown or repeated names, or a policy that cannot act in a scenario.
+    """
+    require_count("episodes", episodes, 1)
+    require_count("seed", seed, 0)
+    chosen = _unique([(entry.name, entry) for entry in map(get_entry, entries)], "policy")
+    cases = _unique(list(_cases(scenarios, hold_steps)), "scenario")
+    cells = []
+    for label, scenario in cases.items():
+        dynamics = Dynamics(scenario)
+        estimates = draw_estimates(dynamics, episodes if scenario.built_start.is_random else 1, seed)
+        for entry in chosen.values():
+            port = Port(dynamics, entry.interface)
+            cells.append(Cell(label, entry.name, measure(rollout(entry.build(port.layout), port, estimates))))
+            if progress is not None:
+                progress(f"{label}: {entry.name}")
+    records = tuple(record for cell in cells for record in cell.records())
+    return Results(seed, cases, chosen, tuple(cells), records)
+
+
+def count_cells(entries: Sequence[str | Entry], scenarios: Sequence[str | Scenario]) -> int:
+    """How many cells :func:`evaluate` will run, for progress bars."""
+    return len(entries) * sum(2 if isinstance(scenario, str) else 1 for scenario in scenarios)
+
+
+def _cases(scenarios: Iterable[str | Scenario], hold_steps: int) -> Iterator[tuple[str, Scenario]]:
+    for scenario in scenarios:
+        if isinstance(scenario, str):
+            yield scenario, get_scenario(scenario, start="random", hold_steps=hold_steps)
+            yield scenario + PAPER_START, get_scenario(scenario, hold_steps=hold_steps)
+        else:
+            yield scenario.name, scenario
+
+
+def _unique(pairs: Sequence[tuple[str, Item]], kind: str) -> dict[str, Item]:
+    result = dict(pairs)
+    if not result:
+        raise ValueError(f"a comparison needs at least one {kind}")
+    if len(result) < len(pairs):
+        raise ValueError(
+            f"a comparison needs different names, got a {kind} twice in {', '.join(name for name, _ in pairs)}"
+        )
+    return result

@@ -1,0 +1,7 @@
+"""Results for people to read: tables for terminals."""
+
+from ptne_env.report.tables import certificate_tables as certificate_tables
+from ptne_env.report.tables import comparison_tables as comparison_tables
+from ptne_env.report.tables import entry_table as entry_table
+from ptne_env.report.tables import metric_table as metric_table
+from ptne_env.report.tables import scenario_table as scenario_table

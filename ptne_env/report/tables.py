@@ -1,0 +1,189 @@
+"""Tables for terminals, drawn with rich. Every function returns renderables and prints nothing."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+from rich import box
+from rich.console import Group
+from rich.table import Table
+from rich.text import Text
+
+from ptne_env.evaluation import ENTRIES, METRICS, Results
+from ptne_env.evaluation.compare import PAPER_START, Record
+from ptne_env.scenario import CATALOGUE, Scenario
+from ptne_env.theory import Certificate
+
+_BLOCKS = {
+    "How close": {
+        "digits": "digits",
+        "strategy_distance": "strategy distance",
+        "estimate_distance": "estimate distance",
+        "consensus_error": "consensus error",
+        "settling_time": "settling time [s]",
+        "settled_share": "settled share",
+        "digits_after_hold": "digits after hold",
+        "digits_gained": "digits gained",
+    },
+    "At what cost": {
+        "input_energy": "input energy",
+        "velocity_energy": "velocity energy",
+        "peak_input": "peak |u|",
+        "peak_velocity": "peak velocity",
+        "saturated_share": "saturated share",
+        "diverged_share": "diverged share",
+        "microseconds_per_decision": "µs per decision",
+    },
+}
+_VERDICTS = {"holds": "green", "fails": "red"}
+
+
+def number(value: float | None) -> str:
+    """A number with three significant digits, or a dash where there is none."""
+    if value is None:
+        return "–"
+    if value == 0:
+        return "0"
+    if 1e-2 <= abs(value) < 999.5:
+        return f"{value:#.3g}".rstrip(".")
+    mantissa, exponent = f"{value:.2e}".split("e")
+    return f"{mantissa}e{int(exponent)}"
+
+
+def interval(record: Record) -> Text:
+    """The mean, and under it the 95 % interval where the sample varies."""
+    text = Text(number(record["mean"]), justify="right")
+    if record["low"] != record["high"]:
+        text.append(f"\n[{number(record['low'])}, {number(record['high'])}]", style="dim")
+    return text
+
+
+def comparison_tables(results: Results) -> Group:
+    """Two tables per scenario: how close every policy came, and at what cost; ordered as in the comparison."""
+    records = {(record["scenario"], record["policy"], record["metric"]): record for record in results.records}
+    tables: list[Table | Text] = []
+    for label in results.scenarios:
+        if label.endswith(PAPER_START) and label.removesuffix(PAPER_START) in results.scenarios:
+            continue  # stands below the random starts of its scenario
+        starts = [name for name in (label, label + PAPER_START) if name in results.scenarios]
+        for title, columns in _BLOCKS.items():
+            table = Table(title=f"{label}: {title.lower()}", box=box.SIMPLE_HEAD, title_justify="left", pad_edge=False)
+            table.add_column("policy", no_wrap=True)
+            for heading in columns.values():
+                table.add_column(heading, justify="right")
+            for start in starts:
+                episodes = records[start, next(iter(results.entries)), "digits"]["episodes"]
+                kind = "the paper's start" if start.endswith(PAPER_START) else f"{episodes} starts"
+                table.add_section()
+                table.add_row(Text(kind, style="italic"))
+                for name, entry in results.entries.items():
+                    mark = " *" if entry.interface.kind == "full" else ""
+                    table.add_row(name + mark, *(interval(records[start, name, metric]) for metric in columns))
+            tables.append(table)
+    if any(entry.interface.kind == "full" for entry in results.entries.values()):
+        tables.append(Text("* an oracle: it sees what no player can see", style="dim"))
+    return Group(*tables)
+
+
+def certificate_tables(certificate: Certificate) -> Group:
+    """What a certificate says: assumptions with the number that decides each, then the promises."""
+    assumptions = Table(
+        title=f"{certificate.scenario}: the paper's assumptions",
+        box=box.SIMPLE_HEAD,
+        title_justify="left",
+        pad_edge=False,
+    )
+    for heading in ("", "assumption", "decided by", "value", "verdict"):
+        assumptions.add_column(heading, justify="right" if heading == "value" else "left")
+    for check in certificate.assumptions:
+        verdict = Text(check.verdict, style=_VERDICTS.get(check.verdict, "yellow"))
+        assumptions.add_row(str(check.number), check.statement, check.meaning, number(check.value), verdict)
+
+    promises = Table(
+        title=f"{certificate.scenario}: the static law with κ = {certificate.kappa:g}",
+        box=box.SIMPLE_HEAD,
+        title_justify="left",
+        pad_edge=False,
+        show_header=False,
+    )
+    promises.add_column("what")
+    promises.add_column("value")
+    for what, value in _promises(certificate):
+        promises.add_row(what, value)
+    notes = [Text(f"Note: {note}", style="yellow") for note in certificate.notes]
+    return Group(assumptions, promises, *notes)
+
+
+def _promises(certificate: Certificate) -> Iterable[tuple[str, str]]:
+    constants = certificate.constants
+    sampled = "" if constants.exact else " (sampled bounds)"
+    bound = certificate.gain_bound
+    yield (
+        "monotonicity and Lipschitz constants",
+        f"ε = {number(constants.epsilon)}, ι = {number(constants.iota)}{sampled}",
+    )
+    yield "algebraic connectivity λ2", number(certificate.algebraic_connectivity)
+    condition = "no gain satisfies it" if bound is None else f"κ > {number(bound)}"
+    verdict = "holds" if certificate.gain_condition_holds else "fails (sufficient, not necessary)"
+    yield "gain condition κ > (ι²/ε + ι)/λ2", f"{condition}: {verdict}"
+    kind = "" if certificate.rate_is_exact else " (linearised at x*)"
+    yield "closed-loop rate r, error ~ e^(−r s)", number(certificate.rate) + kind
+    yield "effective time to the deadline", number(certificate.effective_time)
+    yield "predicted digits at T, from the rate", number(certificate.digits_from_rate)
+    if certificate.digits_sampled is not None:
+        yield "predicted digits at T, sampled loop from this start", number(certificate.digits_sampled)
+    yield "largest step Θ", number(certificate.largest_step)
+    stable = "none" if certificate.largest_stable_step is None else number(certificate.largest_stable_step)
+    margin = "" if certificate.step_margin is None else f", {number(certificate.step_margin)} times the largest"
+    yield "largest stable step", stable + margin
+    yield "velocity g(t) u as t → T", "bounded" if certificate.velocity_bounded else "unbounded (r < 1)"
+    yield "control energy ∫‖g u‖² dt", "finite" if certificate.energy_finite else "infinite (r ≤ 1/2)"
+    yield "short of the deadline, 1 − t_K/T", f"{certificate.shortfall:.3%}"
+
+
+def scenario_table() -> Table:
+    """The catalogue."""
+    table = Table(title="Scenarios", box=box.SIMPLE_HEAD, title_justify="left", pad_edge=False)
+    for heading in ("name", "game", "graph", "T [s]", "c [1/s]", "steps", "s_end"):
+        table.add_column(heading)
+    for name, scenario in CATALOGUE.items():
+        table.add_row(
+            name,
+            f"{type(scenario.built_game).__name__}, {scenario.built_game.num_players} players",
+            _describe_signal(scenario),
+            f"{scenario.deadline:g}",
+            f"{scenario.gain:g}",
+            str(scenario.steps),
+            f"{scenario.s_end:g}",
+        )
+    return table
+
+
+def entry_table() -> Table:
+    """The named policies."""
+    table = Table(title="Policies", box=box.SIMPLE_HEAD, title_justify="left", pad_edge=False)
+    for heading in ("name", "policy", "arguments", "interface"):
+        table.add_column(heading)
+    for name, entry in ENTRIES.items():
+        data = entry.to_dict()["policy"]
+        arguments = ", ".join(f"{key}={value:g}" for key, value in data["arguments"].items())
+        table.add_row(name, data["target"], arguments, entry.interface.kind)
+    return table
+
+
+def metric_table() -> Table:
+    """Every metric and what it means."""
+    table = Table(title="Metrics", box=box.SIMPLE_HEAD, title_justify="left", pad_edge=False)
+    table.add_column("name")
+    table.add_column("meaning")
+    for name, meaning in METRICS.items():
+        table.add_row(name, meaning)
+    return table
+
+
+def _describe_signal(scenario: Scenario) -> str:
+    signal = scenario.built_signal
+    if signal.is_fixed:
+        return f"fixed, λ2 = {number(signal.union.algebraic_connectivity)}"
+    unit = "s of t" if signal.clock == "physical" else "of s"
+    return f"{len(signal.graphs)} modes, {number(signal.mean_dwell)} {unit} each"
