@@ -1,0 +1,37 @@
+"""Every scenario is found by the names that PettingZoo's users type."""
+
+import importlib
+
+import gymnasium
+import pettingzoo
+import pytest
+
+import ptne_env
+from ptne_env.envs.registration import register_environments
+
+
+@pytest.mark.parametrize("scenario", list(ptne_env.CATALOGUE))
+def test_make_by_id_and_by_module_give_the_same_environment(scenario):
+    by_id = pettingzoo.make("parallel", f"ptne/{scenario}-v0", hold_steps=3)
+    module = importlib.import_module(f"ptne_env.{scenario.replace('-', '_')}_v0")
+    by_module = module.parallel_env(hold_steps=3)
+    assert isinstance(by_id, ptne_env.NashSeekingEnv)
+    assert by_id.scenario == by_module.scenario == ptne_env.get_scenario(scenario, hold_steps=3)
+    assert str(by_id) == f"ptne_{scenario.replace('-', '_')}_v0"
+    assert isinstance(pettingzoo.make("aec", f"ptne/{scenario}-v0"), pettingzoo.AECEnv)
+    assert isinstance(module.raw_env(), pettingzoo.AECEnv)
+
+
+def test_registration_is_idempotent_and_silent():
+    before = dict(pettingzoo.parallel_registry)
+    register_environments()  # a warning would be an error
+    assert dict(pettingzoo.parallel_registry) == before
+
+
+def test_a_parallel_environment_is_not_claimed_to_be_a_gymnasium_one():
+    assert not isinstance(ptne_env.parallel_env(), gymnasium.Env)
+    assert not [name for name in gymnasium.registry if "energy-v0" in name]
+
+
+def test_max_cycles_reaches_the_environment_through_make():
+    assert pettingzoo.make("parallel", "ptne/energy-v0", max_cycles=9).max_cycles == 9

@@ -1,0 +1,31 @@
+import numpy as np
+import pytest
+
+import ptne_env
+from ptne_env.dynamics import Dynamics
+from ptne_env.evaluation.bank import draw_estimates, episode_seed
+
+
+def test_an_episode_of_a_bank_is_what_the_environment_starts_with_under_its_seed():
+    scenario = ptne_env.get_scenario("energy", start="random")
+    estimates = draw_estimates(Dynamics(scenario), 3, seed=5)
+    env = ptne_env.parallel_env(scenario)
+    for episode in range(3):
+        env.reset(seed=episode_seed(5, episode))
+        np.testing.assert_array_equal(env.estimates.T, estimates[:, :, episode])
+
+
+def test_more_episodes_extend_a_bank_and_leave_its_beginning_alone():
+    dynamics = Dynamics(ptne_env.get_scenario("energy", start="random"))
+    np.testing.assert_array_equal(draw_estimates(dynamics, 7, 1)[..., :3], draw_estimates(dynamics, 3, 1))
+
+
+def test_banks_of_different_seeds_share_no_episode():
+    seeds = {episode_seed(seed, episode) for seed in range(20) for episode in range(50)}
+    assert len(seeds) == 20 * 50
+
+
+@pytest.mark.parametrize(("seed", "episode"), [(-1, 0), (0, -1), (0, 2**32)])
+def test_a_seed_or_episode_out_of_range_is_refused(seed, episode):
+    with pytest.raises(ValueError, match="at least 0|below 2"):
+        episode_seed(seed, episode)

@@ -1,0 +1,34 @@
+import os
+import stat
+
+import pytest
+
+from ptne_env.files import write_atomically
+
+
+def test_folders_are_made_and_text_is_written_as_utf8(tmp_path):
+    path = tmp_path / "a" / "b" / "file.txt"
+    write_atomically(path, "κ")
+    assert path.read_bytes() == "κ".encode()
+    assert [entry.name for entry in path.parent.iterdir()] == ["file.txt"]
+
+
+def test_the_file_gets_the_permissions_of_any_new_file(tmp_path):
+    write_atomically(tmp_path / "ours", "x")
+    (tmp_path / "plain").write_text("x", encoding="utf-8")
+    modes = {stat.S_IMODE(os.stat(tmp_path / name).st_mode) for name in ("ours", "plain")}  # noqa: PTH116 - plain stat
+    assert len(modes) == 1
+
+
+def test_a_failure_leaves_the_old_file_and_no_litter(tmp_path, monkeypatch):
+    path = tmp_path / "file"
+    write_atomically(path, "old")
+
+    def fail(*_):
+        raise OSError("disk full")
+
+    monkeypatch.setattr(os, "fsync", fail)
+    with pytest.raises(OSError, match="disk full"):
+        write_atomically(path, "new")
+    assert path.read_text(encoding="utf-8") == "old"
+    assert [entry.name for entry in tmp_path.iterdir()] == ["file"]
