@@ -1,4 +1,4 @@
-"""A picture of a running episode: strategies, distances and the live graph. Needs matplotlib, imported when drawing."""
+"""A picture of a running episode: estimates, distances and the live graph. Needs matplotlib, imported when drawing."""
 
 from __future__ import annotations
 
@@ -15,6 +15,10 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 _SIZE, _DPI = (9.6, 4.8), 100
+_LINES = 200
+"""Others' estimates are drawn up to this many lines; beyond, the strategies alone."""
+_NAMES = 10
+"""Players are told apart by colour and legend up to this many."""
 
 
 class Renderer:
@@ -28,21 +32,21 @@ class Renderer:
     def __init__(self, dynamics: Dynamics, mode: str) -> None:
         self.dynamics = dynamics
         self.mode = mode
-        self._strategies: list[FloatArray] = []
+        self._estimates: list[FloatArray] = []
         self._estimate_distances: list[float] = []
         self._mode = 0
         self._figure: Figure | None = None
 
     def reset(self, state: State) -> None:
         """Forget the last episode and start with ``state``."""
-        self._strategies.clear()
+        self._estimates.clear()
         self._estimate_distances.clear()
         self.record(state)
 
     def record(self, state: State) -> None:
         """Add an instant."""
         equilibrium = self.dynamics.game.nash_equilibrium
-        self._strategies.append(self.dynamics.strategies(state)[:, 0])
+        self._estimates.append(state.estimates[:, :, 0])
         self._estimate_distances.append(float(distances.estimate_distance(state.estimates, equilibrium)[0]))
         self._mode = int(state.mode[0])
 
@@ -54,9 +58,10 @@ class Renderer:
         """
         figure = self._open()
         figure.clear()
-        self._draw_strategies(figure.add_subplot(1, 2, 1))
-        self._draw_distance(figure.add_subplot(2, 2, 2))
-        self._draw_graph(figure.add_subplot(2, 2, 4))
+        axes = figure.subplot_mosaic([["estimates", "distance"], ["estimates", "graph"]], width_ratios=[3, 2])
+        self._draw_estimates(axes["estimates"])
+        self._draw_distance(axes["distance"])
+        self._draw_graph(axes["graph"])
         if self.mode == "human":
             figure.canvas.draw_idle()
             figure.canvas.flush_events()
@@ -89,29 +94,34 @@ class Renderer:
                 FigureCanvasAgg(self._figure)
         return self._figure
 
-    def _draw_strategies(self, axes: Any) -> None:
-        game, clock = self.dynamics.game, self.dynamics.clock
-        strategies = np.array(self._strategies)
-        times = clock.t[: len(strategies)]
+    def _draw_estimates(self, axes: Any) -> None:
+        game, estimates = self.dynamics.game, np.array(self._estimates)
+        times = self.dynamics.clock.t[: len(estimates)]
         for component, owner in enumerate(game.owners):
             colour = f"C{owner % 10}"
-            first = component == game.offsets[owner]
-            label = f"player {owner}" if first and game.num_players <= 10 else None
-            axes.plot(times, strategies[:, component], color=colour, label=label)
+            if game.dimension * game.num_players <= _LINES:
+                others = np.delete(estimates[:, component], owner, axis=1)
+                axes.plot(times, others, color=colour, linewidth=0.6, alpha=0.5)
+            label = f"player {owner}" if component == game.offsets[owner] else None
+            axes.plot(times, estimates[:, component, owner], color=colour, linewidth=1.8, label=label)
             axes.axhline(game.nash_equilibrium[component], color=colour, linestyle=":", linewidth=1)
-        axes.axvline(clock.deadline, color="0.4", linewidth=1)
-        axes.set(
-            xlim=(0, clock.t[-1]), xlabel="time t [s]", ylabel="strategy", title="Strategies and equilibrium (dotted)"
-        )
-        if game.num_players <= 10:
-            axes.legend(loc="upper left", fontsize="small", framealpha=0.8)
+        self._mark_time(axes, "Strategies (thick), others' estimates (thin), equilibrium (dotted)")
+        if game.num_players <= _NAMES:
+            axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.12), ncols=5, fontsize="small", frameon=False)
 
     def _draw_distance(self, axes: Any) -> None:
-        clock = self.dynamics.clock
         values = np.maximum(self._estimate_distances, distances.FLOOR)
-        axes.semilogy(clock.t[: len(values)], values, color="C0")
+        axes.semilogy(self.dynamics.clock.t[: len(values)], values, color="0.2")
+        self._mark_time(axes, "Relative distance of the estimates")
+
+    def _mark_time(self, axes: Any, title: str) -> None:
+        clock = self.dynamics.clock
         axes.axvline(clock.deadline, color="0.4", linewidth=1)
-        axes.set(xlim=(0, clock.t[-1]), xlabel="time t [s]", title="Relative distance of the estimates")
+        axes.annotate(
+            "T", (clock.deadline, 1), (-3, -3), ("data", "axes fraction"), "offset points", ha="right", va="top"
+        )
+        axes.set(xlim=(0, clock.t[-1]), xlabel="time t [s]")
+        axes.set_title(title, fontsize="medium")
 
     def _draw_graph(self, axes: Any) -> None:
         players = self.dynamics.game.num_players
@@ -119,11 +129,15 @@ class Renderer:
         x, y = np.cos(angles), np.sin(angles)
         live = set(self.dynamics.signal.graphs[self._mode].edges)
         for i, j in self.dynamics.signal.union.edges:
-            style = {"color": "C0", "linewidth": 2.5} if (i, j) in live else {"color": "0.8", "linewidth": 1}
+            style = {"color": "0.2", "linewidth": 2.5} if (i, j) in live else {"color": "0.75", "linestyle": ":"}
             axes.plot(x[[i, j]], y[[i, j]], zorder=1, **style)
-        axes.scatter(x, y, s=160, color="white", edgecolor="C0", zorder=2)
+        colours = [f"C{player % 10}" for player in range(players)]
+        axes.scatter(x, y, s=200, color="white", edgecolor=colours, linewidth=1.8, zorder=2)
         if players <= 20:
             for player in range(players):
-                axes.annotate(str(player), (x[player], y[player]), ha="center", va="center", fontsize="small", zorder=3)
-        axes.set(aspect="equal", xlim=(-1.4, 1.4), ylim=(-1.3, 1.3), title="Live links")
+                axes.text(
+                    x[player], y[player], str(player), ha="center", va="center_baseline", fontsize="small", zorder=3
+                )
+        axes.set(aspect="equal", xlim=(-1.4, 1.4), ylim=(-1.2, 1.3))
+        axes.set_title("Live links", fontsize="medium")
         axes.axis("off")
