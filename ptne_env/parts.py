@@ -66,7 +66,7 @@ class Part:
     arguments: tuple[tuple[str, Any], ...] = ()
 
     @classmethod
-    def of(cls, target: str, **arguments: Any) -> Part:
+    def of(cls, target: str, /, **arguments: Any) -> Part:
         """The part ``target`` with keyword ``arguments``; lists and arrays are frozen to tuples."""
         return cls(target, tuple((name, _freeze(value)) for name, value in sorted(arguments.items())))
 
@@ -78,7 +78,7 @@ class Part:
         """
         return resolve(self.target)
 
-    def build(self, **extra: Any) -> Any:
+    def build(self, /, **extra: Any) -> Any:
         """Import the object and call it with the arguments, and ``extra`` ones that only the builder knows.
 
         Raises:

@@ -1,0 +1,93 @@
+import numpy as np
+import pytest
+from sample_games import BlockGame, CubicGame
+
+from ptne_env.games import EnergyGame, NonQuadraticGame
+
+GAMES = [EnergyGame(), NonQuadraticGame(), NonQuadraticGame("printed"), BlockGame(), BlockGame((1, 4, 2, 1), seed=9)]
+
+
+@pytest.mark.parametrize("game", GAMES, ids=lambda game: type(game).__name__)
+def test_own_gradient_depends_on_the_own_estimate_alone(game):
+    generator = np.random.default_rng(0)
+    estimates = generator.uniform(-5, 5, (game.dimension, game.num_players, 3))
+    gradients = game.own_gradients(estimates)
+    for player in range(game.num_players):
+        scrambled = generator.uniform(-5, 5, estimates.shape)
+        scrambled[:, player] = estimates[:, player]
+        own = game.owners == player
+        assert np.array_equal(game.own_gradients(scrambled)[own], gradients[own])
+
+
+@pytest.mark.parametrize("game", GAMES, ids=lambda game: type(game).__name__)
+def test_own_gradients_leave_the_estimates_alone(game):
+    estimates = np.random.default_rng(1).uniform(-5, 5, (game.dimension, game.num_players, 2))
+    before = estimates.copy()
+    game.own_gradients(estimates)
+    assert np.array_equal(estimates, before)
+
+
+@pytest.mark.parametrize("game", GAMES, ids=lambda game: type(game).__name__)
+def test_pseudo_gradient_is_the_own_gradients_at_a_shared_estimate(game):
+    x = np.random.default_rng(2).uniform(-5, 5, (game.dimension, 4))
+    shared = np.repeat(x[:, None, :], game.num_players, axis=1)
+    assert np.array_equal(game.pseudo_gradient(x), game.own_gradients(shared))
+
+
+@pytest.mark.parametrize("game", [EnergyGame(), BlockGame()], ids=lambda game: type(game).__name__)
+def test_affine_games_have_the_jacobian_of_their_gradients(game):
+    generator = np.random.default_rng(3)
+    x, step = generator.uniform(-5, 5, (2, game.dimension, 1))
+    difference = game.pseudo_gradient(x + step) - game.pseudo_gradient(x)
+    assert game.is_affine
+    assert game.jacobian(x)[:, :, 0] @ step == pytest.approx(difference, abs=1e-11)
+
+
+def test_equilibrium_without_closed_form_is_solved_numerically():
+    game = BlockGame()
+    assert game.nash_equilibrium == pytest.approx(np.linalg.solve(game.matrix, -game.offset), abs=1e-10)
+
+
+def test_no_player_can_gain_by_leaving_the_equilibrium_alone():
+    game = BlockGame()
+    at_rest = game.costs(game.nash_equilibrium[:, None])[:, 0]
+    generator = np.random.default_rng(5)
+    for player in range(game.num_players):
+        moved = np.repeat(game.nash_equilibrium[:, None], 200, axis=1)
+        moved[game.block(player)] += generator.normal(size=(game.action_dims[player], 200))
+        assert game.costs(moved)[player].min() > at_rest[player]
+
+
+def test_regrets_of_unequal_dimensions_agree_with_the_definition():
+    game = BlockGame()
+    x = np.random.default_rng(6).uniform(-5, 5, (6, 2))
+    regrets = game.regrets(x)
+    assert regrets.shape == (3, 2)
+    for player in range(3):
+        deviated = x.copy()
+        deviated[game.block(player)] = game.best_response(x)[game.block(player)]
+        assert regrets[player] == pytest.approx(game.costs(x)[player] - game.costs(deviated)[player], abs=1e-12)
+    assert regrets.min() > 0
+
+
+def test_game_without_equilibrium_says_so():
+    with pytest.raises(ArithmeticError, match="no Nash equilibrium was found"):
+        _ = CubicGame().nash_equilibrium
+
+
+def test_equilibrium_cannot_be_overwritten():
+    with pytest.raises(ValueError, match="read-only"):
+        EnergyGame().nash_equilibrium[0] = 0.0
+
+
+def test_blocks_and_owners_follow_the_dimensions():
+    game = BlockGame((2, 1, 3))
+    assert game.dimension == 6
+    assert game.offsets.tolist() == [0, 2, 3]
+    assert game.owners.tolist() == [0, 0, 1, 2, 2, 2]
+
+
+@pytest.mark.parametrize("dims", [(1,), (), (1, 0), (2, -1), (1, 1.5), (True, 1)])
+def test_bad_dimensions_are_refused(dims):
+    with pytest.raises(ValueError, match="at least"):
+        BlockGame(dims)

@@ -1,0 +1,106 @@
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy import optimize
+
+from ptne_env.games import EnergyGame, check_game
+
+
+def reals(low, high):
+    return st.floats(low, high, allow_nan=False, width=64)
+
+
+@st.composite
+def energy_games(draw, most=6):
+    players = draw(st.integers(2, most))
+    curvature = draw(st.lists(reals(0.2, 5), min_size=players, max_size=players))
+    target = draw(st.lists(reals(-40, 40), min_size=players, max_size=players))
+    return EnergyGame(curvature, target, coupling=draw(reals(0, 2)), base_price=draw(reals(-20, 20)))
+
+
+def test_equilibrium_is_the_one_printed_in_the_paper():
+    assert EnergyGame().nash_equilibrium == pytest.approx([2.01465, 6.77656, 11.53846, 16.30037, 21.06227], abs=5e-6)
+
+
+def test_equilibrium_solves_the_first_order_conditions_written_out_by_hand():
+    targets, coupling = np.array([10.0, 15.0, 20.0, 25.0, 30.0]), 0.1
+    root = optimize.root(lambda x: 2 * (x - targets) + coupling * x.sum() + 10 + coupling * x, np.zeros(5), tol=1e-14).x
+    assert EnergyGame().nash_equilibrium == pytest.approx(root, abs=1e-10)
+
+
+@given(energy_games())
+def test_equilibrium_of_any_energy_game_is_a_zero_found_independently(game):
+    a, b, c, d = game.curvature[:, 0], game.target[:, 0], game.coupling, game.base_price
+    players = a.size
+    system = np.diag(2 * a + c) + c * np.ones((players, players))
+    assert game.nash_equilibrium == pytest.approx(np.linalg.solve(system, 2 * a * b - d), abs=1e-10, rel=1e-10)
+
+
+def test_costs_are_those_of_the_paper():
+    x = np.array([1.0, -2.0, 3.0, 0.5, 4.0])
+    targets = [10.0, 15.0, 20.0, 25.0, 30.0]
+    expected = [(x[i] - targets[i]) ** 2 + (0.1 * x.sum() + 10) * x[i] for i in range(5)]
+    assert EnergyGame().costs(x[:, None])[:, 0] == pytest.approx(expected, rel=1e-14)
+
+
+def test_gradients_are_the_derivatives_of_the_costs():
+    report = check_game(EnergyGame([1.0, 2.0, 0.5], [3.0, -4.0, 5.0], coupling=0.7, base_price=-2.0))
+    assert report.gradients_agree
+    assert report.assumption_3_holds
+
+
+@given(energy_games(), st.integers(0, 2**32 - 1))
+def test_best_response_minimises_the_own_cost(game, seed):
+    x = np.random.default_rng(seed).uniform(-10, 10, (game.num_players, 1))
+    response = game.best_response(x)
+    for player in range(game.num_players):
+
+        def own_cost(value, player=player):
+            moved = x.copy()
+            moved[player] = value
+            return game.costs(moved)[player, 0]
+
+        found = optimize.minimize_scalar(own_cost, options={"xtol": 1e-12})
+        assert response[player, 0] == pytest.approx(found.x, abs=1e-5)
+        assert own_cost(response[player, 0]) <= found.fun + 1e-12 * (1 + abs(found.fun))
+
+
+def test_regrets_agree_with_a_brute_force_search():
+    game = EnergyGame()
+    x = np.random.default_rng(4).uniform(-10, 30, (5, 3))
+    regrets = game.regrets(x)
+    grid = np.linspace(-60, 60, 120_001)
+    for player in range(5):
+        for environment in range(3):
+            moved = np.repeat(x[:, environment : environment + 1], grid.size, axis=1)
+            moved[player] = grid
+            best = game.costs(moved)[player].min()
+            loss = game.costs(x)[player, environment] - best
+            assert regrets[player, environment] == pytest.approx(loss, abs=2e-6)  # 1.1·(grid step 1e-3 / 2)²
+
+
+@given(energy_games(), st.integers(0, 2**32 - 1))
+def test_regrets_are_positive_away_from_the_equilibrium_and_zero_at_it(game, seed):
+    x = np.random.default_rng(seed).uniform(-10, 10, (game.num_players, 4))
+    assert game.regrets(x).min() >= -1e-9
+    assert game.regrets(x).sum() > 0
+    at_rest = game.regrets(game.nash_equilibrium[:, None])
+    assert at_rest == pytest.approx(np.zeros_like(at_rest), abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"curvature": 0.0}, "curvature > 0"),
+        ({"curvature": [1.0, 1.0]}, "one number or 5"),
+        ({"coupling": -0.1}, "coupling ≥ 0"),
+        ({"target": [1.0]}, "at least 2 players"),
+        ({"target": 3.0}, "one number per player"),
+        ({"target": [1.0, float("nan")]}, "finite"),
+        ({"base_price": float("inf")}, "finite"),
+    ],
+)
+def test_bad_parameters_are_refused(arguments, message):
+    with pytest.raises(ValueError, match=message):
+        EnergyGame(**arguments)

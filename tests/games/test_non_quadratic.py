@@ -1,0 +1,84 @@
+import math
+
+import numpy as np
+import pytest
+from scipy import optimize
+
+from ptne_env.games import NoBestResponseError, NonQuadraticGame, check_game
+
+
+def first_order_conditions(slope):
+    """F of Example 2, typed from the paper."""
+    return lambda x: np.array([x.sum(), math.exp(x[1] / 2) / 4 + x[3], x[2], slope + 2 * x[3], 2 * x[4] - 5])
+
+
+@pytest.mark.parametrize(("variant", "slope"), [("printed", 1.0), ("corrected", 4.0)])
+def test_equilibrium_agrees_with_an_independent_root(variant, slope):
+    root = optimize.root(first_order_conditions(slope), np.array([-3.0, 2.0, 0.0, -1.0, 2.0]), tol=1e-14).x
+    assert NonQuadraticGame(variant).nash_equilibrium == pytest.approx(root, abs=1e-10)
+
+
+def test_printed_variant_does_not_have_the_printed_equilibrium():
+    found = NonQuadraticGame("printed").nash_equilibrium
+    assert found == pytest.approx([-3.38629, 1.38629, 0, -0.5, 2.5], abs=5e-6)
+    assert found == pytest.approx([-2 - 2 * math.log(2), 2 * math.log(2), 0, -0.5, 2.5], abs=1e-10)
+
+
+def test_corrected_variant_has_the_printed_equilibrium():
+    found = NonQuadraticGame("corrected").nash_equilibrium
+    assert found == pytest.approx([-4.6589, 4.1589, 0, -2, 2.5], abs=5e-5)
+    assert found == pytest.approx([-0.5 - 6 * math.log(2), 6 * math.log(2), 0, -2, 2.5], abs=1e-10)
+
+
+def test_corrected_variant_is_the_default():
+    assert NonQuadraticGame().variant == "corrected"
+
+
+@pytest.mark.parametrize(("variant", "slope"), [("printed", 1.0), ("corrected", 4.0)])
+def test_costs_are_those_of_the_paper(variant, slope):
+    x1, x2, x3, x4, x5 = x = np.array([1.5, -2.0, 0.5, 0.75, -1.25])
+    expected = [
+        x1**2 / 2 + x1 * (x2 + x3 + x4 + x5),
+        math.exp(x2 / 2) / 2 + x2 * x4,
+        x3**2 / 2 + x1**3,
+        math.log(math.exp(slope * x4)) + x4**2 + x3**3,
+        x5**2 - 5 * x5 + x1**3 * x2 + x3 * x4**4,
+    ]
+    assert NonQuadraticGame(variant).costs(x[:, None])[:, 0] == pytest.approx(expected, rel=1e-13)
+
+
+@pytest.mark.parametrize("variant", ["printed", "corrected"])
+def test_gradients_are_the_derivatives_of_the_costs(variant):
+    assert check_game(NonQuadraticGame(variant)).gradients_agree
+
+
+def test_only_the_second_cost_is_not_radially_unbounded():
+    report = check_game(NonQuadraticGame())
+    assert report.radially_unbounded == (True, False, True, True, True)
+    assert not report.assumption_3_holds
+
+
+def test_jacobian_is_the_derivative_of_the_pseudo_gradient():
+    game, x, h = NonQuadraticGame(), np.array([0.3, -1.2, 2.0, 0.7, -0.4]), 1e-6
+    numerical = np.empty((5, 5))
+    for component in range(5):
+        step = np.zeros(5)
+        step[component] = h
+        numerical[:, component] = (
+            game.pseudo_gradient((x + step)[:, None]) - game.pseudo_gradient((x - step)[:, None])
+        )[:, 0] / (2 * h)
+    assert game.jacobian(x[:, None])[:, :, 0] == pytest.approx(numerical, abs=1e-8)
+
+
+def test_best_response_and_regrets_are_refused_with_the_reason():
+    game, x = NonQuadraticGame(), np.zeros((5, 1))
+    with pytest.raises(NoBestResponseError, match="J2 is unbounded below"):
+        game.best_response(x)
+    with pytest.raises(NoBestResponseError, match="J2 is unbounded below"):
+        game.regrets(x)
+    assert not game.has_best_response
+
+
+def test_unknown_variant_is_refused():
+    with pytest.raises(ValueError, match="'printed' or 'corrected'"):
+        NonQuadraticGame("fixed")

@@ -1,0 +1,80 @@
+"""Games that only the tests play: unequal dimensions, solved numerically, without equilibrium, or wrong on purpose."""
+
+import numpy as np
+
+from ptne_env.games import EnergyGame, Game, NoBestResponseError
+
+
+class BlockGame(Game):
+    """J_i = ½ x_iᵀ A_ii x_i + x_iᵀ Σ_{j≠i} A_ij x_j + q_iᵀ x_i, so F(x) = A x + q; NE by the base class's solver."""
+
+    is_affine = True
+
+    def __init__(self, action_dims=(2, 1, 3), seed=3):
+        super().__init__(tuple(action_dims))
+        generator = np.random.default_rng(seed)
+        n = self.dimension
+        matrix = generator.uniform(-0.3, 0.3, (n, n))
+        for player in range(self.num_players):
+            block = self.block(player)
+            square = generator.normal(size=(self.action_dims[player],) * 2)
+            matrix[block, block] = 2 * np.eye(self.action_dims[player]) + 0.1 * square @ square.T
+        self.matrix = matrix
+        self.offset = generator.uniform(-8, 8, n)
+
+    def block(self, player):
+        start = int(self.offsets[player])
+        return slice(start, start + self.action_dims[player])
+
+    def costs(self, strategies):
+        rows = []
+        for player in range(self.num_players):
+            block = self.block(player)
+            own = strategies[block]
+            others = strategies.copy()
+            others[block] = 0
+            linear = self.matrix[block] @ others + self.offset[block, None]
+            quadratic = self.matrix[block, block] @ own
+            rows.append((own * (quadratic / 2 + linear)).sum(axis=0))
+        return np.stack(rows)
+
+    def own_gradients(self, estimates):
+        own = estimates[:, self.owners]  # column c is the estimate of the owner of component c
+        return (self.matrix.T[:, :, None] * own).sum(axis=0) + self.offset[:, None]
+
+    def jacobian(self, strategies):
+        return np.repeat(self.matrix[:, :, None], strategies.shape[1], axis=2)
+
+    def best_response(self, strategies):
+        response = np.empty_like(strategies)
+        for player in range(self.num_players):
+            block = self.block(player)
+            others = strategies.copy()
+            others[block] = 0
+            target = -(self.matrix[block] @ others + self.offset[block, None])
+            response[block] = np.linalg.solve(self.matrix[block, block], target)
+        return response
+
+
+class CubicGame(Game):
+    """J_i = x_i³/3 + s x_i with F_i = x_i² + s: no equilibrium for s > 0."""
+
+    def __init__(self, shift=1.0):
+        super().__init__((1, 1))
+        self.shift = shift
+
+    def costs(self, strategies):
+        return strategies**3 / 3 + self.shift * strategies
+
+    def own_gradients(self, estimates):
+        return np.einsum("iib->ib", estimates) ** 2 + self.shift
+
+    def best_response(self, strategies):
+        raise NoBestResponseError("a cubic has no minimum")
+
+
+class ForgetfulEnergyGame(EnergyGame):
+    """The energy game whose author forgot that the price, too, depends on the own strategy."""
+
+    def own_gradients(self, estimates):
+        return super().own_gradients(estimates) - self.coupling * np.einsum("iib->ib", estimates)

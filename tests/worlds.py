@@ -1,0 +1,99 @@
+"""Scenarios, oracles and loops that several tests share."""
+
+import numpy as np
+
+import ptne_env
+from ptne_env import Interface, Part, Scenario
+from ptne_env.dynamics import Dynamics
+from ptne_env.interface import Port
+
+PAPER_START = np.array(
+    [
+        [-2.0, 15.0, 10.0, 5.0, 0.0],
+        [15.0, -4.0, 10.0, 5.0, 0.0],
+        [15.0, 10.0, -6.0, 5.0, 0.0],
+        [15.0, 10.0, 5.0, -8.0, 0.0],
+        [15.0, 10.0, 5.0, 0.0, -10.0],
+    ]
+)
+"""Row i is x^i(0), typed from the paper."""
+
+BLOCKS = Scenario(
+    name="blocks",
+    game=Part.of("sample_games:BlockGame", action_dims=(2, 1, 3)),
+    signal=Part.of("ptne_env.graphs:fixed", graph=Part.of("ptne_env.graphs:path", players=3)),
+    start="random",
+)
+"""Players of 2, 1 and 3 dimensions on a path."""
+
+BLOCKS_SWITCHING = BLOCKS.replace(
+    name="blocks-switching",
+    signal=Part.of(
+        "ptne_env.graphs:periodic",
+        graphs=(
+            Part.of("ptne_env.graphs:from_edges", players=3, edges=((0, 1),)),
+            Part.of("ptne_env.graphs:from_edges", players=3, edges=((1, 2),)),
+        ),
+        dwells=(0.3, 0.5),
+        clock="transformed",
+    ),
+)
+
+
+def energy_scenario(curvature, target, signal, **fields):
+    """The energy game with these players, on any signal, from random estimates."""
+    game = Part.of("ptne_env.games:EnergyGame", curvature=curvature, target=target)
+    return Scenario(name="energy-variant", game=game, signal=signal, **{"start": "random", **fields})
+
+
+def fixed_part(adjacency):
+    """The part that builds the fixed signal of an adjacency matrix."""
+    return Part.of("ptne_env.graphs:fixed", graph=Part.of("ptne_env.graphs:Graph", adjacency=adjacency))
+
+
+def loop_matrix(game, adjacency, kappa, gradient_gain=1.0):
+    """M = Rᵀ dF + κ L⊗I of an affine game, acting on col(x^1 … x^N)."""
+    n = game.dimension
+    jacobian = game.jacobian(np.zeros((n, 1)))[:, :, 0]
+    adjacency = np.asarray(adjacency)
+    laplacian = np.diag(adjacency.sum(axis=1)) - adjacency
+    matrix = kappa * np.kron(laplacian, np.eye(n))
+    for component, owner in enumerate(game.owners):
+        matrix[owner * n + component, owner * n : (owner + 1) * n] += gradient_gain * jacobian[component]
+    return matrix
+
+
+def stack(estimates):
+    """(n, N, B) of one environment to col(x^1 … x^N)."""
+    return estimates[:, :, 0].T.ravel()
+
+
+def play(env, policy, **reset):
+    """Run one episode; all estimates (K+1, N, n), and what each step returned."""
+    observations, _ = env.reset(**reset)
+    memory, states, steps = None, [env.estimates], []
+    while env.agents:
+        agents = list(env.agents)
+        actions, memory = policy.predict(np.stack([observations[agent] for agent in agents]), state=memory)
+        result = env.step(dict(zip(agents, actions, strict=True)))
+        observations = result[0]
+        states.append(env.estimates)
+        steps.append(result)
+    return np.array(states), steps
+
+
+def constant_actions(env, value):
+    """The same action in every entry, for every live agent."""
+    size = env.layout.action_size
+    return {agent: np.full(size, value, dtype=np.float32) for agent in env.agents}
+
+
+def make_env(scenario, **arguments):
+    """The environment of a scenario or of a catalogue name."""
+    return ptne_env.parallel_env(scenario, **arguments)
+
+
+def make_port(scenario, **interface):
+    """A world and its port."""
+    dynamics = Dynamics(ptne_env.get_scenario(scenario))
+    return dynamics, Port(dynamics, Interface(**interface))
