@@ -81,6 +81,7 @@ def save(spec: FigureSpec, experiments: Experiments, claims: Sequence[Claim], ou
         from matplotlib import rc_context  # matplotlib is an extra
         from matplotlib.backends.backend_agg import FigureCanvasAgg
         from matplotlib.figure import Figure
+        from matplotlib.layout_engine import ConstrainedLayoutEngine
     except ImportError as error:
         raise ImportError('figures need matplotlib: pip install "ptne-env[bench]"') from error
     png, svg = out / f"{spec.name}.png", out / f"{spec.name}.svg"
@@ -88,9 +89,10 @@ def save(spec: FigureSpec, experiments: Experiments, claims: Sequence[Claim], ou
         width, height = spec.size
         lines = _wrap(spec.caption, width)
         band = 0.17 * len(lines) + 0.12  # inches for the caption below the axes
-        figure = Figure(figsize=(width, height + band), layout="constrained")
+        share = band / (height + band)
+        layout = ConstrainedLayoutEngine(rect=(0, share, 1, 1 - share), w_pad=0.09, h_pad=0.07)
+        figure = Figure(figsize=(width, height + band), layout=layout)
         FigureCanvasAgg(figure)
-        figure.get_layout_engine().set(rect=(0, band / (height + band), 1, 1 - band / (height + band)))  # type: ignore[union-attr, call-arg]
         spec.draw(figure, experiments, claims)
         figure.text(0.5, 0.08 / (height + band), "\n".join(lines), ha="center", va="bottom", color=INK, fontsize=8.5)
         figure.savefig(png, dpi=200)
@@ -101,7 +103,7 @@ def save(spec: FigureSpec, experiments: Experiments, claims: Sequence[Claim], ou
 def _wrap(text: str, width: float) -> list[str]:
     import textwrap
 
-    return textwrap.wrap(text, int(16.5 * width))
+    return textwrap.wrap(text, int(15.5 * width))
 
 
 # --- what several figures share -------------------------------------------------------------------------------------
@@ -134,12 +136,16 @@ def _relative_errors(axes: Axes, run: Run, end: float, *, floor: float = 1e-13) 
         label=r"all estimates $\mathbf{x}$",
     )
     axes.axhline(0.005, color=GREY, linewidth=0.8, linestyle=":")
-    axes.text(0.015 * end, 0.005 * 1.3, "0.5 %", color=GREY, fontsize=7.5)
+    axes.text(0.015 * end, 0.005 / 1.3, "0.5 %", color=GREY, fontsize=7.5, va="top")
     axes.set(xlabel="time $t$ [s]", ylabel="relative error", xlim=(0, end))
+    lowest = max(floor, float(run.strategy_distance.min()))
+    axes.set_ylim(bottom=min(lowest, 0.005) / 8)  # room for the legend below the curves
+    axes.minorticks_off()
 
 
-def _mark_deadline(axes: Axes) -> None:
-    axes.axvline(DEADLINE, color=INK, linewidth=0.8)
+def _mark_deadline(axes: Axes, top: float = 1.0) -> None:
+    """A line at T, from the bottom up to the fraction ``top`` of the axes, below which a legend stays clear of it."""
+    axes.axvline(DEADLINE, ymax=top, color=INK, linewidth=0.8)
     axes.annotate(
         "$T$",
         (DEADLINE, 0.0),
@@ -153,24 +159,25 @@ def _mark_deadline(axes: Axes) -> None:
 def _runs(figure: Figure, runs: Sequence[tuple[str, Run]], end: float, *, deadline: bool) -> None:
     """One row per run: (a) the estimates, (b) the relative errors."""
     grid: Any = figure.subplots(len(runs), 2, squeeze=False)
-    for row, (name, run) in zip(grid, runs, strict=True):
+    for row, letters, (name, run) in zip(grid, ("ab", "cd"), runs, strict=False):
         _strategies(row[0], run, end)
         _relative_errors(row[1], run, end)
-        row[0].set_title(f"(a) all players' estimates{name}")
-        row[1].set_title(f"(b) relative errors{name}")
+        row[0].set_title(f"({letters[0]}) all players' estimates{name}")
+        row[1].set_title(f"({letters[1]}) relative errors{name}")
         row[1].legend(loc="lower left" if deadline else "upper right")
-        for axes in row:
-            if deadline:
-                _mark_deadline(axes)
+        if deadline:
+            _mark_deadline(row[0], top=0.88)
+            _mark_deadline(row[1])
 
 
 def _gains(axes: Axes, run: Run, title: str) -> None:
     for (i, j), colour, gain in zip(run.signal.union.edges, COLOURS, run.gains.T, strict=True):
         axes.plot(run.timeline.t, gain, color=colour, label=rf"$\kappa_{{{i + 1}{j + 1}}}$")
-    axes.set(xlabel="time $t$ [s]", ylabel=r"gain $\kappa_{ij}$", xlim=(0, DEADLINE + HOLD), ylim=(0, None))
+    axes.set(xlabel="time $t$ [s]", ylabel=r"gain $\kappa_{ij}$", xlim=(0, DEADLINE + HOLD))
+    axes.set_ylim(0, 1.18 * float(run.gains.max()))  # room for the legend above the curves
     axes.set_title(title)
-    axes.legend(loc="lower right", ncols=len(run.signal.union.edges), columnspacing=1.0, handlelength=1.2)
-    _mark_deadline(axes)
+    axes.legend(loc="upper center", ncols=len(run.signal.union.edges), columnspacing=1.0, handlelength=1.2)
+    _mark_deadline(axes, top=0.86)
 
 
 def _network(axes: Axes, graph: Graph, union: Graph) -> None:
@@ -238,7 +245,14 @@ def _comparison(figure: Figure, experiments: Experiments, _: Sequence[Claim]) ->
         axes.set_ylim(1e-5, 10)
         if settled is not None:
             axes.plot(settled, 0.005, "o", color=INK, markersize=4)
-            axes.annotate(f"{settled:.2f} s", (settled, 0.005), xytext=(5, 5), textcoords="offset points", color=INK)
+            axes.annotate(
+                f"{settled:.2f} s",
+                (settled, 0.005),
+                xytext=(-6, -13),
+                textcoords="offset points",
+                color=INK,
+                ha="right",
+            )
 
 
 def _adaptive(figure: Figure, experiments: Experiments, _: Sequence[Claim]) -> None:
@@ -254,9 +268,8 @@ def _switching_graphs(figure: Figure, experiments: Experiments, _: Sequence[Clai
     period, dwell = signal.period, signal.dwells[0]
     for m, (axes, graph) in enumerate(zip(figure.subplots(1, 4), signal.graphs, strict=True)):
         _network(axes, graph, signal.union)
-        axes.set_title(
-            rf"$\mathcal{{G}}_{m + 1}$: $t$ mod {period:g} s in [{m * dwell:.1f}, {(m + 1) * dwell:.1f})", fontsize=8.5
-        )
+        interval = f"[{m * dwell:.1f}, {(m + 1) * dwell:.1f})"
+        axes.set_title(rf"$\mathcal{{G}}_{m + 1}$: $t$ mod {period:g} s in {interval}", fontsize=8.5)
 
 
 def _by_clock(figure: Figure, runs: dict[SignalClock, Run]) -> None:
@@ -269,7 +282,7 @@ def _switching(figure: Figure, experiments: Experiments, _: Sequence[Claim]) -> 
 
 
 def _switching_gains(figure: Figure, experiments: Experiments, _: Sequence[Claim]) -> None:
-    for axes, (clock, run) in zip(figure.subplots(1, 2, sharey=True), experiments.switching.items(), strict=True):
+    for axes, (clock, run) in zip(figure.subplots(1, 2), experiments.switching.items(), strict=True):
         _gains(axes, run, _CLOCK_NAMES[clock])
 
 
@@ -315,7 +328,8 @@ def _erratum_3(figure: Figure, experiments: Experiments, _: Sequence[Claim]) -> 
     )
     axes.invert_xaxis()
     axes.set(xlabel="time left $T-t$ [s]", ylabel="norm over all players")
-    axes.legend(loc="center left")
+    axes.minorticks_off()
+    axes.legend(loc="upper center")
 
 
 _STATIC = rf"static law, $\kappa={KAPPA:g}$, $c={GAIN:g}$ s$^{{-1}}$, $T={DEADLINE:g}$ s"
@@ -350,15 +364,15 @@ FIGURES: tuple[FigureSpec, ...] = (
     ),
     FigureSpec(
         "switching-graphs",
-        "The four modes of the switching signal (paper: Fig. SwitchingGraphs), each disconnected, jointly connected. The "
-        "paper's drawing is not in our copy; these are our choice.",
+        "The four modes of the switching signal (paper: Fig. SwitchingGraphs), each disconnected, jointly connected. "
+        "The paper's drawing is not in our copy; these are our choice.",
         (8.2, 2.1),
         _switching_graphs,
     ),
     FigureSpec(
         "switching",
-        f"Example 1, adaptive law over switching graphs (paper: Fig. AlgorithmAdaptiveSwitching): with dwell times in t "
-        f"the error at T does not vanish. {_READING}",
+        "Example 1, adaptive law over switching graphs (paper: Fig. AlgorithmAdaptiveSwitching): with dwell times in "
+        f"t the error at T does not vanish. {_READING}",
         (8.2, 6.2),
         _switching,
     ),
