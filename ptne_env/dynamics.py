@@ -99,6 +99,7 @@ class Dynamics:
         if not np.all(np.abs(estimates) <= RANGE_LIMIT):
             raise ValueError(f"initial estimates must be finite and within ±{RANGE_LIMIT:g}")
         batch = estimates.shape[2]
+        estimates = np.array(estimates, dtype=np.float64)  # a copy: the state is not the caller's
         return self._complete(estimates, np.zeros(batch, dtype=np.int64), np.zeros(batch, dtype=np.bool_))
 
     def step(self, state: State, inputs: FloatArray) -> State:

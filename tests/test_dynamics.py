@@ -1,0 +1,318 @@
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.linalg import expm
+from worlds import BLOCKS, BLOCKS_SWITCHING, PAPER_START, loop_matrix, stack
+
+from ptne_env import CATALOGUE, Part, Scenario, get_scenario
+from ptne_env.dynamics import RANGE_LIMIT, Dynamics
+from ptne_env.sources import Sources
+
+AFFINE = {
+    "energy": get_scenario("energy"),
+    "energy-switching": get_scenario("energy-switching"),
+    "energy-switching-transformed": get_scenario("energy-switching-transformed"),
+    "blocks": BLOCKS,
+    "blocks-switching": BLOCKS_SWITCHING,
+}
+
+
+def start(dynamics, seed=3):
+    return dynamics.draw_estimates([Sources.from_seed(seed)])
+
+
+def inputs_of_static_law(game, estimates, adjacency, kappa):
+    """u in float64, from the definition: (n, N, 1) to (n, N, 1)."""
+    inputs = np.zeros_like(estimates)
+    gradients = game.own_gradients(estimates)
+    for i in range(game.num_players):
+        own = game.owners == i
+        inputs[own, i] -= gradients[own]
+        for j in range(game.num_players):
+            inputs[:, i] -= kappa * adjacency[i, j] * (estimates[:, i] - estimates[:, j])
+    return inputs
+
+
+def roll(dynamics, estimates, kappa=2.0):
+    """All stacked states under the static law, and the adjacency that acted in each step."""
+    state, states, acted = dynamics.start(estimates), [stack(estimates)], []
+    for _ in range(dynamics.clock.total_steps):
+        adjacency = dynamics.signal.graphs[int(state.mode[0])].adjacency
+        state = dynamics.step(state, inputs_of_static_law(dynamics.game, state.estimates, adjacency, kappa))
+        states.append(stack(state.estimates))
+        acted.append(adjacency)
+    return np.array(states), acted
+
+
+def active_graph(scenario, t, s):
+    """The adjacency at an instant, found by walking through the dwells."""
+    signal = scenario.built_signal
+    if signal.is_fixed:
+        return signal.graphs[0].adjacency
+    now = ((t if signal.clock == "physical" else s) + 1e-9) % sum(signal.dwells)  # a rounded switch is a switch
+    for graph, dwell in zip(signal.graphs, signal.dwells, strict=True):
+        if now < dwell:
+            return graph.adjacency
+        now -= dwell
+    raise AssertionError(now)
+
+
+@pytest.mark.parametrize("hold_steps", [0, 30])
+@pytest.mark.parametrize("name", AFFINE)
+def test_static_law_is_the_product_of_its_step_matrices(name, hold_steps):
+    scenario = AFFINE[name].replace(hold_steps=hold_steps)
+    dynamics = Dynamics(scenario)
+    game, clock = scenario.built_game, scenario.built_clock
+    estimates = start(dynamics)
+    states, _ = roll(dynamics, estimates)
+
+    equilibrium = np.tile(game.nash_equilibrium, game.num_players)
+    error = stack(estimates) - equilibrium
+    largest = np.abs(states).max()
+    assert len(states) == 401 + hold_steps
+    for k in range(clock.total_steps):
+        s = clock.s[k] if k < clock.steps else clock.s_end + clock.gain * (clock.t[k] - clock.deadline)
+        matrix = loop_matrix(game, active_graph(scenario, clock.t[k], s), 2.0)
+        error = (np.eye(error.size) - clock.theta[k] * matrix) @ error
+        assert np.abs(states[k + 1] - equilibrium - error).max() <= 1e-12 * largest
+
+
+@pytest.mark.parametrize("scenario", [get_scenario("energy"), BLOCKS], ids=lambda scenario: scenario.name)
+def test_halving_the_step_halves_the_distance_to_the_continuous_solution(scenario):
+    game, gaps = scenario.built_game, []
+    for steps in (400, 800, 1600):
+        dynamics = Dynamics(scenario.replace(steps=steps, s_end=5.0, gain=2.0))
+        estimates = start(dynamics)
+        states, _ = roll(dynamics, estimates)
+        equilibrium = np.tile(game.nash_equilibrium, game.num_players)
+        matrix = loop_matrix(game, scenario.built_signal.graphs[0].adjacency, 2.0)
+        exact = equilibrium + expm(-matrix * dynamics.clock.effective_time) @ (stack(estimates) - equilibrium)
+        gaps.append(np.abs(states[-1] - exact).max())
+    assert gaps[0] / gaps[1] == pytest.approx(2.0, abs=0.1)
+    assert gaps[1] / gaps[2] == pytest.approx(2.0, abs=0.05)
+
+
+@pytest.mark.parametrize("spacing", ["effective", "transformed", "physical"])
+def test_held_input_moves_the_estimates_by_the_effective_time_whatever_the_spacing(spacing):
+    steps = 4000 if spacing == "physical" else 400
+    dynamics = Dynamics(get_scenario("energy", spacing=spacing, steps=steps, s_end=6.0))
+    state = dynamics.start(start(dynamics))
+    first = state.estimates
+    held = np.random.default_rng(0).normal(size=first.shape)
+    for _ in range(steps):
+        state = dynamics.step(state, held)
+    tau = 6.0 + 20.0 * 1.2 * (1 - np.exp(-6.0))
+    assert state.estimates == pytest.approx(first + tau * held, rel=1e-12, abs=1e-10)
+
+
+@pytest.mark.parametrize("name", CATALOGUE)
+def test_state_says_what_each_player_can_know(name):
+    dynamics = Dynamics(get_scenario(name, start="random"))
+    game = dynamics.game
+    state = dynamics.start(dynamics.draw_estimates([Sources.from_seed(1), Sources.from_seed(2)]))
+    for _ in range(120):
+        state = dynamics.step(state, -0.01 * state.estimates)
+    adjacency = dynamics.signal.graphs[int(state.mode[0])].adjacency
+    assert np.array_equal(state.own_gradients, game.own_gradients(state.estimates))
+    for i in range(5):
+        seen = {}
+        for slot, j in enumerate(dynamics.neighbours[:, i]):
+            weight = state.weights[slot, i, 0]
+            assert weight == adjacency[i, j]
+            expected = (state.estimates[:, j] - state.estimates[:, i]) * (weight > 0)
+            assert np.array_equal(state.relative_estimates[slot, :, i], expected)
+            seen[int(j)] = weight
+        assert sorted(seen) == np.flatnonzero(dynamics.signal.union.adjacency[i]).tolist()
+        assert sum(seen.values()) == adjacency[i].sum()
+
+
+def test_spare_slots_point_at_the_player_itself_with_weight_zero():
+    star = get_scenario(
+        "energy", signal=Part.of("ptne_env.graphs:fixed", graph=Part.of("ptne_env.graphs:star", players=5))
+    )
+    dynamics = Dynamics(star)
+    assert dynamics.slots == 4
+    assert dynamics.neighbours[:, 0].tolist() == [1, 2, 3, 4]
+    state = dynamics.start(start(dynamics))
+    for i in range(1, 5):
+        assert dynamics.neighbours[:, i].tolist() == [0, i, i, i]
+        assert state.weights[:, i, 0].tolist() == [1, 0, 0, 0]
+        assert not state.relative_estimates[1:, :, i].any()
+
+
+@pytest.mark.parametrize("name", ["energy-switching", "energy-switching-transformed"])
+def test_graph_of_a_step_is_the_one_at_its_start(name):
+    scenario = get_scenario(name, hold_steps=60)
+    dynamics, clock = Dynamics(scenario), scenario.built_clock
+    dwell = scenario.built_signal.dwells[0]
+    state = dynamics.start(start(dynamics))
+    seen = set()
+    for k in range(clock.total_steps):
+        if name.endswith("transformed"):
+            now = clock.s[k] if k < clock.steps else 8.0 + 20.0 * (clock.t[k] - 1.2)
+        else:
+            now = clock.t[k]
+        mode, dwelt = int(state.mode[0]), now / dwell + 1e-9
+        assert mode == int(np.floor(dwelt)) % 4
+        assert dynamics.time_since_switch[k] == pytest.approx(dwelt % 1.0, abs=1e-6)
+        seen.add(mode)
+        state = dynamics.step(state, np.zeros_like(state.estimates))
+    assert seen == {0, 1, 2, 3}
+
+
+def test_step_leaves_its_arguments_alone():
+    dynamics = Dynamics(get_scenario("energy-switching"))
+    state = dynamics.start(start(dynamics))
+    inputs = np.random.default_rng(0).normal(size=state.estimates.shape)
+    kept = [np.copy(field) for field in state], inputs.copy()
+    dynamics.step(dynamics.step(state, inputs), inputs)
+    assert all(np.array_equal(field, copy) for field, copy in zip(state, kept[0], strict=True))
+    assert np.array_equal(inputs, kept[1])
+
+
+def test_start_does_not_keep_the_callers_array():
+    dynamics = Dynamics(get_scenario("energy"))
+    estimates = start(dynamics)
+    state = dynamics.start(estimates)
+    kept = state.estimates.copy()
+    estimates[:] = 99.0
+    assert np.array_equal(state.estimates, kept)
+
+
+def test_time_stands_still_after_the_last_step():
+    dynamics = Dynamics(get_scenario("energy", steps=3, hold_steps=2))
+    state = dynamics.start(start(dynamics))
+    for k in range(5):
+        assert not dynamics.is_over(state)[0]
+        assert state.step[0] == k
+        state = dynamics.step(state, np.ones_like(state.estimates))
+    assert dynamics.is_over(state)[0]
+    after = dynamics.step(state, np.ones_like(state.estimates))
+    assert after.step[0] == 5
+    assert np.array_equal(after.estimates, state.estimates)
+
+
+def large_energy_scenario(players=11, **fields):
+    """So many players that a sum over them may be taken in more than one order."""
+    generator = np.random.default_rng(8)
+    return Scenario(
+        name="large",
+        game=Part.of(
+            "ptne_env.games:EnergyGame",
+            curvature=generator.uniform(0.5, 2, players),
+            target=generator.uniform(5, 30, players),
+        ),
+        signal=Part.of("ptne_env.graphs:fixed", graph=Part.of("ptne_env.graphs:cycle", players=players)),
+        start="random",
+        **fields,
+    )
+
+
+BATCHED = {
+    **{name: get_scenario(name, start="random", input_limit=1e9) for name in CATALOGUE},
+    "blocks": BLOCKS,
+    "blocks-switching": BLOCKS_SWITCHING,
+    "large": large_energy_scenario(),
+}
+
+
+@pytest.mark.parametrize("name", BATCHED)
+def test_batch_agrees_bit_for_bit_with_batches_of_one_even_when_one_diverges(name):
+    dynamics = Dynamics(BATCHED[name])
+    batch = 7
+    estimates = dynamics.draw_estimates([Sources.from_seed(seed) for seed in range(batch)])
+    together = dynamics.start(estimates)
+    alone = [dynamics.start(estimates[:, :, b : b + 1].copy()) for b in range(batch)]
+    generator = np.random.default_rng(0)
+    for k in range(60):
+        inputs = generator.normal(size=estimates.shape)
+        if k == 20:
+            inputs[:, :, 3] = 1e8  # the fourth environment leaves the range
+        together = dynamics.step(together, inputs)
+        for b in range(batch):
+            alone[b] = dynamics.step(alone[b], inputs[:, :, b : b + 1])
+            for name_, whole, single in zip(together._fields, together, alone[b], strict=True):
+                part = whole if whole.shape == single.shape and name_ == "weights" else whole[..., b : b + 1]
+                assert np.array_equal(part, single), name_
+    assert together.diverged.tolist() == [b == 3 for b in range(batch)]
+
+
+@pytest.mark.parametrize("value", [1e9, -1e9, 1e300])
+def test_diverged_world_stays_finite_in_range_and_where_it_is(value):
+    dynamics = Dynamics(get_scenario("non-quadratic"))
+    state = dynamics.start(start(dynamics))
+    state = dynamics.step(state, np.full_like(state.estimates, value))
+    assert state.diverged.tolist() == [True]
+    assert dynamics.is_over(state).tolist() == [True]
+    for field in (state.estimates, state.own_gradients, state.relative_estimates):
+        assert np.all(np.isfinite(field))
+    assert np.abs(state.estimates).max() == RANGE_LIMIT
+    assert np.abs(state.own_gradients).max() <= RANGE_LIMIT
+    after = dynamics.step(state, np.ones_like(state.estimates))
+    assert after.diverged.tolist() == [True]
+    assert np.array_equal(after.estimates, state.estimates)
+
+
+def test_gradient_out_of_range_is_divergence_even_with_estimates_in_range():
+    dynamics = Dynamics(get_scenario("non-quadratic"))
+    estimates = np.zeros((5, 5, 1))
+    estimates[1, 1] = 40.0  # e^{20}/4 = 1.2e8
+    state = dynamics.start(estimates)
+    assert state.diverged.tolist() == [True]
+
+
+def test_range_is_inclusive():
+    dynamics = Dynamics(large_energy_scenario(input_limit=1e9))
+    at_limit = dynamics.start(np.zeros((11, 11, 1)))
+    inputs = np.zeros((11, 11, 1))
+    inputs[0, 1] = RANGE_LIMIT / dynamics.clock.theta[0]
+    moved = dynamics.step(at_limit, inputs)
+    assert moved.estimates[0, 1, 0] == pytest.approx(RANGE_LIMIT)
+    inputs[0, 1] *= 1.001
+    assert dynamics.step(at_limit, inputs).diverged.tolist() == [True]
+    inputs[0, 1] /= 1.002
+    assert dynamics.step(at_limit, inputs).diverged.tolist() == [False]
+
+
+@given(st.integers(0, 2**32 - 1))
+def test_no_estimate_in_range_is_farther_than_the_distance_that_divergence_is_charged(seed):
+    dynamics = Dynamics(get_scenario("energy"))
+    corner = np.random.default_rng(seed).choice([-RANGE_LIMIT, RANGE_LIMIT], 5)
+    equilibrium = dynamics.game.nash_equilibrium
+    distance = np.linalg.norm(corner - equilibrium) / np.linalg.norm(equilibrium)
+    assert distance <= dynamics.distance_limit <= 1.001 * distance
+
+
+@pytest.mark.parametrize(
+    ("estimates", "message"),
+    [
+        (np.zeros((5, 4, 1)), r"have the shape \(5, 5, 'B'\), got \(5, 4, 1\)"),
+        (np.zeros((5, 5)), r"have the shape \(5, 5, 'B'\)"),
+        (np.full((5, 5, 1), np.nan), "finite and within"),
+        (np.full((5, 5, 1), np.inf), "finite and within"),
+        (np.full((5, 5, 1), 6e5), "finite and within ±500000"),
+    ],
+)
+def test_impossible_initial_estimates_are_refused(estimates, message):
+    with pytest.raises(ValueError, match=message):
+        Dynamics(get_scenario("energy")).start(estimates)
+
+
+def test_paper_start_puts_each_players_own_strategy_on_the_diagonal():
+    dynamics = Dynamics(get_scenario("energy"))
+    state = dynamics.start(start(dynamics))
+    assert np.array_equal(state.estimates[:, :, 0], PAPER_START.T)
+    assert dynamics.strategies(state)[:, 0].tolist() == [-2, -4, -6, -8, -10]
+
+
+def test_strategies_of_unequal_dimensions_are_the_own_blocks():
+    dynamics = Dynamics(BLOCKS)
+    estimates = np.arange(18.0).reshape(6, 3, 1)
+    assert dynamics.strategies(dynamics.start(estimates))[:, 0].tolist() == [0, 3, 7, 11, 14, 17]
+
+
+def test_same_sources_draw_the_same_start():
+    dynamics = Dynamics(get_scenario("energy", start="random"))
+    assert np.array_equal(start(dynamics, 5), start(dynamics, 5))
+    assert not np.array_equal(start(dynamics, 5), start(dynamics, 6))

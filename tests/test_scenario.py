@@ -1,0 +1,209 @@
+import dataclasses
+import json
+import pickle
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from worlds import BLOCKS, PAPER_START
+
+from ptne_env import CATALOGUE, Part, Scenario, get_scenario
+from ptne_env.games import EnergyGame, NonQuadraticGame
+from ptne_env.graphs import cycle, paper_signal
+
+
+def edges(count, *pairs):
+    return Part.of("ptne_env.graphs:from_edges", players=count, edges=pairs)
+
+
+@st.composite
+def scenarios(draw):
+    players = draw(st.integers(2, 5))
+    finite = st.floats(0.5, 3, allow_nan=False)
+    target = draw(st.lists(finite, min_size=players, max_size=players))
+    spacing = draw(st.sampled_from(["effective", "transformed", "physical"]))
+    return Scenario(
+        name=draw(st.text(max_size=10)),
+        game=Part.of("ptne_env.games:EnergyGame", target=target, coupling=draw(finite)),
+        signal=Part.of("ptne_env.graphs:fixed", graph=Part.of("ptne_env.graphs:complete", players=players)),
+        start=Part.of("ptne_env.starts:UniformStart", low=-draw(finite), high=draw(finite)),
+        transformation=draw(st.sampled_from(["exponential", "tanh"])),
+        deadline=draw(finite),
+        gain=draw(finite),
+        steps=draw(st.integers(1, 50)),
+        s_end=draw(st.floats(5, 9)),
+        spacing=spacing,
+        hold_steps=draw(st.integers(0, 5)),
+        input_limit=draw(finite),
+    )
+
+
+@given(scenarios())
+def test_json_round_trip_gives_an_equal_scenario(scenario):
+    again = Scenario.from_json(scenario.to_json())
+    assert again == scenario
+    assert hash(again) == hash(scenario)
+    assert np.array_equal(again.built_clock.theta, scenario.built_clock.theta)
+    assert np.array_equal(again.built_game.nash_equilibrium, scenario.built_game.nash_equilibrium)
+
+
+@pytest.mark.parametrize("name", CATALOGUE)
+def test_catalogue_survives_json_and_pickle(name):
+    scenario = CATALOGUE[name]
+    assert Scenario.from_json(scenario.to_json()) == scenario
+    assert pickle.loads(pickle.dumps(scenario)) == scenario  # noqa: S301 - our own bytes
+    assert json.loads(scenario.to_json())["name"] == name
+
+
+def test_catalogue_has_the_six_promised_scenarios():
+    assert list(CATALOGUE) == [
+        "energy",
+        "energy-switching",
+        "energy-switching-transformed",
+        "non-quadratic",
+        "non-quadratic-switching",
+        "non-quadratic-printed",
+    ]
+
+
+@pytest.mark.parametrize("name", CATALOGUE)
+def test_catalogue_has_the_settings_of_the_paper(name):
+    scenario = CATALOGUE[name]
+    clock, game, signal = scenario.built_clock, scenario.built_game, scenario.built_signal
+    assert (clock.deadline, clock.gain, clock.steps, clock.s_end, clock.hold_steps) == (1.2, 20.0, 400, 8.0, 0)
+    assert clock.spacing == "effective"
+    assert type(clock.transformation).__name__ == "Exponential"
+    assert scenario.input_limit == 1000.0
+    assert np.array_equal(scenario.built_start.draw(5, 5, np.random.default_rng(0)), PAPER_START.T)
+    assert isinstance(game, EnergyGame if name.startswith("energy") else NonQuadraticGame)
+    if not name.startswith("energy"):
+        assert game.variant == ("printed" if name.endswith("printed") else "corrected")
+    if "switching" in name:
+        assert signal.graphs == paper_signal().graphs
+        assert signal.clock == ("transformed" if name.endswith("transformed") else "physical")
+        assert signal.dwells == ((0.25,) * 4 if name.endswith("transformed") else (0.1,) * 4)
+    else:
+        assert signal.graphs == (cycle(5),)
+
+
+def test_random_start_draws_every_estimate_from_minus_20_to_20():
+    start = get_scenario("energy", start="random").built_start
+    draws = start.draw(40, 50, np.random.default_rng(1))
+    assert start.is_random
+    assert -20 <= draws.min() < -19
+    assert 19 < draws.max() <= 20
+
+
+def test_overrides_change_only_what_they_name():
+    changed = get_scenario("energy", deadline=2.0, hold_steps=5)
+    expected = CATALOGUE["energy"].to_dict() | {"deadline": 2.0, "hold_steps": 5}
+    assert changed.to_dict() == expected
+    assert CATALOGUE["energy"].deadline == 1.2
+
+
+@pytest.mark.parametrize("kind", ["exponential", "rational", "tanh"])
+def test_short_names_are_the_parts_they_stand_for(kind):
+    scenario = get_scenario("energy", transformation=kind, s_end=300.0 if kind == "rational" else 8.0)
+    assert isinstance(scenario.transformation, Part)
+    assert scenario.built_clock.transformation.deadline == 1.2
+
+
+def test_strings_and_objects_name_parts_too():
+    by_string = get_scenario("energy", game="ptne_env.games:EnergyGame")
+    by_object = get_scenario("energy", game={"target": "ptne_env.games:EnergyGame", "arguments": {}})
+    assert by_string == by_object == get_scenario("energy")
+
+
+def test_scenarios_are_frozen_and_can_be_keys():
+    scenario = get_scenario("energy")
+    with pytest.raises(dataclasses.FrozenInstanceError):
+        scenario.deadline = 3.0
+    assert {scenario: 1}[get_scenario("energy", deadline=1.2)] == 1
+
+
+def test_games_with_unequal_dimensions_are_scenarios_too():
+    assert Scenario.from_json(BLOCKS.to_json()) == BLOCKS
+    assert BLOCKS.built_game.action_dims == (2, 1, 3)
+
+
+def test_scenario_more_than_a_percent_short_of_the_deadline_says_so():
+    with pytest.warns(UserWarning, match=r"11\.11% of T short of the deadline; raise s_end"):
+        get_scenario("energy", transformation="rational")
+
+
+REFUSED = {
+    "unknown scenario": (lambda: get_scenario("enrgy"), "unknown scenario 'enrgy'; the catalogue has energy, "),
+    "unknown field": (lambda: get_scenario("energy", kappa=2), "unknown scenario field 'kappa'; the fields are name, "),
+    "unknown start": (lambda: get_scenario("energy", start="rnd"), "start is 'paper', 'random', a 'module:object'"),
+    "unknown transformation": (lambda: get_scenario("energy", transformation="x"), "'exponential', 'rational', 'tanh'"),
+    "deadline of zero": (lambda: get_scenario("energy", deadline=0.0), r"deadline must be .* above 0 \(T, in seconds"),
+    "negative deadline": (lambda: get_scenario("energy", deadline=-1.2), "deadline must be"),
+    "infinite deadline": (lambda: get_scenario("energy", deadline=float("inf")), "deadline must be a finite number"),
+    "no steps": (lambda: get_scenario("energy", steps=0), r"steps \(K\) must be a whole number of at least 1"),
+    "half a step": (lambda: get_scenario("energy", steps=1.5), r"steps \(K\) must be a whole number"),
+    "negative gain": (lambda: get_scenario("energy", gain=-1.0), r"gain \(c\) must be"),
+    "hold without gain": (lambda: get_scenario("energy", gain=0.0, hold_steps=3), "hold_steps need a gain c > 0"),
+    "no input": (lambda: get_scenario("energy", input_limit=0.0), "input_limit must be a finite number above 0"),
+    "unknown spacing": (lambda: get_scenario("energy", spacing="even"), "spacing is one of effective, transformed"),
+    "start of another shape": (
+        lambda: get_scenario("energy", start=Part.of("ptne_env.starts:FixedStart", estimates=[[0.0] * 3] * 3)),
+        "made for 3 players and dimension 3.*choose start='random'",
+    ),
+    "disconnected graph": (
+        lambda: get_scenario("energy", signal=Part.of("ptne_env.graphs:fixed", graph=edges(5, (0, 1), (2, 3)))),
+        "graph is disconnected.*add links",
+    ),
+    "signal that is not jointly connected": (
+        lambda: get_scenario(
+            "energy",
+            signal=Part.of(
+                "ptne_env.graphs:periodic", graphs=[edges(5, (0, 1)), edges(5, (2, 3), (3, 4))], dwells=[1, 1]
+            ),
+        ),
+        "not jointly connected over a period.*add links",
+    ),
+    "dwell shorter than the longest step": (
+        lambda: get_scenario("energy-switching", signal=Part.of("ptne_env.graphs:paper_signal", dwell=0.003)),
+        "shorter than the longest step.*use more steps, another spacing or longer dwells",
+    ),
+    "transformed dwell shorter than the longest step": (
+        lambda: get_scenario("energy-switching-transformed", steps=20),
+        "dwell, 0.25 on the transformed clock, is shorter than the longest step",
+    ),
+    "game and graph for different numbers": (
+        lambda: get_scenario("energy", signal="ptne_env.graphs:paper_signal", game="sample_games:BlockGame"),
+        "the game has 3 players, the graphs 5",
+    ),
+    "part of another kind": (
+        lambda: get_scenario("energy", game="ptne_env.starts:paper_start"),
+        "built a FixedStart where game needs a Game",
+    ),
+    "missing part": (lambda: get_scenario("energy", game="ptne_env.games:ChessGame"), "has no 'ChessGame'"),
+    "unknown key": (
+        lambda: Scenario.from_dict(get_scenario("energy").to_dict() | {"colour": 1}),
+        r"unknown keys \['colour'\]",
+    ),
+    "missing key": (lambda: Scenario.from_dict({"name": "x"}), r"missing keys \['game', 'signal', 'start'\]"),
+    "not an object": (lambda: Scenario.from_json("[1, 2]"), "expected a JSON object, got list"),
+    "not JSON": (lambda: Scenario.from_json("{"), "Expecting"),
+}
+
+
+@pytest.mark.parametrize("name", REFUSED)
+def test_scenario_that_cannot_be_is_refused_with_advice(name):
+    build, message = REFUSED[name]
+    with pytest.raises(ValueError, match=message):
+        build()
+
+
+def test_part_of_another_type_is_refused():
+    with pytest.raises(TypeError, match="game is a name, a 'module:object' string or a Part, got EnergyGame"):
+        get_scenario("energy", game=EnergyGame())
+
+
+def test_dwell_as_long_as_the_longest_step_is_allowed():
+    clock = get_scenario("energy").built_clock
+    longest = float(np.diff(clock.t).max())
+    signal = Part.of("ptne_env.graphs:paper_signal", dwell=longest)
+    assert get_scenario("energy-switching", signal=signal).built_signal.mean_dwell == longest
