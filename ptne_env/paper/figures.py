@@ -139,7 +139,7 @@ def _relative_errors(axes: Axes, run: Run, end: float, *, floor: float = 1e-13) 
     axes.text(0.015 * end, 0.005 / 1.3, "0.5 %", color=GREY, fontsize=7.5, va="top")
     axes.set(xlabel="time $t$ [s]", ylabel="relative error", xlim=(0, end))
     lowest = max(floor, float(run.strategy_distance.min()))
-    axes.set_ylim(bottom=min(lowest, 0.005) / 8)  # room for the legend below the curves
+    axes.set_ylim(bottom=min(lowest, 0.005) / 30)  # room for the legend below the curves
     axes.minorticks_off()
 
 
