@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import TypeVar
 
 import numpy as np
 
-from ptne_env import distances
 from ptne_env.arrays import BoolArray, FloatArray, IntArray, frozen
+from ptne_env.games import Game
 from ptne_env.scenario import Scenario
 from ptne_env.sources import Sources
 
@@ -16,26 +16,81 @@ RANGE_LIMIT = 5e5
 """An estimate or own gradient outside ±RANGE_LIMIT, or not finite, has diverged."""
 
 
-class State(NamedTuple):
-    """The state of B environments, and what follows from it before anybody acts. Environments last.
+Array = TypeVar("Array", FloatArray, IntArray, BoolArray)
+
+
+class State:
+    """The state of B environments, and what follows from it before anybody acts. Environments last; never changed.
 
     Attributes:
         step: index of the coming step, 0..K+H, shape (B,), int64.
-        mode: index of the active graph, shape (B,), int64.
+        game: the games being played, one for all or one per environment.
         estimates: x^i in column i, shape (n, N, B); the diagonal blocks are the strategies.
         own_gradients: ∂J_i/∂x_i(x^i), blocks stacked, shape (n, B).
-        relative_estimates: x^j − x^i per neighbour slot in float64, 0 where the link is down, shape (D, n, N, B).
-        weights: a_ij per neighbour slot, shape (D, N, B), or (D, N, 1) where the graph is fixed.
         diverged: whether the environment has left the range; it stays where it is from then on. Shape (B,).
+        any_diverged: whether any of them has.
     """
 
-    step: IntArray
-    mode: IntArray
-    estimates: FloatArray
-    own_gradients: FloatArray
-    relative_estimates: FloatArray
-    weights: FloatArray
-    diverged: BoolArray
+    __slots__ = (
+        "_dynamics",
+        "_relative",
+        "_weights",
+        "any_diverged",
+        "diverged",
+        "estimates",
+        "game",
+        "own_gradients",
+        "step",
+    )
+
+    def __init__(
+        self,
+        dynamics: Dynamics,
+        step: IntArray,
+        game: Game,
+        estimates: FloatArray,
+        own_gradients: FloatArray,
+        diverged: BoolArray,
+    ) -> None:
+        self._dynamics = dynamics
+        self._relative: FloatArray | None = None
+        self._weights: FloatArray | None = None
+        self.step = step
+        self.game = game
+        self.estimates = estimates
+        self.own_gradients = own_gradients
+        self.diverged = diverged
+        self.any_diverged = bool(diverged.any())
+
+    @property
+    def batch_size(self) -> int:
+        """B."""
+        return self.estimates.shape[2]
+
+    @property
+    def mode(self) -> IntArray:
+        """Index of the active graph, shape (B,), int64."""
+        return self._dynamics.modes[self.step]
+
+    @property
+    def weights(self) -> FloatArray:
+        """a_ij per neighbour slot, shape (D, N, B), or (D, N, 1) where the graph is fixed."""
+        if self._weights is None:
+            table = self._dynamics.mode_weights
+            self._weights = table if table.shape[2] == 1 else table.take(self.mode, axis=2)
+        return self._weights
+
+    @property
+    def relative_estimates(self) -> FloatArray:
+        """x^j − x^i per neighbour slot in float64, 0 where the link is down, shape (D, n, N, B)."""
+        if self._relative is None:
+            self._relative = self._dynamics.relative_estimates(self)
+        return self._relative
+
+    @property
+    def strategies(self) -> FloatArray:
+        """The real strategies x, shape (n, B)."""
+        return _rows(self.estimates).take(self._dynamics.strategy_rows, axis=0)
 
 
 class Dynamics:
@@ -43,12 +98,14 @@ class Dynamics:
 
     Attributes:
         scenario: what it simulates.
-        game, signal, clock: its parts, built.
+        game: the game, or a typical member of the family; states hold the games that are played.
+        signal, clock: the other parts, built.
         neighbours: player in each slot, shape (D, N); D is the largest degree in the union graph, and a padded slot
             points at the player itself with weight 0.
         mode_weights: a_ij per slot and mode, shape (D, N, modes).
         modes: active mode at each instant, shape (K+H+1,).
         time_since_switch: over the mean dwell, clipped to 1, 0 for a fixed graph; shape (K+H+1,).
+        strategy_rows: rows of estimates.reshape(n N, B) that are strategies, shape (n,).
     """
 
     def __init__(self, scenario: Scenario) -> None:
@@ -72,14 +129,17 @@ class Dynamics:
         self.modes, self.time_since_switch = schedule.modes, schedule.age
 
         components = np.arange(n)
-        # Rows of estimates.reshape(n N, B): the neighbours' estimates, and everybody's strategies.
         self._neighbour_rows = components[None, :, None] * players + self.neighbours[:, None, :]
-        self._strategy_rows = components * players + self.game.owners
+        self.strategy_rows = components * players + self.game.owners
 
     @property
     def slots(self) -> int:
         """D, neighbour slots per player."""
         return self.neighbours.shape[0]
+
+    def draw_game(self, sources: Sequence[Sources]) -> Game:
+        """The games of an episode, one environment per entry of ``sources``."""
+        return self.scenario.built_family.draw([source.game for source in sources])
 
     def draw_estimates(self, sources: Sequence[Sources]) -> FloatArray:
         """Initial estimates, one environment per entry of ``sources``: shape (n, N, B)."""
@@ -87,11 +147,15 @@ class Dynamics:
         players, dimension = self.game.num_players, self.game.dimension
         return np.stack([start.draw(players, dimension, source.start) for source in sources], axis=-1)
 
-    def start(self, estimates: FloatArray) -> State:
-        """The state at t = 0 with the given initial estimates, shape (n, N, B).
+    def start(self, estimates: FloatArray, game: Game | None = None) -> State:
+        """The state at t = 0.
+
+        Args:
+            estimates: initial, shape (n, N, B).
+            game: what is played, one game or B; needed where the scenario draws games.
 
         Raises:
-            ValueError: when the shape is wrong or an estimate is not finite or outside the range.
+            ValueError: when a shape is wrong, an estimate is not finite or outside the range, or the game is missing.
         """
         expected = (self.game.dimension, self.game.num_players)
         if estimates.ndim != 3 or estimates.shape[:2] != expected:
@@ -99,54 +163,76 @@ class Dynamics:
         if not np.all(np.abs(estimates) <= RANGE_LIMIT):
             raise ValueError(f"initial estimates must be finite and within ±{RANGE_LIMIT:g}")
         batch = estimates.shape[2]
+        if game is None:
+            if self.scenario.has_random_game:
+                raise ValueError(f"scenario {self.scenario.name!r} draws games: pass the ones to play, see draw_game()")
+            game = self.game
+        if game.batch_size not in (1, batch) or game.action_dims != self.game.action_dims:
+            raise ValueError(f"{batch} environments need one game or {batch}, got {game.batch_size}")
         estimates = np.array(estimates, dtype=np.float64)  # a copy: the state is not the caller's
-        return self._complete(estimates, np.zeros(batch, dtype=np.int64), np.zeros(batch, dtype=np.bool_))
+        return self._complete(estimates, game, np.zeros(batch, dtype=np.int64), np.zeros(batch, dtype=np.bool_))
 
     def step(self, state: State, inputs: FloatArray) -> State:
         """The next state, from held inputs u of shape (n, N, B), finite. ``state`` is left as it was."""
         theta = self.clock.theta[state.step]
-        diverged = state.diverged
-        if diverged.any():
-            theta = np.where(diverged, 0.0, theta)
+        if state.any_diverged:
+            theta = np.where(state.diverged, 0.0, theta)
         estimates = theta * inputs
         estimates += state.estimates
-        return self._complete(estimates, np.minimum(state.step + 1, self.clock.total_steps), diverged)
+        step = np.minimum(state.step + 1, self.clock.total_steps)
+        return self._complete(estimates, state.game, step, state.diverged)
 
-    def strategies(self, state: State) -> FloatArray:
-        """The real strategies x, shape (n, B)."""
-        return self._rows(state.estimates).take(self._strategy_rows, axis=0)
+    def merge(self, state: State, fresh: State, mask: BoolArray) -> State:
+        """``state`` with the environments in ``mask`` (B,) replaced by those of ``fresh``, in order."""
+
+        def replaced(old: Array, new: Array) -> Array:
+            result = old.copy()
+            result[..., mask] = new
+            return result
+
+        return State(
+            self,
+            replaced(state.step, fresh.step),
+            state.game.merged(fresh.game, mask),
+            replaced(state.estimates, fresh.estimates),
+            replaced(state.own_gradients, fresh.own_gradients),
+            replaced(state.diverged, fresh.diverged),
+        )
+
+    def relative_estimates(self, state: State) -> FloatArray:
+        """x^j − x^i per neighbour slot in float64, 0 where the link is down, shape (D, n, N, B)."""
+        relative = _rows(state.estimates).take(self._neighbour_rows, axis=0)
+        relative -= state.estimates
+        if not self.signal.is_fixed:
+            relative *= (state.weights > 0)[:, None]
+        return relative
 
     def is_over(self, state: State) -> BoolArray:
         """Whether each environment has reached its end or diverged, shape (B,)."""
         return (state.step >= self.clock.total_steps) | state.diverged
 
-    @property
-    def distance_limit(self) -> float:
-        """The relative distance that is charged to a diverged environment: no estimate in range is farther away."""
-        equilibrium = self.game.nash_equilibrium
-        corner = RANGE_LIMIT * np.sqrt(self.game.dimension) + np.linalg.norm(equilibrium)
-        return float(corner / distances.scale(equilibrium))
-
     @staticmethod
-    def _rows(estimates: FloatArray) -> FloatArray:
-        return estimates.reshape(-1, estimates.shape[2])
+    def distance_limit(game: Game) -> FloatArray:
+        """The relative distance charged to a diverged environment, beyond any in range; shape (G,)."""
+        corner = RANGE_LIMIT * np.sqrt(game.dimension) + np.linalg.norm(game.nash_equilibria, axis=0)
+        return corner / game.equilibrium_scale
 
-    def _complete(self, estimates: FloatArray, step: IntArray, diverged: BoolArray) -> State:
-        with np.errstate(over="ignore", invalid="ignore"):  # a diverging game may overflow; it is caught below
-            gradients = self.game.own_gradients(estimates)
-        farthest = np.maximum(np.abs(estimates).max(axis=(0, 1)), np.abs(gradients).max(axis=0))
-        in_range = farthest <= RANGE_LIMIT  # False for NaN too
-        if not in_range.all():
-            diverged = diverged | ~in_range
+    def _complete(self, estimates: FloatArray, game: Game, step: IntArray, diverged: BoolArray) -> State:
+        if game.is_affine:
+            gradients = game.own_gradients(estimates)
+        else:
+            with np.errstate(over="ignore", invalid="ignore"):  # a diverging game may overflow; it is caught below
+                gradients = game.own_gradients(estimates)
+        # Σ x² ≤ limit² puts every entry in range at the cost of one pass; False for NaN too.
+        squares = np.einsum("cib,cib->b", estimates, estimates)
+        squares += np.einsum("cb,cb->b", gradients, gradients)
+        if not np.maximum.reduce(squares) <= RANGE_LIMIT**2:
+            farthest = np.maximum(np.abs(estimates).max(axis=(0, 1)), np.abs(gradients).max(axis=0))
+            diverged = diverged | ~(farthest <= RANGE_LIMIT)
             estimates = np.clip(np.nan_to_num(estimates, nan=RANGE_LIMIT), -RANGE_LIMIT, RANGE_LIMIT)
             gradients = np.clip(np.nan_to_num(gradients, nan=RANGE_LIMIT), -RANGE_LIMIT, RANGE_LIMIT)
+        return State(self, step, game, estimates, gradients, diverged)
 
-        relative = self._rows(estimates).take(self._neighbour_rows, axis=0)
-        relative -= estimates
-        mode = self.modes[step]
-        if self.signal.is_fixed:
-            weights = self.mode_weights
-        else:
-            weights = self.mode_weights.take(mode, axis=2)
-            relative *= (weights > 0)[:, None]
-        return State(step, mode, estimates, gradients, relative, weights, diverged)
+
+def _rows(estimates: FloatArray) -> FloatArray:
+    return estimates.reshape(-1, estimates.shape[2])

@@ -29,6 +29,9 @@ SMALLEST_SCALE = 1e-30
 GAIN_OCTAVES = 3.0
 """In action mode ``gains`` an action of ±1 multiplies or divides a gain by 2^3."""
 
+_PADDING = 16
+"""Columns by which the rows of an observation workspace are longer than the batch."""
+
 CONSENSUS_GAIN = 2.0
 """In action mode ``gains`` the action 0 means gradient gain 1 and this consensus gain, the paper's κ."""
 
@@ -159,16 +162,21 @@ class Layout:
         """Length of an observation."""
         return max(part.stop for part in self.slices.values())
 
-    @property
+    @cached_property
     def action_size(self) -> int:
         """Length of an action: n in mode ``input``, 2 in mode ``gains``."""
         return self.dimension if self.interface.action_mode == "input" else 2
 
-    @property
+    @cached_property
     def action_bound(self) -> float:
-        """Actions live in the box [−bound, bound]: the input limit under ``physical``, else 1."""
-        physical = self.interface.kind != "local" and self.interface.action_mode == "input"
-        return float(np.float32(self.input_limit)) if physical else 1.0
+        """Actions live in the box [−bound, bound]: the input limit under ``physical``, else 1.
+
+        The limit is rounded down to a float32, so that no action in the box exceeds it.
+        """
+        if self.interface.kind == "local" or self.interface.action_mode == "gains":
+            return 1.0
+        bound = np.float32(self.input_limit)
+        return float(bound if bound <= self.input_limit else np.nextafter(bound, np.float32(0)))
 
     @cached_property
     def own_components(self) -> IntArray:
@@ -268,6 +276,18 @@ class Layout:
         return np.clip(inputs, -self.action_bound, self.action_bound).astype(np.float32)
 
 
+class Decoded(NamedTuple):
+    """What a port made of actions.
+
+    Attributes:
+        inputs: u within the input limit, shape (n, N, B).
+        clipped: entries of each player's action outside the box, shape (B, N).
+    """
+
+    inputs: FloatArray
+    clipped: IntArray
+
+
 class Port:
     """Where policies plug into a world: states to observations, actions to inputs, for every batch size.
 
@@ -292,8 +312,9 @@ class Port:
         self._clock_table = np.stack(
             [clock.t / clock.deadline, clock.s, clock.theta, clock.dt / clock.deadline, dynamics.time_since_switch]
         ).astype(np.float32)
-        self._template = np.zeros((1, players, layout.size), dtype=np.float32)
-        self._template[0, :, layout.slices["player"]] = np.eye(players, dtype=np.float32)
+        self._workspace: dict[str, Float32Array] = {}
+        self._workspace_batch = 0
+        self._scaled: tuple[State, FloatArray] | None = None
         # Row of own_gradients in each place of a player's own block, shape (m, N); padding is masked out.
         own = layout.own_components.T
         self._gradient_rows = np.minimum(own, n - 1)
@@ -302,9 +323,9 @@ class Port:
         everybody = np.arange(players)
         self._ego_rows = layout.ego_order.T * players + everybody
         self._player_rows = layout.ego_place.T * players + everybody
-        blocks = np.arange(slots)[:, None, None] * n * players
-        self._ego_slot_rows = blocks + self._ego_rows
+        self._ego_neighbour_rows = layout.ego_order.T[None] * players + dynamics.neighbours[:, None, :]
         self._own_rows = np.arange(n), game.owners
+        self._slots = (slots, n, players)
 
     def observation_space(self) -> spaces.Box:
         """A new Box for one player's observation, float32."""
@@ -330,59 +351,90 @@ class Port:
         bound = self.layout.action_bound
         return spaces.Box(-bound, bound, (self.layout.action_size,), dtype=np.float32)
 
-    def observe(self, state: State) -> Float32Array:
-        """Everybody's observations, shape (B, N, size), float32, C-contiguous and owned by the caller."""
-        layout, (_, players, batch) = self.layout, state.estimates.shape
-        observations = np.repeat(self._template, batch, axis=0)
-        fields = observations.transpose(2, 1, 0)  # environments last, (size, N, B)
-        parts = layout.slices
-        gradients, relative = self._own_gradients(state), state.relative_estimates.reshape(-1, players, batch)
+    def observe(self, state: State, out: Float32Array | None = None) -> Float32Array:
+        """Everybody's observations, shape (B, N, size), float32, C-contiguous and owned by the caller.
+
+        Args:
+            state: what is observed.
+            out: where to write, of that shape and C-contiguous; a new array if left out.
+        """
+        batch = state.estimates.shape[2]
+        fields = self._workspace if batch == self._workspace_batch else self._prepare(batch)
         if self.interface.kind == "local":
-            scale = self._scale(state)
-            fields[parts["log_scale"]] = np.log10(scale)
-            rows = relative.reshape(-1, batch).take(self._ego_slot_rows, axis=0)
-            relative = (rows / scale).reshape(-1, players, batch)
-            gradients = gradients / scale
+            relative, scale = self._ego_relative_estimates(state)
+            self._scaled = (state, scale)
+            inverse = 1 / scale
+            np.multiply(relative, inverse, out=fields["relative_estimates"], casting="same_kind")
+            np.multiply(self._own_gradients(state), inverse, out=fields["own_gradient"], casting="same_kind")
+            fields["log_scale"][...] = np.log10(scale)
         else:
-            fields[parts["own_estimate"]] = state.estimates
-        fields[parts["own_gradient"]] = gradients
-        fields[parts["relative_estimates"]] = relative
-        fields[parts["weights"]] = state.weights
-        clock = self._clock_table.take(state.step, axis=1)[:, None, :]
-        fields[parts["clock"].start : parts["time_since_switch"].stop] = clock
+            fields["own_estimate"][...] = state.estimates
+            fields["own_gradient"][...] = self._own_gradients(state)
+            fields["relative_estimates"][...] = state.relative_estimates
+        if not self.dynamics.signal.is_fixed:
+            fields["weights"][...] = state.weights
+        fields["clock"][...] = self._clock_table.take(state.step, axis=1)[:, None, :]
         if self.interface.kind == "full":
-            strategies = self.dynamics.strategies(state)
-            fields[parts["relative_strategies"]] = strategies[:, None, :] - state.estimates
+            strategies = state.strategies
+            fields["relative_strategies"][...] = strategies[:, None, :] - state.estimates
             with np.errstate(over="ignore"):
-                pseudo_gradient = self.dynamics.game.pseudo_gradient(strategies)
-            fields[parts["pseudo_gradient"]] = np.clip(pseudo_gradient, -OBSERVATION_BOUND, OBSERVATION_BOUND)[:, None]
-        return observations
+                pseudo_gradient = state.game.pseudo_gradient(strategies)
+            pseudo_gradient = np.clip(pseudo_gradient, -OBSERVATION_BOUND, OBSERVATION_BOUND)
+            fields["pseudo_gradient"][...] = pseudo_gradient[:, None]
+        if out is None:
+            out = np.empty((batch, self.layout.num_players, self.layout.size), dtype=np.float32)
+        np.copyto(out.reshape(batch, -1), fields["everything"])
+        return out
 
-    def decode(self, actions: npt.NDArray[np.floating], state: State) -> FloatArray:
-        """Turn actions (B, N, action size), finite, into inputs u within the input limit, shape (n, N, B).
+    def decode(self, actions: npt.NDArray[np.floating], state: State) -> Decoded:
+        """Turn actions (B, N, action size), finite, into inputs within the input limit.
 
-        Entries outside the action box are clipped to it and rounded to float32, as the space declares.
+        Entries outside the action box are clipped to it, counted, and rounded to float32, as the space declares.
         """
         bound = self.layout.action_bound
-        fields = np.clip(actions, -bound, bound).astype(np.float32, copy=False).transpose(2, 1, 0).astype(np.float64)
+        sizes = np.abs(actions)
+        if np.maximum.reduce(sizes, axis=None) > bound:
+            clipped = (sizes > bound).sum(axis=2)
+            actions = np.clip(actions, -bound, bound)
+        else:
+            clipped = np.zeros(actions.shape[:2], dtype=np.int64)
+        fields = np.empty(actions.shape[::-1])
+        fields[...] = actions.astype(np.float32, copy=False).T
         if self.interface.action_mode == "gains":
-            gradient_gain, consensus_gain = 2.0 ** (GAIN_OCTAVES * fields)
-            inputs = np.einsum("dib,dcib->cib", state.weights, state.relative_estimates)
-            inputs *= CONSENSUS_GAIN * consensus_gain
-            owners = self.dynamics.game.owners
-            inputs[self._own_rows] -= gradient_gain[owners] * state.own_gradients
+            inputs = self._inputs_from_gains(fields, state)
         elif self.interface.kind == "local":
             fields *= self.interface.action_scale * self._scale(state)
-            inputs = fields.reshape(-1, fields.shape[2]).take(self._player_rows, axis=0)
+            inputs = fields.reshape(-1, state.batch_size).take(self._player_rows, axis=0)
         else:
-            inputs = fields
+            return Decoded(fields, clipped)  # the action box is the input limit
         limit = self.layout.input_limit
-        return np.clip(inputs, -limit, limit)
+        return Decoded(np.clip(inputs, -limit, limit, out=inputs), clipped)
 
-    def clipped(self, actions: npt.NDArray[np.floating]) -> IntArray:
-        """How many entries of each player's action lie outside the box: (B, N, action size) to (B, N)."""
-        outside = np.abs(actions) > self.layout.action_bound
-        return outside.sum(axis=2)
+    def _inputs_from_gains(self, gains: FloatArray, state: State) -> FloatArray:
+        gradient_gain, consensus_gain = np.exp2(GAIN_OCTAVES * gains)
+        inputs = np.einsum("dib,dcib->cib", state.weights, state.relative_estimates)
+        inputs *= CONSENSUS_GAIN * consensus_gain
+        inputs[self._own_rows] -= gradient_gain[state.game.owners] * state.own_gradients
+        return inputs
+
+    def _prepare(self, batch: int) -> dict[str, Float32Array]:
+        """The workspace of observations: views of each part, environments last, and of everything as (B, N size).
+
+        Parts that never change are written here, once per batch size.
+        """
+        layout = self.layout
+        # Rows of a power-of-two length fall on the same cache lines when they are transposed; padding parts them.
+        buffer = np.zeros((layout.num_players, layout.size, batch + _PADDING), dtype=np.float32)
+        fields = buffer.transpose(1, 0, 2)[:, :, :batch]
+        parts = {name: fields[part] for name, part in layout.slices.items()}
+        parts["relative_estimates"] = parts["relative_estimates"].reshape(*self._slots, batch)
+        parts["clock"] = fields[layout.slices["clock"].start : layout.slices["time_since_switch"].stop]
+        parts["player"][...] = np.eye(layout.num_players, dtype=np.float32)[:, :, None]
+        parts["everything"] = buffer.reshape(-1, batch + _PADDING)[:, :batch].T
+        if self.dynamics.signal.is_fixed:
+            parts["weights"][...] = self.dynamics.mode_weights
+        self._workspace, self._workspace_batch = parts, batch
+        return parts
 
     def _own_gradients(self, state: State) -> FloatArray:
         """Own gradients per player, padded with 0, shape (m, N, B)."""
@@ -391,8 +443,21 @@ class Port:
             gradients *= self._gradient_mask
         return gradients
 
+    def _ego_relative_estimates(self, state: State) -> tuple[FloatArray, FloatArray]:
+        """x^j − x^i in ego order, (D, n, N, B), and the scale σ_i, (N, B)."""
+        rows = state.estimates.reshape(-1, state.batch_size)
+        relative = rows.take(self._ego_neighbour_rows, axis=0)
+        relative -= rows.take(self._ego_rows, axis=0)
+        if not self.dynamics.signal.is_fixed:
+            relative *= (state.weights > 0)[:, None]
+        scale = np.abs(self._own_gradients(state)).max(axis=0)
+        flat = relative.reshape(-1, *scale.shape)
+        np.maximum(scale, np.maximum.reduce(flat, axis=0), out=scale)
+        np.maximum(scale, -np.minimum.reduce(flat, axis=0), out=scale)
+        return relative, np.maximum(scale, SMALLEST_SCALE, out=scale)
+
     def _scale(self, state: State) -> FloatArray:
         """σ_i = max(‖own gradient‖_∞, max over live links ‖x^j − x^i‖_∞, 1e-30), shape (N, B)."""
-        scale = np.abs(self._own_gradients(state)).max(axis=0)
-        np.maximum(scale, np.abs(state.relative_estimates).max(axis=(0, 1)), out=scale)
-        return np.maximum(scale, SMALLEST_SCALE, out=scale)
+        if self._scaled is None or self._scaled[0] is not state:
+            self._scaled = (state, self._ego_relative_estimates(state)[1])
+        return self._scaled[1]

@@ -71,12 +71,11 @@ class Reward:
                 f"reward 'regret' needs a best response, which {type(dynamics.game).__name__} does not have "
                 "everywhere; choose digits, tracking or payoff"
             )
-        self._equilibrium = dynamics.game.nash_equilibrium
         self._distance = np.empty((0, 0))
         self._log_distance = np.empty((0, 0))
 
     def reset(self, state: State) -> None:
-        """Start from ``state``."""
+        """Start from ``state``; environments that go on keep what they have."""
         self._measure(state)
 
     def step(self, state: State) -> dict[str, FloatArray]:
@@ -84,38 +83,40 @@ class Reward:
         before = self._log_distance
         self._measure(state)
         terms = {name: self._term(name, state, before) for name in self.weights}
-        if state.diverged.any():
+        if state.any_diverged:
             remaining = 1 + self.dynamics.clock.total_steps - state.step
+            worst = self._worst(state)
             for name, value in terms.items():
-                if name in self._worst:
-                    terms[name] = np.where(state.diverged, self._worst[name] * remaining, value)
+                if name in worst:
+                    terms[name] = np.where(state.diverged, worst[name] * remaining, value)
         return terms
 
     def total(self, terms: Mapping[str, FloatArray]) -> FloatArray:
         """The weighted sum of the terms, shape (N, B)."""
-        total = np.zeros_like(self._distance)
-        for name, weight in self.weights.items():
+        (first, weight), *others = self.weights.items()
+        total = weight * terms[first]
+        for name, weight in others:
             total += weight * terms[name]
         return total
 
-    @property
-    def _worst(self) -> dict[str, float]:
+    def _worst(self, state: State) -> dict[str, FloatArray | float]:
         """Reward per remaining step at the range limit; the digits' is 0 once the distance is at its limit."""
-        return {"tracking": -self.dynamics.distance_limit, "payoff": -REWARD_LIMIT, "regret": -REWARD_LIMIT}
+        limit = self.dynamics.distance_limit(state.game)
+        return {"tracking": -limit, "payoff": -REWARD_LIMIT, "regret": -REWARD_LIMIT}
 
     def _measure(self, state: State) -> None:
-        distance = distances.player_distances(state.estimates, self._equilibrium)
-        if state.diverged.any():
-            distance = np.where(state.diverged, self.dynamics.distance_limit, distance)
+        distance = distances.player_distances(state.estimates, state.game)
+        if state.any_diverged:
+            distance = np.where(state.diverged, self.dynamics.distance_limit(state.game), distance)
         self._distance = distance
-        self._log_distance = np.log10(np.maximum(distance, distances.FLOOR))
+        self._log_distance = -distances.digits(distance)
 
     def _term(self, name: str, state: State, log_distance_before: FloatArray) -> FloatArray:
         if name == "digits":
             return log_distance_before - self._log_distance
         if name == "tracking":
             return -self._distance
-        game, strategies = self.dynamics.game, self.dynamics.strategies(state)
+        game, strategies = state.game, state.strategies
         with np.errstate(over="ignore", invalid="ignore"):  # only a diverged environment overflows
             loss = game.costs(strategies) if name == "payoff" else game.regrets(strategies)
         return np.clip(-loss, -REWARD_LIMIT, REWARD_LIMIT)

@@ -14,7 +14,7 @@ import numpy as np
 
 from ptne_env.arrays import require_positive
 from ptne_env.clock import Spacing, StepClock, TimeTransformation
-from ptne_env.games import Game
+from ptne_env.games import Game, GameFamily, SingleGame
 from ptne_env.graphs import Signal
 from ptne_env.parts import Part
 from ptne_env.starts import Start
@@ -33,7 +33,12 @@ _SHORTHANDS: dict[str, dict[str, Part]] = {
         "tanh": Part.of("ptne_env.clock:HyperbolicTangent"),
     },
 }
-_PARTS = {"game": Game, "signal": Signal, "start": Start, "transformation": TimeTransformation}
+_PARTS: Mapping[str, tuple[type, ...]] = {
+    "game": (Game, GameFamily),
+    "signal": (Signal,),
+    "start": (Start,),
+    "transformation": (TimeTransformation,),
+}
 
 
 def _as_part(field: str, value: Any) -> Part:
@@ -61,7 +66,8 @@ class Scenario:
 
     Attributes:
         name: for tables and files.
-        game: builds a :class:`~ptne_env.games.Game`.
+        game: builds a :class:`~ptne_env.games.Game`, or a :class:`~ptne_env.games.GameFamily` of which every episode
+            draws one.
         signal: builds a :class:`~ptne_env.graphs.Signal` on the game's players.
         start: builds a :class:`~ptne_env.starts.Start`; ``"paper"`` or ``"random"`` (every estimate U(−20, 20)).
         transformation: builds λ from ``deadline``; ``"exponential"`` (paper), ``"rational"`` or ``"tanh"``.
@@ -128,17 +134,33 @@ class Scenario:
         part: Part = getattr(self, field)
         built = part.build(**extra)
         if not isinstance(built, _PARTS[field]):
+            wanted = " or ".join(kind.__name__ for kind in _PARTS[field])
             raise ValueError(
                 f"scenario {self.name!r}: the part {part.target!r} built a {type(built).__name__} where {field} needs "
-                f"a {_PARTS[field].__name__}"
+                f"a {wanted}"
             )
         return built
 
     @cached_property
+    def built_family(self) -> GameFamily:
+        """The family of games, built once; of one member where ``game`` builds a game."""
+        built: Game | GameFamily = self._build("game")
+        return SingleGame(built) if isinstance(built, Game) else built
+
+    @property
     def built_game(self) -> Game:
-        """The game, built once."""
-        game: Game = self._build("game")
-        return game
+        """The game, or a typical member of the family."""
+        return self.built_family.representative
+
+    @property
+    def has_random_game(self) -> bool:
+        """Whether episodes play different games."""
+        return not isinstance(self.built_family, SingleGame)
+
+    @property
+    def is_random(self) -> bool:
+        """Whether two episodes differ before anybody acts."""
+        return self.has_random_game or self.built_start.is_random
 
     @cached_property
     def built_signal(self) -> Signal:

@@ -17,7 +17,6 @@ from scipy import linalg
 
 from ptne_env.arrays import FloatArray, require_count, require_non_negative, require_positive
 from ptne_env.clock import TimeTransformation
-from ptne_env.distances import scale
 from ptne_env.games import Game, check_game
 from ptne_env.graphs import Graph, Signal
 from ptne_env.scenario import SHORTFALL_WARNING, Scenario
@@ -167,6 +166,25 @@ def monotonicity_constants(
         samples=points.shape[1],
         radius=None if game.is_affine else float(radius),
     )
+
+
+def require_strong_monotonicity(game: Game) -> None:
+    """Check Assumption 4 on every game of a batch with affine F, whose Jacobian is the same everywhere.
+
+    Raises:
+        ValueError: naming the first game whose dF has no positive definite symmetric part.
+    """
+    jacobians = game.jacobian(np.zeros((game.dimension, game.batch_size))) if game.is_affine else None
+    if jacobians is None:
+        raise ValueError(f"strong monotonicity of {type(game).__name__} cannot be decided: F is not affine")
+    symmetric = np.moveaxis(jacobians + jacobians.transpose(1, 0, 2), 2, 0) / 2
+    try:
+        np.linalg.cholesky(symmetric)
+    except np.linalg.LinAlgError:
+        smallest = np.linalg.eigvalsh(symmetric)[:, 0]
+        raise ValueError(
+            f"game {int(smallest.argmin())} of the batch is not strongly monotone: ε = {smallest.min():.3g}"
+        ) from None
 
 
 def gain_bound(constants: MonotonicityConstants, algebraic_connectivity: float) -> float | None:
@@ -438,5 +456,5 @@ def _sampled_digits(scenario: Scenario, matrices: list[FloatArray]) -> tuple[flo
         if not np.all(np.abs(error) < 1e150):  # squares would overflow; the loop has diverged beyond doubt
             error = np.full_like(error, 1e150)
             break
-    distance = float(np.linalg.norm(error)) / (math.sqrt(game.num_players) * scale(game.nash_equilibrium))
+    distance = float(np.linalg.norm(error)) / (math.sqrt(game.num_players) * float(game.equilibrium_scale[0]))
     return -math.log10(max(distance, float(np.finfo(np.float64).tiny))), peak

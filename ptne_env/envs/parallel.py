@@ -10,14 +10,11 @@ import numpy.typing as npt
 from gymnasium import spaces
 from pettingzoo import ParallelEnv
 
-from ptne_env import distances
-from ptne_env.arrays import Float32Array, FloatArray, require_count
-from ptne_env.dynamics import Dynamics, State
+from ptne_env.arrays import Float32Array, FloatArray
+from ptne_env.envs.core import Simulation
 from ptne_env.envs.rendering import Renderer
-from ptne_env.interface import OBSERVATION_BOUND, ActionMode, Interface, InterfaceKind, Layout, Port
-from ptne_env.rewards import Reward
+from ptne_env.interface import OBSERVATION_BOUND, ActionMode, Interface, InterfaceKind, Layout
 from ptne_env.scenario import Scenario, get_scenario
-from ptne_env.sources import Sources
 
 AgentInfo = dict[str, Any]
 
@@ -57,38 +54,38 @@ class NashSeekingEnv(ParallelEnv[str, Float32Array, Float32Array]):
         max_cycles: int | None = None,
         render_mode: str | None = None,
     ) -> None:
-        if interface.kind == "full":
-            raise ValueError(
-                "the interface 'full' shows what no player can see and is for oracles in evaluations only; choose "
-                "'physical' or 'local'"
-            )
         if render_mode not in (None, *self.metadata["render_modes"]):
             modes = ", ".join(self.metadata["render_modes"])
             raise ValueError(f"unknown render_mode {render_mode!r}; choose None or one of {modes}")
         self.scenario = scenario
         self.metadata = {**type(self).metadata, "name": f"ptne_{scenario.name.replace('-', '_')}_v0"}  # type: ignore[misc]  # PettingZoo reads the name from each instance
-        self.max_cycles = None if max_cycles is None else require_count("max_cycles", max_cycles, 1)
         self.render_mode = render_mode
-        self.dynamics = Dynamics(scenario)
-        self._port = Port(self.dynamics, interface)
-        self._reward = Reward(self.dynamics, reward)
+        self._simulation = Simulation(scenario, interface=interface, reward=reward, max_cycles=max_cycles)
+        self.dynamics = self._simulation.dynamics
+        port = self._simulation.port
         self.possible_agents = [f"player_{index}" for index in range(self.dynamics.game.num_players)]
         self.agents: list[str] = []
-        self.observation_spaces = {agent: self._port.observation_space() for agent in self.possible_agents}
-        self.action_spaces = {agent: self._port.action_space() for agent in self.possible_agents}
+        self.observation_spaces = {agent: port.observation_space() for agent in self.possible_agents}
+        self.action_spaces = {agent: port.action_space() for agent in self.possible_agents}
         n, players = self.dynamics.game.dimension, len(self.possible_agents)
         self.state_space = spaces.Box(
             -OBSERVATION_BOUND, OBSERVATION_BOUND, (players * (n + players) + 4,), dtype=np.float32
         )
-        self._sources: Sources | None = None
-        self._state: State | None = None
-        self._cycles = 0
         self._renderer = Renderer(self.dynamics, render_mode) if render_mode else None
 
     @property
     def layout(self) -> Layout:
         """What observations and actions mean."""
-        return self._port.layout
+        return self._simulation.port.layout
+
+    @property
+    def max_cycles(self) -> int | None:
+        """Steps after which the episode is truncated, or ``None``."""
+        return self._simulation.max_cycles
+
+    @max_cycles.setter
+    def max_cycles(self, value: int | None) -> None:
+        self._simulation.max_cycles = value
 
     def observation_space(self, agent: str) -> spaces.Box:
         """The agent's own Box, the same object on every call."""
@@ -101,22 +98,22 @@ class NashSeekingEnv(ParallelEnv[str, Float32Array, Float32Array]):
     @property
     def strategies(self) -> FloatArray:
         """The real strategies x now, shape (n,), float64."""
-        return self.dynamics.strategies(self._current())[:, 0]
+        return self._simulation.current.strategies[:, 0]
 
     @property
     def estimates(self) -> FloatArray:
         """Everybody's estimates now, row i being x^i; shape (N, n), float64."""
-        return self._current().estimates[:, :, 0].T.copy()
+        return self._simulation.current.estimates[:, :, 0].T.copy()
 
     @property
     def nash_equilibrium(self) -> FloatArray:
-        """x*, shape (n,), float64."""
-        return self.dynamics.game.nash_equilibrium.copy()
+        """x* of the game being played, shape (n,), float64."""
+        return self._simulation.current.game.nash_equilibria[:, 0].copy()
 
     @property
     def time(self) -> float:
         """t now, in seconds."""
-        return float(self.dynamics.clock.t[self._current().step[0]])
+        return float(self.dynamics.clock.t[self._simulation.current.step[0]])
 
     def reset(
         self, seed: int | None = None, options: Mapping[str, Any] | None = None
@@ -131,23 +128,19 @@ class NashSeekingEnv(ParallelEnv[str, Float32Array, Float32Array]):
         Raises:
             ValueError: for an invalid seed, or estimates of the wrong shape or out of range.
         """
-        sources = Sources.from_seed(seed) if seed is not None or self._sources is None else self._sources
-        estimates = self.dynamics.draw_estimates([sources])
+        estimates = None
         if options and options.get("estimates") is not None:
             table = np.array(options["estimates"], dtype=np.float64)
-            if table.shape != estimates.shape[1::-1]:
-                raise ValueError(
-                    f"options['estimates'] has the shape (N, n) = {estimates.shape[1::-1]}, got {table.shape}"
-                )
-            estimates = np.ascontiguousarray(table.T)[:, :, None]
-        state = self.dynamics.start(estimates)
-        self._sources, self._state, self._cycles = sources, state, 0
-        self._reward.reset(state)
+            shape = (self.dynamics.game.num_players, self.dynamics.game.dimension)
+            if table.shape != shape:
+                raise ValueError(f"options['estimates'] has the shape (N, n) = {shape}, got {table.shape}")
+            estimates = table.T[:, :, None]
+        state = self._simulation.reset([seed], estimates=estimates)
         self.agents = self.possible_agents.copy()
         if self._renderer is not None:
             self._renderer.reset(state)
             self._render_human()
-        observations = self._port.observe(state)[0]
+        observations = self._simulation.observe()[0]
         return dict(zip(self.agents, observations, strict=True)), {agent: {} for agent in self.agents}
 
     def step(
@@ -167,39 +160,26 @@ class NashSeekingEnv(ParallelEnv[str, Float32Array, Float32Array]):
         agents = self.agents
         if not agents:
             raise RuntimeError("no episode is running: call reset() before step()")
-        stacked = self._stack(actions)
-        before = self._current()
-        clipped = self._port.clipped(stacked)[0].tolist()
-        state = self.dynamics.step(before, self._port.decode(stacked, before))
-        terms = self._reward.step(state)
-        rewards = self._reward.total(terms)[:, 0].tolist()
-        self._state = state
-        self._cycles += 1
-
-        diverged = bool(state.diverged[0])
-        terminated = bool(self.dynamics.is_over(state)[0])
-        truncated = not terminated and self.max_cycles is not None and self._cycles >= self.max_cycles
-        columns = {name: term[:, 0].tolist() for name, term in terms.items()}
+        outcome = self._simulation.step(self._stack(actions))
+        terminated, truncated = bool(outcome.terminated[0]), bool(outcome.truncated[0])
+        diverged = bool(self._simulation.current.diverged[0])
+        clipped = outcome.clipped[0].tolist()
+        columns = [term[:, 0].tolist() for term in outcome.terms.values()]
         infos: dict[str, AgentInfo] = {
-            agent: {
-                "diverged": diverged,
-                "clipped": clipped[index],
-                "reward_terms": {name: column[index] for name, column in columns.items()},
-            }
-            for index, agent in enumerate(agents)
+            agent: {"diverged": diverged, "clipped": count, "reward_terms": dict(zip(outcome.terms, row, strict=True))}
+            for agent, count, row in zip(agents, clipped, zip(*columns, strict=True), strict=True)
         }
         if terminated or truncated:
-            error = distances.estimate_distance(state.estimates, self.dynamics.game.nash_equilibrium)[0]
-            success = not diverged and bool(error <= distances.SUCCESS_DISTANCE)
+            success = bool(self._simulation.succeeded()[0])
             for info in infos.values():
                 info["is_success"] = success
             self.agents = []
         if self._renderer is not None:
-            self._renderer.record(state)
+            self._renderer.record(self._simulation.current)
             self._render_human()
         return (
-            dict(zip(agents, self._port.observe(state)[0], strict=True)),
-            dict(zip(agents, rewards, strict=True)),
+            dict(zip(agents, self._simulation.observe()[0], strict=True)),
+            dict(zip(agents, outcome.rewards[:, 0].tolist(), strict=True)),
             dict.fromkeys(agents, terminated),
             dict.fromkeys(agents, truncated),
             infos,
@@ -211,7 +191,7 @@ class NashSeekingEnv(ParallelEnv[str, Float32Array, Float32Array]):
         Returns:
             A float32 vector of length N n + N² + 4, the clock being (t/T, s, Θ_k, Δt_k/T).
         """
-        state, clock = self._current(), self.dynamics.clock
+        state, clock = self._simulation.current, self.dynamics.clock
         step = int(state.step[0])
         adjacency = self.dynamics.signal.graphs[int(state.mode[0])].adjacency
         times = [clock.t[step] / clock.deadline, clock.s[step], clock.theta[step], clock.dt[step] / clock.deadline]
@@ -226,7 +206,7 @@ class NashSeekingEnv(ParallelEnv[str, Float32Array, Float32Array]):
         """
         if self._renderer is None:
             raise RuntimeError("to render, create the environment with render_mode='rgb_array' or 'human'")
-        self._current()
+        self._simulation.current  # noqa: B018 - raises before the first reset
         return self._renderer.draw()
 
     def close(self) -> None:
@@ -238,34 +218,44 @@ class NashSeekingEnv(ParallelEnv[str, Float32Array, Float32Array]):
         if self.render_mode == "human" and self._renderer is not None:
             self._renderer.draw()
 
-    def _current(self) -> State:
-        if self._state is None:
-            raise RuntimeError("the environment has no state yet: call reset() first")
-        return self._state
-
     def _stack(self, actions: Mapping[str, Any]) -> npt.NDArray[np.floating]:
         """All actions in the order of the agents, shape (1, N, action size)."""
-        expected = (self.layout.action_size,)
-        if actions.keys() != set(self.agents):
-            missing = [agent for agent in self.agents if agent not in actions]
-            unknown = [agent for agent in actions if agent not in self.agents]
-            raise ValueError(
+        try:
+            stacked = np.array([actions[agent] for agent in self.agents])
+        except (KeyError, ValueError):
+            raise self._complaint(actions) from None
+        shape = (len(self.agents), self.layout.action_size)
+        if (
+            stacked.dtype.kind != "f"
+            or stacked.shape != shape
+            or len(actions) != len(self.agents)
+            or not np.isfinite(stacked).all()
+        ):
+            raise self._complaint(actions)
+        return stacked[None]
+
+    def _complaint(self, actions: Mapping[str, Any]) -> ValueError:
+        """What is wrong with ``actions``, agent by agent."""
+        missing = [agent for agent in self.agents if agent not in actions]
+        unknown = [agent for agent in actions if agent not in self.agents]
+        if missing or unknown:
+            return ValueError(
                 f"step() needs one action per live agent; missing: {', '.join(missing) or 'none'}; unknown: "
                 f"{', '.join(map(str, unknown)) or 'none'}; live: {', '.join(self.agents)}"
             )
-        rows = []
+        expected = (self.layout.action_size,)
         for agent in self.agents:
-            row = np.asarray(actions[agent])
+            try:
+                row = np.asarray(actions[agent])
+            except ValueError:
+                return ValueError(f"the action of {agent} is ragged; expected the shape {expected}")
             if row.dtype.kind != "f":
-                raise ValueError(f"the action of {agent} has the dtype {row.dtype}; expected float32")
+                return ValueError(f"the action of {agent} has the dtype {row.dtype}; expected float32")
             if row.shape != expected:
-                raise ValueError(f"the action of {agent} has the shape {row.shape}; expected {expected}")
-            rows.append(row)
-        stacked = np.stack(rows)
-        if not np.isfinite(stacked).all():
-            culprits = [agent for agent, row in zip(self.agents, rows, strict=True) if not np.isfinite(row).all()]
-            raise ValueError(f"the action of {', '.join(culprits)} is not finite; expected numbers without NaN or inf")
-        return stacked[None]
+                return ValueError(f"the action of {agent} has the shape {row.shape}; expected {expected}")
+            if not np.isfinite(row).all():
+                return ValueError(f"the action of {agent} is not finite; expected numbers without NaN or infinity")
+        return ValueError("the actions could not be stacked; expected one float32 array per agent")
 
 
 def parallel_env(

@@ -34,6 +34,7 @@ class Renderer:
         self.mode = mode
         self._estimates: list[FloatArray] = []
         self._estimate_distances: list[float] = []
+        self._game = dynamics.game
         self._mode = 0
         self._figure: Figure | None = None
 
@@ -41,13 +42,13 @@ class Renderer:
         """Forget the last episode and start with ``state``."""
         self._estimates.clear()
         self._estimate_distances.clear()
+        self._game = state.game
         self.record(state)
 
     def record(self, state: State) -> None:
         """Add an instant."""
-        equilibrium = self.dynamics.game.nash_equilibrium
         self._estimates.append(state.estimates[:, :, 0])
-        self._estimate_distances.append(float(distances.estimate_distance(state.estimates, equilibrium)[0]))
+        self._estimate_distances.append(float(distances.estimate_distance(state.estimates, self._game)[0]))
         self._mode = int(state.mode[0])
 
     def draw(self) -> npt.NDArray[np.uint8] | None:
@@ -95,7 +96,7 @@ class Renderer:
         return self._figure
 
     def _draw_estimates(self, axes: Any) -> None:
-        game, estimates = self.dynamics.game, np.array(self._estimates)
+        game, estimates = self._game, np.array(self._estimates)
         times = self.dynamics.clock.t[: len(estimates)]
         for component, owner in enumerate(game.owners):
             colour = f"C{owner % 10}"
@@ -104,7 +105,7 @@ class Renderer:
                 axes.plot(times, others, color=colour, linewidth=0.6, alpha=0.5)
             label = f"player {owner}" if component == game.offsets[owner] else None
             axes.plot(times, estimates[:, component, owner], color=colour, linewidth=1.8, label=label)
-            axes.axhline(game.nash_equilibrium[component], color=colour, linestyle=":", linewidth=1)
+            axes.axhline(self._game.nash_equilibria[component, 0], color=colour, linestyle=":", linewidth=1)
         self._mark_time(axes, "Strategies (thick), others' estimates (thin), equilibrium (dotted)")
         if game.num_players <= _NAMES:
             axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.12), ncols=5, fontsize="small", frameon=False)

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from ptne_env.arrays import FloatArray, require_count
-from ptne_env.dynamics import Dynamics
+from ptne_env import theory
+from ptne_env.arrays import require_count
+from ptne_env.dynamics import Dynamics, State
 from ptne_env.sources import Sources
 
 _EPISODE_BITS = 32
@@ -21,6 +22,14 @@ def episode_seed(seed: int, episode: int) -> int:
     return (seed << _EPISODE_BITS) + episode
 
 
-def draw_estimates(dynamics: Dynamics, episodes: int, seed: int) -> FloatArray:
-    """Initial estimates of all episodes, shape (n, N, episodes)."""
-    return dynamics.draw_estimates([Sources.from_seed(episode_seed(seed, episode)) for episode in range(episodes)])
+def draw_start(dynamics: Dynamics, episodes: int, seed: int) -> State:
+    """The initial state of all episodes, games and estimates drawn.
+
+    Raises:
+        ValueError: when a drawn game is not strongly monotone.
+    """
+    sources = [Sources.from_seed(episode_seed(seed, episode)) for episode in range(episodes)]
+    game = dynamics.draw_game(sources)
+    if dynamics.scenario.has_random_game:
+        theory.require_strong_monotonicity(game)
+    return dynamics.start(dynamics.draw_estimates(sources), game)

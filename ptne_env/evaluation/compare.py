@@ -14,7 +14,7 @@ import numpy as np
 from ptne_env._version import __version__
 from ptne_env.arrays import FloatArray, require_count
 from ptne_env.dynamics import Dynamics
-from ptne_env.evaluation.bank import draw_estimates
+from ptne_env.evaluation.bank import draw_start
 from ptne_env.evaluation.entries import Entry, get_entry
 from ptne_env.evaluation.metrics import METRICS, measure
 from ptne_env.evaluation.rollout import rollout
@@ -175,10 +175,10 @@ def evaluate(
     cells = []
     for label, scenario in cases.items():
         dynamics = Dynamics(scenario)
-        estimates = draw_estimates(dynamics, episodes if scenario.built_start.is_random else 1, seed)
+        start = draw_start(dynamics, episodes if scenario.is_random else 1, seed)
         for entry in chosen.values():
             port = Port(dynamics, entry.interface)
-            cells.append(Cell(label, entry.name, measure(rollout(entry.build(port.layout), port, estimates))))
+            cells.append(Cell(label, entry.name, measure(rollout(entry.build(port.layout), port, start))))
             if progress is not None:
                 progress(f"{label}: {entry.name}")
     records = tuple(record for cell in cells for record in cell.records())

@@ -49,8 +49,8 @@ class Rollout:
     seconds_per_decision: float
 
 
-def rollout(policy: Policy, port: Port, estimates: FloatArray) -> Rollout:
-    """Run ``policy`` from the initial ``estimates`` (n, N, B) to the end of every episode.
+def rollout(policy: Policy, port: Port, start: State) -> Rollout:
+    """Run ``policy`` from the state ``start`` at t = 0 to the end of every episode.
 
     The policy is asked with ``deterministic=True`` and its memory is passed back to it unread.
 
@@ -58,9 +58,9 @@ def rollout(policy: Policy, port: Port, estimates: FloatArray) -> Rollout:
         ValueError: when the policy answers with actions of another shape, or with ones that are not finite.
     """
     dynamics = port.dynamics
-    clock, players, batch = dynamics.clock, dynamics.game.num_players, estimates.shape[2]
-    recorder = _Recorder(dynamics, batch)
-    state = dynamics.start(estimates)
+    clock, players, batch = dynamics.clock, dynamics.game.num_players, start.batch_size
+    recorder = _Recorder(dynamics, start)
+    state = start
     recorder.record(0, state)
     memory = None
     episode_start = np.ones(players * batch, dtype=np.bool_)
@@ -71,7 +71,7 @@ def rollout(policy: Policy, port: Port, estimates: FloatArray) -> Rollout:
         actions, memory = policy.predict(observations, memory, episode_start, deterministic=True)
         seconds += perf_counter() - started
         episode_start = np.zeros_like(episode_start)
-        inputs = port.decode(_checked(np.asarray(actions), port, batch), state)
+        inputs = port.decode(_checked(np.asarray(actions), port, batch), state).inputs
         if step < clock.steps:
             recorder.spend(step, inputs, ~state.diverged)
         state = dynamics.step(state, inputs)
@@ -94,9 +94,11 @@ def _checked(actions: FloatArray, port: Port, batch: int) -> FloatArray:
 class _Recorder:
     """Collects a rollout as it happens, so that trajectories need not be kept."""
 
-    def __init__(self, dynamics: Dynamics, batch: int) -> None:
+    def __init__(self, dynamics: Dynamics, start: State) -> None:
         self.dynamics = dynamics
-        self._equilibrium = dynamics.game.nash_equilibrium
+        batch = start.batch_size
+        self._game = start.game
+        self._limit = dynamics.distance_limit(start.game)
         instants = dynamics.clock.total_steps + 1
         self._strategy_distance = np.empty((instants, batch))
         self._estimate_distance = np.empty((instants, batch))
@@ -108,14 +110,14 @@ class _Recorder:
 
     def record(self, instant: int, state: State) -> None:
         """Measure the distances of ``state``."""
-        players = distances.player_distances(state.estimates, self._equilibrium)
-        players = np.where(state.diverged, self.dynamics.distance_limit, players)
-        strategies = distances.strategy_distance(self.dynamics.strategies(state), self._equilibrium)
-        self._strategy_distance[instant] = np.where(state.diverged, self.dynamics.distance_limit, strategies)
+        players = distances.player_distances(state.estimates, self._game)
+        players = np.where(state.diverged, self._limit, players)
+        strategies = distances.strategy_distance(state.strategies, self._game)
+        self._strategy_distance[instant] = np.where(state.diverged, self._limit, strategies)
         self._estimate_distance[instant] = np.sqrt((players**2).mean(axis=0))
         if instant == self.dynamics.clock.steps:
-            consensus = distances.consensus_error(state.estimates, self._equilibrium)
-            self._consensus_error = np.where(state.diverged, self.dynamics.distance_limit, consensus)
+            consensus = distances.consensus_error(state.estimates, self._game)
+            self._consensus_error = np.where(state.diverged, self._limit, consensus)
         if instant in (0, self.dynamics.clock.total_steps):
             self._log_distances.append(distances.digits(players).mean(axis=0))
 

@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 from scipy import optimize
 
-from ptne_env.arrays import FloatArray, IntArray, frozen, require_count
+from ptne_env.arrays import BoolArray, FloatArray, IntArray, frozen, require_count
 
 RESIDUAL_TOLERANCE = 1e-10
 """Largest ‖F(x*)‖, relative to 1 + ‖x*‖, with which a computed point is accepted as an equilibrium."""
@@ -105,29 +105,63 @@ class Game(ABC):
     def has_best_response(self) -> bool:
         """Whether :meth:`best_response` exists everywhere; decided on the equilibrium unless a game knows better."""
         try:
-            self.best_response(self.nash_equilibrium[:, None])
+            self.best_response(self.nash_equilibria)
         except NoBestResponseError:
             return False
         return True
 
+    @property
+    def batch_size(self) -> int:
+        """G: how many games this is. One game serves any number of environments, G games serve G environments."""
+        return 1
+
+    def merged(self, fresh: Game, mask: BoolArray) -> Game:  # noqa: ARG002 - the signature is the interface
+        """The batch of games with those in ``mask`` (G,) replaced by those of ``fresh``; a single game stays as it is.
+
+        Raises:
+            TypeError: when ``fresh`` is another kind of game.
+        """
+        if fresh is not self:
+            raise TypeError(f"{type(self).__name__} is a single game and merges with itself only")
+        return self
+
     @cached_property
-    def nash_equilibrium(self) -> FloatArray:
-        """x* with F(x*) = 0, shape (n,), read-only; verified by its residual.
+    def nash_equilibria(self) -> FloatArray:
+        """x* with F(x*) = 0 of every game, shape (n, G), read-only; verified by the residual.
 
         Raises:
             ArithmeticError: when the solver's point is not an equilibrium to 1e-10.
         """
-        point = np.asarray(self._solve_nash_equilibrium(), dtype=np.float64)
-        residual = float(np.linalg.norm(self.pseudo_gradient(point[:, None])))
-        if not residual <= RESIDUAL_TOLERANCE * (1 + float(np.linalg.norm(point))):
+        points = np.asarray(self._solve_nash_equilibria(), dtype=np.float64)
+        residuals = np.linalg.norm(self.pseudo_gradient(points), axis=0)
+        if not np.all(residuals <= RESIDUAL_TOLERANCE * (1 + np.linalg.norm(points, axis=0))):
             raise ArithmeticError(
-                f"{type(self).__name__}: the point found has ‖F(x)‖ = {residual:.3g}; no Nash equilibrium was found"
+                f"{type(self).__name__}: the point found has ‖F(x)‖ = {residuals.max():.3g}; no Nash equilibrium was "
+                "found"
             )
-        return frozen(point)
+        return frozen(points)
 
-    def _solve_nash_equilibrium(self) -> FloatArray:
-        """A zero of F by ``scipy.optimize.root``; games with a closed form override this."""
+    @cached_property
+    def equilibrium_scale(self) -> FloatArray:
+        """‖x*‖ of every game, by which distances are relative; 1 where x* = 0. Shape (G,), read-only."""
+        norms = np.linalg.norm(self.nash_equilibria, axis=0)
+        return frozen(np.where(norms == 0, 1.0, norms))
+
+    @property
+    def nash_equilibrium(self) -> FloatArray:
+        """x* of a single game, shape (n,), read-only.
+
+        Raises:
+            ValueError: for a batch of games, which has ``nash_equilibria``.
+            ArithmeticError: as ``nash_equilibria``.
+        """
+        if self.batch_size != 1:
+            raise ValueError(f"a batch of {self.batch_size} games has nash_equilibria, one column each")
+        return self.nash_equilibria[:, 0]
+
+    def _solve_nash_equilibria(self) -> FloatArray:
+        """A zero of F by ``scipy.optimize.root``, (n, 1); games with a closed form, and batches, override this."""
         solution = optimize.root(
             lambda x: self.pseudo_gradient(x[:, None])[:, 0], np.zeros(self.dimension), method="hybr", tol=1e-14
         )
-        return np.asarray(solution.x, dtype=np.float64)
+        return np.asarray(solution.x, dtype=np.float64)[:, None]

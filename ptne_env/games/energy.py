@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from functools import cached_property
 
 import numpy as np
+import numpy.typing as npt
 
-from ptne_env.arrays import FloatArray, frozen
+from ptne_env.arrays import BoolArray, FloatArray, frozen
 from ptne_env.games.base import Game
 
 
@@ -18,40 +18,57 @@ class EnergyGame(Game):
     different things.
 
     Args:
-        curvature: a_i > 0 of each player, or one number for all.
-        target: b_i, the consumption that player i would like; its length sets N.
+        curvature: a_i > 0 of each player, (N,), or one number for all.
+        target: b_i, the consumption that player i would like, (N,); its length sets N.
         coupling: c ≥ 0, how the price rises with total consumption.
         base_price: d.
 
+    For a batch of G games, curvature and target have the shape (N, G) and coupling (G,).
+
     Raises:
-        ValueError: when a_i ≤ 0, c < 0, lengths differ or a number is not finite.
+        ValueError: when a_i ≤ 0, c < 0, shapes disagree or a number is not finite.
     """
 
     is_affine = True
 
     def __init__(
         self,
-        curvature: float | Sequence[float] = 1.0,
-        target: Sequence[float] = (10.0, 15.0, 20.0, 25.0, 30.0),
-        coupling: float = 0.1,
+        curvature: npt.ArrayLike = 1.0,
+        target: npt.ArrayLike = (10.0, 15.0, 20.0, 25.0, 30.0),
+        coupling: npt.ArrayLike = 0.1,
         base_price: float = 10.0,
     ) -> None:
-        targets = np.asarray(target, dtype=np.float64)
-        if targets.ndim != 1:
+        targets, curvatures, couplings = (
+            np.asarray(value, dtype=np.float64) for value in (target, curvature, coupling)
+        )
+        if targets.ndim not in (1, 2):
             raise ValueError(f"target must list one number per player, got the shape {targets.shape}")
-        super().__init__((1,) * targets.size)
-        curvatures = np.asarray(curvature, dtype=np.float64)
-        if curvatures.shape not in ((), targets.shape):
-            raise ValueError(f"curvature needs one number or {targets.size}, got the shape {curvatures.shape}")
-        curvatures = np.broadcast_to(curvatures, targets.shape)
-        if not np.all(np.isfinite([*targets, *curvatures, coupling, base_price])):
+        targets = targets.reshape(len(targets), -1)
+        super().__init__((1,) * len(targets))
+        try:
+            curvatures = np.broadcast_to(curvatures[:, None] if curvatures.ndim == 1 else curvatures, targets.shape)
+            couplings = np.broadcast_to(couplings, targets.shape[1:])
+        except ValueError as error:
+            raise ValueError(
+                f"EnergyGame: curvature {np.shape(curvature)} and coupling {np.shape(coupling)} do not fit target "
+                f"{np.shape(target)}; give one number for all, or one per player (and game)"
+            ) from error
+        if not all(np.isfinite(values).all() for values in (targets, curvatures, couplings, base_price)):
             raise ValueError("EnergyGame needs finite parameters")
-        if curvatures.min() <= 0 or coupling < 0:
-            raise ValueError(f"EnergyGame needs curvature > 0 and coupling ≥ 0, got {curvature!r} and {coupling!r}")
-        self.curvature = frozen(curvatures[:, None])
-        self.target = frozen(targets[:, None])
-        self.coupling = float(coupling)
+        if curvatures.min() <= 0 or couplings.min() < 0:
+            raise ValueError(
+                f"EnergyGame needs curvature > 0 and coupling ≥ 0, got a minimum of {curvatures.min()} and "
+                f"{couplings.min()}"
+            )
+        self.curvature = frozen(curvatures)
+        self.target = frozen(targets)
+        self.coupling = frozen(couplings)
         self.base_price = float(base_price)
+
+    @property
+    def batch_size(self) -> int:
+        """G."""
+        return self.target.shape[1]
 
     @cached_property
     def _slope(self) -> FloatArray:
@@ -76,16 +93,37 @@ class EnergyGame(Game):
 
     def jacobian(self, strategies: FloatArray) -> FloatArray:
         """diag(2 a_i + c) + c 11ᵀ, the same everywhere: (N, B) to (N, N, B)."""
-        matrix = np.diag(self._slope[:, 0]) + self.coupling
-        return np.repeat(matrix[:, :, None], strategies.shape[1], axis=2)
+        matrix = np.zeros((self.num_players, *strategies.shape))
+        matrix += self.coupling
+        np.einsum("iib->ib", matrix)[...] += self._slope
+        return matrix
 
     def best_response(self, strategies: FloatArray) -> FloatArray:
         """(2 a_i b_i − d − c Σ_{j≠i} x_j) / (2 (a_i + c)): (N, B) to (N, B)."""
         others = strategies.sum(axis=0) - strategies
         return -(self._intercept + self.coupling * others) / (2 * (self.curvature + self.coupling))
 
-    def _solve_nash_equilibrium(self) -> FloatArray:
+    def merged(self, fresh: Game, mask: BoolArray) -> EnergyGame:
+        """The batch of games with those in ``mask`` (G,) replaced by those of ``fresh``, in order."""
+        if fresh is self:
+            return self
+        if not isinstance(fresh, EnergyGame):
+            raise TypeError(f"an EnergyGame merges with an EnergyGame, got {type(fresh).__name__}")
+
+        def replaced(old: FloatArray, new: FloatArray) -> FloatArray:
+            result = old.copy()
+            result[..., mask] = new
+            return result
+
+        return EnergyGame(
+            replaced(self.curvature, fresh.curvature),
+            replaced(self.target, fresh.target),
+            replaced(self.coupling, fresh.coupling),
+            self.base_price,
+        )
+
+    def _solve_nash_equilibria(self) -> FloatArray:
         """Sherman–Morrison on (diag(2a + c) + c 11ᵀ) x = 2ab − d."""
-        free = -self._intercept[:, 0] / self._slope[:, 0]
-        total = free.sum() / (1 + self.coupling * (1 / self._slope[:, 0]).sum())
-        return free - self.coupling * total / self._slope[:, 0]
+        free = -self._intercept / self._slope
+        total = free.sum(axis=0) / (1 + self.coupling * (1 / self._slope).sum(axis=0))
+        return free - self.coupling * total / self._slope

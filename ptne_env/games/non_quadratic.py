@@ -77,7 +77,7 @@ class NonQuadraticGame(Game):
             "the non-quadratic game has no best response: J2 is unbounded below in x2 wherever x4 ≥ 0"
         )
 
-    def _solve_nash_equilibrium(self) -> FloatArray:
+    def _solve_nash_equilibria(self) -> FloatArray:
         x4 = -self._slope / 2
         x2 = 2 * np.log(-4 * x4)
-        return np.array([-(x2 + x4 + 2.5), x2, 0.0, x4, 2.5])
+        return np.array([[-(x2 + x4 + 2.5)], [x2], [0.0], [x4], [2.5]])

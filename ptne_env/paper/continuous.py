@@ -17,7 +17,7 @@ from scipy import integrate, linalg
 
 from ptne_env.arrays import FloatArray, require_count, require_non_negative, require_positive
 from ptne_env.clock import TimeTransformation
-from ptne_env.distances import SUCCESS_DISTANCE, scale
+from ptne_env.distances import SUCCESS_DISTANCE
 from ptne_env.games import Game
 from ptne_env.graphs import Signal
 from ptne_env.theory import closed_loop_matrix
@@ -200,13 +200,15 @@ class Run:
     def strategy_distance(self) -> FloatArray:
         """‖x − x*‖/‖x*‖ of the strategies, shape (S,): the paper's relative error."""
         components = np.arange(self.game.dimension)
-        return np.linalg.norm(self.errors[:, self.game.owners, components], axis=1) / scale(self.game.nash_equilibrium)
+        return np.linalg.norm(self.errors[:, self.game.owners, components], axis=1) / float(
+            self.game.equilibrium_scale[0]
+        )
 
     @cached_property
     def estimate_distance(self) -> FloatArray:
         """‖**x** − 1⊗x*‖/(√N ‖x*‖) of all estimates, shape (S,): what the theorems claim to vanish."""
         norms = np.linalg.norm(self.errors, axis=(1, 2))
-        return norms / (np.sqrt(self.game.num_players) * scale(self.game.nash_equilibrium))
+        return norms / (np.sqrt(self.game.num_players) * float(self.game.equilibrium_scale[0]))
 
     @cached_property
     def inputs(self) -> FloatArray:

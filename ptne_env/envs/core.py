@@ -1,0 +1,150 @@
+"""What every adapter steps: B environments of one scenario behind one interface, with rewards and endings."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from ptne_env import distances, theory
+from ptne_env.arrays import BoolArray, Float32Array, FloatArray, IntArray, require_count
+from ptne_env.dynamics import Dynamics, State
+from ptne_env.interface import Interface, Port
+from ptne_env.rewards import Reward
+from ptne_env.scenario import Scenario
+from ptne_env.sources import Sources
+
+
+class Outcome(NamedTuple):
+    """What a step did. Environments last where there are players too.
+
+    Attributes:
+        rewards: weighted sum of the terms, shape (N, B).
+        terms: each reward term, unweighted, shape (N, B).
+        clipped: entries of each player's action outside the box, shape (B, N).
+        terminated: shape (B,).
+        truncated: shape (B,).
+    """
+
+    rewards: FloatArray
+    terms: dict[str, FloatArray]
+    clipped: IntArray
+    terminated: BoolArray
+    truncated: BoolArray
+
+
+class Simulation:
+    """B environments that are stepped together and reset one by one.
+
+    Args:
+        scenario: the physics.
+        interface: how players see and act; not ``full``.
+        reward: a term's name, or weights by name.
+        max_cycles: steps after which an episode is truncated, or ``None``.
+        num_envs: B.
+
+    Attributes:
+        state: of all environments; ``None`` before the first reset.
+
+    Raises:
+        ValueError: for the interface ``full``, an unknown reward or a count below 1.
+    """
+
+    def __init__(
+        self,
+        scenario: Scenario,
+        *,
+        interface: Interface,
+        reward: str | Mapping[str, float] = "digits",
+        max_cycles: int | None = None,
+        num_envs: int = 1,
+    ) -> None:
+        if interface.kind == "full":
+            raise ValueError(
+                "the interface 'full' shows what no player can see and is for oracles in evaluations only; choose "
+                "'physical' or 'local'"
+            )
+        self.num_envs = require_count("num_envs", num_envs, 1)
+        self.max_cycles = None if max_cycles is None else require_count("max_cycles", max_cycles, 1)
+        self.dynamics = Dynamics(scenario)
+        self.port = Port(self.dynamics, interface)
+        self._reward = Reward(self.dynamics, reward)
+        self._sources: list[Sources] = []
+        self.state: State | None = None
+
+    @property
+    def current(self) -> State:
+        """The state.
+
+        Raises:
+            RuntimeError: before the first reset.
+        """
+        if self.state is None:
+            raise RuntimeError("the environment has no state yet: call reset() first")
+        return self.state
+
+    def reset(
+        self,
+        seeds: Sequence[int | None] | None = None,
+        mask: BoolArray | None = None,
+        estimates: FloatArray | None = None,
+    ) -> State:
+        """Start episodes.
+
+        Args:
+            seeds: one per environment; ``None`` goes on with the generators there are. Only those in ``mask`` count.
+            mask: which environments start afresh, shape (B,); all if left out.
+            estimates: initial estimates instead of drawn ones, shape (n, N, environments in mask).
+
+        Raises:
+            ValueError: for an invalid seed or estimates, or a drawn game that is not strongly monotone; the state
+                stays as it was.
+        """
+        if self.state is None and mask is not None and not mask.all():
+            raise ValueError("the first reset() starts every environment: leave out the mask")
+        chosen = np.arange(self.num_envs) if mask is None else np.flatnonzero(mask)
+        if seeds is None:
+            seeds = [None] * self.num_envs
+        if len(seeds) != self.num_envs:
+            raise ValueError(f"{self.num_envs} environments need as many seeds, got {len(seeds)}")
+        sources = list(self._sources) or [Sources.from_seed(seed) for seed in seeds]
+        for index in chosen.tolist():
+            if seeds[index] is not None:
+                sources[index] = Sources.from_seed(seeds[index])
+        drawn = [sources[index] for index in chosen]
+        game = self.dynamics.draw_game(drawn)
+        if self.dynamics.scenario.has_random_game:
+            theory.require_strong_monotonicity(game)
+        if estimates is None:
+            estimates = self.dynamics.draw_estimates(drawn)
+        fresh = self.dynamics.start(estimates, game)
+        if mask is not None and self.state is not None and len(chosen) < self.num_envs:
+            fresh = self.dynamics.merge(self.state, fresh, mask)
+        self._sources, self.state = sources, fresh
+        self._reward.reset(fresh)
+        return fresh
+
+    def step(self, actions: npt.NDArray[np.floating]) -> Outcome:
+        """Hold everybody's inputs for one step; actions (B, N, action size) are finite."""
+        decoded = self.port.decode(actions, self.current)
+        state = self.dynamics.step(self.current, decoded.inputs)
+        terms = self._reward.step(state)
+        self.state = state
+        terminated = self.dynamics.is_over(state)
+        if self.max_cycles is None:
+            truncated = np.zeros(self.num_envs, dtype=np.bool_)
+        else:
+            truncated = ~terminated & (state.step >= self.max_cycles)
+        return Outcome(self._reward.total(terms), terms, decoded.clipped, terminated, truncated)
+
+    def observe(self, out: Float32Array | None = None) -> Float32Array:
+        """Everybody's observations, shape (B, N, size), float32, owned by the caller."""
+        return self.port.observe(self.current, out)
+
+    def succeeded(self) -> BoolArray:
+        """Whether each environment is within 0.5 % of the equilibrium in all estimates and in range, shape (B,)."""
+        state = self.current
+        error = distances.estimate_distance(state.estimates, state.game)
+        return (error <= distances.SUCCESS_DISTANCE) & ~state.diverged

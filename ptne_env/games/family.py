@@ -1,0 +1,82 @@
+"""Which game is played this time? Families of games, of which every episode draws one."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+
+import numpy as np
+
+from ptne_env.arrays import FloatArray, require_count
+from ptne_env.games.base import Game
+from ptne_env.games.energy import EnergyGame
+
+
+class GameFamily(ABC):
+    """A law of games with the same players and dimensions.
+
+    Attributes:
+        representative: a typical member, from which players, dimensions and kinds of parameters can be read.
+    """
+
+    representative: Game
+
+    @abstractmethod
+    def draw(self, generators: Sequence[np.random.Generator]) -> Game:
+        """One game per generator, as a batch of G = ``len(generators)`` games."""
+
+
+class SingleGame(GameFamily):
+    """The family with one member, which every episode plays."""
+
+    def __init__(self, game: Game) -> None:
+        self.representative = game
+
+    def draw(self, generators: Sequence[np.random.Generator]) -> Game:  # noqa: ARG002 - nothing is drawn
+        """The game, which serves any number of environments."""
+        return self.representative
+
+
+class RandomEnergy(GameFamily):
+    """Energy games with a_i ~ U(0.5, 2), b_i ~ U(5, 35), c ~ U(0.05, 0.3) and d = 10, independently.
+
+    F is strongly monotone for every draw: dF = diag(2a + c) + c 11ᵀ is positive definite.
+
+    Args:
+        players: N ≥ 2.
+        curvature: range of a_i, positive.
+        target: range of b_i.
+        coupling: range of c, not negative.
+        base_price: d.
+
+    Raises:
+        ValueError: when a range is empty or admits games that are not energy games.
+    """
+
+    def __init__(
+        self,
+        players: int = 5,
+        curvature: tuple[float, float] = (0.5, 2.0),
+        target: tuple[float, float] = (5.0, 35.0),
+        coupling: tuple[float, float] = (0.05, 0.3),
+        base_price: float = 10.0,
+    ) -> None:
+        self.players = require_count("players", players, 2)
+        for name, (low, high) in {"curvature": curvature, "target": target, "coupling": coupling}.items():
+            if not (np.isfinite(low) and np.isfinite(high) and low < high):
+                raise ValueError(f"RandomEnergy needs a finite range low < high for {name}, got {(low, high)!r}")
+        ranges = [curvature] * players + [target] * players + [coupling]
+        self._low, self._high = np.array(ranges, dtype=np.float64).T
+        self.base_price = float(base_price)
+        self._game(self._low)  # the extreme member is refused here, not in the middle of a run
+        self.representative = self._game((self._low + self._high) / 2)
+
+    def draw(self, generators: Sequence[np.random.Generator]) -> Game:
+        """One energy game per generator."""
+        size = self._low.size
+        unit = np.stack([generator.random(size) for generator in generators], axis=-1)
+        return self._game(self._low[:, None] + (self._high - self._low)[:, None] * unit)
+
+    def _game(self, parameters: FloatArray) -> EnergyGame:
+        curvature, target, coupling = np.split(parameters, [self.players, 2 * self.players])
+        return EnergyGame(curvature, target, coupling[0], self.base_price)
