@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ptne_env.arrays import FloatArray
+from ptne_env.arrays import FloatArray, ordered_sum
 
 FLOOR = 1e-12
 """Distances are floored here before their logarithm is taken: twelve digits is all that is counted."""
@@ -33,18 +33,19 @@ def player_distances(estimates: FloatArray, equilibrium: FloatArray) -> FloatArr
 
 def strategy_distance(strategies: FloatArray, equilibrium: FloatArray) -> FloatArray:
     """‖x − x*‖/‖x*‖, the paper's relative error: (n, B) and (n,) to (B,)."""
-    return np.linalg.norm(strategies - equilibrium[:, None], axis=0) / scale(equilibrium)
+    return np.sqrt(ordered_sum((strategies - equilibrium[:, None]) ** 2)) / scale(equilibrium)
 
 
 def estimate_distance(estimates: FloatArray, equilibrium: FloatArray) -> FloatArray:
     """‖𝐱 − 1⊗x*‖/(√N ‖x*‖), what the theorems claim: (n, N, B) and (n,) to (B,)."""
-    return np.sqrt((player_distances(estimates, equilibrium) ** 2).mean(axis=0))
+    return np.sqrt(ordered_sum(player_distances(estimates, equilibrium) ** 2) / estimates.shape[1])
 
 
 def consensus_error(estimates: FloatArray, equilibrium: FloatArray) -> FloatArray:
     """‖𝐱 − 1⊗x̄‖/(√N ‖x*‖) with x̄ the mean of all estimates: (n, N, B) and (n,) to (B,)."""
-    deviations = estimates - estimates.mean(axis=1, keepdims=True)
-    return np.sqrt((deviations**2).sum(axis=0).mean(axis=0)) / scale(equilibrium)
+    players = estimates.shape[1]
+    deviations = estimates - ordered_sum(estimates, axis=1)[:, None] / players
+    return np.sqrt(ordered_sum(ordered_sum(deviations**2)) / players) / scale(equilibrium)
 
 
 def digits(distance: FloatArray) -> FloatArray:

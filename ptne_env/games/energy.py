@@ -7,7 +7,7 @@ from functools import cached_property
 
 import numpy as np
 
-from ptne_env.arrays import FloatArray, frozen
+from ptne_env.arrays import FloatArray, frozen, ordered_sum
 from ptne_env.games.base import Game
 
 
@@ -63,7 +63,7 @@ class EnergyGame(Game):
 
     def costs(self, strategies: FloatArray) -> FloatArray:
         """J_i(x): (N, B) to (N, B)."""
-        price = self.coupling * strategies.sum(axis=0) + self.base_price
+        price = self.coupling * ordered_sum(strategies) + self.base_price
         return self.curvature * (strategies - self.target) ** 2 + price * strategies
 
     def own_gradients(self, estimates: FloatArray) -> FloatArray:
@@ -81,7 +81,7 @@ class EnergyGame(Game):
 
     def best_response(self, strategies: FloatArray) -> FloatArray:
         """(2 a_i b_i − d − c Σ_{j≠i} x_j) / (2 (a_i + c)): (N, B) to (N, B)."""
-        others = strategies.sum(axis=0) - strategies
+        others = ordered_sum(strategies) - strategies
         return -(self._intercept + self.coupling * others) / (2 * (self.curvature + self.coupling))
 
     def _solve_nash_equilibrium(self) -> FloatArray:
