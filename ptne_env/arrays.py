@@ -40,3 +40,8 @@ def frozen(array: npt.ArrayLike) -> FloatArray:
     result = np.array(array, dtype=np.float64)
     result.flags.writeable = False
     return result
+
+
+def ordered_sum(array: FloatArray, axis: int = 0) -> FloatArray:
+    """The sum along ``axis`` in order. Numpy's own depends on the memory layout, and so on the size of the batch."""
+    return np.add.accumulate(array, axis=axis).take(-1, axis=axis)

@@ -33,7 +33,7 @@ class TimeTransformation(ABC):
 
     @abstractmethod
     def time(self, s: npt.ArrayLike) -> FloatArray:
-        """T = λ(s), in seconds."""
+        """t = λ(s), in seconds."""
 
     @abstractmethod
     def derivative(self, s: npt.ArrayLike) -> FloatArray:
@@ -41,7 +41,7 @@ class TimeTransformation(ABC):
 
     @abstractmethod
     def inverse(self, t: npt.ArrayLike) -> FloatArray:
-        """S = λ^{-1}(t) for t < T."""
+        """s = λ^{-1}(t) for t < T."""
 
     def gain(self, t: npt.ArrayLike, constant: float = 0.0) -> FloatArray:
         """g(t) = c + 1/λ'(λ^{-1}(t)) for t < T and c from T on: the prescribed-time gain (eq. PrescribedTimeAlgorithm).

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ptne_env.arrays import FloatArray
+from ptne_env.arrays import FloatArray, ordered_sum
 from ptne_env.games import Game
 
 FLOOR = 1e-12
@@ -27,18 +27,19 @@ def player_distances(estimates: FloatArray, game: Game) -> FloatArray:
 
 def strategy_distance(strategies: FloatArray, game: Game) -> FloatArray:
     """‖x − x*‖/‖x*‖, the paper's relative error: (n, B) to (B,)."""
-    return np.linalg.norm(strategies - game.nash_equilibria, axis=0) / game.equilibrium_scale
+    return np.sqrt(ordered_sum((strategies - game.nash_equilibria) ** 2)) / game.equilibrium_scale
 
 
 def estimate_distance(estimates: FloatArray, game: Game) -> FloatArray:
     """‖𝐱 − 1⊗x*‖/(√N ‖x*‖), what the theorems claim: (n, N, B) to (B,)."""
-    return np.sqrt((player_distances(estimates, game) ** 2).mean(axis=0))
+    return np.sqrt(ordered_sum(player_distances(estimates, game) ** 2) / estimates.shape[1])
 
 
 def consensus_error(estimates: FloatArray, game: Game) -> FloatArray:
     """‖𝐱 − 1⊗x̄‖/(√N ‖x*‖) with x̄ the mean of all estimates: (n, N, B) to (B,)."""
-    deviations = estimates - estimates.mean(axis=1, keepdims=True)
-    return np.sqrt((deviations**2).sum(axis=0).mean(axis=0)) / game.equilibrium_scale
+    players = estimates.shape[1]
+    deviations = estimates - ordered_sum(estimates, axis=1)[:, None] / players
+    return np.sqrt(ordered_sum(ordered_sum(deviations**2)) / players) / game.equilibrium_scale
 
 
 def digits(distance: FloatArray) -> FloatArray:

@@ -213,9 +213,8 @@ class Dynamics:
 
     @staticmethod
     def distance_limit(game: Game) -> FloatArray:
-        """The relative distance charged to a diverged environment, beyond any in range; shape (G,)."""
-        corner = RANGE_LIMIT * np.sqrt(game.dimension) + np.linalg.norm(game.nash_equilibria, axis=0)
-        return corner / game.equilibrium_scale
+        """The relative distance charged to a diverged environment, no less than any in range; shape (G,)."""
+        return (RANGE_LIMIT * np.sqrt(game.dimension) + game.equilibrium_scale) / game.equilibrium_scale
 
     def _complete(self, estimates: FloatArray, game: Game, step: IntArray, diverged: BoolArray) -> State:
         if game.is_affine:

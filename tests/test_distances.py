@@ -66,3 +66,15 @@ def test_twelve_digits_are_all_that_is_counted():
 
 def test_success_is_half_a_percent():
     assert distances.SUCCESS_DISTANCE == 0.005
+
+
+@pytest.mark.parametrize("players", [3, 11, 40])
+def test_batch_agrees_bit_for_bit_with_batches_of_one(players):
+    estimates, equilibrium = world(2, players=players, dimension=players, batch=5)
+    strategies = np.ascontiguousarray(estimates[:, 0])
+    for b in range(5):
+        alone, own = estimates[:, :, b : b + 1].copy(), strategies[:, b : b + 1].copy()
+        for measure in (distances.player_distances, distances.estimate_distance, distances.consensus_error):
+            assert np.array_equal(measure(alone, equilibrium)[..., 0], measure(estimates, equilibrium)[..., b])
+        together = distances.strategy_distance(strategies, equilibrium)[b]
+        assert distances.strategy_distance(own, equilibrium)[0] == together

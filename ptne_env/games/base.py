@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 from scipy import optimize
 
-from ptne_env.arrays import BoolArray, FloatArray, IntArray, frozen, require_count
+from ptne_env.arrays import BoolArray, FloatArray, IntArray, frozen, ordered_sum, require_count
 
 RESIDUAL_TOLERANCE = 1e-10
 """Largest ‖F(x*)‖, relative to 1 + ‖x*‖, with which a computed point is accepted as an equilibrium."""
@@ -144,7 +144,7 @@ class Game(ABC):
     @cached_property
     def equilibrium_scale(self) -> FloatArray:
         """‖x*‖ of every game, by which distances are relative; 1 where x* = 0. Shape (G,), read-only."""
-        norms = np.linalg.norm(self.nash_equilibria, axis=0)
+        norms = np.sqrt(ordered_sum(self.nash_equilibria**2))
         return frozen(np.where(norms == 0, 1.0, norms))
 
     @property

@@ -7,7 +7,7 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 
-from ptne_env.arrays import BoolArray, FloatArray, frozen
+from ptne_env.arrays import BoolArray, FloatArray, frozen, ordered_sum
 from ptne_env.games.base import Game
 
 
@@ -80,7 +80,7 @@ class EnergyGame(Game):
 
     def costs(self, strategies: FloatArray) -> FloatArray:
         """J_i(x): (N, B) to (N, B)."""
-        price = self.coupling * strategies.sum(axis=0) + self.base_price
+        price = self.coupling * ordered_sum(strategies) + self.base_price
         return self.curvature * (strategies - self.target) ** 2 + price * strategies
 
     def own_gradients(self, estimates: FloatArray) -> FloatArray:
@@ -100,7 +100,7 @@ class EnergyGame(Game):
 
     def best_response(self, strategies: FloatArray) -> FloatArray:
         """(2 a_i b_i − d − c Σ_{j≠i} x_j) / (2 (a_i + c)): (N, B) to (N, B)."""
-        others = strategies.sum(axis=0) - strategies
+        others = ordered_sum(strategies) - strategies
         return -(self._intercept + self.coupling * others) / (2 * (self.curvature + self.coupling))
 
     def merged(self, fresh: Game, mask: BoolArray) -> EnergyGame:
@@ -125,5 +125,5 @@ class EnergyGame(Game):
     def _solve_nash_equilibria(self) -> FloatArray:
         """Sherman–Morrison on (diag(2a + c) + c 11ᵀ) x = 2ab − d."""
         free = -self._intercept / self._slope
-        total = free.sum(axis=0) / (1 + self.coupling * (1 / self._slope).sum(axis=0))
+        total = ordered_sum(free) / (1 + self.coupling * ordered_sum(1 / self._slope))
         return free - self.coupling * total / self._slope

@@ -1,0 +1,147 @@
+"""A law acts on what its player can know: scramble the rest of the world and every action stays the same, bit for bit.
+
+Relabelling is the other half: no law prefers a player for its number.
+"""
+
+import numpy as np
+import pytest
+from worlds import energy_scenario, fixed_part, make_env, make_port, play
+
+from ptne_env import Interface, Part, laws
+
+LAWS = {
+    "static": laws.Static,
+    "adaptive": laws.Adaptive,
+    "corollary-one": laws.CorollaryOne,
+    "grounded": laws.Grounded,
+    "null": laws.Null,
+}
+INTERFACES = {
+    "physical": {"kind": "physical"},
+    "local": {"kind": "local"},
+    "gains": {"kind": "physical", "action_mode": "gains"},
+    "local gains": {"kind": "local", "action_mode": "gains"},
+}
+CASES = [(law, interface) for law in LAWS for interface in INTERFACES if "gains" not in interface or law == "static"]
+
+RING = [(0, 1), (1, 2), (2, 3), (3, 4), (4, 0)]
+MODES = [[(0, 1), (2, 3)], [(1, 2), (3, 4)], [(2, 3), (4, 0)], [(3, 4), (0, 1)]]
+CURVATURE = np.array([1.0, 1.3, 0.8, 1.1, 0.9])
+TARGET = np.array([10.0, 15.0, 20.0, 25.0, 30.0])
+
+
+def signal_part(modes, weights):
+    """A signal with these links and a weight for each pair."""
+    graphs = []
+    for edges in modes:
+        adjacency = np.zeros((5, 5))
+        for i, j in edges:
+            adjacency[i, j] = adjacency[j, i] = weights[min(i, j), max(i, j)]
+        graphs.append(Part.of("ptne_env.graphs:Graph", adjacency=adjacency))
+    if len(graphs) == 1:
+        return Part.of("ptne_env.graphs:fixed", graph=graphs[0])
+    return Part.of("ptne_env.graphs:periodic", graphs=graphs, dwells=[0.1] * len(graphs), clock="physical")
+
+
+def scrambled_scenario(player, modes, weights, generator):
+    """Other costs for the others, and other links wherever ``player`` has none; its own links keep their weights."""
+    others = [j for j in range(5) if j != player]
+    strangers = [j for j in others if (min(j, player), max(j, player)) not in {tuple(sorted(edge)) for edge in RING}]
+    swap = dict(zip(strangers, reversed(strangers), strict=True))
+    swapped = [
+        [edge if player in edge else tuple(swap.get(end, end) for end in edge) for edge in edges] for edges in modes
+    ]
+    other_weights = weights * generator.uniform(0.5, 1.5, weights.shape)
+    for j in others:
+        pair = min(j, player), max(j, player)
+        other_weights[pair] = weights[pair]
+    curvature, target = CURVATURE.copy(), TARGET.copy()
+    curvature[others] = generator.uniform(0.5, 2, 4)
+    target[others] = generator.uniform(-30, 30, 4)
+    return energy_scenario(curvature, target, signal_part(swapped, other_weights))
+
+
+@pytest.mark.parametrize("switching", [False, True], ids=["fixed", "switching"])
+@pytest.mark.parametrize(("law", "interface"), CASES)
+@pytest.mark.parametrize("player", range(5))
+def test_scrambling_what_a_player_may_not_see_changes_none_of_its_actions(player, law, interface, switching):
+    generator = np.random.default_rng(player)
+    modes = MODES if switching else [RING]
+    weights = generator.uniform(0.5, 1.5, (5, 5))
+    interface = INTERFACES[interface]
+    world, port = make_port(energy_scenario(CURVATURE, TARGET, signal_part(modes, weights)), **interface)
+    other, other_port = make_port(scrambled_scenario(player, modes, weights, generator), **interface)
+    assert np.abs(other.game.nash_equilibrium - world.game.nash_equilibrium).max() > 1
+    assert not np.array_equal(other.mode_weights, world.mode_weights)
+
+    policy, other_policy = LAWS[law](port.layout), LAWS[law](other_port.layout)
+    memory = other_memory = None
+    state = world.start(generator.uniform(-20, 20, (5, 5, 1)))
+    compared = 0
+    for _ in range(150):
+        visible = [player] + [
+            int(j) for j, weight in zip(world.neighbours[:, player], state.weights[:, player, 0], strict=True) if weight
+        ]
+        estimates = generator.uniform(-20, 20, (5, 5, 1))
+        estimates[:, visible] = state.estimates[:, visible]
+        other_state = other._complete(estimates, state.step, state.diverged)
+
+        observations, other_observations = port.observe(state)[0], other_port.observe(other_state)[0]
+        actions, memory = policy.predict(observations, state=memory)
+        other_actions, other_memory = other_policy.predict(other_observations, state=other_memory)
+        assert np.array_equal(actions[player], other_actions[player])
+        strangers = [j for j in range(5) if j not in visible]
+        compared += not np.array_equal(observations[strangers], other_observations[strangers])
+        state = world.step(state, port.decode(actions[None], state))
+    assert compared == 150  # the worlds did look different to others
+
+
+@pytest.mark.parametrize("kind", ["physical", "local"])
+@pytest.mark.parametrize("law", LAWS)
+def test_law_acts_the_same_whoever_else_is_in_the_batch(law, kind):
+    world, port = make_port(energy_scenario(CURVATURE, TARGET, signal_part([RING], np.ones((5, 5)))), kind=kind)
+    generator = np.random.default_rng(0)
+    policy = LAWS[law](port.layout)
+    memory, alone = None, [None] * 5
+    state = world.start(generator.uniform(-20, 20, (5, 5, 1)))
+    for _ in range(20):
+        observations = port.observe(state)[0]
+        actions, memory = policy.predict(observations, state=memory)
+        for i in range(5):
+            action, alone[i] = policy.predict(observations[i : i + 1], state=alone[i])
+            assert np.array_equal(action[0], actions[i])
+        state = world.step(state, port.decode(actions[None], state))
+
+
+@pytest.mark.parametrize("kind", ["physical", "local"])
+@pytest.mark.parametrize("law", LAWS)
+def test_relabelling_the_players_permutes_the_results(law, kind):
+    adjacency = np.zeros((5, 5))  # a tree with a triangle and unequal weights: no symmetry
+    for (i, j), weight in {(0, 1): 1.0, (1, 2): 0.7, (0, 2): 1.2, (2, 3): 0.9, (3, 4): 1.1}.items():
+        adjacency[i, j] = adjacency[j, i] = weight
+    new = np.array([3, 0, 4, 1, 2])  # player i is called new[i]
+    old = np.argsort(new)
+    generator = np.random.default_rng(0)
+    start = generator.uniform(-20, 20, (5, 5))
+
+    def run(order):
+        scenario = energy_scenario(CURVATURE[order], TARGET[order], fixed_part(adjacency[np.ix_(order, order)]))
+        env = make_env(scenario, interface=kind, action_scale=20.0)
+        return play(env, LAWS[law](env.layout), options={"estimates": start[np.ix_(order, order)]})[0]
+
+    plain, relabelled = run(np.arange(5)), run(old)
+    assert np.abs(relabelled[:, new][:, :, new] - plain).max() <= 1e-6 * np.abs(plain).max()
+    if law != "null":
+        assert np.abs(relabelled - plain).max() > 1  # the labels do matter to the arrays
+
+
+def test_full_information_is_not_to_be_had_from_an_environment():
+    with pytest.raises(ValueError, match="'full' shows what no player can see.*choose 'physical' or 'local'"):
+        make_env("energy", interface="full")
+
+
+def test_layouts_of_players_hold_nothing_of_the_game():
+    _, port = make_port(energy_scenario(CURVATURE, TARGET, signal_part([RING], np.ones((5, 5)))))
+    _, other = make_port(energy_scenario(CURVATURE + 1, TARGET * 2, signal_part([RING], np.ones((5, 5)))))
+    assert port.layout == other.layout
+    assert port.layout.interface == Interface()

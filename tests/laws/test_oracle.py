@@ -1,0 +1,52 @@
+import numpy as np
+import pytest
+from worlds import BLOCKS, make_port
+
+from ptne_env import get_scenario, laws
+from ptne_env.sources import Sources
+
+
+@pytest.mark.parametrize("kind", ["physical", "local"])
+def test_oracle_needs_the_interface_full(kind):
+    with pytest.raises(
+        ValueError, match=f"CentralisedOracle is an oracle and needs the interface 'full', got '{kind}'"
+    ):
+        laws.CentralisedOracle(make_port("energy", kind=kind)[1].layout)
+
+
+@pytest.mark.parametrize("gain", [0.0, -1.0])
+def test_oracle_refuses_a_gain_that_is_not_positive(gain):
+    with pytest.raises(ValueError, match="gradient_gain must be a finite number above 0"):
+        laws.CentralisedOracle(make_port("energy", kind="full")[1].layout, gradient_gain=gain)
+
+
+@pytest.mark.parametrize(
+    "scenario", [get_scenario("energy", start="random"), BLOCKS], ids=lambda scenario: scenario.name
+)
+def test_oracle_is_gradient_descent_on_the_shared_strategies(scenario):
+    dynamics, port = make_port(scenario, kind="full")
+    law = laws.CentralisedOracle(port.layout)
+    state = dynamics.start(dynamics.draw_estimates([Sources.from_seed(1)]))
+    x = dynamics.strategies(state)
+    for k in range(dynamics.clock.steps):
+        actions, _ = law.predict(port.observe(state)[0])
+        state = dynamics.step(state, port.decode(actions[None], state))
+        x = x - dynamics.clock.theta[k] * dynamics.game.pseudo_gradient(x)
+        assert np.abs(state.estimates - x[:, None]).max() <= 4e-6 * np.abs(x).max()
+    assert dynamics.strategies(state)[:, 0] == pytest.approx(dynamics.game.nash_equilibrium, rel=1e-9)
+
+
+def test_oracle_obeys_the_input_limit_of_everybody():
+    dynamics, port = make_port(get_scenario("energy", input_limit=3.0), kind="full")
+    state = dynamics.start(dynamics.draw_estimates([Sources.from_seed(1)]))
+    actions, _ = laws.CentralisedOracle(port.layout).predict(port.observe(state)[0])
+    assert np.abs(actions).max() == 3.0
+
+
+def test_laws_of_players_act_through_the_full_interface_as_through_the_physical_one():
+    dynamics, port = make_port("energy", kind="full")
+    _, plain = make_port("energy")
+    state = dynamics.start(dynamics.draw_estimates([Sources.from_seed(1)]))
+    full, _ = laws.Static(port.layout).predict(port.observe(state)[0])
+    physical, _ = laws.Static(plain.layout).predict(plain.observe(state)[0])
+    assert np.array_equal(full, physical)

@@ -1,0 +1,135 @@
+import numpy as np
+import pytest
+from worlds import BLOCKS, BLOCKS_SWITCHING, loop_matrix, make_env, make_port, play
+
+from ptne_env import Interface, Part, get_scenario, laws
+
+AFFINE = {
+    "energy": get_scenario("energy"),
+    "energy-switching": get_scenario("energy-switching"),
+    "energy-switching-transformed": get_scenario("energy-switching-transformed"),
+    "blocks": BLOCKS,
+    "blocks-switching": BLOCKS_SWITCHING,
+}
+
+
+@pytest.mark.parametrize("hold_steps", [0, 20])
+@pytest.mark.parametrize("kind", ["physical", "local"])
+@pytest.mark.parametrize("name", AFFINE)
+def test_environment_is_the_product_of_the_step_matrices_through_float32(name, kind, hold_steps):
+    env = make_env(AFFINE[name], interface=kind, hold_steps=hold_steps)
+    states, _ = play(env, laws.Static(env.layout, kappa=1.0), seed=5)
+    game, clock, dynamics = env.dynamics.game, env.dynamics.clock, env.dynamics
+    equilibrium = np.tile(game.nash_equilibrium, game.num_players)
+    error = states[0].ravel() - equilibrium
+    largest = np.abs(states).max()
+    assert len(states) == 401 + hold_steps
+    for k in range(clock.total_steps):
+        graph = dynamics.signal.graphs[int(dynamics.modes[k])]
+        error = error - clock.theta[k] * loop_matrix(game, graph.adjacency, 1.0) @ error
+        assert np.abs(states[k + 1].ravel() - equilibrium - error).max() <= 2e-6 * largest
+
+
+def test_readme_example_ends_where_it_says():
+    env = make_env("energy")
+    play(env, laws.Static(env.layout, kappa=2.0), seed=7)
+    error = np.linalg.norm(env.strategies - env.nash_equilibrium) / np.linalg.norm(env.nash_equilibrium)
+    assert error == pytest.approx(6.5e-5, rel=0.05)
+
+
+@pytest.mark.parametrize("kind", ["physical", "local"])
+@pytest.mark.parametrize("name", ["energy", "energy-switching", "non-quadratic", "blocks"])
+def test_gains_at_zero_are_the_static_law_at_kappa_two(name, kind):
+    scenario = BLOCKS if name == "blocks" else name
+    gains = make_env(scenario, interface=kind, action_mode="gains")
+    direct = make_env(scenario)
+
+    class Zero:
+        def predict(self, observation, state=None):
+            return np.zeros((len(observation), 2), dtype=np.float32), state
+
+    through_gains, _ = play(gains, Zero(), seed=3)
+    through_law, _ = play(gains, laws.Static(gains.layout, kappa=2.0), seed=3)
+    through_input, _ = play(direct, laws.Static(direct.layout, kappa=2.0), seed=3)
+    assert np.array_equal(through_gains, through_law)
+    assert np.abs(through_gains - through_input).max() <= 2e-6 * np.abs(through_input).max()
+
+
+@pytest.mark.parametrize(("kappa", "gradient_gain"), [(4.0, 0.5), (0.25, 8.0), (16.0, 0.125), (3.0, 1.5)])
+def test_static_law_through_gains_is_the_static_law(kappa, gradient_gain):
+    env = make_env("energy", action_mode="gains", steps=2000)
+    direct = make_env("energy", steps=2000)
+    through_gains, _ = play(env, laws.Static(env.layout, kappa, gradient_gain))
+    through_input, _ = play(direct, laws.Static(direct.layout, kappa, gradient_gain))
+    assert np.abs(through_gains - through_input).max() <= 2e-6 * np.abs(through_input).max()
+
+
+@pytest.mark.parametrize(("kappa", "gradient_gain"), [(0.2, 1.0), (17.0, 1.0), (2.0, 9.0), (2.0, 0.1), (0.0, 1.0)])
+def test_gains_out_of_reach_are_refused_with_the_reach(kappa, gradient_gain):
+    layout = make_port("energy", action_mode="gains")[1].layout
+    with pytest.raises(ValueError, match=r"gradient gains in \[1/8, 8\] and kappa in \[1/4, 16\]"):
+        laws.Static(layout, kappa, gradient_gain)
+
+
+def test_gradient_gain_is_the_law_for_scaled_costs():
+    env = make_env("energy")
+    doubled = Part.of("ptne_env.games:EnergyGame", curvature=2.0, coupling=0.2, base_price=20.0)
+    scaled = make_env("energy", game=doubled)
+    plain, _ = play(env, laws.Static(env.layout, kappa=2.0, gradient_gain=2.0))
+    other, _ = play(scaled, laws.Static(scaled.layout, kappa=2.0))
+    assert np.abs(plain - other).max() <= 2e-6 * np.abs(plain).max()
+
+
+def test_kappa_zero_is_gradient_play_without_talking():
+    env = make_env("energy", steps=10)
+    states, _ = play(env, laws.Static(env.layout, kappa=0.0))
+    off_diagonal = ~np.eye(5, dtype=bool)
+    assert np.all(states[:, off_diagonal] == states[0, off_diagonal])
+    assert np.all(states[-1].diagonal() != states[0].diagonal())
+
+
+@pytest.mark.parametrize("kappa", [-1.0, float("nan"), float("inf")])
+@pytest.mark.parametrize("law", [laws.Static, laws.CorollaryOne, laws.Grounded])
+def test_negative_or_infinite_kappa_is_refused(law, kappa):
+    layout = make_port("energy")[1].layout
+    with pytest.raises(ValueError, match="kappa must be a finite number of at least 0"):
+        law(layout, kappa=kappa)
+
+
+@pytest.mark.parametrize("gain", [0.0, -1.0, float("nan")])
+def test_gradient_gain_must_be_positive(gain):
+    with pytest.raises(ValueError, match="gradient_gain must be a finite number above 0"):
+        laws.Static(make_port("energy")[1].layout, gradient_gain=gain)
+
+
+@pytest.mark.parametrize("law", [laws.Adaptive, laws.CorollaryOne, laws.Grounded, laws.Null])
+def test_laws_that_cannot_act_through_gains_say_so(law):
+    layout = make_port("energy", action_mode="gains")[1].layout
+    with pytest.raises(ValueError, match=f"{law.__name__} needs action_mode='input', this layout has 'gains'"):
+        law(layout)
+
+
+@pytest.mark.parametrize("kind", ["physical", "local"])
+def test_corollary_one_asks_for_the_static_input_over_the_gain_of_time(kind):
+    dynamics, port = make_port("energy", **vars(Interface(kind, action_scale=100.0)))
+    state = dynamics.start(np.random.default_rng(0).uniform(-20, 20, (5, 5, 1)))
+    for _ in range(200):
+        state = dynamics.step(state, np.zeros_like(state.estimates))
+    k = int(state.step[0])
+    observation = port.observe(state)[0]
+    static = port.decode(laws.Static(port.layout, kappa=3.0).predict(observation)[0][None], state)
+    slow = port.decode(laws.CorollaryOne(port.layout, kappa=3.0).predict(observation)[0][None], state)
+    assert slow == pytest.approx(static * dynamics.clock.dt[k] / dynamics.clock.theta[k], rel=1e-5, abs=1e-6)
+
+
+def test_corollary_one_moves_as_if_there_were_no_gain_of_time():
+    env = make_env("energy")
+    clock = env.dynamics.clock
+    states, _ = play(env, laws.CorollaryOne(env.layout, kappa=10.0))
+    game = env.dynamics.game
+    matrix = loop_matrix(game, env.dynamics.signal.graphs[0].adjacency, 10.0)
+    equilibrium = np.tile(game.nash_equilibrium, 5)
+    error = states[0].ravel() - equilibrium
+    for k in range(400):
+        error = error - clock.dt[k] * matrix @ error
+    assert np.abs(states[-1].ravel() - equilibrium - error).max() <= 2e-6 * np.abs(states).max()

@@ -1,0 +1,253 @@
+"""The documents say what is true: their code runs, their links lead somewhere, their names and numbers exist."""
+
+import ast
+import dataclasses
+import importlib
+import inspect
+import itertools
+import json
+import math
+import re
+import runpy
+import subprocess
+import sys
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+from matplotlib import image
+
+import ptne_env
+from ptne_env.rewards import TERMS
+from ptne_env.scenario import CATALOGUE, Scenario
+
+ROOT = Path(__file__).parents[1]
+PACKAGE = ROOT / "ptne_env"
+DOCUMENTS = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+BLOCK = re.compile(r"^```(\w*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
+
+
+def blocks(document, language):
+    return [body for kind, body in BLOCK.findall(document.read_text(encoding="utf-8")) if kind == language]
+
+
+def prose(document):
+    """The text without its code blocks."""
+    return BLOCK.sub("", document.read_text(encoding="utf-8"))
+
+
+def table(document, header):
+    """The rows of the table whose header starts with ``header``, each a list of cells."""
+    lines = iter(prose(document).splitlines())
+    for line in lines:
+        if line.startswith(f"| {header} |"):
+            next(lines)
+            rows = itertools.takewhile(lambda row: row.startswith("|"), lines)
+            return [[cell.strip() for cell in row.strip("|").split("|")] for row in rows]
+    raise AssertionError(f"{document.name} has no table that starts with {header!r}")
+
+
+def run(code, folder):
+    """Run a program in a fresh interpreter in which every warning is an error."""
+    command = [sys.executable, "-W", "error", "-X", "utf8", "-c", code]
+    done = subprocess.run(command, cwd=folder, capture_output=True, text=True, encoding="utf-8", check=False)  # noqa: S603
+    assert done.returncode == 0, done.stderr
+    assert done.stderr == ""
+    return done.stdout
+
+
+PYTHON = [
+    pytest.param(code, id=f"{document.stem}-{index}")
+    for document in DOCUMENTS
+    for index, code in enumerate(blocks(document, "python"))
+]
+
+
+@pytest.mark.parametrize("code", PYTHON)
+def test_code_runs_as_printed_without_a_warning(code, tmp_path):
+    run(code, tmp_path)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_the_readme_has_the_loop_and_it_prints_the_promised_distance(tmp_path):
+    loop = blocks(ROOT / "README.md", "python")[0]
+    assert "laws.Static(env.layout, kappa=2.0)" in loop
+    assert float(run(loop, tmp_path)) == pytest.approx(6.5e-5, rel=0.01)
+
+
+@pytest.mark.parametrize("document", DOCUMENTS, ids=lambda document: document.stem)
+def test_relative_links_lead_to_a_file(document):
+    links = re.findall(r"\]\(([^)#\s]+)[^)]*\)", prose(document))
+    missing = [link for link in links if "://" not in link and not (document.parent / link).exists()]
+    assert missing == []
+
+
+@cache
+def functions_by_file():
+    """The names of all test functions, by file relative to the project's folder."""
+    result = {}
+    for path in (ROOT / "tests").rglob("*.py"):
+        nodes = ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        names = {node.name for node in nodes if isinstance(node, ast.FunctionDef) and node.name.startswith("test_")}
+        result[path.relative_to(ROOT).as_posix()] = names
+    return result
+
+
+@pytest.mark.parametrize("document", DOCUMENTS, ids=lambda document: document.stem)
+def test_named_tests_exist(document):
+    everything = set().union(*functions_by_file().values())
+    text = prose(document)
+    wrong = [
+        f"{file}::{name}"
+        for file, name in re.findall(r"(tests/[\w/]+\.py)::(\w+)", text)
+        if name not in functions_by_file().get(file, ())
+    ]
+    wrong += [name for name in re.findall(r"\b(test_\w+)\b(?!\.py)", text) if name not in everything]
+    assert wrong == []
+
+
+def exists(file, name):
+    """Whether ``file`` (of the project or the package) exists and, if it is given, ``name`` is in that module."""
+    if (ROOT / file).is_file() and not name:
+        return True
+    path = PACKAGE / file.removeprefix("ptne_env/")
+    if not path.is_file():
+        return False
+    if not name:
+        return True
+    owner = importlib.import_module(".".join(path.relative_to(ROOT).with_suffix("").parts))
+    *parents, last = name.split(".")
+    for parent in parents:
+        owner = getattr(owner, parent, None)
+    fields = {field.name for field in dataclasses.fields(owner)} if dataclasses.is_dataclass(owner) else set()
+    return hasattr(owner, last) or last in fields
+
+
+def test_files_and_objects_named_in_the_paper_map_exist():
+    text = prose(ROOT / "docs" / "paper-map.md")
+    named = [found for found in re.findall(r"`((?:\w+/)*\w+\.py)(?:::([\w.]+))?`", text) if "tests/" not in found[0]]
+    assert len(named) > 40
+    assert [f"{file}::{name}" for file, name in named if not exists(file, name)] == []
+
+
+def test_paper_map_has_every_equation_theorem_and_figure_of_the_paper():
+    rows = [line for line in prose(ROOT / "docs" / "paper-map.md").splitlines() if line.startswith("|")]
+    items = " ".join(row.split("|")[1] for row in rows)
+    numbers = set()
+    for first, last in re.findall(r"\((\d+)[a-c]?\)(?:–\((\d+)[a-c]?\))?", items):
+        numbers |= set(range(int(first), int(last or first) + 1))
+    assert numbers == set(range(1, 52))
+    counts = {"Definition": 1, "Assumption": 4, "Lemma": 1, "Proposition": 1, "Theorem": 4, "Corollary": 1, "Remark": 6}
+    counts |= {"Problem": 1, "Example": 2, "Table": 1, "Fig.": 10}
+    assert [
+        f"{kind} {k}"
+        for kind in counts
+        for k in range(1, counts[kind] + 1)
+        if f" {kind} {k} " not in f"{items} ".replace(",", " ")
+    ] == []
+
+
+def test_architecture_names_every_module():
+    text = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
+    modules = {path.name for path in PACKAGE.rglob("*.py")} - {"__init__.py", "_version.py"}
+    assert sorted(name for name in modules if name not in text and not name.endswith("_v0.py")) == []
+
+
+@pytest.mark.parametrize("kind", ["physical", "local"])
+def test_observation_table_is_the_layout(kind):
+    rows = table(ROOT / "docs" / "environment.md", "Slice")
+    column = {"physical": 2, "local": 3}[kind]
+    told = {row[0].strip("`"): row[column] for row in rows if row[column] != "–"}
+    for scenario in CATALOGUE:
+        slices = ptne_env.parallel_env(scenario, interface=kind).layout.slices
+        assert told == {name: f"{part.start}:{part.stop}" for name, part in slices.items()}
+
+
+def test_shapes_told_are_those_of_the_spaces():
+    facts = {row[0]: row[1] for row in table(ROOT / "docs" / "environment.md", "Property")}
+    physical, local, gains = (
+        ptne_env.parallel_env("energy", **arguments)
+        for arguments in ({}, {"interface": "local"}, {"action_mode": "gains"})
+    )
+    shapes = [env.observation_space("player_0").shape for env in (physical, local)]
+    assert re.findall(r"\(\d+,\)", facts["Observation shape and values"]) == [str(shape) for shape in shapes]
+    shapes = [env.action_space("player_0").shape for env in (physical, gains)]
+    assert re.findall(r"\(\d+,\)", facts["Action shape and values"]) == [str(shape) for shape in shapes]
+    assert re.findall(r"\(\d+,\)", facts["State shape"]) == [str(physical.state_space.shape)]
+
+
+def test_scenario_table_is_the_catalogue():
+    rows = table(ROOT / "docs" / "environment.md", "Scenario")
+    assert [row[0].strip("`") for row in rows] == list(CATALOGUE)
+    for row in rows:
+        module = importlib.import_module(f"ptne_env.{row[1].strip('`')}")
+        assert module.parallel_env().scenario == CATALOGUE[row[0].strip("`")]
+
+
+def test_argument_tables_are_the_signatures():
+    document = ROOT / "docs" / "environment.md"
+    told = {row[0].strip("`"): row[1].strip("`") for row in table(document, "Argument")}
+    parameters = inspect.signature(ptne_env.parallel_env).parameters.values()
+    assert told == {p.name: repr(p.default).replace("'", '"') for p in parameters if p.kind is not p.VAR_KEYWORD}
+    told = {row[0].strip("`"): row[1].strip("`") for row in table(document, "Field")}
+    fields = {field.name: field.default for field in dataclasses.fields(Scenario)}
+    assert list(told) == list(fields)
+    for name, default in fields.items():
+        if default is dataclasses.MISSING:
+            assert told[name] == "the scenario's"
+        elif name != "transformation":
+            assert json.loads(told[name]) == default
+    assert (
+        Scenario.from_dict(CATALOGUE["energy"].to_dict()).replace(transformation="exponential") == CATALOGUE["energy"]
+    )
+
+
+def test_reward_and_info_tables_are_complete():
+    document = ROOT / "docs" / "environment.md"
+    assert [row[0].split("`")[1] for row in table(document, "Term")] == list(TERMS)
+    env = ptne_env.parallel_env("energy", steps=400, max_cycles=1)
+    env.reset(seed=0)
+    *_, infos = env.step({agent: np.zeros(5, dtype=np.float32) for agent in env.agents})
+    assert {row[0].strip("`") for row in table(document, "Key of an agent's info")} == set(infos["player_0"])
+
+
+def test_the_comparison_in_the_readme_is_what_its_command_prints(tmp_path):
+    # To renew it, paste the output of the command; the last column of the second table is the machine's.
+    assert "Printed by `ptne compare --scenario energy`" in prose(ROOT / "README.md")
+    told = blocks(ROOT / "README.md", "text")[0]
+    printed = run(
+        "from ptne_env.cli import main; import sys; sys.argv[1:] = ['compare', '--scenario', 'energy']; main()",
+        tmp_path,
+    )
+    expected, found = _words(printed), _words(told)
+    assert len(found) == len(expected)
+    for ours, theirs in zip(found, expected, strict=True):
+        assert _agree(ours, theirs), (ours, theirs)
+
+
+def _words(text):
+    """The words of a comparison without the rules and without the last column of the second table."""
+    words, costs = [], False
+    for line in text.splitlines():
+        costs = costs or "at what cost" in line
+        row = [word for word in line.split() if not set(word) <= {"─"}]
+        timed = costs and len(row) >= 8 and not row[0].startswith("[") and "policy" not in row
+        words += row[:-1] if timed else row
+    return words
+
+
+def _agree(ours, theirs):
+    try:
+        a, b = (float(word.strip("[],")) for word in (ours, theirs))
+    except ValueError:
+        return ours == theirs
+    return math.isclose(a, b, rel_tol=0.02, abs_tol=1e-12)  # below twelve digits all is rounding
+
+
+def test_the_picture_of_a_run_can_be_made_again(tmp_path):
+    script = runpy.run_path(str(ROOT / "docs" / "make_pictures.py"))
+    script["draw_run"](tmp_path / "run.png")
+    ours, shipped = image.imread(tmp_path / "run.png"), image.imread(ROOT / "docs" / "images" / "run.png")
+    assert ours.shape == shipped.shape
+    assert np.abs(ours - shipped).mean() < 0.05  # fonts differ between machines, curves do not

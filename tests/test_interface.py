@@ -1,0 +1,367 @@
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from test_dynamics import large_energy_scenario
+from worlds import BLOCKS, BLOCKS_SWITCHING, make_port
+
+from ptne_env import CATALOGUE, Interface, get_scenario
+from ptne_env.dynamics import RANGE_LIMIT
+from ptne_env.interface import CONSENSUS_GAIN, OBSERVATION_BOUND
+from ptne_env.sources import Sources
+
+KINDS = ["physical", "local", "full"]
+WORLDS = {
+    **{name: get_scenario(name, start="random") for name in CATALOGUE},
+    "blocks": BLOCKS,
+    "blocks-switching": BLOCKS_SWITCHING,
+}
+
+
+def wander(dynamics, steps=37, batch=2, seed=0):
+    """A state somewhere along the way."""
+    generator = np.random.default_rng(seed)
+    state = dynamics.start(dynamics.draw_estimates([Sources.from_seed(seed + b) for b in range(batch)]))
+    for _ in range(steps):
+        state = dynamics.step(state, 0.1 * generator.normal(size=state.estimates.shape))
+    return state
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("name", WORLDS)
+def test_named_slices_cover_the_observation_without_gaps(name, kind):
+    _, port = make_port(WORLDS[name], kind=kind)
+    parts = list(port.layout.slices.values())
+    assert parts[0].start == 0
+    assert all(part.stop == following.start for part, following in pairwise(parts))
+    assert parts[-1].stop == port.layout.size == port.observation_space().shape[0]
+    assert all(part.stop > part.start for part in parts)
+
+
+@pytest.mark.parametrize("name", WORLDS)
+def test_physical_observation_holds_what_the_table_says(name):
+    dynamics, port = make_port(WORLDS[name])
+    state, layout, game = wander(dynamics), port.layout, dynamics.game
+    observations = port.observe(state)
+    clock, k = dynamics.clock, int(state.step[0])
+    for b in range(2):
+        adjacency = dynamics.signal.graphs[int(state.mode[b])].adjacency
+        for i in range(game.num_players):
+            estimate = state.estimates[:, i, b]
+            own = game.owners == i
+            gradient = np.zeros(max(game.action_dims))
+            gradient[: own.sum()] = state.own_gradients[own, b]
+            neighbours = [j for j in range(game.num_players) if dynamics.signal.union.adjacency[i, j] > 0]
+            relative = np.zeros((layout.slots, game.dimension))
+            weights = np.zeros(layout.slots)
+            for slot, j in enumerate(neighbours):
+                weights[slot] = adjacency[i, j]
+                relative[slot] = (state.estimates[:, j, b] - estimate) * (adjacency[i, j] > 0)
+            one_hot = np.eye(game.num_players)[i]
+            time = [clock.t[k] / clock.deadline, clock.s[k], clock.theta[k], clock.dt[k] / clock.deadline]
+            expected = [gradient, estimate, relative.ravel(), weights, time, [dynamics.time_since_switch[k]], one_hot]
+            assert np.array_equal(observations[b, i], np.concatenate(expected).astype(np.float32))
+
+
+@pytest.mark.parametrize("name", WORLDS)
+def test_local_observation_is_scaled_and_in_ego_order(name):
+    dynamics, port = make_port(WORLDS[name], kind="local")
+    state, layout, game = wander(dynamics), port.layout, dynamics.game
+    n = game.dimension
+    observations = port.observe(state)
+    assert "own_estimate" not in layout.slices
+    for i in range(game.num_players):
+        own = game.owners == i
+        gradient = state.own_gradients[own, 0]
+        scale = max(np.abs(gradient).max(), np.abs(state.relative_estimates[:, :, i, 0]).max())
+        row = observations[0, i]
+        padded = np.zeros(max(game.action_dims))
+        padded[: own.sum()] = gradient / scale
+        assert layout.select(row, "own_gradient") == pytest.approx(padded, rel=1e-6)
+        assert layout.select(row, "log_scale")[0] == pytest.approx(np.log10(scale), rel=1e-6)
+        first = int(np.flatnonzero(own)[0])
+        cyclic = [(first + c) % n for c in range(n)]
+        for slot in range(layout.slots):
+            seen = layout.select(row, "relative_estimates").reshape(layout.slots, n)[slot]
+            assert seen == pytest.approx(state.relative_estimates[slot, cyclic, i, 0] / scale, rel=1e-6, abs=1e-30)
+        assert np.abs(layout.select(row, "relative_estimates")).max() <= 1
+
+
+@pytest.mark.parametrize("factor", [1e-9, 1e-3, 1e3])
+def test_local_observation_of_a_scaled_error_differs_in_its_scale_alone(factor):
+    dynamics, port = make_port("energy", kind="local")
+    equilibrium = dynamics.game.nash_equilibrium[:, None, None]
+    error = np.random.default_rng(0).integers(-8, 8, (5, 5, 1)) / 8
+    near, far = (port.observe(dynamics.start(equilibrium + scale * error))[0] for scale in (1.0, factor))
+    part = port.layout.slices["log_scale"]
+    assert (far - near)[:, part] == pytest.approx(np.full((5, 1), np.log10(factor)), abs=2e-6)
+    rest = np.ones(port.layout.size, dtype=bool)
+    rest[part] = False
+    assert far[:, rest] == pytest.approx(near[:, rest], abs=1e-5)
+
+
+def test_player_at_rest_observes_the_smallest_scale():
+    dynamics, port = make_port(BLOCKS, kind="local")
+    at_rest = np.repeat(np.zeros((6, 1)), 3, axis=1)[:, :, None]
+    state = dynamics.start(at_rest)._replace(own_gradients=np.zeros((6, 1)))
+    observations = port.observe(state)
+    assert port.layout.select(observations, "log_scale") == pytest.approx(np.full((1, 3, 1), -30.0))
+    assert port.observation_space().contains(observations[0, 0])
+
+
+@pytest.mark.parametrize("name", WORLDS)
+def test_oracle_sees_the_real_strategies_and_the_pseudo_gradient_besides(name):
+    dynamics, port = make_port(WORLDS[name], kind="full")
+    state, layout = wander(dynamics), port.layout
+    observations = port.observe(state)
+    plain = make_port(WORLDS[name])[1].observe(state)
+    assert np.array_equal(observations[:, :, : plain.shape[2]], plain)
+    strategies = dynamics.strategies(state)
+    for i in range(layout.num_players):
+        relative = (strategies - state.estimates[:, i]).T.astype(np.float32)
+        assert np.array_equal(layout.select(observations, "relative_strategies")[:, i], relative)
+        gradient = dynamics.game.pseudo_gradient(strategies).T.astype(np.float32)
+        assert np.array_equal(layout.select(observations, "pseudo_gradient")[:, i], gradient)
+
+
+@pytest.mark.parametrize("name", WORLDS)
+def test_neighbour_estimates_are_those_of_the_neighbours_and_a_dead_link_repeats_the_own(name):
+    dynamics, port = make_port(WORLDS[name])
+    state = wander(dynamics)
+    seen = port.layout.neighbour_estimates(port.observe(state))
+    assert seen.dtype == np.float64
+    for i in range(port.layout.num_players):
+        for slot, j in enumerate(port.layout.neighbours[i]):
+            for b in range(2):
+                alive = dynamics.signal.graphs[int(state.mode[b])].adjacency[i, j] > 0
+                expected = state.estimates[:, j if alive else i, b]
+                assert seen[b, i, slot] == pytest.approx(expected, rel=2e-7, abs=4e-6)
+
+
+def test_neighbour_estimates_need_the_own_estimate():
+    dynamics, port = make_port("energy", kind="local")
+    with pytest.raises(ValueError, match="'local' layout has no 'own_estimate'; it has own_gradient, "):
+        port.layout.neighbour_estimates(port.observe(wander(dynamics)))
+
+
+@pytest.mark.parametrize("name", ["energy-switching", "energy-switching-transformed", "blocks-switching"])
+def test_link_that_goes_down_keeps_its_slot_with_weight_and_difference_zero(name):
+    dynamics, port = make_port(WORLDS[name])
+    layout, state = port.layout, wander(dynamics, steps=0)
+    down = up = 0
+    for _ in range(dynamics.clock.steps):
+        observation = port.observe(state)[0]
+        weights = layout.select(observation, "weights")
+        relative = layout.select(observation, "relative_estimates").reshape(*weights.shape, -1)
+        assert not relative[weights == 0].any()
+        assert np.all(np.any(relative[weights > 0], axis=-1))
+        down, up = down + (weights == 0).sum(), up + (weights > 0).sum()
+        state = dynamics.step(state, np.zeros_like(state.estimates))
+    assert down > 0
+    assert up > 0
+
+
+def test_differences_are_taken_before_the_cast_to_float32():
+    dynamics, port = make_port("energy")
+    estimates = np.full((5, 5, 1), 12345.678)
+    estimates[2, 1] += 1e-9
+    observation = port.observe(dynamics.start(estimates))[0]
+    seen = port.layout.select(observation[0], "relative_estimates").reshape(2, 5)
+    assert seen[0, 2] == pytest.approx(1e-9, rel=1e-2)  # 12345.678 + 1e-9 has that much rounding in float64
+    assert np.count_nonzero(seen) == 1
+
+
+def test_terminal_observation_has_no_step_left():
+    dynamics, port = make_port(get_scenario("energy", steps=5, hold_steps=3))
+    clock = port.layout.select(port.observe(wander(dynamics, steps=8)), "clock")[0, 0]
+    assert clock[2:].tolist() == [0, 0]
+    assert clock[0] == pytest.approx(dynamics.clock.t[-1] / 1.2)
+    assert clock[1] == 8.0
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("name", WORLDS)
+def test_space_contains_every_observation_also_at_the_edge_of_the_range(name, kind):
+    dynamics, port = make_port(WORLDS[name], kind=kind)
+    space, players, n = port.observation_space(), port.layout.num_players, port.layout.dimension
+    shape = (n, players, 1)
+    corners = np.random.default_rng(0).choice([-RANGE_LIMIT, RANGE_LIMIT], shape)
+    states = [dynamics.start(corners), dynamics.start(np.zeros(shape)), wander(dynamics), wander(dynamics, steps=400)]
+    crashed = dynamics.step(states[1], np.full(shape, 1e9))
+    assert crashed.diverged.all()
+    for state in [*states, crashed]:
+        observations = port.observe(state)
+        assert observations.dtype == np.float32
+        for row in observations.reshape(-1, port.layout.size):
+            assert space.contains(row)
+
+
+def test_entries_with_units_are_bounded_by_a_million():
+    _, port = make_port("energy")
+    space, layout = port.observation_space(), port.layout
+    for name in ("own_gradient", "own_estimate", "relative_estimates"):
+        assert np.all(layout.select(space.high, name) == OBSERVATION_BOUND)
+        assert np.all(layout.select(space.low, name) == -OBSERVATION_BOUND)
+    assert space.dtype == port.action_space().dtype == np.float32
+    assert np.all(space.low < space.high)
+    assert OBSERVATION_BOUND == 1e6
+
+
+# --- actions ----------------------------------------------------------------------------------------------------------
+
+
+def test_physical_action_is_the_input_clipped_to_the_limit():
+    dynamics, port = make_port(get_scenario("energy", input_limit=7.0))
+    state = wander(dynamics)
+    actions = np.random.default_rng(0).uniform(-10, 10, (2, 5, 5)).astype(np.float32)
+    inputs = port.decode(actions, state)
+    for b in range(2):
+        for i in range(5):
+            assert np.array_equal(inputs[:, i, b], np.clip(actions[b, i], -7.0, 7.0))
+    assert np.array_equal(port.clipped(actions), (np.abs(actions) > 7).sum(axis=2))
+    assert port.action_space().high.tolist() == [7.0] * 5
+
+
+@pytest.mark.parametrize("name", ["energy", "blocks", "blocks-switching"])
+def test_local_action_is_in_units_of_the_scale_and_in_ego_order(name):
+    dynamics, port = make_port(get_scenario(WORLDS[name], input_limit=30.0), kind="local", action_scale=4.0)
+    state, game, n = wander(dynamics), dynamics.game, port.layout.dimension
+    actions = np.random.default_rng(0).uniform(-1.5, 1.5, (2, game.num_players, n)).astype(np.float32)
+    inputs = port.decode(actions, state)
+    scale = 10.0 ** port.layout.select(port.observe(state), "log_scale")[..., 0].astype(np.float64)
+    saturated = 0
+    for b in range(2):
+        for i in range(game.num_players):
+            for place in range(n):
+                component = (int(game.offsets[i]) + place) % n
+                wanted = np.clip(actions[b, i, place], -1, 1) * 4.0 * scale[b, i]
+                saturated += abs(wanted) > 30
+                assert inputs[component, i, b] == pytest.approx(np.clip(wanted, -30, 30), rel=2e-5)
+    assert saturated > 0
+    assert np.array_equal(port.clipped(actions), (np.abs(actions) > 1).sum(axis=2))
+    assert port.action_space().high.tolist() == [1.0] * n
+
+
+@pytest.mark.parametrize("kind", ["physical", "local"])
+@pytest.mark.parametrize("name", ["energy", "energy-switching", "blocks"])
+def test_gains_weigh_gradient_and_consensus(name, kind):
+    dynamics, port = make_port(WORLDS[name], kind=kind, action_mode="gains")
+    state, game = wander(dynamics), dynamics.game
+    actions = np.random.default_rng(0).uniform(-1, 1, (2, game.num_players, 2)).astype(np.float32)
+    inputs = port.decode(actions, state)
+    assert port.layout.action_size == 2
+    for b in range(2):
+        adjacency = dynamics.signal.graphs[int(state.mode[b])].adjacency
+        for i in range(game.num_players):
+            first, second = (2.0 ** (3.0 * float(a)) for a in actions[b, i])
+            expected = np.zeros(game.dimension)
+            expected[game.owners == i] = -first * state.own_gradients[game.owners == i, b]
+            for j in range(game.num_players):
+                expected -= 2.0 * second * adjacency[i, j] * (state.estimates[:, i, b] - state.estimates[:, j, b])
+            assert inputs[:, i, b] == pytest.approx(expected, rel=1e-12, abs=1e-12)
+    assert CONSENSUS_GAIN == 2.0
+
+
+@pytest.mark.parametrize("value", [0.0, 1.0, -1.0])
+def test_gains_actions_are_clipped_to_their_box(value):
+    dynamics, port = make_port("energy", action_mode="gains")
+    state = wander(dynamics)
+    inside = np.full((2, 5, 2), value, dtype=np.float32)
+    outside = inside * 3
+    assert np.array_equal(port.decode(inside, state), port.decode(outside, state))
+    assert port.clipped(outside).tolist() == [[2 * (value != 0)] * 5] * 2
+
+
+def test_double_precision_action_counts_as_the_float32_that_the_space_declares():
+    dynamics, port = make_port("energy")
+    state = wander(dynamics)
+    actions = np.random.default_rng(0).uniform(-10, 10, (2, 5, 5))
+    assert np.array_equal(port.decode(actions, state), port.decode(actions.astype(np.float32), state))
+
+
+def test_input_limit_that_float32_cannot_hold_is_never_exceeded():
+    dynamics, port = make_port(get_scenario("energy", input_limit=0.1))
+    state = wander(dynamics)
+    assert np.abs(port.decode(np.full((2, 5, 5), 9.0, dtype=np.float32), state)).max() <= 0.1
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("action_mode", ["input", "gains"])
+@pytest.mark.parametrize("name", [*WORLDS, "large"])
+def test_batch_agrees_bit_for_bit_with_batches_of_one(name, action_mode, kind):
+    scenario = large_energy_scenario() if name == "large" else WORLDS[name]
+    dynamics, port = make_port(scenario, kind=kind, action_mode=action_mode)
+    batch, bound = 7, 1.5 * port.layout.action_bound
+    estimates = dynamics.draw_estimates([Sources.from_seed(seed) for seed in range(batch)])
+    together = dynamics.start(estimates)
+    alone = [dynamics.start(estimates[:, :, b : b + 1]) for b in range(batch)]
+    generator = np.random.default_rng(0)
+    for _ in range(12):
+        actions = generator.uniform(-bound, bound, (batch, port.layout.num_players, port.layout.action_size))
+        actions = actions.astype(np.float32)
+        observations, inputs, clipped = port.observe(together), port.decode(actions, together), port.clipped(actions)
+        together = dynamics.step(together, inputs)
+        for b in range(batch):
+            part = actions[b : b + 1]
+            assert np.array_equal(port.observe(alone[b])[0], observations[b])
+            assert np.array_equal(port.clipped(part)[0], clipped[b])
+            own = port.decode(part, alone[b])
+            assert np.array_equal(own[..., 0], inputs[..., b])
+            alone[b] = dynamics.step(alone[b], own)
+
+
+def test_observations_are_owned_by_the_caller():
+    dynamics, port = make_port("energy")
+    state = wander(dynamics)
+    first = port.observe(state)
+    kept = first.copy()
+    first[:] = 99
+    assert np.array_equal(port.observe(state), kept)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"kind": "global"}, "unknown interface 'global'; choose from physical, local, full"),
+        ({"action_mode": "torque"}, "unknown action mode 'torque'; choose from input, gains"),
+        ({"action_scale": 0.0}, "action_scale must be a finite number above 0"),
+        ({"action_scale": float("nan")}, "action_scale"),
+    ],
+)
+def test_unknown_interfaces_are_refused(arguments, message):
+    with pytest.raises(ValueError, match=message):
+        Interface(**arguments)
+
+
+def test_observations_of_another_layout_are_refused_with_both_sizes():
+    layout = make_port("energy")[1].layout
+    with pytest.raises(ValueError, match=rf"length {layout.size} .*5 players, 2 neighbour slots.*\(1, 7\)"):
+        layout.read(np.zeros((1, 7), dtype=np.float32))
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("name", ["energy-switching", "blocks"])
+def test_reading_restores_natural_units_and_player_order(name, kind):
+    dynamics, port = make_port(WORLDS[name], kind=kind)
+    state, game, layout = wander(dynamics), dynamics.game, port.layout
+    reading = layout.read(port.observe(state)[1])
+    assert reading.player.tolist() == list(range(layout.num_players))
+    for i in range(layout.num_players):
+        gradient = np.where(game.owners == i, state.own_gradients[:, 1], 0)
+        assert reading.gradient[i] * reading.unit[i] == pytest.approx(gradient, rel=3e-6)
+        relative = state.relative_estimates[:, :, i, 1]
+        assert reading.relative_estimates[i] * reading.unit[i] == pytest.approx(relative, rel=3e-6, abs=1e-12)
+        assert np.array_equal(reading.weights[i], state.weights[:, i, -1])
+    k = int(state.step[1])
+    assert reading.theta[:, 0] == pytest.approx(np.full(layout.num_players, dynamics.clock.theta[k]), rel=1e-7)
+    assert reading.dt[:, 0] == pytest.approx(np.full(layout.num_players, dynamics.clock.dt[k]), rel=2e-7)
+
+
+@pytest.mark.parametrize("kind", ["physical", "local"])
+def test_written_inputs_are_the_inputs_that_arrive(kind):
+    dynamics, port = make_port(BLOCKS, kind=kind)
+    state = wander(dynamics, batch=1)
+    reading = port.layout.read(port.observe(state)[0])
+    wanted = np.random.default_rng(0).uniform(-1, 1, (3, 6))
+    arrived = port.decode(port.layout.write(wanted, reading)[None], state)[:, :, 0].T
+    assert arrived == pytest.approx(wanted * reading.unit, rel=3e-6)

@@ -1,0 +1,226 @@
+import numpy as np
+import pytest
+from test_dynamics import large_energy_scenario
+from worlds import BLOCKS, constant_actions, make_env, play
+
+from ptne_env import get_scenario, laws
+from ptne_env.dynamics import Dynamics
+from ptne_env.games import NoBestResponseError
+from ptne_env.rewards import REWARD_LIMIT, TERMS, Reward, parse_reward
+from ptne_env.sources import Sources
+
+GAMES = {"energy": get_scenario("energy", start="random"), "blocks": BLOCKS}
+
+
+def episode(scenario, reward, steps=25, batch=3):
+    """States along a random walk, and the terms of each step."""
+    dynamics = Dynamics(scenario)
+    judge = Reward(dynamics, reward)
+    generator = np.random.default_rng(0)
+    states = [dynamics.start(dynamics.draw_estimates([Sources.from_seed(b) for b in range(batch)]))]
+    judge.reset(states[0])
+    terms = []
+    for _ in range(steps):
+        states.append(dynamics.step(states[-1], generator.normal(size=states[-1].estimates.shape)))
+        terms.append(judge.step(states[-1]))
+    return dynamics, judge, states, terms
+
+
+def distance(dynamics, state):
+    equilibrium = dynamics.game.nash_equilibrium
+    error = state.estimates - equilibrium[:, None, None]
+    return np.sqrt((error**2).sum(axis=0)) / np.linalg.norm(equilibrium)
+
+
+@pytest.mark.parametrize("name", GAMES)
+def test_digits_telescope_to_the_digits_gained(name):
+    dynamics, _, states, terms = episode(GAMES[name], "digits")
+    gained = sum(term["digits"] for term in terms)
+    expected = np.log10(distance(dynamics, states[0])) - np.log10(distance(dynamics, states[-1]))
+    assert gained == pytest.approx(expected, abs=1e-12)
+
+
+def test_digits_count_no_further_than_twelve():
+    dynamics = Dynamics(get_scenario("energy"))
+    judge = Reward(dynamics)
+    equilibrium = np.repeat(dynamics.game.nash_equilibrium[:, None, None], 5, axis=1)
+    state = dynamics.start(equilibrium * 1.1)
+    judge.reset(state)
+    arrived = dynamics.step(state, (equilibrium - state.estimates) / dynamics.clock.theta[0])
+    first = judge.step(arrived)["digits"]
+    assert first == pytest.approx(np.full((5, 1), 11.0), abs=1e-9)
+    assert judge.step(dynamics.step(arrived, np.zeros_like(equilibrium)))["digits"].tolist() == [[0.0]] * 5
+
+
+@pytest.mark.parametrize("name", GAMES)
+def test_tracking_is_minus_the_distance_after_the_step(name):
+    dynamics, _, states, terms = episode(GAMES[name], "tracking")
+    for state, term in zip(states[1:], terms, strict=True):
+        assert term["tracking"] == pytest.approx(-distance(dynamics, state), rel=1e-12)
+
+
+@pytest.mark.parametrize("name", GAMES)
+def test_payoff_is_minus_the_cost_of_the_real_strategies(name):
+    dynamics, _, states, terms = episode(GAMES[name], "payoff")
+    owners = dynamics.game.owners
+    for state, term in zip(states[1:], terms, strict=True):
+        strategies = state.estimates[np.arange(owners.size), owners]
+        assert np.array_equal(term["payoff"], -dynamics.game.costs(strategies))
+
+
+@pytest.mark.parametrize("name", GAMES)
+def test_regret_is_minus_what_a_player_could_gain_alone(name):
+    dynamics, _, states, terms = episode(GAMES[name], "regret")
+    game, owners = dynamics.game, dynamics.game.owners
+    for state, term in zip(states[1:], terms, strict=True):
+        strategies = state.estimates[np.arange(owners.size), owners]
+        response = game.best_response(strategies)
+        for i in range(game.num_players):
+            deviated = np.where((owners == i)[:, None], response, strategies)
+            loss = game.costs(strategies)[i] - game.costs(deviated)[i]
+            assert term["regret"][i] == pytest.approx(-loss, abs=1e-10)
+        assert np.all(term["regret"] <= 1e-12)
+
+
+def test_mixture_is_the_weighted_sum_and_its_terms_are_unweighted():
+    weights = {"digits": 2.0, "tracking": 0.5, "payoff": 1e-3, "regret": 0.25}
+    _, judge, _, terms = episode(GAMES["energy"], weights)
+    alone = {name: episode(GAMES["energy"], name)[3] for name in weights}
+    for k, term in enumerate(terms):
+        assert list(term) == list(weights)
+        for name in weights:
+            assert np.array_equal(term[name], alone[name][k][name])
+        assert judge.total(term) == pytest.approx(sum(weights[name] * term[name] for name in weights), rel=1e-14)
+
+
+def test_environment_reports_terms_and_pays_their_weighted_sum():
+    env = make_env("energy", reward={"digits": 1.0, "tracking": 0.1})
+    env.reset(seed=0)
+    _, rewards, _, _, infos = env.step(constant_actions(env, 1.0))
+    for agent, reward in rewards.items():
+        terms = infos[agent]["reward_terms"]
+        assert set(terms) == {"digits", "tracking"}
+        assert reward == pytest.approx(terms["digits"] + 0.1 * terms["tracking"], rel=1e-12)
+        assert {type(reward), *map(type, terms.values())} == {float}
+
+
+def test_return_of_an_episode_is_the_digits_gained():
+    env = make_env("energy")
+    states, steps = play(env, laws.Static(env.layout))
+    error = np.linalg.norm(states - env.nash_equilibrium, axis=2) / np.linalg.norm(env.nash_equilibrium)
+    gained = np.log10(error[0] / error[-1])
+    returns = [sum(step[1][agent] for step in steps) for agent in env.possible_agents]
+    assert returns == pytest.approx(gained.tolist(), abs=1e-9)
+    assert min(returns) > 3
+
+
+@pytest.mark.parametrize("reward", TERMS)
+@pytest.mark.parametrize("scenario", [get_scenario("energy", start="random"), large_energy_scenario()])
+def test_batch_agrees_bit_for_bit_with_batches_of_one(scenario, reward):
+    dynamics = Dynamics(scenario)
+    batch = 6
+    estimates = dynamics.draw_estimates([Sources.from_seed(b) for b in range(batch)])
+    together, judge = dynamics.start(estimates), Reward(dynamics, reward)
+    judge.reset(together)
+    alone = [(dynamics.start(estimates[:, :, b : b + 1]), Reward(dynamics, reward)) for b in range(batch)]
+    for state, own in alone:
+        own.reset(state)
+    generator = np.random.default_rng(0)
+    for k in range(10):
+        inputs = generator.normal(size=estimates.shape)
+        if k == 5:
+            inputs[:, :, 2] = 1e9  # the third environment leaves the range
+        together = dynamics.step(together, inputs)
+        terms = judge.step(together)[reward]
+        for b, (state, own) in enumerate(alone):
+            following = dynamics.step(state, inputs[:, :, b : b + 1])
+            assert np.array_equal(own.step(following)[reward][:, 0], terms[:, b])
+            alone[b] = following, own
+    assert together.diverged.tolist() == [b == 2 for b in range(batch)]
+
+
+def returns_of(env, act):
+    """The sum of rewards per agent when ``act(k)`` is everybody's constant action in step k."""
+    env.reset()
+    total, k, diverged = dict.fromkeys(env.possible_agents, 0.0), 0, False
+    while env.agents:
+        _, rewards, _, _, infos = env.step(constant_actions(env, act(k)))
+        for agent, reward in rewards.items():
+            total[agent] += reward
+        diverged = infos["player_0"]["diverged"]
+        k += 1
+    return total, diverged, k
+
+
+@pytest.mark.parametrize("crash_at", [0, 3, 18])
+@pytest.mark.parametrize("reward", [*TERMS, {"digits": 1.0, "payoff": 1e-6, "tracking": 0.1}])
+def test_crash_never_pays(reward, crash_at):
+    env = make_env("energy", steps=20, reward=reward, input_limit=1e7)
+    theta = env.dynamics.clock.theta
+    brink = 1.9e5  # own gradients are 2.6 times a strategy that all share, so this is just inside the range
+
+    def after(continuation):
+        return returns_of(env, lambda k: 0.0 if k < crash_at else continuation(k))
+
+    crash, diverged, length = after(lambda k: 1e7)
+    assert diverged
+    assert length == crash_at + 1
+    for name, continuation in {
+        "nothing": lambda k: 0.0,
+        "to the brink": lambda k: brink / theta[crash_at:].sum(),
+        "to the brink at once": lambda k: brink / theta[k] if k == crash_at else 0.0,
+        "to the other brink": lambda k: -brink / theta[crash_at:].sum(),
+    }.items():
+        survivor, gone, _ = after(continuation)
+        assert not gone, name
+        assert all(crash[agent] < survivor[agent] for agent in env.possible_agents), name
+
+
+@pytest.mark.parametrize("reward", ["digits", "tracking", "payoff"])
+def test_crash_never_pays_in_the_non_quadratic_game(reward):
+    env = make_env("non-quadratic", steps=40, reward=reward)
+    crash, diverged, _ = returns_of(env, lambda k: 1000.0)
+    survivor, gone, _ = returns_of(env, lambda k: 0.0)
+    assert diverged
+    assert not gone
+    assert all(crash[agent] < survivor[agent] for agent in env.possible_agents)
+
+
+@pytest.mark.parametrize("reward", TERMS)
+def test_rewards_of_a_crash_are_finite_and_charged_for_the_remaining_steps(reward):
+    env = make_env("energy", steps=20, reward=reward, input_limit=1e9)
+    env.reset()
+    env.step(constant_actions(env, 0.0))
+    _, rewards, _, _, _ = env.step(constant_actions(env, 1e9))
+    worst = {"tracking": env.dynamics.distance_limit, "payoff": REWARD_LIMIT, "regret": REWARD_LIMIT}
+    for value in rewards.values():
+        if reward == "digits":
+            assert -6 < value < 0
+        else:
+            assert value == pytest.approx(-19 * worst[reward], rel=1e-12)
+
+
+def test_name_is_a_mixture_of_one():
+    assert parse_reward("payoff") == {"payoff": 1.0}
+
+
+@pytest.mark.parametrize(
+    ("reward", "message"),
+    [
+        ("score", "unknown reward 'score'; choose from digits, tracking, payoff, regret"),
+        ({"digits": 1, "score": 2}, "unknown reward 'score'"),
+        ({}, "unknown reward {}; choose from"),
+        ({"digits": float("nan")}, "weights must be finite"),
+        ({"digits": float("inf")}, "weights must be finite"),
+    ],
+)
+def test_unknown_rewards_are_refused(reward, message):
+    with pytest.raises(ValueError, match=message):
+        parse_reward(reward)
+
+
+@pytest.mark.parametrize("reward", ["regret", {"digits": 1.0, "regret": 0.1}])
+@pytest.mark.parametrize("name", ["non-quadratic", "non-quadratic-switching", "non-quadratic-printed"])
+def test_regret_is_refused_where_no_best_response_exists(name, reward):
+    with pytest.raises(NoBestResponseError, match="choose digits, tracking or payoff"):
+        make_env(name, reward=reward)
