@@ -29,7 +29,7 @@ unit: $(VENV)/.test
 	$(BIN)/pytest --numprocesses auto
 
 $(VENV)/bin/python:
-	$(PYTHON) -c 'import sys; sys.exit("ptne_env needs Python 3.11 or newer, $(PYTHON) is " + sys.version.split()[0] + "; say PYTHON=...") if sys.version_info < (3, 11) else 0'
+	@$(PYTHON) -c 'import sys; sys.exit("ptne_env needs Python 3.11 or newer, $(PYTHON) is " + sys.version.split()[0] + "; say PYTHON=...") if sys.version_info < (3, 11) else 0'
 	$(PYTHON) -m venv $(VENV)
 
 $(VENV)/.bench: pyproject.toml | $(VENV)/bin/python

@@ -10,6 +10,7 @@ from ptne_env._version import __version__ as __version__
 from ptne_env.envs.parallel import NashSeekingEnv as NashSeekingEnv
 from ptne_env.envs.parallel import parallel_env as parallel_env
 from ptne_env.envs.registration import register_environments
+from ptne_env.envs.vector import VectorParallelEnv as VectorParallelEnv
 from ptne_env.evaluation import Entry as Entry
 from ptne_env.evaluation import Results as Results
 from ptne_env.evaluation import evaluate as evaluate

@@ -10,6 +10,7 @@ try:
     import typer
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+    from rich.text import Text
 except ImportError as error:  # pragma: no cover - exercised in an environment without the extra
     raise SystemExit('the command line needs an extra: pip install "ptne-env[bench]"') from error
 
@@ -173,7 +174,9 @@ def main() -> None:
 
 
 def _fail(message: str, code: int) -> None:
-    _console(stderr=True).print(f"[bold red]Error:[/] {message}", soft_wrap=True)
+    _console(stderr=True).print(
+        Text("Error: ", style="bold red").append(message, style="not bold default"), soft_wrap=True
+    )
     raise SystemExit(code)
 
 

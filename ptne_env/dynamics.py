@@ -209,7 +209,8 @@ class Dynamics:
 
     def is_over(self, state: State) -> BoolArray:
         """Whether each environment has reached its end or diverged, shape (B,)."""
-        return (state.step >= self.clock.total_steps) | state.diverged
+        finished = state.step >= self.clock.total_steps
+        return finished | state.diverged if state.any_diverged else finished
 
     @staticmethod
     def distance_limit(game: Game) -> FloatArray:
@@ -223,9 +224,8 @@ class Dynamics:
             with np.errstate(over="ignore", invalid="ignore"):  # a diverging game may overflow; it is caught below
                 gradients = game.own_gradients(estimates)
         # Σ x² ≤ limit² puts every entry in range at the cost of one pass; False for NaN too.
-        squares = np.einsum("cib,cib->b", estimates, estimates)
-        squares += np.einsum("cb,cb->b", gradients, gradients)
-        if not np.maximum.reduce(squares) <= RANGE_LIMIT**2:
+        # (einsum and not vdot: BLAS would wake its threads for it.)
+        if not _square(estimates) + _square(gradients) <= RANGE_LIMIT**2:
             farthest = np.maximum(np.abs(estimates).max(axis=(0, 1)), np.abs(gradients).max(axis=0))
             diverged = diverged | ~(farthest <= RANGE_LIMIT)
             estimates = np.clip(np.nan_to_num(estimates, nan=RANGE_LIMIT), -RANGE_LIMIT, RANGE_LIMIT)
@@ -235,3 +235,8 @@ class Dynamics:
 
 def _rows(estimates: FloatArray) -> FloatArray:
     return estimates.reshape(-1, estimates.shape[2])
+
+
+def _square(array: FloatArray) -> float:
+    flat = array.reshape(-1)
+    return float(np.einsum("i,i->", flat, flat))

@@ -276,6 +276,10 @@ class Layout:
         return np.clip(inputs, -self.action_bound, self.action_bound).astype(np.float32)
 
 
+class NonFiniteActionError(ValueError):
+    """An action holds NaN or infinity."""
+
+
 class Decoded(NamedTuple):
     """What a port made of actions.
 
@@ -387,13 +391,18 @@ class Port:
         return out
 
     def decode(self, actions: npt.NDArray[np.floating], state: State) -> Decoded:
-        """Turn actions (B, N, action size), finite, into inputs within the input limit.
+        """Turn actions (B, N, action size) into inputs within the input limit.
 
         Entries outside the action box are clipped to it, counted, and rounded to float32, as the space declares.
+
+        Raises:
+            NonFiniteActionError: when an action holds NaN or infinity.
         """
         bound = self.layout.action_bound
         sizes = np.abs(actions)
-        if np.maximum.reduce(sizes, axis=None) > bound:
+        if not np.maximum.reduce(sizes, axis=None) <= bound:
+            if not np.isfinite(sizes).all():
+                raise NonFiniteActionError("actions must be numbers without NaN or infinity")
             clipped = (sizes > bound).sum(axis=2)
             actions = np.clip(actions, -bound, bound)
         else:
@@ -438,6 +447,8 @@ class Port:
 
     def _own_gradients(self, state: State) -> FloatArray:
         """Own gradients per player, padded with 0, shape (m, N, B)."""
+        if self._gradient_mask is None and len(self._gradient_rows) == 1:
+            return state.own_gradients[None]
         gradients = state.own_gradients.take(self._gradient_rows, axis=0)
         if self._gradient_mask is not None:
             gradients *= self._gradient_mask
@@ -450,7 +461,7 @@ class Port:
         relative -= rows.take(self._ego_rows, axis=0)
         if not self.dynamics.signal.is_fixed:
             relative *= (state.weights > 0)[:, None]
-        scale = np.abs(self._own_gradients(state)).max(axis=0)
+        scale = np.maximum.reduce(np.abs(self._own_gradients(state)), axis=0)
         flat = relative.reshape(-1, *scale.shape)
         np.maximum(scale, np.maximum.reduce(flat, axis=0), out=scale)
         np.maximum(scale, -np.minimum.reduce(flat, axis=0), out=scale)

@@ -245,6 +245,8 @@ def _catalogue() -> dict[str, Scenario]:
     physical = Part.of("ptne_env.graphs:paper_signal", dwell=0.1, clock="physical")
     transformed = Part.of("ptne_env.graphs:paper_signal", dwell=0.25, clock="transformed")
     start = _SHORTHANDS["start"]["paper"]
+    family = Part.of("ptne_env.games:RandomEnergy", players=5)
+    anywhere = _SHORTHANDS["start"]["random"]
     scenarios = [
         Scenario(name="energy", game=energy, signal=ring, start=start),
         Scenario(name="energy-switching", game=energy, signal=physical, start=start),
@@ -252,6 +254,11 @@ def _catalogue() -> dict[str, Scenario]:
         Scenario(name="non-quadratic", game=corrected, signal=ring, start=start),
         Scenario(name="non-quadratic-switching", game=corrected, signal=physical, start=start),
         Scenario(name="non-quadratic-printed", game=printed, signal=ring, start=start),
+        Scenario(name="random-energy", game=family, signal=ring, start=anywhere, s_end=6.0),
+        Scenario(name="random-energy-switching", game=family, signal=physical, start=anywhere, s_end=6.0),
+        Scenario(
+            name="random-energy-switching-transformed", game=family, signal=transformed, start=anywhere, s_end=6.0
+        ),
     ]
     return {scenario.name: scenario for scenario in scenarios}
 

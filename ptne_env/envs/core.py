@@ -126,8 +126,17 @@ class Simulation:
         self._reward.reset(fresh)
         return fresh
 
-    def step(self, actions: npt.NDArray[np.floating]) -> Outcome:
-        """Hold everybody's inputs for one step; actions (B, N, action size) are finite."""
+    def step(self, actions: npt.NDArray[np.floating], restart: BoolArray | None = None) -> Outcome:
+        """Hold everybody's inputs for one step.
+
+        Args:
+            actions: shape (B, N, action size).
+            restart: environments that start afresh instead of moving, shape (B,): their rewards are 0.
+
+        Raises:
+            RuntimeError: before the first reset.
+            NonFiniteActionError: when an action holds NaN or infinity; the state stays as it was.
+        """
         decoded = self.port.decode(actions, self.current)
         state = self.dynamics.step(self.current, decoded.inputs)
         terms = self._reward.step(state)
@@ -137,7 +146,13 @@ class Simulation:
             truncated = np.zeros(self.num_envs, dtype=np.bool_)
         else:
             truncated = ~terminated & (state.step >= self.max_cycles)
-        return Outcome(self._reward.total(terms), terms, decoded.clipped, terminated, truncated)
+        clipped = decoded.clipped
+        if restart is not None and restart.any():
+            self.reset(mask=restart)
+            terms = {name: np.where(restart, 0.0, term) for name, term in terms.items()}
+            clipped = np.where(restart[:, None], 0, clipped)
+            terminated, truncated = terminated & ~restart, truncated & ~restart
+        return Outcome(self._reward.total(terms), terms, clipped, terminated, truncated)
 
     def observe(self, out: Float32Array | None = None) -> Float32Array:
         """Everybody's observations, shape (B, N, size), float32, owned by the caller."""

@@ -13,7 +13,14 @@ from pettingzoo import ParallelEnv
 from ptne_env.arrays import Float32Array, FloatArray
 from ptne_env.envs.core import Simulation
 from ptne_env.envs.rendering import Renderer
-from ptne_env.interface import OBSERVATION_BOUND, ActionMode, Interface, InterfaceKind, Layout
+from ptne_env.interface import (
+    OBSERVATION_BOUND,
+    ActionMode,
+    Interface,
+    InterfaceKind,
+    Layout,
+    NonFiniteActionError,
+)
 from ptne_env.scenario import Scenario, get_scenario
 
 AgentInfo = dict[str, Any]
@@ -107,8 +114,13 @@ class NashSeekingEnv(ParallelEnv[str, Float32Array, Float32Array]):
 
     @property
     def nash_equilibrium(self) -> FloatArray:
-        """x* of the game being played, shape (n,), float64."""
-        return self._simulation.current.game.nash_equilibria[:, 0].copy()
+        """x* of the game being played, shape (n,), float64.
+
+        Raises:
+            RuntimeError: before the first reset, where the scenario draws games.
+        """
+        game = self._simulation.current.game if self.scenario.has_random_game else self.dynamics.game
+        return game.nash_equilibrium.copy()
 
     @property
     def time(self) -> float:
@@ -160,14 +172,21 @@ class NashSeekingEnv(ParallelEnv[str, Float32Array, Float32Array]):
         agents = self.agents
         if not agents:
             raise RuntimeError("no episode is running: call reset() before step()")
-        outcome = self._simulation.step(self._stack(actions))
+        try:
+            outcome = self._simulation.step(self._stack(actions))
+        except NonFiniteActionError:
+            raise self._complaint(actions) from None
         terminated, truncated = bool(outcome.terminated[0]), bool(outcome.truncated[0])
         diverged = bool(self._simulation.current.diverged[0])
         clipped = outcome.clipped[0].tolist()
-        columns = [term[:, 0].tolist() for term in outcome.terms.values()]
+        columns = {name: term[:, 0].tolist() for name, term in outcome.terms.items()}
         infos: dict[str, AgentInfo] = {
-            agent: {"diverged": diverged, "clipped": count, "reward_terms": dict(zip(outcome.terms, row, strict=True))}
-            for agent, count, row in zip(agents, clipped, zip(*columns, strict=True), strict=True)
+            agent: {
+                "diverged": diverged,
+                "clipped": clipped[index],
+                "reward_terms": {name: column[index] for name, column in columns.items()},
+            }
+            for index, agent in enumerate(agents)
         }
         if terminated or truncated:
             success = bool(self._simulation.succeeded()[0])
@@ -224,13 +243,8 @@ class NashSeekingEnv(ParallelEnv[str, Float32Array, Float32Array]):
             stacked = np.array([actions[agent] for agent in self.agents])
         except (KeyError, ValueError):
             raise self._complaint(actions) from None
-        shape = (len(self.agents), self.layout.action_size)
-        if (
-            stacked.dtype.kind != "f"
-            or stacked.shape != shape
-            or len(actions) != len(self.agents)
-            or not np.isfinite(stacked).all()
-        ):
+        shape = (len(actions), self.layout.action_size)
+        if stacked.shape != shape or stacked.dtype.kind != "f":
             raise self._complaint(actions)
         return stacked[None]
 

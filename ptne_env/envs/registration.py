@@ -1,7 +1,8 @@
-"""Registration with PettingZoo: ``pettingzoo.make("parallel", "ptne/energy-v0")``."""
+"""Registration: ``pettingzoo.make("parallel", "ptne/energy-v0")``, ``gymnasium.make("ptne/energy-joint-v0")``."""
 
 from __future__ import annotations
 
+import gymnasium
 from pettingzoo import aec_registry, parallel_registry, register
 
 from ptne_env.scenario import CATALOGUE
@@ -10,7 +11,7 @@ NAMESPACE = "ptne"
 
 
 def register_environments() -> None:
-    """Register every scenario of the catalogue in PettingZoo's two registries; a second call changes nothing."""
+    """Register every scenario with PettingZoo, and its joint view with Gymnasium; a second call changes nothing."""
     for scenario in CATALOGUE:
         environment_id = f"{NAMESPACE}/{scenario}-v0"
         module = f"ptne_env.{scenario.replace('-', '_')}_v0"
@@ -18,3 +19,11 @@ def register_environments() -> None:
             register("parallel", environment_id, entry_point=f"{module}:parallel_env")
         if environment_id not in aec_registry:
             register("aec", environment_id, entry_point=f"{module}:env")
+        joint_id = f"{NAMESPACE}/{scenario}-joint-v0"
+        if joint_id not in gymnasium.registry:
+            gymnasium.register(
+                joint_id,
+                entry_point="ptne_env.envs.joint:JointEnv",
+                vector_entry_point="ptne_env.envs.joint:JointVectorEnv",
+                kwargs={"scenario": scenario},
+            )

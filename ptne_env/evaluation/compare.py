@@ -153,8 +153,8 @@ def evaluate(
 ) -> Results:
     """Run every policy on every scenario from the same seeded starts.
 
-    A scenario given by name is run twice: from ``episodes`` random starts under its own name, and once from the
-    paper's start, labelled ``"NAME (paper start)"``. A :class:`~ptne_env.scenario.Scenario` is run as it is: from
+    A scenario given by name is run from ``episodes`` random starts under its own name, and, unless it draws games,
+    once more from the paper's start, labelled ``"NAME (paper start)"``. A :class:`~ptne_env.scenario.Scenario` is run as it is: from
     ``episodes`` starts when they are random, else once.
 
     Args:
@@ -171,7 +171,10 @@ def evaluate(
     require_count("episodes", episodes, 1)
     require_count("seed", seed, 0)
     chosen = _unique([(entry.name, entry) for entry in map(get_entry, entries)], "policy")
-    cases = _unique(list(_cases(scenarios, hold_steps)), "scenario")
+    scenarios = list(scenarios)
+    names = [(scenario if isinstance(scenario, str) else scenario.name, scenario) for scenario in scenarios]
+    _unique(names, "scenario")
+    cases = dict(_cases(scenarios, hold_steps))
     cells = []
     for label, scenario in cases.items():
         dynamics = Dynamics(scenario)
@@ -187,16 +190,18 @@ def evaluate(
 
 def count_cells(entries: Sequence[str | Entry], scenarios: Sequence[str | Scenario]) -> int:
     """How many cells :func:`evaluate` will run, for progress bars."""
-    return len(entries) * sum(2 if isinstance(scenario, str) else 1 for scenario in scenarios)
+    return len(entries) * len(list(_cases(scenarios, 0)))
 
 
 def _cases(scenarios: Iterable[str | Scenario], hold_steps: int) -> Iterator[tuple[str, Scenario]]:
     for scenario in scenarios:
-        if isinstance(scenario, str):
-            yield scenario, get_scenario(scenario, start="random", hold_steps=hold_steps)
-            yield scenario + PAPER_START, get_scenario(scenario, hold_steps=hold_steps)
-        else:
+        if isinstance(scenario, Scenario):
             yield scenario.name, scenario
+            continue
+        named = get_scenario(scenario, hold_steps=hold_steps)
+        yield scenario, named if named.is_random else named.replace(start="random")
+        if not named.is_random:
+            yield scenario + PAPER_START, named
 
 
 def _unique(pairs: Sequence[tuple[str, Item]], kind: str) -> dict[str, Item]:

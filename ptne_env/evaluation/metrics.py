@@ -25,7 +25,7 @@ METRICS: Mapping[str, str] = {
     "peak_velocity": "largest Θ|u|/Δt to the deadline, per second",
     "saturated_share": "share of input components at the input limit",
     "diverged_share": "share of episodes that left the range",
-    "microseconds_per_decision": "wall time of the policy per player and step, in microseconds",
+    "microseconds_per_decision": "microseconds of the policy per player and step, all episodes in one batch",
 }
 """Every metric's name and meaning, in the order of tables."""
 

@@ -87,7 +87,8 @@ class EnergyGame(Game):
         """2 a_i (x^i_i − b_i) + c Σ_j x^i_j + d + c x^i_i: (N, N, B) to (N, B)."""
         gradients = np.add.reduce(estimates, axis=0)
         gradients *= self.coupling
-        gradients += self._slope * np.einsum("iib->ib", estimates)
+        players, batch = self.num_players, estimates.shape[2]
+        gradients += self._slope * estimates.reshape(-1, batch)[:: players + 1]  # the diagonal x^i_i
         gradients += self._intercept
         return gradients
 

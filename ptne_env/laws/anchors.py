@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ptne_env.arrays import BoolArray, Float32Array, FloatArray, require_count, require_positive
-from ptne_env.interface import Layout, Reading
+from ptne_env.interface import Interface, Layout, Reading
 from ptne_env.laws.base import Law
 
 
@@ -61,6 +61,7 @@ class CentralisedOracle(Law):
     """
 
     needs_full_information = True
+    interface = Interface("full")
 
     def __init__(self, layout: Layout, gradient_gain: float = 1.0) -> None:
         super().__init__(layout)

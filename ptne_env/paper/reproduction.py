@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import json
-import os
-import tempfile
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -13,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ptne_env._version import __version__
+from ptne_env.files import write_atomically
 from ptne_env.paper.claims import CHECKS, Claim
 from ptne_env.paper.experiments import DEADLINE, GAIN, GAMMA, INITIAL_GAIN, S_END, Experiments
 from ptne_env.paper.figures import FIGURES, save
@@ -96,7 +95,7 @@ def reproduce(out: Path, *, progress: Callable[[int, int, str], None] | None = N
     announce("Done")
     results = out / RESULTS_FILE
     reproduction = Reproduction(table, tuple(claims), tuple(figures), results, time.perf_counter() - began)
-    _write(results, json.dumps(reproduction.to_dict(), indent=2, ensure_ascii=False, allow_nan=False) + "\n")
+    write_atomically(results, json.dumps(reproduction.to_dict(), indent=2, ensure_ascii=False, allow_nan=False) + "\n")
     return reproduction
 
 
@@ -114,7 +113,7 @@ def render(reproduction: Reproduction) -> tuple[Table, Table]:
     times = Table(title="Table 1: seconds until the strategies are within 0.5 % of the equilibrium")
     times.add_column("Algorithm")
     for heading in ("κ", "c [1/s]", "Paper [s]", "Ours [s]", "Error at the paper's time"):
-        times.add_column(heading, justify="right")
+        times.add_column(Text(heading), justify="right")  # Text, because brackets are no markup
     for row in reproduction.table:
         ours = "never" if row.ours is None else f"{row.ours:.2f}"
         cells = (row.algorithm, f"{row.kappa:g}", f"{row.gain:g}", f"{row.paper:g}", ours, f"{row.at_paper_time:.2g}")
@@ -132,16 +131,3 @@ def render(reproduction: Reproduction) -> tuple[Table, Table]:
         # Text, because brackets in a finding are no markup.
         verdicts.add_row(Text(claim.name), Text(claim.verdict, style=colour), Text(claim.finding))
     return times, verdicts
-
-
-def _write(path: Path, text: str) -> None:
-    """Write all or nothing: readers never see half a file."""
-    handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
-    try:
-        with os.fdopen(handle, "w", encoding="utf-8") as file:
-            file.write(text)
-        Path(temporary).chmod(0o644)
-        Path(temporary).replace(path)
-    except BaseException:
-        Path(temporary).unlink(missing_ok=True)
-        raise

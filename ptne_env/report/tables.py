@@ -70,7 +70,7 @@ def comparison_tables(results: Results) -> Group:
             table = Table(title=f"{label}: {title.lower()}", box=box.SIMPLE_HEAD, title_justify="left", pad_edge=False)
             table.add_column("policy", no_wrap=True)
             for heading in columns.values():
-                table.add_column(heading, justify="right")
+                table.add_column(Text(heading), justify="right")
             for start in starts:
                 episodes = records[start, next(iter(results.entries)), "digits"]["episodes"]
                 kind = "the paper's start" if start.endswith(PAPER_START) else f"{episodes} starts"
@@ -145,7 +145,7 @@ def scenario_table() -> Table:
     """The catalogue."""
     table = Table(title="Scenarios", box=box.SIMPLE_HEAD, title_justify="left", pad_edge=False)
     for heading in ("name", "game", "graph", "T [s]", "c [1/s]", "steps", "s_end"):
-        table.add_column(heading)
+        table.add_column(Text(heading))  # Text, because brackets are no markup
     for name, scenario in CATALOGUE.items():
         table.add_row(
             name,

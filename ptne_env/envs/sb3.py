@@ -1,0 +1,161 @@
+"""Stable-Baselines3: B environments × N players as B·N slots that share one policy.
+
+Needs the extra ``pip install "ptne-env[sb3]"``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+try:
+    from stable_baselines3.common.vec_env import VecEnv
+except ImportError as error:  # pragma: no cover - exercised in an environment without the extra
+    raise ImportError('the Stable-Baselines3 adapter needs an extra: pip install "ptne-env[sb3]"') from error
+
+from ptne_env.arrays import BoolArray, Float32Array
+from ptne_env.envs.vector import VectorParallelEnv, VectorStep
+from ptne_env.interface import ActionMode, InterfaceKind
+from ptne_env.scenario import Scenario
+
+Indices = int | Iterable[int] | None
+
+
+class SlotVecEnv(VecEnv):
+    """A Stable-Baselines3 ``VecEnv`` with a slot for every player of every environment.
+
+    Slot b·N + i is player i of environment b. All slots share one policy: parameter sharing, with the player's one-hot
+    in the observation. Environments are reset in the step that ends them; then ``infos`` of their slots hold
+    ``terminal_observation``, ``TimeLimit.truncated``, ``is_success`` and ``diverged``. Of a step that ends nothing the
+    infos are empty, because a dictionary per slot and term would cost more than the step.
+
+    The environments are one object: ``get_attr`` and ``set_attr`` reach its attributes, and ``env_method`` calls a
+    method once and returns the answer for every slot asked for.
+
+    Args:
+        scenario: a name of the catalogue or a scenario.
+        num_envs: B, environments; the ``num_envs`` of the VecEnv is B·N.
+        seed: of the first reset; environment b gets seed + b.
+        interface, action_mode, action_scale, reward, max_cycles, **overrides: as
+            :class:`~ptne_env.envs.vector.VectorParallelEnv`.
+
+    Raises:
+        ValueError: for an unknown name or field, or an invalid value.
+    """
+
+    def __init__(
+        self,
+        scenario: str | Scenario = "energy",
+        num_envs: int = 1,
+        *,
+        seed: int | None = None,
+        interface: InterfaceKind = "physical",
+        action_mode: ActionMode = "input",
+        action_scale: float = 5.0,
+        reward: str | Mapping[str, float] = "digits",
+        max_cycles: int | None = None,
+        **overrides: Any,
+    ) -> None:
+        self.vector = VectorParallelEnv(
+            scenario,
+            num_envs,
+            interface=interface,
+            action_mode=action_mode,
+            action_scale=action_scale,
+            reward=reward,
+            max_cycles=max_cycles,
+            **overrides,
+        )
+        self.layout = self.vector.layout
+        self.render_mode: str | None = None
+        self._players = self.vector.num_players
+        self._actions = np.empty(0)
+        super().__init__(
+            self.vector.num_envs * self._players,
+            self.vector.single_observation_space,
+            self.vector.single_action_space,
+        )
+        if seed is not None:
+            self.seed(seed)
+
+    def seed(self, seed: int | None = None) -> Sequence[int | None]:
+        """Seed the next reset: environment b gets seed + b, and all its slots say so."""
+        if seed is None:
+            seed = int(np.random.SeedSequence().generate_state(1)[0])
+        self._seeds = [seed + slot // self._players for slot in range(self.num_envs)]
+        return self._seeds
+
+    def reset(self) -> Float32Array:
+        """Start all episodes; observations of shape (B·N, size)."""
+        observations = self.vector.reset(self._seeds[:: self._players])
+        self.reset_infos = [{} for _ in range(self.num_envs)]
+        self._reset_seeds()
+        self._reset_options()
+        return self._flat(observations)
+
+    def step_async(self, actions: np.ndarray) -> None:
+        """Remember the actions, shape (B·N, action size)."""
+        self._actions = actions
+
+    def step_wait(self) -> tuple[Float32Array, Float32Array, BoolArray, list[dict[str, Any]]]:
+        """Step, and reset the environments that ended."""
+        actions = np.asarray(self._actions)
+        outcome = self.vector.step(actions.reshape(self.vector.num_envs, self._players, -1))
+        over = outcome.terminated | outcome.truncated
+        infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
+        observations = outcome.observations
+        if over.any():
+            self._finish(outcome, over, infos)
+            observations = self.vector.reset(mask=over)
+        rewards = outcome.rewards.reshape(-1).astype(np.float32)
+        return self._flat(observations), rewards, np.repeat(over, self._players), infos
+
+    def _finish(self, outcome: VectorStep, over: BoolArray, infos: list[dict[str, Any]]) -> None:
+        for env in np.flatnonzero(over).tolist():
+            for player in range(self._players):
+                infos[env * self._players + player].update(
+                    {
+                        "terminal_observation": outcome.observations[env, player].copy(),
+                        "TimeLimit.truncated": bool(outcome.truncated[env]),
+                        "is_success": bool(outcome.infos["is_success"][env]),
+                        "diverged": bool(outcome.infos["diverged"][env]),
+                    }
+                )
+
+    def close(self) -> None:
+        """Nothing to release."""
+
+    def get_attr(self, attr_name: str, indices: Indices = None) -> list[Any]:
+        """The attribute, once per slot asked for."""
+        return [self._find(attr_name)] * self._count(indices)
+
+    def set_attr(self, attr_name: str, value: Any, indices: Indices = None) -> None:
+        """Set the attribute of the environments, which are one object; ``indices`` must be all slots.
+
+        Raises:
+            ValueError: when only some slots are named.
+        """
+        if self._count(indices) != self.num_envs:
+            raise ValueError("the slots share one environment object: an attribute is set for all of them or none")
+        setattr(self if hasattr(self, attr_name) else self.vector, attr_name, value)
+
+    def env_method(
+        self, method_name: str, *method_args: Any, indices: Indices = None, **method_kwargs: Any
+    ) -> list[Any]:
+        """Call the method once; its answer, once per slot asked for."""
+        return [self._find(method_name)(*method_args, **method_kwargs)] * self._count(indices)
+
+    def env_is_wrapped(self, wrapper_class: type, indices: Indices = None) -> list[bool]:  # noqa: ARG002
+        """No slot is wrapped."""
+        return [False] * self._count(indices)
+
+    def _find(self, name: str) -> Any:
+        return getattr(self, name) if name == "render_mode" else getattr(self.vector, name)
+
+    def _count(self, indices: Indices) -> int:
+        return len(list(self._get_indices(indices)))
+
+    def _flat(self, observations: Float32Array) -> Float32Array:
+        return observations.reshape(self.num_envs, -1)

@@ -1,0 +1,187 @@
+"""The fast path: B environments of N players in one call, arrays in and out."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+from gymnasium import spaces
+
+from ptne_env.arrays import BoolArray, Float32Array, FloatArray, require_count
+from ptne_env.envs.core import Outcome, Simulation
+from ptne_env.interface import ActionMode, Interface, InterfaceKind, Layout
+from ptne_env.scenario import Scenario, get_scenario
+
+BLOCK_SIZE = 1024
+"""Environments that are stepped at a time: their arrays fit into a core's cache, which more would not."""
+
+
+class VectorStep(NamedTuple):
+    """What :meth:`VectorParallelEnv.step` returns. Arrays are C-contiguous and owned by the caller.
+
+    Attributes:
+        observations: shape (B, N, size), float32.
+        rewards: shape (B, N), float64.
+        terminated: shape (B,).
+        truncated: shape (B,).
+        infos: ``diverged`` (B,), ``clipped`` (B, N), ``reward_terms`` by name (B, N), and ``is_success`` (B,), which is
+            False for an environment that goes on.
+    """
+
+    observations: Float32Array
+    rewards: FloatArray
+    terminated: BoolArray
+    truncated: BoolArray
+    infos: dict[str, Any]
+
+
+class VectorParallelEnv:
+    """B environments × N players; the arguments are those of :func:`ptne_env.parallel_env`.
+
+    Nothing is reset by itself: an environment that is over is started again with ``reset(mask=...)`` before the next
+    step. Each environment equals a :class:`~ptne_env.NashSeekingEnv` of the same seed, bit for bit.
+
+    Args:
+        scenario: a name of the catalogue or a scenario.
+        num_envs: B.
+        interface: ``"physical"`` or ``"local"``.
+        action_mode: ``"input"`` or ``"gains"``.
+        action_scale: under ``local``, an action of 1 is this many times σ_i.
+        reward: a term's name, or weights by name.
+        max_cycles: steps after which an episode is truncated.
+        **overrides: fields of the scenario to change.
+
+    Attributes:
+        scenario: the physics.
+        num_envs: B.
+        num_players: N.
+        single_observation_space: of one player.
+        single_action_space: of one player.
+
+    Raises:
+        ValueError: for an unknown name or field, or an invalid value.
+    """
+
+    def __init__(
+        self,
+        scenario: str | Scenario = "energy",
+        num_envs: int = 1,
+        *,
+        interface: InterfaceKind = "physical",
+        action_mode: ActionMode = "input",
+        action_scale: float = 5.0,
+        reward: str | Mapping[str, float] = "digits",
+        max_cycles: int | None = None,
+        **overrides: Any,
+    ) -> None:
+        self.scenario = get_scenario(scenario, **overrides)
+        self.num_envs = require_count("num_envs", num_envs, 1)
+        starts = range(0, self.num_envs, BLOCK_SIZE)
+        self._slices = [slice(start, min(start + BLOCK_SIZE, self.num_envs)) for start in starts]
+        self._blocks = [
+            Simulation(
+                self.scenario,
+                interface=Interface(interface, action_mode, action_scale),
+                reward=reward,
+                max_cycles=max_cycles,
+                num_envs=part.stop - part.start,
+            )
+            for part in self._slices
+        ]
+        port = self._blocks[0].port
+        self.layout: Layout = port.layout
+        self.num_players = self.layout.num_players
+        self.single_observation_space: spaces.Box = port.observation_space()
+        self.single_action_space: spaces.Box = port.action_space()
+        self._over = np.ones(self.num_envs, dtype=np.bool_)
+
+    def reset(self, seed: int | Sequence[int | None] | None = None, mask: npt.ArrayLike | None = None) -> Float32Array:
+        """Start episodes.
+
+        Args:
+            seed: one per environment, or S for S, S + 1, …; ``None`` goes on with the generators there are.
+            mask: which environments start afresh, shape (B,), bool; all if left out.
+
+        Returns:
+            Observations of all environments, shape (B, N, size), float32, owned by the caller.
+
+        Raises:
+            ValueError: for a wrong number of seeds or a mask of another shape or dtype; no environment is touched.
+        """
+        seeds = self._seeds(seed)
+        chosen = np.ones(self.num_envs, dtype=np.bool_) if mask is None else np.asarray(mask)
+        if chosen.shape != (self.num_envs,) or chosen.dtype != np.bool_:
+            raise ValueError(f"a reset mask is {self.num_envs} booleans, got {chosen.dtype} of shape {chosen.shape}")
+        observations = self._empty_observations()
+        for block, part in zip(self._blocks, self._slices, strict=True):
+            if chosen[part].any() or block.state is None:
+                block.reset(seeds[part], chosen[part])
+            block.observe(observations[part])
+        self._over = self._over & ~chosen
+        return observations
+
+    def step(self, actions: npt.NDArray[np.floating], restart: BoolArray | None = None) -> VectorStep:
+        """Hold everybody's inputs for one step.
+
+        Args:
+            actions: finite floats of shape (B, N, action size); entries outside the box are clipped and counted.
+            restart: environments that start afresh in this step instead of moving, shape (B,): their actions are
+                ignored, their observations are the first ones and their rewards 0. None if left out.
+
+        Raises:
+            RuntimeError: when an environment is over, or was never reset.
+            ValueError: when the actions have another shape or dtype, or are not finite; no environment is stepped.
+        """
+        halted = self._over if restart is None else self._over & ~restart
+        if halted.any():
+            over = np.flatnonzero(halted)
+            raise RuntimeError(
+                f"{over.size} of {self.num_envs} environments are over or not started (the first is {over[0]}): call "
+                "reset(mask=...) before step()"
+            )
+        actions = np.asarray(actions)
+        shape = (self.num_envs, self.num_players, self.layout.action_size)
+        if actions.shape != shape or actions.dtype.kind != "f":
+            raise ValueError(f"actions are floats of shape {shape}, got {actions.dtype} of shape {actions.shape}")
+        if len(self._blocks) > 1 and not np.isfinite(actions).all():
+            raise ValueError("actions must be numbers without NaN or infinity")  # before any block has moved
+        outcomes = [
+            block.step(actions[part], None if restart is None else restart[part])
+            for block, part in zip(self._blocks, self._slices, strict=True)
+        ]
+        observations = self._empty_observations()
+        for block, part in zip(self._blocks, self._slices, strict=True):
+            block.observe(observations[part])
+        return self._assemble(observations, outcomes)
+
+    def _assemble(self, observations: Float32Array, outcomes: list[Outcome]) -> VectorStep:
+        terminated = np.concatenate([outcome.terminated for outcome in outcomes])
+        truncated = np.concatenate([outcome.truncated for outcome in outcomes])
+        self._over = terminated | truncated
+        success = np.zeros(self.num_envs, dtype=np.bool_)
+        if self._over.any():
+            for block, part in zip(self._blocks, self._slices, strict=True):
+                success[part] = self._over[part] & block.succeeded()
+        terms = {name: np.concatenate([outcome.terms[name].T for outcome in outcomes]) for name in outcomes[0].terms}
+        infos = {
+            "diverged": np.concatenate([block.current.diverged for block in self._blocks]),
+            "clipped": np.concatenate([outcome.clipped for outcome in outcomes]),
+            "reward_terms": terms,
+            "is_success": success,
+        }
+        rewards = np.concatenate([outcome.rewards.T for outcome in outcomes])
+        return VectorStep(observations, rewards, terminated, truncated, infos)
+
+    def _empty_observations(self) -> Float32Array:
+        return np.empty((self.num_envs, self.num_players, self.layout.size), dtype=np.float32)
+
+    def _seeds(self, seed: int | Sequence[int | None] | None) -> list[int | None]:
+        if seed is None:
+            return [None] * self.num_envs
+        if isinstance(seed, (int, np.integer)):
+            return [int(seed) + index for index in range(self.num_envs)]
+        if len(seed) != self.num_envs:
+            raise ValueError(f"{self.num_envs} environments need as many seeds, got {len(seed)}")
+        return list(seed)

@@ -1,0 +1,18 @@
+"""A new energy game and a new start in every episode, over switching graphs that dwell 0.25 of transformed time.
+
+The family is `ptne_env.games.RandomEnergy`; a policy trained on one fixed game memorises it.
+
+| | |
+| --- | --- |
+| Import | `from ptne_env import random_energy_switching_transformed_v0` |
+| Registered as | `ptne/random-energy-switching-transformed-v0` (`pettingzoo.make("parallel", ...)` and `"aec"`) |
+| Agents | `player_0` … `player_4` |
+| Parallel API | yes |
+| Observations, actions, rewards, arguments | the same for all scenarios: see `ptne_env.envs.parallel` |
+
+Version history: v0, the first release.
+"""
+
+from ptne_env.envs.modules import environment_module
+
+env, raw_env, parallel_env = environment_module("random-energy-switching-transformed")
