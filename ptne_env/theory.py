@@ -97,8 +97,9 @@ class Certificate:
         largest_stable_step: the step beyond which explicit steps on some mode's M amplify an error; ``None`` when no
             step is stable.
         step_margin: largest_stable_step / largest_step, above 1 when the steps are short enough; ``None`` likewise.
-        velocity_bounded: whether g(t) u stays bounded as t → T.
-        energy_finite: whether ∫‖g u‖² dt is finite.
+        input_rate: the rate at which u decays; it exceeds ``rate`` where u vanishes and the error does not.
+        velocity_bounded: whether g(t) u stays bounded as t → T: ``input_rate`` ≥ 1 for the paper's λ.
+        energy_finite: whether ∫‖g u‖² dt is finite: ``input_rate`` > 1/2 for the paper's λ.
         shortfall: 1 − t_K/T, how far short of the deadline the last step ends, as a fraction of T.
         notes: what else a reader must know.
     """
@@ -118,6 +119,7 @@ class Certificate:
     largest_step: float
     largest_stable_step: float | None
     step_margin: float | None
+    input_rate: float
     velocity_bounded: bool
     energy_finite: bool
     shortfall: float
@@ -334,6 +336,7 @@ def certify(scenario: Scenario, kappa: float = 2.0) -> Certificate:
         largest_step=largest_step,
         largest_stable_step=stable_step,
         step_margin=None if stable_step is None else stable_step / largest_step,
+        input_rate=input_rate,
         velocity_bounded=input_rate >= growth,
         energy_finite=input_rate > growth / 2,
         shortfall=clock.shortfall,

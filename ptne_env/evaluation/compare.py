@@ -154,8 +154,8 @@ def evaluate(
     """Run every policy on every scenario from the same seeded starts.
 
     A scenario given by name is run from ``episodes`` random starts under its own name, and, unless it draws games,
-    once more from the paper's start, labelled ``"NAME (paper start)"``. A :class:`~ptne_env.scenario.Scenario` is run as it is: from
-    ``episodes`` starts when they are random, else once.
+    once more from the paper's start, labelled ``"NAME (paper start)"``. A :class:`~ptne_env.scenario.Scenario` is run
+    as it is: from ``episodes`` starts when something in it is random, else once.
 
     Args:
         entries: names (:data:`~ptne_env.evaluation.entries.ENTRIES`), ``"module:object"`` strings or entries.

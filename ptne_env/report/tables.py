@@ -35,6 +35,9 @@ _BLOCKS = {
         "microseconds_per_decision": "µs per decision",
     },
 }
+_CELL_WIDTH = 22
+"""Columns that an interval of two numbers takes, with its margin."""
+
 _VERDICTS = {"holds": "green", "fails": "red"}
 
 
@@ -58,8 +61,13 @@ def interval(record: Record) -> Text:
     return text
 
 
-def comparison_tables(results: Results) -> Group:
-    """Two tables per scenario: how close every policy came, and at what cost; ordered as in the comparison."""
+def comparison_tables(results: Results, width: int = 172) -> Group:
+    """Tables per scenario: how close every policy came, and at what cost; ordered as in the comparison.
+
+    Args:
+        results: of the comparison.
+        width: columns of the terminal; metrics that do not fit side by side go into further tables.
+    """
     records = {(record["scenario"], record["policy"], record["metric"]): record for record in results.records}
     tables: list[Table | Text] = []
     for label in results.scenarios:
@@ -67,45 +75,50 @@ def comparison_tables(results: Results) -> Group:
             continue  # stands below the random starts of its scenario
         starts = [name for name in (label, label + PAPER_START) if name in results.scenarios]
         for title, columns in _BLOCKS.items():
-            table = Table(title=f"{label}: {title.lower()}", box=box.SIMPLE_HEAD, title_justify="left", pad_edge=False)
-            table.add_column("policy", no_wrap=True)
-            for heading in columns.values():
-                table.add_column(Text(heading), justify="right")
-            for start in starts:
-                episodes = records[start, next(iter(results.entries)), "digits"]["episodes"]
-                kind = "the paper's start" if start.endswith(PAPER_START) else f"{episodes} starts"
-                table.add_section()
-                table.add_row(Text(kind, style="italic"))
-                for name, entry in results.entries.items():
-                    mark = " *" if entry.interface.kind == "full" else ""
-                    table.add_row(name + mark, *(interval(records[start, name, metric]) for metric in columns))
-            tables.append(table)
+            for metrics in _fitting(list(columns), width, max(map(len, results.entries))):
+                table = _table(f"{label}: {title.lower()}")
+                table.add_column("policy", no_wrap=True)
+                for metric in metrics:
+                    table.add_column(Text(columns[metric]), justify="right")  # Text, because brackets are no markup
+                for start in starts:
+                    episodes = records[start, next(iter(results.entries)), "digits"]["episodes"]
+                    kind = "the paper's start" if start.endswith(PAPER_START) else f"{episodes} starts"
+                    table.add_section()
+                    table.add_row(Text(kind, style="italic"))
+                    for name, entry in results.entries.items():
+                        mark = " *" if entry.interface.kind == "full" else ""
+                        cells = (interval(records[start, name, metric]) for metric in metrics)
+                        table.add_row(Text(name + mark), *cells)
+                tables.append(table)
     if any(entry.interface.kind == "full" for entry in results.entries.values()):
         tables.append(Text("* an oracle: it sees what no player can see", style="dim"))
     return Group(*tables)
 
 
+def _fitting(metrics: list[str], width: int, longest_name: int) -> Iterable[list[str]]:
+    """``metrics`` in groups whose columns fit into ``width`` without breaking an interval."""
+    count = max(1, (width - longest_name - 4) // _CELL_WIDTH)
+    groups = -(-len(metrics) // count)
+    size = -(-len(metrics) // groups)
+    return (metrics[start : start + size] for start in range(0, len(metrics), size))
+
+
+def _table(title: str, *, show_header: bool = True) -> Table:
+    return Table(
+        title=title, box=box.SIMPLE_HEAD, title_justify="left", pad_edge=False, show_header=show_header, expand=False
+    )
+
+
 def certificate_tables(certificate: Certificate) -> Group:
     """What a certificate says: assumptions with the number that decides each, then the promises."""
-    assumptions = Table(
-        title=f"{certificate.scenario}: the paper's assumptions",
-        box=box.SIMPLE_HEAD,
-        title_justify="left",
-        pad_edge=False,
-    )
+    assumptions = _table(f"{certificate.scenario}: the paper's assumptions")
     for heading in ("", "assumption", "decided by", "value", "verdict"):
         assumptions.add_column(heading, justify="right" if heading == "value" else "left")
     for check in certificate.assumptions:
         verdict = Text(check.verdict, style=_VERDICTS.get(check.verdict, "yellow"))
         assumptions.add_row(str(check.number), check.statement, check.meaning, number(check.value), verdict)
 
-    promises = Table(
-        title=f"{certificate.scenario}: the static law with κ = {certificate.kappa:g}",
-        box=box.SIMPLE_HEAD,
-        title_justify="left",
-        pad_edge=False,
-        show_header=False,
-    )
+    promises = _table(f"{certificate.scenario}: the static law with κ = {certificate.kappa:g}", show_header=False)
     promises.add_column("what")
     promises.add_column("value")
     for what, value in _promises(certificate):
@@ -123,9 +136,9 @@ def _promises(certificate: Certificate) -> Iterable[tuple[str, str]]:
         f"ε = {number(constants.epsilon)}, ι = {number(constants.iota)}{sampled}",
     )
     yield "algebraic connectivity λ2", number(certificate.algebraic_connectivity)
-    condition = "no gain satisfies it" if bound is None else f"κ > {number(bound)}"
     verdict = "holds" if certificate.gain_condition_holds else "fails (sufficient, not necessary)"
-    yield "gain condition κ > (ι²/ε + ι)/λ2", f"{condition}: {verdict}"
+    condition = "no gain satisfies it" if bound is None else f"κ > {number(bound)}: {verdict}"
+    yield "gain condition κ > (ι²/ε + ι)/λ2", condition
     kind = "" if certificate.rate_is_exact else " (linearised at x*)"
     yield "closed-loop rate r, error ~ e^(−r s)", number(certificate.rate) + kind
     yield "effective time to the deadline", number(certificate.effective_time)
@@ -136,14 +149,15 @@ def _promises(certificate: Certificate) -> Iterable[tuple[str, str]]:
     stable = "none" if certificate.largest_stable_step is None else number(certificate.largest_stable_step)
     margin = "" if certificate.step_margin is None else f", {number(certificate.step_margin)} times the largest"
     yield "largest stable step", stable + margin
-    yield "velocity g(t) u as t → T", "bounded" if certificate.velocity_bounded else "unbounded (r < 1)"
-    yield "control energy ∫‖g u‖² dt", "finite" if certificate.energy_finite else "infinite (r ≤ 1/2)"
+    yield "rate at which the input u decays", number(certificate.input_rate)
+    yield "velocity g(t) u as t → T", "bounded" if certificate.velocity_bounded else "unbounded"
+    yield "control energy ∫‖g u‖² dt", "finite" if certificate.energy_finite else "infinite"
     yield "short of the deadline, 1 − t_K/T", f"{certificate.shortfall:.3%}"
 
 
 def scenario_table() -> Table:
     """The catalogue."""
-    table = Table(title="Scenarios", box=box.SIMPLE_HEAD, title_justify="left", pad_edge=False)
+    table = _table("Scenarios")
     for heading in ("name", "game", "graph", "T [s]", "c [1/s]", "steps", "s_end"):
         table.add_column(Text(heading))  # Text, because brackets are no markup
     for name, scenario in CATALOGUE.items():
@@ -161,7 +175,7 @@ def scenario_table() -> Table:
 
 def entry_table() -> Table:
     """The named policies."""
-    table = Table(title="Policies", box=box.SIMPLE_HEAD, title_justify="left", pad_edge=False)
+    table = _table("Policies")
     for heading in ("name", "policy", "arguments", "interface"):
         table.add_column(heading)
     for name, entry in ENTRIES.items():
@@ -173,7 +187,7 @@ def entry_table() -> Table:
 
 def metric_table() -> Table:
     """Every metric and what it means."""
-    table = Table(title="Metrics", box=box.SIMPLE_HEAD, title_justify="left", pad_edge=False)
+    table = _table("Metrics")
     table.add_column("name")
     table.add_column("meaning")
     for name, meaning in METRICS.items():
