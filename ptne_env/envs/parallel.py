@@ -125,21 +125,21 @@ class NashSeekingEnv(ParallelEnv[str, Float32Array, Float32Array]):
 
         Args:
             seed: of all random draws from here on; ``None`` goes on with the generators of the last seed.
-            options: ``{"estimates": table}`` starts from the given estimates, shape (N, n), row i being x^i(0). Other
-                keys are ignored.
+            options: ``{"estimates": table}`` starts from the given estimates, shape (N, n), row i being x^i(0), and
+                draws none. Other keys are ignored.
 
         Raises:
             ValueError: for an invalid seed, or estimates of the wrong shape or out of range.
         """
         sources = Sources.from_seed(seed) if seed is not None or self._sources is None else self._sources
-        estimates = self.dynamics.draw_estimates([sources])
         if options and options.get("estimates") is not None:
             table = np.array(options["estimates"], dtype=np.float64)
-            if table.shape != estimates.shape[1::-1]:
-                raise ValueError(
-                    f"options['estimates'] has the shape (N, n) = {estimates.shape[1::-1]}, got {table.shape}"
-                )
+            expected = (self.dynamics.game.num_players, self.dynamics.game.dimension)
+            if table.shape != expected:
+                raise ValueError(f"options['estimates'] has the shape (N, n) = {expected}, got {table.shape}")
             estimates = np.ascontiguousarray(table.T)[:, :, None]
+        else:
+            estimates = self.dynamics.draw_estimates([sources])
         state = self.dynamics.start(estimates)
         self._sources, self._state, self._cycles = sources, state, 0
         self._reward.reset(state)
