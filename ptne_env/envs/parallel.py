@@ -133,7 +133,10 @@ class NashSeekingEnv(ParallelEnv[str, Float32Array, Float32Array]):
         """
         sources = Sources.from_seed(seed) if seed is not None or self._sources is None else self._sources
         if options and options.get("estimates") is not None:
-            table = np.array(options["estimates"], dtype=np.float64)
+            try:
+                table = np.array(options["estimates"], dtype=np.float64)
+            except (TypeError, ValueError) as error:
+                raise ValueError(f"options['estimates'] must be an (N, n) table of numbers: {error}") from error
             expected = (self.dynamics.game.num_players, self.dynamics.game.dimension)
             if table.shape != expected:
                 raise ValueError(f"options['estimates'] has the shape (N, n) = {expected}, got {table.shape}")
@@ -246,6 +249,8 @@ class NashSeekingEnv(ParallelEnv[str, Float32Array, Float32Array]):
     def _stack(self, actions: Mapping[str, Any]) -> npt.NDArray[np.floating]:
         """All actions in the order of the agents, shape (1, N, action size)."""
         expected = (self.layout.action_size,)
+        if not isinstance(actions, Mapping):
+            raise ValueError(f"step() needs a dictionary with one action per agent, got a {type(actions).__name__}")
         if actions.keys() != set(self.agents):
             missing = [agent for agent in self.agents if agent not in actions]
             unknown = [agent for agent in actions if agent not in self.agents]

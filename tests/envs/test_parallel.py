@@ -405,6 +405,7 @@ BAD_ACTIONS = {
     "nothing": (changed("player_3", None), "player_3 has the dtype object; expected float32"),
     "missing agent": (without("player_3"), "one action per live agent; missing: player_3; unknown: none; live: pl"),
     "unknown agent": (changed("player_9", spoiled(0)), "missing: none; unknown: player_9; live: player_0, player_1"),
+    "a list": (lambda actions: list(actions.values()), "a dictionary with one action per agent, got a list"),
     "no agents": (lambda actions: {}, "missing: player_0, player_1, player_2, player_3, player_4"),
 }
 
@@ -427,7 +428,10 @@ def test_bad_action_is_refused_by_name_and_leaves_no_trace(name):
 
 BAD_RESETS = {
     "estimates of another shape": ({"options": {"estimates": np.zeros((5, 4))}}, r"shape \(N, n\) = \(5, 5\), got \(5"),
-    "estimates that are not numbers": ({"options": {"estimates": np.full((5, 5), np.nan)}}, "must be finite and with"),
+    "estimates that are NaN": ({"options": {"estimates": np.full((5, 5), np.nan)}}, "must be finite and within"),
+    "estimates of unequal rows": ({"options": {"estimates": [[1.0, 2.0], [3.0]]}}, r"\(N, n\) table of numbers"),
+    "estimates that are words": ({"options": {"estimates": [["a"]]}}, r"\(N, n\) table of numbers"),
+    "estimates that are nothing": ({"options": {"estimates": [[None, {}]]}}, r"\(N, n\) table of numbers"),
     "estimates out of range": ({"options": {"estimates": np.full((5, 5), 1e6)}}, "must be finite and within"),
     "negative seed": ({"seed": -1}, "a seed is a whole number of at least 0 or None"),
     "fractional seed": ({"seed": 1.5}, "a seed is a whole number of at least 0 or None"),
