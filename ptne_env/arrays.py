@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from numbers import Real
 from typing import TypeAlias
 
 import numpy as np
@@ -14,16 +15,23 @@ IntArray: TypeAlias = npt.NDArray[np.int64]
 BoolArray: TypeAlias = npt.NDArray[np.bool_]
 
 
+def _is_finite(value: object) -> bool:
+    """Whether ``value`` is a finite number; callers may pass anything."""
+    if isinstance(value, bool) or not isinstance(value, Real):
+        return False
+    return math.isfinite(value)
+
+
 def require_positive(name: str, value: float, unit: str = "") -> float:
     """Return ``value`` as a float, or raise ``ValueError`` when it is not finite and positive."""
-    if not (math.isfinite(value) and value > 0):
+    if not (_is_finite(value) and value > 0):
         raise ValueError(f"{name} must be a finite number above 0{unit}, got {value!r}")
     return float(value)
 
 
 def require_non_negative(name: str, value: float) -> float:
     """Return ``value`` as a float, or raise ``ValueError`` when it is not finite and at least 0."""
-    if not (math.isfinite(value) and value >= 0):
+    if not (_is_finite(value) and value >= 0):
         raise ValueError(f"{name} must be a finite number of at least 0, got {value!r}")
     return float(value)
 

@@ -96,12 +96,13 @@ def compare(
     if json == "-":
         typer.echo(results.to_json())
         return
-    _console().print(comparison_tables(results))
+    console = _console()
+    console.print(comparison_tables(results, console.width))
     if json is not None:
         write_atomically(Path(json), results.to_json() + "\n")
     for path in (json, csv):
         if path is not None:
-            _console().print(f"Results written to {path}", soft_wrap=True)
+            console.print(Text(f"Results written to {path}"), soft_wrap=True)
 
 
 @app.command()
@@ -127,7 +128,7 @@ def certify(
     _console().print(certificate_tables(certificate))
     if json is not None:
         write_atomically(Path(json), text + "\n")
-        _console().print(f"Certificate written to {json}", soft_wrap=True)
+        _console().print(Text(f"Certificate written to {json}"), soft_wrap=True)
 
 
 @app.command()
@@ -151,9 +152,8 @@ def reproduce(
         reproduction = paper.reproduce(out, progress=advance)
     console = _console()
     console.print(*paper.render(reproduction))
-    console.print(
-        f"{len(reproduction.figures)} figures and {reproduction.results.name} written to {out}", soft_wrap=True
-    )
+    written = f"{len(reproduction.figures)} figures and {reproduction.results.name} written to {out}"
+    console.print(Text(written), soft_wrap=True)
 
 
 @app.command("list")

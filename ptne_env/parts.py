@@ -100,8 +100,11 @@ class Part:
         """The inverse of :meth:`to_dict`.
 
         Raises:
-            ValueError: when ``data`` has other keys than ``target`` and ``arguments``.
+            ValueError: when ``data`` has other keys than ``target``, a string, and ``arguments``, an object.
         """
         if not {"target"} <= set(data) <= {"target", "arguments"}:
             raise ValueError(f"a part is an object with 'target' and 'arguments', got the keys {sorted(data)}")
-        return cls.of(data["target"], **data.get("arguments", {}))
+        target, arguments = data["target"], data.get("arguments", {})
+        if not (isinstance(target, str) and isinstance(arguments, Mapping)):
+            raise ValueError(f"a part has a string 'target' and an object 'arguments', got {dict(data)!r}")
+        return cls.of(target, **arguments)

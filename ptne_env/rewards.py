@@ -23,7 +23,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from ptne_env import distances
-from ptne_env.arrays import FloatArray
+from ptne_env.arrays import FloatArray, require_non_negative
 from ptne_env.dynamics import RANGE_LIMIT, Dynamics, State
 from ptne_env.games import NoBestResponseError
 
@@ -38,15 +38,13 @@ def parse_reward(reward: str | Mapping[str, float]) -> dict[str, float]:
     """A reward's weights by term; a bare name means weight 1.
 
     Raises:
-        ValueError: for an unknown term, no term, or a weight that is not finite.
+        ValueError: for an unknown term, no term, or a weight that is negative (a crash would pay) or not finite.
     """
     weights = {reward: 1.0} if isinstance(reward, str) else dict(reward)
     unknown = sorted(set(weights) - set(TERMS))
     if unknown or not weights:
         raise ValueError(f"unknown reward {', '.join(map(repr, unknown)) or '{}'}; choose from {', '.join(TERMS)}")
-    if not all(np.isfinite(list(weights.values()))):
-        raise ValueError(f"reward weights must be finite, got {weights!r}")
-    return weights
+    return {name: require_non_negative(f"the weight of reward {name!r}", weight) for name, weight in weights.items()}
 
 
 class Reward:

@@ -98,6 +98,8 @@ class Scenario:
     input_limit: float = 1000.0
 
     def __post_init__(self) -> None:
+        if not isinstance(self.name, str):
+            raise ValueError(f"the name of a scenario is a string, got {self.name!r}")
         for field in _PARTS:
             object.__setattr__(self, field, _as_part(field, getattr(self, field)))
         require_positive("input_limit", self.input_limit)

@@ -101,3 +101,9 @@ def test_unknown_or_missing_keys_are_refused(data):
 def test_arguments_that_json_cannot_hold_are_refused():
     with pytest.raises(TypeError, match="numbers, strings, lists and parts, got object"):
         Part.of("a:b", thing=object())
+
+
+@pytest.mark.parametrize("data", [{"target": 5}, {"target": "a:b", "arguments": [1]}, {"target": None}])
+def test_objects_with_values_of_another_kind_are_refused(data):
+    with pytest.raises(ValueError, match="string 'target' and an object 'arguments'"):
+        Part.from_dict(data)

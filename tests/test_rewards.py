@@ -210,8 +210,9 @@ def test_name_is_a_mixture_of_one():
         ("score", "unknown reward 'score'; choose from digits, tracking, payoff, regret"),
         ({"digits": 1, "score": 2}, "unknown reward 'score'"),
         ({}, "unknown reward {}; choose from"),
-        ({"digits": float("nan")}, "weights must be finite"),
-        ({"digits": float("inf")}, "weights must be finite"),
+        ({"digits": float("nan")}, "weight of reward 'digits' must be a finite number of at least 0"),
+        ({"digits": float("inf")}, "weight of reward 'digits' must be a finite number"),
+        ({"digits": 1.0, "payoff": -1.0}, "weight of reward 'payoff' must be a finite number of at least 0"),
     ],
 )
 def test_unknown_rewards_are_refused(reward, message):

@@ -134,18 +134,21 @@ class NashSeekingEnv(ParallelEnv[str, Float32Array, Float32Array]):
 
         Args:
             seed: of all random draws from here on; ``None`` goes on with the generators of the last seed.
-            options: ``{"estimates": table}`` starts from the given estimates, shape (N, n), row i being x^i(0). Other
-                keys are ignored.
+            options: ``{"estimates": table}`` starts from the given estimates, shape (N, n), row i being x^i(0), and
+                draws none. Other keys are ignored.
 
         Raises:
             ValueError: for an invalid seed, or estimates of the wrong shape or out of range.
         """
         estimates = None
         if options and options.get("estimates") is not None:
-            table = np.array(options["estimates"], dtype=np.float64)
-            shape = (self.dynamics.game.num_players, self.dynamics.game.dimension)
-            if table.shape != shape:
-                raise ValueError(f"options['estimates'] has the shape (N, n) = {shape}, got {table.shape}")
+            try:
+                table = np.array(options["estimates"], dtype=np.float64)
+            except (TypeError, ValueError) as error:
+                raise ValueError(f"options['estimates'] must be an (N, n) table of numbers: {error}") from error
+            expected = (self.dynamics.game.num_players, self.dynamics.game.dimension)
+            if table.shape != expected:
+                raise ValueError(f"options['estimates'] has the shape (N, n) = {expected}, got {table.shape}")
             estimates = table.T[:, :, None]
         state = self._simulation.reset([seed], estimates=estimates)
         self.agents = self.possible_agents.copy()
@@ -241,7 +244,7 @@ class NashSeekingEnv(ParallelEnv[str, Float32Array, Float32Array]):
         """All actions in the order of the agents, shape (1, N, action size)."""
         try:
             stacked = np.array([actions[agent] for agent in self.agents])
-        except (KeyError, ValueError):
+        except (KeyError, IndexError, TypeError, ValueError):
             raise self._complaint(actions) from None
         shape = (len(actions), self.layout.action_size)
         if stacked.shape != shape or stacked.dtype.kind != "f":
@@ -250,6 +253,8 @@ class NashSeekingEnv(ParallelEnv[str, Float32Array, Float32Array]):
 
     def _complaint(self, actions: Mapping[str, Any]) -> ValueError:
         """What is wrong with ``actions``, agent by agent."""
+        if not isinstance(actions, Mapping):
+            return ValueError(f"step() needs a dictionary with one action per agent, got a {type(actions).__name__}")
         missing = [agent for agent in self.agents if agent not in actions]
         unknown = [agent for agent in actions if agent not in self.agents]
         if missing or unknown:

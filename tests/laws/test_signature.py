@@ -31,7 +31,9 @@ def test_laws_have_the_signature_of_stable_baselines3(law):
 
 @pytest.mark.parametrize("kind", ["physical", "local"])
 @pytest.mark.parametrize("law", LAWS)
-@pytest.mark.parametrize("scenario", ["energy", "energy-switching", BLOCKS], ids=str)
+@pytest.mark.parametrize(
+    "scenario", ["energy", "energy-switching", BLOCKS], ids=lambda world: getattr(world, "name", world)
+)
 def test_actions_are_float32_within_the_box_one_row_each(scenario, law, kind):
     layout, observations = observe(scenario, kind=kind)
     actions, _ = law(layout).predict(observations, deterministic=True)

@@ -1,0 +1,536 @@
+import copy
+import pickle
+
+import numpy as np
+import pytest
+from worlds import BLOCKS, PAPER_START, constant_actions, make_env, play
+
+import ptne_env
+from ptne_env import CATALOGUE, get_scenario, laws
+
+INTERFACES = [
+    {"interface": interface, "action_mode": mode} for interface in ("physical", "local") for mode in ("input", "gains")
+]
+
+
+def name_of(scenario):
+    return getattr(scenario, "name", scenario)
+
+
+def random_actions(env, generator):
+    """Float32 actions, some of them outside the box."""
+    bound, size = 1.2 * env.layout.action_bound, env.layout.action_size
+    return {agent: generator.uniform(-bound, bound, size).astype(np.float32) for agent in env.agents}
+
+
+def go_on(env, steps, generator):
+    """All that ``steps`` random steps return, and the views of the whole after each."""
+    return [
+        (*env.step(random_actions(env, generator)), env.state(), env.estimates, env.time)
+        for _ in range(steps)
+        if env.agents
+    ]
+
+
+def same(first, second):
+    """Equality of nested records, bit for bit and type for type."""
+    if isinstance(first, dict):
+        return list(first) == list(second) and all(same(first[key], second[key]) for key in first)
+    if isinstance(first, list | tuple):
+        return len(first) == len(second) and all(same(a, b) for a, b in zip(first, second, strict=True))
+    if isinstance(first, np.ndarray):
+        return first.dtype == second.dtype and np.array_equal(first, second)
+    return type(first) is type(second) and first == second
+
+
+def arrays_in(value):
+    if isinstance(value, np.ndarray):
+        yield value
+    elif isinstance(value, dict):
+        for item in value.values():
+            yield from arrays_in(item)
+    elif isinstance(value, list | tuple):
+        for item in value:
+            yield from arrays_in(item)
+
+
+# --- determinism ------------------------------------------------------------------------------------------------------
+
+
+def seeded_episode(name, seed, **arguments):
+    env = make_env(name, start="random", steps=150, input_limit=5.0, **arguments)
+    first = env.reset(seed=seed)
+    episode = go_on(env, 150, np.random.default_rng(0))
+    following = env.reset()
+    return [first, episode, following, go_on(env, 5, np.random.default_rng(1))]
+
+
+@pytest.mark.parametrize("arguments", INTERFACES, ids=lambda arguments: "-".join(arguments.values()))
+@pytest.mark.parametrize("name", CATALOGUE)
+def test_same_seed_and_actions_repeat_whole_episodes_bit_for_bit(name, arguments):
+    record = seeded_episode(name, 4, **arguments)
+    assert same(record, seeded_episode(name, 4, **arguments))
+    assert not same(record, seeded_episode(name, 5, **arguments))
+    assert len(record[1]) > 1
+
+
+def test_reset_without_seed_goes_on_with_new_starts():
+    env = make_env("energy", start="random")
+    env.reset(seed=0)
+    starts = [env.estimates]
+    for _ in range(3):
+        env.reset()
+        starts.append(env.estimates)
+    assert len({start.tobytes() for start in starts}) == 4
+    env.reset(seed=0)
+    assert np.array_equal(env.estimates, starts[0])
+
+
+def test_environments_without_seed_differ():
+    first, second = make_env("energy", start="random"), make_env("energy", start="random")
+    first.reset()
+    second.reset()
+    assert not np.array_equal(first.estimates, second.estimates)
+
+
+def test_paper_start_needs_no_seed():
+    env = make_env("energy")
+    env.reset()
+    assert np.array_equal(env.estimates, PAPER_START)
+    env.reset(seed=99)
+    assert np.array_equal(env.estimates, PAPER_START)
+
+
+def test_options_set_the_start():
+    env = make_env(BLOCKS)
+    table = np.arange(18.0).reshape(3, 6)
+    env.reset(options={"estimates": table})
+    assert np.array_equal(env.estimates, table)
+    table[:] = 0
+    assert env.estimates[2, 5] == 17.0
+    env.reset(options={"estimates": (np.ones((3, 6))).tolist()})
+    assert np.all(env.estimates == 1)
+    env.reset(seed=0, options={"colour": "red"})  # PettingZoo lets callers pass options of other environments
+
+
+def test_start_that_is_given_takes_nothing_from_the_random_ones():
+    env, undisturbed = make_env("energy", start="random"), make_env("energy", start="random")
+    for each in (env, undisturbed):
+        each.reset(seed=0)
+    env.reset(options={"estimates": np.zeros((5, 5))})
+    env.reset()
+    undisturbed.reset()
+    assert np.array_equal(env.estimates, undisturbed.estimates)
+
+
+# --- the end of an episode --------------------------------------------------------------------------------------------
+
+
+def ends(env, **reset):
+    """Length, terminated, truncated and infos of an episode of zeros."""
+    env.reset(**reset)
+    length = 0
+    while env.agents:
+        _, _, terminations, truncations, infos = env.step(constant_actions(env, 0.0))
+        length += 1
+        assert len(set(terminations.values())) == len(set(truncations.values())) == 1
+        assert terminations.keys() == truncations.keys() == infos.keys() == set(env.possible_agents)
+    return length, terminations["player_0"], truncations["player_0"], infos["player_0"]
+
+
+@pytest.mark.parametrize(
+    ("max_cycles", "length", "terminated", "truncated"),
+    [(None, 12, True, False), (13, 12, True, False), (12, 12, True, False), (11, 11, False, True), (1, 1, False, True)],
+)
+def test_reaching_the_end_is_termination_and_an_earlier_cut_is_truncation(max_cycles, length, terminated, truncated):
+    env = make_env("energy", steps=8, hold_steps=4, max_cycles=max_cycles)
+    assert ends(env)[:3] == (length, terminated, truncated)
+    assert ends(env)[:3] == (length, terminated, truncated)  # the count starts afresh
+
+
+def test_nothing_ends_before_the_last_step():
+    env = make_env("energy", steps=5)
+    env.reset()
+    for _ in range(4):
+        _, _, terminations, truncations, infos = env.step(constant_actions(env, 0.0))
+        assert not any(terminations.values())
+        assert not any(truncations.values())
+        assert all("is_success" not in info for info in infos.values())
+        assert env.agents == env.possible_agents
+
+
+@pytest.mark.parametrize("max_cycles", [None, 3])
+def test_success_is_told_at_every_end(max_cycles):
+    env = make_env("energy", max_cycles=max_cycles, steps=4)
+    near = np.tile(env.nash_equilibrium, (5, 1))
+    direction = np.ones((5, 5)) * np.linalg.norm(env.nash_equilibrium) / np.sqrt(5)
+    for distance, success in [(0.0049, True), (0.0051, False), (0.0, True)]:
+        info = ends(env, options={"estimates": near + distance * direction})[3]
+        assert info["is_success"] is success
+
+
+def test_success_asks_for_all_estimates_not_only_the_strategies():
+    env = make_env("energy", steps=1)
+    table = np.where(np.eye(5, dtype=bool), env.nash_equilibrium, 0.0)
+    info = ends(env, options={"estimates": table})[3]
+    assert np.array_equal(env.strategies, env.nash_equilibrium)
+    assert info["is_success"] is False
+
+
+def crash(env):
+    """The result of the step that leaves the range."""
+    env.reset(seed=0)
+    return env.step(constant_actions(env, env.layout.action_bound))
+
+
+@pytest.mark.parametrize("interface", ["physical", "local"])
+def test_divergence_ends_the_episode_cleanly(interface):
+    env = make_env("non-quadratic", input_limit=1e7, interface=interface, action_scale=1e7)
+    observations, rewards, terminations, truncations, infos = crash(env)
+    assert all(terminations.values())
+    assert not any(truncations.values())
+    assert env.agents == []
+    for agent in env.possible_agents:
+        assert infos[agent]["diverged"] is True
+        assert infos[agent]["is_success"] is False
+        assert env.observation_space(agent).contains(observations[agent])
+        assert np.isfinite(rewards[agent])
+        assert rewards[agent] < 0
+    assert env.state_space.contains(env.state())
+    assert np.all(np.isfinite(env.estimates))
+    observations, _ = env.reset()
+    assert np.array_equal(env.estimates, PAPER_START)
+    _, _, _, _, infos = env.step(constant_actions(env, 0.0))
+    assert infos["player_0"]["diverged"] is False
+
+
+# --- observations, infos and spaces -----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("arguments", INTERFACES, ids=lambda arguments: "-".join(arguments.values()))
+@pytest.mark.parametrize("name", [*CATALOGUE, "blocks"])
+def test_spaces_contain_all_that_an_episode_returns(name, arguments):
+    scenario = BLOCKS if name == "blocks" else name
+    env = make_env(scenario, start="random", steps=150, hold_steps=5, input_limit=20.0, **arguments)
+    generator = np.random.default_rng(0)
+    observations, infos = env.reset(seed=0)
+    assert infos == {agent: {} for agent in env.possible_agents}
+    while True:
+        for agent in env.possible_agents:
+            assert observations[agent].dtype == np.float32
+            assert env.observation_space(agent).contains(observations[agent])
+        assert env.state().dtype == np.float32
+        assert env.state_space.contains(env.state())
+        if not env.agents:
+            break
+        observations, rewards, terminations, truncations, infos = env.step(random_actions(env, generator))
+        for agent in env.possible_agents:
+            assert type(rewards[agent]) is float
+            assert type(terminations[agent]) is type(truncations[agent]) is bool
+            info = infos[agent]
+            assert type(info["diverged"]) is bool
+            assert type(info["clipped"]) is int
+            assert all(type(value) is float and np.isfinite(value) for value in info["reward_terms"].values())
+    assert type(info["is_success"]) is bool
+
+
+def test_spaces_belong_to_one_agent_of_one_environment_and_stay_the_same():
+    first, second = make_env("energy"), make_env("energy")
+    agents = first.possible_agents
+    for name in ("observation_space", "action_space"):
+        spaces = [getattr(env, name)(agent) for env in (first, second) for agent in agents]
+        assert len({id(space) for space in spaces}) == 10
+        again = [getattr(env, name)(agent) for env in (first, second) for agent in agents]
+        assert all(space is other for space, other in zip(spaces, again, strict=True))
+        assert all(space == spaces[0] for space in spaces)
+        first.reset(seed=0)
+        assert getattr(first, name)("player_0") is spaces[0]
+
+
+def test_agents_are_players_numbered_from_zero():
+    env = make_env(BLOCKS)
+    assert env.agents == []
+    assert env.possible_agents == ["player_0", "player_1", "player_2"]
+    env.reset()
+    assert env.agents == env.possible_agents
+    assert env.num_agents == env.max_num_agents == 3
+
+
+def test_state_is_all_estimates_the_live_links_and_the_clock():
+    env = make_env("energy-switching", start="random")
+    env.reset(seed=0)
+    for _ in range(70):
+        env.step(constant_actions(env, 1.0))
+    clock = env.dynamics.clock
+    active = env.dynamics.signal.graphs[int(env.dynamics.modes[70])].adjacency
+    times = [clock.t[70] / 1.2, clock.s[70], clock.theta[70], clock.dt[70] / 1.2]
+    expected = np.concatenate([env.estimates.ravel(), active.ravel(), times]).astype(np.float32)
+    assert np.array_equal(env.state(), expected)
+    assert env.state_space.shape == expected.shape
+    assert env.time == clock.t[70]
+
+
+def test_clipped_entries_are_counted_per_agent():
+    env = make_env("energy", input_limit=10.0)
+    env.reset()
+    actions = constant_actions(env, 10.0)
+    actions["player_1"][:3] = 10.5
+    actions["player_3"][4] = -11
+    infos = env.step(actions)[4]
+    assert [infos[agent]["clipped"] for agent in env.possible_agents] == [0, 3, 0, 1, 0]
+    moved = env.estimates - PAPER_START
+    assert np.abs(moved).max() == pytest.approx(10 * env.dynamics.clock.theta[0])
+
+
+def test_hold_phase_starts_at_the_deadline_and_observes_a_clock_that_has_stopped_in_s():
+    env = make_env("energy", hold_steps=3)
+    observations, _ = env.reset()
+    seen = []
+    while env.agents:
+        observations = env.step(constant_actions(env, 0.0))[0]
+        seen.append(env.layout.select(observations["player_0"], "clock"))
+    mean = env.dynamics.clock.theta[:400].mean()
+    at_deadline, first_hold, second_hold, terminal = seen[-4], seen[-3], seen[-2], seen[-1]
+    assert at_deadline[0] == 1.0
+    assert at_deadline[1] == first_hold[1] == second_hold[1] == terminal[1] == 8.0
+    for clock in (at_deadline, first_hold, second_hold):
+        assert clock[2] == pytest.approx(mean, rel=1e-6)
+        assert clock[3] == pytest.approx(mean / 20 / 1.2, rel=1e-6)
+    assert terminal[2:].tolist() == [0, 0]
+    assert terminal[0] == pytest.approx(1 + 3 * mean / 20 / 1.2, rel=1e-6)
+
+
+def test_estimates_at_the_deadline_are_those_of_the_last_step():
+    plain, held = make_env("energy"), make_env("energy", hold_steps=40)
+    arrived, _ = play(plain, laws.Static(plain.layout))
+    states, _ = play(held, laws.Static(held.layout))
+    assert np.array_equal(states[:401], arrived)
+    equilibrium = held.nash_equilibrium
+    assert np.linalg.norm(states[-1] - equilibrium) < 0.5 * np.linalg.norm(states[400] - equilibrium)
+
+
+# --- aliasing ---------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("interface", ["physical", "local"])
+@pytest.mark.parametrize("name", ["energy", "energy-switching", BLOCKS], ids=name_of)
+def test_what_was_returned_never_changes_later_and_is_shared_with_nobody(name, interface):
+    env = make_env(name, interface=interface, steps=30, start="random", input_limit=5.0)
+    record = [env.reset(seed=0)]
+    kept = [copy.deepcopy(record[0])]
+    generator = np.random.default_rng(0)
+    while env.agents:
+        result = (*env.step(random_actions(env, generator)), env.state(), env.estimates, env.strategies)
+        record.append(result)
+        kept.append(copy.deepcopy(result))
+    env.reset()
+    assert same(record, kept)
+    arrays = list(arrays_in(record))
+    for index, array in enumerate(arrays):
+        assert not any(np.shares_memory(array, other) for other in arrays[index + 1 : index + 40])
+        assert not np.shares_memory(array, env._state.estimates)
+
+
+@pytest.mark.parametrize("name", ["energy", "energy-switching"])
+def test_writing_into_what_was_returned_changes_nothing(name):
+    env, undisturbed = (make_env(name, steps=30, start="random", input_limit=5.0) for _ in range(2))
+    generators = [np.random.default_rng(0) for _ in range(2)]
+    record = undisturbed.reset(seed=0)
+    vandalised = env.reset(seed=0)
+    while undisturbed.agents:
+        assert same(record, vandalised)
+        for array in [*arrays_in(vandalised), env.state(), env.estimates, env.strategies, env.nash_equilibrium]:
+            array[...] = np.float32(77)
+        for value in vandalised:
+            value.clear()
+        actions = random_actions(env, generators[0])
+        vandalised = env.step(actions)
+        for action in actions.values():
+            action[:] = 55
+        record = undisturbed.step(random_actions(undisturbed, generators[1]))
+    assert same(record, vandalised)
+
+
+def pickled(env):
+    return pickle.loads(pickle.dumps(env))  # noqa: S301 - our own bytes
+
+
+@pytest.mark.parametrize("duplicate", [copy.deepcopy, pickled], ids=["deepcopy", "pickle"])
+@pytest.mark.parametrize("name", ["energy", "energy-switching-transformed", BLOCKS], ids=name_of)
+def test_copy_in_the_middle_of_an_episode_goes_on_identically_and_apart(name, duplicate):
+    env = make_env(name, steps=150, start="random", input_limit=5.0, reward={"digits": 1.0, "payoff": 0.1})
+    env.reset(seed=0)
+    go_on(env, 25, np.random.default_rng(1))
+    twin = duplicate(env)
+    ours = [go_on(env, 150, np.random.default_rng(2)), env.reset(), go_on(env, 3, np.random.default_rng(3))]
+    theirs = [go_on(twin, 150, np.random.default_rng(2)), twin.reset(), go_on(twin, 3, np.random.default_rng(3))]
+    assert len(ours[0]) == 125
+    assert same(ours, theirs)
+
+
+# --- bad input --------------------------------------------------------------------------------------------------------
+
+
+def changed(agent, action):
+    def change(actions):
+        return {**actions, agent: action}
+
+    return change
+
+
+def without(agent):
+    return lambda actions: {name: action for name, action in actions.items() if name != agent}
+
+
+def spoiled(value):
+    action = np.zeros(5, dtype=np.float32)
+    action[3] = value
+    return action
+
+
+BAD_ACTIONS = {
+    "NaN": (changed("player_2", spoiled(np.nan)), "action of player_2 is not finite; expected numbers without NaN"),
+    "infinite": (changed("player_4", spoiled(np.inf)), "action of player_4 is not finite"),
+    "minus infinite": (changed("player_0", spoiled(-np.inf)), "action of player_0 is not finite"),
+    "too short": (
+        changed("player_1", np.zeros(4, dtype=np.float32)),
+        r"action of player_1 has the shape \(4,\); expected \(5,\)",
+    ),
+    "too deep": (changed("player_1", np.zeros((1, 5), dtype=np.float32)), r"shape \(1, 5\); expected \(5,\)"),
+    "scalar": (changed("player_1", np.float32(0)), r"shape \(\); expected \(5,\)"),
+    "integers": (changed("player_3", np.zeros(5, dtype=np.int64)), "player_3 has the dtype int64; expected float32"),
+    "strings": (changed("player_3", np.array(["a"] * 5)), "player_3 has the dtype <U1; expected float32"),
+    "objects": (changed("player_3", np.array([None] * 5)), "player_3 has the dtype object; expected float32"),
+    "complex": (changed("player_3", np.zeros(5, dtype=np.complex64)), "dtype complex64; expected float32"),
+    "nothing": (changed("player_3", None), "player_3 has the dtype object; expected float32"),
+    "missing agent": (without("player_3"), "one action per live agent; missing: player_3; unknown: none; live: pl"),
+    "unknown agent": (changed("player_9", spoiled(0)), "missing: none; unknown: player_9; live: player_0, player_1"),
+    "a list": (lambda actions: list(actions.values()), "a dictionary with one action per agent, got a list"),
+    "no agents": (lambda actions: {}, "missing: player_0, player_1, player_2, player_3, player_4"),
+}
+
+
+@pytest.mark.parametrize("name", BAD_ACTIONS)
+def test_bad_action_is_refused_by_name_and_leaves_no_trace(name):
+    spoil, message = BAD_ACTIONS[name]
+    env, undisturbed = (make_env("energy-switching", start="random", steps=60, input_limit=9.0) for _ in range(2))
+    for each in (env, undisturbed):
+        each.reset(seed=0)
+        go_on(each, 20, np.random.default_rng(0))
+    with pytest.raises(ValueError, match=message):
+        env.step(spoil(constant_actions(env, 0.5)))
+    generators = [np.random.default_rng(1) for _ in range(2)]
+    ours = [go_on(env, 60, generators[0]), env.reset(), go_on(env, 3, generators[0])]
+    theirs = [go_on(undisturbed, 60, generators[1]), undisturbed.reset(), go_on(undisturbed, 3, generators[1])]
+    assert len(ours[0]) == 40
+    assert same(ours, theirs)
+
+
+BAD_RESETS = {
+    "estimates of another shape": ({"options": {"estimates": np.zeros((5, 4))}}, r"shape \(N, n\) = \(5, 5\), got \(5"),
+    "estimates that are NaN": ({"options": {"estimates": np.full((5, 5), np.nan)}}, "must be finite and within"),
+    "estimates of unequal rows": ({"options": {"estimates": [[1.0, 2.0], [3.0]]}}, r"\(N, n\) table of numbers"),
+    "estimates that are words": ({"options": {"estimates": [["a"]]}}, r"\(N, n\) table of numbers"),
+    "estimates that are nothing": ({"options": {"estimates": [[None, {}]]}}, r"\(N, n\) table of numbers"),
+    "estimates out of range": ({"options": {"estimates": np.full((5, 5), 1e6)}}, "must be finite and within"),
+    "negative seed": ({"seed": -1}, "a seed is a whole number of at least 0 or None"),
+    "fractional seed": ({"seed": 1.5}, "a seed is a whole number of at least 0 or None"),
+    "good seed, bad estimates": ({"seed": 3, "options": {"estimates": [[1.0]]}}, r"got \(1, 1\)"),
+}
+
+
+@pytest.mark.parametrize("name", BAD_RESETS)
+def test_bad_reset_is_refused_and_leaves_no_trace(name):
+    arguments, message = BAD_RESETS[name]
+    env, undisturbed = (make_env("energy", start="random", steps=30, input_limit=9.0) for _ in range(2))
+    for each in (env, undisturbed):
+        each.reset(seed=0)
+        go_on(each, 10, np.random.default_rng(0))
+    with pytest.raises(ValueError, match=message):
+        env.reset(**arguments)
+    generators = [np.random.default_rng(1) for _ in range(2)]
+    ours = [go_on(env, 60, generators[0]), env.reset(), go_on(env, 3, generators[0])]
+    theirs = [go_on(undisturbed, 60, generators[1]), undisturbed.reset(), go_on(undisturbed, 3, generators[1])]
+    assert len(ours[0]) == 20
+    assert same(ours, theirs)
+
+
+def test_step_before_reset_and_after_the_end_say_to_reset():
+    env = make_env("energy", steps=1)
+    actions = {agent: np.zeros(5, dtype=np.float32) for agent in env.possible_agents}
+    with pytest.raises(RuntimeError, match=r"call reset\(\) before step\(\)"):
+        env.step(actions)
+    env.reset()
+    env.step(actions)
+    arrived = env.estimates
+    with pytest.raises(RuntimeError, match=r"no episode is running: call reset\(\)"):
+        env.step(actions)
+    assert np.array_equal(env.estimates, arrived)
+
+
+@pytest.mark.parametrize(
+    "view", [lambda env: env.estimates, lambda env: env.strategies, lambda env: env.time, lambda env: env.state()]
+)
+def test_views_before_reset_say_to_reset(view):
+    with pytest.raises(RuntimeError, match=r"call reset\(\) first"):
+        view(make_env("energy"))
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"scenario": "enrgy"}, "unknown scenario 'enrgy'; the catalogue has energy"),
+        ({"interface": "global"}, "unknown interface 'global'; choose from physical, local, full"),
+        ({"interface": "full"}, "for oracles in evaluations only; choose 'physical' or 'local'"),
+        ({"action_mode": "torque"}, "unknown action mode 'torque'; choose from input, gains"),
+        ({"action_scale": -1.0}, "action_scale must be a finite number above 0"),
+        ({"reward": "score"}, "unknown reward 'score'; choose from digits, tracking, payoff, regret"),
+        ({"max_cycles": 0}, "max_cycles must be a whole number of at least 1"),
+        ({"max_cycles": 1.5}, "max_cycles must be a whole number"),
+        ({"steps": 0}, r"steps \(K\) must be a whole number of at least 1"),
+        ({"deadline": 0.0}, r"deadline must be .* above 0 \(T, in seconds\)"),
+        ({"kappa": 2.0}, "unknown scenario field 'kappa'; the fields are name, game"),
+    ],
+)
+def test_environment_that_cannot_be_is_refused_with_advice(arguments, message):
+    with pytest.raises(ValueError, match=message):
+        ptne_env.parallel_env(**arguments)
+
+
+def test_double_precision_actions_are_welcome():
+    env, other = make_env("energy"), make_env("energy")
+    env.reset()
+    other.reset()
+    actions = random_actions(env, np.random.default_rng(0))
+    env.step(actions)
+    other.step({agent: action.astype(np.float64) for agent, action in actions.items()})
+    assert np.array_equal(env.estimates, other.estimates)
+
+
+def test_order_of_the_actions_does_not_matter():
+    env, other = make_env("energy"), make_env("energy")
+    env.reset()
+    other.reset()
+    actions = random_actions(env, np.random.default_rng(0))
+    env.step(actions)
+    other.step(dict(reversed(actions.items())))
+    assert np.array_equal(env.estimates, other.estimates)
+
+
+def test_reward_and_interface_do_not_change_the_physics():
+    inputs = np.random.default_rng(0).uniform(-1, 1, (20, 5, 5)).astype(np.float32)
+    ends_at = []
+    for arguments in ({}, {"reward": "payoff"}, {"reward": {"tracking": 2.0, "regret": 1.0}}, {"max_cycles": 500}):
+        env = make_env("energy", **arguments)
+        env.reset(seed=0)
+        for step in inputs:
+            env.step(dict(zip(list(env.agents), step, strict=True)))
+        ends_at.append(env.estimates)
+    assert all(np.array_equal(ends_at[0], other) for other in ends_at)
+
+
+def test_custom_scenario_is_an_environment_too():
+    scenario = get_scenario("energy", name="my own", steps=7)
+    env = ptne_env.parallel_env(scenario, hold_steps=2)
+    assert env.scenario == scenario.replace(hold_steps=2)
+    assert ends(env)[0] == 9

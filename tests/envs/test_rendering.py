@@ -1,0 +1,128 @@
+import builtins
+
+import numpy as np
+import pytest
+from matplotlib import pyplot as plt
+from worlds import BLOCKS, constant_actions, make_env
+
+from ptne_env import CATALOGUE
+
+
+def picture(name, steps=0, action=1.0):
+    env = make_env(name, render_mode="rgb_array")
+    env.reset(seed=0)
+    for _ in range(steps):
+        env.step(constant_actions(env, action))
+    pixels = env.render()
+    env.close()
+    return pixels
+
+
+@pytest.mark.parametrize("name", [*CATALOGUE, BLOCKS], ids=lambda world: getattr(world, "name", world))
+def test_picture_shows_something_in_every_part(name):
+    pixels = picture(name, steps=20)
+    assert pixels.dtype == np.uint8
+    assert pixels.ndim == 3
+    assert pixels.shape[2] == 3
+    height, width, _ = pixels.shape
+    for rows in (slice(0, height // 2), slice(height // 2, None)):
+        for columns in (slice(0, width // 2), slice(width // 2, None)):
+            quarter = pixels[rows, columns]
+            assert len(np.unique(quarter.reshape(-1, 3), axis=0)) > 20
+            assert 0.3 < (quarter == 255).all(axis=2).mean() < 0.99
+
+
+def test_picture_follows_the_episode_and_repeats_itself():
+    assert np.array_equal(picture("energy", steps=5), picture("energy", steps=5))
+    assert not np.array_equal(picture("energy", steps=5), picture("energy", steps=200))
+    assert not np.array_equal(picture("energy", steps=50), picture("energy", steps=50, action=-1.0))
+
+
+def test_picture_shows_which_links_are_alive():
+    env = make_env("energy-switching", render_mode="rgb_array")
+    env.reset()
+    first = env.render()
+    while env.dynamics.modes[int(env._state.step[0])] == 0:
+        env.step(constant_actions(env, 0.0))
+    height, width, _ = first.shape
+    graph = slice(height // 2, None), slice(2 * width // 3, None)
+    assert not np.array_equal(first[graph], env.render()[graph])
+
+
+def test_picture_starts_afresh_with_each_episode():
+    env = make_env("energy", render_mode="rgb_array")
+    env.reset()
+    first = env.render()
+    for _ in range(30):
+        env.step(constant_actions(env, 2.0))
+    env.reset()
+    assert np.array_equal(env.render(), first)
+
+
+def test_pictures_are_owned_by_the_caller():
+    env = make_env("energy", render_mode="rgb_array")
+    env.reset()
+    first = env.render()
+    kept = first.copy()
+    env.step(constant_actions(env, 5.0))
+    second = env.render()
+    assert np.array_equal(first, kept)
+    assert not np.shares_memory(first, second)
+
+
+@pytest.mark.parametrize("mode", ["rgb_array", "human"])
+def test_closing_twice_is_harmless_and_leaves_no_figure_open(mode):
+    before = plt.get_fignums()
+    env = make_env("energy", render_mode=mode)
+    env.reset()
+    env.step(constant_actions(env, 0.0))
+    env.render()
+    env.close()
+    env.close()
+    assert plt.get_fignums() == before
+
+
+def test_finished_and_diverged_episodes_can_be_drawn():
+    env = make_env("non-quadratic", render_mode="rgb_array")
+    env.reset()
+    infos = env.step(constant_actions(env, 1000.0))[4]
+    assert infos["player_0"]["diverged"]
+    assert env.render().std() > 0
+
+
+def test_drawing_needs_a_mode_and_an_episode():
+    with pytest.raises(RuntimeError, match="render_mode='rgb_array'"):
+        make_env("energy").render()
+    with pytest.raises(RuntimeError, match=r"call reset\(\) first"):
+        make_env("energy", render_mode="rgb_array").render()
+
+
+def test_unknown_mode_is_refused_with_the_choices():
+    with pytest.raises(ValueError, match=r"unknown render_mode 'ascii'; choose None or one of .*human.*rgb_array"):
+        make_env("energy", render_mode="ascii")
+
+
+def test_missing_matplotlib_names_the_extra_to_install(monkeypatch):
+    env = make_env("energy", render_mode="rgb_array")
+    env.reset()
+    plain = builtins.__import__
+
+    def without(name, *arguments, **keywords):
+        if name.startswith("matplotlib"):
+            raise ImportError(name)
+        return plain(name, *arguments, **keywords)
+
+    monkeypatch.setattr(builtins, "__import__", without)
+    with pytest.raises(ImportError, match=r'pip install "ptne-env\[bench\]"'):
+        env.render()
+
+
+def test_drawing_does_not_change_the_episode():
+    drawn, plain = make_env("energy", render_mode="rgb_array"), make_env("energy")
+    for env in (drawn, plain):
+        env.reset(seed=0)
+        for _ in range(3):
+            env.step(constant_actions(env, 1.0))
+            if env is drawn:
+                env.render()
+    assert np.array_equal(drawn.estimates, plain.estimates)
