@@ -262,19 +262,21 @@ class NashSeekingEnv(ParallelEnv[str, Float32Array, Float32Array]):
                 f"step() needs one action per live agent; missing: {', '.join(missing) or 'none'}; unknown: "
                 f"{', '.join(map(str, unknown)) or 'none'}; live: {', '.join(self.agents)}"
             )
-        expected = (self.layout.action_size,)
-        for agent in self.agents:
-            try:
-                row = np.asarray(actions[agent])
-            except ValueError:
-                return ValueError(f"the action of {agent} is ragged; expected the shape {expected}")
-            if row.dtype.kind != "f":
-                return ValueError(f"the action of {agent} has the dtype {row.dtype}; expected float32")
-            if row.shape != expected:
-                return ValueError(f"the action of {agent} has the shape {row.shape}; expected {expected}")
-            if not np.isfinite(row).all():
-                return ValueError(f"the action of {agent} is not finite; expected numbers without NaN or infinity")
-        return ValueError("the actions could not be stacked; expected one float32 array per agent")
+        faults = {agent: _fault(actions[agent], (self.layout.action_size,)) for agent in self.agents}
+        return ValueError("; ".join(f"the action of {agent} {fault}" for agent, fault in faults.items() if fault))
+
+
+def _fault(action: Any, shape: tuple[int, ...]) -> str | None:
+    """What is wrong with an action, or ``None``."""
+    try:
+        row = np.asarray(action)
+    except ValueError:
+        return f"is ragged; expected the shape {shape}"
+    if row.dtype.kind != "f":
+        return f"has the dtype {row.dtype}; expected float32"
+    if row.shape != shape:
+        return f"has the shape {row.shape}; expected {shape}"
+    return None if np.isfinite(row).all() else "is not finite; expected numbers without NaN or infinity"
 
 
 def parallel_env(

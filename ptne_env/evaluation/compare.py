@@ -14,7 +14,7 @@ import numpy as np
 from ptne_env._version import __version__
 from ptne_env.arrays import FloatArray, require_count
 from ptne_env.dynamics import Dynamics
-from ptne_env.evaluation.bank import draw_start
+from ptne_env.evaluation.bank import Split, draw_start
 from ptne_env.evaluation.entries import Entry, get_entry
 from ptne_env.evaluation.metrics import METRICS, measure
 from ptne_env.evaluation.rollout import rollout
@@ -149,6 +149,7 @@ def evaluate(
     episodes: int = 100,
     seed: int = 0,
     hold_steps: int = 0,
+    split: Split = "test",
     progress: Callable[[str], None] | None = None,
 ) -> Results:
     """Run every policy on every scenario from the same seeded starts.
@@ -163,6 +164,7 @@ def evaluate(
         episodes: number of random starts.
         seed: of the starts; the draws never depend on a policy.
         hold_steps: steps after the deadline for the scenarios given by name.
+        split: whose draws are met: ``"test"``, ``"validation"`` or ``"train"``, which share none.
         progress: called with ``"scenario: policy"`` after each cell.
 
     Raises:
@@ -178,7 +180,7 @@ def evaluate(
     cells = []
     for label, scenario in cases.items():
         dynamics = Dynamics(scenario)
-        start = draw_start(dynamics, episodes if scenario.is_random else 1, seed)
+        start = draw_start(dynamics, episodes if scenario.is_random else 1, seed, split)
         for entry in chosen.values():
             port = Port(dynamics, entry.interface)
             cells.append(Cell(label, entry.name, measure(rollout(entry.build(port.layout), port, start))))

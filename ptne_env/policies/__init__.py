@@ -1,0 +1,7 @@
+"""Learned policies: small networks in ONNX files, run by onnxruntime without torch."""
+
+from ptne_env.policies.learned import LearnedPolicy as LearnedPolicy
+from ptne_env.policies.learned import Metadata as Metadata
+from ptne_env.policies.learned import PolicyFileError as PolicyFileError
+from ptne_env.policies.learned import load as load
+from ptne_env.policies.learned import shipped as shipped

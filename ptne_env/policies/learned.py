@@ -1,0 +1,176 @@
+"""Loading a learned policy. An ONNX file is data: loading one cannot execute code."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from ptne_env.arrays import BoolArray, Float32Array
+from ptne_env.interface import Interface, Layout
+
+LAYOUT_VERSION = 1
+"""Version of the meaning of observations and actions; a file of another version is refused."""
+
+_METADATA_KEY = "ptne_env"
+_FOLDER = Path(__file__).parent
+
+
+class PolicyFileError(ValueError):
+    """A file is not a policy of this library, is damaged, or was made for other observations."""
+
+
+@dataclass(frozen=True)
+class Metadata:
+    """What a policy file says about itself.
+
+    Attributes:
+        interface: through which the policy sees and acts.
+        action_dims: n_i of each player it was trained with.
+        slots: D, neighbour slots per player.
+        scenario: name of the scenario, or family of games, it was trained on.
+        steps: agent-steps of training.
+        seed: of training.
+        digits: mean digits on the validation bank after training.
+        versions: of the libraries that made it.
+        layout_version: version of the meaning of observations and actions.
+    """
+
+    interface: Interface
+    action_dims: tuple[int, ...]
+    slots: int
+    scenario: str
+    steps: int
+    seed: int
+    digits: float
+    versions: Mapping[str, str]
+    layout_version: int = LAYOUT_VERSION
+
+    def to_json(self) -> str:
+        """The metadata as a JSON text."""
+        return json.dumps(dataclasses.asdict(self), allow_nan=False, sort_keys=True)
+
+    @classmethod
+    def from_json(cls, text: str) -> Metadata:
+        """The inverse of :meth:`to_json`.
+
+        Raises:
+            PolicyFileError: when the text is damaged or of another layout version.
+        """
+        try:
+            data = json.loads(text)
+            interface, action_dims = Interface(**data.pop("interface")), tuple(data.pop("action_dims"))
+            metadata = cls(interface=interface, action_dims=action_dims, **data)
+        except (AttributeError, KeyError, TypeError, ValueError) as error:
+            raise PolicyFileError(f"the policy's metadata is damaged or of a later version: {error!r}") from error
+        if metadata.layout_version != LAYOUT_VERSION:
+            raise PolicyFileError(
+                f"the policy was made for layout version {metadata.layout_version}, this library has {LAYOUT_VERSION}; "
+                "use the version of ptne_env that made it, or train it again"
+            )
+        return metadata
+
+    def require(self, layout: Layout) -> None:
+        """Check that the policy can act in an environment of this layout.
+
+        Raises:
+            PolicyFileError: naming what differs.
+        """
+        mine = {"interface": self.interface, "action_dims": self.action_dims, "neighbour slots": self.slots}
+        theirs = {
+            "interface": layout.interface,
+            "action_dims": layout.action_dims,
+            "neighbour slots": layout.slots,
+        }
+        differences = [
+            f"{name}: policy {mine[name]}, environment {theirs[name]}" for name in mine if mine[name] != theirs[name]
+        ]
+        if differences:
+            raise PolicyFileError(f"the policy was made for another layout; {'; '.join(differences)}")
+
+
+class LearnedPolicy:
+    """A feed-forward policy, acting by its mean action; see :class:`ptne_env.policy.Policy`.
+
+    Make one with :func:`load`.
+
+    Attributes:
+        name: of the file, without its ending.
+        metadata: what the file says about itself.
+        interface: through which it sees and acts.
+    """
+
+    def __init__(self, name: str, session: Any, metadata: Metadata) -> None:
+        self.name = name
+        self.metadata = metadata
+        self.interface = metadata.interface
+        self._session = session
+        self._input = session.get_inputs()[0].name
+
+    def require(self, layout: Layout) -> None:
+        """Check that the policy can act in an environment of this layout; see :meth:`Metadata.require`."""
+        self.metadata.require(layout)
+
+    def predict(
+        self,
+        observation: npt.NDArray[np.float32],
+        state: Any = None,
+        episode_start: BoolArray | None = None,  # noqa: ARG002 - Stable-Baselines3's signature
+        deterministic: bool = False,  # noqa: ARG002, FBT001, FBT002 - Stable-Baselines3's signature
+    ) -> tuple[Float32Array, Any]:
+        """The mean actions, clipped to the action box; see :meth:`ptne_env.policy.Policy.predict`.
+
+        Raises:
+            PolicyFileError: when observations have another length than the policy was made for.
+        """
+        rows = np.atleast_2d(np.asarray(observation, dtype=np.float32))
+        expected = self._session.get_inputs()[0].shape[1]
+        if rows.ndim != 2 or rows.shape[1] != expected:
+            raise PolicyFileError(f"policy {self.name!r} takes observations of length {expected}, got {rows.shape}")
+        (actions,) = self._session.run(None, {self._input: rows})
+        return (actions[0] if np.ndim(observation) == 1 else actions), state
+
+
+def shipped() -> list[str]:
+    """The names of the policies that come with the library."""
+    return sorted(path.stem for path in _FOLDER.glob("*.onnx"))
+
+
+def load(path_or_name: str | Path) -> LearnedPolicy:
+    """A learned policy from an ``.onnx`` file, or a shipped one by name.
+
+    Raises:
+        FileNotFoundError: when there is no such file, naming the shipped policies.
+        PolicyFileError: when the file is damaged, foreign or of another version.
+        ImportError: without onnxruntime, naming the extra to install.
+    """
+    try:
+        import onnxruntime
+    except ImportError as error:
+        raise ImportError('learned policies need onnxruntime: pip install "ptne-env[bench]"') from error
+    path = Path(path_or_name)
+    if path.suffix != ".onnx":
+        path = _FOLDER / f"{path_or_name}.onnx"
+    if not path.is_file():
+        names = ", ".join(shipped()) or "none"
+        raise FileNotFoundError(f"no policy {str(path_or_name)!r}: name an .onnx file or a shipped policy ({names})")
+    options = onnxruntime.SessionOptions()
+    options.intra_op_num_threads = 1  # the networks are small, and one thread gives the same bits everywhere
+    options.log_severity_level = 4
+    try:
+        session = onnxruntime.InferenceSession(path.read_bytes(), options, providers=["CPUExecutionProvider"])
+    except Exception as error:  # onnxruntime raises its own classes, which are not public
+        raise PolicyFileError(f"{path} is not a readable ONNX file: it is damaged or something else") from error
+    text = session.get_modelmeta().custom_metadata_map.get(_METADATA_KEY)
+    if text is None:
+        raise PolicyFileError(f"{path} is an ONNX file without the metadata of a ptne_env policy")
+    metadata = Metadata.from_json(text)
+    if len(session.get_inputs()) != 1 or len(session.get_outputs()) != 1 or len(session.get_inputs()[0].shape) != 2:
+        raise PolicyFileError(f"{path} does not map one batch of observations to one batch of actions")
+    return LearnedPolicy(path.stem, session, metadata)

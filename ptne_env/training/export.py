@@ -1,0 +1,87 @@
+"""From a Stable-Baselines3 actor to an ONNX file that :func:`ptne_env.policies.load` reads."""
+
+from __future__ import annotations
+
+import io
+from typing import TYPE_CHECKING
+
+import numpy as np
+import onnx
+import stable_baselines3
+import torch
+from onnx import helper, numpy_helper
+from torch import nn
+
+from ptne_env._version import __version__
+from ptne_env.interface import Layout
+from ptne_env.policies import Metadata
+
+if TYPE_CHECKING:
+    from stable_baselines3.common.on_policy_algorithm import OnPolicyAlgorithm
+
+_OPSET, _IR = 17, 8
+
+
+def to_onnx(model: OnPolicyAlgorithm, layout: Layout, *, scenario: str, seed: int, digits: float) -> bytes:
+    """The deterministic actor as an ONNX file: observations (R, size) float32 to clipped mean actions, float32.
+
+    The graph is written node by node: a policy here is a stack of affine maps and tanh, and torch's exporters need
+    three more packages for it and change with every release.
+
+    Args:
+        model: PPO or A2C with an ``MlpPolicy`` of tanh units on a flat observation.
+        layout: it was trained on.
+        scenario: it was trained on, for the metadata.
+        seed: of training, for the metadata.
+        digits: on the validation bank, for the metadata.
+
+    Raises:
+        ValueError: when the actor holds a layer other than affine maps and tanh.
+    """
+    policy = model.policy
+    layers = [*policy.mlp_extractor.policy_net, policy.action_net]
+    nodes, initializers, last = [], [], "observation"
+    for index, layer in enumerate(layers):
+        output = f"hidden_{index}"
+        if isinstance(layer, nn.Linear):
+            for name, tensor in (("weight", layer.weight), ("bias", layer.bias)):
+                array = tensor.detach().cpu().numpy().astype(np.float32)
+                initializers.append(numpy_helper.from_array(array, f"{name}_{index}"))
+            inputs = [last, f"weight_{index}", f"bias_{index}"]
+            nodes.append(helper.make_node("Gemm", inputs, [output], transB=1))
+        elif isinstance(layer, nn.Tanh):
+            nodes.append(helper.make_node("Tanh", [last], [output]))
+        else:
+            raise ValueError(f"only affine maps and tanh can be exported, the actor holds a {type(layer).__name__}")
+        last = output
+    bound = np.array(layout.action_bound, dtype=np.float32)
+    initializers += [numpy_helper.from_array(value, name) for name, value in (("low", -bound), ("high", bound))]
+    nodes.append(helper.make_node("Clip", [last, "low", "high"], ["action"]))
+    graph = helper.make_graph(
+        nodes,
+        "policy",
+        [helper.make_tensor_value_info("observation", onnx.TensorProto.FLOAT, ["rows", layout.size])],
+        [helper.make_tensor_value_info("action", onnx.TensorProto.FLOAT, ["rows", layout.action_size])],
+        initializers,
+    )
+    exported = helper.make_model(graph, opset_imports=[helper.make_opsetid("", _OPSET)], ir_version=_IR)
+    metadata = Metadata(
+        interface=layout.interface,
+        action_dims=layout.action_dims,
+        slots=layout.slots,
+        scenario=scenario,
+        steps=int(model.num_timesteps),
+        seed=seed,
+        digits=digits,
+        versions={
+            "ptne_env": __version__,
+            "stable_baselines3": stable_baselines3.__version__,
+            "torch": torch.__version__,
+            "numpy": np.__version__,
+        },
+    )
+    helper.set_model_props(exported, {"ptne_env": metadata.to_json()})
+    onnx.checker.check_model(exported)
+    buffer = io.BytesIO()
+    onnx.save_model(exported, buffer)
+    return buffer.getvalue()

@@ -1,0 +1,241 @@
+"""PPO of Stable-Baselines3 on a scenario, one network shared by all players. The file reads top to bottom.
+
+Run it with ``ptne train random-energy-switching --out DIR`` or ``python baselines/train.py``. ``DIR`` then holds
+``policy.onnx`` (load it with :func:`ptne_env.policies.load`), ``summary.json``, TensorBoard logs, and, while it runs,
+``checkpoint.zip``; a run that was interrupted goes on from it when the same command is given again.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import io
+import json
+import tomllib
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from time import monotonic
+from typing import Any
+
+import numpy as np
+import torch
+from stable_baselines3 import PPO
+from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.utils import LinearSchedule
+from stable_baselines3.common.vec_env import VecMonitor
+from torch import nn
+
+from ptne_env.envs.sb3 import SlotVecEnv
+from ptne_env.evaluation import Entry, episode_seed, evaluate
+from ptne_env.files import write_atomically
+from ptne_env.interface import ActionMode, Interface, InterfaceKind
+from ptne_env.scenario import get_scenario
+from ptne_env.training.export import to_onnx
+
+Progress = Callable[[int, int, float], None]
+"""Called with agent-steps done, agent-steps in all, and mean digits gained of late (NaN before an episode ends)."""
+
+_CONFIGURATIONS = Path(__file__).parent / "configurations"
+
+
+@dataclass(frozen=True)
+class Arguments:
+    """What defines a training run. Agent-steps count every player of every environment.
+
+    Attributes:
+        scenario: name of the scenario or family of games to train on.
+        interface: ``"local"`` or ``"physical"``.
+        action_mode: ``"input"`` or ``"gains"``.
+        steps: agent-steps of training.
+        envs: environments stepped together.
+        rollout: steps of every environment between updates.
+        minibatches: per epoch.
+        epochs: passes over a rollout.
+        learning_rate: at the start; it falls linearly to 0 at the end.
+        discount: γ of PPO. Returns are reported undiscounted, over the whole horizon.
+        trace: λ of generalised advantage estimation.
+        clip: of the probability ratio.
+        hidden: units of each tanh layer, of actor and critic alike.
+        log_std: initial logarithm of the actions' standard deviation.
+        seed: of the network, the sampling and the training games.
+        validation_episodes: held-out games on which the result is measured.
+        checkpoint_seconds: wall time between checkpoints.
+    """
+
+    scenario: str
+    interface: InterfaceKind = "local"
+    action_mode: ActionMode = "input"
+    steps: int = 6_000_000
+    envs: int = 128
+    rollout: int = 50
+    minibatches: int = 4
+    epochs: int = 5
+    learning_rate: float = 1e-3
+    discount: float = 0.9
+    trace: float = 0.9
+    clip: float = 0.2
+    hidden: tuple[int, ...] = (64, 64)
+    log_std: float = -2.0
+    seed: int = 0
+    validation_episodes: int = 200
+    checkpoint_seconds: float = 20.0
+
+    @classmethod
+    def from_toml(cls, name_or_path: str | Path, **changes: Any) -> Arguments:
+        """The arguments of a shipped configuration, or of a TOML file, with some of them changed.
+
+        Raises:
+            ValueError: for an unknown configuration or key, naming what there is.
+        """
+        path = Path(name_or_path)
+        if path.suffix != ".toml":
+            path = _CONFIGURATIONS / f"{name_or_path}.toml"
+        if not path.is_file():
+            raise ValueError(f"unknown configuration {str(name_or_path)!r}; choose from {', '.join(configurations())}")
+        values = tomllib.loads(path.read_text(encoding="utf-8")) | changes
+        known = {field.name for field in dataclasses.fields(cls)}
+        unknown = sorted(set(values) - known)
+        if unknown:
+            raise ValueError(f"{path.name}: unknown {', '.join(unknown)}; the arguments are {', '.join(sorted(known))}")
+        if "hidden" in values:
+            values["hidden"] = tuple(values["hidden"])
+        return cls(**values)
+
+
+def configurations() -> list[str]:
+    """The names of the shipped configurations."""
+    return sorted(path.stem for path in _CONFIGURATIONS.glob("*.toml"))
+
+
+def train(arguments: Arguments, out: Path, progress: Progress | None = None) -> dict[str, Any]:
+    """Train, validate and export; resume where an interrupted run with the same arguments stopped.
+
+    Args:
+        arguments: of the run.
+        out: folder for everything the run writes; made if missing.
+        progress: called after every rollout.
+
+    Returns:
+        The summary, also in ``out/summary.json``: arguments, digits on the validation bank, seconds.
+
+    Raises:
+        ValueError: when ``out`` holds a run with other arguments.
+    """
+    out.mkdir(parents=True, exist_ok=True)
+    _claim(arguments, out)
+    model, env = _start_or_resume(arguments, out)
+    began = monotonic()
+    remaining = arguments.steps - model.num_timesteps
+    if remaining > 0:
+        model.learn(
+            remaining, callback=_Monitor(arguments, out, progress), reset_num_timesteps=False, tb_log_name="ppo"
+        )
+    digits = _validate(model, arguments)
+    layout = env.get_attr("layout")[0]
+    exported = to_onnx(model, layout, scenario=arguments.scenario, seed=arguments.seed, digits=digits)
+    write_atomically(out / "policy.onnx", exported)
+    summary = {
+        "arguments": dataclasses.asdict(arguments),
+        "validation_digits": digits,
+        "agent_steps": int(model.num_timesteps),
+        "seconds": monotonic() - began,
+    }
+    write_atomically(out / "summary.json", json.dumps(summary, indent=2) + "\n")
+    (out / "checkpoint.zip").unlink(missing_ok=True)
+    return summary
+
+
+def _claim(arguments: Arguments, out: Path) -> None:
+    """Write down what runs in this folder, or check that it is the same run."""
+    path = out / "arguments.json"
+    mine = json.loads(json.dumps(dataclasses.asdict(arguments)))
+    if path.exists():
+        theirs = json.loads(path.read_text(encoding="utf-8"))
+        different = sorted(name for name in mine if theirs.get(name) != mine[name])
+        if different:
+            raise ValueError(
+                f"{out} holds a run with another {', '.join(different)}; choose another folder, or remove this one to "
+                "start afresh"
+            )
+    else:
+        write_atomically(path, json.dumps(mine, indent=2) + "\n")
+
+
+def _start_or_resume(arguments: Arguments, out: Path) -> tuple[PPO, VecMonitor]:
+    torch.set_num_threads(1)  # the networks are small: a second thread costs more than it brings
+    slots = SlotVecEnv(
+        arguments.scenario,
+        arguments.envs,
+        interface=arguments.interface,
+        action_mode=arguments.action_mode,
+        max_cycles=None,
+    )
+    env = VecMonitor(slots)
+    samples = arguments.rollout * slots.num_envs
+    checkpoint = out / "checkpoint.zip"
+    if checkpoint.exists():
+        model = PPO.load(checkpoint, env=env, device="cpu")
+    else:
+        model = PPO(
+            "MlpPolicy",
+            env,
+            learning_rate=LinearSchedule(arguments.learning_rate, 0.0, 1.0),
+            n_steps=arguments.rollout,
+            batch_size=-(-samples // arguments.minibatches),
+            n_epochs=arguments.epochs,
+            gamma=arguments.discount,
+            gae_lambda=arguments.trace,
+            clip_range=arguments.clip,
+            policy_kwargs={
+                "net_arch": list(arguments.hidden),
+                "activation_fn": nn.Tanh,
+                "log_std_init": arguments.log_std,
+            },
+            tensorboard_log=str(out / "tensorboard"),
+            seed=arguments.seed,
+            device="cpu",
+        )
+    # A resumed run draws new games, those of the episode number at which it stopped.
+    slots.seed(episode_seed(arguments.seed, model.num_timesteps, split="train"))
+    return model, env
+
+
+def _validate(model: PPO, arguments: Arguments) -> float:
+    entry = Entry("ppo", model, Interface(arguments.interface, arguments.action_mode))
+    results = evaluate(
+        [entry],
+        [get_scenario(arguments.scenario)],
+        episodes=arguments.validation_episodes,
+        split="validation",
+    )
+    return float(results.record(arguments.scenario, "ppo", "digits")["mean"])
+
+
+class _Monitor(BaseCallback):
+    """Reports digits and writes checkpoints, after every update."""
+
+    def __init__(self, arguments: Arguments, out: Path, progress: Progress | None) -> None:
+        super().__init__()
+        self._arguments, self._out, self._progress = arguments, out, progress
+        self._saved = monotonic()
+
+    def _on_step(self) -> bool:
+        return True
+
+    def _on_rollout_start(self) -> None:
+        if monotonic() - self._saved >= self._arguments.checkpoint_seconds:
+            self._save()
+
+    def _on_rollout_end(self) -> None:
+        episodes: list[dict[str, float]] = list(self.model.ep_info_buffer or [])
+        digits = float(np.mean([episode["r"] for episode in episodes])) if episodes else float("nan")
+        if episodes:
+            self.logger.record("rollout/digits_gained", digits)
+        if self._progress is not None:
+            self._progress(self.num_timesteps, self._arguments.steps, digits)
+
+    def _save(self) -> None:
+        buffer = io.BytesIO()
+        self.model.save(buffer)
+        write_atomically(self._out / "checkpoint.zip", buffer.getvalue())
+        self._saved = monotonic()
