@@ -1,4 +1,4 @@
-"""The command line: ``ptne compare | reproduce | certify | list``. It only calls the library and prints."""
+"""The command line: ``ptne compare | reproduce | certify | train | list``. It only calls the library and prints."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ except ImportError as error:  # pragma: no cover - exercised in an environment w
 
 from ptne_env import theory
 from ptne_env._version import __version__
-from ptne_env.evaluation import ENTRIES, evaluate
+from ptne_env.evaluation import default_entries, evaluate
 from ptne_env.evaluation.compare import count_cells
 from ptne_env.files import write_atomically
 from ptne_env.report import certificate_tables, comparison_tables, entry_table, metric_table, scenario_table
@@ -68,11 +68,14 @@ def compare(
     policy: Annotated[
         list[str] | None,
         typer.Option(
-            help="A policy by name, or 'module:object' that is called with the layout and returns something with "
-            "predict(); repeat for several. All laws if left out."
+            help="A policy by name, an .onnx file, or 'module:object' that is called with the layout and returns "
+            "something with predict(); repeat for several. All laws, and the learned policies on the scenarios they "
+            "were trained for, if left out."
         ),
     ] = None,
-    episodes: Annotated[int, typer.Option(min=1, help="Random starts per scenario, the same for every policy.")] = 200,
+    episodes: Annotated[
+        int, typer.Option(min=1, help="Held-out episodes per scenario, the same for every policy.")
+    ] = 1000,
     seed: Annotated[int, typer.Option(min=0, help="Seed of the starts.")] = 0,
     hold_steps: Annotated[int, typer.Option(min=0, help="Steps after the deadline, for 'digits after hold'.")] = 50,
     json: Annotated[str | None, typer.Option(help="Write everything as JSON to this file; '-' for stdout.")] = None,
@@ -80,10 +83,11 @@ def compare(
 ) -> None:
     """Run policies on scenarios and print how close they came to the equilibrium by the deadline, and at what cost.
 
-    Every policy meets the same seeded random starts; the paper's own start is a row of its own. Intervals are 95 %
-    percentile bootstrap intervals of the mean over starts.
+    Every policy meets the same seeded episodes; the paper's own start is a row of its own. Intervals are 95 %
+    percentile bootstrap intervals of the mean over episodes. Learned policies are also measured, episode by episode, against laws
+    that were tuned on a validation bank.
     """
-    entries, scenarios = policy or list(ENTRIES), scenario or list(CATALOGUE)
+    entries, scenarios = policy or default_entries(), scenario or list(CATALOGUE)
     with _progress(_console(stderr=True)) as progress:
         task = progress.add_task("comparing", total=count_cells(entries, scenarios))
 
@@ -154,6 +158,37 @@ def reproduce(
     console.print(*paper.render(reproduction))
     written = f"{len(reproduction.figures)} figures and {reproduction.results.name} written to {out}"
     console.print(Text(written), soft_wrap=True)
+
+
+@app.command()
+def train(
+    configuration: Annotated[
+        str, typer.Argument(help="A shipped configuration by name (such as random-energy), or a .toml file.")
+    ],
+    out: Annotated[Path, typer.Option(help="Folder for the policy, logs and checkpoints; made if missing.")],
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the network, the sampling and the training games.")] = 0,
+    steps: Annotated[int | None, typer.Option(min=1, help="Agent-steps; the configuration's own if left out.")] = None,
+) -> None:
+    """Train a policy with PPO and export it as policy.onnx.
+
+    An interrupted run goes on from its last checkpoint when the same command is given again.
+    """
+    try:
+        from ptne_env.training import ppo
+    except ImportError as error:
+        raise ImportError('training needs an extra: pip install "ptne-env[sb3]"') from error
+
+    changes = {"seed": seed} if steps is None else {"seed": seed, "steps": steps}
+    arguments = ppo.Arguments.from_toml(configuration, **changes)
+    with _progress(_console(stderr=True)) as progress:
+        task = progress.add_task("training", total=arguments.steps)
+
+        def advance(done: int, total: int, digits: float) -> None:
+            progress.update(task, completed=done, total=total, description=f"training, {digits:.2f} digits gained")
+
+        summary = ppo.train(arguments, out, advance)
+    digits = summary["validation_digits"]
+    _console().print(Text(f"{digits:.2f} digits on the validation bank; policy.onnx written to {out}"), soft_wrap=True)
 
 
 @app.command("list")

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Literal, NamedTuple, TypeAlias, get_args
+from typing import Any, Literal, NamedTuple, TypeAlias, get_args
 
 import numpy as np
 import numpy.typing as npt
@@ -176,7 +176,7 @@ class Layout:
         if self.interface.kind == "local" or self.interface.action_mode == "gains":
             return 1.0
         bound = np.float32(self.input_limit)
-        return float(bound if bound <= self.input_limit else np.nextafter(bound, np.float32(0)))
+        return float(bound if float(bound) <= self.input_limit else np.nextafter(bound, np.float32(0)))
 
     @cached_property
     def own_components(self) -> IntArray:
@@ -330,6 +330,10 @@ class Port:
         self._ego_neighbour_rows = layout.ego_order.T[None] * players + dynamics.neighbours[:, None, :]
         self._own_rows = np.arange(n), game.owners
         self._slots = (slots, n, players)
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Copies and pickles go without the workspace, whose parts are views of one buffer and would come apart."""
+        return {**self.__dict__, "_workspace": {}, "_workspace_batch": 0, "_scaled": None}
 
     def observation_space(self) -> spaces.Box:
         """A new Box for one player's observation, float32."""

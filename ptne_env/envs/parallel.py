@@ -243,11 +243,12 @@ class NashSeekingEnv(ParallelEnv[str, Float32Array, Float32Array]):
     def _stack(self, actions: Mapping[str, Any]) -> npt.NDArray[np.floating]:
         """All actions in the order of the agents, shape (1, N, action size)."""
         try:
-            stacked = np.array([actions[agent] for agent in self.agents])
+            rows = [np.asarray(actions[agent]) for agent in self.agents]
+            stacked = np.array(rows)
         except (KeyError, IndexError, TypeError, ValueError):
             raise self._complaint(actions) from None
         shape = (len(actions), self.layout.action_size)
-        if stacked.shape != shape or stacked.dtype.kind != "f":
+        if stacked.shape != shape or not all(row.dtype.kind == "f" for row in rows):
             raise self._complaint(actions)
         return stacked[None]
 

@@ -13,12 +13,13 @@ import numpy as np
 
 from ptne_env._version import __version__
 from ptne_env.arrays import FloatArray, require_count
-from ptne_env.dynamics import Dynamics
+from ptne_env.dynamics import Dynamics, State
 from ptne_env.evaluation.bank import Split, draw_start
 from ptne_env.evaluation.entries import Entry, get_entry
-from ptne_env.evaluation.metrics import METRICS, measure
+from ptne_env.evaluation.metrics import measure
+from ptne_env.evaluation.opponents import tuned_laws
 from ptne_env.evaluation.rollout import rollout
-from ptne_env.evaluation.statistics import summarise
+from ptne_env.evaluation.statistics import summarise, worst_decile
 from ptne_env.interface import Port
 from ptne_env.scenario import Scenario, get_scenario
 
@@ -46,7 +47,9 @@ class Cell:
 
     def records(self) -> list[Record]:
         """One record per metric: scenario, policy, metric, mean, low, high, episodes; ``None`` where nothing exists."""
-        table = np.array([self.samples[metric] for metric in METRICS])
+        table = np.array(list(self.samples.values()))
+        summaries = dict(zip(self.samples, summarise(table), strict=True))
+        summaries["worst_decile_digits"] = worst_decile(self.samples["digits"])
         return [
             {
                 "scenario": self.scenario,
@@ -57,7 +60,7 @@ class Cell:
                 "high": summary.high,
                 "episodes": table.shape[1],
             }
-            for metric, summary in zip(METRICS, summarise(table), strict=True)
+            for metric, summary in summaries.items()
         ]
 
 
@@ -69,6 +72,7 @@ class Results:
         seed: of the starts.
         scenarios: by label, in the order of the comparison.
         entries: by name, in the order of the comparison.
+        tuned: the tuned laws that learned policies were measured against, by scenario and group.
         cells: one per scenario and policy.
         records: one per scenario, policy and metric, with mean and 95 % interval over episodes.
     """
@@ -76,6 +80,7 @@ class Results:
     seed: int
     scenarios: dict[str, Scenario]
     entries: dict[str, Entry]
+    tuned: dict[str, dict[str, Entry]]
     cells: tuple[Cell, ...]
     records: tuple[Record, ...]
 
@@ -113,6 +118,9 @@ class Results:
             "seed": self.seed,
             "scenarios": {label: scenario.to_dict() for label, scenario in self.scenarios.items()},
             "policies": {name: entry.to_dict() for name, entry in self.entries.items()},
+            "tuned_laws": {
+                label: {group: entry.to_dict() for group, entry in laws.items()} for label, laws in self.tuned.items()
+            },
             "records": list(self.records),
         }
 
@@ -129,14 +137,20 @@ class Results:
         writer.writeheader()
         scenarios = {label: json.dumps(scenario.to_dict()) for label, scenario in self.scenarios.items()}
         policies = {name: json.dumps(entry.to_dict()) for name, entry in self.entries.items()}
+        tuned = {
+            (label, entry.name): json.dumps(entry.to_dict())
+            for label, laws in self.tuned.items()
+            for entry in laws.values()
+        }
         for record in self.records:
+            scenario, policy = record["scenario"], record["policy"]
             writer.writerow(
                 {
                     **record,
                     "version": __version__,
                     "seed": self.seed,
-                    "scenario_parameters": scenarios[record["scenario"]],
-                    "policy_parameters": policies[record["policy"]],
+                    "scenario_parameters": scenarios[scenario],
+                    "policy_parameters": policies[policy] if policy in policies else tuned[scenario, policy],
                 }
             )
         return buffer.getvalue()
@@ -158,8 +172,13 @@ def evaluate(
     once more from the paper's start, labelled ``"NAME (paper start)"``. A :class:`~ptne_env.scenario.Scenario` is run
     as it is: from ``episodes`` starts when something in it is random, else once.
 
+    Where a learned policy meets random episodes it is also measured, paired by episode, against the best of the paper's
+    laws and the best of all laws, both chosen by mean digits on the validation bank
+    (:mod:`ptne_env.evaluation.opponents`).
+
     Args:
-        entries: names (:data:`~ptne_env.evaluation.entries.ENTRIES`), ``"module:object"`` strings or entries.
+        entries: names (:data:`~ptne_env.evaluation.entries.ENTRIES`, and the shipped learned policies), ``.onnx``
+            files, ``"module:object"`` strings or entries.
         scenarios: names of the catalogue or scenarios.
         episodes: number of random starts.
         seed: of the starts; the draws never depend on a policy.
@@ -177,22 +196,52 @@ def evaluate(
     names = [(scenario if isinstance(scenario, str) else scenario.name, scenario) for scenario in scenarios]
     _unique(names, "scenario")
     cases = dict(_cases(scenarios, hold_steps))
-    cells = []
+    cells: list[Cell] = []
+    tuned: dict[str, dict[str, Entry]] = {}
     for label, scenario in cases.items():
         dynamics = Dynamics(scenario)
         start = draw_start(dynamics, episodes if scenario.is_random else 1, seed, split)
-        for entry in chosen.values():
-            port = Port(dynamics, entry.interface)
-            cells.append(Cell(label, entry.name, measure(rollout(entry.build(port.layout), port, start))))
+        entrants = [entry for entry in chosen.values() if entry.enters(scenario.name)]
+        for entry in entrants:
+            cells.append(_run(label, entry, dynamics, start))
             if progress is not None:
                 progress(f"{label}: {entry.name}")
+        learned = {entry.name for entry in entrants if entry.is_learned}
+        if learned and scenario.is_random:
+            if progress is not None:
+                progress(f"{label}: tuning laws")
+            tuned[label] = tuned_laws(dynamics)
+            opponents = {group: _run(label, entry, dynamics, start) for group, entry in tuned[label].items()}
+            for cell in cells:
+                if cell.scenario == label and cell.policy in learned:
+                    cell.samples.update(_paired(cell, opponents))
+            cells += opponents.values()
     records = tuple(record for cell in cells for record in cell.records())
-    return Results(seed, cases, chosen, tuple(cells), records)
+    return Results(seed, cases, chosen, tuned, tuple(cells), records)
 
 
-def count_cells(entries: Sequence[str | Entry], scenarios: Sequence[str | Scenario]) -> int:
-    """How many cells :func:`evaluate` will run, for progress bars."""
-    return len(entries) * len(list(_cases(scenarios, 0)))
+def _run(label: str, entry: Entry, dynamics: Dynamics, start: State) -> Cell:
+    port = Port(dynamics, entry.interface)
+    return Cell(label, entry.name, measure(rollout(entry.build(port.layout), port, start)))
+
+
+def _paired(cell: Cell, opponents: dict[str, Cell]) -> dict[str, FloatArray]:
+    """How a learned policy stands against the tuned law of each group, episode by episode."""
+    samples = {}
+    for group, opponent in opponents.items():
+        difference = cell.samples["digits"] - opponent.samples["digits"]
+        samples[f"digits_over_{group}_laws"] = difference
+        samples[f"probability_of_beating_{group}_laws"] = (np.sign(difference) + 1) / 2
+    return samples
+
+
+def count_cells(entries: Iterable[str | Entry], scenarios: Iterable[str | Scenario]) -> int:
+    """How often :func:`evaluate` will call ``progress``."""
+    chosen, total = [get_entry(entry) for entry in entries], 0
+    for _, scenario in _cases(scenarios, 0):
+        entrants = [entry for entry in chosen if entry.enters(scenario.name)]
+        total += len(entrants) + (scenario.is_random and any(entry.is_learned for entry in entrants))
+    return total
 
 
 def _cases(scenarios: Iterable[str | Scenario], hold_steps: int) -> Iterator[tuple[str, Scenario]]:

@@ -3,12 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass
+from pathlib import Path
 from typing import Any
 
+from ptne_env import policies
 from ptne_env.interface import Interface, Layout
 from ptne_env.parts import Part
+from ptne_env.policies import LearnedPolicy
 from ptne_env.policy import Policy
+
+_LAWS = "ptne_env.laws:"
 
 
 @dataclass(frozen=True)
@@ -19,18 +24,36 @@ class Entry:
         name: for tables and files.
         policy: a :class:`~ptne_env.parts.Part` or a callable that builds the policy from a layout (a law's class, for
             one), or a policy itself, such as a Stable-Baselines3 model.
-        interface: through which it sees and acts.
+        interface: through which it sees and acts; the policy's own attribute ``interface`` if left out, and
+            ``physical`` if it has none.
+        scenarios: names of the scenarios it enters; all if ``None``.
     """
 
     name: str
     policy: Part | Policy | Callable[[Layout], Policy]
-    interface: Interface = field(default_factory=Interface)
+    interface: Interface = None  # type: ignore[assignment]  # filled in below, so that readers never see None
+    scenarios: frozenset[str] | None = None
+
+    def __post_init__(self) -> None:
+        if self.interface is None:
+            target = self.policy.resolve() if isinstance(self.policy, Part) else self.policy
+            object.__setattr__(self, "interface", getattr(target, "interface", Interface()))
+
+    @property
+    def is_learned(self) -> bool:
+        """Whether it is measured against the tuned laws: everything but the library's own laws and anchors."""
+        target = self.policy.target if isinstance(self.policy, Part) else f"{_named(self.policy).__module__}:"
+        return not target.startswith((_LAWS, "ptne_env.laws."))
+
+    def enters(self, scenario: str) -> bool:
+        """Whether it takes part in the scenario of this name."""
+        return self.scenarios is None or scenario in self.scenarios
 
     def build(self, layout: Layout) -> Policy:
         """The policy for a layout.
 
         Raises:
-            ValueError: when it cannot be built, or what is built has no ``predict``.
+            ValueError: when it cannot be built, was made for another layout, or what is built has no ``predict``.
         """
         built: Any = self.policy
         if isinstance(built, Part):
@@ -39,6 +62,8 @@ class Entry:
             built = built(layout)
         if not hasattr(built, "predict"):
             raise ValueError(f"policy {self.name!r}: {type(built).__name__} has no predict(observation, state, ...)")
+        if isinstance(built, LearnedPolicy):
+            built.require(layout)
         policy: Policy = built
         return policy
 
@@ -47,44 +72,62 @@ class Entry:
         if isinstance(self.policy, Part):
             policy: Any = self.policy.to_dict()
         else:
-            named = self.policy if isinstance(self.policy, type) else type(self.policy)
+            named = _named(self.policy)
             policy = {"target": f"{named.__module__}:{named.__qualname__}"}
         return {"name": self.name, "policy": policy, "interface": asdict(self.interface)}
 
 
-def _law(name: str, target: str, kind: str = "physical", **arguments: Any) -> Entry:
-    return Entry(name, Part.of(f"ptne_env.laws:{target}", **arguments), Interface(kind))  # type: ignore[arg-type]  # checked by Interface
+def _named(policy: Any) -> type:
+    return policy if isinstance(policy, type) else type(policy)
 
 
 ENTRIES: Mapping[str, Entry] = {
     entry.name: entry
     for entry in [
-        _law("static", "Static", kappa=2.0),
-        _law("adaptive", "Adaptive", gamma=0.01, initial_gain=0.5),
-        _law("corollary-one", "CorollaryOne", kappa=10.0),
-        _law("gadjov-pavel", "CorollaryOne", kappa=1.0),
-        _law("grounded", "Grounded", kappa=2.0),
-        _law("null", "Null"),
-        _law("random", "RandomPolicy", seed=0),
-        _law("oracle", "CentralisedOracle", "full", gradient_gain=1.0),
+        Entry("static", Part.of(f"{_LAWS}Static", kappa=2.0)),
+        Entry("adaptive", Part.of(f"{_LAWS}Adaptive", gamma=0.01, initial_gain=0.5)),
+        Entry("corollary-one", Part.of(f"{_LAWS}CorollaryOne", kappa=10.0)),
+        Entry("gadjov-pavel", Part.of(f"{_LAWS}CorollaryOne", kappa=1.0)),
+        Entry("grounded", Part.of(f"{_LAWS}Grounded", kappa=2.0)),
+        Entry("null", Part.of(f"{_LAWS}Null")),
+        Entry("random", Part.of(f"{_LAWS}RandomPolicy", seed=0)),
+        Entry("oracle", Part.of(f"{_LAWS}CentralisedOracle", gradient_gain=1.0)),
     ]
 }
-"""The named participants, in the order in which tables list them."""
+"""The laws and anchors by name, in the order in which tables list them."""
+
+
+def learned_entry(path_or_name: str) -> Entry:
+    """A learned policy as a participant that enters the scenario it was trained on.
+
+    Raises:
+        FileNotFoundError, PolicyFileError, ImportError: as :func:`ptne_env.policies.load`.
+    """
+    policy = policies.load(path_or_name)
+    part = Part.of("ptne_env.policies:load_for", path_or_name=path_or_name)
+    return Entry(policy.name, part, policy.interface, frozenset({policy.metadata.scenario}))
+
+
+def default_entries() -> list[Entry]:
+    """Everybody: laws, anchors and the shipped learned policies."""
+    return [*ENTRIES.values(), *map(learned_entry, policies.shipped())]
 
 
 def get_entry(entry: str | Entry) -> Entry:
-    """A participant by name, by ``"module:object"`` (called with a layout), or as it is.
-
-    An object's attribute ``interface``, if it has one, says through which interface it acts.
+    """A participant by name, by an ``.onnx`` file, by ``"module:object"`` (called with a layout), or as it is.
 
     Raises:
         ValueError: for an unknown name, or an object that cannot be imported.
+        FileNotFoundError, PolicyFileError, ImportError: as :func:`ptne_env.policies.load`.
     """
     if isinstance(entry, Entry):
         return entry
     if entry in ENTRIES:
         return ENTRIES[entry]
+    if entry in policies.shipped() or Path(entry).suffix == ".onnx":
+        learned = learned_entry(entry)
+        return Entry(learned.name, learned.policy, learned.interface)  # asked for by name, it enters everywhere
     if ":" in entry:
-        part = Part.of(entry)
-        return Entry(entry, part, getattr(part.resolve(), "interface", Interface()))
-    raise ValueError(f"unknown policy {entry!r}; choose from {', '.join(ENTRIES)} or name one as 'module:object'")
+        return Entry(entry, Part.of(entry))
+    known = ", ".join([*ENTRIES, *policies.shipped()])
+    raise ValueError(f"unknown policy {entry!r}; choose from {known}, or name an .onnx file or a 'module:object'")

@@ -10,6 +10,9 @@ from ptne_env import distances
 from ptne_env.arrays import FloatArray
 from ptne_env.evaluation.rollout import Rollout
 
+FINE_DISTANCE = 1e-6
+"""A run has settled finely within this relative distance."""
+
 METRICS: Mapping[str, str] = {
     "digits": "−log10 of the estimate distance at the deadline, at most 12",
     "strategy_distance": "‖x − x*‖/‖x*‖ at the deadline (the paper's plots)",
@@ -17,6 +20,8 @@ METRICS: Mapping[str, str] = {
     "consensus_error": "‖𝐱 − 1⊗x̄‖/(√N ‖x*‖) at the deadline",
     "settling_time": "first instant after which the strategy distance stays within 0.5 %, in seconds",
     "settled_share": "share of episodes that settled by the end",
+    "settling_time_1e_6": "first instant after which the strategy distance stays within 1e-6, in seconds",
+    "settled_share_1e_6": "share of episodes that settled to 1e-6 by the end",
     "digits_after_hold": "−log10 of the estimate distance after the hold phase, at most 12",
     "digits_gained": "mean over players of the summed digits reward, to the end of the episode",
     "input_energy": "Σ Δt ‖u‖² to the deadline",
@@ -29,12 +34,22 @@ METRICS: Mapping[str, str] = {
 }
 """Every metric's name and meaning, in the order of tables."""
 
+COMPARATIVE_METRICS: Mapping[str, str] = {
+    "worst_decile_digits": "mean digits of the worst tenth of the episodes",
+    "digits_over_paper_laws": "digits beyond the best of the paper's laws, paired by episode",
+    "probability_of_beating_paper_laws": "share of episodes with more digits than that law; a tie counts half",
+    "digits_over_all_laws": "digits beyond the best of all laws, paired by episode",
+    "probability_of_beating_all_laws": "share of episodes with more digits than that law; a tie counts half",
+}
+"""What is recorded besides :data:`METRICS`: the worst decile of everybody, the rest of learned policies only."""
+
 
 def measure(rollout: Rollout) -> dict[str, FloatArray]:
     """Every metric of every episode, each of shape (B,); NaN where there is none (a run that never settled)."""
     deadline, batch = rollout.deadline_step, rollout.diverged.shape
     has_hold = len(rollout.times) > deadline + 1
     settling = settling_time(rollout.times, rollout.strategy_distance)
+    fine = settling_time(rollout.times, rollout.strategy_distance, FINE_DISTANCE)
     return {
         "digits": distances.digits(rollout.estimate_distance[deadline]),
         "strategy_distance": rollout.strategy_distance[deadline],
@@ -42,6 +57,8 @@ def measure(rollout: Rollout) -> dict[str, FloatArray]:
         "consensus_error": rollout.consensus_error,
         "settling_time": settling,
         "settled_share": np.isfinite(settling).astype(np.float64),
+        "settling_time_1e_6": fine,
+        "settled_share_1e_6": np.isfinite(fine).astype(np.float64),
         "digits_after_hold": distances.digits(rollout.estimate_distance[-1]) if has_hold else np.full(batch, np.nan),
         "digits_gained": rollout.digits_gained,
         "input_energy": rollout.input_energy,

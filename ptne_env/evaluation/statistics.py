@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -52,12 +53,30 @@ def summarise(samples: FloatArray, *, seed: int = 0) -> list[Summary]:
     return summaries
 
 
-def _bootstrap(samples: FloatArray, seed: int) -> list[Summary]:
+def worst_decile(samples: FloatArray, *, seed: int = 0) -> Summary:
+    """The mean of the worst tenth of the episodes (at least one), with its interval; low values are bad.
+
+    Args:
+        samples: one finite value per episode, shape (episodes,).
+        seed: of the resampling.
+    """
+    if np.ptp(samples) == 0:
+        return Summary(*[float(samples[0])] * 3)
+    return _bootstrap(samples[None], seed, _mean_of_worst_tenth)[0]
+
+
+def _mean_of_worst_tenth(samples: FloatArray, axis: int) -> FloatArray:
+    count = max(1, samples.shape[axis] // 10)
+    lowest = np.partition(samples, count - 1, axis=axis)
+    return np.take(lowest, np.arange(count), axis=axis).mean(axis=axis)
+
+
+def _bootstrap(samples: FloatArray, seed: int, statistic: Callable[..., FloatArray] = np.mean) -> list[Summary]:
     if not samples.size:
         return []
     interval = stats.bootstrap(
         (samples,),
-        np.mean,
+        statistic,
         axis=1,
         vectorized=True,
         n_resamples=RESAMPLES,
@@ -66,5 +85,5 @@ def _bootstrap(samples: FloatArray, seed: int) -> list[Summary]:
         method="percentile",
         rng=np.random.default_rng(seed),
     ).confidence_interval
-    means = samples.mean(axis=1)
+    means = statistic(samples, axis=1)
     return [Summary(*map(float, row)) for row in zip(means, interval.low, interval.high, strict=True)]

@@ -174,3 +174,14 @@ def load(path_or_name: str | Path) -> LearnedPolicy:
     if len(session.get_inputs()) != 1 or len(session.get_outputs()) != 1 or len(session.get_inputs()[0].shape) != 2:
         raise PolicyFileError(f"{path} does not map one batch of observations to one batch of actions")
     return LearnedPolicy(path.stem, session, metadata)
+
+
+def load_for(layout: Layout, path_or_name: str) -> LearnedPolicy:
+    """:func:`load`, and check that the policy can act in an environment of this layout.
+
+    Raises:
+        FileNotFoundError, PolicyFileError, ImportError: as :func:`load`.
+    """
+    policy = load(path_or_name)
+    policy.require(layout)
+    return policy

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping, Sequence
+from typing import TypeAlias
 
 from rich import box
 from rich.console import Group
 from rich.table import Table
 from rich.text import Text
 
-from ptne_env.evaluation import ENTRIES, METRICS, Results
+from ptne_env.evaluation import COMPARATIVE_METRICS, METRICS, Results, default_entries
 from ptne_env.evaluation.compare import PAPER_START, Record
 from ptne_env.scenario import CATALOGUE, Scenario
 from ptne_env.theory import Certificate
@@ -17,11 +18,14 @@ from ptne_env.theory import Certificate
 _BLOCKS = {
     "How close": {
         "digits": "digits",
+        "worst_decile_digits": "worst decile",
         "strategy_distance": "strategy distance",
         "estimate_distance": "estimate distance",
         "consensus_error": "consensus error",
         "settling_time": "settling time [s]",
         "settled_share": "settled share",
+        "settling_time_1e_6": "settling to 1e-6 [s]",
+        "settled_share_1e_6": "settled to 1e-6",
         "digits_after_hold": "digits after hold",
         "digits_gained": "digits gained",
     },
@@ -35,6 +39,11 @@ _BLOCKS = {
         "microseconds_per_decision": "µs per decision",
     },
 }
+_Records: TypeAlias = Mapping[tuple[str, str, str], Record]
+
+_NAME_WIDTH = 30
+"""Columns that are kept for the names of policies."""
+
 _CELL_WIDTH = 22
 """Columns that an interval of two numbers takes, with its margin."""
 
@@ -75,29 +84,62 @@ def comparison_tables(results: Results, width: int = 172) -> Group:
             continue  # stands below the random starts of its scenario
         starts = [name for name in (label, label + PAPER_START) if name in results.scenarios]
         for title, columns in _BLOCKS.items():
-            for metrics in _fitting(list(columns), width, max(map(len, results.entries))):
-                table = _table(f"{label}: {title.lower()}")
-                table.add_column("policy", no_wrap=True)
-                for metric in metrics:
-                    table.add_column(Text(columns[metric]), justify="right")  # Text, because brackets are no markup
-                for start in starts:
-                    episodes = records[start, next(iter(results.entries)), "digits"]["episodes"]
-                    kind = "the paper's start" if start.endswith(PAPER_START) else f"{episodes} starts"
-                    table.add_section()
-                    table.add_row(Text(kind, style="italic"))
-                    for name, entry in results.entries.items():
-                        mark = " *" if entry.interface.kind == "full" else ""
-                        cells = (interval(records[start, name, metric]) for metric in metrics)
-                        table.add_row(Text(name + mark), *cells)
-                tables.append(table)
+            tables += [
+                _comparison_table(f"{label}: {title.lower()}", results, records, starts, metrics)
+                for metrics in _fitting(list(columns), width)
+            ]
+        if label in results.tuned:
+            tables.append(_paired_table(label, results, records))
     if any(entry.interface.kind == "full" for entry in results.entries.values()):
         tables.append(Text("* an oracle: it sees what no player can see", style="dim"))
     return Group(*tables)
 
 
-def _fitting(metrics: list[str], width: int, longest_name: int) -> Iterable[list[str]]:
+def _comparison_table(
+    title: str, results: Results, records: _Records, starts: Sequence[str], metrics: Sequence[str]
+) -> Table:
+    headings = {metric: heading for block in _BLOCKS.values() for metric, heading in block.items()}
+    table = _table(title)
+    table.add_column("policy", no_wrap=True)
+    for metric in metrics:
+        table.add_column(Text(headings[metric]), justify="right")  # Text, because brackets are no markup
+    for start in starts:
+        names = [cell.policy for cell in results.cells if cell.scenario == start]
+        episodes = records[start, names[0], "digits"]["episodes"]
+        table.add_section()
+        table.add_row(
+            Text("the paper's start" if start.endswith(PAPER_START) else f"{episodes} starts", style="italic")
+        )
+        for name in names:
+            oracle = name in results.entries and results.entries[name].interface.kind == "full"
+            cells = (interval(records[start, name, metric]) for metric in metrics)
+            table.add_row(Text(name + " *" * oracle), *cells)
+    return table
+
+
+def _paired_table(label: str, results: Results, records: _Records) -> Table:
+    """Learned policies against the tuned laws, paired by episode."""
+    table = _table(f"{label}: learned policies against the laws, paired by episode")
+    table.add_column("policy", no_wrap=True)
+    for group, entry in results.tuned[label].items():
+        arguments = ", ".join(f"{name}={value:g}" for name, value in entry.to_dict()["policy"]["arguments"].items())
+        law = entry.to_dict()["policy"]["target"].partition(":")[2]
+        table.add_column(Text(f"digits over {entry.name}: {law}({arguments})"), justify="right")
+        table.add_column(Text(f"probability of beating it ({group})"), justify="right")
+    for name in results.entries:
+        if (label, name, "digits_over_all_laws") in records:
+            metrics = [
+                f"{kind}_{group}_laws"
+                for group in results.tuned[label]
+                for kind in ("digits_over", "probability_of_beating")
+            ]
+            table.add_row(Text(name), *(interval(records[label, name, metric]) for metric in metrics))
+    return table
+
+
+def _fitting(metrics: list[str], width: int) -> Iterable[list[str]]:
     """``metrics`` in groups whose columns fit into ``width`` without breaking an interval."""
-    count = max(1, (width - longest_name - 4) // _CELL_WIDTH)
+    count = max(1, (width - _NAME_WIDTH) // _CELL_WIDTH)
     groups = -(-len(metrics) // count)
     size = -(-len(metrics) // groups)
     return (metrics[start : start + size] for start in range(0, len(metrics), size))
@@ -174,14 +216,16 @@ def scenario_table() -> Table:
 
 
 def entry_table() -> Table:
-    """The named policies."""
+    """The laws and the shipped learned policies."""
     table = _table("Policies")
     for heading in ("name", "policy", "arguments", "interface"):
         table.add_column(heading)
-    for name, entry in ENTRIES.items():
+    for entry in default_entries():
         data = entry.to_dict()["policy"]
-        arguments = ", ".join(f"{key}={value:g}" for key, value in data["arguments"].items())
-        table.add_row(name, data["target"], arguments, entry.interface.kind)
+        numbers = {name: value for name, value in data["arguments"].items() if not isinstance(value, str)}
+        arguments = ", ".join(f"{name}={value:g}" for name, value in numbers.items())
+        target = f"learned on {', '.join(entry.scenarios)}" if entry.scenarios else data["target"]
+        table.add_row(entry.name, target, arguments, f"{entry.interface.kind}, {entry.interface.action_mode}")
     return table
 
 
@@ -190,7 +234,7 @@ def metric_table() -> Table:
     table = _table("Metrics")
     table.add_column("name")
     table.add_column("meaning")
-    for name, meaning in METRICS.items():
+    for name, meaning in ({**METRICS, **COMPARATIVE_METRICS}).items():
         table.add_row(name, meaning)
     return table
 
