@@ -60,7 +60,7 @@ class State:
         self.estimates = estimates
         self.own_gradients = own_gradients
         self.diverged = diverged
-        self.any_diverged = bool(diverged.any())
+        self.any_diverged = np.count_nonzero(diverged) > 0
 
     @property
     def batch_size(self) -> int:
@@ -223,9 +223,7 @@ class Dynamics:
         else:
             with np.errstate(over="ignore", invalid="ignore"):  # a diverging game may overflow; it is caught below
                 gradients = game.own_gradients(estimates)
-        # Σ x² ≤ limit² puts every entry in range at the cost of one pass; False for NaN too.
-        # (einsum and not vdot: BLAS would wake its threads for it.)
-        if not _square(estimates) + _square(gradients) <= RANGE_LIMIT**2:
+        if not (_in_range(estimates) and _in_range(gradients)):
             farthest = np.maximum(np.abs(estimates).max(axis=(0, 1)), np.abs(gradients).max(axis=0))
             diverged = diverged | ~(farthest <= RANGE_LIMIT)
             estimates = np.clip(np.nan_to_num(estimates, nan=RANGE_LIMIT), -RANGE_LIMIT, RANGE_LIMIT)
@@ -237,6 +235,7 @@ def _rows(estimates: FloatArray) -> FloatArray:
     return estimates.reshape(-1, estimates.shape[2])
 
 
-def _square(array: FloatArray) -> float:
-    flat = array.reshape(-1)
-    return float(np.einsum("i,i->", flat, flat))
+def _in_range(array: FloatArray) -> bool:
+    """Whether every entry is a number within ±RANGE_LIMIT; two reductions, which write no array as ``abs`` would."""
+    highest, lowest = np.maximum.reduce(array, axis=None), np.minimum.reduce(array, axis=None)
+    return bool(highest <= RANGE_LIMIT and lowest >= -RANGE_LIMIT)
