@@ -84,8 +84,8 @@ def compare(
     """Run policies on scenarios and print how close they came to the equilibrium by the deadline, and at what cost.
 
     Every policy meets the same seeded episodes; the paper's own start is a row of its own. Intervals are 95 %
-    percentile bootstrap intervals of the mean over episodes. Learned policies are also measured, episode by episode, against
-    laws that were tuned on a validation bank.
+    percentile bootstrap intervals of the mean over episodes. Learned policies are also measured, paired by episode,
+    against laws that were tuned on a validation bank.
     """
     entries, scenarios = policy or default_entries(), scenario or list(CATALOGUE)
     with _progress(_console(stderr=True)) as progress:
