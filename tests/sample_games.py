@@ -56,6 +56,30 @@ class BlockGame(Game):
         return response
 
 
+class RestingGame(Game):
+    """J_i = ½ ‖x_i − p_i‖²: every player wants its own block of the point p, and that is the equilibrium."""
+
+    is_affine = True
+
+    def __init__(self, point, players):
+        point = np.asarray(point, dtype=np.float64)
+        super().__init__((point.size - players + 1,) + (1,) * (players - 1))
+        self.point = point
+
+    def costs(self, strategies):
+        squares = (strategies - self.point[:, None]) ** 2 / 2
+        return np.stack([squares[self.owners == player].sum(axis=0) for player in range(self.num_players)])
+
+    def own_gradients(self, estimates):
+        return estimates[np.arange(self.dimension), self.owners] - self.point[:, None]
+
+    def best_response(self, strategies):
+        return np.repeat(self.point[:, None], strategies.shape[1], axis=1)
+
+    def _solve_nash_equilibria(self):
+        return self.point[:, None]
+
+
 class CubicGame(Game):
     """J_i = x_i³/3 + s x_i with F_i = x_i² + s: no equilibrium for s > 0."""
 

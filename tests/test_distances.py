@@ -5,12 +5,16 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from sample_games import RestingGame
+
 from ptne_env import distances
+from ptne_env.games import RandomEnergy
 
 
 def world(seed, players=3, dimension=4, batch=2):
     generator = np.random.default_rng(seed)
-    return generator.normal(size=(dimension, players, batch)), generator.normal(size=dimension)
+    estimates = generator.normal(size=(dimension, players, batch))
+    return estimates, RestingGame(generator.normal(size=dimension), players)
 
 
 def norm(values):
@@ -19,13 +23,13 @@ def norm(values):
 
 @given(st.integers(0, 2**32 - 1))
 def test_distances_are_those_of_their_definitions(seed):
-    estimates, equilibrium = world(seed)
-    strategies = estimates[:, 0]
+    estimates, game = world(seed)
+    strategies, equilibrium = estimates[:, 0], game.point
     scale = norm(equilibrium)
-    per_player = distances.player_distances(estimates, equilibrium)
-    team = distances.estimate_distance(estimates, equilibrium)
-    plotted = distances.strategy_distance(strategies, equilibrium)
-    disagreement = distances.consensus_error(estimates, equilibrium)
+    per_player = distances.player_distances(estimates, game)
+    team = distances.estimate_distance(estimates, game)
+    plotted = distances.strategy_distance(strategies, game)
+    disagreement = distances.consensus_error(estimates, game)
     for b in range(2):
         errors = [estimates[:, i, b] - equilibrium for i in range(3)]
         for i in range(3):
@@ -38,26 +42,26 @@ def test_distances_are_those_of_their_definitions(seed):
 
 
 def test_equilibrium_at_the_origin_is_measured_in_natural_units():
-    estimates, equilibrium = np.full((2, 3, 1), 2.0), np.zeros(2)
-    assert distances.scale(equilibrium) == 1.0
-    assert distances.player_distances(estimates, equilibrium)[:, 0] == pytest.approx([math.sqrt(8)] * 3)
-    assert distances.estimate_distance(estimates, equilibrium)[0] == pytest.approx(math.sqrt(8))
+    estimates, game = np.full((2, 2, 1), 2.0), RestingGame(np.zeros(2), 2)
+    assert game.equilibrium_scale.tolist() == [1.0]
+    assert distances.player_distances(estimates, game)[:, 0] == pytest.approx([math.sqrt(8)] * 2)
+    assert distances.estimate_distance(estimates, game)[0] == pytest.approx(math.sqrt(8))
 
 
 def test_distances_vanish_at_the_equilibrium_exactly():
-    _, equilibrium = world(0)
-    estimates = np.repeat(equilibrium[:, None, None], 3, axis=1)
-    assert distances.estimate_distance(estimates, equilibrium).tolist() == [0.0]
-    assert distances.strategy_distance(estimates[:, 0], equilibrium).tolist() == [0.0]
+    _, game = world(0)
+    estimates = np.repeat(game.point[:, None, None], 3, axis=1)
+    assert distances.estimate_distance(estimates, game).tolist() == [0.0]
+    assert distances.strategy_distance(estimates[:, 0], game).tolist() == [0.0]
 
 
 def test_arguments_are_left_alone():
-    estimates, equilibrium = world(1)
-    kept = estimates.copy(), equilibrium.copy()
-    distances.player_distances(estimates, equilibrium)
-    distances.consensus_error(estimates, equilibrium)
+    estimates, game = world(1)
+    kept = estimates.copy(), game.nash_equilibria.copy()
+    distances.player_distances(estimates, game)
+    distances.consensus_error(estimates, game)
     assert np.array_equal(estimates, kept[0])
-    assert np.array_equal(equilibrium, kept[1])
+    assert np.array_equal(game.nash_equilibria, kept[1])
 
 
 def test_twelve_digits_are_all_that_is_counted():
@@ -70,11 +74,27 @@ def test_success_is_half_a_percent():
 
 @pytest.mark.parametrize("players", [3, 11, 40])
 def test_batch_agrees_bit_for_bit_with_batches_of_one(players):
-    estimates, equilibrium = world(2, players=players, dimension=players, batch=5)
+    estimates, game = world(2, players=players, dimension=players, batch=5)
     strategies = np.ascontiguousarray(estimates[:, 0])
     for b in range(5):
         alone, own = estimates[:, :, b : b + 1].copy(), strategies[:, b : b + 1].copy()
         for measure in (distances.player_distances, distances.estimate_distance, distances.consensus_error):
-            assert np.array_equal(measure(alone, equilibrium)[..., 0], measure(estimates, equilibrium)[..., b])
-        together = distances.strategy_distance(strategies, equilibrium)[b]
-        assert distances.strategy_distance(own, equilibrium)[0] == together
+            assert np.array_equal(measure(alone, game)[..., 0], measure(estimates, game)[..., b])
+        together = distances.strategy_distance(strategies, game)[b]
+        assert distances.strategy_distance(own, game)[0] == together
+
+
+@pytest.mark.parametrize("players", [2, 11, 40])
+def test_every_environment_is_measured_in_its_own_game_bit_for_bit(players):
+    family, batch = RandomEnergy(players), 5
+    games = family.draw([np.random.default_rng(b) for b in range(batch)])
+    estimates = np.random.default_rng(3).normal(size=(players, players, batch))
+    strategies = np.ascontiguousarray(estimates[:, 0])
+    assert len(set(games.equilibrium_scale.tolist())) == batch
+    for b in range(batch):
+        alone, own = estimates[:, :, b : b + 1].copy(), strategies[:, b : b + 1].copy()
+        game = family.draw([np.random.default_rng(b)])
+        for measure in (distances.player_distances, distances.estimate_distance, distances.consensus_error):
+            assert np.array_equal(measure(alone, game)[..., 0], measure(estimates, games)[..., b])
+        together = distances.strategy_distance(strategies, games)[b]
+        assert distances.strategy_distance(own, game)[0] == together

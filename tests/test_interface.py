@@ -3,12 +3,11 @@ from itertools import pairwise
 import numpy as np
 import pytest
 from test_dynamics import large_energy_scenario
-from worlds import BLOCKS, BLOCKS_SWITCHING, make_port
+from worlds import BLOCKS, BLOCKS_SWITCHING, begin, make_port
 
 from ptne_env import CATALOGUE, Interface, get_scenario
-from ptne_env.dynamics import RANGE_LIMIT
+from ptne_env.dynamics import RANGE_LIMIT, State
 from ptne_env.interface import CONSENSUS_GAIN, OBSERVATION_BOUND
-from ptne_env.sources import Sources
 
 KINDS = ["physical", "local", "full"]
 WORLDS = {
@@ -21,7 +20,7 @@ WORLDS = {
 def wander(dynamics, steps=37, batch=2, seed=0):
     """A state somewhere along the way."""
     generator = np.random.default_rng(seed)
-    state = dynamics.start(dynamics.draw_estimates([Sources.from_seed(seed + b) for b in range(batch)]))
+    state = begin(dynamics, range(seed, seed + batch))
     for _ in range(steps):
         state = dynamics.step(state, 0.1 * generator.normal(size=state.estimates.shape))
     return state
@@ -103,7 +102,8 @@ def test_local_observation_of_a_scaled_error_differs_in_its_scale_alone(factor):
 def test_player_at_rest_observes_the_smallest_scale():
     dynamics, port = make_port(BLOCKS, kind="local")
     at_rest = np.repeat(np.zeros((6, 1)), 3, axis=1)[:, :, None]
-    state = dynamics.start(at_rest)._replace(own_gradients=np.zeros((6, 1)))
+    moving = dynamics.start(at_rest)
+    state = State(dynamics, moving.step, moving.game, at_rest, np.zeros((6, 1)), moving.diverged)
     observations = port.observe(state)
     assert port.layout.select(observations, "log_scale") == pytest.approx(np.full((1, 3, 1), -30.0))
     assert port.observation_space().contains(observations[0, 0])
@@ -116,11 +116,11 @@ def test_oracle_sees_the_real_strategies_and_the_pseudo_gradient_besides(name):
     observations = port.observe(state)
     plain = make_port(WORLDS[name])[1].observe(state)
     assert np.array_equal(observations[:, :, : plain.shape[2]], plain)
-    strategies = dynamics.strategies(state)
+    strategies = state.strategies
     for i in range(layout.num_players):
         relative = (strategies - state.estimates[:, i]).T.astype(np.float32)
         assert np.array_equal(layout.select(observations, "relative_strategies")[:, i], relative)
-        gradient = dynamics.game.pseudo_gradient(strategies).T.astype(np.float32)
+        gradient = state.game.pseudo_gradient(strategies).T.astype(np.float32)
         assert np.array_equal(layout.select(observations, "pseudo_gradient")[:, i], gradient)
 
 
@@ -186,7 +186,9 @@ def test_space_contains_every_observation_also_at_the_edge_of_the_range(name, ki
     space, players, n = port.observation_space(), port.layout.num_players, port.layout.dimension
     shape = (n, players, 1)
     corners = np.random.default_rng(0).choice([-RANGE_LIMIT, RANGE_LIMIT], shape)
-    states = [dynamics.start(corners), dynamics.start(np.zeros(shape)), wander(dynamics), wander(dynamics, steps=400)]
+    game = begin(dynamics, [0]).game
+    edge = [dynamics.start(estimates, game) for estimates in (corners, np.zeros(shape))]
+    states = [*edge, wander(dynamics), wander(dynamics, steps=400)]
     crashed = dynamics.step(states[1], np.full(shape, 1e9))
     assert crashed.diverged.all()
     for state in [*states, crashed]:
@@ -214,11 +216,11 @@ def test_physical_action_is_the_input_clipped_to_the_limit():
     dynamics, port = make_port(get_scenario("energy", input_limit=7.0))
     state = wander(dynamics)
     actions = np.random.default_rng(0).uniform(-10, 10, (2, 5, 5)).astype(np.float32)
-    inputs = port.decode(actions, state)
+    inputs, clipped = port.decode(actions, state)
     for b in range(2):
         for i in range(5):
             assert np.array_equal(inputs[:, i, b], np.clip(actions[b, i], -7.0, 7.0))
-    assert np.array_equal(port.clipped(actions), (np.abs(actions) > 7).sum(axis=2))
+    assert np.array_equal(clipped, (np.abs(actions) > 7).sum(axis=2))
     assert port.action_space().high.tolist() == [7.0] * 5
 
 
@@ -227,7 +229,7 @@ def test_local_action_is_in_units_of_the_scale_and_in_ego_order(name):
     dynamics, port = make_port(get_scenario(WORLDS[name], input_limit=30.0), kind="local", action_scale=4.0)
     state, game, n = wander(dynamics), dynamics.game, port.layout.dimension
     actions = np.random.default_rng(0).uniform(-1.5, 1.5, (2, game.num_players, n)).astype(np.float32)
-    inputs = port.decode(actions, state)
+    inputs, clipped = port.decode(actions, state)
     scale = 10.0 ** port.layout.select(port.observe(state), "log_scale")[..., 0].astype(np.float64)
     saturated = 0
     for b in range(2):
@@ -238,7 +240,7 @@ def test_local_action_is_in_units_of_the_scale_and_in_ego_order(name):
                 saturated += abs(wanted) > 30
                 assert inputs[component, i, b] == pytest.approx(np.clip(wanted, -30, 30), rel=2e-5)
     assert saturated > 0
-    assert np.array_equal(port.clipped(actions), (np.abs(actions) > 1).sum(axis=2))
+    assert np.array_equal(clipped, (np.abs(actions) > 1).sum(axis=2))
     assert port.action_space().high.tolist() == [1.0] * n
 
 
@@ -248,7 +250,7 @@ def test_gains_weigh_gradient_and_consensus(name, kind):
     dynamics, port = make_port(WORLDS[name], kind=kind, action_mode="gains")
     state, game = wander(dynamics), dynamics.game
     actions = np.random.default_rng(0).uniform(-1, 1, (2, game.num_players, 2)).astype(np.float32)
-    inputs = port.decode(actions, state)
+    inputs = port.decode(actions, state).inputs
     assert port.layout.action_size == 2
     for b in range(2):
         adjacency = dynamics.signal.graphs[int(state.mode[b])].adjacency
@@ -268,21 +270,22 @@ def test_gains_actions_are_clipped_to_their_box(value):
     state = wander(dynamics)
     inside = np.full((2, 5, 2), value, dtype=np.float32)
     outside = inside * 3
-    assert np.array_equal(port.decode(inside, state), port.decode(outside, state))
-    assert port.clipped(outside).tolist() == [[2 * (value != 0)] * 5] * 2
+    assert np.array_equal(port.decode(inside, state).inputs, port.decode(outside, state).inputs)
+    assert not port.decode(inside, state).clipped.any()
+    assert port.decode(outside, state).clipped.tolist() == [[2 * (value != 0)] * 5] * 2
 
 
 def test_double_precision_action_counts_as_the_float32_that_the_space_declares():
     dynamics, port = make_port("energy")
     state = wander(dynamics)
     actions = np.random.default_rng(0).uniform(-10, 10, (2, 5, 5))
-    assert np.array_equal(port.decode(actions, state), port.decode(actions.astype(np.float32), state))
+    assert np.array_equal(port.decode(actions, state).inputs, port.decode(actions.astype(np.float32), state).inputs)
 
 
 def test_input_limit_that_float32_cannot_hold_is_never_exceeded():
     dynamics, port = make_port(get_scenario("energy", input_limit=0.1))
     state = wander(dynamics)
-    assert np.abs(port.decode(np.full((2, 5, 5), 9.0, dtype=np.float32), state)).max() <= 0.1
+    assert np.abs(port.decode(np.full((2, 5, 5), 9.0, dtype=np.float32), state).inputs).max() <= 0.1
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -292,20 +295,19 @@ def test_batch_agrees_bit_for_bit_with_batches_of_one(name, action_mode, kind):
     scenario = large_energy_scenario() if name == "large" else WORLDS[name]
     dynamics, port = make_port(scenario, kind=kind, action_mode=action_mode)
     batch, bound = 7, 1.5 * port.layout.action_bound
-    estimates = dynamics.draw_estimates([Sources.from_seed(seed) for seed in range(batch)])
-    together = dynamics.start(estimates)
-    alone = [dynamics.start(estimates[:, :, b : b + 1]) for b in range(batch)]
+    together = begin(dynamics, range(batch))
+    alone = [begin(dynamics, [b]) for b in range(batch)]
     generator = np.random.default_rng(0)
     for _ in range(12):
         actions = generator.uniform(-bound, bound, (batch, port.layout.num_players, port.layout.action_size))
         actions = actions.astype(np.float32)
-        observations, inputs, clipped = port.observe(together), port.decode(actions, together), port.clipped(actions)
+        observations, (inputs, clipped) = port.observe(together), port.decode(actions, together)
         together = dynamics.step(together, inputs)
         for b in range(batch):
             part = actions[b : b + 1]
             assert np.array_equal(port.observe(alone[b])[0], observations[b])
-            assert np.array_equal(port.clipped(part)[0], clipped[b])
-            own = port.decode(part, alone[b])
+            own, own_clipped = port.decode(part, alone[b])
+            assert np.array_equal(own_clipped[0], clipped[b])
             assert np.array_equal(own[..., 0], inputs[..., b])
             alone[b] = dynamics.step(alone[b], own)
 
@@ -363,5 +365,5 @@ def test_written_inputs_are_the_inputs_that_arrive(kind):
     state = wander(dynamics, batch=1)
     reading = port.layout.read(port.observe(state)[0])
     wanted = np.random.default_rng(0).uniform(-1, 1, (3, 6))
-    arrived = port.decode(port.layout.write(wanted, reading)[None], state)[:, :, 0].T
+    arrived = port.decode(port.layout.write(wanted, reading)[None], state).inputs[:, :, 0].T
     assert arrived == pytest.approx(wanted * reading.unit, rel=3e-6)

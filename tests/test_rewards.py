@@ -192,7 +192,8 @@ def test_rewards_of_a_crash_are_finite_and_charged_for_the_remaining_steps(rewar
     env.reset()
     env.step(constant_actions(env, 0.0))
     _, rewards, _, _, _ = env.step(constant_actions(env, 1e9))
-    worst = {"tracking": env.dynamics.distance_limit, "payoff": REWARD_LIMIT, "regret": REWARD_LIMIT}
+    limit = env.dynamics.distance_limit(env.dynamics.game)[0]
+    worst = {"tracking": limit, "payoff": REWARD_LIMIT, "regret": REWARD_LIMIT}
     for value in rewards.values():
         if reward == "digits":
             assert -6 < value < 0

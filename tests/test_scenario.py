@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from worlds import BLOCKS, PAPER_START
+from worlds import BLOCKS, FROM_THE_PAPER, PAPER_START
 
 from ptne_env import CATALOGUE, Part, Scenario, get_scenario
 from ptne_env.games import EnergyGame, NonQuadraticGame
@@ -56,7 +56,7 @@ def test_catalogue_survives_json_and_pickle(name):
     assert json.loads(scenario.to_json())["name"] == name
 
 
-def test_catalogue_has_the_six_promised_scenarios():
+def test_catalogue_has_the_promised_scenarios():
     assert list(CATALOGUE) == [
         "energy",
         "energy-switching",
@@ -64,10 +64,14 @@ def test_catalogue_has_the_six_promised_scenarios():
         "non-quadratic",
         "non-quadratic-switching",
         "non-quadratic-printed",
+        "random-energy",
+        "random-energy-switching",
+        "random-energy-switching-transformed",
     ]
+    assert FROM_THE_PAPER == list(CATALOGUE)[:6]
 
 
-@pytest.mark.parametrize("name", CATALOGUE)
+@pytest.mark.parametrize("name", FROM_THE_PAPER)
 def test_catalogue_has_the_settings_of_the_paper(name):
     scenario = CATALOGUE[name]
     clock, game, signal = scenario.built_clock, scenario.built_game, scenario.built_signal
@@ -85,6 +89,17 @@ def test_catalogue_has_the_settings_of_the_paper(name):
         assert signal.dwells == ((0.25,) * 4 if name.endswith("transformed") else (0.1,) * 4)
     else:
         assert signal.graphs == (cycle(5),)
+
+
+@pytest.mark.parametrize("name", [name for name in CATALOGUE if name not in FROM_THE_PAPER])
+def test_random_scenarios_draw_game_and_start_on_the_graphs_of_the_paper(name):
+    scenario, paper = CATALOGUE[name], CATALOGUE[name.removeprefix("random-")]
+    changed = {"name": name, "game": scenario.game, "start": get_scenario("energy", start="random").start, "s_end": 6.0}
+    assert scenario == paper.replace(**changed)
+    assert scenario.game == Part.of("ptne_env.games:RandomEnergy", players=5)
+    assert scenario.has_random_game
+    assert scenario.is_random
+    assert not paper.has_random_game
 
 
 def test_random_start_draws_every_estimate_from_minus_20_to_20():

@@ -3,9 +3,13 @@
 import numpy as np
 
 import ptne_env
-from ptne_env import Interface, Part, Scenario
+from ptne_env import CATALOGUE, Interface, Part, Scenario
 from ptne_env.dynamics import Dynamics
 from ptne_env.interface import Port
+from ptne_env.sources import Sources
+
+FROM_THE_PAPER = [name for name, scenario in CATALOGUE.items() if not scenario.is_random]
+"""The scenarios of the catalogue that play the paper's games from the paper's start."""
 
 PAPER_START = np.array(
     [
@@ -61,6 +65,12 @@ def loop_matrix(game, adjacency, kappa, gradient_gain=1.0):
     for component, owner in enumerate(game.owners):
         matrix[owner * n + component, owner * n : (owner + 1) * n] += gradient_gain * jacobian[component]
     return matrix
+
+
+def begin(dynamics, seeds):
+    """The state at t = 0 that these seeds draw, game and estimates, one environment each."""
+    sources = [Sources.from_seed(seed) for seed in seeds]
+    return dynamics.start(dynamics.draw_estimates(sources), dynamics.draw_game(sources))
 
 
 def stack(estimates):

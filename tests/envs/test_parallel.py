@@ -328,7 +328,7 @@ def test_what_was_returned_never_changes_later_and_is_shared_with_nobody(name, i
     arrays = list(arrays_in(record))
     for index, array in enumerate(arrays):
         assert not any(np.shares_memory(array, other) for other in arrays[index + 1 : index + 40])
-        assert not np.shares_memory(array, env._state.estimates)
+        assert not np.shares_memory(array, env._simulation.state.estimates)
 
 
 @pytest.mark.parametrize("name", ["energy", "energy-switching"])

@@ -3,21 +3,27 @@ import pytest
 
 import ptne_env
 from ptne_env.dynamics import Dynamics
-from ptne_env.evaluation.bank import draw_estimates, episode_seed
+from ptne_env.evaluation.bank import draw_start, episode_seed
 
 
-def test_an_episode_of_a_bank_is_what_the_environment_starts_with_under_its_seed():
-    scenario = ptne_env.get_scenario("energy", start="random")
-    estimates = draw_estimates(Dynamics(scenario), 3, seed=5)
+@pytest.mark.parametrize("name", ["energy", "random-energy", "random-energy-switching"])
+def test_an_episode_of_a_bank_is_what_the_environment_starts_with_under_its_seed(name):
+    scenario = ptne_env.get_scenario(name, start="random")
+    state = draw_start(Dynamics(scenario), 3, seed=5)
+    equilibria = np.broadcast_to(state.game.nash_equilibria, (5, 3))
     env = ptne_env.parallel_env(scenario)
     for episode in range(3):
         env.reset(seed=episode_seed(5, episode))
-        np.testing.assert_array_equal(env.estimates.T, estimates[:, :, episode])
+        np.testing.assert_array_equal(env.estimates.T, state.estimates[:, :, episode])
+        np.testing.assert_array_equal(env.nash_equilibrium, equilibria[:, episode])
 
 
 def test_more_episodes_extend_a_bank_and_leave_its_beginning_alone():
-    dynamics = Dynamics(ptne_env.get_scenario("energy", start="random"))
-    np.testing.assert_array_equal(draw_estimates(dynamics, 7, 1)[..., :3], draw_estimates(dynamics, 3, 1))
+    dynamics = Dynamics(ptne_env.get_scenario("random-energy"))
+    longer, shorter = draw_start(dynamics, 7, 1), draw_start(dynamics, 3, 1)
+    np.testing.assert_array_equal(longer.estimates[..., :3], shorter.estimates)
+    for parameter in ("curvature", "target", "coupling"):
+        np.testing.assert_array_equal(getattr(longer.game, parameter)[..., :3], getattr(shorter.game, parameter))
 
 
 def test_banks_of_different_seeds_share_no_episode():

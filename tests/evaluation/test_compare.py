@@ -29,7 +29,8 @@ def test_the_papers_start_gives_the_distance_of_the_documented_loop(results):
 
 def test_records_cover_every_scenario_policy_and_metric_once(results):
     keys = [(record["scenario"], record["policy"], record["metric"]) for record in results.records]
-    assert len(set(keys)) == len(keys) == len(results.scenarios) * len(results.entries) * len(METRICS)
+    assert len(set(keys)) == len(keys) == len(results.scenarios) * len(results.entries) * 18
+    assert {metric for _, _, metric in keys} == {*METRICS, "worst_decile_digits"}
     assert all(
         set(record) == {"scenario", "policy", "metric", "mean", "low", "high", "episodes"} for record in results.records
     )
@@ -124,11 +125,26 @@ def test_the_two_interfaces_agree_where_no_action_saturates():
 
 def test_every_named_entry_acts_on_every_scenario_of_the_catalogue():
     results = evaluate(list(ENTRIES), list(ptne_env.CATALOGUE), episodes=2, hold_steps=3)
-    assert len(results.cells) == count_cells(list(ENTRIES), list(ptne_env.CATALOGUE)) == 8 * 12
+    assert len(results.cells) == count_cells(list(ENTRIES), list(ptne_env.CATALOGUE)) == 8 * (2 * 6 + 3)
     # The anchors bracket the laws: doing nothing is worse than the static law, full information is better.
-    for scenario in ("energy", "energy-switching", "energy-switching-transformed", "non-quadratic"):
+    for scenario in ("energy", "energy-switching", "energy-switching-transformed", "non-quadratic", "random-energy"):
         digits = [results.record(scenario, name, "digits")["mean"] for name in ("null", "static", "oracle")]
         assert digits == sorted(digits)
+
+
+def test_oracle_by_module_path_brings_the_interface_that_it_needs():
+    results = evaluate(["oracle", "ptne_env.laws:CentralisedOracle"], ["energy", "random-energy"], episodes=2)
+    for scenario in results.scenarios:
+        named, by_path = (results.record(scenario, name, "digits") for name in results.entries)
+        assert named["mean"] == by_path["mean"] > 11
+
+
+def test_scenario_that_draws_games_is_run_from_random_starts_alone():
+    results = evaluate(["static"], ["random-energy", "random-energy-switching"], episodes=3)
+    assert list(results.scenarios) == ["random-energy", "random-energy-switching"]
+    assert {record["episodes"] for record in results.records} == {3}
+    digits = [row["value"] for row in results.episodes if row["metric"] == "digits"]
+    assert len(set(digits)) == 6
 
 
 def test_progress_is_reported_once_per_cell():
@@ -148,7 +164,7 @@ def test_progress_is_reported_once_per_cell():
         (["static"], [], "at least one scenario"),
         (["no.such.module:thing"], ["energy"], "cannot import"),
         (["ptne_env.laws:NoSuchLaw"], ["energy"], "has no 'NoSuchLaw'"),
-        (["ptne_env.laws:CentralisedOracle"], ["energy"], "interface 'full'"),
+        ([Entry("blind", laws.CentralisedOracle, ptne_env.Interface())], ["energy"], "interface 'full'"),
     ],
 )
 def test_wrong_names_are_told_what_there_is(entries, scenarios, message):

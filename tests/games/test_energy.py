@@ -93,7 +93,11 @@ def test_regrets_are_positive_away_from_the_equilibrium_and_zero_at_it(game, see
     ("arguments", "message"),
     [
         ({"curvature": 0.0}, "curvature > 0"),
-        ({"curvature": [1.0, 1.0]}, "one number or 5"),
+        (
+            {"curvature": [1.0, 1.0]},
+            r"curvature \(2,\).* do not fit target \(5,\); give one number for all, or one per player",
+        ),
+        ({"coupling": [0.1, 0.1]}, r"coupling \(2,\) do not fit target \(5,\)"),
         ({"coupling": -0.1}, "coupling ≥ 0"),
         ({"target": [1.0]}, "at least 2 players"),
         ({"target": 3.0}, "one number per player"),

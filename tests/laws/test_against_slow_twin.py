@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 import slow_twin
-from worlds import BLOCKS, BLOCKS_SWITCHING, PAPER_START, make_env, play
+from worlds import BLOCKS, BLOCKS_SWITCHING, FROM_THE_PAPER, PAPER_START, make_env, play
 
-from ptne_env import CATALOGUE, laws
+from ptne_env import laws
 
 GRADIENTS = {
     "energy": slow_twin.energy_gradient,
@@ -50,7 +50,7 @@ def assert_same_trajectory(ours, twin, tolerance=2e-6):
 
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("law", LAWS)
-@pytest.mark.parametrize("name", CATALOGUE)
+@pytest.mark.parametrize("name", FROM_THE_PAPER)
 def test_law_follows_its_slow_twin_from_the_paper_start(name, law, kind):
     make, make_twin = LAWS[law]
     env = make_env(name, interface=kind, action_scale=IN_REACH)

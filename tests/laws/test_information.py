@@ -84,7 +84,7 @@ def test_scrambling_what_a_player_may_not_see_changes_none_of_its_actions(player
         ]
         estimates = generator.uniform(-20, 20, (5, 5, 1))
         estimates[:, visible] = state.estimates[:, visible]
-        other_state = other._complete(estimates, state.step, state.diverged)
+        other_state = other._complete(estimates, other.game, state.step, state.diverged)
 
         observations, other_observations = port.observe(state)[0], other_port.observe(other_state)[0]
         actions, memory = policy.predict(observations, state=memory)
@@ -92,7 +92,7 @@ def test_scrambling_what_a_player_may_not_see_changes_none_of_its_actions(player
         assert np.array_equal(actions[player], other_actions[player])
         strangers = [j for j in range(5) if j not in visible]
         compared += not np.array_equal(observations[strangers], other_observations[strangers])
-        state = world.step(state, port.decode(actions[None], state))
+        state = world.step(state, port.decode(actions[None], state).inputs)
     assert compared == 150  # the worlds did look different to others
 
 
@@ -110,7 +110,7 @@ def test_law_acts_the_same_whoever_else_is_in_the_batch(law, kind):
         for i in range(5):
             action, alone[i] = policy.predict(observations[i : i + 1], state=alone[i])
             assert np.array_equal(action[0], actions[i])
-        state = world.step(state, port.decode(actions[None], state))
+        state = world.step(state, port.decode(actions[None], state).inputs)
 
 
 @pytest.mark.parametrize("kind", ["physical", "local"])

@@ -27,13 +27,13 @@ def test_oracle_is_gradient_descent_on_the_shared_strategies(scenario):
     dynamics, port = make_port(scenario, kind="full")
     law = laws.CentralisedOracle(port.layout)
     state = dynamics.start(dynamics.draw_estimates([Sources.from_seed(1)]))
-    x = dynamics.strategies(state)
+    x = state.strategies
     for k in range(dynamics.clock.steps):
         actions, _ = law.predict(port.observe(state)[0])
-        state = dynamics.step(state, port.decode(actions[None], state))
+        state = dynamics.step(state, port.decode(actions[None], state).inputs)
         x = x - dynamics.clock.theta[k] * dynamics.game.pseudo_gradient(x)
         assert np.abs(state.estimates - x[:, None]).max() <= 4e-6 * np.abs(x).max()
-    assert dynamics.strategies(state)[:, 0] == pytest.approx(dynamics.game.nash_equilibrium, rel=1e-9)
+    assert state.strategies[:, 0] == pytest.approx(dynamics.game.nash_equilibrium, rel=1e-9)
 
 
 def test_oracle_obeys_the_input_limit_of_everybody():

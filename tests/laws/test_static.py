@@ -117,8 +117,8 @@ def test_corollary_one_asks_for_the_static_input_over_the_gain_of_time(kind):
         state = dynamics.step(state, np.zeros_like(state.estimates))
     k = int(state.step[0])
     observation = port.observe(state)[0]
-    static = port.decode(laws.Static(port.layout, kappa=3.0).predict(observation)[0][None], state)
-    slow = port.decode(laws.CorollaryOne(port.layout, kappa=3.0).predict(observation)[0][None], state)
+    static = port.decode(laws.Static(port.layout, kappa=3.0).predict(observation)[0][None], state).inputs
+    slow = port.decode(laws.CorollaryOne(port.layout, kappa=3.0).predict(observation)[0][None], state).inputs
     assert slow == pytest.approx(static * dynamics.clock.dt[k] / dynamics.clock.theta[k], rel=1e-5, abs=1e-6)
 
 

@@ -1,0 +1,141 @@
+"""Loading policy files: good ones, and every kind of bad one."""
+
+import json
+
+import numpy as np
+import onnx
+import pytest
+from onnx import helper
+
+import ptne_env
+from ptne_env import Interface, policies
+from ptne_env.policies import Metadata, PolicyFileError
+
+
+def metadata(**changes):
+    values = {
+        "interface": Interface("local"),
+        "action_dims": (1,) * 5,
+        "slots": 2,
+        "scenario": "random-energy",
+        "steps": 1,
+        "seed": 0,
+        "digits": 0.5,
+        "versions": {"ptne_env": "0"},
+    }
+    return Metadata(**values | changes)
+
+
+def write(path, size=28, actions=5, properties=None):
+    """A policy file that returns the first entries of its observations."""
+    graph = helper.make_graph(
+        [helper.make_node("Slice", ["observation", "start", "end", "axis"], ["action"])],
+        "policy",
+        [helper.make_tensor_value_info("observation", onnx.TensorProto.FLOAT, ["rows", size])],
+        [helper.make_tensor_value_info("action", onnx.TensorProto.FLOAT, ["rows", actions])],
+        [
+            onnx.numpy_helper.from_array(np.array([value], dtype=np.int64), name)
+            for name, value in (("start", 0), ("end", actions), ("axis", 1))
+        ],
+    )
+    model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=8)
+    helper.set_model_props(model, {"ptne_env": metadata().to_json()} if properties is None else properties)
+    path.write_bytes(model.SerializeToString())
+    return path
+
+
+@pytest.fixture
+def layout():
+    return ptne_env.parallel_env("random-energy", interface="local").layout
+
+
+def test_a_policy_acts_in_the_environment_of_its_layout(tmp_path, layout):
+    policy = policies.load(write(tmp_path / "mine.onnx", size=layout.size))
+    policy.require(layout)
+    assert isinstance(policy, ptne_env.Policy)
+    assert policy.name == "mine"
+    rows = np.random.default_rng(0).normal(size=(7, layout.size)).astype(np.float32)
+    actions, state = policy.predict(rows, state="memory")
+    np.testing.assert_array_equal(actions, rows[:, :5])
+    assert state == "memory"
+    single, _ = policy.predict(rows[3])
+    np.testing.assert_array_equal(single, actions[3])
+
+
+def test_metadata_survive_the_round_trip():
+    original = metadata(interface=Interface("physical", "gains", 2.0), versions={"torch": "x"})
+    assert Metadata.from_json(original.to_json()) == original
+
+
+@pytest.mark.parametrize(
+    ("changes", "named"),
+    [
+        ({"interface": Interface("physical")}, "interface"),
+        ({"interface": Interface("local", action_scale=4.0)}, "interface"),
+        ({"action_dims": (1,) * 6}, "action_dims"),
+        ({"slots": 3}, "neighbour slots"),
+    ],
+)
+def test_another_layout_is_refused_and_named(tmp_path, layout, changes, named):
+    properties = {"ptne_env": metadata(**changes).to_json()}
+    policy = policies.load(write(tmp_path / "mine.onnx", size=layout.size, properties=properties))
+    with pytest.raises(PolicyFileError, match=named):
+        policy.require(layout)
+    with pytest.raises(PolicyFileError, match="another layout"):
+        ptne_env.Entry("mine", policy, Interface("local")).build(layout)
+
+
+def test_observations_of_another_length_are_refused(tmp_path):
+    policy = policies.load(write(tmp_path / "mine.onnx", size=28))
+    with pytest.raises(PolicyFileError, match="length 28"):
+        policy.predict(np.zeros((2, 27), dtype=np.float32))
+
+
+def test_a_truncated_file_at_any_length_is_refused(tmp_path):
+    content = write(tmp_path / "mine.onnx").read_bytes()
+    path = tmp_path / "cut.onnx"
+    for length in range(0, len(content), 37):
+        path.write_bytes(content[:length])
+        with pytest.raises(PolicyFileError, match=r"cut.onnx"):
+            policies.load(path)
+
+
+@pytest.mark.parametrize("content", [b"", b"not a network", b"PK\x03\x04 a zip", json.dumps({"a": 1}).encode()])
+def test_a_foreign_file_is_refused(tmp_path, content):
+    path = tmp_path / "foreign.onnx"
+    path.write_bytes(content)
+    with pytest.raises(PolicyFileError, match="damaged or something else"):
+        policies.load(path)
+
+
+@pytest.mark.parametrize(
+    ("properties", "message"),
+    [
+        ({}, "without the metadata"),
+        ({"ptne_env": "{"}, "damaged"),
+        ({"ptne_env": "[]"}, "damaged"),
+        ({"ptne_env": "{}"}, "damaged"),
+        ({"ptne_env": metadata(layout_version=99).to_json()}, "layout version 99"),
+        ({"ptne_env": json.dumps(json.loads(metadata().to_json()) | {"unheard_of": 1})}, "later version"),
+    ],
+)
+def test_bad_metadata_are_refused(tmp_path, properties, message):
+    with pytest.raises(PolicyFileError, match=message):
+        policies.load(write(tmp_path / "mine.onnx", properties=properties))
+
+
+def test_a_missing_policy_names_the_shipped_ones():
+    with pytest.raises(FileNotFoundError, match="shipped policy"):
+        policies.load("no-such-policy")
+
+
+@pytest.mark.parametrize("name", policies.shipped())
+def test_every_shipped_policy_loads_and_fits_the_scenario_it_names(name):
+    policy = policies.load(name)
+    interface = policy.interface
+    env = ptne_env.parallel_env(policy.metadata.scenario, interface=interface.kind, action_mode=interface.action_mode)
+    policy.require(env.layout)
+    observations, _ = env.reset(seed=0)
+    actions, _ = policy.predict(np.stack(list(observations.values())))
+    assert actions.shape == (5, env.layout.action_size)
+    assert np.abs(actions).max() <= env.layout.action_bound

@@ -1,0 +1,153 @@
+"""A real training run, what it leaves behind, and what an interruption costs."""
+
+import json
+import signal
+import subprocess
+import sys
+import time
+
+import numpy as np
+import pytest
+import torch
+from conftest import ARGUMENTS
+from stable_baselines3 import PPO
+
+import ptne_env
+from ptne_env import Entry, Interface, evaluate, policies
+from ptne_env.envs.sb3 import SlotVecEnv
+from ptne_env.training import ppo
+from ptne_env.training.export import to_onnx
+
+
+def test_training_gains_digits_over_its_own_start(run):
+    _, summary, _ = run
+    env = SlotVecEnv("random-energy", interface="local")
+    torch.manual_seed(0)
+    untrained = PPO("MlpPolicy", env, policy_kwargs={"activation_fn": torch.nn.Tanh}, device="cpu", seed=0)
+    results = evaluate(
+        [Entry("untrained", untrained, Interface("local"))],
+        [ptne_env.get_scenario("random-energy")],
+        episodes=50,
+        split="validation",
+    )
+    start = results.record("random-energy", "untrained", "digits")["high"]
+    # The untrained network gains nothing; what is asked for is a fraction of what this run gains.
+    assert summary["validation_digits"] > start + 1.0
+
+
+def test_a_run_leaves_a_policy_a_summary_and_logs_and_no_checkpoint(run):
+    out, summary, reports = run
+    assert (
+        json.loads((out / "summary.json").read_text(encoding="utf-8"))["validation_digits"]
+        == summary["validation_digits"]
+    )
+    assert sorted(path.name for path in out.iterdir()) == [
+        "arguments.json",
+        "policy.onnx",
+        "summary.json",
+        "tensorboard",
+    ]
+    assert summary["agent_steps"] >= ARGUMENTS.steps
+    done = [report[0] for report in reports]
+    assert done == sorted(done)
+    assert {report[1] for report in reports} == {ARGUMENTS.steps}
+    assert np.isfinite(reports[-1][2])
+
+
+def test_digits_in_the_file_are_those_that_the_file_reaches(run):
+    out, summary, _ = run
+    policy = policies.load(out / "policy.onnx")
+    results = evaluate(
+        [Entry("learned", policy)], [ptne_env.get_scenario("random-energy")], episodes=50, split="validation"
+    )
+    assert results.record("random-energy", "learned", "digits")["mean"] == pytest.approx(
+        policy.metadata.digits, abs=1e-3
+    )
+    assert policy.metadata.digits == summary["validation_digits"]
+
+
+def test_another_run_in_the_same_folder_is_refused_and_touches_nothing(run):
+    out, _, _ = run
+    before = {path.name: path.stat().st_mtime_ns for path in out.iterdir()}
+    with pytest.raises(ValueError, match="another seed"):
+        ppo.train(
+            ppo.Arguments("random-energy", **{"steps": 400_000, "envs": 64, "validation_episodes": 50, "seed": 1}), out
+        )
+    assert before == {path.name: path.stat().st_mtime_ns for path in out.iterdir()}
+
+
+def test_a_killed_run_goes_on_from_its_last_checkpoint(tmp_path):
+    code = (
+        "import sys, pathlib\n"
+        "from ptne_env.training import ppo\n"
+        "arguments = ppo.Arguments('random-energy', steps=200_000, envs=16, checkpoint_seconds=0.5,"
+        " validation_episodes=10)\n"
+        "steps = []\n"
+        "ppo.train(arguments, pathlib.Path(sys.argv[1]), lambda done, total, digits: steps.append(done))\n"
+        "print(steps[0])\n"
+    )
+    command = [sys.executable, "-c", code, str(tmp_path)]
+    process = subprocess.Popen(command)  # noqa: S603 - our own code
+    checkpoint = tmp_path / "checkpoint.zip"
+    deadline = time.monotonic() + 120
+    while not checkpoint.exists():
+        assert process.poll() is None, "the run ended before its first checkpoint"
+        assert time.monotonic() < deadline
+        time.sleep(0.02)
+    process.send_signal(signal.SIGKILL)
+    process.wait()
+    saved = PPO.load(checkpoint, device="cpu").num_timesteps
+    assert 0 < saved < 200_000
+
+    outcome = subprocess.run(command, capture_output=True, text=True, check=True, timeout=240)  # noqa: S603
+    rollout = 16 * 5 * 50
+    assert int(outcome.stdout) == saved + rollout  # nothing is lost but what came after the checkpoint
+    assert policies.load(tmp_path / "policy.onnx").metadata.steps >= 200_000
+
+
+def test_configurations_name_scenarios_of_the_catalogue():
+    assert ppo.configurations()
+    for name in ppo.configurations():
+        arguments = ppo.Arguments.from_toml(name, seed=3)
+        assert arguments.scenario in ptne_env.CATALOGUE
+        assert arguments.seed == 3
+
+
+def test_an_unknown_configuration_or_argument_is_refused_by_name(tmp_path):
+    with pytest.raises(ValueError, match="unknown configuration 'nope'; choose from random-energy"):
+        ppo.Arguments.from_toml("nope")
+    path = tmp_path / "mine.toml"
+    path.write_text('scenario = "random-energy"\nlearning_rat = 1.0\n', encoding="utf-8")
+    with pytest.raises(ValueError, match=r"mine.toml: unknown learning_rat"):
+        ppo.Arguments.from_toml(path)
+
+
+@pytest.mark.parametrize("kind", ["local", "physical"])
+@pytest.mark.parametrize("mode", ["input", "gains"])
+def test_the_exported_policy_acts_like_the_model_over_whole_episodes(kind, mode, tmp_path):
+    env = SlotVecEnv("random-energy-switching", 2, interface=kind, action_mode=mode, seed=4)
+    model = PPO("MlpPolicy", env, policy_kwargs={"activation_fn": torch.nn.Tanh}, device="cpu", seed=1)
+    with torch.no_grad():  # large weights, so that clipping happens too
+        for parameter in model.policy.action_net.parameters():
+            parameter.mul_(200.0)
+    path = tmp_path / "policy.onnx"
+    path.write_bytes(to_onnx(model, env.layout, scenario="random-energy-switching", seed=1, digits=0.0))
+    policy = policies.load(path)
+    policy.require(env.layout)
+    observations, clipped = env.reset(), 0
+    for _ in range(401):
+        expected, _ = model.predict(observations, deterministic=True)
+        actions, _ = policy.predict(observations)
+        scale = np.abs(expected).max()
+        np.testing.assert_allclose(actions, expected, rtol=0, atol=1e-5 * max(scale, 1.0))
+        clipped += int((np.abs(actions) == env.layout.action_bound).sum())
+        observations, _, _, _ = env.step(actions)
+    if kind == "local":
+        assert clipped > 0
+
+
+def test_a_layer_that_cannot_be_exported_is_named():
+    env = SlotVecEnv("random-energy", interface="local")
+    model = PPO("MlpPolicy", env, policy_kwargs={"activation_fn": torch.nn.ReLU}, device="cpu")
+    with pytest.raises(ValueError, match="ReLU"):
+        to_onnx(model, env.layout, scenario="random-energy", seed=0, digits=0.0)
