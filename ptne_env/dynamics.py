@@ -15,6 +15,9 @@ from ptne_env.sources import Sources
 RANGE_LIMIT = 5e5
 """An estimate or own gradient outside ±RANGE_LIMIT, or not finite, has diverged."""
 
+_SMALL = 4096
+"""Entries of an array on which one BLAS call is cheaper than two reductions, and wakes no threads."""
+
 
 Array = TypeVar("Array", FloatArray, IntArray, BoolArray)
 
@@ -127,6 +130,9 @@ class Dynamics:
         )
         schedule = self.signal.schedule(self.clock.signal_times[self.signal.clock])
         self.modes, self.time_since_switch = schedule.modes, schedule.age
+        # Looking up an instant's successor costs one environment a quarter of computing it.
+        instants, last = np.arange(self.clock.total_steps + 1), self.clock.total_steps
+        self._next_step, self._finished = np.minimum(instants + 1, last), instants >= last
 
         components = np.arange(n)
         self._neighbour_rows = components[None, :, None] * players + self.neighbours[:, None, :]
@@ -170,7 +176,10 @@ class Dynamics:
         if game.batch_size not in (1, batch) or game.action_dims != self.game.action_dims:
             raise ValueError(f"{batch} environments need one game or {batch}, got {game.batch_size}")
         estimates = np.array(estimates, dtype=np.float64)  # a copy: the state is not the caller's
-        return self._complete(estimates, game, np.zeros(batch, dtype=np.int64), np.zeros(batch, dtype=np.bool_))
+        state = self._complete(estimates, game, np.zeros(batch, dtype=np.int64), np.zeros(batch, dtype=np.bool_))
+        if state.any_diverged:
+            raise ValueError(f"own gradients at the initial estimates must be within ±{RANGE_LIMIT:g}: start closer")
+        return state
 
     def step(self, state: State, inputs: FloatArray) -> State:
         """The next state, from held inputs u of shape (n, N, B), finite. ``state`` is left as it was."""
@@ -179,8 +188,7 @@ class Dynamics:
             theta = np.where(state.diverged, 0.0, theta)
         estimates = theta * inputs
         estimates += state.estimates
-        step = np.minimum(state.step + 1, self.clock.total_steps)
-        return self._complete(estimates, state.game, step, state.diverged)
+        return self._complete(estimates, state.game, self._next_step[state.step], state.diverged)
 
     def merge(self, state: State, fresh: State, mask: BoolArray) -> State:
         """``state`` with the environments in ``mask`` (B,) replaced by those of ``fresh``, in order."""
@@ -209,7 +217,7 @@ class Dynamics:
 
     def is_over(self, state: State) -> BoolArray:
         """Whether each environment has reached its end or diverged, shape (B,)."""
-        finished = state.step >= self.clock.total_steps
+        finished = self._finished[state.step]
         return finished | state.diverged if state.any_diverged else finished
 
     @staticmethod
@@ -236,6 +244,10 @@ def _rows(estimates: FloatArray) -> FloatArray:
 
 
 def _in_range(array: FloatArray) -> bool:
-    """Whether every entry is a number within ±RANGE_LIMIT; two reductions, which write no array as ``abs`` would."""
+    """Whether every entry is a number within ±RANGE_LIMIT."""
+    if array.size <= _SMALL:
+        flat = array.reshape(-1)
+        if flat.dot(flat) <= RANGE_LIMIT**2:  # Σ x² ≤ limit² is enough; False for NaN
+            return True
     highest, lowest = np.maximum.reduce(array, axis=None), np.minimum.reduce(array, axis=None)
     return bool(highest <= RANGE_LIMIT and lowest >= -RANGE_LIMIT)

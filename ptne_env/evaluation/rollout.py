@@ -8,7 +8,7 @@ from time import perf_counter
 import numpy as np
 
 from ptne_env import distances
-from ptne_env.arrays import BoolArray, FloatArray
+from ptne_env.arrays import BoolArray, FloatArray, ordered_sum
 from ptne_env.dynamics import Dynamics, State
 from ptne_env.interface import Port
 from ptne_env.policy import Policy
@@ -114,12 +114,12 @@ class _Recorder:
         players = np.where(state.diverged, self._limit, players)
         strategies = distances.strategy_distance(state.strategies, self._game)
         self._strategy_distance[instant] = np.where(state.diverged, self._limit, strategies)
-        self._estimate_distance[instant] = np.sqrt((players**2).mean(axis=0))
+        self._estimate_distance[instant] = np.sqrt(ordered_sum(players**2) / len(players))
         if instant == self.dynamics.clock.steps:
             consensus = distances.consensus_error(state.estimates, self._game)
             self._consensus_error = np.where(state.diverged, self._limit, consensus)
         if instant in (0, self.dynamics.clock.total_steps):
-            self._log_distances.append(distances.digits(players).mean(axis=0))
+            self._log_distances.append(ordered_sum(distances.digits(players)) / len(players))
 
     def spend(self, step: int, inputs: FloatArray, running: BoolArray) -> None:
         """Add the effort of a step to the deadline, of the episodes that are ``running``."""

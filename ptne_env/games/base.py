@@ -161,7 +161,14 @@ class Game(ABC):
 
     def _solve_nash_equilibria(self) -> FloatArray:
         """A zero of F by ``scipy.optimize.root``, (n, 1); games with a closed form, and batches, override this."""
-        solution = optimize.root(
-            lambda x: self.pseudo_gradient(x[:, None])[:, 0], np.zeros(self.dimension), method="hybr", tol=1e-14
-        )
-        return np.asarray(solution.x, dtype=np.float64)[:, None]
+
+        def field(x: FloatArray) -> FloatArray:
+            return self.pseudo_gradient(x[:, None])[:, 0]
+
+        point = np.asarray(optimize.root(field, np.zeros(self.dimension), method="hybr", tol=1e-14).x)
+        # Where F only underflows, as e^x does far out, its residual is small and Newton's step is not.
+        slope = optimize.approx_fprime(point, field)
+        step = np.linalg.lstsq(slope, field(point), rcond=None)[0]
+        if not np.linalg.norm(step) <= 1e-6 * (1 + np.linalg.norm(point)):
+            raise ArithmeticError(f"{type(self).__name__}: F vanishes at no finite point that the solver could find")
+        return point[:, None]

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from sample_games import BlockGame, CubicGame
 
-from ptne_env.games import EnergyGame, NonQuadraticGame
+from ptne_env.games import EnergyGame, Game, NoBestResponseError, NonQuadraticGame
 
 GAMES = [EnergyGame(), NonQuadraticGame(), NonQuadraticGame("printed"), BlockGame(), BlockGame((1, 4, 2, 1), seed=9)]
 
@@ -91,3 +91,24 @@ def test_blocks_and_owners_follow_the_dimensions():
 def test_bad_dimensions_are_refused(dims):
     with pytest.raises(ValueError, match="at least"):
         BlockGame(dims)
+
+
+class Vanishing(Game):
+    """F = e^x, which is 0 nowhere and underflows."""
+
+    def __init__(self):
+        super().__init__((1, 1))
+
+    def costs(self, strategies):
+        return np.exp(strategies)
+
+    def own_gradients(self, estimates):
+        return np.exp(np.stack([estimates[0, 0], estimates[1, 1]]))
+
+    def best_response(self, strategies):
+        raise NoBestResponseError("no minimum")
+
+
+def test_a_zero_at_infinity_is_no_equilibrium():
+    with pytest.raises(ArithmeticError):
+        Vanishing().nash_equilibrium  # noqa: B018 - the property raises

@@ -1,5 +1,6 @@
 """A real training run, what it leaves behind, and what an interruption costs."""
 
+import dataclasses
 import json
 import signal
 import subprocess
@@ -70,9 +71,7 @@ def test_another_run_in_the_same_folder_is_refused_and_touches_nothing(run):
     out, _, _ = run
     before = {path.name: path.stat().st_mtime_ns for path in out.iterdir()}
     with pytest.raises(ValueError, match="another seed"):
-        ppo.train(
-            ppo.Arguments("random-energy", **{"steps": 400_000, "envs": 64, "validation_episodes": 50, "seed": 1}), out
-        )
+        ppo.train(dataclasses.replace(ARGUMENTS, seed=1), out)
     assert before == {path.name: path.stat().st_mtime_ns for path in out.iterdir()}
 
 
