@@ -186,6 +186,26 @@ def test_crash_never_pays_in_the_non_quadratic_game(reward):
     assert all(crash[agent] < survivor[agent] for agent in env.possible_agents)
 
 
+@pytest.mark.parametrize("reward", ["digits", "tracking", "payoff"])
+def test_crash_of_one_player_is_charged_to_all_even_where_their_estimates_are_near(reward):
+    env = make_env("non-quadratic", steps=40, reward=reward)
+    near = np.tile(env.nash_equilibrium, (5, 1)) + 1e-3
+    totals = []
+    for push in (1000.0, 0.0):
+        env.reset(options={"estimates": near})
+        total = dict.fromkeys(env.possible_agents, 0.0)
+        while env.agents:
+            actions = constant_actions(env, 0.0)
+            actions["player_1"][1] = push  # its own gradient leaves the range, every other estimate stays
+            _, rewards, _, _, infos = env.step(actions)
+            for agent, value in rewards.items():
+                total[agent] += value
+        assert infos["player_0"]["diverged"] == (push > 0)
+        totals.append(total)
+    crash, survivor = totals
+    assert all(crash[agent] < survivor[agent] - 5 for agent in env.possible_agents)
+
+
 @pytest.mark.parametrize("reward", TERMS)
 def test_rewards_of_a_crash_are_finite_and_charged_for_the_remaining_steps(reward):
     env = make_env("energy", steps=20, reward=reward, input_limit=1e9)
