@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 from test_dynamics import large_energy_scenario
-from worlds import BLOCKS, constant_actions, make_env, play
+from worlds import BLOCKS, constant_actions, make_env, play, while_running
 
 from ptne_env import get_scenario, laws
 from ptne_env.dynamics import Dynamics
@@ -143,7 +143,7 @@ def returns_of(env, act):
     """The sum of rewards per agent when ``act(k)`` is everybody's constant action in step k."""
     env.reset()
     total, k, diverged = dict.fromkeys(env.possible_agents, 0.0), 0, False
-    while env.agents:
+    for _ in while_running(env):
         _, rewards, _, _, infos = env.step(constant_actions(env, act(k)))
         for agent, reward in rewards.items():
             total[agent] += reward
@@ -194,7 +194,7 @@ def test_crash_of_one_player_is_charged_to_all_even_where_their_estimates_are_ne
     for push in (1000.0, 0.0):
         env.reset(options={"estimates": near})
         total = dict.fromkeys(env.possible_agents, 0.0)
-        while env.agents:
+        for _ in while_running(env):
             actions = constant_actions(env, 0.0)
             actions["player_1"][1] = push  # its own gradient leaves the range, every other estimate stays
             _, rewards, _, _, infos = env.step(actions)
