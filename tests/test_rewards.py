@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 from test_dynamics import large_energy_scenario
-from worlds import BLOCKS, constant_actions, make_env, play
+from worlds import BLOCKS, constant_actions, make_env, play, while_running
 
 from ptne_env import get_scenario, laws
 from ptne_env.dynamics import Dynamics
@@ -143,7 +143,7 @@ def returns_of(env, act):
     """The sum of rewards per agent when ``act(k)`` is everybody's constant action in step k."""
     env.reset()
     total, k, diverged = dict.fromkeys(env.possible_agents, 0.0), 0, False
-    while env.agents:
+    for _ in while_running(env):
         _, rewards, _, _, infos = env.step(constant_actions(env, act(k)))
         for agent, reward in rewards.items():
             total[agent] += reward
@@ -184,6 +184,26 @@ def test_crash_never_pays_in_the_non_quadratic_game(reward):
     assert diverged
     assert not gone
     assert all(crash[agent] < survivor[agent] for agent in env.possible_agents)
+
+
+@pytest.mark.parametrize("reward", ["digits", "tracking", "payoff"])
+def test_crash_of_one_player_is_charged_to_all_even_where_their_estimates_are_near(reward):
+    env = make_env("non-quadratic", steps=40, reward=reward)
+    near = np.tile(env.nash_equilibrium, (5, 1)) + 1e-3
+    totals = []
+    for push in (1000.0, 0.0):
+        env.reset(options={"estimates": near})
+        total = dict.fromkeys(env.possible_agents, 0.0)
+        for _ in while_running(env):
+            actions = constant_actions(env, 0.0)
+            actions["player_1"][1] = push  # its own gradient leaves the range, every other estimate stays
+            _, rewards, _, _, infos = env.step(actions)
+            for agent, value in rewards.items():
+                total[agent] += value
+        assert infos["player_0"]["diverged"] == (push > 0)
+        totals.append(total)
+    crash, survivor = totals
+    assert all(crash[agent] < survivor[agent] - 5 for agent in env.possible_agents)
 
 
 @pytest.mark.parametrize("reward", TERMS)

@@ -78,11 +78,20 @@ def stack(estimates):
     return estimates[:, :, 0].T.ravel()
 
 
+def while_running(env):
+    """Once per step of the episode; one that never ends fails instead of hanging."""
+    for _ in range(env.dynamics.clock.total_steps + 1):
+        if not env.agents:
+            return
+        yield
+    raise AssertionError("the episode goes on after its last step")
+
+
 def play(env, policy, **reset):
     """Run one episode; all estimates (K+1, N, n), and what each step returned."""
     observations, _ = env.reset(**reset)
     memory, states, steps = None, [env.estimates], []
-    while env.agents:
+    for _ in while_running(env):
         agents = list(env.agents)
         actions, memory = policy.predict(np.stack([observations[agent] for agent in agents]), state=memory)
         result = env.step(dict(zip(agents, actions, strict=True)))

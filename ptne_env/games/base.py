@@ -171,6 +171,7 @@ class Game(ABC):
         step = np.linalg.lstsq(slope, field(point), rcond=None)[0]
         if not np.linalg.norm(step) <= 1e-6 * (1 + np.linalg.norm(point)):
             raise ArithmeticError(
-                f"{type(self).__name__}: F vanishes at no finite point that the solver reached; no Nash equilibrium was found"
+                f"{type(self).__name__}: F vanishes at no finite point that the solver reached; no Nash equilibrium was "
+                "found"
             )
         return point[:, None]

@@ -3,7 +3,7 @@ import pickle
 
 import numpy as np
 import pytest
-from worlds import BLOCKS, PAPER_START, constant_actions, make_env, play
+from worlds import BLOCKS, PAPER_START, constant_actions, make_env, play, while_running
 
 import ptne_env
 from ptne_env import CATALOGUE, get_scenario, laws
@@ -130,7 +130,7 @@ def ends(env, **reset):
     """Length, terminated, truncated and infos of an episode of zeros."""
     env.reset(**reset)
     length = 0
-    while env.agents:
+    for _ in while_running(env):
         _, _, terminations, truncations, infos = env.step(constant_actions(env, 0.0))
         length += 1
         assert len(set(terminations.values())) == len(set(truncations.values())) == 1
@@ -215,7 +215,7 @@ def test_spaces_contain_all_that_an_episode_returns(name, arguments):
     generator = np.random.default_rng(0)
     observations, infos = env.reset(seed=0)
     assert infos == {agent: {} for agent in env.possible_agents}
-    while True:
+    for _ in range(env.dynamics.clock.total_steps + 1):
         for agent in env.possible_agents:
             assert observations[agent].dtype == np.float32
             assert env.observation_space(agent).contains(observations[agent])
@@ -286,7 +286,7 @@ def test_hold_phase_starts_at_the_deadline_and_observes_a_clock_that_has_stopped
     env = make_env("energy", hold_steps=3)
     observations, _ = env.reset()
     seen = []
-    while env.agents:
+    for _ in while_running(env):
         observations = env.step(constant_actions(env, 0.0))[0]
         seen.append(env.layout.select(observations["player_0"], "clock"))
     mean = env.dynamics.clock.theta[:400].mean()
@@ -319,7 +319,7 @@ def test_what_was_returned_never_changes_later_and_is_shared_with_nobody(name, i
     record = [env.reset(seed=0)]
     kept = [copy.deepcopy(record[0])]
     generator = np.random.default_rng(0)
-    while env.agents:
+    for _ in while_running(env):
         result = (*env.step(random_actions(env, generator)), env.state(), env.estimates, env.strategies)
         record.append(result)
         kept.append(copy.deepcopy(result))
@@ -337,7 +337,7 @@ def test_writing_into_what_was_returned_changes_nothing(name):
     generators = [np.random.default_rng(0) for _ in range(2)]
     record = undisturbed.reset(seed=0)
     vandalised = env.reset(seed=0)
-    while undisturbed.agents:
+    for _ in while_running(undisturbed):
         assert same(record, vandalised)
         for array in [*arrays_in(vandalised), env.state(), env.estimates, env.strategies, env.nash_equilibrium]:
             array[...] = np.float32(77)

@@ -1,6 +1,6 @@
 import numpy as np
 import pytest
-from worlds import make_env, make_port, play
+from worlds import make_env, make_port, play, while_running
 
 from ptne_env import laws
 
@@ -8,7 +8,7 @@ from ptne_env import laws
 def gains_along(env, law, **reset):
     observations, _ = env.reset(**reset)
     memory, gains = None, []
-    while env.agents:
+    for _ in while_running(env):
         actions, memory = law.predict(np.stack(list(observations.values())), state=memory)
         gains.append(memory)
         observations = env.step(dict(zip(list(env.agents), actions, strict=True)))[0]

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 import slow_twin
-from worlds import BLOCKS, BLOCKS_SWITCHING, FROM_THE_PAPER, PAPER_START, make_env, play
+from worlds import BLOCKS, BLOCKS_SWITCHING, FROM_THE_PAPER, PAPER_START, make_env, play, while_running
 
 from ptne_env import laws
 
@@ -129,7 +129,7 @@ def test_adaptive_gains_are_those_of_the_slow_twin():
     law, twin = laws.Adaptive(env.layout), slow_twin.Adaptive(5)
     observations, _ = env.reset()
     memory = None
-    while env.agents:
+    for _ in while_running(env):
         actions, memory = law.predict(np.stack(list(observations.values())), state=memory)
         observations = env.step(dict(zip(list(env.agents), actions, strict=True)))[0]
     slow_twin.run(
