@@ -68,7 +68,7 @@ def test_catalogue_has_the_promised_scenarios():
         "random-energy-switching",
         "random-energy-switching-transformed",
     ]
-    assert FROM_THE_PAPER == list(CATALOGUE)[:6]
+    assert list(CATALOGUE)[:6] == FROM_THE_PAPER
 
 
 @pytest.mark.parametrize("name", FROM_THE_PAPER)
