@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from ptne_env import distances, theory
 from ptne_env.arrays import BoolArray, Float32Array, FloatArray, IntArray, require_count
-from ptne_env.dynamics import Dynamics, State
+from ptne_env.dynamics import RANGE_LIMIT, Dynamics, State
 from ptne_env.interface import Interface, Port
 from ptne_env.rewards import Reward
 from ptne_env.scenario import Scenario
@@ -120,6 +120,8 @@ class Simulation:
         if estimates is None:
             estimates = self.dynamics.draw_estimates(drawn)
         fresh = self.dynamics.start(estimates, game)
+        if fresh.any_diverged:
+            raise ValueError(f"own gradients at the initial estimates must be within ±{RANGE_LIMIT:g}: start closer")
         if mask is not None and self.state is not None and len(chosen) < self.num_envs:
             fresh = self.dynamics.merge(self.state, fresh, mask)
         self._sources, self.state = sources, fresh

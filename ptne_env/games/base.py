@@ -86,11 +86,12 @@ class Game(ABC):
         Raises:
             NoBestResponseError: as :meth:`best_response`.
         """
-        players, (n, batch) = np.arange(self.num_players), strategies.shape
-        deviated = np.repeat(strategies[:, None, :], self.num_players, axis=1)
-        deviated[np.arange(n), self.owners] = self.best_response(strategies)
-        costs = self.costs(deviated.reshape(n, -1)).reshape(self.num_players, self.num_players, batch)
-        return self.costs(strategies) - costs[players, players]
+        response = self.best_response(strategies)
+        regrets = self.costs(strategies).copy()
+        for player in range(self.num_players):
+            own = (self.owners == player)[:, None]
+            regrets[player] -= self.costs(np.where(own, response, strategies))[player]
+        return regrets
 
     def pseudo_gradient(self, strategies: FloatArray) -> FloatArray:
         """F(x) = col(∂J_i/∂x_i(x)): (n, B) to (n, B)."""
@@ -171,7 +172,7 @@ class Game(ABC):
         step = np.linalg.lstsq(slope, field(point), rcond=None)[0]
         if not np.linalg.norm(step) <= 1e-6 * (1 + np.linalg.norm(point)):
             raise ArithmeticError(
-                f"{type(self).__name__}: F vanishes at no finite point that the solver reached; no Nash equilibrium was "
-                "found"
+                f"{type(self).__name__}: F vanishes at no finite point that the solver reached; no Nash equilibrium "
+                "was found"
             )
         return point[:, None]

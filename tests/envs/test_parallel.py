@@ -534,3 +534,12 @@ def test_custom_scenario_is_an_environment_too():
     env = ptne_env.parallel_env(scenario, hold_steps=2)
     assert env.scenario == scenario.replace(hold_steps=2)
     assert ends(env)[0] == 9
+
+
+def test_start_whose_gradients_are_out_of_range_is_refused():
+    env = ptne_env.parallel_env("non-quadratic")
+    env.reset(seed=0)
+    before = env.estimates
+    with pytest.raises(ValueError, match="start closer"):
+        env.reset(options={"estimates": np.full((5, 5), 200.0)})
+    np.testing.assert_array_equal(env.estimates, before)
