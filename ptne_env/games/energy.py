@@ -108,8 +108,11 @@ class EnergyGame(Game):
         """The batch of games with those in ``mask`` (G,) replaced by those of ``fresh``, in order."""
         if fresh is self:
             return self
-        if not isinstance(fresh, EnergyGame):
-            raise TypeError(f"an EnergyGame merges with an EnergyGame, got {type(fresh).__name__}")
+        if type(self) is not EnergyGame or type(fresh) is not EnergyGame:
+            raise TypeError(
+                f"EnergyGame.merged() knows energy games alone, got {type(self).__name__} and {type(fresh).__name__}; "
+                "a subclass defines its own"
+            )
 
         def replaced(old: FloatArray, new: FloatArray) -> FloatArray:
             result = old.copy()

@@ -1,0 +1,266 @@
+import numpy as np
+import pytest
+from scipy import optimize
+from worlds import make_env
+
+from ptne_env import Part, get_scenario, theory
+from ptne_env.dynamics import Dynamics
+from ptne_env.games import EnergyGame, NonQuadraticGame, RandomEnergy, SingleGame
+from ptne_env.sources import Sources
+
+PARAMETERS = ("curvature", "target", "coupling")
+
+
+def generators(seeds):
+    return [np.random.default_rng(seed) for seed in seeds]
+
+
+def same_games(first, second):
+    return all(np.array_equal(getattr(first, name), getattr(second, name)) for name in PARAMETERS)
+
+
+def test_draws_fill_their_ranges_and_no_more():
+    game = RandomEnergy(players=7).draw(generators(range(2000)))
+    assert game.curvature.shape == game.target.shape == (7, 2000)
+    assert game.coupling.shape == (2000,)
+    assert game.base_price == 10.0
+    for name, low, high in [("curvature", 0.5, 2.0), ("target", 5.0, 35.0), ("coupling", 0.05, 0.3)]:
+        values = getattr(game, name)
+        margin = 0.02 * (high - low)
+        assert low <= values.min() < low + margin
+        assert high - margin < values.max() <= high
+        assert values.mean() == pytest.approx((low + high) / 2, abs=2 * margin)
+
+
+def test_ranges_and_price_are_those_asked_for():
+    family = RandomEnergy(3, curvature=(4.0, 5.0), target=(-9.0, -8.0), coupling=(0.0, 0.01), base_price=-2.0)
+    game = family.draw(generators(range(100)))
+    assert game.num_players == 3
+    assert 4 <= game.curvature.min() < game.curvature.max() <= 5
+    assert -9 <= game.target.min() < game.target.max() <= -8
+    assert 0 <= game.coupling.min() < game.coupling.max() <= 0.01
+    assert game.base_price == -2.0
+
+
+def test_parameters_of_a_game_are_drawn_independently():
+    game = RandomEnergy().draw(generators(range(2000)))
+    rows = np.concatenate([game.curvature, game.target, game.coupling[None]])
+    correlation = np.corrcoef(rows) - np.eye(11)
+    assert np.abs(correlation).max() < 0.1  # more than four standard deviations
+
+
+@pytest.mark.parametrize("players", [2, 5, 11])
+def test_a_game_depends_on_its_own_generator_and_not_on_the_size_of_the_batch(players):
+    family, batch = RandomEnergy(players), 6
+    games = family.draw(generators(range(batch)))
+    estimates = np.random.default_rng(0).uniform(-20, 20, (players, players, batch))
+    for b in range(batch):
+        alone = family.draw(generators([b]))
+        assert alone.batch_size == 1
+        for name in PARAMETERS:
+            assert np.array_equal(getattr(alone, name)[..., 0], getattr(games, name)[..., b])
+        assert np.array_equal(alone.nash_equilibrium, games.nash_equilibria[:, b])
+        assert alone.equilibrium_scale[0] == games.equilibrium_scale[b]
+        own = estimates[:, :, b : b + 1].copy()
+        assert np.array_equal(alone.own_gradients(own)[:, 0], games.own_gradients(estimates)[:, b])
+        strategies = np.ascontiguousarray(estimates[:, 0])
+        for of in ("costs", "regrets", "best_response", "pseudo_gradient"):
+            together = getattr(games, of)(strategies)[:, b]
+            assert np.array_equal(getattr(alone, of)(strategies[:, b : b + 1].copy())[:, 0], together)
+
+
+def test_a_generator_goes_on_with_another_game():
+    family, generator = RandomEnergy(), np.random.default_rng(0)
+    first, second = family.draw([generator]), family.draw([generator])
+    assert not same_games(first, second)
+    assert same_games(first, family.draw(generators([0])))
+
+
+def test_closed_form_is_the_root_of_every_game():
+    games = RandomEnergy().draw(generators(range(40)))
+    assert games.nash_equilibria.shape == (5, 40)
+    for b in range(40):
+        a, target, c = games.curvature[:, b], games.target[:, b], games.coupling[b]
+
+        def conditions(x, a=a, target=target, c=c):
+            return 2 * a * (x - target) + c * x.sum() + 10.0 + c * x
+
+        root = optimize.root(conditions, np.zeros(5), tol=1e-14).x
+        assert games.nash_equilibria[:, b] == pytest.approx(root, abs=1e-10)
+        assert games.equilibrium_scale[b] == pytest.approx(np.linalg.norm(root), rel=1e-12)
+
+
+def test_a_batch_of_games_has_no_single_equilibrium():
+    with pytest.raises(ValueError, match="batch of 3 games has nash_equilibria"):
+        _ = RandomEnergy().draw(generators(range(3))).nash_equilibrium
+
+
+def test_merged_replaces_the_games_in_the_mask_in_order_and_leaves_both_batches_alone():
+    family = RandomEnergy()
+    old, fresh = family.draw(generators(range(5))), family.draw(generators([10, 11]))
+    kept = [getattr(game, name).copy() for game in (old, fresh) for name in PARAMETERS]
+    mask = np.array([False, True, False, False, True])
+    merged = old.merged(fresh, mask)
+    assert same_games(merged, family.draw(generators([0, 10, 2, 3, 11])))
+    assert np.array_equal(merged.nash_equilibria, family.draw(generators([0, 10, 2, 3, 11])).nash_equilibria)
+    assert all(
+        np.array_equal(before, getattr(game, name))
+        for before, (game, name) in zip(kept, [(g, n) for g in (old, fresh) for n in PARAMETERS], strict=True)
+    )
+
+
+def test_merging_keeps_the_price_and_refuses_another_kind_of_game():
+    family = RandomEnergy(base_price=3.0)
+    game = family.draw(generators(range(2)))
+    mask = np.array([True, False])
+    assert game.merged(family.draw(generators([9])), mask).base_price == 3.0
+    for first, second in [(game, NonQuadraticGame()), (game, HiddenGame()), (HiddenGame(), game)]:
+        with pytest.raises(TypeError, match=r"knows energy games alone, got \w+ and \w+; a subclass defines its own"):
+            first.merged(second, mask)
+    single = NonQuadraticGame()
+    assert single.merged(single, mask) is single
+    with pytest.raises(TypeError, match="NonQuadraticGame is a single game and merges with itself only"):
+        single.merged(NonQuadraticGame(), mask)
+
+
+def test_single_game_is_drawn_without_drawing():
+    game, generator = EnergyGame(), np.random.default_rng(0)
+    assert SingleGame(game).draw([generator, generator]) is game
+    assert generator.random() == np.random.default_rng(0).random()
+
+
+def test_every_draw_is_strongly_monotone_with_the_constant_of_its_own_parameters():
+    family = RandomEnergy()
+    game = family.draw(generators(range(500)))
+    theory.require_strong_monotonicity(game)
+    jacobians = np.moveaxis(game.jacobian(np.zeros((5, 500))), 2, 0)
+    smallest = np.linalg.eigvalsh((jacobians + jacobians.transpose(0, 2, 1)) / 2)[:, 0]
+    assert np.all(smallest >= (2 * game.curvature).min(axis=0) + game.coupling - 1e-12)
+
+
+def test_a_game_that_is_not_strongly_monotone_is_named():
+    game = TwistedGames(*(getattr(RandomEnergy().draw(generators(range(6))), name) for name in PARAMETERS))
+    with pytest.raises(ValueError, match=r"game 4 of the batch is not strongly monotone: ε = -1\b"):
+        theory.require_strong_monotonicity(game)
+
+
+def test_a_game_that_is_not_affine_is_not_decided():
+    with pytest.raises(ValueError, match="strong monotonicity of HiddenGame cannot be decided: F is not affine"):
+        theory.require_strong_monotonicity(HiddenGame())
+
+
+def test_a_drawn_game_that_is_not_strongly_monotone_is_refused_by_the_environment():
+    env = make_env("random-energy", game=Part.of("test_family:TwistedFamily"))
+    with pytest.raises(ValueError, match="game 0 of the batch is not strongly monotone"):
+        env.reset(seed=0)
+    with pytest.raises(RuntimeError, match=r"call reset\(\) first"):
+        _ = env.estimates
+
+
+class HiddenGame(EnergyGame):
+    """An energy game that hides that its F is affine."""
+
+    is_affine = False
+
+
+class TwistedGames(EnergyGame):
+    """The last but one game of the batch has dF = −1."""
+
+    def jacobian(self, strategies):
+        jacobian = super().jacobian(strategies)
+        jacobian[:, :, -2 if self.batch_size > 1 else 0] = -np.eye(self.num_players)
+        return jacobian
+
+
+class TwistedFamily(RandomEnergy):
+    def _game(self, parameters):
+        game = super()._game(parameters)
+        return TwistedGames(*(getattr(game, name) for name in PARAMETERS))
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"players": 1}, "players must be a whole number of at least 2, got 1"),
+        ({"players": 2.5}, "players must be a whole number"),
+        ({"curvature": (2.0, 1.0)}, r"finite range low < high for curvature, got \(2.0, 1.0\)"),
+        ({"target": (3.0, 3.0)}, r"finite range low < high for target, got \(3.0, 3.0\)"),
+        ({"coupling": (0.1, float("inf"))}, "finite range low < high for coupling"),
+        ({"coupling": (float("nan"), 0.1)}, "finite range low < high for coupling"),
+        ({"curvature": (0.0, 1.0)}, "curvature > 0"),
+        ({"curvature": (-1.0, 1.0)}, "curvature > 0"),
+        ({"coupling": (-0.1, 0.1)}, "coupling ≥ 0"),
+        ({"base_price": float("nan")}, "finite parameters"),
+    ],
+)
+def test_ranges_that_are_empty_or_admit_other_games_are_refused(arguments, message):
+    with pytest.raises(ValueError, match=message):
+        RandomEnergy(**arguments)
+
+
+# --- sources of randomness --------------------------------------------------------------------------------------------
+
+FAMILIES = {
+    "none": "ptne_env.games:EnergyGame",
+    "five players": "ptne_env.games:RandomEnergy",
+    "other ranges": Part.of("ptne_env.games:RandomEnergy", coupling=(0.0, 9.0)),
+}
+STARTS = {
+    "none": "paper",
+    "uniform": "random",
+    "narrow": Part.of("ptne_env.starts:UniformStart", low=0.0, high=1.0),
+}
+SIGNALS = {
+    "fixed": get_scenario("energy").signal,
+    "switching": get_scenario("energy-switching").signal,
+}
+
+
+def episodes(**fields):
+    """Games and starts of four episodes in three environments."""
+    dynamics = Dynamics(get_scenario("random-energy", **fields))
+    sources = [Sources.from_seed(seed) for seed in range(3)]
+    return [(dynamics.draw_game(sources), dynamics.draw_estimates(sources)) for _ in range(4)]
+
+
+@pytest.mark.parametrize("signal", SIGNALS)
+@pytest.mark.parametrize("start", STARTS)
+def test_games_do_not_depend_on_what_starts_and_graphs_draw(start, signal):
+    expected = episodes()
+    found = episodes(start=STARTS[start], signal=SIGNALS[signal])
+    assert all(same_games(ours[0], theirs[0]) for ours, theirs in zip(found, expected, strict=True))
+    assert np.array_equal(found[0][1], expected[0][1]) == (start == "uniform")
+
+
+@pytest.mark.parametrize("signal", SIGNALS)
+@pytest.mark.parametrize("family", FAMILIES)
+def test_starts_do_not_depend_on_what_games_and_graphs_draw(family, signal):
+    expected = episodes()
+    found = episodes(game=FAMILIES[family], signal=SIGNALS[signal])
+    assert all(np.array_equal(ours[1], theirs[1]) for ours, theirs in zip(found, expected, strict=True))
+    assert same_games(found[0][0], expected[0][0]) == (family == "five players")
+
+
+def test_environment_plays_another_game_in_every_episode_and_the_same_ones_under_the_same_seed():
+    env = make_env("random-energy")
+    with pytest.raises(RuntimeError, match=r"call reset\(\) first"):
+        _ = env.nash_equilibrium
+    played = []
+    for _ in range(2):
+        env.reset(seed=3)
+        played.append([env.nash_equilibrium])
+        for _ in range(3):
+            env.reset()
+            played[-1].append(env.nash_equilibrium)
+    assert np.array_equal(played[0], played[1])
+    assert len({point.tobytes() for point in played[0]}) == 4
+
+
+def test_start_that_is_given_draws_a_game_all_the_same():
+    env, undisturbed = make_env("random-energy"), make_env("random-energy")
+    for each in (env, undisturbed):
+        each.reset(seed=0)
+    env.reset(options={"estimates": np.zeros((5, 5))})
+    undisturbed.reset()
+    assert np.array_equal(env.nash_equilibrium, undisturbed.nash_equilibrium)
+    assert not env.estimates.any()
