@@ -2,7 +2,13 @@
 
 import numpy as np
 
+from ptne_env.arrays import ordered_sum
 from ptne_env.games import EnergyGame, Game, NoBestResponseError
+
+
+def times(matrix, vectors):
+    """The product, taken in the same order for every number of columns."""
+    return ordered_sum(matrix[:, :, None] * vectors, axis=1)
 
 
 class BlockGame(Game):
@@ -33,9 +39,9 @@ class BlockGame(Game):
             own = strategies[block]
             others = strategies.copy()
             others[block] = 0
-            linear = self.matrix[block] @ others + self.offset[block, None]
-            quadratic = self.matrix[block, block] @ own
-            rows.append((own * (quadratic / 2 + linear)).sum(axis=0))
+            linear = times(self.matrix[block], others) + self.offset[block, None]
+            quadratic = times(self.matrix[block, block], own)
+            rows.append(ordered_sum(own * (quadratic / 2 + linear)))
         return np.stack(rows)
 
     def own_gradients(self, estimates):
@@ -51,8 +57,8 @@ class BlockGame(Game):
             block = self.block(player)
             others = strategies.copy()
             others[block] = 0
-            target = -(self.matrix[block] @ others + self.offset[block, None])
-            response[block] = np.linalg.solve(self.matrix[block, block], target)
+            target = -(times(self.matrix[block], others) + self.offset[block, None])
+            response[block] = times(np.linalg.inv(self.matrix[block, block]), target)
         return response
 
 

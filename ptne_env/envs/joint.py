@@ -19,11 +19,16 @@ from gymnasium import spaces
 from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 
-from ptne_env.arrays import BoolArray, Float32Array, FloatArray
+from ptne_env.arrays import BoolArray, Float32Array, FloatArray, ordered_sum
 from ptne_env.envs.parallel import NashSeekingEnv, parallel_env
 from ptne_env.envs.vector import VectorParallelEnv, VectorStep
 from ptne_env.interface import ActionMode, InterfaceKind, Layout
 from ptne_env.scenario import Scenario
+
+
+def _mean(values: FloatArray) -> FloatArray:
+    """Over players, the last axis, in an order that does not depend on the size of the batch."""
+    return ordered_sum(values, axis=-1) / values.shape[-1]
 
 
 def _tiled(space: spaces.Box, players: int) -> Any:
@@ -87,13 +92,13 @@ class JointEnv(gymnasium.Env[Float32Array, Float32Array]):
             **first,
             "clipped": sum(info["clipped"] for info in infos.values()),
             "reward_terms": {
-                name: float(np.mean([info["reward_terms"][name] for info in infos.values()]))
+                name: float(_mean(np.array([info["reward_terms"][name] for info in infos.values()])))
                 for name in first["reward_terms"]
             },
         }
         return (
             np.concatenate(list(observations.values())),
-            float(np.mean(list(rewards.values()))),
+            float(_mean(np.array(list(rewards.values())))),
             terminations[agents[0]],
             truncations[agents[0]],
             info,
@@ -213,7 +218,7 @@ class JointVectorEnv(gymnasium.vector.VectorEnv[Float32Array, Float32Array, npt.
             }
             observations = self._joint(self.vector.reset(mask=over))
             self._over = np.zeros_like(over)
-        return observations, outcome.rewards.mean(axis=1), outcome.terminated, outcome.truncated, infos
+        return observations, _mean(outcome.rewards), outcome.terminated, outcome.truncated, infos
 
     def _joint(self, observations: Float32Array) -> Float32Array:
         return observations.reshape(self.num_envs, -1)
@@ -222,7 +227,7 @@ class JointVectorEnv(gymnasium.vector.VectorEnv[Float32Array, Float32Array, npt.
         """Gymnasium's dictionary of arrays, each with a mask ``_name`` of the environments that have it."""
         over = present & (outcome.terminated | outcome.truncated)
         terms = {
-            name: np.where(present, term.mean(axis=1), 0.0) for name, term in outcome.infos["reward_terms"].items()
+            name: np.where(present, _mean(term), 0.0) for name, term in outcome.infos["reward_terms"].items()
         }
         return {
             "diverged": outcome.infos["diverged"] & present,
