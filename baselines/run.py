@@ -1,0 +1,164 @@
+"""Train every shipped configuration with five seeds, ship the median ones, and write the leaderboard.
+
+Run it with ``python baselines/run.py``. A run that is there already is not repeated, and one that was interrupted goes
+on, so the command may be stopped and given again. ``results.json`` and ``README.md`` beside this file are its output.
+"""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from joblib import Parallel, delayed
+
+from ptne_env import policies
+from ptne_env.evaluation import ENTRIES, Entry, evaluate
+from ptne_env.files import write_atomically
+from ptne_env.report.tables import number
+
+HERE = Path(__file__).parent
+RESULTS = HERE / "results.json"
+METRICS = (
+    "digits",
+    "worst_decile_digits",
+    "settling_time",
+    "settling_time_1e_6",
+    "digits_over_paper_laws",
+    "probability_of_beating_paper_laws",
+    "digits_over_all_laws",
+    "probability_of_beating_all_laws",
+)
+
+
+_INTRODUCTION = (
+    "Written by `python baselines/run.py`; do not edit. Digits on {episodes} held-out games per scenario (test bank, "
+    "seed 0), with 95 % intervals over games. The seed with the median digits on the validation bank ships as "
+    "`ppo-<configuration>`. Laws were tuned on the validation bank (`ptne_env/evaluation/opponents.py`)."
+)
+_HEADINGS = (
+    "policy",
+    "digits",
+    "worst decile",
+    "settles to 0.5 % [s]",
+    "to 1e-6 [s]",
+    "over the best paper law",
+    "over the best law",
+    "P(beats it)",
+    "trained for",
+)
+
+
+def train_one(configuration: str, seed: int, runs: Path) -> dict[str, Any]:
+    """Train one seed, or read the summary of a run that is complete."""
+    from ptne_env.training import ppo
+
+    out = runs / configuration / f"seed-{seed}"
+    summary = out / "summary.json"
+    if not summary.exists():
+        ppo.train(ppo.Arguments.from_toml(configuration, seed=seed), out)
+    result: dict[str, Any] = json.loads(summary.read_text(encoding="utf-8"))
+    return result
+
+
+def ship(configuration: str, summaries: list[dict[str, Any]], runs: Path) -> str:
+    """Copy the policy of the median seed, by validation digits, into the package; its name there."""
+    ranked = sorted(range(len(summaries)), key=lambda seed: summaries[seed]["validation_digits"])
+    median = ranked[len(ranked) // 2]
+    name = f"ppo-{configuration}"
+    folder = Path(policies.__file__).parent
+    shutil.copyfile(runs / configuration / f"seed-{median}" / "policy.onnx", folder / f"{name}.onnx")
+    return name
+
+
+def measure(configuration: str, summaries: list[dict[str, Any]], runs: Path, episodes: int) -> list[dict[str, Any]]:
+    """Every seed, and the laws, on the test bank: one row each."""
+    scenario = summaries[0]["arguments"]["scenario"]
+    learned = [
+        Entry(f"{configuration}, seed {seed}", policies.load(runs / configuration / f"seed-{seed}" / "policy.onnx"))
+        for seed in range(len(summaries))
+    ]
+    results = evaluate([*learned, *ENTRIES.values()], [scenario], episodes=episodes)
+    rows = []
+    for cell in results.cells:
+        records = {record["metric"]: record for record in cell.records()}
+        seed = next((index for index, entry in enumerate(learned) if entry.name == cell.policy), None)
+        rows.append(
+            {
+                "scenario": scenario,
+                "configuration": configuration if seed is not None else None,
+                "policy": cell.policy,
+                "seconds": None if seed is None else summaries[seed]["seconds"],
+                "agent_steps": None if seed is None else summaries[seed]["agent_steps"],
+                **{metric: records[metric] for metric in METRICS if metric in records},
+            }
+        )
+    tuned = results.to_dict()["tuned_laws"][scenario]
+    for row in rows:
+        law = next((law for law in tuned.values() if law["name"] == row["policy"]), None)
+        row["law"] = None if law is None else law["policy"]
+    return rows
+
+
+def leaderboard(rows: list[dict[str, Any]], episodes: int) -> str:
+    """The leaderboard as Markdown."""
+    lines = ["# Leaderboard", "", _INTRODUCTION.format(episodes=episodes), ""]
+    for scenario in dict.fromkeys(row["scenario"] for row in rows):
+        lines += [f"## {scenario}", "", f"| {' | '.join(_HEADINGS)} |", "| --- |" + " ---: |" * (len(_HEADINGS) - 1)]
+        chosen = {row["policy"]: row for row in rows if row["scenario"] == scenario}
+        lines += [_line(row) for row in sorted(chosen.values(), key=lambda row: -row["digits"]["mean"])]
+        lines.append("")
+    return "\n".join(lines)
+
+
+def _line(row: dict[str, Any]) -> str:
+    name = row["policy"]
+    if row["law"] is not None:
+        arguments = ", ".join(f"{key}={value:g}" for key, value in row["law"]["arguments"].items())
+        name += f": {row['law']['target'].partition(':')[2]}({arguments})"
+    cells = [name]
+    cells += [_cell(row.get(metric)) for metric in ("digits", "worst_decile_digits")]
+    cells += [_cell(row.get(metric)) for metric in ("settling_time", "settling_time_1e_6")]
+    cells += [_cell(row.get(metric)) for metric in ("digits_over_paper_laws", "digits_over_all_laws")]
+    cells.append(_cell(row.get("probability_of_beating_all_laws")))
+    steps = row["agent_steps"]
+    cells.append("" if steps is None else f"{steps / 1e6:.1f} M steps, {row['seconds']:.0f} s")
+    return f"| {' | '.join(cells)} |"
+
+
+def _cell(record: dict[str, Any] | None) -> str:
+    if record is None:
+        return ""
+    if record["low"] == record["high"]:
+        return number(record["mean"])
+    return f"{number(record['mean'])} [{number(record['low'])}, {number(record['high'])}]"
+
+
+def main(
+    runs: Annotated[Path, typer.Option(help="Folder for the training runs.")] = Path("runs"),
+    configuration: Annotated[list[str] | None, typer.Option(help="Repeat for several; all if left out.")] = None,
+    seeds: Annotated[int, typer.Option(min=1, help="Training seeds of each.")] = 5,
+    jobs: Annotated[int, typer.Option(help="Runs at a time; each takes one core.")] = 2,
+    episodes: Annotated[int, typer.Option(min=1, help="Games of the test bank.")] = 1000,
+) -> None:
+    """Train, ship and rank."""
+    from ptne_env.training import ppo
+
+    chosen = configuration or ppo.configurations()
+    tasks = [(name, seed) for name in chosen for seed in range(seeds)]
+    summaries = Parallel(n_jobs=jobs, verbose=10)(delayed(train_one)(name, seed, runs) for name, seed in tasks)
+    old = json.loads(RESULTS.read_text(encoding="utf-8"))["rows"] if RESULTS.exists() else []
+    rows = [row for row in old if row["configuration"] not in chosen]
+    for index, name in enumerate(chosen):
+        own = summaries[index * seeds : (index + 1) * seeds]
+        typer.echo(f"shipped {ship(name, own, runs)}")
+        rows += measure(name, own, runs, episodes)
+    rows = list({(row["scenario"], row["policy"]): row for row in rows}.values())  # the latest of each
+    write_atomically(RESULTS, json.dumps({"episodes": episodes, "rows": rows}, indent=1, allow_nan=False) + "\n")
+    write_atomically(HERE / "README.md", leaderboard(rows, episodes))
+
+
+if __name__ == "__main__":
+    typer.run(main)
