@@ -7,6 +7,13 @@ from dataclasses import dataclass
 import numpy as np
 
 
+def require_seed(seed: int) -> int:
+    """Return ``seed``, or raise ``ValueError`` when it is negative or not a whole number."""
+    if isinstance(seed, bool) or not isinstance(seed, (int, np.integer)) or seed < 0:  # type: ignore[redundant-expr]  # callers may pass anything
+        raise ValueError(f"a seed is a whole number of at least 0 or None, got {seed!r}")
+    return int(seed)
+
+
 @dataclass(frozen=True)
 class Sources:
     """The generators of one environment, spawned from one seed.
@@ -30,6 +37,5 @@ class Sources:
         Raises:
             ValueError: when the seed is negative or not a whole number.
         """
-        if seed is not None and (isinstance(seed, bool) or not isinstance(seed, (int, np.integer)) or seed < 0):  # type: ignore[redundant-expr]  # callers may pass anything
-            raise ValueError(f"a seed is a whole number of at least 0 or None, got {seed!r}")
-        return cls(*(np.random.default_rng(child) for child in np.random.SeedSequence(seed).spawn(4)))
+        children = np.random.SeedSequence(None if seed is None else require_seed(seed)).spawn(4)
+        return cls(*(np.random.default_rng(child) for child in children))

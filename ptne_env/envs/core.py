@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
@@ -105,14 +106,9 @@ class Simulation:
         if self.state is None and mask is not None and not mask.all():
             raise ValueError("the first reset() starts every environment: leave out the mask")
         chosen = np.arange(self.num_envs) if mask is None else np.flatnonzero(mask)
-        if seeds is None:
-            seeds = [None] * self.num_envs
-        if len(seeds) != self.num_envs:
-            raise ValueError(f"{self.num_envs} environments need as many seeds, got {len(seeds)}")
-        sources = list(self._sources) or [Sources.from_seed(seed) for seed in seeds]
-        for index in chosen.tolist():
-            if seeds[index] is not None:
-                sources[index] = Sources.from_seed(seeds[index])
+        sources = self._seeded(chosen, seeds or [None] * self.num_envs)
+        if estimates is not None:  # they may be refused, and then nothing has been drawn
+            sources = copy.deepcopy(sources)
         drawn = [sources[index] for index in chosen]
         game = self.dynamics.draw_game(drawn)
         if self.dynamics.scenario.has_random_game:
@@ -127,6 +123,16 @@ class Simulation:
         self._sources, self.state = sources, fresh
         self._reward.reset(fresh)
         return fresh
+
+    def _seeded(self, chosen: IntArray, seeds: Sequence[int | None]) -> list[Sources]:
+        """The generators of all environments, new ones for those among ``chosen`` that have a seed."""
+        if len(seeds) != self.num_envs:
+            raise ValueError(f"{self.num_envs} environments need as many seeds, got {len(seeds)}")
+        sources = list(self._sources) or [Sources.from_seed(seed) for seed in seeds]
+        for index in chosen.tolist():
+            if seeds[index] is not None:
+                sources[index] = Sources.from_seed(seeds[index])
+        return sources
 
     def step(self, actions: npt.NDArray[np.floating], restart: BoolArray | None = None) -> Outcome:
         """Hold everybody's inputs for one step.

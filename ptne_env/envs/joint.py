@@ -226,9 +226,7 @@ class JointVectorEnv(gymnasium.vector.VectorEnv[Float32Array, Float32Array, npt.
     def _infos(self, outcome: VectorStep, present: BoolArray) -> dict[str, Any]:
         """Gymnasium's dictionary of arrays, each with a mask ``_name`` of the environments that have it."""
         over = present & (outcome.terminated | outcome.truncated)
-        terms = {
-            name: np.where(present, _mean(term), 0.0) for name, term in outcome.infos["reward_terms"].items()
-        }
+        terms = {name: np.where(present, _mean(term), 0.0) for name, term in outcome.infos["reward_terms"].items()}
         return {
             "diverged": outcome.infos["diverged"] & present,
             "_diverged": present.copy(),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -13,9 +13,13 @@ from ptne_env.arrays import BoolArray, Float32Array, FloatArray, require_count
 from ptne_env.envs.core import Outcome, Simulation
 from ptne_env.interface import ActionMode, Interface, InterfaceKind, Layout
 from ptne_env.scenario import Scenario, get_scenario
+from ptne_env.sources import require_seed
 
-BLOCK_SIZE = 1024
+BLOCK_SIZE = 2048
 """Environments that are stepped at a time: their arrays fit into a core's cache, which more would not."""
+
+
+Number = TypeVar("Number", np.float64, np.int64)
 
 
 class VectorStep(NamedTuple):
@@ -108,15 +112,18 @@ class VectorParallelEnv:
             Observations of all environments, shape (B, N, size), float32, owned by the caller.
 
         Raises:
-            ValueError: for a wrong number of seeds or a mask of another shape or dtype; no environment is touched.
+            ValueError: for an invalid seed, a wrong number of seeds, a mask of another shape or dtype, or a mask that
+                leaves some out of the first reset; no environment is touched.
         """
         seeds = self._seeds(seed)
         chosen = np.ones(self.num_envs, dtype=np.bool_) if mask is None else np.asarray(mask)
         if chosen.shape != (self.num_envs,) or chosen.dtype != np.bool_:
             raise ValueError(f"a reset mask is {self.num_envs} booleans, got {chosen.dtype} of shape {chosen.shape}")
+        if self._blocks[0].state is None and not chosen.all():
+            raise ValueError("the first reset() starts every environment: leave out the mask")
         observations = self._empty_observations()
         for block, part in zip(self._blocks, self._slices, strict=True):
-            if chosen[part].any() or block.state is None:
+            if chosen[part].any():
                 block.reset(seeds[part], chosen[part])
             block.observe(observations[part])
         self._over = self._over & ~chosen
@@ -164,15 +171,19 @@ class VectorParallelEnv:
         if self._over.any():
             for block, part in zip(self._blocks, self._slices, strict=True):
                 success[part] = self._over[part] & block.succeeded()
-        terms = {name: np.concatenate([outcome.terms[name].T for outcome in outcomes]) for name in outcomes[0].terms}
+        terms = {name: self._by_env([outcome.terms[name].T for outcome in outcomes]) for name in outcomes[0].terms}
         infos = {
             "diverged": np.concatenate([block.current.diverged for block in self._blocks]),
-            "clipped": np.concatenate([outcome.clipped for outcome in outcomes]),
+            "clipped": self._by_env([outcome.clipped for outcome in outcomes]),
             "reward_terms": terms,
             "is_success": success,
         }
-        rewards = np.concatenate([outcome.rewards.T for outcome in outcomes])
+        rewards = self._by_env([outcome.rewards.T for outcome in outcomes])
         return VectorStep(observations, rewards, terminated, truncated, infos)
+
+    def _by_env(self, parts: list[npt.NDArray[Number]]) -> npt.NDArray[Number]:
+        """The blocks' arrays in one, shape (B, N), C-contiguous whatever the parts are."""
+        return np.concatenate(parts, out=np.empty((self.num_envs, self.num_players), dtype=parts[0].dtype))
 
     def _empty_observations(self) -> Float32Array:
         return np.empty((self.num_envs, self.num_players, self.layout.size), dtype=np.float32)
@@ -180,8 +191,9 @@ class VectorParallelEnv:
     def _seeds(self, seed: int | Sequence[int | None] | None) -> list[int | None]:
         if seed is None:
             return [None] * self.num_envs
-        if isinstance(seed, (int, np.integer)):
-            return [int(seed) + index for index in range(self.num_envs)]
+        if not isinstance(seed, (Sequence, np.ndarray)):
+            first = require_seed(seed)
+            return [first + index for index in range(self.num_envs)]
         if len(seed) != self.num_envs:
             raise ValueError(f"{self.num_envs} environments need as many seeds, got {len(seed)}")
-        return list(seed)
+        return [None if each is None else require_seed(each) for each in seed]

@@ -436,13 +436,18 @@ BAD_RESETS = {
     "negative seed": ({"seed": -1}, "a seed is a whole number of at least 0 or None"),
     "fractional seed": ({"seed": 1.5}, "a seed is a whole number of at least 0 or None"),
     "good seed, bad estimates": ({"seed": 3, "options": {"estimates": [[1.0]]}}, r"got \(1, 1\)"),
+    "good seed, estimates out of range": (
+        {"seed": 3, "options": {"estimates": np.full((5, 5), -1e6)}},
+        "must be finite and within",
+    ),
 }
 
 
+@pytest.mark.parametrize("scenario", ["energy", "random-energy"])
 @pytest.mark.parametrize("name", BAD_RESETS)
-def test_bad_reset_is_refused_and_leaves_no_trace(name):
+def test_bad_reset_is_refused_and_leaves_no_trace(name, scenario):
     arguments, message = BAD_RESETS[name]
-    env, undisturbed = (make_env("energy", start="random", steps=30, input_limit=9.0) for _ in range(2))
+    env, undisturbed = (make_env(scenario, start="random", steps=30, input_limit=9.0) for _ in range(2))
     for each in (env, undisturbed):
         each.reset(seed=0)
         go_on(each, 10, np.random.default_rng(0))
