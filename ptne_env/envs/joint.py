@@ -197,7 +197,10 @@ class JointVectorEnv(gymnasium.vector.VectorEnv[Float32Array, Float32Array, npt.
             RuntimeError: before the first reset, or in mode ``DISABLED`` when an environment that ended was not reset.
             ValueError: when the actions have another shape or dtype, or are not finite.
         """
-        actions = np.asarray(actions).reshape(self.num_envs, self.vector.num_players, -1)
+        actions = np.asarray(actions)
+        if actions.shape != self.action_space.shape:
+            raise ValueError(f"joint actions have the shape {self.action_space.shape}, got {actions.shape}")
+        actions = actions.reshape(self.num_envs, self.vector.num_players, -1)
         restart = self._over if self.autoreset_mode is AutoresetMode.NEXT_STEP else None
         outcome = self.vector.step(actions, restart)
         observations = self._joint(outcome.observations)
