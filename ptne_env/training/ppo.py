@@ -68,7 +68,7 @@ class Arguments:
     steps: int = 6_000_000
     envs: int = 128
     rollout: int = 50
-    minibatches: int = 4
+    minibatches: int = 32
     epochs: int = 5
     learning_rate: float = 1e-3
     discount: float = 0.9
