@@ -100,8 +100,16 @@ class SlotVecEnv(VecEnv):
         self._actions = actions
 
     def step_wait(self) -> tuple[Float32Array, Float32Array, BoolArray, list[dict[str, Any]]]:
-        """Step, and reset the environments that ended."""
+        """Step, and reset the environments that ended.
+
+        Raises:
+            RuntimeError: before the first reset.
+            ValueError: when the actions have another shape or dtype, or are not finite; no environment is stepped.
+        """
         actions = np.asarray(self._actions)
+        shape = (self.num_envs, self.vector.layout.action_size)
+        if actions.shape != shape:
+            raise ValueError(f"actions of {self.num_envs} slots have the shape {shape}, got {actions.shape}")
         outcome = self.vector.step(actions.reshape(self.vector.num_envs, self._players, -1))
         over = outcome.terminated | outcome.truncated
         infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
