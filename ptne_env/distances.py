@@ -13,6 +13,8 @@ from ptne_env.games import Game
 FLOOR = 1e-12
 """Distances are floored here before their logarithm is taken: twelve digits is all that is counted."""
 
+_DIGITS_PER_NAT = -1 / np.log(10)
+
 SUCCESS_DISTANCE = 5e-3
 """An episode succeeds, and a run has settled, within this relative distance (the paper's 0.5 %)."""
 
@@ -45,4 +47,4 @@ def consensus_error(estimates: FloatArray, game: Game) -> FloatArray:
 def digits(distance: FloatArray) -> FloatArray:
     """−log10 of a distance, floored at 1e-12; any shape."""
     # The natural logarithm is vectorised in numpy and several times as fast as log10.
-    return np.log(np.maximum(distance, FLOOR)) * (-1 / np.log(10))
+    return np.log(np.maximum(distance, FLOOR)) * _DIGITS_PER_NAT

@@ -32,6 +32,9 @@ GAIN_OCTAVES = 3.0
 _PADDING = 16
 """Columns by which the rows of an observation workspace are longer than the batch."""
 
+_WORKSPACES = 2
+"""Observation workspaces that a port keeps, one per batch size: a vector environment has blocks of two sizes."""
+
 CONSENSUS_GAIN = 2.0
 """In action mode ``gains`` the action 0 means gradient gain 1 and this consensus gain, the paper's κ."""
 
@@ -316,8 +319,7 @@ class Port:
         self._clock_table = np.stack(
             [clock.t / clock.deadline, clock.s, clock.theta, clock.dt / clock.deadline, dynamics.time_since_switch]
         ).astype(np.float32)
-        self._workspace: dict[str, Float32Array] = {}
-        self._workspace_batch = 0
+        self._workspaces: dict[int, dict[str, Float32Array]] = {}
         self._scaled: tuple[State, FloatArray] | None = None
         # Row of own_gradients in each place of a player's own block, shape (m, N); padding is masked out.
         own = layout.own_components.T
@@ -333,7 +335,11 @@ class Port:
 
     def __getstate__(self) -> dict[str, Any]:
         """Copies and pickles go without the workspace, whose parts are views of one buffer and would come apart."""
-        return {**self.__dict__, "_workspace": {}, "_workspace_batch": 0, "_scaled": None}
+        return {**self.__dict__, "_workspaces": {}, "_scaled": None}
+
+    def share_workspaces(self, other: Port) -> None:
+        """Write observations where ``other`` does, a port of the same layout, so that one workspace stays in cache."""
+        self._workspaces = other._workspaces
 
     def observation_space(self) -> spaces.Box:
         """A new Box for one player's observation, float32."""
@@ -367,7 +373,7 @@ class Port:
             out: where to write, of that shape and C-contiguous; a new array if left out.
         """
         batch = state.estimates.shape[2]
-        fields = self._workspace if batch == self._workspace_batch else self._prepare(batch)
+        fields = self._workspaces.get(batch) or self._prepare(batch)
         if self.interface.kind == "local":
             relative, scale = self._ego_relative_estimates(state)
             self._scaled = (state, scale)
@@ -448,7 +454,9 @@ class Port:
         parts["everything"] = buffer.reshape(-1, batch + _PADDING)[:, :batch].T
         if self.dynamics.signal.is_fixed:
             parts["weights"][...] = self.dynamics.mode_weights
-        self._workspace, self._workspace_batch = parts, batch
+        while len(self._workspaces) >= _WORKSPACES:
+            self._workspaces.pop(next(iter(self._workspaces)))
+        self._workspaces[batch] = parts
         return parts
 
     def _own_gradients(self, state: State) -> FloatArray:
@@ -467,10 +475,9 @@ class Port:
         relative -= rows.take(self._ego_rows, axis=0)
         if not self.dynamics.signal.is_fixed:
             relative *= (state.weights > 0)[:, None]
-        scale = np.maximum.reduce(np.abs(self._own_gradients(state)), axis=0)
-        flat = relative.reshape(-1, *scale.shape)
-        np.maximum(scale, np.maximum.reduce(flat, axis=0), out=scale)
-        np.maximum(scale, -np.minimum.reduce(flat, axis=0), out=scale)
+        sizes = np.abs(self._own_gradients(state))
+        scale = sizes[0] if len(sizes) == 1 else np.maximum.reduce(sizes, axis=0)
+        np.maximum(scale, np.maximum.reduce(np.abs(relative), axis=(0, 1)), out=scale)
         return relative, np.maximum(scale, SMALLEST_SCALE, out=scale)
 
     def _scale(self, state: State) -> FloatArray:

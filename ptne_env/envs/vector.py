@@ -95,6 +95,8 @@ class VectorParallelEnv:
             for part in self._slices
         ]
         port = self._blocks[0].port
+        for block in self._blocks[1:]:
+            block.port.share_workspaces(port)
         self.layout: Layout = port.layout
         self.num_players = self.layout.num_players
         self.single_observation_space: spaces.Box = port.observation_space()
