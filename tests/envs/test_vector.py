@@ -7,7 +7,7 @@ from test_parallel import arrays_in, same
 from worlds import BLOCKS_SWITCHING, make_env
 
 import ptne_env
-from ptne_env import VectorParallelEnv, laws
+from ptne_env import Part, VectorParallelEnv, laws
 from ptne_env.envs import VectorStep
 from ptne_env.envs import vector as vector_module
 
@@ -171,10 +171,13 @@ def test_mask_starts_its_environments_alone_and_leaves_the_others_where_they_are
     assert not np.any(np.all(observations[mask] == before[mask], axis=(1, 2)))
     clock = env.layout.select(observations, "clock")[:, 0, 0]
     assert np.array_equal(clock == 0, mask)
-    seeded = env.reset(seed=[50, 51, 52, 53, 54], mask=mask)  # the seeds of others do not count
+    seeded = env.reset(seed=[50, 51, 52, 53, 54], mask=mask)
     assert np.array_equal(seeded[mask], make(steps=60).reset(seed=50)[mask])
     assert np.array_equal(seeded[~mask], before[~mask])
     assert np.array_equal(env.reset(mask=[False] * 5), seeded)
+    undisturbed = make(steps=60)
+    undisturbed.reset(seed=0)
+    assert np.array_equal(env.reset()[~mask], undisturbed.reset()[~mask])  # the seeds of others did not count
 
 
 def test_environments_in_the_mask_go_on_with_their_own_generators(block_size):
@@ -249,6 +252,23 @@ def test_success_is_told_at_the_end_alone_and_of_each_environment_by_itself(bloc
         outcome = env.step(actions)
         observations = outcome.observations
         assert outcome.infos["is_success"].tolist() == [k == 499 and not each for each in still]
+
+
+def test_success_is_not_told_of_an_environment_that_goes_on(block_size):
+    at_rest = np.tile(ptne_env.get_scenario("energy").built_game.nash_equilibrium, (5, 1)).tolist()
+    start = Part.of("ptne_env.starts:FixedStart", estimates=at_rest)
+    env = make("energy", num_envs=4, steps=5, start=start, input_limit=1e9)
+    env.reset()
+    actions = np.zeros((4, 5, 5))
+    actions[1] = 1e9
+    outcome = env.step(actions)
+    assert outcome.terminated.tolist() == [False, True, False, False]
+    assert not outcome.infos["is_success"].any()
+    env.reset(mask=outcome.terminated)
+    actions[1] = 0
+    for _ in range(4):
+        outcome = env.step(actions)
+    assert outcome.infos["is_success"].tolist() == outcome.terminated.tolist() == [True, False, True, True]
 
 
 def test_divergence_in_the_middle_ends_one_environment_and_leaves_the_others_alone(block_size):
