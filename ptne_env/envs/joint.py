@@ -9,7 +9,7 @@ is the mean over players. Registered as ``ptne/<scenario>-joint-v0``::
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import gymnasium
@@ -22,7 +22,7 @@ from gymnasium.vector.utils import batch_space
 from ptne_env.arrays import BoolArray, Float32Array, FloatArray, ordered_sum
 from ptne_env.envs.parallel import NashSeekingEnv, parallel_env
 from ptne_env.envs.vector import VectorParallelEnv, VectorStep
-from ptne_env.interface import ActionMode, InterfaceKind, Layout
+from ptne_env.interface import Layout
 from ptne_env.scenario import Scenario
 
 
@@ -122,8 +122,9 @@ class JointVectorEnv(gymnasium.vector.VectorEnv[Float32Array, Float32Array, npt.
         autoreset_mode: when an environment that ended starts again: in the ``NEXT_STEP`` (default), in the
             ``SAME_STEP`` (the last observation and info are in ``final_obs`` and ``final_info``), or when told to by
             ``reset(options={"reset_mask": mask})`` (``DISABLED``).
-        interface, action_mode, action_scale, reward, max_cycles, **overrides: as
-            :class:`~ptne_env.envs.vector.VectorParallelEnv`.
+        render_mode: ``None``; a vector of environments does not render.
+        **arguments: of :class:`~ptne_env.envs.vector.VectorParallelEnv`: interface, action_mode, action_scale, reward,
+            max_cycles and fields of the scenario.
 
     Attributes:
         vector: the environments behind it.
@@ -135,28 +136,14 @@ class JointVectorEnv(gymnasium.vector.VectorEnv[Float32Array, Float32Array, npt.
         num_envs: int = 1,
         *,
         autoreset_mode: str | AutoresetMode = AutoresetMode.NEXT_STEP,
-        interface: InterfaceKind = "physical",
-        action_mode: ActionMode = "input",
-        action_scale: float = 5.0,
-        reward: str | Mapping[str, float] = "digits",
-        max_cycles: int | None = None,
         render_mode: str | None = None,
-        **overrides: Any,
+        **arguments: Any,
     ) -> None:
         if render_mode is not None:
             raise ValueError("the vector environment does not render; make one environment with a render_mode")
         self.autoreset_mode = AutoresetMode(autoreset_mode)
         self.metadata = {**JointEnv.metadata, "render_modes": [], "autoreset_mode": self.autoreset_mode}
-        self.vector = VectorParallelEnv(
-            scenario,
-            num_envs,
-            interface=interface,
-            action_mode=action_mode,
-            action_scale=action_scale,
-            reward=reward,
-            max_cycles=max_cycles,
-            **overrides,
-        )
+        self.vector = VectorParallelEnv(scenario, num_envs, **arguments)
         self.num_envs = self.vector.num_envs
         self.render_mode = None
         players = self.vector.num_players

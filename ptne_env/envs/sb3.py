@@ -5,7 +5,7 @@ Needs the extra ``pip install "ptne-env[sb3]"``.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
@@ -17,7 +17,6 @@ except ImportError as error:  # pragma: no cover - exercised in an environment w
 
 from ptne_env.arrays import BoolArray, Float32Array
 from ptne_env.envs.vector import VectorParallelEnv, VectorStep
-from ptne_env.interface import ActionMode, InterfaceKind
 from ptne_env.scenario import Scenario
 
 Indices = int | Iterable[int] | None
@@ -38,8 +37,8 @@ class SlotVecEnv(VecEnv):
         scenario: a name of the catalogue or a scenario.
         num_envs: B, environments; the ``num_envs`` of the VecEnv is B·N.
         seed: of the first reset; environment b gets seed + b.
-        interface, action_mode, action_scale, reward, max_cycles, **overrides: as
-            :class:`~ptne_env.envs.vector.VectorParallelEnv`.
+        **arguments: of :class:`~ptne_env.envs.vector.VectorParallelEnv`: interface, action_mode, action_scale, reward,
+            max_cycles and fields of the scenario.
 
     Raises:
         ValueError: for an unknown name or field, or an invalid value.
@@ -51,23 +50,9 @@ class SlotVecEnv(VecEnv):
         num_envs: int = 1,
         *,
         seed: int | None = None,
-        interface: InterfaceKind = "physical",
-        action_mode: ActionMode = "input",
-        action_scale: float = 5.0,
-        reward: str | Mapping[str, float] = "digits",
-        max_cycles: int | None = None,
-        **overrides: Any,
+        **arguments: Any,
     ) -> None:
-        self.vector = VectorParallelEnv(
-            scenario,
-            num_envs,
-            interface=interface,
-            action_mode=action_mode,
-            action_scale=action_scale,
-            reward=reward,
-            max_cycles=max_cycles,
-            **overrides,
-        )
+        self.vector = VectorParallelEnv(scenario, num_envs, **arguments)
         self.layout = self.vector.layout
         self.render_mode: str | None = None
         self._players = self.vector.num_players

@@ -154,7 +154,7 @@ class VectorParallelEnv:
         shape = (self.num_envs, self.num_players, self.layout.action_size)
         if actions.shape != shape or actions.dtype.kind != "f":
             raise ValueError(f"actions are floats of shape {shape}, got {actions.dtype} of shape {actions.shape}")
-        if len(self._blocks) > 1 and not np.isfinite(actions).all():
+        if len(self._blocks) > 1 and not _all_finite(actions):
             raise ValueError("actions must be numbers without NaN or infinity")  # before any block has moved
         outcomes = [
             block.step(actions[part], None if restart is None else restart[part])
@@ -199,3 +199,9 @@ class VectorParallelEnv:
         if len(seed) != self.num_envs:
             raise ValueError(f"{self.num_envs} environments need as many seeds, got {len(seed)}")
         return [None if each is None else require_seed(each) for each in seed]
+
+
+def _all_finite(array: npt.NDArray[np.floating]) -> bool:
+    """Whether there is neither NaN nor infinity; a finite sum says so in one pass, an overflowing one says nothing."""
+    total = np.einsum("i->", array.reshape(-1))  # einsum, because it does not warn of an overflow
+    return bool(np.isfinite(total) or np.isfinite(array).all())
