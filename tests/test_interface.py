@@ -264,6 +264,17 @@ def test_gains_weigh_gradient_and_consensus(name, kind):
     assert CONSENSUS_GAIN == 2.0
 
 
+def test_local_action_is_in_units_of_the_state_that_it_is_for_whatever_was_observed_last():
+    dynamics, port = make_port("energy", kind="local")
+    first, second = wander(dynamics, steps=0), wander(dynamics, steps=80)
+    actions = np.random.default_rng(0).uniform(-1, 1, (2, 5, 5)).astype(np.float32)
+    expected = [make_port("energy", kind="local")[1].decode(actions, state).inputs for state in (first, second)]
+    assert not np.array_equal(*expected)
+    port.observe(first)
+    assert np.array_equal(port.decode(actions, second).inputs, expected[1])
+    assert np.array_equal(port.decode(actions, first).inputs, expected[0])
+
+
 @pytest.mark.parametrize("value", [0.0, 1.0, -1.0])
 def test_gains_actions_are_clipped_to_their_box(value):
     dynamics, port = make_port("energy", action_mode="gains")
