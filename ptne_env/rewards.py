@@ -92,6 +92,8 @@ class Reward:
     def total(self, terms: Mapping[str, FloatArray]) -> FloatArray:
         """The weighted sum of the terms, shape (N, B)."""
         (first, weight), *others = self.weights.items()
+        if weight == 1 and not others:
+            return terms[first]
         total = weight * terms[first]
         for name, weight in others:
             total += weight * terms[name]
