@@ -1,0 +1,239 @@
+"""Our own contenders, the parts of which a step consists, the share of a PPO update, and law rollouts."""
+
+from __future__ import annotations
+
+import tempfile
+import tracemalloc
+import warnings
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from functools import partial
+from pathlib import Path
+from time import perf_counter
+from typing import Any
+
+import numpy as np
+
+from benchmarks.peers import MissingPeerError, iter_forever
+from benchmarks.timing import Contender, Plan, Spread, seconds_per_call
+from ptne_env import laws, parallel_env
+from ptne_env.arrays import Float32Array
+from ptne_env.dynamics import Dynamics, State
+from ptne_env.envs.vector import VectorParallelEnv
+from ptne_env.evaluation import rollout
+from ptne_env.evaluation.bank import draw_start
+from ptne_env.interface import Interface, InterfaceKind, Port
+from ptne_env.rewards import Reward
+from ptne_env.scenario import Scenario, get_scenario
+
+_BATCHES = 16
+"""Random joint actions that are drawn beforehand, and as many of the opposite sign: their mean is 0, so that random
+play diffuses, as with fresh draws, and does not drift."""
+
+
+def actions(bound: float, shape: tuple[int, ...]) -> Iterator[Float32Array]:
+    """Endless random actions from the whole box."""
+    generator = np.random.default_rng(0)
+    half = [generator.uniform(-bound, bound, shape).astype(np.float32) for _ in range(_BATCHES)]
+    endless: Iterator[Float32Array] = iter_forever([*half, *(-batch for batch in half)])
+    return endless
+
+
+def single(interface: InterfaceKind) -> Contender:
+    """One PettingZoo environment of the scenario ``energy``."""
+    env = parallel_env("energy", interface=interface)
+    env.reset(seed=0)
+    agents = env.possible_agents
+    tables = actions(env.layout.action_bound, (len(agents), env.layout.action_size))
+    turn = iter_forever([dict(zip(agents, next(tables), strict=True)) for _ in range(256)])
+
+    def step() -> None:
+        if not env.agents:
+            env.reset()
+        env.step(next(turn))
+
+    return Contender(f"ptne_env, {interface}", len(agents), step)
+
+
+def dictionaries() -> Contender:
+    """The five dictionaries that a step returns, built from values that are there already: the floor of the API."""
+    env = parallel_env("energy")
+    agents, size = env.possible_agents, env.layout.size
+    values, clipped = [0.0] * len(agents), [0] * len(agents)
+
+    def step() -> object:
+        infos: dict[str, dict[str, Any]] = {
+            agent: {"diverged": False, "clipped": clipped[index], "reward_terms": {"digits": values[index]}}
+            for index, agent in enumerate(agents)
+        }
+        return (
+            dict(zip(agents, np.empty((len(agents), size), dtype=np.float32), strict=True)),
+            dict(zip(agents, values, strict=True)),
+            dict.fromkeys(agents, False),
+            dict.fromkeys(agents, False),
+            infos,
+        )
+
+    return Contender("five dictionaries alone", len(agents), step)
+
+
+def vector(interface: InterfaceKind, num_envs: int, scenario: str | Scenario = "energy") -> Contender:
+    """The vector path; environments that are over are reset."""
+    env = VectorParallelEnv(scenario, num_envs, interface=interface)
+    env.reset(seed=0)
+    turn = actions(env.layout.action_bound, (num_envs, env.num_players, env.layout.action_size))
+
+    def step() -> None:
+        outcome = env.step(next(turn))
+        over = outcome.terminated | outcome.truncated
+        if over.any():
+            env.reset(mask=over)
+
+    return Contender(f"ptne_env, {interface}", num_envs * env.num_players, step)
+
+
+def slots(interface: InterfaceKind, num_envs: int) -> Contender:
+    """The Stable-Baselines3 ``VecEnv``.
+
+    Raises:
+        MissingPeerError: when Stable-Baselines3 is not installed.
+    """
+    try:
+        from ptne_env.envs.sb3 import SlotVecEnv
+    except ImportError as error:
+        raise MissingPeerError(f"the slots of Stable-Baselines3 are left out: {error}") from error
+    env = SlotVecEnv("energy", num_envs, interface=interface, seed=0)
+    env.reset()
+    turn = actions(env.layout.action_bound, (env.num_envs, env.layout.action_size))
+    return Contender(f"ptne_env, {interface}", env.num_envs, lambda: env.step(next(turn)))
+
+
+def parts(interface: InterfaceKind, num_envs: int, plan: Plan, scenario: str | Scenario = "energy") -> dict[str, float]:
+    """Microseconds of each part of a step of ``num_envs`` environments, each alone and therefore in a warm cache."""
+    world, port, reward, state = _world(interface, num_envs, scenario)
+    reward.reset(state)
+    port.observe(state)
+    played = next(actions(port.layout.action_bound, (num_envs, port.layout.num_players, port.layout.action_size)))
+    inputs = port.decode(played, state).inputs
+    after = world.step(state, inputs)
+    calls: dict[str, Callable[[], object]] = {
+        "decode actions": lambda: port.decode(played, state),
+        "transition": lambda: world.step(state, inputs),
+        "reward": lambda: reward.total(reward.step(after)),
+        # A new state each time, because a state remembers its relative estimates.
+        "observe": lambda: port.observe(
+            State(world, after.step, after.game, after.estimates, after.own_gradients, after.diverged)
+        ),
+    }
+    return {name: 1e6 * seconds_per_call(call, plan) for name, call in calls.items()}
+
+
+def _world(interface: InterfaceKind, num_envs: int, scenario: str | Scenario) -> tuple[Dynamics, Port, Reward, State]:
+    world = Dynamics(get_scenario(scenario))
+    state = draw_start(world, num_envs, seed=0)
+    return world, Port(world, Interface(interface)), Reward(world), state
+
+
+def memory(interface: InterfaceKind, num_envs: int, scenario: str | Scenario = "energy") -> dict[str, float]:
+    """Bytes per environment of a vector environment: held between steps, and at the peak of a step."""
+    layout = VectorParallelEnv(scenario, 1, interface=interface).layout  # also builds what environments share
+    played = np.zeros((num_envs, layout.num_players, layout.action_size), dtype=np.float32)
+    tracemalloc.start()
+    try:
+        env = VectorParallelEnv(scenario, num_envs, interface=interface)
+        env.reset(seed=0)
+        env.step(played)
+        held = tracemalloc.get_traced_memory()[0]
+        tracemalloc.reset_peak()
+        env.step(played)
+        peak = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+    return {"held": held / num_envs, "peak": peak / num_envs}
+
+
+@contextmanager
+def _timed(owner: type, name: str, spent: list[float]) -> Iterator[None]:
+    """Add up in ``spent[0]`` the seconds in a method, while the context lasts."""
+    method = getattr(owner, name)
+
+    def timed(*arguments: Any, **keywords: Any) -> Any:
+        began = perf_counter()
+        try:
+            return method(*arguments, **keywords)
+        finally:
+            spent[0] += perf_counter() - began
+
+    setattr(owner, name, timed)
+    try:
+        yield
+    finally:
+        setattr(owner, name, method)
+
+
+def training_share(plan: Plan) -> dict[str, Any]:
+    """The environment's share of wall time in PPO at the settings that ``ptne train random-energy`` ships.
+
+    Each repeat trains afresh. The first update is left out; the following ones cover one whole episode of every
+    environment, its end and the drawing of new games included.
+
+    Raises:
+        MissingPeerError: when Stable-Baselines3 is not installed.
+    """
+    try:
+        from stable_baselines3.common.vec_env import VecMonitor
+
+        from ptne_env.envs.sb3 import SlotVecEnv
+        from ptne_env.training.ppo import Arguments, train
+    except ImportError as error:
+        raise MissingPeerError(f"the share of a PPO update is left out: {error}") from error
+    shipped = Arguments.from_toml("random-energy")
+    scenario = get_scenario(shipped.scenario)
+    players, episode = scenario.built_game.num_players, scenario.built_clock.total_steps
+    updates = 2 if plan.quick else -(-episode // shipped.rollout)
+    settings: dict[str, Any] = {"steps": (updates + 1) * shipped.rollout * shipped.envs * players}
+    if plan.quick:
+        settings = {"envs": 2, "rollout": 4, "steps": (updates + 1) * 4 * 2 * players}
+    arguments = Arguments.from_toml("random-energy", validation_episodes=2, **settings)
+    shares, monitored, rates = [], [], []
+    for _ in range(plan.repeats):
+        environment, with_monitor = [0.0], [0.0]
+        marks: list[tuple[float, float, float, int]] = []
+
+        def mark(done: int, *_: Any) -> None:
+            marks.append((perf_counter(), environment[0], with_monitor[0], done))  # noqa: B023 - used in this repeat
+
+        with (
+            tempfile.TemporaryDirectory() as folder,
+            _timed(SlotVecEnv, "step_wait", environment),
+            _timed(VecMonitor, "step_wait", with_monitor),
+            warnings.catch_warnings(),
+        ):
+            warnings.simplefilter("ignore")  # Stable-Baselines3 comments on batch sizes
+            train(arguments, Path(folder) / "run", mark)
+        (start, *before), (end, *after) = marks[0], marks[-1]
+        shares.append((after[0] - before[0]) / (end - start))
+        monitored.append((after[1] - before[1]) / (end - start))
+        rates.append((after[2] - before[2]) / (end - start))
+    return {
+        "updates": updates,
+        "envs": arguments.envs,
+        "rollout": arguments.rollout,
+        "share": Spread.of(shares).to_dict(),
+        "share_with_monitor": Spread.of(monitored).to_dict(),
+        "training_agent_steps_per_second": Spread.of(rates).to_dict(),
+    }
+
+
+def law_rollouts(plan: Plan) -> list[Contender]:
+    """Rollouts of laws over a bank of ``random-energy``, environment, law and recorded metrics together."""
+    episodes = 10 if plan.quick else 1000
+    world = Dynamics(get_scenario("random-energy"))
+    start = draw_start(world, episodes, seed=0)
+    port = Port(world, Interface("physical"))
+    agent_steps = episodes * world.game.num_players * world.clock.total_steps
+    policies = {"static": laws.Static(port.layout), "adaptive": laws.Adaptive(port.layout)}
+    return [
+        Contender(f"{name} law, {episodes} episodes", agent_steps, partial(rollout, policy, port, start))
+        for name, policy in policies.items()
+    ]

@@ -1,0 +1,119 @@
+"""The environments that others would use: MPE2, MPE2 through SuperSuit, and VMAS; each is optional."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from benchmarks.timing import Contender
+
+PLAYERS = 5
+"""Agents in every environment that is compared."""
+
+EPISODE = 400
+"""Steps of an episode, the peers' as ours, so that restarts weigh alike."""
+
+_POOL = 64
+"""Random joint actions that are drawn beforehand; drawing them is not what is measured."""
+
+
+class MissingPeerError(ImportError):
+    """A peer is not installed; the message names the command that installs it."""
+
+
+def _missing(name: str, packages: str, error: ImportError) -> MissingPeerError:
+    return MissingPeerError(
+        f"{name} is left out: module {error.name!r} is missing; to compare with it: pip install {packages}"
+    )
+
+
+def mpe2() -> Contender:
+    """One MPE2 ``simple_spread_v3`` parallel environment with 5 agents and its default (discrete) actions.
+
+    Raises:
+        MissingPeerError: when MPE2 is not installed.
+    """
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        try:
+            from mpe2 import simple_spread_v3
+        except ImportError as error:
+            raise _missing("MPE2", "mpe2", error) from error
+        env: Any = simple_spread_v3.parallel_env(N=PLAYERS, max_cycles=EPISODE)
+        env.reset(seed=0)
+    pool = [{agent: int(env.action_space(agent).sample()) for agent in env.possible_agents} for _ in range(_POOL)]
+    turn = iter_forever(pool)
+
+    def step() -> None:
+        if not env.agents:
+            env.reset()
+        env.step(next(turn))
+
+    return Contender("MPE2 simple_spread", PLAYERS, step)
+
+
+def supersuit(num_envs: int) -> Contender:
+    """MPE2 ``simple_spread_v3`` as a Stable-Baselines3 vector environment through SuperSuit, in this process.
+
+    Raises:
+        MissingPeerError: when MPE2, SuperSuit or Stable-Baselines3 is not installed.
+    """
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        try:
+            import stable_baselines3  # noqa: F401 - SuperSuit imports it late and fails unclearly
+            import supersuit as wrappers
+            from mpe2 import simple_spread_v3
+        except ImportError as error:
+            raise _missing("MPE2 through SuperSuit", "mpe2 supersuit stable-baselines3 torch==2.13.0", error) from error
+        env: Any = simple_spread_v3.parallel_env(N=PLAYERS, max_cycles=EPISODE)
+        env = wrappers.pettingzoo_env_to_vec_env_v1(env)
+        env = wrappers.concat_vec_envs_v1(env, num_envs, num_cpus=1, base_class="stable_baselines3")
+        env.reset()
+    slots = num_envs * PLAYERS
+    generator = np.random.default_rng(0)
+    turn = iter_forever([generator.integers(env.action_space.n, size=slots) for _ in range(_POOL)])
+    return Contender("MPE2 through SuperSuit", slots, lambda: env.step(next(turn)))
+
+
+def vmas(num_envs: int) -> list[Contender]:
+    """VMAS ``dispersion`` with 5 agents on the CPU, once with one torch thread and once with two.
+
+    It is never reset, which is to its advantage.
+
+    Raises:
+        MissingPeerError: when VMAS or torch is not installed.
+    """
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        try:
+            import torch
+            from vmas import make_env
+        except ImportError as error:
+            raise _missing("VMAS", "vmas torch==2.13.0", error) from error
+        env: Any = make_env(
+            "dispersion", num_envs=num_envs, device="cpu", continuous_actions=True, n_agents=PLAYERS, seed=0
+        )
+        env.reset()
+    turn = iter_forever([[env.get_random_action(agent) for agent in env.agents] for _ in range(16)])
+
+    def contender(threads: int) -> Contender:
+        return Contender(
+            f"VMAS dispersion, {threads} thread{'s' * (threads > 1)}",
+            num_envs * PLAYERS,
+            lambda: env.step(next(turn)),
+            prepare=lambda: torch.set_num_threads(threads),
+        )
+
+    return [contender(1), contender(2)]
+
+
+def iter_forever(pool: Sequence[Any]) -> Any:
+    """Members of ``pool`` in random order, the same in every run."""
+    generator = np.random.default_rng(1)
+    while True:
+        for index in generator.integers(len(pool), size=1024).tolist():
+            yield pool[index]

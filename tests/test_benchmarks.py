@@ -1,0 +1,84 @@
+"""The benchmarks run and write what they promise; how fast they find anything is not for a test."""
+
+import importlib
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+
+
+@pytest.fixture(scope="module")
+def results(tmp_path_factory):
+    path = tmp_path_factory.mktemp("speed") / "folder" / "speed.json"
+    command = [sys.executable, "-X", "utf8", "-m", "benchmarks.speed", "--quick", "--json", str(path)]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, encoding="utf-8", check=False)  # noqa: S603
+    assert done.returncode == 0, done.stderr
+    assert "Growth with environments" in done.stdout
+    return json.loads(path.read_text(encoding="utf-8"))
+
+
+@pytest.fixture
+def peers(monkeypatch):
+    monkeypatch.syspath_prepend(str(ROOT))
+    return importlib.import_module("benchmarks.peers")
+
+
+def test_quick_measures_everything(results):
+    assert {"machine", "plan", "comparisons", "targets", "laws", "parts_microseconds", "players", "batch"} <= set(
+        results
+    )
+    assert results["plan"]["quick"]
+    assert {"single", "vector 8", "vector 16"} <= set(results["comparisons"])
+
+
+def test_every_rate_is_a_median_within_its_range(results):
+    rates = [
+        rate
+        for comparison in results["comparisons"].values()
+        for kind in ("agent_steps_per_second", "times_as_fast")
+        for rate in comparison[kind].values()
+    ]
+    rates += [*results["laws"].values(), *(row["agent_steps_per_second"] for row in results["batch"])]
+    assert rates
+    for rate in rates:
+        assert 0 < rate["low"] <= rate["median"] <= rate["high"]
+
+
+def test_ours_run_without_any_peer(results):
+    for comparison in results["comparisons"].values():
+        assert {"ptne_env, physical", "ptne_env, local"} <= set(comparison["agent_steps_per_second"])
+
+
+def test_peers_are_compared_or_named_as_missing(results):
+    compared = {comparison["peer"] for comparison in results["comparisons"].values()} - {None}
+    for module, peer in (("mpe2", "MPE2 simple_spread"), ("vmas", "VMAS dispersion")):
+        named = any(f"pip install {module}" in note for note in results["notes"])
+        assert named != any(name.startswith(peer) for name in compared)
+
+
+def test_rows_by_players_count_operations_and_bytes(results):
+    cycle, complete = (
+        next(row for row in results["players"] if row["players"] == 10 and row["graph"] == graph)
+        for graph in ("cycle", "complete")
+    )
+    assert (cycle["neighbours"], complete["neighbours"]) == (2, 9)
+    assert complete["operations"] - cycle["operations"] == 7 * 10  # one more difference per neighbour and component
+    assert complete["bytes"] - cycle["bytes"] == 4 * 7 * (10 + 1)  # and its float32, and the weight's
+
+
+@pytest.mark.parametrize(
+    ("module", "build", "command"),
+    [
+        ("mpe2", lambda peers: peers.mpe2(), "pip install mpe2"),
+        ("vmas", lambda peers: peers.vmas(2), "pip install vmas"),
+        ("supersuit", lambda peers: peers.supersuit(2), "pip install mpe2 supersuit"),
+    ],
+)
+def test_a_missing_peer_names_the_command_that_installs_it(peers, monkeypatch, module, build, command):
+    monkeypatch.setitem(sys.modules, module, None)
+    with pytest.raises(peers.MissingPeerError, match=command):
+        build(peers)
