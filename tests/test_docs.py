@@ -7,6 +7,7 @@ import inspect
 import itertools
 import json
 import math
+import os
 import re
 import runpy
 import subprocess
@@ -51,7 +52,10 @@ def table(document, header):
 def run(code, folder):
     """Run a program in a fresh interpreter in which every warning is an error."""
     command = [sys.executable, "-W", "error", "-X", "utf8", "-c", code]
-    done = subprocess.run(command, cwd=folder, capture_output=True, text=True, encoding="utf-8", check=False)  # noqa: S603
+    environment = {**os.environ, "OMP_NUM_THREADS": "1"}  # workers that share the cores would wait for each other
+    done = subprocess.run(  # noqa: S603
+        command, cwd=folder, capture_output=True, text=True, encoding="utf-8", check=False, env=environment
+    )
     assert done.returncode == 0, done.stderr
     assert done.stderr == ""
     return done.stdout
