@@ -6,6 +6,7 @@ A *port* connects one layout to a running world: it turns states into observatio
 
 from __future__ import annotations
 
+import copy
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, Literal, NamedTuple, TypeAlias, get_args
@@ -30,7 +31,7 @@ GAIN_OCTAVES = 3.0
 """In action mode ``gains`` an action of ±1 multiplies or divides a gain by 2^3."""
 
 _PADDING = 16
-"""Columns by which the rows of an observation workspace are longer than the batch."""
+"""Columns by which the rows of an observation workspace are longer than a batch that is larger than that."""
 
 _WORKSPACES = 2
 """Observation workspaces that a port keeps, one per batch size: a vector environment has blocks of two sizes."""
@@ -337,9 +338,11 @@ class Port:
         """Copies and pickles go without the workspace, whose parts are views of one buffer and would come apart."""
         return {**self.__dict__, "_workspaces": {}, "_scaled": None}
 
-    def share_workspaces(self, other: Port) -> None:
-        """Write observations where ``other`` does, a port of the same layout, so that one workspace stays in cache."""
-        self._workspaces = other._workspaces
+    def twin(self) -> Port:
+        """A port for other environments of the same world, with the same tables and workspaces: those stay in cache."""
+        result = copy.copy(self)
+        result._workspaces = self._workspaces  # noqa: SLF001 - of the same class
+        return result
 
     def observation_space(self) -> spaces.Box:
         """A new Box for one player's observation, float32."""
@@ -445,13 +448,14 @@ class Port:
         """
         layout = self.layout
         # Rows of a power-of-two length fall on the same cache lines when they are transposed; padding parts them.
-        buffer = np.zeros((layout.num_players, layout.size, batch + _PADDING), dtype=np.float32)
+        row = batch + _PADDING if batch > _PADDING else batch
+        buffer = np.zeros((layout.num_players, layout.size, row), dtype=np.float32)
         fields = buffer.transpose(1, 0, 2)[:, :, :batch]
         parts = {name: fields[part] for name, part in layout.slices.items()}
         parts["relative_estimates"] = parts["relative_estimates"].reshape(*self._slots, batch)
         parts["clock"] = fields[layout.slices["clock"].start : layout.slices["time_since_switch"].stop]
         parts["player"][...] = np.eye(layout.num_players, dtype=np.float32)[:, :, None]
-        parts["everything"] = buffer.reshape(-1, batch + _PADDING)[:, :batch].T
+        parts["everything"] = buffer.reshape(-1, row)[:, :batch].T
         if self.dynamics.signal.is_fixed:
             parts["weights"][...] = self.dynamics.mode_weights
         while len(self._workspaces) >= _WORKSPACES:

@@ -45,6 +45,7 @@ class Simulation:
         reward: a term's name, or weights by name.
         max_cycles: steps after which an episode is truncated, or ``None``.
         num_envs: B.
+        twin: a simulation of the same scenario and interface, whose tables this one uses instead of building its own.
 
     Attributes:
         state: of all environments; ``None`` before the first reset.
@@ -61,6 +62,7 @@ class Simulation:
         reward: str | Mapping[str, float] = "digits",
         max_cycles: int | None = None,
         num_envs: int = 1,
+        twin: Simulation | None = None,
     ) -> None:
         if interface.kind == "full":
             raise ValueError(
@@ -69,8 +71,8 @@ class Simulation:
             )
         self.num_envs = require_count("num_envs", num_envs, 1)
         self.max_cycles = None if max_cycles is None else require_count("max_cycles", max_cycles, 1)
-        self.dynamics = Dynamics(scenario)
-        self.port = Port(self.dynamics, interface)
+        self.dynamics: Dynamics = twin.dynamics if twin else Dynamics(scenario)
+        self.port: Port = twin.port.twin() if twin else Port(self.dynamics, interface)
         self._reward = Reward(self.dynamics, reward)
         self._sources: list[Sources] = []
         self.state: State | None = None

@@ -16,7 +16,10 @@ from ptne_env.scenario import Scenario, get_scenario
 from ptne_env.sources import require_seed
 
 BLOCK_SIZE = 2048
-"""Environments that are stepped at a time: their arrays fit into a core's cache, which more would not."""
+"""Environments that are stepped at a time, at most: more bring nothing once a block costs more than its calls."""
+
+BLOCK_ENTRIES = 300_000
+"""Entries of the observations of a block, at most: its arrays fit into a core's cache, which more would not."""
 
 
 Number = TypeVar("Number", np.float64, np.int64)
@@ -82,23 +85,26 @@ class VectorParallelEnv:
     ) -> None:
         self.scenario = get_scenario(scenario, **overrides)
         self.num_envs = require_count("num_envs", num_envs, 1)
-        starts = range(0, self.num_envs, BLOCK_SIZE)
-        self._slices = [slice(start, min(start + BLOCK_SIZE, self.num_envs)) for start in starts]
-        self._blocks = [
-            Simulation(
+
+        def simulation(count: int, twin: Simulation | None) -> Simulation:
+            return Simulation(
                 self.scenario,
                 interface=Interface(interface, action_mode, action_scale),
                 reward=reward,
                 max_cycles=max_cycles,
-                num_envs=part.stop - part.start,
+                num_envs=count,
+                twin=twin,
             )
-            for part in self._slices
-        ]
-        port = self._blocks[0].port
-        for block in self._blocks[1:]:
-            block.port.share_workspaces(port)
+
+        one = simulation(1, None)
+        port = one.port
         self.layout: Layout = port.layout
         self.num_players = self.layout.num_players
+        largest = max(1, min(BLOCK_SIZE, BLOCK_ENTRIES // (self.num_players * self.layout.size)))
+        size = -(-self.num_envs // -(-self.num_envs // largest))  # blocks of about the same size
+        starts = range(0, self.num_envs, size)
+        self._slices = [slice(start, min(start + size, self.num_envs)) for start in starts]
+        self._blocks = [simulation(part.stop - part.start, one) for part in self._slices]
         self.single_observation_space: spaces.Box = port.observation_space()
         self.single_action_space: spaces.Box = port.action_space()
         self._over = np.ones(self.num_envs, dtype=np.bool_)
