@@ -32,6 +32,7 @@ class State:
 
     __slots__ = (
         "_dynamics",
+        "_instants",
         "_relative",
         "_weights",
         "any_diverged",
@@ -52,6 +53,7 @@ class State:
         diverged: BoolArray,
     ) -> None:
         self._dynamics = dynamics
+        self._instants: IntArray | None = None
         self._relative: FloatArray | None = None
         self._weights: FloatArray | None = None
         self.step = step
@@ -67,16 +69,25 @@ class State:
         return self.estimates.shape[2]
 
     @property
+    def instants(self) -> IntArray:
+        """``step``, but one entry for environments in lockstep, the usual case: shape (1,) or (B,)."""
+        if self._instants is None:
+            step = self.step
+            in_lockstep = step.size == 1 or np.count_nonzero(step != step[0]) == 0
+            self._instants = step[:1] if in_lockstep else step
+        return self._instants
+
+    @property
     def mode(self) -> IntArray:
         """Index of the active graph, shape (B,), int64."""
         return self._dynamics.modes[self.step]
 
     @property
     def weights(self) -> FloatArray:
-        """a_ij per neighbour slot, shape (D, N, B), or (D, N, 1) where the graph is fixed."""
+        """a_ij per neighbour slot, shape (D, N, B), or (D, N, 1) where all environments have the same."""
         if self._weights is None:
             table = self._dynamics.mode_weights
-            self._weights = table if table.shape[2] == 1 else table.take(self.mode, axis=2)
+            self._weights = table if table.shape[2] == 1 else table.take(self._dynamics.modes[self.instants], axis=2)
         return self._weights
 
     @property
@@ -176,11 +187,9 @@ class Dynamics:
 
     def step(self, state: State, inputs: FloatArray) -> State:
         """The next state, from held inputs u of shape (n, N, B), finite. ``state`` is left as it was."""
-        theta = self.clock.theta[state.step]
+        theta = self.clock.theta[state.instants]
         if state.any_diverged:
             theta = np.where(state.diverged, 0.0, theta)
-        elif theta.size > 1 and np.count_nonzero(theta != theta[0]) == 0:
-            theta = theta[:1]  # environments in lockstep, the usual case: one factor is half the work of one each
         estimates = theta * inputs
         estimates += state.estimates
         return self._complete(estimates, state.game, self._next_step[state.step], state.diverged)

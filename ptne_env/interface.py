@@ -284,6 +284,18 @@ class NonFiniteActionError(ValueError):
     """An action holds NaN or infinity."""
 
 
+class Clipped(NamedTuple):
+    """Finite actions within the action box.
+
+    Attributes:
+        actions: shape (B, N, action size).
+        clipped: entries of each player's action that were outside the box, shape (B, N).
+    """
+
+    actions: npt.NDArray[np.floating]
+    clipped: IntArray
+
+
 class Decoded(NamedTuple):
     """What a port made of actions.
 
@@ -378,12 +390,10 @@ class Port:
         batch = state.estimates.shape[2]
         fields = self._workspaces.get(batch) or self._prepare(batch)
         if self.interface.kind == "local":
-            relative, scale = self._ego_relative_estimates(state)
+            differences, scale = self._ego_differences(state)
             self._scaled = (state, scale)
-            inverse = 1 / scale
-            relative *= inverse  # in float64, and cast in a second pass, which is faster than numpy's casting output
-            fields["relative_estimates"][...] = relative
-            fields["own_gradient"][...] = self._own_gradients(state) * inverse
+            differences *= 1 / scale  # in float64, and cast in a second pass: faster than numpy's casting output
+            fields["differences"][...] = differences
             fields["log_scale"][...] = np.log10(scale)
         else:
             fields["own_estimate"][...] = state.estimates
@@ -391,7 +401,7 @@ class Port:
             fields["relative_estimates"][...] = state.relative_estimates
         if not self.dynamics.signal.is_fixed:
             fields["weights"][...] = state.weights
-        fields["clock"][...] = self._clock_table.take(state.step, axis=1)[:, None, :]
+        fields["clock"][...] = self._clock_table.take(state.instants, axis=1)[:, None, :]
         if self.interface.kind == "full":
             strategies = state.strategies
             fields["relative_strategies"][...] = strategies[:, None, :] - state.estimates
@@ -404,23 +414,25 @@ class Port:
         np.copyto(out.reshape(batch, -1), fields["everything"])
         return out
 
-    def decode(self, actions: npt.NDArray[np.floating], state: State) -> Decoded:
-        """Turn actions (B, N, action size) into inputs within the input limit.
-
-        Entries outside the action box are clipped to it, counted, and rounded to float32, as the space declares.
+    def clip(self, actions: npt.NDArray[np.floating]) -> Clipped:
+        """Clip actions of any number of environments, shape (B, N, action size), to the action box, and count.
 
         Raises:
             NonFiniteActionError: when an action holds NaN or infinity.
         """
         bound = self.layout.action_bound
         highest, lowest = np.maximum.reduce(actions, axis=None), np.minimum.reduce(actions, axis=None)
-        if not (highest <= bound and lowest >= -bound):
-            if not np.isfinite(actions).all():
-                raise NonFiniteActionError("actions must be numbers without NaN or infinity")
-            clipped = (np.abs(actions) > bound).sum(axis=2)
-            actions = np.clip(actions, -bound, bound)
-        else:
-            clipped = np.zeros(actions.shape[:2], dtype=np.int64)
+        if highest <= bound and lowest >= -bound:
+            return Clipped(actions, np.zeros(actions.shape[:2], dtype=np.int64))
+        if not np.isfinite(actions).all():
+            raise NonFiniteActionError("actions must be numbers without NaN or infinity")
+        return Clipped(np.clip(actions, -bound, bound), (np.abs(actions) > bound).sum(axis=2))
+
+    def inputs(self, actions: npt.NDArray[np.floating], state: State) -> FloatArray:
+        """Turn clipped actions (B, N, action size) into inputs u within the input limit, shape (n, N, B).
+
+        Actions are rounded to float32, as the space declares.
+        """
         fields = np.empty(actions.shape[::-1])
         fields[...] = actions.astype(np.float32, copy=False).T
         if self.interface.action_mode == "gains":
@@ -429,10 +441,19 @@ class Port:
             fields *= self.interface.action_scale * self._scale(state)
             inputs = fields.reshape(-1, state.batch_size).take(self._player_rows, axis=0)
         else:
-            return Decoded(fields, clipped)  # the action box is the input limit
+            return fields  # the action box is the input limit
         limit = self.layout.input_limit
         np.minimum(inputs, limit, out=inputs)  # np.clip does the same, but for one environment its wrapper costs more
-        return Decoded(np.maximum(inputs, -limit, out=inputs), clipped)
+        return np.maximum(inputs, -limit, out=inputs)
+
+    def decode(self, actions: npt.NDArray[np.floating], state: State) -> Decoded:
+        """:meth:`clip` and :meth:`inputs` in one.
+
+        Raises:
+            NonFiniteActionError: when an action holds NaN or infinity.
+        """
+        inside, clipped = self.clip(actions)
+        return Decoded(self.inputs(inside, state), clipped)
 
     def _inputs_from_gains(self, gains: FloatArray, state: State) -> FloatArray:
         gradient_gain, consensus_gain = np.exp2(GAIN_OCTAVES * gains)
@@ -452,6 +473,7 @@ class Port:
         buffer = np.zeros((layout.num_players, layout.size, row), dtype=np.float32)
         fields = buffer.transpose(1, 0, 2)[:, :, :batch]
         parts = {name: fields[part] for name, part in layout.slices.items()}
+        parts["differences"] = fields[: layout.slices["relative_estimates"].stop]  # under "local" one block
         parts["relative_estimates"] = parts["relative_estimates"].reshape(*self._slots, batch)
         parts["clock"] = fields[layout.slices["clock"].start : layout.slices["time_since_switch"].stop]
         parts["player"][...] = np.eye(layout.num_players, dtype=np.float32)[:, :, None]
@@ -472,20 +494,23 @@ class Port:
             gradients *= self._gradient_mask
         return gradients
 
-    def _ego_relative_estimates(self, state: State) -> tuple[FloatArray, FloatArray]:
-        """x^j − x^i in ego order, (D, n, N, B), and the scale σ_i, (N, B)."""
-        rows = state.estimates.reshape(-1, state.batch_size)
-        relative = rows.take(self._ego_neighbour_rows, axis=0)
+    def _ego_differences(self, state: State) -> tuple[FloatArray, FloatArray]:
+        """Own gradients, then x^j − x^i in ego order, (m + D n, N, B), and the scale σ_i, (N, B)."""
+        gradients = self._own_gradients(state)
+        own, (slots, n, players), batch = len(gradients), self._slots, state.batch_size
+        differences = np.empty((own + slots * n, players, batch))
+        differences[:own] = gradients
+        relative = differences[own:].reshape(slots, n, players, batch)
+        rows = state.estimates.reshape(-1, batch)
+        rows.take(self._ego_neighbour_rows, axis=0, out=relative, mode="clip")  # "raise" would copy once more
         relative -= rows.take(self._ego_rows, axis=0)
         if not self.dynamics.signal.is_fixed:
             relative *= (state.weights > 0)[:, None]
-        sizes = np.abs(self._own_gradients(state))
-        scale = sizes[0] if len(sizes) == 1 else np.maximum.reduce(sizes, axis=0)
-        np.maximum(scale, np.maximum.reduce(np.abs(relative), axis=(0, 1)), out=scale)
-        return relative, np.maximum(scale, SMALLEST_SCALE, out=scale)
+        scale = np.maximum.reduce(np.abs(differences), axis=0)
+        return differences, np.maximum(scale, SMALLEST_SCALE, out=scale)
 
     def _scale(self, state: State) -> FloatArray:
         """σ_i = max(‖own gradient‖_∞, max over live links ‖x^j − x^i‖_∞, 1e-30), shape (N, B)."""
         if self._scaled is None or self._scaled[0] is not state:
-            self._scaled = (state, self._ego_relative_estimates(state)[1])
+            self._scaled = (state, self._ego_differences(state)[1])
         return self._scaled[1]

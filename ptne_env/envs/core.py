@@ -24,14 +24,12 @@ class Outcome(NamedTuple):
     Attributes:
         rewards: weighted sum of the terms, shape (N, B).
         terms: each reward term, unweighted, shape (N, B).
-        clipped: entries of each player's action outside the box, shape (B, N).
         terminated: shape (B,).
         truncated: shape (B,).
     """
 
     rewards: FloatArray
     terms: dict[str, FloatArray]
-    clipped: IntArray
     terminated: BoolArray
     truncated: BoolArray
 
@@ -140,15 +138,13 @@ class Simulation:
         """Hold everybody's inputs for one step.
 
         Args:
-            actions: shape (B, N, action size).
+            actions: finite and within the action box (see :meth:`Port.clip`), shape (B, N, action size).
             restart: environments that start afresh instead of moving, shape (B,): their rewards are 0.
 
         Raises:
             RuntimeError: before the first reset.
-            NonFiniteActionError: when an action holds NaN or infinity; the state stays as it was.
         """
-        decoded = self.port.decode(actions, self.current)
-        state = self.dynamics.step(self.current, decoded.inputs)
+        state = self.dynamics.step(self.current, self.port.inputs(actions, self.current))
         terms = self._reward.step(state)
         self.state = state
         terminated = self.dynamics.is_over(state)
@@ -156,13 +152,11 @@ class Simulation:
             truncated = np.zeros(self.num_envs, dtype=np.bool_)
         else:
             truncated = ~terminated & (state.step >= self.max_cycles)
-        clipped = decoded.clipped
         if restart is not None and restart.any():
             self.reset(mask=restart)
             terms = {name: np.where(restart, 0.0, term) for name, term in terms.items()}
-            clipped = np.where(restart[:, None], 0, clipped)
             terminated, truncated = terminated & ~restart, truncated & ~restart
-        return Outcome(self._reward.total(terms), terms, clipped, terminated, truncated)
+        return Outcome(self._reward.total(terms), terms, terminated, truncated)
 
     def observe(self, out: Float32Array | None = None) -> Float32Array:
         """Everybody's observations, shape (B, N, size), float32, owned by the caller."""

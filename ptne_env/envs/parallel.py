@@ -176,17 +176,18 @@ class NashSeekingEnv(ParallelEnv[str, Float32Array, Float32Array]):
         if not agents:
             raise RuntimeError("no episode is running: call reset() before step()")
         try:
-            outcome = self._simulation.step(self._stack(actions))
+            inside, clipped = self._simulation.port.clip(self._stack(actions))
         except NonFiniteActionError:
             raise self._complaint(actions) from None
+        outcome = self._simulation.step(inside)
         terminated, truncated = bool(outcome.terminated[0]), bool(outcome.truncated[0])
         diverged = bool(self._simulation.current.diverged[0])
-        clipped = outcome.clipped[0].tolist()
+        counts = clipped[0].tolist()
         columns = {name: term[:, 0].tolist() for name, term in outcome.terms.items()}
         infos: dict[str, AgentInfo] = {
             agent: {
                 "diverged": diverged,
-                "clipped": clipped[index],
+                "clipped": counts[index],
                 "reward_terms": {name: column[index] for name, column in columns.items()},
             }
             for index, agent in enumerate(agents)

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 from gymnasium import spaces
 
-from ptne_env.arrays import BoolArray, Float32Array, FloatArray, require_count
+from ptne_env.arrays import BoolArray, Float32Array, FloatArray, IntArray, require_count
 from ptne_env.envs.core import Outcome, Simulation
 from ptne_env.interface import ActionMode, Interface, InterfaceKind, Layout
 from ptne_env.scenario import Scenario, get_scenario
@@ -20,9 +20,6 @@ BLOCK_SIZE = 2048
 
 BLOCK_ENTRIES = 300_000
 """Entries of the observations of a block, at most: its arrays fit into a core's cache, which more would not."""
-
-
-Number = TypeVar("Number", np.float64, np.int64)
 
 
 class VectorStep(NamedTuple):
@@ -160,8 +157,9 @@ class VectorParallelEnv:
         shape = (self.num_envs, self.num_players, self.layout.action_size)
         if actions.shape != shape or actions.dtype.kind != "f":
             raise ValueError(f"actions are floats of shape {shape}, got {actions.dtype} of shape {actions.shape}")
-        if len(self._blocks) > 1 and not _all_finite(actions):
-            raise ValueError("actions must be numbers without NaN or infinity")  # before any block has moved
+        actions, clipped = self._blocks[0].port.clip(actions)  # refuses what is not finite before any block has moved
+        if restart is not None:
+            clipped[restart] = 0
         outcomes = [
             block.step(actions[part], None if restart is None else restart[part])
             for block, part in zip(self._blocks, self._slices, strict=True)
@@ -169,9 +167,9 @@ class VectorParallelEnv:
         observations = self._empty_observations()
         for block, part in zip(self._blocks, self._slices, strict=True):
             block.observe(observations[part])
-        return self._assemble(observations, outcomes)
+        return self._assemble(observations, outcomes, clipped)
 
-    def _assemble(self, observations: Float32Array, outcomes: list[Outcome]) -> VectorStep:
+    def _assemble(self, observations: Float32Array, outcomes: list[Outcome], clipped: IntArray) -> VectorStep:
         terminated = np.concatenate([outcome.terminated for outcome in outcomes])
         truncated = np.concatenate([outcome.truncated for outcome in outcomes])
         self._over = terminated | truncated
@@ -182,16 +180,16 @@ class VectorParallelEnv:
         terms = {name: self._by_env([outcome.terms[name].T for outcome in outcomes]) for name in outcomes[0].terms}
         infos = {
             "diverged": np.concatenate([block.current.diverged for block in self._blocks]),
-            "clipped": self._by_env([outcome.clipped for outcome in outcomes]),
+            "clipped": clipped,
             "reward_terms": terms,
             "is_success": success,
         }
         rewards = self._by_env([outcome.rewards.T for outcome in outcomes])
         return VectorStep(observations, rewards, terminated, truncated, infos)
 
-    def _by_env(self, parts: list[npt.NDArray[Number]]) -> npt.NDArray[Number]:
+    def _by_env(self, parts: list[FloatArray]) -> FloatArray:
         """The blocks' arrays in one, shape (B, N), C-contiguous whatever the parts are."""
-        return np.concatenate(parts, out=np.empty((self.num_envs, self.num_players), dtype=parts[0].dtype))
+        return np.concatenate(parts, out=np.empty((self.num_envs, self.num_players)))
 
     def _empty_observations(self) -> Float32Array:
         return np.empty((self.num_envs, self.num_players, self.layout.size), dtype=np.float32)
@@ -205,9 +203,3 @@ class VectorParallelEnv:
         if len(seed) != self.num_envs:
             raise ValueError(f"{self.num_envs} environments need as many seeds, got {len(seed)}")
         return [None if each is None else require_seed(each) for each in seed]
-
-
-def _all_finite(array: npt.NDArray[np.floating]) -> bool:
-    """Whether there is neither NaN nor infinity; a finite sum says so in one pass, an overflowing one says nothing."""
-    total = np.einsum("i->", array.reshape(-1))  # einsum, because it does not warn of an overflow
-    return bool(np.isfinite(total) or np.isfinite(array).all())
