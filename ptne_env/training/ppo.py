@@ -164,8 +164,8 @@ def _claim(arguments: Arguments, out: Path) -> None:
         write_atomically(path, json.dumps(mine, indent=2) + "\n")
 
 
-def _start_or_resume(arguments: Arguments, out: Path) -> tuple[PPO, VecMonitor]:
-    torch.set_num_threads(1)  # the networks are small: a second thread costs more than it brings
+def make_env(arguments: Arguments) -> VecMonitor:
+    """The slots that a run trains on, monitored."""
     slots = SlotVecEnv(
         arguments.scenario,
         arguments.envs,
@@ -173,33 +173,11 @@ def _start_or_resume(arguments: Arguments, out: Path) -> tuple[PPO, VecMonitor]:
         action_mode=arguments.action_mode,
         max_cycles=None,
     )
-    env = VecMonitor(slots)
-    samples = arguments.rollout * slots.num_envs
-    checkpoint = out / "checkpoint.zip"
-    if checkpoint.exists():
-        model = PPO.load(checkpoint, env=env, device="cpu")
-    else:
-        model = PPO(
-            "MlpPolicy",
-            env,
-            learning_rate=LinearSchedule(arguments.learning_rate, 0.0, 1.0),
-            n_steps=arguments.rollout,
-            batch_size=-(-samples // arguments.minibatches),
-            n_epochs=arguments.epochs,
-            gamma=arguments.discount,
-            gae_lambda=arguments.trace,
-            clip_range=arguments.clip,
-            policy_kwargs=_network(arguments, slots.layout),
-            tensorboard_log=str(out / "tensorboard"),
-            seed=arguments.seed,
-            device="cpu",
-        )
-    # A resumed run draws new games, those of the episode number at which it stopped.
-    slots.seed(episode_seed(arguments.seed, model.num_timesteps, split="train"))
-    return model, env
+    return VecMonitor(slots)
 
 
-def _network(arguments: Arguments, layout: Layout) -> dict[str, Any]:
+def settings(arguments: Arguments, layout: Layout) -> dict[str, Any]:
+    """What PPO is built with, as keyword arguments."""
     network: dict[str, Any] = {
         "net_arch": list(arguments.hidden),
         "activation_fn": nn.Tanh,
@@ -208,7 +186,33 @@ def _network(arguments: Arguments, layout: Layout) -> dict[str, Any]:
     }
     if arguments.products:
         network |= {"features_extractor_class": Products, "features_extractor_kwargs": Products.of(layout)}
-    return network
+    samples = arguments.rollout * arguments.envs * layout.num_players
+    return {
+        "learning_rate": LinearSchedule(arguments.learning_rate, 0.0, 1.0),
+        "n_steps": arguments.rollout,
+        "batch_size": -(-samples // arguments.minibatches),
+        "n_epochs": arguments.epochs,
+        "gamma": arguments.discount,
+        "gae_lambda": arguments.trace,
+        "clip_range": arguments.clip,
+        "policy_kwargs": network,
+        "seed": arguments.seed,
+        "device": "cpu",
+    }
+
+
+def _start_or_resume(arguments: Arguments, out: Path) -> tuple[PPO, VecMonitor]:
+    torch.set_num_threads(1)  # the networks are small: a second thread costs more than it brings
+    env = make_env(arguments)
+    checkpoint = out / "checkpoint.zip"
+    if checkpoint.exists():
+        model = PPO.load(checkpoint, env=env, device="cpu")
+    else:
+        chosen = settings(arguments, env.get_attr("layout")[0])
+        model = PPO("MlpPolicy", env, tensorboard_log=str(out / "tensorboard"), **chosen)
+    # A resumed run draws new games, those of the episode number at which it stopped.
+    env.seed(episode_seed(arguments.seed, model.num_timesteps, split="train"))
+    return model, env
 
 
 def _validate(model: PPO, arguments: Arguments) -> float:
