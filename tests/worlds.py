@@ -70,7 +70,8 @@ def loop_matrix(game, adjacency, kappa, gradient_gain=1.0):
 def begin(dynamics, seeds):
     """The state at t = 0 that these seeds draw, game and estimates, one environment each."""
     sources = [Sources.from_seed(seed) for seed in seeds]
-    return dynamics.start(dynamics.draw_estimates(sources), dynamics.draw_game(sources))
+    estimates, game = dynamics.draw_estimates(sources), dynamics.draw_game(sources)
+    return dynamics.start(estimates, game, dynamics.draw_chance(sources))
 
 
 def stack(estimates):
