@@ -103,10 +103,11 @@ class Layout:
     ====================== ======== ========================================================================
     ``own_gradient``       m        ∂J_i/∂x_i(x^i), padded with 0 to the largest n_i
     ``own_estimate``       n        x^i (not under ``local``)
-    ``relative_estimates`` D n      x^j − x^i per neighbour slot, taken in float64; 0 where the link is down
-    ``weights``            D        a_ij per neighbour slot; 0 where the link is down
+    ``relative_estimates`` D n      x^j − x^i per neighbour slot, taken in float64; 0 where the link is down; x^j is
+                                    what the channel delivers
+    ``weights``            D        a_ij per neighbour slot; 0 where the link is down, or the message is lost
     ``log_scale``          1        log10 σ_i (only under ``local``)
-    ``clock``              4        t/T, s, Θ_k, Δt_k/T
+    ``clock``              4        t/T, s, Θ_k, Δt_k/T, the first three by the player's own clock
     ``time_since_switch``  1        over the signal's mean dwell, clipped to 1; 0 for a fixed graph
     ``player``             N        one-hot
     ``relative_strategies`` n       x − x^i (only under ``full``)
@@ -328,10 +329,10 @@ class Port:
             deadline=clock.deadline,
         )
         n, players, slots = game.dimension, game.num_players, dynamics.slots
-        # What every observation of an instant shares: the clock and the age of the graph; (5, K+H+1).
-        self._clock_table = np.stack(
-            [clock.t / clock.deadline, clock.s, clock.theta, clock.dt / clock.deadline, dynamics.time_since_switch]
-        ).astype(np.float32)
+        # What every observation of an instant shares: the clock and the age of the graph; (5, 1 or N, K+H+1).
+        t, s, theta = dynamics.readings
+        shared = [np.broadcast_to(row, t.shape) for row in (clock.dt / clock.deadline, dynamics.time_since_switch)]
+        self._clock_table = np.stack([t / clock.deadline, s, theta, *shared]).astype(np.float32)
         self._workspaces: dict[int, dict[str, Float32Array]] = {}
         self._scaled: tuple[State, FloatArray] | None = None
         # Row of own_gradients in each place of a player's own block, shape (m, N); padding is masked out.
@@ -365,8 +366,8 @@ class Port:
         def bound(name: str, lowest: npt.ArrayLike, highest: npt.ArrayLike) -> None:
             low[layout.slices[name]], high[layout.slices[name]] = lowest, highest
 
-        bound("weights", 0.0, self.dynamics.mode_weights.max())
-        bound("clock", 0.0, self._clock_table[:4].max(axis=1))
+        bound("weights", 0.0, self.dynamics.mode_weights.max() * self.dynamics.channel.largest_weight_factor)
+        bound("clock", 0.0, self._clock_table[:4].max(axis=(1, 2)))
         bound("time_since_switch", 0.0, 1.0)
         bound("player", 0.0, 1.0)
         if self.interface.kind == "local":
@@ -399,9 +400,11 @@ class Port:
             fields["own_estimate"][...] = state.estimates
             fields["own_gradient"][...] = self._own_gradients(state)
             fields["relative_estimates"][...] = state.relative_estimates
-        if not self.dynamics.signal.is_fixed:
+        if not self.dynamics.has_constant_weights:
             fields["weights"][...] = state.weights
-        fields["clock"][...] = self._clock_table.take(state.instants, axis=1)[:, None, :]
+        fields["clock"][...] = self._clock_table.take(state.instants, axis=2)
+        if self.dynamics.signal.is_random:
+            fields["time_since_switch"][...] = state.time_since_switch
         if self.interface.kind == "full":
             strategies = state.strategies
             fields["relative_strategies"][...] = strategies[:, None, :] - state.estimates
@@ -478,7 +481,7 @@ class Port:
         parts["clock"] = fields[layout.slices["clock"].start : layout.slices["time_since_switch"].stop]
         parts["player"][...] = np.eye(layout.num_players, dtype=np.float32)[:, :, None]
         parts["everything"] = buffer.reshape(-1, row)[:, :batch].T
-        if self.dynamics.signal.is_fixed:
+        if self.dynamics.has_constant_weights:
             parts["weights"][...] = self.dynamics.mode_weights
         while len(self._workspaces) >= _WORKSPACES:
             self._workspaces.pop(next(iter(self._workspaces)))
@@ -502,9 +505,13 @@ class Port:
         differences[:own] = gradients
         relative = differences[own:].reshape(slots, n, players, batch)
         rows = state.estimates.reshape(-1, batch)
-        rows.take(self._ego_neighbour_rows, axis=0, out=relative, mode="clip")  # "raise" would copy once more
+        if state.heard is None:
+            rows.take(self._ego_neighbour_rows, axis=0, out=relative, mode="clip")  # "raise" would copy once more
+        else:
+            messages = state.heard.messages.reshape(slots, -1, batch)
+            messages.take(self._ego_rows, axis=1, out=relative, mode="clip")
         relative -= rows.take(self._ego_rows, axis=0)
-        if not self.dynamics.signal.is_fixed:
+        if not self.dynamics.has_constant_weights:
             relative *= (state.weights > 0)[:, None]
         scale = np.maximum.reduce(np.abs(differences), axis=0)
         return differences, np.maximum(scale, SMALLEST_SCALE, out=scale)

@@ -36,6 +36,10 @@ def scenarios(draw):
         spacing=spacing,
         hold_steps=draw(st.integers(0, 5)),
         input_limit=draw(finite),
+        channel=draw(st.sampled_from(["perfect", Part.of("ptne_env.channel:Loss", probability=0.5)])),
+        disturbance=draw(st.sampled_from(["none", Part.of("ptne_env.disturbances:UniformDisturbance", bound=1.0)])),
+        clock_shifts=draw(st.sampled_from([(), (0.1,) * players])),
+        slots=draw(st.sampled_from([None, 4])),
     )
 
 
@@ -193,6 +197,31 @@ REFUSED = {
     "game and graph for different numbers": (
         lambda: get_scenario("energy", signal="ptne_env.graphs:paper_signal", game="sample_games:BlockGame"),
         "the game has 3 players, the graphs 5",
+    ),
+    "too few slots": (
+        lambda: get_scenario("energy", slots=1),
+        "a player has 2 neighbours and slots is 1; raise it to 2",
+    ),
+    "half a slot": (lambda: get_scenario("energy", slots=2.5), "slots must be a whole number"),
+    "clocks of some players": (
+        lambda: get_scenario("energy", clock_shifts=(0.1, 0.2)),
+        "5 players need 5 clock_shifts, or none, got 2",
+    ),
+    "one clock for all": (lambda: get_scenario("energy", clock_shifts=0.1), "clock_shifts is one number of seconds"),
+    "clock that is infinitely fast": (
+        lambda: get_scenario("energy", clock_shifts=(float("inf"), 0, 0, 0, 0)),
+        "a clock shift must be a finite number",
+    ),
+    "unknown channel": (lambda: get_scenario("energy", channel="noisy"), "channel is 'perfect', a 'module:object'"),
+    "channel of another kind": (
+        lambda: get_scenario("energy", channel="ptne_env.starts:paper_start"),
+        "built a FixedStart where channel needs a Channel",
+    ),
+    "disturbance without bound": (
+        lambda: get_scenario(
+            "energy", disturbance=Part.of("ptne_env.disturbances:UniformDisturbance", bound=float("inf"))
+        ),
+        "bound must be a finite number above 0",
     ),
     "part of another kind": (
         lambda: get_scenario("energy", game="ptne_env.starts:paper_start"),

@@ -42,4 +42,4 @@ def draw_start(dynamics: Dynamics, episodes: int, seed: int, split: Split = "tes
     game = dynamics.draw_game(sources)
     if dynamics.scenario.has_random_game:
         theory.require_strong_monotonicity(game)
-    return dynamics.start(dynamics.draw_estimates(sources), game)
+    return dynamics.start(dynamics.draw_estimates(sources), game, dynamics.draw_chance(sources))

@@ -130,8 +130,11 @@ class _Recorder:
         squared = (sizes**2).sum(axis=(0, 1))
         peak = sizes.max(axis=(0, 1))
         self._input_energy += dt * squared
-        self._velocity_energy += theta**2 / dt * squared
         np.maximum(self._peak_input, peak, out=self._peak_input)
+        if self.dynamics.theta.ndim == 2:  # the players' clocks disagree, and each multiplies by its own Θ
+            moves = sizes * (self.dynamics.theta[:, [step]] / theta)
+            squared, peak = (moves**2).sum(axis=(0, 1)), moves.max(axis=(0, 1))
+        self._velocity_energy += theta**2 / dt * squared
         np.maximum(self._peak_velocity, theta / dt * peak, out=self._peak_velocity)
         # The action box is float32, so an input at the limit may be the float32 just below it.
         self._saturated += (sizes >= np.nextafter(np.float32(limit), np.float32(0))).sum(axis=(0, 1))
