@@ -106,6 +106,8 @@ class State:
 class Dynamics:
     """The transition x_{k+1} = x_k + Θ_k u_k with the switching graph and the clock, exact for the held input.
 
+    Where a box confines the strategies, the players' own blocks of x_k + Θ_k u_k, and of x_0, are projected into it.
+
     Attributes:
         scenario: what it simulates.
         game: the game, or a typical member of the family; states hold the games that are played.
@@ -164,7 +166,7 @@ class Dynamics:
         """The state at t = 0.
 
         Args:
-            estimates: initial, shape (n, N, B).
+            estimates: initial, shape (n, N, B); strategies outside the game's box are projected into it.
             game: what is played, one game or B; needed where the scenario draws games.
 
         Raises:
@@ -183,6 +185,7 @@ class Dynamics:
         if game.batch_size not in (1, batch) or game.action_dims != self.game.action_dims:
             raise ValueError(f"{batch} environments need one game or {batch}, got {game.batch_size}")
         estimates = np.array(estimates, dtype=np.float64)  # a copy: the state is not the caller's
+        self._confine(estimates, game)
         return self._complete(estimates, game, np.zeros(batch, dtype=np.int64), np.zeros(batch, dtype=np.bool_))
 
     def step(self, state: State, inputs: FloatArray) -> State:
@@ -192,6 +195,7 @@ class Dynamics:
             theta = np.where(state.diverged, 0.0, theta)
         estimates = theta * inputs
         estimates += state.estimates
+        self._confine(estimates, state.game)
         return self._complete(estimates, state.game, self._next_step[state.step], state.diverged)
 
     def merge(self, state: State, fresh: State, mask: BoolArray) -> State:
@@ -228,6 +232,12 @@ class Dynamics:
     def distance_limit(game: Game) -> FloatArray:
         """The relative distance charged to a diverged environment, no less than any in range; shape (G,)."""
         return (RANGE_LIMIT * np.sqrt(game.dimension) + game.equilibrium_scale) / game.equilibrium_scale
+
+    def _confine(self, estimates: FloatArray, game: Game) -> None:
+        """Project the real strategies into the game's box, in place; what players think of others stays."""
+        if game.has_bounds:
+            own = np.arange(game.dimension), game.owners
+            estimates[own] = game.project(estimates[own])
 
     def _complete(self, estimates: FloatArray, game: Game, step: IntArray, diverged: BoolArray) -> State:
         if game.is_affine:
