@@ -8,8 +8,15 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 
-from ptne_env.arrays import BoolArray, FloatArray, frozen, ordered_sum, require_count, require_non_negative
-from ptne_env.arrays import require_positive
+from ptne_env.arrays import (
+    BoolArray,
+    FloatArray,
+    frozen,
+    ordered_sum,
+    require_count,
+    require_non_negative,
+    require_positive,
+)
 from ptne_env.games.base import Game, NoBestResponseError
 from ptne_env.games.family import GameFamily
 from ptne_env.games.variational import solve_box
@@ -59,10 +66,11 @@ class AffineGame(Game):
         if not (np.isfinite(matrices).all() and np.isfinite(offsets).all()):
             raise ValueError(f"{name} needs finite parameters")
         self.matrix, self.offset = frozen(matrices), frozen(offsets)
-        if not np.array_equal(self._own_blocks, self._own_blocks.transpose(1, 0, 2)):
+        scale = np.abs(matrices).max()
+        if np.abs(self._own_blocks - self._own_blocks.transpose(1, 0, 2)).max() > 1e-12 * scale:
             raise ValueError(f"{name}: some A_ii is not symmetric, so A x + b is not the gradient of costs")
         smallest = np.linalg.eigvalsh(np.moveaxis(self._own_blocks, 2, 0)).min()
-        if smallest < -1e-12 * np.abs(matrices).max():
+        if smallest < -1e-12 * scale:
             raise ValueError(f"{name}: some J_i is not convex in x_i, its A_ii has the eigenvalue {smallest:.3g}")
 
     @property
@@ -155,11 +163,12 @@ class AffineGame(Game):
             return super()._solve_nash_equilibria()
         stack, right = np.moveaxis(self.matrix, 2, 0), -self.offset.T[..., None]
         try:
-            return np.linalg.solve(stack, right)[..., 0].T
+            solution = np.linalg.solve(stack, right)
         except np.linalg.LinAlgError as error:
             raise ArithmeticError(
                 f"{type(self).__name__}: A is singular, so there is no single Nash equilibrium"
             ) from error
+        return np.asarray(solution[..., 0].T)
 
 
 class RandomAffine(GameFamily):
@@ -212,7 +221,8 @@ class RandomAffine(GameFamily):
         orthogonal = np.linalg.qr(normal[:, 0])[0].transpose(1, 2, 0)
         eigenvalues = self.spread * unit[:, 0].T
         eigenvalues[0] = 0.0
-        symmetric = ordered_sum(orthogonal[:, None] * eigenvalues * orthogonal[None], axis=2)
+        root = orthogonal * np.sqrt(eigenvalues)
+        symmetric = ordered_sum(root[:, None] * root[None], axis=2)
         skew = np.where((owners[:, None] == owners)[:, :, None], 0.0, normal[:, 1].transpose(1, 2, 0))
         skew = skew - skew.transpose(1, 0, 2)
         skew /= np.linalg.norm(np.moveaxis(skew, 2, 0), 2, axis=(1, 2))

@@ -132,6 +132,7 @@ def _radially_unbounded(game: Game, points: FloatArray, player: int, block: slic
         ray = sign * direction
         if game.low is not None and game.high is not None:  # only where the box is open
             ray = np.where(np.where(ray < 0, game.low[block], game.high[block]) * np.sign(ray) == np.inf, ray, 0.0)
+            ray = ray / np.maximum(np.linalg.norm(ray, axis=0), 1e-300)
         leaves = np.any(ray != 0, axis=0)
         costs = [_cost_on_ray(game, points, player, block, ray, radius)[leaves] for radius in _RADII]
         grows &= all(bool(np.all(far >= near)) for near, far in pairwise(costs))

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-import numpy.typing as npt
 
 from ptne_env.arrays import FloatArray, frozen
 from ptne_env.games.affine import AffineGame, times
@@ -18,7 +17,7 @@ class NetworkedCournot(AffineGame):
 
     Firm i sells x_im in each market m ∈ M_i that it is linked to, at a price that falls with all that is sold there, up
     to its capacity per market. F is strongly monotone with ε ≥ min (q_i + χ_m), for dF = diag(q_i + χ_m) + Bᵀ diag(χ) B
-    with B the incidence matrix of markets and deliveries. The model is that of K. Bimpikis, S. Ehsani and R. Ilkılıç,
+    with B the incidence matrix of markets and deliveries. The model is that of K. Bimpikis, S. Ehsani and R. Ilkiliç,
     "Cournot competition in networked markets", Management Science 65(6), 2019, with linear demand, and a capacity; the
     default numbers are ours. Two firms are at their capacity at the equilibrium then, and one delivery does not pay.
 
