@@ -149,7 +149,7 @@ def test_static_law_reaches_the_boxed_equilibrium_at_the_rate_told(name):
         errors.append(np.linalg.norm(env.estimates - equilibrium))
     errors = np.array(errors)
     tau = np.cumsum(dynamics.clock.theta[: len(errors)])
-    late = (errors < 1e-3 * errors[0]) & (errors > 1e-8 * errors[0])
+    late = (errors < 1e-7 * errors[0]) & (errors > 1e-10 * errors[0])  # where the slowest mode is alone
     slope = np.polyfit(tau[late], np.log(errors[late]), 1)[0]
     assert -slope == pytest.approx(certificate.rate, rel=0.05)
 
