@@ -178,6 +178,8 @@ class State:
 class Dynamics:
     """The transition x_{k+1} = x_k + Θ_k u_k with the switching graph and the clock, exact for the held input.
 
+    Where a box confines the strategies, the players' own blocks of x_k + Θ_k u_k, and of x_0, are projected into it.
+
     Attributes:
         scenario: what it simulates.
         game: the game, or a typical member of the family; states hold the games that are played.
@@ -261,7 +263,7 @@ class Dynamics:
         """The state at t = 0.
 
         Args:
-            estimates: initial, shape (n, N, B).
+            estimates: initial, shape (n, N, B); strategies outside the game's box are projected into it.
             game: what is played, one game or B; needed where the scenario draws games.
             chance: what else is drawn, for B environments; needed where :meth:`draw_chance` draws anything.
 
@@ -288,6 +290,7 @@ class Dynamics:
                 "environments have drawn, see draw_chance()"
             )
         estimates = np.array(estimates, dtype=np.float64)  # a copy: the state is not the caller's
+        self._confine(estimates, game)
         step, diverged = np.zeros(batch, dtype=np.int64), np.zeros(batch, dtype=np.bool_)
         return self._complete(estimates, game, step, diverged, chance)
 
@@ -300,6 +303,7 @@ class Dynamics:
         estimates += state.estimates
         if not self.disturbance.is_absent:
             self._disturb(estimates, state)
+        self._confine(estimates, state.game)
         memory = None if state.heard is None else state.heard.memory
         step = self._next_step[state.step]
         return self._complete(estimates, state.game, step, state.diverged, state.chance, memory)
@@ -351,6 +355,12 @@ class Dynamics:
     def distance_limit(game: Game) -> FloatArray:
         """The relative distance charged to a diverged environment, no less than any in range; shape (G,)."""
         return (RANGE_LIMIT * np.sqrt(game.dimension) + game.equilibrium_scale) / game.equilibrium_scale
+
+    def _confine(self, estimates: FloatArray, game: Game) -> None:
+        """Project the real strategies into the game's box, in place; what players think of others stays."""
+        if game.has_bounds:
+            own = np.arange(game.dimension), game.owners
+            estimates[own] = game.project(estimates[own])
 
     def _complete(
         self,

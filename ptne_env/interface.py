@@ -78,7 +78,8 @@ class Reading(NamedTuple):
         theta: Θ_k of the coming step, shape (R, 1).
         dt: Δt_k of the coming step in seconds, shape (R, 1).
         relative_strategies: x − x^i, shape (R, n); empty (R, 0) unless the interface is ``full``.
-        pseudo_gradient: F(x), shape (R, n); empty (R, 0) unless the interface is ``full``.
+        pseudo_gradient: F(x), or in a box (x − Π(x − Θ F(x)))/Θ, the way that is open; shape (R, n), and empty (R, 0)
+            unless the interface is ``full``.
     """
 
     player: IntArray
@@ -111,7 +112,7 @@ class Layout:
     ``time_since_switch``  1        over the signal's mean dwell, clipped to 1; 0 for a fixed graph
     ``player``             N        one-hot
     ``relative_strategies`` n       x − x^i (only under ``full``)
-    ``pseudo_gradient``    n        F(x) at the real strategies (only under ``full``)
+    ``pseudo_gradient``    n        F(x) at the real strategies, as far as a box lets them move (only under ``full``)
     ====================== ======== ========================================================================
 
     Under ``local``, gradient and relative estimates are divided by σ_i = max(‖own gradient‖_∞, max over live links
@@ -410,6 +411,10 @@ class Port:
             fields["relative_strategies"][...] = strategies[:, None, :] - state.estimates
             with np.errstate(over="ignore"):
                 pseudo_gradient = state.game.pseudo_gradient(strategies)
+            if state.game.has_bounds:
+                theta = self.dynamics.clock.theta[state.instants]
+                theta = np.where(theta > 0, theta, 1.0)  # at the end, from where nobody moves
+                pseudo_gradient = (strategies - state.game.project(strategies - theta * pseudo_gradient)) / theta
             pseudo_gradient = np.clip(pseudo_gradient, -OBSERVATION_BOUND, OBSERVATION_BOUND)
             fields["pseudo_gradient"][...] = pseudo_gradient[:, None]
         if out is None:

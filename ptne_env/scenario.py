@@ -299,6 +299,15 @@ def _catalogue() -> dict[str, Scenario]:
     start = _SHORTHANDS["start"]["paper"]
     family = Part.of("ptne_env.games:RandomEnergy", players=5)
     anywhere = _SHORTHANDS["start"]["random"]
+
+    def in_games(name: str, **arguments: Any) -> Part:
+        return Part.of(f"ptne_env.games:{name}", **arguments)
+
+    def between(low: float, high: float) -> Part:
+        return Part.of("ptne_env.starts:UniformStart", low=low, high=high)
+
+    square = Part.of("ptne_env.graphs:fixed", graph=Part.of("ptne_env.graphs:cycle", players=4))
+    hvac = Part.of("ptne_env.games:EnergyGame", target=(50.0, 55.0, 60.0, 65.0, 70.0), coupling=0.04, base_price=5.0)
     scenarios = [
         Scenario(name="energy", game=energy, signal=ring, start=start),
         Scenario(name="energy-switching", game=energy, signal=physical, start=start),
@@ -311,6 +320,14 @@ def _catalogue() -> dict[str, Scenario]:
         Scenario(
             name="random-energy-switching-transformed", game=family, signal=transformed, start=anywhere, s_end=6.0
         ),
+        Scenario(name="hvac-ye-hu", game=hvac, signal=ring, start=between(0.0, 100.0)),
+        Scenario(name="cournot", game=in_games("NetworkedCournot"), signal=ring, start=between(0.0, 6.0)),
+        Scenario(name="oligopoly", game=in_games("Oligopoly"), signal=square, start=between(20.0, 60.0)),
+        Scenario(name="robots", game=in_games("ConnectivityControl"), signal=ring, start=between(-10.0, 10.0)),
+        Scenario(name="ev-charging", game=in_games("ElectricVehicleCharging"), signal=ring, start=between(0.0, 2.0)),
+        Scenario(name="rate-control", game=in_games("RateControl"), signal=ring, start=between(0.0, 4.0)),
+        Scenario(name="random-affine", game=in_games("RandomAffine", players=5), signal=ring, start=anywhere),
+        Scenario(name="weakly-monotone", game=in_games("WeaklyMonotoneGame"), signal=ring, start=anywhere),
     ]
     return {scenario.name: scenario for scenario in scenarios}
 

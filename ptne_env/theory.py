@@ -8,6 +8,7 @@ ClosedLoopSystem). For games with affine F this is exact; for the others M is th
 from __future__ import annotations
 
 import dataclasses
+import functools
 import math
 from dataclasses import dataclass
 from typing import Any, Literal, TypeAlias
@@ -88,11 +89,12 @@ class Certificate:
         gain_bound: (ι²/ε + ι)/λ2, or ``None`` when no gain satisfies the condition.
         gain_condition_holds: whether κ exceeds it (sufficient for convergence, not necessary).
         rate: r with which the error decays like e^{−r s} as t → T; 0 or less when it does not vanish.
-        rate_is_exact: whether F is affine; otherwise the rate is that of the linearisation at x*.
+        rate_is_exact: whether the loop is linear, F being affine and no box confining the strategies; otherwise the
+            rate is that of the linearisation at x*.
         effective_time: τ_K = s_end + c t_K, the sum of the steps Θ_k.
         digits_from_rate: r (cT + s_end)/ln 10, the digits of the estimate error that the rate alone promises.
         digits_sampled: digits that the sampled loop, the product of (I − Θ_k M_k), has from the scenario's start:
-            −log10 ‖**x** − 1⊗x*‖/(√N ‖x*‖); ``None`` when F is not affine.
+            −log10 ‖**x** − 1⊗x*‖/(√N ‖x*‖); ``None`` when the loop is not linear.
         largest_step: the largest Θ_k of the scenario.
         largest_stable_step: the step beyond which explicit steps on some mode's M amplify an error; ``None`` when no
             step is stable.
@@ -144,7 +146,8 @@ def monotonicity_constants(
 
     Args:
         game: the game.
-        samples: number of points drawn from U(x* − radius, x* + radius) when F is not affine.
+        samples: number of points drawn from U(x* − radius, x* + radius) when F is not affine, and
+            projected into the game's box.
         radius: half-width of that box.
         seed: of the draws.
 
@@ -156,12 +159,13 @@ def monotonicity_constants(
     points = game.nash_equilibrium[:, None]
     if not game.is_affine:
         generator = np.random.default_rng(seed)
-        points = points + generator.uniform(-radius, radius, (game.dimension, samples))
+        points = game.project(points + generator.uniform(-radius, radius, (game.dimension, samples)))
     jacobians = np.moveaxis(_jacobians(game, points), 2, 0)
     symmetric = (jacobians + jacobians.transpose(0, 2, 1)) / 2
     blocks = [jacobians[:, game.owners == player] for player in range(game.num_players)]
+    smallest = float(np.linalg.eigvalsh(symmetric)[:, 0].min())
     return MonotonicityConstants(
-        epsilon=float(np.linalg.eigvalsh(symmetric)[:, 0].min()),
+        epsilon=0.0 if abs(smallest) <= _ZERO * _largest_norm(symmetric) else smallest,
         iota_strategies=_largest_norm(jacobians),
         iota_estimates=max(_largest_norm(block) for block in blocks),
         exact=game.is_affine,
@@ -206,7 +210,8 @@ def closed_loop_matrix(game: Game, graph: Graph, kappa: float, point: FloatArray
         point: joint strategy (n,) at which dF is taken; x* when left out.
 
     Returns:
-        Shape (Nn, Nn); entry i n + k belongs to x^i_k.
+        Shape (Nn, Nn); entry i n + k belongs to x^i_k. Around an x* at which bounds hold some strategies, these do not
+        move, and their rows and columns are left out.
 
     Raises:
         ValueError: when κ < 0 or the graph has another number of players.
@@ -218,7 +223,11 @@ def closed_loop_matrix(game: Game, graph: Graph, kappa: float, point: FloatArray
     jacobian = _jacobians(game, at[:, None])[:, :, 0]
     own = game.owners[:, None] == np.arange(game.num_players)
     blocks = [np.where(own[:, [player]], jacobian, 0.0) for player in range(game.num_players)]
-    return np.asarray(linalg.block_diag(*blocks) + kappa * np.kron(graph.laplacian, np.eye(game.dimension)))
+    matrix = np.asarray(linalg.block_diag(*blocks) + kappa * np.kron(graph.laplacian, np.eye(game.dimension)))
+    if point is None and game.has_bounds:
+        free = ~(own & game.held_at_equilibrium).T.ravel()
+        matrix = matrix[np.ix_(free, free)]
+    return matrix
 
 
 def spectral_abscissa(matrix: FloatArray) -> float:
@@ -245,9 +254,11 @@ def convergence_rate(game: Game, signal: Signal, kappa: float, deadline: float) 
     """
     if signal.is_fixed or signal.clock == "physical":
         return spectral_abscissa(closed_loop_matrix(game, _last_graph(signal, deadline), kappa))
-    monodromy = np.eye(game.num_players * game.dimension)
-    for graph, dwell in zip(signal.graphs, signal.dwells, strict=True):
-        monodromy = linalg.expm(-closed_loop_matrix(game, graph, kappa) * dwell) @ monodromy
+    steps = [
+        linalg.expm(-closed_loop_matrix(game, graph, kappa) * dwell)
+        for graph, dwell in zip(signal.graphs, signal.dwells, strict=True)
+    ]
+    monodromy = functools.reduce(lambda product, step: step @ product, steps)
     return -math.log(float(np.abs(np.linalg.eigvals(monodromy)).max())) / signal.period
 
 
@@ -296,11 +307,18 @@ def certify(scenario: Scenario, kappa: float = 2.0) -> Certificate:
     steps = [largest_stable_step(matrix) for matrix in matrices]
     stable_step = min((step for step in steps if step is not None), default=None) if None not in steps else None
     input_rate, growth = _input_rate(game, signal, kappa, scenario.deadline, rate), gain_growth(clock.transformation)
-    digits, peak_input = _sampled_digits(scenario, matrices) if game.is_affine else (None, 0.0)
+    is_linear = game.is_affine and not game.has_bounds
+    digits, peak_input = _sampled_digits(scenario, matrices) if is_linear else (None, 0.0)
 
     notes = []
     if not game.is_affine:
         notes.append("F is not affine: rate and largest stable step are those of the linearisation at x*")
+    if game.has_bounds:
+        held = int(game.held_at_equilibrium.sum())
+        notes.append(
+            f"a box confines the strategies and holds {held} of {game.dimension} components at x*; the theorems are "
+            "for strategies without bounds, and the rate is the one near x*, of what the box does not hold"
+        )
     if not signal.is_fixed and signal.clock == "physical":
         switches = signal.switches(0.0, scenario.deadline).size
         notes.append(
@@ -329,7 +347,7 @@ def certify(scenario: Scenario, kappa: float = 2.0) -> Certificate:
         gain_bound=bound,
         gain_condition_holds=bound is not None and kappa > bound,
         rate=rate,
-        rate_is_exact=game.is_affine,
+        rate_is_exact=is_linear,
         effective_time=clock.effective_time,
         digits_from_rate=rate * (scenario.gain * scenario.deadline + scenario.s_end) / math.log(10),
         digits_sampled=digits,

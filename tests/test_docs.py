@@ -162,7 +162,9 @@ def test_observation_table_is_the_layout(kind):
     rows = table(ROOT / "docs" / "environment.md", "Slice")
     column = {"physical": 2, "local": 3}[kind]
     told = {row[0].strip("`"): row[column] for row in rows if row[column] != "–"}
-    for scenario in CATALOGUE:
+    scalar = [name for name, scenario in CATALOGUE.items() if scenario.built_game.action_dims == (1,) * 5]
+    assert len(scalar) > 9  # the others have another number of players or components
+    for scenario in scalar:
         slices = ptne_env.parallel_env(scenario, interface=kind).layout.slices
         assert told == {name: f"{part.start}:{part.stop}" for name, part in slices.items()}
 

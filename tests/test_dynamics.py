@@ -128,7 +128,7 @@ def test_state_says_what_each_player_can_know(name):
         state = dynamics.step(state, -0.01 * state.estimates)
     adjacency = dynamics.signal.graphs[int(state.mode[0])].adjacency
     assert np.array_equal(state.own_gradients, game.own_gradients(state.estimates))
-    for i in range(5):
+    for i in range(game.num_players):
         seen = {}
         for slot, j in enumerate(dynamics.neighbours[:, i]):
             weight = state.weights[slot, i, 0]
