@@ -101,8 +101,8 @@ class AggregateTracking(Law):
 
     The estimate v_i of the average strategy is the mean of player i's estimates x^i_j over j, so estimates carry the
     aggregate and not the others' strategies: the error of the strategies is what counts, and the error of the estimates
-    does not vanish. The law spends ``warm_up`` steps on v_i(0) = x_i(0); where the input limit cuts these short, the
-    average stays biased.
+    does not vanish. The law spends ``warm_up`` steps on v_i(0) = x_i(0); where the input limit lets these not
+    suffice, the average stays biased.
 
     Args:
         layout: of the environment, interface ``physical``, all players of the same dimension.
@@ -119,7 +119,7 @@ class AggregateTracking(Law):
     interface = Interface("physical")
 
     def __init__(
-        self, layout: Layout, step: float = 0.5, power: float = 0.6, mixing: float = 0.3, warm_up: int = 1
+        self, layout: Layout, step: float = 0.5, power: float = 0.6, mixing: float = 0.3, warm_up: int = 4
     ) -> None:
         super().__init__(layout)
         if len(set(layout.action_dims)) != 1:

@@ -41,10 +41,10 @@ class ExtremumSeeking(Law):
     def __init__(
         self,
         layout: Layout,
-        amplitude: float = 0.5,
-        gain: float = 2.0,
-        frequency: float = 8.0,
-        washout: float = 2.0,
+        amplitude: float = 1.0,
+        gain: float = 0.2,
+        frequency: float = 9.0,
+        washout: float = 3.0,
         kappa: float = 2.0,
     ) -> None:
         super().__init__(layout)
@@ -80,10 +80,7 @@ class ExtremumSeeking(Law):
         time, mean, dither = memory[:, :1], memory[:, 1:2], memory[:, 2:]
         own = self.layout.own_mask[reading.player]
         cost = reading.own_payoff
-        if self.washout:
-            mean = np.where(np.isnan(mean), cost, mean)
-        else:
-            mean = np.zeros_like(cost)
+        mean = np.where(np.isnan(mean), cost, mean) if self.washout else np.zeros_like(cost)
         descent = -reading.theta * self.gain * dither * (cost - mean)
         later = time + reading.theta
         next_dither = np.where(own, self.amplitude * np.sin(self.frequencies * later), 0.0)

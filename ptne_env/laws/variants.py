@@ -22,7 +22,7 @@ class LocallyImplicit(Law):
     1/Θ + D for *every* constant Θ where Mᵀ D⁻¹ M ≺ M + Mᵀ, which is :meth:`condition`: that norm changes by
     −eᵀ(M + Mᵀ)e + eᵀMᵀ(1/Θ + D)⁻¹Me. This needs M + Mᵀ ≻ 0, so a κ that satisfies :class:`FixedGain`'s condition is
     enough for that half; for other κ, for graphs that switch and steps that vary it proves nothing. Consensus alone
-    (no game) is stable for every Θ and every sequence of steps when δ ≥ 1.
+    (no game) is stable for every sequence of steps when δ ≥ 1, for L ⪯ 2 diag(Σ_j a_ij) makes 𝐱ᵀ L 𝐱 a Lyapunov function.
 
     Args:
         layout: of the environment.
@@ -34,7 +34,7 @@ class LocallyImplicit(Law):
         ValueError: for a parameter out of range.
     """
 
-    def __init__(self, layout: Layout, kappa: float = 2.0, damping: float = 2.0, curvature: float = 3.0) -> None:
+    def __init__(self, layout: Layout, kappa: float = 2.0, damping: float = 1.0, curvature: float = 3.0) -> None:
         super().__init__(layout)
         self.kappa = require_non_negative("kappa", kappa)
         self.damping = require_positive("damping", damping)
