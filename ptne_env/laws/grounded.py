@@ -52,9 +52,9 @@ class AdaptiveGrounded(Law):
     """e^i_j = −θ_ij ξ_ij, dθ_ij/dτ = γ ‖ξ_ij‖² with ξ_ij = Σ_k a_ik (x^i_j − x^k_j) + a_ij (x^i_j − x^j_j); e^i_i = 0.
 
     M. Ye and G. Hu, "Adaptive approaches for fully distributed Nash equilibrium seeking in networked games",
-    Automatica, 2021: the node-based law, in effective time. Every player tunes the weights of its own consensus errors, one
-    per component, so no gain must be known. The gains are memory and take Euler steps of Θ_k. (The edge-based law of
-    that paper is of the kind of :class:`~ptne_env.laws.Adaptive`.)
+    Automatica, 2021: the node-based law, in effective time. Every player tunes the weights of its own consensus
+    errors, one per component, so no gain must be known. The gains are memory and take Euler steps of Θ_k. (The
+    edge-based law of that paper is of the kind of :class:`~ptne_env.laws.Adaptive`.)
 
     Args:
         layout: of the environment.

@@ -22,7 +22,8 @@ class LocallyImplicit(Law):
     1/Θ + D for *every* constant Θ where Mᵀ D⁻¹ M ≺ M + Mᵀ, which is :meth:`condition`: that norm changes by
     −eᵀ(M + Mᵀ)e + eᵀMᵀ(1/Θ + D)⁻¹Me. This needs M + Mᵀ ≻ 0, so a κ that satisfies :class:`FixedGain`'s condition is
     enough for that half; for other κ, for graphs that switch and steps that vary it proves nothing. Consensus alone
-    (no game) is stable for every sequence of steps when δ ≥ 1, for L ⪯ 2 diag(Σ_j a_ij) makes 𝐱ᵀ L 𝐱 a Lyapunov function.
+    (no game) is stable for every sequence of steps when δ ≥ 1, for L ⪯ 2 diag(Σ_j a_ij) makes 𝐱ᵀ L 𝐱 a Lyapunov
+    function.
 
     Args:
         layout: of the environment.

@@ -50,7 +50,9 @@ def test_what_recurs_depends_on_the_clock_of_the_signal():
     assert not condition(laws.Static, get_scenario("energy-switching-transformed")).holds
 
 
-LAWS = [law for law in vars(laws).values() if isinstance(law, type) and issubclass(law, laws.Law) and law is not laws.Law]
+LAWS = [
+    law for law in vars(laws).values() if isinstance(law, type) and issubclass(law, laws.Law) and law is not laws.Law
+]
 
 
 @pytest.mark.parametrize("scenario", CATALOGUE)

@@ -65,7 +65,9 @@ def test_projected_gradient_contracts_over_time_varying_graphs_as_its_theorem_sa
 def test_projected_gradient_does_not_promise_what_it_cannot():
     assert condition(laws.ProjectedGradient, ENERGY).holds
     assert not condition(Part.of("ptne_env.laws:ProjectedGradient", step=1.0), ENERGY).holds
-    assert not condition(laws.ProjectedGradient, get_scenario("energy-switching-transformed")).holds  # disconnected modes
+    assert not condition(
+        laws.ProjectedGradient, get_scenario("energy-switching-transformed")
+    ).holds  # disconnected modes
     large = Part.of("ptne_env.laws:ProjectedGradient", step=3.0)
     dynamics, port = make_port(ENERGY.replace(input_limit=1e9))
     assert np.abs(run(dynamics, port, large.build(layout=port.layout), loop_start(dynamics))[-1]).max() > 1e3
@@ -124,7 +126,9 @@ def test_aggregate_tracking_converges_to_the_equilibrium_under_its_conditions(sc
 def test_aggregate_tracking_gossips_where_pairs_meet():
     """h = 1/2 on a mode of disjoint pairs: a pair agrees on the mean of its two averages, and nobody else's changes."""
     dynamics, port = make_port(get_scenario("energy-switching", start="random"))
-    states = run(dynamics, port, laws.AggregateTracking(port.layout, mixing=0.5, warm_up=1), loop_start(dynamics), steps=2)[..., 0]
+    states = run(
+        dynamics, port, laws.AggregateTracking(port.layout, mixing=0.5, warm_up=1), loop_start(dynamics), steps=2
+    )[..., 0]
     before, after = states[1].mean(axis=0), states[2].mean(axis=0)
     assert dynamics.modes[1] == 0
     for i, j in [(0, 1), (2, 3)]:

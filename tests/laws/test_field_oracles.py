@@ -17,7 +17,7 @@ ORACLES = [laws.BestResponseOracle, laws.FixedTimeOracle, laws.NodeAdaptiveOracl
 
 def build(scenario, law, **arguments):
     dynamics, _ = make_port(scenario)
-    port = make_port(scenario, kind="full", **{name: True for name in law.needs})[1]
+    port = make_port(scenario, kind="full", **dict.fromkeys(law.needs, True))[1]
     assert port.interface == law.interface
     return dynamics, port, law(port.layout, **arguments)
 
@@ -56,7 +56,7 @@ def test_best_response_play_is_its_equation(scenario):
 
 @pytest.mark.parametrize("seed", range(20))
 def test_best_response_play_converges_exactly_where_its_condition_says(seed):
-    """x ← BR(x) on an affine game is a linear iteration, which converges exactly where its spectral radius is below 1."""
+    """On an affine game x ← BR(x) is linear and converges exactly where its spectral radius is below 1."""
     generator = np.random.default_rng(seed)
     matrix, offset, adjacency = random_affine(generator, 4, coupling=generator.uniform(0.5, 5.0))
     scenario = affine_scenario(matrix, offset, fixed_part(adjacency), start="random", input_limit=1e5, steps=60)
@@ -169,3 +169,24 @@ def test_node_gains_grow_until_the_network_converges_and_then_rest():
 def test_oracles_refuse_parameters_out_of_range(law, arguments, message):
     with pytest.raises(ValueError, match=message):
         build("energy", law, **arguments)
+
+
+@pytest.mark.parametrize(
+    "scenario", [get_scenario("energy-switching", start="random"), BLOCKS], ids=lambda world: world.name
+)
+def test_slices_of_oracles_show_what_they_say(scenario):
+    dynamics, port = make_port(scenario, kind="full", neighbour_errors=True, best_response=True)
+    plain = make_port(scenario, kind="full")[1]
+    state, game = loop_start(dynamics, batch=3), dynamics.game
+    seen = port.observe(state)
+    assert np.array_equal(seen[..., : plain.layout.size], plain.observe(loop_start(plain.dynamics, batch=3)))
+    for b in range(3):
+        reading = port.layout.read(seen[b])
+        estimates = state.estimates[:, :, b]
+        laplacian = dynamics.signal.graphs[0].laplacian
+        errors = estimates @ laplacian
+        response = game.best_response(state.strategies[:, [b]]) - state.strategies[:, [b]]
+        for i, slots in enumerate(port.layout.neighbours):
+            for slot, j in enumerate(slots):
+                assert reading.neighbour_errors[i, slot] == pytest.approx(errors[:, j], rel=1e-6, abs=1e-4)
+            assert reading.best_response[i] == pytest.approx(response[:, 0], rel=1e-6)
