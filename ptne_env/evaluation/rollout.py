@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from ptne_env import distances
-from ptne_env.arrays import BoolArray, FloatArray, IntArray, ordered_sum
+from ptne_env.arrays import BoolArray, FloatArray, ordered_sum
 from ptne_env.dynamics import Dynamics, State
 from ptne_env.interface import Port
 from ptne_env.policy import Policy

@@ -119,7 +119,7 @@ def performance_profile(scores: Scores, thresholds: FloatArray) -> FloatArray:
 
 
 def probability_of_improvement(scores: Scores, others: Scores) -> FloatArray:
-    """P(x > y) + P(x = y)/2 on the same episode, over all pairs of training seeds, averaged over tracks; shape (...)."""
+    """P(x > y) + P(x = y)/2 on the same episode, over pairs of training seeds, averaged over tracks; shape (...)."""
     shares = [
         (np.sign(x[..., :, None, :] - y[..., None, :, :]) + 1).mean(axis=(-3, -2, -1)) / 2
         for x, y in zip(scores, others, strict=True)
@@ -164,7 +164,10 @@ def estimate(
     point = float(statistic(*([track[None] for track in scores] for scores in policies))[0])
     generator = np.random.default_rng(seed)
     values = np.concatenate(
-        [statistic(*_resampled(policies, min(_BATCH, resamples - done), generator)) for done in range(0, resamples, _BATCH)]
+        [
+            statistic(*_resampled(policies, min(_BATCH, resamples - done), generator))
+            for done in range(0, resamples, _BATCH)
+        ]
     )
     variance = float(values.var())
     if variance == 0:
@@ -172,7 +175,9 @@ def estimate(
     parts = [(_jackknife(statistic, policies, index), len(scores[0])) for index, scores in enumerate(policies)]
     episodes = min(track.shape[-1] for scores in policies for track in scores)
     of_episodes = max(variance - sum(part * (count - 1) / count for part, count in parts), 0.0)
-    parts = [(part, count) for part, count in parts if count > 1] + [(of_episodes * episodes / max(episodes - 1, 1), episodes)]
+    parts = [(part, count) for part, count in parts if count > 1] + [
+        (of_episodes * episodes / max(episodes - 1, 1), episodes)
+    ]
     total = sum(part for part, _ in parts)
     freedom = total**2 / sum(part**2 / max(count - 1, 1) for part, count in parts)
     tail = (1 - CONFIDENCE) / 2

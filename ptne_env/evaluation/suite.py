@@ -140,7 +140,9 @@ class Suite:
         for track in self.tracks:
             if track.name == name:
                 return track
-        raise ValueError(f"suite {self.name} has no track {name!r}; choose from {', '.join(t.name for t in self.tracks)}")
+        raise ValueError(
+            f"suite {self.name} has no track {name!r}; choose from {', '.join(t.name for t in self.tracks)}"
+        )
 
     def content(self) -> dict[str, Any]:
         """What is frozen: name, tracks and rules, as a JSON object."""
@@ -208,7 +210,7 @@ def _ptne_v1() -> Suite:
     def track(name: str, change: str, *, metric: str = "digits", **changes: Any) -> Track:
         return Track(name, base.replace(name=name, **changes), change, metric)
 
-    def many(players: int, stride: int) -> dict[str, Part]:
+    def many(players: int, stride: int) -> dict[str, Any]:
         """Players on a circulant graph of degree 4, their total coupling that of five."""
         graph = Part.of("networkx:circulant_graph", n=players, offsets=(1, stride))
         graph = Part.of("ptne_env.graphs:from_networkx", graph=graph)
@@ -235,8 +237,12 @@ def _ptne_v1() -> Suite:
         ),
         track("saturated", "Inputs are limited to 2, which binds in the first half of an episode.", input_limit=2.0),
         track("coarse-step", "Half as many steps to the deadline, each twice as long.", steps=200),
-        track("large-20", "20 players, on a circulant graph of degree 4; total coupling as in the base.", **many(20, 4)),
-        track("large-50", "50 players, on a circulant graph of degree 4; total coupling as in the base.", **many(50, 7)),
+        track(
+            "large-20", "20 players, on a circulant graph of degree 4; total coupling as in the base.", **many(20, 4)
+        ),
+        track(
+            "large-50", "50 players, on a circulant graph of degree 4; total coupling as in the base.", **many(50, 7)
+        ),
         track("non-quadratic", "The paper's Example 2, whose pseudo-gradient is not Lipschitz.", game=non_quadratic),
         track("short-deadline", "A quarter of the time: T = 0.3 at the same c.", deadline=0.3),
         track("hold", "100 steps follow the deadline.", metric="digits_after_hold", hold_steps=100),
