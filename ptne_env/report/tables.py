@@ -99,7 +99,7 @@ def _comparison_table(
     title: str, results: Results, records: _Records, starts: Sequence[str], metrics: Sequence[str]
 ) -> Table:
     headings = {metric: heading for block in _BLOCKS.values() for metric, heading in block.items()}
-    table = _table(title)
+    table = empty_table(title)
     table.add_column("policy", no_wrap=True)
     for metric in metrics:
         table.add_column(Text(headings[metric]), justify="right")  # Text, because brackets are no markup
@@ -119,7 +119,7 @@ def _comparison_table(
 
 def _paired_table(label: str, results: Results, records: _Records) -> Table:
     """Learned policies against the tuned laws, paired by episode."""
-    table = _table(f"{label}: learned policies against the laws, paired by episode")
+    table = empty_table(f"{label}: learned policies against the laws, paired by episode")
     table.add_column("policy", no_wrap=True)
     for group, entry in results.tuned[label].items():
         arguments = ", ".join(f"{name}={value:g}" for name, value in entry.to_dict()["policy"]["arguments"].items())
@@ -145,7 +145,8 @@ def _fitting(metrics: list[str], width: int) -> Iterable[list[str]]:
     return (metrics[start : start + size] for start in range(0, len(metrics), size))
 
 
-def _table(title: str, *, show_header: bool = True) -> Table:
+def empty_table(title: str, *, show_header: bool = True) -> Table:
+    """A table in the style of all."""
     return Table(
         title=title, box=box.SIMPLE_HEAD, title_justify="left", pad_edge=False, show_header=show_header, expand=False
     )
@@ -153,14 +154,14 @@ def _table(title: str, *, show_header: bool = True) -> Table:
 
 def certificate_tables(certificate: Certificate) -> Group:
     """What a certificate says: assumptions with the number that decides each, then the promises."""
-    assumptions = _table(f"{certificate.scenario}: the paper's assumptions")
+    assumptions = empty_table(f"{certificate.scenario}: the paper's assumptions")
     for heading in ("", "assumption", "decided by", "value", "verdict"):
         assumptions.add_column(heading, justify="right" if heading == "value" else "left")
     for check in certificate.assumptions:
         verdict = Text(check.verdict, style=_VERDICTS.get(check.verdict, "yellow"))
         assumptions.add_row(str(check.number), check.statement, check.meaning, number(check.value), verdict)
 
-    promises = _table(f"{certificate.scenario}: the static law with κ = {certificate.kappa:g}", show_header=False)
+    promises = empty_table(f"{certificate.scenario}: the static law with κ = {certificate.kappa:g}", show_header=False)
     promises.add_column("what")
     promises.add_column("value")
     for what, value in _promises(certificate):
@@ -199,7 +200,7 @@ def _promises(certificate: Certificate) -> Iterable[tuple[str, str]]:
 
 def scenario_table() -> Table:
     """The catalogue."""
-    table = _table("Scenarios")
+    table = empty_table("Scenarios")
     for heading in ("name", "game", "graph", "T [s]", "c [1/s]", "steps", "s_end"):
         table.add_column(Text(heading))  # Text, because brackets are no markup
     for name, scenario in CATALOGUE.items():
@@ -217,7 +218,7 @@ def scenario_table() -> Table:
 
 def entry_table() -> Table:
     """The laws and the shipped learned policies."""
-    table = _table("Policies")
+    table = empty_table("Policies")
     for heading in ("name", "policy", "arguments", "interface"):
         table.add_column(heading)
     for entry in default_entries():
@@ -231,7 +232,7 @@ def entry_table() -> Table:
 
 def metric_table() -> Table:
     """Every metric and what it means."""
-    table = _table("Metrics")
+    table = empty_table("Metrics")
     table.add_column("name")
     table.add_column("meaning")
     for name, meaning in ({**METRICS, **COMPARATIVE_METRICS}).items():
