@@ -20,7 +20,7 @@ from joblib import Parallel, delayed
 from stable_baselines3 import PPO
 from stable_baselines3.common.vec_env import VecFrameStack
 
-from ptne_env import Entry, Interface, evaluate, get_scenario
+from ptne_env import Entry, Interface, evaluate
 from ptne_env.evaluation import episode_seed
 from ptne_env.files import write_atomically
 from ptne_env.policy import Policy
@@ -108,8 +108,8 @@ def measure(name: str, arguments: ppo.Arguments, folder: Path) -> dict[str, Any]
     policy = train(dataclasses.replace(arguments, **changes), **kind)
     seconds = perf_counter() - began
     entry = Entry(name, policy, Interface(arguments.interface, arguments.action_mode))
-    results = evaluate([entry], [get_scenario(arguments.scenario)], episodes=200, split="validation")
-    digits = results.record(arguments.scenario, name, "digits")
+    results = evaluate([entry], list(arguments.scenarios), episodes=200, split="validation")
+    digits = results.record(arguments.scenarios[0], name, "digits")
     result = {"variation": name, "seed": arguments.seed, "seconds": seconds} | {
         key: digits[key] for key in ("mean", "low", "high")
     }

@@ -6,9 +6,11 @@ Needs the extra ``pip install "ptne-env[sb3]"``.
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
+from gymnasium import spaces
 
 try:
     from stable_baselines3.common.vec_env import VecEnv
@@ -17,6 +19,7 @@ except ImportError as error:  # pragma: no cover - exercised in an environment w
 
 from ptne_env.arrays import BoolArray, Float32Array
 from ptne_env.envs.vector import VectorParallelEnv, VectorStep
+from ptne_env.interface import Layout
 from ptne_env.scenario import Scenario
 
 Indices = int | Iterable[int] | None
@@ -152,3 +155,90 @@ class SlotVecEnv(VecEnv):
 
     def _flat(self, observations: Float32Array) -> Float32Array:
         return observations.reshape(self.num_envs, -1)
+
+
+class MixedSlotVecEnv(VecEnv):
+    """The slots of several :class:`SlotVecEnv`, one after the other, as one ``VecEnv``.
+
+    Args:
+        parts: of the same observation and action sizes; each seeds itself from the seed of the whole.
+
+    Attributes:
+        layout: of the first part; names of slices and sizes are those of all.
+
+    Raises:
+        ValueError: without parts, or when a policy for one of them could not act in another.
+    """
+
+    def __init__(self, parts: Sequence[SlotVecEnv]) -> None:
+        if not parts:
+            raise ValueError("a mixture needs at least one part")
+        self.parts = list(parts)
+        self.layout: Layout = parts[0].layout
+        for part in parts[1:]:
+            if (part.layout.slices, part.layout.interface) != (self.layout.slices, self.layout.interface) or (
+                part.action_space != parts[0].action_space
+            ):
+                raise ValueError(
+                    f"no policy can act in both {parts[0].vector.scenario.name!r} and {part.vector.scenario.name!r}: "
+                    "their layouts differ"
+                )
+        boxes = [part.observation_space for part in parts]
+        low = np.min([box.low for box in boxes if isinstance(box, spaces.Box)], axis=0)
+        high = np.max([box.high for box in boxes if isinstance(box, spaces.Box)], axis=0)
+        sizes = [part.num_envs for part in parts]
+        self._slices = [slice(*ends) for ends in pairwise(np.cumsum([0, *sizes]).tolist())]
+        self.render_mode: str | None = None
+        super().__init__(sum(sizes), spaces.Box(low, high, dtype=np.float32), parts[0].action_space)
+
+    def seed(self, seed: int | None = None) -> Sequence[int | None]:
+        """Seed the next reset: the parts get seeds of their own, drawn from this one."""
+        children = np.random.SeedSequence(seed).generate_state(len(self.parts)).tolist()
+        self._seeds = [each for part, child in zip(self.parts, children, strict=True) for each in part.seed(child)]
+        return self._seeds
+
+    def reset(self) -> Float32Array:
+        """Start all episodes; observations of shape (slots, size)."""
+        observations = np.concatenate([part.reset() for part in self.parts])
+        self.reset_infos = [{} for _ in range(self.num_envs)]
+        self._reset_seeds()
+        self._reset_options()
+        return observations
+
+    def step_async(self, actions: np.ndarray) -> None:
+        """Remember the actions, shape (slots, action size)."""
+        for part, own in zip(self.parts, self._slices, strict=True):
+            part.step_async(actions[own])
+
+    def step_wait(self) -> tuple[Float32Array, Float32Array, BoolArray, list[dict[str, Any]]]:
+        """Step every part; see :meth:`SlotVecEnv.step_wait`."""
+        observations, rewards, dones, infos = zip(*(part.step_wait() for part in self.parts), strict=True)
+        together = [info for part in infos for info in part]
+        return np.concatenate(observations), np.concatenate(rewards), np.concatenate(dones), together
+
+    def close(self) -> None:
+        """Nothing to release."""
+
+    def get_attr(self, attr_name: str, indices: Indices = None) -> list[Any]:
+        """The attribute of each slot asked for."""
+        values = [value for part in self.parts for value in part.get_attr(attr_name)]
+        return [values[index] for index in self._get_indices(indices)]
+
+    def set_attr(self, attr_name: str, value: Any, indices: Indices = None) -> None:
+        """Set the attribute of all environments; see :meth:`SlotVecEnv.set_attr`."""
+        if len(list(self._get_indices(indices))) != self.num_envs:
+            raise ValueError("the slots share environment objects: an attribute is set for all of them or none")
+        for part in self.parts:
+            part.set_attr(attr_name, value)
+
+    def env_method(
+        self, method_name: str, *method_args: Any, indices: Indices = None, **method_kwargs: Any
+    ) -> list[Any]:
+        """Call the method of every part once; the answer for each slot asked for."""
+        calls = (part.env_method(method_name, *method_args, **method_kwargs) for part in self.parts)
+        answers = [answer for call in calls for answer in call]
+        return [answers[index] for index in self._get_indices(indices)]
+
+    def env_is_wrapped(self, wrapper_class: type, indices: Indices = None) -> list[bool]:  # noqa: ARG002
+        """No slot is wrapped."""
+        return [False] * len(list(self._get_indices(indices)))

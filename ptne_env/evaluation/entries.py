@@ -98,14 +98,14 @@ ENTRIES: Mapping[str, Entry] = {
 
 
 def learned_entry(path_or_name: str) -> Entry:
-    """A learned policy as a participant that enters the scenario it was trained on.
+    """A learned policy as a participant that enters the scenarios it was trained on.
 
     Raises:
         FileNotFoundError, PolicyFileError, ImportError: as :func:`ptne_env.policies.load`.
     """
     policy = policies.load(path_or_name)
     part = Part.of("ptne_env.policies:load_for", path_or_name=path_or_name)
-    return Entry(policy.name, part, policy.interface, frozenset({policy.metadata.scenario}))
+    return Entry(policy.name, part, policy.interface, frozenset(policy.metadata.scenarios))
 
 
 def default_entries() -> list[Entry]:

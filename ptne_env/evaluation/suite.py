@@ -188,6 +188,21 @@ class Suite:
         return start_from(dynamics, seeds)
 
 
+def find_scenario(name: str) -> Scenario:
+    """A scenario of the catalogue by name, or a track's, such as ``"ptne-v1/delay"``.
+
+    Raises:
+        ValueError: for an unknown name, or a track in which others act too.
+    """
+    suite, separator, track = name.partition("/")
+    if not separator:
+        return get_scenario(name)
+    found = get_suite(suite).track(track)
+    if found.teammates is not None:
+        raise ValueError(f"track {name!r} is more than its scenario: others act in it too")
+    return found.scenario
+
+
 def canonical_json(value: Any) -> str:
     """JSON with sorted keys, without spaces, and without the keys whose value is ``None``."""
 

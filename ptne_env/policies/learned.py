@@ -34,7 +34,7 @@ class Metadata:
         interface: through which the policy sees and acts.
         action_dims: n_i of each player it was trained with.
         slots: D, neighbour slots per player.
-        scenario: name of the scenario, or family of games, it was trained on.
+        scenarios: names of the scenarios, families of games or tracks (``"ptne-v1/delay"``) it was trained on.
         steps: agent-steps of training.
         seed: of training.
         digits: mean digits on the validation bank after training.
@@ -45,7 +45,7 @@ class Metadata:
     interface: Interface
     action_dims: tuple[int, ...]
     slots: int
-    scenario: str
+    scenarios: tuple[str, ...]
     steps: int
     seed: int
     digits: float
@@ -65,8 +65,9 @@ class Metadata:
         """
         try:
             data = json.loads(text)
-            interface, action_dims = Interface(**data.pop("interface")), tuple(data.pop("action_dims"))
-            metadata = cls(interface=interface, action_dims=action_dims, **data)
+            interface = Interface(**data.pop("interface"))
+            action_dims, scenarios = tuple(data.pop("action_dims")), tuple(data.pop("scenarios"))
+            metadata = cls(interface=interface, action_dims=action_dims, scenarios=scenarios, **data)
         except (AttributeError, KeyError, TypeError, ValueError) as error:
             raise PolicyFileError(f"the policy's metadata is damaged or of a later version: {error!r}") from error
         if metadata.layout_version != LAYOUT_VERSION:

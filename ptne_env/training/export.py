@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 _OPSET, _IR = 17, 8
 
 
-def to_onnx(model: OnPolicyAlgorithm, layout: Layout, *, scenario: str, seed: int, digits: float) -> bytes:
+def to_onnx(model: OnPolicyAlgorithm, layout: Layout, *, scenarios: tuple[str, ...], seed: int, digits: float) -> bytes:
     """The deterministic actor as an ONNX file: observations (R, size) float32 to clipped mean actions, float32.
 
     The graph is written node by node: a policy here is a stack of affine maps and tanh, perhaps behind
@@ -34,7 +34,7 @@ def to_onnx(model: OnPolicyAlgorithm, layout: Layout, *, scenario: str, seed: in
     Args:
         model: PPO or A2C with an ``MlpPolicy`` of tanh units on a flat observation.
         layout: it was trained on.
-        scenario: it was trained on, for the metadata.
+        scenarios: it was trained on, for the metadata.
         seed: of training, for the metadata.
         digits: on the validation bank, for the metadata.
 
@@ -72,7 +72,7 @@ def to_onnx(model: OnPolicyAlgorithm, layout: Layout, *, scenario: str, seed: in
         interface=layout.interface,
         action_dims=layout.action_dims,
         slots=layout.slots,
-        scenario=scenario,
+        scenarios=scenarios,
         steps=int(model.num_timesteps),
         seed=seed,
         digits=digits,

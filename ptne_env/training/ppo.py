@@ -25,11 +25,11 @@ from stable_baselines3.common.utils import LinearSchedule
 from stable_baselines3.common.vec_env import VecMonitor
 from torch import nn
 
-from ptne_env.envs.sb3 import SlotVecEnv
+from ptne_env.envs.sb3 import MixedSlotVecEnv, SlotVecEnv
 from ptne_env.evaluation import Entry, episode_seed, evaluate
+from ptne_env.evaluation.suite import find_scenario
 from ptne_env.files import write_atomically
 from ptne_env.interface import ActionMode, Interface, InterfaceKind, Layout
-from ptne_env.scenario import get_scenario
 from ptne_env.training.export import to_onnx
 from ptne_env.training.features import Products
 
@@ -44,11 +44,12 @@ class Arguments:
     """What defines a training run. Agent-steps count every player of every environment.
 
     Attributes:
-        scenario: name of the scenario or family of games to train on.
+        scenarios: what to train on: names of scenarios or families of games, or tracks such as ``"ptne-v1/delay"``.
+            With several, each gets as many environments; their layouts must agree.
         interface: ``"local"`` or ``"physical"``.
         action_mode: ``"input"`` or ``"gains"``.
         steps: agent-steps of training.
-        envs: environments stepped together.
+        envs: environments stepped together, of all scenarios.
         rollout: steps of every environment between updates.
         minibatches: per epoch.
         epochs: passes over a rollout.
@@ -64,7 +65,7 @@ class Arguments:
         checkpoint_seconds: wall time between checkpoints.
     """
 
-    scenario: str
+    scenarios: tuple[str, ...]
     interface: InterfaceKind = "local"
     action_mode: ActionMode = "input"
     steps: int = 6_000_000
@@ -83,6 +84,11 @@ class Arguments:
     validation_episodes: int = 200
     checkpoint_seconds: float = 20.0
 
+    def __post_init__(self) -> None:
+        for name in ("scenarios", "hidden"):  # lists come from files
+            value = getattr(self, name)
+            object.__setattr__(self, name, (value,) if isinstance(value, str) else tuple(value))
+
     @classmethod
     def from_toml(cls, name_or_path: str | Path, **changes: Any) -> Arguments:
         """The arguments of a shipped configuration, or of a TOML file, with some of them changed.
@@ -100,8 +106,6 @@ class Arguments:
         unknown = sorted(set(values) - known)
         if unknown:
             raise ValueError(f"{path.name}: unknown {', '.join(unknown)}; the arguments are {', '.join(sorted(known))}")
-        if "hidden" in values:
-            values["hidden"] = tuple(values["hidden"])
         return cls(**values)
 
 
@@ -135,7 +139,7 @@ def train(arguments: Arguments, out: Path, progress: Progress | None = None) -> 
         )
     digits = _validate(model, arguments)
     layout = env.get_attr("layout")[0]
-    exported = to_onnx(model, layout, scenario=arguments.scenario, seed=arguments.seed, digits=digits)
+    exported = to_onnx(model, layout, scenarios=arguments.scenarios, seed=arguments.seed, digits=digits)
     write_atomically(out / "policy.onnx", exported)
     summary = {
         "arguments": dataclasses.asdict(arguments),
@@ -165,15 +169,28 @@ def _claim(arguments: Arguments, out: Path) -> None:
 
 
 def make_env(arguments: Arguments) -> VecMonitor:
-    """The slots that a run trains on, monitored."""
-    slots = SlotVecEnv(
-        arguments.scenario,
-        arguments.envs,
-        interface=arguments.interface,
-        action_mode=arguments.action_mode,
-        max_cycles=None,
-    )
-    return VecMonitor(slots)
+    """The slots that a run trains on, monitored.
+
+    Raises:
+        ValueError: for an unknown scenario or track, scenarios that no policy can share, or a number of environments
+            that they cannot share evenly.
+    """
+    share, rest = divmod(arguments.envs, max(1, len(arguments.scenarios)))
+    if rest or not arguments.scenarios:
+        raise ValueError(
+            f"{arguments.envs} environments cannot be shared evenly by {len(arguments.scenarios)} scenarios"
+        )
+    parts = [
+        SlotVecEnv(
+            find_scenario(name),
+            share,
+            interface=arguments.interface,
+            action_mode=arguments.action_mode,
+            max_cycles=None,
+        )
+        for name in arguments.scenarios
+    ]
+    return VecMonitor(parts[0] if len(parts) == 1 else MixedSlotVecEnv(parts))
 
 
 def settings(arguments: Arguments, layout: Layout) -> dict[str, Any]:
@@ -219,11 +236,11 @@ def _validate(model: PPO, arguments: Arguments) -> float:
     entry = Entry("ppo", model, Interface(arguments.interface, arguments.action_mode))
     results = evaluate(
         [entry],
-        [get_scenario(arguments.scenario)],
+        [find_scenario(name) for name in arguments.scenarios],
         episodes=arguments.validation_episodes,
         split="validation",
     )
-    return float(results.record(arguments.scenario, "ppo", "digits")["mean"])
+    return float(np.mean([cell.samples["digits"].mean() for cell in results.cells if cell.policy == "ppo"]))
 
 
 class _Monitor(BaseCallback):

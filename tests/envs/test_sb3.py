@@ -17,7 +17,7 @@ from worlds import BLOCKS, make_env
 from ptne_env import Entry, Interface, Part, VectorParallelEnv, evaluate, get_scenario, laws
 from ptne_env.envs import vector as vector_module
 from ptne_env.envs.joint import JointEnv
-from ptne_env.envs.sb3 import SlotVecEnv
+from ptne_env.envs.sb3 import MixedSlotVecEnv, SlotVecEnv
 from ptne_env.evaluation import episode_seed
 
 
@@ -177,6 +177,48 @@ def test_bad_actions_are_refused_and_leave_no_trace(actions, message):
 def test_step_before_reset_says_to_reset():
     with pytest.raises(RuntimeError, match=r"call reset\(mask=...\) before step\(\)"):
         SlotVecEnv("energy", 2).step(np.zeros((10, 5), dtype=np.float32))
+
+
+# --- several scenarios side by side -----------------------------------------------------------------------------------
+
+
+def mixture():
+    return [SlotVecEnv(name, 2, max_cycles=3) for name in ("random-energy", "random-energy-switching")]
+
+
+def test_mixture_is_its_parts_one_after_the_other():
+    together, apart = MixedSlotVecEnv(mixture()), mixture()
+    assert together.num_envs == 20
+    together.seed(5)
+    for part, seed in zip(apart, np.random.SeedSequence(5).generate_state(2).tolist(), strict=True):
+        part.seed(seed)
+    assert np.array_equal(together.reset(), np.concatenate([part.reset() for part in apart]))
+    generator = np.random.default_rng(1)
+    for _ in range(7):
+        actions = random_actions(together, generator)
+        observations, rewards, dones, infos = together.step(actions)
+        expected = [part.step(own) for part, own in zip(apart, np.split(actions, 2), strict=True)]
+        assert np.array_equal(observations, np.concatenate([outcome[0] for outcome in expected]))
+        assert np.array_equal(rewards, np.concatenate([outcome[1] for outcome in expected]))
+        assert np.array_equal(dones, np.concatenate([outcome[2] for outcome in expected]))
+        assert [sorted(info) for info in infos] == [sorted(info) for part in expected for info in part[3]]
+
+
+def test_attributes_of_a_mixture_are_those_of_each_slots_part():
+    env = MixedSlotVecEnv(mixture())
+    names = [scenario.name for scenario in env.get_attr("scenario")]
+    assert names == ["random-energy"] * 10 + ["random-energy-switching"] * 10
+    assert [scenario.name for scenario in env.get_attr("scenario", [0, 15])] == [names[0], names[15]]
+    assert env.env_is_wrapped(VecMonitor) == [False] * 20
+    with pytest.raises(ValueError, match="all of them or none"):
+        env.set_attr("render_mode", None, [0])
+
+
+def test_mixture_of_scenarios_that_no_policy_can_share_is_refused():
+    with pytest.raises(ValueError, match="layouts differ"):
+        MixedSlotVecEnv([SlotVecEnv("random-energy", 1), SlotVecEnv(BLOCKS, 1)])
+    with pytest.raises(ValueError, match="at least one part"):
+        MixedSlotVecEnv([])
 
 
 # --- SB3's wrappers ---------------------------------------------------------------------------------------------------

@@ -17,7 +17,7 @@ def metadata(**changes):
         "interface": Interface("local"),
         "action_dims": (1,) * 5,
         "slots": 2,
-        "scenario": "random-energy",
+        "scenarios": ["random-energy"],
         "steps": 1,
         "seed": 0,
         "digits": 0.5,
@@ -133,7 +133,9 @@ def test_a_missing_policy_names_the_shipped_ones():
 def test_every_shipped_policy_loads_and_fits_the_scenario_it_names(name):
     policy = policies.load(name)
     interface = policy.interface
-    env = ptne_env.parallel_env(policy.metadata.scenario, interface=interface.kind, action_mode=interface.action_mode)
+    env = ptne_env.parallel_env(
+        policy.metadata.scenarios[0], interface=interface.kind, action_mode=interface.action_mode
+    )
     policy.require(env.layout)
     observations, _ = env.reset(seed=0)
     actions, _ = policy.predict(np.stack(list(observations.values())))
@@ -150,6 +152,6 @@ def test_every_shipped_policy_loads_and_fits_the_scenario_it_names(name):
     ],
 )
 def test_shipped_policies_beat_tuned_laws_on_games_they_have_not_seen(name, metric, digits):
-    scenario = policies.load(name).metadata.scenario
+    scenario = policies.load(name).metadata.scenarios[0]
     results = ptne_env.evaluate([name], [scenario], episodes=100)
     assert results.record(scenario, name, metric)["low"] >= digits

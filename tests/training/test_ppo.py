@@ -16,6 +16,7 @@ from stable_baselines3 import PPO
 import ptne_env
 from ptne_env import Entry, Interface, evaluate, policies
 from ptne_env.envs.sb3 import SlotVecEnv
+from ptne_env.evaluation.suite import find_scenario
 from ptne_env.training import ppo
 from ptne_env.training.export import to_onnx
 from ptne_env.training.features import Products
@@ -109,7 +110,7 @@ def test_configurations_name_scenarios_of_the_catalogue():
     assert ppo.configurations()
     for name in ppo.configurations():
         arguments = ppo.Arguments.from_toml(name, seed=3)
-        assert arguments.scenario in ptne_env.CATALOGUE
+        assert all(find_scenario(name) for name in arguments.scenarios)
         assert arguments.seed == 3
 
 
@@ -133,7 +134,7 @@ def test_the_exported_policy_acts_like_the_model_over_whole_episodes(kind, mode,
         for parameter in model.policy.action_net.parameters():
             parameter.mul_(200.0)
     path = tmp_path / "policy.onnx"
-    path.write_bytes(to_onnx(model, env.layout, scenario="random-energy-switching", seed=1, digits=0.0))
+    path.write_bytes(to_onnx(model, env.layout, scenarios=("random-energy-switching",), seed=1, digits=0.0))
     policy = policies.load(path)
     policy.require(env.layout)
     observations, clipped = env.reset(), 0
@@ -152,7 +153,7 @@ def test_a_layer_that_cannot_be_exported_is_named():
     env = SlotVecEnv("random-energy", interface="local")
     model = PPO("MlpPolicy", env, policy_kwargs={"activation_fn": torch.nn.ReLU}, device="cpu")
     with pytest.raises(ValueError, match="ReLU"):
-        to_onnx(model, env.layout, scenario="random-energy", seed=0, digits=0.0)
+        to_onnx(model, env.layout, scenarios=("random-energy",), seed=0, digits=0.0)
 
 
 @pytest.mark.parametrize("kind", ["local", "physical"])
@@ -168,3 +169,13 @@ def test_products_are_gradient_and_differences_times_links_and_player(kind):
     for row in range(len(observations)):
         expected = np.outer(factors[row], gates[row]).ravel()
         assert np.array_equal(features[row, layout.size :], expected)
+
+
+def test_environments_are_shared_evenly_by_the_scenarios():
+    names = ("random-energy", "ptne-v1/coarse-step")
+    env = ppo.make_env(ppo.Arguments(names, envs=4))
+    assert [scenario.steps for scenario in env.get_attr("scenario")] == [400] * 10 + [200] * 10
+    with pytest.raises(ValueError, match="5 environments cannot be shared evenly by 2"):
+        ppo.make_env(ppo.Arguments(names, envs=5))
+    with pytest.raises(ValueError, match="more than its scenario"):
+        ppo.make_env(ppo.Arguments("ptne-v1/mixed-team"))
