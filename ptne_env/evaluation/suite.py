@@ -268,7 +268,7 @@ def _ptne_v1() -> Suite:
             teammates=Teammates(law, (1, 3)),
         ),
     )
-    return Suite("ptne", 1, tracks, frozen="bc8bdf8aac287b170ab2ca84063579f6b7f985c398b19c65de25b0691966d9ad")
+    return Suite("ptne", 1, tracks, frozen="88a3a4dd4cd18ba8d5d77b091c959268e49dfc7212f128a178e557c50cdde38e")
 
 
 SUITES: Mapping[str, Callable[[], Suite]] = {"ptne-v1": cache(_ptne_v1)}
