@@ -17,7 +17,7 @@ def metadata(**changes):
         "interface": Interface("local"),
         "action_dims": (1,) * 5,
         "slots": 2,
-        "scenarios": ["random-energy"],
+        "scenarios": ("random-energy",),
         "steps": 1,
         "seed": 0,
         "digits": 0.5,
