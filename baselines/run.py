@@ -1,7 +1,8 @@
-"""Train every shipped configuration with five seeds, ship the median ones, and write the leaderboard.
+"""Train every shipped configuration with five seeds, ship the median ones, and write the leaderboard of the scenarios.
 
 Run it with ``python baselines/run.py``. A run that is there already is not repeated, and one that was interrupted goes
 on, so the command may be stopped and given again. ``results.json`` and ``README.md`` beside this file are its output.
+Configurations named after a suite, such as ``ptne-v1-delay``, are trained and shipped here, and ranked by ``suite.py``.
 """
 
 from __future__ import annotations
@@ -23,6 +24,9 @@ HERE = Path(__file__).parent
 RESULTS = HERE / "results.json"
 ONE_SEED = frozenset({"random-energy-switching-long"})
 """Configurations that are trained once, because a run takes many minutes, and do not ship."""
+
+SUITES = ("ptne-v1",)
+"""Configurations whose names begin with one of these are trained on its tracks."""
 
 METRICS = (
     "digits",
@@ -78,7 +82,7 @@ def ship(configuration: str, summaries: list[dict[str, Any]], runs: Path) -> str
 
 def measure(configuration: str, summaries: list[dict[str, Any]], runs: Path, episodes: int) -> list[dict[str, Any]]:
     """Every seed, and the laws, on the test bank: one row each."""
-    scenario = summaries[0]["arguments"]["scenario"]
+    (scenario,) = summaries[0]["arguments"]["scenarios"]
     learned = [
         Entry(f"{configuration}, seed {seed}", policies.load(runs / configuration / f"seed-{seed}" / "policy.onnx"))
         for seed in range(len(summaries))
@@ -158,7 +162,8 @@ def main(
         own = [summary for (task, _), summary in zip(tasks, trained, strict=True) if task == name]
         if name not in ONE_SEED:
             typer.echo(f"shipped {ship(name, own, runs)}")
-        rows += measure(name, own, runs, episodes)
+        if not name.startswith(SUITES):
+            rows += measure(name, own, runs, episodes)
     rows = list({(row["scenario"], row["policy"]): row for row in rows}.values())  # the latest of each
     write_atomically(RESULTS, json.dumps({"episodes": episodes, "rows": rows}, indent=1, allow_nan=False) + "\n")
     write_atomically(HERE / "README.md", leaderboard(rows, episodes))
