@@ -70,7 +70,7 @@ class Reward:
                 "everywhere; choose digits, tracking or payoff"
             )
         self._distance = np.empty((0, 0))
-        self._log_distance = np.empty((0, 0))
+        self._digits = np.empty((0, 0))
 
     def reset(self, state: State) -> None:
         """Start from ``state``; environments that go on keep what they have."""
@@ -78,7 +78,7 @@ class Reward:
 
     def step(self, state: State) -> dict[str, FloatArray]:
         """The value of each term for the step that ended in ``state``, each of shape (N, B)."""
-        before = self._log_distance
+        before = self._digits
         self._measure(state)
         terms = {name: self._term(name, state, before) for name in self.weights}
         if state.any_diverged:
@@ -109,11 +109,11 @@ class Reward:
         if state.any_diverged:
             distance = np.where(state.diverged, self.dynamics.distance_limit(state.game), distance)
         self._distance = distance
-        self._log_distance = -distances.digits(distance)
+        self._digits = distances.digits(distance)
 
-    def _term(self, name: str, state: State, log_distance_before: FloatArray) -> FloatArray:
+    def _term(self, name: str, state: State, digits_before: FloatArray) -> FloatArray:
         if name == "digits":
-            return log_distance_before - self._log_distance
+            return self._digits - digits_before
         if name == "tracking":
             return -self._distance
         game, strategies = state.game, state.strategies

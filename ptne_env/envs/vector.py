@@ -186,7 +186,11 @@ class VectorParallelEnv:
             "reward_terms": terms,
             "is_success": success,
         }
-        rewards = self._by_env([outcome.rewards.T for outcome in outcomes])
+        first = next(iter(terms))
+        if outcomes[0].rewards is outcomes[0].terms[first]:  # one term of weight 1, the usual case: transposed already
+            rewards = terms[first].copy()
+        else:
+            rewards = self._by_env([outcome.rewards.T for outcome in outcomes])
         return VectorStep(observations, rewards, terminated, truncated, infos)
 
     def _by_env(self, parts: list[FloatArray]) -> FloatArray:
