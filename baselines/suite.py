@@ -1,9 +1,9 @@
 """Run every law and every learned policy on the suite ``ptne-v1`` and write its leaderboard.
 
 Run it with ``python baselines/suite.py`` after ``python baselines/run.py``, which trains the policies, five seeds of
-each. Cells that are there already are not run again. ``ptne-v1.md`` beside this file is its output; the
-folder ``results/ptne-v1`` holds every number of every episode, and ``ptne compare --check results/ptne-v1`` runs some of
-them again.
+each. Cells that are there already are not run again. ``ptne-v1.md`` beside this file is its output. The folder
+``results/ptne-v1`` holds every number of every episode, and ``ptne compare --check results/ptne-v1`` runs some of them
+again.
 """
 
 from __future__ import annotations

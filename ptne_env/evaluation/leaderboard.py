@@ -94,7 +94,8 @@ class Leaderboard:
         run: what was run.
         rows: one per track and policy, in the order of the run.
         saturated: names of the tracks where the best policies all stand at the floor, ranked by time to 1e-6.
-        common: names of the tracks that overall scores are taken over.
+        common: names of the tracks that overall scores are taken over: those that all policies can play, short of the
+            policies that cannot play half of them.
         overall: one per policy that enters overall scores, the best first.
     """
 
@@ -163,8 +164,10 @@ def leaderboard(run: Run) -> Leaderboard:
                     scores[track.name, name] = (raw[track.name, name] - null) / (law - null)
     ranks, saturated = _ranks(run, samples)
     rows = tuple(_row(run, track, name, samples, scores, ranks) for track in run.tracks for name in names)
-    common = tuple(track.name for track in run.tracks if all((track.name, name) in scores for name in names))
-    overall = [_overall(run, name, common, scores, ranks) for name in names] if common else []
+    scored = [track.name for track in run.tracks if (track.name, LAW) in scores]
+    broad = [name for name in names if 2 * sum((track, name) in scores for track in scored) >= len(scored)]
+    common = tuple(track for track in scored if all((track, name) in scores for name in broad))
+    overall = [_overall(run, name, common, scores, ranks) for name in broad] if common else []
     overall.sort(key=lambda row: -(row.score.mean or 0.0))
     return Leaderboard(run, rows, saturated, common, tuple(overall))
 

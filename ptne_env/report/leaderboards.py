@@ -92,7 +92,11 @@ def _overall(board: Leaderboard) -> list[Table | Text]:
             *shares,
         )
     left_out = [track.name for track in board.run.tracks if track.name not in board.common]
+    ranked = {row.policy for row in board.overall}
+    special = [name for name in board.run.participants if name not in ranked]
     told = f"Over {len(board.common)} tracks that all can play and on which the law gains: {', '.join(board.common)}."
+    if special:
+        told += f" Without {', '.join(special)}, which can play fewer than half of the tracks."
     if left_out:
         told += f" Not over {', '.join(left_out)}."
     return [table, Text(told, style="dim")]

@@ -204,6 +204,16 @@ def test_a_learned_policy_reads_not_applicable_where_its_layout_does_not_fit(tmp
     json.loads(board.to_json(), parse_constant=lambda name: pytest.fail(f"{name} in the file"))
 
 
+def test_a_policy_that_plays_fewer_than_half_of_the_tracks_does_not_narrow_the_scores_of_the_others(tmp_path):
+    complete = SMALL.track("complete")
+    again = Track("again", complete.scenario, "the same under another name")
+    suite = Suite("narrow", 1, (*SMALL.tracks, again), episodes=2)
+    board = leaderboard(run_suite(suite, ["ppo-random-energy", "grounded"], tmp_path))
+    assert board.common == ("ring", "complete", "again")
+    assert {row.policy for row in board.overall} == {"grounded", *ANCHORS}
+    assert board.row("ring", "ppo-random-energy").score is not None
+
+
 def test_a_policy_that_fits_nowhere_is_an_error(tmp_path):
     suite = Suite("complete", 1, (SMALL.track("complete"),), episodes=2)
     with pytest.raises(ValueError, match="fits no track"):
