@@ -191,8 +191,8 @@ class Cell:
     def compute(self) -> Measured:
         """Run the episodes."""
         dynamics = Dynamics(self.track.scenario)
-        port = Port(dynamics, self.entry.interface)
         try:
+            port = Port(dynamics, self.entry.interface)
             policy = self.entry.build(port.layout)
         except ValueError as error:  # made for another layout, or for other games
             return Measured({}, {}, str(error))
