@@ -165,15 +165,18 @@ class JointVectorEnv(gymnasium.vector.VectorEnv[Float32Array, Float32Array, npt.
 
         Args:
             seed: S for S, S + 1, …, or one per environment.
-            options: ``{"reset_mask": mask}`` starts only the environments in the mask, shape (B,), bool.
+            options: ``{"reset_mask": mask}`` starts only the environments in the mask, shape (B,), bool;
+                ``{"estimates": table}`` starts from the given estimates, shape (N, n) for all or (B, N, n).
 
         Raises:
-            ValueError: for a wrong number of seeds, or a mask of another shape or dtype or without a True.
+            ValueError: for a wrong number of seeds, estimates of another shape, or a mask of another shape or dtype or
+                without a True.
         """
-        mask = None if options is None else options.get("reset_mask")
+        options = options or {}
+        mask = options.get("reset_mask")
         if mask is not None and not np.any(mask):
             raise ValueError("options['reset_mask'] must name at least one environment to reset")
-        observations = self.vector.reset(seed, mask)
+        observations = self.vector.reset(seed, mask, options.get("estimates"))
         self._over = np.zeros_like(self._over) if mask is None else self._over & ~np.asarray(mask)
         return self._joint(observations), {}
 

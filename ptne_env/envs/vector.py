@@ -10,6 +10,7 @@ import numpy.typing as npt
 from gymnasium import spaces
 
 from ptne_env.arrays import BoolArray, Float32Array, FloatArray, IntArray, require_count
+from ptne_env.dynamics import RANGE_LIMIT
 from ptne_env.envs.core import Outcome, Simulation
 from ptne_env.interface import ActionMode, Interface, InterfaceKind, Layout
 from ptne_env.scenario import Scenario, get_scenario
@@ -108,19 +109,35 @@ class VectorParallelEnv:
         self.single_action_space: spaces.Box = port.action_space()
         self._over = np.ones(self.num_envs, dtype=np.bool_)
 
-    def reset(self, seed: int | Sequence[int | None] | None = None, mask: npt.ArrayLike | None = None) -> Float32Array:
+    @property
+    def max_cycles(self) -> int | None:
+        """Steps after which an episode is truncated; may be set at any time."""
+        return self._blocks[0].max_cycles
+
+    @max_cycles.setter
+    def max_cycles(self, value: int | None) -> None:
+        for block in self._blocks:
+            block.max_cycles = value
+
+    def reset(
+        self,
+        seed: int | Sequence[int | None] | None = None,
+        mask: npt.ArrayLike | None = None,
+        estimates: npt.ArrayLike | None = None,
+    ) -> Float32Array:
         """Start episodes.
 
         Args:
             seed: one per environment, or S for S, S + 1, …; ``None`` goes on with the generators there are.
             mask: which environments start afresh, shape (B,), bool; all if left out.
+            estimates: initial estimates instead of drawn ones, shape (N, n) for all or (B, N, n), row i being x^i(0).
 
         Returns:
             Observations of all environments, shape (B, N, size), float32, owned by the caller.
 
         Raises:
-            ValueError: for an invalid seed, a wrong number of seeds, a mask of another shape or dtype, or a mask that
-                leaves some out of the first reset; no environment is touched.
+            ValueError: for an invalid seed, a wrong number of seeds, a mask of another shape or dtype, a mask that
+                leaves some out of the first reset, or estimates of another shape; no environment is touched.
         """
         seeds = self._seeds(seed)
         chosen = np.ones(self.num_envs, dtype=np.bool_) if mask is None else np.asarray(mask)
@@ -128,10 +145,12 @@ class VectorParallelEnv:
             raise ValueError(f"a reset mask is {self.num_envs} booleans, got {chosen.dtype} of shape {chosen.shape}")
         if self._blocks[0].state is None and not chosen.all():
             raise ValueError("the first reset() starts every environment: leave out the mask")
+        given = None if estimates is None else self._estimates(estimates)
         observations = self._empty_observations()
         for block, part in zip(self._blocks, self._slices, strict=True):
             if chosen[part].any():
-                block.reset(seeds[part], chosen[part])
+                table = None if given is None else given[:, :, part][:, :, chosen[part]]
+                block.reset(seeds[part], chosen[part], table)
             block.observe(observations[part])
         self._over = self._over & ~chosen
         return observations
@@ -199,6 +218,19 @@ class VectorParallelEnv:
 
     def _empty_observations(self) -> Float32Array:
         return np.empty((self.num_envs, self.num_players, self.layout.size), dtype=np.float32)
+
+    def _estimates(self, estimates: npt.ArrayLike) -> FloatArray:
+        """Initial estimates with environments last, (n, N, B)."""
+        try:
+            table = np.asarray(estimates, dtype=np.float64)
+        except (TypeError, ValueError) as error:
+            raise ValueError(f"initial estimates are an (N, n) or (B, N, n) table of numbers: {error}") from error
+        shape = (self.num_envs, self.num_players, self.layout.dimension)
+        if table.shape not in (shape, shape[1:]):
+            raise ValueError(f"initial estimates have the shape (N, n) = {shape[1:]} or {shape}, got {table.shape}")
+        if not np.all(np.abs(table) <= RANGE_LIMIT):
+            raise ValueError(f"initial estimates must be finite and within ±{RANGE_LIMIT:g}")
+        return np.moveaxis(np.broadcast_to(table, shape), 0, 2).swapaxes(0, 1)
 
     def _seeds(self, seed: int | Sequence[int | None] | None) -> list[int | None]:
         if seed is None:

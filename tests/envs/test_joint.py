@@ -378,3 +378,29 @@ def test_vector_that_cannot_be_is_refused():
         JointVectorEnv("energy", 2, autoreset_mode="Sometimes")
     with pytest.raises(ValueError, match="does not render; make one environment with a render_mode"):
         gymnasium.make_vec("ptne_env:ptne/energy-joint-v0", num_envs=2, render_mode="rgb_array")
+
+
+def test_estimates_reach_every_environment_of_the_vector_and_those_in_the_mask_alone():
+    env = JointVectorEnv("energy", 3, autoreset_mode="Disabled")
+    env.reset(seed=0, options={"estimates": np.full((5, 5), 3.0)})
+    one = JointEnv("energy")
+    expected, _ = one.reset(seed=0, options={"estimates": np.full((5, 5), 3.0)})
+    table = np.arange(75.0).reshape(3, 5, 5)
+    observations, _ = env.reset(options={"estimates": table, "reset_mask": np.array([False, True, False])})
+    assert np.array_equal(observations[0], expected)
+    assert np.array_equal(observations[2], expected)
+    expected, _ = one.reset(options={"estimates": table[1]})
+    assert np.array_equal(observations[1], expected)
+
+
+@pytest.mark.parametrize("table", [np.zeros((5, 4)), np.full((5, 5), np.nan), [["a"] * 5] * 5])
+def test_wrong_estimates_are_refused_before_anything_starts(table):
+    env = JointVectorEnv("energy", 2)
+    observations, _ = env.reset(seed=0)
+    with pytest.raises(ValueError, match="initial estimates"):
+        env.reset(seed=1, options={"estimates": table})
+    actions = np.zeros(env.action_space.shape, dtype=np.float32)
+    twin = JointVectorEnv("energy", 2)
+    twin.reset(seed=0)
+    assert np.array_equal(env.step(actions)[0], twin.step(actions)[0])
+    assert observations.shape == env.observation_space.shape

@@ -179,6 +179,16 @@ def test_step_before_reset_says_to_reset():
         SlotVecEnv("energy", 2).step(np.zeros((10, 5), dtype=np.float32))
 
 
+def test_limit_of_an_episode_may_be_set_afterwards():
+    env = SlotVecEnv("random-energy", 2, seed=0)
+    env.set_attr("max_cycles", 2)
+    assert env.get_attr("max_cycles") == [2] * 10
+    env.reset()
+    actions = np.zeros((10, 5), dtype=np.float32)
+    assert not env.step(actions)[2].any()
+    assert env.step(actions)[2].all()
+
+
 # --- several scenarios side by side -----------------------------------------------------------------------------------
 
 
