@@ -173,6 +173,10 @@ def _text(summary: Summary | None, format_: Callable[[float | None], str] = numb
     return text
 
 
+def _mean(summary: Summary | None) -> float | None:
+    return None if summary is None else summary.mean
+
+
 def _share(value: float | None) -> str:
     """Scores and probabilities, whose zero is a matter of rounding."""
     return "–" if value is None else f"{value + 0.0:.3f}".replace("-0.000", "0.000")
