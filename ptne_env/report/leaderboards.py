@@ -46,9 +46,9 @@ def leaderboard_tables(board: Leaderboard, width: int = 172) -> Group:
         left_out += [heading for heading in missing if heading not in left_out]
         tables += [table, Text(track.change, style="dim"), *_not_applicable(board, track.name), Text()]
     tables += _digits_by_track(board, width)
-    table, missing = _overall(board, width)
+    overall, missing = _overall(board, width)
     left_out += [heading for heading in missing if heading not in left_out]
-    tables += table
+    tables += overall
     tables.append(Text("* an oracle: it sees what no player can see, and has no rank", style="dim"))
     if left_out:
         told = f"Left out for want of width: {', '.join(left_out)}; results.json has everything."
@@ -73,8 +73,10 @@ def _track_table(board: Leaderboard, track: str, width: int) -> tuple[Table, lis
     columns = [
         column("rank", lambda row, _: "" if row.rank is None else str(row.rank)),
         column(metric.replace("_", " "), lambda _, found: _text(found[metric])),
-        column("score", lambda row, _: _share(row.score and row.score.mean)),
-        column(f"P(better\nthan {LAW})", lambda row, _: _share(row.improvement and row.improvement.mean)),
+        column("score", lambda row, _: _share(None if row.score is None else row.score.mean)),
+        column(
+            f"P(better\nthan {LAW})", lambda row, _: _share(None if row.improvement is None else row.improvement.mean)
+        ),
         column("time to\n1e-6 [s]", lambda row, _: number(row.fine_time)),
         *(
             column(heading, lambda _, found, name=name: number(found[name].mean))  # type: ignore[misc]
@@ -173,6 +175,10 @@ def _text(summary: Summary | None, format_: Callable[[float | None], str] = numb
     if summary.low != summary.high:
         text.append(f" [{format_(summary.low)}, {format_(summary.high)}]", style="dim")
     return text
+
+
+def _mean(summary: Summary | None) -> float | None:
+    return None if summary is None else summary.mean
 
 
 def _share(value: float | None) -> str:

@@ -182,6 +182,22 @@ def test_a_cell_depends_on_the_source_of_a_policy_of_ones_own(tmp_path, monkeypa
     assert benchmark.files(participant.runs[0]) != before
 
 
+def test_a_cell_depends_on_the_sources_of_a_world_of_ones_own(tmp_path, monkeypatch):
+    monkeypatch.syspath_prepend(tmp_path)
+    module = tmp_path / "my_own_graph.py"
+    module.write_text("from ptne_env import graphs\n\ndef ring():\n    return graphs.cycle(5)\n")
+    mine = BASE.replace(signal=Part.of("ptne_env.graphs:fixed", graph=Part.of("my_own_graph:ring")))
+    suite = Suite("mine", 1, (Track("mine", mine, "My graph."), Track("ring", BASE, "The base.")))
+
+    def found():
+        run = run_suite(suite, [], tmp_path, episodes=1)
+        return {cell.track.name: cell.key for cell in run.cells if cell.participant == "static"}
+
+    before = found()
+    module.write_text(module.read_text() + "\n# changed\n")
+    assert {name for name, key in found().items() if key != before[name]} == {"mine"}
+
+
 def test_a_policy_of_ones_own_gets_the_same_table(tmp_path, monkeypatch):
     monkeypatch.syspath_prepend(tmp_path)
     (tmp_path / "my_law.py").write_text(
