@@ -374,14 +374,24 @@ def test_ranks_of_a_saturated_track_go_by_the_time_to_1e_6(tmp_path):
     fast = Entry("fast", Part.of("ptne_env.laws:Grounded", kappa=3.0))
     suite = get_suite("ptne-v1")
     board = leaderboard(
-        run_suite(suite, ["grounded", fast], tmp_path, tracks=["nominal", "short-deadline"], episodes=20)
+        run_suite(
+            suite,
+            ["grounded", fast, "aggregate-tracking"],
+            tmp_path,
+            tracks=["nominal", "short-deadline"],
+            episodes=20,
+        )
     )
     assert board.saturated == ("nominal",)
     rows = {name: board.row("nominal", name) for name in ("grounded", "fast", "static", "null")}
     times = {name: row.fine_time for name, row in rows.items()}
     assert sorted(("grounded", "fast"), key=times.get) == sorted(("grounded", "fast"), key=lambda name: rows[name].rank)
     assert times["null"] == pytest.approx(1.2)
-    assert rows["null"].rank == 4
+    assert rows["null"].rank == 5
+    # Its strategies settle early, but its estimates, which are scored, do not.
+    aggregate = board.row("nominal", "aggregate-tracking")
+    assert aggregate.fine_time < times["static"]
+    assert aggregate.rank == 4
     assert board.row("nominal", "oracle").rank is None
     by_digits = [board.row("short-deadline", name) for name in rows]
     by_digits.sort(key=lambda row: row.rank)
