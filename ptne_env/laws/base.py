@@ -55,6 +55,27 @@ class Law(ABC):
         actions = self._actions(inputs, reading)
         return (actions[0] if single else actions), memory
 
+    def inputs(self, reading: Reading, memory: Any = None) -> tuple[FloatArray, Any]:
+        """What :meth:`predict` decides, in float64 and before the action box; it is what theory computes with.
+
+        Args:
+            reading: of R players.
+            memory: the law's, as it returned it; a fresh one if left out.
+
+        Returns:
+            The inputs u^i in the reading's unit, shape (R, n), and the memory for the next step.
+        """
+        return self._inputs(reading, self._initial_memory(len(reading.player)) if memory is None else memory)
+
+    @property
+    def has_memory(self) -> bool:
+        """Whether the law remembers something from step to step, such as gains that adapt."""
+        return self._initial_memory(1) is not None
+
+    def initial_memory(self, rows: int) -> Any:
+        """A fresh memory for R players, one row each; ``None`` for a law without memory."""
+        return self._initial_memory(rows)
+
     @abstractmethod
     def _inputs(self, reading: Reading, memory: Any) -> tuple[FloatArray, Any]:
         """Inputs u^i in the reading's unit, shape (R, n), and the memory for the next step."""
