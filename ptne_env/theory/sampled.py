@@ -128,14 +128,14 @@ class SampledLoop:
 class DominantMode:
     """The slowest mode of a sampled loop over a window of steps, and whether it is alone.
 
-    A mode of M with eigenvalue μ shrinks by Π |1 − h_k μ| over the window, so its rate there is
-    −Σ ln|1 − h_k μ| / Σ h_k. The start is split into modes; the share of one is its part of the sum of all their
-    norms when the window opens, so both the spectral gap and the start decide.
+    A mode of M with eigenvalue μ shrinks by Π |1 − h_k μ| over the window, so its rate there is −Σ ln|1 − h_k μ| / Σ h_k.
+    When the window opens the error is one part in the slowest mode and the rest; both the spectral gap and the start
+    decide how large the rest is, and within the window it only becomes smaller.
 
     Attributes:
         rate: of the slowest mode, per unit of the loop's time.
         gap: by how much faster the next mode is.
-        share: of the slowest mode (a complex pair is two modes), 0 to 1, when the window opens.
+        share: ‖part‖/(‖part‖ + ‖rest‖) when the window opens, 0 to 1.
         is_alone: whether the share is at least 0.95 and the mode real, so that the log error falls along a line.
     """
 
@@ -307,10 +307,11 @@ def dominant_mode(sampled: SampledLoop, start: FloatArray, first: int, last: int
         return None
     factors = np.log(np.abs(1 - sampled.steps[:last, None] * eigenvalues) + np.finfo(np.float64).tiny)
     rates = -factors[first:].sum(axis=0) / sampled.steps[first:last].sum()
-    opening = np.log(np.abs(np.linalg.solve(vectors, start)) + np.finfo(np.float64).tiny) + factors[:first].sum(axis=0)
-    shares = np.exp(opening - opening.max())
     slowest = int(rates.argmin())
-    share = float(shares[slowest] / shares.sum())
+    parts = vectors * np.linalg.solve(vectors, start) * np.prod(1 - sampled.steps[:first, None] * eigenvalues, axis=0)
+    part = float(np.linalg.norm(parts[:, slowest]))
+    rest = float(np.linalg.norm(np.delete(parts, slowest, axis=1).sum(axis=1)))
+    share = part / (part + rest)
     others = np.delete(rates, slowest)
     is_real = abs(eigenvalues[slowest].imag) <= 1e-9 * abs(eigenvalues[slowest])
     return DominantMode(
