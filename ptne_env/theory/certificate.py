@@ -272,7 +272,7 @@ def certify(
         digits_from_rate=rate * time_left / math.log(10),
         digits_sampled=None if path is None else _digits(distance(path[clock.steps], game)),
         digits_after_hold=_digits(distance(path[-1], game)) if path is not None and clock.hold_steps else None,
-        worst_digits_gained=None if adapts or path is None else _digits(np.linalg.norm(loop.transition(), 2)),
+        worst_digits_gained=None if adapts or path is None else _worst_digits(loop),
         largest_step=largest_step,
         largest_stable_step=stable_step,
         step_margin=None if stable_step is None else stable_step / largest_step,
@@ -422,6 +422,11 @@ def _digits(distances: Any) -> float:
     if not math.isfinite(value):
         return -_LARGEST_DIGITS
     return float(np.clip(-math.log10(max(value, 1e-308)), -_LARGEST_DIGITS, _LARGEST_DIGITS))
+
+
+def _worst_digits(loop: SampledLoop) -> float:
+    transition = loop.transition()
+    return _digits(np.linalg.norm(transition, 2) if np.all(np.isfinite(transition)) else math.inf)
 
 
 def _smallest(values: Sequence[float | None]) -> float | None:

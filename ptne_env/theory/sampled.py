@@ -28,6 +28,9 @@ _OVERFLOW = 1e150
 _LARGEST_SYSTEM = 1200
 """Delays are tried while the augmented matrix has no more rows than this: its eigenvalues take seconds beyond."""
 
+_LARGEST_RESOLVENT = 150
+"""The small-gain bound on delays is found for at most this many estimates, for the same reason."""
+
 
 @dataclass(frozen=True)
 class SampledLoop:
@@ -128,7 +131,7 @@ class SampledLoop:
 class DominantMode:
     """The slowest mode of a sampled loop over a window of steps, and whether it is alone.
 
-    A mode of M with eigenvalue μ shrinks by Π |1 − h_k μ| over the window, so its rate there is −Σ ln|1 − h_k μ| / Σ h_k.
+    A mode of M with eigenvalue μ shrinks by Π |1 − h_k μ| over the window: its rate there is −Σ ln|1 − h_k μ| / Σ h_k.
     When the window opens the error is one part in the slowest mode and the rest; both the spectral gap and the start
     decide how large the rest is, and within the window it only becomes smaller.
 
@@ -269,23 +272,24 @@ def is_stable_for_every_delay(loop: Loop, step: float) -> bool:
 def delay_bound(loop: Loop, step: float) -> float | None:
     """A bound on h d below which the loop is stable with every message d steps late; first order in h d, sufficient.
 
-    With A = I − hM a late message adds h message (1 − z^{−d}) to z I − A, and |1 − z^{−d}| ≤ d |z − 1| on |z| = 1. So no
-    eigenvalue crosses the unit circle while h d ρ((z − 1)(z I − A)^{−1} message) < 1 all along it (small gain). For
-    small h the largest ρ is about that of ``message`` itself: h d < 1/(κ ρ(adjacency)) for the static law.
+    With A = I − hM a late message subtracts h message (1 − z^{−d}) from z I − A, and |1 − z^{−d}| ≤ d |z − 1| on
+    |z| = 1. So no eigenvalue crosses the unit circle while h d ρ((z − 1)(z I − A)^{−1} message) < 1 all along it (small
+    gain). For small h the largest ρ is about that of ``message`` itself: h d < 1/(κ ρ(adjacency)) for the static law.
 
     Returns:
-        1/max_z ρ, over 160 angles; ``None`` where the loop is unstable without delay, or no message matters.
+        1/max_z ρ, over 96 angles; ``None`` where the loop is unstable without delay, no message matters, or there are
+        more than 150 estimates.
     """
     identity = np.eye(len(loop.local))
     transition = identity - step * loop.matrix
-    if np.abs(np.linalg.eigvals(transition)).max() >= 1 or not loop.message.any():
+    if len(identity) > _LARGEST_RESOLVENT or np.abs(np.linalg.eigvals(transition)).max() >= 1:
         return None
-    points = np.exp(1j * np.geomspace(1e-4, np.pi, 160))
+    points = np.exp(1j * np.geomspace(1e-3, np.pi, 96))
     largest = max(
         float(np.abs(np.linalg.eigvals((z - 1) * np.linalg.solve(z * identity - transition, loop.message))).max())
         for z in points
     )
-    return 1 / largest
+    return 1 / largest if largest > 0 else None
 
 
 def dominant_mode(sampled: SampledLoop, start: FloatArray, first: int, last: int) -> DominantMode | None:
@@ -302,13 +306,15 @@ def dominant_mode(sampled: SampledLoop, start: FloatArray, first: int, last: int
     """
     if len(sampled.loops) != 1:
         return None
-    eigenvalues, vectors = np.linalg.eig(sampled.loops[0].matrix)
+    eigenvalues, vectors = np.linalg.eig(sampled.loops[0].matrix.astype(np.complex128))
     if np.linalg.cond(vectors) > 1e10 or not np.all(eigenvalues):
         return None
-    factors = np.log(np.abs(1 - sampled.steps[:last, None] * eigenvalues) + np.finfo(np.float64).tiny)
-    rates = -factors[first:].sum(axis=0) / sampled.steps[first:last].sum()
+    tiny = np.finfo(np.float64).tiny  # a mode that a step annihilates has no logarithm
+    growth = np.log(1 - sampled.steps[:last, None] * eigenvalues + tiny)
+    rates = -growth[first:].real.sum(axis=0) / sampled.steps[first:last].sum()
     slowest = int(rates.argmin())
-    parts = vectors * np.linalg.solve(vectors, start) * np.prod(1 - sampled.steps[:first, None] * eigenvalues, axis=0)
+    opening = growth[:first].sum(axis=0)
+    parts = vectors * np.linalg.solve(vectors, start) * np.exp(opening - opening.real.max())
     part = float(np.linalg.norm(parts[:, slowest]))
     rest = float(np.linalg.norm(np.delete(parts, slowest, axis=1).sum(axis=1)))
     share = part / (part + rest)

@@ -1,5 +1,6 @@
 """Each prediction against the sampled environment, on random strongly monotone affine games and connected graphs."""
 
+import contextlib
 from dataclasses import dataclass
 
 import numpy as np
@@ -59,16 +60,26 @@ def test_product_of_steps_is_the_environment(records):
     for record in records:
         np.testing.assert_allclose(record.measured, record.predicted, rtol=1e-6, atol=ROUNDING)
     digits = [-np.log10(record.measured[-1]) for record in records]
-    assert min(digits) < 1 < 8 < max(digits)  # of every difficulty
+    assert min(digits) < 1
+    assert max(digits) > 8
 
 
 def test_rate_is_the_slope_of_the_log_error_where_one_mode_dominates(records):
-    dominated = [record for record in records if record.mode is not None and record.mode.is_alone]
+    dominated = [
+        record
+        for record in records
+        if record.mode is not None and record.mode.is_alone and record.predicted[-1] > 1e4 * ROUNDING
+    ]
     assert len(dominated) >= 100
+    short = 0
     for record in dominated:
         assert record.slope == pytest.approx(record.mode.rate, rel=0.05)
-        # The spectral abscissa is the rate of ever shorter steps, and these are short compared with the slowest mode.
-        assert record.slope == pytest.approx(record.loop.rate(record.case.scenario), rel=0.05)
+        # The spectral abscissa r is the rate of ever shorter steps; that of steps h is −ln(1 − h r)/h ≈ r + h r²/2.
+        rate, step = record.loop.rate(record.case.scenario), record.loop.steps[record.window.start]
+        assert record.slope == pytest.approx(rate, rel=0.05 + step * rate / 2)
+        short += step * rate < 0.05
+        assert step * rate >= 0.05 or record.slope == pytest.approx(rate, rel=0.05)
+    assert short >= 80
 
 
 def test_without_a_dominant_mode_the_slope_may_be_another(records):
@@ -94,38 +105,50 @@ def test_worst_case_is_attained(records):
 @pytest.mark.parametrize("law", ["Static", "Grounded", "CorollaryOne"])
 @pytest.mark.parametrize("seed", range(8))
 def test_largest_stable_step_separates_settling_from_growth(seed, law):
-    quiet = {"input_limit": 1e300}
-    stable = random_case(1000 + seed, law, margin=(1.02, 1.03), spacing="effective", gain=5.0, **quiet)
-    growing = random_case(1000 + seed, law, margin=(0.6, 0.7), spacing="effective", gain=5.0, **quiet)
+    fields = {"spacing": "physical" if law == "CorollaryOne" else "effective", "gain": 5.0, "input_limit": 1e30}
+    stable = random_case(1000 + seed, law, margin=(1.02, 1.03), s_end=2.0, **fields)
+    growing = random_case(1000 + seed, law, margin=(0.6, 0.7), s_end=2.0, **fields)
     for case, grows in ((stable, False), (growing, True)):
         loop = theory.sampled_loop(case.scenario, case.law)
-        step = loop.steps[: loop.deadline_step].max()
-        assert (step > theory.largest_stable_step(loop.loops[0].matrix)) is grows
-        if law != "CorollaryOne" or not grows:  # whose steps Δt are long at the start alone
-            radius = np.abs(np.linalg.eigvals(np.eye(len(loop.loops[0].matrix)) - step * loop.loops[0].matrix)).max()
-            assert (radius > 1) is grows
-            assert bool(case.play().diverged.any()) is grows
+        matrix, step = loop.loops[0].matrix, float(loop.steps.max())
+        assert (step > theory.largest_stable_step(matrix)) is grows
+        # Until the episode ends, it shows in the part that the steps amplify or shrink most.
+        left = np.linalg.eig(matrix.T)[1][:, np.abs(1 - step * np.linalg.eigvals(matrix.T)).argmax()]
+        measured = case.play_over_channel(case.starts[:, :, :1], follow=left)
+        assert (measured[-1] > measured[0]) is grows
 
 
 def test_guarantees_of_the_gain_condition_hold_on_every_start():
-    promising = 0
+    telling = 0
     for seed in range(60):
-        case = random_case(seed, spacing="effective")
+        case = random_case(seed, spacing="effective", players=(3, 5), epsilon=(2.0, 3.0), skew=0.3)
         game, graph = case.scenario.built_game, case.scenario.built_signal.graphs[0]
         constants = theory.monotonicity_constants(game)
-        kappa = 1.5 * theory.gain_bound(constants, graph.algebraic_connectivity)
-        rate = theory.guaranteed_rate(constants, graph.algebraic_connectivity, game.num_players, kappa)
-        matrix = theory.closed_loop_matrix(game, graph, kappa)
-        assert 0 < rate <= np.linalg.eigvalsh((matrix + matrix.T) / 2)[0] * (1 + 1e-9)
-        assert rate <= theory.spectral_abscissa(matrix)
-        below = theory.guaranteed_rate(constants, graph.algebraic_connectivity, game.num_players, 0.999 * kappa / 1.5)
-        assert below < 0  # the gain condition is exactly that the proof's matrix is positive
-        certificate = theory.certify(case.scenario, kappa, delay_limit=0)
-        assert certificate.gain_condition_holds
-        if certificate.step_margin > 1:
+        bound = theory.gain_bound(constants, graph.algebraic_connectivity)
+        rates = [
+            theory.guaranteed_rate(constants, graph.algebraic_connectivity, game.num_players, factor * bound)
+            for factor in (0.999, 1.001, 1.5)
+        ]
+        assert rates[0] < 0 < rates[1] < rates[2]  # the gain condition is exactly that the proof's matrix is positive
+        matrix = theory.closed_loop_matrix(game, graph, 1.5 * bound)
+        assert rates[2] <= np.linalg.eigvalsh((matrix + matrix.T) / 2)[0]
+        assert rates[2] <= theory.spectral_abscissa(matrix)
+        if seed < 12:
+            step = min(rates[2] / np.linalg.norm(matrix, 2) ** 2, theory.largest_stable_step(matrix) / 2)
+            steps = int(case.scenario.built_clock.effective_time / step) + 1
+            certificate = theory.certify(case.scenario.replace(steps=min(steps, 3000)), 1.5 * bound, delay_limit=0)
+            assert certificate.gain_condition_holds
+            assert certificate.guaranteed_rate == rates[2]
             assert certificate.guaranteed_digits <= certificate.digits_sampled
-            promising += 1
-    assert promising >= 5
+            start = -np.log10(theory.distance(np.ravel(certificate_start(case)), game))
+            telling += certificate.guaranteed_digits > start
+    assert telling >= 3
+
+
+def certificate_start(case):
+    game = case.scenario.built_game
+    estimates = case.scenario.built_start.draw(game.num_players, game.dimension, np.random.default_rng(0))
+    return theory.start_error(estimates, game)
 
 
 # --- noise --------------------------------------------------------------------------------------------------------
@@ -190,15 +213,17 @@ def test_delayed_recursion_is_the_environment(delay, law):
 
 
 def random_loops(count):
-    for seed in range(count):
-        case = random_case(300 + seed, LAWS[seed % 5], margin=(1.05, 4.0), spacing="effective", gain=5.0)
-        loop = theory.sampled_loop(case.scenario, case.law)
-        yield loop.loops[0], loop.steps[: loop.deadline_step].max()
+    """Loops of games in which players pursue each other so much that messages matter."""
+    for seed in range(300, 300 + count):
+        with contextlib.suppress(ValueError):  # those that no step stabilises
+            case = random_case(seed, margin=(1.05, 4.0), players=(3, 4), skew=12.0, spacing="effective", gain=5.0)
+            loop = theory.sampled_loop(case.scenario, case.law)
+            yield loop.loops[0], loop.steps[: loop.deadline_step].max()
 
 
 def test_delay_bounds_are_never_violated():
     shown = {"bound": 0, "every": 0, "unstable": 0}
-    for loop, step in random_loops(40):
+    for loop, step in random_loops(30):
         radii = [theory.delayed_radius(loop, step, delay) for delay in range(5)]
         assert radii[0] == pytest.approx(np.abs(np.linalg.eigvals(np.eye(len(loop.matrix)) - step * loop.matrix)).max())
         bound = theory.delay_bound(loop, step)
