@@ -1,4 +1,4 @@
-"""The command line: ``ptne compare | reproduce | certify | train | list``. It only calls the library and prints."""
+"""The command line: ``ptne compare | reproduce | certify | sweep | train | list``. It only calls the library and prints."""
 
 from __future__ import annotations
 
@@ -18,8 +18,17 @@ from ptne_env import theory
 from ptne_env._version import __version__
 from ptne_env.evaluation import default_entries, evaluate
 from ptne_env.evaluation.compare import count_cells
+from ptne_env.evaluation.entries import law_part
+from ptne_env.evaluation.sweep import DIAGRAMS, count_points, run_sweep
 from ptne_env.files import write_atomically
-from ptne_env.report import certificate_tables, comparison_tables, entry_table, metric_table, scenario_table
+from ptne_env.report import (
+    certificate_tables,
+    comparison_tables,
+    entry_table,
+    metric_table,
+    save_diagram,
+    scenario_table,
+)
 from ptne_env.scenario import CATALOGUE, get_scenario
 
 _PIPE_WIDTH = 172
@@ -112,19 +121,37 @@ def compare(
 @app.command()
 def certify(
     scenario: Annotated[str, typer.Argument(help="A scenario by name; see 'ptne list'.")],
-    kappa: Annotated[float, typer.Option(help="Consensus gain κ of the static law.")] = 2.0,
+    law: Annotated[
+        str,
+        typer.Option(
+            help="A law by name (static, adaptive, corollary-one, gadjov-pavel, grounded), or 'module:object' that is "
+            "called with the layout and returns a law."
+        ),
+    ] = "static",
+    kappa: Annotated[
+        float | None, typer.Option(help="Consensus gain κ of the law; the law's own if left out (static: 2).")
+    ] = None,
+    noise: Annotated[
+        float, typer.Option(min=0.0, help="Standard deviation σ of additive noise on every message, to be predicted.")
+    ] = 0.0,
+    delay: Annotated[int, typer.Option(min=0, help="Steps that every message is late, to be predicted.")] = 0,
+    hold_steps: Annotated[int, typer.Option(min=0, help="Steps after the deadline, for the digits there.")] = 50,
     json: Annotated[
         str | None, typer.Option(help="Write the certificate as JSON to this file; '-' for stdout.")
     ] = None,
 ) -> None:
-    """Say before anything runs what the static law can promise on a scenario.
+    """Say before anything runs what a law can promise on a scenario.
 
-    Prints the paper's assumptions with the number that decides each, the gain condition, the closed-loop rate, the
-    digits predicted at the deadline and the largest stable step.
+    Prints the assumptions of the paper with the number that decides each, the gain condition, rates, the digits
+    predicted at the deadline, the largest stable step, and what noise and late messages do. docs/theory.md says which
+    of them are exact and which are bounds.
     """
     from json import dumps
 
-    certificate = theory.certify(get_scenario(scenario), kappa)
+    chosen = get_scenario(scenario)
+    if hold_steps and chosen.gain > 0:
+        chosen = chosen.replace(hold_steps=hold_steps)
+    certificate = theory.certify(chosen, law=law_part(law, kappa), noise_std=noise, delay_steps=delay)
     text = dumps(certificate.to_dict(), indent=2, allow_nan=False, ensure_ascii=False)
     if json == "-":
         typer.echo(text)
@@ -133,6 +160,35 @@ def certify(
     if json is not None:
         write_atomically(Path(json), text + "\n")
         _console().print(Text(f"Certificate written to {json}"), soft_wrap=True)
+
+
+@app.command()
+def sweep(
+    out: Annotated[Path, typer.Option(help="Folder for the diagrams (PNG, JSON, CSV); made if missing.")] = Path(
+        "results/sweep"
+    ),
+    diagram: Annotated[
+        list[str] | None, typer.Option(help=f"One of {', '.join(DIAGRAMS)}; repeat for several. All if left out.")
+    ] = None,
+    episodes: Annotated[int, typer.Option(min=1, help="Episodes per point, from random starts.")] = 16,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the starts and of the noise.")] = 0,
+) -> None:
+    """Draw phase diagrams: digits at the deadline over two parameters, measured, with predicted boundaries on top.
+
+    Every point is a batch of episodes of the static law in the environment itself. A diagram that is already in the
+    folder with the same settings is drawn again and not run again, so an interrupted sweep goes on where it stopped.
+    """
+    names = diagram or list(DIAGRAMS)
+    with _progress(_console(stderr=True)) as progress:
+        task = progress.add_task("sweeping", total=count_points(names))
+
+        def advance(points: int, what: str) -> None:
+            progress.update(task, advance=points, description=what)
+
+        diagrams = run_sweep(names, out, episodes=episodes, seed=seed, progress=advance)
+    for each in diagrams:
+        save_diagram(each, out)
+        _console().print(Text(f"{each.name}: {each.summary()}; {out / each.name}.png, .json, .csv"), soft_wrap=True)
 
 
 @app.command()

@@ -131,3 +131,20 @@ def get_entry(entry: str | Entry) -> Entry:
         return Entry(entry, Part.of(entry))
     known = ", ".join([*ENTRIES, *policies.shipped()])
     raise ValueError(f"unknown policy {entry!r}; choose from {known}, or name an .onnx file or a 'module:object'")
+
+
+def law_part(law: str, kappa: float | None = None) -> Part:
+    """The part that builds a law, by name or ``"module:object"``, with another κ where one is given.
+
+    Raises:
+        ValueError: for an unknown name, a policy that is no part, or κ for a law that has none.
+    """
+    policy = get_entry(law).policy
+    if not isinstance(policy, Part):
+        raise ValueError(f"{law!r} is not a law; name one of {', '.join(ENTRIES)}, or a 'module:object' string")
+    if kappa is None:
+        return policy
+    arguments = dict(policy.arguments)
+    if law in ENTRIES and "kappa" not in arguments:
+        raise ValueError(f"the law {law!r} has no kappa; it takes {', '.join(arguments) or 'no arguments'}")
+    return Part.of(policy.target, **{**arguments, "kappa": kappa})

@@ -152,49 +152,107 @@ def _table(title: str, *, show_header: bool = True) -> Table:
 
 
 def certificate_tables(certificate: Certificate) -> Group:
-    """What a certificate says: assumptions with the number that decides each, then the promises."""
+    """What a certificate says: assumptions with the number that decides each, then the promises; 100 columns wide."""
     assumptions = _table(f"{certificate.scenario}: the paper's assumptions")
     for heading in ("", "assumption", "decided by", "value", "verdict"):
         assumptions.add_column(heading, justify="right" if heading == "value" else "left")
     for check in certificate.assumptions:
-        verdict = Text(check.verdict, style=_VERDICTS.get(check.verdict, "yellow"))
-        assumptions.add_row(str(check.number), check.statement, check.meaning, number(check.value), verdict)
+        assumptions.add_row(
+            str(check.number), check.statement, check.meaning, number(check.value), _verdict(check.verdict)
+        )
+    lemma = certificate.lemma
+    statement = "Lemma 1: λ is strictly increasing, λ → T, λ' → 0" + (f" ({lemma.reason})" if lemma.reason else "")
+    assumptions.add_row("λ", statement, "limit of 1 − λ/T", number(lemma.remaining), _verdict(lemma.verdict))
 
-    promises = _table(f"{certificate.scenario}: the static law with κ = {certificate.kappa:g}", show_header=False)
-    promises.add_column("what")
+    promises = _table(f"{certificate.scenario}: {certificate.law}", show_header=False)
+    promises.add_column("what", no_wrap=True)
     promises.add_column("value")
-    for what, value in _promises(certificate):
-        promises.add_row(what, value)
+    for block in (_gain_rows, _rate_rows, _digit_rows, _step_rows, _fault_rows):
+        promises.add_section()
+        for what, value in block(certificate):
+            promises.add_row(what, value)
     notes = [Text(f"Note: {note}", style="yellow") for note in certificate.notes]
     return Group(assumptions, promises, *notes)
 
 
-def _promises(certificate: Certificate) -> Iterable[tuple[str, str]]:
+def _verdict(verdict: str) -> Text:
+    return Text(verdict, style=_VERDICTS.get(verdict, "yellow"))
+
+
+_Rows: TypeAlias = Iterable[tuple[str, str]]
+
+
+def _gain_rows(certificate: Certificate) -> _Rows:
     constants = certificate.constants
     sampled = "" if constants.exact else " (sampled bounds)"
-    bound = certificate.gain_bound
     yield (
         "monotonicity and Lipschitz constants",
         f"ε = {number(constants.epsilon)}, ι = {number(constants.iota)}{sampled}",
     )
     yield "algebraic connectivity λ2", number(certificate.algebraic_connectivity)
-    verdict = "holds" if certificate.gain_condition_holds else "fails (sufficient, not necessary)"
-    condition = "no gain satisfies it" if bound is None else f"κ > {number(bound)}: {verdict}"
-    yield "gain condition κ > (ι²/ε + ι)/λ2", condition
-    kind = "" if certificate.rate_is_exact else " (linearised at x*)"
-    yield "closed-loop rate r, error ~ e^(−r s)", number(certificate.rate) + kind
-    yield "effective time to the deadline", number(certificate.effective_time)
-    yield "predicted digits at T, from the rate", number(certificate.digits_from_rate)
-    if certificate.digits_sampled is not None:
-        yield "predicted digits at T, sampled loop from this start", number(certificate.digits_sampled)
-    yield "largest step Θ", number(certificate.largest_step)
-    stable = "none" if certificate.largest_stable_step is None else number(certificate.largest_stable_step)
-    margin = "" if certificate.step_margin is None else f", {number(certificate.step_margin)} times the largest"
-    yield "largest stable step", stable + margin
+    if certificate.gain_condition_holds is not None:
+        verdict = "holds" if certificate.gain_condition_holds else "fails (sufficient, not necessary)"
+        bound = certificate.gain_bound
+        condition = "no gain satisfies it" if bound is None else f"κ > {number(bound)}: {verdict}"
+        yield "gain condition κ > (ι²/ε + ι)/λ2", condition
+    for gains in certificate.frozen_gains:
+        when = "at the start" if gains.instant == "start" else "at T"
+        spread = f"{number(gains.smallest)} to {number(gains.largest)}"
+        yield f"gains κ_ij {when}", f"{spread}: r = {number(gains.rate)}"
+
+
+def _rate_rows(certificate: Certificate) -> _Rows:
+    kind = "exact" if certificate.rate_is_exact else "linearised at x*"
+    time = "s" if certificate.clock == "effective" else "t"
+    yield f"closed-loop rate r, error ~ e^(−r {time})", f"{number(certificate.rate)} ({kind})"
+    if certificate.guaranteed_rate is not None:
+        yield "  guaranteed by ε, ι, λ2 and κ alone", f"≥ {number(certificate.guaranteed_rate)} (bound)"
+    if certificate.sampled_rate is not None and certificate.dominant_share is not None:
+        share = f"its mode is {certificate.dominant_share:.0%} of the error half-way"
+        yield "  of the sampled loop, second half", f"{number(certificate.sampled_rate)}; {share}"
     yield "rate at which the input u decays", number(certificate.input_rate)
     yield "velocity g(t) u as t → T", "bounded" if certificate.velocity_bounded else "unbounded"
     yield "control energy ∫‖g u‖² dt", "finite" if certificate.energy_finite else "infinite"
+
+
+def _digit_rows(certificate: Certificate) -> _Rows:
+    yield "predicted digits at T, from the rate", number(certificate.digits_from_rate)
+    if certificate.digits_sampled is not None:
+        yield "predicted digits at T, sampled loop from this start", f"{number(certificate.digits_sampled)} (exact)"
+    if certificate.digits_after_hold is not None:
+        yield "  after the hold phase", f"{number(certificate.digits_after_hold)} (exact)"
+    if certificate.worst_digits_gained is not None:
+        yield "digits gained by T from the worst start", f"{number(certificate.worst_digits_gained)} (exact)"
+    if certificate.guaranteed_digits is not None:
+        yield "digits at T guaranteed by ε, ι, λ2, κ and Θ alone", f"≥ {number(certificate.guaranteed_digits)} (bound)"
+    yield "effective time to the deadline", number(certificate.effective_time)
     yield "short of the deadline, 1 − t_K/T", f"{certificate.shortfall:.3%}"
+
+
+def _step_rows(certificate: Certificate) -> _Rows:
+    step = "Θ" if certificate.clock == "effective" else "Δt"
+    stable = "none" if certificate.largest_stable_step is None else number(certificate.largest_stable_step)
+    margin = "" if certificate.step_margin is None else f", {number(certificate.step_margin)} times the largest"
+    yield f"largest step {step}", number(certificate.largest_step)
+    yield "largest stable step", stable + margin
+
+
+def _fault_rows(certificate: Certificate) -> _Rows:
+    noise, delay = certificate.noise, certificate.delay
+    yield "noise of std σ on messages: RMS error at T", "overflows" if noise.gain is None else f"{number(noise.gain)} σ"
+    if noise.std and noise.digits is not None:
+        yield f"  digits at T with σ = {noise.std:g}", number(noise.digits)
+    if delay.for_every_delay:
+        yield "messages d steps late", "stable for every d (shown by a sufficient condition)"
+    elif delay.margin is None:
+        yield "messages d steps late", "no statement: the graph switches, or unstable without delay"
+    else:
+        reach = "tried no further" if delay.margin == delay.tried else "exact"
+        yield "messages d steps late", f"stable up to d = {delay.margin} ({reach})"
+    if delay.bound is not None:
+        yield "  small-gain bound, of first order", f"stable for d < {number(delay.bound)} (bound)"
+    if delay.steps and delay.digits is not None:
+        yield f"  digits at T with d = {delay.steps}", f"{number(delay.digits)} (exact)"
 
 
 def scenario_table() -> Table:
