@@ -1,8 +1,9 @@
-"""The command line: ``ptne compare | reproduce | certify | sweep | train | list``. It only calls the library and prints."""
+"""The command line: ``ptne compare | reproduce | certify | train | list``. It only calls the library and prints."""
 
 from __future__ import annotations
 
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
 
@@ -16,20 +17,26 @@ except ImportError as error:  # pragma: no cover - exercised in an environment w
 
 from ptne_env import theory
 from ptne_env._version import __version__
-from ptne_env.evaluation import default_entries, evaluate
+from ptne_env.evaluation import Entry, default_entries, evaluate
+from ptne_env.evaluation.benchmark import check, executes_code, get_participant, run_suite
 from ptne_env.evaluation.compare import count_cells
 from ptne_env.evaluation.entries import law_part
-from ptne_env.evaluation.sweep import DIAGRAMS, count_points, run_sweep
+from ptne_env.evaluation.leaderboard import leaderboard
+from ptne_env.evaluation.suite import SUITES, get_suite
 from ptne_env.files import write_atomically
 from ptne_env.report import (
     certificate_tables,
     comparison_tables,
     entry_table,
+    leaderboard_tables,
     metric_table,
-    save_diagram,
+    repetition_table,
     scenario_table,
+    suite_table,
 )
 from ptne_env.scenario import CATALOGUE, get_scenario
+
+_HOLD_STEPS = 50
 
 _PIPE_WIDTH = 172
 """Width of tables where the output is no terminal, which would otherwise be cut to 80 columns."""
@@ -70,6 +77,7 @@ def _root(
 
 @app.command()
 def compare(
+    *,
     scenario: Annotated[
         list[str] | None,
         typer.Option(help="A scenario by name; repeat for several. All of the catalogue if left out. See 'ptne list'."),
@@ -79,24 +87,81 @@ def compare(
         typer.Option(
             help="A policy by name, an .onnx file, or 'module:object' that is called with the layout and returns "
             "something with predict(); repeat for several. All laws, and the learned policies on the scenarios they "
-            "were trained for, if left out."
+            "were trained for, if left out. With --suite also a Stable-Baselines3 .zip, or 'name=pattern' for the "
+            "files of several training seeds."
         ),
     ] = None,
+    policies: Annotated[str | None, typer.Option(help="Policies as one list, separated by commas.")] = None,
     episodes: Annotated[
-        int, typer.Option(min=1, help="Held-out episodes per scenario, the same for every policy.")
-    ] = 1000,
+        int | None,
+        typer.Option(
+            min=1,
+            help="Held-out episodes per scenario, the same for every policy.",
+            show_default="1000, or the suite's own number",
+        ),
+    ] = None,
     seed: Annotated[int, typer.Option(min=0, help="Seed of the starts.")] = 0,
-    hold_steps: Annotated[int, typer.Option(min=0, help="Steps after the deadline, for 'digits after hold'.")] = 50,
+    hold_steps: Annotated[
+        int, typer.Option(min=0, help="Steps after the deadline, for 'digits after hold'.")
+    ] = _HOLD_STEPS,
     json: Annotated[str | None, typer.Option(help="Write everything as JSON to this file; '-' for stdout.")] = None,
     csv: Annotated[Path | None, typer.Option(help="Write the records as CSV to this file.")] = None,
+    suite: Annotated[
+        str | None, typer.Option(help="Run the tracks of a suite instead, such as ptne-v1, or 'module:object'.")
+    ] = None,
+    track: Annotated[
+        list[str] | None, typer.Option(help="With --suite: a track by name; repeat for several. All if left out.")
+    ] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            help="With --suite: folder of the results, where an interrupted run goes on.",
+            show_default="results/SUITE",
+        ),
+    ] = None,
+    jobs: Annotated[int, typer.Option(help="With --suite: processes; -1 for one per core.")] = -1,
+    repeat: Annotated[
+        Path | None,
+        typer.Option("--check", help="Run a random sample of the cells of a suite's results again: results.json."),
+    ] = None,
+    sample: Annotated[int, typer.Option(min=1, help="With --check: how many cells.")] = 5,
+    tolerance: Annotated[
+        float, typer.Option(min=0.0, help="With --check: largest |new − old|/(1 + |old|) that counts as the same.")
+    ] = 0.0,
+    trust: Annotated[
+        bool, typer.Option("--trust", "--yes", help="Load .zip files, which executes code in them, without asking.")
+    ] = False,
 ) -> None:
     """Run policies on scenarios and print how close they came to the equilibrium by the deadline, and at what cost.
 
     Every policy meets the same seeded episodes; the paper's own start is a row of its own. Intervals are 95 %
     percentile bootstrap intervals of the mean over episodes. Learned policies are also measured, paired by episode,
     against laws that were tuned on a validation bank.
+
+    With --suite, run the tracks of a frozen benchmark cell by cell; see docs/protocol.md.
     """
-    entries, scenarios = policy or default_entries(), scenario or list(CATALOGUE)
+    names = [*(policy or ()), *(policies.split(",") if policies else ())]
+    if repeat is not None:
+        _check(repeat, sample, tolerance, trust=trust)
+    elif suite is not None:
+        if scenario or hold_steps != _HOLD_STEPS or csv is not None:
+            raise ValueError("a suite fixes what is run: leave out --scenario, --hold-steps and --csv")
+        _run_suite(suite, names, track, out, seed, episodes, jobs, json, trust=trust)
+    elif track or out is not None:
+        raise ValueError("--track and --out are for suites: name one with --suite")
+    else:
+        _compare(names or default_entries(), scenario or list(CATALOGUE), episodes or 1000, seed, hold_steps, json, csv)
+
+
+def _compare(
+    entries: Sequence[str | Entry],
+    scenarios: Sequence[str],
+    episodes: int,
+    seed: int,
+    hold_steps: int,
+    json: str | None,
+    csv: Path | None,
+) -> None:
     with _progress(_console(stderr=True)) as progress:
         task = progress.add_task("comparing", total=count_cells(entries, scenarios))
 
@@ -116,6 +181,72 @@ def compare(
     for path in (json, csv):
         if path is not None:
             console.print(Text(f"Results written to {path}"), soft_wrap=True)
+
+
+def _trusted(names: list[str], *, trust: bool) -> bool:
+    """Ask whether code in archives may be executed, where that has not been said."""
+    archives = [name for name in names if executes_code(name)]
+    if trust or not archives:
+        return True
+    if not sys.stdin.isatty():
+        raise ValueError(
+            f"loading {', '.join(archives)} executes code that is stored there: say --trust if you trust it"
+        )
+    return typer.confirm(
+        f"Loading {', '.join(archives)} executes code that is stored there. Do you trust it?", abort=True
+    )
+
+
+def _run_suite(
+    name: str,
+    policies: list[str],
+    tracks: list[str] | None,
+    out: Path | None,
+    seed: int,
+    episodes: int | None,
+    jobs: int,
+    json: str | None,
+    *,
+    trust: bool,
+) -> None:
+    suite = get_suite(name)
+    folder = out or Path("results") / suite.name
+    trusted = _trusted(policies, trust=trust)
+    participants = [get_participant(policy, trust=trusted) for policy in policies or default_entries()]
+    with _progress(_console(stderr=True)) as progress:
+        task = progress.add_task(suite.name, total=None)
+
+        def advance(cell: str, total: int) -> None:
+            progress.update(task, advance=1, total=total, description=cell)
+
+        run = run_suite(
+            name, participants, folder, tracks=tracks, seed=seed, episodes=episodes, jobs=jobs, progress=advance
+        )
+        progress.update(task, description="statistics")
+        board = leaderboard(run)
+    text = board.to_json()
+    write_atomically(folder / "results.json", text + "\n")
+    if json == "-":
+        typer.echo(text)
+        return
+    console = _console()
+    console.print(leaderboard_tables(board))
+    if json is not None:
+        write_atomically(Path(json), text + "\n")
+    console.print(Text(f"Results written to {folder / 'results.json'}"), soft_wrap=True)
+
+
+def _check(results: Path, sample: int, tolerance: float, *, trust: bool) -> None:
+    with _progress(_console(stderr=True)) as progress:
+        task = progress.add_task("repeating", total=None)
+
+        def advance(cell: str, total: int) -> None:
+            progress.update(task, advance=1, total=total, description=cell)
+
+        repetitions = check(results, sample=sample, trust=trust, progress=advance)
+    _console().print(repetition_table(repetitions, tolerance))
+    if any(one.difference > tolerance for one in repetitions):
+        raise typer.Exit(1)
 
 
 @app.command()
@@ -160,35 +291,6 @@ def certify(
     if json is not None:
         write_atomically(Path(json), text + "\n")
         _console().print(Text(f"Certificate written to {json}"), soft_wrap=True)
-
-
-@app.command()
-def sweep(
-    out: Annotated[Path, typer.Option(help="Folder for the diagrams (PNG, JSON, CSV); made if missing.")] = Path(
-        "results/sweep"
-    ),
-    diagram: Annotated[
-        list[str] | None, typer.Option(help=f"One of {', '.join(DIAGRAMS)}; repeat for several. All if left out.")
-    ] = None,
-    episodes: Annotated[int, typer.Option(min=1, help="Episodes per point, from random starts.")] = 16,
-    seed: Annotated[int, typer.Option(min=0, help="Seed of the starts and of the noise.")] = 0,
-) -> None:
-    """Draw phase diagrams: digits at the deadline over two parameters, measured, with predicted boundaries on top.
-
-    Every point is a batch of episodes of the static law in the environment itself. A diagram that is already in the
-    folder with the same settings is drawn again and not run again, so an interrupted sweep goes on where it stopped.
-    """
-    names = diagram or list(DIAGRAMS)
-    with _progress(_console(stderr=True)) as progress:
-        task = progress.add_task("sweeping", total=count_points(names))
-
-        def advance(points: int, what: str) -> None:
-            progress.update(task, advance=points, description=what)
-
-        diagrams = run_sweep(names, out, episodes=episodes, seed=seed, progress=advance)
-    for each in diagrams:
-        save_diagram(each, out)
-        _console().print(Text(f"{each.name}: {each.summary()}; {out / each.name}.png, .json, .csv"), soft_wrap=True)
 
 
 @app.command()
@@ -251,7 +353,7 @@ def train(
 def list_() -> None:
     """Show what there is: scenarios, policies and metrics."""
     console = _console()
-    console.print(scenario_table(), entry_table(), metric_table())
+    console.print(scenario_table(), entry_table(), metric_table(), *(suite_table(get_suite(name)) for name in SUITES))
 
 
 def main() -> None:

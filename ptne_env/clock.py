@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from typing import Literal, TypeAlias, get_args
+from typing import Literal, NamedTuple, TypeAlias, get_args
 
 import numpy as np
 import numpy.typing as npt
@@ -216,6 +216,20 @@ def _limit(values: FloatArray) -> float:
     return float(extrapolated if abs(last - second) < abs(second - first) else last)
 
 
+class Reading(NamedTuple):
+    """What a player's clock says, and what it makes of it.
+
+    Attributes:
+        t: the time that the player believes in at each instant, in seconds, shape (K+H+1,).
+        s: the transformed time that belongs to it, shape (K+H+1,).
+        theta: Θ^i_k, the integral of its gain over each step, shape (K+H+1,); 0 at the terminal instant.
+    """
+
+    t: FloatArray
+    s: FloatArray
+    theta: FloatArray
+
+
 class StepClock:
     """The table of steps of an episode: K steps to the deadline, then an optional hold phase.
 
@@ -313,6 +327,31 @@ class StepClock:
     def effective_time(self) -> float:
         """τ_K = s_end + c t_K = Σ Θ_k over the steps to the deadline."""
         return self.s_end + self.gain * self.time_reached
+
+    def read(self, shift: float) -> Reading:
+        """What a clock says that is ``shift`` seconds fast (slow where it is negative), and the Θ^i_k that follow.
+
+        All players live on the same instants t_k. One with this clock believes that it is t + δ and so applies the
+        gain g(t + δ): Θ^i_k = S(t_k + Δt_k + δ) − S(t_k + δ) + c Δt_k, where S(t) = λ^{-1}(t) goes on with its slope
+        1/T before 0, and stays s_end from λ(s_end) on as time does for everybody. So a fast clock uses its gain up
+        before T, its last steps being long, and a slow one has not used all of it at T. What is observed is t + δ
+        clipped to the episode, and S of that. A shift of 0 is this table, bit for bit.
+
+        Args:
+            shift: δ in seconds.
+        """
+        if shift == 0:
+            return Reading(self.t, self.s, self.theta)
+
+        def transformed(times: FloatArray) -> FloatArray:
+            s = np.minimum(self.transformation.inverse(np.clip(times, 0.0, self.time_reached)), self.s_end)
+            s = np.where(times >= self.time_reached, self.s_end, s)
+            return np.where(times < 0, times / self.deadline, s)
+
+        start = self.t + shift
+        theta = transformed(start + self.dt) - transformed(start) + self.gain * self.dt
+        believed = np.clip(start, 0.0, self.t[-1])
+        return Reading(frozen(believed), frozen(transformed(believed)), frozen(theta))
 
     @property
     def signal_times(self) -> dict[str, FloatArray]:

@@ -3,19 +3,70 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TypeVar
+from dataclasses import dataclass
+from typing import NamedTuple, TypeVar
 
 import numpy as np
+import numpy.typing as npt
 
+from ptne_env import channel as channels
+from ptne_env import counters
 from ptne_env.arrays import BoolArray, FloatArray, IntArray, frozen
+from ptne_env.channel import Dice, Memory, Messages
+from ptne_env.counters import CounterArray
 from ptne_env.games import Game
+from ptne_env.graphs import Schedule
 from ptne_env.scenario import Scenario
 from ptne_env.sources import Sources
 
 RANGE_LIMIT = 5e5
 """An estimate or own gradient outside ±RANGE_LIMIT, or not finite, has diverged."""
 
-Array = TypeVar("Array", FloatArray, IntArray, BoolArray)
+Array = TypeVar("Array", bound=npt.NDArray[np.generic])
+
+
+@dataclass(frozen=True)
+class Chance:
+    """What B episodes have drawn besides game and start. Environments last; a field is ``None`` where nothing is drawn.
+
+    Attributes:
+        modes: active graph at each instant, shape (K+H+1, B), int16.
+        age: time since the last switch over the mean dwell, clipped to 1, shape (K+H+1, B), float32.
+        channel_keys: what the random numbers of the channel follow from, shape (B,).
+        disturbance_keys: what those of the disturbance follow from, shape (B,).
+    """
+
+    modes: npt.NDArray[np.int16] | None
+    age: npt.NDArray[np.float32] | None
+    channel_keys: CounterArray
+    disturbance_keys: CounterArray
+
+    def merged(self, fresh: Chance, mask: BoolArray) -> Chance:
+        """These episodes with those in ``mask`` (B,) replaced by those of ``fresh``, in order."""
+
+        def both(old: Array | None, new: Array | None) -> Array | None:
+            return old if old is None or new is None else _replaced(old, new, mask)
+
+        return Chance(
+            both(self.modes, fresh.modes),
+            both(self.age, fresh.age),
+            _replaced(self.channel_keys, fresh.channel_keys, mask),
+            _replaced(self.disturbance_keys, fresh.disturbance_keys, mask),
+        )
+
+
+class Heard(NamedTuple):
+    """What came through a channel that is not perfect.
+
+    Attributes:
+        messages: x^j as heard in each neighbour slot, shape (D, n, N, B).
+        weights: a_ij that the receiver gives it, shape (D, N, B); 0 where it hears nothing.
+        memory: of the channel.
+    """
+
+    messages: FloatArray
+    weights: FloatArray
+    memory: Memory
 
 
 class State:
@@ -28,6 +79,8 @@ class State:
         own_gradients: ∂J_i/∂x_i(x^i), blocks stacked, shape (n, B).
         diverged: whether the environment has left the range; it stays where it is from then on. Shape (B,).
         any_diverged: whether any of them has.
+        chance: what the episodes have drawn besides game and start; ``None`` where a scenario draws nothing else.
+        heard: what came through the channel; ``None`` where it is perfect.
     """
 
     __slots__ = (
@@ -36,9 +89,11 @@ class State:
         "_relative",
         "_weights",
         "any_diverged",
+        "chance",
         "diverged",
         "estimates",
         "game",
+        "heard",
         "own_gradients",
         "step",
     )
@@ -51,6 +106,8 @@ class State:
         estimates: FloatArray,
         own_gradients: FloatArray,
         diverged: BoolArray,
+        chance: Chance | None = None,
+        heard: Heard | None = None,
     ) -> None:
         self._dynamics = dynamics
         self._instants: IntArray | None = None
@@ -62,6 +119,8 @@ class State:
         self.own_gradients = own_gradients
         self.diverged = diverged
         self.any_diverged = np.count_nonzero(diverged) > 0
+        self.chance = chance
+        self.heard = heard
 
     @property
     def batch_size(self) -> int:
@@ -80,19 +139,32 @@ class State:
     @property
     def mode(self) -> IntArray:
         """Index of the active graph, shape (B,), int64."""
-        return self._dynamics.modes[self.step]
+        if self.chance is None or self.chance.modes is None:
+            return self._dynamics.modes[self.step]
+        return self.chance.modes[self.step, np.arange(self.step.size)].astype(np.int64)
+
+    @property
+    def time_since_switch(self) -> FloatArray:
+        """Over the signal's mean dwell, clipped to 1, 0 for a fixed graph; shape (B,)."""
+        if self.chance is None or self.chance.age is None:
+            return self._dynamics.time_since_switch[self.step]
+        return self.chance.age[self.step, np.arange(self.step.size)].astype(np.float64)
 
     @property
     def weights(self) -> FloatArray:
-        """a_ij per neighbour slot, shape (D, N, B), or (D, N, 1) where all environments have the same."""
+        """a_ij per neighbour slot as the receiver has it, (D, N, B), or (D, N, 1) where all environments agree."""
         if self._weights is None:
-            table = self._dynamics.mode_weights
-            self._weights = table if table.shape[2] == 1 else table.take(self._dynamics.modes[self.instants], axis=2)
+            self._weights = self._dynamics.graph_weights(self) if self.heard is None else self.heard.weights
         return self._weights
 
     @property
+    def messages(self) -> FloatArray:
+        """The x^j heard in each neighbour slot, shape (D, n, N, B); of no meaning where the weight is 0."""
+        return self._dynamics.sent_messages(self.estimates) if self.heard is None else self.heard.messages
+
+    @property
     def relative_estimates(self) -> FloatArray:
-        """x^j − x^i per neighbour slot in float64, 0 where the link is down, shape (D, n, N, B)."""
+        """(x^j as heard) − x^i per neighbour slot in float64, 0 where the link is down, shape (D, n, N, B)."""
         if self._relative is None:
             self._relative = self._dynamics.relative_estimates(self)
         return self._relative
@@ -106,15 +178,21 @@ class State:
 class Dynamics:
     """The transition x_{k+1} = x_k + Θ_k u_k with the switching graph and the clock, exact for the held input.
 
+    Where a box confines the strategies, the players' own blocks of x_k + Θ_k u_k, and of x_0, are projected into it.
+
     Attributes:
         scenario: what it simulates.
         game: the game, or a typical member of the family; states hold the games that are played.
-        signal, clock: the other parts, built.
-        neighbours: player in each slot, shape (D, N); D is the largest degree in the union graph, and a padded slot
-            points at the player itself with weight 0.
+        signal, clock, channel, disturbance: the other parts, built.
+        neighbours: player in each slot, shape (D, N); D is the largest degree in the union graph unless the scenario
+            says otherwise, and a padded slot points at the player itself with weight 0.
         mode_weights: a_ij per slot and mode, shape (D, N, modes).
-        modes: active mode at each instant, shape (K+H+1,).
-        time_since_switch: over the mean dwell, clipped to 1, 0 for a fixed graph; shape (K+H+1,).
+        modes: active mode at each instant, shape (K+H+1,); zeros where the signal is random and states have their own.
+        time_since_switch: over the mean dwell, clipped to 1, 0 for a fixed graph; shape (K+H+1,); zeros likewise.
+        theta: Θ_k of each step, shape (K+H+1,), or (N, K+H+1) where the players' clocks disagree.
+        readings: t, s and Θ of each step by the players' clocks, shape (3, 1, K+H+1), or (3, N, K+H+1) where they
+            disagree.
+        has_constant_weights: whether weights are those of one graph, in every step and for everybody.
         strategy_rows: rows of estimates.reshape(n N, B) that are strategies, shape (n,).
     """
 
@@ -123,11 +201,14 @@ class Dynamics:
         self.game = scenario.built_game
         self.signal = scenario.built_signal
         self.clock = scenario.built_clock
+        self.channel = scenario.built_channel
+        self.disturbance = scenario.built_disturbance
+        self.has_constant_weights = self.signal.is_fixed and self.channel.is_perfect
         n, players = self.game.dimension, self.game.num_players
 
         union = self.signal.union.adjacency
-        degree = int((union > 0).sum(axis=1).max())
-        self.neighbours = np.tile(np.arange(players), (degree, 1))
+        slots = scenario.slots or self.signal.union.largest_degree
+        self.neighbours = np.tile(np.arange(players), (slots, 1))
         for player, row in enumerate(union):
             others = np.flatnonzero(row)
             self.neighbours[: others.size, player] = others
@@ -135,8 +216,15 @@ class Dynamics:
         self.mode_weights = frozen(
             np.stack([graph.adjacency[everybody, self.neighbours] for graph in self.signal.graphs], axis=-1)
         )
-        schedule = self.signal.schedule(self.clock.signal_times[self.signal.clock])
+        self._signal_times = self.clock.signal_times[self.signal.clock]
+        if self.signal.is_random:
+            schedule = Schedule(np.zeros(self._signal_times.size, dtype=np.int64), np.zeros(self._signal_times.size))
+        else:
+            schedule = self.signal.schedule(self._signal_times)
         self.modes, self.time_since_switch = schedule.modes, schedule.age
+        shifts = scenario.clock_shifts if any(scenario.clock_shifts) else (0.0,)
+        self.readings = frozen(np.stack([self.clock.read(shift) for shift in shifts], axis=1))
+        self.theta = self.clock.theta if len(shifts) == 1 else self.readings[2]
         # Looking up an instant's successor costs one environment a quarter of computing it.
         instants, last = np.arange(self.clock.total_steps + 1), self.clock.total_steps
         self._next_step, self._finished = np.minimum(instants + 1, last), instants >= last
@@ -154,21 +242,34 @@ class Dynamics:
         """The games of an episode, one environment per entry of ``sources``."""
         return self.scenario.built_family.draw([source.game for source in sources])
 
+    def draw_chance(self, sources: Sequence[Sources]) -> Chance | None:
+        """What else an episode draws, one environment per entry of ``sources``; ``None`` where there is nothing."""
+        modes = age = None
+        if self.signal.is_random:
+            schedule = self.signal.draw(self._signal_times, [source.graph for source in sources])
+            modes, age = schedule.modes.astype(np.int16), schedule.age.astype(np.float32)
+        elif not (self.channel.is_random or self.disturbance.is_random):
+            return None
+        keys = np.array([[counters.draw_key(source.channel) for source in sources] for _ in range(2)], dtype=np.uint64)
+        return Chance(modes, age, *keys)
+
     def draw_estimates(self, sources: Sequence[Sources]) -> FloatArray:
         """Initial estimates, one environment per entry of ``sources``: shape (n, N, B)."""
         start = self.scenario.built_start
         players, dimension = self.game.num_players, self.game.dimension
         return np.stack([start.draw(players, dimension, source.start) for source in sources], axis=-1)
 
-    def start(self, estimates: FloatArray, game: Game | None = None) -> State:
+    def start(self, estimates: FloatArray, game: Game | None = None, chance: Chance | None = None) -> State:
         """The state at t = 0.
 
         Args:
-            estimates: initial, shape (n, N, B).
+            estimates: initial, shape (n, N, B); strategies outside the game's box are projected into it.
             game: what is played, one game or B; needed where the scenario draws games.
+            chance: what else is drawn, for B environments; needed where :meth:`draw_chance` draws anything.
 
         Raises:
-            ValueError: when a shape is wrong, an estimate is not finite or outside the range, or the game is missing.
+            ValueError: when a shape is wrong, an estimate is not finite or outside the range, or something that the
+                scenario draws is missing.
         """
         expected = (self.game.dimension, self.game.num_players)
         if estimates.ndim != 3 or estimates.shape[:2] != expected:
@@ -182,40 +283,66 @@ class Dynamics:
             game = self.game
         if game.batch_size not in (1, batch) or game.action_dims != self.game.action_dims:
             raise ValueError(f"{batch} environments need one game or {batch}, got {game.batch_size}")
+        draws = self.signal.is_random or self.channel.is_random or self.disturbance.is_random
+        if draws and (chance is None or chance.channel_keys.shape != (batch,)):
+            raise ValueError(
+                f"scenario {self.scenario.name!r} draws a signal, a channel or a disturbance: pass what {batch} "
+                "environments have drawn, see draw_chance()"
+            )
         estimates = np.array(estimates, dtype=np.float64)  # a copy: the state is not the caller's
-        return self._complete(estimates, game, np.zeros(batch, dtype=np.int64), np.zeros(batch, dtype=np.bool_))
+        self._confine(estimates, game)
+        step, diverged = np.zeros(batch, dtype=np.int64), np.zeros(batch, dtype=np.bool_)
+        return self._complete(estimates, game, step, diverged, chance)
 
     def step(self, state: State, inputs: FloatArray) -> State:
         """The next state, from held inputs u of shape (n, N, B), finite. ``state`` is left as it was."""
-        theta = self.clock.theta[state.instants]
+        theta = self.theta[..., state.instants]
         if state.any_diverged:
             theta = np.where(state.diverged, 0.0, theta)
         estimates = theta * inputs
         estimates += state.estimates
-        return self._complete(estimates, state.game, self._next_step[state.step], state.diverged)
+        if not self.disturbance.is_absent:
+            self._disturb(estimates, state)
+        self._confine(estimates, state.game)
+        memory = None if state.heard is None else state.heard.memory
+        step = self._next_step[state.step]
+        return self._complete(estimates, state.game, step, state.diverged, state.chance, memory)
 
     def merge(self, state: State, fresh: State, mask: BoolArray) -> State:
         """``state`` with the environments in ``mask`` (B,) replaced by those of ``fresh``, in order."""
-
-        def replaced(old: Array, new: Array) -> Array:
-            result = old.copy()
-            result[..., mask] = new
-            return result
-
+        heard = None
+        if state.heard is not None and fresh.heard is not None:
+            heard = Heard(*channels.merged(state.heard, fresh.heard, mask))
         return State(
             self,
-            replaced(state.step, fresh.step),
+            _replaced(state.step, fresh.step, mask),
             state.game.merged(fresh.game, mask),
-            replaced(state.estimates, fresh.estimates),
-            replaced(state.own_gradients, fresh.own_gradients),
-            replaced(state.diverged, fresh.diverged),
+            _replaced(state.estimates, fresh.estimates, mask),
+            _replaced(state.own_gradients, fresh.own_gradients, mask),
+            _replaced(state.diverged, fresh.diverged, mask),
+            state.chance.merged(fresh.chance, mask) if state.chance and fresh.chance else None,
+            heard,
         )
 
+    def graph_weights(self, state: State) -> FloatArray:
+        """a_ij of the active graph per neighbour slot, (D, N, B), or (D, N, 1) where all environments agree."""
+        if self.mode_weights.shape[2] == 1:
+            return self.mode_weights
+        modes = state.mode if self.signal.is_random else self.modes[state.instants]
+        return self.mode_weights.take(modes, axis=2)
+
+    def sent_messages(self, estimates: FloatArray) -> FloatArray:
+        """The x^j of the neighbour in each slot, shape (D, n, N, B)."""
+        return _rows(estimates).take(self._neighbour_rows, axis=0)
+
     def relative_estimates(self, state: State) -> FloatArray:
-        """x^j − x^i per neighbour slot in float64, 0 where the link is down, shape (D, n, N, B)."""
-        relative = _rows(state.estimates).take(self._neighbour_rows, axis=0)
-        relative -= state.estimates
-        if not self.signal.is_fixed:
+        """(x^j as heard) − x^i per neighbour slot in float64, 0 where the link is down, shape (D, n, N, B)."""
+        if state.heard is None:
+            relative = self.sent_messages(state.estimates)
+            relative -= state.estimates
+        else:
+            relative = state.heard.messages - state.estimates
+        if not self.has_constant_weights:
             relative *= (state.weights > 0)[:, None]
         return relative
 
@@ -229,7 +356,21 @@ class Dynamics:
         """The relative distance charged to a diverged environment, no less than any in range; shape (G,)."""
         return (RANGE_LIMIT * np.sqrt(game.dimension) + game.equilibrium_scale) / game.equilibrium_scale
 
-    def _complete(self, estimates: FloatArray, game: Game, step: IntArray, diverged: BoolArray) -> State:
+    def _confine(self, estimates: FloatArray, game: Game) -> None:
+        """Project the real strategies into the game's box, in place; what players think of others stays."""
+        if game.has_bounds:
+            own = np.arange(game.dimension), game.owners
+            estimates[own] = game.project(estimates[own])
+
+    def _complete(
+        self,
+        estimates: FloatArray,
+        game: Game,
+        step: IntArray,
+        diverged: BoolArray,
+        chance: Chance | None = None,
+        memory: Memory | None = None,
+    ) -> State:
         if game.is_affine:
             gradients = game.own_gradients(estimates)
         else:
@@ -240,7 +381,42 @@ class Dynamics:
             diverged = diverged | ~(farthest <= RANGE_LIMIT)
             estimates = np.clip(np.nan_to_num(estimates, nan=RANGE_LIMIT), -RANGE_LIMIT, RANGE_LIMIT)
             gradients = np.clip(np.nan_to_num(gradients, nan=RANGE_LIMIT), -RANGE_LIMIT, RANGE_LIMIT)
-        return State(self, step, game, estimates, gradients, diverged)
+        state = State(self, step, game, estimates, gradients, diverged, chance)
+        if not self.channel.is_perfect:
+            state.heard = self._transmit(state, memory)
+        return state
+
+    def _transmit(self, state: State, memory: Memory | None) -> Heard:
+        """What is heard in ``state``, whose channel remembers ``memory`` of the step before."""
+        batch = state.batch_size
+        keys = np.zeros(batch, dtype=np.uint64) if state.chance is None else state.chance.channel_keys
+        weights = self.graph_weights(state)
+        weights = np.broadcast_to(weights, (*weights.shape[:2], batch))
+        dice = Dice(keys, state.step, self.neighbours, self.game.dimension)
+        sent = Messages(self.sent_messages(state.estimates), weights > 0, weights, state.estimates)
+        heard, memory = self.channel.transmit(sent, memory, dice)
+        values = heard.values
+        if not _in_range(values):  # noise may leave the range that observations are bounded by
+            values = np.clip(values, -RANGE_LIMIT, RANGE_LIMIT)
+        # Nobody hears anything on a link that is down, whatever has been on the way when it went down.
+        return Heard(values, heard.weights * (heard.live & sent.live), memory)
+
+    def _disturb(self, estimates: FloatArray, state: State) -> None:
+        """Add Δt w to the real strategies, in place."""
+        early = state.instants < self.clock.steps
+        if self.disturbance.after_deadline_only and early.all():
+            return
+        dt = self.clock.dt[state.instants]
+        dt = np.where(state.diverged | (early & self.disturbance.after_deadline_only), 0.0, dt)
+        keys = np.zeros(state.batch_size, dtype=np.uint64) if state.chance is None else state.chance.disturbance_keys
+        _rows(estimates)[self.strategy_rows] += dt * self.disturbance.velocity(keys, state.step, self.game.dimension)
+
+
+def _replaced(old: Array, fresh: Array, mask: BoolArray) -> Array:
+    """``old`` with the environments in ``mask`` (B,), its last axis, replaced by those of ``fresh``, in order."""
+    result = old.copy()
+    result[..., mask] = fresh
+    return result
 
 
 def _rows(estimates: FloatArray) -> FloatArray:

@@ -14,6 +14,13 @@ import numpy.typing as npt
 from ptne_env.arrays import FloatArray, IntArray, frozen, require_count, require_positive
 
 SignalClock: TypeAlias = Literal["physical", "transformed"]
+JointConnectivity: TypeAlias = Literal["always", "almost surely", "never"]
+"""Whether the graphs are jointly connected: within every window of a fixed length (``always``, Assumption 2 of the
+paper); with probability 1 from every instant on, but within no window that could be named (``almost surely``, which
+Assumption 2 does not cover); or ``never``."""
+
+Dwells: TypeAlias = "float | tuple[float, float]"
+"""A dwell time, or the range (shortest, longest) of which every dwell is drawn uniformly."""
 
 _BOUNDARY_TOLERANCE = 1e-9
 """Fraction of a dwell within which an instant before a switch counts as the switch, against rounding of k·Δt."""
@@ -60,6 +67,11 @@ class Graph:
     def is_connected(self) -> bool:
         """Assumption 1 of the paper."""
         return bool(nx.is_connected(self.to_networkx()))
+
+    @property
+    def largest_degree(self) -> int:
+        """The largest number of neighbours that a player has."""
+        return int((self.adjacency > 0).sum(axis=1).max())
 
     @property
     def edges(self) -> list[tuple[int, int]]:
@@ -130,8 +142,8 @@ class Schedule:
     """A signal sampled on the steps of an episode.
 
     Attributes:
-        modes: index of the active graph at each instant, shape (instants,).
-        age: time since the last switch over the mean dwell, clipped to [0, 1], 0 for a fixed graph; shape (instants,).
+        modes: index of the active graph at each instant, shape (instants,), or (instants, B) where episodes differ.
+        age: time since the last switch over the mean dwell, clipped to [0, 1], 0 for a fixed graph; of the same shape.
     """
 
     modes: IntArray
@@ -187,9 +199,27 @@ class Signal:
         return union(self.graphs)
 
     @property
+    def is_random(self) -> bool:
+        """Whether episodes draw their own schedules; then :meth:`draw` makes them, and :meth:`schedule` refuses."""
+        return False
+
+    @property
+    def joint_connectivity(self) -> JointConnectivity:
+        """Whether, and how surely, the graphs are jointly connected; a periodic signal's over one period."""
+        return "always" if self.union.is_connected else "never"
+
+    @property
     def is_jointly_connected(self) -> bool:
-        """Assumption 2 of the paper (Assumption 1 when fixed): the union over one period is connected."""
-        return self.union.is_connected
+        """Assumption 2 of the paper (Assumption 1 when fixed): the union over windows of some length is connected.
+
+        For a random signal also when that is only almost sure, see :attr:`joint_connectivity`.
+        """
+        return self.joint_connectivity != "never"
+
+    @property
+    def shortest_dwell(self) -> float:
+        """The shortest time between switches, in the unit of the clock; infinite when fixed."""
+        return min(self.dwells, default=float("inf"))
 
     @property
     def period(self) -> float:
@@ -222,6 +252,20 @@ class Signal:
         age = np.clip((phase - starts[modes]) / self.mean_dwell, 0.0, 1.0)
         return Schedule(modes, age)
 
+    def draw(self, instants: npt.ArrayLike, generators: Sequence[np.random.Generator]) -> Schedule:
+        """Schedules of episodes, sampled at increasing ``instants`` (K,) of the clock: modes and ages of shape (K, B).
+
+        Args:
+            instants: of the clock, from 0 on.
+            generators: one per episode; a signal that is not random draws nothing.
+
+        Raises:
+            ValueError: as :meth:`schedule`.
+        """
+        one, episodes = self.schedule(instants), len(generators)
+        modes, age = np.repeat(one.modes[:, None], episodes, axis=1), np.repeat(one.age[:, None], episodes, axis=1)
+        return Schedule(modes, age)
+
     def switches(self, start: float, end: float) -> FloatArray:
         """The switching instants in the open interval (start, end), in the unit of the clock."""
         if self.is_fixed:
@@ -232,6 +276,133 @@ class Signal:
         return instants[(instants > start + slack) & (instants < end - slack)]
 
 
+class RandomSignal(Signal):
+    """A signal that every episode draws: modes follow a Markov chain, and every dwell is drawn uniformly from a range.
+
+    In mode m the signal dwells for U(shortest, longest) and then goes on to mode m' with probability
+    ``transition[m][m']``; m' may be m again, which counts as a switch.
+
+    Args:
+        graphs: the modes, at least two, all on the same players.
+        transition: row-stochastic matrix of shape (modes, modes), irreducible: every mode is reached from every other.
+        dwells: a dwell time or a range (shortest, longest), for all modes.
+        clock: ``"physical"`` or ``"transformed"``.
+        first: the mode at the start; drawn uniformly if left out.
+
+    Attributes:
+        shortest, longest: range of the dwells, in the unit of the clock.
+        transition: as given, read-only.
+
+    Raises:
+        ValueError: when these do not hold, or as :class:`Signal`.
+    """
+
+    def __init__(
+        self,
+        graphs: Sequence[Graph],
+        transition: npt.ArrayLike,
+        dwells: Dwells,
+        clock: SignalClock = "physical",
+        first: int | None = None,
+    ) -> None:
+        bounds = dwells if isinstance(dwells, Sequence) else (dwells, dwells)
+        if len(bounds) != 2:
+            raise ValueError(f"dwells are a time or a range (shortest, longest), got {dwells!r}")
+        self.shortest, self.longest = (require_positive("a dwell time", bound) for bound in bounds)
+        if self.shortest > self.longest:
+            raise ValueError(f"the shortest dwell comes first, got the range {tuple(bounds)!r}")
+        super().__init__(graphs, [(self.shortest + self.longest) / 2] * len(graphs), clock)
+        modes = len(self.graphs)
+        if modes < 2:
+            raise ValueError("a random signal needs at least two graphs; use fixed() for one")
+        self.transition = frozen(transition)
+        rows = self.transition.shape == (modes, modes) and np.allclose(
+            self.transition.sum(axis=1), 1, rtol=0, atol=1e-9
+        )
+        if not rows or self.transition.min() < 0:
+            raise ValueError(f"transition is a {modes} × {modes} matrix of probabilities whose rows sum to 1")
+        if not nx.is_strongly_connected(nx.from_numpy_array(self.transition > 0, create_using=nx.DiGraph)):
+            raise ValueError(
+                "the Markov chain is reducible: some mode is not reached from some other; give every mode a way to "
+                "every other, or leave it out"
+            )
+        if first is not None and not 0 <= require_count("first", first, 0) < modes:
+            raise ValueError(f"first is a mode 0..{modes - 1}, got {first}")
+        self.first = first
+
+    @property
+    def is_random(self) -> bool:
+        """True."""
+        return True
+
+    @property
+    def joint_connectivity(self) -> JointConnectivity:
+        """From the union of all modes, as the chain visits all of them infinitely often with probability 1.
+
+        ``always`` is said where every mode is connected, or the order of the modes is certain. In between, chains whose
+        every path happens to connect within some window are called ``almost surely`` too.
+        """
+        if not self.union.is_connected:
+            return "never"
+        certain = bool(np.all((self.transition == 0) | (self.transition == 1)))
+        return "always" if certain or all(graph.is_connected for graph in self.graphs) else "almost surely"
+
+    @property
+    def shortest_dwell(self) -> float:
+        """The shortest dwell that can be drawn."""
+        return self.shortest
+
+    def schedule(self, instants: npt.ArrayLike) -> Schedule:  # noqa: ARG002 - the signature is the interface
+        """Not to be had without a draw.
+
+        Raises:
+            ValueError: always.
+        """
+        raise ValueError("this signal is random and has no schedule of its own: draw one per episode, see draw()")
+
+    def switches(self, start: float, end: float) -> FloatArray:  # noqa: ARG002 - the signature is the interface
+        """Not to be had without a draw.
+
+        Raises:
+            ValueError: always.
+        """
+        raise ValueError("this signal is random and has no switching instants of its own: draw a schedule, see draw()")
+
+    def draw(self, instants: npt.ArrayLike, generators: Sequence[np.random.Generator]) -> Schedule:
+        """A schedule per generator, sampled at increasing ``instants`` (K,) of the clock: modes and ages (K, B).
+
+        Raises:
+            ValueError: when an instant is negative.
+        """
+        times = np.asarray(instants, dtype=np.float64)
+        if times.size and times.min() < 0:
+            raise ValueError(f"a signal starts at 0, got the instant {times.min()}")
+        # As many dwells as there can be, so that what is drawn depends on the episode's length alone.
+        count = int(np.max(times, initial=0.0) / self.shortest) + 2
+        choices, unit = np.stack([generator.random((2, count)) for generator in generators], axis=-1)
+        ends = np.cumsum(self.shortest + (self.longest - self.shortest) * unit, axis=0)
+        ladder = np.cumsum(self.transition, axis=1)
+        ladder[:, -1] = 1.0
+        if self.first is None:
+            mode = (choices[0] * len(self.graphs)).astype(np.int64)
+        else:
+            mode = np.full(len(generators), self.first)
+
+        slack = _BOUNDARY_TOLERANCE * self.shortest
+        modes = np.broadcast_to(mode, (times.size, mode.size)).copy()
+        starts = np.zeros(modes.shape)
+        for dwell, end in enumerate(ends[:-1], 1):
+            first = int(np.searchsorted(times, end.min() - slack))
+            if first == times.size:
+                break
+            mode = (choices[dwell] >= ladder[mode].T).sum(axis=0)
+            begun = times[first:, None] >= end - slack
+            np.copyto(modes[first:], mode, where=begun)
+            np.copyto(starts[first:], end, where=begun)
+        age = np.clip((times[:, None] - starts) / self.mean_dwell, 0.0, 1.0)
+        return Schedule(modes, age)
+
+
 def fixed(graph: Graph) -> Signal:
     """The signal that never switches."""
     return Signal([graph])
@@ -240,6 +411,52 @@ def fixed(graph: Graph) -> Signal:
 def periodic(graphs: Sequence[Graph], dwells: Sequence[float], clock: SignalClock = "physical") -> Signal:
     """The signal that repeats ``graphs`` with their ``dwells``, in the unit of ``clock``."""
     return Signal(graphs, dwells, clock)
+
+
+def random_dwells(graphs: Sequence[Graph], dwells: Dwells, clock: SignalClock = "physical") -> Signal:
+    """The signal that repeats ``graphs`` in their order, each for a time that is drawn from the range ``dwells``."""
+    following = np.roll(np.eye(len(graphs)), 1, axis=1)
+    return RandomSignal(graphs, following, dwells, clock, first=0)
+
+
+def markov(
+    graphs: Sequence[Graph], transition: npt.ArrayLike, dwells: Dwells, clock: SignalClock = "physical"
+) -> Signal:
+    """The signal that after each dwell goes on to a graph that the row of ``transition`` draws."""
+    return RandomSignal(graphs, transition, dwells, clock)
+
+
+def random_edges(
+    graph: Graph, probability: float, dwells: Dwells, modes: int = 32, seed: int = 0, clock: SignalClock = "physical"
+) -> Signal:
+    """The signal that has each link of ``graph`` up or down at random in every dwell.
+
+    Every dwell draws uniformly from a pool of ``modes`` graphs, in each of which every link is up with ``probability``
+    independently. The pool is a function of the arguments, and so part of the scenario and the same in every episode.
+
+    Args:
+        graph: the links that there can be.
+        probability: that a link is up, in (0, 1].
+        dwells: a dwell time or a range (shortest, longest).
+        modes: graphs in the pool, at least 2.
+        seed: of the pool.
+        clock: ``"physical"`` or ``"transformed"``.
+
+    Raises:
+        ValueError: when the probability is not in (0, 1], or as :class:`RandomSignal`.
+    """
+    if require_positive("probability", probability) > 1:
+        raise ValueError(f"probability must be a number between 0 and 1, got {probability!r}")
+    count = require_count("modes", modes, 2)
+    links = np.array(graph.edges).reshape(-1, 2)
+    up = np.random.default_rng(require_count("seed", seed, 0)).random((count, len(links))) < probability
+    pool = []
+    for mask in up:
+        adjacency = np.zeros_like(graph.adjacency)
+        i, j = links[mask].T
+        adjacency[i, j] = adjacency[j, i] = graph.adjacency[i, j]
+        pool.append(Graph(adjacency))
+    return RandomSignal(pool, np.full((count, count), 1 / count), dwells, clock)
 
 
 def paper_signal(dwell: float = 0.1, clock: SignalClock = "physical") -> Signal:

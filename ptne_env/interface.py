@@ -49,14 +49,21 @@ class Interface:
             (``physical`` and what no player can see; for oracles only).
         action_mode: ``"input"`` (an action is the input u^i) or ``"gains"`` (two numbers per player).
         action_scale: under ``local``, an action of 1 is this many times σ_i.
+        own_payoff: whether a player sees its own cost J_i at the real strategies.
+        neighbour_errors: whether it sees its neighbours' consensus errors, which are two links away; oracles only.
+        best_response: whether it sees everybody's best response to the real strategies; oracles only.
 
     Raises:
-        ValueError: for an unknown kind or action mode, or a scale that is not positive.
+        ValueError: for an unknown kind or action mode, a scale that is not positive, or an oracle's slice in an
+            interface that is not ``full``.
     """
 
     kind: InterfaceKind = "physical"
     action_mode: ActionMode = "input"
     action_scale: float = 5.0
+    own_payoff: bool = False
+    neighbour_errors: bool = False
+    best_response: bool = False
 
     def __post_init__(self) -> None:
         if self.kind not in get_args(InterfaceKind):
@@ -64,6 +71,9 @@ class Interface:
         if self.action_mode not in get_args(ActionMode):
             raise ValueError(f"unknown action mode {self.action_mode!r}; choose from {', '.join(get_args(ActionMode))}")
         require_positive("action_scale", self.action_scale)
+        for name in ("neighbour_errors", "best_response"):
+            if getattr(self, name) and self.kind != "full":
+                raise ValueError(f"{name} is for oracles: it needs the interface 'full', got {self.kind!r}")
 
 
 class Reading(NamedTuple):
@@ -78,7 +88,14 @@ class Reading(NamedTuple):
         theta: Θ_k of the coming step, shape (R, 1).
         dt: Δt_k of the coming step in seconds, shape (R, 1).
         relative_strategies: x − x^i, shape (R, n); empty (R, 0) unless the interface is ``full``.
-        pseudo_gradient: F(x), shape (R, n); empty (R, 0) unless the interface is ``full``.
+        pseudo_gradient: F(x), or in a box (x − Π(x − Θ F(x)))/Θ, the way that is open; shape (R, n), and empty (R, 0)
+            unless the interface is ``full``.
+        own_estimate: x^i in natural units, shape (R, n); empty (R, 0) under ``local``.
+        own_payoff: J_i(x) in natural units, shape (R, 1); empty (R, 0) unless the interface has it.
+        neighbour_errors: Σ_l a_jl (x^j − x^l) of the neighbour j in each slot, shape (R, D, n); empty (R, 0, n) unless
+            the interface has it.
+        best_response: y − x with y_i the best response of player i to x, shape (R, n); empty (R, 0) unless the
+            interface has it.
     """
 
     player: IntArray
@@ -90,6 +107,10 @@ class Reading(NamedTuple):
     dt: FloatArray
     relative_strategies: FloatArray
     pseudo_gradient: FloatArray
+    own_estimate: FloatArray
+    own_payoff: FloatArray
+    neighbour_errors: FloatArray
+    best_response: FloatArray
 
 
 @dataclass(frozen=True)
@@ -103,14 +124,18 @@ class Layout:
     ====================== ======== ========================================================================
     ``own_gradient``       m        ∂J_i/∂x_i(x^i), padded with 0 to the largest n_i
     ``own_estimate``       n        x^i (not under ``local``)
-    ``relative_estimates`` D n      x^j − x^i per neighbour slot, taken in float64; 0 where the link is down
-    ``weights``            D        a_ij per neighbour slot; 0 where the link is down
+    ``relative_estimates`` D n      x^j − x^i per neighbour slot, taken in float64; 0 where the link is down; x^j is
+                                    what the channel delivers
+    ``weights``            D        a_ij per neighbour slot; 0 where the link is down, or the message is lost
     ``log_scale``          1        log10 σ_i (only under ``local``)
-    ``clock``              4        t/T, s, Θ_k, Δt_k/T
+    ``clock``              4        t/T, s, Θ_k, Δt_k/T, the first three by the player's own clock
     ``time_since_switch``  1        over the signal's mean dwell, clipped to 1; 0 for a fixed graph
     ``player``             N        one-hot
     ``relative_strategies`` n       x − x^i (only under ``full``)
-    ``pseudo_gradient``    n        F(x) at the real strategies (only under ``full``)
+    ``pseudo_gradient``    n        F(x) at the real strategies, as far as a box lets them move (only under ``full``)
+    ``own_payoff``         1        J_i(x) at the real strategies, natural units (only with ``own_payoff``)
+    ``neighbour_errors``   D n      Σ_l a_jl (x^j − x^l) per neighbour slot (only with ``neighbour_errors``)
+    ``best_response``      n        best responses to x, minus x (only with ``best_response``)
     ====================== ======== ========================================================================
 
     Under ``local``, gradient and relative estimates are divided by σ_i = max(‖own gradient‖_∞, max over live links
@@ -158,6 +183,8 @@ class Layout:
         sizes |= {"clock": 4, "time_since_switch": 1, "player": self.num_players}
         if kind == "full":
             sizes |= {"relative_strategies": n, "pseudo_gradient": n}
+        extras = {"own_payoff": 1, "neighbour_errors": slots * n, "best_response": n}
+        sizes |= {name: size for name, size in extras.items() if getattr(self.interface, name)}
         ends = np.cumsum(list(sizes.values()))
         return {name: slice(int(end) - size, int(end)) for (name, size), end in zip(sizes.items(), ends, strict=True)}
 
@@ -268,6 +295,10 @@ class Layout:
             dt=values["clock"][:, 3:4] * self.deadline,
             relative_strategies=values.get("relative_strategies", unseen),
             pseudo_gradient=values.get("pseudo_gradient", unseen),
+            own_estimate=values.get("own_estimate", unseen),
+            own_payoff=values.get("own_payoff", unseen),
+            neighbour_errors=values.get("neighbour_errors", unseen).reshape(rows, -1, self.dimension),
+            best_response=values.get("best_response", unseen),
         )
 
     def write(self, inputs: FloatArray, reading: Reading) -> Float32Array:
@@ -314,12 +345,17 @@ class Port:
     Args:
         dynamics: the world.
         interface: units, order and action mode.
+
+    Raises:
+        ValueError: when the interface shows best responses and the game has none.
     """
 
     def __init__(self, dynamics: Dynamics, interface: Interface) -> None:
         self.dynamics = dynamics
         self.interface = interface
         game, clock = dynamics.game, dynamics.clock
+        if interface.best_response and not game.has_best_response:
+            raise ValueError(f"best_response cannot be observed: {type(game).__name__} has none everywhere")
         self.layout = layout = Layout(
             interface=interface,
             action_dims=game.action_dims,
@@ -328,10 +364,10 @@ class Port:
             deadline=clock.deadline,
         )
         n, players, slots = game.dimension, game.num_players, dynamics.slots
-        # What every observation of an instant shares: the clock and the age of the graph; (5, K+H+1).
-        self._clock_table = np.stack(
-            [clock.t / clock.deadline, clock.s, clock.theta, clock.dt / clock.deadline, dynamics.time_since_switch]
-        ).astype(np.float32)
+        # What every observation of an instant shares: the clock and the age of the graph; (5, 1 or N, K+H+1).
+        t, s, theta = dynamics.readings
+        shared = [np.broadcast_to(row, t.shape) for row in (clock.dt / clock.deadline, dynamics.time_since_switch)]
+        self._clock_table = np.stack([t / clock.deadline, s, theta, *shared]).astype(np.float32)
         self._workspaces: dict[int, dict[str, Float32Array]] = {}
         self._scaled: tuple[State, FloatArray] | None = None
         # Row of own_gradients in each place of a player's own block, shape (m, N); padding is masked out.
@@ -365,8 +401,8 @@ class Port:
         def bound(name: str, lowest: npt.ArrayLike, highest: npt.ArrayLike) -> None:
             low[layout.slices[name]], high[layout.slices[name]] = lowest, highest
 
-        bound("weights", 0.0, self.dynamics.mode_weights.max())
-        bound("clock", 0.0, self._clock_table[:4].max(axis=1))
+        bound("weights", 0.0, self.dynamics.mode_weights.max() * self.dynamics.channel.largest_weight_factor)
+        bound("clock", 0.0, self._clock_table[:4].max(axis=(1, 2)))
         bound("time_since_switch", 0.0, 1.0)
         bound("player", 0.0, 1.0)
         if self.interface.kind == "local":
@@ -399,16 +435,23 @@ class Port:
             fields["own_estimate"][...] = state.estimates
             fields["own_gradient"][...] = self._own_gradients(state)
             fields["relative_estimates"][...] = state.relative_estimates
-        if not self.dynamics.signal.is_fixed:
+        if not self.dynamics.has_constant_weights:
             fields["weights"][...] = state.weights
-        fields["clock"][...] = self._clock_table.take(state.instants, axis=1)[:, None, :]
+        fields["clock"][...] = self._clock_table.take(state.instants, axis=2)
+        if self.dynamics.signal.is_random:
+            fields["time_since_switch"][...] = state.time_since_switch
         if self.interface.kind == "full":
             strategies = state.strategies
             fields["relative_strategies"][...] = strategies[:, None, :] - state.estimates
             with np.errstate(over="ignore"):
                 pseudo_gradient = state.game.pseudo_gradient(strategies)
+            if state.game.has_bounds:
+                theta = self.dynamics.clock.theta[state.instants]
+                theta = np.where(theta > 0, theta, 1.0)  # at the end, from where nobody moves
+                pseudo_gradient = (strategies - state.game.project(strategies - theta * pseudo_gradient)) / theta
             pseudo_gradient = np.clip(pseudo_gradient, -OBSERVATION_BOUND, OBSERVATION_BOUND)
             fields["pseudo_gradient"][...] = pseudo_gradient[:, None]
+        self._observe_extras(state, fields)
         if out is None:
             out = np.empty((batch, self.layout.num_players, self.layout.size), dtype=np.float32)
         np.copyto(out.reshape(batch, -1), fields["everything"])
@@ -478,12 +521,28 @@ class Port:
         parts["clock"] = fields[layout.slices["clock"].start : layout.slices["time_since_switch"].stop]
         parts["player"][...] = np.eye(layout.num_players, dtype=np.float32)[:, :, None]
         parts["everything"] = buffer.reshape(-1, row)[:, :batch].T
-        if self.dynamics.signal.is_fixed:
+        if self.dynamics.has_constant_weights:
             parts["weights"][...] = self.dynamics.mode_weights
         while len(self._workspaces) >= _WORKSPACES:
             self._workspaces.pop(next(iter(self._workspaces)))
         self._workspaces[batch] = parts
         return parts
+
+    def _observe_extras(self, state: State, fields: dict[str, Float32Array]) -> None:
+        """What only some interfaces show."""
+        interface = self.interface
+        if interface.own_payoff:
+            with np.errstate(over="ignore", invalid="ignore"):  # a diverged game may overflow
+                costs = state.game.costs(state.strategies)
+            fields["own_payoff"][...] = np.clip(np.nan_to_num(costs), -OBSERVATION_BOUND, OBSERVATION_BOUND)
+        if interface.neighbour_errors:
+            errors = -np.einsum("dib,dcib->cib", state.weights, state.relative_estimates)
+            seen = errors[:, self.dynamics.neighbours].swapaxes(0, 1)
+            fields["neighbour_errors"][...] = seen.reshape(fields["neighbour_errors"].shape)
+        if interface.best_response:
+            strategies = state.strategies
+            response = state.game.best_response(strategies) - strategies
+            fields["best_response"][...] = np.clip(response, -OBSERVATION_BOUND, OBSERVATION_BOUND)[:, None]
 
     def _own_gradients(self, state: State) -> FloatArray:
         """Own gradients per player, padded with 0, shape (m, N, B)."""
@@ -502,9 +561,13 @@ class Port:
         differences[:own] = gradients
         relative = differences[own:].reshape(slots, n, players, batch)
         rows = state.estimates.reshape(-1, batch)
-        rows.take(self._ego_neighbour_rows, axis=0, out=relative, mode="clip")  # "raise" would copy once more
+        if state.heard is None:
+            rows.take(self._ego_neighbour_rows, axis=0, out=relative, mode="clip")  # "raise" would copy once more
+        else:
+            messages = state.heard.messages.reshape(slots, -1, batch)
+            messages.take(self._ego_rows, axis=1, out=relative, mode="clip")
         relative -= rows.take(self._ego_rows, axis=0)
-        if not self.dynamics.signal.is_fixed:
+        if not self.dynamics.has_constant_weights:
             relative *= (state.weights > 0)[:, None]
         scale = np.maximum.reduce(np.abs(differences), axis=0)
         return differences, np.maximum(scale, SMALLEST_SCALE, out=scale)

@@ -12,8 +12,10 @@ from typing import Any
 
 import numpy as np
 
-from ptne_env.arrays import require_positive
+from ptne_env.arrays import require_count, require_finite, require_positive
+from ptne_env.channel import Channel
 from ptne_env.clock import Spacing, StepClock, TimeTransformation
+from ptne_env.disturbances import Disturbance
 from ptne_env.games import Game, GameFamily, SingleGame
 from ptne_env.graphs import Signal
 from ptne_env.parts import Part
@@ -32,12 +34,16 @@ _SHORTHANDS: dict[str, dict[str, Part]] = {
         "rational": Part.of("ptne_env.clock:Rational"),
         "tanh": Part.of("ptne_env.clock:HyperbolicTangent"),
     },
+    "channel": {"perfect": Part.of("ptne_env.channel:perfect")},
+    "disturbance": {"none": Part.of("ptne_env.disturbances:Undisturbed")},
 }
 _PARTS: Mapping[str, tuple[type, ...]] = {
     "game": (Game, GameFamily),
     "signal": (Signal,),
     "start": (Start,),
     "transformation": (TimeTransformation,),
+    "channel": (Channel,),
+    "disturbance": (Disturbance,),
 }
 
 
@@ -61,8 +67,8 @@ def _as_part(field: str, value: Any) -> Part:
 class Scenario:
     """The physics of an experiment. Two scenarios are equal when every field is, and can be dictionary keys.
 
-    ``game``, ``signal``, ``start`` and ``transformation`` accept a :class:`~ptne_env.parts.Part`, a
-    ``"module:object"`` string or the short names below, and hold a Part afterwards.
+    ``game``, ``signal``, ``start``, ``transformation``, ``channel`` and ``disturbance`` accept a
+    :class:`~ptne_env.parts.Part`, a ``"module:object"`` string or the short names below, and hold a Part afterwards.
 
     Attributes:
         name: for tables and files.
@@ -78,10 +84,17 @@ class Scenario:
         spacing: ``"effective"``, ``"transformed"`` or ``"physical"``; see :class:`~ptne_env.clock.StepClock`.
         hold_steps: steps after the deadline.
         input_limit: largest |u| of every component, the same for every policy.
+        channel: builds a :class:`~ptne_env.channel.Channel`, what happens to messages on the way; ``"perfect"``.
+        disturbance: builds a :class:`~ptne_env.disturbances.Disturbance` of the strategies' velocities; ``"none"``.
+        clock_shifts: by how many seconds each player's clock is fast (see :meth:`~ptne_env.clock.StepClock.read`);
+            empty where all clocks are right.
+        slots: neighbour slots per player, unused ones being padded, so that graphs of different degrees have one
+            layout; the largest degree in the union graph if ``None``.
 
     Raises:
         ValueError: when a part cannot be built, a number is out of range, the game and the graphs disagree on the
-            number of players, the graphs are not (jointly) connected, or a dwell is shorter than the longest step.
+            number of players, the graphs can never be (jointly) connected, a dwell is shorter than the longest step,
+            there are too few slots, or not as many clock shifts as players.
     """
 
     name: str
@@ -96,6 +109,10 @@ class Scenario:
     spacing: Spacing = "effective"
     hold_steps: int = 0
     input_limit: float = 1000.0
+    channel: Part = _SHORTHANDS["channel"]["perfect"]
+    disturbance: Part = _SHORTHANDS["disturbance"]["none"]
+    clock_shifts: tuple[float, ...] = ()
+    slots: int | None = None
 
     def __post_init__(self) -> None:
         if not isinstance(self.name, str):
@@ -117,12 +134,13 @@ class Scenario:
             )
         if not signal.is_fixed:
             longest = float(np.diff(clock.signal_times[signal.clock]).max())
-            if min(signal.dwells) < longest * (1 - 1e-9):
+            if signal.shortest_dwell < longest * (1 - 1e-9):
                 raise ValueError(
-                    f"scenario {self.name!r}: the shortest dwell, {min(signal.dwells):.4g} on the {signal.clock} "
+                    f"scenario {self.name!r}: the shortest dwell, {signal.shortest_dwell:.4g} on the {signal.clock} "
                     f"clock, is shorter than the longest step, {longest:.4g}, so graphs would be skipped; use more "
                     "steps, another spacing or longer dwells"
                 )
+        self._check_players()
         # Fails here, not at the first reset, when the table of a fixed start has the wrong shape.
         self.built_start.draw(game.num_players, game.dimension, np.random.default_rng(0))
         if clock.shortfall > SHORTFALL_WARNING:
@@ -131,6 +149,24 @@ class Scenario:
                 "raise s_end to come closer",
                 stacklevel=3,
             )
+
+    def _check_players(self) -> None:
+        """Check what has an entry for every player or neighbour, and that the remaining parts can be built."""
+        degree = self.built_signal.union.largest_degree
+        if self.slots is not None and require_count("slots", self.slots, 1) < degree:
+            raise ValueError(
+                f"scenario {self.name!r}: a player has {degree} neighbours and slots is {self.slots}; raise it to "
+                f"{degree} at least"
+            )
+        shifts, players = self.clock_shifts, self.built_game.num_players
+        if not isinstance(shifts, (tuple, list)):
+            raise ValueError(f"clock_shifts is one number of seconds per player, or empty, got {shifts!r}")
+        if len(shifts) not in (0, players):
+            raise ValueError(
+                f"scenario {self.name!r}: {players} players need {players} clock_shifts, or none, got {len(shifts)}"
+            )
+        object.__setattr__(self, "clock_shifts", tuple(require_finite("a clock shift", shift) for shift in shifts))
+        self.built_channel, self.built_disturbance  # noqa: B018 - built here, so that they fail here
 
     def _build(self, field: str, **extra: Any) -> Any:
         part: Part = getattr(self, field)
@@ -161,8 +197,9 @@ class Scenario:
 
     @property
     def is_random(self) -> bool:
-        """Whether two episodes differ before anybody acts."""
-        return self.has_random_game or self.built_start.is_random
+        """Whether two episodes of the same policy differ by chance."""
+        parts = (self.built_start, self.built_signal, self.built_channel, self.built_disturbance)
+        return self.has_random_game or any(part.is_random for part in parts)
 
     @cached_property
     def built_signal(self) -> Signal:
@@ -175,6 +212,18 @@ class Scenario:
         """The law of the initial estimates, built once."""
         start: Start = self._build("start")
         return start
+
+    @cached_property
+    def built_channel(self) -> Channel:
+        """What happens to messages, built once."""
+        channel: Channel = self._build("channel")
+        return channel
+
+    @cached_property
+    def built_disturbance(self) -> Disturbance:
+        """The disturbance of the velocities, built once."""
+        disturbance: Disturbance = self._build("disturbance")
+        return disturbance
 
     @cached_property
     def built_clock(self) -> StepClock:
@@ -205,6 +254,7 @@ class Scenario:
     def to_dict(self) -> dict[str, Any]:
         """A JSON object with one entry per field."""
         values = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
+        values["clock_shifts"] = list(self.clock_shifts)
         return {name: value.to_dict() if isinstance(value, Part) else value for name, value in values.items()}
 
     @classmethod
@@ -249,6 +299,15 @@ def _catalogue() -> dict[str, Scenario]:
     start = _SHORTHANDS["start"]["paper"]
     family = Part.of("ptne_env.games:RandomEnergy", players=5)
     anywhere = _SHORTHANDS["start"]["random"]
+
+    def in_games(name: str, **arguments: Any) -> Part:
+        return Part.of(f"ptne_env.games:{name}", **arguments)
+
+    def between(low: float, high: float) -> Part:
+        return Part.of("ptne_env.starts:UniformStart", low=low, high=high)
+
+    square = Part.of("ptne_env.graphs:fixed", graph=Part.of("ptne_env.graphs:cycle", players=4))
+    hvac = Part.of("ptne_env.games:EnergyGame", target=(50.0, 55.0, 60.0, 65.0, 70.0), coupling=0.04, base_price=5.0)
     scenarios = [
         Scenario(name="energy", game=energy, signal=ring, start=start),
         Scenario(name="energy-switching", game=energy, signal=physical, start=start),
@@ -261,6 +320,14 @@ def _catalogue() -> dict[str, Scenario]:
         Scenario(
             name="random-energy-switching-transformed", game=family, signal=transformed, start=anywhere, s_end=6.0
         ),
+        Scenario(name="hvac-ye-hu", game=hvac, signal=ring, start=between(0.0, 100.0)),
+        Scenario(name="cournot", game=in_games("NetworkedCournot"), signal=ring, start=between(0.0, 6.0)),
+        Scenario(name="oligopoly", game=in_games("Oligopoly"), signal=square, start=between(20.0, 60.0)),
+        Scenario(name="robots", game=in_games("ConnectivityControl"), signal=ring, start=between(-10.0, 10.0)),
+        Scenario(name="ev-charging", game=in_games("ElectricVehicleCharging"), signal=ring, start=between(0.0, 2.0)),
+        Scenario(name="rate-control", game=in_games("RateControl"), signal=ring, start=between(0.0, 4.0)),
+        Scenario(name="random-affine", game=in_games("RandomAffine", players=5), signal=ring, start=anywhere),
+        Scenario(name="weakly-monotone", game=in_games("WeaklyMonotoneGame"), signal=ring, start=anywhere),
     ]
     return {scenario.name: scenario for scenario in scenarios}
 

@@ -22,7 +22,7 @@ class Sources:
         game: draws the game of an episode.
         start: draws the initial estimates.
         graph: draws switching signals.
-        channel: draws what happens to messages.
+        channel: draws the keys of what happens to messages and disturbs velocities.
     """
 
     game: np.random.Generator

@@ -76,6 +76,11 @@ def test_compare_takes_a_policy_by_module_and_object():
         (("compare", "--episodes", "0"), "--episodes"),
         (("certify", "energie"), "unknown scenario 'energie'"),
         (("certify", "energy", "--kappa", "-1"), "kappa"),
+        (("compare", "--suite", "ptne-v0"), "unknown suite 'ptne-v0'"),
+        (("compare", "--suite", "ptne-v1", "--track", "nominl"), "has no track 'nominl'"),
+        (("compare", "--suite", "ptne-v1", "--scenario", "energy"), "leave out --scenario"),
+        (("compare", "--suite", "ptne-v1", "--policy", "model.zip"), "say --trust"),
+        (("compare", "--track", "nominal"), "name one with --suite"),
         (("no-such-command",), "No such command"),
     ],
 )
@@ -104,3 +109,54 @@ def test_certify_prints_the_numbers_of_the_paper_and_json():
         assert text in outcome.stdout
     data = json.loads(ptne("certify", "energy", "--json", "-").stdout)
     assert data["rate"] == pytest.approx(0.280, abs=5e-4)
+
+
+@pytest.fixture(scope="module")
+def suite_run(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("suite")
+    arguments = ("--policies", "grounded,ppo-random-energy", "--episodes", "6", "--jobs", "1", "--out", "out")
+    outcome = ptne("compare", "--suite", "ptne-v1", "--track", "nominal", "--track", "large-20", *arguments, cwd=folder)
+    assert outcome.returncode == 0, outcome.stderr
+    return folder, outcome.stdout
+
+
+def test_a_suite_prints_a_table_per_track_and_an_overall_one(suite_run):
+    folder, printed = suite_run
+    for text in ("nominal: 6 episodes, ranked by time to 1e-6", "large-20: 6 episodes, ranked by digits", "overall"):
+        assert text in printed
+    for text in ("oracle *", "n/a", "the policy was made for another layout", "Not over large-20", "out/results.json"):
+        assert text in printed
+    data = json.loads((folder / "out" / "results.json").read_text(encoding="utf-8"))
+    assert {row["policy"] for row in data["overall"]} == {"grounded", "ppo-random-energy", "null", "static", "oracle"}
+
+
+def test_check_says_by_its_exit_code_whether_results_reproduce(suite_run):
+    folder, _ = suite_run
+    outcome = ptne("compare", "--check", "out", "--sample", "2", cwd=folder)
+    assert outcome.returncode == 0, outcome.stderr
+    assert outcome.stdout.count("reproduces") == 2
+    forge(folder / "out")
+    outcome = ptne("compare", "--check", "out/results.json", "--sample", "99", cwd=folder)
+    assert outcome.returncode == 1
+    assert "differs" in outcome.stdout
+
+
+def forge(folder):
+    """Improve a published cell, checksum and all."""
+    from ptne_env.evaluation.suite import content_hash
+
+    path = min((folder / "cells").iterdir())
+    data = json.loads(path.read_text(encoding="utf-8"))
+    name = next(iter(data["samples"]), None)
+    if name is None:
+        data["not_applicable"] = None
+    else:
+        data["samples"][name][0] += 1
+    data["checksum"] = content_hash({key: data[key] for key in ("samples", "not_applicable")})
+    path.write_text(json.dumps(data), encoding="utf-8")
+
+
+def test_list_shows_the_tracks_of_suites():
+    printed = ptne("list").stdout
+    assert "Suite ptne-v1" in printed
+    assert "mixed-team" in printed

@@ -1,7 +1,10 @@
+from itertools import pairwise
+
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy import integrate
 
 from ptne_env.clock import (
     Exponential,
@@ -233,3 +236,49 @@ def test_without_constant_gain_theta_is_the_transformed_step():
 def test_impossible_tables_are_refused(arguments, message):
     with pytest.raises(ValueError, match=message):
         StepClock(Exponential(1.2), **{"gain": 20.0, "steps": 10, "s_end": 8.0, **arguments})
+
+
+@pytest.mark.parametrize("kind", [Exponential, Rational, HyperbolicTangent])
+@pytest.mark.parametrize("shift", [-0.7, -0.01, 0.01, 0.3])
+def test_wrong_clock_integrates_the_gain_of_the_time_that_it_shows(kind, shift):
+    """Θ^i = ∫ g(t + δ) dt over each step, g = c + 1/T before 0 and c once s_end is reached."""
+    clock = StepClock(kind(1.2), gain=5.0, steps=30, s_end=4.0, hold_steps=10)
+    reading = clock.read(shift)
+    for k in range(clock.total_steps):
+
+        def gain(t):
+            believed = t + shift
+            if believed >= clock.time_reached:
+                return 5.0
+            return float(clock.transformation.gain(max(believed, 0.0), 5.0))
+
+        edges = np.clip([-shift, clock.time_reached - shift], clock.t[k], clock.t[k] + clock.dt[k])
+        bounds = [clock.t[k], *sorted(edges), clock.t[k] + clock.dt[k]]
+        total = sum(integrate.quad(gain, *span)[0] for span in pairwise(bounds) if span[1] - span[0] > 1e-15)
+        assert reading.theta[k] == pytest.approx(total, rel=1e-6)
+    assert reading.theta[-1] == 0
+    assert reading.t == pytest.approx(np.clip(clock.t + shift, 0, clock.t[-1]))
+    assert reading.s.min() >= 0
+    assert reading.s.max() <= clock.s_end
+    before = reading.t < clock.time_reached
+    assert clock.transformation.time(reading.s[before]) == pytest.approx(reading.t[before], abs=1e-9)
+
+
+def test_clock_without_a_shift_is_the_table_itself():
+    clock = StepClock(Exponential(1.2), gain=5.0, steps=30, s_end=4.0)
+    reading = clock.read(0.0)
+    assert reading.t is clock.t
+    assert reading.s is clock.s
+    assert reading.theta is clock.theta
+
+
+def test_small_shift_makes_a_small_difference():
+    clock = StepClock(Exponential(1.2), gain=20.0, steps=400, s_end=8.0, hold_steps=20)
+    for shift in (1e-9, -1e-9):
+        assert clock.read(shift).theta == pytest.approx(clock.theta, rel=1e-4)
+
+
+def test_fast_clock_spends_its_gain_early_and_a_slow_one_late():
+    clock = StepClock(Exponential(1.2), gain=0.0, steps=400, s_end=8.0)
+    assert clock.read(0.05).theta.sum() == pytest.approx(8.0 - np.log(1.2 / 1.15), rel=1e-3)
+    assert clock.read(-0.05).theta.sum() == pytest.approx(np.log(1.2 / 0.05) + 0.05 / 1.2, rel=1e-2)

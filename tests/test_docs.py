@@ -5,7 +5,6 @@ import dataclasses
 import importlib
 import inspect
 import itertools
-import json
 import math
 import os
 import re
@@ -163,7 +162,9 @@ def test_observation_table_is_the_layout(kind):
     rows = table(ROOT / "docs" / "environment.md", "Slice")
     column = {"physical": 2, "local": 3}[kind]
     told = {row[0].strip("`"): row[column] for row in rows if row[column] != "–"}
-    for scenario in CATALOGUE:
+    scalar = [name for name, scenario in CATALOGUE.items() if scenario.built_game.action_dims == (1,) * 5]
+    assert len(scalar) > 9  # the others have another number of players or components
+    for scenario in scalar:
         slices = ptne_env.parallel_env(scenario, interface=kind).layout.slices
         assert told == {name: f"{part.start}:{part.stop}" for name, part in slices.items()}
 
@@ -200,11 +201,8 @@ def test_argument_tables_are_the_signatures():
     for name, default in fields.items():
         if default is dataclasses.MISSING:
             assert told[name] == "the scenario's"
-        elif name != "transformation":
-            assert json.loads(told[name]) == default
-    assert (
-        Scenario.from_dict(CATALOGUE["energy"].to_dict()).replace(transformation="exponential") == CATALOGUE["energy"]
-    )
+        else:
+            assert getattr(CATALOGUE["energy"].replace(**{name: ast.literal_eval(told[name])}), name) == default
 
 
 def test_reward_and_info_tables_are_complete():

@@ -2,8 +2,9 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy import stats
 from scipy.linalg import expm
-from worlds import BLOCKS, BLOCKS_SWITCHING, PAPER_START, begin, loop_matrix, stack
+from worlds import BLOCKS, BLOCKS_SWITCHING, FAULTY, PAPER_START, begin, loop_matrix, stack
 
 from ptne_env import CATALOGUE, Part, Scenario, get_scenario
 from ptne_env.dynamics import RANGE_LIMIT, Dynamics
@@ -127,7 +128,7 @@ def test_state_says_what_each_player_can_know(name):
         state = dynamics.step(state, -0.01 * state.estimates)
     adjacency = dynamics.signal.graphs[int(state.mode[0])].adjacency
     assert np.array_equal(state.own_gradients, game.own_gradients(state.estimates))
-    for i in range(5):
+    for i in range(game.num_players):
         seen = {}
         for slot, j in enumerate(dynamics.neighbours[:, i]):
             weight = state.weights[slot, i, 0]
@@ -151,6 +152,81 @@ def test_spare_slots_point_at_the_player_itself_with_weight_zero():
         assert dynamics.neighbours[:, i].tolist() == [0, i, i, i]
         assert state.weights[:, i, 0].tolist() == [1, 0, 0, 0]
         assert not state.relative_estimates[1:, :, i].any()
+
+
+def test_slots_are_padded_to_the_number_that_the_scenario_asks_for():
+    dynamics, padded = (Dynamics(get_scenario("energy-switching", slots=slots)) for slots in (None, 4))
+    assert (dynamics.slots, padded.slots) == (2, 4)
+    assert np.array_equal(padded.neighbours[:2], dynamics.neighbours)
+    assert padded.neighbours[2:].tolist() == [[0, 1, 2, 3, 4]] * 2
+    assert not padded.mode_weights[2:].any()
+    state = padded.start(start(padded))
+    assert not state.relative_estimates[2:].any()
+
+
+PUSH = "ptne_env.disturbances:UniformDisturbance"
+
+
+def test_disturbance_pushes_the_real_strategies_alone_and_is_bounded():
+    plain = Dynamics(get_scenario("energy", hold_steps=30))
+    pushed = Dynamics(get_scenario("energy", hold_steps=30, disturbance=Part.of(PUSH, bound=2.0)))
+    states = [begin(plain, [1, 2]), begin(pushed, [1, 2])]
+    shares = []
+    for k in range(430):
+        before = states[1].estimates
+        states = [plain.step(states[0], np.zeros_like(before)), pushed.step(states[1], np.zeros_like(before))]
+        moved = states[1].estimates - before
+        own = np.einsum("iib->ib", moved)
+        assert np.array_equal(moved[~np.eye(5, dtype=bool)], np.zeros((20, 2)))
+        shares.append(own / plain.clock.dt[k])
+        assert np.abs(own).max() <= 2.0 * plain.clock.dt[k] * (1 + 1e-9) + 1e-14
+        assert np.array_equal(states[0].estimates, plain.start(start(plain)).estimates.repeat(2, axis=2))
+    drawn = np.array(shares[:200])  # later on Δt is so small that rounding shows
+    assert stats.kstest(drawn.ravel() / 4 + 0.5, "uniform").pvalue > 1e-6  # false alarms: one in a million
+    assert abs(np.corrcoef(drawn[1:].ravel(), drawn[:-1].ravel())[0, 1]) < stats.norm.isf(5e-7) / np.sqrt(1990)
+
+
+def test_disturbance_may_wait_for_the_deadline_and_may_last():
+    push = Part.of(PUSH, bound=2.0, dwell=10, after_deadline_only=True)
+    dynamics = Dynamics(get_scenario("energy", steps=20, hold_steps=20, disturbance=push))
+    state, moves = begin(dynamics, [1]), []
+    for _ in range(40):
+        following = dynamics.step(state, np.zeros_like(state.estimates))
+        moves.append((following.strategies - state.strategies)[:, 0])
+        state = following
+    assert not np.any(moves[:20])
+    assert np.array_equal(np.round(moves[20:30], 12), np.tile(np.round(moves[20], 12), (10, 1)))
+    assert np.abs(moves[30] - moves[29]).max() > 1e-3
+
+
+def test_diverged_environments_are_not_pushed():
+    dynamics = Dynamics(get_scenario("energy", input_limit=1e9, disturbance=Part.of(PUSH, bound=2.0)))
+    state = dynamics.step(begin(dynamics, [1]), np.full((5, 5, 1), 1e9))
+    after = dynamics.step(state, np.zeros((5, 5, 1)))
+    assert state.diverged.all()
+    assert np.array_equal(after.estimates, state.estimates)
+
+
+def test_players_with_wrong_clocks_integrate_their_own_gain():
+    shifts = (0.0, 0.03, -0.03, 0.0, -0.2)
+    scenario = get_scenario("energy", hold_steps=40)
+    plain, wrong = Dynamics(scenario), Dynamics(scenario.replace(clock_shifts=shifts))
+    states = [begin(plain, [1]), begin(wrong, [1])]
+    held = np.ones((5, 5, 1))
+    for k in range(440):
+        moved = [dynamics.step(state, held) for dynamics, state in zip((plain, wrong), states, strict=True)]
+        for i, shift in enumerate(shifts):
+            change = (moved[1].estimates - states[1].estimates)[:, i, 0]
+            assert change == pytest.approx(np.full(5, plain.clock.read(shift).theta[k]), abs=1e-13)
+        states = moved
+    right = [0, 3]
+    assert np.array_equal(states[0].estimates[:, right], states[1].estimates[:, right])
+
+
+def test_clocks_that_are_right_change_nothing():
+    plain, shifted = (Dynamics(get_scenario("energy", clock_shifts=shifts)) for shifts in ((), (0.0,) * 5))
+    assert shifted.theta is shifted.clock.theta
+    assert np.array_equal(plain.readings, shifted.readings)
 
 
 @pytest.mark.parametrize("name", ["energy-switching", "energy-switching-transformed"])
@@ -226,6 +302,7 @@ BATCHED = {
     "blocks": BLOCKS,
     "blocks-switching": BLOCKS_SWITCHING,
     "large": large_energy_scenario(),
+    "faulty": FAULTY.replace(input_limit=1e9),
 }
 
 

@@ -3,9 +3,12 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy import stats
 
-from ptne_env import graphs
-from ptne_env.graphs import Graph, Signal
+from ptne_env import Part, get_scenario, graphs
+from ptne_env.dynamics import Dynamics
+from ptne_env.graphs import Graph, RandomSignal, Signal
+from ptne_env.sources import Sources
 
 
 @st.composite
@@ -211,3 +214,211 @@ def test_inconsistent_signals_are_refused(arguments, message):
 def test_instant_before_the_start_is_refused():
     with pytest.raises(ValueError, match="starts at 0"):
         graphs.paper_signal().schedule([-0.1])
+
+
+FALSE_ALARM = 1e-6
+"""The probability with which each statistical test below is wrong by chance; seeds are fixed."""
+
+PAIRS = [graphs.from_edges(4, [(0, 1)]), graphs.from_edges(4, [(1, 2)]), graphs.from_edges(4, [(2, 3)])]
+CHAIN = [[0.5, 0.3, 0.2], [0.1, 0.2, 0.7], [0.6, 0.4, 0.0]]
+
+
+def generators(count, seed=0):
+    return [Sources.from_seed(seed + index).graph for index in range(count)]
+
+
+def following(row, choice):
+    """The mode that a choice from [0, 1) picks from a row of the transition matrix."""
+    total = 0.0
+    for mode, probability in enumerate(row):
+        total += probability
+        if choice < total:
+            return mode
+    return len(row) - 1
+
+
+def walked(signal, instants, generator):
+    """Mode and age by walking from dwell to dwell with the same draws, in plain Python."""
+    count = int(max(instants) / signal.shortest) + 2
+    choices, units = generator.random((2, count))
+    modes, ages = [], []
+    for instant in instants:
+        mode = signal.first if signal.first is not None else int(choices[0] * len(signal.graphs))
+        begun, dwell = 0.0, 0
+        while True:
+            end = begun + signal.shortest + (signal.longest - signal.shortest) * units[dwell]
+            if instant < end - 1e-9 * signal.shortest:
+                break
+            begun, dwell, mode = end, dwell + 1, following(signal.transition[mode].tolist(), choices[dwell + 1])
+        modes.append(mode)
+        ages.append(min((instant - begun) / signal.mean_dwell, 1.0))
+    return modes, ages
+
+
+@pytest.mark.parametrize(
+    "signal",
+    [
+        graphs.markov(PAIRS, CHAIN, (0.2, 0.7)),
+        graphs.markov(PAIRS, CHAIN, 0.25),
+        graphs.random_dwells(PAIRS, (0.2, 0.7)),
+        graphs.random_edges(graphs.complete(4), 0.3, (0.2, 0.7), modes=5),
+    ],
+    ids=["markov", "markov, dwells known", "dwells", "edges"],
+)
+def test_drawn_schedule_is_the_one_found_by_walking_through_the_draws(signal):
+    instants = np.linspace(0, 12, 97)
+    schedule = signal.draw(instants, generators(6))
+    assert schedule.modes.shape == schedule.age.shape == (97, 6)
+    for b, generator in enumerate(generators(6)):
+        modes, ages = walked(signal, instants.tolist(), generator)
+        assert schedule.modes[:, b].tolist() == modes
+        assert schedule.age[:, b] == pytest.approx(np.array(ages), abs=1e-9)
+    assert len({tuple(column) for column in schedule.modes.T}) > 1 or signal.first is not None
+
+
+def test_schedules_of_episodes_do_not_depend_on_each_other():
+    signal, instants = graphs.markov(PAIRS, CHAIN, (0.2, 0.7)), np.linspace(0, 12, 97)
+    together = signal.draw(instants, generators(5))
+    for b in range(5):
+        alone = signal.draw(instants, generators(1, seed=b))
+        assert np.array_equal(alone.modes[:, 0], together.modes[:, b])
+        assert np.array_equal(alone.age[:, 0], together.age[:, b])
+
+
+def test_modes_follow_the_chain_and_dwells_their_range():
+    signal = graphs.markov(PAIRS, CHAIN, 1.0)
+    modes = signal.draw(np.arange(60) + 0.5, generators(300)).modes
+    assert stats.chisquare(np.bincount(modes[0], minlength=3)).pvalue > FALSE_ALARM
+    for mode in range(3):
+        following = np.bincount(modes[1:][modes[:-1] == mode], minlength=3)
+        expected = np.array(CHAIN[mode]) * following.sum()
+        possible = expected > 0
+        assert not following[~possible].any()
+        assert stats.chisquare(following[possible], expected[possible]).pvalue > FALSE_ALARM
+
+    order = graphs.random_dwells(PAIRS, (0.5, 1.5))
+    instants = np.linspace(0, 1.5, 3001)
+    first = (order.draw(instants, generators(400)).modes == 0).sum(axis=0) * 0.0005  # the first dwell of each episode
+    assert stats.kstest(first - 0.5, "uniform").pvalue > FALSE_ALARM
+    assert set(np.diff(order.draw(np.linspace(0, 30, 3001), generators(5)).modes, axis=0).ravel()) == {0, 1, -2}
+
+
+def test_links_of_the_pool_are_up_as_often_as_asked_for():
+    signal = graphs.random_edges(graphs.complete(6), 0.3, 1.0, modes=400, seed=3)
+    up = sum(len(graph.edges) for graph in signal.graphs)
+    assert stats.binomtest(up, 400 * 15, 0.3).pvalue > FALSE_ALARM
+    again = graphs.random_edges(graphs.complete(6), 0.3, 1.0, modes=400, seed=3)
+    assert again.graphs == signal.graphs
+    assert graphs.random_edges(graphs.complete(6), 0.3, 1.0, modes=400, seed=4).graphs != signal.graphs
+    weighted = graphs.random_edges(Graph([[0, 2.5], [2.5, 0]]), 0.5, 1.0, modes=20)
+    assert {graph.adjacency[0, 1] for graph in weighted.graphs} == {0.0, 2.5}
+
+
+def test_joint_connectivity_is_what_can_be_promised():
+    connected = [graphs.path(4), graphs.cycle(4)]
+    apart = [graphs.from_edges(4, [(0, 1)]), graphs.from_edges(4, [(2, 3)])]
+    even = np.full((2, 2), 0.5)
+    assert graphs.fixed(graphs.path(4)).joint_connectivity == "always"
+    assert graphs.fixed(apart[0]).joint_connectivity == "never"
+    assert graphs.periodic(PAIRS, [1] * 3).joint_connectivity == "always"
+    assert graphs.periodic(apart, [1, 1]).joint_connectivity == "never"
+    assert graphs.random_dwells(PAIRS, (0.5, 1)).joint_connectivity == "always"
+    assert graphs.markov(PAIRS, CHAIN, 1.0).joint_connectivity == "almost surely"
+    assert graphs.markov(connected, even, 1.0).joint_connectivity == "always"
+    assert graphs.markov(apart, even, 1.0).joint_connectivity == "never"
+    assert graphs.random_edges(graphs.cycle(4), 0.5, 1.0).joint_connectivity == "almost surely"
+    assert graphs.random_edges(graphs.cycle(4), 1.0, 1.0, modes=2).joint_connectivity == "always"
+    assert graphs.random_edges(graphs.cycle(4), 1e-9, 1.0).joint_connectivity == "never"
+
+
+def test_almost_sure_means_no_window():
+    """An episode with a given window in which the union is not connected happens, with any window."""
+    signal = graphs.markov(PAIRS, np.full((3, 3), 1 / 3), 1.0)
+    modes = signal.draw(np.arange(40) + 0.5, generators(2000)).modes
+    disconnected = [len(set(modes[:5, b])) < 3 for b in range(2000)]
+    probability = (3 * 2**5 - 3) / 3**5  # a mode or two are missing among five
+    assert stats.binomtest(sum(disconnected), 2000, probability).pvalue > FALSE_ALARM
+
+
+def test_random_signal_has_no_schedule_without_a_draw():
+    signal = graphs.markov(PAIRS, CHAIN, (0.2, 0.7))
+    assert signal.is_random
+    assert not signal.is_fixed
+    assert (signal.shortest_dwell, signal.mean_dwell) == (0.2, pytest.approx(0.45))
+    for call in (lambda: signal.schedule([0.0]), lambda: signal.switches(0, 1)):
+        with pytest.raises(ValueError, match="is random and has no"):
+            call()
+    with pytest.raises(ValueError, match="starts at 0"):
+        signal.draw([-1.0, 0.0], generators(1))
+
+
+def test_drawing_a_certain_signal_gives_everybody_its_schedule():
+    signal, instants = graphs.paper_signal(), np.linspace(0, 1, 31)
+    drawn, schedule = signal.draw(instants, generators(3)), signal.schedule(instants)
+    for b in range(3):
+        assert np.array_equal(drawn.modes[:, b], schedule.modes)
+        assert np.array_equal(drawn.age[:, b], schedule.age)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"transition": [[1, 0], [0, 1]]}, "some mode is not reached from some other"),
+        ({"transition": [[0.5, 0.5], [0, 1]]}, "some mode is not reached"),
+        ({"transition": [[0.5, 0.6], [0.5, 0.5]]}, "2 × 2 matrix of probabilities whose rows sum to 1"),
+        ({"transition": [[1.5, -0.5], [0.5, 0.5]]}, "2 × 2 matrix of probabilities"),
+        ({"transition": [[1.0]]}, "2 × 2 matrix"),
+        ({"dwells": (0.7, 0.2)}, "the shortest dwell comes first"),
+        ({"dwells": (0.1, 0.2, 0.3)}, "a time or a range"),
+        ({"dwells": 0.0}, "dwell time must be a finite number above 0"),
+        ({"first": 2}, "first is a mode 0..1, got 2"),
+        ({"graphs": [graphs.path(3)], "transition": [[1.0]]}, "at least two graphs"),
+    ],
+)
+def test_random_signal_that_cannot_be_is_refused(arguments, message):
+    defaults = {"graphs": [graphs.path(3)] * 2, "transition": np.full((2, 2), 0.5), "dwells": 1.0}
+    with pytest.raises(ValueError, match=message):
+        RandomSignal(**(defaults | arguments))
+
+
+@pytest.mark.parametrize("probability", [0.0, 1.1, -0.1])
+def test_links_that_are_up_with_no_probability_are_refused(probability):
+    with pytest.raises(ValueError, match="probability must be"):
+        graphs.random_edges(graphs.cycle(4), probability, 1.0)
+
+
+def random_scenario(**arguments):
+    part = Part.of("ptne_env.graphs:random_edges", graph=Part.of("ptne_env.graphs:cycle", players=5), **arguments)
+    return get_scenario("energy", signal=part, start="random")
+
+
+def test_scenario_refuses_what_never_connects_and_what_may_dwell_too_shortly():
+    with pytest.raises(ValueError, match="not jointly connected.*add links"):
+        random_scenario(probability=1e-9, dwells=0.1)
+    with pytest.raises(ValueError, match=r"shortest dwell, 0\.001 on the physical clock, is shorter"):
+        random_scenario(probability=0.5, dwells=(0.001, 0.5))
+
+
+def test_every_episode_has_its_own_signal_and_it_is_held_in_the_state():
+    scenario = random_scenario(probability=0.5, dwells=(0.02, 0.05))
+    assert scenario.is_random
+    dynamics = Dynamics(scenario)
+
+    def states(seeds):
+        sources = [Sources.from_seed(seed) for seed in seeds]
+        estimates, chance = dynamics.draw_estimates(sources), dynamics.draw_chance(sources)
+        state, result = dynamics.start(estimates, chance=chance), []
+        for _ in range(400):
+            result.append(state)
+            state = dynamics.step(state, np.zeros_like(state.estimates))
+        return result
+
+    together = states(range(3))
+    modes = np.array([state.mode for state in together])
+    assert len({tuple(column) for column in modes.T}) == 3
+    assert np.array_equal(modes[:, [1]], np.array([state.mode for state in states([1])]))
+    for state in together[::40]:
+        for b in range(3):
+            adjacency = dynamics.signal.graphs[int(state.mode[b])].adjacency
+            for i in range(5):
+                assert state.weights[:, i, b].tolist() == [adjacency[i, j] for j in dynamics.neighbours[:, i]]

@@ -3,7 +3,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 from test_dynamics import large_energy_scenario
-from worlds import BLOCKS, BLOCKS_SWITCHING, begin, make_port
+from worlds import BLOCKS, BLOCKS_SWITCHING, FAULTY, begin, make_port
 
 from ptne_env import CATALOGUE, Interface, get_scenario
 from ptne_env.dynamics import RANGE_LIMIT, State
@@ -120,8 +120,11 @@ def test_oracle_sees_the_real_strategies_and_the_pseudo_gradient_besides(name):
     for i in range(layout.num_players):
         relative = (strategies - state.estimates[:, i]).T.astype(np.float32)
         assert np.array_equal(layout.select(observations, "relative_strategies")[:, i], relative)
-        gradient = state.game.pseudo_gradient(strategies).T.astype(np.float32)
-        assert np.array_equal(layout.select(observations, "pseudo_gradient")[:, i], gradient)
+        gradient = state.game.pseudo_gradient(strategies)
+        if state.game.has_bounds:  # as far as the box lets the players follow it
+            theta = dynamics.clock.theta[state.step]
+            gradient = (strategies - state.game.project(strategies - theta * gradient)) / theta
+        assert np.array_equal(layout.select(observations, "pseudo_gradient")[:, i], gradient.T.astype(np.float32))
 
 
 @pytest.mark.parametrize("name", WORLDS)
@@ -378,3 +381,36 @@ def test_written_inputs_are_the_inputs_that_arrive(kind):
     wanted = np.random.default_rng(0).uniform(-1, 1, (3, 6))
     arrived = port.decode(port.layout.write(wanted, reading)[None], state).inputs[:, :, 0].T
     assert arrived == pytest.approx(wanted * reading.unit, rel=3e-6)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_observation_of_a_faulty_world_holds_what_is_heard_by_the_players_own_clocks(kind):
+    dynamics, port = make_port(FAULTY, kind=kind)
+    state, layout = wander(dynamics, steps=25), port.layout
+    reading = layout.read(port.observe(state).reshape(10, -1))
+    relative, weights = state.relative_estimates, state.weights
+    for b in range(2):
+        for i, shift in enumerate(FAULTY.clock_shifts):
+            row = 5 * b + i
+            assert reading.weights[row] == pytest.approx(weights[:, i, b], rel=1e-6)
+            found = reading.relative_estimates[row] * reading.unit[row]
+            assert found == pytest.approx(relative[:, :, i, b], rel=1e-5, abs=1e-5)
+            own = dynamics.clock.read(shift)
+            observed = layout.select(port.observe(state)[b, i], "clock")
+            dt = dynamics.clock.dt[25] / dynamics.clock.deadline
+            expected = [own.t[25] / dynamics.clock.deadline, own.s[25], own.theta[25], dt]
+            assert observed == pytest.approx(expected, rel=1e-6)
+        age = layout.select(port.observe(state)[b, 0], "time_since_switch")
+        assert age[0] == np.float32(state.time_since_switch[b])
+    assert len(set(state.time_since_switch)) == 2  # episodes draw their own signals
+
+
+@pytest.mark.parametrize("kind", ["physical", "local"])
+def test_gains_act_on_what_is_heard(kind):
+    dynamics, port = make_port(FAULTY, kind=kind, action_mode="gains")
+    state = wander(dynamics)
+    inputs = port.decode(np.zeros((2, 5, 2), dtype=np.float32), state).inputs
+    expected = CONSENSUS_GAIN * np.einsum("dib,dcib->cib", state.weights, state.relative_estimates)
+    for i in range(5):
+        expected[i, i] -= state.own_gradients[i]
+    assert inputs == pytest.approx(expected, rel=1e-9)

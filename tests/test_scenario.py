@@ -36,6 +36,10 @@ def scenarios(draw):
         spacing=spacing,
         hold_steps=draw(st.integers(0, 5)),
         input_limit=draw(finite),
+        channel=draw(st.sampled_from(["perfect", Part.of("ptne_env.channel:Loss", probability=0.5)])),
+        disturbance=draw(st.sampled_from(["none", Part.of("ptne_env.disturbances:UniformDisturbance", bound=1.0)])),
+        clock_shifts=draw(st.sampled_from([(), (0.1,) * players])),
+        slots=draw(st.sampled_from([None, 4])),
     )
 
 
@@ -67,6 +71,14 @@ def test_catalogue_has_the_promised_scenarios():
         "random-energy",
         "random-energy-switching",
         "random-energy-switching-transformed",
+        "hvac-ye-hu",
+        "cournot",
+        "oligopoly",
+        "robots",
+        "ev-charging",
+        "rate-control",
+        "random-affine",
+        "weakly-monotone",
     ]
     assert list(CATALOGUE)[:6] == FROM_THE_PAPER
 
@@ -91,7 +103,7 @@ def test_catalogue_has_the_settings_of_the_paper(name):
         assert signal.graphs == (cycle(5),)
 
 
-@pytest.mark.parametrize("name", [name for name in CATALOGUE if name not in FROM_THE_PAPER])
+@pytest.mark.parametrize("name", [name for name in CATALOGUE if name.startswith("random-energy")])
 def test_random_scenarios_draw_game_and_start_on_the_graphs_of_the_paper(name):
     scenario, paper = CATALOGUE[name], CATALOGUE[name.removeprefix("random-")]
     changed = {"name": name, "game": scenario.game, "start": get_scenario("energy", start="random").start, "s_end": 6.0}
@@ -100,6 +112,33 @@ def test_random_scenarios_draw_game_and_start_on_the_graphs_of_the_paper(name):
     assert scenario.has_random_game
     assert scenario.is_random
     assert not paper.has_random_game
+
+
+OTHER_GAMES = {
+    "hvac-ye-hu": ("EnergyGame", (1,) * 5),
+    "cournot": ("NetworkedCournot", (2, 1, 2, 2, 1)),
+    "oligopoly": ("Oligopoly", (1,) * 4),
+    "robots": ("ConnectivityControl", (2,) * 5),
+    "ev-charging": ("ElectricVehicleCharging", (4,) * 5),
+    "rate-control": ("RateControl", (1,) * 5),
+    "random-affine": ("AffineGame", (1,) * 5),
+    "weakly-monotone": ("WeaklyMonotoneGame", (1,) * 5),
+}
+
+
+@pytest.mark.parametrize("name", OTHER_GAMES)
+def test_other_games_start_at_random_in_their_box_on_a_cycle(name):
+    scenario, (kind, dims) = CATALOGUE[name], OTHER_GAMES[name]
+    game, clock = scenario.built_game, scenario.built_clock
+    assert (type(game).__name__, game.action_dims) == (kind, dims)
+    assert scenario.built_signal.graphs == (cycle(len(dims)),)
+    assert (clock.deadline, clock.gain, clock.steps, clock.s_end, clock.hold_steps) == (1.2, 20.0, 400, 8.0, 0)
+    start = scenario.built_start
+    assert start.is_random
+    if game.has_bounds:
+        assert (start.low, start.high) == (game.low.min(), game.high.max())
+    assert start.low < game.nash_equilibria.max()
+    assert game.nash_equilibria.min() < start.high
 
 
 def test_random_start_draws_every_estimate_from_minus_20_to_20():
@@ -193,6 +232,31 @@ REFUSED = {
     "game and graph for different numbers": (
         lambda: get_scenario("energy", signal="ptne_env.graphs:paper_signal", game="sample_games:BlockGame"),
         "the game has 3 players, the graphs 5",
+    ),
+    "too few slots": (
+        lambda: get_scenario("energy", slots=1),
+        "a player has 2 neighbours and slots is 1; raise it to 2",
+    ),
+    "half a slot": (lambda: get_scenario("energy", slots=2.5), "slots must be a whole number"),
+    "clocks of some players": (
+        lambda: get_scenario("energy", clock_shifts=(0.1, 0.2)),
+        "5 players need 5 clock_shifts, or none, got 2",
+    ),
+    "one clock for all": (lambda: get_scenario("energy", clock_shifts=0.1), "clock_shifts is one number of seconds"),
+    "clock that is infinitely fast": (
+        lambda: get_scenario("energy", clock_shifts=(float("inf"), 0, 0, 0, 0)),
+        "a clock shift must be a finite number",
+    ),
+    "unknown channel": (lambda: get_scenario("energy", channel="noisy"), "channel is 'perfect', a 'module:object'"),
+    "channel of another kind": (
+        lambda: get_scenario("energy", channel="ptne_env.starts:paper_start"),
+        "built a FixedStart where channel needs a Channel",
+    ),
+    "disturbance without bound": (
+        lambda: get_scenario(
+            "energy", disturbance=Part.of("ptne_env.disturbances:UniformDisturbance", bound=float("inf"))
+        ),
+        "bound must be a finite number above 0",
     ),
     "part of another kind": (
         lambda: get_scenario("energy", game="ptne_env.starts:paper_start"),

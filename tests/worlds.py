@@ -44,6 +44,52 @@ BLOCKS_SWITCHING = BLOCKS.replace(
 )
 
 
+def channel_part(kind, **arguments):
+    """The part that builds a stage of a channel."""
+    return Part.of(f"ptne_env.channel:{kind}", **arguments)
+
+
+EVERY_FAULT = channel_part(
+    "Chain",
+    stages=(
+        channel_part("UniformQuantiser", width=0.01),
+        channel_part("AdditiveNoise", std=0.1),
+        channel_part("Loss", probability=0.2, gap="hold"),
+        channel_part("Delay", steps=0, longest=3),
+        channel_part(
+            "Chain",
+            stages=(
+                channel_part("BurstLoss", to_bad=0.1, to_good=0.4, loss_good=0.05, gap="drop"),
+                channel_part("LogarithmicQuantiser", ratio=0.8, target="difference"),
+            ),
+        ),
+        channel_part("MultiplicativeNoise", std=0.1),
+        channel_part("AsymmetricLinks", low=0.5, high=1.5),
+    ),
+)
+"""A channel of all stages."""
+
+FAULTY = CATALOGUE["random-energy"].replace(
+    name="faulty",
+    signal=Part.of(
+        "ptne_env.graphs:random_edges",
+        graph=Part.of("ptne_env.graphs:cycle", players=5),
+        probability=0.6,
+        dwells=(0.3, 0.5),
+        clock="transformed",
+    ),
+    spacing="transformed",
+    gain=2.0,
+    steps=60,
+    hold_steps=4,
+    channel=EVERY_FAULT,
+    disturbance=Part.of("ptne_env.disturbances:UniformDisturbance", bound=3.0, dwell=2),
+    clock_shifts=(0.0, 0.01, -0.01, 0.0, 0.02),
+    slots=4,
+)
+"""Everything that can go wrong."""
+
+
 def energy_scenario(curvature, target, signal, **fields):
     """The energy game with these players, on any signal, from random estimates."""
     game = Part.of("ptne_env.games:EnergyGame", curvature=curvature, target=target)
@@ -70,7 +116,8 @@ def loop_matrix(game, adjacency, kappa, gradient_gain=1.0):
 def begin(dynamics, seeds):
     """The state at t = 0 that these seeds draw, game and estimates, one environment each."""
     sources = [Sources.from_seed(seed) for seed in seeds]
-    return dynamics.start(dynamics.draw_estimates(sources), dynamics.draw_game(sources))
+    estimates, game = dynamics.draw_estimates(sources), dynamics.draw_game(sources)
+    return dynamics.start(estimates, game, dynamics.draw_chance(sources))
 
 
 def stack(estimates):

@@ -115,7 +115,7 @@ class Simulation:
             theory.require_strong_monotonicity(game)
         if estimates is None:
             estimates = self.dynamics.draw_estimates(drawn)
-        fresh = self.dynamics.start(estimates, game)
+        fresh = self.dynamics.start(estimates, game, self.dynamics.draw_chance(drawn))
         if fresh.any_diverged:
             raise ValueError(f"own gradients at the initial estimates must be within ±{RANGE_LIMIT:g}: start closer")
         if mask is not None and self.state is not None and len(chosen) < self.num_envs:

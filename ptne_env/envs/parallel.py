@@ -287,6 +287,7 @@ def parallel_env(
     interface: InterfaceKind = "physical",
     action_mode: ActionMode = "input",
     action_scale: float = 5.0,
+    own_payoff: bool = False,
     reward: str | Mapping[str, float] = "digits",
     max_cycles: int | None = None,
     render_mode: str | None = None,
@@ -299,6 +300,7 @@ def parallel_env(
         interface: ``"physical"`` or ``"local"``; see :class:`ptne_env.interface.Layout`.
         action_mode: ``"input"`` or ``"gains"``.
         action_scale: under ``local``, an action of 1 is this many times σ_i.
+        own_payoff: whether players observe their own costs J_i at the real strategies.
         reward: a term's name (``digits``, ``tracking``, ``payoff``, ``regret``) or weights by name.
         max_cycles: steps after which the episode is truncated.
         render_mode: ``None``, ``"human"`` or ``"rgb_array"``.
@@ -309,7 +311,7 @@ def parallel_env(
     """
     return NashSeekingEnv(
         get_scenario(scenario, **overrides),
-        interface=Interface(interface, action_mode, action_scale),
+        interface=Interface(interface, action_mode, action_scale, own_payoff),
         reward=reward,
         max_cycles=max_cycles,
         render_mode=render_mode,

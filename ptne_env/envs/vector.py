@@ -53,6 +53,7 @@ class VectorParallelEnv:
         interface: ``"physical"`` or ``"local"``.
         action_mode: ``"input"`` or ``"gains"``.
         action_scale: under ``local``, an action of 1 is this many times σ_i.
+        own_payoff: whether players observe their own costs J_i at the real strategies.
         reward: a term's name, or weights by name.
         max_cycles: steps after which an episode is truncated.
         **overrides: fields of the scenario to change.
@@ -76,6 +77,7 @@ class VectorParallelEnv:
         interface: InterfaceKind = "physical",
         action_mode: ActionMode = "input",
         action_scale: float = 5.0,
+        own_payoff: bool = False,
         reward: str | Mapping[str, float] = "digits",
         max_cycles: int | None = None,
         **overrides: Any,
@@ -86,7 +88,7 @@ class VectorParallelEnv:
         def simulation(count: int, twin: Simulation | None) -> Simulation:
             return Simulation(
                 self.scenario,
-                interface=Interface(interface, action_mode, action_scale),
+                interface=Interface(interface, action_mode, action_scale, own_payoff),
                 reward=reward,
                 max_cycles=max_cycles,
                 num_envs=count,

@@ -43,6 +43,26 @@ COMPARATIVE_METRICS: Mapping[str, str] = {
 }
 """What is recorded besides :data:`METRICS`: the worst decile of everybody, the rest of learned policies only."""
 
+SUITE_METRICS: Mapping[str, str] = {
+    **METRICS,
+    "regret": "Nikaido–Isoda regret Σ_i [J_i(x) − min over y of J_i(y, x_{-i})] at the deadline",
+    "log_error_area": "mean of log10 of the estimate distance over [0, T]",
+    "messages": "estimates sent over live links until the deadline",
+    "bits": "in these messages",
+}
+"""What suites measure of every episode."""
+
+
+def measure_for_suite(rollout: Rollout) -> dict[str, FloatArray]:
+    """:data:`SUITE_METRICS` of every episode, each of shape (B,); NaN where there is none."""
+    return {
+        **measure(rollout),
+        "regret": rollout.regret,
+        "log_error_area": rollout.log_error_area,
+        "messages": rollout.messages,
+        "bits": rollout.bits,
+    }
+
 
 def measure(rollout: Rollout) -> dict[str, FloatArray]:
     """Every metric of every episode, each of shape (B,); NaN where there is none (a run that never settled)."""

@@ -6,12 +6,14 @@ from abc import ABC, abstractmethod
 from functools import cached_property
 
 import numpy as np
+import numpy.typing as npt
 from scipy import optimize
 
 from ptne_env.arrays import BoolArray, FloatArray, IntArray, frozen, ordered_sum, require_count
+from ptne_env.games.variational import natural_map, solve_box
 
 RESIDUAL_TOLERANCE = 1e-10
-"""Largest ‖F(x*)‖, relative to 1 + ‖x*‖, with which a computed point is accepted as an equilibrium."""
+"""Largest ‖x* − Π(x* − F(x*))‖, relative to 1 + ‖x*‖, with which a computed point is accepted as an equilibrium."""
 
 
 class NoBestResponseError(ValueError):
@@ -19,25 +21,42 @@ class NoBestResponseError(ValueError):
 
 
 class Game(ABC):
-    """N players, player i choosing a strategy x_i in R^{n_i} to minimise its cost J_i(x_i, x_{-i}).
+    """N players, player i choosing a strategy x_i in R^{n_i}, or in a box, to minimise its cost J_i(x_i, x_{-i}).
 
     Arrays are float64 with environments last: a joint strategy of B environments has shape (n, B) with
     n = Σ n_i, and everybody's estimates have shape (n, N, B), where column i is player i's estimate x^i.
 
     Args:
         action_dims: n_i of each player, each at least 1.
+        low: smallest strategies, one number for all or (n,), and (n, G) for a batch; ``None`` where nothing confines
+            them, −inf for single components that nothing confines.
+        high: largest strategies, likewise with +inf.
+
+    Attributes:
+        low, high: the box, shape (n, 1) or (n, G) each and read-only, or both ``None``. The dynamics keep the real
+            strategies in it; estimates of others may be anywhere.
 
     Raises:
-        ValueError: when there are fewer than two players or a dimension is below 1.
+        ValueError: when there are fewer than two players, a dimension is below 1, or the box is empty or of another
+            shape.
     """
 
     is_affine: bool = False
     """Whether the pseudo-gradient F is affine, so that exact oracles apply."""
 
-    def __init__(self, action_dims: tuple[int, ...]) -> None:
+    low: FloatArray | None
+    high: FloatArray | None
+
+    def __init__(
+        self,
+        action_dims: tuple[int, ...],
+        low: npt.ArrayLike | None = None,
+        high: npt.ArrayLike | None = None,
+    ) -> None:
         if len(action_dims) < 2:
             raise ValueError(f"a game needs at least 2 players, got action_dims={action_dims!r}")
         self.action_dims = tuple(require_count("each entry of action_dims", dim, 1) for dim in action_dims)
+        self.low, self.high = _box(low, high, self.dimension)
 
     @property
     def num_players(self) -> int:
@@ -59,6 +78,17 @@ class Game(ABC):
         """The player who owns each component, shape (n,)."""
         return np.repeat(np.arange(self.num_players), self.action_dims).astype(np.int64)
 
+    @property
+    def has_bounds(self) -> bool:
+        """Whether a box confines the strategies."""
+        return self.low is not None
+
+    def project(self, strategies: FloatArray) -> FloatArray:
+        """Π(x), the nearest strategies in the box: (n, B) to (n, B); the same array where nothing confines them."""
+        if self.low is None or self.high is None:
+            return strategies
+        return np.clip(strategies, self.low, self.high)
+
     @abstractmethod
     def costs(self, strategies: FloatArray) -> FloatArray:
         """J_i(x) of every player: strategies (n, B) to costs (N, B)."""
@@ -72,14 +102,14 @@ class Game(ABC):
 
     @abstractmethod
     def best_response(self, strategies: FloatArray) -> FloatArray:
-        """Argmin over y of J_i(y, x_{-i}) for every player: (n, B) to (n, B).
+        """Argmin over y in the box of J_i(y, x_{-i}) for every player: (n, B) to (n, B).
 
         Raises:
             NoBestResponseError: when some player's cost has no minimiser for some x_{-i}.
         """
 
     def regrets(self, strategies: FloatArray) -> FloatArray:
-        """J_i(x) − min over y of J_i(y, x_{-i}) ≥ 0 of every player: (n, B) to (N, B).
+        """J_i(x) − min over y in the box of J_i(y, x_{-i}) ≥ 0 of every player: (n, B) to (N, B).
 
         Their sum over players is the Nikaido–Isoda gap, 0 exactly at an equilibrium.
 
@@ -97,6 +127,13 @@ class Game(ABC):
         """F(x) = col(∂J_i/∂x_i(x)): (n, B) to (n, B)."""
         shape = (self.dimension, self.num_players, strategies.shape[1])
         return self.own_gradients(np.broadcast_to(strategies[:, None, :], shape))
+
+    def natural_residual(self, strategies: FloatArray) -> FloatArray:
+        """x − Π(x − F(x)), which is 0 exactly at equilibria of a convex game; F(x) without a box. (n, B) to (n, B)."""
+        field = self.pseudo_gradient(strategies)
+        if self.low is None or self.high is None:
+            return field
+        return natural_map(strategies, field, self.low, self.high)
 
     def jacobian(self, strategies: FloatArray) -> FloatArray | None:  # noqa: ARG002 - the signature is the interface
         """dF(x) where it is known: (n, B) to (n, n, B), row = component of F; ``None`` where it is not."""
@@ -128,19 +165,30 @@ class Game(ABC):
 
     @cached_property
     def nash_equilibria(self) -> FloatArray:
-        """x* with F(x*) = 0 of every game, shape (n, G), read-only; verified by the residual.
+        """x* with F(x*) = 0, or x* = Π(x* − F(x*)) in a box, of every game; verified. Shape (n, G), read-only.
 
         Raises:
             ArithmeticError: when the solver's point is not an equilibrium to 1e-10.
         """
         points = np.asarray(self._solve_nash_equilibria(), dtype=np.float64)
-        residuals = np.linalg.norm(self.pseudo_gradient(points), axis=0)
+        residuals = np.linalg.norm(self.natural_residual(points), axis=0)
         if not np.all(residuals <= RESIDUAL_TOLERANCE * (1 + np.linalg.norm(points, axis=0))):
             raise ArithmeticError(
-                f"{type(self).__name__}: the point found has ‖F(x)‖ = {residuals.max():.3g}; no Nash equilibrium was "
-                "found"
+                f"{type(self).__name__}: the point found has "
+                f"{'‖x − Π(x − F(x))‖' if self.has_bounds else '‖F(x)‖'} = {residuals.max():.3g}; no Nash equilibrium "
+                "was found"
             )
         return frozen(points)
+
+    @cached_property
+    def held_at_equilibrium(self) -> BoolArray:
+        """Which components of x* their bounds hold, F pressing against them; shape (n, G). All False without a box."""
+        points = self.nash_equilibria
+        if self.low is None or self.high is None:
+            return np.zeros(points.shape, dtype=np.bool_)
+        wanted = points - self.pseudo_gradient(points)
+        slack = RESIDUAL_TOLERANCE * (1 + np.abs(points))  # at a bound with F = 0 a component is free
+        return np.asarray((wanted < self.low - slack) | (wanted > self.high + slack))
 
     @cached_property
     def equilibrium_scale(self) -> FloatArray:
@@ -161,7 +209,15 @@ class Game(ABC):
         return self.nash_equilibria[:, 0]
 
     def _solve_nash_equilibria(self) -> FloatArray:
-        """A zero of F by ``scipy.optimize.root``, (n, 1); games with a closed form, and batches, override this."""
+        """A zero of F by ``scipy.optimize.root``, (n, 1), or the solution of the variational inequality on the box.
+
+        Games with a closed form, and batches without a box, override this.
+        """
+        if self.low is not None and self.high is not None:
+            middle = np.where(np.isfinite(self.low + self.high), (self.low + self.high) / 2, 0.0)
+            start = np.repeat(middle, self.batch_size // middle.shape[1], axis=1)
+            known = self.jacobian(start) is not None
+            return solve_box(self.pseudo_gradient, self._known_jacobian if known else None, self.low, self.high, start)
 
         def field(x: FloatArray) -> FloatArray:
             return self.pseudo_gradient(x[:, None])[:, 0]
@@ -176,3 +232,33 @@ class Game(ABC):
                 "was found"
             )
         return point[:, None]
+
+    def _known_jacobian(self, strategies: FloatArray) -> FloatArray:
+        jacobian = self.jacobian(strategies)
+        if jacobian is None:
+            raise TypeError(f"{type(self).__name__} knows its Jacobian at some points only")
+        return jacobian
+
+
+def _box(
+    low: npt.ArrayLike | None, high: npt.ArrayLike | None, dimension: int
+) -> tuple[FloatArray, FloatArray] | tuple[None, None]:
+    """The bounds as (n, 1) or (n, G) arrays."""
+    if low is None and high is None:
+        return None, None
+    sides = [
+        np.asarray(default if side is None else side, dtype=np.float64)
+        for side, default in ((low, -np.inf), (high, np.inf))
+    ]
+    try:
+        lows, highs = np.broadcast_arrays(
+            *(side if side.ndim == 2 else np.broadcast_to(side, dimension)[:, None] for side in sides)
+        )
+    except ValueError as error:
+        raise ValueError(
+            f"the bounds have the shapes {sides[0].shape} and {sides[1].shape}; give one number for all, or one per "
+            f"component ({dimension} here, and game)"
+        ) from error
+    if lows.ndim != 2 or len(lows) != dimension or not np.all(lows < highs):  # NaN is refused too
+        raise ValueError(f"a box needs low < high in each of the {dimension} components, got {low!r} and {high!r}")
+    return frozen(lows), frozen(highs)

@@ -22,7 +22,8 @@ class GameReport:
     Attributes:
         gradient_error: largest |own-gradient − numerical derivative of J_i| / (1 + |derivative|).
         strictly_convex: per player, whether every sampled chord of J_i in its own strategy lies above J_i.
-        radially_unbounded: per player, whether J_i grew along every sampled ray of its own strategy.
+        radially_unbounded: per player, whether J_i grew along every sampled ray of its own strategy; true where a box
+            leaves no ray to sample, for then a minimiser exists without that.
     """
 
     gradient_error: float
@@ -43,16 +44,18 @@ class GameReport:
 def check_game(game: Game, *, samples: int = 64, radius: float = 5.0, seed: int = 0) -> GameReport:
     """Compare own-gradients with numerical differentiation; test convexity and radial growth of each J_i in x_i.
 
-    Sampling can refute an assumption and never prove it; a game that passes has passed on ``samples`` points.
+    Sampling can refute an assumption and never prove it; a game that passes has passed on ``samples`` points. In a box
+    every sample lies within it.
 
     Args:
         game: the game to check.
         samples: number of random joint strategies.
-        radius: strategies are drawn from U(−radius, radius).
+        radius: strategies are drawn from U(−radius, radius), those with two bounds from all their box, those with one
+            bound up to 2 radius from it.
         seed: of the draws.
     """
     generator = np.random.default_rng(seed)
-    points = generator.uniform(-radius, radius, (game.dimension, samples))
+    points = _points(game, radius, generator.uniform(-radius, radius, (game.dimension, samples)))
     gradients = game.pseudo_gradient(points)
     error = 0.0
     for component, owner in enumerate(game.owners):
@@ -69,9 +72,30 @@ def check_game(game: Game, *, samples: int = 64, radius: float = 5.0, seed: int 
     return GameReport(error, tuple(convex), tuple(unbounded))
 
 
+def _points(game: Game, radius: float, drawn: FloatArray) -> FloatArray:
+    """Points drawn from [−radius, radius] moved into the game's box."""
+    if game.low is None or game.high is None:
+        return drawn
+    low = np.where(np.isfinite(game.low), game.low, np.where(np.isfinite(game.high), game.high - 2 * radius, -radius))
+    high = np.where(np.isfinite(game.high), game.high, low + 2 * radius)
+    return low + (high - low) * (drawn + radius) / (2 * radius)
+
+
 def _derivative(game: Game, points: FloatArray, component: int, owner: int) -> FloatArray:
+    low, high = (
+        (-np.inf, np.inf)
+        if game.low is None or game.high is None
+        else (game.low[component, 0], game.high[component, 0])
+    )
+
     def derivative(point: FloatArray) -> float:
-        result = differentiate.derivative(partial(_cost_along, game, point, component, owner), point[component])
+        value = point[component]
+        if np.isfinite(low) or np.isfinite(high):  # a cost need not be defined outside the box: look to its wider side
+            side = 1 if high - value >= value - low else -1
+            options = {"step_direction": side, "initial_step": min(0.5, (high - low) / 8)}
+        else:
+            options = {}
+        result = differentiate.derivative(partial(_cost_along, game, point, component, owner), value, **options)
         return float(result.df)
 
     return np.array([derivative(point) for point in points.T])
@@ -94,6 +118,10 @@ def _cost_on_ray(
 
 
 def _strictly_convex(game: Game, points: FloatArray, player: int, block: slice, direction: FloatArray) -> bool:
+    if game.has_bounds:  # from one point of the box to another
+        direction = (np.roll(points[block], 1, axis=1) - points[block]) / 2
+        points = points.copy()
+        points[block] += direction
     low, middle, high = (_cost_on_ray(game, points, player, block, direction, step) for step in (-1.0, 0.0, 1.0))
     return bool(np.all(low + high - 2 * middle > 1e-9 * (1 + np.abs(middle))))
 
@@ -101,7 +129,12 @@ def _strictly_convex(game: Game, points: FloatArray, player: int, block: slice, 
 def _radially_unbounded(game: Game, points: FloatArray, player: int, block: slice, direction: FloatArray) -> bool:
     grows = True
     for sign in (-1.0, 1.0):
-        costs = [_cost_on_ray(game, points, player, block, sign * direction, radius) for radius in _RADII]
+        ray = sign * direction
+        if game.low is not None and game.high is not None:  # only where the box is open
+            ray = np.where(np.where(ray < 0, game.low[block], game.high[block]) * np.sign(ray) == np.inf, ray, 0.0)
+            ray = ray / np.maximum(np.linalg.norm(ray, axis=0), 1e-300)
+        leaves = np.any(ray != 0, axis=0)
+        costs = [_cost_on_ray(game, points, player, block, ray, radius)[leaves] for radius in _RADII]
         grows &= all(bool(np.all(far >= near)) for near, far in pairwise(costs))
-        grows &= bool(np.all(costs[-1] > _cost_on_ray(game, points, player, block, direction, 0.0)))
+        grows &= bool(np.all(costs[-1] > _cost_on_ray(game, points, player, block, ray, 0.0)[leaves]))
     return grows

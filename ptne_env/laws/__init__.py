@@ -1,10 +1,23 @@
 """The analytical laws: the paper's, the field's, and anchors. They act through the interface of any learned policy."""
 
 from ptne_env.laws.adaptive import Adaptive as Adaptive
+from ptne_env.laws.adaptive import AveragingIntegral as AveragingIntegral
 from ptne_env.laws.anchors import CentralisedOracle as CentralisedOracle
 from ptne_env.laws.anchors import Null as Null
 from ptne_env.laws.anchors import RandomPolicy as RandomPolicy
+from ptne_env.laws.base import Condition as Condition
 from ptne_env.laws.base import Law as Law
+from ptne_env.laws.base import Premises as Premises
+from ptne_env.laws.discrete import AggregateTracking as AggregateTracking
+from ptne_env.laws.discrete import ProjectedGradient as ProjectedGradient
+from ptne_env.laws.extremum_seeking import ExtremumSeeking as ExtremumSeeking
+from ptne_env.laws.grounded import AdaptiveGrounded as AdaptiveGrounded
 from ptne_env.laws.grounded import Grounded as Grounded
+from ptne_env.laws.oracles import BestResponseOracle as BestResponseOracle
+from ptne_env.laws.oracles import FixedTimeOracle as FixedTimeOracle
+from ptne_env.laws.oracles import NodeAdaptiveOracle as NodeAdaptiveOracle
 from ptne_env.laws.static import CorollaryOne as CorollaryOne
+from ptne_env.laws.static import FixedGain as FixedGain
 from ptne_env.laws.static import Static as Static
+from ptne_env.laws.variants import CappedGain as CappedGain
+from ptne_env.laws.variants import LocallyImplicit as LocallyImplicit

@@ -6,7 +6,15 @@ import numpy as np
 
 from ptne_env.arrays import FloatArray, require_non_negative
 from ptne_env.interface import Layout, Reading
-from ptne_env.laws.base import Law, consensus
+from ptne_env.laws.base import (
+    Condition,
+    Law,
+    Premises,
+    consensus,
+    decisive,
+    lasting_connectivity,
+    strong_monotonicity,
+)
 
 
 class Adaptive(Law):
@@ -31,6 +39,16 @@ class Adaptive(Law):
         self.gamma = require_non_negative("gamma", gamma)
         self.initial_gain = require_non_negative("initial_gain", initial_gain)
 
+    def condition(self, premises: Premises) -> Condition:
+        """ε > 0, and the graphs that act as s → ∞ are (jointly) connected (Theorems 3 and 4); γ > 0 on all links."""
+        positive = Condition.above("the gains adapt: γ > 0", self.gamma, 0.0)
+        return decisive(positive, lasting_connectivity(premises), strong_monotonicity(premises))
+
+    def gains(self, memory: FloatArray) -> FloatArray:
+        """κ_ij of every link, in both directions."""
+        neighbours = np.array(self.layout.neighbours)
+        return np.asarray(memory[neighbours != np.arange(len(neighbours))[:, None]])
+
     def _initial_memory(self, rows: int) -> FloatArray:
         return np.full((rows, self.layout.slots), self.initial_gain)
 
@@ -39,3 +57,20 @@ class Adaptive(Law):
         squared = np.einsum("rdn,rdn->rd", reading.relative_estimates, reading.relative_estimates)
         growth = self.gamma * reading.weights * squared * reading.unit**2
         return inputs, memory + reading.theta * growth
+
+
+class AveragingIntegral(Adaptive):
+    """u^i = −R_i^T ∂J_i/∂x_i(x^i) − Σ_j k_ij a_ij (x^i − x^j), dk_ij/dτ = γ a_ij ‖x^i − x^j‖², k_ij(0) = 0.
+
+    C. De Persis and S. Grammatico, "Distributed averaging integral Nash equilibrium seeking on networks", Automatica,
+    2019, in effective time: integral controllers tune the weights of the links, so neither λ2 nor ι is needed. The
+    paper's adaptive law is this one in its own time, and here they are one law; only the initial gains differ.
+
+    Args:
+        layout: of the environment.
+        gamma: γ > 0, the same on all links.
+        initial_gain: k_ij(0) ≥ 0.
+    """
+
+    def __init__(self, layout: Layout, gamma: float = 0.01, initial_gain: float = 0.0) -> None:
+        super().__init__(layout, gamma, initial_gain)

@@ -6,7 +6,7 @@ import numpy as np
 
 from ptne_env.arrays import Float32Array, FloatArray, require_non_negative, require_positive
 from ptne_env.interface import CONSENSUS_GAIN, GAIN_OCTAVES, Layout, Reading
-from ptne_env.laws.base import Law, consensus
+from ptne_env.laws.base import Condition, Law, Premises, consensus
 
 
 class Static(Law):
@@ -38,6 +38,10 @@ class Static(Law):
                     f"{gradient_gain} and {kappa}"
                 )
 
+    def condition(self, premises: Premises) -> Condition:
+        """κ > (ι²/ε + ι)/λ2 (eq. GainCondition), for scaled costs with κ divided by the gradient gain."""
+        return _gain_condition(self.kappa / self.gradient_gain, premises)
+
     def _inputs(self, reading: Reading, memory: None) -> tuple[FloatArray, None]:
         inputs = consensus(reading.weights, reading.relative_estimates)
         inputs *= self.kappa
@@ -51,6 +55,27 @@ class Static(Law):
 
     def _acts_through_gains(self) -> bool:
         return True
+
+
+class FixedGain(Static):
+    """u^i = −R_i^T ∂J_i/∂x_i(x^i) − κ Σ_j a_ij (x^i − x^j) with Bianchi and Grammatico's condition on κ.
+
+    M. Bianchi and S. Grammatico, "Continuous-time fully distributed generalized Nash equilibrium seeking for
+    multi-integrator agents", Automatica, 2021: their controller with a fixed gain for single integrators, without
+    constraints and in effective time. It is the static law; their condition is weaker than eq. GainCondition.
+
+    It holds exactly where the bound [[ε/N, −(ι_F + ι)/(2√N)], [·, κ λ2 − ι]] of the loop on consensus and
+    disagreement is positive definite, and then (𝐱 − 1⊗x*)ᵀ M (𝐱 − 1⊗x*) > 0.
+    """
+
+    def condition(self, premises: Premises) -> Condition:
+        """κ > ((ι_F + ι)²/(4ε) + ι)/λ2, with κ divided by the gradient gain."""
+        bound = np.inf
+        if premises.epsilon > 0 and premises.connectivity > 0:
+            total = premises.iota_strategies + premises.iota_estimates
+            bound = (total**2 / (4 * premises.epsilon) + premises.iota_estimates) / premises.connectivity
+        kappa = self.kappa / self.gradient_gain
+        return Condition.above("κ > ((ι_F + ι)²/(4ε) + ι)/λ2", kappa, bound, exact=premises.exact)
 
 
 class CorollaryOne(Law):
@@ -71,8 +96,22 @@ class CorollaryOne(Law):
         super().__init__(layout)
         self.kappa = require_non_negative("kappa", kappa)
 
+    def condition(self, premises: Premises) -> Condition:
+        """κ > (ι²/ε + ι)/λ2 (eq. GainCondition); convergence is asymptotic, not by the deadline."""
+        return _gain_condition(self.kappa, premises)
+
     def _inputs(self, reading: Reading, memory: None) -> tuple[FloatArray, None]:
         inputs = self.kappa * consensus(reading.weights, reading.relative_estimates) - reading.gradient
         over = reading.theta == 0  # the terminal observation, from which nobody acts
         inputs *= np.where(over, 0.0, reading.dt / np.where(over, 1.0, reading.theta))
         return inputs, memory
+
+
+def gain_bound(epsilon: float, iota: float, connectivity: float) -> float:
+    """(ι²/ε + ι)/λ2, which κ must exceed in Theorem 1 (eq. GainCondition); infinite when ε or λ2 is not positive."""
+    return (iota**2 / epsilon + iota) / connectivity if epsilon > 0 and connectivity > 0 else np.inf
+
+
+def _gain_condition(kappa: float, premises: Premises) -> Condition:
+    bound = gain_bound(premises.epsilon, premises.iota, premises.connectivity)
+    return Condition.above("κ > (ι²/ε + ι)/λ2", kappa, bound, exact=premises.exact)

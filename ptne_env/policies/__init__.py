@@ -6,3 +6,4 @@ from ptne_env.policies.learned import PolicyFileError as PolicyFileError
 from ptne_env.policies.learned import load as load
 from ptne_env.policies.learned import load_for as load_for
 from ptne_env.policies.learned import shipped as shipped
+from ptne_env.policies.learned import shipped_path as shipped_path

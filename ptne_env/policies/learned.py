@@ -142,6 +142,11 @@ def shipped() -> list[str]:
     return sorted(path.stem for path in _FOLDER.glob("*.onnx"))
 
 
+def shipped_path(name: str) -> Path | None:
+    """The file of a policy that comes with the library; ``None`` for another name."""
+    return _FOLDER / f"{name}.onnx" if name in shipped() else None
+
+
 def load(path_or_name: str | Path) -> LearnedPolicy:
     """A learned policy from an ``.onnx`` file, or a shipped one by name.
 

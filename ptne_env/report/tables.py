@@ -99,7 +99,7 @@ def _comparison_table(
     title: str, results: Results, records: _Records, starts: Sequence[str], metrics: Sequence[str]
 ) -> Table:
     headings = {metric: heading for block in _BLOCKS.values() for metric, heading in block.items()}
-    table = _table(title)
+    table = empty_table(title)
     table.add_column("policy", no_wrap=True)
     for metric in metrics:
         table.add_column(Text(headings[metric]), justify="right")  # Text, because brackets are no markup
@@ -119,7 +119,7 @@ def _comparison_table(
 
 def _paired_table(label: str, results: Results, records: _Records) -> Table:
     """Learned policies against the tuned laws, paired by episode."""
-    table = _table(f"{label}: learned policies against the laws, paired by episode")
+    table = empty_table(f"{label}: learned policies against the laws, paired by episode")
     table.add_column("policy", no_wrap=True)
     for group, entry in results.tuned[label].items():
         arguments = ", ".join(f"{name}={value:g}" for name, value in entry.to_dict()["policy"]["arguments"].items())
@@ -145,7 +145,8 @@ def _fitting(metrics: list[str], width: int) -> Iterable[list[str]]:
     return (metrics[start : start + size] for start in range(0, len(metrics), size))
 
 
-def _table(title: str, *, show_header: bool = True) -> Table:
+def empty_table(title: str, *, show_header: bool = True) -> Table:
+    """A table in the style of all."""
     return Table(
         title=title, box=box.SIMPLE_HEAD, title_justify="left", pad_edge=False, show_header=show_header, expand=False
     )
@@ -153,7 +154,7 @@ def _table(title: str, *, show_header: bool = True) -> Table:
 
 def certificate_tables(certificate: Certificate) -> Group:
     """What a certificate says: assumptions with the number that decides each, then the promises; 100 columns wide."""
-    assumptions = _table(f"{certificate.scenario}: the paper's assumptions")
+    assumptions = empty_table(f"{certificate.scenario}: the paper's assumptions")
     for heading in ("", "assumption", "decided by", "value", "verdict"):
         assumptions.add_column(heading, justify="right" if heading == "value" else "left")
     for check in certificate.assumptions:
@@ -164,12 +165,12 @@ def certificate_tables(certificate: Certificate) -> Group:
     statement = "Lemma 1: λ is strictly increasing, λ → T, λ' → 0" + (f" ({lemma.reason})" if lemma.reason else "")
     assumptions.add_row("λ", statement, "limit of 1 − λ/T", number(lemma.remaining), _verdict(lemma.verdict))
 
-    promises = _table(f"{certificate.scenario}: {certificate.law}", show_header=False)
+    promises = empty_table(f"{certificate.scenario}: {certificate.law}", show_header=False)
     promises.add_column("what", no_wrap=True)
     promises.add_column("value")
-    for block in (_gain_rows, _rate_rows, _digit_rows, _step_rows, _fault_rows):
+    for rows in (_condition_rows, _rate_rows, _digit_rows, _step_rows, _noise_rows, _delay_rows):
         promises.add_section()
-        for what, value in block(certificate):
+        for what, value in rows(certificate):
             promises.add_row(what, value)
     notes = [Text(f"Note: {note}", style="yellow") for note in certificate.notes]
     return Group(assumptions, promises, *notes)
@@ -182,28 +183,31 @@ def _verdict(verdict: str) -> Text:
 _Rows: TypeAlias = Iterable[tuple[str, str]]
 
 
-def _gain_rows(certificate: Certificate) -> _Rows:
-    constants = certificate.constants
-    sampled = "" if constants.exact else " (sampled bounds)"
+def _condition_rows(certificate: Certificate) -> _Rows:
+    constants, condition = certificate.constants, certificate.condition
+    kind = "exact" if constants.exact else "sampled bounds"
     yield (
         "monotonicity and Lipschitz constants",
-        f"ε = {number(constants.epsilon)}, ι = {number(constants.iota)}{sampled}",
+        f"ε = {number(constants.epsilon)}, ι = {number(constants.iota)} ({kind})",
     )
-    yield "algebraic connectivity λ2", number(certificate.algebraic_connectivity)
-    if certificate.gain_condition_holds is not None:
-        verdict = "holds" if certificate.gain_condition_holds else "fails (sufficient, not necessary)"
-        bound = certificate.gain_bound
-        condition = "no gain satisfies it" if bound is None else f"κ > {number(bound)}: {verdict}"
-        yield "gain condition κ > (ι²/ε + ι)/λ2", condition
+    yield "smallest algebraic connectivity λ2", number(certificate.algebraic_connectivity)
+    if condition is None:
+        yield "the law's own condition", "it promises nothing"
+    else:
+        verdict = "holds" if condition.holds else "fails (sufficient, not necessary)"
+        kind = "" if condition.exact else ", from samples"
+        numbers = f"{number(condition.value)} against {number(condition.bound)}"
+        yield condition.name, f"{numbers}{kind}: {verdict}"
     for gains in certificate.frozen_gains:
         when = "at the start" if gains.instant == "start" else "at T"
-        spread = f"{number(gains.smallest)} to {number(gains.largest)}"
-        yield f"gains κ_ij {when}", f"{spread}: r = {number(gains.rate)}"
+        yield f"gains {when}", f"{number(gains.smallest)} to {number(gains.largest)}: r = {number(gains.rate)}"
 
 
 def _rate_rows(certificate: Certificate) -> _Rows:
-    kind = "exact" if certificate.rate_is_exact else "linearised at x*"
+    if certificate.rate is None:
+        return
     time = "s" if certificate.clock == "effective" else "t"
+    kind = "exact" if certificate.rate_is_exact else "see the notes"
     yield f"closed-loop rate r, error ~ e^(−r {time})", f"{number(certificate.rate)} ({kind})"
     if certificate.guaranteed_rate is not None:
         yield "  guaranteed by ε, ι, λ2 and κ alone", f"≥ {number(certificate.guaranteed_rate)} (bound)"
@@ -211,12 +215,14 @@ def _rate_rows(certificate: Certificate) -> _Rows:
         share = f"its mode is {certificate.dominant_share:.0%} of the error half-way"
         yield "  of the sampled loop, second half", f"{number(certificate.sampled_rate)}; {share}"
     yield "rate at which the input u decays", number(certificate.input_rate)
-    yield "velocity g(t) u as t → T", "bounded" if certificate.velocity_bounded else "unbounded"
-    yield "control energy ∫‖g u‖² dt", "finite" if certificate.energy_finite else "infinite"
+    if certificate.velocity_bounded is not None:
+        yield "velocity g(t) u as t → T", "bounded" if certificate.velocity_bounded else "unbounded"
+        yield "control energy ∫‖g u‖² dt", "finite" if certificate.energy_finite else "infinite"
 
 
 def _digit_rows(certificate: Certificate) -> _Rows:
-    yield "predicted digits at T, from the rate", number(certificate.digits_from_rate)
+    if certificate.digits_from_rate is not None:
+        yield "predicted digits at T, from the rate", f"{number(certificate.digits_from_rate)} (first order)"
     if certificate.digits_sampled is not None:
         yield "predicted digits at T, sampled loop from this start", f"{number(certificate.digits_sampled)} (exact)"
     if certificate.digits_after_hold is not None:
@@ -230,18 +236,28 @@ def _digit_rows(certificate: Certificate) -> _Rows:
 
 
 def _step_rows(certificate: Certificate) -> _Rows:
-    step = "Θ" if certificate.clock == "effective" else "Δt"
+    if certificate.largest_step is None:
+        return
     stable = "none" if certificate.largest_stable_step is None else number(certificate.largest_stable_step)
     margin = "" if certificate.step_margin is None else f", {number(certificate.step_margin)} times the largest"
-    yield f"largest step {step}", number(certificate.largest_step)
+    yield f"largest step {'Θ' if certificate.clock == 'effective' else 'Δt'}", number(certificate.largest_step)
     yield "largest stable step", stable + margin
 
 
-def _fault_rows(certificate: Certificate) -> _Rows:
-    noise, delay = certificate.noise, certificate.delay
-    yield "noise of std σ on messages: RMS error at T", "overflows" if noise.gain is None else f"{number(noise.gain)} σ"
+def _noise_rows(certificate: Certificate) -> _Rows:
+    noise = certificate.noise
+    if noise is None:
+        return
+    gain = "overflows" if noise.gain is None else f"{number(noise.gain)} σ"
+    yield "noise of std σ on messages: RMS distance at T", gain
     if noise.std and noise.digits is not None:
-        yield f"  digits at T with σ = {noise.std:g}", number(noise.digits)
+        yield f"  digits at T with σ = {noise.std:g}", f"{number(noise.digits)} (root mean square)"
+
+
+def _delay_rows(certificate: Certificate) -> _Rows:
+    delay = certificate.delay
+    if delay is None:
+        return
     if delay.for_every_delay:
         yield "messages d steps late", "stable for every d (shown by a sufficient condition)"
     elif delay.margin is None:
@@ -257,7 +273,7 @@ def _fault_rows(certificate: Certificate) -> _Rows:
 
 def scenario_table() -> Table:
     """The catalogue."""
-    table = _table("Scenarios")
+    table = empty_table("Scenarios")
     for heading in ("name", "game", "graph", "T [s]", "c [1/s]", "steps", "s_end"):
         table.add_column(Text(heading))  # Text, because brackets are no markup
     for name, scenario in CATALOGUE.items():
@@ -275,7 +291,7 @@ def scenario_table() -> Table:
 
 def entry_table() -> Table:
     """The laws and the shipped learned policies."""
-    table = _table("Policies")
+    table = empty_table("Policies")
     for heading in ("name", "policy", "arguments", "interface"):
         table.add_column(heading)
     for entry in default_entries():
@@ -289,7 +305,7 @@ def entry_table() -> Table:
 
 def metric_table() -> Table:
     """Every metric and what it means."""
-    table = _table("Metrics")
+    table = empty_table("Metrics")
     table.add_column("name")
     table.add_column("meaning")
     for name, meaning in ({**METRICS, **COMPARATIVE_METRICS}).items():

@@ -13,8 +13,8 @@ from ptne_env.theory.certificate import DelayPrediction as DelayPrediction
 from ptne_env.theory.certificate import FrozenGains as FrozenGains
 from ptne_env.theory.certificate import NoisePrediction as NoisePrediction
 from ptne_env.theory.certificate import certify as certify
-from ptne_env.theory.certificate import scenario_layout as scenario_layout
 from ptne_env.theory.closed_loop import Loop as Loop
+from ptne_env.theory.closed_loop import NoClosedLoopError as NoClosedLoopError
 from ptne_env.theory.closed_loop import closed_loop_matrix as closed_loop_matrix
 from ptne_env.theory.closed_loop import convergence_rate as convergence_rate
 from ptne_env.theory.closed_loop import decay_rate as decay_rate
@@ -24,6 +24,9 @@ from ptne_env.theory.closed_loop import input_decay_rate as input_decay_rate
 from ptne_env.theory.closed_loop import largest_stable_step as largest_stable_step
 from ptne_env.theory.closed_loop import law_loop as law_loop
 from ptne_env.theory.closed_loop import spectral_abscissa as spectral_abscissa
+from ptne_env.theory.conditions import build_law as build_law
+from ptne_env.theory.conditions import condition as condition
+from ptne_env.theory.conditions import premises as premises
 from ptne_env.theory.constants import MonotonicityConstants as MonotonicityConstants
 from ptne_env.theory.constants import gain_bound as gain_bound
 from ptne_env.theory.constants import guaranteed_rate as guaranteed_rate

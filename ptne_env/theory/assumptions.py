@@ -9,7 +9,8 @@ import numpy as np
 
 from ptne_env.clock import LemmaViolationError, TimeTransformation, check_time_transformation
 from ptne_env.games import Game, check_game
-from ptne_env.graphs import Graph, Signal
+from ptne_env.graphs import Signal
+from ptne_env.laws.base import algebraic_connectivity
 from ptne_env.theory.constants import MonotonicityConstants, jacobians, monotonicity_constants
 
 Verdict: TypeAlias = Literal["holds", "fails", "sampled only"]
@@ -60,8 +61,8 @@ def check_assumptions(
         constants: of the game, when already known.
     """
     constants = constants or monotonicity_constants(game)
-    smallest = min(connectivity(graph) for graph in signal.graphs)
-    joint = connectivity(signal.union)
+    smallest = min(algebraic_connectivity(graph.laplacian) for graph in signal.graphs)
+    joint = algebraic_connectivity(signal.union.laplacian)
     convexity, meaning, verdict = _check_convexity(game)
     monotone: Verdict = "fails" if constants.epsilon <= 0 else "holds" if constants.exact else "sampled only"
     kind = "exact" if constants.exact else f"smallest of {constants.samples} samples within {constants.radius:g} of x*"
@@ -77,7 +78,7 @@ def check_assumptions(
             2,
             "the graphs are jointly connected over a period",
             joint,
-            "λ2 of the union graph",
+            "λ2 of the union graph" + (", almost surely" if signal.joint_connectivity == "almost surely" else ""),
             "holds" if joint > 0 else "fails",
         ),
         AssumptionCheck(3, "each J_i is strictly convex and radially unbounded in x_i", convexity, meaning, verdict),
@@ -93,11 +94,6 @@ def check_lemma(transformation: TimeTransformation) -> LemmaCheck:
         return LemmaCheck(check_time_transformation(transformation), "holds", "")
     except LemmaViolationError as error:
         return LemmaCheck(None, "fails", str(error))
-
-
-def connectivity(graph: Graph) -> float:
-    """λ2, without the rounding that a disconnected graph's has."""
-    return graph.algebraic_connectivity if graph.is_connected else 0.0
 
 
 def _check_convexity(game: Game) -> tuple[float, str, Verdict]:

@@ -4,26 +4,22 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from ptne_env.arrays import FloatArray, require_count, require_non_negative
+from ptne_env.channel import AdditiveNoise, Chain, Channel, Delay
 from ptne_env.dynamics import Dynamics
-from ptne_env.interface import Interface, Layout, Port
-from ptne_env.laws import CorollaryOne, Law, Static
+from ptne_env.laws import Condition, CorollaryOne, FixedGain, Law, Static
 from ptne_env.parts import Part
 from ptne_env.scenario import SHORTFALL_WARNING, Scenario
-from ptne_env.theory.assumptions import AssumptionCheck, LemmaCheck, check_assumptions, check_lemma, connectivity
-from ptne_env.theory.closed_loop import (
-    Loop,
-    gain_growth,
-    input_decay_rate,
-    largest_stable_step,
-)
-from ptne_env.theory.constants import MonotonicityConstants, gain_bound, guaranteed_rate, monotonicity_constants
+from ptne_env.theory.assumptions import AssumptionCheck, LemmaCheck, check_assumptions, check_lemma
+from ptne_env.theory.closed_loop import NoClosedLoopError, gain_growth, input_decay_rate
+from ptne_env.theory.conditions import build_law, premises
+from ptne_env.theory.constants import MonotonicityConstants, guaranteed_rate, monotonicity_constants
 from ptne_env.theory.sampled import (
     LoopClock,
     SampledLoop,
@@ -103,6 +99,9 @@ class DelayPrediction:
 class Certificate:
     """What can be said about a law on a scenario before anything runs; see :func:`certify` and docs/theory.md.
 
+    What is about the closed loop is ``None`` for a law that has none, and ``notes`` says why. The loop is *linear* when
+    F is affine and no box confines the strategies.
+
     Attributes:
         scenario: name.
         law: what acts, with its arguments.
@@ -111,38 +110,39 @@ class Certificate:
         assumptions: the paper's Assumptions 1–4.
         constants: ε and ι.
         algebraic_connectivity: smallest λ2 over the modes of the signal.
-        gain_bound: (ι²/ε + ι)/λ2 times the gradient gain; ``None`` when no gain satisfies the condition, or the law
-            has no such condition.
-        gain_condition_holds: whether κ exceeds it (sufficient for convergence, not necessary); ``None`` for a law
-            without this condition.
-        guaranteed_rate: λ_min(O) of the proof of Theorem 1, which the rate is not below; ``None`` unless the gain
-            condition holds on a fixed graph, with exact constants.
+        condition: what the law's own theorem asks, and whether the scenario meets it (sufficient for convergence, not
+            necessary); ``None`` for a law that promises nothing.
+        guaranteed_rate: λ_min(O) of the proof of Theorem 1, which the rate is not below; ``None`` unless the paper's
+            gain condition holds for the static law or Corollary 1, on a fixed graph, in a linear loop.
         guaranteed_digits: what ``digits_sampled`` is not below, from the same constants and the distance of the start
             alone; ``None`` likewise.
         clock: ``"effective"``, or ``"physical"`` for a law that undoes the time gain.
         rate: r with which the error decays like e^{−r s} as t → T (e^{−r t} on the physical clock); 0 or less when it
             does not vanish.
-        rate_is_exact: whether F is affine; otherwise the rate is that of the linearisation at x*.
-        frozen_gains: of a law whose gains adapt, at t = 0 and, where F is affine, at T; the last is what ``rate``, the
-            noise and the delay are about.
+        rate_is_exact: whether the loop is linear and the signal not random; otherwise the rate is that of the
+            linearisation at x*, or estimated from one draw of the signal.
+        frozen_gains: of a law whose gains adapt, at t = 0 and, where the loop is linear, at T; the last is what
+            ``rate``, the noise and the delay are about.
         sampled_rate: rate of the slowest mode of the sampled loop over the second half of the steps to T, per unit of
-            the loop's own time; ``None`` where the graph switches, gains adapt or F is not affine.
+            the loop's own time; ``None`` where the graph switches, gains adapt, or the loop is not linear.
         dominant_share: share of that mode when this half begins; from 0.95 on, a real one dominates. ``None`` likewise.
         effective_time: τ_K = s_end + c t_K, the sum of the steps Θ_k.
         digits_from_rate: r (cT + s_end)/ln 10, the digits of the estimate error that the rate alone promises (r T/ln 10
             on the physical clock).
-        digits_sampled: digits that the sampled loop, the product of (I − Θ_k M_k), has from the scenario's start:
-            −log10 ‖**x** − 1⊗x*‖/(√N ‖x*‖); ``None`` when F is not affine.
+        digits_sampled: digits that the sampled loop, the product of (I − Θ_k M_k), has from the scenario's start over
+            perfect links: −log10 ‖**x** − 1⊗x*‖/(√N ‖x*‖); ``None`` when the loop is not linear.
         digits_after_hold: the same after the hold phase; ``None`` also where there is none.
-        worst_digits_gained: −log10 ‖Π (I − Θ_k M_k)‖₂, the digits gained by T from the worst start; ``None`` when F is
-            not affine, or gains adapt.
+        worst_digits_gained: −log10 ‖Π (I − Θ_k M_k)‖₂, the digits gained by T from the worst start; ``None`` when the
+            loop is not linear, or gains adapt.
         largest_step: the largest step of the scenario to T, Θ_k (Δt_k on the physical clock).
         largest_stable_step: the step beyond which explicit steps on some mode's M amplify an error; ``None`` when no
-            step is stable.
-        step_margin: largest_stable_step / largest_step, above 1 when the steps are short enough; ``None`` likewise.
+            step is stable. For a law that looks at its step: ``step_margin`` times the largest.
+        step_margin: largest_stable_step / largest_step, above 1 when the steps are short enough; ``None`` likewise. For
+            a law that looks at its step, the smallest over the steps, each with the law as it acts there.
         input_rate: the rate at which u decays; it exceeds ``rate`` where u vanishes and the error does not.
-        velocity_bounded: whether g(t) u stays bounded as t → T: ``input_rate`` ≥ 1 for the paper's λ.
-        energy_finite: whether ∫‖g u‖² dt is finite: ``input_rate`` > 1/2 for the paper's λ.
+        velocity_bounded: whether g(t) u stays bounded as t → T: ``input_rate`` ≥ 1 for the paper's λ. ``None`` where
+            it is not decided, for a law that looks at its step.
+        energy_finite: whether ∫‖g u‖² dt is finite: ``input_rate`` > 1/2 for the paper's λ. ``None`` likewise.
         noise: what noise on messages does.
         delay: what late messages do.
         shortfall: 1 − t_K/T, how far short of the deadline the last step ends, as a fraction of T.
@@ -156,31 +156,30 @@ class Certificate:
     assumptions: tuple[AssumptionCheck, ...]
     constants: MonotonicityConstants
     algebraic_connectivity: float
-    gain_bound: float | None
-    gain_condition_holds: bool | None
-    guaranteed_rate: float | None
-    guaranteed_digits: float | None
-    clock: LoopClock
-    rate: float
-    rate_is_exact: bool
-    frozen_gains: tuple[FrozenGains, ...]
-    sampled_rate: float | None
-    dominant_share: float | None
+    condition: Condition | None
     effective_time: float
-    digits_from_rate: float
-    digits_sampled: float | None
-    digits_after_hold: float | None
-    worst_digits_gained: float | None
-    largest_step: float
-    largest_stable_step: float | None
-    step_margin: float | None
-    input_rate: float
-    velocity_bounded: bool
-    energy_finite: bool
-    noise: NoisePrediction
-    delay: DelayPrediction
     shortfall: float
     notes: tuple[str, ...]
+    guaranteed_rate: float | None = None
+    guaranteed_digits: float | None = None
+    clock: LoopClock | None = None
+    rate: float | None = None
+    rate_is_exact: bool = False
+    frozen_gains: tuple[FrozenGains, ...] = ()
+    sampled_rate: float | None = None
+    dominant_share: float | None = None
+    digits_from_rate: float | None = None
+    digits_sampled: float | None = None
+    digits_after_hold: float | None = None
+    worst_digits_gained: float | None = None
+    largest_step: float | None = None
+    largest_stable_step: float | None = None
+    step_margin: float | None = None
+    input_rate: float | None = None
+    velocity_bounded: bool | None = None
+    energy_finite: bool | None = None
+    noise: NoisePrediction | None = None
+    delay: DelayPrediction | None = None
 
     def to_dict(self) -> dict[str, Any]:
         """A JSON object; what does not exist is null, and no number is NaN or infinite."""
@@ -188,12 +187,10 @@ class Certificate:
         data["constants"]["iota"] = self.constants.iota
         for name in ("assumptions", "frozen_gains", "notes"):
             data[name] = list(data[name])
+        for name in ("value", "bound"):
+            if self.condition is not None and not math.isfinite(data["condition"][name]):
+                data["condition"][name] = None
         return data
-
-
-def scenario_layout(scenario: Scenario) -> Layout:
-    """The layout for which a law is built that acts on ``scenario`` through the interface ``physical``."""
-    return Port(Dynamics(scenario), Interface()).layout
 
 
 def certify(
@@ -201,214 +198,291 @@ def certify(
     kappa: float = 2.0,
     *,
     law: Part | None = None,
-    noise_std: float = 0.0,
-    delay_steps: int = 0,
+    noise_std: float | None = None,
+    delay_steps: int | None = None,
     delay_limit: int = 10,
 ) -> Certificate:
     """Everything that the theory says about a law on ``scenario``.
 
     Args:
-        scenario: the experiment; a random start is drawn once, with seed 0.
+        scenario: the experiment; of a random start, signal or game one is taken, the first two with seed 0.
         kappa: κ ≥ 0 of the static law, which is certified when ``law`` is left out.
-        law: builds a law from the layout, such as ``Part.of("ptne_env.laws:Grounded", kappa=4.0)``: any law that is
-            linear in gradient and differences, and one whose gains adapt.
-        noise_std: σ ≥ 0 of additive noise on every component of every message, whose effect is predicted.
-        delay_steps: delay of every message in steps, whose effect is predicted.
+        law: builds a law from the layout, such as ``Part.of("ptne_env.laws:Grounded", kappa=4.0)``. What is about the
+            closed loop needs one that is linear in gradient and differences, possibly with gains that adapt.
+        noise_std: σ ≥ 0 of additive noise on every component of every message, whose effect is predicted; what the
+            scenario's channel adds if left out.
+        delay_steps: delay of every message in steps, whose effect is predicted; the channel's constant delay if left
+            out.
         delay_limit: largest delay that is tried for the margin.
 
     Raises:
-        ValueError: when a number is negative, the part does not build a law, or it has no closed-loop matrix.
+        ValueError: when a number is negative, or the part does not build a law that can act on the scenario.
     """
-    require_count("delay_steps", delay_steps, 0)
+    faults = _ChannelFaults.of(scenario.built_channel)
+    std = require_non_negative("noise_std", faults.noise_std if noise_std is None else noise_std)
+    lag = require_count("delay_steps", faults.delay_steps if delay_steps is None else delay_steps, 0)
+    require_count("delay_limit", delay_limit, 0)
     part = law or Part.of("ptne_env.laws:Static", kappa=require_non_negative("kappa", kappa))
-    built = part.build(layout=scenario_layout(scenario))
-    if not isinstance(built, Law):
-        raise ValueError(f"{part.target!r} built a {type(built).__name__}; certificates are of a ptne_env.laws.Law")
+    built = build_law(part, scenario)
     game, signal, clock = scenario.built_game, scenario.built_signal, scenario.built_clock
-    estimates = scenario.built_start.draw(game.num_players, game.dimension, np.random.default_rng(0))
-    error = start_error(estimates, game)
-    episode = play(built, Dynamics(scenario), estimates) if game.is_affine else None
-
-    loops = {"start": sampled_loop(scenario, built)}
-    adapts = built.has_memory
-    if adapts and episode is not None and np.all(np.isfinite(episode.memory)):
-        loops["deadline"] = sampled_loop(scenario, built, episode.memory)
-    loop = loops.get("deadline", loops["start"])
-    path = None if episode is None else episode.errors if adapts else loop.errors(error)
-    mode = None if adapts or path is None else dominant_mode(loop, error, clock.steps // 2, clock.steps)
-    matrices = [each.matrix for each in loop.per_mode]
-    growth = gain_growth(clock.transformation)
-    rate = loop.rate(scenario)
-    input_rate = input_decay_rate(matrices, signal, scenario.deadline) if loop.clock == "effective" else rate
-    largest_step = float(loop.steps[: clock.steps].max())
-    stable_step = _smallest([largest_stable_step(one.matrix) for each in loops.values() for one in each.loops])
     constants = monotonicity_constants(game)
-    smallest = min(connectivity(graph) for graph in signal.graphs)
-    condition = _GainCondition.of(built, constants, smallest, scenario)
-    time_left = scenario.deadline * scenario.gain + scenario.s_end if loop.clock == "effective" else scenario.deadline
-    return Certificate(
+    facts = premises(scenario, constants)
+    own_kappa = getattr(built, "kappa", None)
+    certificate = Certificate(
         scenario=scenario.name,
         law=_describe(part),
-        kappa=condition.kappa,
+        kappa=None if own_kappa is None else float(own_kappa),
         lemma=check_lemma(clock.transformation),
         assumptions=check_assumptions(game, signal, constants),
         constants=constants,
-        algebraic_connectivity=smallest,
-        gain_bound=condition.bound,
-        gain_condition_holds=condition.holds,
-        guaranteed_rate=condition.rate,
-        guaranteed_digits=condition.digits(loop, float(distance(error, game))),
-        clock=loop.clock,
-        rate=rate,
-        rate_is_exact=game.is_affine,
-        frozen_gains=tuple(
-            _frozen(instant, each, None if instant == "start" or episode is None else episode.memory, built, scenario)
-            for instant, each in loops.items()
-            if adapts
-        ),
-        sampled_rate=None if mode is None else mode.rate,
-        dominant_share=None if mode is None else mode.share,
+        algebraic_connectivity=facts.connectivity,
+        condition=built.condition(facts),
         effective_time=clock.effective_time,
-        digits_from_rate=rate * time_left / math.log(10),
-        digits_sampled=None if path is None else _digits(distance(path[clock.steps], game)),
-        digits_after_hold=_digits(distance(path[-1], game)) if path is not None and clock.hold_steps else None,
-        worst_digits_gained=None if adapts or path is None else _worst_digits(loop),
-        largest_step=largest_step,
-        largest_stable_step=stable_step,
-        step_margin=None if stable_step is None else stable_step / largest_step,
-        input_rate=input_rate,
-        velocity_bounded=loop.clock == "physical" or input_rate >= growth,
-        energy_finite=loop.clock == "physical" or input_rate > growth / 2,
-        noise=_noise(loop, noise_std, None if path is None else path[clock.steps], scenario),
-        delay=_delay(loop, delay_steps, delay_limit, None if adapts or path is None else error, scenario),
         shortfall=clock.shortfall,
-        notes=tuple(_notes(scenario, rate, condition, 0.0 if episode is None else episode.peak_input, adapts=adapts)),
+        notes=tuple(_scenario_notes(scenario, faults)),
+    )
+    try:
+        loop = sampled_loop(scenario, built)
+    except NoClosedLoopError as error:
+        return dataclasses.replace(certificate, notes=(f"{error}: no rates, digits or margins", *certificate.notes))
+    prediction = _Prediction.of(scenario, built, loop)
+    return dataclasses.replace(
+        certificate,
+        notes=(*prediction.notes(), *certificate.notes),
+        **prediction.fields(),
+        **_guarantee(certificate, scenario, built, prediction),
+        noise=prediction.noise(std),
+        delay=prediction.delay(lag, delay_limit),
     )
 
 
 @dataclass(frozen=True)
-class _GainCondition:
-    """Theorem 1's condition on one law, and what its proof promises.
+class _ChannelFaults:
+    """What a channel does that is predicted, and the kinds of what is not."""
 
-    ``bound`` and ``holds`` as in :class:`Certificate`; ``rate`` is λ_min(O), and ``norm`` a bound of ‖M‖₂ from the
-    constants; both ``None`` where the proof does not apply.
-    """
-
-    kappa: float | None
-    bound: float | None
-    holds: bool | None
-    rate: float | None
-    norm: float | None
+    noise_std: float
+    delay_steps: int
+    others: tuple[str, ...]
 
     @classmethod
-    def of(cls, law: Law, constants: MonotonicityConstants, smallest: float, scenario: Scenario) -> _GainCondition:
-        if not isinstance(law, (Static, CorollaryOne)):
-            kappa = getattr(law, "kappa", None)
-            return cls(None if kappa is None else float(kappa), None, None, None, None)
-        gradient_gain = law.gradient_gain if isinstance(law, Static) else 1.0
-        bound = gain_bound(constants, smallest, gradient_gain)
-        holds = bound is not None and law.kappa > bound
-        signal = scenario.built_signal
-        if not (holds and signal.is_fixed and constants.exact):
-            return cls(law.kappa, bound, holds, None, None)
-        rate = guaranteed_rate(constants, smallest, signal.num_players, law.kappa, gradient_gain)
-        largest = float(np.linalg.eigvalsh(signal.graphs[0].laplacian)[-1])
-        return cls(law.kappa, bound, holds, rate, gradient_gain * constants.iota_estimates + law.kappa * largest)
-
-    def digits(self, loop: SampledLoop, start_distance: float) -> float | None:
-        """Digits at T from ‖I − hM‖² ≤ 1 − 2 h λ_min(O) + h² ‖M‖² in every step."""
-        if self.rate is None or self.norm is None:
-            return None
-        steps = loop.steps[: loop.deadline_step]
-        factors = 1 - 2 * steps * self.rate + steps**2 * self.norm**2
-        return float(_digits(start_distance) - np.log10(factors).sum() / 2)
+    def of(cls, channel: Channel) -> _ChannelFaults:
+        variance, delay, others = 0.0, 0, []
+        for stage in channel.stages if isinstance(channel, Chain) else (channel,):
+            if isinstance(stage, AdditiveNoise):
+                variance += stage.std**2
+            elif isinstance(stage, Delay) and stage.steps == stage.longest:
+                delay += stage.steps
+            elif not stage.is_perfect:
+                others.append(type(stage).__name__)
+        return cls(math.sqrt(variance), delay, tuple(others))
 
 
-def _frozen(instant: str, loop: SampledLoop, memory: Any, law: Law, scenario: Scenario) -> FrozenGains:
-    gains = np.asarray(law.initial_memory(scenario.built_game.num_players) if memory is None else memory)
-    neighbours = np.array(law.layout.neighbours)
-    links = gains[neighbours != np.arange(len(neighbours))[:, None]]
-    return FrozenGains(
-        instant=instant,
-        smallest=float(links.min()),
-        largest=float(links.max()),
-        rate=loop.rate(scenario),
-        largest_stable_step=_smallest([largest_stable_step(each.matrix) for each in loop.loops]),
-    )
+@dataclass(frozen=True)
+class _Prediction:
+    """The closed loop on a scenario, from its start: the part of a certificate that needs one.
+
+    ``loops`` are those at frozen gains by instant, ``path`` the errors at every instant where the loop is linear.
+    """
+
+    scenario: Scenario
+    law: Law
+    loops: Mapping[str, SampledLoop]
+    memories: Mapping[str, Any]
+    start: FloatArray
+    path: FloatArray | None
+    peak_input: float
+
+    @classmethod
+    def of(cls, scenario: Scenario, law: Law, loop: SampledLoop) -> _Prediction:
+        game = scenario.built_game
+        estimates = scenario.built_start.draw(game.num_players, game.dimension, np.random.default_rng(0))
+        start, loops = start_error(estimates, game), {"start": loop}
+        memories = {"start": law.initial_memory(game.num_players)}
+        if not _is_linear(scenario):
+            return cls(scenario, law, loops, memories, start, None, 0.0)
+        episode = play(law, Dynamics(scenario), estimates)
+        if not law.has_memory:
+            return cls(scenario, law, loops, memories, start, loop.errors(start), episode.peak_input)
+        if np.all(np.isfinite(episode.memory)):
+            memories["deadline"] = episode.memory
+            loops["deadline"] = sampled_loop(scenario, law, episode.memory)
+        return cls(scenario, law, loops, memories, start, episode.errors, episode.peak_input)
+
+    @property
+    def loop(self) -> SampledLoop:
+        """At the gains at T where they are known."""
+        return self.loops.get("deadline", self.loops["start"])
+
+    @property
+    def has_one_recursion(self) -> bool:
+        """Whether the path is that of ``loop``: linear, and no gain adapts."""
+        return self.path is not None and not self.law.has_memory
+
+    def fields(self) -> dict[str, Any]:
+        """The fields of a certificate that hold numbers of the loop."""
+        scenario, loop, path = self.scenario, self.loop, self.path
+        game, signal, clock = scenario.built_game, scenario.built_signal, scenario.built_clock
+        rate = loop.rate(scenario)
+        effective = loop.clock == "effective"
+        matrices = [each.matrix for each in loop.per_mode]
+        input_rate = input_decay_rate(matrices, signal, scenario.deadline) if effective else rate
+        growth = gain_growth(clock.transformation)
+        time_left = scenario.deadline * scenario.gain + scenario.s_end if effective else scenario.deadline
+        largest_step = float(loop.steps[: clock.steps].max())
+        margin = _smallest([each.step_margin() for each in self.loops.values()])
+        mode = dominant_mode(loop, self.start, clock.steps // 2, clock.steps) if self.has_one_recursion else None
+        bounded, finite = input_rate >= growth, input_rate > growth / 2
+        return {
+            "clock": loop.clock,
+            "rate": rate,
+            "rate_is_exact": path is not None and not signal.is_random,
+            "frozen_gains": tuple(self._frozen_gains()) if self.law.has_memory else (),
+            "sampled_rate": None if mode is None else mode.rate,
+            "dominant_share": None if mode is None else mode.share,
+            "digits_from_rate": rate * time_left / math.log(10),
+            "digits_sampled": None if path is None else _digits(distance(path[clock.steps], game)),
+            "digits_after_hold": _digits(distance(path[-1], game)) if path is not None and clock.hold_steps else None,
+            "worst_digits_gained": _worst_digits(loop) if self.has_one_recursion else None,
+            "largest_step": largest_step,
+            "largest_stable_step": None if margin is None else margin * largest_step,
+            "step_margin": margin,
+            "input_rate": input_rate,
+            "velocity_bounded": None if loop.looks_at_step else not effective or bounded,
+            "energy_finite": None if loop.looks_at_step else not effective or finite,
+        }
+
+    def noise(self, std: float) -> NoisePrediction:
+        game, last = self.scenario.built_game, self.scenario.built_clock.steps
+        gain: float | None = noise_distance(self.loop.noise_covariance(), game)
+        gain = gain if gain is not None and math.isfinite(gain) else None
+        if self.path is None:
+            return NoisePrediction(gain, std, None)
+        added = 0.0 if std == 0 else math.inf if gain is None else std * gain
+        return NoisePrediction(gain, std, _digits(math.hypot(float(distance(self.path[last], game)), added)))
+
+    def delay(self, steps: int, limit: int) -> DelayPrediction:
+        loop, digits = self.loop, None
+        if self.has_one_recursion:
+            late = loop.errors(self.start, steps)[loop.deadline_step]
+            digits = _digits(distance(late, self.scenario.built_game))
+        if not self.scenario.built_signal.is_fixed:
+            return DelayPrediction(None, 0, for_every_delay=False, bound=None, steps=steps, digits=digits)
+        longest = int(loop.steps[: loop.deadline_step].argmax())
+        step, slowest = float(loop.steps[longest]), loop.loops[int(loop.index[longest])]
+        bound = delay_bound(slowest, step)
+        return DelayPrediction(
+            margin=delay_margin(slowest, step, limit),
+            tried=limit,
+            for_every_delay=is_stable_for_every_delay(slowest, step),
+            bound=None if bound is None else bound / step,
+            steps=steps,
+            digits=digits,
+        )
+
+    def notes(self) -> Iterator[str]:
+        """What a reader must know of these numbers."""
+        scenario, game, signal = self.scenario, self.scenario.built_game, self.scenario.built_signal
+        if not game.is_affine:
+            yield "F is not affine: rate, largest stable step, noise and delay are those of the linearisation at x*"
+        if game.has_bounds:
+            held = int(game.held_at_equilibrium.sum())
+            yield (
+                f"a box confines the strategies and holds {held} of {game.dimension} components at x*; the theorems "
+                "are for strategies without bounds, and the numbers are those near x*, of what the box does not hold"
+            )
+        if self.law.has_memory:
+            yield (
+                "the gains adapt: rate, noise and delay are about the gains at the start, frozen"
+                if self.path is None
+                else "the gains adapt: the digits are those of the whole recursion; rate, noise and delay are about "
+                "the gains at T, frozen, which noise would drive up further"
+            )
+        if self.loop.looks_at_step:
+            yield (
+                "the law looks at its step: the rate is that of its last step, the margin that of the worst of its "
+                "steps, with the law as it acts there; whether g(t) u stays bounded is not decided"
+            )
+        if signal.is_random:
+            yield (
+                "the signal is random: the sampled digits are those of one draw, with seed 0; "
+                + (
+                    "the rate is the smallest over the modes, as any may be the last before T"
+                    if signal.clock == "physical"
+                    else "the rate is estimated from one draw of 400 dwells"
+                )
+            )
+        if not signal.is_fixed:
+            yield (
+                "the signal switches: the rate is what remains as t → T and says little about the time before, and the "
+                "largest stable step is the smallest over the modes, which does not prove that their products are "
+                "stable"
+            )
+        if self.peak_input > scenario.input_limit:
+            yield (
+                f"the start asks for |u| = {self.peak_input:.4g}, above the input limit, which the prediction ignores"
+            )
+        if scenario.built_start.is_random and self.path is not None:
+            yield "the start is random: the sampled digits are those of one draw, with seed 0"
+
+    def _frozen_gains(self) -> Iterator[FrozenGains]:
+        for instant, loop in self.loops.items():
+            gains = np.asarray(self.law.gains(self.memories[instant]))
+            margin = loop.step_margin()
+            largest = float(loop.steps[: loop.deadline_step].max())
+            yield FrozenGains(
+                instant=instant,
+                smallest=float(gains.min()),
+                largest=float(gains.max()),
+                rate=loop.rate(self.scenario),
+                largest_stable_step=None if margin is None else margin * largest,
+            )
 
 
-def _noise(loop: SampledLoop, std: float, error: FloatArray | None, scenario: Scenario) -> NoisePrediction:
-    game = scenario.built_game
-    require_non_negative("noise_std", std)
-    gain: float | None = noise_distance(loop.noise_covariance(), game)
-    gain = gain if gain is not None and math.isfinite(gain) else None
-    if error is None:
-        return NoisePrediction(gain, float(std), None)
-    added = 0.0 if std == 0 else math.inf if gain is None else std * gain
-    return NoisePrediction(gain, float(std), _digits(math.hypot(float(distance(error, game)), added)))
+def _guarantee(certificate: Certificate, scenario: Scenario, law: Law, prediction: _Prediction) -> dict[str, Any]:
+    """What the proof of Theorem 1 promises: ‖I − hM‖² ≤ 1 − 2 h λ_min(O) + h² ‖M‖² in every step."""
+    signal, constants = scenario.built_signal, certificate.constants
+    is_static = type(law) in (Static, FixedGain, CorollaryOne)
+    if not (is_static and signal.is_fixed and prediction.path is not None):
+        return {}
+    kappa, gradient_gain = law.kappa, getattr(law, "gradient_gain", 1.0)  # type: ignore[attr-defined]  # of those three
+    connectivity = certificate.algebraic_connectivity
+    rate = guaranteed_rate(constants, connectivity, signal.num_players, kappa, gradient_gain)
+    if rate <= 0:
+        return {}
+    norm = gradient_gain * constants.iota_estimates + kappa * float(np.linalg.eigvalsh(signal.graphs[0].laplacian)[-1])
+    steps = prediction.loop.steps[: scenario.steps]
+    gained = -np.log10(1 - 2 * steps * rate + (steps * norm) ** 2).sum() / 2
+    return {
+        "guaranteed_rate": rate,
+        "guaranteed_digits": _digits(distance(prediction.start, scenario.built_game)) + float(gained),
+    }
 
 
-def _delay(loop: SampledLoop, steps: int, limit: int, start: FloatArray | None, scenario: Scenario) -> DelayPrediction:
-    game, signal = scenario.built_game, scenario.built_signal
-    require_count("delay_limit", limit, 0)
-    digits = None
-    if start is not None:
-        digits = _digits(distance(loop.errors(start, steps)[loop.deadline_step], game))
-    if not signal.is_fixed:
-        return DelayPrediction(None, 0, for_every_delay=False, bound=None, steps=steps, digits=digits)
-    step = float(loop.steps[: loop.deadline_step].max())
-    slowest: Loop = loop.loops[int(loop.index[int(loop.steps[: loop.deadline_step].argmax())])]
-    bound = delay_bound(slowest, step)
-    return DelayPrediction(
-        margin=delay_margin(slowest, step, limit),
-        tried=limit,
-        for_every_delay=is_stable_for_every_delay(slowest, step),
-        bound=None if bound is None else bound / step,
-        steps=steps,
-        digits=digits,
-    )
-
-
-def _notes(
-    scenario: Scenario, rate: float, condition: _GainCondition, peak_input: float, *, adapts: bool
-) -> Iterator[str]:
-    game = scenario.built_game
-    if not game.is_affine:
-        yield "F is not affine: rate, largest stable step, noise and delay are those of the linearisation at x*"
+def _scenario_notes(scenario: Scenario, faults: _ChannelFaults) -> Iterator[str]:
+    signal = scenario.built_signal
     if scenario.has_random_game:
         yield "the scenario draws games: the numbers are those of the typical one"
-    if adapts:
-        yield (
-            "the gains adapt: the digits are those of the whole recursion; rate, noise and delay are about the gains "
-            "at T, frozen, which noise would drive up further"
-            if game.is_affine
-            else "the gains adapt: rate, noise and delay are about the gains at the start, frozen"
-        )
-    yield from _signal_notes(scenario)
-    if condition.bound is not None and not condition.holds and rate > 0:
-        yield "κ violates the gain condition, which is sufficient only: the rate shows convergence"
-    if peak_input > scenario.input_limit:
-        yield f"the start asks for |u| = {peak_input:.4g}, above the input limit, which the prediction ignores"
-    if scenario.built_start.is_random:
-        yield "the start is random: the sampled digits are those of one draw, with seed 0"
-    if scenario.built_clock.shortfall > SHORTFALL_WARNING:
-        short = f"{scenario.built_clock.shortfall:.2%}"
-        yield f"the last step ends {short} of T short of the deadline; raise s_end to come closer"
-
-
-def _signal_notes(scenario: Scenario) -> Iterator[str]:
-    signal = scenario.built_signal
-    if not signal.is_fixed and signal.clock == "physical":
+    if not signal.is_fixed and signal.clock == "physical" and not signal.is_random:
         switches = signal.switches(0.0, scenario.deadline).size
         yield (
             f"the signal dwells in t: it switches {switches} times before T and its last graph is then frozen, so "
             "Assumption 2 fails in the transformed time in which the proof lives (docs/errata.md, 2)"
         )
-    if not signal.is_fixed:
-        yield (
-            "the signal switches: the rate is what remains as t → T and says little about the time before, and the "
-            "largest stable step is the smallest over the modes, which does not prove that their products are stable"
-        )
+    if faults.others:
+        yield f"the channel's {', '.join(faults.others)} is in none of the predictions"
+    if faults.noise_std or faults.delay_steps:
+        yield "the channel's noise and constant delay are predicted each on its own, and in rows of their own alone"
+    if not scenario.built_disturbance.is_absent:
+        yield f"the disturbance {scenario.disturbance.target.rpartition(':')[2]} is in none of the predictions"
+    if any(scenario.clock_shifts):
+        yield "the players' clocks disagree; the predictions are for clocks that are right"
+    if scenario.built_clock.shortfall > SHORTFALL_WARNING:
+        short = f"{scenario.built_clock.shortfall:.2%}"
+        yield f"the last step ends {short} of T short of the deadline; raise s_end to come closer"
+
+
+def _is_linear(scenario: Scenario) -> bool:
+    return scenario.built_game.is_affine and not scenario.built_game.has_bounds
 
 
 def _describe(part: Part) -> str:

@@ -2,7 +2,8 @@
 
 Everything here is in effective time τ = s + c t and in the paper's player-major stacking x = col(x^1, …, x^N) (eq.
 StackedVariable): entry i n + k belongs to x^i_k. For games with affine F it is exact; for the others M is the
-linearisation at x*.
+linearisation at x*. Around an x* at which bounds hold some strategies, these do not move, and their entries are left
+out.
 """
 
 from __future__ import annotations
@@ -15,15 +16,21 @@ from typing import Any
 import numpy as np
 from scipy import linalg
 
-from ptne_env.arrays import FloatArray, require_non_negative
+from ptne_env.arrays import BoolArray, FloatArray, IntArray, require_non_negative
 from ptne_env.clock import TimeTransformation
 from ptne_env.games import Game
-from ptne_env.graphs import Graph, Signal
+from ptne_env.graphs import Graph, RandomSignal, Signal
+from ptne_env.interface import Layout, Reading
 from ptne_env.laws import Law
-from ptne_env.theory.constants import jacobians
+from ptne_env.laws.base import loop_matrix
+from ptne_env.theory.constants import ZERO, jacobians
 
-_ZERO = 1e-10
-"""Eigenvalues below this fraction of ‖M‖ count as zero; those of a disconnected graph's kernel are rounding."""
+_RANDOM_DWELLS = 400
+"""Dwells of the one draw from which the rate of a random signal is estimated."""
+
+
+class NoClosedLoopError(ValueError):
+    """A law is not of the form that has a closed loop dx/dτ = −M (x − 1⊗x*)."""
 
 
 @dataclass(frozen=True)
@@ -57,7 +64,8 @@ def closed_loop_matrix(game: Game, graph: Graph, kappa: float, point: FloatArray
         point: joint strategy (n,) at which dF is taken; x* when left out.
 
     Returns:
-        Shape (Nn, Nn); entry i n + k belongs to x^i_k.
+        Shape (Nn, Nn); entry i n + k belongs to x^i_k. Around x*, without the entries that :func:`free_entries` leaves
+        out.
 
     Raises:
         ValueError: when κ < 0 or the graph has another number of players.
@@ -65,8 +73,14 @@ def closed_loop_matrix(game: Game, graph: Graph, kappa: float, point: FloatArray
     require_non_negative("kappa", kappa)
     _require_players(game, graph)
     at = game.nash_equilibrium if point is None else np.asarray(point, dtype=np.float64)
-    blocks = _gradient_blocks(game, at)
-    return np.asarray(linalg.block_diag(*blocks) + kappa * np.kron(graph.laplacian, np.eye(game.dimension)))
+    matrix = loop_matrix(jacobians(game, at[:, None])[:, :, 0], game.owners, graph.laplacian, kappa)
+    return _restricted(matrix, free_entries(game)) if point is None else matrix
+
+
+def free_entries(game: Game) -> BoolArray:
+    """Which entries of the stacking move near x*, shape (Nn,): all but the strategies that bounds hold there."""
+    own = game.owners == np.arange(game.num_players)[:, None]
+    return ~(own & game.held_at_equilibrium[:, 0]).ravel()
 
 
 def law_loop(law: Law, game: Game, graph: Graph, memory: Any = None, *, theta: float = 1.0, dt: float = 1.0) -> Loop:
@@ -84,48 +98,57 @@ def law_loop(law: Law, game: Game, graph: Graph, memory: Any = None, *, theta: f
         dt: Δt of the step in seconds, likewise.
 
     Raises:
-        ValueError: when players do not match, or the law is an oracle or not linear.
+        NoClosedLoopError: for a law that is not linear in gradient and differences, reads more than these and its own
+            estimate, or remembers more than gains.
+        ValueError: when players do not match.
     """
     _require_players(game, graph)
     layout, name = law.layout, type(law).__name__
     if layout.num_players != game.num_players or layout.dimension != game.dimension:
         raise ValueError(f"{name} was built for a game of other dimensions; build it for this scenario's layout")
-    if law.needs_full_information:
-        raise ValueError(f"{name} is an oracle; closed loops are of laws that act on gradient and differences alone")
+    unknown = sorted(set(law.needs) - {"own_estimate"})
+    if law.needs_full_information or unknown:
+        raise NoClosedLoopError(
+            f"{name} is an oracle or reads {', '.join(unknown) or 'everything'}; closed loops are of laws that act on "
+            "gradient and differences alone"
+        )
+    if law.has_memory and law.gains(law.initial_memory(game.num_players)) is None:
+        raise NoClosedLoopError(f"{name} remembers more than gains, so it has no closed-loop matrix")
     n, players, slots = game.dimension, game.num_players, layout.slots
     neighbours = np.array(layout.neighbours)  # (N, D)
     weights = graph.adjacency[np.arange(players)[:, None], neighbours]
     live = weights > 0
-    gradients = np.stack(_gradient_blocks(game, game.nash_equilibrium))  # (N, n, n)
+    jacobian = jacobians(game, game.nash_equilibrium[:, None])[:, :, 0]
+    own = game.owners == np.arange(players)[:, None]
 
     # Rows per player: n errors of its own estimate, D n messages, one mixture of all of them, and rest.
     kinds = n + slots * n + 2
     mixture = np.random.default_rng(0).uniform(0.5, 1.5, kinds - 2)
-    gradient = np.zeros((players, kinds, n))
+    gradient, error = np.zeros((2, players, kinds, n))
     relative = np.zeros((players, kinds, slots, n))
-    gradient[:, :n] = gradients.transpose(0, 2, 1)
+    error[:, :n] = np.eye(n)
+    gradient[:, :n] = np.where(own[:, None], jacobian.T, 0.0)  # R_iᵀ dF_i, one error per row
     relative[:, :n] = -np.eye(n)[:, None] * live[:, None, :, None]
     messages = np.eye(slots * n).reshape(slots * n, slots, n)
     relative[:, n:-2] = messages * live[:, None, :, None]
-    gradient[:, -2] = np.tensordot(gradient[:, :-2], mixture, axes=(1, 0))
-    relative[:, -2] = np.tensordot(relative[:, :-2], mixture, axes=(1, 0))
+    for shown in (gradient, error, relative):
+        shown[:, -2] = np.tensordot(mixture, shown[:, :-2], axes=(0, 1))
 
     player = np.repeat(np.arange(players), kinds)
-    observations = np.zeros((player.size, layout.size))
-    observations[:, layout.slices["player"]] = np.eye(players)[player]
-    reading = layout.read(observations)._replace(
+    reading = blank_reading(layout, player)._replace(
         gradient=gradient.reshape(-1, n),
         relative_estimates=relative.reshape(-1, slots, n),
         weights=weights[player],
         theta=np.full((player.size, 1), theta),
         dt=np.full((player.size, 1), dt),
+        own_estimate=error.reshape(-1, n) + game.nash_equilibrium,
     )
     inputs = law.inputs(reading, None if memory is None else np.asarray(memory)[player])[0]
     answers = inputs.reshape(players, kinds, n)
     mixed = np.tensordot(answers[:, :-2], mixture, axes=(1, 0))
     scale = 1e-9 * (1 + np.abs(mixed).max())
     if np.abs(answers[:, -1]).max() > scale or np.abs(mixed - answers[:, -2]).max() > scale:
-        raise ValueError(f"{name} is not linear in gradient and differences, so it has no closed-loop matrix")
+        raise NoClosedLoopError(f"{name} is not linear in gradient and differences, so it has no closed-loop matrix")
 
     local, message, noise = np.zeros((3, players, n, players, n))
     for i in range(players):
@@ -133,14 +156,21 @@ def law_loop(law: Law, game: Game, graph: Graph, memory: Any = None, *, theta: f
         noise[i, :, i] = answers[i, n:-2].T @ answers[i, n:-2]
         for slot in np.flatnonzero(live[i]):
             message[i, :, neighbours[i, slot]] -= answers[i, n + slot * n : n + (slot + 1) * n].T
-    size = players * n
-    return Loop(local.reshape(size, size), message.reshape(size, size), noise.reshape(size, size))
+    free, size = free_entries(game), players * n
+    return Loop(*(_restricted(matrix.reshape(size, size), free) for matrix in (local, message, noise)))
+
+
+def blank_reading(layout: Layout, player: IntArray) -> Reading:
+    """What each ``player`` reads, shape (R,), where everything else is 0; to be filled in."""
+    observations = np.zeros((player.size, layout.size))
+    observations[:, layout.slices["player"]] = np.eye(layout.num_players)[player]
+    return layout.read(observations)
 
 
 def spectral_abscissa(matrix: FloatArray) -> float:
     """Min Re μ over the eigenvalues μ of M, the rate of e^{−Mτ}; exactly 0 when that is rounding."""
     smallest = float(np.linalg.eigvals(matrix).real.min())
-    return 0.0 if abs(smallest) <= _ZERO * np.linalg.norm(matrix, 2) else smallest
+    return 0.0 if abs(smallest) <= ZERO * np.linalg.norm(matrix, 2) else smallest
 
 
 def convergence_rate(game: Game, signal: Signal, kappa: float, deadline: float) -> float:
@@ -162,8 +192,10 @@ def decay_rate(matrices: Sequence[FloatArray], signal: Signal, deadline: float) 
     """The rate r with which the error of dx/dτ = −M x decays like e^{−r s} as t → T.
 
     A fixed graph gives the spectral abscissa of M. A signal on the transformed clock gives the Floquet rate
-    −ln ρ(Π e^{−M_m Δ_m})/period, since dτ/ds → 1. A signal on the physical clock switches finitely often before T,
-    so only its last graph counts, and the rate is 0 when that one is disconnected (docs/errata.md, 2).
+    −ln ρ(Π e^{−M_m Δ_m})/period, since dτ/ds → 1; a random one its Lyapunov exponent, estimated from one draw of 400
+    dwells. A signal on the physical clock switches finitely often before T, so only its last graph counts, and the rate
+    is 0 when that one is disconnected (docs/errata.md, 2); a random one may end with any mode, and its rate is the
+    smallest.
 
     Args:
         matrices: M of every mode of the signal.
@@ -171,21 +203,22 @@ def decay_rate(matrices: Sequence[FloatArray], signal: Signal, deadline: float) 
         deadline: T in seconds.
     """
     if signal.is_fixed or signal.clock == "physical":
-        return spectral_abscissa(matrices[last_mode(signal, deadline)])
-    return _floquet_rate(matrices, signal)
+        return min(spectral_abscissa(matrices[mode]) for mode in last_modes(signal, deadline))
+    return _switching_rate(matrices, signal)
 
 
 def decay_rate_in_time(matrices: Sequence[FloatArray], signal: Signal) -> float:
     """The rate r with which the error of dx/dt = −M x, a law without the time gain, decays like e^{−r t}.
 
-    A fixed graph gives the spectral abscissa, a signal on the physical clock the Floquet rate, and one on the
-    transformed clock, which switches ever faster in t, the spectral abscissa of the mean of M over a period.
+    A fixed graph gives the spectral abscissa, a signal on the physical clock the Floquet rate (a random one its
+    Lyapunov exponent), and one on the transformed clock, which switches ever faster in t, the spectral abscissa of the
+    mean of M.
     """
     if signal.is_fixed:
         return spectral_abscissa(matrices[0])
     if signal.clock == "physical":
-        return _floquet_rate(matrices, signal)
-    return spectral_abscissa(np.average(matrices, axis=0, weights=signal.dwells))
+        return _switching_rate(matrices, signal)
+    return spectral_abscissa(np.average(matrices, axis=0, weights=_shares(signal)))
 
 
 def input_decay_rate(matrices: Sequence[FloatArray], signal: Signal, deadline: float) -> float:
@@ -197,7 +230,7 @@ def input_decay_rate(matrices: Sequence[FloatArray], signal: Signal, deadline: f
     rate = decay_rate(matrices, signal, deadline)
     if signal.is_fixed or signal.clock == "transformed" or rate != 0:
         return rate
-    return float(_moving(matrices[last_mode(signal, deadline)]).real.min(initial=math.inf))
+    return min(float(_moving(matrices[mode]).real.min(initial=math.inf)) for mode in last_modes(signal, deadline))
 
 
 def largest_stable_step(matrix: FloatArray) -> float | None:
@@ -224,31 +257,52 @@ def gain_growth(transformation: TimeTransformation) -> float:
     return float(growth) / (far - near)
 
 
-def last_mode(signal: Signal, deadline: float) -> int:
-    """Index of the graph that acts as t → T, for a fixed graph or a signal on the physical clock."""
+def last_modes(signal: Signal, deadline: float) -> Sequence[int]:
+    """Indices of the graphs that may act as t → T, for a fixed graph or a signal on the physical clock."""
     if signal.is_fixed:
-        return 0
+        return (0,)
+    if signal.is_random:
+        return range(len(signal.graphs))
     last_switch = float(np.max(signal.switches(0.0, deadline), initial=0.0))
-    return int(signal.schedule((last_switch + deadline) / 2).modes)
+    return (int(signal.schedule((last_switch + deadline) / 2).modes),)
 
 
-def _floquet_rate(matrices: Sequence[FloatArray], signal: Signal) -> float:
-    monodromy = np.eye(len(matrices[0]))
-    for matrix, dwell in zip(matrices, signal.dwells, strict=True):
-        monodromy = linalg.expm(-matrix * dwell) @ monodromy
-    return -math.log(float(np.abs(np.linalg.eigvals(monodromy)).max())) / signal.period
+def _switching_rate(matrices: Sequence[FloatArray], signal: Signal) -> float:
+    if not signal.is_random:
+        monodromy = np.eye(len(matrices[0]))
+        for matrix, dwell in zip(matrices, signal.dwells, strict=True):
+            monodromy = linalg.expm(-matrix * dwell) @ monodromy
+        return -math.log(float(np.abs(np.linalg.eigvals(monodromy)).max())) / signal.period
+    step = signal.shortest_dwell / 4
+    instants = step * np.arange(math.ceil(_RANDOM_DWELLS * signal.mean_dwell / step))
+    modes = signal.draw(instants, [np.random.default_rng(0)]).modes[:, 0]
+    moves = [linalg.expm(-matrix * step) for matrix in matrices]
+    error, growth = np.random.default_rng(1).normal(size=len(matrices[0])), 0.0
+    for mode in modes:
+        error = moves[mode] @ error
+        norm = float(np.linalg.norm(error))
+        error, growth = error / norm, growth + math.log(norm)
+    return -growth / (step * len(modes))
+
+
+def _shares(signal: Signal) -> FloatArray:
+    """The share of the time that a signal spends in each mode."""
+    if not isinstance(signal, RandomSignal):
+        return np.asarray(signal.dwells) / signal.period
+    # All dwells are drawn from one range, so it is the stationary distribution of the chain.
+    size = len(signal.graphs)
+    balance = np.vstack([signal.transition.T - np.eye(size), np.ones(size)])
+    return np.linalg.lstsq(balance, np.eye(size + 1)[-1])[0]
+
+
+def _restricted(matrix: FloatArray, free: BoolArray) -> FloatArray:
+    return matrix if free.all() else np.asarray(matrix[np.ix_(free, free)])
 
 
 def _moving(matrix: FloatArray) -> Any:
     """The eigenvalues that are not zero."""
     eigenvalues = np.linalg.eigvals(matrix)
-    return eigenvalues[np.abs(eigenvalues) > _ZERO * np.linalg.norm(matrix, 2)]
-
-
-def _gradient_blocks(game: Game, point: FloatArray) -> list[FloatArray]:
-    """R_iᵀ dF_i of every player: its own rows of dF, the others zero."""
-    jacobian = jacobians(game, point[:, None])[:, :, 0]
-    return [np.where((game.owners == player)[:, None], jacobian, 0.0) for player in range(game.num_players)]
+    return eigenvalues[np.abs(eigenvalues) > ZERO * np.linalg.norm(matrix, 2)]
 
 
 def _require_players(game: Game, graph: Graph) -> None:

@@ -6,8 +6,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ptne_env import laws
 from ptne_env.arrays import FloatArray, require_count, require_positive
 from ptne_env.games import Game
+
+ZERO = 1e-10
+"""What is below this fraction of a matrix's norm counts as zero: kernels of disconnected graphs are rounding."""
 
 
 @dataclass(frozen=True)
@@ -49,7 +53,8 @@ def monotonicity_constants(
 
     Args:
         game: the game.
-        samples: number of points drawn from U(x* − radius, x* + radius) when F is not affine.
+        samples: number of points drawn from U(x* − radius, x* + radius) when F is not affine, and projected into the
+            game's box.
         radius: half-width of that box.
         seed: of the draws.
 
@@ -61,12 +66,13 @@ def monotonicity_constants(
     points = game.nash_equilibrium[:, None]
     if not game.is_affine:
         generator = np.random.default_rng(seed)
-        points = points + generator.uniform(-radius, radius, (game.dimension, samples))
+        points = game.project(points + generator.uniform(-radius, radius, (game.dimension, samples)))
     sampled = np.moveaxis(jacobians(game, points), 2, 0)
     symmetric = (sampled + sampled.transpose(0, 2, 1)) / 2
     blocks = [sampled[:, game.owners == player] for player in range(game.num_players)]
+    smallest = float(np.linalg.eigvalsh(symmetric)[:, 0].min())
     return MonotonicityConstants(
-        epsilon=float(np.linalg.eigvalsh(symmetric)[:, 0].min()),
+        epsilon=0.0 if abs(smallest) <= ZERO * _largest_norm(symmetric) else smallest,
         iota_strategies=_largest_norm(sampled),
         iota_estimates=max(_largest_norm(block) for block in blocks),
         exact=game.is_affine,
@@ -94,16 +100,10 @@ def require_strong_monotonicity(game: Game) -> None:
         ) from None
 
 
-def gain_bound(
-    constants: MonotonicityConstants, algebraic_connectivity: float, gradient_gain: float = 1.0
-) -> float | None:
-    """(ι²/ε + ι)/λ2, which κ must exceed in Theorem 1 (eq. GainCondition); ``None`` when ε or λ2 is not positive.
-
-    A gradient gain other than 1 is the same law for costs scaled by it, and scales ε, ι and the bound.
-    """
-    if constants.epsilon <= 0 or algebraic_connectivity <= 0:
-        return None
-    return gradient_gain * (constants.iota**2 / constants.epsilon + constants.iota) / algebraic_connectivity
+def gain_bound(constants: MonotonicityConstants, algebraic_connectivity: float) -> float | None:
+    """(ι²/ε + ι)/λ2, which κ must exceed in Theorem 1 (eq. GainCondition); ``None`` when ε or λ2 is not positive."""
+    bound = laws.static.gain_bound(constants.epsilon, constants.iota, algebraic_connectivity)
+    return bound if np.isfinite(bound) else None
 
 
 def guaranteed_rate(

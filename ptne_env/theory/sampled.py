@@ -18,7 +18,14 @@ from ptne_env.dynamics import Dynamics
 from ptne_env.games import Game
 from ptne_env.laws import Law
 from ptne_env.scenario import Scenario
-from ptne_env.theory.closed_loop import Loop, decay_rate, decay_rate_in_time, law_loop
+from ptne_env.theory.closed_loop import (
+    Loop,
+    blank_reading,
+    decay_rate,
+    decay_rate_in_time,
+    largest_stable_step,
+    law_loop,
+)
 
 LoopClock: TypeAlias = Literal["effective", "physical"]
 
@@ -52,6 +59,25 @@ class SampledLoop:
     steps: FloatArray
     clock: LoopClock
     deadline_step: int
+
+    @property
+    def looks_at_step(self) -> bool:
+        """Whether the law is another one in every step."""
+        return len(self.loops) > len(self.per_mode)
+
+    def step_margin(self) -> float | None:
+        """How much longer the steps to T may be, at constant M, until they amplify some error.
+
+        The smallest over the modes against the longest step; where the law looks at its step, the smallest over the
+        steps. ``None`` when some M amplifies errors in every step.
+        """
+        stable = [largest_stable_step(loop.matrix) for loop in self.loops]
+        if any(step is None for step in stable):
+            return None
+        limits, steps = np.array(stable, dtype=np.float64), self.steps[: self.deadline_step]
+        if self.looks_at_step:
+            return float((limits[self.index[: self.deadline_step]] / steps).min())
+        return float(limits.min() / steps.max())
 
     def rate(self, scenario: Scenario) -> float:
         """Its :func:`~ptne_env.theory.closed_loop.decay_rate`, or the one in t for a law without the time gain."""
@@ -161,7 +187,7 @@ def sampled_loop(scenario: Scenario, law: Law, memory: Any = None, game: Game | 
         ValueError: as :func:`~ptne_env.theory.closed_loop.law_loop`.
     """
     game, signal, clock = game or scenario.built_game, scenario.built_signal, scenario.built_clock
-    modes = signal.schedule(clock.signal_times[signal.clock][: clock.total_steps]).modes
+    modes = schedule(scenario)
     theta, dt = clock.theta[: clock.total_steps], clock.dt[: clock.total_steps]
 
     def probe(mode: int, theta: float, dt: float) -> Loop:
@@ -179,6 +205,13 @@ def sampled_loop(scenario: Scenario, law: Law, memory: Any = None, game: Game | 
     last = clock.steps - 1
     per_mode = tuple(probe(mode, float(theta[last]), float(dt[last])) for mode in range(len(signal.graphs)))
     return SampledLoop(loops, per_mode, np.asarray(index).reshape(-1), theta, "effective", clock.steps)
+
+
+def schedule(scenario: Scenario) -> IntArray:
+    """The mode that acts in each step, shape (K+H,); of a random signal one draw, with seed 0."""
+    signal, clock = scenario.built_signal, scenario.built_clock
+    instants = clock.signal_times[signal.clock][: clock.total_steps]
+    return signal.draw(instants, [np.random.default_rng(0)]).modes[:, 0]
 
 
 def start_error(estimates: FloatArray, game: Game) -> FloatArray:
@@ -344,7 +377,10 @@ class Play:
 
 
 def play(law: Law, dynamics: Dynamics, estimates: FloatArray, game: Game | None = None) -> Play:
-    """Run a law, linear or not, in float64 and without limits: the recursion of one whose gains adapt.
+    """Run a law, linear or not, in float64, over perfect links and without limits or bounds.
+
+    It is the recursion of a law whose gains adapt. What is shown are gradients, relative and own estimates, weights and
+    steps, and of a random signal one draw.
 
     Args:
         law: built for the layout of ``dynamics``.
@@ -355,15 +391,13 @@ def play(law: Law, dynamics: Dynamics, estimates: FloatArray, game: Game | None 
     game, clock, layout = game or dynamics.game, dynamics.clock, law.layout
     n, players = game.dimension, game.num_players
     neighbours = np.array(layout.neighbours)
-    observations = np.zeros((players, layout.size))
-    observations[:, layout.slices["player"]] = np.eye(players)
-    blank = layout.read(observations)
-    own = layout.own_mask
+    blank = blank_reading(layout, np.arange(players))
+    modes, own = schedule(dynamics.scenario), layout.own_mask
     errors = np.full((clock.total_steps + 1, players * n), np.inf)
     errors[0] = start_error(estimates, game)
     current, memory, peak, memory_at_deadline = estimates.T.copy(), None, 0.0, None
     for k in range(clock.total_steps):
-        weights = dynamics.mode_weights[:, :, dynamics.modes[k]].T
+        weights = dynamics.mode_weights[:, :, modes[k]].T
         gradient = game.own_gradients(current.T[:, :, None])[:, 0]
         reading = blank._replace(
             gradient=np.where(own, gradient, 0.0),
@@ -371,6 +405,7 @@ def play(law: Law, dynamics: Dynamics, estimates: FloatArray, game: Game | None 
             weights=weights,
             theta=np.full((players, 1), clock.theta[k]),
             dt=np.full((players, 1), clock.dt[k]),
+            own_estimate=current,
         )
         inputs, memory = law.inputs(reading, memory)
         current = current + clock.theta[k] * inputs

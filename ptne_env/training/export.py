@@ -10,11 +10,13 @@ import onnx
 import stable_baselines3
 import torch
 from onnx import helper, numpy_helper
+from stable_baselines3.common.torch_layers import FlattenExtractor
 from torch import nn
 
 from ptne_env._version import __version__
 from ptne_env.interface import Layout
 from ptne_env.policies import Metadata
+from ptne_env.training.features import Products
 
 if TYPE_CHECKING:
     from stable_baselines3.common.on_policy_algorithm import OnPolicyAlgorithm
@@ -25,8 +27,9 @@ _OPSET, _IR = 17, 8
 def to_onnx(model: OnPolicyAlgorithm, layout: Layout, *, scenario: str, seed: int, digits: float) -> bytes:
     """The deterministic actor as an ONNX file: observations (R, size) float32 to clipped mean actions, float32.
 
-    The graph is written node by node: a policy here is a stack of affine maps and tanh, and torch's exporters need
-    three more packages for it and change with every release.
+    The graph is written node by node: a policy here is a stack of affine maps and tanh, perhaps behind
+    :class:`~ptne_env.training.features.Products`, and torch's exporters need three more packages for it and change with
+    every release.
 
     Args:
         model: PPO or A2C with an ``MlpPolicy`` of tanh units on a flat observation.
@@ -36,11 +39,11 @@ def to_onnx(model: OnPolicyAlgorithm, layout: Layout, *, scenario: str, seed: in
         digits: on the validation bank, for the metadata.
 
     Raises:
-        ValueError: when the actor holds a layer other than affine maps and tanh.
+        ValueError: when the actor holds a layer other than these.
     """
     policy = model.policy
     layers = [*policy.mlp_extractor.policy_net, policy.action_net]
-    nodes, initializers, last = [], [], "observation"
+    nodes, initializers, last = _features(policy.features_extractor)
     for index, layer in enumerate(layers):
         output = f"hidden_{index}"
         if isinstance(layer, nn.Linear):
@@ -52,7 +55,7 @@ def to_onnx(model: OnPolicyAlgorithm, layout: Layout, *, scenario: str, seed: in
         elif isinstance(layer, nn.Tanh):
             nodes.append(helper.make_node("Tanh", [last], [output]))
         else:
-            raise ValueError(f"only affine maps and tanh can be exported, the actor holds a {type(layer).__name__}")
+            raise _unknown(layer)
         last = output
     bound = np.array(layout.action_bound, dtype=np.float32)
     initializers += [numpy_helper.from_array(value, name) for name, value in (("low", -bound), ("high", bound))]
@@ -85,3 +88,28 @@ def to_onnx(model: OnPolicyAlgorithm, layout: Layout, *, scenario: str, seed: in
     buffer = io.BytesIO()
     onnx.save_model(exported, buffer)
     return buffer.getvalue()
+
+
+def _features(extractor: nn.Module) -> tuple[list[onnx.NodeProto], list[onnx.TensorProto], str]:
+    """Nodes and constants that turn the observation into features, and the features' name."""
+    if isinstance(extractor, FlattenExtractor):
+        return [], [], "observation"
+    if not isinstance(extractor, Products):
+        raise _unknown(extractor)
+    constants = {
+        "factors": np.array(extractor.factors, dtype=np.int64)[:, None],
+        "gates": np.array(extractor.gates, dtype=np.int64)[None],
+        "flat": np.array([0, len(extractor.factors) * len(extractor.gates)], dtype=np.int64),
+    }
+    nodes = [
+        helper.make_node("Gather", ["observation", "factors"], ["factor"], axis=1),
+        helper.make_node("Gather", ["observation", "gates"], ["gate"], axis=1),
+        helper.make_node("Mul", ["factor", "gate"], ["product"]),
+        helper.make_node("Reshape", ["product", "flat"], ["products"]),
+        helper.make_node("Concat", ["observation", "products"], ["features"], axis=1),
+    ]
+    return nodes, [numpy_helper.from_array(value, name) for name, value in constants.items()], "features"
+
+
+def _unknown(layer: nn.Module) -> ValueError:
+    return ValueError(f"only affine maps, tanh and Products can be exported, the actor holds a {type(layer).__name__}")

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from test_dynamics import large_energy_scenario
-from worlds import BLOCKS_SWITCHING, make_env
+from worlds import BLOCKS_SWITCHING, FAULTY, make_env
 
 from ptne_env import VectorParallelEnv, get_scenario
 from ptne_env.envs import vector as vector_module
@@ -29,6 +29,7 @@ WORLDS = {
     "non-quadratic": ("non-quadratic-switching", {"start": "random", "spacing": "physical", "steps": 13}),
     "blocks": (BLOCKS_SWITCHING, {"spacing": "transformed", "steps": 30, "max_cycles": 8}),
     "large": (large_energy_scenario(), {"steps": 6}),
+    "faulty": (FAULTY, {"max_cycles": 8}),
     "crashing": ("random-energy", {"max_cycles": 14, "input_limit": 1e9, "action_scale": 1e9}),
 }
 REWARDS = [*TERMS, {"digits": 1.0, "payoff": 1e-3, "tracking": 0.5}]
@@ -230,6 +231,7 @@ def test_scenarios_of_the_comparison_are_what_they_are_called():
         "random games",
         "random games, switching",
         "crashing",
+        "faulty",
     }
     assert {name for name, scenario in built.items() if not scenario.built_signal.is_fixed} == {
         "switching",
@@ -237,4 +239,5 @@ def test_scenarios_of_the_comparison_are_what_they_are_called():
         "random games, switching",
         "non-quadratic",
         "blocks",
+        "faulty",
     }

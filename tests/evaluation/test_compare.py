@@ -125,7 +125,7 @@ def test_the_two_interfaces_agree_where_no_action_saturates():
 
 def test_every_named_entry_acts_on_every_scenario_of_the_catalogue():
     results = evaluate(list(ENTRIES), list(ptne_env.CATALOGUE), episodes=2, hold_steps=3)
-    assert len(results.cells) == count_cells(list(ENTRIES), list(ptne_env.CATALOGUE)) == 8 * (2 * 6 + 3)
+    assert len(results.cells) == count_cells(list(ENTRIES), list(ptne_env.CATALOGUE)) == 8 * (2 * 6 + 11)
     # The anchors bracket the laws: doing nothing is worse than the static law, full information is better.
     for scenario in ("energy", "energy-switching", "energy-switching-transformed", "non-quadratic", "random-energy"):
         digits = [results.record(scenario, name, "digits")["mean"] for name in ("null", "static", "oracle")]

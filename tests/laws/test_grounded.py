@@ -1,8 +1,20 @@
+"""Ye & Hu's laws. The texts could not be read: the theorems are tested, and the equilibrium of their HVAC game."""
+
 import numpy as np
 import pytest
-from worlds import make_env, play
+from affine_games import loop_start, run
+from worlds import BLOCKS, energy_scenario, make_env, make_port, play, stack
 
-from ptne_env import laws
+from ptne_env import Part, get_scenario, laws
+from ptne_env.theory import condition, premises
+
+RING = Part.of("ptne_env.graphs:fixed", graph=Part.of("ptne_env.graphs:cycle", players=5))
+HVAC = energy_scenario(1.0, (50.0, 55.0, 60.0, 65.0, 70.0), RING).replace(
+    game=Part.of("ptne_env.games:EnergyGame", target=(50, 55, 60, 65, 70), coupling=0.04, base_price=5.0)
+)
+"""(x − x̂)² + (0.04 Σ x + 5) x with x̂ = (50, 55, 60, 65, 70)."""
+
+HVAC_EQUILIBRIUM = (41.535, 46.437, 51.339, 56.241, 61.143)
 
 
 @pytest.mark.parametrize("kind", ["physical", "local"])
@@ -23,3 +35,71 @@ def test_own_strategy_follows_its_own_gradient_alone():
         actions, _ = laws.Grounded(env.layout, kappa).predict(np.stack(list(observations.values())))
         gradients = [env.layout.select(row, "own_gradient")[0] for row in observations.values()]
         assert np.array_equal(actions.diagonal(), -np.array(gradients))
+
+
+@pytest.mark.parametrize(
+    "law", [laws.Grounded, lambda layout: laws.AdaptiveGrounded(layout, gamma=0.0005, initial_gain=2.0)]
+)
+def test_laws_of_ye_and_hu_reach_the_equilibrium_of_their_hvac_game(law):
+    """The numbers are those that the literature gives for Ye & Hu's game, to the three decimals printed."""
+    dynamics, port = make_port(HVAC)
+    states = run(dynamics, port, law(port.layout), loop_start(dynamics))[..., 0]
+    assert states[-1] == pytest.approx(np.repeat(HVAC_EQUILIBRIUM, 5).reshape(5, 5), abs=6e-4)
+
+
+def grounded_errors(estimates, adjacency, owners):
+    """ξ^i_c = Σ_k a_ik (x^i_c − x^k_c) + a_ij (x^i_c − x^j_c) with j the owner of c; players are columns."""
+    result = np.zeros_like(estimates)
+    for c, j in enumerate(owners):
+        for i in range(len(adjacency)):
+            result[c, i] = adjacency[i] @ (estimates[c, i] - estimates[c])
+            result[c, i] += adjacency[i, j] * (estimates[c, i] - estimates[c, j])
+    return result
+
+
+@pytest.mark.parametrize("kind", ["physical", "local"])
+@pytest.mark.parametrize("scenario", [get_scenario("energy", start="random"), BLOCKS], ids=lambda world: world.name)
+def test_adaptive_grounded_law_is_its_equation(scenario, kind):
+    dynamics, port = make_port(scenario, kind=kind, action_scale=1e3)
+    law = laws.AdaptiveGrounded(port.layout, gamma=0.003, initial_gain=0.2)
+    states = run(dynamics, port, law, loop_start(dynamics), steps=40)[..., 0]
+    game, adjacency = dynamics.game, scenario.built_signal.graphs[0].adjacency
+    gains = np.full(states.shape[1:], 0.2)
+    for k in range(40):
+        theta, errors = dynamics.clock.theta[k], grounded_errors(states[k], adjacency, game.owners)
+        inputs = -gains * errors
+        gradients = game.own_gradients(states[k][:, :, None])[:, 0]
+        for component, owner in enumerate(game.owners):
+            inputs[component, owner] = -gradients[component]
+        assert states[k + 1] == pytest.approx(states[k] + theta * inputs, abs=2e-4)
+        gains = gains + theta * 0.003 * errors**2
+
+
+def test_gains_of_ye_and_hu_grow_until_the_network_converges_and_then_rest():
+    """The theorem of the node-based law: global convergence from gains of zero, which stay bounded."""
+    scenario = get_scenario("energy", start="random", steps=4000, s_end=20.0, gain=60.0)
+    dynamics, port = make_port(scenario)
+    law = laws.AdaptiveGrounded(port.layout, gamma=0.005, initial_gain=0.0)
+    assert law.condition(premises(scenario)).holds
+    state, memory, history = loop_start(dynamics), None, []
+    for _ in range(dynamics.clock.steps):
+        actions, memory = law.predict(port.observe(state)[0], state=memory)
+        state = dynamics.step(state, port.decode(actions[None], state).inputs)
+        history.append(memory)
+    history = np.array(history)
+    assert np.all(np.diff(history, axis=0) >= 0)
+    others = ~np.eye(5, dtype=bool)
+    assert history[-1][others].min() > 0.01
+    assert history[-1] == pytest.approx(history[3000], rel=1e-3)
+    target = np.tile(dynamics.game.nash_equilibrium, 5)
+    assert np.linalg.norm(stack(state.estimates) - target) < 1e-3 * np.linalg.norm(target)
+
+
+def test_conditions_of_ye_and_hu():
+    scenario = get_scenario("energy")
+    fixed = condition(laws.Grounded, scenario)
+    assert not fixed.holds  # sufficient only: the law converges all the same
+    assert condition(Part.of("ptne_env.laws:Grounded", kappa=1.01 * fixed.bound), scenario).holds
+    assert condition(laws.AdaptiveGrounded, scenario).holds
+    assert "gains adapt" in condition(Part.of("ptne_env.laws:AdaptiveGrounded", gamma=0.0), scenario).name
+    assert "every graph" in condition(laws.AdaptiveGrounded, get_scenario("energy-switching")).name

@@ -1,15 +1,42 @@
 """Laws behave as Stable-Baselines3's ``predict`` does."""
 
 import inspect
+from dataclasses import asdict
 
 import numpy as np
 import pytest
 from worlds import BLOCKS, make_env, make_port, play
 
-from ptne_env import Policy, laws
+from ptne_env import Interface, Policy, laws
 from ptne_env.sources import Sources
 
-LAWS = [laws.Static, laws.Adaptive, laws.CorollaryOne, laws.Grounded, laws.Null, laws.RandomPolicy]
+LAWS = [
+    laws.Static,
+    laws.Adaptive,
+    laws.CorollaryOne,
+    laws.Grounded,
+    laws.FixedGain,
+    laws.AveragingIntegral,
+    laws.AdaptiveGrounded,
+    laws.ProjectedGradient,
+    laws.LocallyImplicit,
+    laws.CappedGain,
+    laws.Null,
+    laws.RandomPolicy,
+]
+SPECIAL = [
+    laws.AggregateTracking,
+    laws.ExtremumSeeking,
+    laws.CentralisedOracle,
+    laws.BestResponseOracle,
+    laws.FixedTimeOracle,
+    laws.NodeAdaptiveOracle,
+]
+"""Laws that need an interface of their own."""
+
+
+def observe_for(law, scenario="energy", batch=3):
+    return observe(scenario, batch, **asdict(getattr(law, "interface", Interface())))
 
 
 def observe(scenario="energy", batch=3, **interface):
@@ -21,7 +48,7 @@ def observe(scenario="energy", batch=3, **interface):
     return port.layout, port.observe(state).reshape(-1, port.layout.size)
 
 
-@pytest.mark.parametrize("law", [*LAWS, laws.CentralisedOracle])
+@pytest.mark.parametrize("law", [*LAWS, *SPECIAL])
 def test_laws_have_the_signature_of_stable_baselines3(law):
     parameters = inspect.signature(law.predict).parameters
     assert list(parameters) == ["self", "observation", "state", "episode_start", "deterministic"]
@@ -42,9 +69,9 @@ def test_actions_are_float32_within_the_box_one_row_each(scenario, law, kind):
     assert np.abs(actions).max() <= layout.action_bound
 
 
-@pytest.mark.parametrize("law", [law for law in LAWS if law is not laws.RandomPolicy])
+@pytest.mark.parametrize("law", [law for law in [*LAWS, *SPECIAL] if law is not laws.RandomPolicy])
 def test_single_observation_gives_a_single_action(law):
-    layout, observations = observe()
+    layout, observations = observe_for(law)
     actions, _ = law(layout).predict(observations)
     for row in (0, 4):
         action, memory = law(layout).predict(observations[row])
@@ -54,9 +81,9 @@ def test_single_observation_gives_a_single_action(law):
         assert following.shape == (layout.action_size,)
 
 
-@pytest.mark.parametrize("law", [law for law in LAWS if law is not laws.RandomPolicy])
+@pytest.mark.parametrize("law", [law for law in [*LAWS, *SPECIAL] if law is not laws.RandomPolicy])
 def test_predict_leaves_observations_and_memory_alone_and_repeats_itself(law):
-    layout, observations = observe()
+    layout, observations = observe_for(law)
     policy = law(layout)
     _, memory = policy.predict(observations)
     kept = observations.copy(), None if memory is None else memory.copy()
@@ -102,11 +129,11 @@ def test_observations_of_another_scenario_are_refused(law):
         law(layout).predict(foreign)
 
 
-@pytest.mark.parametrize("law", [law for law in LAWS if law is not laws.RandomPolicy])
+@pytest.mark.parametrize("law", [law for law in [*LAWS, *SPECIAL] if law is not laws.RandomPolicy])
 def test_batches_agree_bit_for_bit_with_single_environments(law):
     from test_dynamics import large_energy_scenario
 
-    layout, observations = observe(large_energy_scenario(), batch=6)
+    layout, observations = observe_for(law, large_energy_scenario(), batch=6)
     policy = law(layout)
     together, memory = policy.predict(observations)
     together, memory = policy.predict(observations, state=memory)

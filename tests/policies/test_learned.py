@@ -139,3 +139,17 @@ def test_every_shipped_policy_loads_and_fits_the_scenario_it_names(name):
     actions, _ = policy.predict(np.stack(list(observations.values())))
     assert actions.shape == (5, env.layout.action_size)
     assert np.abs(actions).max() <= env.layout.action_bound
+
+
+@pytest.mark.parametrize(
+    ("name", "metric", "digits"),
+    [
+        ("ppo-random-energy", "digits_over_paper_laws", 5.0),
+        ("ppo-random-energy-switching", "digits_over_all_laws", 2.5),
+        ("ppo-random-energy-switching-transformed", "digits_over_all_laws", 1.0),
+    ],
+)
+def test_shipped_policies_beat_tuned_laws_on_games_they_have_not_seen(name, metric, digits):
+    scenario = policies.load(name).metadata.scenario
+    results = ptne_env.evaluate([name], [scenario], episodes=100)
+    assert results.record(scenario, name, metric)["low"] >= digits

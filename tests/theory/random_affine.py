@@ -117,7 +117,7 @@ def random_case(seed, law="Static", margin=(1.05, 1.8), players=(3, 8), skew=1.5
         **fields,
     }
     rough = quietly(**values)
-    built = Part.of(f"ptne_env.laws:{law}", **arguments).build(layout=theory.scenario_layout(rough))
+    built = theory.build_law(Part.of(f"ptne_env.laws:{law}", **arguments), rough)
     loop = theory.sampled_loop(rough, built)
     longest = loop.steps[: rough.steps].max()
     stable = theory.largest_stable_step(loop.loops[0].matrix)

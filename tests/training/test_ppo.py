@@ -18,6 +18,7 @@ from ptne_env import Entry, Interface, evaluate, policies
 from ptne_env.envs.sb3 import SlotVecEnv
 from ptne_env.training import ppo
 from ptne_env.training.export import to_onnx
+from ptne_env.training.features import Products
 
 
 def test_training_gains_digits_over_its_own_start(run):
@@ -123,9 +124,11 @@ def test_an_unknown_configuration_or_argument_is_refused_by_name(tmp_path):
 
 @pytest.mark.parametrize("kind", ["local", "physical"])
 @pytest.mark.parametrize("mode", ["input", "gains"])
-def test_the_exported_policy_acts_like_the_model_over_whole_episodes(kind, mode, tmp_path):
+@pytest.mark.parametrize("products", [True, False])
+def test_the_exported_policy_acts_like_the_model_over_whole_episodes(kind, mode, products, tmp_path):
+    arguments = ppo.Arguments("random-energy-switching", kind, mode, envs=2, minibatches=10, products=products, seed=1)
     env = SlotVecEnv("random-energy-switching", 2, interface=kind, action_mode=mode, seed=4)
-    model = PPO("MlpPolicy", env, policy_kwargs={"activation_fn": torch.nn.Tanh}, device="cpu", seed=1)
+    model = PPO("MlpPolicy", env, **ppo.settings(arguments, env.layout))
     with torch.no_grad():  # large weights, so that clipping happens too
         for parameter in model.policy.action_net.parameters():
             parameter.mul_(200.0)
@@ -150,3 +153,18 @@ def test_a_layer_that_cannot_be_exported_is_named():
     model = PPO("MlpPolicy", env, policy_kwargs={"activation_fn": torch.nn.ReLU}, device="cpu")
     with pytest.raises(ValueError, match="ReLU"):
         to_onnx(model, env.layout, scenario="random-energy", seed=0, digits=0.0)
+
+
+@pytest.mark.parametrize("kind", ["local", "physical"])
+def test_products_are_gradient_and_differences_times_links_and_player(kind):
+    env = SlotVecEnv("random-energy-switching", 3, interface=kind, seed=4)
+    observations, layout = env.reset(), env.layout
+    features = Products(env.observation_space, **Products.of(layout))(torch.as_tensor(observations)).numpy()
+    assert np.array_equal(features[:, : layout.size], observations)
+    part = {name: layout.select(observations, name) for name in layout.slices}
+    factors = np.concatenate([part["own_gradient"], part["relative_estimates"]], axis=1)
+    gates = np.concatenate([part["weights"], part["player"]], axis=1)
+    assert features.shape[1] == layout.size + factors.shape[1] * gates.shape[1]
+    for row in range(len(observations)):
+        expected = np.outer(factors[row], gates[row]).ravel()
+        assert np.array_equal(features[row, layout.size :], expected)

@@ -1,0 +1,155 @@
+"""What each choice of the training buys: one change at a time, everything else as shipped.
+
+Run it with ``python baselines/ablations.py``; ``ablations.json`` and ``ablations.md`` beside this file are its output.
+A variation that is there already is not repeated. The recurrent one needs ``pip install sb3-contrib``.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from pathlib import Path
+from time import perf_counter
+from typing import Annotated, Any
+
+import numpy as np
+import numpy.typing as npt
+import torch
+import typer
+from joblib import Parallel, delayed
+from stable_baselines3 import PPO
+from stable_baselines3.common.vec_env import VecFrameStack
+
+from ptne_env import Entry, Interface, evaluate, get_scenario
+from ptne_env.evaluation import episode_seed
+from ptne_env.files import write_atomically
+from ptne_env.policy import Policy
+from ptne_env.training import ppo
+
+HERE = Path(__file__).parent
+
+FRAMES = 4
+"""Observations that the variation with memory sees: the present one and the three before it."""
+
+VARIATIONS: dict[str, dict[str, Any]] = {
+    "as shipped": {},
+    "without products": {"products": False},
+    "two layers of 32": {"hidden": (32, 32)},
+    "two layers of 128": {"hidden": (128, 128)},
+    "two layers of 256": {"hidden": (256, 256)},
+    "discount 0.8": {"discount": 0.8},
+    "discount 0.95": {"discount": 0.95},
+    "discount 0.99": {"discount": 0.99},
+    "trace 0.95": {"trace": 0.95},
+    "learning rate 0.0005": {"learning_rate": 5e-4},
+    "learning rate 0.002": {"learning_rate": 2e-3},
+    "4 minibatches": {"minibatches": 4},
+    "10 epochs": {"epochs": 10},
+    f"memory of {FRAMES} observations": {"memory": True},
+    # An LSTM costs more than ten times as much per step: this is about the time of the others.
+    "recurrent, LSTM of 64, 0.4 M steps": {"recurrent": True, "steps": 400_000},
+}
+
+
+class Remembering:
+    """A model of stacked observations as a policy: its memory holds the observations before the present one."""
+
+    def __init__(self, model: PPO) -> None:
+        self._model = model
+
+    def predict(
+        self,
+        observation: npt.NDArray[np.float32],
+        state: Any = None,
+        episode_start: npt.NDArray[np.bool_] | None = None,
+        deterministic: bool = False,  # noqa: FBT001, FBT002 - Stable-Baselines3's signature
+    ) -> tuple[npt.NDArray[np.float32], Any]:
+        """See :meth:`ptne_env.policy.Policy.predict`."""
+        past = np.zeros((len(observation), (FRAMES - 1) * observation.shape[1]), np.float32) if state is None else state
+        if episode_start is not None:
+            past = np.where(episode_start[:, None], np.float32(0), past)
+        stacked = np.concatenate([past, observation], axis=1)
+        actions, _ = self._model.predict(stacked, deterministic=deterministic)
+        return actions, stacked[:, observation.shape[1] :]
+
+
+def train(arguments: ppo.Arguments, *, memory: bool = False, recurrent: bool = False) -> Policy:
+    """Train without checkpoints and logs."""
+    torch.set_num_threads(1)
+    env: Any = ppo.make_env(arguments)
+    layout = env.get_attr("layout")[0]
+    settings = ppo.settings(arguments, layout)
+    env.seed(episode_seed(arguments.seed, 0, split="train"))
+    if recurrent:
+        from sb3_contrib import RecurrentPPO
+
+        settings["policy_kwargs"] |= {"lstm_hidden_size": 64}
+        model: Any = RecurrentPPO("MlpLstmPolicy", env, **settings)
+        return model.learn(arguments.steps)
+    if memory:
+        env = VecFrameStack(env, FRAMES)
+        newest = (FRAMES - 1) * layout.size
+        entries = settings["policy_kwargs"]["features_extractor_kwargs"]
+        shifted = {name: [entry + newest for entry in group] for name, group in entries.items()}
+        settings["policy_kwargs"]["features_extractor_kwargs"] = shifted
+    model = PPO("MlpPolicy", env, **settings).learn(arguments.steps)
+    return Remembering(model) if memory else model
+
+
+def measure(name: str, arguments: ppo.Arguments, folder: Path) -> dict[str, Any]:
+    """Train and validate one variation, or read what is there."""
+    path = folder / f"{name}.json"
+    if path.exists():
+        result: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+        return result
+    changes = dict(VARIATIONS[name])
+    kind = {key: changes.pop(key) for key in ("memory", "recurrent") if key in changes}
+    began = perf_counter()
+    policy = train(dataclasses.replace(arguments, **changes), **kind)
+    seconds = perf_counter() - began
+    entry = Entry(name, policy, Interface(arguments.interface, arguments.action_mode))
+    results = evaluate([entry], [get_scenario(arguments.scenario)], episodes=200, split="validation")
+    digits = results.record(arguments.scenario, name, "digits")
+    result = {"variation": name, "seed": arguments.seed, "seconds": seconds} | {
+        key: digits[key] for key in ("mean", "low", "high")
+    }
+    write_atomically(path, json.dumps(result, indent=1) + "\n")
+    return result
+
+
+def main(
+    configuration: Annotated[str, typer.Option(help="What the variations start from.")] = "random-energy-switching",
+    steps: Annotated[int, typer.Option(help="Agent-steps of each.")] = 4_000_000,
+    seeds: Annotated[int, typer.Option(min=1, help="Training seeds of each.")] = 2,
+    runs: Annotated[Path, typer.Option(help="Folder for finished variations.")] = Path("runs/ablations"),
+    jobs: Annotated[int, typer.Option(help="Runs at a time; each takes one core.")] = 2,
+) -> None:
+    """Train every variation and write the table."""
+    tasks = [
+        (name, ppo.Arguments.from_toml(configuration, steps=steps, seed=seed), runs / configuration / f"{steps}-{seed}")
+        for name in VARIATIONS
+        for seed in range(seeds)
+    ]
+    results = Parallel(n_jobs=jobs, verbose=10)(delayed(measure)(*task) for task in tasks)
+    write_atomically(HERE / "ablations.json", json.dumps(results, indent=1) + "\n")
+    introduction = (
+        f"Written by `python baselines/ablations.py`; do not edit. `{configuration}`, {steps / 1e6:g} M agent-steps "
+        "and one change at a time: mean digits on the validation bank, one column per training seed."
+    )
+    lines = [
+        "# Ablations",
+        "",
+        introduction,
+        "",
+        f"| variation | {' | '.join(f'seed {seed}' for seed in range(seeds))} | seconds of one core |",
+        "| --- |" + " ---: |" * (seeds + 1),
+    ]
+    for name in VARIATIONS:
+        own = [result for result in results if result["variation"] == name]
+        digits = " | ".join(f"{result['mean']:.2f}" for result in own)
+        lines.append(f"| {name} | {digits} | {np.median([result['seconds'] for result in own]):.0f} |")
+    write_atomically(HERE / "ablations.md", "\n".join(lines) + "\n")
+
+
+if __name__ == "__main__":
+    typer.run(main)

@@ -1,0 +1,73 @@
+"""Random numbers without a state: a hash of a key and a counter, the same for every batch size and every policy.
+
+A stream is named by a 64-bit key, and its number c is ``mix(mix(key) + (c + 1) γ)``, where mix is the finaliser of
+splitmix64 and γ = 2^64/φ, odd: Steele, Lea & Flood, "Fast splittable pseudorandom number generators" (OOPSLA 2014).
+That numbers can be had in any order makes it counter-based in the sense of Salmon, Moraes, Dror & Shaw, "Parallel
+random numbers: as easy as 1, 2, 3" (SC 2011): what is drawn depends on what it is for, not on what was drawn before.
+"""
+
+from __future__ import annotations
+
+from typing import TypeAlias
+
+import numpy as np
+import numpy.typing as npt
+from scipy import special
+
+from ptne_env.arrays import FloatArray
+
+CounterArray: TypeAlias = npt.NDArray[np.uint64]
+"""Keys and counters: unsigned 64-bit numbers, whose arithmetic wraps."""
+
+_GAMMA = np.uint64(0x9E3779B97F4A7C15)
+_FIRST, _SECOND = np.uint64(0xBF58476D1CE4E5B9), np.uint64(0x94D049BB133111EB)
+_SHIFTS = np.uint64(30), np.uint64(27), np.uint64(31)
+_DROPPED_BITS = np.uint64(12)
+
+
+def mix(values: CounterArray) -> CounterArray:
+    """The finaliser of splitmix64, a bijection of the 64-bit numbers; every input bit moves every output bit."""
+    values = np.array(values, dtype=np.uint64, ndmin=1)  # a copy; scalars would warn where arrays wrap
+    shifted = np.empty_like(values)
+    for shift, factor in zip(_SHIFTS, (_FIRST, _SECOND, None), strict=True):
+        values ^= np.right_shift(values, shift, out=shifted)
+        if factor is not None:
+            values *= factor
+    return values
+
+
+def child_keys(keys: CounterArray, index: int) -> CounterArray:
+    """Keys of the stream number ``index`` below the streams ``keys``, of the same shape.
+
+    Raises:
+        OverflowError: when ``index`` is negative or not below 2^64.
+    """
+    # Mixed twice, so that a child's key is none of the numbers of its parent's stream.
+    return mix(mix(mix(keys) + np.uint64(index) * np.ones(1, np.uint64) * _GAMMA) ^ _GAMMA)
+
+
+def words(keys: CounterArray, counters: CounterArray) -> CounterArray:
+    """64 random bits for every key and counter, which are broadcast against each other."""
+    return mix(mix(keys) + (counters + np.uint64(1)) * _GAMMA)
+
+
+def uniforms(keys: CounterArray, counters: CounterArray) -> FloatArray:
+    """U(0, 1) for every key and counter: multiples of 2^−53, never 0 or 1, symmetric about 1/2."""
+    bits = words(keys, counters)
+    bits >>= _DROPPED_BITS  # 52 bits and a half are exact in float64, 53 bits and a half would round up to 1
+    result = bits.astype(np.float64)
+    result += 0.5
+    result *= 2.0**-52
+    return result
+
+
+def normals(keys: CounterArray, counters: CounterArray) -> FloatArray:
+    """N(0, 1) for every key and counter, by inversion; none is larger than 8.3."""
+    numbers = uniforms(keys, counters)
+    special.ndtri(numbers, out=numbers)
+    return numbers
+
+
+def draw_key(generator: np.random.Generator) -> int:
+    """A key from an ordinary generator."""
+    return int(generator.integers(0, 2**64, dtype=np.uint64))

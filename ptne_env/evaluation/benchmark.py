@@ -1,0 +1,493 @@
+"""Running a suite cell by cell: one policy on one track from one bank, kept in a file that is whole or not there."""
+
+from __future__ import annotations
+
+import glob
+import json
+import platform
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cache, cached_property
+from hashlib import sha256
+from importlib import metadata
+from inspect import getsourcefile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ptne_env._version import __version__
+from ptne_env.arrays import FloatArray, require_count
+from ptne_env.dynamics import Dynamics
+from ptne_env.evaluation.bank import Split, start_from, track_seed
+from ptne_env.evaluation.entries import Entry, get_entry
+from ptne_env.evaluation.metrics import measure_for_suite
+from ptne_env.evaluation.rollout import Member, rollout
+from ptne_env.evaluation.suite import ANCHORS, LEADERBOARD_SEED, Suite, Track, content_hash, get_suite
+from ptne_env.files import write_atomically
+from ptne_env.interface import Interface, Port
+from ptne_env.parts import Part
+from ptne_env.policies import shipped_path
+from ptne_env.policies.archive import load_archive
+
+TIMINGS = ("microseconds_per_decision",)
+"""Metrics that another run does not repeat; they are kept apart."""
+
+_ARCHIVE = "ptne_env.policies.archive:load_archive_for"
+_PACKAGE = Path(__file__).parents[1]
+_NOT_COMPUTING = ("report", "paper", "training", "cli.py")
+"""Parts of the library on which no number of a cell depends."""
+
+_LIBRARIES = ("numpy", "scipy", "onnxruntime", "torch")
+
+
+@dataclass(frozen=True)
+class Participant:
+    """One row of a table.
+
+    Attributes:
+        name: for tables and files.
+        runs: the entry of each training seed; one where nothing was trained.
+    """
+
+    name: str
+    runs: tuple[Entry, ...]
+
+    @property
+    def is_oracle(self) -> bool:
+        """Whether it sees what no player can see."""
+        return self.runs[0].interface.kind == "full"
+
+    def to_dict(self) -> dict[str, Any]:
+        """A JSON object that says which policies these are, with parameters and the hashes of their files."""
+        return {"name": self.name, "runs": [{**run.to_dict(), "files": files(run)} for run in self.runs]}
+
+    @classmethod
+    def from_dict(cls, data: Mapping[str, Any]) -> Participant:
+        """The inverse of :meth:`to_dict`; it imports the modules that the policies name."""
+        runs = (
+            Entry(run["name"], Part.from_dict(run["policy"]), Interface(**run["interface"])) for run in data["runs"]
+        )
+        return cls(data["name"], tuple(runs))
+
+
+def get_participant(policy: str | Entry | Participant, *, trust: bool = False) -> Participant:
+    """A participant by what names an entry, by a Stable-Baselines3 ``.zip``, or by ``"name=pattern"``.
+
+    A pattern (such as ``"mine=runs/seed-*/policy.onnx"``) stands for the training seeds of one policy, one file each.
+
+    Args:
+        policy: what is asked for.
+        trust: whether code that is stored in a ``.zip`` may be executed.
+
+    Raises:
+        ValueError: for an unknown name, a pattern without files, or a ``.zip`` that is not trusted.
+        FileNotFoundError, PolicyFileError, ImportError: when a file cannot be loaded.
+    """
+    if isinstance(policy, Participant):
+        return policy
+    if isinstance(policy, Entry):
+        return Participant(policy.name, (policy,))
+    name, separator, pattern = policy.partition("=")
+    if not separator:
+        entry = _entry(policy, trust=trust)
+        return Participant(entry.name, (entry,))
+    paths = sorted(glob.glob(pattern))  # noqa: PTH207 - the pattern may be absolute
+    if not (name and paths):
+        raise ValueError(f"{policy!r} is not 'name=pattern' with a pattern that matches files")
+    return Participant(name, tuple(_entry(path, trust=trust) for path in paths))
+
+
+def executes_code(policy: str) -> bool:
+    """Whether loading what this names, for :func:`get_participant`, executes code that is stored in a file."""
+    return policy.endswith(".zip")
+
+
+def _entry(policy: str, *, trust: bool) -> Entry:
+    if not executes_code(policy):
+        return get_entry(policy)
+    if not trust:
+        raise ValueError(f"loading {policy!r} executes code that is stored in it: say that you trust it (--trust)")
+    return Entry(Path(policy).stem, Part.of(_ARCHIVE, path=policy), load_archive(policy).interface)
+
+
+def files(entry: Entry) -> dict[str, str]:
+    """SHA-256 of each file that an entry is made from, outside the library's sources.
+
+    Raises:
+        ValueError: when the entry's policy is an object and not a part, so that nobody could make it again.
+    """
+    if not isinstance(entry.policy, Part):
+        raise ValueError(
+            f"policy {entry.name!r} is an object; a suite needs a Part, 'module:object' with arguments, so that its "
+            "results can be repeated"
+        )
+    paths = [shipped_path(value) or Path(value) for _, value in entry.policy.arguments if isinstance(value, str)]
+    source = getsourcefile(entry.policy.resolve())
+    if source is not None and not Path(source).is_relative_to(_PACKAGE):
+        paths.append(Path(source))
+    return {path.name: sha256(path.read_bytes()).hexdigest() for path in paths if path.is_file()}
+
+
+@cache
+def versions() -> dict[str, str]:
+    """The versions that numbers depend on, with a hash of the library's own computing sources."""
+    sources = sha256()
+    for path in sorted(_PACKAGE.rglob("*.py")):
+        name = path.relative_to(_PACKAGE)
+        if name.parts[0] not in _NOT_COMPUTING:
+            sources.update(name.as_posix().encode() + path.read_bytes())
+    found = {"ptne_env": __version__, "sources": sources.hexdigest(), "python": platform.python_version()}
+    for library in _LIBRARIES:
+        try:
+            found[library] = metadata.version(library)
+        except metadata.PackageNotFoundError:
+            continue
+    return found
+
+
+@dataclass(frozen=True)
+class Cell:
+    """One policy on one track from one bank: everything that its numbers depend on.
+
+    Attributes:
+        suite: name of the suite.
+        track: which world.
+        participant: name of the participant.
+        run: index of the training seed.
+        entry: the policy.
+        seed: of the bank.
+        split: of the bank.
+        episodes: how many.
+    """
+
+    suite: str
+    track: Track
+    participant: str
+    run: int
+    entry: Entry
+    seed: int
+    split: Split
+    episodes: int
+
+    def to_dict(self) -> dict[str, Any]:
+        """Everything the numbers depend on, as a JSON object. The policy's name is not among it."""
+        policy = {key: value for key, value in self.entry.to_dict().items() if key != "name"}
+        return {
+            "suite": self.suite,
+            "track": self.track.to_dict(),
+            "entry": {**policy, "files": files(self.entry)},
+            "seed": self.seed,
+            "split": self.split,
+            "episodes": self.episodes,
+            "versions": versions(),
+        }
+
+    @cached_property
+    def key(self) -> str:
+        """The hash of :meth:`to_dict`, by which the cell is kept."""
+        return content_hash(self.to_dict())
+
+    def compute(self) -> Measured:
+        """Run the episodes."""
+        dynamics = Dynamics(self.track.scenario)
+        port = Port(dynamics, self.entry.interface)
+        try:
+            policy = self.entry.build(port.layout)
+        except ValueError as error:  # made for another layout, or for other games
+            return Measured({}, {}, str(error))
+        rule, teammates = self.track.teammates, None
+        if rule is not None:
+            other = Entry("teammates", rule.policy)
+            other_port = Port(dynamics, other.interface)
+            teammates = Member(other.build(other_port.layout), other_port, rule.players)
+        seeds = (track_seed(self.suite, self.track.name, self.split, self.seed, k) for k in range(self.episodes))
+        samples = measure_for_suite(rollout(policy, port, start_from(dynamics, seeds), teammates))
+        timings = {name: float(samples.pop(name)[0]) for name in TIMINGS}
+        return Measured(samples, timings, None)
+
+
+@dataclass(frozen=True)
+class Measured:
+    """What a cell found.
+
+    Attributes:
+        samples: per metric, one value per episode, NaN where there is none.
+        timings: per metric of :data:`TIMINGS`, its value.
+        reason: why the policy cannot act on this track; ``None`` where it can.
+    """
+
+    samples: dict[str, FloatArray]
+    timings: dict[str, float]
+    reason: str | None
+
+    def to_dict(self) -> dict[str, Any]:
+        """A JSON object; numbers keep every bit, NaN is ``null``."""
+        lists = {
+            name: [value if np.isfinite(value) else None for value in values.tolist()]
+            for name, values in self.samples.items()
+        }
+        return {"samples": lists, "not_applicable": self.reason, "timings": self.timings}
+
+    @classmethod
+    def from_dict(cls, data: Mapping[str, Any]) -> Measured:
+        """The inverse of :meth:`to_dict`."""
+        samples = {name: np.array(values, dtype=np.float64) for name, values in data["samples"].items()}
+        return cls(samples, dict(data["timings"]), data["not_applicable"])
+
+
+class Store:
+    """A folder of cells, one file each, named by the hash of what the cell depends on.
+
+    Several runs may share one: files appear whole, and two runs that compute the same cell write the same.
+
+    Args:
+        folder: made when the first cell is kept.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+
+    def path(self, cell: Cell) -> Path:
+        """The cell's file."""
+        return self.folder / "cells" / f"{cell.key}.json"
+
+    def load(self, cell: Cell) -> Measured | None:
+        """What is kept of a cell; ``None`` where nothing is, or a damaged file, and the cell has to be run."""
+        try:
+            data = json.loads(self.path(cell).read_text(encoding="utf-8"))
+            body = {name: data[name] for name in ("samples", "not_applicable")}
+            if data["checksum"] != content_hash(body):
+                return None
+            return Measured.from_dict(data)
+        except (FileNotFoundError, KeyError, TypeError, ValueError, AttributeError):
+            return None
+
+    def keep(self, cell: Cell, measured: Measured) -> None:
+        """Write the cell's file."""
+        body = measured.to_dict()
+        checksum = content_hash({name: body[name] for name in ("samples", "not_applicable")})
+        data = {"cell": cell.to_dict(), "participant": cell.participant, "run": cell.run, **body, "checksum": checksum}
+        write_atomically(self.path(cell), json.dumps(data, allow_nan=False, ensure_ascii=False))
+
+    def fetch(self, cell: Cell) -> Measured:
+        """What is kept of a cell, after running it where nothing is."""
+        measured = self.load(cell)
+        if measured is None:
+            try:
+                measured = cell.compute()
+            except Exception as error:
+                error.add_note(f"in track {cell.track.name!r}, policy {cell.participant!r}")
+                raise
+            self.keep(cell, measured)
+        return measured
+
+
+@dataclass(frozen=True)
+class Run:
+    """A suite that has been run: which cells there are, and what each found.
+
+    Attributes:
+        suite: as published.
+        target: by which :func:`~ptne_env.evaluation.suite.get_suite` finds it.
+        tracks: those that were run, in the order of the suite.
+        participants: by name, in the order of tables.
+        seed: of the banks.
+        split: of the banks.
+        episodes: per track.
+        cells: every track, participant and training seed.
+        measured: what each cell found, in the order of ``cells``.
+    """
+
+    suite: Suite
+    target: str
+    tracks: tuple[Track, ...]
+    participants: dict[str, Participant]
+    seed: int
+    split: Split
+    episodes: int
+    cells: tuple[Cell, ...]
+    measured: tuple[Measured, ...]
+
+    def of(self, track: str, participant: str) -> list[Measured]:
+        """What was found on a track, one per training seed."""
+        return [
+            measured
+            for cell, measured in zip(self.cells, self.measured, strict=True)
+            if (cell.track.name, cell.participant) == (track, participant)
+        ]
+
+
+def run_suite(
+    suite: str | Suite,
+    policies: Iterable[str | Entry | Participant],
+    folder: Path,
+    *,
+    tracks: Sequence[str] | None = None,
+    seed: int = LEADERBOARD_SEED,
+    split: Split = "test",
+    episodes: int | None = None,
+    jobs: int = 1,
+    trust: bool = False,
+    progress: Callable[[str, int], None] | None = None,
+) -> Run:
+    """Run policies, and the anchors of every suite, on the tracks of a suite.
+
+    Cells that the folder holds already are not run again, so an interrupted run goes on where it was, short of the
+    cells in flight.
+
+    Args:
+        suite: by name, ``"module:object"`` or as it is.
+        policies: as :func:`get_participant` takes them.
+        folder: of the results; cells are kept below it.
+        tracks: names; all if left out.
+        seed: of the banks; the leaderboard's is 0.
+        split: ``"test"``, or ``"validation"`` for tuning.
+        episodes: per track; the suite's own number if left out.
+        jobs: processes, -1 for one per core.
+        trust: whether code that is stored in ``.zip`` files may be executed.
+        progress: called with a description and the number of all cells when a cell is done.
+
+    Raises:
+        ValueError: for unknown or repeated names, or a policy that fits no track.
+        OSError: when the folder cannot be written.
+    """
+    try:
+        from joblib import Parallel, delayed
+    except ImportError as error:
+        raise ImportError('suites need joblib: pip install "ptne-env[bench]"') from error
+
+    target = suite if isinstance(suite, str) else suite.name
+    suite = get_suite(suite)
+    chosen = suite.tracks if tracks is None else tuple(suite.track(name) for name in dict.fromkeys(tracks))
+    require_count("seed", seed, 0)
+    count = suite.episodes if episodes is None else require_count("episodes", episodes, 1)
+    named = [get_participant(policy, trust=trust) for policy in policies]
+    participants = {participant.name: participant for participant in named}
+    if len(participants) < len(named):
+        raise ValueError(f"a comparison needs different names, got {', '.join(one.name for one in named)}")
+    for name, entry in ANCHORS.items():
+        if participants.setdefault(name, Participant(name, (entry,))).runs != (entry,):
+            raise ValueError(f"{name!r} is the name of an anchor of every suite: give your policy another name")
+    cells = tuple(
+        Cell(suite.name, track, participant.name, run, entry, seed, split, count)
+        for track in chosen
+        for participant in participants.values()
+        for run, entry in enumerate(participant.runs)
+    )
+    store = Store(folder)
+    # The largest first, so that no process is left alone with one at the end.
+    order = sorted(range(len(cells)), key=lambda index: -cells[index].track.scenario.built_game.num_players)
+    found: dict[int, Measured] = {}
+    parallel = Parallel(n_jobs=jobs, return_as="generator_unordered")
+    for index, measured in parallel(delayed(_fetch)(store, index, cells[index]) for index in order):
+        found[index] = measured
+        if progress is not None:
+            progress(f"{cells[index].track.name}: {cells[index].participant}", len(cells))
+    run = Run(
+        suite,
+        target,
+        chosen,
+        participants,
+        seed,
+        split,
+        count,
+        cells,
+        tuple(found[index] for index in range(len(cells))),
+    )
+    for name in participants:
+        reasons = [measured.reason for track in chosen for measured in run.of(track.name, name)]
+        if all(reasons):
+            raise ValueError(f"policy {name!r} fits no track: {reasons[0]}")
+    return run
+
+
+def _fetch(store: Store, index: int, cell: Cell) -> tuple[int, Measured]:
+    return index, store.fetch(cell)
+
+
+@dataclass(frozen=True)
+class Repetition:
+    """A cell that was run again.
+
+    Attributes:
+        cell: which.
+        difference: the largest |new − old|/(1 + |old|) of any metric and episode; infinite where one has a value and
+            the other has none.
+    """
+
+    cell: Cell
+    difference: float
+
+
+def check(
+    results: Path,
+    *,
+    suite: Suite | None = None,
+    sample: int = 5,
+    seed: int | None = None,
+    trust: bool = False,
+    progress: Callable[[str, int], None] | None = None,
+) -> list[Repetition]:
+    """Run a random sample of the cells of published results again.
+
+    Args:
+        results: the file ``results.json`` of a suite, or its folder, with the cells beside it.
+        suite: that was run, where its name in the results does not find it.
+        sample: how many cells; all if there are fewer.
+        seed: of the choice; fresh if left out.
+        trust: whether code that is stored in ``.zip`` files may be executed.
+        progress: called with a description and the number of cells to run when a cell is done.
+
+    Raises:
+        FileNotFoundError: when there are no results, or a cell's file is missing.
+        ValueError: when a file is damaged, the suite is not the one that was run, or a policy's files are others.
+    """
+    path = results / "results.json" if results.is_dir() else results
+    try:
+        data = json.loads(path.read_text(encoding="utf-8"))
+        name, published = data["suite"]["target"], data["suite"]["content_hash"]
+        listed, participants = data["cells"], {one["name"]: one for one in data["participants"]}
+        bank = {key: data[key] for key in ("seed", "split", "episodes")}
+    except (KeyError, TypeError, ValueError) as error:
+        raise ValueError(f"{path} is not the results file of a suite: {error!r}") from error
+    suite = get_suite(name) if suite is None else suite
+    if suite.content_hash != published:
+        raise ValueError(
+            f"{path} is of a {suite.name} with the content hash {published}; this library's is {suite.content_hash}"
+        )
+    if not trust and any(run["policy"]["target"] == _ARCHIVE for one in participants.values() for run in one["runs"]):
+        raise ValueError(f"{path} has policies from .zip files, which execute code: say that you trust them (--trust)")
+    chosen = np.random.default_rng(seed).permutation(len(listed))[: require_count("sample", sample, 1)]
+    repetitions = []
+    for index in sorted(chosen.tolist()):
+        entry = listed[index]
+        participant = Participant.from_dict(participants[entry["participant"]])
+        if participant.to_dict() != participants[entry["participant"]]:
+            raise ValueError(f"the files of policy {participant.name!r} are not those that were run")
+        run = participant.runs[entry["run"]]
+        cell = Cell(suite.name, suite.track(entry["track"]), participant.name, entry["run"], run, **bank)
+        kept = _read(path.parent / "cells" / f"{entry['cell']}.json")
+        repetitions.append(Repetition(cell, _difference(kept, cell.compute())))
+        if progress is not None:
+            progress(f"{cell.track.name}: {cell.participant}", len(chosen))
+    return repetitions
+
+
+def _read(path: Path) -> Measured:
+    data = json.loads(path.read_text(encoding="utf-8"))
+    if data.get("checksum") != content_hash({name: data.get(name) for name in ("samples", "not_applicable")}):
+        raise ValueError(f"the cell {path} is damaged: remove it and run the suite again")
+    return Measured.from_dict(data)
+
+
+def _difference(old: Measured, new: Measured) -> float:
+    if old.samples.keys() != new.samples.keys():
+        return float("inf")
+    largest = 0.0
+    for name, values in old.samples.items():
+        if not np.array_equal(np.isfinite(values), np.isfinite(new.samples[name])):
+            return float("inf")
+        difference = np.abs(new.samples[name] - values) / (1 + np.abs(values))
+        largest = max(largest, float(np.nanmax(difference, initial=0.0)))
+    return largest

@@ -1,0 +1,279 @@
+"""Which benchmark is this? Tracks that change one thing each, and suites of them that are frozen by their content."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import cache, cached_property
+from hashlib import sha256
+from typing import Any
+
+from ptne_env.arrays import require_count
+from ptne_env.distances import FLOOR
+from ptne_env.dynamics import Dynamics, State
+from ptne_env.evaluation.bank import Split, start_from, track_seed
+from ptne_env.evaluation.entries import ENTRIES, Entry
+from ptne_env.evaluation.metrics import FINE_DISTANCE, SUITE_METRICS
+from ptne_env.parts import Part, resolve
+from ptne_env.scenario import Scenario, get_scenario
+
+NULL, LAW, ORACLE = "null", "static", "oracle"
+"""The entries that every suite runs: score 0, score 1 (the paper's law), and the mark beside them."""
+
+ANCHORS: Mapping[str, Entry] = {name: ENTRIES[name] for name in (NULL, LAW, ORACLE)}
+"""These entries by name."""
+
+SATURATION_MARGIN = 0.1
+"""A policy has saturated a track when its interquartile mean is within this many digits of the floor."""
+
+LEADERBOARD_SEED = 0
+"""Seed of the banks that published results are of."""
+
+
+@dataclass(frozen=True)
+class Teammates:
+    """The team rule of a track: these players follow another policy, whoever enters.
+
+    Attributes:
+        policy: that they follow, built for its own interface.
+        players: their indices.
+    """
+
+    policy: Part
+    players: tuple[int, ...]
+
+    def to_dict(self) -> dict[str, Any]:
+        """A JSON object."""
+        return {"policy": self.policy.to_dict(), "players": list(self.players)}
+
+
+@dataclass(frozen=True)
+class Track:
+    """One world of a suite.
+
+    Attributes:
+        name: unique in the suite; part of the seeds of its episodes.
+        scenario: the physics.
+        change: what is different from the base, in one sentence.
+        metric: of which more is better, by which policies are scored: ``"digits"`` or ``"digits_after_hold"``.
+        teammates: who plays beside the entry; nobody if ``None``.
+
+    Raises:
+        ValueError: for another metric, one that the scenario does not have, or teammates who are not some of the
+            players.
+    """
+
+    name: str
+    scenario: Scenario
+    change: str
+    metric: str = "digits"
+    teammates: Teammates | None = None
+
+    def __post_init__(self) -> None:
+        choices = ("digits", "digits_after_hold") if self.scenario.hold_steps else ("digits",)
+        if self.metric not in choices:
+            raise ValueError(f"track {self.name!r} is scored by {' or '.join(choices)}, got {self.metric!r}")
+        if self.teammates is not None:
+            players, everybody = set(self.teammates.players), set(range(self.scenario.built_game.num_players))
+            if not (players < everybody and 0 < len(players) == len(self.teammates.players)):
+                raise ValueError(
+                    f"track {self.name!r}: teammates are some, not all, of the players {sorted(everybody)}, each once; "
+                    f"got {list(self.teammates.players)}"
+                )
+
+    def to_dict(self) -> dict[str, Any]:
+        """A JSON object."""
+        return {
+            "name": self.name,
+            "scenario": self.scenario.to_dict(),
+            "change": self.change,
+            "metric": self.metric,
+            "teammates": None if self.teammates is None else self.teammates.to_dict(),
+        }
+
+
+@dataclass(frozen=True)
+class Suite:
+    """A benchmark: tracks and the rules by which they are run. Its content is frozen; a change is a new version.
+
+    Attributes:
+        title: without the version.
+        version: counted from 1.
+        tracks: in the order of tables.
+        episodes: of every track.
+        frozen: the content hash that it was published with; ``None`` while it is being made.
+
+    Raises:
+        ValueError: when names repeat, there is no track, a count is below 1, or the content is not the frozen one.
+    """
+
+    title: str
+    version: int
+    tracks: tuple[Track, ...]
+    episodes: int = 200
+    frozen: str | None = None
+
+    def __post_init__(self) -> None:
+        require_count("a suite's version", self.version, 1)
+        require_count("a suite's number of episodes", self.episodes, 1)
+        names = [track.name for track in self.tracks]
+        if not names or len(set(names)) < len(names):
+            raise ValueError(f"a suite needs tracks with different names, got {names}")
+        if self.frozen not in (None, self.content_hash):
+            raise ValueError(
+                f"the content of suite {self.name} has the hash {self.content_hash}, but it was frozen as "
+                f"{self.frozen}: a change of content is a new version"
+            )
+
+    @property
+    def name(self) -> str:
+        """Title and version, such as ``"ptne-v1"``; part of the seeds of all episodes."""
+        return f"{self.title}-v{self.version}"
+
+    def track(self, name: str) -> Track:
+        """A track by name.
+
+        Raises:
+            ValueError: for an unknown name.
+        """
+        for track in self.tracks:
+            if track.name == name:
+                return track
+        raise ValueError(
+            f"suite {self.name} has no track {name!r}; choose from {', '.join(t.name for t in self.tracks)}"
+        )
+
+    def content(self) -> dict[str, Any]:
+        """What is frozen: name, tracks and rules, as a JSON object."""
+        return {
+            "suite": self.name,
+            "tracks": [track.to_dict() for track in self.tracks],
+            "rules": {
+                "episodes": self.episodes,
+                "leaderboard_seed": LEADERBOARD_SEED,
+                "anchors": {name: entry.to_dict() for name, entry in ANCHORS.items()},
+                "distance_floor": FLOOR,
+                "fine_distance": FINE_DISTANCE,
+                "saturation_margin": SATURATION_MARGIN,
+                "metrics": list(SUITE_METRICS),
+            },
+        }
+
+    @cached_property
+    def content_hash(self) -> str:
+        """SHA-256 of the canonical JSON of :meth:`content`, in which fields that are ``None`` are left out.
+
+        So a scenario that learns a new field, ``None`` for what exists already, leaves published suites as they are.
+        """
+        return content_hash(self.content())
+
+    def episode_seed(self, track: str, episode: int, *, seed: int = LEADERBOARD_SEED, split: Split = "test") -> int:
+        """The seed with which an environment of the track's scenario replays an episode: ``env.reset(seed=...)``.
+
+        Raises:
+            ValueError: for an unknown track or split, or a number that is negative or not below 2^32.
+        """
+        return track_seed(self.name, self.track(track).name, split, seed, episode)
+
+    def draw_start(
+        self, dynamics: Dynamics, track: str, episodes: int, *, seed: int = LEADERBOARD_SEED, split: Split = "test"
+    ) -> State:
+        """The initial state of the first ``episodes`` episodes of a track.
+
+        Raises:
+            ValueError: as :meth:`episode_seed`, or when a drawn game is refused.
+        """
+        seeds = (self.episode_seed(track, index, seed=seed, split=split) for index in range(episodes))
+        return start_from(dynamics, seeds)
+
+
+def canonical_json(value: Any) -> str:
+    """JSON with sorted keys, without spaces, and without the keys whose value is ``None``."""
+
+    def without_none(item: Any) -> Any:
+        if isinstance(item, Mapping):
+            return {key: without_none(child) for key, child in item.items() if child is not None}
+        return [without_none(child) for child in item] if isinstance(item, list | tuple) else item
+
+    return json.dumps(without_none(value), sort_keys=True, separators=(",", ":"), allow_nan=False, ensure_ascii=False)
+
+
+def content_hash(value: Any) -> str:
+    """SHA-256 of :func:`canonical_json`, in hexadecimal."""
+    return sha256(canonical_json(value).encode()).hexdigest()
+
+
+def _ptne_v1() -> Suite:
+    base = get_scenario("random-energy")
+
+    def track(name: str, change: str, *, metric: str = "digits", **changes: Any) -> Track:
+        return Track(name, base.replace(name=name, **changes), change, metric)
+
+    def many(players: int, stride: int) -> dict[str, Any]:
+        """Players on a circulant graph of degree 4, their total coupling that of five."""
+        graph = Part.of("networkx:circulant_graph", n=players, offsets=(1, stride))
+        graph = Part.of("ptne_env.graphs:from_networkx", graph=graph)
+        coupling = (0.25 / players, 1.5 / players)
+        return {
+            "game": Part.of("ptne_env.games:RandomEnergy", players=players, coupling=coupling),
+            "signal": Part.of("ptne_env.graphs:fixed", graph=graph),
+        }
+
+    nominal = track("nominal", "The base: random energy games of five players on the 5-cycle, T = 1.2, c = 20.")
+    law = Part.of("ptne_env.laws:Static", kappa=2.0)
+    non_quadratic = Part.of("ptne_env.games:NonQuadraticGame", variant="corrected")
+    tracks = (
+        nominal,
+        track(
+            "switching-physical",
+            "The graph switches between four disconnected ones, every 0.1 s of physical time.",
+            signal=get_scenario("random-energy-switching").signal,
+        ),
+        track(
+            "switching-transformed",
+            "The graph switches between four disconnected ones, every 0.25 of transformed time.",
+            signal=get_scenario("random-energy-switching-transformed").signal,
+        ),
+        track("saturated", "Inputs are limited to 2, which binds in the first half of an episode.", input_limit=2.0),
+        track("coarse-step", "Half as many steps to the deadline, each twice as long.", steps=200),
+        track(
+            "large-20", "20 players, on a circulant graph of degree 4; total coupling as in the base.", **many(20, 4)
+        ),
+        track(
+            "large-50", "50 players, on a circulant graph of degree 4; total coupling as in the base.", **many(50, 7)
+        ),
+        track("non-quadratic", "The paper's Example 2, whose pseudo-gradient is not Lipschitz.", game=non_quadratic),
+        track("short-deadline", "A quarter of the time: T = 0.3 at the same c.", deadline=0.3),
+        track("hold", "100 steps follow the deadline.", metric="digits_after_hold", hold_steps=100),
+        Track(
+            "mixed-team",
+            nominal.scenario.replace(name="mixed-team"),
+            "Players 2 and 4 of 5 follow the paper's static law, whoever enters.",
+            teammates=Teammates(law, (1, 3)),
+        ),
+    )
+    return Suite("ptne", 1, tracks, frozen="bc8bdf8aac287b170ab2ca84063579f6b7f985c398b19c65de25b0691966d9ad")
+
+
+SUITES: Mapping[str, Callable[[], Suite]] = {"ptne-v1": cache(_ptne_v1)}
+"""The published suites by name, each built when it is asked for."""
+
+
+def get_suite(suite: str | Suite) -> Suite:
+    """A suite by name, by ``"module:object"`` (a suite, or a function without arguments that makes one), or as it is.
+
+    Raises:
+        ValueError: for an unknown name, an object that is no suite, or content that is not the frozen one.
+    """
+    if isinstance(suite, Suite):
+        return suite
+    if suite in SUITES:
+        return SUITES[suite]()
+    if ":" not in suite:
+        raise ValueError(f"unknown suite {suite!r}; choose from {', '.join(SUITES)}, or name a 'module:object'")
+    found = resolve(suite)
+    found = found if isinstance(found, Suite) else found()
+    if not isinstance(found, Suite):
+        raise ValueError(f"{suite!r} is a {type(found).__name__}, not a Suite")
+    return found

@@ -1,0 +1,106 @@
+"""Running a Stable-Baselines3 archive (.zip). Loading one executes code in it: load only what you trust."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from ptne_env.arrays import BoolArray, Float32Array
+from ptne_env.interface import SMALLEST_SCALE, Interface, Layout
+from ptne_env.policies.learned import PolicyFileError
+
+
+class ArchivePolicy:
+    """The policy network of a saved model of any Stable-Baselines3 algorithm; see :class:`ptne_env.policy.Policy`.
+
+    Make one with :func:`load_archive`.
+
+    Attributes:
+        interface: through which it sees and acts, told from its spaces.
+    """
+
+    def __init__(self, path: Path, network: Any) -> None:
+        self.path = path
+        self._network = network
+        observations, actions = network.observation_space, network.action_space
+        if len(observations.shape) != 1 or len(actions.shape or ()) != 1 or not hasattr(actions, "high"):
+            raise PolicyFileError(f"{path} was not trained on one player's observations and actions of ptne_env")
+        # The only entry of an observation that goes down to this number is the scale of the local interface.
+        is_local = bool(np.isclose(observations.low, math.log10(SMALLEST_SCALE)).any())
+        in_units = bool((actions.high != 1).any())
+        has_gains = actions.shape == (2,) and not in_units
+        self.interface = Interface("local" if is_local else "physical", "gains" if has_gains else "input")
+
+    def require(self, layout: Layout) -> None:
+        """Check that the policy can act in an environment of this layout.
+
+        Raises:
+            PolicyFileError: naming what differs.
+        """
+        mine = (self._network.observation_space.shape[0], self._network.action_space.shape[0])
+        theirs = (layout.size, layout.action_size)
+        if mine != theirs:
+            raise PolicyFileError(
+                f"{self.path.name} has observations of length {mine[0]} and actions of length {mine[1]}, the "
+                f"environment's are of {theirs[0]} and {theirs[1]}"
+            )
+
+    def predict(
+        self,
+        observation: npt.NDArray[np.float32],
+        state: Any = None,
+        episode_start: BoolArray | None = None,
+        deterministic: bool = False,  # noqa: FBT001, FBT002 - Stable-Baselines3's signature
+    ) -> tuple[Float32Array, Any]:
+        """The network's actions; see :meth:`ptne_env.policy.Policy.predict`."""
+        actions, state = self._network.predict(observation, state, episode_start, deterministic)
+        return actions, state
+
+
+def load_archive(path: str) -> ArchivePolicy:
+    """Load a model that Stable-Baselines3 saved. This executes code that is stored in the file.
+
+    Torch is set to one thread, so that the same bits come out on every machine of a kind.
+
+    Raises:
+        FileNotFoundError: when there is no such file.
+        PolicyFileError: when it is no archive of Stable-Baselines3, or of a model of other environments.
+        ImportError: when Stable-Baselines3 is not installed.
+    """
+    try:
+        import torch
+        from stable_baselines3.common.save_util import load_from_zip_file
+    except ImportError as error:
+        raise ImportError('Stable-Baselines3 archives need an extra: pip install "ptne-env[sb3]"') from error
+
+    file = Path(path)
+    if not file.is_file():
+        raise FileNotFoundError(f"no file {path!r}")
+    torch.set_num_threads(1)
+    try:
+        stored, parameters, _ = load_from_zip_file(file, device="cpu")
+        data: dict[str, Any] = stored or {}
+        arguments = dict(data["policy_kwargs"])
+        if data.get("use_sde"):
+            arguments["use_sde"] = True
+        network = data["policy_class"](data["observation_space"], data["action_space"], lambda _: 0.0, **arguments)
+        network.load_state_dict(parameters["policy"])
+    except Exception as error:  # whatever unpickling foreign bytes may raise
+        raise PolicyFileError(f"{path} is not an archive of a Stable-Baselines3 model: {error!r}") from error
+    network.set_training_mode(mode=False)
+    return ArchivePolicy(file, network)
+
+
+def load_archive_for(layout: Layout, path: str) -> ArchivePolicy:
+    """:func:`load_archive`, and check that the policy can act in an environment of this layout.
+
+    Raises:
+        FileNotFoundError, PolicyFileError, ImportError: as :func:`load_archive`.
+    """
+    policy = load_archive(path)
+    policy.require(layout)
+    return policy

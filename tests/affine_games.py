@@ -1,0 +1,59 @@
+"""Affine games by their matrix, and random ones that are strongly monotone."""
+
+import numpy as np
+from sample_games import BlockGame, times
+
+from ptne_env import Part, Scenario
+
+
+class AffineGame(BlockGame):
+    """F(x) = A x + q, one component per player; J_i = ½ A_ii x_i² + x_i (Σ_{j≠i} A_ij x_j + q_i)."""
+
+    def __init__(self, matrix, offset):
+        super().__init__((1,) * len(offset))
+        self.matrix = np.array(matrix, dtype=float)
+        self.offset = np.array(offset, dtype=float)
+
+    def best_response(self, strategies):
+        return strategies - (times(self.matrix, strategies) + self.offset[:, None]) / np.diag(self.matrix)[:, None]
+
+    def _solve_nash_equilibria(self):
+        return np.linalg.solve(self.matrix, -self.offset)[:, None]
+
+
+def affine_scenario(matrix, offset, signal, **fields):
+    """A scenario that plays F(x) = A x + q from random estimates."""
+    game = Part.of("affine_games:AffineGame", matrix=matrix, offset=offset)
+    return Scenario(name="affine", game=game, signal=signal, **{"start": "random", **fields})
+
+
+def random_affine(generator, players, coupling=0.5):
+    """A random strongly monotone matrix that is not symmetric, an offset and the adjacency of a random weighted graph
+    that is connected."""
+    matrix = generator.uniform(-coupling, coupling, (players, players)) + np.diag(generator.uniform(1, 3, players))
+    matrix += max(0, 0.5 - np.linalg.eigvalsh(matrix + matrix.T)[0] / 2) * np.eye(players)
+    adjacency = np.zeros((players, players))
+    for i in range(1, players):
+        j = generator.integers(i)
+        adjacency[i, j] = adjacency[j, i] = generator.uniform(0.5, 1.5)
+    extra = np.triu(generator.uniform(size=(players, players)) < 0.4, 1) * generator.uniform(0.5, 1.5)
+    adjacency = np.maximum(adjacency, extra + extra.T)
+    return matrix, generator.uniform(-5, 5, players), adjacency
+
+
+def run(dynamics, port, law, start, steps=None):
+    """All estimates of an episode, (K+1, n, N, B)."""
+    state, memory, states = start, None, [start.estimates]
+    for _ in range(steps or dynamics.clock.steps):
+        observations = port.observe(state).reshape(-1, port.layout.size)
+        actions, memory = law.predict(observations, state=memory)
+        actions = actions.reshape(state.batch_size, port.layout.num_players, -1)
+        state = dynamics.step(state, port.decode(actions, state).inputs)
+        states.append(state.estimates)
+    return np.array(states)
+
+
+def loop_start(dynamics, seed=0, size=20.0, batch=1):
+    """A state with estimates drawn from U(−size, size)."""
+    shape = (dynamics.game.dimension, dynamics.game.num_players, batch)
+    return dynamics.start(np.random.default_rng(seed).uniform(-size, size, shape))

@@ -1,0 +1,142 @@
+import numpy as np
+import pytest
+from worlds import make_env
+
+from ptne_env import theory
+from ptne_env.games import AffineGame, NoBestResponseError, RandomAffine
+from ptne_env.games.energy import EnergyGame
+
+FAMILIES = {
+    "plain": RandomAffine(),
+    "planar": RandomAffine(players=3, action_dim=2),
+    "in a box": RandomAffine(low=-5.0, high=5.0),
+    "planar in a box": RandomAffine(players=3, action_dim=2, low=-5.0, high=5.0),
+}
+each_family = pytest.mark.parametrize("family", FAMILIES.values(), ids=FAMILIES.keys())
+
+
+def generators(seeds):
+    return [np.random.default_rng(seed) for seed in seeds]
+
+
+def skew_part(game):
+    return (game.matrix - game.matrix.transpose(1, 0, 2)) / 2
+
+
+@each_family
+def test_a_batch_is_its_games_drawn_one_by_one_bit_for_bit(family):
+    games = family.draw(generators(range(40)))
+    assert games.batch_size == 40
+    x = np.random.default_rng(9).uniform(-9, 9, (games.dimension, 40))
+    estimates = np.random.default_rng(8).uniform(-9, 9, (games.dimension, games.num_players, 40))
+    for b in range(40):
+        alone = family.draw(generators([b]))
+        assert np.array_equal(alone.matrix[..., 0], games.matrix[..., b])
+        assert np.array_equal(alone.nash_equilibrium, games.nash_equilibria[:, b])
+        for of in ("costs", "regrets", "best_response", "pseudo_gradient", "natural_residual", "jacobian"):
+            assert np.array_equal(getattr(alone, of)(x[:, b : b + 1])[..., 0], getattr(games, of)(x)[..., b]), of
+        one = alone.own_gradients(np.ascontiguousarray(estimates[..., b : b + 1]))
+        assert np.array_equal(one[:, 0], games.own_gradients(estimates)[:, b])
+
+
+@each_family
+def test_merged_batches_are_the_games_that_stayed_and_those_that_came(family):
+    game = family.draw(generators(range(5)))
+    merged = game.merged(family.draw(generators([10, 11])), np.array([False, True, False, False, True]))
+    expected = family.draw(generators([0, 10, 2, 3, 11]))
+    assert np.array_equal(merged.matrix, expected.matrix)
+    assert np.array_equal(merged.offset, expected.offset)
+    assert np.array_equal(merged.nash_equilibria, expected.nash_equilibria)
+    assert game.merged(game, np.ones(5, dtype=bool)) is game
+
+
+def test_boxes_of_single_games_merge_too():
+    def games(low, count):
+        return AffineGame(np.repeat(np.eye(2)[:, :, None], count, 2), np.ones((2, count)), low=low, high=9.0)
+
+    merged = games(np.zeros((2, 3)), 3).merged(games(np.full((2, 1), -4.0), 1), np.array([False, True, False]))
+    assert merged.low.tolist() == [[0.0, -4.0, 0.0]] * 2
+    assert merged.nash_equilibria.tolist() == [[0.0, -1.0, 0.0]] * 2
+
+
+@pytest.mark.parametrize("other", [EnergyGame(), RandomAffine(players=3).representative])
+def test_other_games_do_not_merge(other):
+    with pytest.raises(TypeError, match="knows affine games of the same players alone"):
+        RandomAffine().representative.merged(other, np.array([True]))
+    with pytest.raises(TypeError, match="with and without bounds"):
+        RandomAffine().representative.merged(FAMILIES["in a box"].representative, np.array([True]))
+
+
+@pytest.mark.parametrize("epsilon", [0.05, 1.0, 4.0])
+@pytest.mark.parametrize("asymmetry", [0.0, 0.5, 3.0])
+@pytest.mark.parametrize("action_dim", [1, 2])
+def test_the_dials_are_the_constants(epsilon, asymmetry, action_dim):
+    family = RandomAffine(players=4, epsilon=epsilon, asymmetry=asymmetry, spread=1.5, action_dim=action_dim)
+    games = family.draw(generators(range(30)))
+    theory.require_strong_monotonicity(games)
+    matrices = np.moveaxis(games.matrix, 2, 0)
+    eigenvalues = np.linalg.eigvalsh((matrices + matrices.transpose(0, 2, 1)) / 2)
+    assert eigenvalues[:, 0] == pytest.approx(np.full(30, epsilon), abs=1e-12)
+    assert epsilon < eigenvalues[:, -1].min() <= eigenvalues[:, -1].max() <= epsilon + 1.5 + 1e-12
+    sizes = np.linalg.norm(np.moveaxis(skew_part(games), 2, 0), 2, axis=(1, 2))
+    assert sizes == pytest.approx(np.full(30, asymmetry), abs=1e-12)
+
+
+def test_equilibria_fill_the_range_and_own_blocks_are_hessians():
+    games = FAMILIES["planar"].draw(generators(range(200)))
+    assert -10 <= games.nash_equilibria.min() < -9.9
+    assert 9.9 < games.nash_equilibria.max() <= 10
+    same = games.owners[:, None] == games.owners
+    assert not skew_part(games)[same].any()
+
+
+def test_boxed_equilibria_are_held_about_half_the_time():
+    games = FAMILIES["in a box"].draw(generators(range(200)))
+    assert np.abs(games.natural_residual(games.nash_equilibria)).max() < 1e-12
+    assert 0.3 < games.held_at_equilibrium.mean() < 0.7
+
+
+def test_environment_draws_a_new_affine_game_in_every_episode():
+    env = make_env("random-affine")
+    env.reset(seed=0)
+    first = env.nash_equilibrium
+    env.reset()
+    assert not np.array_equal(env.nash_equilibrium, first)
+    env.reset(seed=0)
+    assert np.array_equal(env.nash_equilibrium, first)
+
+
+def test_best_response_of_a_flat_cost_needs_a_box():
+    matrix, offset, x = np.array([[0.0, 1.0], [-1.0, 0.0]]), np.array([-1.0, 1.0]), np.array([[0.0], [5.0]])
+    game = AffineGame(matrix, offset)
+    assert not game.has_best_response
+    with pytest.raises(NoBestResponseError, match="flat direction"):
+        game.best_response(x)
+    boxed = AffineGame(matrix, offset, low=-2.0, high=3.0)
+    # J_1 falls where −1 + x_2 < 0, and J_2 where 1 − x_1 < 0
+    assert boxed.best_response(x)[:, 0] == pytest.approx([-2.0, -2.0])
+    assert boxed.nash_equilibrium == pytest.approx([1.0, 1.0], abs=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("build", "message"),
+    [
+        (lambda: AffineGame(np.eye(3), [1.0, 2.0]), r"matrix is \(2, 2\)"),
+        (lambda: AffineGame(np.eye(2), [1.0, 2.0], (1, 2)), r"matrix is \(3, 3\)"),
+        (lambda: AffineGame([[1.0, 1.0, 0], [0.0, 1.0, 0], [0, 0, 1]], np.ones(3), (2, 1)), "A_ii is not symmetric"),
+        (lambda: AffineGame(-np.eye(2), [1.0, 2.0]), "not convex in x_i"),
+        (lambda: AffineGame(np.eye(2), [1.0, 2.0], low=np.zeros((2, 3)), high=1.0), "3 games do not fit 1"),
+        (lambda: RandomAffine(epsilon=0.0), "epsilon must be a finite number above 0"),
+        (lambda: RandomAffine(asymmetry=-1.0), "asymmetry must be a finite number of at least 0"),
+        (lambda: RandomAffine(players=1), "players must be a whole number of at least 2"),
+        (lambda: RandomAffine(low=1.0, high=0.0), "low < high"),
+    ],
+)
+def test_games_that_are_none_are_refused(build, message):
+    with pytest.raises(ValueError, match=message):
+        build()
+
+
+def test_a_singular_game_says_that_its_equilibrium_is_not_single():
+    with pytest.raises(ArithmeticError, match="no single Nash equilibrium"):
+        _ = AffineGame(np.ones((2, 2)), [1.0, 2.0]).nash_equilibria

@@ -1,0 +1,188 @@
+"""Boxes: what games, dynamics, checks and theory make of them."""
+
+import numpy as np
+import pytest
+from sample_games import BlockGame
+from worlds import begin, make_env
+
+import ptne_env
+from ptne_env import Part, get_scenario, theory
+from ptne_env.dynamics import Dynamics
+from ptne_env.games import EnergyGame, Game, NetworkedCournot, check_game
+from ptne_env.laws import Static
+
+BOXED = ("cournot", "ev-charging", "rate-control")
+
+
+class BoxedEnergy(EnergyGame):
+    """The energy game in a box, solved by the base class."""
+
+    def __init__(self, low=None, high=None):
+        super().__init__()
+        Game.__init__(self, (1,) * 5, low, high)
+
+    def best_response(self, strategies):
+        return self.project(super().best_response(strategies))
+
+    def _solve_nash_equilibria(self):
+        return Game._solve_nash_equilibria(self)
+
+
+class NarrowLog(Game):
+    """J_i = x_i² − log(x_i): no cost at x_i ≤ 0, which the box just avoids."""
+
+    def __init__(self):
+        super().__init__((1, 1), low=0.01, high=0.05)
+
+    def costs(self, strategies):
+        if np.any(strategies <= 0):
+            raise AssertionError("a cost was asked for outside its domain")
+        return strategies**2 - np.log(strategies)
+
+    def own_gradients(self, estimates):
+        own = np.einsum("iib->ib", estimates)
+        return 2 * own - 1 / own
+
+    def best_response(self, strategies):
+        return np.full_like(strategies, 0.05)
+
+
+@pytest.mark.parametrize(
+    ("low", "high"), [(3.0, 2.0), (1.0, 1.0), (float("nan"), 2.0), ([0.0, 0.0], 1.0), (0.0, np.ones((3, 2)))]
+)
+def test_empty_or_misshapen_boxes_are_refused(low, high):
+    with pytest.raises(ValueError, match=r"low < high|give one number for all"):
+        BoxedEnergy(low, high)
+
+
+def test_one_side_is_enough_and_open_sides_are_infinite():
+    game = BoxedEnergy(low=5.0)
+    assert game.has_bounds
+    assert game.high.tolist() == [[np.inf]] * 5
+    matrix = game.jacobian(np.zeros((5, 1)))[1:, :, 0]
+    rest = np.linalg.solve(matrix[:, 1:], 2 * game.target[1:, 0] - 10 - matrix[:, 0] * 5.0)
+    assert game.nash_equilibrium == pytest.approx([5.0, *rest], abs=1e-12)
+    assert game.held_at_equilibrium[:, 0].tolist() == [True, False, False, False, False]
+
+
+def test_a_box_around_the_equilibrium_changes_nothing():
+    free, wide = EnergyGame(), BoxedEnergy(-100.0, 100.0)
+    assert wide.nash_equilibrium == pytest.approx(free.nash_equilibrium, abs=1e-12)
+    assert not wide.held_at_equilibrium.any()
+    assert not free.held_at_equilibrium.any()
+    x = np.ones((5, 1))
+    assert free.project(x) is x
+    assert np.array_equal(free.natural_residual(x), free.pseudo_gradient(x))
+
+
+def test_the_boxes_cannot_be_overwritten():
+    with pytest.raises(ValueError, match="read-only"):
+        NetworkedCournot().low[0] = 1.0
+
+
+@pytest.mark.parametrize("name", BOXED)
+def test_strategies_stay_in_the_box_and_estimates_of_others_need_not(name):
+    scenario = get_scenario(name, start="random")
+    dynamics = Dynamics(scenario)
+    state, generator = begin(dynamics, range(4)), np.random.default_rng(0)
+    own = np.arange(dynamics.game.dimension), dynamics.game.owners
+    outside = 0
+    for _ in range(20):
+        assert np.array_equal(state.strategies, dynamics.game.project(state.strategies))
+        shared = np.repeat(state.estimates.transpose(1, 0, 2).reshape(-1, 1, 4), 1, axis=1)
+        outside += np.sum(shared < 0)
+        inputs = generator.normal(size=state.estimates.shape) * 20
+        following = dynamics.step(state, inputs)
+        free = state.estimates + dynamics.clock.theta[state.step] * inputs
+        expected = free.copy()
+        expected[own] = dynamics.game.project(free[own])
+        assert np.array_equal(following.estimates, expected)
+        state = following
+    assert outside > 0
+
+
+def test_inputs_in_any_memory_order_are_projected():
+    dynamics = Dynamics(get_scenario("cournot"))
+    state = begin(dynamics, range(3))
+    inputs = np.random.default_rng(0).normal(size=state.estimates.shape) * 50
+    expected = dynamics.step(state, inputs).estimates
+    for order in (np.asfortranarray(inputs), np.ascontiguousarray(inputs.transpose(2, 1, 0)).transpose(2, 1, 0)):
+        assert np.array_equal(dynamics.step(state, order).estimates, expected)
+
+
+def test_start_outside_the_box_is_projected():
+    env = make_env("ev-charging")
+    env.reset(options={"estimates": np.full((5, 20), 50.0)})
+    assert np.array_equal(env.strategies, np.full(20, 2.0))
+    assert np.sum(env.estimates == 50.0) == 5 * 20 - 20
+
+
+def test_one_boxed_environment_agrees_with_many_bit_for_bit():
+    scenario = get_scenario("random-affine", game=Part.of("ptne_env.games:RandomAffine", low=-4.0, high=4.0), steps=50)
+    dynamics = Dynamics(scenario)
+    law = np.random.default_rng(1).normal(size=(5, 5, 6))
+    many = begin(dynamics, range(6))
+    alone = [begin(dynamics, [seed]) for seed in range(6)]
+    for _ in range(10):
+        many = dynamics.step(many, law - many.estimates)
+        for b in range(6):
+            alone[b] = dynamics.step(alone[b], law[..., b : b + 1] - alone[b].estimates)
+            assert np.array_equal(alone[b].estimates[..., 0], many.estimates[..., b])
+            assert np.array_equal(alone[b].own_gradients[:, 0], many.own_gradients[:, b])
+
+
+@pytest.mark.parametrize("name", BOXED)
+def test_static_law_reaches_the_boxed_equilibrium_at_the_rate_told(name):
+    certificate = theory.certify(get_scenario(name))
+    assert not certificate.rate_is_exact
+    assert certificate.digits_sampled is None
+    assert any("a box confines" in note for note in certificate.notes)
+    scenario = get_scenario(name, steps=2000, s_end=30.0, gain=100.0)
+    dynamics = Dynamics(scenario)
+    env = make_env(scenario)
+    law, errors = Static(env.layout), []
+    observations, _ = env.reset(seed=0)
+    equilibrium = dynamics.game.nash_equilibrium
+    while env.agents:
+        actions, _ = law.predict(np.stack([observations[agent] for agent in env.agents]))
+        observations, *_ = env.step(dict(zip(env.agents, actions, strict=True)))
+        errors.append(np.linalg.norm(env.estimates - equilibrium))
+    errors = np.array(errors)
+    tau = np.cumsum(dynamics.clock.theta[: len(errors)])
+    late = (errors < 1e-7 * errors[0]) & (errors > 1e-10 * errors[0])  # where the slowest mode is alone
+    slope = np.polyfit(tau[late], np.log(errors[late]), 1)[0]
+    assert -slope == pytest.approx(certificate.rate, rel=0.05)
+
+
+def test_oracle_stays_ahead_of_the_law_in_a_box():
+    results = ptne_env.evaluate(["static", "oracle"], list(BOXED), episodes=3)
+    for name in BOXED:
+        assert results.record(name, "oracle", "digits")["mean"] > 11
+
+
+def test_checks_of_a_boxed_game_stay_in_its_box():
+    report = check_game(NarrowLog())
+    assert report.gradients_agree
+    assert report.strictly_convex == report.radially_unbounded == (True, True)
+    assert NarrowLog().nash_equilibrium == pytest.approx([0.05, 0.05], abs=0)
+
+
+def test_open_sides_are_sampled_for_growth():
+    class Falling(BlockGame):
+        """The first player's cost falls forever along its first component."""
+
+        def costs(self, strategies):
+            return super().costs(strategies) - np.eye(3)[:, :1] * 1e6 * strategies[0]
+
+    assert check_game(Falling()).radially_unbounded == (False, True, True)
+    for low, high, expected in [(-2.0, None, False), (None, 2.0, True), (-2.0, 2.0, True)]:
+        game = Falling()
+        game.low, game.high = np.full((6, 1), -np.inf), np.full((6, 1), np.inf)
+        game.low[0], game.high[0] = -np.inf if low is None else low, np.inf if high is None else high
+        assert check_game(game).radially_unbounded[0] == expected
+
+
+def test_theory_samples_a_boxed_game_within_its_box():
+    constants = theory.monotonicity_constants(get_scenario("rate-control").built_game, radius=100.0)
+    assert 0.4 < constants.epsilon < constants.iota < 15
+    assert constants.radius == 100.0

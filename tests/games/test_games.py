@@ -1,0 +1,305 @@
+"""What every game of the catalogue must satisfy, whatever it models."""
+
+import numpy as np
+import pytest
+
+from ptne_env import theory
+from ptne_env.games import (
+    AffineGame,
+    ConnectivityControl,
+    ElectricVehicleCharging,
+    EnergyGame,
+    NetworkedCournot,
+    Oligopoly,
+    RandomAffine,
+    RateControl,
+    WeaklyMonotoneGame,
+    check_game,
+)
+
+HVAC = EnergyGame(target=(50, 55, 60, 65, 70), coupling=0.04, base_price=5.0)
+GAMES = {
+    "hvac": HVAC,
+    "cournot": NetworkedCournot(),
+    "cournot, other links": NetworkedCournot(
+        ((0,), (0, 1), (1,)), (9.0, 7.0), (1.0, 0.3), (0.2, 0.0, 1.0), (1.0, 0.5, 2.0), (2.0, 9.0, 9.0)
+    ),
+    "oligopoly": Oligopoly(),
+    "robots": ConnectivityControl(),
+    "charging": ElectricVehicleCharging(),
+    "charging at the limit": ElectricVehicleCharging(limit=0.7),
+    "rates": RateControl(),
+    "random affine": RandomAffine().representative,
+    "random affine in a box": RandomAffine(players=3, action_dim=2, low=-3.0, high=2.0).representative,
+    "weakly monotone": WeaklyMonotoneGame(),
+}
+EPSILON = {"hvac": 2.04, "charging": 0.8, "random affine": 1.0, "random affine in a box": 1.0, "weakly monotone": 0.0}
+"""ε where the docstring gives it."""
+BELOW = {"cournot": 0.9, "cournot, other links": 0.3, "oligopoly": 0.92, "robots": 0.6 * 2, "rates": 0.4}
+"""What the docstring says that ε is no smaller than; for the oligopoly, Gershgorin's bound of its rows."""
+each_game = pytest.mark.parametrize("game", GAMES.values(), ids=GAMES.keys())
+
+
+def sampled(game, count, seed=0):
+    """Strategies within the box, or around the equilibrium."""
+    points = game.nash_equilibria[:, :1] + np.random.default_rng(seed).uniform(-5, 5, (game.dimension, count))
+    return game.project(points)
+
+
+def deviations(game, point, player, count, seed):
+    """``point`` (n,) with the player's block moved anywhere in its box, near and far."""
+    generator = np.random.default_rng(seed)
+    moved = np.repeat(point[:, None], count, axis=1)
+    reach = np.logspace(-4, 1, count)
+    own = game.owners == player
+    moved[own] += reach * generator.normal(size=(own.sum(), count))
+    return game.project(moved)
+
+
+@each_game
+def test_own_gradients_are_the_derivatives_of_the_costs_and_costs_are_convex(game):
+    report = check_game(game)
+    assert report.gradient_error < 1e-9
+    assert report.assumption_3_holds
+
+
+@each_game
+def test_jacobian_is_the_derivative_of_the_pseudo_gradient(game):
+    points, step = sampled(game, 3), 1e-6
+    jacobian = game.jacobian(points)
+    assert jacobian.shape == (game.dimension, game.dimension, 3)
+    for component in range(game.dimension):
+        forward, backward = points.copy(), points.copy()
+        forward[component] += step
+        backward[component] -= step
+        slope = (game.pseudo_gradient(forward) - game.pseudo_gradient(backward)) / (2 * step)
+        assert jacobian[:, component] == pytest.approx(slope, rel=1e-6, abs=1e-6)
+
+
+@each_game
+def test_own_gradient_depends_on_the_own_estimate_alone(game):
+    generator = np.random.default_rng(1)
+    estimates = generator.uniform(0, 2, (game.dimension, game.num_players, 2))
+    gradients = game.own_gradients(estimates)
+    for player in range(game.num_players):
+        scrambled = generator.uniform(0, 2, estimates.shape)
+        scrambled[:, player] = estimates[:, player]
+        own = game.owners == player
+        assert np.array_equal(game.own_gradients(scrambled)[own], gradients[own])
+
+
+@each_game
+def test_equilibrium_solves_the_variational_inequality(game):
+    point = game.nash_equilibria
+    assert np.array_equal(point, game.project(point))
+    assert np.abs(game.natural_residual(point)).max() < 1e-12 * (1 + np.abs(point).max())
+    # The definition: F(x*)ᵀ(y − x*) ≥ 0 for every y in the box.
+    others = sampled(game, 200, seed=2)
+    assert ((others - point) * game.pseudo_gradient(point)).sum(axis=0).min() > -1e-9
+
+
+@each_game
+def test_no_player_can_gain_by_leaving_the_equilibrium_alone(game):
+    at_rest = game.costs(game.nash_equilibria)[:, 0]
+    for player in range(game.num_players):
+        moved = deviations(game, game.nash_equilibria[:, 0], player, 300, seed=player)
+        cost = game.costs(moved)[player]
+        assert cost.min() >= at_rest[player] - 1e-9 * (1 + abs(at_rest[player]))
+        assert cost.max() > at_rest[player]
+
+
+@each_game
+def test_best_response_is_in_the_box_and_no_sampled_strategy_does_better(game):
+    points = sampled(game, 4, seed=3)
+    response = game.best_response(points)
+    assert np.array_equal(response, game.project(response))
+    for environment in range(4):
+        for player in range(game.num_players):
+            own = game.owners == player
+            chosen = np.where(own, response[:, environment], points[:, environment])
+            best = game.costs(chosen[:, None])[player, 0]
+            others = deviations(game, chosen, player, 200, seed=player)
+            assert game.costs(others)[player].min() >= best - 1e-9 * (1 + abs(best))
+
+
+@each_game
+def test_regrets_are_zero_at_the_equilibrium_and_positive_elsewhere(game):
+    assert np.abs(game.regrets(game.nash_equilibria)).max() < 1e-9
+    regrets = game.regrets(sampled(game, 20, seed=4))
+    assert regrets.min() > -1e-9
+    assert regrets.sum(axis=0).min() > 1e-3
+
+
+@each_game
+def test_one_environment_agrees_with_many_bit_for_bit(game):
+    points = sampled(game, 7, seed=5)
+    estimates = np.random.default_rng(6).uniform(0, 2, (game.dimension, game.num_players, 7))
+    for of in ("costs", "regrets", "best_response", "pseudo_gradient", "natural_residual", "jacobian"):
+        many = getattr(game, of)(points)
+        for b in range(7):
+            assert np.array_equal(getattr(game, of)(points[:, b : b + 1])[..., 0], many[..., b]), of
+    for b in range(7):
+        alone = game.own_gradients(np.ascontiguousarray(estimates[..., b : b + 1]))
+        assert np.array_equal(alone[:, 0], game.own_gradients(estimates)[:, b])
+
+
+@each_game
+def test_gradients_leave_the_estimates_alone(game):
+    estimates = np.random.default_rng(7).uniform(0, 2, (game.dimension, game.num_players, 3))
+    before = estimates.copy()
+    game.own_gradients(estimates)
+    assert np.array_equal(estimates, before)
+
+
+@pytest.mark.parametrize("name", EPSILON)
+def test_monotonicity_constant_is_the_one_told(name):
+    constants = theory.monotonicity_constants(GAMES[name])
+    assert constants.exact
+    assert constants.epsilon == pytest.approx(EPSILON[name], abs=1e-12)
+
+
+@pytest.mark.parametrize("name", BELOW)
+def test_monotonicity_constant_is_no_smaller_than_told(name):
+    constants = theory.monotonicity_constants(GAMES[name])
+    assert constants.exact == GAMES[name].is_affine
+    assert constants.epsilon >= BELOW[name] - 1e-12
+
+
+@each_game
+def test_pseudo_gradient_is_monotone_between_sampled_points(game):
+    first, second = sampled(game, 200, seed=8), sampled(game, 200, seed=9)
+    rise = ((game.pseudo_gradient(first) - game.pseudo_gradient(second)) * (first - second)).sum(axis=0)
+    distance = ((first - second) ** 2).sum(axis=0)
+    floor = theory.monotonicity_constants(game).epsilon if game.is_affine else 0.4 + 1e-12
+    assert np.all(rise >= floor * distance - 1e-9 * (1 + distance))
+
+
+# --- what single games promise ----------------------------------------------------------------------------------------
+
+
+def test_equilibrium_of_ye_and_hu():
+    assert HVAC.nash_equilibrium == pytest.approx([41.535, 46.437, 51.339, 56.241, 61.143], abs=5e-4)
+
+
+def test_robots_come_to_rest_where_the_linear_system_says():
+    game = ConnectivityControl()
+    laplacian = np.diag(game.touch.sum(axis=1)) - game.touch
+    places = np.linalg.solve(np.diag(game.pull) + laplacian, game.pull[:, None] * game.posts)
+    assert game.nash_equilibrium.reshape(5, 2) == pytest.approx(places, abs=1e-12)
+    assert not np.array_equal(game.touch, game.touch.T)  # no potential game
+
+
+def test_robots_costs_are_distances():
+    game, x = ConnectivityControl(), np.random.default_rng(0).normal(size=(10, 1))
+    at = x.reshape(5, 2)
+    for i in range(5):
+        cost = 0.6 * np.sum((at[i] - game.posts[i]) ** 2)
+        cost += sum(game.touch[i, j] * np.sum((at[i] - at[j]) ** 2) for j in range(5))
+        assert game.costs(x)[i, 0] == pytest.approx(cost, rel=1e-13)
+
+
+def test_cournot_prices_fall_with_what_all_firms_bring_to_the_market():
+    links = ((0, 1), (1,), (0, 2), (1, 2), (0,))
+    price, slope = np.array([14.0, 12.0, 10.0]), np.array([0.6, 0.5, 0.4])
+    curvature, marginal = (0.6, 0.8, 0.5, 0.7, 0.9), (2.0, 3.0, 8.5, 4.0, 2.5)
+    game, x = NetworkedCournot(), np.random.default_rng(1).uniform(0, 3, 8)
+    sold, sales = np.zeros(3), iter(x)
+    deliveries = [[(market, next(sales)) for market in row] for row in links]
+    for row in deliveries:
+        for market, amount in row:
+            sold[market] += amount
+    for firm, row in enumerate(deliveries):
+        cost = sum(
+            curvature[firm] * amount**2 / 2
+            + marginal[firm] * amount
+            - (price[market] - slope[market] * sold[market]) * amount
+            for market, amount in row
+        )
+        assert game.costs(x[:, None])[firm, 0] == pytest.approx(cost, rel=1e-12)
+
+
+def test_cournot_equilibrium_has_firms_at_capacity_and_a_delivery_that_does_not_pay():
+    game = NetworkedCournot()
+    at, held = game.nash_equilibrium, game.held_at_equilibrium[:, 0]
+    assert held.tolist() == [True, True, False, False, True, False, False, True]
+    assert at[held] == pytest.approx([4.0, 4.0, 0.0, 4.0], abs=0)
+
+
+def test_charging_costs_are_wear_missing_energy_and_bill():
+    game, x = ElectricVehicleCharging(), np.random.default_rng(2).uniform(0, 2, 20)
+    power, load = x.reshape(5, 4), np.array([8.0, 3.0, 1.0, 5.0])
+    price = 0.3 * (load + power.sum(axis=0))
+    for i, energy in enumerate((4.0, 5.0, 6.0, 7.0, 8.0)):
+        cost = 0.25 * np.sum(power[i] ** 2) + 0.5 * (power[i].sum() - energy) ** 2 + price @ power[i]
+        assert game.costs(x[:, None])[i, 0] == pytest.approx(cost, rel=1e-13)
+
+
+def test_rates_meet_the_first_order_condition_of_every_free_user():
+    game = RateControl()
+    x = game.nash_equilibrium
+    routes, congestion = ((0,), (0, 1), (1, 2), (2,), (0, 2)), (0.4, 0.5, 0.3)
+    load = [sum(x[user] for user, row in enumerate(routes) if link in row) for link in range(3)]
+    for user, weight in enumerate((6.0, 8.0, 9.0, 7.0, 10.0)):
+        slope = -weight / (1 + x[user]) + sum(congestion[link] * (load[link] + x[user]) for link in routes[user])
+        if user == 3:  # at its limit, and would like more
+            assert x[user] == 2.0
+            assert slope < -0.1
+        else:
+            assert slope == pytest.approx(0, abs=1e-12)
+
+
+def test_rate_control_is_strongly_monotone_in_its_box_with_the_constant_told():
+    assert theory.monotonicity_constants(RateControl()).epsilon >= 0.4
+    with pytest.raises(ValueError, match="cannot be decided"):
+        theory.require_strong_monotonicity(RateControl())
+
+
+def test_oligopoly_splits_the_demand_like_a_current():
+    game = Oligopoly()
+    x = np.random.default_rng(3).uniform(20, 60, 4)
+    resistance, marginal = np.array([0.15, 0.30, 0.60, 1.0]), np.array([30.0, 30.0, 25.0, 20.0])
+    parallel = 1 / np.sum(1 / resistance)
+    for i in range(4):
+        others = np.arange(4) != i
+        around = 1 / np.sum(1 / resistance[others])
+        sales = parallel / resistance[i] * (100 - x[i] / around + np.sum(x[others] / resistance[others]))
+        assert game.sales(x[:, None])[i, 0] == pytest.approx(sales, rel=1e-12)
+        assert game.costs(x[:, None])[i, 0] == pytest.approx(-sales * (x[i] - marginal[i]), rel=1e-12)
+    assert game.sales(x[:, None]).sum() == pytest.approx(100)  # what one firm loses, the others gain
+
+
+def test_weakly_monotone_game_meets_assumption_3_and_fails_4():
+    game = WeaklyMonotoneGame()
+    jacobian = game.jacobian(np.zeros((5, 1)))[:, :, 0]
+    assert np.linalg.eigvalsh(jacobian + jacobian.T)[:2] == pytest.approx([0.0, 4.0], abs=1e-14)
+    assert abs(np.linalg.det(jacobian)) > 1
+    assert check_game(game).assumption_3_holds
+    with pytest.raises(ValueError, match="not strongly monotone"):
+        theory.require_strong_monotonicity(game)
+
+
+@pytest.mark.parametrize(
+    ("build", "message"),
+    [
+        (lambda: NetworkedCournot(links=((0,), (1,), (2,), (0,), (3,))), "links name markets 0..2"),
+        (lambda: NetworkedCournot(links=((0, 0), (1,), (2,), (0,), (1,))), "once per firm"),
+        (lambda: NetworkedCournot(capacity=(1.0, 1.0)), "one curvature, marginal_cost and capacity per firm"),
+        (lambda: NetworkedCournot(slope=(1.0, 0.0, 1.0)), "slope and capacity > 0"),
+        (lambda: Oligopoly(preference=(1.0, -1.0), marginal_cost=(1.0, 1.0)), "preference > 0"),
+        (lambda: Oligopoly(preference=(1.0, 1.0)), "one marginal_cost per firm"),
+        (lambda: ConnectivityControl(posts=((0.0, 1.0),)), r"touch \(N, N\)"),
+        (lambda: ConnectivityControl(pull=0.0), "pull > 0"),
+        (lambda: ConnectivityControl(pull=(1.0, 1.0)), "one per robot"),
+        (lambda: ElectricVehicleCharging(energy=(1.0, -1.0)), "one number > 0 per vehicle"),
+        (lambda: ElectricVehicleCharging(limit=0.0), "limit must be a finite number above 0"),
+        (lambda: RateControl(routes=((0,), (), (1,), (2,), (0,))), "at least one per user"),
+        (lambda: RateControl(routes=((0,), (7,), (1,), (2,), (0,))), "routes name links 0..2"),
+        (lambda: RateControl(utility=(1.0,)), "one utility and one limit per user"),
+        (lambda: RateControl(congestion=(0.0, 1.0, 1.0)), "above 0"),
+        (lambda: WeaklyMonotoneGame(rotation=0.0), "rotation must be a finite number above 0"),
+        (lambda: AffineGame(np.eye(2), [1.0, np.nan]), "finite parameters"),
+    ],
+)
+def test_numbers_out_of_range_are_refused(build, message):
+    with pytest.raises(ValueError, match=message):
+        build()
