@@ -300,9 +300,12 @@ class _Prediction:
         memories = {"start": law.initial_memory(game.num_players)}
         if not _is_linear(scenario):
             return cls(scenario, law, loops, memories, start, None, 0.0)
-        episode = play(law, Dynamics(scenario), estimates)
         if not law.has_memory:
-            return cls(scenario, law, loops, memories, start, loop.errors(start), episode.peak_input)
+            path, theta = loop.errors(start), scenario.built_clock.theta[: scenario.steps]
+            finite = path[np.isfinite(path).all(axis=1)][: scenario.steps + 1]
+            inputs = np.diff(finite, axis=0) / theta[: len(finite) - 1, None]
+            return cls(scenario, law, loops, memories, start, path, float(np.abs(inputs).max()))
+        episode = play(law, Dynamics(scenario), estimates)
         if np.all(np.isfinite(episode.memory)):
             memories["deadline"] = episode.memory
             loops["deadline"] = sampled_loop(scenario, law, episode.memory)

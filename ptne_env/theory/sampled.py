@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from typing import Any, Literal, TypeAlias
 
 import numpy as np
-from scipy import linalg
+from scipy import linalg, optimize
 
 from ptne_env.arrays import FloatArray, IntArray, require_count, require_non_negative
 from ptne_env.dynamics import Dynamics
@@ -310,18 +310,25 @@ def delay_bound(loop: Loop, step: float) -> float | None:
     gain). For small h the largest ρ is about that of ``message`` itself: h d < 1/(κ ρ(adjacency)) for the static law.
 
     Returns:
-        1/max_z ρ, over 96 angles; ``None`` where the loop is unstable without delay, no message matters, or there are
+        1/max_z ρ, over a grid of angles, refined; ``None`` where the loop is unstable without delay, no message matters, or there are
         more than 150 estimates.
     """
     identity = np.eye(len(loop.local))
     transition = identity - step * loop.matrix
     if len(identity) > _LARGEST_RESOLVENT or np.abs(np.linalg.eigvals(transition)).max() >= 1:
         return None
-    points = np.exp(1j * np.geomspace(1e-3, np.pi, 96))
-    largest = max(
-        float(np.abs(np.linalg.eigvals((z - 1) * np.linalg.solve(z * identity - transition, loop.message))).max())
-        for z in points
-    )
+
+    def gain(angle: float) -> float:
+        z = np.exp(1j * angle)
+        product = (z - 1) * np.linalg.solve(z * identity - transition, loop.message)
+        return float(np.abs(np.linalg.eigvals(product)).max())
+
+    # Peaks are where an eigenvalue of A comes near the circle; the best of the grid is refined between its neighbours.
+    angles = np.unique([*np.geomspace(1e-3, np.pi, 96), *np.abs(np.angle(np.linalg.eigvals(transition)))])
+    gains = [gain(angle) for angle in angles[angles > 0]]
+    best, ends = int(np.argmax(gains)), np.pad(angles[angles > 0], 1, mode="edge")
+    refined = optimize.minimize_scalar(lambda angle: -gain(angle), bounds=(ends[best], ends[best + 2]), method="bounded")
+    largest = max(max(gains), -float(refined.fun))
     return 1 / largest if largest > 0 else None
 
 

@@ -11,6 +11,7 @@ from ptne_env.distances import estimate_distance
 from ptne_env.dynamics import Dynamics
 from ptne_env.evaluation.rollout import rollout
 from ptne_env.interface import Interface, Port
+from ptne_env.theory.closed_loop import blank_reading
 
 BATCH = 2
 """Starts per scenario, played in one batch: one anywhere, and one that leans towards the slowest mode."""
@@ -26,6 +27,28 @@ class Case:
     def play(self):
         dynamics = self.port.dynamics
         return rollout(self.law, self.port, dynamics.start(self.starts))
+
+    def play_in_float64(self):
+        """Estimate distances (K+1, BATCH) of the law in the environment's own dynamics, seeing more than float32."""
+        dynamics, path, memory = self.port.dynamics, [], None
+        state, (n, players) = dynamics.start(self.starts), self.starts.shape[:2]
+        blank = blank_reading(self.port.layout, np.repeat(np.arange(players), BATCH))
+        own = self.port.layout.own_mask[blank.player]
+        for theta, dt in zip(dynamics.clock.theta[:-1], dynamics.clock.dt[:-1], strict=True):
+            path.append(estimate_distance(state.estimates, state.game))
+            relative = state.relative_estimates.transpose(2, 3, 0, 1)
+            weights = np.broadcast_to(state.weights, (*state.weights.shape[:2], BATCH)).transpose(1, 2, 0)
+            reading = blank._replace(
+                gradient=np.where(own, np.tile(state.own_gradients.T, (players, 1)), 0.0),
+                relative_estimates=relative.reshape(players * BATCH, -1, n),
+                weights=weights.reshape(players * BATCH, -1),
+                theta=np.full((players * BATCH, 1), theta),
+                dt=np.full((players * BATCH, 1), dt),
+            )
+            inputs, memory = self.law.inputs(reading, memory)
+            state = dynamics.step(state, inputs.reshape(players, BATCH, n).transpose(2, 0, 1))
+        path.append(estimate_distance(state.estimates, state.game))
+        return np.array(path)
 
     def play_over_channel(self, starts, noise_std=0.0, delay=0, seed=0, follow=None):
         """Estimate distances (K+1, B) when messages carry noise and arrive ``delay`` steps late.
@@ -71,12 +94,12 @@ def graph_part(generator, players):
     return Part.of("ptne_env.graphs:Graph", adjacency=adjacency + adjacency.T)
 
 
-def random_game(generator, players, skew, epsilon):
+def random_game(generator, players, skew, epsilon, spread):
     return Part.of(
         "sample_games:AffineGame",
         action_dims=generator.choice([1, 1, 1, 2], players),
         epsilon=float(generator.uniform(*epsilon)),
-        spread=float(generator.uniform(0.5, 4.0)),
+        spread=float(generator.uniform(*spread)),
         skew=float(generator.uniform(0.0, skew)),
         seed=int(generator.integers(1 << 31)),
     )
@@ -96,7 +119,9 @@ def slowest_mode(matrix):
     return mode / np.abs(mode).max()
 
 
-def random_case(seed, law="Static", margin=(1.05, 1.8), players=(3, 8), skew=1.5, epsilon=(0.3, 2.0), **fields):
+def random_case(
+    seed, law="Static", margin=(1.05, 1.8), players=(3, 8), skew=1.5, epsilon=(0.3, 2.0), spread=(0.5, 4.0), **fields
+):
     """A scenario whose steps are short enough by a random factor in ``margin``, with a law of random gains."""
     generator = np.random.default_rng([20, seed])
     players = int(generator.integers(*players, endpoint=True))
@@ -104,9 +129,10 @@ def random_case(seed, law="Static", margin=(1.05, 1.8), players=(3, 8), skew=1.5
     if law == "Static":
         arguments["gradient_gain"] = float(2 ** generator.uniform(-1, 1))
     spacing = str(generator.choice(["effective", "transformed", "physical"], p=[0.5, 0.25, 0.25]))
+    spacing = fields.get("spacing", spacing)
     values = {
         "name": f"random-{seed}",
-        "game": random_game(generator, players, skew, epsilon),
+        "game": random_game(generator, players, skew, epsilon, spread),
         "signal": Part.of("ptne_env.graphs:fixed", graph=graph_part(generator, players)),
         "start": "random",
         "deadline": float(generator.uniform(0.5, 2.5)),

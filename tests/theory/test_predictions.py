@@ -58,10 +58,18 @@ def records():
 def test_product_of_steps_is_the_environment(records):
     assert not any(record.diverged for record in records)
     for record in records:
-        np.testing.assert_allclose(record.measured, record.predicted, rtol=1e-6, atol=ROUNDING)
+        np.testing.assert_allclose(record.measured[-1], record.predicted[-1], rtol=1e-6, atol=ROUNDING)
+        # On the way, what float32 rounds of the early error may be more than that of the late error.
+        np.testing.assert_allclose(record.measured, record.predicted, rtol=1e-6, atol=1e-7 * record.measured[0])
     digits = [-np.log10(record.measured[-1]) for record in records]
     assert min(digits) < 1
     assert max(digits) > 8
+
+
+def test_without_float32_between_them_they_agree_to_rounding(records):
+    for record in records[::2]:
+        measured = record.case.play_in_float64()
+        np.testing.assert_allclose(measured[:, 0], record.predicted, rtol=1e-9, atol=ROUNDING)
 
 
 def test_rate_is_the_slope_of_the_log_error_where_one_mode_dominates(records):
@@ -106,8 +114,9 @@ def test_worst_case_is_attained(records):
 @pytest.mark.parametrize("seed", range(8))
 def test_largest_stable_step_separates_settling_from_growth(seed, law):
     fields = {"spacing": "physical" if law == "CorollaryOne" else "effective", "gain": 5.0, "input_limit": 1e30}
-    stable = random_case(1000 + seed, law, margin=(1.02, 1.03), s_end=2.0, **fields)
-    growing = random_case(1000 + seed, law, margin=(0.6, 0.7), s_end=2.0, **fields)
+    fields |= {"deadline": 10.0, "s_end": 5.0}
+    stable = random_case(1000 + seed, law, margin=(1.02, 1.03), **fields)
+    growing = random_case(1000 + seed, law, margin=(0.6, 0.7), **fields)
     for case, grows in ((stable, False), (growing, True)):
         loop = theory.sampled_loop(case.scenario, case.law)
         matrix, step = loop.loops[0].matrix, float(loop.steps.max())
@@ -119,9 +128,14 @@ def test_largest_stable_step_separates_settling_from_growth(seed, law):
 
 
 def test_guarantees_of_the_gain_condition_hold_on_every_start():
+    everybody = {3: Part.of("ptne_env.graphs:complete", players=3), 4: Part.of("ptne_env.graphs:complete", players=4)}
     telling = 0
-    for seed in range(60):
-        case = random_case(seed, spacing="effective", players=(3, 5), epsilon=(2.0, 3.0), skew=0.3)
+    for seed in range(40):
+        fields = {"spacing": "effective", "players": (3, 4), "epsilon": (2.0, 3.0), "spread": (0.1, 0.4), "skew": 0.3}
+        case = random_case(seed, s_end=5.0, gain=0.0, **fields)
+        if seed % 4 == 0:  # connected so well that the bound says something
+            graph = everybody[case.scenario.built_game.num_players]
+            case.scenario = case.scenario.replace(signal=Part.of("ptne_env.graphs:fixed", graph=graph))
         game, graph = case.scenario.built_game, case.scenario.built_signal.graphs[0]
         constants = theory.monotonicity_constants(game)
         bound = theory.gain_bound(constants, graph.algebraic_connectivity)
@@ -133,14 +147,14 @@ def test_guarantees_of_the_gain_condition_hold_on_every_start():
         matrix = theory.closed_loop_matrix(game, graph, 1.5 * bound)
         assert rates[2] <= np.linalg.eigvalsh((matrix + matrix.T) / 2)[0]
         assert rates[2] <= theory.spectral_abscissa(matrix)
-        if seed < 12:
+        if seed % 4 == 0:
             step = min(rates[2] / np.linalg.norm(matrix, 2) ** 2, theory.largest_stable_step(matrix) / 2)
             steps = int(case.scenario.built_clock.effective_time / step) + 1
-            certificate = theory.certify(case.scenario.replace(steps=min(steps, 3000)), 1.5 * bound, delay_limit=0)
+            certificate = theory.certify(case.scenario.replace(steps=min(steps, 4000)), 1.5 * bound, delay_limit=0)
             assert certificate.condition.holds
             assert certificate.guaranteed_rate == rates[2]
             assert certificate.guaranteed_digits <= certificate.digits_sampled
-            start = -np.log10(theory.distance(np.ravel(certificate_start(case)), game))
+            start = -np.log10(theory.distance(certificate_start(case), game))
             telling += certificate.guaranteed_digits > start
     assert telling >= 3
 
