@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import inspect
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from ptne_env import policies
+from ptne_env import laws, policies
 from ptne_env.interface import Interface, Layout
 from ptne_env.parts import Part
 from ptne_env.policies import LearnedPolicy
@@ -134,17 +135,26 @@ def get_entry(entry: str | Entry) -> Entry:
 
 
 def law_part(law: str, kappa: float | None = None) -> Part:
-    """The part that builds a law, by name or ``"module:object"``, with another κ where one is given.
+    """The part that builds a law: by name, by its class in ``ptne_env.laws``, or by ``"module:object"``.
+
+    Args:
+        law: which.
+        kappa: κ in place of the law's own.
 
     Raises:
-        ValueError: for an unknown name, a policy that is no part, or κ for a law that has none.
+        ValueError: for an unknown name, a policy that is no law, or κ for a law that has none.
     """
-    policy = get_entry(law).policy
-    if not isinstance(policy, Part):
-        raise ValueError(f"{law!r} is not a law; name one of {', '.join(ENTRIES)}, or a 'module:object' string")
+    if law in laws.__dict__:
+        part = Part.of(f"{_LAWS}{law}")
+    elif law in ENTRIES or ":" in law:
+        part = get_entry(law).policy  # type: ignore[assignment]  # entries of these kinds hold parts
+    else:
+        classes = [
+            name for name, value in vars(laws).items() if isinstance(value, type) and issubclass(value, laws.Law)
+        ]
+        raise ValueError(f"unknown law {law!r}; name one of {', '.join([*ENTRIES, *classes])}, or a 'module:object'")
     if kappa is None:
-        return policy
-    arguments = dict(policy.arguments)
-    if law in ENTRIES and "kappa" not in arguments:
-        raise ValueError(f"the law {law!r} has no kappa; it takes {', '.join(arguments) or 'no arguments'}")
-    return Part.of(policy.target, **{**arguments, "kappa": kappa})
+        return part
+    if "kappa" not in inspect.signature(part.resolve()).parameters:
+        raise ValueError(f"the law {law!r} has no kappa")
+    return Part.of(part.target, **{**dict(part.arguments), "kappa": kappa})

@@ -13,6 +13,7 @@ from ptne_env.theory.certificate import DelayPrediction as DelayPrediction
 from ptne_env.theory.certificate import FrozenGains as FrozenGains
 from ptne_env.theory.certificate import NoisePrediction as NoisePrediction
 from ptne_env.theory.certificate import certify as certify
+from ptne_env.theory.certificate import channel_noise as channel_noise
 from ptne_env.theory.closed_loop import Loop as Loop
 from ptne_env.theory.closed_loop import NoClosedLoopError as NoClosedLoopError
 from ptne_env.theory.closed_loop import closed_loop_matrix as closed_loop_matrix

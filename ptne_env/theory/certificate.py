@@ -25,6 +25,7 @@ from ptne_env.theory.sampled import (
     SampledLoop,
     delay_bound,
     delay_margin,
+    delays_tried,
     distance,
     dominant_mode,
     is_stable_for_every_delay,
@@ -256,6 +257,11 @@ def certify(
     )
 
 
+def channel_noise(channel: Channel) -> float:
+    """Standard deviation of the additive noise that a channel puts on every component of every message."""
+    return _ChannelFaults.of(channel).noise_std
+
+
 @dataclass(frozen=True)
 class _ChannelFaults:
     """What a channel does that is predicted, and the kinds of what is not."""
@@ -375,7 +381,7 @@ class _Prediction:
         bound = delay_bound(slowest, step)
         return DelayPrediction(
             margin=delay_margin(slowest, step, limit),
-            tried=limit,
+            tried=delays_tried(slowest, limit),
             for_every_delay=is_stable_for_every_delay(slowest, step),
             bound=None if bound is None else bound / step,
             steps=steps,

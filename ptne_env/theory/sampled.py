@@ -215,8 +215,9 @@ def schedule(scenario: Scenario) -> IntArray:
 
 
 def start_error(estimates: FloatArray, game: Game) -> FloatArray:
-    """**x** − 1⊗x* of estimates (n, N) in player-major order, shape (Nn,)."""
-    return (estimates - game.nash_equilibrium[:, None]).T.ravel()
+    """**x** − 1⊗x* of estimates (n, N) or (n, N, B) in player-major order, shape (Nn,) or (Nn, B)."""
+    errors = (estimates.T - game.nash_equilibrium).T.swapaxes(0, 1)
+    return errors.reshape(-1, *errors.shape[2:])
 
 
 def distance(errors: FloatArray, game: Game) -> FloatArray:
@@ -287,9 +288,14 @@ def delay_margin(loop: Loop, step: float, limit: int = 20) -> int | None:
     Returns:
         d, at most ``limit``; ``None`` where the loop is unstable without delay.
     """
-    tried = max(0, min(limit, _LARGEST_SYSTEM // len(loop.local) - 1))
+    tried = delays_tried(loop, limit)
     unstable = (d for d in range(tried + 1) if delayed_radius(loop, step, d) >= 1)
     return (next(unstable, tried + 1) - 1) if delayed_radius(loop, step, 0) < 1 else None
+
+
+def delays_tried(loop: Loop, limit: int) -> int:
+    """How far :func:`delay_margin` tries: to ``limit``, or as far as the augmented matrix is not too large."""
+    return max(0, min(limit, _LARGEST_SYSTEM // len(loop.local) - 1))
 
 
 def is_stable_for_every_delay(loop: Loop, step: float) -> bool:
@@ -310,8 +316,8 @@ def delay_bound(loop: Loop, step: float) -> float | None:
     gain). For small h the largest ρ is about that of ``message`` itself: h d < 1/(κ ρ(adjacency)) for the static law.
 
     Returns:
-        1/max_z ρ, over a grid of angles, refined; ``None`` where the loop is unstable without delay, no message matters, or there are
-        more than 150 estimates.
+        1/max_z ρ, over a grid of angles, refined; ``None`` where the loop is unstable without delay, no message
+        matters, or there are more than 150 estimates.
     """
     identity = np.eye(len(loop.local))
     transition = identity - step * loop.matrix
@@ -327,8 +333,9 @@ def delay_bound(loop: Loop, step: float) -> float | None:
     angles = np.unique([*np.geomspace(1e-3, np.pi, 96), *np.abs(np.angle(np.linalg.eigvals(transition)))])
     gains = [gain(angle) for angle in angles[angles > 0]]
     best, ends = int(np.argmax(gains)), np.pad(angles[angles > 0], 1, mode="edge")
-    refined = optimize.minimize_scalar(lambda angle: -gain(angle), bounds=(ends[best], ends[best + 2]), method="bounded")
-    largest = max(max(gains), -float(refined.fun))
+    between = (ends[best], ends[best + 2])
+    refined = optimize.minimize_scalar(lambda angle: -gain(angle), bounds=between, method="bounded")
+    largest = max(gains[best], -float(refined.fun))
     return 1 / largest if largest > 0 else None
 
 
