@@ -417,7 +417,7 @@ class _Prediction:
                 + (
                     "the rate is the smallest over the modes, as any may be the last before T"
                     if signal.clock == "physical"
-                    else "the rate is estimated from one draw of 400 dwells"
+                    else "the rate is estimated from one draw of 2000 dwells"
                 )
             )
         if not signal.is_fixed:

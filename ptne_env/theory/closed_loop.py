@@ -25,7 +25,7 @@ from ptne_env.laws import Law
 from ptne_env.laws.base import loop_matrix
 from ptne_env.theory.constants import ZERO, jacobians
 
-_RANDOM_DWELLS = 400
+_RANDOM_DWELLS = 2000
 """Dwells of the one draw from which the rate of a random signal is estimated."""
 
 
@@ -192,7 +192,7 @@ def decay_rate(matrices: Sequence[FloatArray], signal: Signal, deadline: float) 
     """The rate r with which the error of dx/dτ = −M x decays like e^{−r s} as t → T.
 
     A fixed graph gives the spectral abscissa of M. A signal on the transformed clock gives the Floquet rate
-    −ln ρ(Π e^{−M_m Δ_m})/period, since dτ/ds → 1; a random one its Lyapunov exponent, estimated from one draw of 400
+    −ln ρ(Π e^{−M_m Δ_m})/period, since dτ/ds → 1; a random one its Lyapunov exponent, estimated from one draw of 2000
     dwells. A signal on the physical clock switches finitely often before T, so only its last graph counts, and the rate
     is 0 when that one is disconnected (docs/errata.md, 2); a random one may end with any mode, and its rate is the
     smallest.
@@ -277,12 +277,12 @@ def _switching_rate(matrices: Sequence[FloatArray], signal: Signal) -> float:
     instants = step * np.arange(math.ceil(_RANDOM_DWELLS * signal.mean_dwell / step))
     modes = signal.draw(instants, [np.random.default_rng(0)]).modes[:, 0]
     moves = [linalg.expm(-matrix * step) for matrix in matrices]
-    error, growth = np.random.default_rng(1).normal(size=len(matrices[0])), 0.0
+    error, growths = np.random.default_rng(1).normal(size=len(matrices[0])), []
     for mode in modes:
-        error = moves[mode] @ error
-        norm = float(np.linalg.norm(error))
-        error, growth = error / norm, growth + math.log(norm)
-    return -growth / (step * len(modes))
+        error = moves[mode] @ (error / np.linalg.norm(error))
+        growths.append(math.log(float(np.linalg.norm(error))))
+    settled = growths[len(growths) // 4 :]  # by then the start is forgotten
+    return -float(np.mean(settled)) / step
 
 
 def _shares(signal: Signal) -> FloatArray:

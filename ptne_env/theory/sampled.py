@@ -190,14 +190,16 @@ def sampled_loop(scenario: Scenario, law: Law, memory: Any = None, game: Game | 
     modes = schedule(scenario)
     theta, dt = clock.theta[: clock.total_steps], clock.dt[: clock.total_steps]
 
-    def probe(mode: int, theta: float, dt: float) -> Loop:
+    def probe(mode: int, theta: float = 1.0, dt: float = 1.0) -> Loop:
         return law_loop(law, game, signal.graphs[mode], memory, theta=theta, dt=dt)
 
-    reference, longer, slower = (probe(0, *step).matrix for step in ((1.0, 1.0), (0.5, 1.0), (1.0, 0.5)))
-    loops = tuple(probe(mode, 1.0, 1.0) for mode in range(len(signal.graphs)))
-    if _agree(reference, longer) and _agree(reference, slower):
+    loops = tuple(probe(mode) for mode in range(len(signal.graphs)))
+    # Beside the steps that there are, one that is longer in τ and one that is longer in t.
+    thetas, dts = np.append(theta, [2 * theta[0], theta[0]]), np.append(dt, [dt[0], 2 * dt[0]])
+    answers = _answers(law, thetas, dts, memory)
+    if _is_constant(answers):
         return SampledLoop(loops, loops, modes, theta, "effective", clock.steps)
-    if _agree(2 * reference, longer) and _agree(reference / 2, slower):
+    if _is_constant(answers * (thetas / dts)[:, None]):
         return SampledLoop(loops, loops, modes, dt, "physical", clock.steps)
     # A law that looks at its step in another way has a loop of its own in every step.
     kinds, index = np.unique(np.stack([modes, theta, dt]), axis=1, return_inverse=True)
@@ -205,6 +207,30 @@ def sampled_loop(scenario: Scenario, law: Law, memory: Any = None, game: Game | 
     last = clock.steps - 1
     per_mode = tuple(probe(mode, float(theta[last]), float(dt[last])) for mode in range(len(signal.graphs)))
     return SampledLoop(loops, per_mode, np.asarray(index).reshape(-1), theta, "effective", clock.steps)
+
+
+def _answers(law: Law, theta: FloatArray, dt: FloatArray, memory: Any) -> FloatArray:
+    """What all players do with the same gradients and differences in steps of other lengths, one row per step."""
+    layout, generator = law.layout, np.random.default_rng(0)
+    players, steps = layout.num_players, len(theta)
+    blank = blank_reading(layout, np.tile(np.arange(players), steps))
+
+    def shown(*shape: int) -> FloatArray:
+        return np.tile(generator.uniform(0.5, 1.5, (players, *shape)), (steps, *(1,) * len(shape)))
+
+    reading = blank._replace(
+        gradient=np.where(layout.own_mask[blank.player], shown(layout.dimension), 0.0),
+        relative_estimates=shown(layout.slots, layout.dimension),
+        weights=shown(layout.slots),
+        own_estimate=shown(layout.dimension),
+        theta=np.repeat(theta, players)[:, None],
+        dt=np.repeat(dt, players)[:, None],
+    )
+    return law.inputs(reading, None if memory is None else np.asarray(memory)[blank.player])[0].reshape(steps, -1)
+
+
+def _is_constant(answers: FloatArray) -> bool:
+    return bool(np.ptp(answers, axis=0).max() <= 1e-9 * (1 + np.abs(answers).max()))
 
 
 def schedule(scenario: Scenario) -> IntArray:
@@ -429,7 +455,3 @@ def play(law: Law, dynamics: Dynamics, estimates: FloatArray, game: Game | None 
             break
         errors[k + 1] = start_error(current.T, game)
     return Play(errors, peak, memory_at_deadline)
-
-
-def _agree(one: FloatArray, other: FloatArray) -> bool:
-    return bool(np.abs(one - other).max() <= 1e-9 * (1 + np.abs(one).max()))

@@ -11,6 +11,7 @@ from ptne_env.distances import estimate_distance
 from ptne_env.dynamics import Dynamics
 from ptne_env.evaluation.rollout import rollout
 from ptne_env.interface import Interface, Port
+from ptne_env.sources import Sources
 from ptne_env.theory.closed_loop import blank_reading
 
 BATCH = 2
@@ -20,6 +21,7 @@ BATCH = 2
 @dataclass
 class Case:
     scenario: Scenario
+    part: Part
     law: object
     port: Port
     starts: np.ndarray  # (n, N, BATCH)
@@ -28,38 +30,61 @@ class Case:
         dynamics = self.port.dynamics
         return rollout(self.law, self.port, dynamics.start(self.starts))
 
+    def switch(self, clock):
+        """Make the graph switch between its two halves, each disconnected, on ``clock``."""
+        adjacency = self.scenario.built_signal.graphs[0].adjacency
+        halves = [np.zeros_like(adjacency), np.zeros_like(adjacency)]
+        for edge, (i, j) in enumerate(np.argwhere(np.triu(adjacency))):
+            halves[edge % 2][i, j] = halves[edge % 2][j, i] = adjacency[i, j]
+        graphs = tuple(Part.of("ptne_env.graphs:Graph", adjacency=half) for half in halves)
+        longest = np.diff(self.scenario.built_clock.signal_times[clock]).max()
+        dwells = (2.5 * longest, 3.5 * longest)
+        signal = Part.of("ptne_env.graphs:periodic", graphs=graphs, dwells=dwells, clock=clock)
+        self.scenario = self.scenario.replace(signal=signal)
+        self.port = Port(Dynamics(self.scenario), Interface())
+        self.law = theory.build_law(self.part, self.scenario)
+
     def play_in_float64(self):
-        """Estimate distances (K+1, BATCH) of the law in the environment's own dynamics, seeing more than float32."""
-        dynamics, path, memory = self.port.dynamics, [], None
+        """The law in the environment's own dynamics, seeing more than float32.
+
+        Estimate distances (K+H+1, BATCH), and the root mean square of the velocity Θ u/Δt over a step, (K+H, BATCH).
+        """
+        dynamics, distances, velocities, memory = self.port.dynamics, [], [], None
         state, (n, players) = dynamics.start(self.starts), self.starts.shape[:2]
+        rows = players * BATCH
         blank = blank_reading(self.port.layout, np.repeat(np.arange(players), BATCH))
         own = self.port.layout.own_mask[blank.player]
         for theta, dt in zip(dynamics.clock.theta[:-1], dynamics.clock.dt[:-1], strict=True):
-            path.append(estimate_distance(state.estimates, state.game))
-            relative = state.relative_estimates.transpose(2, 3, 0, 1)
-            weights = np.broadcast_to(state.weights, (*state.weights.shape[:2], BATCH)).transpose(1, 2, 0)
+            distances.append(estimate_distance(state.estimates, state.game))
+            weights = np.broadcast_to(state.weights, (*state.weights.shape[:2], BATCH))
             reading = blank._replace(
                 gradient=np.where(own, np.tile(state.own_gradients.T, (players, 1)), 0.0),
-                relative_estimates=relative.reshape(players * BATCH, -1, n),
-                weights=weights.reshape(players * BATCH, -1),
-                theta=np.full((players * BATCH, 1), theta),
-                dt=np.full((players * BATCH, 1), dt),
+                relative_estimates=state.relative_estimates.transpose(2, 3, 0, 1).reshape(rows, -1, n),
+                weights=weights.transpose(1, 2, 0).reshape(rows, -1),
+                theta=np.full((rows, 1), theta),
+                dt=np.full((rows, 1), dt),
             )
             inputs, memory = self.law.inputs(reading, memory)
-            state = dynamics.step(state, inputs.reshape(players, BATCH, n).transpose(2, 0, 1))
-        path.append(estimate_distance(state.estimates, state.game))
-        return np.array(path)
+            inputs = inputs.reshape(players, BATCH, n).transpose(2, 0, 1)
+            velocities.append(theta / dt * np.sqrt((inputs**2).mean(axis=(0, 1))))
+            state = dynamics.step(state, inputs)
+        distances.append(estimate_distance(state.estimates, state.game))
+        return np.array(distances), np.array(velocities)
 
     def play_over_channel(self, starts, noise_std=0.0, delay=0, seed=0, follow=None):
-        """Estimate distances (K+1, B) when messages carry noise and arrive ``delay`` steps late.
+        """Estimate distances (K+1, B) over a channel with noise and constant delay.
 
         With ``follow``, a vector of the stacked estimates, the size of the error's component along it.
         """
-        dynamics, layout, generator = self.port.dynamics, self.port.layout, np.random.default_rng(seed)
-        part = layout.slices["relative_estimates"]
-        neighbours = np.array(layout.neighbours)
-        live = np.array(neighbours != np.arange(len(neighbours))[:, None])[:, :, None]
-        state, sent, path, memory = dynamics.start(starts), [], [], None
+        stages = [Part.of("ptne_env.channel:Delay", steps=delay)] if delay else []
+        stages += [Part.of("ptne_env.channel:AdditiveNoise", std=noise_std)] if noise_std else []
+        channel = Part.of("ptne_env.channel:Chain", stages=tuple(stages))
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            dynamics = Dynamics(self.scenario.replace(channel=channel))
+        port, path, memory, batch = Port(dynamics, Interface()), [], None, starts.shape[2]
+        chance = dynamics.draw_chance([Sources.from_seed(seed * batch + one) for one in range(batch)])
+        state = dynamics.start(starts, chance=chance)
 
         def measure(state):
             if follow is None:
@@ -69,15 +94,9 @@ class Case:
 
         for _ in range(dynamics.clock.steps):
             path.append(measure(state))
-            sent.append(state.estimates.transpose(2, 1, 0))  # (B, N, n)
-            messages = sent[max(len(sent) - 1 - delay, 0)][:, neighbours]  # (B, N, D, n)
-            messages = messages + noise_std * generator.normal(size=messages.shape)
-            observations = self.port.observe(state)
-            relative = (messages - sent[-1][:, :, None]) * live
-            observations[:, :, part] = relative.reshape(*relative.shape[:2], -1)
-            actions, memory = self.law.predict(observations.reshape(-1, layout.size), memory)
-            actions = actions.reshape(*observations.shape[:2], -1)
-            state = dynamics.step(state, self.port.decode(actions, state).inputs)
+            observations = port.observe(state)
+            actions, memory = self.law.predict(observations.reshape(-1, observations.shape[-1]), memory)
+            state = dynamics.step(state, port.decode(actions.reshape(*observations.shape[:2], -1), state).inputs)
         path.append(measure(state))
         return np.array(path)
 
@@ -120,12 +139,20 @@ def slowest_mode(matrix):
 
 
 def random_case(
-    seed, law="Static", margin=(1.05, 1.8), players=(3, 8), skew=1.5, epsilon=(0.3, 2.0), spread=(0.5, 4.0), **fields
+    seed,
+    law="Static",
+    margin=(1.05, 1.8),
+    players=(3, 8),
+    skew=1.5,
+    epsilon=(0.3, 2.0),
+    spread=(0.5, 4.0),
+    kappa=(-1, 3),
+    **fields,
 ):
     """A scenario whose steps are short enough by a random factor in ``margin``, with a law of random gains."""
     generator = np.random.default_rng([20, seed])
     players = int(generator.integers(*players, endpoint=True))
-    arguments = {"kappa": float(2 ** generator.uniform(-1, 3))} if law != "Adaptive" else {"gamma": 1e-4}
+    arguments = {"kappa": float(2 ** generator.uniform(*kappa))} if law != "Adaptive" else {"gamma": 1e-4}
     if law == "Static":
         arguments["gradient_gain"] = float(2 ** generator.uniform(-1, 1))
     spacing = str(generator.choice(["effective", "transformed", "physical"], p=[0.5, 0.25, 0.25]))
@@ -143,7 +170,8 @@ def random_case(
         **fields,
     }
     rough = quietly(**values)
-    built = theory.build_law(Part.of(f"ptne_env.laws:{law}", **arguments), rough)
+    part = Part.of(f"ptne_env.laws:{law}", **arguments)
+    built = theory.build_law(part, rough)
     loop = theory.sampled_loop(rough, built)
     longest = loop.steps[: rough.steps].max()
     stable = theory.largest_stable_step(loop.loops[0].matrix)
@@ -156,4 +184,4 @@ def random_case(
     starts = generator.uniform(-20, 20, (game.dimension, players, BATCH))
     slowest = slowest_mode(loop.loops[0].matrix).reshape(players, game.dimension).T
     starts[:, :, 1] = game.nash_equilibrium[:, None] + 10 * slowest + 0.02 * starts[:, :, 1]
-    return Case(scenario, built, port, starts)
+    return Case(scenario, part, built, port, starts)
