@@ -337,7 +337,7 @@ def sweep(
         typer.echo(text)
         return
     for each in diagrams:
-        line = f"{each.name}: measured and predicted digits differ by at most {each.difference:.2f}"
+        line = f"{each.name}: measured and predicted digits differ by at most {each.difference:.1g}"
         console.print(Text(f"{line}; {out / each.name}.png"), soft_wrap=True)
     if json is not None:
         write_atomically(Path(json), text + "\n")

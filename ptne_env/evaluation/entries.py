@@ -144,15 +144,18 @@ def law_part(law: str, kappa: float | None = None) -> Part:
     Raises:
         ValueError: for an unknown name, a policy that is no law, or κ for a law that has none.
     """
-    if law in laws.__dict__:
-        part = Part.of(f"{_LAWS}{law}")
-    elif law in ENTRIES or ":" in law:
-        part = get_entry(law).policy  # type: ignore[assignment]  # entries of these kinds hold parts
+    if law in ENTRIES or ":" in law:
+        part = get_entry(law).policy
     else:
         classes = [
             name for name, value in vars(laws).items() if isinstance(value, type) and issubclass(value, laws.Law)
         ]
-        raise ValueError(f"unknown law {law!r}; name one of {', '.join([*ENTRIES, *classes])}, or a 'module:object'")
+        if law not in classes:
+            known = ", ".join([*ENTRIES, *(name for name in classes if name != "Law")])
+            raise ValueError(f"unknown law {law!r}; name one of {known}, or a 'module:object'")
+        part = Part.of(f"{_LAWS}{law}")
+    if not isinstance(part, Part):
+        raise ValueError(f"{law!r} is no law; name one of {', '.join(ENTRIES)}, or a 'module:object'")
     if kappa is None:
         return part
     if "kappa" not in inspect.signature(part.resolve()).parameters:

@@ -134,7 +134,7 @@ def test_velocity_is_bounded_where_the_rate_says_so():
     fast = {"epsilon": (9.0, 15.0), "players": (3, 3), "kappa": (2, 4)}
     for seed in range(500, 516):
         fields = {"spread": (0.1, 1.0), "skew": 0.3, **(slow if seed % 2 else fast)}
-        case = random_case(seed, margin=(4.0, 6.0), spacing="effective", gain=0.0, s_end=7.0, **fields)
+        case = random_case(seed, margin=(2.5, 4.0), spacing="effective", gain=0.0, s_end=7.0, **fields)
         certificate = theory.certify(case.scenario, law=case.part, delay_limit=0)
         clock, loop = case.scenario.built_clock, theory.sampled_loop(case.scenario, case.law)
         first = int(np.searchsorted(clock.s, 5.5))
