@@ -15,7 +15,7 @@ import typer
 from joblib import Parallel, delayed
 
 from ptne_env import policies
-from ptne_env.evaluation import ENTRIES, Entry, evaluate
+from ptne_env.evaluation import COMPARED, Entry, evaluate
 from ptne_env.files import write_atomically
 from ptne_env.report.tables import number
 
@@ -83,7 +83,7 @@ def measure(configuration: str, summaries: list[dict[str, Any]], runs: Path, epi
         Entry(f"{configuration}, seed {seed}", policies.load(runs / configuration / f"seed-{seed}" / "policy.onnx"))
         for seed in range(len(summaries))
     ]
-    results = evaluate([*learned, *ENTRIES.values()], [scenario], episodes=episodes)
+    results = evaluate([*learned, *COMPARED], [scenario], episodes=episodes)
     rows = []
     for cell in results.cells:
         records = {record["metric"]: record for record in cell.records()}

@@ -17,7 +17,7 @@ except ImportError as error:  # pragma: no cover - exercised in an environment w
 
 from ptne_env import theory
 from ptne_env._version import __version__
-from ptne_env.evaluation import Entry, default_entries, evaluate
+from ptne_env.evaluation import Entry, default_entries, evaluate, suite_entries
 from ptne_env.evaluation.benchmark import check, executes_code, get_participant, run_suite
 from ptne_env.evaluation.compare import count_cells
 from ptne_env.evaluation.entries import law_part
@@ -88,9 +88,9 @@ def compare(
         list[str] | None,
         typer.Option(
             help="A policy by name, an .onnx file, or 'module:object' that is called with the layout and returns "
-            "something with predict(); repeat for several. All laws, and the learned policies on the scenarios they "
-            "were trained for, if left out. With --suite also a Stable-Baselines3 .zip, or 'name=pattern' for the "
-            "files of several training seeds."
+            "something with predict(); repeat for several. If left out: the paper's laws, and the learned policies on "
+            "the scenarios they were trained for; with --suite, all laws and all learned policies. With --suite also a "
+            "Stable-Baselines3 .zip, or 'name=pattern' for the files of several training seeds."
         ),
     ] = None,
     policies: Annotated[str | None, typer.Option(help="Policies as one list, separated by commas.")] = None,
@@ -214,7 +214,7 @@ def _run_suite(
     suite = get_suite(name)
     folder = out or Path("results") / suite.name
     trusted = _trusted(policies, trust=trust)
-    participants = [get_participant(policy, trust=trusted) for policy in policies or default_entries()]
+    participants = [get_participant(policy, trust=trusted) for policy in policies or suite_entries()]
     with _progress(_console(stderr=True)) as progress:
         task = progress.add_task(suite.name, total=None)
 
@@ -232,7 +232,7 @@ def _run_suite(
         typer.echo(text)
         return
     console = _console()
-    console.print(leaderboard_tables(board))
+    console.print(leaderboard_tables(board, console.width))
     if json is not None:
         write_atomically(Path(json), text + "\n")
     console.print(Text(f"Results written to {folder / 'results.json'}"), soft_wrap=True)

@@ -403,6 +403,56 @@ class RandomSignal(Signal):
         return Schedule(modes, age)
 
 
+class DrawnSignal(Signal):
+    """A signal that draws one graph for a whole episode, uniformly from a pool, and never switches within it.
+
+    Args:
+        graphs: the pool, at least two, all on the same players.
+
+    Raises:
+        ValueError: for fewer graphs, or graphs on different players.
+    """
+
+    def __init__(self, graphs: Sequence[Graph]) -> None:
+        if len(graphs) < 2:
+            raise ValueError("a signal that draws its graph needs at least two; use fixed() for one")
+        super().__init__(graphs, [1.0] * len(graphs))
+        self.dwells = ()
+
+    @property
+    def is_random(self) -> bool:
+        """True."""
+        return True
+
+    @property
+    def joint_connectivity(self) -> JointConnectivity:
+        """``always`` where every graph of the pool is connected; an episode that draws another never connects."""
+        return "always" if all(graph.is_connected for graph in self.graphs) else "never"
+
+    @property
+    def mean_dwell(self) -> float:
+        """Infinite."""
+        return float("inf")
+
+    def schedule(self, instants: npt.ArrayLike) -> Schedule:  # noqa: ARG002 - the signature is the interface
+        """Not to be had without a draw.
+
+        Raises:
+            ValueError: always.
+        """
+        raise ValueError("this signal is random and has no schedule of its own: draw one per episode, see draw()")
+
+    def switches(self, start: float, end: float) -> FloatArray:  # noqa: ARG002 - the signature is the interface
+        """None."""
+        return np.empty(0)
+
+    def draw(self, instants: npt.ArrayLike, generators: Sequence[np.random.Generator]) -> Schedule:
+        """A graph per generator, at all ``instants`` (K,): modes and ages, which are 0, of shape (K, B)."""
+        shape = (np.size(instants), len(generators))
+        modes = np.array([generator.integers(len(self.graphs)) for generator in generators], dtype=np.int64)
+        return Schedule(np.broadcast_to(modes, shape).copy(), np.zeros(shape))
+
+
 def fixed(graph: Graph) -> Signal:
     """The signal that never switches."""
     return Signal([graph])
@@ -457,6 +507,37 @@ def random_edges(
         adjacency[i, j] = adjacency[j, i] = graph.adjacency[i, j]
         pool.append(Graph(adjacency))
     return RandomSignal(pool, np.full((count, count), 1 / count), dwells, clock)
+
+
+def random_graphs(players: int, probability: float, modes: int = 100, seed: int = 0) -> Signal:
+    """The signal that draws a connected random graph for every episode, which holds all through it.
+
+    The pool is a function of the arguments, and so part of the scenario and the same in every episode: graphs of Erdős
+    and Rényi, every pair of players being linked with ``probability``, of which the connected ones are kept.
+
+    Args:
+        players: N ≥ 2.
+        probability: that a pair is linked, in (0, 1].
+        modes: graphs in the pool, at least 2.
+        seed: of the pool.
+
+    Raises:
+        ValueError: when the probability is not in (0, 1], or so small that hardly any graph is connected.
+    """
+    if require_positive("probability", probability) > 1:
+        raise ValueError(f"probability must be a number between 0 and 1, got {probability!r}")
+    count = require_count("modes", modes, 2)
+    i, j = np.triu_indices(require_count("players", players, 2), 1)
+    generator = np.random.default_rng(require_count("seed", seed, 0))
+    pool: list[Graph] = []
+    for _ in range(1000 * count):
+        linked = generator.random(i.size) < probability
+        graph = from_edges(players, zip(i[linked].tolist(), j[linked].tolist(), strict=True))
+        if graph.is_connected:
+            pool.append(graph)
+        if len(pool) == count:
+            return DrawnSignal(pool)
+    raise ValueError(f"hardly any graph of {players} players is connected with probability {probability}; raise it")
 
 
 def paper_signal(dwell: float = 0.1, clock: SignalClock = "physical") -> Signal:

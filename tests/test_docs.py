@@ -19,6 +19,8 @@ import pytest
 from matplotlib import image
 
 import ptne_env
+from ptne_env.evaluation import ENTRIES
+from ptne_env.evaluation.suite import get_suite
 from ptne_env.rewards import TERMS
 from ptne_env.scenario import CATALOGUE, Scenario
 
@@ -203,6 +205,18 @@ def test_argument_tables_are_the_signatures():
             assert told[name] == "the scenario's"
         else:
             assert getattr(CATALOGUE["energy"].replace(**{name: ast.literal_eval(told[name])}), name) == default
+
+
+def test_protocol_tells_all_tracks_and_laws():
+    document = ROOT / "docs" / "protocol.md"
+    tracks = [name.strip("` ") for row in table(document, "Track") for name in row[0].split(",")]
+    assert tracks == [track.name for track in get_suite("ptne-v1").tracks]
+    laws = {row[0].strip("`"): (row[1].strip("`"), row[2].strip("`")) for row in table(document, "Law")}
+    parts = {name: entry.to_dict()["policy"] for name, entry in ENTRIES.items()}
+    assert laws == {
+        name: (part["target"].partition(":")[2], ", ".join(f"{k}={v:g}" for k, v in part["arguments"].items()))
+        for name, part in parts.items()
+    }
 
 
 def test_reward_and_info_tables_are_complete():

@@ -1,12 +1,15 @@
 """Every example runs as its first line says."""
 
+import json
+import os
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 
-EXAMPLES = sorted((Path(__file__).parents[1] / "examples").glob("*.py"))
+FOLDER = Path(__file__).parents[1] / "examples"
+EXAMPLES = sorted(FOLDER.glob("*.py"))
 
 
 @pytest.mark.parametrize("example", EXAMPLES, ids=lambda path: path.stem)
@@ -22,3 +25,29 @@ def test_example_runs_without_a_warning(example, tmp_path):
     )
     assert outcome.returncode == 0, outcome.stderr
     assert outcome.stdout.strip()
+
+
+def test_parts_of_ones_own_are_found_by_module_and_object_alone(tmp_path):
+    """A game, a graph, a channel, a law and a track of somebody else, in processes of their own."""
+    command = ["-m", "ptne_env.cli", "compare", "--suite", "own_parts:suite", "--policy", "own_parts:HeavyBall"]
+    paths = os.pathsep.join(filter(None, [str(FOLDER), os.environ.get("PYTHONPATH")]))
+    outcome = subprocess.run(  # noqa: S603 - our own command line
+        [sys.executable, "-W", "error", *command, "--episodes", "3", "--jobs", "2", "--out", "out"],
+        capture_output=True,
+        text=True,
+        encoding="utf-8",
+        cwd=tmp_path,
+        env={**os.environ, "PYTHONPATH": paths},
+        check=False,
+        timeout=300,
+    )
+    assert outcome.returncode == 0, outcome.stderr
+    data = json.loads((tmp_path / "out" / "results.json").read_text(encoding="utf-8"))
+    contest, clipped = (track["scenario"] for track in data["suite"]["tracks"])
+    assert contest["game"]["target"] == "own_parts:BeautyContest"
+    assert contest["signal"]["target"] == "own_parts:wheel"
+    assert clipped["channel"]["target"] == "own_parts:Clipped"
+    digits = {(row["track"], row["policy"]): row["metrics"]["digits"]["mean"] for row in data["tracks"]}
+    for track in ("contest", "clipped"):
+        assert digits[track, "null"] < digits[track, "own_parts:HeavyBall"] < digits[track, "oracle"]
+    assert digits["clipped", "static"] < digits["contest", "static"] - 0.5  # the channel bites

@@ -7,7 +7,7 @@ from scipy import stats
 
 from ptne_env import Part, get_scenario, graphs
 from ptne_env.dynamics import Dynamics
-from ptne_env.graphs import Graph, RandomSignal, Signal
+from ptne_env.graphs import DrawnSignal, Graph, RandomSignal, Signal
 from ptne_env.sources import Sources
 
 
@@ -314,6 +314,40 @@ def test_links_of_the_pool_are_up_as_often_as_asked_for():
     assert {graph.adjacency[0, 1] for graph in weighted.graphs} == {0.0, 2.5}
 
 
+def test_every_episode_draws_its_graph_and_keeps_it():
+    signal, instants = graphs.random_graphs(5, 0.5, modes=7, seed=1), np.linspace(0, 3, 11)
+    schedule = signal.draw(instants, generators(2000))
+    assert schedule.modes.shape == schedule.age.shape == (11, 2000)
+    assert not schedule.age.any()
+    assert not np.diff(schedule.modes, axis=0).any()
+    assert stats.chisquare(np.bincount(schedule.modes[0], minlength=7)).pvalue > FALSE_ALARM
+    for b in range(5):
+        alone = signal.draw(instants, generators(1, seed=b))
+        assert np.array_equal(alone.modes[:, 0], schedule.modes[:, b])
+    assert signal.shortest_dwell == signal.mean_dwell == signal.period == np.inf
+    assert signal.switches(0, 10).size == 0
+
+
+def test_random_graphs_are_connected_and_linked_as_often_as_connected_graphs_are():
+    signal = graphs.random_graphs(4, 0.5, modes=400, seed=2)
+    assert signal.graphs == graphs.random_graphs(4, 0.5, modes=400, seed=2).graphs
+    assert signal.graphs != graphs.random_graphs(4, 0.5, modes=400, seed=3).graphs
+    assert all(graph.is_connected for graph in signal.graphs)
+    # At probability 1/2 all connected graphs are equally likely: of 4 players there are 16, 15, 6 and 1 with 3, ..., 6
+    # links.
+    links = np.bincount([len(graph.edges) for graph in signal.graphs], minlength=7)
+    assert not links[:3].any()
+    assert stats.chisquare(links[3:], 400 * np.array([16, 15, 6, 1]) / 38).pvalue > FALSE_ALARM
+    with pytest.raises(ValueError, match="hardly any graph of 5 players is connected"):
+        graphs.random_graphs(5, 1e-6, modes=2)
+    with pytest.raises(ValueError, match="between 0 and 1"):
+        graphs.random_graphs(5, 1.5)
+    with pytest.raises(ValueError, match="at least two"):
+        DrawnSignal([graphs.path(3)])
+    with pytest.raises(ValueError, match="draw one per episode"):
+        signal.schedule([0.0])
+
+
 def test_joint_connectivity_is_what_can_be_promised():
     connected = [graphs.path(4), graphs.cycle(4)]
     apart = [graphs.from_edges(4, [(0, 1)]), graphs.from_edges(4, [(2, 3)])]
@@ -329,6 +363,8 @@ def test_joint_connectivity_is_what_can_be_promised():
     assert graphs.random_edges(graphs.cycle(4), 0.5, 1.0).joint_connectivity == "almost surely"
     assert graphs.random_edges(graphs.cycle(4), 1.0, 1.0, modes=2).joint_connectivity == "always"
     assert graphs.random_edges(graphs.cycle(4), 1e-9, 1.0).joint_connectivity == "never"
+    assert graphs.random_graphs(4, 0.5).joint_connectivity == "always"
+    assert DrawnSignal([graphs.path(4), apart[0]]).joint_connectivity == "never"
 
 
 def test_almost_sure_means_no_window():

@@ -5,8 +5,8 @@ from __future__ import annotations
 import glob
 import json
 import platform
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, fields
 from functools import cache, cached_property
 from hashlib import sha256
 from importlib import metadata
@@ -122,11 +122,28 @@ def files(entry: Entry) -> dict[str, str]:
             f"policy {entry.name!r} is an object; a suite needs a Part, 'module:object' with arguments, so that its "
             "results can be repeated"
         )
-    paths = [shipped_path(value) or Path(value) for _, value in entry.policy.arguments if isinstance(value, str)]
-    source = getsourcefile(entry.policy.resolve())
-    if source is not None and not Path(source).is_relative_to(_PACKAGE):
-        paths.append(Path(source))
-    return {path.name: sha256(path.read_bytes()).hexdigest() for path in paths if path.is_file()}
+    return _hashes(entry.policy)
+
+
+def _hashes(value: Any) -> dict[str, str]:
+    """SHA-256 of the files that a part, or any of several, is made from, outside the library's sources; by name."""
+    return {path.name: sha256(path.read_bytes()).hexdigest() for path in _paths(value) if path.is_file()}
+
+
+def _paths(value: Any) -> Iterator[Path]:
+    if isinstance(value, Part):
+        try:
+            source = getsourcefile(value.resolve())
+        except TypeError:  # an object that is no class, function or module
+            source = None
+        if source is not None and not Path(source).is_relative_to(_PACKAGE):
+            yield Path(source)
+        yield from _paths(tuple(argument for _, argument in value.arguments))
+    elif isinstance(value, tuple):
+        for item in value:
+            yield from _paths(item)
+    elif isinstance(value, str):
+        yield shipped_path(value) or Path(value)
 
 
 @cache
@@ -175,13 +192,18 @@ class Cell:
         policy = {key: value for key, value in self.entry.to_dict().items() if key != "name"}
         return {
             "suite": self.suite,
-            "track": self.track.to_dict(),
+            "track": {**self.track.to_dict(), "files": _hashes(self._parts_of_the_track())},
             "entry": {**policy, "files": files(self.entry)},
             "seed": self.seed,
             "split": self.split,
             "episodes": self.episodes,
             "versions": versions(),
         }
+
+    def _parts_of_the_track(self) -> tuple[Part, ...]:
+        values = (getattr(self.track.scenario, field.name) for field in fields(self.track.scenario))
+        parts = tuple(value for value in values if isinstance(value, Part))
+        return parts if self.track.teammates is None else (*parts, self.track.teammates.policy)
 
     @cached_property
     def key(self) -> str:
@@ -191,8 +213,8 @@ class Cell:
     def compute(self) -> Measured:
         """Run the episodes."""
         dynamics = Dynamics(self.track.scenario)
-        port = Port(dynamics, self.entry.interface)
         try:
+            port = Port(dynamics, self.entry.interface)
             policy = self.entry.build(port.layout)
         except ValueError as error:  # made for another layout, or for other games
             return Measured({}, {}, str(error))

@@ -93,9 +93,25 @@ ENTRIES: Mapping[str, Entry] = {
         Entry("null", Part.of(f"{_LAWS}Null")),
         Entry("random", Part.of(f"{_LAWS}RandomPolicy", seed=0)),
         Entry("oracle", Part.of(f"{_LAWS}CentralisedOracle", gradient_gain=1.0)),
+        # The other laws of the field, which enter suites.
+        Entry("static-tuned", Part.of(f"{_LAWS}Static", kappa=3.0, gradient_gain=3.5)),
+        Entry("fixed-gain", Part.of(f"{_LAWS}FixedGain", kappa=5.0)),
+        Entry("averaging-integral", Part.of(f"{_LAWS}AveragingIntegral", gamma=0.003)),
+        Entry("adaptive-grounded", Part.of(f"{_LAWS}AdaptiveGrounded", gamma=0.0001, initial_gain=3.0)),
+        Entry("projected-gradient", Part.of(f"{_LAWS}ProjectedGradient", step=0.5, mixing=0.45)),
+        Entry("aggregate-tracking", Part.of(f"{_LAWS}AggregateTracking", step=0.5, power=0.6, mixing=0.3)),
+        Entry("extremum-seeking", Part.of(f"{_LAWS}ExtremumSeeking", amplitude=1.0, gain=0.2)),
+        Entry("locally-implicit", Part.of(f"{_LAWS}LocallyImplicit", kappa=2.0, curvature=5.0)),
+        Entry("capped-gain", Part.of(f"{_LAWS}CappedGain", kappa=2.0, largest_gain=200.0)),
+        Entry("best-response-oracle", Part.of(f"{_LAWS}BestResponseOracle", relaxation=1.0)),
+        Entry("fixed-time-oracle", Part.of(f"{_LAWS}FixedTimeOracle", gain=1.0, largest_step=0.3)),
+        Entry("node-adaptive-oracle", Part.of(f"{_LAWS}NodeAdaptiveOracle", gamma=0.0001, initial_gain=1.0)),
     ]
 }
 """The laws and anchors by name, in the order in which tables list them."""
+
+COMPARED = tuple(ENTRIES)[:8]
+"""Names of those that enter comparisons on the catalogue when nobody is named: the paper's laws and the anchors."""
 
 
 def learned_entry(path_or_name: str) -> Entry:
@@ -110,7 +126,12 @@ def learned_entry(path_or_name: str) -> Entry:
 
 
 def default_entries() -> list[Entry]:
-    """Everybody: laws, anchors and the shipped learned policies."""
+    """Who enters a comparison on the catalogue: :data:`COMPARED` and the shipped learned policies."""
+    return [*(ENTRIES[name] for name in COMPARED), *map(learned_entry, policies.shipped())]
+
+
+def suite_entries() -> list[Entry]:
+    """Who enters a suite: all laws, anchors and the shipped learned policies."""
     return [*ENTRIES.values(), *map(learned_entry, policies.shipped())]
 
 

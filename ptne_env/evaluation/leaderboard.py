@@ -203,7 +203,8 @@ def _ranks(
             saturated.append(track.name)
         keys = {
             name: (
-                float(_fine_time(track, found).mean()) if len(at_floor) > 1 else 0.0,
+                # Those at the floor, whom digits do not tell apart, go first and by time.
+                float(_fine_time(track, found).mean()) if len(at_floor) > 1 and name in at_floor else float("inf"),
                 -float(found[track.metric].mean()),
             )
             for name, found in entrants.items()

@@ -152,7 +152,7 @@ class Suite:
             "rules": {
                 "episodes": self.episodes,
                 "leaderboard_seed": LEADERBOARD_SEED,
-                "anchors": {name: entry.to_dict() for name, entry in ANCHORS.items()},
+                "anchors": {name: entry.to_dict()["policy"] for name, entry in ANCHORS.items()},
                 "distance_floor": FLOOR,
                 "fine_distance": FINE_DISTANCE,
                 "saturation_margin": SATURATION_MARGIN,
@@ -223,6 +223,14 @@ def _ptne_v1() -> Suite:
     nominal = track("nominal", "The base: random energy games of five players on the 5-cycle, T = 1.2, c = 20.")
     law = Part.of("ptne_env.laws:Static", kappa=2.0)
     non_quadratic = Part.of("ptne_env.games:NonQuadraticGame", variant="corrected")
+    pairs = ([(0, 1), (2, 3)], [(1, 2), (3, 4)], [(2, 3), (4, 0)], [(3, 4), (0, 1)])
+    modes = [Part.of("ptne_env.graphs:from_edges", players=5, edges=pair) for pair in pairs]
+    uniformly = [[0.25] * 4] * 4
+    pushes = Part.of("ptne_env.disturbances:UniformDisturbance", bound=1.0, dwell=25, after_deadline_only=True)
+
+    def channel(name: str, **arguments: Any) -> Part:
+        return Part.of(f"ptne_env.channel:{name}", **arguments)
+
     tracks = (
         nominal,
         track(
@@ -235,25 +243,75 @@ def _ptne_v1() -> Suite:
             "The graph switches between four disconnected ones, every 0.25 of transformed time.",
             signal=get_scenario("random-energy-switching-transformed").signal,
         ),
+        track(
+            "markov",
+            "Every 0.1 of transformed time one of the same four graphs is drawn, whichever acted before.",
+            signal=Part.of(
+                "ptne_env.graphs:markov", graphs=modes, transition=uniformly, dwells=0.1, clock="transformed"
+            ),
+        ),
+        track(
+            "noise",
+            "Messages carry Gaussian noise of standard deviation 0.05.",
+            channel=channel("AdditiveNoise", std=0.05),
+        ),
+        track(
+            "delay",
+            "Messages travel for 1 to 7 steps, drawn each, and may overtake each other.",
+            channel=channel("Delay", steps=1, longest=7),
+        ),
+        track(
+            "burst-loss",
+            "A third of the messages is lost, in bursts of 10 steps on average; receivers hold the last one.",
+            channel=channel("BurstLoss", to_bad=0.05, to_good=0.1),
+        ),
+        track("quantised", "Messages are rounded to multiples of 0.1.", channel=channel("UniformQuantiser", width=0.1)),
         track("saturated", "Inputs are limited to 2, which binds in the first half of an episode.", input_limit=2.0),
-        track("coarse-step", "Half as many steps to the deadline, each twice as long.", steps=200),
+        track("coarse-step", "150 steps to the deadline instead of 400.", steps=150),
         track(
             "large-20", "20 players, on a circulant graph of degree 4; total coupling as in the base.", **many(20, 4)
         ),
         track(
             "large-50", "50 players, on a circulant graph of degree 4; total coupling as in the base.", **many(50, 7)
         ),
+        track(
+            "unseen-graphs",
+            "Every episode draws one of 100 connected random graphs, in which half of all pairs are linked; 4 slots.",
+            signal=Part.of("ptne_env.graphs:random_graphs", players=5, probability=0.5, modes=100, seed=0),
+            slots=4,
+        ),
         track("non-quadratic", "The paper's Example 2, whose pseudo-gradient is not Lipschitz.", game=non_quadratic),
+        track(
+            "weakly-monotone",
+            "A game whose pseudo-gradient is monotone but not strongly monotone.",
+            game=Part.of("ptne_env.games:WeaklyMonotoneGame"),
+        ),
+        track(
+            "wrong-clock",
+            "The players' clocks are up to 0.2 s fast or slow.",
+            clock_shifts=(-0.2, 0.1, 0.0, 0.2, -0.1),
+        ),
         track("short-deadline", "A quarter of the time: T = 0.3 at the same c.", deadline=0.3),
-        track("hold", "100 steps follow the deadline.", metric="digits_after_hold", hold_steps=100),
+        track(
+            "hold",
+            "100 steps follow the deadline, in which the strategies are pushed by U(−1, 1) per second.",
+            metric="digits_after_hold",
+            hold_steps=100,
+            disturbance=pushes,
+        ),
         Track(
             "mixed-team",
             nominal.scenario.replace(name="mixed-team"),
             "Players 2 and 4 of 5 follow the paper's static law, whoever enters.",
             teammates=Teammates(law, (1, 3)),
         ),
+        track(
+            "robots",
+            "Five robots in the plane keep posts and connectivity: two components per player.",
+            game=Part.of("ptne_env.games:ConnectivityControl"),
+        ),
     )
-    return Suite("ptne", 1, tracks, frozen="bc8bdf8aac287b170ab2ca84063579f6b7f985c398b19c65de25b0691966d9ad")
+    return Suite("ptne", 1, tracks, frozen="eeb07307fcce7ad40e9ba2ea3f4612b097492b2cf1bb71fc69b7faaface0f033")
 
 
 SUITES: Mapping[str, Callable[[], Suite]] = {"ptne-v1": cache(_ptne_v1)}

@@ -4,98 +4,159 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from math import isfinite
+from typing import TypeAlias
 
-from rich.console import Group
+from rich.console import Console, Group
+from rich.measure import Measurement
 from rich.table import Table
 from rich.text import Text
 
 from ptne_env.evaluation.benchmark import Repetition
-from ptne_env.evaluation.leaderboard import THRESHOLDS, Leaderboard, TrackRow
+from ptne_env.evaluation.leaderboard import THRESHOLDS, Leaderboard, OverallRow, TrackRow
 from ptne_env.evaluation.statistics import Summary
 from ptne_env.evaluation.suite import LAW, Suite
 from ptne_env.report.tables import empty_table, number
 
 _METRICS = {
-    "digits": "digits",
-    "regret": "regret at T",
-    "log_error_area": "mean log10 error",
-    "settled_share": "P(error ≤ 0.5 %)",
+    "regret": "regret\nat T",
+    "log_error_area": "mean\nlog10\nerror",
+    "settled_share": "P(error\n≤ 0.5 %)",
+    "diverged_share": "diverged",
     "messages": "messages",
     "bits": "bits",
-    "diverged_share": "diverged",
 }
+_Column: TypeAlias = tuple[str, dict[str, Text | str]]
+"""A heading, and the cell of each policy."""
+
+_WIDE = 10_000
+"""Columns of a terminal in which every table fits."""
 
 
-def leaderboard_tables(board: Leaderboard) -> Group:
-    """A table per track, the best policy first, and the overall table."""
+def leaderboard_tables(board: Leaderboard, width: int = 172) -> Group:
+    """A table per track, the best policy first; digits by policy and track; and the overall table.
+
+    Args:
+        board: of the suite.
+        width: columns of the terminal; the last columns of a table are left out where they do not fit.
+    """
     tables: list[Table | Text] = []
+    left_out: list[str] = []
     for track in board.run.tracks:
-        tables += [_track_table(board, track.name), Text(track.change, style="dim")]
-        tables += [
-            Text(f"{row.policy}: n/a, {row.not_applicable}", style="dim")
-            for row in board.rows
-            if row.track == track.name and row.not_applicable is not None
-        ]
-    tables += _overall(board)
+        table, missing = _track_table(board, track.name, width)
+        left_out += [heading for heading in missing if heading not in left_out]
+        tables += [table, Text(track.change, style="dim"), *_not_applicable(board, track.name), Text()]
+    tables += _digits_by_track(board, width)
+    overall, missing = _overall(board, width)
+    left_out += [heading for heading in missing if heading not in left_out]
+    tables += overall
     tables.append(Text("* an oracle: it sees what no player can see, and has no rank", style="dim"))
+    if left_out:
+        told = f"Left out for want of width: {', '.join(left_out)}; results.json has everything."
+        tables.append(Text(told, style="dim"))
     return Group(*tables)
 
 
-def _track_table(board: Leaderboard, track: str) -> Table:
+def _name(board: Leaderboard, policy: str) -> str:
+    return policy + " *" * board.run.participants[policy].is_oracle
+
+
+def _track_table(board: Leaderboard, track: str, width: int) -> tuple[Table, list[str]]:
     metric = board.run.suite.track(track).metric
-    metrics = {metric: metric.replace("_", " ")} | {name: text for name, text in _METRICS.items() if name != metric}
     by = "time to 1e-6" if track in board.saturated else metric.replace("_", " ")
-    table = empty_table(f"{track}: {board.run.episodes} episodes, ranked by {by}")
-    table.add_column("rank", justify="right")
-    table.add_column("policy", no_wrap=True)
-    columns = ["score", f"P(better than {LAW})", *metrics.values(), "time to 1e-6 [s]", "µs per decision"]
-    for column in columns:
-        table.add_column(Text(column), justify="right")  # Text, because brackets are no markup
-    rows = [row for row in board.rows if row.track == track]
-    for row in sorted(rows, key=lambda row: (row.metrics is None, row.rank or 0)):
-        rank = "" if row.rank is None else str(row.rank)
-        name = row.policy + " *" * board.run.participants[row.policy].is_oracle
-        if row.metrics is None:
-            table.add_row(rank, Text(name), *["n/a"] * len(columns))
-            continue
-        values = [_text(row.score, _share), _text(row.improvement, _share), _text(row.metrics[metric])]
-        values += [Text(number(row.metrics[name].mean)) for name in metrics if name != metric]
-        table.add_row(rank, Text(name), *values, number(row.fine_time), number(_microseconds(board, row)))
-    return table
+    rows = [row for row in board.rows if row.track == track and row.metrics is not None]
+    rows.sort(key=lambda row: row.rank or 0)
+
+    def column(heading: str, cell: Callable[[TrackRow, dict[str, Summary]], Text | str]) -> _Column:
+        return heading, {row.policy: cell(row, row.metrics or {}) for row in rows}
+
+    metrics = {"digits": "digits"} if metric != "digits" else {}
+    columns = [
+        column("rank", lambda row, _: "" if row.rank is None else str(row.rank)),
+        column(metric.replace("_", " "), lambda _, found: _text(found[metric])),
+        column("score", lambda row, _: _share(None if row.score is None else row.score.mean)),
+        column(
+            f"P(better\nthan {LAW})", lambda row, _: _share(None if row.improvement is None else row.improvement.mean)
+        ),
+        column("time to\n1e-6 [s]", lambda row, _: number(row.fine_time)),
+        *(
+            column(heading, lambda _, found, name=name: number(found[name].mean))  # type: ignore[misc]
+            for name, heading in (metrics | _METRICS).items()
+        ),
+        column("µs per\ndecision", lambda row, _: number(_microseconds(board, row))),
+    ]
+    title = f"{track}: {board.run.episodes} episodes, ranked by {by}"
+    return _fitting(board, title, [row.policy for row in rows], columns, width)
 
 
-def _overall(board: Leaderboard) -> list[Table | Text]:
+def _fitting(
+    board: Leaderboard, title: str, policies: Sequence[str], columns: Sequence[_Column], width: int
+) -> tuple[Table, list[str]]:
+    """A table with as many of ``columns`` as fit, two at least, and the headings of the others."""
+    console = Console(width=_WIDE)
+    for count in range(len(columns), 1, -1):
+        table = empty_table(title)
+        table.add_column("policy", no_wrap=True)
+        for heading, _ in columns[:count]:
+            table.add_column(Text(heading), justify="right", no_wrap=True)  # Text, because brackets are no markup
+        for policy in policies:
+            table.add_row(Text(_name(board, policy)), *(cells[policy] for _, cells in columns[:count]))
+        if Measurement.get(console, console.options, table).maximum <= width:
+            break
+    return table, [heading.replace("\n", " ") for heading, _ in columns[count:]]
+
+
+def _not_applicable(board: Leaderboard, track: str) -> list[Text]:
+    """Who cannot act on a track, by reason."""
+    reasons: dict[str, list[str]] = {}
+    for row in board.rows:
+        if row.track == track and row.not_applicable is not None:
+            reasons.setdefault(row.not_applicable, []).append(row.policy)
+    return [Text(f"n/a: {', '.join(names)}: {reason}", style="dim") for reason, names in reasons.items()]
+
+
+def _digits_by_track(board: Leaderboard, width: int) -> list[Table | Text]:
+    """The score's metric of every policy on every track, some tracks per table."""
+    policies = list(board.run.participants)
+    columns: list[_Column] = []
+    for track in board.run.tracks:
+        found = {name: board.row(track.name, name).metrics for name in policies}
+        cells: dict[str, Text | str] = {
+            name: "n/a" if metrics is None else f"{metrics[track.metric].mean:.2f}" for name, metrics in found.items()
+        }
+        columns.append((track.name.replace("-", "-\n"), cells))
+    tables: list[Table | Text] = []
+    while columns:
+        table, left = _fitting(board, "Digits by track", policies, columns, width)
+        columns = columns[len(columns) - len(left) :]
+        tables.append(table)
+    return tables
+
+
+def _overall(board: Leaderboard, width: int) -> tuple[list[Table | Text], list[str]]:
     if not board.overall:
-        return [Text("No overall scores: there is no track that all can play and on which the law gains.")]
-    table = empty_table(f"{board.run.suite.name}, seed {board.run.seed}: overall")
-    table.add_column("policy", no_wrap=True)
-    for column in (
-        "score, interquartile mean",
-        f"P(better than {LAW})",
-        "unpaired",
-        "mean rank",
-        "P(score > 1)",
-        "P(score > 2)",
-    ):
-        table.add_column(column, justify="right")
-    profile = [THRESHOLDS.index(level) for level in (1.0, 2.0)]
-    for row in board.overall:
-        name = row.policy + " *" * board.run.participants[row.policy].is_oracle
-        shares = (_share(row.profile[index]) for index in profile)
-        rank = number(row.mean_rank)
-        table.add_row(
-            Text(name),
-            _text(row.score, _share),
-            _text(row.improvement, _share),
-            _share(row.unpaired_improvement),
-            rank,
-            *shares,
-        )
+        return [Text("No overall scores: there is no track that all can play and on which the law gains.")], []
+    rows = {row.policy: row for row in board.overall}
+
+    def column(heading: str, cell: Callable[[OverallRow], Text | str]) -> _Column:
+        return heading, {name: cell(row) for name, row in rows.items()}
+
+    columns = [
+        column("score,\ninterquartile mean", lambda row: _text(row.score, _share)),
+        column("mean\nrank", lambda row: number(row.mean_rank)),
+        column(f"P(better than {LAW})", lambda row: _text(row.improvement, _share)),
+        *(
+            column(f"P(score\n> {level:g})", lambda row, level=level: _share(row.profile[THRESHOLDS.index(level)]))  # type: ignore[misc]
+            for level in (1.0, 2.0)
+        ),
+        column(f"unpaired P(better\nthan {LAW})", lambda row: _share(row.unpaired_improvement)),
+    ]
+    title = f"{board.run.suite.name}, seed {board.run.seed}: overall"
+    table, missing = _fitting(board, title, list(rows), columns, width)
     left_out = [track.name for track in board.run.tracks if track.name not in board.common]
     told = f"Over {len(board.common)} tracks that all can play and on which the law gains: {', '.join(board.common)}."
     if left_out:
         told += f" Not over {', '.join(left_out)}."
-    return [table, Text(told, style="dim")]
+    return [table, Text(told, style="dim")], missing
 
 
 def _microseconds(board: Leaderboard, row: TrackRow) -> float:
@@ -108,8 +169,12 @@ def _text(summary: Summary | None, format_: Callable[[float | None], str] = numb
         return Text("–", justify="right")
     text = Text(format_(summary.mean), justify="right")
     if summary.low != summary.high:
-        text.append(f"\n[{format_(summary.low)}, {format_(summary.high)}]", style="dim")
+        text.append(f" [{format_(summary.low)}, {format_(summary.high)}]", style="dim")
     return text
+
+
+def _mean(summary: Summary | None) -> float | None:
+    return None if summary is None else summary.mean
 
 
 def _share(value: float | None) -> str:

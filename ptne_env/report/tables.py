@@ -10,7 +10,7 @@ from rich.console import Group
 from rich.table import Table
 from rich.text import Text
 
-from ptne_env.evaluation import COMPARATIVE_METRICS, METRICS, Results, default_entries
+from ptne_env.evaluation import COMPARATIVE_METRICS, METRICS, Results, suite_entries
 from ptne_env.evaluation.compare import PAPER_START, Record
 from ptne_env.scenario import CATALOGUE, Scenario
 from ptne_env.theory import Certificate
@@ -294,7 +294,7 @@ def entry_table() -> Table:
     table = empty_table("Policies")
     for heading in ("name", "policy", "arguments", "interface"):
         table.add_column(heading)
-    for entry in default_entries():
+    for entry in suite_entries():
         data = entry.to_dict()["policy"]
         numbers = {name: value for name, value in data["arguments"].items() if not isinstance(value, str)}
         arguments = ", ".join(f"{name}={value:g}" for name, value in numbers.items())

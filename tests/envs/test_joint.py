@@ -32,8 +32,9 @@ def test_make_finds_every_scenario_by_module_and_id(name):
     assert env.unwrapped.parallel.scenario == ptne_env.get_scenario(name, hold_steps=3)
     assert env.unwrapped.layout.interface == ptne_env.Interface("local")
     assert env.spec.id == f"ptne/{name}-joint-v0"
-    assert env.observation_space.shape == (5 * env.unwrapped.layout.size,)
-    assert env.action_space.shape == (25,)
+    game = env.unwrapped.parallel.scenario.built_game
+    assert env.observation_space.shape == (game.num_players * env.unwrapped.layout.size,)
+    assert env.action_space.shape == (game.num_players * game.dimension,)
 
 
 @pytest.mark.parametrize("mode", ["input", "gains"])

@@ -182,6 +182,22 @@ def test_a_cell_depends_on_the_source_of_a_policy_of_ones_own(tmp_path, monkeypa
     assert benchmark.files(participant.runs[0]) != before
 
 
+def test_a_cell_depends_on_the_sources_of_a_world_of_ones_own(tmp_path, monkeypatch):
+    monkeypatch.syspath_prepend(tmp_path)
+    module = tmp_path / "my_own_graph.py"
+    module.write_text("from ptne_env import graphs\n\ndef ring():\n    return graphs.cycle(5)\n")
+    mine = BASE.replace(signal=Part.of("ptne_env.graphs:fixed", graph=Part.of("my_own_graph:ring")))
+    suite = Suite("mine", 1, (Track("mine", mine, "My graph."), Track("ring", BASE, "The base.")))
+
+    def found():
+        run = run_suite(suite, [], tmp_path, episodes=1)
+        return {cell.track.name: cell.key for cell in run.cells if cell.participant == "static"}
+
+    before = found()
+    module.write_text(module.read_text() + "\n# changed\n")
+    assert {name for name, key in found().items() if key != before[name]} == {"mine"}
+
+
 def test_a_policy_of_ones_own_gets_the_same_table(tmp_path, monkeypatch):
     monkeypatch.syspath_prepend(tmp_path)
     (tmp_path / "my_law.py").write_text(
@@ -348,14 +364,24 @@ def test_ranks_of_a_saturated_track_go_by_the_time_to_1e_6(tmp_path):
     fast = Entry("fast", Part.of("ptne_env.laws:Grounded", kappa=3.0))
     suite = get_suite("ptne-v1")
     board = leaderboard(
-        run_suite(suite, ["grounded", fast], tmp_path, tracks=["nominal", "short-deadline"], episodes=20)
+        run_suite(
+            suite,
+            ["grounded", fast, "aggregate-tracking"],
+            tmp_path,
+            tracks=["nominal", "short-deadline"],
+            episodes=20,
+        )
     )
     assert board.saturated == ("nominal",)
     rows = {name: board.row("nominal", name) for name in ("grounded", "fast", "static", "null")}
     times = {name: row.fine_time for name, row in rows.items()}
     assert sorted(("grounded", "fast"), key=times.get) == sorted(("grounded", "fast"), key=lambda name: rows[name].rank)
     assert times["null"] == pytest.approx(1.2)
-    assert rows["null"].rank == 4
+    assert rows["null"].rank == 5
+    # Its strategies settle early, but its estimates, which are scored, do not.
+    aggregate = board.row("nominal", "aggregate-tracking")
+    assert aggregate.fine_time < times["static"]
+    assert aggregate.rank == 4
     assert board.row("nominal", "oracle").rank is None
     by_digits = [board.row("short-deadline", name) for name in rows]
     by_digits.sort(key=lambda row: row.rank)

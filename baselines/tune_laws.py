@@ -1,0 +1,76 @@
+"""Tunes the laws of the field for a suite: the best mean digits over its tracks, on the validation split.
+
+Run it as ``python baselines/tune_laws.py``. It prints every candidate with its mean, the best of each law first; the
+entries of ``ptne_env/evaluation/entries.py`` have these parameters. The paper's laws have the paper's.
+"""
+
+from collections.abc import Iterator
+from itertools import product
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+import typer
+from rich.console import Console
+from rich.progress import Progress
+from rich.table import Table
+
+from ptne_env import Part
+from ptne_env.evaluation import Entry
+from ptne_env.evaluation.benchmark import run_suite
+
+GRIDS: dict[str, dict[str, tuple[Any, ...]]] = {
+    "Static": {"kappa": (2.0, 2.5, 3.0, 3.5), "gradient_gain": (2.0, 2.5, 3.0, 3.5)},
+    "FixedGain": {"kappa": (1.5, 2.0, 2.5, 3.0)},
+    "AveragingIntegral": {"gamma": (0.0003, 0.001, 0.003, 0.01)},
+    "AdaptiveGrounded": {"gamma": (0.0001, 0.001, 0.01), "initial_gain": (2.0, 3.0, 4.0, 5.0)},
+    "ProjectedGradient": {"step": (0.2, 0.3, 0.4, 0.5), "mixing": (0.2, 0.3, 0.45)},
+    "ExtremumSeeking": {"amplitude": (0.3, 1.0, 2.0), "gain": (0.05, 0.1, 0.2, 0.4)},
+    "LocallyImplicit": {"kappa": (1.0, 2.0, 3.0, 4.0, 8.0), "curvature": (5.0,)},
+    "CappedGain": {"kappa": (1.5, 2.0, 2.5), "largest_gain": (100.0, 200.0, 400.0)},
+    "BestResponseOracle": {"relaxation": (0.5, 0.75, 1.0)},
+    "FixedTimeOracle": {"gain": (0.5, 1.0, 2.0), "largest_step": (0.2, 0.3, 0.4)},
+    "NodeAdaptiveOracle": {"gamma": (0.0001, 0.001, 0.003), "initial_gain": (0.3, 0.5, 0.75, 1.0)},
+}
+"""What is tried, by law and parameter."""
+
+
+def candidates(law: str) -> Iterator[Part]:
+    """A part for every point of the law's grid."""
+    grid = GRIDS[law]
+    for values in product(*grid.values()):
+        yield Part.of(f"ptne_env.laws:{law}", **dict(zip(grid, values, strict=True)))
+
+
+def main(
+    suite: str = "ptne-v1",
+    law: Annotated[list[str] | None, typer.Option(help="A law by its class; repeat for several.")] = None,
+    episodes: int = 20,
+    folder: Path = Path("results/tuning"),
+    jobs: int = -1,
+) -> None:
+    """Run the grids, and print them."""
+    entries = {f"{name} {point.to_dict()['arguments']}": point for name in law or GRIDS for point in candidates(name)}
+    with Progress(console=Console(stderr=True), transient=True) as progress:
+        task = progress.add_task("tuning", total=None)
+        run = run_suite(
+            suite,
+            [Entry(name, part) for name, part in entries.items()],
+            folder,
+            split="validation",
+            episodes=episodes,
+            jobs=jobs,
+            progress=lambda _, total: progress.update(task, advance=1, total=total),
+        )
+    means: dict[str, float] = {}
+    for name in entries:
+        found = [(track, run.of(track.name, name)[0]) for track in run.tracks]
+        means[name] = float(np.mean([one.samples[track.metric].mean() for track, one in found if one.reason is None]))
+    table = Table("candidate", "mean digits")
+    for name in sorted(entries, key=lambda name: (name.split()[0], -means[name])):
+        table.add_row(name, f"{means[name]:.3f}")
+    Console().print(table)
+
+
+if __name__ == "__main__":
+    typer.run(main)

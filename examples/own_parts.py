@@ -1,0 +1,94 @@
+"""A game, a graph, a channel, a law and a track of your own, in a module of your own.
+
+Nothing is registered: scenarios, suites and policies name them as "own_parts:Name".
+
+Run it with: python examples/own_parts.py
+or, where this file can be imported: ptne compare --suite own_parts:suite --policy own_parts:HeavyBall
+"""
+
+from dataclasses import replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import networkx as nx
+import numpy as np
+from rich.console import Console
+
+from ptne_env import Part, get_scenario, graphs, laws
+from ptne_env.channel import Channel, Dice, Memory, Messages
+from ptne_env.evaluation.benchmark import run_suite
+from ptne_env.evaluation.leaderboard import leaderboard
+from ptne_env.evaluation.suite import Suite, Track
+from ptne_env.games import AffineGame
+from ptne_env.interface import Layout, Reading
+from ptne_env.report import leaderboard_tables
+
+
+class BeautyContest(AffineGame):
+    """J_i(x) = ½ (x_i − r m_i − b_i)² with m_i the mean of the others: everybody wants to be close to the others."""
+
+    def __init__(self, tastes: tuple[float, ...] = (1.0, 2.0, 4.0, 8.0, 16.0), conformity: float = 0.5) -> None:
+        """The players' own tastes b_i, and r."""
+        others = 1 - np.eye(len(tastes))
+        super().__init__(np.eye(len(tastes)) - conformity / (len(tastes) - 1) * others, -np.asarray(tastes))
+
+
+def wheel(players: int) -> graphs.Signal:
+    """Player 0 in the hub, the others on the rim."""
+    return graphs.fixed(graphs.from_networkx(nx.wheel_graph(players)))
+
+
+class Clipped(Channel):
+    """Messages in which every number is cut to ±bound."""
+
+    is_random = False
+
+    def __init__(self, bound: float) -> None:
+        """The largest number that can be sent."""
+        self.bound = bound
+
+    def transmit(self, messages: Messages, memory: Memory | None, dice: Dice) -> tuple[Messages, Memory]:  # noqa: ARG002 - nothing is remembered
+        """What is left of the messages."""
+        return replace(messages, values=np.clip(messages.values, -self.bound, self.bound)), ()
+
+
+class HeavyBall(laws.Law):
+    """The static law with inertia: v ← β v + (1 − β) u, and v is the input."""
+
+    def __init__(self, layout: Layout, kappa: float = 2.0, inertia: float = 0.5) -> None:
+        """Consensus gain κ, and β."""
+        super().__init__(layout)
+        self.kappa, self.inertia = kappa, inertia
+
+    def _initial_memory(self, rows: int) -> np.ndarray:
+        return np.zeros((rows, self.layout.dimension))
+
+    def _inputs(self, reading: Reading, memory: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        pull = np.einsum("rd,rdn->rn", reading.weights, reading.relative_estimates)
+        memory = self.inertia * memory + (1 - self.inertia) * (self.kappa * pull - reading.gradient)
+        return memory, memory
+
+
+def suite() -> Suite:
+    """Two tracks: the game on the wheel, and with messages that are cut."""
+    base = get_scenario(
+        "energy", name="contest", game="own_parts:BeautyContest", signal=Part.of("own_parts:wheel", players=5)
+    ).replace(start="random")
+    cut = base.replace(name="clipped", channel=Part.of("own_parts:Clipped", bound=10.0))
+    return Suite(
+        "own-parts",
+        1,
+        (Track("contest", base, "The base."), Track("clipped", cut, "Numbers in messages are cut to ±10.")),
+        episodes=20,
+    )
+
+
+def main() -> None:
+    """Compare the law above with the paper's on the suite above."""
+    with TemporaryDirectory() as folder:
+        run = run_suite("own_parts:suite", ["own_parts:HeavyBall", "grounded"], Path(folder))
+        Console(width=120).print(leaderboard_tables(leaderboard(run), width=120))
+
+
+if __name__ == "__main__":
+    main()
