@@ -1,4 +1,4 @@
-"""The command line: ``ptne compare | reproduce | certify | train | list``. It only calls the library and prints."""
+"""The command line: ``ptne compare | certify | sweep | reproduce | train | list``. It calls the library and prints."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Annotated
 try:
     import typer
     from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
     from rich.text import Text
 except ImportError as error:  # pragma: no cover - exercised in an environment without the extra
     raise SystemExit('the command line needs an extra: pip install "ptne-env[bench]"') from error
@@ -20,8 +20,10 @@ from ptne_env._version import __version__
 from ptne_env.evaluation import Entry, default_entries, evaluate, suite_entries
 from ptne_env.evaluation.benchmark import check, executes_code, get_participant, run_suite
 from ptne_env.evaluation.compare import count_cells
+from ptne_env.evaluation.entries import law_part
 from ptne_env.evaluation.leaderboard import leaderboard
 from ptne_env.evaluation.suite import SUITES, get_suite
+from ptne_env.evaluation.sweep import SWEEPS, run_sweep
 from ptne_env.files import write_atomically
 from ptne_env.report import (
     certificate_tables,
@@ -30,6 +32,7 @@ from ptne_env.report import (
     leaderboard_tables,
     metric_table,
     repetition_table,
+    save_diagram,
     scenario_table,
     suite_table,
 )
@@ -251,19 +254,45 @@ def _check(results: Path, sample: int, tolerance: float, *, trust: bool) -> None
 @app.command()
 def certify(
     scenario: Annotated[str, typer.Argument(help="A scenario by name; see 'ptne list'.")],
-    kappa: Annotated[float, typer.Option(help="Consensus gain κ of the static law.")] = 2.0,
+    law: Annotated[
+        str,
+        typer.Option(
+            help="A law by name (static, adaptive, corollary-one, gadjov-pavel, grounded), by its class in "
+            "ptne_env.laws (FixedGain, LocallyImplicit, …), or as 'module:object' that is called with the layout."
+        ),
+    ] = "static",
+    kappa: Annotated[
+        float | None, typer.Option(help="Consensus gain κ of the law; the law's own if left out (static: 2).")
+    ] = None,
+    noise: Annotated[
+        float | None,
+        typer.Option(
+            min=0.0,
+            help="Standard deviation σ of additive noise on every message, to be predicted.",
+            show_default="the channel's",
+        ),
+    ] = None,
+    delay: Annotated[
+        int | None,
+        typer.Option(min=0, help="Steps that every message is late, to be predicted.", show_default="the channel's"),
+    ] = None,
+    hold_steps: Annotated[int, typer.Option(min=0, help="Steps after the deadline, for the digits there.")] = 50,
     json: Annotated[
         str | None, typer.Option(help="Write the certificate as JSON to this file; '-' for stdout.")
     ] = None,
 ) -> None:
-    """Say before anything runs what the static law can promise on a scenario.
+    """Say before anything runs what a law can promise on a scenario.
 
-    Prints the paper's assumptions with the number that decides each, the gain condition, the closed-loop rate, the
-    digits predicted at the deadline and the largest stable step.
+    Prints the assumptions of the paper with the number that decides each, the gain condition, rates, the digits
+    predicted at the deadline, the largest stable step, and what noise and late messages do. docs/theory.md says which
+    of them are exact and which are bounds.
     """
     from json import dumps
 
-    certificate = theory.certify(get_scenario(scenario), kappa)
+    chosen = get_scenario(scenario)
+    if hold_steps and chosen.gain > 0:
+        chosen = chosen.replace(hold_steps=hold_steps)
+    certificate = theory.certify(chosen, law=law_part(law, kappa), noise_std=noise, delay_steps=delay)
     text = dumps(certificate.to_dict(), indent=2, allow_nan=False, ensure_ascii=False)
     if json == "-":
         typer.echo(text)
@@ -272,6 +301,47 @@ def certify(
     if json is not None:
         write_atomically(Path(json), text + "\n")
         _console().print(Text(f"Certificate written to {json}"), soft_wrap=True)
+
+
+@app.command()
+def sweep(
+    diagram: Annotated[
+        list[str] | None, typer.Argument(help=f"Which diagrams: {', '.join(SWEEPS)}. All if left out.")
+    ] = None,
+    out: Annotated[Path, typer.Option(help="Folder for the pictures; made if missing.")] = Path("results/sweep"),
+    points: Annotated[int, typer.Option(min=2, help="Points along each axis.")] = 14,
+    episodes: Annotated[int, typer.Option(min=1, help="Episodes per point, from random starts.")] = 8,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the starts and of the noise.")] = 0,
+    jobs: Annotated[int, typer.Option(help="Processes; -1 for one per core.")] = -1,
+    json: Annotated[str | None, typer.Option(help="Write the numbers as JSON to this file; '-' for stdout.")] = None,
+) -> None:
+    """Draw phase diagrams: digits at the deadline over two parameters, as measured and as predicted.
+
+    gain-step is over κ and the step Θ, noise-horizon over noise and s_end, dwell-gain over dwell time and c. Every
+    point is a batch of episodes of the static law in the environment; docs/theory.md explains the lines.
+    """
+    console, names = _console(), diagram or list(SWEEPS)
+    diagrams = []
+    with _progress(_console(stderr=True)) as progress:
+        for name in names:
+            task = progress.add_task(name, total=None)
+
+            def advance(done: int, total: int, task: TaskID = task) -> None:
+                progress.update(task, completed=done, total=total)
+
+            diagrams.append(run_sweep(name, points=points, episodes=episodes, seed=seed, jobs=jobs, progress=advance))
+    for each in diagrams:
+        save_diagram(each, out / f"{each.name}.png")
+    text = f"[{', '.join(each.to_json() for each in diagrams)}]"
+    if json == "-":
+        typer.echo(text)
+        return
+    for each in diagrams:
+        line = f"{each.name}: measured and predicted digits differ by at most {each.difference:.1g}"
+        console.print(Text(f"{line}; {out / each.name}.png"), soft_wrap=True)
+    if json is not None:
+        write_atomically(Path(json), text + "\n")
+        console.print(Text(f"Numbers written to {json}"), soft_wrap=True)
 
 
 @app.command()

@@ -14,6 +14,13 @@ from ptne_env.arrays import FloatArray, frozen, require_count, require_non_negat
 Spacing: TypeAlias = Literal["effective", "transformed", "physical"]
 
 
+_GRID = frozen(np.linspace(0.0, 6.0, 2001))
+"""Transformed times at which a time transformation is checked."""
+
+_LIMIT_TOLERANCE = 1e-4
+"""An extrapolated limit counts as 0 when it is within this fraction of T."""
+
+
 class LemmaViolationError(ValueError):
     """A function is not a time transformation in the sense of Lemma 1."""
 
@@ -131,17 +138,23 @@ class HyperbolicTangent(TimeTransformation):
         return np.asarray(np.arctanh(np.asarray(t, dtype=np.float64) / self.deadline))
 
 
-def check_time_transformation(transformation: TimeTransformation) -> None:
-    """Check the conditions of Lemma 1 (eq. TFcondition) on a grid, and that λ, λ' and λ^{-1} belong together.
+def check_time_transformation(transformation: TimeTransformation) -> float:
+    """Check the conditions of Lemma 1 (eq. TFcondition), and that λ, λ' and λ^{-1} belong together.
+
+    (7a), (7b) and the inverse are checked on a grid that ends where λ has all but reached T, and at s = 6 at the
+    latest. The limits (7c) are extrapolated from s = e^u − 1 with u = 2, 4, …, 512 by Aitken's Δ² process, so a λ may
+    be as slow as T (1 − 1/(1 + ln(1 + s))^p).
+
+    Returns:
+        The extrapolated limit of 1 − λ(s)/T as s → ∞, 0 up to rounding and extrapolation.
 
     Raises:
         LemmaViolationError: naming the first condition that is violated.
     """
     deadline = transformation.deadline
-    grid = np.linspace(0.0, 6.0, 2001)
+    grid = _resolved_grid(transformation)
     time, derivative = transformation.time(grid), transformation.derivative(grid)
     step = grid[1]
-    far = np.array([1e3, 1e5, 1e7])
 
     def require(condition: str, *, holds: bool, found: str) -> None:
         if not holds:
@@ -153,26 +166,54 @@ def check_time_transformation(transformation: TimeTransformation) -> None:
         holds=abs(derivative[0] - deadline) <= 1e-9 * deadline,
         found=f"λ'(0) = {derivative[0]}, T = {deadline}",
     )
-    central = (time[2:] - time[:-2]) / (2 * step)
-    mismatch = float(np.max(np.abs(central - derivative[1:-1])))
+    middle = transformation.derivative(grid[:-1] + step / 2)
+    simpson = (derivative[:-1] + 4 * middle + derivative[1:]) / 6
+    mismatch = float(np.max(np.abs(np.diff(time) / step - simpson)))
     require(
         "(7a) λ is differentiable with derivative λ'",
-        holds=mismatch <= 1e-4 * deadline,
+        holds=mismatch <= 1e-5 * deadline,
         found=f"off by {mismatch:.3g} s",
     )
+    far = np.expm1(2.0 ** np.arange(1, 10))
+    with np.errstate(all="ignore"):  # formulas may overflow far out; what is not finite is left out of the limit
+        remaining, slopes = 1 - transformation.time(far) / deadline, transformation.derivative(far) / deadline
     require(
-        "(7b) λ is strictly increasing", holds=bool(np.all(np.diff(time) > 0)), found="λ decreases or stalls on [0, 6]"
+        "(7b) λ is strictly increasing",
+        holds=bool(
+            np.all(np.diff(time) > 0) and np.all(transformation.derivative(_GRID) > 0) and np.nanmin(slopes) >= 0
+        ),
+        found="λ decreases or stalls on [0, 6], or λ' is negative further out",
     )
-    remaining = deadline - transformation.time(far)
+    limit = _limit(remaining)
     require(
         "(7c) λ(s) → T",
-        holds=bool(np.all(np.abs(remaining) <= 2 * deadline / far)),
-        found=f"T − λ(s) = {remaining[-1]:.3g} s at s = {far[-1]:.0e}",
+        holds=abs(limit) <= _LIMIT_TOLERANCE,
+        found=f"T − λ(s) tends to {limit * deadline:.3g} s",
     )
-    slope = float(transformation.derivative(far[-1]))
-    require("(7c) λ'(s) → 0", holds=0 <= slope <= deadline * 1e-6, found=f"λ'({far[-1]:.0e}) = {slope:.3g}")
+    slope = _limit(slopes)
+    require("(7c) λ'(s) → 0", holds=abs(slope) <= _LIMIT_TOLERANCE, found=f"λ'(s) tends to {slope * deadline:.3g}")
     error = float(np.max(np.abs(transformation.inverse(time) - grid)))
     require("λ^{-1}(λ(s)) = s", holds=error <= 1e-6, found=f"off by {error:.3g}")
+    return limit
+
+
+def _resolved_grid(transformation: TimeTransformation) -> FloatArray:
+    """A grid from 0 to where λ is within 1e-7 T of T, where float64 still resolves it, but no further than 6."""
+    reached = np.abs(transformation.deadline - transformation.time(_GRID)) < 1e-7 * transformation.deadline
+    return np.linspace(0.0, float(_GRID[max(int(reached.argmax()), 1)]), _GRID.size) if reached.any() else _GRID
+
+
+def _limit(values: FloatArray) -> float:
+    """The limit of a sequence by Aitken's Δ² process on its last three finite terms; the last one if it stands still.
+
+    On s = e^u − 1 with u doubling, powers of ln s fall geometrically, for which the process is exact, and powers and
+    exponentials of s faster still.
+    """
+    first, second, last = values[np.isfinite(values)][-3:]
+    bend = (last - second) - (second - first)
+    extrapolated = last - (last - second) ** 2 / bend if bend else last
+    # A sequence that does not settle is not extrapolated: its last term tells.
+    return float(extrapolated if abs(last - second) < abs(second - first) else last)
 
 
 class Reading(NamedTuple):

@@ -20,7 +20,7 @@ def ptne(*arguments, cwd=None):
     )
 
 
-@pytest.mark.parametrize("command", ["compare", "reproduce", "certify", "list"])
+@pytest.mark.parametrize("command", ["compare", "reproduce", "certify", "sweep", "list"])
 def test_every_command_has_help(command):
     outcome = ptne(command, "--help")
     assert outcome.returncode == 0
@@ -76,6 +76,9 @@ def test_compare_takes_a_policy_by_module_and_object():
         (("compare", "--episodes", "0"), "--episodes"),
         (("certify", "energie"), "unknown scenario 'energie'"),
         (("certify", "energy", "--kappa", "-1"), "kappa"),
+        (("certify", "energy", "--law", "statik"), "unknown law 'statik'"),
+        (("certify", "energy", "--law", "adaptive", "--kappa", "2"), "has no kappa"),
+        (("sweep", "gain-stop"), "unknown diagram 'gain-stop'"),
         (("compare", "--suite", "ptne-v0"), "unknown suite 'ptne-v0'"),
         (("compare", "--suite", "ptne-v1", "--track", "nominl"), "has no track 'nominl'"),
         (("compare", "--suite", "ptne-v1", "--scenario", "energy"), "leave out --scenario"),
@@ -105,10 +108,29 @@ def test_an_unwritable_file_exits_with_1(tmp_path):
 def test_certify_prints_the_numbers_of_the_paper_and_json():
     outcome = ptne("certify", "energy")
     assert outcome.returncode == 0
-    for text in ("ε = 2.10", "ι = 2.60", "κ > 4.21", "0.280", "unbounded"):
+    for text in ("ε = 2.10", "ι = 2.60", "2.00 against 4.21", "0.280", "unbounded"):
         assert text in outcome.stdout
     data = json.loads(ptne("certify", "energy", "--json", "-").stdout)
     assert data["rate"] == pytest.approx(0.280, abs=5e-4)
+
+
+def test_certify_takes_a_law_by_name_or_class_with_noise_and_delay():
+    printed = ptne("certify", "energy", "--law", "Grounded", "--kappa", "4", "--noise", "0.01", "--delay", "3").stdout
+    for text in ("Grounded(kappa=4.0)", "digits at T with σ = 0.01", "digits at T with d = 3", "after the hold"):
+        assert text in printed
+    without = ptne("certify", "energy", "--law", "oracle").stdout
+    assert "Note: CentralisedOracle is an oracle" in without
+    assert "closed-loop rate" not in without
+
+
+def test_sweep_draws_and_writes_its_numbers(tmp_path):
+    arguments = ("--points", "3", "--episodes", "1", "--jobs", "1", "--json", "sweep.json")
+    outcome = ptne("sweep", "dwell-gain", "--out", "pictures", *arguments, cwd=tmp_path)
+    assert outcome.returncode == 0, outcome.stderr
+    assert "dwell-gain: measured and predicted digits differ by at most" in outcome.stdout
+    assert (tmp_path / "pictures" / "dwell-gain.png").stat().st_size > 10_000
+    (diagram,) = json.loads((tmp_path / "sweep.json").read_text(encoding="utf-8"))
+    assert [len(row) for row in diagram["measured"]] == [3, 3, 3]
 
 
 @pytest.fixture(scope="module")

@@ -242,6 +242,14 @@ def test_the_comparison_in_the_readme_is_what_its_command_prints(tmp_path):
         assert _agree(ours, theirs), (ours, theirs)
 
 
+def test_the_certificate_in_the_theory_is_what_its_command_prints(tmp_path):
+    arguments = ["certify", "energy", "--noise", "0.001", "--delay", "3"]
+    assert f"Printed by `ptne {' '.join(arguments)}`" in prose(ROOT / "docs" / "theory.md")
+    told = blocks(ROOT / "docs" / "theory.md", "text")[0]
+    printed = run(f"from ptne_env.cli import main; import sys; sys.argv[1:] = {arguments}; main()", tmp_path)
+    assert _words(printed[printed.index("energy: Static") :]) == _words(told)
+
+
 def _words(text):
     """The words of a comparison without the rules and without the values in the column of times."""
     words, timed = [], False

@@ -179,7 +179,7 @@ def test_gain_growth(kind, growth):
 def test_certificate_of_the_energy_scenario():
     certificate = theory.certify(get_scenario("energy"))
     assert [check.verdict for check in certificate.assumptions] == ["holds"] * 4
-    assert not certificate.gain_condition_holds
+    assert not certificate.condition.holds
     assert certificate.rate_is_exact
     assert certificate.rate == pytest.approx(0.2801, abs=1e-4)
     assert certificate.digits_from_rate == pytest.approx(0.28014661 * 32 / math.log(10), abs=1e-6)
@@ -215,7 +215,8 @@ def test_every_certificate_is_plain_json(name):
 def test_certificate_of_the_non_quadratic_game_claims_no_more_than_it_knows():
     certificate = theory.certify(get_scenario("non-quadratic"))
     assert [check.verdict for check in certificate.assumptions] == ["holds", "holds", "fails", "fails"]
-    assert certificate.gain_bound is None
+    assert certificate.condition.bound == math.inf
+    assert not certificate.condition.holds
     assert certificate.digits_sampled is None
     assert not certificate.rate_is_exact
     assert any("linearisation" in note for note in certificate.notes)

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import inspect
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from ptne_env import policies
+from ptne_env import laws, policies
 from ptne_env.interface import Interface, Layout
 from ptne_env.parts import Part
 from ptne_env.policies import LearnedPolicy
@@ -152,3 +153,32 @@ def get_entry(entry: str | Entry) -> Entry:
         return Entry(entry, Part.of(entry))
     known = ", ".join([*ENTRIES, *policies.shipped()])
     raise ValueError(f"unknown policy {entry!r}; choose from {known}, or name an .onnx file or a 'module:object'")
+
+
+def law_part(law: str, kappa: float | None = None) -> Part:
+    """The part that builds a law: by name, by its class in ``ptne_env.laws``, or by ``"module:object"``.
+
+    Args:
+        law: which.
+        kappa: κ in place of the law's own.
+
+    Raises:
+        ValueError: for an unknown name, a policy that is no law, or κ for a law that has none.
+    """
+    if law in ENTRIES or ":" in law:
+        part = get_entry(law).policy
+    else:
+        classes = [
+            name for name, value in vars(laws).items() if isinstance(value, type) and issubclass(value, laws.Law)
+        ]
+        if law not in classes:
+            known = ", ".join([*ENTRIES, *(name for name in classes if name != "Law")])
+            raise ValueError(f"unknown law {law!r}; name one of {known}, or a 'module:object'")
+        part = Part.of(f"{_LAWS}{law}")
+    if not isinstance(part, Part):
+        raise ValueError(f"{law!r} is no law; name one of {', '.join(ENTRIES)}, or a 'module:object'")
+    if kappa is None:
+        return part
+    if "kappa" not in inspect.signature(part.resolve()).parameters:
+        raise ValueError(f"the law {law!r} has no kappa")
+    return Part.of(part.target, **{**dict(part.arguments), "kappa": kappa})

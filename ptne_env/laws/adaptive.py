@@ -44,6 +44,11 @@ class Adaptive(Law):
         positive = Condition.above("the gains adapt: γ > 0", self.gamma, 0.0)
         return decisive(positive, lasting_connectivity(premises), strong_monotonicity(premises))
 
+    def gains(self, memory: FloatArray) -> FloatArray:
+        """κ_ij of every link, in both directions."""
+        neighbours = np.array(self.layout.neighbours)
+        return np.asarray(memory[neighbours != np.arange(len(neighbours))[:, None]])
+
     def _initial_memory(self, rows: int) -> FloatArray:
         return np.full((rows, self.layout.slots), self.initial_gain)
 

@@ -16,7 +16,7 @@ from ptne_env.interface import Interface, Layout, Reading
 
 @dataclass(frozen=True)
 class Premises:
-    """What a theorem may ask of a scenario, in numbers. ``ptne_env.conditions.premises`` reads them off a scenario.
+    """What a theorem may ask of a scenario, in numbers. ``ptne_env.theory.premises`` reads them off a scenario.
 
     Attributes:
         epsilon: ε, largest constant for which F is ε-strongly monotone; not positive when F is not.
@@ -66,13 +66,27 @@ class Premises:
         return max(float(laplacian.diagonal().max()) for laplacian in self.laplacians)
 
     def loop(self, laplacian: FloatArray, kappa: float) -> FloatArray:
-        """M = Rᵀ d**F** + κ L⊗I of the static law in the paper's stacking col(x^1 … x^N), shape (Nn, Nn)."""
-        n = len(self.owners)
-        matrix = kappa * np.kron(laplacian, np.eye(n))
-        rows = self.owners * n + np.arange(n)
-        for component, (row, owner) in enumerate(zip(rows, self.owners, strict=True)):
-            matrix[row, owner * n : (owner + 1) * n] += self.jacobian[component]
-        return np.asarray(matrix)
+        """M of the static law; see :func:`loop_matrix`."""
+        return loop_matrix(self.jacobian, self.owners, laplacian, kappa)
+
+
+def loop_matrix(jacobian: FloatArray, owners: IntArray, laplacian: FloatArray, kappa: float) -> FloatArray:
+    """M = R^T d**F** + κ L⊗I of the static law in the paper's stacking col(x^1 … x^N) (eq. StackedVariable).
+
+    Args:
+        jacobian: dF, shape (n, n).
+        owners: the player who owns each component, shape (n,).
+        laplacian: L, shape (N, N).
+        kappa: κ.
+
+    Returns:
+        Shape (Nn, Nn); entry i n + k belongs to x^i_k.
+    """
+    n = len(owners)
+    matrix = kappa * np.kron(laplacian, np.eye(n))
+    for component, owner in enumerate(owners):
+        matrix[owner * n + component, owner * n : (owner + 1) * n] += jacobian[component]
+    return np.asarray(matrix)
 
 
 def algebraic_connectivity(laplacian: FloatArray) -> float:
@@ -181,11 +195,39 @@ class Law(ABC):
         actions = self._actions(inputs, reading)
         return (actions[0] if single else actions), memory
 
+    def inputs(self, reading: Reading, memory: Any = None) -> tuple[FloatArray, Any]:
+        """What :meth:`predict` decides, in float64 and before the action box; it is what theory computes with.
+
+        Args:
+            reading: of R players.
+            memory: the law's, as it returned it; a fresh one if left out.
+
+        Returns:
+            The inputs u^i in the reading's unit, shape (R, n), and the memory for the next step.
+        """
+        return self._inputs(reading, self._initial_memory(len(reading.player)) if memory is None else memory)
+
+    @property
+    def has_memory(self) -> bool:
+        """Whether the law remembers something from step to step."""
+        return self._initial_memory(1) is not None
+
+    def initial_memory(self, rows: int) -> Any:
+        """A fresh memory for R players, one row each; ``None`` for a law without memory."""
+        return self._initial_memory(rows)
+
+    def gains(self, memory: Any) -> FloatArray | None:  # noqa: ARG002 - laws whose gains adapt use it
+        """The gains that act, from a memory with one row per player; ``None`` for a law that adapts none.
+
+        With these gains frozen, the law is one without memory.
+        """
+        return None
+
     def condition(self, premises: Premises) -> Condition | None:  # noqa: ARG002 - laws with a theorem use it
         """Whether a scenario meets the law's condition, with the number that decides; ``None`` if it promises nothing.
 
         Args:
-            premises: of the scenario; ``ptne_env.conditions.condition`` reads them off one.
+            premises: of the scenario; ``ptne_env.theory.condition`` reads them off one.
         """
         return None
 

@@ -76,6 +76,10 @@ class AdaptiveGrounded(Law):
         grounded = Condition.above("every graph is connected: λ2 > 0", premises.connectivity, 0.0)
         return decisive(positive, grounded, strong_monotonicity(premises))
 
+    def gains(self, memory: FloatArray) -> FloatArray:
+        """θ_ij of every player and component that it does not own."""
+        return np.asarray(memory[~self.layout.own_mask])
+
     def _initial_memory(self, rows: int) -> FloatArray:
         return np.full((rows, self.layout.dimension), self.initial_gain)
 

@@ -107,8 +107,11 @@ class CorollaryOne(Law):
         return inputs, memory
 
 
+def gain_bound(epsilon: float, iota: float, connectivity: float) -> float:
+    """(ι²/ε + ι)/λ2, which κ must exceed in Theorem 1 (eq. GainCondition); infinite when ε or λ2 is not positive."""
+    return (iota**2 / epsilon + iota) / connectivity if epsilon > 0 and connectivity > 0 else np.inf
+
+
 def _gain_condition(kappa: float, premises: Premises) -> Condition:
-    bound = np.inf
-    if premises.epsilon > 0 and premises.connectivity > 0:
-        bound = (premises.iota**2 / premises.epsilon + premises.iota) / premises.connectivity
+    bound = gain_bound(premises.epsilon, premises.iota, premises.connectivity)
     return Condition.above("κ > (ι²/ε + ι)/λ2", kappa, bound, exact=premises.exact)

@@ -1,5 +1,6 @@
 """Results for people to read: tables for terminals."""
 
+from ptne_env.report.diagrams import save_diagram as save_diagram
 from ptne_env.report.leaderboards import leaderboard_tables as leaderboard_tables
 from ptne_env.report.leaderboards import repetition_table as repetition_table
 from ptne_env.report.leaderboards import suite_table as suite_table

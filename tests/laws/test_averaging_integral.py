@@ -6,7 +6,7 @@ from affine_games import affine_scenario, loop_start, run
 from worlds import fixed_part, make_port
 
 from ptne_env import Part, get_scenario, laws, theory
-from ptne_env.conditions import condition
+from ptne_env.theory import condition
 
 # A strongly monotone game (ε = 1) between two players whose estimates a weak link does not hold together.
 ROTATION = np.array([[1.0, 6.0], [-6.0, 1.0]])

@@ -9,7 +9,7 @@ from affine_games import affine_scenario, loop_start, random_affine, run
 from worlds import BLOCKS, BLOCKS_SWITCHING, fixed_part, make_port
 
 from ptne_env import Part, get_scenario, laws
-from ptne_env.conditions import condition, premises
+from ptne_env.theory import condition, premises
 
 ENERGY = get_scenario("energy", start="random")
 

@@ -11,7 +11,7 @@ from scipy import linalg
 from worlds import begin, fixed_part, make_env, make_port
 
 from ptne_env import Interface, Part, get_scenario, laws
-from ptne_env.conditions import condition
+from ptne_env.theory import condition
 
 MATRIX = np.array([[2.0, 0.5, -0.4], [0.3, 1.5, 0.6], [-0.5, 0.2, 1.8]])
 OFFSET = np.array([1.0, -2.0, 0.5])

@@ -10,7 +10,7 @@ from affine_games import affine_scenario, loop_start, random_affine, run
 from worlds import BLOCKS, fixed_part, make_port, stack
 
 from ptne_env import Interface, Part, get_scenario, laws
-from ptne_env.conditions import condition, premises
+from ptne_env.theory import condition, premises
 
 ORACLES = [laws.BestResponseOracle, laws.FixedTimeOracle, laws.NodeAdaptiveOracle]
 

@@ -6,7 +6,7 @@ from affine_games import loop_start, run
 from worlds import BLOCKS, energy_scenario, make_env, make_port, play, stack
 
 from ptne_env import Part, get_scenario, laws
-from ptne_env.conditions import condition, premises
+from ptne_env.theory import condition, premises
 
 RING = Part.of("ptne_env.graphs:fixed", graph=Part.of("ptne_env.graphs:cycle", players=5))
 HVAC = energy_scenario(1.0, (50.0, 55.0, 60.0, 65.0, 70.0), RING).replace(

@@ -6,7 +6,7 @@ from affine_games import affine_scenario, loop_start, random_affine, run
 from worlds import fixed_part, loop_matrix, make_port, stack
 
 from ptne_env import Part, get_scenario, laws
-from ptne_env.conditions import condition, premises
+from ptne_env.theory import condition, premises
 
 STEPS = 10.0 ** np.linspace(-3, 7, 101)
 

@@ -1,0 +1,518 @@
+"""What can be promised beforehand about a law on a scenario: everything of this package in one object."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ptne_env.arrays import FloatArray, require_count, require_non_negative
+from ptne_env.channel import AdditiveNoise, Chain, Channel, Delay
+from ptne_env.dynamics import Dynamics
+from ptne_env.laws import Condition, CorollaryOne, FixedGain, Law, Static
+from ptne_env.parts import Part
+from ptne_env.scenario import SHORTFALL_WARNING, Scenario
+from ptne_env.theory.assumptions import AssumptionCheck, LemmaCheck, check_assumptions, check_lemma
+from ptne_env.theory.closed_loop import NoClosedLoopError, gain_growth, input_decay_rate
+from ptne_env.theory.conditions import build_law, premises
+from ptne_env.theory.constants import MonotonicityConstants, guaranteed_rate, monotonicity_constants
+from ptne_env.theory.sampled import (
+    LoopClock,
+    SampledLoop,
+    delay_bound,
+    delay_margin,
+    delays_tried,
+    distance,
+    dominant_mode,
+    is_stable_for_every_delay,
+    noise_distance,
+    play,
+    sampled_loop,
+    start_error,
+)
+
+_LARGEST_DIGITS = 308.0
+"""Digits are kept within ±this, so that a certificate holds no infinity."""
+
+
+@dataclass(frozen=True)
+class FrozenGains:
+    """The loop of a law with gains that adapt, at the gains κ_ij of one instant.
+
+    Attributes:
+        instant: ``"start"`` or ``"deadline"``.
+        smallest: smallest κ_ij on a link.
+        largest: largest κ_ij on a link.
+        rate: r at these gains.
+        largest_stable_step: at these gains; ``None`` when no step is stable.
+    """
+
+    instant: str
+    smallest: float
+    largest: float
+    rate: float
+    largest_stable_step: float | None
+
+
+@dataclass(frozen=True)
+class NoisePrediction:
+    """Additive noise on every component of every message, independent per directed link and step.
+
+    Attributes:
+        gain: root mean square of the estimate distance at T that noise of standard deviation 1 causes; it is
+            proportional. ``None`` where it overflows.
+        std: standard deviation asked about.
+        digits: −log10 of the root mean square distance at T under that noise; ``None`` when F is not affine.
+    """
+
+    gain: float | None
+    std: float
+    digits: float | None
+
+
+@dataclass(frozen=True)
+class DelayPrediction:
+    """Every message arrives a constant number of steps late.
+
+    Attributes:
+        margin: largest delay d for which 0..d all leave the loop stable at the scenario's largest step, up to
+            ``tried``; ``None`` where the graph switches or the loop is unstable without delay.
+        tried: largest delay that was tried.
+        for_every_delay: whether a sufficient condition shows that every delay leaves the loop stable.
+        bound: a sufficient bound in steps, of first order; ``None`` as the margin.
+        steps: delay asked about.
+        digits: ``digits_sampled`` under that delay; ``None`` when F is not affine or gains adapt.
+    """
+
+    margin: int | None
+    tried: int
+    for_every_delay: bool
+    bound: float | None
+    steps: int
+    digits: float | None
+
+
+@dataclass(frozen=True)
+class Certificate:
+    """What can be said about a law on a scenario before anything runs; see :func:`certify` and docs/theory.md.
+
+    What is about the closed loop is ``None`` for a law that has none, and ``notes`` says why. The loop is *linear* when
+    F is affine and no box confines the strategies.
+
+    Attributes:
+        scenario: name.
+        law: what acts, with its arguments.
+        kappa: κ of the law; ``None`` for a law without one.
+        lemma: whether λ is a time transformation.
+        assumptions: the paper's Assumptions 1–4.
+        constants: ε and ι.
+        algebraic_connectivity: smallest λ2 over the modes of the signal.
+        condition: what the law's own theorem asks, and whether the scenario meets it (sufficient for convergence, not
+            necessary); ``None`` for a law that promises nothing.
+        guaranteed_rate: λ_min(O) of the proof of Theorem 1, which the rate is not below; ``None`` unless the paper's
+            gain condition holds for the static law or Corollary 1, on a fixed graph, in a linear loop.
+        guaranteed_digits: what ``digits_sampled`` is not below, from the same constants and the distance of the start
+            alone; ``None`` likewise.
+        clock: ``"effective"``, or ``"physical"`` for a law that undoes the time gain.
+        rate: r with which the error decays like e^{−r s} as t → T (e^{−r t} on the physical clock); 0 or less when it
+            does not vanish.
+        rate_is_exact: whether the loop is linear and the signal not random; otherwise the rate is that of the
+            linearisation at x*, or estimated from one draw of the signal.
+        frozen_gains: of a law whose gains adapt, at t = 0 and, where the loop is linear, at T; the last is what
+            ``rate``, the noise and the delay are about.
+        sampled_rate: rate of the slowest mode of the sampled loop over the second half of the steps to T, per unit of
+            the loop's own time; ``None`` where the graph switches, gains adapt, or the loop is not linear.
+        dominant_share: share of that mode when this half begins; from 0.95 on, a real one dominates. ``None`` likewise.
+        effective_time: τ_K = s_end + c t_K, the sum of the steps Θ_k.
+        digits_from_rate: r (cT + s_end)/ln 10, the digits of the estimate error that the rate alone promises (r T/ln 10
+            on the physical clock).
+        digits_sampled: digits that the sampled loop, the product of (I − Θ_k M_k), has from the scenario's start over
+            perfect links: −log10 ‖**x** − 1⊗x*‖/(√N ‖x*‖); ``None`` when the loop is not linear.
+        digits_after_hold: the same after the hold phase; ``None`` also where there is none.
+        worst_digits_gained: −log10 ‖Π (I − Θ_k M_k)‖₂, the digits gained by T from the worst start; ``None`` when the
+            loop is not linear, or gains adapt.
+        largest_step: the largest step of the scenario to T, Θ_k (Δt_k on the physical clock).
+        largest_stable_step: the step beyond which explicit steps on some mode's M amplify an error; ``None`` when no
+            step is stable. For a law that looks at its step: ``step_margin`` times the largest.
+        step_margin: largest_stable_step / largest_step, above 1 when the steps are short enough; ``None`` likewise. For
+            a law that looks at its step, the smallest over the steps, each with the law as it acts there.
+        input_rate: the rate at which u decays; it exceeds ``rate`` where u vanishes and the error does not.
+        velocity_bounded: whether g(t) u stays bounded as t → T: ``input_rate`` ≥ 1 for the paper's λ. ``None`` where
+            it is not decided, for a law that looks at its step.
+        energy_finite: whether ∫‖g u‖² dt is finite: ``input_rate`` > 1/2 for the paper's λ. ``None`` likewise.
+        noise: what noise on messages does.
+        delay: what late messages do.
+        shortfall: 1 − t_K/T, how far short of the deadline the last step ends, as a fraction of T.
+        notes: what else a reader must know.
+    """
+
+    scenario: str
+    law: str
+    kappa: float | None
+    lemma: LemmaCheck
+    assumptions: tuple[AssumptionCheck, ...]
+    constants: MonotonicityConstants
+    algebraic_connectivity: float
+    condition: Condition | None
+    effective_time: float
+    shortfall: float
+    notes: tuple[str, ...]
+    guaranteed_rate: float | None = None
+    guaranteed_digits: float | None = None
+    clock: LoopClock | None = None
+    rate: float | None = None
+    rate_is_exact: bool = False
+    frozen_gains: tuple[FrozenGains, ...] = ()
+    sampled_rate: float | None = None
+    dominant_share: float | None = None
+    digits_from_rate: float | None = None
+    digits_sampled: float | None = None
+    digits_after_hold: float | None = None
+    worst_digits_gained: float | None = None
+    largest_step: float | None = None
+    largest_stable_step: float | None = None
+    step_margin: float | None = None
+    input_rate: float | None = None
+    velocity_bounded: bool | None = None
+    energy_finite: bool | None = None
+    noise: NoisePrediction | None = None
+    delay: DelayPrediction | None = None
+
+    def to_dict(self) -> dict[str, Any]:
+        """A JSON object; what does not exist is null, and no number is NaN or infinite."""
+        data = dataclasses.asdict(self)
+        data["constants"]["iota"] = self.constants.iota
+        for name in ("assumptions", "frozen_gains", "notes"):
+            data[name] = list(data[name])
+        for name in ("value", "bound"):
+            if self.condition is not None and not math.isfinite(data["condition"][name]):
+                data["condition"][name] = None
+        return data
+
+
+def certify(
+    scenario: Scenario,
+    kappa: float = 2.0,
+    *,
+    law: Part | None = None,
+    noise_std: float | None = None,
+    delay_steps: int | None = None,
+    delay_limit: int = 10,
+) -> Certificate:
+    """Everything that the theory says about a law on ``scenario``.
+
+    Args:
+        scenario: the experiment; of a random start, signal or game one is taken, the first two with seed 0.
+        kappa: κ ≥ 0 of the static law, which is certified when ``law`` is left out.
+        law: builds a law from the layout, such as ``Part.of("ptne_env.laws:Grounded", kappa=4.0)``. What is about the
+            closed loop needs one that is linear in gradient and differences, possibly with gains that adapt.
+        noise_std: σ ≥ 0 of additive noise on every component of every message, whose effect is predicted; what the
+            scenario's channel adds if left out.
+        delay_steps: delay of every message in steps, whose effect is predicted; the channel's constant delay if left
+            out.
+        delay_limit: largest delay that is tried for the margin.
+
+    Raises:
+        ValueError: when a number is negative, or the part does not build a law that can act on the scenario.
+    """
+    faults = _ChannelFaults.of(scenario.built_channel)
+    std = require_non_negative("noise_std", faults.noise_std if noise_std is None else noise_std)
+    lag = require_count("delay_steps", faults.delay_steps if delay_steps is None else delay_steps, 0)
+    require_count("delay_limit", delay_limit, 0)
+    part = law or Part.of("ptne_env.laws:Static", kappa=require_non_negative("kappa", kappa))
+    built = build_law(part, scenario)
+    game, signal, clock = scenario.built_game, scenario.built_signal, scenario.built_clock
+    constants = monotonicity_constants(game)
+    facts = premises(scenario, constants)
+    own_kappa = getattr(built, "kappa", None)
+    certificate = Certificate(
+        scenario=scenario.name,
+        law=_describe(part),
+        kappa=None if own_kappa is None else float(own_kappa),
+        lemma=check_lemma(clock.transformation),
+        assumptions=check_assumptions(game, signal, constants),
+        constants=constants,
+        algebraic_connectivity=facts.connectivity,
+        condition=built.condition(facts),
+        effective_time=clock.effective_time,
+        shortfall=clock.shortfall,
+        notes=tuple(_scenario_notes(scenario, faults)),
+    )
+    try:
+        loop = sampled_loop(scenario, built)
+    except NoClosedLoopError as error:
+        return dataclasses.replace(certificate, notes=(f"{error}: no rates, digits or margins", *certificate.notes))
+    prediction = _Prediction.of(scenario, built, loop)
+    return dataclasses.replace(
+        certificate,
+        notes=(*prediction.notes(), *certificate.notes),
+        **prediction.fields(),
+        **_guarantee(certificate, scenario, built, prediction),
+        noise=prediction.noise(std),
+        delay=prediction.delay(lag, delay_limit),
+    )
+
+
+def channel_noise(channel: Channel) -> float:
+    """Standard deviation of the additive noise that a channel puts on every component of every message."""
+    return _ChannelFaults.of(channel).noise_std
+
+
+@dataclass(frozen=True)
+class _ChannelFaults:
+    """What a channel does that is predicted, and the kinds of what is not."""
+
+    noise_std: float
+    delay_steps: int
+    others: tuple[str, ...]
+
+    @classmethod
+    def of(cls, channel: Channel) -> _ChannelFaults:
+        variance, delay, others = 0.0, 0, []
+        for stage in channel.stages if isinstance(channel, Chain) else (channel,):
+            if isinstance(stage, AdditiveNoise):
+                variance += stage.std**2
+            elif isinstance(stage, Delay) and stage.steps == stage.longest:
+                delay += stage.steps
+            elif not stage.is_perfect:
+                others.append(type(stage).__name__)
+        return cls(math.sqrt(variance), delay, tuple(others))
+
+
+@dataclass(frozen=True)
+class _Prediction:
+    """The closed loop on a scenario, from its start: the part of a certificate that needs one.
+
+    ``loops`` are those at frozen gains by instant, ``path`` the errors at every instant where the loop is linear.
+    """
+
+    scenario: Scenario
+    law: Law
+    loops: Mapping[str, SampledLoop]
+    memories: Mapping[str, Any]
+    start: FloatArray
+    path: FloatArray | None
+    peak_input: float
+
+    @classmethod
+    def of(cls, scenario: Scenario, law: Law, loop: SampledLoop) -> _Prediction:
+        game = scenario.built_game
+        estimates = scenario.built_start.draw(game.num_players, game.dimension, np.random.default_rng(0))
+        start, loops = start_error(estimates, game), {"start": loop}
+        memories = {"start": law.initial_memory(game.num_players)}
+        if not _is_linear(scenario):
+            return cls(scenario, law, loops, memories, start, None, 0.0)
+        if not law.has_memory:
+            path, theta = loop.errors(start), scenario.built_clock.theta[: scenario.steps]
+            finite = path[np.isfinite(path).all(axis=1)][: scenario.steps + 1]
+            inputs = np.diff(finite, axis=0) / theta[: len(finite) - 1, None]
+            return cls(scenario, law, loops, memories, start, path, float(np.abs(inputs).max()))
+        episode = play(law, Dynamics(scenario), estimates)
+        if np.all(np.isfinite(episode.memory)):
+            memories["deadline"] = episode.memory
+            loops["deadline"] = sampled_loop(scenario, law, episode.memory)
+        return cls(scenario, law, loops, memories, start, episode.errors, episode.peak_input)
+
+    @property
+    def loop(self) -> SampledLoop:
+        """At the gains at T where they are known."""
+        return self.loops.get("deadline", self.loops["start"])
+
+    @property
+    def has_one_recursion(self) -> bool:
+        """Whether the path is that of ``loop``: linear, and no gain adapts."""
+        return self.path is not None and not self.law.has_memory
+
+    def fields(self) -> dict[str, Any]:
+        """The fields of a certificate that hold numbers of the loop."""
+        scenario, loop, path = self.scenario, self.loop, self.path
+        game, signal, clock = scenario.built_game, scenario.built_signal, scenario.built_clock
+        rate = loop.rate(scenario)
+        effective = loop.clock == "effective"
+        matrices = [each.matrix for each in loop.per_mode]
+        input_rate = input_decay_rate(matrices, signal, scenario.deadline) if effective else rate
+        growth = gain_growth(clock.transformation)
+        time_left = scenario.deadline * scenario.gain + scenario.s_end if effective else scenario.deadline
+        largest_step = float(loop.steps[: clock.steps].max())
+        margin = _smallest([each.step_margin() for each in self.loops.values()])
+        mode = dominant_mode(loop, self.start, clock.steps // 2, clock.steps) if self.has_one_recursion else None
+        bounded, finite = input_rate >= growth, input_rate > growth / 2
+        return {
+            "clock": loop.clock,
+            "rate": rate,
+            "rate_is_exact": path is not None and not signal.is_random,
+            "frozen_gains": tuple(self._frozen_gains()) if self.law.has_memory else (),
+            "sampled_rate": None if mode is None else mode.rate,
+            "dominant_share": None if mode is None else mode.share,
+            "digits_from_rate": rate * time_left / math.log(10),
+            "digits_sampled": None if path is None else _digits(distance(path[clock.steps], game)),
+            "digits_after_hold": _digits(distance(path[-1], game)) if path is not None and clock.hold_steps else None,
+            "worst_digits_gained": _worst_digits(loop) if self.has_one_recursion else None,
+            "largest_step": largest_step,
+            "largest_stable_step": None if margin is None else margin * largest_step,
+            "step_margin": margin,
+            "input_rate": input_rate,
+            "velocity_bounded": None if loop.looks_at_step else not effective or bounded,
+            "energy_finite": None if loop.looks_at_step else not effective or finite,
+        }
+
+    def noise(self, std: float) -> NoisePrediction:
+        game, last = self.scenario.built_game, self.scenario.built_clock.steps
+        gain: float | None = noise_distance(self.loop.noise_covariance(), game)
+        gain = gain if gain is not None and math.isfinite(gain) else None
+        if self.path is None:
+            return NoisePrediction(gain, std, None)
+        added = 0.0 if std == 0 else math.inf if gain is None else std * gain
+        return NoisePrediction(gain, std, _digits(math.hypot(float(distance(self.path[last], game)), added)))
+
+    def delay(self, steps: int, limit: int) -> DelayPrediction:
+        loop, digits = self.loop, None
+        if self.has_one_recursion:
+            late = loop.errors(self.start, steps)[loop.deadline_step]
+            digits = _digits(distance(late, self.scenario.built_game))
+        if not self.scenario.built_signal.is_fixed:
+            return DelayPrediction(None, 0, for_every_delay=False, bound=None, steps=steps, digits=digits)
+        longest = int(loop.steps[: loop.deadline_step].argmax())
+        step, slowest = float(loop.steps[longest]), loop.loops[int(loop.index[longest])]
+        bound = delay_bound(slowest, step)
+        return DelayPrediction(
+            margin=delay_margin(slowest, step, limit),
+            tried=delays_tried(slowest, limit),
+            for_every_delay=is_stable_for_every_delay(slowest, step),
+            bound=None if bound is None else bound / step,
+            steps=steps,
+            digits=digits,
+        )
+
+    def notes(self) -> Iterator[str]:
+        """What a reader must know of these numbers."""
+        scenario, game, signal = self.scenario, self.scenario.built_game, self.scenario.built_signal
+        if not game.is_affine:
+            yield "F is not affine: rate, largest stable step, noise and delay are those of the linearisation at x*"
+        if game.has_bounds:
+            held = int(game.held_at_equilibrium.sum())
+            yield (
+                f"a box confines the strategies and holds {held} of {game.dimension} components at x*; the theorems "
+                "are for strategies without bounds, and the numbers are those near x*, of what the box does not hold"
+            )
+        if self.law.has_memory:
+            yield (
+                "the gains adapt: rate, noise and delay are about the gains at the start, frozen"
+                if self.path is None
+                else "the gains adapt: the digits are those of the whole recursion; rate, noise and delay are about "
+                "the gains at T, frozen, which noise would drive up further"
+            )
+        if self.loop.looks_at_step:
+            yield (
+                "the law looks at its step: the rate is that of its last step, the margin that of the worst of its "
+                "steps, with the law as it acts there; whether g(t) u stays bounded is not decided"
+            )
+        if signal.is_random:
+            yield (
+                "the signal is random: the sampled digits are those of one draw, with seed 0; "
+                + (
+                    "the rate is the smallest over the modes, as any may be the last before T"
+                    if signal.clock == "physical"
+                    else "the rate is estimated from one draw of 2000 dwells"
+                )
+            )
+        if not signal.is_fixed:
+            yield (
+                "the signal switches: the rate is what remains as t → T and says little about the time before, and the "
+                "largest stable step is the smallest over the modes, which does not prove that their products are "
+                "stable"
+            )
+        if self.peak_input > scenario.input_limit:
+            yield (
+                f"the start asks for |u| = {self.peak_input:.4g}, above the input limit, which the prediction ignores"
+            )
+        if scenario.built_start.is_random and self.path is not None:
+            yield "the start is random: the sampled digits are those of one draw, with seed 0"
+
+    def _frozen_gains(self) -> Iterator[FrozenGains]:
+        for instant, loop in self.loops.items():
+            gains = np.asarray(self.law.gains(self.memories[instant]))
+            margin = loop.step_margin()
+            largest = float(loop.steps[: loop.deadline_step].max())
+            yield FrozenGains(
+                instant=instant,
+                smallest=float(gains.min()),
+                largest=float(gains.max()),
+                rate=loop.rate(self.scenario),
+                largest_stable_step=None if margin is None else margin * largest,
+            )
+
+
+def _guarantee(certificate: Certificate, scenario: Scenario, law: Law, prediction: _Prediction) -> dict[str, Any]:
+    """What the proof of Theorem 1 promises: ‖I − hM‖² ≤ 1 − 2 h λ_min(O) + h² ‖M‖² in every step."""
+    signal, constants = scenario.built_signal, certificate.constants
+    is_static = type(law) in (Static, FixedGain, CorollaryOne)
+    if not (is_static and signal.is_fixed and prediction.path is not None):
+        return {}
+    kappa, gradient_gain = law.kappa, getattr(law, "gradient_gain", 1.0)  # type: ignore[attr-defined]  # of those three
+    connectivity = certificate.algebraic_connectivity
+    rate = guaranteed_rate(constants, connectivity, signal.num_players, kappa, gradient_gain)
+    if rate <= 0:
+        return {}
+    norm = gradient_gain * constants.iota_estimates + kappa * float(np.linalg.eigvalsh(signal.graphs[0].laplacian)[-1])
+    steps = prediction.loop.steps[: scenario.steps]
+    gained = -np.log10(1 - 2 * steps * rate + (steps * norm) ** 2).sum() / 2
+    return {
+        "guaranteed_rate": rate,
+        "guaranteed_digits": _digits(distance(prediction.start, scenario.built_game)) + float(gained),
+    }
+
+
+def _scenario_notes(scenario: Scenario, faults: _ChannelFaults) -> Iterator[str]:
+    signal = scenario.built_signal
+    if scenario.has_random_game:
+        yield "the scenario draws games: the numbers are those of the typical one"
+    if not signal.is_fixed and signal.clock == "physical" and not signal.is_random:
+        switches = signal.switches(0.0, scenario.deadline).size
+        yield (
+            f"the signal dwells in t: it switches {switches} times before T and its last graph is then frozen, so "
+            "Assumption 2 fails in the transformed time in which the proof lives (docs/errata.md, 2)"
+        )
+    if faults.others:
+        yield f"the channel's {', '.join(faults.others)} is in none of the predictions"
+    if faults.noise_std or faults.delay_steps:
+        yield "the channel's noise and constant delay are predicted each on its own, and in rows of their own alone"
+    if not scenario.built_disturbance.is_absent:
+        yield f"the disturbance {scenario.disturbance.target.rpartition(':')[2]} is in none of the predictions"
+    if any(scenario.clock_shifts):
+        yield "the players' clocks disagree; the predictions are for clocks that are right"
+    if scenario.built_clock.shortfall > SHORTFALL_WARNING:
+        short = f"{scenario.built_clock.shortfall:.2%}"
+        yield f"the last step ends {short} of T short of the deadline; raise s_end to come closer"
+
+
+def _is_linear(scenario: Scenario) -> bool:
+    return scenario.built_game.is_affine and not scenario.built_game.has_bounds
+
+
+def _describe(part: Part) -> str:
+    arguments = ", ".join(f"{name}={value}" for name, value in part.to_dict()["arguments"].items())
+    return f"{part.target.rpartition(':')[2]}({arguments})"
+
+
+def _digits(distances: Any) -> float:
+    """−log10 of a distance, kept within what float64 tells."""
+    value = float(distances)
+    if not math.isfinite(value):
+        return -_LARGEST_DIGITS
+    return float(np.clip(-math.log10(max(value, 1e-308)), -_LARGEST_DIGITS, _LARGEST_DIGITS))
+
+
+def _worst_digits(loop: SampledLoop) -> float:
+    transition = loop.transition()
+    return _digits(np.linalg.norm(transition, 2) if np.all(np.isfinite(transition)) else math.inf)
+
+
+def _smallest(values: Sequence[float | None]) -> float | None:
+    """The smallest, or ``None`` where one is missing."""
+    known = [value for value in values if value is not None]
+    return min(known) if known and len(known) == len(values) else None

@@ -1,0 +1,310 @@
+"""The closed loop of every law that is linear in gradient and differences: dx/dτ = −M (x − 1⊗x*), and its rates.
+
+Everything here is in effective time τ = s + c t and in the paper's player-major stacking x = col(x^1, …, x^N) (eq.
+StackedVariable): entry i n + k belongs to x^i_k. For games with affine F it is exact; for the others M is the
+linearisation at x*. Around an x* at which bounds hold some strategies, these do not move, and their entries are left
+out.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy import linalg
+
+from ptne_env.arrays import BoolArray, FloatArray, IntArray, require_non_negative
+from ptne_env.clock import TimeTransformation
+from ptne_env.games import Game
+from ptne_env.graphs import Graph, RandomSignal, Signal
+from ptne_env.interface import Layout, Reading
+from ptne_env.laws import Law
+from ptne_env.laws.base import loop_matrix
+from ptne_env.theory.constants import ZERO, jacobians
+
+_RANDOM_DWELLS = 2000
+"""Dwells of the one draw from which the rate of a random signal is estimated."""
+
+
+class NoClosedLoopError(ValueError):
+    """A law is not of the form that has a closed loop dx/dτ = −M (x − 1⊗x*)."""
+
+
+@dataclass(frozen=True)
+class Loop:
+    """One law on one graph: u = −(local e + message ê + noise), where e = x − 1⊗x* and ê is what was sent of it.
+
+    Attributes:
+        local: what a player does with its own estimate and gradient, shape (Nn, Nn), block diagonal.
+        message: what it does with the estimates that its neighbours sent, shape (Nn, Nn), zero diagonal blocks.
+        noise: covariance of u when every component of every message carries independent noise of variance 1, shape
+            (Nn, Nn), block diagonal.
+    """
+
+    local: FloatArray
+    message: FloatArray
+    noise: FloatArray
+
+    @property
+    def matrix(self) -> FloatArray:
+        """M = local + message: what acts when messages arrive as they were sent."""
+        return self.local + self.message
+
+
+def closed_loop_matrix(game: Game, graph: Graph, kappa: float, point: FloatArray | None = None) -> FloatArray:
+    """M = Rᵀ dF + κ L⊗I_n of the static law, in the player-major stacking of eq. StackedVariable.
+
+    Args:
+        game: the game; its F is linearised unless it is affine.
+        graph: the communication graph, on the game's players.
+        kappa: κ ≥ 0. For the adaptive law at frozen gains, use a graph with the weights κ_ij a_ij and κ = 1.
+        point: joint strategy (n,) at which dF is taken; x* when left out.
+
+    Returns:
+        Shape (Nn, Nn); entry i n + k belongs to x^i_k. Around x*, without the entries that :func:`free_entries` leaves
+        out.
+
+    Raises:
+        ValueError: when κ < 0 or the graph has another number of players.
+    """
+    require_non_negative("kappa", kappa)
+    _require_players(game, graph)
+    at = game.nash_equilibrium if point is None else np.asarray(point, dtype=np.float64)
+    matrix = loop_matrix(jacobians(game, at[:, None])[:, :, 0], game.owners, graph.laplacian, kappa)
+    return _restricted(matrix, free_entries(game)) if point is None else matrix
+
+
+def free_entries(game: Game) -> BoolArray:
+    """Which entries of the stacking move near x*, shape (Nn,): all but the strategies that bounds hold there."""
+    own = game.owners == np.arange(game.num_players)[:, None]
+    return ~(own & game.held_at_equilibrium[:, 0]).ravel()
+
+
+def law_loop(law: Law, game: Game, graph: Graph, memory: Any = None, *, theta: float = 1.0, dt: float = 1.0) -> Loop:
+    """The loop of any law that is linear in gradient and differences, found by asking the law itself.
+
+    Each player is shown unit errors of its own estimate, and unit messages, at x*; what it answers are the columns of
+    M. So M is that of the code that acts in the environment, and a new law needs nothing added here.
+
+    Args:
+        law: built for the layout of an environment with these players, whose union graph holds ``graph``.
+        game: the game; its F is linearised at x* unless it is affine.
+        graph: the active graph.
+        memory: the law's, one row per player; a fresh one if left out. For the adaptive law: its gains κ_ij, frozen.
+        theta: Θ of the step, for laws that look at it.
+        dt: Δt of the step in seconds, likewise.
+
+    Raises:
+        NoClosedLoopError: for a law that is not linear in gradient and differences, reads more than these and its own
+            estimate, or remembers more than gains.
+        ValueError: when players do not match.
+    """
+    _require_players(game, graph)
+    layout, name = law.layout, type(law).__name__
+    if layout.num_players != game.num_players or layout.dimension != game.dimension:
+        raise ValueError(f"{name} was built for a game of other dimensions; build it for this scenario's layout")
+    unknown = sorted(set(law.needs) - {"own_estimate"})
+    if law.needs_full_information or unknown:
+        raise NoClosedLoopError(
+            f"{name} is an oracle or reads {', '.join(unknown) or 'everything'}; closed loops are of laws that act on "
+            "gradient and differences alone"
+        )
+    if law.has_memory and law.gains(law.initial_memory(game.num_players)) is None:
+        raise NoClosedLoopError(f"{name} remembers more than gains, so it has no closed-loop matrix")
+    n, players, slots = game.dimension, game.num_players, layout.slots
+    neighbours = np.array(layout.neighbours)  # (N, D)
+    weights = graph.adjacency[np.arange(players)[:, None], neighbours]
+    live = weights > 0
+    jacobian = jacobians(game, game.nash_equilibrium[:, None])[:, :, 0]
+    own = game.owners == np.arange(players)[:, None]
+
+    # Rows per player: n errors of its own estimate, D n messages, one mixture of all of them, and rest.
+    kinds = n + slots * n + 2
+    mixture = np.random.default_rng(0).uniform(0.5, 1.5, kinds - 2)
+    gradient, error = np.zeros((2, players, kinds, n))
+    relative = np.zeros((players, kinds, slots, n))
+    error[:, :n] = np.eye(n)
+    gradient[:, :n] = np.where(own[:, None], jacobian.T, 0.0)  # R_iᵀ dF_i, one error per row
+    relative[:, :n] = -np.eye(n)[:, None] * live[:, None, :, None]
+    messages = np.eye(slots * n).reshape(slots * n, slots, n)
+    relative[:, n:-2] = messages * live[:, None, :, None]
+    for shown in (gradient, error, relative):
+        shown[:, -2] = np.tensordot(mixture, shown[:, :-2], axes=(0, 1))
+
+    player = np.repeat(np.arange(players), kinds)
+    reading = blank_reading(layout, player)._replace(
+        gradient=gradient.reshape(-1, n),
+        relative_estimates=relative.reshape(-1, slots, n),
+        weights=weights[player],
+        theta=np.full((player.size, 1), theta),
+        dt=np.full((player.size, 1), dt),
+        own_estimate=error.reshape(-1, n) + game.nash_equilibrium,
+    )
+    inputs = law.inputs(reading, None if memory is None else np.asarray(memory)[player])[0]
+    answers = inputs.reshape(players, kinds, n)
+    mixed = np.tensordot(answers[:, :-2], mixture, axes=(1, 0))
+    scale = 1e-9 * (1 + np.abs(mixed).max())
+    if np.abs(answers[:, -1]).max() > scale or np.abs(mixed - answers[:, -2]).max() > scale:
+        raise NoClosedLoopError(f"{name} is not linear in gradient and differences, so it has no closed-loop matrix")
+
+    local, message, noise = np.zeros((3, players, n, players, n))
+    for i in range(players):
+        local[i, :, i] = -answers[i, :n].T
+        noise[i, :, i] = answers[i, n:-2].T @ answers[i, n:-2]
+        for slot in np.flatnonzero(live[i]):
+            message[i, :, neighbours[i, slot]] -= answers[i, n + slot * n : n + (slot + 1) * n].T
+    free, size = free_entries(game), players * n
+    return Loop(*(_restricted(matrix.reshape(size, size), free) for matrix in (local, message, noise)))
+
+
+def blank_reading(layout: Layout, player: IntArray) -> Reading:
+    """What each ``player`` reads, shape (R,), where everything else is 0; to be filled in."""
+    observations = np.zeros((player.size, layout.size))
+    observations[:, layout.slices["player"]] = np.eye(layout.num_players)[player]
+    return layout.read(observations)
+
+
+def spectral_abscissa(matrix: FloatArray) -> float:
+    """Min Re μ over the eigenvalues μ of M, the rate of e^{−Mτ}; exactly 0 when that is rounding."""
+    smallest = float(np.linalg.eigvals(matrix).real.min())
+    return 0.0 if abs(smallest) <= ZERO * np.linalg.norm(matrix, 2) else smallest
+
+
+def convergence_rate(game: Game, signal: Signal, kappa: float, deadline: float) -> float:
+    """:func:`decay_rate` of the static law.
+
+    Args:
+        game: the game; linearised at x* unless affine.
+        signal: who hears whom.
+        kappa: κ ≥ 0.
+        deadline: T in seconds.
+
+    Raises:
+        ValueError: when κ < 0 or the signal has another number of players.
+    """
+    return decay_rate([closed_loop_matrix(game, graph, kappa) for graph in signal.graphs], signal, deadline)
+
+
+def decay_rate(matrices: Sequence[FloatArray], signal: Signal, deadline: float) -> float:
+    """The rate r with which the error of dx/dτ = −M x decays like e^{−r s} as t → T.
+
+    A fixed graph gives the spectral abscissa of M. A signal on the transformed clock gives the Floquet rate
+    −ln ρ(Π e^{−M_m Δ_m})/period, since dτ/ds → 1; a random one its Lyapunov exponent, estimated from one draw of 2000
+    dwells. A signal on the physical clock switches finitely often before T, so only its last graph counts, and the rate
+    is 0 when that one is disconnected (docs/errata.md, 2); a random one may end with any mode, and its rate is the
+    smallest.
+
+    Args:
+        matrices: M of every mode of the signal.
+        signal: who hears whom.
+        deadline: T in seconds.
+    """
+    if signal.is_fixed or signal.clock == "physical":
+        return min(spectral_abscissa(matrices[mode]) for mode in last_modes(signal, deadline))
+    return _switching_rate(matrices, signal)
+
+
+def decay_rate_in_time(matrices: Sequence[FloatArray], signal: Signal) -> float:
+    """The rate r with which the error of dx/dt = −M x, a law without the time gain, decays like e^{−r t}.
+
+    A fixed graph gives the spectral abscissa, a signal on the physical clock the Floquet rate (a random one its
+    Lyapunov exponent), and one on the transformed clock, which switches ever faster in t, the spectral abscissa of the
+    mean of M.
+    """
+    if signal.is_fixed:
+        return spectral_abscissa(matrices[0])
+    if signal.clock == "physical":
+        return _switching_rate(matrices, signal)
+    return spectral_abscissa(np.average(matrices, axis=0, weights=_shares(signal)))
+
+
+def input_decay_rate(matrices: Sequence[FloatArray], signal: Signal, deadline: float) -> float:
+    """The rate with which u decays as t → T, for a law with the time gain.
+
+    It is the error's, except that on a frozen disconnected graph the error stops short of x* while u still vanishes,
+    at the smallest positive real part.
+    """
+    rate = decay_rate(matrices, signal, deadline)
+    if signal.is_fixed or signal.clock == "transformed" or rate != 0:
+        return rate
+    return min(float(_moving(matrices[mode]).real.min(initial=math.inf)) for mode in last_modes(signal, deadline))
+
+
+def largest_stable_step(matrix: FloatArray) -> float | None:
+    """The supremum of Θ with |1 − Θμ| ≤ 1 for every eigenvalue μ of M: min 2 Re μ/|μ|².
+
+    Zero eigenvalues, which every disconnected graph has, are neither amplified nor damped and do not count.
+
+    Returns:
+        The step in units of τ; ``None`` when every step amplifies some error, or M = 0.
+    """
+    eigenvalues = _moving(matrix)
+    if eigenvalues.size == 0 or eigenvalues.real.min() <= 0:
+        return None
+    return float((2 * eigenvalues.real / np.abs(eigenvalues) ** 2).min())
+
+
+def gain_growth(transformation: TimeTransformation) -> float:
+    """The exponent p with which 1/λ'(s) grows like e^{p s}: 1 for the paper's λ, 2 for tanh, about 0 for rational λ.
+
+    An error that decays like e^{−r s} has a bounded velocity g(t) u when r ≥ p and a finite ∫‖g u‖² dt when r > p/2.
+    """
+    near, far = 100.0, 200.0  # far enough for the limit, near enough for float64
+    growth = np.log(transformation.derivative(near)) - np.log(transformation.derivative(far))
+    return float(growth) / (far - near)
+
+
+def last_modes(signal: Signal, deadline: float) -> Sequence[int]:
+    """Indices of the graphs that may act as t → T, for a fixed graph or a signal on the physical clock."""
+    if signal.is_fixed:
+        return (0,)
+    if signal.is_random:
+        return range(len(signal.graphs))
+    last_switch = float(np.max(signal.switches(0.0, deadline), initial=0.0))
+    return (int(signal.schedule((last_switch + deadline) / 2).modes),)
+
+
+def _switching_rate(matrices: Sequence[FloatArray], signal: Signal) -> float:
+    if not signal.is_random:
+        monodromy = np.eye(len(matrices[0]))
+        for matrix, dwell in zip(matrices, signal.dwells, strict=True):
+            monodromy = linalg.expm(-matrix * dwell) @ monodromy
+        return -math.log(float(np.abs(np.linalg.eigvals(monodromy)).max())) / signal.period
+    step = signal.shortest_dwell / 4
+    instants = step * np.arange(math.ceil(_RANDOM_DWELLS * signal.mean_dwell / step))
+    modes = signal.draw(instants, [np.random.default_rng(0)]).modes[:, 0]
+    moves = [linalg.expm(-matrix * step) for matrix in matrices]
+    error, growths = np.random.default_rng(1).normal(size=len(matrices[0])), []
+    for mode in modes:
+        error = moves[mode] @ (error / np.linalg.norm(error))
+        growths.append(math.log(float(np.linalg.norm(error))))
+    settled = growths[len(growths) // 4 :]  # by then the start is forgotten
+    return -float(np.mean(settled)) / step
+
+
+def _shares(signal: Signal) -> FloatArray:
+    """The share of the time that a signal spends in each mode."""
+    if not isinstance(signal, RandomSignal):
+        return np.asarray(signal.dwells) / signal.period
+    # All dwells are drawn from one range, so it is the stationary distribution of the chain.
+    size = len(signal.graphs)
+    balance = np.vstack([signal.transition.T - np.eye(size), np.ones(size)])
+    return np.linalg.lstsq(balance, np.eye(size + 1)[-1])[0]
+
+
+def _restricted(matrix: FloatArray, free: BoolArray) -> FloatArray:
+    return matrix if free.all() else np.asarray(matrix[np.ix_(free, free)])
+
+
+def _moving(matrix: FloatArray) -> Any:
+    """The eigenvalues that are not zero."""
+    eigenvalues = np.linalg.eigvals(matrix)
+    return eigenvalues[np.abs(eigenvalues) > ZERO * np.linalg.norm(matrix, 2)]
+
+
+def _require_players(game: Game, graph: Graph) -> None:
+    if graph.num_players != game.num_players:
+        raise ValueError(f"the game has {game.num_players} players and the graph {graph.num_players}")

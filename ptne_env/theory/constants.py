@@ -1,0 +1,152 @@
+"""The constants of a game: strong monotonicity ε and Lipschitz continuity ι, and the gain that they ask for."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ptne_env import laws
+from ptne_env.arrays import FloatArray, require_count, require_positive
+from ptne_env.games import Game
+
+ZERO = 1e-10
+"""What is below this fraction of a matrix's norm counts as zero: kernels of disconnected graphs are rounding."""
+
+
+@dataclass(frozen=True)
+class MonotonicityConstants:
+    """The constants of Assumption 4.
+
+    Where ``exact`` is false they come from sampled Jacobians: ε is then an upper bound and ι a lower bound of the
+    constant on the sampled box, and nothing is known outside it.
+
+    Attributes:
+        epsilon: ε, the largest constant for which F is ε-strongly monotone; not positive when F is not.
+        iota_strategies: ι_F, the Lipschitz constant of F on R^n.
+        iota_estimates: the Lipschitz constant of the stacked **F** on R^{Nn}.
+        exact: whether F is affine, so that the numbers are exact and global.
+        samples: number of points behind them; 1 when exact.
+        radius: half-width of the sampled box around x*; ``None`` when exact.
+    """
+
+    epsilon: float
+    iota_strategies: float
+    iota_estimates: float
+    exact: bool
+    samples: int
+    radius: float | None
+
+    @property
+    def iota(self) -> float:
+        """The larger of the two Lipschitz constants, ι of eq. GainCondition."""
+        return max(self.iota_strategies, self.iota_estimates)
+
+
+def monotonicity_constants(
+    game: Game, *, samples: int = 256, radius: float = 10.0, seed: int = 0
+) -> MonotonicityConstants:
+    """ε and ι of Assumption 4: exact for affine F, sampled bounds otherwise.
+
+    ε = λ_min of the symmetric part of dF, ι_F = ‖dF‖₂, and for **F** the largest ‖rows of player i in dF‖₂, since
+    block i of **F** depends on x^i alone.
+
+    Args:
+        game: the game.
+        samples: number of points drawn from U(x* − radius, x* + radius) when F is not affine, and projected into the
+            game's box.
+        radius: half-width of that box.
+        seed: of the draws.
+
+    Raises:
+        ValueError: when samples < 1 or radius ≤ 0.
+    """
+    require_count("samples", samples, 1)
+    require_positive("radius", radius)
+    points = game.nash_equilibrium[:, None]
+    if not game.is_affine:
+        generator = np.random.default_rng(seed)
+        points = game.project(points + generator.uniform(-radius, radius, (game.dimension, samples)))
+    sampled = np.moveaxis(jacobians(game, points), 2, 0)
+    symmetric = (sampled + sampled.transpose(0, 2, 1)) / 2
+    blocks = [sampled[:, game.owners == player] for player in range(game.num_players)]
+    smallest = float(np.linalg.eigvalsh(symmetric)[:, 0].min())
+    return MonotonicityConstants(
+        epsilon=0.0 if abs(smallest) <= ZERO * _largest_norm(symmetric) else smallest,
+        iota_strategies=_largest_norm(sampled),
+        iota_estimates=max(_largest_norm(block) for block in blocks),
+        exact=game.is_affine,
+        samples=points.shape[1],
+        radius=None if game.is_affine else float(radius),
+    )
+
+
+def require_strong_monotonicity(game: Game) -> None:
+    """Check Assumption 4 on every game of a batch with affine F, whose Jacobian is the same everywhere.
+
+    Raises:
+        ValueError: naming the first game whose dF has no positive definite symmetric part.
+    """
+    known = game.jacobian(np.zeros((game.dimension, game.batch_size))) if game.is_affine else None
+    if known is None:
+        raise ValueError(f"strong monotonicity of {type(game).__name__} cannot be decided: F is not affine")
+    symmetric = np.moveaxis(known + known.transpose(1, 0, 2), 2, 0) / 2
+    try:
+        np.linalg.cholesky(symmetric)
+    except np.linalg.LinAlgError:
+        smallest = np.linalg.eigvalsh(symmetric)[:, 0]
+        raise ValueError(
+            f"game {int(smallest.argmin())} of the batch is not strongly monotone: ε = {smallest.min():.3g}"
+        ) from None
+
+
+def gain_bound(constants: MonotonicityConstants, algebraic_connectivity: float) -> float | None:
+    """(ι²/ε + ι)/λ2, which κ must exceed in Theorem 1 (eq. GainCondition); ``None`` when ε or λ2 is not positive."""
+    bound = laws.static.gain_bound(constants.epsilon, constants.iota, algebraic_connectivity)
+    return bound if np.isfinite(bound) else None
+
+
+def guaranteed_rate(
+    constants: MonotonicityConstants,
+    algebraic_connectivity: float,
+    players: int,
+    kappa: float,
+    gradient_gain: float = 1.0,
+) -> float:
+    """λ_min(O) of the proof of Theorem 1: ‖**x** − 1⊗x*‖ falls at least like e^{−λ_min(O) τ}, whatever the start.
+
+    O = [[ε/N, −ι/√N], [−ι/√N, κ λ2 − ι]] (before eq. L8), and it bounds λ_min of the symmetric part of M from below.
+    It is positive exactly when the gain condition holds, and a bound: the rate itself is the spectral abscissa.
+
+    Args:
+        constants: ε and ι.
+        algebraic_connectivity: λ2.
+        players: N.
+        kappa: κ.
+        gradient_gain: scales ε and ι.
+    """
+    epsilon, iota = gradient_gain * constants.epsilon, gradient_gain * constants.iota
+    coupling = iota / np.sqrt(players)
+    matrix = np.array([[epsilon / players, -coupling], [-coupling, kappa * algebraic_connectivity - iota]])
+    return float(np.linalg.eigvalsh(matrix)[0])
+
+
+def jacobians(game: Game, points: FloatArray) -> FloatArray:
+    """The Jacobian dF at points (n, B), shape (n, n, B); by central differences where the game does not know it."""
+    known = game.jacobian(points)
+    if known is not None:
+        return known
+    result = np.empty((game.dimension, game.dimension, points.shape[1]))
+    for component in range(game.dimension):
+        # A step of ε^{1/3} balances truncation and rounding; for an affine F only rounding is left.
+        step = np.cbrt(np.finfo(np.float64).eps) * (1 + np.abs(points[component]))
+        forward, backward = points.copy(), points.copy()
+        forward[component] += step
+        backward[component] -= step
+        width = forward[component] - backward[component]
+        result[:, component] = (game.pseudo_gradient(forward) - game.pseudo_gradient(backward)) / width
+    return result
+
+
+def _largest_norm(matrices: FloatArray) -> float:
+    return float(np.linalg.svd(matrices, compute_uv=False)[:, 0].max())

@@ -1,0 +1,187 @@
+"""Random affine scenarios: strongly monotone games on connected graphs, and what a law does on them."""
+
+import warnings
+from dataclasses import dataclass
+
+import networkx as nx
+import numpy as np
+
+from ptne_env import Part, Scenario, theory
+from ptne_env.distances import estimate_distance
+from ptne_env.dynamics import Dynamics
+from ptne_env.evaluation.rollout import rollout
+from ptne_env.interface import Interface, Port
+from ptne_env.sources import Sources
+from ptne_env.theory.closed_loop import blank_reading
+
+BATCH = 2
+"""Starts per scenario, played in one batch: one anywhere, and one that leans towards the slowest mode."""
+
+
+@dataclass
+class Case:
+    scenario: Scenario
+    part: Part
+    law: object
+    port: Port
+    starts: np.ndarray  # (n, N, BATCH)
+
+    def play(self):
+        dynamics = self.port.dynamics
+        return rollout(self.law, self.port, dynamics.start(self.starts))
+
+    def switch(self, clock):
+        """Make the graph switch between its two halves, each disconnected, on ``clock``."""
+        adjacency = self.scenario.built_signal.graphs[0].adjacency
+        halves = [np.zeros_like(adjacency), np.zeros_like(adjacency)]
+        for edge, (i, j) in enumerate(np.argwhere(np.triu(adjacency))):
+            halves[edge % 2][i, j] = halves[edge % 2][j, i] = adjacency[i, j]
+        graphs = tuple(Part.of("ptne_env.graphs:Graph", adjacency=half) for half in halves)
+        longest = np.diff(self.scenario.built_clock.signal_times[clock]).max()
+        dwells = (2.5 * longest, 3.5 * longest)
+        signal = Part.of("ptne_env.graphs:periodic", graphs=graphs, dwells=dwells, clock=clock)
+        self.scenario = self.scenario.replace(signal=signal)
+        self.port = Port(Dynamics(self.scenario), Interface())
+        self.law = theory.build_law(self.part, self.scenario)
+
+    def play_in_float64(self):
+        """The law in the environment's own dynamics, seeing more than float32.
+
+        Estimate distances (K+H+1, BATCH), and the root mean square of the velocity Θ u/Δt over a step, (K+H, BATCH).
+        """
+        dynamics, distances, velocities, memory = self.port.dynamics, [], [], None
+        state, (n, players) = dynamics.start(self.starts), self.starts.shape[:2]
+        rows = players * BATCH
+        blank = blank_reading(self.port.layout, np.repeat(np.arange(players), BATCH))
+        own = self.port.layout.own_mask[blank.player]
+        for theta, dt in zip(dynamics.clock.theta[:-1], dynamics.clock.dt[:-1], strict=True):
+            distances.append(estimate_distance(state.estimates, state.game))
+            weights = np.broadcast_to(state.weights, (*state.weights.shape[:2], BATCH))
+            reading = blank._replace(
+                gradient=np.where(own, np.tile(state.own_gradients.T, (players, 1)), 0.0),
+                relative_estimates=state.relative_estimates.transpose(2, 3, 0, 1).reshape(rows, -1, n),
+                weights=weights.transpose(1, 2, 0).reshape(rows, -1),
+                theta=np.full((rows, 1), theta),
+                dt=np.full((rows, 1), dt),
+            )
+            inputs, memory = self.law.inputs(reading, memory)
+            inputs = inputs.reshape(players, BATCH, n).transpose(2, 0, 1)
+            velocities.append(theta / dt * np.sqrt((inputs**2).mean(axis=(0, 1))))
+            state = dynamics.step(state, inputs)
+        distances.append(estimate_distance(state.estimates, state.game))
+        return np.array(distances), np.array(velocities)
+
+    def play_over_channel(self, starts, noise_std=0.0, delay=0, seed=0, follow=None):
+        """Estimate distances (K+1, B) over a channel with noise and constant delay.
+
+        With ``follow``, a vector of the stacked estimates, the size of the error's component along it.
+        """
+        stages = [Part.of("ptne_env.channel:Delay", steps=delay)] if delay else []
+        stages += [Part.of("ptne_env.channel:AdditiveNoise", std=noise_std)] if noise_std else []
+        channel = Part.of("ptne_env.channel:Chain", stages=tuple(stages))
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            dynamics = Dynamics(self.scenario.replace(channel=channel))
+        port, path, memory, batch = Port(dynamics, Interface()), [], None, starts.shape[2]
+        chance = dynamics.draw_chance([Sources.from_seed(seed * batch + one) for one in range(batch)])
+        state = dynamics.start(starts, chance=chance)
+
+        def measure(state):
+            if follow is None:
+                return estimate_distance(state.estimates, state.game)
+            errors = state.estimates - state.game.nash_equilibria[:, None]
+            return np.abs(follow @ errors.transpose(1, 0, 2).reshape(-1, errors.shape[2]))
+
+        for _ in range(dynamics.clock.steps):
+            path.append(measure(state))
+            observations = port.observe(state)
+            actions, memory = self.law.predict(observations.reshape(-1, observations.shape[-1]), memory)
+            state = dynamics.step(state, port.decode(actions.reshape(*observations.shape[:2], -1), state).inputs)
+        path.append(measure(state))
+        return np.array(path)
+
+    def start_errors(self):
+        game = self.scenario.built_game
+        return [theory.start_error(self.starts[:, :, b], game) for b in range(BATCH)]
+
+
+def graph_part(generator, players):
+    """A random tree and a few more edges, with weights between 0.5 and 1.5."""
+    tree = nx.random_labeled_tree(players, seed=int(generator.integers(1 << 31)))
+    adjacency = nx.to_numpy_array(tree) + (generator.random((players, players)) < 0.2)
+    adjacency = np.triu((adjacency + adjacency.T > 0) * generator.uniform(0.5, 1.5, (players, players)), 1)
+    return Part.of("ptne_env.graphs:Graph", adjacency=adjacency + adjacency.T)
+
+
+def random_game(generator, players, skew, epsilon, spread):
+    return Part.of(
+        "sample_games:AffineGame",
+        action_dims=generator.choice([1, 1, 1, 2], players),
+        epsilon=float(generator.uniform(*epsilon)),
+        spread=float(generator.uniform(*spread)),
+        skew=float(generator.uniform(0.0, skew)),
+        seed=int(generator.integers(1 << 31)),
+    )
+
+
+def quietly(**fields):
+    """The scenario, without the warning that evenly spaced steps in t end early."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        return Scenario(**fields)
+
+
+def slowest_mode(matrix):
+    """The real part of the eigenvector whose eigenvalue has the smallest real part, its largest entry being ±1."""
+    eigenvalues, vectors = np.linalg.eig(matrix)
+    mode = vectors[:, eigenvalues.real.argmin()].real
+    return mode / np.abs(mode).max()
+
+
+def random_case(
+    seed,
+    law="Static",
+    margin=(1.05, 1.8),
+    players=(3, 8),
+    skew=1.5,
+    epsilon=(0.3, 2.0),
+    spread=(0.5, 4.0),
+    kappa=(-1, 3),
+    **fields,
+):
+    """A scenario whose steps are short enough by a random factor in ``margin``, with a law of random gains."""
+    generator = np.random.default_rng([20, seed])
+    players = int(generator.integers(*players, endpoint=True))
+    arguments = {"kappa": float(2 ** generator.uniform(*kappa))} if law != "Adaptive" else {"gamma": 1e-4}
+    if law == "Static":
+        arguments["gradient_gain"] = float(2 ** generator.uniform(-1, 1))
+    spacing = str(generator.choice(["effective", "transformed", "physical"], p=[0.5, 0.25, 0.25]))
+    spacing = fields.get("spacing", spacing)
+    values = {
+        "name": f"random-{seed}",
+        "game": random_game(generator, players, skew, epsilon, spread),
+        "signal": Part.of("ptne_env.graphs:fixed", graph=graph_part(generator, players)),
+        "start": "random",
+        "deadline": float(generator.uniform(0.5, 2.5)),
+        "gain": float(generator.uniform(0.0, 2.0 if spacing == "transformed" else 25.0)),
+        "s_end": float(generator.uniform(1.8, 2.5) if spacing == "physical" else generator.uniform(4.7, 12.0)),
+        "spacing": spacing,
+        "input_limit": 1e6,
+        **fields,
+    }
+    rough = quietly(**values)
+    part = Part.of(f"ptne_env.laws:{law}", **arguments)
+    built = theory.build_law(part, rough)
+    loop = theory.sampled_loop(rough, built)
+    longest = loop.steps[: rough.steps].max()
+    stable = theory.largest_stable_step(loop.loops[0].matrix)
+    if stable is None:
+        raise ValueError(f"the loop of random case {seed} is unstable at every step: raise κ or lower the skew")
+    steps = max(20, int(np.ceil(rough.steps * longest / stable * generator.uniform(*margin))))
+    scenario = quietly(**{**values, "steps": steps})
+    port = Port(Dynamics(scenario), Interface())
+    game = port.dynamics.game
+    starts = generator.uniform(-20, 20, (game.dimension, players, BATCH))
+    slowest = slowest_mode(loop.loops[0].matrix).reshape(players, game.dimension).T
+    starts[:, :, 1] = game.nash_equilibrium[:, None] + 10 * slowest + 0.02 * starts[:, :, 1]
+    return Case(scenario, part, built, port, starts)
