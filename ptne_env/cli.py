@@ -22,7 +22,7 @@ from ptne_env.evaluation.benchmark import check, executes_code, get_participant,
 from ptne_env.evaluation.compare import count_cells
 from ptne_env.evaluation.entries import law_part
 from ptne_env.evaluation.leaderboard import leaderboard
-from ptne_env.evaluation.suite import SUITES, get_suite
+from ptne_env.evaluation.suite import SUITES, find_scenario, get_suite
 from ptne_env.evaluation.sweep import SWEEPS, run_sweep
 from ptne_env.files import write_atomically
 from ptne_env.report import (
@@ -36,7 +36,7 @@ from ptne_env.report import (
     scenario_table,
     suite_table,
 )
-from ptne_env.scenario import CATALOGUE, get_scenario
+from ptne_env.scenario import CATALOGUE
 
 _HOLD_STEPS = 50
 
@@ -253,7 +253,9 @@ def _check(results: Path, sample: int, tolerance: float, *, trust: bool) -> None
 
 @app.command()
 def certify(
-    scenario: Annotated[str, typer.Argument(help="A scenario by name; see 'ptne list'.")],
+    scenario: Annotated[
+        str, typer.Argument(help="A scenario by name, or a track such as ptne-v1/delay; see 'ptne list'.")
+    ],
     law: Annotated[
         str,
         typer.Option(
@@ -289,7 +291,7 @@ def certify(
     """
     from json import dumps
 
-    chosen = get_scenario(scenario)
+    chosen = find_scenario(scenario)
     if hold_steps and chosen.gain > 0:
         chosen = chosen.replace(hold_steps=hold_steps)
     certificate = theory.certify(chosen, law=law_part(law, kappa), noise_std=noise, delay_steps=delay)

@@ -312,7 +312,7 @@ class _Prediction:
             inputs = np.diff(finite, axis=0) / theta[: len(finite) - 1, None]
             return cls(scenario, law, loops, memories, start, path, float(np.abs(inputs).max()))
         episode = play(law, Dynamics(scenario), estimates)
-        if np.all(np.isfinite(episode.memory)):
+        if episode.memory is not None:
             memories["deadline"] = episode.memory
             loops["deadline"] = sampled_loop(scenario, law, episode.memory)
         return cls(scenario, law, loops, memories, start, episode.errors, episode.peak_input)
@@ -402,10 +402,12 @@ class _Prediction:
         if self.law.has_memory:
             yield (
                 "the gains adapt: rate, noise and delay are about the gains at the start, frozen"
-                if self.path is None
+                if "deadline" not in self.loops
                 else "the gains adapt: the digits are those of the whole recursion; rate, noise and delay are about "
                 "the gains at T, frozen, which noise would drive up further"
             )
+        if self.path is not None and not np.isfinite(self.path[scenario.steps]).all():
+            yield "the sampled loop diverges from this start before T: the steps are too long for the law"
         if self.loop.looks_at_step:
             yield (
                 "the law looks at its step: the rate is that of its last step, the margin that of the worst of its "

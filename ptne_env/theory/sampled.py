@@ -408,7 +408,7 @@ class Play:
     Attributes:
         errors: **x** − 1⊗x* at every instant, shape (K+H+1, Nn); not finite from where it diverges.
         peak_input: largest |u| on the way to T.
-        memory: the law's at T, one row per player.
+        memory: the law's at T, one row per player; ``None`` where the episode has diverged by then.
     """
 
     errors: FloatArray
@@ -452,6 +452,7 @@ def play(law: Law, dynamics: Dynamics, estimates: FloatArray, game: Game | None 
         if k < clock.steps:
             peak, memory_at_deadline = max(peak, float(np.abs(inputs).max())), memory
         if not np.all(np.abs(current) < _OVERFLOW):
+            memory_at_deadline = None if k < clock.steps else memory_at_deadline
             break
         errors[k + 1] = start_error(current.T, game)
     return Play(errors, peak, memory_at_deadline)

@@ -363,6 +363,15 @@ def test_recursion_of_the_adaptive_law_is_the_environment(seed):
         assert np.all(played.memory >= 0.5)
 
 
+def test_a_loop_that_diverges_is_told_so_and_overflows_nowhere():
+    scenario = get_scenario("random-energy", steps=150)
+    adaptive = Part.of("ptne_env.laws:Adaptive", gamma=0.01, initial_gain=0.5)
+    certificate = theory.certify(scenario, law=adaptive)
+    assert certificate.digits_sampled < -100
+    assert any("diverges" in note for note in certificate.notes)
+    assert [gains.instant for gains in certificate.frozen_gains] == ["start"]
+
+
 def test_a_law_that_looks_at_its_step_has_a_loop_for_every_step():
     case = random_case(3, "Static", spacing="effective", gain=3.0)
     implicit = Part.of("sample_laws:Damped", kappa=1.5).build(layout=case.port.layout)
