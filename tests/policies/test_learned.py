@@ -9,6 +9,7 @@ from onnx import helper
 
 import ptne_env
 from ptne_env import Interface, policies
+from ptne_env.evaluation.suite import find_scenario
 from ptne_env.policies import Metadata, PolicyFileError
 
 
@@ -130,17 +131,16 @@ def test_a_missing_policy_names_the_shipped_ones():
 
 
 @pytest.mark.parametrize("name", policies.shipped())
-def test_every_shipped_policy_loads_and_fits_the_scenario_it_names(name):
+def test_every_shipped_policy_loads_and_fits_the_scenarios_it_names(name):
     policy = policies.load(name)
     interface = policy.interface
-    env = ptne_env.parallel_env(
-        policy.metadata.scenarios[0], interface=interface.kind, action_mode=interface.action_mode
-    )
-    policy.require(env.layout)
-    observations, _ = env.reset(seed=0)
-    actions, _ = policy.predict(np.stack(list(observations.values())))
-    assert actions.shape == (5, env.layout.action_size)
-    assert np.abs(actions).max() <= env.layout.action_bound
+    for scenario in map(find_scenario, policy.metadata.scenarios):
+        env = ptne_env.parallel_env(scenario, interface=interface.kind, action_mode=interface.action_mode)
+        policy.require(env.layout)
+        observations, _ = env.reset(seed=0)
+        actions, _ = policy.predict(np.stack(list(observations.values())))
+        assert actions.shape == (5, env.layout.action_size)
+        assert np.abs(actions).max() <= env.layout.action_bound
 
 
 @pytest.mark.parametrize(
