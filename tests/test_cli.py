@@ -105,6 +105,13 @@ def test_an_unwritable_file_exits_with_1(tmp_path):
     assert blocked.read_text(encoding="utf-8") == "in the way"
 
 
+@pytest.mark.parametrize("scenario", ["energy-switching", "ptne-v1/switching-physical"])
+def test_certify_knows_graphs_on_which_no_gain_is_enough(scenario):
+    outcome = ptne("certify", scenario)
+    assert outcome.returncode == 0, outcome.stderr
+    assert "2.00 against ∞: fails" in " ".join(outcome.stdout.split())
+
+
 def test_certify_prints_the_numbers_of_the_paper_and_json():
     outcome = ptne("certify", "energy")
     assert outcome.returncode == 0

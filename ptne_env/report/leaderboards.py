@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from math import isfinite
 from typing import TypeAlias
 
 from rich.console import Console, Group
@@ -193,7 +192,7 @@ def repetition_table(repetitions: Sequence[Repetition], tolerance: float) -> Tab
         table.add_column(column, justify="right" if column == "largest difference" else "left")
     for one in repetitions:
         verdict = Text("reproduces", "green") if one.difference <= tolerance else Text("differs", "red")
-        difference = number(one.difference) if isfinite(one.difference) else "∞"
+        difference = number(one.difference)
         cell = one.cell
         table.add_row(cell.track.name, Text(cell.participant), str(cell.run), difference, verdict)
     return table

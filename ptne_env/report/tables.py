@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Mapping, Sequence
 from typing import TypeAlias
 
@@ -54,6 +55,8 @@ def number(value: float | None) -> str:
     """A number with three significant digits, or a dash where there is none."""
     if value is None:
         return "–"
+    if not math.isfinite(value):
+        return {math.inf: "∞", -math.inf: "−∞"}.get(value, "–")
     if value == 0:
         return "0"
     if 1e-2 <= abs(value) < 999.5:
