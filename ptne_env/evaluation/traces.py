@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ptne_env import distances
 from ptne_env.arrays import BoolArray, FloatArray, IntArray, require_count
 from ptne_env.dynamics import Dynamics, State
 from ptne_env.evaluation.bank import draw_start
@@ -33,6 +32,7 @@ class Trace:
 
     Attributes:
         errors: :data:`QUANTILES` over episodes of the estimate distance, shape (3, F).
+        error: the estimate distance of the first episode, shape (F,).
         estimates: x^i in column i, shape (n, N, F).
         inputs: the inputs of the strategies, own block by own block, held from each instant; NaN at the last. (n, F).
         consensus_gains: what multiplies Σ_j a_ij (x^j − x^i) in the inputs of the others' blocks of x^i, by least
@@ -40,6 +40,7 @@ class Trace:
     """
 
     errors: FloatArray
+    error: FloatArray
     estimates: FloatArray
     inputs: FloatArray
     consensus_gains: FloatArray
@@ -160,7 +161,7 @@ def _scene(
             entry.build(port.layout), port, start, None if teammates is None else teammates(dynamics), watch
         )
         errors = np.quantile(outcome.estimate_distance[frames], QUANTILES, axis=1)
-        traces[name] = Trace(errors, *watch.arrays())
+        traces[name] = Trace(errors, outcome.estimate_distance[frames, 0], *watch.arrays())
     t, deadline = clock.t[frames], int(np.searchsorted(frames, clock.steps))
     chance = start.chance
     modes = dynamics.modes[frames] if chance is None or chance.modes is None else chance.modes[frames, 0]
@@ -209,8 +210,3 @@ class _Watch:
     def arrays(self) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Estimates, inputs and gains, instants last."""
         return tuple(np.stack(kept, axis=-1) for kept in (self._estimates, self._inputs, self._gains))  # type: ignore[return-value]
-
-
-def log_errors(trace: Trace) -> FloatArray:
-    """log10 of the errors, no less than that of the smallest distance that is told apart; shape (3, F)."""
-    return -distances.digits(trace.errors)
