@@ -22,15 +22,19 @@ from ptne_env.evaluation.benchmark import check, executes_code, get_participant,
 from ptne_env.evaluation.compare import count_cells
 from ptne_env.evaluation.leaderboard import leaderboard
 from ptne_env.evaluation.suite import SUITES, get_suite
+from ptne_env.evaluation.traces import comparison_scenes, suite_scenes
 from ptne_env.files import write_atomically
 from ptne_env.report import (
     certificate_tables,
+    comparison_report,
     comparison_tables,
     entry_table,
     leaderboard_tables,
     metric_table,
+    render_page,
     repetition_table,
     scenario_table,
+    suite_report,
     suite_table,
 )
 from ptne_env.scenario import CATALOGUE, get_scenario
@@ -105,6 +109,14 @@ def compare(
     ] = _HOLD_STEPS,
     json: Annotated[str | None, typer.Option(help="Write everything as JSON to this file; '-' for stdout.")] = None,
     csv: Annotated[Path | None, typer.Option(help="Write the records as CSV to this file.")] = None,
+    report: Annotated[
+        Path | None,
+        typer.Option(
+            help="Write the report, a page for a browser, to this file. Left out with '--json -'.",
+            show_default="report/index.html in results/, or in the suite's folder",
+        ),
+    ] = None,
+    no_report: Annotated[bool, typer.Option("--no-report", help="Write no report.")] = False,
     suite: Annotated[
         str | None, typer.Option(help="Run the tracks of a suite instead, such as ptne-v1, or 'module:object'.")
     ] = None,
@@ -140,16 +152,21 @@ def compare(
     With --suite, run the tracks of a frozen benchmark cell by cell; see docs/protocol.md.
     """
     names = [*(policy or ()), *(policies.split(",") if policies else ())]
+    if no_report and report is not None:
+        raise ValueError("--report and --no-report exclude each other")
+    folder = Path("results") if suite is None else out or Path("results") / get_suite(suite).name
+    page = None if no_report or (json == "-" and report is None) else report or folder / "report" / "index.html"
     if repeat is not None:
         _check(repeat, sample, tolerance, trust=trust)
     elif suite is not None:
         if scenario or hold_steps != _HOLD_STEPS or csv is not None:
             raise ValueError("a suite fixes what is run: leave out --scenario, --hold-steps and --csv")
-        _run_suite(suite, names, track, out, seed, episodes, jobs, json, trust=trust)
+        _run_suite(suite, names, track, folder, seed, episodes, jobs, json, page, trust=trust)
     elif track or out is not None:
         raise ValueError("--track and --out are for suites: name one with --suite")
     else:
-        _compare(names or default_entries(), scenario or list(CATALOGUE), episodes or 1000, seed, hold_steps, json, csv)
+        chosen = scenario or list(CATALOGUE)
+        _compare(names or default_entries(), chosen, episodes or 1000, seed, hold_steps, json, csv, page)
 
 
 def _compare(
@@ -160,6 +177,7 @@ def _compare(
     hold_steps: int,
     json: str | None,
     csv: Path | None,
+    page: Path | None,
 ) -> None:
     with _progress(_console(stderr=True)) as progress:
         task = progress.add_task("comparing", total=count_cells(entries, scenarios))
@@ -168,18 +186,29 @@ def _compare(
             progress.update(task, advance=1, description=cell)
 
         results = evaluate(entries, scenarios, episodes=episodes, seed=seed, hold_steps=hold_steps, progress=advance)
-    if csv is not None:
-        write_atomically(csv, results.to_csv())
+        if csv is not None:
+            write_atomically(csv, results.to_csv())
+        if json not in (None, "-"):
+            write_atomically(Path(json), results.to_json() + "\n")
+        if page is not None:
+            progress.reset(task, total=len(results.scenarios))
+            scenes = comparison_scenes(results, progress=lambda label: advance(f"report: {label}"))
+            report = comparison_report(results, scenes, episodes=episodes, hold_steps=hold_steps)
+            write_atomically(page, render_page(report))
     if json == "-":
         typer.echo(results.to_json())
         return
     console = _console()
     console.print(comparison_tables(results, console.width))
-    if json is not None:
-        write_atomically(Path(json), results.to_json() + "\n")
-    for path in (json, csv):
+    _tell_files(console, (json, csv), page)
+
+
+def _tell_files(console: Console, results: Sequence[str | Path | None], page: Path | None) -> None:
+    for path in results:
         if path is not None:
             console.print(Text(f"Results written to {path}"), soft_wrap=True)
+    if page is not None:
+        console.print(Text(f"Report written to {page}: open it in a browser"), soft_wrap=True)
 
 
 def _trusted(names: list[str], *, trust: bool) -> bool:
@@ -200,16 +229,16 @@ def _run_suite(
     name: str,
     policies: list[str],
     tracks: list[str] | None,
-    out: Path | None,
+    folder: Path,
     seed: int,
     episodes: int | None,
     jobs: int,
     json: str | None,
+    page: Path | None,
     *,
     trust: bool,
 ) -> None:
     suite = get_suite(name)
-    folder = out or Path("results") / suite.name
     trusted = _trusted(policies, trust=trust)
     participants = [get_participant(policy, trust=trusted) for policy in policies or suite_entries()]
     with _progress(_console(stderr=True)) as progress:
@@ -223,16 +252,20 @@ def _run_suite(
         )
         progress.update(task, description="statistics")
         board = leaderboard(run)
-    text = board.to_json()
-    write_atomically(folder / "results.json", text + "\n")
+        text = board.to_json()
+        write_atomically(folder / "results.json", text + "\n")
+        if json not in (None, "-"):
+            write_atomically(Path(json), text + "\n")
+        if page is not None:
+            progress.reset(task, total=len(run.tracks))
+            scenes = suite_scenes(run, progress=lambda track: advance(f"report: {track}", len(run.tracks)))
+            write_atomically(page, render_page(suite_report(board, scenes, folder=str(folder))))
     if json == "-":
         typer.echo(text)
         return
     console = _console()
     console.print(leaderboard_tables(board, console.width))
-    if json is not None:
-        write_atomically(Path(json), text + "\n")
-    console.print(Text(f"Results written to {folder / 'results.json'}"), soft_wrap=True)
+    _tell_files(console, (folder / "results.json",), page)
 
 
 def _check(results: Path, sample: int, tolerance: float, *, trust: bool) -> None:

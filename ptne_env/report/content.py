@@ -278,7 +278,10 @@ def comparison_report(results: Results, scenes: Mapping[str, Scene], *, episodes
         for label in results.scenarios
     }  # fmt: skip
     oracles = {name for name, entry in results.entries.items() if entry.interface.kind == "full"}
-    first = {label: _first(found, oracles) for label, found in digits.items()}
+    first = {
+        label: _first({name: summary for name, summary in found.items() if name in results.entries}, oracles)
+        for label, found in digits.items()
+    }
     common = ["compare", "--episodes", str(episodes), "--seed", str(results.seed), "--hold-steps", str(hold_steps)]
     sections = []
     for label, scenario in results.scenarios.items():

@@ -1,5 +1,5 @@
 "use strict";
-const ptne = (() => {
+(() => {
   const figures = JSON.parse(document.getElementById("figures").textContent);
   const colours = ["#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#8c6bb1", "#7f7f7f", "#a6761d", "#e7298a"];
   const dashes = ["solid", "dash", "dot"];
@@ -149,8 +149,8 @@ const ptne = (() => {
   };
   const WIDTH = 400, LEFT = 46, RIGHT = 8, TOP = 6, BOTTOM = 20;
 
-  /** A small chart of lines over time with a cursor. y is drawn as scale(y); values beyond the range are cut. */
-  function lineChart(x, series, { height, low, high, ticks, marks = [], scale = (value) => value, label }) {
+  /** A small chart of lines over time with a cursor and a mark at the deadline, an index. y is drawn as scale(y); values beyond the range are cut. */
+  function lineChart(x, deadline, series, { height, low, high, ticks, marks = [], scale = (value) => value, label }) {
     const [from, to] = [x[0], x[x.length - 1]];
     const px = (value) => LEFT + (value - from) / (to - from || 1) * (WIDTH - LEFT - RIGHT);
     const py = (value) => height - BOTTOM - (scale(Math.min(high, Math.max(low, value))) - scale(low)) / (scale(high) - scale(low) || 1) * (height - TOP - BOTTOM);
@@ -161,6 +161,7 @@ const ptne = (() => {
     }
     for (const [value, anchor] of [[from, "start"], [to, "end"]]) svg.append(drawn("text", { x: px(value), y: height - 5, "text-anchor": anchor }, number(value)));
     for (const [value, stroke] of marks) svg.append(drawn("line", { x1: LEFT, x2: WIDTH - RIGHT, y1: py(value), y2: py(value), stroke, "stroke-dasharray": "1 3" }));
+    if (x[deadline] < to) svg.append(drawn("line", { class: "deadline", x1: px(x[deadline]), x2: px(x[deadline]), y1: TOP, y2: height - BOTTOM }), drawn("text", { x: px(x[deadline]) - 3, y: TOP + 11, "text-anchor": "end" }, "T"));
     for (const { y, stroke, width = 1.8, opacity = 1 } of series) {
       let path = "", pen = "M";
       y.forEach((value, index) => {
@@ -231,19 +232,19 @@ const ptne = (() => {
     const room = 2 * (Math.max(mostNash, started[1]) - Math.min(leastNash, started[0])) || 1;  // what runs away is cut
     const low = Math.max(Math.min(least, leastNash), leastNash - room), high = Math.min(Math.max(most, mostNash), mostNash + room);
     const span = (high - low || 1) * 0.04;
-    const position = lineChart(x, [...others, ...own], {
+    const position = lineChart(x, scene.deadline, [...others, ...own], {
       height: 220, low: low - span, high: high + span, ticks: niceTicks(low, high), marks: scene.equilibrium.map((value, component) => [value, colourOf(scene.owners[component])]),
       label: `Strategies and estimates of ${name} against the Nash equilibrium`,
     });
     const largest = Math.max(1, ...extent(inputs).map(Math.abs).filter(Number.isFinite));
-    const input = lineChart(x, inputs.map((y, component) => ({ y, stroke: colourOf(scene.owners[component]), width: 1.3, dot: true })), {
+    const input = lineChart(x, scene.deadline, inputs.map((y, component) => ({ y, stroke: colourOf(scene.owners[component]), width: 1.3, dot: true })), {
       height: 130, low: -largest, high: largest, scale: Math.asinh, ticks: [-1000, -100, -10, -1, 0, 1, 10, 100, 1000].filter((tick) => Math.abs(tick) <= largest && (largest < 20 || tick === 0 || Math.abs(tick) >= 10)),
       label: `Inputs of ${name}`,
     });
     const sorted = gains.flatMap((row) => [...row]).filter(Number.isFinite).sort((a, b) => a - b);
     const quantile = (share) => sorted.length ? sorted[Math.floor(share * (sorted.length - 1))] : 0;
     const gainLow = Math.min(0, quantile(0.03)), gainHigh = Math.max(1, 1.15 * quantile(0.97));
-    const gain = lineChart(x, gains.map((y, player) => ({ y, stroke: colourOf(player), width: 1.3, dot: true })), {
+    const gain = lineChart(x, scene.deadline, gains.map((y, player) => ({ y, stroke: colourOf(player), width: 1.3, dot: true })), {
       height: 110, low: gainLow, high: gainHigh, ticks: niceTicks(gainLow, gainHigh, 3), label: `Consensus gains of ${name}`,
     });
     const net = graph(scene, "Communication graph");
@@ -315,5 +316,11 @@ const ptne = (() => {
     load();
   }
   startPlayer();
-  return { drawFigures };
+  // Plotly takes most of the time to load: tables and player do not wait for it.
+  addEventListener("load", () => setTimeout(() => {
+    const source = document.getElementById("plotly");
+    document.head.append(element("script", { textContent: source.textContent }));
+    source.remove();
+    drawFigures();
+  }));
 })();
