@@ -79,12 +79,6 @@ class Scene:
         """N."""
         return int(self.owners[-1]) + 1
 
-    @property
-    def strategies_of(self) -> dict[str, FloatArray]:
-        """The strategies of every policy's first episode, each (n, F)."""
-        components = np.arange(len(self.owners))
-        return {name: trace.estimates[components, self.owners] for name, trace in self.traces.items()}
-
 
 def comparison_scenes(
     results: Results, *, episodes: int = EPISODES, progress: Callable[[str], None] | None = None

@@ -169,7 +169,10 @@ class Report:
 
 def _drawn(scene: Scene) -> dict[str, Any]:
     changes = np.flatnonzero(np.r_[True, (np.diff(scene.live.astype(np.int8), axis=1) != 0).any(axis=0)])
-    strategies = scene.strategies_of
+    components = np.arange(len(scene.owners))
+    offsets = {
+        name: trace.estimates - scene.equilibrium[:, None, None] for name, trace in scene.traces.items()
+    }  # from x*, so that float32 keeps the last digits of small distances
     return {
         "t": _rounded(scene.t, 6),
         "s": _rounded(scene.s, 6),
@@ -185,8 +188,8 @@ def _drawn(scene: Scene) -> dict[str, Any]:
             name: {
                 "errors": [_rounded(-distances.digits(row), 2) for row in trace.errors],
                 "error": _rounded(-distances.digits(trace.error), 2),
-                "strategies": _encoded(strategies[name]),
-                "estimates": _encoded(trace.estimates) if trace.estimates[..., 0].size <= _LINES else None,
+                "strategies": _encoded(offsets[name][components, scene.owners]),
+                "estimates": _encoded(offsets[name]) if trace.estimates[..., 0].size <= _LINES else None,
                 "inputs": _encoded(trace.inputs),
                 "gains": _encoded(trace.consensus_gains),
             }

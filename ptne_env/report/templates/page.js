@@ -6,6 +6,7 @@
   const colourOf = (index) => colours[index % colours.length];
   const dashOf = (index) => dashes[Math.floor(index / colours.length) % dashes.length];
   const places = new Map(figures.policies.map((name, index) => [name, index]));
+  const line = (name) => ({ color: colourOf(places.get(name)), dash: dashOf(places.get(name)), width: 2 });
   const colour = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
 
   const element = (name, properties = {}, ...children) => {
@@ -53,14 +54,13 @@
 
   // ------------------------------------------------------------------------------------------- choosing policies
 
-  function choices(fieldset, names, chosen, changed) {
+  function choices(fieldset, names, chosen, changed, swatches = true) {
     for (const label of fieldset.querySelectorAll("label")) label.remove();
     const boxes = names.map((name) => {
       const box = element("input", { type: "checkbox", value: name, checked: chosen.includes(name) });
-      const swatch = element("span", { className: "swatch" });
-      const index = places.get(name);
-      swatch.style.borderTopColor = colourOf(index);
-      swatch.style.borderTopStyle = { solid: "solid", dash: "dashed", dot: "dotted" }[dashOf(index)];
+      const swatch = element("span", { className: "swatch", hidden: !swatches });
+      swatch.style.borderTopColor = line(name).color;
+      swatch.style.borderTopStyle = { solid: "solid", dash: "dashed", dot: "dotted" }[line(name).dash];
       box.addEventListener("change", () => changed(boxes.filter((each) => each.checked).map((each) => each.value)));
       fieldset.append(element("label", {}, box, swatch, name));
       return box;
@@ -77,7 +77,6 @@
     margin: { l: 55, r: 12, t: 12, b: 45 }, showlegend: false, hovermode: "closest", ...more,
   });
   const settings = { responsive: true, displayModeBar: false };
-  const line = (name) => ({ color: colourOf(places.get(name)), dash: dashOf(places.get(name)), width: 2 });
   const redraws = new Map();  // chart → how it is drawn again when the colour scheme changes
 
   function drawProfiles() {
@@ -150,14 +149,14 @@
   const WIDTH = 400, LEFT = 46, RIGHT = 8, TOP = 6, BOTTOM = 20;
 
   /** A small chart of lines over time with a cursor and a mark at the deadline, an index. y is drawn as scale(y); values beyond the range are cut. */
-  function lineChart(x, deadline, series, { height, low, high, ticks, marks = [], scale = (value) => value, label }) {
+  function lineChart(x, deadline, series, { height, low, high, ticks, marks = [], scale = (value) => value, written = number, label }) {
     const [from, to] = [x[0], x[x.length - 1]];
     const px = (value) => LEFT + (value - from) / (to - from || 1) * (WIDTH - LEFT - RIGHT);
     const py = (value) => height - BOTTOM - (scale(Math.min(high, Math.max(low, value))) - scale(low)) / (scale(high) - scale(low) || 1) * (height - TOP - BOTTOM);
     const svg = drawn("svg", { viewBox: `0 0 ${WIDTH} ${height}`, role: "img", "aria-label": label });
     for (const tick of ticks) {
       svg.append(drawn("line", { class: "grid", x1: LEFT, x2: WIDTH - RIGHT, y1: py(tick), y2: py(tick) }));
-      svg.append(drawn("text", { x: LEFT - 5, y: py(tick) + 4, "text-anchor": "end" }, number(tick)));
+      svg.append(drawn("text", { x: LEFT - 5, y: py(tick) + 4, "text-anchor": "end" }, written(tick)));
     }
     for (const [value, anchor] of [[from, "start"], [to, "end"]]) svg.append(drawn("text", { x: px(value), y: height - 5, "text-anchor": anchor }, number(value)));
     for (const [value, stroke] of marks) svg.append(drawn("line", { x1: LEFT, x2: WIDTH - RIGHT, y1: py(value), y2: py(value), stroke, "stroke-dasharray": "1 3" }));
@@ -202,12 +201,8 @@
     const crowded = scene.players > 20;
     for (let player = 0; player < scene.players; player++) {
       const [cx, cy] = place(player);
-      svg.append(drawn("circle", { cx, cy, r: crowded ? 3 : 10, fill: colourOf(player) }));
-      if (!crowded) {
-        const name = drawn("text", { x: cx, y: cy + 4, "text-anchor": "middle" }, String(player));
-        name.style.fill = "#fff";
-        svg.append(name);
-      }
+      svg.append(drawn("circle", { class: "node", cx, cy, r: crowded ? 3 : 10, stroke: colourOf(player) }));
+      if (!crowded) svg.append(drawn("text", { class: "name", x: cx, y: cy + 4, "text-anchor": "middle" }, String(player)));
     }
     const move = (frame) => {
       const up = new Set(liveLinks(scene, frame));
@@ -219,23 +214,30 @@
 
   const figure = (caption, content) => element("figure", {}, content, element("figcaption", { textContent: caption }));
 
-  function card(scene, name, axisName) {
+  /** Where strategies and others' estimates are, or how far from the equilibrium, on a scale of powers of ten. */
+  function positions(scene, name, x, view) {
+    const trace = scene.traces[name], frames = scene.t.length, far = view === "distance", nash = scene.equilibrium;
+    const shown = (row, component) => row.map((offset) => far ? Math.max(-12, Math.log10(Math.abs(offset))) : nash[component] + offset);
+    const own = rows(trace.strategies, frames).map((row, component) => ({ y: shown(row, component), stroke: colourOf(scene.owners[component]), dot: true }));
+    const others = trace.estimates === null ? [] : rows(trace.estimates, frames).flatMap((row, index) => {
+      const component = Math.floor(index / scene.players), owner = scene.owners[component];
+      return index % scene.players === owner ? [] : [{ y: shown(row, component), stroke: colourOf(owner), width: 0.8, opacity: 0.45 }];
+    });
+    const series = [...others, ...own], label = `${far ? "Distances from the Nash equilibrium of strategies and estimates" : "Strategies and estimates against the Nash equilibrium"}, ${name}`;
+    let [low, high] = extent(series.map(({ y }) => y));
+    if (far) return lineChart(x, scene.deadline, series, { height: 220, low, high, ticks: niceTicks(low, high), written: (power) => `1e${power}`, label });
+    const [least, most] = extent([nash, ...series.map(({ y }) => [y[0]])]), room = 2 * (most - least) || 1;  // what runs away is cut
+    [low, high] = [Math.max(low, least - room), Math.min(high, most + room)];
+    const margin = 0.04 * (high - low || 1);
+    return lineChart(x, scene.deadline, series, {
+      height: 220, low: low - margin, high: high + margin, ticks: niceTicks(low, high), marks: nash.map((value, component) => [value, colourOf(scene.owners[component])]), label,
+    });
+  }
+
+  function card(scene, name, axisName, view) {
     const frames = scene.t.length, trace = scene.traces[name], x = scene[axisName];
-    const strategies = rows(trace.strategies, frames), inputs = rows(trace.inputs, frames), gains = rows(trace.gains, frames);
-    const own = strategies.map((y, component) => ({ y, stroke: colourOf(scene.owners[component]), dot: true }));
-    const others = trace.estimates === null ? [] : rows(trace.estimates, frames).flatMap((y, row) => {
-      const component = Math.floor(row / scene.players);
-      return row % scene.players === scene.owners[component] ? [] : [{ y, stroke: colourOf(scene.owners[component]), width: 0.8, opacity: 0.45 }];
-    });
-    const [leastNash, mostNash] = extent([scene.equilibrium]), [least, most] = extent([...own, ...others].map(({ y }) => y));
-    const started = extent([...own, ...others].map(({ y }) => [y[0]]));
-    const room = 2 * (Math.max(mostNash, started[1]) - Math.min(leastNash, started[0])) || 1;  // what runs away is cut
-    const low = Math.max(Math.min(least, leastNash), leastNash - room), high = Math.min(Math.max(most, mostNash), mostNash + room);
-    const span = (high - low || 1) * 0.04;
-    const position = lineChart(x, scene.deadline, [...others, ...own], {
-      height: 220, low: low - span, high: high + span, ticks: niceTicks(low, high), marks: scene.equilibrium.map((value, component) => [value, colourOf(scene.owners[component])]),
-      label: `Strategies and estimates of ${name} against the Nash equilibrium`,
-    });
+    const offsets = rows(trace.strategies, frames), inputs = rows(trace.inputs, frames), gains = rows(trace.gains, frames);
+    const position = positions(scene, name, x, view);
     const largest = Math.max(1, ...extent(inputs).map(Math.abs).filter(Number.isFinite));
     const input = lineChart(x, scene.deadline, inputs.map((y, component) => ({ y, stroke: colourOf(scene.owners[component]), width: 1.3, dot: true })), {
       height: 130, low: -largest, high: largest, scale: Math.asinh, ticks: [-1000, -100, -10, -1, 0, 1, 10, 100, 1000].filter((tick) => Math.abs(tick) <= largest && (largest < 20 || tick === 0 || Math.abs(tick) >= 10)),
@@ -251,7 +253,7 @@
     const netCaption = element("figcaption");
     const readout = element("output", { className: "digits" });
     const body = element("tbody");
-    const rowsOfTable = strategies.map((_, component) => {
+    const rowsOfTable = offsets.map((_, component) => {
       const row = body.insertRow();
       row.append(element("th", { scope: "row", textContent: String(scene.owners[component]) }));
       return [0, 1, 2, 3].map(() => row.insertCell());
@@ -261,7 +263,7 @@
     const numbers = element("details", {}, element("summary", { textContent: "Numbers at this instant" }), element("div", { className: "scroll", tabIndex: 0 }, table));
     let last = 0;
     const tell = () => rowsOfTable.forEach((cells, component) => [
-      strategies[component][last], scene.equilibrium[component], inputs[component][last], gains[scene.owners[component]][last],
+      scene.equilibrium[component] + offsets[component][last], scene.equilibrium[component], inputs[component][last], gains[scene.owners[component]][last],
     ].forEach((value, index) => { cells[index].textContent = number(value, 4); }));
     numbers.addEventListener("toggle", tell);
     const move = (frame) => {
@@ -273,12 +275,12 @@
       if (numbers.open) tell();
     };
     const parts = element("article", { className: "card", ariaLabel: name }, element("header", {}, element("h4", { textContent: name }), readout),
-      figure("Strategies and estimates", position.svg), element("figure", {}, net.svg, netCaption), figure("Inputs of the strategies (asinh scale)", input.svg), figure("Consensus gain on what is heard, per player", gain.svg), numbers);
+      figure(view === "distance" ? "Distances of strategies and estimates from the equilibrium" : "Strategies and estimates", position.svg), element("figure", {}, net.svg, netCaption), figure("Inputs of the strategies (asinh scale)", input.svg), figure("Consensus gain on what is heard, per player", gain.svg), numbers);
     return { parts, move };
   }
 
   function startPlayer() {
-    const [select, axisSelect, slider, play, instant, holder] = ["scene", "axis", "frame", "play", "instant", "cards"].map((id) => document.getElementById(`player-${id}`));
+    const [select, axisSelect, viewSelect, slider, play, instant, holder] = ["scene", "axis", "view", "frame", "play", "instant", "cards"].map((id) => document.getElementById(`player-${id}`));
     let cards = [], chosen = [], timer = null;
     const scene = () => figures.scenes[Number(select.value)];
     const move = () => {
@@ -289,7 +291,7 @@
       for (const each of cards) each.move(frame);
     };
     const show = () => {
-      cards = chosen.map((name) => card(scene(), name, axisSelect.value));
+      cards = chosen.map((name) => card(scene(), name, axisSelect.value, viewSelect.value));
       holder.replaceChildren(...cards.map((each) => each.parts));
       move();
     };
@@ -299,7 +301,7 @@
       decoded.clear();
       const names = Object.keys(scene().traces), kept = chosen.filter((name) => names.includes(name));
       chosen = kept.length ? kept : [scene().shown[0], ...scene().shown.slice(-1)].filter((name, index, all) => name && all.indexOf(name) === index);
-      choices(document.getElementById("player-choice"), names, chosen, (picked) => { chosen = picked; show(); });
+      choices(document.getElementById("player-choice"), names, chosen, (picked) => { chosen = picked; show(); }, false);
       slider.max = scene().t.length - 1;
       slider.value = Math.min(Number(slider.value), scene().t.length - 1);
       show();
@@ -312,7 +314,7 @@
     });
     slider.addEventListener("input", () => { pause(); move(); });
     select.addEventListener("change", load);
-    axisSelect.addEventListener("change", show);
+    for (const each of [axisSelect, viewSelect]) each.addEventListener("change", show);
     load();
   }
   startPlayer();
