@@ -550,12 +550,16 @@ def _suite_leaderboard(board: Leaderboard) -> Table:
             *by_track,
         )
         rows.append(Row(name, values, oracle=run.participants[name].is_oracle))
-    notes = [f"Scores are taken over the tracks that all can play and on which the law gains: {_listed(board.common)}."]
+    told = "No track has scores: none can be played by all and gives the law a gain."
+    if board.common:
+        told = (
+            f"Scores are taken over the tracks that all can play and on which the law gains: {_listed(board.common)}."
+        )
     return Table(
         "Overall scores, and what each track is scored by, with 95 % intervals",
         columns,
         tuple(rows),
-        tuple(notes) if board.common else (),
+        (told,),
     )
 
 

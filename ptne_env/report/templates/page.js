@@ -269,7 +269,7 @@
     const move = (frame) => {
       last = frame;
       for (const part of [position, input, gain, net]) part.move(frame);
-      readout.textContent = `error ${number(10 ** trace.error[frame], 2)}`;
+      readout.textContent = trace.error[frame] <= -12 ? "error below 1e-12" : `error ${number(10 ** trace.error[frame], 2)}`;
       const up = liveLinks(scene, frame).map((index) => scene.links[index].join("–"));
       netCaption.textContent = `Live links: ${up.length > 12 ? `${up.length} of ${scene.links.length}` : up.join(", ") || "none"}`;
       if (numbers.open) tell();
