@@ -49,6 +49,19 @@ def test_compare_prints_a_table_and_writes_json_and_csv(tmp_path):
     rows = list(csv.DictReader((tmp_path / "out" / "results.csv").read_text(encoding="utf-8").splitlines()))
     assert len(rows) == len(data["records"]) == 2 * 2 * 18
     assert {path.name for path in (tmp_path / "out").iterdir()} == {"results.json", "results.csv"}
+    page = (tmp_path / "results" / "report" / "index.html").read_text(encoding="utf-8")
+    assert "static comes closest" in page
+    assert "Report written to results/report/index.html" in outcome.stdout
+
+
+def test_a_report_is_written_where_it_is_asked_for_and_not_where_it_is_not(tmp_path):
+    arguments = ("compare", "--scenario", "energy", "--policy", "null", "--episodes", "1")
+    assert ptne(*arguments, "--no-report", cwd=tmp_path).returncode == 0
+    assert ptne(*arguments, "--json", "-", cwd=tmp_path).returncode == 0
+    assert not any(tmp_path.iterdir())
+    outcome = ptne(*arguments, "--json", "-", "--report", "there.html", cwd=tmp_path)
+    assert json.loads(outcome.stdout)["seed"] == 0
+    assert [path.name for path in tmp_path.iterdir()] == ["there.html"]
 
 
 def test_compare_json_to_stdout_is_json_alone():
@@ -81,6 +94,7 @@ def test_compare_takes_a_policy_by_module_and_object():
         (("compare", "--suite", "ptne-v1", "--scenario", "energy"), "leave out --scenario"),
         (("compare", "--suite", "ptne-v1", "--policy", "model.zip"), "say --trust"),
         (("compare", "--track", "nominal"), "name one with --suite"),
+        (("compare", "--report", "page.html", "--no-report"), "exclude each other"),
         (("no-such-command",), "No such command"),
     ],
 )
@@ -122,7 +136,12 @@ def suite_run(tmp_path_factory):
 
 def test_a_suite_prints_a_table_per_track_and_an_overall_one(suite_run):
     folder, printed = suite_run
-    for text in ("nominal: 6 episodes, ranked by time to 1e-6", "large-20: 6 episodes, ranked by digits", "overall"):
+    for text in (
+        "out/report/index.html",
+        "nominal: 6 episodes, ranked by time to 1e-6",
+        "large-20: 6 episodes, ranked by digits",
+        "overall",
+    ):
         assert text in printed
     for text in ("oracle *", "n/a", "the policy was made for another layout", "Not over large-20", "out/results.json"):
         assert text in printed

@@ -1,6 +1,7 @@
 """The report page in a real browser: it is clicked, sorted and scrubbed, and nothing complains."""
 
 import os
+import re
 import shutil
 
 import pytest
@@ -110,14 +111,17 @@ def test_the_player_is_scrubbed(visit, compared):
 
 def test_policies_stand_side_by_side_and_the_episode_plays(visit):
     page = visit("suite", width=1000)
-    page.locator("#player-choice label", has_text="adaptive").locator("input").check()
-    cards = page.locator("#player-cards .card")
+    cards, box = page.locator("#player-cards .card"), page.locator("#player-choice input:not(:checked)").first
+    assert cards.count() == 2
+    added = box.get_attribute("value")
+    assert added not in cards.locator("h4").all_text_contents()
+    box.click()
     assert cards.count() == 3
-    assert "adaptive" in cards.locator("h4").all_text_contents()
+    assert added in cards.locator("h4").all_text_contents()
     page.locator("#player-view").select_option("distance")
     assert cards.locator("figcaption", has_text="Distances of strategies").count() == 3
     page.locator("#player-play").click()
-    page.wait_for_function("Number(document.getElementById('player-frame').value) >= 3")
+    playwright.expect(page.locator("#player-frame")).to_have_value(re.compile("[3-9]$"), timeout=60_000)
     page.locator("#player-play").click()
     assert page.locator("#player-play").text_content() == "Play"
     page.locator("#player-scene").select_option(label="robots")
@@ -133,10 +137,8 @@ def test_figures_show_the_policies_that_are_chosen(visit):
     lines = section.locator(".chart .scatterlayer .trace .js-line")
     count = lines.count()
     section.locator(".choice input:checked").first.uncheck()
-    page.wait_for_function(
-        "count => document.querySelectorAll('#section-1 .chart .scatterlayer .trace .js-line').length < count",
-        arg=count,
-    )
+    playwright.expect(lines).not_to_have_count(count)
+    assert 0 < lines.count() < count
     boxes = page.locator("#profiles-choice input")
     assert boxes.count() == page.locator("#leaderboard tbody tr").count()
 
