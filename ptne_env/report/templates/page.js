@@ -201,7 +201,7 @@
     const crowded = scene.players > 20;
     for (let player = 0; player < scene.players; player++) {
       const [cx, cy] = place(player);
-      svg.append(drawn("circle", { class: "node", cx, cy, r: crowded ? 3 : 10, stroke: colourOf(player) }));
+      svg.append(drawn("circle", { class: "node", cx, cy, r: crowded ? 3 : scene.players > 10 ? 8 : 10, stroke: colourOf(player) }));
       if (!crowded) svg.append(drawn("text", { class: "name", x: cx, y: cy + 4, "text-anchor": "middle" }, String(player)));
     }
     const move = (frame) => {
@@ -255,7 +255,9 @@
     const body = element("tbody");
     const rowsOfTable = offsets.map((_, component) => {
       const row = body.insertRow();
-      row.append(element("th", { scope: "row", textContent: String(scene.owners[component]) }));
+      const owner = scene.owners[component], place = component - scene.owners.indexOf(owner);
+      const alone = scene.owners.lastIndexOf(owner) === scene.owners.indexOf(owner);
+      row.append(element("th", { scope: "row", textContent: alone ? String(owner) : `${owner} (${place})` }));
       return [0, 1, 2, 3].map(() => row.insertCell());
     });
     const head = element("tr", {}, ...["player", "strategy", "equilibrium", "input", "gain"].map((text) => element("th", { scope: "col", textContent: text })));
