@@ -1,4 +1,4 @@
-"""The command line: ``ptne compare | reproduce | certify | train | list``. It only calls the library and prints."""
+"""The command line: ``ptne compare | render | reproduce | certify | train | list``. It calls the library and prints."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ except ImportError as error:  # pragma: no cover - exercised in an environment w
 
 from ptne_env import theory
 from ptne_env._version import __version__
-from ptne_env.evaluation import Entry, default_entries, evaluate, suite_entries
+from ptne_env.evaluation import Entry, default_entries, evaluate, get_entry, suite_entries
 from ptne_env.evaluation.benchmark import check, executes_code, get_participant, run_suite
 from ptne_env.evaluation.compare import count_cells
 from ptne_env.evaluation.leaderboard import leaderboard
-from ptne_env.evaluation.suite import SUITES, get_suite
+from ptne_env.evaluation.suite import SUITES, find_scenario, get_suite
 from ptne_env.evaluation.traces import comparison_scenes, suite_scenes
 from ptne_env.files import write_atomically
 from ptne_env.report import (
@@ -29,6 +29,7 @@ from ptne_env.report import (
     comparison_report,
     comparison_tables,
     entry_table,
+    film,
     leaderboard_tables,
     metric_table,
     render_page,
@@ -279,6 +280,35 @@ def _check(results: Path, sample: int, tolerance: float, *, trust: bool) -> None
     _console().print(repetition_table(repetitions, tolerance))
     if any(one.difference > tolerance for one in repetitions):
         raise typer.Exit(1)
+
+
+@app.command()
+def render(
+    scenario: Annotated[str, typer.Argument(help="A scenario by name, or a track's, such as ptne-v1/delay.")],
+    policy: Annotated[str, typer.Argument(help="A policy by name, an .onnx file, or 'module:object'.")],
+    *,
+    out: Annotated[
+        Path,
+        typer.Option(help="The film: .gif, .mp4 (needs ffmpeg), or .html, a page to scrub through. Made if missing."),
+    ],
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the start, where one is drawn.")] = 0,
+    hold_steps: Annotated[
+        int | None, typer.Option(min=0, help="Steps after the deadline.", show_default="the scenario's own")
+    ] = None,
+    pictures: Annotated[int, typer.Option(min=2, help="Pictures of a .gif or .mp4.")] = 100,
+) -> None:
+    """Write an episode as a film: strategies, estimates, distances and live links over time."""
+    world, entry = find_scenario(scenario), get_entry(policy)
+    if hold_steps is not None:
+        world = world.replace(hold_steps=hold_steps)
+    with _progress(_console(stderr=True)) as progress:
+        task = progress.add_task(f"{scenario}: {policy}", total=None)
+
+        def advance(done: int, total: int) -> None:
+            progress.update(task, completed=done, total=total)
+
+        film(world, entry, out, seed=seed, pictures=pictures, progress=advance)
+    _console().print(Text(f"Film written to {out}"), soft_wrap=True)
 
 
 @app.command()

@@ -20,7 +20,7 @@ def ptne(*arguments, cwd=None):
     )
 
 
-@pytest.mark.parametrize("command", ["compare", "reproduce", "certify", "list"])
+@pytest.mark.parametrize("command", ["compare", "render", "reproduce", "certify", "list"])
 def test_every_command_has_help(command):
     outcome = ptne(command, "--help")
     assert outcome.returncode == 0
@@ -64,6 +64,13 @@ def test_a_report_is_written_where_it_is_asked_for_and_not_where_it_is_not(tmp_p
     assert [path.name for path in tmp_path.iterdir()] == ["there.html"]
 
 
+def test_render_writes_a_film(tmp_path):
+    outcome = ptne("render", "energy", "static", "--out", "films/run.html", "--hold-steps", "5", cwd=tmp_path)
+    assert outcome.returncode == 0, outcome.stderr
+    assert "Film written to films/run.html" in outcome.stdout
+    assert "energy: static" in (tmp_path / "films" / "run.html").read_text(encoding="utf-8")
+
+
 def test_compare_json_to_stdout_is_json_alone():
     outcome = ptne(
         "compare", "--scenario", "energy", "--policy", "null", "--episodes", "2", "--seed", "9", "--json", "-"
@@ -87,6 +94,7 @@ def test_compare_takes_a_policy_by_module_and_object():
         (("compare", "--scenario", "energie"), "unknown scenario 'energie'"),
         (("compare", "--policy", "statics"), "unknown policy 'statics'"),
         (("compare", "--episodes", "0"), "--episodes"),
+        (("render", "energy", "static", "--out", "run.avi"), "a film is written to .gif, .mp4, .html"),
         (("certify", "energie"), "unknown scenario 'energie'"),
         (("certify", "energy", "--kappa", "-1"), "kappa"),
         (("compare", "--suite", "ptne-v0"), "unknown suite 'ptne-v0'"),

@@ -97,7 +97,7 @@ def comparison_scenes(
         count = min(require_count("episodes", episodes, 1), len(cells[0].samples["digits"]))
         dynamics = Dynamics(scenario)
         start = draw_start(dynamics, count, results.seed)
-        scenes[label] = _scene(dynamics, start, {cell.policy: entries[cell.policy] for cell in cells})
+        scenes[label] = scene(dynamics, start, {cell.policy: entries[cell.policy] for cell in cells})
         if progress is not None:
             progress(label)
     return scenes
@@ -124,18 +124,29 @@ def suite_scenes(
             if run.of(track.name, name)[0].reason is None
         }
         teammates = None if track.teammates is None else track.teammates.join
-        scenes[track.name] = _scene(dynamics, start, entries, teammates)
+        scenes[track.name] = scene(dynamics, start, entries, teammates)
         if progress is not None:
             progress(track.name)
     return scenes
 
 
-def _scene(
+def scene(
     dynamics: Dynamics,
     start: State,
     entries: Mapping[str, Entry],
     teammates: Callable[[Dynamics], Member] | None = None,
 ) -> Scene:
+    """How each of several policies does from the same start.
+
+    Args:
+        dynamics: the world.
+        start: of all episodes.
+        entries: the policies by name.
+        teammates: make those who act beside each of them.
+
+    Raises:
+        ValueError: when a policy cannot act in this world.
+    """
     clock = dynamics.clock
     share = clock.steps / clock.total_steps
     frames = np.unique(

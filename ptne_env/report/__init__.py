@@ -2,6 +2,7 @@
 
 from ptne_env.report.content import comparison_report as comparison_report
 from ptne_env.report.content import suite_report as suite_report
+from ptne_env.report.film import film as film
 from ptne_env.report.leaderboards import leaderboard_tables as leaderboard_tables
 from ptne_env.report.leaderboards import repetition_table as repetition_table
 from ptne_env.report.leaderboards import suite_table as suite_table

@@ -160,20 +160,26 @@ class Report:
             "profiles": {name: list(shares) for name, shares in self.profiles.items()},
             "thresholds": list(self.thresholds),
             "shown": list(self.sections[0].shown),
-            "scenes": [
-                {"name": section.name, "shown": list(section.shown), **_drawn(self.scenes[section.name])}
-                for section in self.sections
-            ],
+            "scenes": [drawn(section.name, self.scenes[section.name], section.shown) for section in self.sections],
         }
 
 
-def _drawn(scene: Scene) -> dict[str, Any]:
+def drawn(name: str, scene: Scene, shown: Sequence[str]) -> dict[str, Any]:
+    """What figures and player draw of a scene, as a JSON object; see :meth:`Report.figures`.
+
+    Args:
+        name: of the scene.
+        scene: to draw.
+        shown: policies that are drawn before the reader chooses.
+    """
     changes = np.flatnonzero(np.r_[True, (np.diff(scene.live.astype(np.int8), axis=1) != 0).any(axis=0)])
     components = np.arange(len(scene.owners))
     offsets = {
         name: trace.estimates - scene.equilibrium[:, None, None] for name, trace in scene.traces.items()
     }  # from x*, so that float32 keeps the last digits of small distances
     return {
+        "name": name,
+        "shown": list(shown),
         "t": _rounded(scene.t, 6),
         "s": _rounded(scene.s, 6),
         "gain": _rounded(scene.gain, 3),

@@ -5,11 +5,12 @@ from dataclasses import replace
 import pytest
 
 from ptne_env import Entry, Part, evaluate, get_scenario
+from ptne_env.evaluation import get_entry
 from ptne_env.evaluation.benchmark import run_suite
 from ptne_env.evaluation.leaderboard import leaderboard
 from ptne_env.evaluation.suite import Suite, Track
 from ptne_env.evaluation.traces import comparison_scenes, suite_scenes
-from ptne_env.report import comparison_report, render_page, suite_report
+from ptne_env.report import comparison_report, film, render_page, suite_report
 
 
 @pytest.fixture(scope="session")
@@ -49,11 +50,12 @@ def benched(board):
 
 @pytest.fixture(scope="session")
 def page_file(compared, benched, tmp_path_factory):
-    """Pages by name, as files: ``comparison``, ``suite`` and ``large``, of 20 tracks with 15 policies each."""
+    """Pages by name, as files: ``comparison``, ``suite``, ``episode``, and ``large``: 20 tracks with 15 policies each."""
     folder = tmp_path_factory.mktemp("pages")
     pages = {"comparison": compared, "suite": benched, "large": _enlarged(benched, 20, 15)}
     for name, report in pages.items():
         (folder / f"{name}.html").write_text(render_page(report), encoding="utf-8")
+    film(get_scenario("energy", steps=100), get_entry("static"), folder / "episode.html")
     return lambda name: folder / f"{name}.html"
 
 

@@ -37,7 +37,7 @@ def visit(browser, page_file):
         page.on("requestfailed", lambda request: complaints.append(request.url))
         page.on("dialog", lambda dialog: (complaints.append(dialog.message), dialog.dismiss()))
         page.goto(page_file(name).as_uri())
-        page.wait_for_selector(".chart .main-svg")
+        page.wait_for_selector(".card" if name == "episode" else ".chart .main-svg")
         return page
 
     yield open_page
@@ -152,6 +152,13 @@ def test_a_page_never_overflows(visit, name, width, scheme):
     assert page.evaluate("document.documentElement.scrollWidth") <= width
     ground = page.evaluate("getComputedStyle(document.body).backgroundColor")
     assert ground == {"light": "rgb(255, 255, 255)", "dark": "rgb(20, 23, 27)"}[scheme]
+
+
+def test_an_episode_is_a_page_of_its_own(visit):
+    page = visit("episode")
+    assert page.locator("#player-cards .card h4").all_text_contents() == ["static"]
+    page.locator("#player-frame").fill("9")
+    assert page.locator("#player-cards .card .cursor").count() == 3
 
 
 def test_20_tracks_with_15_policies_load_in_2_seconds_of_work(visit, browser, page_file):

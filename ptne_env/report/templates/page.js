@@ -323,6 +323,7 @@
   // Plotly takes most of the time to load: tables and player do not wait for it.
   addEventListener("load", () => setTimeout(() => {
     const source = document.getElementById("plotly");
+    if (!source) return;
     document.head.append(element("script", { textContent: source.textContent }));
     source.remove();
     drawFigures();
