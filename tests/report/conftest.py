@@ -50,7 +50,7 @@ def benched(board):
 
 @pytest.fixture(scope="session")
 def page_file(compared, benched, tmp_path_factory):
-    """Pages by name, as files: ``comparison``, ``suite``, ``episode``, and ``large``: 20 tracks with 15 policies each."""
+    """Pages by name, as files: ``comparison``, ``suite``, ``episode`` and ``large``, of 20 tracks with 15 policies."""
     folder = tmp_path_factory.mktemp("pages")
     pages = {"comparison": compared, "suite": benched, "large": _enlarged(benched, 20, 15)}
     for name, report in pages.items():
