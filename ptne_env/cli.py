@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
@@ -54,14 +55,25 @@ app = typer.Typer(
 )
 
 
+@dataclass
+class _Options:
+    """What was said before the command."""
+
+    quiet: bool = False
+    debug: bool = False
+
+
+_options = _Options()
+
+
 def _console(*, stderr: bool = False) -> Console:
     stream = sys.stderr if stderr else sys.stdout
-    return Console(stderr=stderr, width=None if stream.isatty() else _PIPE_WIDTH)
+    return Console(stderr=stderr, width=None if stream.isatty() else _PIPE_WIDTH, quiet=_options.quiet and not stderr)
 
 
 def _progress(console: Console) -> Progress:
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    return Progress(*columns, console=console, transient=True, disable=not console.is_terminal)
+    return Progress(*columns, console=console, transient=True, disable=_options.quiet or not console.is_terminal)
 
 
 def _version(value: bool) -> None:  # noqa: FBT001 - typer's callback signature
@@ -72,11 +84,16 @@ def _version(value: bool) -> None:  # noqa: FBT001 - typer's callback signature
 
 @app.callback()
 def _root(
-    version: Annotated[  # noqa: FBT002 - handled by its callback
+    version: Annotated[  # noqa: ARG001, FBT002 - handled by its callback
         bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version and exit.")
     ] = False,
+    quiet: Annotated[  # noqa: FBT002 - a flag
+        bool, typer.Option("--quiet", "-q", help="Print nothing but errors, and what '--json -' asks for.")
+    ] = False,
+    debug: Annotated[bool, typer.Option("--debug", help="Show where an error comes from.")] = False,  # noqa: FBT002 - a flag
 ) -> None:
     """Options of every command."""
+    _options.quiet, _options.debug = quiet, debug
 
 
 @app.command()
@@ -411,6 +428,8 @@ def main() -> None:
 
 
 def _fail(message: str, code: int) -> None:
+    if _options.debug:
+        _console(stderr=True).print_exception()
     _console(stderr=True).print(
         Text("Error: ", style="bold red").append(message, style="not bold default"), soft_wrap=True
     )

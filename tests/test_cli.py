@@ -2,13 +2,14 @@
 
 import csv
 import json
+import os
 import subprocess
 import sys
 
 import pytest
 
 
-def ptne(*arguments, cwd=None):
+def ptne(*arguments, cwd=None, **environment):
     return subprocess.run(  # noqa: S603 - our own command line
         [sys.executable, "-W", "error", "-m", "ptne_env.cli", *arguments],
         capture_output=True,
@@ -17,6 +18,7 @@ def ptne(*arguments, cwd=None):
         cwd=cwd,
         check=False,
         timeout=300,
+        env={**os.environ, **environment},
     )
 
 
@@ -111,6 +113,29 @@ def test_wrong_usage_exits_with_2_names_what_was_wrong_and_shows_no_traceback(ar
     assert outcome.returncode == 2
     assert message in outcome.stderr
     assert "Traceback" not in outcome.stderr
+
+
+def test_debug_shows_where_an_error_comes_from():
+    outcome = ptne("--debug", "certify", "energie")
+    assert outcome.returncode == 2
+    assert "Traceback" in outcome.stderr
+    assert "get_scenario" in outcome.stderr
+    assert "Error: unknown scenario 'energie'" in outcome.stderr
+
+
+def test_quiet_writes_files_and_prints_nothing(tmp_path):
+    outcome = ptne("--quiet", "certify", "energy", "--json", "out.json", cwd=tmp_path)
+    assert (outcome.returncode, outcome.stdout, outcome.stderr) == (0, "", "")
+    assert json.loads((tmp_path / "out.json").read_text(encoding="utf-8"))["scenario"] == "energy"
+    assert json.loads(ptne("--quiet", "certify", "energy", "--json", "-").stdout)["scenario"] == "energy"
+    assert "unknown scenario" in ptne("--quiet", "certify", "energie").stderr
+
+
+def test_colours_come_where_they_are_asked_for_and_never_with_no_color():
+    plain = ptne("certify", "energy", FORCE_COLOR="").stdout
+    assert "\x1b" not in plain
+    assert "\x1b[32m" in ptne("certify", "energy", FORCE_COLOR="1", TERM="xterm-256color").stdout
+    assert "\x1b[32m" not in ptne("certify", "energy", FORCE_COLOR="1", TERM="xterm-256color", NO_COLOR="1").stdout
 
 
 def test_an_unwritable_file_exits_with_1(tmp_path):
