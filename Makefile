@@ -10,7 +10,7 @@ OUT    ?= results
 .PHONY: compare reproduce test lint types unit clean
 
 compare: $(VENV)/.bench
-	$(BIN)/ptne compare --json $(OUT)/compare.json --csv $(OUT)/compare.csv
+	$(BIN)/ptne compare --json $(OUT)/compare.json --csv $(OUT)/compare.csv --report $(OUT)/report/index.html
 
 reproduce: $(VENV)/.bench
 	$(BIN)/ptne reproduce --out $(OUT)/paper

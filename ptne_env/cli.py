@@ -1,9 +1,10 @@
-"""The command line: ``ptne compare | certify | sweep | reproduce | train | list``. It calls the library and prints."""
+"""The command line: ``ptne compare | render | certify | sweep | reproduce | train | list``; it calls and prints."""
 
 from __future__ import annotations
 
 import sys
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
@@ -17,23 +18,28 @@ except ImportError as error:  # pragma: no cover - exercised in an environment w
 
 from ptne_env import theory
 from ptne_env._version import __version__
-from ptne_env.evaluation import Entry, default_entries, evaluate, suite_entries
+from ptne_env.evaluation import Entry, default_entries, evaluate, get_entry, suite_entries
 from ptne_env.evaluation.benchmark import check, executes_code, get_participant, run_suite
 from ptne_env.evaluation.compare import count_cells
 from ptne_env.evaluation.entries import law_part
 from ptne_env.evaluation.leaderboard import leaderboard
 from ptne_env.evaluation.suite import SUITES, find_scenario, get_suite
 from ptne_env.evaluation.sweep import SWEEPS, run_sweep
+from ptne_env.evaluation.traces import comparison_scenes, suite_scenes
 from ptne_env.files import write_atomically
 from ptne_env.report import (
     certificate_tables,
+    comparison_report,
     comparison_tables,
     entry_table,
+    film,
     leaderboard_tables,
     metric_table,
+    render_page,
     repetition_table,
     save_diagram,
     scenario_table,
+    suite_report,
     suite_table,
 )
 from ptne_env.scenario import CATALOGUE
@@ -52,14 +58,25 @@ app = typer.Typer(
 )
 
 
+@dataclass
+class _Options:
+    """What was said before the command."""
+
+    quiet: bool = False
+    debug: bool = False
+
+
+_options = _Options()
+
+
 def _console(*, stderr: bool = False) -> Console:
     stream = sys.stderr if stderr else sys.stdout
-    return Console(stderr=stderr, width=None if stream.isatty() else _PIPE_WIDTH)
+    return Console(stderr=stderr, width=None if stream.isatty() else _PIPE_WIDTH, quiet=_options.quiet and not stderr)
 
 
 def _progress(console: Console) -> Progress:
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    return Progress(*columns, console=console, transient=True, disable=not console.is_terminal)
+    return Progress(*columns, console=console, transient=True, disable=_options.quiet or not console.is_terminal)
 
 
 def _version(value: bool) -> None:  # noqa: FBT001 - typer's callback signature
@@ -70,11 +87,16 @@ def _version(value: bool) -> None:  # noqa: FBT001 - typer's callback signature
 
 @app.callback()
 def _root(
-    version: Annotated[  # noqa: FBT002 - handled by its callback
+    version: Annotated[  # noqa: ARG001, FBT002 - handled by its callback
         bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version and exit.")
     ] = False,
+    quiet: Annotated[  # noqa: FBT002 - a flag
+        bool, typer.Option("--quiet", "-q", help="Print nothing but errors, and what '--json -' asks for.")
+    ] = False,
+    debug: Annotated[bool, typer.Option("--debug", help="Show where an error comes from.")] = False,  # noqa: FBT002 - a flag
 ) -> None:
     """Options of every command."""
+    _options.quiet, _options.debug = quiet, debug
 
 
 @app.command()
@@ -108,6 +130,14 @@ def compare(
     ] = _HOLD_STEPS,
     json: Annotated[str | None, typer.Option(help="Write everything as JSON to this file; '-' for stdout.")] = None,
     csv: Annotated[Path | None, typer.Option(help="Write the records as CSV to this file.")] = None,
+    report: Annotated[
+        Path | None,
+        typer.Option(
+            help="Write the report, a page for a browser, to this file. Left out with '--json -'.",
+            show_default="report/index.html in results/, or in the suite's folder",
+        ),
+    ] = None,
+    no_report: Annotated[bool, typer.Option("--no-report", help="Write no report.")] = False,
     suite: Annotated[
         str | None, typer.Option(help="Run the tracks of a suite instead, such as ptne-v1, or 'module:object'.")
     ] = None,
@@ -143,16 +173,21 @@ def compare(
     With --suite, run the tracks of a frozen benchmark cell by cell; see docs/protocol.md.
     """
     names = [*(policy or ()), *(policies.split(",") if policies else ())]
+    if no_report and report is not None:
+        raise ValueError("--report and --no-report exclude each other")
+    folder = Path("results") if suite is None else out or Path("results") / get_suite(suite).name
+    page = None if no_report or (json == "-" and report is None) else report or folder / "report" / "index.html"
     if repeat is not None:
         _check(repeat, sample, tolerance, trust=trust)
     elif suite is not None:
         if scenario or hold_steps != _HOLD_STEPS or csv is not None:
             raise ValueError("a suite fixes what is run: leave out --scenario, --hold-steps and --csv")
-        _run_suite(suite, names, track, out, seed, episodes, jobs, json, trust=trust)
+        _run_suite(suite, names, track, folder, seed, episodes, jobs, json, page, trust=trust)
     elif track or out is not None:
         raise ValueError("--track and --out are for suites: name one with --suite")
     else:
-        _compare(names or default_entries(), scenario or list(CATALOGUE), episodes or 1000, seed, hold_steps, json, csv)
+        chosen = scenario or list(CATALOGUE)
+        _compare(names or default_entries(), chosen, episodes or 1000, seed, hold_steps, json, csv, page)
 
 
 def _compare(
@@ -163,6 +198,7 @@ def _compare(
     hold_steps: int,
     json: str | None,
     csv: Path | None,
+    page: Path | None,
 ) -> None:
     with _progress(_console(stderr=True)) as progress:
         task = progress.add_task("comparing", total=count_cells(entries, scenarios))
@@ -171,18 +207,29 @@ def _compare(
             progress.update(task, advance=1, description=cell)
 
         results = evaluate(entries, scenarios, episodes=episodes, seed=seed, hold_steps=hold_steps, progress=advance)
-    if csv is not None:
-        write_atomically(csv, results.to_csv())
+        if csv is not None:
+            write_atomically(csv, results.to_csv())
+        if json not in (None, "-"):
+            write_atomically(Path(json), results.to_json() + "\n")
+        if page is not None:
+            progress.reset(task, total=len(results.scenarios))
+            scenes = comparison_scenes(results, progress=lambda label: advance(f"report: {label}"))
+            report = comparison_report(results, scenes, episodes=episodes, hold_steps=hold_steps)
+            write_atomically(page, render_page(report))
     if json == "-":
         typer.echo(results.to_json())
         return
     console = _console()
     console.print(comparison_tables(results, console.width))
-    if json is not None:
-        write_atomically(Path(json), results.to_json() + "\n")
-    for path in (json, csv):
+    _tell_files(console, (json, csv), page)
+
+
+def _tell_files(console: Console, results: Sequence[str | Path | None], page: Path | None) -> None:
+    for path in results:
         if path is not None:
             console.print(Text(f"Results written to {path}"), soft_wrap=True)
+    if page is not None:
+        console.print(Text(f"Report written to {page}: open it in a browser"), soft_wrap=True)
 
 
 def _trusted(names: list[str], *, trust: bool) -> bool:
@@ -203,16 +250,16 @@ def _run_suite(
     name: str,
     policies: list[str],
     tracks: list[str] | None,
-    out: Path | None,
+    folder: Path,
     seed: int,
     episodes: int | None,
     jobs: int,
     json: str | None,
+    page: Path | None,
     *,
     trust: bool,
 ) -> None:
     suite = get_suite(name)
-    folder = out or Path("results") / suite.name
     trusted = _trusted(policies, trust=trust)
     participants = [get_participant(policy, trust=trusted) for policy in policies or suite_entries()]
     with _progress(_console(stderr=True)) as progress:
@@ -226,16 +273,20 @@ def _run_suite(
         )
         progress.update(task, description="statistics")
         board = leaderboard(run)
-    text = board.to_json()
-    write_atomically(folder / "results.json", text + "\n")
+        text = board.to_json()
+        write_atomically(folder / "results.json", text + "\n")
+        if json not in (None, "-"):
+            write_atomically(Path(json), text + "\n")
+        if page is not None:
+            progress.reset(task, total=len(run.tracks))
+            scenes = suite_scenes(run, progress=lambda track: advance(f"report: {track}", len(run.tracks)))
+            write_atomically(page, render_page(suite_report(board, scenes, folder=str(folder))))
     if json == "-":
         typer.echo(text)
         return
     console = _console()
     console.print(leaderboard_tables(board, console.width))
-    if json is not None:
-        write_atomically(Path(json), text + "\n")
-    console.print(Text(f"Results written to {folder / 'results.json'}"), soft_wrap=True)
+    _tell_files(console, (folder / "results.json",), page)
 
 
 def _check(results: Path, sample: int, tolerance: float, *, trust: bool) -> None:
@@ -249,6 +300,35 @@ def _check(results: Path, sample: int, tolerance: float, *, trust: bool) -> None
     _console().print(repetition_table(repetitions, tolerance))
     if any(one.difference > tolerance for one in repetitions):
         raise typer.Exit(1)
+
+
+@app.command()
+def render(
+    scenario: Annotated[str, typer.Argument(help="A scenario by name, or a track's, such as ptne-v1/delay.")],
+    policy: Annotated[str, typer.Argument(help="A policy by name, an .onnx file, or 'module:object'.")],
+    *,
+    out: Annotated[
+        Path,
+        typer.Option(help="The film: .gif, .mp4 (needs ffmpeg), or .html, a page to scrub through. Made if missing."),
+    ],
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the start, where one is drawn.")] = 0,
+    hold_steps: Annotated[
+        int | None, typer.Option(min=0, help="Steps after the deadline.", show_default="the scenario's own")
+    ] = None,
+    pictures: Annotated[int, typer.Option(min=2, help="Pictures of a .gif or .mp4.")] = 100,
+) -> None:
+    """Write an episode as a film: strategies, estimates, distances and live links over time."""
+    world, entry = find_scenario(scenario), get_entry(policy)
+    if hold_steps is not None:
+        world = world.replace(hold_steps=hold_steps)
+    with _progress(_console(stderr=True)) as progress:
+        task = progress.add_task(f"{scenario}: {policy}", total=None)
+
+        def advance(done: int, total: int) -> None:
+            progress.update(task, completed=done, total=total)
+
+        film(world, entry, out, seed=seed, pictures=pictures, progress=advance)
+    _console().print(Text(f"Film written to {out}"), soft_wrap=True)
 
 
 @app.command()
@@ -420,6 +500,8 @@ def main() -> None:
 
 
 def _fail(message: str, code: int) -> None:
+    if _options.debug:
+        _console(stderr=True).print_exception()
     _console(stderr=True).print(
         Text("Error: ", style="bold red").append(message, style="not bold default"), soft_wrap=True
     )

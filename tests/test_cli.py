@@ -2,13 +2,14 @@
 
 import csv
 import json
+import os
 import subprocess
 import sys
 
 import pytest
 
 
-def ptne(*arguments, cwd=None):
+def ptne(*arguments, cwd=None, **environment):
     return subprocess.run(  # noqa: S603 - our own command line
         [sys.executable, "-W", "error", "-m", "ptne_env.cli", *arguments],
         capture_output=True,
@@ -17,10 +18,11 @@ def ptne(*arguments, cwd=None):
         cwd=cwd,
         check=False,
         timeout=300,
+        env={**os.environ, **environment},
     )
 
 
-@pytest.mark.parametrize("command", ["compare", "reproduce", "certify", "sweep", "list"])
+@pytest.mark.parametrize("command", ["compare", "render", "reproduce", "certify", "sweep", "list"])
 def test_every_command_has_help(command):
     outcome = ptne(command, "--help")
     assert outcome.returncode == 0
@@ -49,6 +51,26 @@ def test_compare_prints_a_table_and_writes_json_and_csv(tmp_path):
     rows = list(csv.DictReader((tmp_path / "out" / "results.csv").read_text(encoding="utf-8").splitlines()))
     assert len(rows) == len(data["records"]) == 2 * 2 * 18
     assert {path.name for path in (tmp_path / "out").iterdir()} == {"results.json", "results.csv"}
+    page = (tmp_path / "results" / "report" / "index.html").read_text(encoding="utf-8")
+    assert "static comes closest" in page
+    assert "Report written to results/report/index.html" in outcome.stdout
+
+
+def test_a_report_is_written_where_it_is_asked_for_and_not_where_it_is_not(tmp_path):
+    arguments = ("compare", "--scenario", "energy", "--policy", "null", "--episodes", "1")
+    assert ptne(*arguments, "--no-report", cwd=tmp_path).returncode == 0
+    assert ptne(*arguments, "--json", "-", cwd=tmp_path).returncode == 0
+    assert not any(tmp_path.iterdir())
+    outcome = ptne(*arguments, "--json", "-", "--report", "there.html", cwd=tmp_path)
+    assert json.loads(outcome.stdout)["seed"] == 0
+    assert [path.name for path in tmp_path.iterdir()] == ["there.html"]
+
+
+def test_render_writes_a_film(tmp_path):
+    outcome = ptne("render", "energy", "static", "--out", "films/run.html", "--hold-steps", "5", cwd=tmp_path)
+    assert outcome.returncode == 0, outcome.stderr
+    assert "Film written to films/run.html" in outcome.stdout
+    assert "energy: static" in (tmp_path / "films" / "run.html").read_text(encoding="utf-8")
 
 
 def test_compare_json_to_stdout_is_json_alone():
@@ -74,6 +96,7 @@ def test_compare_takes_a_policy_by_module_and_object():
         (("compare", "--scenario", "energie"), "unknown scenario 'energie'"),
         (("compare", "--policy", "statics"), "unknown policy 'statics'"),
         (("compare", "--episodes", "0"), "--episodes"),
+        (("render", "energy", "static", "--out", "run.avi"), "a film is written to .gif, .mp4, .html"),
         (("certify", "energie"), "unknown scenario 'energie'"),
         (("certify", "energy", "--kappa", "-1"), "kappa"),
         (("certify", "energy", "--law", "statik"), "unknown law 'statik'"),
@@ -84,6 +107,7 @@ def test_compare_takes_a_policy_by_module_and_object():
         (("compare", "--suite", "ptne-v1", "--scenario", "energy"), "leave out --scenario"),
         (("compare", "--suite", "ptne-v1", "--policy", "model.zip"), "say --trust"),
         (("compare", "--track", "nominal"), "name one with --suite"),
+        (("compare", "--report", "page.html", "--no-report"), "exclude each other"),
         (("no-such-command",), "No such command"),
     ],
 )
@@ -92,6 +116,29 @@ def test_wrong_usage_exits_with_2_names_what_was_wrong_and_shows_no_traceback(ar
     assert outcome.returncode == 2
     assert message in outcome.stderr
     assert "Traceback" not in outcome.stderr
+
+
+def test_debug_shows_where_an_error_comes_from():
+    outcome = ptne("--debug", "certify", "energie")
+    assert outcome.returncode == 2
+    assert "Traceback" in outcome.stderr
+    assert "get_scenario" in outcome.stderr
+    assert "Error: unknown scenario 'energie'" in outcome.stderr
+
+
+def test_quiet_writes_files_and_prints_nothing(tmp_path):
+    outcome = ptne("--quiet", "certify", "energy", "--json", "out.json", cwd=tmp_path)
+    assert (outcome.returncode, outcome.stdout, outcome.stderr) == (0, "", "")
+    assert json.loads((tmp_path / "out.json").read_text(encoding="utf-8"))["scenario"] == "energy"
+    assert json.loads(ptne("--quiet", "certify", "energy", "--json", "-").stdout)["scenario"] == "energy"
+    assert "unknown scenario" in ptne("--quiet", "certify", "energie").stderr
+
+
+def test_colours_come_where_they_are_asked_for_and_never_with_no_color():
+    plain = ptne("certify", "energy", FORCE_COLOR="").stdout
+    assert "\x1b" not in plain
+    assert "\x1b[32m" in ptne("certify", "energy", FORCE_COLOR="1", TERM="xterm-256color").stdout
+    assert "\x1b[32m" not in ptne("certify", "energy", FORCE_COLOR="1", TERM="xterm-256color", NO_COLOR="1").stdout
 
 
 def test_an_unwritable_file_exits_with_1(tmp_path):
@@ -151,7 +198,12 @@ def suite_run(tmp_path_factory):
 
 def test_a_suite_prints_a_table_per_track_and_an_overall_one(suite_run):
     folder, printed = suite_run
-    for text in ("nominal: 6 episodes, ranked by time to 1e-6", "large-20: 6 episodes, ranked by digits", "overall"):
+    for text in (
+        "out/report/index.html",
+        "nominal: 6 episodes, ranked by time to 1e-6",
+        "large-20: 6 episodes, ranked by digits",
+        "overall",
+    ):
         assert text in printed
     for text in ("oracle *", "n/a", "the policy was made for another layout", "Not over large-20", "out/results.json"):
         assert text in printed

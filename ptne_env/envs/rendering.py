@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -37,6 +38,17 @@ class Renderer:
         self._game = dynamics.game
         self._mode = 0
         self._figure: Figure | None = None
+        self._limits: tuple[tuple[float, float], tuple[float, float]] | None = None
+
+    def foresee(self, states: Sequence[State]) -> None:
+        """Give all pictures the axes that these states of an episode need, so that a film of them does not jump."""
+        values = np.array([state.estimates[:, :, 0] for state in states])
+        far = [float(distances.estimate_distance(state.estimates, state.game)[0]) for state in states]
+        nash = states[0].game.nash_equilibria[:, 0]
+        low, high = min(values.min(), nash.min()), max(values.max(), nash.max())
+        margin = 0.05 * (high - low)
+        nearest = max(min(far), distances.FLOOR)
+        self._limits = (low - margin, high + margin), (nearest / 1.5, 1.5 * max(*far, nearest))
 
     def reset(self, state: State) -> None:
         """Forget the last episode and start with ``state``."""
@@ -106,6 +118,8 @@ class Renderer:
             label = f"player {owner}" if component == game.offsets[owner] else None
             axes.plot(times, estimates[:, component, owner], color=colour, linewidth=1.8, label=label)
             axes.axhline(self._game.nash_equilibria[component, 0], color=colour, linestyle=":", linewidth=1)
+        if self._limits is not None:
+            axes.set_ylim(self._limits[0])
         self._mark_time(axes, "Strategies (thick), others' estimates (thin), equilibrium (dotted)")
         if game.num_players <= _NAMES:
             axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.12), ncols=5, fontsize="small", frameon=False)
@@ -113,6 +127,8 @@ class Renderer:
     def _draw_distance(self, axes: Any) -> None:
         values = np.maximum(self._estimate_distances, distances.FLOOR)
         axes.semilogy(self.dynamics.clock.t[: len(values)], values, color="0.2")
+        if self._limits is not None:
+            axes.set_ylim(self._limits[1])
         self._mark_time(axes, "Relative distance of the estimates")
 
     def _mark_time(self, axes: Any, title: str) -> None:

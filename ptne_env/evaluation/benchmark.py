@@ -22,7 +22,7 @@ from ptne_env.dynamics import Dynamics
 from ptne_env.evaluation.bank import Split, start_from, track_seed
 from ptne_env.evaluation.entries import Entry, get_entry
 from ptne_env.evaluation.metrics import measure_for_suite
-from ptne_env.evaluation.rollout import Member, rollout
+from ptne_env.evaluation.rollout import rollout
 from ptne_env.evaluation.suite import ANCHORS, LEADERBOARD_SEED, Suite, Track, content_hash, get_suite
 from ptne_env.files import write_atomically
 from ptne_env.interface import Interface, Port
@@ -218,11 +218,7 @@ class Cell:
             policy = self.entry.build(port.layout)
         except ValueError as error:  # made for another layout, or for other games
             return Measured({}, {}, str(error))
-        rule, teammates = self.track.teammates, None
-        if rule is not None:
-            other = Entry("teammates", rule.policy)
-            other_port = Port(dynamics, other.interface)
-            teammates = Member(other.build(other_port.layout), other_port, rule.players)
+        teammates = None if self.track.teammates is None else self.track.teammates.join(dynamics)
         seeds = (track_seed(self.suite, self.track.name, self.split, self.seed, k) for k in range(self.episodes))
         samples = measure_for_suite(rollout(policy, port, start_from(dynamics, seeds), teammates))
         timings = {name: float(samples.pop(name)[0]) for name in TIMINGS}

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from time import perf_counter
 from typing import Any
@@ -114,7 +114,13 @@ class Member:
         return inputs
 
 
-def rollout(policy: Policy, port: Port, start: State, teammates: Member | None = None) -> Rollout:
+def rollout(
+    policy: Policy,
+    port: Port,
+    start: State,
+    teammates: Member | None = None,
+    watch: Callable[[State, FloatArray | None], None] | None = None,
+) -> Rollout:
     """Run ``policy`` from the state ``start`` at t = 0 to the end of every episode.
 
     Args:
@@ -122,6 +128,7 @@ def rollout(policy: Policy, port: Port, start: State, teammates: Member | None =
         port: through which it sees and acts.
         start: of all episodes.
         teammates: decide for their players in place of ``policy``, which is asked for the others only.
+        watch: called with every state and the inputs (n, N, B) that are held from it, ``None`` with the last state.
 
     Raises:
         ValueError: when a policy answers with actions of another shape, or with ones that are not finite.
@@ -137,10 +144,14 @@ def rollout(policy: Policy, port: Port, start: State, teammates: Member | None =
         inputs = member.decide(state)
         if teammates is not None:
             inputs += teammates.decide(state)
+        if watch is not None:
+            watch(state, inputs)
         if step < clock.steps:
             recorder.spend(step, state, inputs)
         state = dynamics.step(state, inputs)
         recorder.record(step + 1, state)
+    if watch is not None:
+        watch(state, None)
     return recorder.finish(state, member.seconds / (clock.total_steps * len(member.players) * batch))
 
 

@@ -15,6 +15,8 @@ from ptne_env.dynamics import Dynamics, State
 from ptne_env.evaluation.bank import Split, start_from, track_seed
 from ptne_env.evaluation.entries import ENTRIES, Entry
 from ptne_env.evaluation.metrics import FINE_DISTANCE, SUITE_METRICS
+from ptne_env.evaluation.rollout import Member
+from ptne_env.interface import Port
 from ptne_env.parts import Part, resolve
 from ptne_env.scenario import Scenario, get_scenario
 
@@ -42,6 +44,16 @@ class Teammates:
 
     policy: Part
     players: tuple[int, ...]
+
+    def join(self, dynamics: Dynamics) -> Member:
+        """The teammates as they act in a world.
+
+        Raises:
+            ValueError: when their policy cannot act there.
+        """
+        entry = Entry("teammates", self.policy)
+        port = Port(dynamics, entry.interface)
+        return Member(entry.build(port.layout), port, self.players)
 
     def to_dict(self) -> dict[str, Any]:
         """A JSON object."""

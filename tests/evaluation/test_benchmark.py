@@ -20,7 +20,7 @@ from ptne_env.evaluation.leaderboard import leaderboard
 from ptne_env.evaluation.suite import ANCHORS, Suite, Track, get_suite
 from ptne_env.policies import PolicyFileError
 
-ARGUMENTS = ("compare", "--suite", "ptne-v1", "--policies", "grounded,adaptive", "--episodes", "20")
+ARGUMENTS = ("compare", "--suite", "ptne-v1", "--policies", "grounded,adaptive", "--episodes", "20", "--no-report")
 ARGUMENTS += ("--track", "nominal", "--track", "switching-physical", "--track", "mixed-team")
 CELLS = 3 * 5
 

@@ -1,0 +1,217 @@
+"""How did it get there? Error against time over a few episodes, and one episode to look at, instant by instant."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from ptne_env.arrays import BoolArray, FloatArray, IntArray, require_count
+from ptne_env.dynamics import Dynamics, State
+from ptne_env.evaluation.bank import draw_start
+from ptne_env.evaluation.benchmark import Run
+from ptne_env.evaluation.compare import Results
+from ptne_env.evaluation.entries import Entry
+from ptne_env.evaluation.rollout import Member, rollout
+from ptne_env.interface import Port
+
+EPISODES = 20
+"""Episodes over which errors are told, where nothing else is said."""
+
+FRAMES = 60
+"""About as many instants of an episode are kept."""
+
+QUANTILES = (0.1, 0.5, 0.9)
+"""Of the error over episodes: the band and the median."""
+
+
+@dataclass(frozen=True)
+class Trace:
+    """One policy in one world. F instants are kept; the first episode is kept whole.
+
+    Attributes:
+        errors: :data:`QUANTILES` over episodes of the estimate distance, shape (3, F).
+        error: the estimate distance of the first episode, shape (F,).
+        estimates: x^i in column i, shape (n, N, F).
+        inputs: the inputs of the strategies, own block by own block, held from each instant; NaN at the last. (n, F).
+        consensus_gains: what multiplies Σ_j a_ij (x^j − x^i) in the inputs of the others' blocks of x^i, by least
+            squares; NaN where a player hears nothing that differs from its own estimate. Shape (N, F).
+    """
+
+    errors: FloatArray
+    error: FloatArray
+    estimates: FloatArray
+    inputs: FloatArray
+    consensus_gains: FloatArray
+
+
+@dataclass(frozen=True)
+class Scene:
+    """A world, its first episode, and how every policy did there.
+
+    Attributes:
+        t: seconds at each instant that is kept, shape (F,).
+        s: transformed time, shape (F,); it ends at the deadline.
+        gain: g(t) in 1/s, shape (F,).
+        deadline_frame: index of the instant T.
+        owners: the player who owns each component, shape (n,).
+        equilibrium: x* of the first episode, shape (n,).
+        links: pairs of players who are ever neighbours, shape (L, 2).
+        live: whether each link is up in the first episode, shape (L, F).
+        episodes: over which errors are told.
+        traces: by name of the policy.
+    """
+
+    t: FloatArray
+    s: FloatArray
+    gain: FloatArray
+    deadline_frame: int
+    owners: IntArray
+    equilibrium: FloatArray
+    links: IntArray
+    live: BoolArray
+    episodes: int
+    traces: dict[str, Trace]
+
+    @property
+    def num_players(self) -> int:
+        """N."""
+        return int(self.owners[-1]) + 1
+
+
+def comparison_scenes(
+    results: Results, *, episodes: int = EPISODES, progress: Callable[[str], None] | None = None
+) -> dict[str, Scene]:
+    """A scene per scenario of a comparison on the split ``test``, from the first ``episodes`` of its starts.
+
+    Args:
+        results: of the comparison.
+        episodes: at most as many as the comparison had.
+        progress: called with the name of the scenario when it is done.
+    """
+    scenes = {}
+    for label, scenario in results.scenarios.items():
+        cells = [cell for cell in results.cells if cell.scenario == label]
+        entries = results.entries | {entry.name: entry for entry in results.tuned.get(label, {}).values()}
+        count = min(require_count("episodes", episodes, 1), len(cells[0].samples["digits"]))
+        dynamics = Dynamics(scenario)
+        start = draw_start(dynamics, count, results.seed)
+        scenes[label] = scene(dynamics, start, {cell.policy: entries[cell.policy] for cell in cells})
+        if progress is not None:
+            progress(label)
+    return scenes
+
+
+def suite_scenes(
+    run: Run, *, episodes: int = EPISODES, progress: Callable[[str], None] | None = None
+) -> dict[str, Scene]:
+    """A scene per track of a suite, from the first ``episodes`` of the bank; of a learned policy, its first seed.
+
+    Args:
+        run: of the suite.
+        episodes: at most as many as the run had.
+        progress: called with the name of the track when it is done.
+    """
+    scenes = {}
+    count = min(require_count("episodes", episodes, 1), run.episodes)
+    for track in run.tracks:
+        dynamics = Dynamics(track.scenario)
+        start = run.suite.draw_start(dynamics, track.name, count, seed=run.seed, split=run.split)
+        entries = {
+            name: participant.runs[0]
+            for name, participant in run.participants.items()
+            if run.of(track.name, name)[0].reason is None
+        }
+        teammates = None if track.teammates is None else track.teammates.join
+        scenes[track.name] = scene(dynamics, start, entries, teammates)
+        if progress is not None:
+            progress(track.name)
+    return scenes
+
+
+def scene(
+    dynamics: Dynamics,
+    start: State,
+    entries: Mapping[str, Entry],
+    teammates: Callable[[Dynamics], Member] | None = None,
+) -> Scene:
+    """How each of several policies does from the same start.
+
+    Args:
+        dynamics: the world.
+        start: of all episodes.
+        entries: the policies by name.
+        teammates: make those who act beside each of them.
+
+    Raises:
+        ValueError: when a policy cannot act in this world.
+    """
+    clock = dynamics.clock
+    share = clock.steps / clock.total_steps
+    frames = np.unique(
+        np.concatenate(
+            [
+                np.linspace(0, clock.steps, 1 + max(1, round(FRAMES * share))).round(),
+                np.linspace(clock.steps, clock.total_steps, 1 + round(FRAMES * (1 - share))).round(),
+            ]
+        )
+    ).astype(np.int64)
+    links = np.array(dynamics.signal.union.edges, dtype=np.int64).reshape(-1, 2)
+    traces = {}
+    for name, entry in entries.items():
+        port = Port(dynamics, entry.interface)
+        watch = _Watch(dynamics, frames)
+        outcome = rollout(
+            entry.build(port.layout), port, start, None if teammates is None else teammates(dynamics), watch
+        )
+        errors = np.quantile(outcome.estimate_distance[frames], QUANTILES, axis=1)
+        traces[name] = Trace(errors, outcome.estimate_distance[frames, 0], *watch.arrays())
+    t, deadline = clock.t[frames], int(np.searchsorted(frames, clock.steps))
+    chance = start.chance
+    modes = dynamics.modes[frames] if chance is None or chance.modes is None else chance.modes[frames, 0]
+    live = np.array([dynamics.signal.graphs[mode].adjacency[links[:, 0], links[:, 1]] > 0 for mode in modes])
+    return Scene(
+        t=t,
+        s=clock.s[frames],
+        gain=clock.transformation.gain(t, clock.gain),
+        deadline_frame=deadline,
+        owners=dynamics.game.owners,
+        equilibrium=start.game.nash_equilibria[:, 0],
+        links=links,
+        live=live.T,
+        episodes=start.batch_size,
+        traces=traces,
+    )
+
+
+class _Watch:
+    """Keeps some instants of the first episode of a rollout."""
+
+    def __init__(self, dynamics: Dynamics, frames: IntArray) -> None:
+        self._owners = dynamics.game.owners
+        self._frames = frozenset(frames.tolist())
+        self._estimates: list[FloatArray] = []
+        self._inputs: list[FloatArray] = []
+        self._gains: list[FloatArray] = []
+
+    def __call__(self, state: State, inputs: FloatArray | None) -> None:
+        if int(state.step[0]) not in self._frames:
+            return
+        self._estimates.append(state.estimates[:, :, 0].copy())
+        components, players = np.arange(len(self._owners)), np.arange(state.estimates.shape[1])
+        if inputs is None:
+            self._inputs.append(np.full(len(components), np.nan))
+            self._gains.append(np.full(len(players), np.nan))
+            return
+        first = inputs[:, :, 0]
+        self._inputs.append(first[components, self._owners])
+        heard = (state.weights[:, None, :, 0] * state.relative_estimates[..., 0]).sum(axis=0)
+        heard[components, self._owners] = 0  # the gradient acts in one's own block
+        squares = (heard**2).sum(axis=0)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            self._gains.append(np.where(squares > 0, (heard * first).sum(axis=0) / squares, np.nan))
+
+    def arrays(self) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Estimates, inputs and gains, instants last."""
+        return tuple(np.stack(kept, axis=-1) for kept in (self._estimates, self._inputs, self._gains))  # type: ignore[return-value]

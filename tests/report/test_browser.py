@@ -1,0 +1,176 @@
+"""The report page in a real browser: it is clicked, sorted and scrubbed, and nothing complains."""
+
+import os
+import re
+import shutil
+
+import pytest
+
+BROWSER = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
+playwright = pytest.importorskip("playwright.sync_api", reason="needs Playwright: pip install 'ptne-env[test]'")
+pytestmark = pytest.mark.skipif(BROWSER is None, reason="needs Chromium in the PATH: apt-get install chromium")
+
+QUIET = ("--disable-gpu", "--disable-quic", "--disable-background-networking", "--disable-component-update")
+
+
+@pytest.fixture(scope="module")
+def browser():
+    arguments = [*QUIET, *(["--no-sandbox"] if os.geteuid() == 0 else [])]  # Chromium refuses a sandbox to root
+    with playwright.sync_playwright() as driver:
+        running = driver.chromium.launch(executable_path=BROWSER, args=arguments)
+        yield running
+        running.close()
+
+
+@pytest.fixture
+def visit(browser, page_file):
+    """Opens a page without a network; whatever the console says, a failed request or an alert fails the test."""
+    contexts, complaints = [], []
+
+    def open_page(name, width=1280, scheme="light"):
+        context = browser.new_context(viewport={"width": width, "height": 900}, color_scheme=scheme, offline=True)
+        context.set_default_timeout(60_000)
+        contexts.append(context)
+        page = context.new_page()
+        page.on("console", lambda message: complaints.append(f"{message.type}: {message.text}"))
+        page.on("pageerror", lambda error: complaints.append(str(error)))
+        page.on("requestfailed", lambda request: complaints.append(request.url))
+        page.on("dialog", lambda dialog: (complaints.append(dialog.message), dialog.dismiss()))
+        page.goto(page_file(name).as_uri())
+        page.wait_for_selector(".card" if name == "episode" else ".chart .main-svg")
+        return page
+
+    yield open_page
+    for context in contexts:
+        context.close()
+    assert complaints == []
+
+
+def column(page, index):
+    return page.eval_on_selector_all(
+        "#leaderboard tbody tr",
+        f"rows => rows.map(row => row.cells[{index}].dataset.value ?? row.cells[{index}].textContent)",
+    )
+
+
+def test_a_click_on_a_heading_sorts(visit, hostile):
+    page = visit("comparison")
+    heading = page.locator("#leaderboard thead th").filter(has=page.locator("button", has_text="mean digits"))
+    index = heading.evaluate("heading => heading.cellIndex")
+    heading.locator("button").click()
+    assert heading.get_attribute("aria-sort") == "descending"
+    values = list(map(float, column(page, index)))
+    assert values == sorted(values, reverse=True)
+    assert "mean digits" in page.locator("#status").text_content()
+    heading.locator("button").press("Enter")
+    assert heading.get_attribute("aria-sort") == "ascending"
+    assert list(map(float, column(page, index))) == sorted(values)
+    page.locator("#leaderboard thead button").first.click()
+    assert heading.get_attribute("aria-sort") == "none"
+    names = page.eval_on_selector_all("#leaderboard tbody th", "cells => cells.map(cell => cell.textContent)")
+    assert names == sorted(names, key=str.casefold)
+    assert hostile in names
+
+
+def test_what_has_no_value_stands_last_either_way(visit):
+    page = visit("comparison")
+    for _ in range(2):
+        page.locator("#leaderboard thead button", has_text="first").click()
+        assert column(page, 1)[-1] == "–"  # the oracle has no rank
+
+
+def test_the_player_is_scrubbed(visit, compared):
+    page = visit("comparison")
+    page.locator("#player-scene").select_option(label="energy-switching")
+    scene = compared.scenes["energy-switching"]
+    slider, cards = page.locator("#player-frame"), page.locator("#player-cards .card")
+    assert int(slider.get_attribute("max")) == len(scene.t) - 1
+    assert cards.count() == 2
+    names = cards.locator("h4").all_text_contents()
+    cards.first.locator("summary").click()
+    seen = set()
+    for frame in (0, 17, 40):
+        slider.fill(str(frame))
+        assert page.locator("#player-instant").text_content().startswith(f"t = {scene.t[frame]:.3f} s")
+        assert slider.get_attribute("aria-valuetext") == page.locator("#player-instant").text_content()
+        trace = scene.traces[names[0]]
+        strategies = cards.first.locator("tbody tr td:nth-child(2)").all_text_contents()
+        for component, text in enumerate(strategies):
+            assert float(text) == pytest.approx(trace.estimates[component, component, frame], rel=1e-3)
+        links = [f"{i}–{j}" for (i, j), up in zip(scene.links, scene.live[:, frame], strict=True) if up]
+        caption = cards.first.locator("figcaption", has_text="Live links").text_content()
+        assert caption == f"Live links: {', '.join(links)}"
+        assert cards.first.locator("line.up").count() == len(links)
+        seen.add(caption)
+    assert len(seen) > 1
+    cursor = cards.first.locator("line.cursor").first
+    before = float(cursor.get_attribute("x1"))
+    slider.press("ArrowRight")
+    assert float(cursor.get_attribute("x1")) > before
+
+
+def test_policies_stand_side_by_side_and_the_episode_plays(visit):
+    page = visit("suite", width=1000)
+    cards, box = page.locator("#player-cards .card"), page.locator("#player-choice input:not(:checked)").first
+    assert cards.count() == 2
+    added = box.get_attribute("value")
+    assert added not in cards.locator("h4").all_text_contents()
+    box.click()
+    assert cards.count() == 3
+    assert added in cards.locator("h4").all_text_contents()
+    page.locator("#player-view").select_option("distance")
+    assert cards.locator("figcaption", has_text="Distances of strategies").count() == 3
+    page.locator("#player-play").click()
+    playwright.expect(page.locator("#player-frame")).to_have_value(re.compile("[3-9]$"), timeout=60_000)
+    page.locator("#player-play").click()
+    assert page.locator("#player-play").text_content() == "Play"
+    page.locator("#player-scene").select_option(label="robots")
+    assert cards.count() >= 1
+
+
+def test_figures_show_the_policies_that_are_chosen(visit):
+    page = visit("suite")
+    section = page.locator("details.section").nth(1)
+    assert section.locator(".main-svg").count() == 0
+    section.locator("summary").first.click()
+    section.locator(".main-svg").first.wait_for()
+    lines = section.locator(".chart .scatterlayer .trace .js-line")
+    count = lines.count()
+    section.locator(".choice input:checked").first.uncheck()
+    playwright.expect(lines).not_to_have_count(count)
+    assert 0 < lines.count() < count
+    boxes = page.locator("#profiles-choice input")
+    assert boxes.count() == page.locator("#leaderboard tbody tr").count()
+
+
+@pytest.mark.parametrize("name", ["comparison", "suite", "large"])
+@pytest.mark.parametrize(("width", "scheme"), [(1280, "light"), (390, "light"), (390, "dark")])
+def test_a_page_never_overflows(visit, name, width, scheme):
+    page = visit(name, width, scheme)
+    page.evaluate("document.querySelectorAll('details').forEach(each => { each.open = true; })")
+    page.wait_for_timeout(300)
+    assert page.evaluate("document.documentElement.scrollWidth") <= width
+    ground = page.evaluate("getComputedStyle(document.body).backgroundColor")
+    assert ground == {"light": "rgb(255, 255, 255)", "dark": "rgb(20, 23, 27)"}[scheme]
+
+
+def test_an_episode_is_a_page_of_its_own(visit):
+    page = visit("episode")
+    assert page.locator("#player-cards .card h4").all_text_contents() == ["static"]
+    page.locator("#player-frame").fill("9")
+    assert page.locator("#player-cards .card .cursor").count() == 3
+
+
+def test_20_tracks_with_15_policies_load_in_2_seconds_of_work(visit, browser, page_file):
+    """Processor time and not the clock's, as other tests run beside this one."""
+    page = visit("large")
+    assert page.locator("details.section").count() == 20
+    assert page.locator("#section-0 tbody tr").count() == 15
+    context = browser.new_context(offline=True)
+    page = context.new_page()
+    session = context.new_cdp_session(page)
+    session.send("Performance.enable", {"timeDomain": "threadTicks"})
+    page.goto(page_file("large").as_uri())
+    metrics = {metric["name"]: metric["value"] for metric in session.send("Performance.getMetrics")["metrics"]}
+    context.close()
+    assert metrics["TaskDuration"] < 2
