@@ -188,7 +188,7 @@ def training_share(plan: Plan) -> dict[str, Any]:
     except ImportError as error:
         raise MissingPeerError(f"the share of a PPO update is left out: {error}") from error
     shipped = Arguments.from_toml("random-energy")
-    scenario = get_scenario(shipped.scenario)
+    scenario = get_scenario(shipped.scenarios[0])
     players, episode = scenario.built_game.num_players, scenario.built_clock.total_steps
     updates = 2 if plan.quick else -(-episode // shipped.rollout)
     settings: dict[str, Any] = {"steps": (updates + 1) * shipped.rollout * shipped.envs * players}
