@@ -13,6 +13,7 @@ from ptne_env.interface import Interface, Layout
 from ptne_env.parts import Part
 from ptne_env.policies import LearnedPolicy
 from ptne_env.policy import Policy
+from ptne_env.scenario import CATALOGUE
 
 _LAWS = "ptne_env.laws:"
 
@@ -126,8 +127,9 @@ def learned_entry(path_or_name: str) -> Entry:
 
 
 def default_entries() -> list[Entry]:
-    """Who enters a comparison on the catalogue: :data:`COMPARED` and the shipped learned policies."""
-    return [*(ENTRIES[name] for name in COMPARED), *map(learned_entry, policies.shipped())]
+    """Who enters a comparison on the catalogue: :data:`COMPARED`, and shipped policies trained on some of it."""
+    learned = map(learned_entry, policies.shipped())
+    return [*(ENTRIES[name] for name in COMPARED), *(entry for entry in learned if any(map(entry.enters, CATALOGUE)))]
 
 
 def suite_entries() -> list[Entry]:

@@ -645,8 +645,9 @@ def _track_values(board: Leaderboard, row: TrackRow, metrics: Sequence[str]) -> 
 
 
 def _shown(ranked: Sequence[str]) -> tuple[str, ...]:
-    best = list(ranked[:SHOWN])
-    return tuple(best if LAW in best or LAW not in ranked else [*best[: SHOWN - 1], LAW])
+    """The best of ``ranked``, and the paper's law last: the player starts with the first and the last of them."""
+    others = [name for name in ranked if name != LAW]
+    return tuple([*others[: SHOWN - 1], LAW] if LAW in ranked else others[:SHOWN])
 
 
 def _each(option: str, values: Iterable[str]) -> list[str]:

@@ -7,7 +7,7 @@ import pytest
 
 import ptne_env
 from ptne_env import Entry, Part, evaluate, laws
-from ptne_env.evaluation import COMPARED, METRICS, get_entry
+from ptne_env.evaluation import COMPARED, METRICS, default_entries, get_entry
 from ptne_env.evaluation.compare import count_cells
 
 
@@ -130,6 +130,12 @@ def test_every_compared_entry_acts_on_every_scenario_of_the_catalogue():
     for scenario in ("energy", "energy-switching", "energy-switching-transformed", "non-quadratic", "random-energy"):
         digits = [results.record(scenario, name, "digits")["mean"] for name in ("null", "static", "oracle")]
         assert digits == sorted(digits)
+
+
+def test_a_comparison_on_the_catalogue_leaves_out_policies_that_enter_none_of_it():
+    names = {entry.name for entry in default_entries()}
+    assert names >= {*COMPARED, "ppo-random-energy", "ppo-ptne-v1-generalist"}
+    assert not names & {"ppo-ptne-v1-noise", "ppo-ptne-v1-markov", "ppo-ptne-v1-unseen-graphs"}
 
 
 def test_oracle_by_module_path_brings_the_interface_that_it_needs():
