@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from numbers import Real
-from typing import TypeAlias
+from typing import TypeAlias, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -13,6 +13,8 @@ FloatArray: TypeAlias = npt.NDArray[np.float64]
 Float32Array: TypeAlias = npt.NDArray[np.float32]
 IntArray: TypeAlias = npt.NDArray[np.int64]
 BoolArray: TypeAlias = npt.NDArray[np.bool_]
+
+Array = TypeVar("Array", bound=npt.NDArray[np.generic])
 
 
 def _is_finite(value: object) -> bool:
@@ -60,3 +62,10 @@ def frozen(array: npt.ArrayLike) -> FloatArray:
 def ordered_sum(array: FloatArray, axis: int = 0) -> FloatArray:
     """The sum along ``axis`` in order. Numpy's own depends on the memory layout, and so on the size of the batch."""
     return np.add.accumulate(array, axis=axis).take(-1, axis=axis)
+
+
+def replaced(old: Array, fresh: Array, mask: BoolArray) -> Array:
+    """A copy of ``old`` with the entries in ``mask`` (B,) of its last axis replaced by those of ``fresh``, in order."""
+    result = old.copy()
+    result[..., mask] = fresh
+    return result

@@ -23,7 +23,15 @@ from typing import Any, Literal, TypeAlias, get_args
 import numpy as np
 
 from ptne_env import counters
-from ptne_env.arrays import BoolArray, FloatArray, IntArray, require_count, require_non_negative, require_positive
+from ptne_env.arrays import (
+    BoolArray,
+    FloatArray,
+    IntArray,
+    replaced,
+    require_count,
+    require_non_negative,
+    require_positive,
+)
 from ptne_env.counters import CounterArray
 
 Gap: TypeAlias = Literal["hold", "drop"]
@@ -402,15 +410,9 @@ class AsymmetricLinks(Channel):
 def merged(old: Memory, fresh: Memory, mask: BoolArray) -> Memory:
     """The memory ``old`` with the environments in ``mask`` (B,) replaced by those of ``fresh``, in order."""
     return tuple(
-        merged(before, after, mask) if isinstance(before, tuple) else _replaced(before, after, mask)
+        merged(before, after, mask) if isinstance(before, tuple) else replaced(before, after, mask)
         for before, after in zip(old, fresh, strict=True)
     )
-
-
-def _replaced(old: Any, fresh: Any, mask: BoolArray) -> Any:
-    result = old.copy()
-    result[..., mask] = fresh
-    return result
 
 
 def _require_probability(name: str, value: float) -> float:

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple, TypeVar
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from ptne_env import channel as channels
 from ptne_env import counters
-from ptne_env.arrays import BoolArray, FloatArray, IntArray, frozen
+from ptne_env.arrays import Array, BoolArray, FloatArray, IntArray, frozen, replaced
 from ptne_env.channel import Dice, Memory, Messages
 from ptne_env.counters import CounterArray
 from ptne_env.games import Game
@@ -21,8 +21,6 @@ from ptne_env.sources import Sources
 
 RANGE_LIMIT = 5e5
 """An estimate or own gradient outside ±RANGE_LIMIT, or not finite, has diverged."""
-
-Array = TypeVar("Array", bound=npt.NDArray[np.generic])
 
 
 @dataclass(frozen=True)
@@ -45,13 +43,13 @@ class Chance:
         """These episodes with those in ``mask`` (B,) replaced by those of ``fresh``, in order."""
 
         def both(old: Array | None, new: Array | None) -> Array | None:
-            return old if old is None or new is None else _replaced(old, new, mask)
+            return old if old is None or new is None else replaced(old, new, mask)
 
         return Chance(
             both(self.modes, fresh.modes),
             both(self.age, fresh.age),
-            _replaced(self.channel_keys, fresh.channel_keys, mask),
-            _replaced(self.disturbance_keys, fresh.disturbance_keys, mask),
+            replaced(self.channel_keys, fresh.channel_keys, mask),
+            replaced(self.disturbance_keys, fresh.disturbance_keys, mask),
         )
 
 
@@ -315,11 +313,11 @@ class Dynamics:
             heard = Heard(*channels.merged(state.heard, fresh.heard, mask))
         return State(
             self,
-            _replaced(state.step, fresh.step, mask),
+            replaced(state.step, fresh.step, mask),
             state.game.merged(fresh.game, mask),
-            _replaced(state.estimates, fresh.estimates, mask),
-            _replaced(state.own_gradients, fresh.own_gradients, mask),
-            _replaced(state.diverged, fresh.diverged, mask),
+            replaced(state.estimates, fresh.estimates, mask),
+            replaced(state.own_gradients, fresh.own_gradients, mask),
+            replaced(state.diverged, fresh.diverged, mask),
             state.chance.merged(fresh.chance, mask) if state.chance and fresh.chance else None,
             heard,
         )
@@ -410,13 +408,6 @@ class Dynamics:
         dt = np.where(state.diverged | (early & self.disturbance.after_deadline_only), 0.0, dt)
         keys = np.zeros(state.batch_size, dtype=np.uint64) if state.chance is None else state.chance.disturbance_keys
         _rows(estimates)[self.strategy_rows] += dt * self.disturbance.velocity(keys, state.step, self.game.dimension)
-
-
-def _replaced(old: Array, fresh: Array, mask: BoolArray) -> Array:
-    """``old`` with the environments in ``mask`` (B,), its last axis, replaced by those of ``fresh``, in order."""
-    result = old.copy()
-    result[..., mask] = fresh
-    return result
 
 
 def _rows(estimates: FloatArray) -> FloatArray:

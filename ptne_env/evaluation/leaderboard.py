@@ -13,10 +13,10 @@ from ptne_env.arrays import FloatArray
 from ptne_env.evaluation.benchmark import TIMINGS, Run, versions
 from ptne_env.evaluation.metrics import SUITE_METRICS
 from ptne_env.evaluation.statistics import (
-    Scores,
     Summary,
     estimate,
     interquartile_mean,
+    mean,
     performance_profile,
     probability_of_improvement,
     summarise,
@@ -236,7 +236,7 @@ def _row(
         track.name,
         name,
         rank=ranks.get((track.name, name)),
-        score=None if score is None else estimate(_mean, [score]),
+        score=None if score is None else estimate(mean, [score]),
         improvement=estimate(probability_of_improvement, [found[track.metric]], [law]).within(0, 1),
         unpaired_improvement=unpaired_probability_of_improvement([found[track.metric]], [law]),
         metrics=_summaries(found),
@@ -251,12 +251,8 @@ def _summaries(found: dict[str, FloatArray]) -> dict[str, Summary]:
     summaries = dict(zip(found, flat, strict=True))
     for metric, values in found.items():
         if len(values) > 1 and np.isfinite(values).all():
-            summaries[metric] = estimate(_mean, [values])
+            summaries[metric] = estimate(mean, [values])
     return {metric: summaries[metric] for metric in SUITE_METRICS if metric not in TIMINGS}
-
-
-def _mean(scores: Scores) -> FloatArray:
-    return np.mean([track.mean(axis=(-2, -1)) for track in scores], axis=0)
 
 
 def _overall(

@@ -100,6 +100,11 @@ Scores: TypeAlias = Sequence[FloatArray]
 """Scores of one policy, an array per track, each of shape (..., training seeds, episodes)."""
 
 
+def mean(scores: Scores) -> FloatArray:
+    """The mean over tracks of the mean over seeds and episodes; shape (...)."""
+    return np.mean([track.mean(axis=(-2, -1)) for track in scores], axis=0)
+
+
 def interquartile_mean(scores: Scores) -> FloatArray:
     """The mean of the middle half of all scores, all tracks, seeds and episodes together; shape (...).
 

@@ -13,6 +13,7 @@ from ptne_env.arrays import (
     FloatArray,
     frozen,
     ordered_sum,
+    replaced,
     require_count,
     require_non_negative,
     require_positive,
@@ -154,8 +155,7 @@ class AffineGame(Game):
                 f"AffineGame.merged() knows affine games of the same players alone, got {type(self).__name__} and "
                 f"{type(fresh).__name__}; a subclass defines its own"
             )
-        matrix, offset = self.matrix.copy(), self.offset.copy()
-        matrix[..., mask], offset[..., mask] = fresh.matrix, fresh.offset
+        matrix, offset = replaced(self.matrix, fresh.matrix, mask), replaced(self.offset, fresh.offset, mask)
         return AffineGame(matrix, offset, self.action_dims, *_merged_box(self, fresh, mask))
 
     def _solve_nash_equilibria(self) -> FloatArray:

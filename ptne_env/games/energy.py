@@ -7,7 +7,7 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 
-from ptne_env.arrays import BoolArray, FloatArray, frozen, ordered_sum
+from ptne_env.arrays import BoolArray, FloatArray, frozen, ordered_sum, replaced
 from ptne_env.games.base import Game
 
 
@@ -114,15 +114,10 @@ class EnergyGame(Game):
                 "a subclass defines its own"
             )
 
-        def replaced(old: FloatArray, new: FloatArray) -> FloatArray:
-            result = old.copy()
-            result[..., mask] = new
-            return result
-
         return EnergyGame(
-            replaced(self.curvature, fresh.curvature),
-            replaced(self.target, fresh.target),
-            replaced(self.coupling, fresh.coupling),
+            replaced(self.curvature, fresh.curvature, mask),
+            replaced(self.target, fresh.target, mask),
+            replaced(self.coupling, fresh.coupling, mask),
             self.base_price,
         )
 

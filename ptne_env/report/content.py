@@ -17,11 +17,11 @@ from ptne_env.evaluation.benchmark import TIMINGS, Participant, files, versions
 from ptne_env.evaluation.compare import PAPER_START
 from ptne_env.evaluation.leaderboard import THRESHOLDS, Leaderboard, OverallRow, TrackRow
 from ptne_env.evaluation.metrics import SUITE_METRICS
-from ptne_env.evaluation.statistics import Scores, Summary, estimate
+from ptne_env.evaluation.statistics import Summary, estimate, mean
 from ptne_env.evaluation.suite import LAW, content_hash
 from ptne_env.evaluation.traces import Scene
 from ptne_env.parts import Part
-from ptne_env.report.tables import number
+from ptne_env.report.tables import number, share
 from ptne_env.scenario import CATALOGUE
 
 SHOWN = 5
@@ -219,10 +219,6 @@ def _value(summary: Summary | None, format_: Callable[[float | None], str] = num
     return Value(format_(summary.mean), summary.mean, interval)
 
 
-def _share(value: float | None) -> str:
-    return "–" if value is None else f"{value + 0.0:.3f}".replace("-0.000", "0.000")
-
-
 def _said(summary: Summary, format_: Callable[[float | None], str] = number) -> str:
     """A mean with its interval, for a sentence."""
     value = _value(summary, format_)
@@ -378,8 +374,8 @@ def _comparison_answer(
     of_all = f"{most} of {len(first)} case{'s' * (len(first) > 1)}"
     opening = f"{_listed(best)} {'comes' if len(best) == 1 else 'come'} closest, or as close as the best, in {of_all}"
     named = best[0]
-    mean = _mean_digits(results, named)
-    opening += f", with {_said(mean)} digits at the deadline on average" + (f" ({named})." if len(best) > 1 else ".")
+    reached = _mean_digits(results, named)
+    opening += f", with {_said(reached)} digits at the deadline on average" + (f" ({named})." if len(best) > 1 else ".")
     if LAW not in results.entries or LAW in best:
         return f"{opening} {_runner_up(results, [name for name in wins if name not in best])}"
     pairs = [
@@ -390,7 +386,7 @@ def _comparison_answer(
     ]
     if not pairs:
         return f"{opening} The paper's law ({LAW}) took part in none of its cases."
-    ahead = estimate(_mean, pairs)
+    ahead = estimate(mean, pairs)
     law = _mean_digits(results, LAW, [label for label, found in digits.items() if named in found])
     closing = f"The paper's law ({LAW}) reaches {_said(law)} digits in the same cases"
     return f"{opening} {closing}; {named} gains {_said(ahead)} on it."
@@ -410,11 +406,7 @@ def _mean_digits(results: Results, policy: str, labels: Sequence[str] | None = N
         for cell in results.cells
         if cell.policy == policy and (labels is None or cell.scenario in labels)
     ]
-    return estimate(_mean, found)
-
-
-def _mean(scores: Scores) -> FloatArray:
-    return np.mean([track.mean(axis=(-2, -1)) for track in scores], axis=0)
+    return estimate(mean, found)
 
 
 def _comparison_leaderboard(
@@ -516,12 +508,12 @@ def _suite_answer(board: Leaderboard) -> str:
         text = f"{where}, nobody scores above the paper's law ({LAW}), which is 1 by definition."
     else:
         text = (
-            f"{where}, {best.policy} has the highest score, {_said(best.score, _share)} where 0 is doing nothing and 1 "
-            f"is the paper's law, and is better than the law with probability {_said(best.improvement, _share)}."
+            f"{where}, {best.policy} has the highest score, {_said(best.score, share)} where 0 is doing nothing and 1 "
+            f"is the paper's law, and is better than the law with probability {_said(best.improvement, share)}."
         )
     text += f" It ranks first on {firsts} of them"
     if len(ranked) > 1:
-        text += f"; the runner-up is {ranked[1].policy} with {_said(ranked[1].score, _share)}"
+        text += f"; the runner-up is {ranked[1].policy} with {_said(ranked[1].score, share)}"
     return text + "."
 
 
@@ -550,9 +542,9 @@ def _suite_leaderboard(board: Leaderboard) -> Table:
             metrics = board.row(track.name, name).metrics
             by_track.append(Value("n/a") if metrics is None else _value(metrics[track.metric]))
         values = (
-            _value(None if row is None else row.score, _share),
+            _value(None if row is None else row.score, share),
             Value("–") if row is None or row.mean_rank is None else Value(number(row.mean_rank), row.mean_rank),
-            _value(None if row is None else row.improvement, _share),
+            _value(None if row is None else row.improvement, share),
             *by_track,
         )
         rows.append(Row(name, values, oracle=run.participants[name].is_oracle))
@@ -632,8 +624,8 @@ def _track_values(board: Leaderboard, row: TrackRow, metrics: Sequence[str]) -> 
     keys = [cell.key for cell in cells]
     return (
         Value("–" if row.rank is None else str(row.rank), row.rank),
-        _value(row.score, _share),
-        _value(row.improvement, _share),
+        _value(row.score, share),
+        _value(row.improvement, share),
         *(_value(found[metric]) for metric in metrics),
         Value(number(row.fine_time), row.fine_time),
         Value(number(microseconds), microseconds),

@@ -14,7 +14,7 @@ from ptne_env.evaluation.benchmark import Repetition
 from ptne_env.evaluation.leaderboard import THRESHOLDS, Leaderboard, OverallRow, TrackRow
 from ptne_env.evaluation.statistics import Summary
 from ptne_env.evaluation.suite import LAW, Suite
-from ptne_env.report.tables import empty_table, number
+from ptne_env.report.tables import empty_table, number, share
 
 _METRICS = {
     "regret": "regret\nat T",
@@ -72,9 +72,9 @@ def _track_table(board: Leaderboard, track: str, width: int) -> tuple[Table, lis
     columns = [
         column("rank", lambda row, _: "" if row.rank is None else str(row.rank)),
         column(metric.replace("_", " "), lambda _, found: _text(found[metric])),
-        column("score", lambda row, _: _share(None if row.score is None else row.score.mean)),
+        column("score", lambda row, _: share(None if row.score is None else row.score.mean)),
         column(
-            f"P(better\nthan {LAW})", lambda row, _: _share(None if row.improvement is None else row.improvement.mean)
+            f"P(better\nthan {LAW})", lambda row, _: share(None if row.improvement is None else row.improvement.mean)
         ),
         column("time to\n1e-6 [s]", lambda row, _: number(row.fine_time)),
         *(
@@ -140,14 +140,14 @@ def _overall(board: Leaderboard, width: int) -> tuple[list[Table | Text], list[s
         return heading, {name: cell(row) for name, row in rows.items()}
 
     columns = [
-        column("score,\ninterquartile mean", lambda row: _text(row.score, _share)),
+        column("score,\ninterquartile mean", lambda row: _text(row.score, share)),
         column("mean\nrank", lambda row: number(row.mean_rank)),
-        column(f"P(better than {LAW})", lambda row: _text(row.improvement, _share)),
+        column(f"P(better than {LAW})", lambda row: _text(row.improvement, share)),
         *(
-            column(f"P(score\n> {level:g})", lambda row, level=level: _share(row.profile[THRESHOLDS.index(level)]))  # type: ignore[misc]
+            column(f"P(score\n> {level:g})", lambda row, level=level: share(row.profile[THRESHOLDS.index(level)]))  # type: ignore[misc]
             for level in (1.0, 2.0)
         ),
-        column(f"unpaired P(better\nthan {LAW})", lambda row: _share(row.unpaired_improvement)),
+        column(f"unpaired P(better\nthan {LAW})", lambda row: share(row.unpaired_improvement)),
     ]
     title = f"{board.run.suite.name}, seed {board.run.seed}: overall"
     table, missing = _fitting(board, title, list(rows), columns, width)
@@ -178,11 +178,6 @@ def _text(summary: Summary | None, format_: Callable[[float | None], str] = numb
 
 def _mean(summary: Summary | None) -> float | None:
     return None if summary is None else summary.mean
-
-
-def _share(value: float | None) -> str:
-    """Scores and probabilities, whose zero is a matter of rounding."""
-    return "–" if value is None else f"{value + 0.0:.3f}".replace("-0.000", "0.000")
 
 
 def repetition_table(repetitions: Sequence[Repetition], tolerance: float) -> Table:

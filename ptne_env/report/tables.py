@@ -65,6 +65,11 @@ def number(value: float | None) -> str:
     return f"{mantissa}e{int(exponent)}"
 
 
+def share(value: float | None) -> str:
+    """A score or a probability, whose zero is a matter of rounding, with three decimals; a dash where there is none."""
+    return "–" if value is None else f"{value + 0.0:.3f}".replace("-0.000", "0.000")
+
+
 def interval(record: Record) -> Text:
     """The mean, and under it the 95 % interval where the sample varies."""
     text = Text(number(record["mean"]), justify="right")
