@@ -6,6 +6,7 @@ fixed, so that it either does so always or never.
 
 import math
 import re
+from dataclasses import replace
 from statistics import NormalDist
 
 import numpy as np
@@ -654,3 +655,23 @@ def test_noise_in_the_sampled_environment_follows_its_recursion(spacing, k):
         z = state.estimates[1, 0]
         assert bounds[0] < np.mean(z**2) / variance < bounds[1]
     assert largest > 0.1
+
+
+class Shouting(Channel):
+    """Somebody's channel that says it heard everything on every link, whatever the graph."""
+
+    is_random = False
+
+    def transmit(self, messages, memory, dice):
+        return replace(messages, live=np.ones_like(messages.live), weights=np.ones_like(messages.weights)), ()
+
+
+def test_nobody_hears_anything_on_a_link_that_is_down_whatever_a_channel_says():
+    dynamics = Dynamics(SWITCHING.replace(channel=Part.of("test_channel:Shouting")))
+    sources = [Sources.from_seed(0)]
+    game, chance = dynamics.draw_game(sources), dynamics.draw_chance(sources)
+    state = dynamics.start(dynamics.draw_estimates(sources), game, chance)
+    live = dynamics.graph_weights(state) > 0
+    assert live.any()
+    assert not live.all()
+    assert np.array_equal(state.weights > 0, np.broadcast_to(live, state.weights.shape))
