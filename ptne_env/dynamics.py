@@ -333,15 +333,22 @@ class Dynamics:
         """The x^j of the neighbour in each slot, shape (D, n, N, B)."""
         return _rows(estimates).take(self._neighbour_rows, axis=0)
 
-    def relative_estimates(self, state: State) -> FloatArray:
-        """(x^j as heard) − x^i per neighbour slot in float64, 0 where the link is down, shape (D, n, N, B)."""
+    def relative_estimates(self, state: State, slots: slice = slice(None), out: FloatArray | None = None) -> FloatArray:
+        """(x^j as heard) − x^i per neighbour slot in float64, 0 where the link is down, shape (D, n, N, B).
+
+        Args:
+            state: whose estimates.
+            slots: those of the D neighbour slots that are wanted; all if left out.
+            out: where to write, C-contiguous; a new array if left out.
+        """
         if state.heard is None:
-            relative = self.sent_messages(state.estimates)
+            rows = self._neighbour_rows[slots]
+            relative = _rows(state.estimates).take(rows, axis=0, out=out, mode="clip")  # "raise" would copy once more
             relative -= state.estimates
         else:
-            relative = state.heard.messages - state.estimates
+            relative = np.subtract(state.heard.messages[slots], state.estimates, out=out)
         if not self.has_constant_weights:
-            relative *= (state.weights > 0)[:, None]
+            relative *= (state.weights[slots] > 0)[:, None]
         return relative
 
     def is_over(self, state: State) -> BoolArray:

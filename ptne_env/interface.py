@@ -33,6 +33,9 @@ GAIN_OCTAVES = 3.0
 _PADDING = 16
 """Columns by which the rows of an observation workspace are longer than a batch that is larger than that."""
 
+_SCRATCH_ENTRIES = 32_768
+"""Numbers in the float64 scratch of a workspace, or one neighbour slot if that is more: it stays in a core's cache."""
+
 _WORKSPACES = 2
 """Observation workspaces that a port keeps, one per batch size: a vector environment has blocks of two sizes."""
 
@@ -339,6 +342,18 @@ class Decoded(NamedTuple):
     clipped: IntArray
 
 
+class _Workspace(NamedTuple):
+    """Where a port puts observations of one batch size together.
+
+    Attributes:
+        fields: views of each part, environments last, and of everything as (B, N size).
+        scratch: for the relative estimates of some neighbour slots at a time, float64, shape (slots, n, N, B).
+    """
+
+    fields: dict[str, Float32Array]
+    scratch: FloatArray
+
+
 class Port:
     """Where policies plug into a world: states to observations, actions to inputs, for every batch size.
 
@@ -368,7 +383,7 @@ class Port:
         t, s, theta = dynamics.readings
         shared = [np.broadcast_to(row, t.shape) for row in (clock.dt / clock.deadline, dynamics.time_since_switch)]
         self._clock_table = np.stack([t / clock.deadline, s, theta, *shared]).astype(np.float32)
-        self._workspaces: dict[int, dict[str, Float32Array]] = {}
+        self._workspaces: dict[int, _Workspace] = {}
         self._scaled: tuple[State, FloatArray] | None = None
         # Row of own_gradients in each place of a player's own block, shape (m, N); padding is masked out.
         own = layout.own_components.T
@@ -424,7 +439,7 @@ class Port:
             out: where to write, of that shape and C-contiguous; a new array if left out.
         """
         batch = state.estimates.shape[2]
-        fields = self._workspaces.get(batch) or self._prepare(batch)
+        fields, scratch = self._workspaces.get(batch) or self._prepare(batch)
         if self.interface.kind == "local":
             differences, scale = self._ego_differences(state)
             self._scaled = (state, scale)
@@ -434,7 +449,11 @@ class Port:
         else:
             fields["own_estimate"][...] = state.estimates
             fields["own_gradient"][...] = self._own_gradients(state)
-            fields["relative_estimates"][...] = state.relative_estimates
+            relative = fields["relative_estimates"]
+            for first in range(0, len(relative), len(scratch)):
+                part = slice(first, first + len(scratch))
+                shown = relative[part]
+                shown[...] = self.dynamics.relative_estimates(state, part, scratch[: len(shown)])
         if not self.dynamics.has_constant_weights:
             fields["weights"][...] = state.weights
         fields["clock"][...] = self._clock_table.take(state.instants, axis=2)
@@ -505,11 +524,8 @@ class Port:
         inputs[self._own_rows] -= gradient_gain[state.game.owners] * state.own_gradients
         return inputs
 
-    def _prepare(self, batch: int) -> dict[str, Float32Array]:
-        """The workspace of observations: views of each part, environments last, and of everything as (B, N size).
-
-        Parts that never change are written here, once per batch size.
-        """
+    def _prepare(self, batch: int) -> _Workspace:
+        """The workspace of a batch size. Parts that never change are written here."""
         layout = self.layout
         # Rows of a power-of-two length fall on the same cache lines when they are transposed; padding parts them.
         row = batch + _PADDING if batch > _PADDING else batch
@@ -525,8 +541,10 @@ class Port:
             parts["weights"][...] = self.dynamics.mode_weights
         while len(self._workspaces) >= _WORKSPACES:
             self._workspaces.pop(next(iter(self._workspaces)))
-        self._workspaces[batch] = parts
-        return parts
+        slots, n, players = self._slots
+        some = max(1, min(slots, _SCRATCH_ENTRIES // (n * players * batch)))
+        self._workspaces[batch] = workspace = _Workspace(parts, np.empty((some, n, players, batch)))
+        return workspace
 
     def _observe_extras(self, state: State, fields: dict[str, Float32Array]) -> None:
         """What only some interfaces show."""
