@@ -16,7 +16,7 @@ from worlds import BLOCKS, make_env
 import ptne_env
 from ptne_env import CATALOGUE, laws
 from ptne_env.envs.joint import JointEnv, JointVectorEnv
-from ptne_env.envs.registration import register_environments
+from ptne_env.registration import register_environments
 
 BATCH = 4
 MODES = {"NEXT_STEP": AutoresetMode.NEXT_STEP, "SAME_STEP": AutoresetMode.SAME_STEP, "DISABLED": AutoresetMode.DISABLED}
