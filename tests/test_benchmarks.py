@@ -91,4 +91,5 @@ def test_import_times_are_printed_for_every_statement(capsys, monkeypatch):
     imports.main(["--repeats", "1"])
     rows = [line.split("│") for line in capsys.readouterr().out.splitlines() if "│" in line]
     elapsed = {row[1].strip(): float(row[2]) for row in rows}
-    assert elapsed["a pause"] >= 0.3 > 0 <= elapsed["nothing"]
+    assert elapsed["a pause"] >= 0.3
+    assert elapsed["nothing"] >= 0
