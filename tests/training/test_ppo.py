@@ -9,8 +9,11 @@ import time
 
 import numpy as np
 import pytest
-import torch
 from conftest import ARGUMENTS
+from extras import need_sb3
+
+torch = need_sb3()
+
 from stable_baselines3 import PPO
 
 import ptne_env
