@@ -7,7 +7,7 @@ VENV   ?= .venv
 BIN    := $(VENV)/bin
 OUT    ?= results
 
-.PHONY: compare reproduce test lint types unit clean
+.PHONY: compare reproduce test lint types unit soak clean
 
 compare: $(VENV)/.bench
 	$(BIN)/ptne compare --json $(OUT)/compare.json --csv $(OUT)/compare.csv --report $(OUT)/report/index.html
@@ -27,6 +27,9 @@ types: $(VENV)/.test
 
 unit: $(VENV)/.test
 	$(BIN)/pytest --numprocesses auto
+
+soak: $(VENV)/.test
+	$(BIN)/python tests/soak.py --episodes 100000
 
 $(VENV)/bin/python:
 	@$(PYTHON) -c 'import sys; sys.exit("ptne_env needs Python 3.11 or newer, $(PYTHON) is " + sys.version.split()[0] + "; say PYTHON=...") if sys.version_info < (3, 11) else 0'

@@ -5,21 +5,60 @@
 >>> observations, infos = env.reset(seed=7)
 """
 
-from ptne_env import laws as laws
+from typing import TYPE_CHECKING
+
 from ptne_env._version import __version__ as __version__
-from ptne_env.envs.parallel import NashSeekingEnv as NashSeekingEnv
-from ptne_env.envs.parallel import parallel_env as parallel_env
-from ptne_env.envs.registration import register_environments
-from ptne_env.envs.vector import VectorParallelEnv as VectorParallelEnv
-from ptne_env.evaluation import Entry as Entry
-from ptne_env.evaluation import Results as Results
-from ptne_env.evaluation import evaluate as evaluate
-from ptne_env.interface import Interface as Interface
-from ptne_env.interface import Layout as Layout
-from ptne_env.parts import Part as Part
-from ptne_env.policy import Policy as Policy
-from ptne_env.scenario import CATALOGUE as CATALOGUE
-from ptne_env.scenario import Scenario as Scenario
-from ptne_env.scenario import get_scenario as get_scenario
+from ptne_env.registration import register_environments
+
+if TYPE_CHECKING:
+    from ptne_env import laws as laws
+    from ptne_env.envs.parallel import NashSeekingEnv as NashSeekingEnv
+    from ptne_env.envs.parallel import parallel_env as parallel_env
+    from ptne_env.envs.vector import VectorParallelEnv as VectorParallelEnv
+    from ptne_env.evaluation import Entry as Entry
+    from ptne_env.evaluation import Results as Results
+    from ptne_env.evaluation import evaluate as evaluate
+    from ptne_env.interface import Interface as Interface
+    from ptne_env.interface import Layout as Layout
+    from ptne_env.parts import Part as Part
+    from ptne_env.policy import Policy as Policy
+    from ptne_env.scenario import CATALOGUE as CATALOGUE
+    from ptne_env.scenario import Scenario as Scenario
+    from ptne_env.scenario import get_scenario as get_scenario
+else:
+    # Each name is imported when it is first asked for (PEP 562): together they take long.
+    _HOMES = {
+        "CATALOGUE": "scenario",
+        "Entry": "evaluation",
+        "Interface": "interface",
+        "Layout": "interface",
+        "NashSeekingEnv": "envs",
+        "Part": "parts",
+        "Policy": "policy",
+        "Results": "evaluation",
+        "Scenario": "scenario",
+        "VectorParallelEnv": "envs",
+        "evaluate": "evaluation",
+        "get_scenario": "scenario",
+        "laws": "laws",
+        "parallel_env": "envs",
+    }
+    __all__ = list(_HOMES)
+
+    def __getattr__(name: str) -> object:
+        from importlib import import_module, util
+
+        if not name.startswith("_") and util.find_spec(f"{__name__}.{name}"):
+            value = import_module(f"{__name__}.{name}")
+        elif name in _HOMES:
+            value = getattr(import_module(f"{__name__}.{_HOMES[name]}"), name)
+        else:
+            raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+        globals()[name] = value
+        return value
+
+    def __dir__() -> list[str]:
+        return sorted({*globals(), *__all__})
+
 
 register_environments()

@@ -7,7 +7,7 @@ from typing import Literal, NamedTuple, TypeAlias, get_args
 
 import numpy as np
 import numpy.typing as npt
-from scipy import optimize, special
+import scipy
 
 from ptne_env.arrays import FloatArray, frozen, require_count, require_non_negative, require_positive
 
@@ -74,7 +74,7 @@ class TimeTransformation(ABC):
             if value <= 0:
                 return 0.0
             residual = lambda s: float(self.effective_time(s, constant)) - value  # noqa: E731 - closes over value
-            return float(optimize.brentq(residual, 0.0, value, xtol=1e-15, rtol=8.9e-16, maxiter=200))
+            return float(scipy.optimize.brentq(residual, 0.0, value, xtol=1e-15, rtol=8.9e-16, maxiter=200))
 
         return np.array([solve(float(value)) for value in times.ravel()]).reshape(times.shape)
 
@@ -100,7 +100,7 @@ class Exponential(TimeTransformation):
         scale = constant * self.deadline
         if scale == 0:
             return times.copy()
-        return np.maximum(times - scale + special.wrightomega(np.log(scale) + scale - times), 0.0)
+        return np.maximum(times - scale + scipy.special.wrightomega(np.log(scale) + scale - times), 0.0)
 
 
 class Rational(TimeTransformation):

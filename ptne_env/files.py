@@ -1,22 +1,35 @@
-"""Files that are whole or not there: atomic writing."""
+"""Files that are whole or not there: atomic writing, and reading what others may have damaged."""
 
 from __future__ import annotations
 
+import json
 import os
 import tempfile
 from pathlib import Path
+from typing import Any
 
 
 def write_atomically(path: Path, content: str | bytes) -> None:
     """Write ``content`` to ``path`` so that a reader, or an interruption, sees the old file or the new one.
 
-    Missing folders are created.
+    Missing folders are created. What is there and is no file, such as ``/dev/null`` or a pipe, is written to as it is.
 
     Raises:
-        OSError: when the folder cannot be written; the old file is untouched then.
+        OSError: naming ``path``, when it cannot be written, as on a full or read-only disk; the old file is untouched
+            then.
     """
-    path.parent.mkdir(parents=True, exist_ok=True)
     data = content.encode() if isinstance(content, str) else content
+    try:
+        if path.exists() and not path.is_file():
+            path.write_bytes(data)
+        else:
+            _replace(path, data)
+    except OSError as error:  # which may name a temporary file, or none
+        raise OSError(error.errno, error.strerror or str(error), str(path)) from error
+
+
+def _replace(path: Path, data: bytes) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
     handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
     try:
         with os.fdopen(handle, "wb") as file:
@@ -30,3 +43,24 @@ def write_atomically(path: Path, content: str | bytes) -> None:
     except BaseException:
         Path(temporary).unlink(missing_ok=True)
         raise
+
+
+def read_json(path: Path, what: str) -> dict[str, Any]:
+    """The JSON object in a file.
+
+    Args:
+        path: of the file.
+        what: it should be, for the message: "the results file of a suite".
+
+    Raises:
+        OSError: when there is no such file, or it cannot be read.
+        ValueError: naming ``path``, when it holds no JSON object, or part of one.
+    """
+    data = path.read_bytes()
+    try:
+        value = json.loads(data)
+    except (ValueError, RecursionError) as error:
+        raise ValueError(f"{path} is not {what}: it is cut off, damaged or something else ({error})") from error
+    if not isinstance(value, dict):
+        raise ValueError(f"{path} is not {what}: expected a JSON object, got {type(value).__name__}")
+    return value

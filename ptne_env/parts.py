@@ -88,7 +88,7 @@ class Part:
         arguments = {name: _build(value) for name, value in self.arguments}
         try:
             return target(**arguments, **extra)
-        except TypeError as error:
+        except (TypeError, AttributeError, LookupError, ArithmeticError) as error:  # what wrong arguments end in
             raise ValueError(f"part {self.target!r} refuses its arguments {sorted(arguments)}: {error}") from error
 
     def to_dict(self) -> dict[str, Any]:

@@ -60,7 +60,7 @@ def _as_part(field: str, value: Any) -> Part:
             return Part.of(value)
         choices = [*map(repr, known), "a 'module:object' string", "a Part"]
         raise ValueError(f"{field} is {', '.join(choices[:-1])} or {choices[-1]}; got {value!r}")
-    raise TypeError(f"{field} is a name, a 'module:object' string or a Part, got {type(value).__name__}")
+    raise ValueError(f"{field} is a name, a 'module:object' string or a Part, got {type(value).__name__}")
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -82,3 +82,14 @@ def test_a_missing_peer_names_the_command_that_installs_it(peers, monkeypatch, m
     monkeypatch.setitem(sys.modules, module, None)
     with pytest.raises(peers.MissingPeerError, match=command):
         build(peers)
+
+
+def test_import_times_are_printed_for_every_statement(capsys, monkeypatch):
+    monkeypatch.syspath_prepend(str(ROOT))
+    imports = importlib.import_module("benchmarks.imports")
+    monkeypatch.setattr(imports, "STATEMENTS", {"nothing": "pass", "a pause": "import time; time.sleep(0.3)"})
+    imports.main(["--repeats", "1"])
+    rows = [line.split("│") for line in capsys.readouterr().out.splitlines() if "│" in line]
+    elapsed = {row[1].strip(): float(row[2]) for row in rows}
+    assert elapsed["a pause"] >= 0.3
+    assert elapsed["nothing"] >= 0

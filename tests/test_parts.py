@@ -107,3 +107,9 @@ def test_arguments_that_json_cannot_hold_are_refused():
 def test_objects_with_values_of_another_kind_are_refused(data):
     with pytest.raises(ValueError, match="string 'target' and an object 'arguments'"):
         Part.from_dict(data)
+
+
+def test_arguments_of_a_wrong_kind_are_refused_whatever_the_part_makes_of_them():
+    for part in (Part.of("ptne_env.graphs:fixed", graph=None), Part.of("ptne_env.graphs:union", graphs=[1])):
+        with pytest.raises(ValueError, match=f"part '{part.target}' refuses its arguments"):
+            part.build()

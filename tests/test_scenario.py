@@ -281,7 +281,7 @@ def test_scenario_that_cannot_be_is_refused_with_advice(name):
 
 
 def test_part_of_another_type_is_refused():
-    with pytest.raises(TypeError, match="game is a name, a 'module:object' string or a Part, got EnergyGame"):
+    with pytest.raises(ValueError, match="game is a name, a 'module:object' string or a Part, got EnergyGame"):
         get_scenario("energy", game=EnergyGame())
 
 

@@ -34,6 +34,20 @@ class Outcome(NamedTuple):
     truncated: BoolArray
 
 
+class Beginning(NamedTuple):
+    """What episodes start with.
+
+    Attributes:
+        sources: the generators of all environments.
+        state: of those that start.
+        mask: which they are, shape (B,).
+    """
+
+    sources: list[Sources]
+    state: State
+    mask: BoolArray
+
+
 class Simulation:
     """B environments that are stepped together and reset one by one.
 
@@ -92,7 +106,20 @@ class Simulation:
         mask: BoolArray | None = None,
         estimates: FloatArray | None = None,
     ) -> State:
-        """Start episodes.
+        """Start episodes: :meth:`draw` and :meth:`begin`.
+
+        Raises:
+            ValueError: as :meth:`draw`; the state stays as it was.
+        """
+        return self.begin(self.draw(seeds, mask, estimates))
+
+    def draw(
+        self,
+        seeds: Sequence[int | None] | None = None,
+        mask: BoolArray | None = None,
+        estimates: FloatArray | None = None,
+    ) -> Beginning:
+        """What episodes start with; nothing has started yet.
 
         Args:
             seeds: one per environment; ``None`` goes on with the generators there are. Only those in ``mask`` count.
@@ -100,8 +127,7 @@ class Simulation:
             estimates: initial estimates instead of drawn ones, shape (n, N, environments in mask).
 
         Raises:
-            ValueError: for an invalid seed or estimates, or a drawn game that is not strongly monotone; the state
-                stays as it was.
+            ValueError: for an invalid seed or estimates, or a drawn game that is not strongly monotone.
         """
         if self.state is None and mask is not None and not mask.all():
             raise ValueError("the first reset() starts every environment: leave out the mask")
@@ -118,11 +144,16 @@ class Simulation:
         fresh = self.dynamics.start(estimates, game, self.dynamics.draw_chance(drawn))
         if fresh.any_diverged:
             raise ValueError(f"own gradients at the initial estimates must be within ±{RANGE_LIMIT:g}: start closer")
-        if mask is not None and self.state is not None and len(chosen) < self.num_envs:
-            fresh = self.dynamics.merge(self.state, fresh, mask)
-        self._sources, self.state = sources, fresh
-        self._reward.reset(fresh)
-        return fresh
+        return Beginning(sources, fresh, np.ones(self.num_envs, dtype=np.bool_) if mask is None else mask)
+
+    def begin(self, beginning: Beginning) -> State:
+        """Start the episodes that were drawn."""
+        self._sources, state, mask = beginning
+        if not mask.all():
+            state = self.dynamics.merge(self.current, state, mask)
+        self.state = state
+        self._reward.reset(state)
+        return state
 
     def _seeded(self, chosen: IntArray, seeds: Sequence[int | None]) -> list[Sources]:
         """The generators of all environments, new ones for those among ``chosen`` that have a seed."""
@@ -134,12 +165,12 @@ class Simulation:
                 sources[index] = Sources.from_seed(seeds[index])
         return sources
 
-    def step(self, actions: npt.NDArray[np.floating], restart: BoolArray | None = None) -> Outcome:
+    def step(self, actions: npt.NDArray[np.floating], restart: Beginning | None = None) -> Outcome:
         """Hold everybody's inputs for one step.
 
         Args:
             actions: finite and within the action box (see :meth:`Port.clip`), shape (B, N, action size).
-            restart: environments that start afresh instead of moving, shape (B,): their rewards are 0.
+            restart: what environments that start afresh instead of moving start with: their rewards are 0.
 
         Raises:
             RuntimeError: before the first reset.
@@ -152,10 +183,10 @@ class Simulation:
             truncated = np.zeros(self.num_envs, dtype=np.bool_)
         else:
             truncated = ~terminated & (state.step >= self.max_cycles)
-        if restart is not None and restart.any():
-            self.reset(mask=restart)
-            terms = {name: np.where(restart, 0.0, term) for name, term in terms.items()}
-            terminated, truncated = terminated & ~restart, truncated & ~restart
+        if restart is not None:
+            self.begin(restart)
+            terms = {name: np.where(restart.mask, 0.0, term) for name, term in terms.items()}
+            terminated, truncated = terminated & ~restart.mask, truncated & ~restart.mask
         return Outcome(self._reward.total(terms), terms, terminated, truncated)
 
     def observe(self, out: Float32Array | None = None) -> Float32Array:

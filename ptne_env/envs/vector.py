@@ -11,7 +11,7 @@ from gymnasium import spaces
 
 from ptne_env.arrays import BoolArray, Float32Array, FloatArray, IntArray, require_count
 from ptne_env.dynamics import RANGE_LIMIT
-from ptne_env.envs.core import Outcome, Simulation
+from ptne_env.envs.core import Beginning, Outcome, Simulation
 from ptne_env.interface import ActionMode, Interface, InterfaceKind, Layout
 from ptne_env.scenario import Scenario, get_scenario
 from ptne_env.sources import require_seed
@@ -137,7 +137,8 @@ class VectorParallelEnv:
 
         Raises:
             ValueError: for an invalid seed, a wrong number of seeds, a mask of another shape or dtype, a mask that
-                leaves some out of the first reset, or estimates of another shape; no environment is touched.
+                leaves some out of the first reset, or estimates of another shape or out of range; no environment is
+                touched.
         """
         seeds = self._seeds(seed)
         chosen = np.ones(self.num_envs, dtype=np.bool_) if mask is None else np.asarray(mask)
@@ -147,10 +148,10 @@ class VectorParallelEnv:
             raise ValueError("the first reset() starts every environment: leave out the mask")
         given = None if estimates is None else self._estimates(estimates)
         observations = self._empty_observations()
-        for block, part in zip(self._blocks, self._slices, strict=True):
-            if chosen[part].any():
-                table = None if given is None else given[:, :, part][:, :, chosen[part]]
-                block.reset(seeds[part], chosen[part], table)
+        beginnings = self._draw(chosen, seeds, given)  # whatever is refused is refused before any block has started
+        for block, part, beginning in zip(self._blocks, self._slices, beginnings, strict=True):
+            if beginning is not None:
+                block.begin(beginning)
             block.observe(observations[part])
         self._over = self._over & ~chosen
         return observations
@@ -179,16 +180,33 @@ class VectorParallelEnv:
         if actions.shape != shape or actions.dtype.kind != "f":
             raise ValueError(f"actions are floats of shape {shape}, got {actions.dtype} of shape {actions.shape}")
         actions, clipped = self._blocks[0].port.clip(actions)  # refuses what is not finite before any block has moved
+        beginnings: Sequence[Beginning | None] = [None] * len(self._blocks)
         if restart is not None:
             clipped[restart] = 0
+            beginnings = self._draw(restart)
         outcomes = [
-            block.step(actions[part], None if restart is None else restart[part])
-            for block, part in zip(self._blocks, self._slices, strict=True)
+            block.step(actions[part], beginning)
+            for block, part, beginning in zip(self._blocks, self._slices, beginnings, strict=True)
         ]
         observations = self._empty_observations()
         for block, part in zip(self._blocks, self._slices, strict=True):
             block.observe(observations[part])
         return self._assemble(observations, outcomes, clipped)
+
+    def _draw(
+        self, chosen: BoolArray, seeds: list[int | None] | None = None, estimates: FloatArray | None = None
+    ) -> list[Beginning | None]:
+        """What the chosen environments start with, block by block; ``None`` for a block that has none."""
+        return [
+            block.draw(
+                None if seeds is None else seeds[part],
+                chosen[part],
+                None if estimates is None else estimates[:, :, part][:, :, chosen[part]],
+            )
+            if chosen[part].any()
+            else None
+            for block, part in zip(self._blocks, self._slices, strict=True)
+        ]
 
     def _assemble(self, observations: Float32Array, outcomes: list[Outcome], clipped: IntArray) -> VectorStep:
         terminated = np.concatenate([outcome.terminated for outcome in outcomes])

@@ -24,7 +24,7 @@ from ptne_env.evaluation.entries import Entry, get_entry
 from ptne_env.evaluation.metrics import measure_for_suite
 from ptne_env.evaluation.rollout import rollout
 from ptne_env.evaluation.suite import ANCHORS, LEADERBOARD_SEED, Suite, Track, content_hash, get_suite
-from ptne_env.files import write_atomically
+from ptne_env.files import read_json, write_atomically
 from ptne_env.interface import Interface, Port
 from ptne_env.parts import Part
 from ptne_env.policies import shipped_path
@@ -32,6 +32,9 @@ from ptne_env.policies.archive import load_archive
 
 TIMINGS = ("microseconds_per_decision",)
 """Metrics that another run does not repeat; they are kept apart."""
+
+RESULTS_FORMAT = 2
+"""Version of what the entries of ``results.json`` mean; a file of another one is refused."""
 
 _ARCHIVE = "ptne_env.policies.archive:load_archive_for"
 _PACKAGE = Path(__file__).parents[1]
@@ -273,12 +276,8 @@ class Store:
     def load(self, cell: Cell) -> Measured | None:
         """What is kept of a cell; ``None`` where nothing is, or a damaged file, and the cell has to be run."""
         try:
-            data = json.loads(self.path(cell).read_text(encoding="utf-8"))
-            body = {name: data[name] for name in ("samples", "not_applicable")}
-            if data["checksum"] != content_hash(body):
-                return None
-            return Measured.from_dict(data)
-        except (FileNotFoundError, KeyError, TypeError, ValueError, AttributeError):
+            return _read(self.path(cell))
+        except (FileNotFoundError, ValueError):
             return None
 
     def keep(self, cell: Cell, measured: Measured) -> None:
@@ -459,16 +458,14 @@ def check(
 
     Raises:
         FileNotFoundError: when there are no results, or a cell's file is missing.
-        ValueError: when a file is damaged, the suite is not the one that was run, or a policy's files are others.
+        ValueError: when a file is damaged, foreign or of another version, the suite is not the one that was run, or a
+            policy's files are others.
     """
     path = results / "results.json" if results.is_dir() else results
-    try:
-        data = json.loads(path.read_text(encoding="utf-8"))
-        name, published = data["suite"]["target"], data["suite"]["content_hash"]
-        listed, participants = data["cells"], {one["name"]: one for one in data["participants"]}
-        bank = {key: data[key] for key in ("seed", "split", "episodes")}
-    except (KeyError, TypeError, ValueError) as error:
-        raise ValueError(f"{path} is not the results file of a suite: {error!r}") from error
+    data = _read_results(path)
+    name, published = data["suite"]["target"], data["suite"]["content_hash"]
+    listed, participants = data["cells"], {one["name"]: one for one in data["participants"]}
+    bank = {key: data[key] for key in ("seed", "split", "episodes")}
     suite = get_suite(name) if suite is None else suite
     if suite.content_hash != published:
         raise ValueError(
@@ -492,11 +489,37 @@ def check(
     return repetitions
 
 
+def _read_results(path: Path) -> dict[str, Any]:
+    """What :meth:`Leaderboard.to_dict` wrote."""
+    what = "the results file of a suite"
+    data = read_json(path, what)
+    if missing := sorted({"format", "suite", "cells"} - data.keys()):
+        raise ValueError(f"{path} is not {what}: it has no {', '.join(missing)}")
+    if data["format"] != RESULTS_FORMAT:
+        raise ValueError(
+            f"{path} is of format {data['format']!r}, this library reads {RESULTS_FORMAT}: use the version of ptne_env "
+            "that wrote it, or run the suite again"
+        )
+    content = {key: value for key, value in data.items() if key not in ("checksum", "timings")}
+    if not _is_hash(data.get("checksum"), content):
+        raise ValueError(f"{path} was damaged or changed after it was written: run the suite again, cells are kept")
+    return data
+
+
 def _read(path: Path) -> Measured:
-    data = json.loads(path.read_text(encoding="utf-8"))
-    if data.get("checksum") != content_hash({name: data.get(name) for name in ("samples", "not_applicable")}):
-        raise ValueError(f"the cell {path} is damaged: remove it and run the suite again")
+    """What :meth:`Store.keep` wrote to this file, and no other."""
+    data = read_json(path, "a cell of a suite's results")
+    body = {name: data.get(name) for name in ("samples", "not_applicable")}
+    if not (_is_hash(data.get("checksum"), body) and _is_hash(path.stem, data.get("cell"))):
+        raise ValueError(f"the cell {path} is damaged, or another one: remove it and run the suite again")
     return Measured.from_dict(data)
+
+
+def _is_hash(digest: Any, content: Any) -> bool:
+    try:
+        return bool(digest == content_hash(content))
+    except (ValueError, RecursionError):  # NaN, or nested beyond reason
+        return False
 
 
 def _difference(old: Measured, new: Measured) -> float:

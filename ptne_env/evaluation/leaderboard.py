@@ -10,7 +10,7 @@ import numpy as np
 
 from ptne_env import distances
 from ptne_env.arrays import FloatArray
-from ptne_env.evaluation.benchmark import TIMINGS, Run, versions
+from ptne_env.evaluation.benchmark import RESULTS_FORMAT, TIMINGS, Run, versions
 from ptne_env.evaluation.metrics import SUITE_METRICS
 from ptne_env.evaluation.statistics import (
     Summary,
@@ -22,7 +22,7 @@ from ptne_env.evaluation.statistics import (
     summarise,
     unpaired_probability_of_improvement,
 )
-from ptne_env.evaluation.suite import LAW, NULL, SATURATION_MARGIN, Track
+from ptne_env.evaluation.suite import LAW, NULL, SATURATION_MARGIN, Track, content_hash
 
 SMALLEST_GAIN = 0.1
 """Digits that the law must gain over doing nothing for a track's scores to be normalised by them."""
@@ -117,10 +117,13 @@ class Leaderboard:
         raise KeyError(f"no row of policy {policy!r} on track {track!r}")
 
     def to_dict(self) -> dict[str, Any]:
-        """All that is needed to read the results and to repeat them, as a JSON object; timings in one place."""
+        """All that is needed to read the results and to repeat them, as a JSON object; timings in one place.
+
+        ``format`` is the version of what the entries mean, ``checksum`` the hash of all but itself and the timings.
+        """
         run = self.run
-        return {
-            "format": 1,
+        content = {
+            "format": RESULTS_FORMAT,
             "suite": {"target": run.target, "content_hash": run.suite.content_hash, **run.suite.content()},
             "seed": run.seed,
             "split": run.split,
@@ -137,8 +140,9 @@ class Leaderboard:
                 {"track": cell.track.name, "participant": cell.participant, "run": cell.run, "cell": cell.key}
                 for cell in run.cells
             ],
-            "timings": {cell.key: measured.timings for cell, measured in zip(run.cells, run.measured, strict=True)},
         }
+        timings = {cell.key: measured.timings for cell, measured in zip(run.cells, run.measured, strict=True)}
+        return {**content, "checksum": content_hash(content), "timings": timings}
 
     def to_json(self) -> str:
         """:meth:`to_dict` as a JSON text without NaN or Infinity."""

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import TypeAlias
 
 import numpy as np
-from scipy import stats
+import scipy
 
 from ptne_env.arrays import FloatArray
 
@@ -81,7 +81,7 @@ def _mean_of_worst_tenth(samples: FloatArray, axis: int) -> FloatArray:
 def _bootstrap(samples: FloatArray, seed: int, statistic: Callable[..., FloatArray] = np.mean) -> list[Summary]:
     if not samples.size:
         return []
-    interval = stats.bootstrap(
+    interval = scipy.stats.bootstrap(
         (samples,),
         statistic,
         axis=1,
@@ -112,7 +112,7 @@ def interquartile_mean(scores: Scores) -> FloatArray:
     "Deep reinforcement learning at the edge of the statistical precipice", NeurIPS 2021. Rows being runs and tracks
     being tasks, it is rliable's ``aggregate_iqm``.
     """
-    return np.asarray(stats.trim_mean(_flattened(scores), 0.25, axis=-1))
+    return np.asarray(scipy.stats.trim_mean(_flattened(scores), 0.25, axis=-1))
 
 
 def performance_profile(scores: Scores, thresholds: FloatArray) -> FloatArray:
@@ -139,7 +139,7 @@ def unpaired_probability_of_improvement(scores: Scores, others: Scores) -> float
     to be compared with the figures of others.
     """
     shares = [
-        stats.mannwhitneyu(x.ravel(), y.ravel()).statistic / (x.size * y.size)
+        scipy.stats.mannwhitneyu(x.ravel(), y.ravel()).statistic / (x.size * y.size)
         for x, y in zip(scores, others, strict=True)
     ]
     return float(np.mean(shares))
@@ -186,7 +186,7 @@ def estimate(
     total = sum(part for part, _ in parts)
     freedom = total**2 / sum(part**2 / max(count - 1, 1) for part, count in parts)
     tail = (1 - CONFIDENCE) / 2
-    stretch = stats.t.isf(tail, freedom) / stats.norm.isf(tail) * np.sqrt(total / variance)
+    stretch = scipy.stats.t.isf(tail, freedom) / scipy.stats.norm.isf(tail) * np.sqrt(total / variance)
     low, high = np.quantile(values, [tail, 1 - tail])
     return Summary(point, point + float(stretch * (low - point)), point + float(stretch * (high - point)))
 

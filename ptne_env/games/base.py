@@ -7,7 +7,7 @@ from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
-from scipy import optimize
+import scipy
 
 from ptne_env.arrays import BoolArray, FloatArray, IntArray, frozen, ordered_sum, require_count
 from ptne_env.games.variational import natural_map, solve_box
@@ -222,9 +222,9 @@ class Game(ABC):
         def field(x: FloatArray) -> FloatArray:
             return self.pseudo_gradient(x[:, None])[:, 0]
 
-        point = np.asarray(optimize.root(field, np.zeros(self.dimension), method="hybr", tol=1e-14).x)
+        point = np.asarray(scipy.optimize.root(field, np.zeros(self.dimension), method="hybr", tol=1e-14).x)
         # Where F only underflows, as e^x does far out, its residual is small and Newton's step is not.
-        slope = optimize.approx_fprime(point, field)
+        slope = scipy.optimize.approx_fprime(point, field)
         step = np.linalg.lstsq(slope, field(point), rcond=None)[0]
         if not np.linalg.norm(step) <= 1e-6 * (1 + np.linalg.norm(point)):
             raise ArithmeticError(

@@ -7,7 +7,7 @@ from functools import partial
 from itertools import pairwise
 
 import numpy as np
-from scipy import differentiate
+import scipy
 
 from ptne_env.arrays import FloatArray
 from ptne_env.games.base import Game
@@ -95,7 +95,7 @@ def _derivative(game: Game, points: FloatArray, component: int, owner: int) -> F
             options = {"step_direction": side, "initial_step": min(0.5, (high - low) / 8)}
         else:
             options = {}
-        result = differentiate.derivative(partial(_cost_along, game, point, component, owner), value, **options)
+        result = scipy.differentiate.derivative(partial(_cost_along, game, point, component, owner), value, **options)
         return float(result.df)
 
     return np.array([derivative(point) for point in points.T])

@@ -166,11 +166,12 @@ def load(path_or_name: str | Path) -> LearnedPolicy:
     if not path.is_file():
         names = ", ".join(shipped()) or "none"
         raise FileNotFoundError(f"no policy {str(path_or_name)!r}: name an .onnx file or a shipped policy ({names})")
+    content = path.read_bytes()
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = 1  # the networks are small, and one thread gives the same bits everywhere
     options.log_severity_level = 4
     try:
-        session = onnxruntime.InferenceSession(path.read_bytes(), options, providers=["CPUExecutionProvider"])
+        session = onnxruntime.InferenceSession(content, options, providers=["CPUExecutionProvider"])
     except Exception as error:  # onnxruntime raises its own classes, which are not public
         raise PolicyFileError(f"{path} is not a readable ONNX file: it is damaged or something else") from error
     text = session.get_modelmeta().custom_metadata_map.get(_METADATA_KEY)

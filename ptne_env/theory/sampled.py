@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from typing import Any, Literal, TypeAlias
 
 import numpy as np
-from scipy import linalg, optimize
+import scipy
 
 from ptne_env.arrays import FloatArray, IntArray, require_count, require_non_negative
 from ptne_env.dynamics import Dynamics
@@ -281,11 +281,11 @@ def stationary_noise_covariance(
     if np.linalg.eigvals(matrix).real.min() <= 0:
         return None
     if first_order:
-        return np.asarray(linalg.solve_continuous_lyapunov(matrix, step * variance * loop.noise))
+        return np.asarray(scipy.linalg.solve_continuous_lyapunov(matrix, step * variance * loop.noise))
     transition = np.eye(len(matrix)) - step * matrix
     if np.abs(np.linalg.eigvals(transition)).max() >= 1:
         return None
-    return np.asarray(linalg.solve_discrete_lyapunov(transition, step**2 * variance * loop.noise))
+    return np.asarray(scipy.linalg.solve_discrete_lyapunov(transition, step**2 * variance * loop.noise))
 
 
 def delayed_radius(loop: Loop, step: float, delay: int) -> float:
@@ -360,7 +360,7 @@ def delay_bound(loop: Loop, step: float) -> float | None:
     gains = [gain(angle) for angle in angles[angles > 0]]
     best, ends = int(np.argmax(gains)), np.pad(angles[angles > 0], 1, mode="edge")
     between = (ends[best], ends[best + 2])
-    refined = optimize.minimize_scalar(lambda angle: -gain(angle), bounds=between, method="bounded")
+    refined = scipy.optimize.minimize_scalar(lambda angle: -gain(angle), bounds=between, method="bounded")
     largest = max(gains[best], -float(refined.fun))
     return 1 / largest if largest > 0 else None
 

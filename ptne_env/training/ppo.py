@@ -28,7 +28,7 @@ from torch import nn
 from ptne_env.envs.sb3 import MixedSlotVecEnv, SlotVecEnv
 from ptne_env.evaluation import Entry, episode_seed, evaluate
 from ptne_env.evaluation.suite import find_scenario
-from ptne_env.files import write_atomically
+from ptne_env.files import read_json, write_atomically
 from ptne_env.interface import ActionMode, Interface, InterfaceKind, Layout
 from ptne_env.training.export import to_onnx
 from ptne_env.training.features import Products
@@ -126,7 +126,7 @@ def train(arguments: Arguments, out: Path, progress: Progress | None = None) -> 
         The summary, also in ``out/summary.json``: arguments, digits on the validation bank, seconds.
 
     Raises:
-        ValueError: when ``out`` holds a run with other arguments.
+        ValueError: when ``out`` holds a run with other arguments, or a damaged one.
     """
     out.mkdir(parents=True, exist_ok=True)
     _claim(arguments, out)
@@ -157,8 +157,8 @@ def _claim(arguments: Arguments, out: Path) -> None:
     path = out / "arguments.json"
     mine = json.loads(json.dumps(dataclasses.asdict(arguments)))
     if path.exists():
-        theirs = json.loads(path.read_text(encoding="utf-8"))
-        different = sorted(name for name in mine if theirs.get(name) != mine[name])
+        theirs = read_json(path, "the arguments of a training run")
+        different = sorted(name for name in mine.keys() | theirs.keys() if theirs.get(name) != mine.get(name))
         if different:
             raise ValueError(
                 f"{out} holds a run with another {', '.join(different)}; choose another folder, or remove this one to "
@@ -223,7 +223,12 @@ def _start_or_resume(arguments: Arguments, out: Path) -> tuple[PPO, VecMonitor]:
     env = make_env(arguments)
     checkpoint = out / "checkpoint.zip"
     if checkpoint.exists():
-        model = PPO.load(checkpoint, env=env, device="cpu")
+        try:
+            model = PPO.load(checkpoint, env=env, device="cpu")
+        except Exception as error:  # whatever unpickling foreign bytes may raise
+            raise ValueError(
+                f"{checkpoint} is damaged, or not of this run: remove it to train afresh ({error!r})"
+            ) from error
     else:
         chosen = settings(arguments, env.get_attr("layout")[0])
         model = PPO("MlpPolicy", env, tensorboard_log=str(out / "tensorboard"), **chosen)

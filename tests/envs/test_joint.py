@@ -6,17 +6,17 @@ import warnings
 import gymnasium
 import numpy as np
 import pytest
+from extras import need_sb3
 from gymnasium.utils.env_checker import check_env
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
 from gymnasium.wrappers.vector import RecordEpisodeStatistics
-from stable_baselines3.common.env_checker import check_env as check_env_of_sb3
 from test_parallel import arrays_in, same
 from worlds import BLOCKS, make_env
 
 import ptne_env
 from ptne_env import CATALOGUE, laws
 from ptne_env.envs.joint import JointEnv, JointVectorEnv
-from ptne_env.envs.registration import register_environments
+from ptne_env.registration import register_environments
 
 BATCH = 4
 MODES = {"NEXT_STEP": AutoresetMode.NEXT_STEP, "SAME_STEP": AutoresetMode.SAME_STEP, "DISABLED": AutoresetMode.DISABLED}
@@ -43,6 +43,10 @@ def test_checkers_of_gymnasium_and_sb3_have_nothing_to_say(name, mode):
     env = gymnasium.make(f"ptne_env:ptne/{name}-joint-v0", interface="local", action_mode=mode, steps=150)
     check_env(env.unwrapped)  # a warning would be an error
     check_env_of_sb3(env.unwrapped)
+
+
+def check_env_of_sb3(env):
+    need_sb3("stable_baselines3.common.env_checker").check_env(env)
 
 
 @pytest.mark.parametrize("check", [check_env, check_env_of_sb3])

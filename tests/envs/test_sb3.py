@@ -4,8 +4,10 @@ import copy
 
 import numpy as np
 import pytest
-import supersuit
-import torch
+from extras import need_sb3
+
+torch, supersuit = need_sb3(), need_sb3("supersuit")
+
 from stable_baselines3 import A2C, PPO, SAC
 from stable_baselines3.common.callbacks import EvalCallback
 from stable_baselines3.common.evaluation import evaluate_policy

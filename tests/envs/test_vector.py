@@ -342,6 +342,10 @@ BAD_RESETS = {
     "a mask of numbers": ({"mask": [0, 1, 0, 1, 1]}, r"a reset mask is 5 booleans, got int64 of shape \(5,\)"),
     "a mask of indices": ({"mask": np.array([1, 3])}, r"got int64 of shape \(2,\)"),
     "one boolean": ({"mask": True}, r"got bool of shape \(\)"),
+    "one start too far out": (
+        {"estimates": np.repeat([0.0] * 4 + [4e5], 25).reshape(5, 5, 5)},
+        "own gradients at the initial estimates must be within",
+    ),
 }
 
 

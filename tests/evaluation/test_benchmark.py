@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from extras import need_sb3
 
 import ptne_env
 from ptne_env import Entry, Part, laws
@@ -253,6 +254,7 @@ def test_training_seeds_of_one_policy_share_a_row(tmp_path):
 @pytest.fixture(scope="module")
 def archive(tmp_path_factory):
     """An untrained model, saved as Stable-Baselines3 does."""
+    need_sb3()
     from stable_baselines3 import PPO
 
     from ptne_env.envs.sb3 import SlotVecEnv
@@ -287,6 +289,7 @@ def test_an_archive_acts_as_its_model_does(archive, tmp_path):
 
 
 def test_files_that_are_no_archives_are_refused(tmp_path):
+    need_sb3()
     (tmp_path / "bad.zip").write_bytes(b"no archive")
     with pytest.raises(PolicyFileError, match="not an archive"):
         get_participant(str(tmp_path / "bad.zip"), trust=True)

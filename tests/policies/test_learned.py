@@ -3,8 +3,11 @@
 import json
 
 import numpy as np
-import onnx
 import pytest
+from extras import need_sb3
+
+onnx = need_sb3("onnx")
+
 from onnx import helper
 
 import ptne_env

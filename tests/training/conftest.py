@@ -1,6 +1,9 @@
 """One short training run that the tests of training, export and loading share."""
 
 import pytest
+from extras import need_sb3
+
+need_sb3()
 
 from ptne_env.training import ppo
 

@@ -9,8 +9,11 @@ import time
 
 import numpy as np
 import pytest
-import torch
 from conftest import ARGUMENTS
+from extras import need_sb3
+
+torch = need_sb3()
+
 from stable_baselines3 import PPO
 
 import ptne_env
@@ -75,6 +78,23 @@ def test_another_run_in_the_same_folder_is_refused_and_touches_nothing(run):
     with pytest.raises(ValueError, match="another seed"):
         ppo.train(dataclasses.replace(ARGUMENTS, seed=1), out)
     assert before == {path.name: path.stat().st_mtime_ns for path in out.iterdir()}
+
+
+def test_a_folder_that_was_damaged_or_is_of_a_later_version_is_refused_by_name(tmp_path):
+    written = tmp_path / "arguments.json"
+    written.write_text(json.dumps(dataclasses.asdict(ARGUMENTS))[:-20], encoding="utf-8")
+    with pytest.raises(ValueError, match="arguments.json is not the arguments of a training run: it is cut off"):
+        ppo.train(ARGUMENTS, tmp_path)
+    written.write_text(json.dumps(dataclasses.asdict(ARGUMENTS) | {"unheard_of": 1}), encoding="utf-8")
+    with pytest.raises(ValueError, match="holds a run with another unheard_of"):
+        ppo.train(ARGUMENTS, tmp_path)
+    written.unlink()
+    checkpoint = tmp_path / "checkpoint.zip"
+    for content in (b"", b"PK\x03\x04 cut off", b"something else"):
+        checkpoint.write_bytes(content)
+        with pytest.raises(ValueError, match="checkpoint.zip is damaged, or not of this run: remove it"):
+            ppo.train(ARGUMENTS, tmp_path)
+        assert checkpoint.read_bytes() == content
 
 
 def test_a_killed_run_goes_on_from_its_last_checkpoint(tmp_path):

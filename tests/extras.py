@@ -1,0 +1,8 @@
+"""What only an extra brings: without it the tests that need it are skipped, and say which extra that is."""
+
+import pytest
+
+
+def need_sb3(module="torch"):
+    """Skip what asks, unless the extra ``sb3`` is installed, of which ``module`` is a part."""
+    return pytest.importorskip(module, reason="needs the extra 'sb3': pip install 'ptne-env[sb3]'")

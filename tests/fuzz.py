@@ -1,0 +1,614 @@
+"""Random worlds, random use and what must hold all the same; for hypothesis (test_fuzz.py) and for soak.py.
+
+Everything is drawn from a ``random.Random``, which hypothesis can stand in for. In every session two environments are
+given the same seeds and actions. One is used properly. The other is abused in between: wrong calls, whose errors must
+be the documented ones, and writing into all that it has returned. Both must return the same, bit for bit: so an error
+changes no state, nothing returned is shared, and the same seed and actions give the same episode.
+"""
+
+import contextlib
+import copy
+import math
+import random
+import warnings
+from dataclasses import dataclass, fields
+from functools import partial
+
+import numpy as np
+
+from ptne_env import Interface, Part, Scenario, VectorParallelEnv, laws, parallel_env
+from ptne_env.dynamics import Dynamics
+from ptne_env.envs import vector
+from ptne_env.interface import Port
+from ptne_env.sources import Sources
+
+CHAINS = (
+    "AdditiveNoise",
+    "MultiplicativeNoise",
+    "Delay",
+    "Loss",
+    "BurstLoss",
+    "UniformQuantiser",
+    "LogarithmicQuantiser",
+)
+REFUSALS = (ValueError, RuntimeError)
+"""What the library raises at wrong input and wrong calls."""
+
+
+@dataclass
+class Tally:
+    """What a session has seen."""
+
+    worlds: int = 0
+    refused: int = 0
+    episodes: int = 0
+    parallel_episodes: int = 0
+    agent_steps: int = 0
+    diverged: int = 0
+    clipped: int = 0
+    errors: int = 0
+    comparisons: int = 0
+
+    def add(self, other):
+        for field in fields(self):
+            setattr(self, field.name, getattr(self, field.name) + getattr(other, field.name))
+
+
+# Worlds ------------------------------------------------------------------------------------------------------------
+
+
+def log_uniform(rng, low, high):
+    return math.exp(rng.uniform(math.log(low), math.log(high)))
+
+
+def a_game(rng):
+    """A part that builds a game or a family, its players and whether its players have one dimension each."""
+
+    def numbers(low, high, count):
+        return [rng.uniform(low, high) for _ in range(count)]
+
+    def game(name, **arguments):
+        return Part.of(f"ptne_env.games:{name}", **arguments)
+
+    players = rng.randint(2, 6)
+    kind = rng.choice(("energy", "energy", "random energy", "random affine", "box", "shipped"))
+    if kind == "energy":
+        part = game(
+            "EnergyGame",
+            curvature=numbers(0.3, 3, players),
+            target=numbers(-40, 40, players),
+            coupling=rng.uniform(0, 0.5),
+        )
+        return part, players
+    if kind == "random energy":
+        return game("RandomEnergy", players=players), players
+    if kind in ("random affine", "box"):
+        bounds = {"low": -rng.uniform(1, 20), "high": rng.uniform(1, 20)} if kind == "box" else {}
+        shape = {"players": players, "action_dim": rng.randint(1, 3), "asymmetry": rng.uniform(0, 3)}
+        return game("RandomAffine", **shape, **bounds), players
+    shipped = {
+        "NonQuadraticGame": {"variant": rng.choice(("printed", "corrected"))},
+        "NetworkedCournot": {},
+        "Oligopoly": {},
+        "ConnectivityControl": {},
+        "ElectricVehicleCharging": {"limit": rng.uniform(0.5, 3)},
+        "RateControl": {},
+        "WeaklyMonotoneGame": {"rotation": rng.uniform(0.1, 2)},
+    }
+    name = rng.choice(sorted(shipped))
+    return game(name, **shipped[name]), 4 if name == "Oligopoly" else 5
+
+
+def some_edges(rng, players):
+    """The links of a connected random graph: a random tree and some more."""
+    order = rng.sample(range(players), players)
+    edges = {tuple(sorted((order[i], order[rng.randrange(i)]))) for i in range(1, players)}
+    for _ in range(rng.randint(0, players)):
+        edges.add(tuple(sorted(rng.sample(range(players), 2))))
+    return sorted(edges)
+
+
+def adjacency(rng, players, edges):
+    matrix = np.zeros((players, players))
+    for i, j in edges:
+        matrix[i, j] = matrix[j, i] = rng.choice((1.0, rng.uniform(0.2, 2)))
+    return matrix
+
+
+def a_signal(rng, players):
+    """A part that builds a signal, fixed or switching, of random or named graphs."""
+
+    def signal(name, **arguments):
+        return Part.of(f"ptne_env.graphs:{name}", **arguments)
+
+    edges = some_edges(rng, players)
+    whole = signal("Graph", adjacency=adjacency(rng, players, edges))
+    clock = rng.choice(("physical", "transformed"))
+    dwells = sorted(rng.uniform(0.1, 2) for _ in range(2))
+    modes = rng.randint(2, 3)
+    graphs = [signal("Graph", adjacency=adjacency(rng, players, edges[index::modes])) for index in range(modes)]
+    named = rng.choice(("path", "star", "complete", *(["cycle"] if players > 2 else [])))
+    jumps = {"transition": np.full((modes, modes), 1 / modes), "dwells": dwells[1]}
+    kinds = {
+        "fixed": {"graph": rng.choice((whole, signal(named, players=players)))},
+        "periodic": {"graphs": graphs, "dwells": [rng.uniform(0.1, 2) for _ in graphs], "clock": clock},
+        "random_dwells": {"graphs": graphs, "dwells": dwells, "clock": clock},
+        "markov": {"graphs": graphs, "clock": clock, **jumps},
+        "random_edges": {
+            "graph": whole,
+            "probability": rng.uniform(0.3, 1),
+            "dwells": dwells,
+            "modes": 8,
+            "clock": clock,
+        },
+        "random_graphs": {"players": players, "probability": rng.uniform(0.5, 1), "modes": rng.randint(2, 5)},
+    }
+    kind = rng.choice(("fixed", *kinds))
+    return signal(kind, **kinds[kind])
+
+
+def a_channel(rng):
+    def stage(kind):
+        gap, target = rng.choice(("hold", "drop")), rng.choice(("message", "difference"))
+        arguments = {
+            "AdditiveNoise": {"std": log_uniform(rng, 1e-6, 10)},
+            "MultiplicativeNoise": {"std": rng.uniform(0, 0.5)},
+            "Delay": {"steps": rng.randint(0, 3), "longest": rng.randint(3, 5)},
+            "Loss": {"probability": rng.choice((0.0, rng.random(), 1.0)), "gap": gap},
+            "BurstLoss": {"to_bad": 0.2, "to_good": rng.uniform(0.1, 1), "loss_bad": 1.0, "loss_good": 0.1, "gap": gap},
+            "UniformQuantiser": {"width": log_uniform(rng, 1e-6, 10), "target": target},
+            "LogarithmicQuantiser": {"ratio": rng.uniform(0.3, 0.99), "target": target},
+            "AsymmetricLinks": {"low": rng.uniform(0, 1), "high": rng.uniform(1, 2)},
+        }
+        return Part.of(f"ptne_env.channel:{kind}", **arguments[kind])
+
+    kinds = [rng.choice((*CHAINS, "AsymmetricLinks")) for _ in range(rng.randint(1, 3))]
+    return Part.of("ptne_env.channel:Chain", stages=[stage(kind) for kind in kinds])
+
+
+def a_scenario(rng):
+    """A scenario of random parts; raises ``ValueError`` where they do not fit."""
+    game, players = a_game(rng)
+    reach = log_uniform(rng, 1e-3, 1e5)
+    wrong_clocks = rng.random() < 0.15
+    disturbance = {
+        "bound": log_uniform(rng, 1e-3, 100),
+        "dwell": rng.randint(1, 5),
+        "after_deadline_only": rng.random() < 0.3,
+    }
+    return Scenario(
+        name="fuzz",
+        game=game,
+        signal=a_signal(rng, players),
+        start=Part.of("ptne_env.starts:UniformStart", low=-reach, high=rng.uniform(0, 1) * reach),
+        transformation=rng.choice(("exponential", "exponential", "rational", "tanh")),
+        deadline=log_uniform(rng, 0.1, 10),
+        gain=rng.choice((0.0, 20.0, log_uniform(rng, 0.1, 50))),
+        steps=rng.randint(1, 40),
+        s_end=rng.uniform(0.5, 12),
+        spacing=rng.choice(("effective", "transformed", "physical")),
+        hold_steps=rng.choice((0, 0, rng.randint(1, 6))),
+        input_limit=log_uniform(rng, 0.1, 1e6),
+        channel=a_channel(rng) if rng.random() < 0.4 else "perfect",
+        disturbance=Part.of("ptne_env.disturbances:UniformDisturbance", **disturbance)
+        if rng.random() < 0.3
+        else "none",
+        clock_shifts=tuple(rng.uniform(-0.02, 0.02) for _ in range(players)) if wrong_clocks else (),
+        slots=rng.choice((None, None, players)),
+    )
+
+
+def some_arguments(rng):
+    """How it is seen and judged."""
+    reward = rng.choice(("digits", "tracking", "payoff", "regret", {"digits": 1.0, "tracking": 0.5}, {"payoff": 2.0}))
+    return {
+        "interface": rng.choice(("physical", "local")),
+        "action_mode": rng.choice(("input", "input", "gains")),
+        "action_scale": log_uniform(rng, 0.1, 50),
+        "own_payoff": rng.random() < 0.3,
+        "reward": reward,
+        "max_cycles": rng.choice((None, None, rng.randint(1, 50))),
+    }
+
+
+@contextlib.contextmanager
+def no_warnings():
+    """Every warning is an error, but the one that a scenario stops short of its deadline."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        warnings.filterwarnings("ignore", message=".*short of the deadline.*")
+        yield
+
+
+# Use ---------------------------------------------------------------------------------------------------------------
+
+
+def refuses(call, tally):
+    """The call raises one of the documented errors, and says something."""
+    try:
+        call()
+    except REFUSALS as error:
+        assert str(error).strip(), f"{type(error).__name__} without a message"  # noqa: PT017 - any of several kinds
+        tally.errors += 1
+    else:
+        raise AssertionError("a wrong call was accepted")
+
+
+def actor(rng, layout):
+    """A function from observations (B, N, size) to actions: random of some size, or a law's where one fits."""
+    generator, bound = np.random.default_rng(rng.getrandbits(32)), layout.action_bound
+    if rng.random() < 0.4:
+        law = rng.choice((laws.Static, laws.Adaptive, laws.CorollaryOne, laws.Grounded, laws.CappedGain, laws.Null))
+        with contextlib.suppress(ValueError):  # not every law acts through every interface
+            policy, memory = law(layout), [None]
+
+            def decide(observations):
+                actions, memory[0] = policy.predict(observations.reshape(-1, layout.size), memory[0])
+                assert np.isfinite(actions).all(), f"{law.__name__} answers with what is not finite"
+                assert (np.abs(actions) <= bound).all(), f"{law.__name__} leaves the action box"
+                return actions.reshape(*observations.shape[:-1], -1)
+
+            return decide
+    width = bound * rng.choice((1e-3, 0.1, 1.0, 1.5)) if rng.random() < 0.8 else rng.choice((0.0, 1e-300, 1e30, 1e300))
+    dtype = np.float64 if width > 1e30 else rng.choice((np.float32, np.float64))
+
+    def draw(observations):
+        return generator.uniform(-width, width, (*observations.shape[:-1], layout.action_size)).astype(dtype)
+
+    return draw
+
+
+def arrays(value):
+    """All arrays within what was returned."""
+    if isinstance(value, np.ndarray):
+        yield value
+    elif isinstance(value, dict):
+        for item in value.values():
+            yield from arrays(item)
+    elif isinstance(value, tuple):
+        for item in value:
+            yield from arrays(item)
+
+
+def apart(mine, others):
+    """No array shares memory with another one."""
+    for index, array in enumerate(mine):
+        for other in [*mine[index + 1 :], *others]:
+            assert not np.may_share_memory(array, other), "two returned arrays share memory"
+
+
+def spoil(returned):
+    for array in arrays(returned):
+        array[...] = np.nan if array.dtype.kind == "f" else 1
+
+
+def same(first, second, what):
+    for one, other in zip(arrays(first), arrays(second), strict=True):
+        assert np.array_equal(one, other), f"{what} differ between equal environments"
+
+
+def within(space, rows):
+    assert rows.dtype == space.dtype
+    assert np.isfinite(rows).all(), "an observation is not finite"
+    assert space.contains(rows.reshape(-1, rows.shape[-1])[0]), "the space does not contain an observation"
+    assert ((rows >= space.low) & (rows <= space.high)).all(), "an observation is outside its space"
+
+
+def vector_env(rng, scenario, count, arguments, block_size):
+    usual, vector.BLOCK_SIZE = vector.BLOCK_SIZE, block_size
+    try:
+        return VectorParallelEnv(scenario, count, **arguments)
+    finally:
+        vector.BLOCK_SIZE = usual
+
+
+def wrong_vector_calls(rng, env):
+    """Calls that must be refused and change nothing."""
+    shape = (env.num_envs, env.num_players, env.layout.action_size)
+    spoilt = np.zeros(shape)
+    spoilt.flat[rng.randrange(spoilt.size)] = rng.choice((math.nan, math.inf, -math.inf))
+    far = np.zeros((env.num_envs, env.num_players, env.layout.dimension))
+    far.flat[rng.randrange(far.size)] = rng.choice((math.nan, -math.inf, 6e5))
+    return [
+        partial(env.step, spoilt),
+        partial(env.step, np.zeros((*shape[:2], shape[2] + 1))),
+        partial(env.step, np.zeros(shape[1:])),
+        partial(env.step, np.zeros(shape, dtype=int)),
+        partial(env.step, np.zeros(shape).astype(str)),
+        partial(env.reset, -1),
+        partial(env.reset, 1.5),
+        partial(env.reset, [0] * (env.num_envs + 1)),
+        partial(env.reset, mask=np.ones(env.num_envs)),
+        partial(env.reset, mask=np.ones(env.num_envs + 1, dtype=bool)),
+        partial(env.reset, estimates=far),
+        partial(env.reset, estimates=far[0, 0]),
+        partial(env.reset, estimates=[["x"]]),
+    ]
+
+
+def refused_start(call, abused_call, tally):
+    """What a reset returns; ``None`` where the start is too far out for the game, for both environments."""
+    try:
+        return call()
+    except ValueError as error:
+        assert "start closer" in str(error), error  # noqa: PT017 - nothing else is wrong with it
+        tally.refused += 1
+        refuses(abused_call, tally)
+        return None
+
+
+def vector_session(rng, scenario, arguments, tally, episodes):
+    """Episodes of a batch, some starting again while others go on."""
+    count, seed = rng.randint(1, 96), rng.randrange(2**31)
+    env = vector_env(rng, scenario, count, arguments, 2048)
+    abused = vector_env(rng, scenario, count, arguments, rng.choice((3, 2048)))
+    early = partial(abused.step, np.zeros((count, env.num_players, env.layout.action_size)))
+    refuses(early, tally)  # before the first reset
+    observations = refused_start(partial(env.reset, seed), partial(abused.reset, seed), tally)
+    if observations is None:
+        return
+    spoil(abused.reset(seed))
+    over, wanted, length = np.zeros(count, dtype=bool), tally.episodes + episodes, np.zeros(count, dtype=int)
+    decide, kept = actor(rng, env.layout), []
+    while tally.episodes < wanted:
+        within(env.single_observation_space, observations)
+        if over.all() or (over.any() and rng.random() < 0.5):  # a reset between steps; else one within the step
+            refuses(early, tally)
+            observations = refused_start(partial(env.reset, mask=over), partial(abused.reset, mask=over), tally)
+            if observations is None:
+                return
+            same((observations,), (abused.reset(mask=over),), "first observations")
+            length[over], over = 0, np.zeros(count, dtype=bool)
+            decide = actor(rng, env.layout)
+            continue
+        actions, restart = decide(observations), over
+        outcome = env.step(actions, restart.copy() if restart.any() else None)
+        for wrong in rng.sample(wrong_vector_calls(rng, abused), 2 if rng.random() < 0.3 else 0):
+            refuses(wrong, tally)
+        repeated = abused.step(actions.copy(), restart.copy() if restart.any() else None)
+        same(outcome, repeated, "steps")
+        returned = list(arrays(repeated))
+        apart(returned, [*kept, actions])
+        spoil(repeated)
+        kept, observations = returned, outcome.observations
+        length = np.where(restart, 0, length + 1)
+        check_outcome(env, outcome, actions, length)
+        over = outcome.terminated | outcome.truncated
+        tally.episodes += int(over.sum())
+        tally.diverged += int((outcome.infos["diverged"] & over).sum())
+        tally.agent_steps += int((~restart).sum()) * env.num_players
+        tally.clipped += int(outcome.infos["clipped"].sum())
+
+
+def check_outcome(env, outcome, actions, length):
+    """What a step of a batch returned is finite, and episodes end when they should."""
+    infos, terminated, truncated = outcome.infos, outcome.terminated, outcome.truncated
+    assert np.isfinite(outcome.rewards).all(), "a reward is not finite"
+    assert all(np.isfinite(term).all() for term in infos["reward_terms"].values()), "a reward term is not finite"
+    moved, over = length > 0, terminated | truncated
+    outside = (np.abs(actions) > env.layout.action_bound).sum(axis=2)
+    assert (infos["clipped"] == outside * moved[:, None]).all(), "clipped entries are counted wrongly"
+    ends = length >= env.scenario.steps + env.scenario.hold_steps
+    cut = length >= (env.max_cycles or math.inf)
+    assert (terminated == (moved & (ends | infos["diverged"]))).all(), "an episode ends at another step"
+    assert (truncated == (moved & cut & ~terminated)).all(), "an episode is cut at another step"
+    assert not (infos["is_success"] & (~over | infos["diverged"])).any(), "success is told of what has none"
+
+
+def wrong_parallel_calls(rng, env):
+    size, agents = env.layout.action_size, env.possible_agents
+    fine = {agent: np.zeros(size, dtype=np.float32) for agent in agents}
+    agent = rng.choice(agents)
+    broken = [
+        np.full(size, rng.choice((math.nan, math.inf, -math.inf))),
+        np.zeros(size + 1),
+        np.zeros((1, size)),
+        np.zeros(size, dtype=int),
+        np.array(0.0),
+        None,
+        "left",
+        [[0.0], [0.0, 1.0]],
+    ]
+    table = np.zeros((len(agents), env.layout.dimension))
+    return [
+        *(partial(env.step, {**fine, agent: action}) for action in broken),
+        partial(env.step, {name: action for name, action in fine.items() if name != agent}),
+        partial(env.step, {**fine, "player_99": fine[agent]}),
+        partial(env.step, {}),
+        partial(env.step, list(fine.values())),
+        partial(env.reset, seed=-1),
+        partial(env.reset, seed="7"),
+        partial(env.reset, options={"estimates": table[:, 1:]}),
+        partial(env.reset, options={"estimates": np.full_like(table, rng.choice((math.nan, math.inf, 6e5)))}),
+        partial(env.reset, options={"estimates": "anywhere"}),
+        env.render,
+    ]
+
+
+def parallel_session(rng, scenario, arguments, tally, episodes):
+    """Episodes of one environment, with calls in every order."""
+    env, abused = (parallel_env(scenario, **arguments) for _ in range(2))
+    for early in (partial(abused.step, {}), abused.state, lambda: abused.strategies, lambda: abused.time):
+        refuses(early, tally)
+    for index in range(episodes):
+        seed = rng.choice((None, rng.randrange(2**31))) if index else rng.randrange(2**31)
+        start = np.random.default_rng(rng.getrandbits(32)).uniform(-9, 9, env.estimates.shape) if index else None
+        options = {"estimates": start} if rng.random() < 0.3 else None
+        restart = [partial(each.reset, seed=seed, options=options) for each in (env, abused)]
+        first = refused_start(*restart, tally)
+        if first is None:
+            return
+        same(first, restart[1](), "first observations")
+        abused = parallel_episode(rng, env, abused, first[0], tally)
+        if not env.agents:
+            refuses(partial(abused.step, {}), tally)
+            refuses(partial(abused.step, dict.fromkeys(env.possible_agents, np.zeros(env.layout.action_size))), tally)
+        tally.parallel_episodes += 1
+        tally.episodes += 1
+
+
+def parallel_episode(rng, env, abused, observations, tally):
+    """An episode, or its beginning; returns the environment that was abused, or its copy."""
+    decide = actor(rng, env.layout)
+    for _ in range(rng.randint(1, 60)):
+        within(env.observation_space(env.possible_agents[0]), np.stack(list(observations.values())))
+        if not env.agents:
+            break
+        chosen = decide(np.stack(list(observations.values()))[None])[0]
+        for wrong in rng.sample(wrong_parallel_calls(rng, abused), 2 if rng.random() < 0.3 else 0):
+            refuses(wrong, tally)
+        if rng.random() < 0.1:
+            abused = copy.deepcopy(abused)
+        if rng.random() < 0.1:
+            abused.close()
+            abused.close()
+        spoil((abused.state(), abused.estimates, abused.strategies, abused.nash_equilibrium))
+        actions = dict(zip(env.agents, chosen, strict=True))
+        outcome = env.step(actions)
+        repeated = abused.step({agent: action.copy() for agent, action in reversed(actions.items())})
+        same(outcome, repeated, "observations")
+        assert outcome[1:] == repeated[1:], "steps differ between equal environments"
+        apart(list(arrays(repeated)), [*actions.values()])
+        spoil(repeated)
+        check_step(env, outcome)
+        observations, rewards, _, _, infos = outcome
+        tally.agent_steps += len(rewards)
+        tally.clipped += sum(info["clipped"] for info in infos.values())
+        tally.diverged += not env.agents and infos[env.possible_agents[0]]["diverged"]
+    return abused
+
+
+def check_step(env, outcome):
+    """What a step returned is finite, and the episode ends for everybody at once."""
+    _, rewards, terminated, truncated, infos = outcome
+    assert np.isfinite(list(rewards.values())).all(), "a reward is not finite"
+    assert env.state_space.contains(env.state()), "the state is outside its space"
+    first, ended = infos[env.possible_agents[0]], any(terminated.values())
+    assert not first["diverged"] or all(terminated.values())
+    assert all(terminated.values()) == ended
+    assert all(truncated.values()) == any(truncated.values())
+    assert bool(env.agents) == (not (ended or any(truncated.values())))
+    assert ("is_success" in first) != bool(env.agents)
+
+
+# Mathematics -------------------------------------------------------------------------------------------------------
+
+
+def exact_step(rng, scenario, tally):
+    """x_{k+1} = x_k + (Δs_k + c Δt_k) u_k, to rounding, and it is the transition that the law's theory has."""
+    plain = scenario.replace(channel="perfect", disturbance="none", clock_shifts=())
+    world = Dynamics(plain)
+    if world.scenario.has_random_game or world.game.has_bounds:
+        return
+    n, players = world.game.dimension, world.game.num_players
+    generator = np.random.default_rng(rng.getrandbits(32))
+    clock = world.clock
+    port = Port(world, Interface())
+    chance = None
+    if world.signal.is_random:
+        chance = world.draw_chance([Sources.from_seed(1)])
+    try:
+        state = world.start(generator.uniform(-5, 5, (n, players, 1)), chance=chance)
+    except ValueError:
+        return
+    law = laws.Static(port.layout)
+    for k in range(clock.steps):
+        theta = clock.s[k + 1] - clock.s[k] + plain.gain * (clock.t[k + 1] - clock.t[k])
+        if k == clock.steps - 1:  # the clock is set to T once the last step is done
+            theta = clock.theta[k]
+        before, graph = state.estimates[:, :, 0], world.signal.graphs[int(state.mode[0])]
+        actions, _ = law.predict(port.observe(state)[0])
+        inputs = port.decode(actions[None], state).inputs
+        state = world.step(state, inputs)
+        if state.any_diverged:
+            return
+        after, moved = state.estimates[:, :, 0], theta * inputs[:, :, 0]
+        scale = max(np.abs(before).max(), np.abs(moved).max(), 1e-300)
+        assert np.abs(after - before - moved).max() <= 1e-11 * scale, "a step is not the held input times Θ"
+        laplacian = np.diag(graph.adjacency.sum(axis=1)) - graph.adjacency
+        wanted = -2.0 * before @ laplacian
+        with np.errstate(all="ignore"):
+            gradients = world.game.own_gradients(before[:, :, None])[:, 0]
+        wanted[np.arange(n), world.game.owners] -= gradients
+        wanted = np.clip(wanted, -plain.input_limit, plain.input_limit)
+        size = max(np.abs(before).max(), np.abs(gradients).max(), 1e-300) * (1 + 4 * np.abs(laplacian).max())
+        assert np.abs(inputs[:, :, 0] - wanted).max() <= 2e-6 * size, "the law's input is not the law's"
+        tally.comparisons += 1
+
+
+def relabelled(rng, tally):
+    """Players called by other numbers live in a world with other numbers, and nothing else: dynamics and laws."""
+    players = rng.randint(2, 6)
+    generator = np.random.default_rng(rng.getrandbits(32))
+    curvature, target = generator.uniform(0.5, 2, players), generator.uniform(-20, 20, players)
+    coupling, matrix = rng.uniform(0, 0.3), adjacency(rng, players, some_edges(rng, players))
+    start = generator.uniform(-10, 10, (players, players))
+    new = np.array(rng.sample(range(players), players))  # player i is called new[i]
+    old = np.argsort(new)
+    kind = rng.choice(("physical", "local"))
+    law = rng.choice((laws.Static, laws.Adaptive, laws.Grounded, None))
+    inputs = generator.uniform(-1, 1, (10, players, players))  # under "local" components are in ego order: no inputs
+    law = law or (laws.Static if kind == "local" else None)
+
+    def run(order):
+        scenario = Scenario(
+            name="relabelled",
+            game=Part.of(
+                "ptne_env.games:EnergyGame", curvature=curvature[order], target=target[order], coupling=coupling
+            ),
+            signal=Part.of(
+                "ptne_env.graphs:fixed", graph=Part.of("ptne_env.graphs:Graph", adjacency=matrix[np.ix_(order, order)])
+            ),
+            start="random",
+        )
+        env = parallel_env(scenario, interface=kind, action_scale=50.0)
+        policy, memory = law(env.layout) if law else None, None
+        observations, _ = env.reset(seed=0, options={"estimates": start[np.ix_(order, order)]})
+        path, returns = [], 0.0
+        for k in range(10):
+            if policy:
+                actions, memory = policy.predict(np.stack(list(observations.values())), memory)
+            else:
+                actions = inputs[k][np.ix_(order, order)]
+            observations, rewards, *_ = env.step(dict(zip(env.agents, actions, strict=True)))
+            path.append(env.estimates)
+            returns = returns + np.array(list(rewards.values()))
+        return np.array(path), returns
+
+    (plain, returns), (renamed, other_returns) = run(np.arange(players)), run(old)
+    assert np.abs(renamed[:, new][:, :, new] - plain).max() <= 1e-5 * np.abs(plain).max(), (
+        "names matter to the dynamics"
+    )
+    assert np.abs(other_returns[new] - returns).max() <= 1e-3 * (1 + np.abs(returns).max()), (
+        "names matter to the rewards"
+    )
+    tally.comparisons += 1
+
+
+def session(rng, episodes):
+    """One random world and all that is done to it: what was seen.
+
+    Raises:
+        AssertionError: when something did not hold; any other exception is one that should not have been raised.
+    """
+    tally = Tally(worlds=1)
+    with no_warnings():
+        relabelled(rng, tally)
+        try:
+            scenario = a_scenario(rng)
+            arguments = some_arguments(rng)
+            parallel_env(scenario, **arguments)
+        except ValueError as error:  # parts that do not fit
+            assert str(error).strip()  # noqa: PT017 - it has to say something
+            tally.refused += 1
+            return tally
+        assert Scenario.from_json(scenario.to_json()) == scenario
+        exact_step(rng, scenario, tally)
+        parallel_session(rng, scenario, arguments, tally, max(1, episodes // 20))
+        vector_session(rng, scenario, arguments, tally, episodes)
+    return tally
+
+
+def play(seed, episodes):
+    """:func:`session` from a seed."""
+    return session(random.Random(seed), episodes)  # noqa: S311 - worlds, not secrets

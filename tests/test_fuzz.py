@@ -1,0 +1,94 @@
+"""Random worlds under random use, each in a few episodes; tests/soak.py plays a hundred thousand."""
+
+import random
+
+import numpy as np
+import pytest
+from fuzz import Tally, a_scenario, play, session
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from soak import attempt, main, soak
+
+from ptne_env import VectorParallelEnv
+from ptne_env.dynamics import Dynamics
+from ptne_env.interface import Clipped, Port
+
+
+@settings(suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large])
+@given(st.randoms(use_true_random=False))
+def test_whatever_the_world_and_whatever_is_done_to_it_the_promises_hold(rng):
+    session(rng, 10)
+
+
+@pytest.mark.filterwarnings("ignore:.*short of the deadline")
+def test_random_worlds_differ_and_have_everything_in_them():
+    scenarios = []
+    for seed in range(120):
+        try:
+            scenarios.append(a_scenario(random.Random(seed)))  # noqa: S311 - worlds, not secrets
+        except ValueError:
+            continue
+    assert len(scenarios) > 60
+    for field in ("game", "signal"):
+        assert len({getattr(scenario, field).target for scenario in scenarios}) >= 4
+    stages = {stage.target for one in scenarios for _, stages in one.channel.arguments for stage in stages}
+    assert len(stages) == 8
+    for field in ("disturbance", "transformation", "spacing", "slots"):
+        assert len({getattr(scenario, field) for scenario in scenarios}) >= 2
+    assert any(scenario.clock_shifts for scenario in scenarios)
+    assert any(scenario.hold_steps for scenario in scenarios)
+
+
+def clip_nan(port, actions):
+    bound = port.layout.action_bound
+    return Clipped(np.clip(actions, -bound, bound), np.zeros(actions.shape[:2], dtype=int))
+
+
+def share_observations(env, buffers={}):  # noqa: B006 - sharing is the fault
+    shape = (env.num_envs, env.num_players, env.layout.size)
+    return buffers.setdefault(shape, np.empty(shape, dtype=np.float32))
+
+
+STEP, OBSERVE, IS_OVER = Dynamics.step, Port.observe, Dynamics.is_over
+FAULTS = {
+    "NaN is accepted": (Port, "clip", clip_nan),
+    "a step is too long": (Dynamics, "step", lambda world, state, inputs: STEP(world, state, inputs * (1 + 1e-7))),
+    "observations are overwritten": (VectorParallelEnv, "_empty_observations", share_observations),
+    "episodes end late": (Dynamics, "is_over", lambda world, state: IS_OVER(world, state) & (state.step > 1)),
+    "player 0 is special": (Port, "observe", lambda port, state, out=None: special(OBSERVE(port, state, out))),
+}
+
+
+def special(observations):
+    observations[:, 0, :1] *= 1.001
+    return observations
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+def test_a_fault_is_found(fault, monkeypatch):
+    owner, name, broken = FAULTS[fault]
+    monkeypatch.setattr(owner, name, broken)
+    assert any(attempt(seed, 10)[1] for seed in range(40))
+
+
+def test_the_soak_repeats_itself_and_counts_what_it_plays():
+    total, violations = soak(300, 5, 20, 1)
+    assert not violations
+    again = Tally()
+    for seed in range(5, 5 + total.worlds):
+        again.add(play(seed, 20))
+    assert again == total
+    assert total.episodes >= 300
+    assert min(total.parallel_episodes, total.errors, total.diverged, total.clipped, total.comparisons) > 0
+
+
+def test_the_soak_tells_what_did_not_hold_and_where(monkeypatch, capsys):
+    monkeypatch.setattr(Port, "clip", clip_nan)
+    arguments = ["--episodes", "1000", "--each", "5", "--jobs", "1"]
+    monkeypatch.setattr("soak.CHUNK", 8)
+    monkeypatch.setattr("soak.ENOUGH", 1)
+    assert main(arguments) == 1
+    printed = capsys.readouterr().out
+    assert "AssertionError: a wrong call was accepted (--world 0)" in printed
+    with pytest.raises(AssertionError, match="a wrong call was accepted"):
+        main(["--world", "0", "--each", "5"])

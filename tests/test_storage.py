@@ -1,0 +1,272 @@
+"""Results and policies on disk: cut off, foreign, of the future, on a read-only and on a full disk."""
+
+import contextlib
+import errno
+import json
+import os
+import resource
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import ptne_env
+from ptne_env import Scenario, policies
+from ptne_env.evaluation import benchmark
+from ptne_env.evaluation.benchmark import check, run_suite
+from ptne_env.evaluation.leaderboard import leaderboard
+from ptne_env.evaluation.suite import Suite, Track, content_hash
+from ptne_env.files import read_json, write_atomically
+from ptne_env.policies import Metadata, PolicyFileError
+
+WORLD = ptne_env.get_scenario("random-energy", steps=120, deadline=0.2)
+SMALL = Suite("small", 1, (Track("ring", WORLD, "The base."),), episodes=4)
+
+
+@contextlib.contextmanager
+def tmpfs(folder, size="256k", *options):
+    """A small disk of its own, where this process may mount one."""
+    folder.mkdir(exist_ok=True)
+    command = ["mount", "-t", "tmpfs", "-o", ",".join((f"size={size}", *options)), "tmpfs", str(folder)]
+    try:
+        done = subprocess.run(command, capture_output=True, text=True, check=False)  # noqa: S603 - our own command
+    except FileNotFoundError:
+        pytest.skip("there is no mount command here")
+    if done.returncode:
+        pytest.skip(f"this user cannot mount a tmpfs: {done.stderr.strip()}")
+    try:
+        yield folder
+    finally:
+        subprocess.run(["umount", str(folder)], check=True)  # noqa: S603, S607 - our own command
+
+
+def contents(folder):
+    return {path.relative_to(folder): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+
+
+@pytest.fixture
+def results(tmp_path):
+    run = run_suite(SMALL, ["grounded"], tmp_path)
+    write_atomically(tmp_path / "results.json", leaderboard(run).to_json())
+    return tmp_path / "results.json"
+
+
+def test_what_is_written_is_read_and_says_what_it_is(results):
+    data = read_json(results, "results")
+    assert data["format"] == benchmark.RESULTS_FORMAT
+    assert data["checksum"] == content_hash(
+        {key: value for key, value in data.items() if key not in ("checksum", "timings")}
+    )
+    assert {one.difference for one in check(results, suite=SMALL)} == {0.0}
+
+
+def test_results_that_are_cut_off_at_any_length_are_refused(results):
+    whole = results.read_bytes()
+    for length in [*range(0, len(whole) - 2, 997), len(whole) - 2]:
+        results.write_bytes(whole[:length])
+        with pytest.raises(ValueError, match="results.json is not the results file of a suite: it is cut off"):
+            check(results, suite=SMALL)
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        (b"\xff\xfe\x00", "cut off, damaged or something else"),
+        (b"PK\x03\x04", "cut off, damaged or something else"),
+        (b"[]", "expected a JSON object, got list"),
+        (b"{}", "it has no cells, format, suite"),
+        (b"[" * 100_000, "cut off, damaged or something else"),
+        (b'{"format": 3, "suite": {}, "cells": []}', "is of format 3, this library reads 2: use the version"),
+        (b'{"format": 2, "suite": {}, "cells": []}', "was damaged or changed after it was written"),
+        (b'{"format": 2, "suite": NaN, "cells": [], "checksum": ""}', "was damaged or changed after it was written"),
+    ],
+)
+def test_foreign_and_future_results_are_refused(tmp_path, content, message):
+    path = tmp_path / "results.json"
+    path.write_bytes(content)
+    with pytest.raises(ValueError, match=message):
+        check(path, suite=SMALL)
+
+
+def changed(value, data):
+    """A JSON value with one thing in it replaced or left out."""
+    what = data.draw(st.sampled_from(("go on", "go on", "go on", "leave out", "replace")))
+    if what != "replace" and isinstance(value, dict) and value:
+        name = data.draw(st.sampled_from(sorted(value)))
+        if what == "go on":
+            return {**value, name: changed(value[name], data)}
+        return {key: item for key, item in value.items() if key != name}
+    if what != "replace" and isinstance(value, list) and value:
+        index = data.draw(st.integers(0, len(value) - 1))
+        middle = [changed(value[index], data)] if what == "go on" else []
+        return [*value[:index], *middle, *value[index + 1 :]]
+    plain = st.none() | st.booleans() | st.integers(-3, 50) | st.floats() | st.text(max_size=3)
+    return data.draw(plain | st.lists(plain, max_size=2) | st.dictionaries(st.text(max_size=3), plain, max_size=2))
+
+
+@given(st.data())
+def test_a_change_anywhere_in_results_is_noticed(tmp_path_factory, data):
+    path = tmp_path_factory.mktemp("changed") / "results.json"
+    content = {"format": 2, "suite": {"target": "a", "list": [1.5, {"b": 2}]}, "cells": [{"cell": "x"}], "seed": 0}
+    whole = {**content, "checksum": content_hash(content)}
+    altered = changed(whole, data)
+    path.write_text(json.dumps(altered), encoding="utf-8")
+    if json.dumps(without_none(altered), sort_keys=True) == json.dumps(without_none(whole), sort_keys=True):
+        assert benchmark._read_results(path)
+    else:
+        with pytest.raises(ValueError, match="results.json "):
+            benchmark._read_results(path)
+
+
+def without_none(value):
+    if isinstance(value, dict):
+        return {key: without_none(item) for key, item in value.items() if item is not None}
+    return [without_none(item) for item in value] if isinstance(value, list) else value
+
+
+@settings(max_examples=200)
+@given(st.data())
+@pytest.mark.filterwarnings("ignore:.*short of the deadline")
+def test_a_scenario_that_was_changed_is_another_one_or_refused(data):
+    name = data.draw(st.sampled_from(("energy", "energy-switching", "ev-charging")))
+    altered = changed(ptne_env.CATALOGUE[name].to_dict(), data)
+    try:
+        scenario = Scenario.from_json(json.dumps(altered))
+    except ValueError as error:
+        assert str(error)  # noqa: PT017 - it has to say something
+    else:
+        assert Scenario.from_json(scenario.to_json()) == scenario
+
+
+@given(st.data())
+def test_metadata_that_were_changed_are_read_or_refused(data):
+    whole = json.loads(policies.load(policies.shipped()[0]).metadata.to_json())
+    with contextlib.suppress(PolicyFileError):
+        Metadata.from_json(json.dumps(changed(whole, data)))
+
+
+def test_a_cell_under_the_name_of_another_is_run_again(results, monkeypatch):
+    store = benchmark.Store(results.parent)
+    run = run_suite(SMALL, ["grounded"], results.parent)
+    first, second = (store.path(cell) for cell in run.cells[:2])
+    kept = first.read_bytes()
+    first.write_bytes(second.read_bytes())
+    assert store.load(run.cells[0]) is None
+    with pytest.raises(ValueError, match="is damaged, or another one: remove it and run the suite again"):
+        check(results, suite=SMALL, sample=100)
+    run_suite(SMALL, ["grounded"], results.parent)
+    assert json.loads(first.read_bytes())["samples"] == json.loads(kept)["samples"]
+
+
+def test_a_policy_of_a_later_version_is_refused_and_says_what_to_do():
+    data = json.loads(policies.load(policies.shipped()[0]).metadata.to_json())
+    with pytest.raises(PolicyFileError, match="made for layout version 2, this library has 1; use the version"):
+        Metadata.from_json(json.dumps(data | {"layout_version": 2}))
+    with pytest.raises(PolicyFileError, match="damaged or of a later version.*unheard_of"):
+        Metadata.from_json(json.dumps(data | {"unheard_of": 1}))
+
+
+def test_a_policy_that_cannot_be_read_is_not_called_damaged(tmp_path, monkeypatch):
+    path = tmp_path / "policy.onnx"
+    path.write_bytes(policies.shipped_path(policies.shipped()[0]).read_bytes())
+
+    def fail(self):
+        raise PermissionError(errno.EACCES, os.strerror(errno.EACCES), str(self))
+
+    monkeypatch.setattr(Path, "read_bytes", fail)
+    with pytest.raises(PermissionError, match="Permission denied.*policy.onnx"):
+        policies.load(path)
+
+
+FULL = OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))  # as a file object raises it: without a name
+
+
+@pytest.mark.parametrize("call", ["fsync", "fdopen", "chmod"])
+def test_a_full_disk_is_told_by_the_name_of_the_file_and_keeps_the_old_one(tmp_path, monkeypatch, call):
+    path = tmp_path / "results.json"
+    write_atomically(path, "old")
+
+    def fail(*_, **__):
+        raise FULL
+
+    monkeypatch.setattr(Path if call == "chmod" else os, call, fail)
+    with pytest.raises(OSError, match="No space left on device.*results.json'$") as caught:
+        write_atomically(path, "new")
+    monkeypatch.undo()
+    assert caught.value.errno == errno.ENOSPC
+    assert contents(tmp_path) == {Path("results.json"): b"old"}
+
+
+def test_a_disk_quota_loses_nothing_that_was_written(tmp_path):
+    code = (
+        "import resource, signal, sys\n"
+        "from pathlib import Path\n"
+        "from ptne_env.files import write_atomically\n"
+        "signal.signal(signal.SIGXFSZ, signal.SIG_IGN)\n"
+        "resource.setrlimit(resource.RLIMIT_FSIZE, (4096, 4096))\n"
+        "write_atomically(Path(sys.argv[1]), 'x' * 4097)\n"
+    )
+    path = tmp_path / "results.json"
+    write_atomically(path, "old")
+    done = subprocess.run(  # noqa: S603 - our own code
+        [sys.executable, "-c", code, str(path)], capture_output=True, text=True, check=False
+    )
+    assert f"[Errno {errno.EFBIG}] File too large: '{path}'" in done.stderr
+    assert contents(tmp_path) == {Path("results.json"): b"old"}
+    assert resource.getrlimit(resource.RLIMIT_FSIZE)[0] != 4096  # ours is as it was
+
+
+def test_a_full_disk_keeps_the_cells_and_the_run_goes_on_when_there_is_room(tmp_path):
+    whole = tmp_path / "whole"
+    run = run_suite(SMALL, ["grounded", "adaptive"], whole)
+    with tmpfs(tmp_path / "small", "64k") as folder:
+        filler = folder / "filler"
+        pages = -(-max(map(len, contents(whole).values())) // 4096)
+        filler.write_bytes(bytes(64 * 1024 - 4096 * (2 * pages + 1)))  # room for two cells or three
+        with pytest.raises(OSError, match="No space left on device: '.*json'"):
+            run_suite(SMALL, ["grounded", "adaptive"], folder)
+        kept = contents(folder / "cells")
+        assert 0 < len(kept) < len(run.cells)
+        for name, content in kept.items():
+            assert without_timings(content) == without_timings((whole / "cells" / name).read_bytes())
+        filler.unlink()
+        run_suite(SMALL, ["grounded", "adaptive"], folder)
+        assert contents(folder / "cells").items() >= kept.items()
+        assert contents(folder / "cells").keys() == contents(whole / "cells").keys()
+
+
+def without_timings(content):
+    return {key: value for key, value in json.loads(content).items() if key != "timings"}
+
+
+def test_a_read_only_disk_is_told_by_the_name_of_the_file_and_can_be_read(tmp_path):
+    with tmpfs(tmp_path / "disk", "1m") as folder:
+        run = run_suite(SMALL, ["grounded"], folder)
+        write_atomically(folder / "results.json", leaderboard(run).to_json())
+        before = contents(folder)
+        subprocess.run(["mount", "-o", "remount,ro", str(folder)], check=True)  # noqa: S603, S607 - our own command
+        with pytest.raises(OSError, match="Read-only file system: '.*results.json'"):
+            write_atomically(folder / "results.json", "new")
+        with pytest.raises(OSError, match="Read-only file system: '.*cells/.*json'"):
+            run_suite(SMALL, ["grounded", "adaptive"], folder)
+        assert {one.difference for one in check(folder, suite=SMALL)} == {0.0}  # reading needs no writing
+        assert run_suite(SMALL, ["grounded"], folder).cells == run.cells  # and neither does what is there
+        assert contents(folder) == before
+
+
+def test_a_device_is_written_to_and_not_replaced(tmp_path):
+    pipe = tmp_path / "pipe"
+    os.mkfifo(pipe)
+    reader = subprocess.Popen(["cat", str(pipe)], stdout=subprocess.PIPE)  # noqa: S603, S607 - our own command
+    write_atomically(pipe, "through the pipe")
+    assert reader.communicate(timeout=30)[0] == b"through the pipe"
+    assert pipe.is_fifo()
+
+
+def test_a_folder_in_the_way_is_named(tmp_path):
+    (tmp_path / "results.json").mkdir()
+    with pytest.raises(IsADirectoryError, match="results.json"):
+        write_atomically(tmp_path / "results.json", "x")
