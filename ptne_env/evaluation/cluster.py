@@ -8,6 +8,7 @@ measures both.
 
 from __future__ import annotations
 
+import socket
 from collections.abc import Callable
 from concurrent.futures import Future
 from typing import Any
@@ -42,6 +43,7 @@ class RayTasks(ParallelBackendBase):
         """Connect, and say how many tasks may be submitted at a time."""
         self.parallel = parallel
         if not ray.is_initialized():
+            _require_answer(self.address)
             ray.init(address=self.address, log_to_driver=False, logging_level="error")
         return self.effective_n_jobs(n_jobs)
 
@@ -73,6 +75,17 @@ class RayTasks(ParallelBackendBase):
         """Give up what has not been returned."""
         for reference in tuple(self.submitted.values()):
             ray.cancel(reference)
+
+
+def _require_answer(address: str | None) -> None:
+    """Fail at once where nothing listens: Ray itself goes on trying for minutes."""
+    host, _, port = (address or "").removeprefix("ray://").rpartition(":")
+    if not (host and port.isdigit()):
+        return
+    try:
+        socket.create_connection((host, int(port)), timeout=10).close()
+    except OSError as error:
+        raise ConnectionError(f"no Ray cluster answers at {address}: {error}") from error
 
 
 def _call(func: Callable[[], Any]) -> Any:

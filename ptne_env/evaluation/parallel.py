@@ -60,7 +60,7 @@ class Workers:
             from joblib import Parallel, delayed
         except ImportError as error:
             raise ImportError('several jobs need joblib: pip install "ptne-env[bench]"') from error
-        options: dict[str, Any] = {"return_as": "generator_unordered"}
+        options: dict[str, Any] = {"return_as": "generator_unordered", "batch_size": 1}
         if self.backend == "ray":
             from ptne_env.evaluation.cluster import RayTasks
 

@@ -115,5 +115,5 @@ def test_errors_come_back_as_they_were_raised_and_a_deadly_task_ends_the_run(clu
 
 
 def test_no_cluster_at_the_address_is_told():
-    with pytest.raises(ConnectionError):
+    with pytest.raises(ConnectionError, match=r"no Ray cluster answers at 127.0.0.1:1: "):
         list(Workers(-1, "ray", "127.0.0.1:1").run(refuse, [(1,), (2,)]))

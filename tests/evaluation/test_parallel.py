@@ -143,15 +143,21 @@ class Flaky:
 
 def test_tasks_of_dead_machines_run_again(fake_ray):
     flaky = Flaky(deaths=2)
-    assert dict(Workers(-1, "ray", "there:1").run(flaky, [(n,) for n in range(9)])) == {n: n**2 for n in range(9)}
+    assert dict(Workers(-1, "ray", "auto").run(flaky, [(n,) for n in range(9)])) == {n: n**2 for n in range(9)}
     assert set(flaky.calls.values()) == {3}
-    assert fake_ray.addresses == ["there:1"]
+    assert fake_ray.addresses == ["auto"]
 
 
 @pytest.mark.usefixtures("fake_ray")
 def test_a_task_that_kills_every_machine_ends_the_run():
     with pytest.raises(ChildProcessError, match="lost 4 times.*the node died"):
         list(Workers(-1, "ray").run(Flaky(deaths=9), [(1,), (2,)]))
+
+
+@pytest.mark.usefixtures("fake_ray")
+def test_where_nothing_listens_the_address_is_told():
+    with pytest.raises(ConnectionError, match=r"no Ray cluster answers at 127.0.0.1:1: "):
+        list(Workers(-1, "ray", "127.0.0.1:1").run(square, [(1,), (2,)]))
 
 
 @pytest.mark.usefixtures("fake_ray")
