@@ -7,7 +7,7 @@ VENV   ?= .venv
 BIN    := $(VENV)/bin
 OUT    ?= results
 
-.PHONY: compare reproduce test lint types unit soak clean
+.PHONY: compare reproduce test lint types unit docs ecosystem ray soak lowest newest smoke audit clean
 
 compare: $(VENV)/.bench
 	$(BIN)/ptne compare --json $(OUT)/compare.json --csv $(OUT)/compare.csv --report $(OUT)/report/index.html
@@ -42,6 +42,14 @@ $(VENV)/.bench: pyproject.toml | $(VENV)/bin/python
 $(VENV)/.test: pyproject.toml | $(VENV)/bin/python
 	$(BIN)/pip install --quiet --disable-pip-version-check --editable '.[test]'
 	touch $@ $(VENV)/.bench
+
+# A Ray cluster of two nodes on this machine, one of which is killed in the middle.
+ray: $(VENV)/.ray
+	$(BIN)/pytest --show-capture=no tests/evaluation/test_cluster.py
+
+$(VENV)/.ray: $(VENV)/.test
+	$(BIN)/pip install --quiet --disable-pip-version-check --editable '.[test,ray]'
+	touch $@
 
 clean:
 	rm -rf $(VENV) $(OUT)

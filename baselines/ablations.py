@@ -16,12 +16,12 @@ import numpy as np
 import numpy.typing as npt
 import torch
 import typer
-from joblib import Parallel, delayed
 from stable_baselines3 import PPO
 from stable_baselines3.common.vec_env import VecFrameStack
 
 from ptne_env import Entry, Interface, evaluate
 from ptne_env.evaluation import episode_seed
+from ptne_env.evaluation.parallel import Workers
 from ptne_env.files import write_atomically
 from ptne_env.policy import Policy
 from ptne_env.training import ppo
@@ -96,12 +96,8 @@ def train(arguments: ppo.Arguments, *, memory: bool = False, recurrent: bool = F
     return Remembering(model) if memory else model
 
 
-def measure(name: str, arguments: ppo.Arguments, folder: Path) -> dict[str, Any]:
-    """Train and validate one variation, or read what is there."""
-    path = folder / f"{name}.json"
-    if path.exists():
-        result: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
-        return result
+def measure(name: str, arguments: ppo.Arguments) -> dict[str, Any]:
+    """Train and validate one variation."""
     changes = dict(VARIATIONS[name])
     kind = {key: changes.pop(key) for key in ("memory", "recurrent") if key in changes}
     began = perf_counter()
@@ -110,11 +106,9 @@ def measure(name: str, arguments: ppo.Arguments, folder: Path) -> dict[str, Any]
     entry = Entry(name, policy, Interface(arguments.interface, arguments.action_mode))
     results = evaluate([entry], list(arguments.scenarios), episodes=200, split="validation", against_laws=False)
     digits = results.record(arguments.scenarios[0], name, "digits")
-    result = {"variation": name, "seed": arguments.seed, "seconds": seconds} | {
+    return {"variation": name, "seed": arguments.seed, "seconds": seconds} | {
         key: digits[key] for key in ("mean", "low", "high")
     }
-    write_atomically(path, json.dumps(result, indent=1) + "\n")
-    return result
 
 
 def main(
@@ -123,14 +117,24 @@ def main(
     seeds: Annotated[int, typer.Option(min=1, help="Training seeds of each.")] = 2,
     runs: Annotated[Path, typer.Option(help="Folder for finished variations.")] = Path("runs/ablations"),
     jobs: Annotated[int, typer.Option(help="Runs at a time; each takes one core.")] = 2,
+    backend: Annotated[
+        str, typer.Option(help="Where: 'processes' of this machine, or 'ray', a cluster.")
+    ] = "processes",
+    address: Annotated[str | None, typer.Option(help="Of the cluster, such as auto or HOST:6379.")] = None,
 ) -> None:
     """Train every variation and write the table."""
     tasks = [
-        (name, ppo.Arguments.from_toml(configuration, steps=steps, seed=seed), runs / configuration / f"{steps}-{seed}")
+        (name, ppo.Arguments.from_toml(configuration, steps=steps, seed=seed))
         for name in VARIATIONS
         for seed in range(seeds)
     ]
-    results = Parallel(n_jobs=jobs, verbose=10)(delayed(measure)(*task) for task in tasks)
+    paths = [runs / configuration / f"{steps}-{arguments.seed}" / f"{name}.json" for name, arguments in tasks]
+    missing = [index for index, path in enumerate(paths) if not path.exists()]
+    workers = Workers(jobs, backend, address)
+    for place, result in workers.run(measure, [tasks[index] for index in missing]):
+        write_atomically(paths[missing[place]], json.dumps(result, indent=1) + "\n")
+        typer.echo(f"{result['variation']}, seed {result['seed']}: {result['mean']:.2f} digits")
+    results = [json.loads(path.read_text(encoding="utf-8")) for path in paths]
     write_atomically(HERE / "ablations.json", json.dumps(results, indent=1) + "\n")
     introduction = (
         f"Written by `python baselines/ablations.py`; do not edit. `{configuration}`, {steps / 1e6:g} M agent-steps "

@@ -13,10 +13,10 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import typer
-from joblib import Parallel, delayed
 
 from ptne_env import policies
 from ptne_env.evaluation import COMPARED, Entry, evaluate
+from ptne_env.evaluation.parallel import Workers
 from ptne_env.files import write_atomically
 from ptne_env.report.tables import number
 
@@ -58,16 +58,31 @@ _HEADINGS = (
 )
 
 
-def train_one(configuration: str, seed: int, runs: Path) -> dict[str, Any]:
-    """Train one seed, or read the summary of a run that is complete."""
+FILES = ("policy.onnx", "summary.json")
+"""What is kept of a training run; the last one says that it is complete."""
+
+
+def train_one(configuration: str, seed: int, out: Path) -> dict[str, bytes]:
+    """Train one seed, on whichever machine, and give what is to be kept of it.
+
+    Checkpoints and logs stay there: where the machines share the folder ``out``, a run whose machine was lost goes on
+    from its last checkpoint, and elsewhere it starts again.
+    """
     from ptne_env.training import ppo
 
-    out = runs / configuration / f"seed-{seed}"
-    summary = out / "summary.json"
-    if not summary.exists():
-        ppo.train(ppo.Arguments.from_toml(configuration, seed=seed), out)
-    result: dict[str, Any] = json.loads(summary.read_text(encoding="utf-8"))
-    return result
+    ppo.train(ppo.Arguments.from_toml(configuration, seed=seed), out)
+    return {name: (out / name).read_bytes() for name in FILES}
+
+
+def train_all(tasks: list[tuple[str, int]], runs: Path, workers: Workers) -> list[dict[str, Any]]:
+    """Train what is not complete; the summaries of all."""
+    folders = [runs.absolute() / name / f"seed-{seed}" for name, seed in tasks]
+    missing = [index for index, folder in enumerate(folders) if not (folder / FILES[-1]).exists()]
+    for place, files in workers.run(train_one, [(*tasks[index], folders[index]) for index in missing]):
+        for name, content in files.items():
+            write_atomically(folders[missing[place]] / name, content)
+        typer.echo(f"trained {folders[missing[place]]}")
+    return [json.loads((folder / FILES[-1]).read_text(encoding="utf-8")) for folder in folders]
 
 
 def ship(configuration: str, summaries: list[dict[str, Any]], runs: Path) -> str:
@@ -148,6 +163,10 @@ def main(
     configuration: Annotated[list[str] | None, typer.Option(help="Repeat for several; all if left out.")] = None,
     seeds: Annotated[int, typer.Option(min=1, help="Training seeds of each.")] = 5,
     jobs: Annotated[int, typer.Option(help="Runs at a time; each takes one core.")] = 2,
+    backend: Annotated[
+        str, typer.Option(help="Where: 'processes' of this machine, or 'ray', a cluster.")
+    ] = "processes",
+    address: Annotated[str | None, typer.Option(help="Of the cluster, such as auto or HOST:6379.")] = None,
     episodes: Annotated[int, typer.Option(min=1, help="Games of the test bank.")] = 1000,
 ) -> None:
     """Train, ship and rank."""
@@ -155,7 +174,7 @@ def main(
 
     chosen = configuration or ppo.configurations()
     tasks = [(name, seed) for name in chosen for seed in range(1 if name in ONE_SEED else seeds)]
-    trained = Parallel(n_jobs=jobs, verbose=10)(delayed(train_one)(name, seed, runs) for name, seed in tasks)
+    trained = train_all(tasks, runs, Workers(jobs, backend, address))
     old = json.loads(RESULTS.read_text(encoding="utf-8"))["rows"] if RESULTS.exists() else []
     rows = [row for row in old if row["configuration"] not in chosen]
     for name in chosen:

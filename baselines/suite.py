@@ -17,6 +17,7 @@ from run import ONE_SEED
 from ptne_env.evaluation import ENTRIES
 from ptne_env.evaluation.benchmark import run_suite
 from ptne_env.evaluation.leaderboard import Leaderboard, leaderboard
+from ptne_env.evaluation.parallel import Workers
 from ptne_env.evaluation.statistics import Summary
 from ptne_env.files import write_atomically
 from ptne_env.report.tables import number
@@ -113,7 +114,11 @@ def _cell(summary: Summary | None) -> str:
 def main(
     runs: Annotated[Path, typer.Option(help="Folder of the training runs.")] = Path("runs"),
     out: Annotated[Path, typer.Option(help="Folder for the cells.")] = Path("results") / SUITE,
-    jobs: Annotated[int, typer.Option(help="Processes.")] = 2,
+    jobs: Annotated[int, typer.Option(help="Cells at a time.")] = 2,
+    backend: Annotated[
+        str, typer.Option(help="Where: 'processes' of this machine, or 'ray', a cluster.")
+    ] = "processes",
+    address: Annotated[str | None, typer.Option(help="Of the cluster, such as auto or HOST:6379.")] = None,
 ) -> None:
     """Run, rank and write."""
     learned = configurations(runs)
@@ -125,7 +130,7 @@ def main(
         if len(done) % 100 == 0 or len(done) == total:
             typer.echo(f"{len(done)} of {total} cells")
 
-    run = run_suite(SUITE, names, out, jobs=jobs, progress=advance)
+    run = run_suite(SUITE, names, out, workers=Workers(jobs, backend, address), progress=advance)
     board = leaderboard(run)
     write_atomically(out / "results.json", board.to_json() + "\n")
     introduction = _INTRODUCTION.format(

@@ -18,6 +18,7 @@ from rich.table import Table
 from ptne_env import Part
 from ptne_env.evaluation import Entry
 from ptne_env.evaluation.benchmark import run_suite
+from ptne_env.evaluation.parallel import Workers
 
 GRIDS: dict[str, dict[str, tuple[Any, ...]]] = {
     "Static": {"kappa": (2.0, 2.5, 3.0, 3.5), "gradient_gain": (2.0, 2.5, 3.0, 3.5)},
@@ -48,6 +49,8 @@ def main(
     episodes: int = 20,
     folder: Path = Path("results/tuning"),
     jobs: int = -1,
+    backend: str = "processes",
+    address: str | None = None,
 ) -> None:
     """Run the grids, and print them."""
     entries = {f"{name} {point.to_dict()['arguments']}": point for name in law or GRIDS for point in candidates(name)}
@@ -59,7 +62,7 @@ def main(
             folder,
             split="validation",
             episodes=episodes,
-            jobs=jobs,
+            workers=Workers(jobs, backend, address),
             progress=lambda _, total: progress.update(task, advance=1, total=total),
         )
     means: dict[str, float] = {}

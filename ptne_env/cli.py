@@ -20,9 +20,9 @@ from ptne_env import theory
 from ptne_env._version import __version__
 from ptne_env.evaluation import Entry, default_entries, evaluate, get_entry, suite_entries
 from ptne_env.evaluation.benchmark import check, executes_code, get_participant, run_suite
-from ptne_env.evaluation.compare import count_cells
 from ptne_env.evaluation.entries import law_part
 from ptne_env.evaluation.leaderboard import leaderboard
+from ptne_env.evaluation.parallel import Workers
 from ptne_env.evaluation.suite import SUITES, find_scenario, get_suite
 from ptne_env.evaluation.sweep import SWEEPS, run_sweep
 from ptne_env.evaluation.traces import comparison_scenes, suite_scenes
@@ -56,6 +56,14 @@ app = typer.Typer(
     help="Prescribed-time Nash-equilibrium seeking: compare policies with the analytical laws of Feng and Hu's paper, "
     "reproduce the paper, and certify scenarios beforehand.",
 )
+
+
+_Jobs = Annotated[int, typer.Option(help="Tasks at a time; -1 for one per core.")]
+_Backend = Annotated[str, typer.Option(help="Where they run: 'processes' of this machine, or 'ray', a cluster.")]
+_Address = Annotated[
+    str | None,
+    typer.Option(help="With --backend ray: the cluster, such as auto or HOST:6379.", show_default="RAY_ADDRESS"),
+]
 
 
 @dataclass
@@ -151,7 +159,9 @@ def compare(
             show_default="results/SUITE",
         ),
     ] = None,
-    jobs: Annotated[int, typer.Option(help="With --suite: processes; -1 for one per core.")] = -1,
+    jobs: _Jobs = -1,
+    backend: _Backend = "processes",
+    address: _Address = None,
     repeat: Annotated[
         Path | None,
         typer.Option("--check", help="Run a random sample of the cells of a suite's results again: results.json."),
@@ -173,6 +183,7 @@ def compare(
     With --suite, run the tracks of a frozen benchmark cell by cell; see docs/protocol.md.
     """
     names = [*(policy or ()), *(policies.split(",") if policies else ())]
+    workers = Workers(jobs, backend, address)
     if no_report and report is not None:
         raise ValueError("--report and --no-report exclude each other")
     folder = Path("results") if suite is None else out or Path("results") / get_suite(suite).name
@@ -182,12 +193,12 @@ def compare(
     elif suite is not None:
         if scenario or hold_steps != _HOLD_STEPS or csv is not None:
             raise ValueError("a suite fixes what is run: leave out --scenario, --hold-steps and --csv")
-        _run_suite(suite, names, track, folder, seed, episodes, jobs, json, page, trust=trust)
+        _run_suite(suite, names, track, folder, seed, episodes, workers, json, page, trust=trust)
     elif track or out is not None:
         raise ValueError("--track and --out are for suites: name one with --suite")
     else:
         chosen = scenario or list(CATALOGUE)
-        _compare(names or default_entries(), chosen, episodes or 1000, seed, hold_steps, json, csv, page)
+        _compare(names or default_entries(), chosen, episodes or 1000, seed, hold_steps, workers, json, csv, page)
 
 
 def _compare(
@@ -196,24 +207,36 @@ def _compare(
     episodes: int,
     seed: int,
     hold_steps: int,
+    workers: Workers,
     json: str | None,
     csv: Path | None,
     page: Path | None,
 ) -> None:
     with _progress(_console(stderr=True)) as progress:
-        task = progress.add_task("comparing", total=count_cells(entries, scenarios))
+        task = progress.add_task("comparing", total=None)
 
-        def advance(cell: str) -> None:
-            progress.update(task, advance=1, description=cell)
+        def advance(cell: str, total: int) -> None:
+            progress.update(task, advance=1, total=total, description=cell)
 
-        results = evaluate(entries, scenarios, episodes=episodes, seed=seed, hold_steps=hold_steps, progress=advance)
+        results = evaluate(
+            entries,
+            scenarios,
+            episodes=episodes,
+            seed=seed,
+            hold_steps=hold_steps,
+            workers=workers,
+            progress=advance,
+        )
         if csv is not None:
             write_atomically(csv, results.to_csv())
         if json not in (None, "-"):
             write_atomically(Path(json), results.to_json() + "\n")
         if page is not None:
-            progress.reset(task, total=len(results.scenarios))
-            scenes = comparison_scenes(results, progress=lambda label: advance(f"report: {label}"))
+            count = len(results.scenarios)
+            progress.reset(task, total=count)
+            scenes = comparison_scenes(
+                results, workers=workers, progress=lambda label: advance(f"report: {label}", count)
+            )
             report = comparison_report(results, scenes, episodes=episodes, hold_steps=hold_steps)
             write_atomically(page, render_page(report))
     if json == "-":
@@ -253,7 +276,7 @@ def _run_suite(
     folder: Path,
     seed: int,
     episodes: int | None,
-    jobs: int,
+    workers: Workers,
     json: str | None,
     page: Path | None,
     *,
@@ -269,7 +292,7 @@ def _run_suite(
             progress.update(task, advance=1, total=total, description=cell)
 
         run = run_suite(
-            name, participants, folder, tracks=tracks, seed=seed, episodes=episodes, jobs=jobs, progress=advance
+            name, participants, folder, tracks=tracks, seed=seed, episodes=episodes, workers=workers, progress=advance
         )
         progress.update(task, description="statistics")
         board = leaderboard(run)
@@ -279,7 +302,9 @@ def _run_suite(
             write_atomically(Path(json), text + "\n")
         if page is not None:
             progress.reset(task, total=len(run.tracks))
-            scenes = suite_scenes(run, progress=lambda track: advance(f"report: {track}", len(run.tracks)))
+            scenes = suite_scenes(
+                run, workers=workers, progress=lambda track: advance(f"report: {track}", len(run.tracks))
+            )
             write_atomically(page, render_page(suite_report(board, scenes, folder=str(folder))))
     if json == "-":
         typer.echo(text)
@@ -394,7 +419,9 @@ def sweep(
     points: Annotated[int, typer.Option(min=2, help="Points along each axis.")] = 14,
     episodes: Annotated[int, typer.Option(min=1, help="Episodes per point, from random starts.")] = 8,
     seed: Annotated[int, typer.Option(min=0, help="Seed of the starts and of the noise.")] = 0,
-    jobs: Annotated[int, typer.Option(help="Processes; -1 for one per core.")] = -1,
+    jobs: _Jobs = -1,
+    backend: _Backend = "processes",
+    address: _Address = None,
     json: Annotated[str | None, typer.Option(help="Write the numbers as JSON to this file; '-' for stdout.")] = None,
 ) -> None:
     """Draw phase diagrams: digits at the deadline over two parameters, as measured and as predicted.
@@ -402,7 +429,7 @@ def sweep(
     gain-step is over κ and the step Θ, noise-horizon over noise and s_end, dwell-gain over dwell time and c. Every
     point is a batch of episodes of the static law in the environment; docs/theory.md explains the lines.
     """
-    console, names = _console(), diagram or list(SWEEPS)
+    console, names, workers = _console(), diagram or list(SWEEPS), Workers(jobs, backend, address)
     diagrams = []
     with _progress(_console(stderr=True)) as progress:
         for name in names:
@@ -411,7 +438,9 @@ def sweep(
             def advance(done: int, total: int, task: TaskID = task) -> None:
                 progress.update(task, completed=done, total=total)
 
-            diagrams.append(run_sweep(name, points=points, episodes=episodes, seed=seed, jobs=jobs, progress=advance))
+            diagrams.append(
+                run_sweep(name, points=points, episodes=episodes, seed=seed, workers=workers, progress=advance)
+            )
     for each in diagrams:
         save_diagram(each, out / f"{each.name}.png")
     text = f"[{', '.join(each.to_json() for each in diagrams)}]"

@@ -22,6 +22,7 @@ from ptne_env.dynamics import Dynamics
 from ptne_env.evaluation.bank import Split, start_from, track_seed
 from ptne_env.evaluation.entries import Entry, get_entry
 from ptne_env.evaluation.metrics import measure_for_suite
+from ptne_env.evaluation.parallel import Workers
 from ptne_env.evaluation.rollout import rollout
 from ptne_env.evaluation.suite import ANCHORS, LEADERBOARD_SEED, Suite, Track, content_hash, get_suite
 from ptne_env.files import read_json, write_atomically
@@ -287,17 +288,18 @@ class Store:
         data = {"cell": cell.to_dict(), "participant": cell.participant, "run": cell.run, **body, "checksum": checksum}
         write_atomically(self.path(cell), json.dumps(data, allow_nan=False, ensure_ascii=False))
 
-    def fetch(self, cell: Cell) -> Measured:
-        """What is kept of a cell, after running it where nothing is."""
-        measured = self.load(cell)
-        if measured is None:
-            try:
-                measured = cell.compute()
-            except Exception as error:
-                error.add_note(f"in track {cell.track.name!r}, policy {cell.participant!r}")
-                raise
-            self.keep(cell, measured)
-        return measured
+    def fetch(self, cells: Sequence[Cell], workers: Workers) -> Iterator[tuple[int, Measured]]:
+        """What is kept of the cells, and of the others what workers find, which is kept then; each with its index."""
+        missing = []
+        for index, cell in enumerate(cells):
+            measured = self.load(cell)
+            if measured is None:
+                missing.append(index)
+            else:
+                yield index, measured
+        for place, measured in workers.run(_measure, [(cells[index], cells[index].key) for index in missing]):
+            self.keep(cells[missing[place]], measured)
+            yield missing[place], measured
 
 
 @dataclass(frozen=True)
@@ -344,14 +346,15 @@ def run_suite(
     seed: int = LEADERBOARD_SEED,
     split: Split = "test",
     episodes: int | None = None,
-    jobs: int = 1,
+    workers: Workers = Workers(),  # noqa: B008 - immutable
     trust: bool = False,
     progress: Callable[[str, int], None] | None = None,
 ) -> Run:
     """Run policies, and the anchors of every suite, on the tracks of a suite.
 
     Cells that the folder holds already are not run again, so an interrupted run goes on where it was, short of the
-    cells in flight.
+    cells in flight. Workers return what they found, and only this process writes: they may be machines that share no
+    folder with it, but they need the same library and the same files of policies and parts.
 
     Args:
         suite: by name, ``"module:object"`` or as it is.
@@ -361,19 +364,15 @@ def run_suite(
         seed: of the banks; the leaderboard's is 0.
         split: ``"test"``, or ``"validation"`` for tuning.
         episodes: per track; the suite's own number if left out.
-        jobs: processes, -1 for one per core.
+        workers: who runs the cells. Only the measured times of policies depend on it.
         trust: whether code that is stored in ``.zip`` files may be executed.
         progress: called with a description and the number of all cells when a cell is done.
 
     Raises:
-        ValueError: for unknown or repeated names, or a policy that fits no track.
+        ValueError: for unknown or repeated names, a policy that fits no track, or a worker with other files.
         OSError: when the folder cannot be written.
+        ImportError, ConnectionError, ChildProcessError: as :meth:`~ptne_env.evaluation.parallel.Workers.run`.
     """
-    try:
-        from joblib import Parallel, delayed
-    except ImportError as error:
-        raise ImportError('suites need joblib: pip install "ptne-env[bench]"') from error
-
     target = suite if isinstance(suite, str) else suite.name
     suite = get_suite(suite)
     chosen = suite.tracks if tracks is None else tuple(suite.track(name) for name in dict.fromkeys(tracks))
@@ -392,15 +391,14 @@ def run_suite(
         for participant in participants.values()
         for run, entry in enumerate(participant.runs)
     )
-    store = Store(folder)
-    # The largest first, so that no process is left alone with one at the end.
+    # The largest first, so that no worker is left alone with one at the end.
     order = sorted(range(len(cells)), key=lambda index: -cells[index].track.scenario.built_game.num_players)
     found: dict[int, Measured] = {}
-    parallel = Parallel(n_jobs=jobs, return_as="generator_unordered")
-    for index, measured in parallel(delayed(_fetch)(store, index, cells[index]) for index in order):
-        found[index] = measured
+    for place, measured in Store(folder).fetch([cells[index] for index in order], workers):
+        cell = cells[order[place]]
+        found[order[place]] = measured
         if progress is not None:
-            progress(f"{cells[index].track.name}: {cells[index].participant}", len(cells))
+            progress(f"{cell.track.name}: {cell.participant}", len(cells))
     run = Run(
         suite,
         target,
@@ -419,8 +417,18 @@ def run_suite(
     return run
 
 
-def _fetch(store: Store, index: int, cell: Cell) -> tuple[int, Measured]:
-    return index, store.fetch(cell)
+def _measure(cell: Cell, key: str) -> Measured:
+    """What a worker does, after making sure that it has what the numbers depend on."""
+    if content_hash(cell.to_dict()) != key:
+        raise ValueError(
+            f"a worker on {platform.node()} has another version of the library, its dependencies or the files of "
+            f"policy {cell.participant!r} than the machine that asks: install the same on both"
+        )
+    try:
+        return cell.compute()
+    except Exception as error:
+        error.add_note(f"in track {cell.track.name!r}, policy {cell.participant!r}")
+        raise
 
 
 @dataclass(frozen=True)

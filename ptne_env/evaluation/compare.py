@@ -7,20 +7,22 @@ import io
 import json
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any, TypeVar
+from functools import lru_cache
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
 from ptne_env._version import __version__
 from ptne_env.arrays import FloatArray, require_count
 from ptne_env.dynamics import Dynamics, State
+from ptne_env.evaluation import opponents
 from ptne_env.evaluation.bank import Split, draw_start
 from ptne_env.evaluation.entries import Entry, get_entry
 from ptne_env.evaluation.metrics import measure
-from ptne_env.evaluation.opponents import tuned_laws
+from ptne_env.evaluation.parallel import Workers
 from ptne_env.evaluation.rollout import rollout
 from ptne_env.evaluation.statistics import summarise, worst_decile
-from ptne_env.interface import Port
+from ptne_env.interface import Interface, Port
 from ptne_env.scenario import Scenario, get_scenario
 
 PAPER_START = " (paper start)"
@@ -165,7 +167,8 @@ def evaluate(
     hold_steps: int = 0,
     split: Split = "test",
     against_laws: bool = True,
-    progress: Callable[[str], None] | None = None,
+    workers: Workers = Workers(),  # noqa: B008 - immutable
+    progress: Callable[[str, int], None] | None = None,
 ) -> Results:
     """Run every policy on every scenario from the same seeded starts.
 
@@ -186,10 +189,12 @@ def evaluate(
         hold_steps: steps after the deadline for the scenarios given by name.
         split: whose draws are met: ``"test"``, ``"validation"`` or ``"train"``, which share none.
         against_laws: whether learned policies are measured against tuned laws; the tuning takes longer than the rest.
-        progress: called with ``"scenario: policy"`` after each cell.
+        workers: who runs them. Only the measured times of policies depend on it.
+        progress: called with ``"scenario: policy"`` and the number of all rollouts when one is done.
 
     Raises:
         ValueError: for unknown or repeated names, or a policy that cannot act in a scenario.
+        ImportError, ConnectionError, ChildProcessError: as :meth:`~ptne_env.evaluation.parallel.Workers.run`.
     """
     require_count("episodes", episodes, 1)
     require_count("seed", seed, 0)
@@ -198,31 +203,69 @@ def evaluate(
     names = [(scenario if isinstance(scenario, str) else scenario.name, scenario) for scenario in scenarios]
     _unique(names, "scenario")
     cases = dict(_cases(scenarios, hold_steps))
-    cells: list[Cell] = []
-    tuned: dict[str, dict[str, Entry]] = {}
-    for label, scenario in cases.items():
-        dynamics = Dynamics(scenario)
-        start = draw_start(dynamics, episodes if scenario.is_random else 1, seed, split)
-        entrants = [entry for entry in chosen.values() if entry.enters(scenario.name)]
-        for entry in entrants:
-            cells.append(_run(label, entry, dynamics, start))
+    entrants = {
+        label: [entry for entry in chosen.values() if entry.enters(scenario.name)] for label, scenario in cases.items()
+    }
+    banks = {
+        label: _Bank(scenario, episodes if scenario.is_random else 1, seed, split) for label, scenario in cases.items()
+    }
+    tuning = [
+        label
+        for label, scenario in cases.items()
+        if against_laws and scenario.is_random and any(entry.is_learned for entry in entrants[label])
+    ]
+    runs = [(label, entry, banks[label]) for label in cases for entry in entrants[label]]
+    laws = [Entry("tuning laws", part, Interface()) for part in opponents.candidates("all")]
+    validation = {label: _Bank(cases[label], opponents.VALIDATION_EPISODES, 0, "validation") for label in tuning}
+    trials = [(label, law, validation[label]) for label in tuning for law in laws]
+    total = len(runs) + len(trials) + len(opponents.GROUPS) * len(tuning)
+
+    def measured(tasks: Sequence[tuple[str, Entry, _Bank]]) -> list[Cell]:
+        found = {}
+        for index, cell in workers.run(_run, tasks):
+            found[index] = cell
             if progress is not None:
-                progress(f"{label}: {entry.name}")
-        learned = {entry.name for entry in entrants if entry.is_learned}
-        if learned and scenario.is_random and against_laws:
-            if progress is not None:
-                progress(f"{label}: tuning laws")
-            tuned[label] = tuned_laws(dynamics)
-            opponents = {group: _run(label, entry, dynamics, start) for group, entry in tuned[label].items()}
-            for cell in cells:
-                if cell.scenario == label and cell.policy in learned:
-                    cell.samples.update(_paired(cell, opponents))
-            cells += opponents.values()
-    records = tuple(record for cell in cells for record in cell.records())
-    return Results(seed, cases, chosen, tuned, tuple(cells), records)
+                progress(f"{cell.scenario}: {cell.policy}", total)
+        return [found[index] for index in range(len(tasks))]
+
+    found = measured([*runs, *trials])
+    cells, tried = found[: len(runs)], found[len(runs) :]
+    tuned = {
+        label: opponents.best([cell.samples["digits"].mean() for cell in tried if cell.scenario == label])
+        for label in tuning
+    }
+    opposing = measured([(label, entry, banks[label]) for label in tuning for entry in tuned[label].values()])
+    for label in tuning:
+        best = {
+            group: next(cell for cell in opposing if (cell.scenario, cell.policy) == (label, entry.name))
+            for group, entry in tuned[label].items()
+        }
+        for cell in cells:
+            if cell.scenario == label and chosen[cell.policy].is_learned:
+                cell.samples.update(_paired(cell, best))
+    ordered = tuple(cell for label in cases for cell in (*cells, *opposing) if cell.scenario == label)
+    tables = dict(workers.run(Cell.records, [(cell,) for cell in ordered]))
+    records = tuple(record for index in range(len(ordered)) for record in tables[index])
+    return Results(seed, cases, chosen, tuned, ordered, records)
 
 
-def _run(label: str, entry: Entry, dynamics: Dynamics, start: State) -> Cell:
+class _Bank(NamedTuple):
+    """Episodes that are met: the arguments of :func:`draw_start`."""
+
+    scenario: Scenario
+    episodes: int
+    seed: int
+    split: Split
+
+
+@lru_cache(maxsize=2)  # policies that meet the same episodes follow each other
+def _drawn(bank: _Bank) -> tuple[Dynamics, State]:
+    dynamics = Dynamics(bank.scenario)
+    return dynamics, draw_start(dynamics, bank.episodes, bank.seed, bank.split)
+
+
+def _run(label: str, entry: Entry, bank: _Bank) -> Cell:
+    dynamics, start = _drawn(bank)
     port = Port(dynamics, entry.interface)
     return Cell(label, entry.name, measure(rollout(entry.build(port.layout), port, start)))
 
@@ -235,15 +278,6 @@ def _paired(cell: Cell, opponents: dict[str, Cell]) -> dict[str, FloatArray]:
         samples[f"digits_over_{group}_laws"] = difference
         samples[f"probability_of_beating_{group}_laws"] = (np.sign(difference) + 1) / 2
     return samples
-
-
-def count_cells(entries: Iterable[str | Entry], scenarios: Iterable[str | Scenario]) -> int:
-    """How often :func:`evaluate` will call ``progress``."""
-    chosen, total = [get_entry(entry) for entry in entries], 0
-    for _, scenario in _cases(scenarios, 0):
-        entrants = [entry for entry in chosen if entry.enters(scenario.name)]
-        total += len(entrants) + (scenario.is_random and any(entry.is_learned for entry in entrants))
-    return total
 
 
 def _cases(scenarios: Iterable[str | Scenario], hold_steps: int) -> Iterator[tuple[str, Scenario]]:

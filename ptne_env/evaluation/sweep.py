@@ -19,6 +19,7 @@ from ptne_env._version import __version__
 from ptne_env.arrays import FloatArray, require_count
 from ptne_env.dynamics import Dynamics
 from ptne_env.evaluation.bank import draw_start
+from ptne_env.evaluation.parallel import Workers
 from ptne_env.evaluation.rollout import rollout
 from ptne_env.interface import Interface, Port
 from ptne_env.laws import Static
@@ -128,7 +129,7 @@ def run_sweep(
     points: int = 14,
     episodes: int = 8,
     seed: int = 0,
-    jobs: int = 1,
+    workers: Workers = Workers(),  # noqa: B008 - immutable
     progress: Callable[[int, int], None] | None = None,
 ) -> Diagram:
     """Measure one phase diagram.
@@ -138,30 +139,26 @@ def run_sweep(
         points: along each axis, at least 2.
         episodes: per point.
         seed: of the starts, and of the noise.
-        jobs: processes; −1 for one per core. The results do not depend on it.
+        workers: who measures the points. The results do not depend on it.
         progress: called with the number of points that are done and their total.
 
     Raises:
         ValueError: when the name is unknown or a number is too small.
-        ImportError: when joblib is missing.
+        ImportError, ConnectionError, ChildProcessError: as :meth:`~ptne_env.evaluation.parallel.Workers.run`.
     """
     if name not in SWEEPS:
         raise ValueError(f"unknown diagram {name!r}; choose from {', '.join(SWEEPS)}")
-    try:
-        from joblib import Parallel, delayed
-    except ImportError as error:
-        raise ImportError('sweeps need joblib: pip install "ptne-env[bench]"') from error
     require_count("points", points, 2)
     require_count("episodes", episodes, 1)
     sweep = SWEEPS[name]
     x, y = sweep.axes(points)
     tasks = [(name, one, other, episodes, seed) for other in y.values for one in x.values]
-    results = []
-    for result in Parallel(n_jobs=jobs, return_as="generator")(delayed(_measure)(*task) for task in tasks):
-        results.append(result)
+    found: dict[int, tuple[float | None, float | None]] = {}
+    for index, result in workers.run(_measure, tasks):
+        found[index] = result
         if progress is not None:
-            progress(len(results), len(tasks))
-    rows = [results[start : start + points] for start in range(0, len(results), points)]
+            progress(len(found), len(tasks))
+    rows = [[found[index] for index in range(start, start + points)] for start in range(0, len(tasks), points)]
     return Diagram(
         name=name,
         title=sweep.title,

@@ -4,17 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from ptne_env.arrays import BoolArray, FloatArray, IntArray, require_count
 from ptne_env.dynamics import Dynamics, State
-from ptne_env.evaluation.bank import draw_start
+from ptne_env.evaluation.bank import Split, draw_start
 from ptne_env.evaluation.benchmark import Run
 from ptne_env.evaluation.compare import Results
 from ptne_env.evaluation.entries import Entry
+from ptne_env.evaluation.parallel import Workers
 from ptne_env.evaluation.rollout import Member, rollout
+from ptne_env.evaluation.suite import Suite, Track
 from ptne_env.interface import Port
+from ptne_env.scenario import Scenario
 
 EPISODES = 20
 """Episodes over which errors are told, where nothing else is said."""
@@ -81,53 +85,82 @@ class Scene:
 
 
 def comparison_scenes(
-    results: Results, *, episodes: int = EPISODES, progress: Callable[[str], None] | None = None
+    results: Results,
+    *,
+    episodes: int = EPISODES,
+    workers: Workers = Workers(),  # noqa: B008 - immutable
+    progress: Callable[[str], None] | None = None,
 ) -> dict[str, Scene]:
     """A scene per scenario of a comparison on the split ``test``, from the first ``episodes`` of its starts.
 
     Args:
         results: of the comparison.
         episodes: at most as many as the comparison had.
+        workers: who runs the episodes.
         progress: called with the name of the scenario when it is done.
     """
-    scenes = {}
+    require_count("episodes", episodes, 1)
+    tasks = {}
     for label, scenario in results.scenarios.items():
         cells = [cell for cell in results.cells if cell.scenario == label]
         entries = results.entries | {entry.name: entry for entry in results.tuned.get(label, {}).values()}
-        count = min(require_count("episodes", episodes, 1), len(cells[0].samples["digits"]))
-        dynamics = Dynamics(scenario)
-        start = draw_start(dynamics, count, results.seed)
-        scenes[label] = scene(dynamics, start, {cell.policy: entries[cell.policy] for cell in cells})
-        if progress is not None:
-            progress(label)
-    return scenes
+        count = min(episodes, len(cells[0].samples["digits"]))
+        tasks[label] = (scenario, count, results.seed, {cell.policy: entries[cell.policy] for cell in cells})
+    return _scenes(_comparison_scene, tasks, workers, progress)
+
+
+def _comparison_scene(scenario: Scenario, episodes: int, seed: int, entries: Mapping[str, Entry]) -> Scene:
+    dynamics = Dynamics(scenario)
+    return scene(dynamics, draw_start(dynamics, episodes, seed), entries)
 
 
 def suite_scenes(
-    run: Run, *, episodes: int = EPISODES, progress: Callable[[str], None] | None = None
+    run: Run,
+    *,
+    episodes: int = EPISODES,
+    workers: Workers = Workers(),  # noqa: B008 - immutable
+    progress: Callable[[str], None] | None = None,
 ) -> dict[str, Scene]:
     """A scene per track of a suite, from the first ``episodes`` of the bank; of a learned policy, its first seed.
 
     Args:
         run: of the suite.
         episodes: at most as many as the run had.
+        workers: who runs the episodes.
         progress: called with the name of the track when it is done.
     """
-    scenes = {}
     count = min(require_count("episodes", episodes, 1), run.episodes)
+    tasks = {}
     for track in run.tracks:
-        dynamics = Dynamics(track.scenario)
-        start = run.suite.draw_start(dynamics, track.name, count, seed=run.seed, split=run.split)
         entries = {
             name: participant.runs[0]
             for name, participant in run.participants.items()
             if run.of(track.name, name)[0].reason is None
         }
-        teammates = None if track.teammates is None else track.teammates.join
-        scenes[track.name] = scene(dynamics, start, entries, teammates)
+        tasks[track.name] = (run.suite, track, count, run.seed, run.split, entries)
+    return _scenes(_suite_scene, tasks, workers, progress)
+
+
+def _suite_scene(
+    suite: Suite, track: Track, episodes: int, seed: int, split: Split, entries: Mapping[str, Entry]
+) -> Scene:
+    dynamics = Dynamics(track.scenario)
+    start = suite.draw_start(dynamics, track.name, episodes, seed=seed, split=split)
+    return scene(dynamics, start, entries, None if track.teammates is None else track.teammates.join)
+
+
+def _scenes(
+    function: Callable[..., Scene],
+    tasks: Mapping[str, tuple[Any, ...]],
+    workers: Workers,
+    progress: Callable[[str], None] | None,
+) -> dict[str, Scene]:
+    names, found = list(tasks), {}
+    for index, one in workers.run(function, list(tasks.values())):
+        found[names[index]] = one
         if progress is not None:
-            progress(track.name)
-    return scenes
+            progress(names[index])
+    return {name: found[name] for name in names}
 
 
 def scene(

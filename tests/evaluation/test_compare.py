@@ -7,8 +7,9 @@ import pytest
 
 import ptne_env
 from ptne_env import Entry, Part, evaluate, laws
-from ptne_env.evaluation import COMPARED, METRICS, default_entries, get_entry
-from ptne_env.evaluation.compare import count_cells
+from ptne_env.evaluation import COMPARED, METRICS, default_entries, get_entry, opponents
+from ptne_env.evaluation.benchmark import TIMINGS
+from ptne_env.evaluation.parallel import Workers
 
 
 @pytest.fixture(scope="module")
@@ -125,7 +126,7 @@ def test_the_two_interfaces_agree_where_no_action_saturates():
 
 def test_every_compared_entry_acts_on_every_scenario_of_the_catalogue():
     results = evaluate(COMPARED, list(ptne_env.CATALOGUE), episodes=2, hold_steps=3)
-    assert len(results.cells) == count_cells(COMPARED, list(ptne_env.CATALOGUE)) == 8 * (2 * 6 + 11)
+    assert len(results.cells) == 8 * (2 * 6 + 11)
     # The anchors bracket the laws: doing nothing is worse than the static law, full information is better.
     for scenario in ("energy", "energy-switching", "energy-switching-transformed", "non-quadratic", "random-energy"):
         digits = [results.record(scenario, name, "digits")["mean"] for name in ("null", "static", "oracle")]
@@ -153,10 +154,26 @@ def test_scenario_that_draws_games_is_run_from_random_starts_alone():
     assert len(set(digits)) == 6
 
 
-def test_progress_is_reported_once_per_cell():
+@pytest.mark.parametrize(("policies", "rollouts"), [(["static", "null"], 4), (["ppo-random-energy"], 2 + 66 + 2)])
+def test_progress_is_reported_once_per_rollout(monkeypatch, policies, rollouts):
+    monkeypatch.setattr(opponents, "VALIDATION_EPISODES", 2)
     seen = []
-    evaluate(["static", "null"], ["energy"], episodes=1, progress=seen.append)
-    assert len(seen) == count_cells(["static", "null"], ["energy"]) == 4
+    evaluate(policies, ["energy"], episodes=1, progress=lambda *told: seen.append(told))
+    assert len(seen) == rollouts
+    assert {total for _, total in seen} == {rollouts}
+
+
+def test_results_do_not_depend_on_the_number_of_processes(monkeypatch):
+    monkeypatch.setattr(opponents, "VALIDATION_EPISODES", 5)
+    one, two = (
+        evaluate(["static", "random", "ppo-random-energy"], ["random-energy"], episodes=3, workers=Workers(jobs))
+        for jobs in (1, 2)
+    )
+    assert [record for record in one.records if record["metric"] not in TIMINGS] == [
+        record for record in two.records if record["metric"] not in TIMINGS
+    ]
+    assert one.tuned == two.tuned
+    assert [cell.policy for cell in one.cells] == [cell.policy for cell in two.cells]
 
 
 @pytest.mark.parametrize(

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from matplotlib import image
 
+from ptne_env.evaluation.parallel import Workers
 from ptne_env.evaluation.sweep import CEILING, FLOOR, SWEEPS, run_sweep
 from ptne_env.report import save_diagram
 
@@ -65,7 +66,7 @@ def test_where_no_scenario_exists_there_is_no_number(diagrams):
 
 
 def test_results_do_not_depend_on_the_number_of_processes():
-    one, two = (run_sweep("noise-horizon", points=2, episodes=2, seed=1, jobs=jobs) for jobs in (1, 2))
+    one, two = (run_sweep("noise-horizon", points=2, episodes=2, seed=1, workers=Workers(jobs)) for jobs in (1, 2))
     assert one == two
 
 

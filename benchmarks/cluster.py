@@ -1,0 +1,132 @@
+"""What a cell of a suite costs, how well several workers share cells, and what Ray adds; see docs/scaling.md.
+
+Run it as ``python -m benchmarks.cluster`` with the extra ``[ray]`` and nothing else running.
+"""
+
+from __future__ import annotations
+
+import pickle
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Annotated, Any
+
+import cloudpickle
+import joblib
+import numpy as np
+import ray
+import typer
+from ray.cluster_utils import Cluster
+from ray.util.joblib import register_ray
+
+from ptne_env.evaluation import ENTRIES
+from ptne_env.evaluation.benchmark import Cell, Store, _measure
+from ptne_env.evaluation.parallel import Workers
+from ptne_env.evaluation.suite import get_suite
+
+SUITE = "ptne-v1"
+LAWS = ("static", "adaptive", "grounded", "corollary-one", "fixed-gain", "averaging-integral")
+
+
+def cell(track: str, law: str, seed: int = 0) -> Cell:
+    """A cell of the suite with its own number of episodes."""
+    suite = get_suite(SUITE)
+    return Cell(suite.name, suite.track(track), law, 0, ENTRIES[law], seed, "test", suite.episodes)
+
+
+def timed(work: Callable[[], Any]) -> tuple[float, Any]:
+    """Seconds of wall time, and what came out."""
+    began = time.perf_counter()
+    result = work()
+    return time.perf_counter() - began, result
+
+
+@contextmanager
+def nodes(count: int) -> Iterator[Workers]:
+    """A Ray cluster of nodes with one core each, on this machine, with its workers already started."""
+    cluster = Cluster(initialize_head=True, head_node_args={"num_cpus": 1, "include_dashboard": False})
+    for _ in range(count - 1):
+        cluster.add_node(num_cpus=1)
+    cluster.wait_for_nodes()
+    workers = Workers(-1, "ray", cluster.address)
+    try:
+        list(workers.run(_measure, _tasks([cell("nominal", "static")] * 4)))
+        yield workers
+    finally:
+        ray.shutdown()
+        cluster.shutdown()
+
+
+def _tasks(cells: list[Cell]) -> list[tuple[Cell, str]]:
+    return [(one, one.key) for one in cells]
+
+
+def costs(tracks: tuple[str, ...]) -> None:
+    """Seconds, bytes and the time to keep, of a cell per track."""
+    typer.echo(f"{'track':24}{'seconds':>9}{'bytes out':>11}{'bytes back':>12}{'ms to keep':>12}")
+    rows = []
+    with tempfile.TemporaryDirectory() as folder:
+        for track in tracks:
+            one = cell(track, "static")
+            seconds, measured = timed(lambda one=one: _measure(one, one.key))
+            keep, _ = timed(lambda one=one, measured=measured: Store(Path(folder)).keep(one, measured))
+            rows.append((seconds, len(cloudpickle.dumps((_measure, one, one.key))), len(pickle.dumps(measured)), keep))
+            typer.echo(f"{track:24}{seconds:9.2f}{rows[-1][1]:11,}{rows[-1][2]:12,}{1e3 * keep:12.1f}")
+    seconds, out, back, keep = np.mean(rows, axis=0)
+    typer.echo(f"{'mean':24}{seconds:9.2f}{out:11,.0f}{back:12,.0f}{1e3 * keep:12.1f}\n")
+
+
+def sharing(turns: int) -> None:
+    """How long the same cells take on one and on two workers."""
+    tasks = _tasks([cell("nominal", law, seed) for seed in range(3) for law in LAWS])
+    list(Workers(2).run(_measure, tasks[:4]))  # the processes are there before the clock runs
+    typer.echo(f"{len(tasks)} cells of the track nominal, median of {turns} turns")
+    medians = {}
+
+    def measure(name: str, workers: Workers) -> None:
+        medians[name] = float(np.median([timed(lambda: list(workers.run(_measure, tasks)))[0] for _ in range(turns)]))
+        speed = medians["1 process"] / medians[name]
+        typer.echo(f"  {name:14}{medians[name]:7.1f} s, {speed:.2f} times as fast as one process")
+
+    measure("1 process", Workers(1))
+    measure("2 processes", Workers(2))
+    for count in (1, 2):
+        with nodes(count) as workers:
+            measure(f"{count} Ray node{'s' * (count > 1)}", workers)
+
+
+def _sleep(seconds: float) -> None:
+    time.sleep(seconds)
+
+
+def overheads() -> None:
+    """Empty tasks per second on two nodes, and unequal tasks through this backend and through Ray's own."""
+    unequal = [(4.0,)] + 20 * [(0.2,)]
+    register_ray()
+    with nodes(2) as workers:
+        seconds, _ = timed(lambda: list(workers.run(_sleep, 1000 * [(0.0,)])))
+        typer.echo(f"\n{1000 / seconds:.0f} empty tasks per second on two nodes")
+        seconds, _ = timed(lambda: list(workers.run(_sleep, unequal)))
+        typer.echo(f"one task of 4 s and twenty of 0.2 s, at best 4 s: {seconds:.1f} s")
+        calls = [joblib.delayed(_sleep)(*task) for task in unequal]
+        with joblib.parallel_config(backend="ray", n_jobs=2):
+            joblib.Parallel()(calls[1:5])
+            seconds, _ = timed(lambda: joblib.Parallel()(calls))
+        typer.echo(f"the same through Ray's own backend for joblib, with its pool to start: {seconds:.1f} s")
+
+
+def main(
+    *,
+    turns: Annotated[int, typer.Option(min=1, help="Turns of every way to share.")] = 3,
+    track: Annotated[list[str] | None, typer.Option(help="Tracks whose cost is measured; all if left out.")] = None,
+) -> None:
+    """Print all of it."""
+    costs(tuple(track or (one.name for one in get_suite(SUITE).tracks)))
+    sharing(turns)
+    overheads()
+
+
+if __name__ == "__main__":
+    typer.run(main)
