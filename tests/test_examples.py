@@ -12,7 +12,7 @@ import pytest
 FOLDER = Path(__file__).parents[1] / "examples"
 EXAMPLES = sorted(FOLDER.glob("*.py"))
 PRINTED = dict(
-    re.findall(r"^\| \[(\w+\.py)\]\(\1\) \|.*\| `([^`]+)` \|$", (FOLDER / "README.md").read_text("utf-8"), re.M)
+    re.findall(r"^\| \[(\w+\.py)\]\(\1\) \|.*\| `([^`]+)` \|$", (FOLDER / "README.md").read_text("utf-8"), re.MULTILINE)
 )
 """Of what each example prints, what the README shows."""
 
