@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import io
 from pathlib import Path
 
 import numpy as np
 
 from ptne_env.arrays import FloatArray
 from ptne_env.evaluation.sweep import CEILING, FLOOR, Axis, Diagram
+from ptne_env.files import write_atomically
 
 _LINES = ("#D55E00", "#CC79A7", "#E69F00")
 """Of boundaries; distinct for colour-blind readers, and on every colour of the map."""
@@ -60,8 +62,10 @@ def save_diagram(diagram: Diagram, path: Path) -> None:
     figure.colorbar(mesh, ax=axes, label=f"measured digits at T, mean of {diagram.episodes}")
     legend = figure.legend(loc="outside lower center", ncols=3, fontsize=8, facecolor="#777777", labelcolor="white")
     legend.get_frame().set_edgecolor("none")
-    path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path, dpi=110, metadata={"Software": None} if path.suffix == ".png" else None)
+    picture = io.BytesIO()
+    ending = path.suffix.removeprefix(".")
+    figure.savefig(picture, format=ending, dpi=110, metadata={"Software": None} if ending == "png" else None)
+    write_atomically(path, picture.getvalue())
 
 
 def _edges(axis: Axis) -> FloatArray:

@@ -30,13 +30,12 @@ from ptne_env.evaluation import Entry, episode_seed, evaluate
 from ptne_env.evaluation.suite import find_scenario
 from ptne_env.files import write_atomically
 from ptne_env.interface import ActionMode, Interface, InterfaceKind, Layout
+from ptne_env.training import CONFIGURATIONS, configurations
 from ptne_env.training.export import to_onnx
 from ptne_env.training.features import Products
 
 Progress = Callable[[int, int, float], None]
 """Called with agent-steps done, agent-steps in all, and mean digits gained of late (NaN before an episode ends)."""
-
-_CONFIGURATIONS = Path(__file__).parent / "configurations"
 
 
 @dataclass(frozen=True)
@@ -98,7 +97,7 @@ class Arguments:
         """
         path = Path(name_or_path)
         if path.suffix != ".toml":
-            path = _CONFIGURATIONS / f"{name_or_path}.toml"
+            path = CONFIGURATIONS / f"{name_or_path}.toml"
         if not path.is_file():
             raise ValueError(f"unknown configuration {str(name_or_path)!r}; choose from {', '.join(configurations())}")
         values = tomllib.loads(path.read_text(encoding="utf-8")) | changes
@@ -107,11 +106,6 @@ class Arguments:
         if unknown:
             raise ValueError(f"{path.name}: unknown {', '.join(unknown)}; the arguments are {', '.join(sorted(known))}")
         return cls(**values)
-
-
-def configurations() -> list[str]:
-    """The names of the shipped configurations."""
-    return sorted(path.stem for path in _CONFIGURATIONS.glob("*.toml"))
 
 
 def train(arguments: Arguments, out: Path, progress: Progress | None = None) -> dict[str, Any]:
