@@ -7,7 +7,7 @@ import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from json import dumps
-from math import isfinite
+from math import isfinite, isnan
 from pathlib import Path
 from typing import Annotated, TypeAlias
 
@@ -59,6 +59,9 @@ from ptne_env.report import (
 from ptne_env.scenario import CATALOGUE
 
 _HOLD_STEPS = 50
+
+_INTERRUPTED = 130
+"""Exit code after Ctrl-C."""
 
 _PIPE_WIDTH = 172
 """Width of tables where the output is no terminal, which would otherwise be cut to 80 columns."""
@@ -600,7 +603,8 @@ def train(
         task = progress.add_task("training", total=arguments.steps)
 
         def advance(done: int, total: int, digits: float) -> None:
-            progress.update(task, completed=done, total=total, description=f"training, {digits:.2f} digits gained")
+            gained = "" if isnan(digits) else f", {digits:.2f} digits gained"
+            progress.update(task, completed=done, total=total, description=f"training{gained}")
 
         summary = ppo.train(arguments, out, advance)
     _write_json(json, _json_text(summary))
@@ -623,7 +627,8 @@ def list_(json: _Json = None) -> None:
         ),
     )
     console = _console()
-    console.print(scenario_table(), entry_table(), metric_table(), *(suite_table(get_suite(name)) for name in SUITES))
+    console.print(scenario_table(console.width), entry_table(), metric_table())
+    console.print(*(suite_table(get_suite(name)) for name in SUITES))
 
 
 def main() -> None:
@@ -631,6 +636,10 @@ def main() -> None:
     sys.path.append(str(Path.cwd()))  # so that 'module:object' finds a file of the current folder, after all others
     try:
         app(prog_name="ptne")
+    except SystemExit as ended:
+        if ended.code == _INTERRUPTED:
+            _console(stderr=True).print("Interrupted: files are whole, and suites and training go on where they were")
+        raise
     except ValueError as error:
         _fail(str(error), 2)
     except (OSError, ImportError) as error:
@@ -644,7 +653,8 @@ def _fail(message: str, code: int) -> None:
     console = _console(stderr=True)
     if _options.debug:
         console.print_exception()
-    console.print(Text("Error: ", style="bold red").append(message, style="not bold default"), soft_wrap=True)
+    told = Text("Error: ", style="bold red").append(message, style="not bold default")
+    console.print(told, soft_wrap=not console.is_terminal)
     raise SystemExit(code)
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,7 +12,6 @@ import numpy as np
 
 from ptne_env.arrays import FloatArray
 from ptne_env.clock import Exponential
-from ptne_env.files import write_atomically
 from ptne_env.graphs import Graph, SignalClock, cycle
 from ptne_env.paper.claims import Claim
 from ptne_env.paper.continuous import Run
@@ -97,11 +95,8 @@ def save(spec: FigureSpec, experiments: Experiments, claims: Sequence[Claim], ou
         FigureCanvasAgg(figure)
         spec.draw(figure, experiments, claims)
         figure.text(0.5, 0.08 / (height + band), "\n".join(lines), ha="center", va="bottom", color=INK, fontsize=8.5)
-        formats: dict[Path, dict[str, Any]] = {png: {"dpi": 200}, svg: {"metadata": {"Date": None}}}
-        for path, options in formats.items():
-            picture = io.BytesIO()
-            figure.savefig(picture, format=path.suffix.removeprefix("."), **options)
-            write_atomically(path, picture.getvalue())
+        figure.savefig(png, dpi=200)
+        figure.savefig(svg, metadata={"Date": None})
     return png, svg
 
 

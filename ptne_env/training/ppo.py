@@ -93,14 +93,17 @@ class Arguments:
         """The arguments of a shipped configuration, or of a TOML file, with some of them changed.
 
         Raises:
-            ValueError: for an unknown configuration or key, naming what there is.
+            ValueError: for an unknown configuration or key, naming what there is, or a file that is not TOML.
         """
         path = Path(name_or_path)
         if path.suffix != ".toml":
             path = CONFIGURATIONS / f"{name_or_path}.toml"
         if not path.is_file():
             raise ValueError(f"unknown configuration {str(name_or_path)!r}; choose from {', '.join(configurations())}")
-        values = tomllib.loads(path.read_text(encoding="utf-8")) | changes
+        try:
+            values = tomllib.loads(path.read_text(encoding="utf-8")) | changes
+        except ValueError as error:
+            raise ValueError(f"{path} is not a TOML file: {error}") from error
         known = {field.name for field in dataclasses.fields(cls)}
         unknown = sorted(set(values) - known)
         if unknown:
