@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import signal
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -112,6 +113,13 @@ def _progress() -> Progress:
     )
     disable = _options.quiet or not sys.stderr.isatty()
     return Progress(*columns, console=_console(stderr=True), transient=True, expand=True, disable=disable)
+
+
+def _keep_interrupts_from_workers() -> None:
+    """Let Ctrl-C reach this process alone, which then ends its workers, and no traceback of theirs is printed."""
+    from joblib import parallel_config
+
+    parallel_config(backend="loky", initializer=signal.signal, initargs=(signal.SIGINT, signal.SIG_IGN))
 
 
 def _keep_stdout(context: typer.Context, value: str | None) -> str | None:
@@ -276,6 +284,7 @@ def compare(
 
     With --suite, run the tracks of a frozen benchmark cell by cell; see docs/protocol.md.
     """
+    _keep_interrupts_from_workers()
     names = [*(policy or ()), *(policies.split(",") if policies else ())]
     if no_report and report is not None:
         raise ValueError("--report and --no-report exclude each other")
@@ -524,6 +533,7 @@ def sweep(
     gain-step is over κ and the step Θ, noise-horizon over noise and s_end, dwell-gain over dwell time and c. Every
     point is a batch of episodes of the static law in the environment; docs/theory.md explains the lines.
     """
+    _keep_interrupts_from_workers()
     _require_writable(json, *(out / f"{name}.png" for name in diagram or SWEEPS))
     diagrams = []
     with _progress() as progress:
