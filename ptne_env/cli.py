@@ -2,31 +2,46 @@
 
 from __future__ import annotations
 
+import os
+import signal
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
+from json import dumps
+from math import isfinite, isnan
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, TypeAlias
 
 try:
     import typer
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
+    from rich.table import Column
     from rich.text import Text
 except ImportError as error:  # pragma: no cover - exercised in an environment without the extra
     raise SystemExit('the command line needs an extra: pip install "ptne-env[bench]"') from error
 
-from ptne_env import theory
+from ptne_env import policies as learned
+from ptne_env import theory, training
 from ptne_env._version import __version__
-from ptne_env.evaluation import Entry, default_entries, evaluate, get_entry, suite_entries
+from ptne_env.evaluation import (
+    COMPARATIVE_METRICS,
+    ENTRIES,
+    METRICS,
+    Entry,
+    default_entries,
+    evaluate,
+    get_entry,
+    suite_entries,
+)
 from ptne_env.evaluation.benchmark import check, executes_code, get_participant, run_suite
-from ptne_env.evaluation.entries import law_part
+from ptne_env.evaluation.entries import law_names, law_part
 from ptne_env.evaluation.leaderboard import leaderboard
 from ptne_env.evaluation.parallel import Workers
 from ptne_env.evaluation.suite import SUITES, find_scenario, get_suite
 from ptne_env.evaluation.sweep import SWEEPS, run_sweep
 from ptne_env.evaluation.traces import comparison_scenes, suite_scenes
-from ptne_env.files import write_atomically
+from ptne_env.files import require_writable, write_atomically
 from ptne_env.report import (
     certificate_tables,
     comparison_report,
@@ -45,6 +60,9 @@ from ptne_env.report import (
 from ptne_env.scenario import CATALOGUE
 
 _HOLD_STEPS = 50
+
+_INTERRUPTED = 130
+"""Exit code after Ctrl-C."""
 
 _PIPE_WIDTH = 172
 """Width of tables where the output is no terminal, which would otherwise be cut to 80 columns."""
@@ -68,10 +86,17 @@ _Address = Annotated[
 
 @dataclass
 class _Options:
-    """What was said before the command."""
+    """What holds for the whole run.
+
+    Attributes:
+        quiet: whether nothing is printed but errors, and JSON that is asked for.
+        debug: whether errors show where they come from.
+        stdout: descriptor of the real stdout while it is kept for JSON alone.
+    """
 
     quiet: bool = False
     debug: bool = False
+    stdout: int | None = None
 
 
 _options = _Options()
@@ -79,12 +104,85 @@ _options = _Options()
 
 def _console(*, stderr: bool = False) -> Console:
     stream = sys.stderr if stderr else sys.stdout
-    return Console(stderr=stderr, width=None if stream.isatty() else _PIPE_WIDTH, quiet=_options.quiet and not stderr)
+    return Console(
+        stderr=stderr,
+        width=None if stream.isatty() else _PIPE_WIDTH,
+        quiet=not stderr and (_options.quiet or _options.stdout is not None),
+        color_system=None if os.environ.get("NO_COLOR") else "auto",  # rich alone would still write bold and dim
+    )
 
 
-def _progress(console: Console) -> Progress:
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    return Progress(*columns, console=console, transient=True, disable=_options.quiet or not console.is_terminal)
+def _progress() -> Progress:
+    columns = (
+        TextColumn("{task.description}", table_column=Column(ratio=1, no_wrap=True, overflow="ellipsis")),
+        BarColumn(bar_width=20),
+        MofNCompleteColumn(),
+        TimeRemainingColumn(),
+    )
+    disable = _options.quiet or not sys.stderr.isatty()
+    return Progress(*columns, console=_console(stderr=True), transient=True, expand=True, disable=disable)
+
+
+def _keep_interrupts_from_workers() -> None:
+    """Let Ctrl-C reach this process alone, which then ends its workers, and no traceback of theirs is printed."""
+    from joblib import parallel_config
+
+    parallel_config(backend="loky", initializer=signal.signal, initargs=(signal.SIGINT, signal.SIG_IGN))
+
+
+def _keep_stdout(context: typer.Context, value: str | None) -> str | None:
+    """With '--json -', send whatever else is printed to stderr, also what other code and processes print."""
+    if value == "-" and not context.resilient_parsing:
+        _options.stdout = os.dup(1)
+        os.dup2(2, 1)
+    return value
+
+
+def _write_json(target: str | None, text: str) -> None:
+    if target == "-" and _options.stdout is not None:
+        with os.fdopen(_options.stdout, "w", encoding="utf-8", closefd=False) as stdout:
+            stdout.write(text + "\n")
+    elif target is not None:
+        write_atomically(Path(target), text + "\n")
+
+
+def _require_writable(*targets: str | Path | None) -> None:
+    """Fail before the work rather than after it."""
+    for target in targets:
+        if target not in (None, "-"):
+            require_writable(Path(target))
+
+
+def _json_text(value: object) -> str:
+    return dumps(value, indent=2, allow_nan=False, ensure_ascii=False)
+
+
+def _complete_world() -> list[str]:
+    return [*CATALOGUE, *(f"{name}/{track.name}" for name in SUITES for track in get_suite(name).tracks)]
+
+
+def _complete_policy() -> list[str]:
+    return [*ENTRIES, *learned.shipped()]
+
+
+def _complete_policies(incomplete: str) -> list[str]:
+    done, comma, _ = incomplete.rpartition(",")
+    return [f"{done}{comma}{name}" for name in _complete_policy()]
+
+
+def _complete_track(context: typer.Context) -> list[str]:
+    asked = context.params.get("suite")
+    return [track.name for name in SUITES if asked in (name, None) for track in get_suite(name).tracks]
+
+
+_Json: TypeAlias = Annotated[
+    str | None,
+    typer.Option(
+        "--json",
+        callback=_keep_stdout,
+        help="Write the results as JSON to this file; '-' for stdout, where nothing else is printed then.",
+    ),
+]
 
 
 def _version(value: bool) -> None:  # noqa: FBT001 - typer's callback signature
@@ -112,7 +210,10 @@ def compare(
     *,
     scenario: Annotated[
         list[str] | None,
-        typer.Option(help="A scenario by name; repeat for several. All of the catalogue if left out. See 'ptne list'."),
+        typer.Option(
+            help="A scenario by name; repeat for several. All of the catalogue if left out. See 'ptne list'.",
+            autocompletion=lambda: list(CATALOGUE),
+        ),
     ] = None,
     policy: Annotated[
         list[str] | None,
@@ -120,10 +221,14 @@ def compare(
             help="A policy by name, an .onnx file, or 'module:object' that is called with the layout and returns "
             "something with predict(); repeat for several. If left out: the paper's laws, and the learned policies on "
             "the scenarios they were trained for; with --suite, all laws and all learned policies. With --suite also a "
-            "Stable-Baselines3 .zip, or 'name=pattern' for the files of several training seeds."
+            "Stable-Baselines3 .zip, or 'name=pattern' for the files of several training seeds.",
+            autocompletion=_complete_policy,
         ),
     ] = None,
-    policies: Annotated[str | None, typer.Option(help="Policies as one list, separated by commas.")] = None,
+    policies: Annotated[
+        str | None,
+        typer.Option(help="Policies as one list, separated by commas.", autocompletion=_complete_policies),
+    ] = None,
     episodes: Annotated[
         int | None,
         typer.Option(
@@ -136,7 +241,7 @@ def compare(
     hold_steps: Annotated[
         int, typer.Option(min=0, help="Steps after the deadline, for 'digits after hold'.")
     ] = _HOLD_STEPS,
-    json: Annotated[str | None, typer.Option(help="Write everything as JSON to this file; '-' for stdout.")] = None,
+    json: _Json = None,
     csv: Annotated[Path | None, typer.Option(help="Write the records as CSV to this file.")] = None,
     report: Annotated[
         Path | None,
@@ -147,10 +252,17 @@ def compare(
     ] = None,
     no_report: Annotated[bool, typer.Option("--no-report", help="Write no report.")] = False,
     suite: Annotated[
-        str | None, typer.Option(help="Run the tracks of a suite instead, such as ptne-v1, or 'module:object'.")
+        str | None,
+        typer.Option(
+            help="Run the tracks of a suite instead, such as ptne-v1, or 'module:object'.",
+            autocompletion=lambda: list(SUITES),
+        ),
     ] = None,
     track: Annotated[
-        list[str] | None, typer.Option(help="With --suite: a track by name; repeat for several. All if left out.")
+        list[str] | None,
+        typer.Option(
+            help="With --suite: a track by name; repeat for several. All if left out.", autocompletion=_complete_track
+        ),
     ] = None,
     out: Annotated[
         Path | None,
@@ -182,6 +294,7 @@ def compare(
 
     With --suite, run the tracks of a frozen benchmark cell by cell; see docs/protocol.md.
     """
+    _keep_interrupts_from_workers()
     names = [*(policy or ()), *(policies.split(",") if policies else ())]
     workers = Workers(jobs, backend, address)
     if no_report and report is not None:
@@ -189,14 +302,17 @@ def compare(
     folder = Path("results") if suite is None else out or Path("results") / get_suite(suite).name
     page = None if no_report or (json == "-" and report is None) else report or folder / "report" / "index.html"
     if repeat is not None:
-        _check(repeat, sample, tolerance, trust=trust)
+        _require_writable(json)
+        _check(repeat, sample, tolerance, json, trust=trust)
     elif suite is not None:
         if scenario or hold_steps != _HOLD_STEPS or csv is not None:
             raise ValueError("a suite fixes what is run: leave out --scenario, --hold-steps and --csv")
+        _require_writable(folder / "results.json", json, page)
         _run_suite(suite, names, track, folder, seed, episodes, workers, json, page, trust=trust)
     elif track or out is not None:
         raise ValueError("--track and --out are for suites: name one with --suite")
     else:
+        _require_writable(json, csv, page)
         chosen = scenario or list(CATALOGUE)
         _compare(names or default_entries(), chosen, episodes or 1000, seed, hold_steps, workers, json, csv, page)
 
@@ -212,7 +328,7 @@ def _compare(
     csv: Path | None,
     page: Path | None,
 ) -> None:
-    with _progress(_console(stderr=True)) as progress:
+    with _progress() as progress:
         task = progress.add_task("comparing", total=None)
 
         def advance(cell: str, total: int) -> None:
@@ -229,8 +345,7 @@ def _compare(
         )
         if csv is not None:
             write_atomically(csv, results.to_csv())
-        if json not in (None, "-"):
-            write_atomically(Path(json), results.to_json() + "\n")
+        _write_json(json, results.to_json())
         if page is not None:
             count = len(results.scenarios)
             progress.reset(task, total=count)
@@ -239,9 +354,6 @@ def _compare(
             )
             report = comparison_report(results, scenes, episodes=episodes, hold_steps=hold_steps)
             write_atomically(page, render_page(report))
-    if json == "-":
-        typer.echo(results.to_json())
-        return
     console = _console()
     console.print(comparison_tables(results, console.width))
     _tell_files(console, (json, csv), page)
@@ -285,7 +397,7 @@ def _run_suite(
     suite = get_suite(name)
     trusted = _trusted(policies, trust=trust)
     participants = [get_participant(policy, trust=trusted) for policy in policies or suite_entries()]
-    with _progress(_console(stderr=True)) as progress:
+    with _progress() as progress:
         task = progress.add_task(suite.name, total=None)
 
         def advance(cell: str, total: int) -> None:
@@ -298,30 +410,41 @@ def _run_suite(
         board = leaderboard(run)
         text = board.to_json()
         write_atomically(folder / "results.json", text + "\n")
-        if json not in (None, "-"):
-            write_atomically(Path(json), text + "\n")
+        _write_json(json, text)
         if page is not None:
             progress.reset(task, total=len(run.tracks))
             scenes = suite_scenes(
                 run, workers=workers, progress=lambda track: advance(f"report: {track}", len(run.tracks))
             )
             write_atomically(page, render_page(suite_report(board, scenes, folder=str(folder))))
-    if json == "-":
-        typer.echo(text)
-        return
     console = _console()
     console.print(leaderboard_tables(board, console.width))
     _tell_files(console, (folder / "results.json",), page)
 
 
-def _check(results: Path, sample: int, tolerance: float, *, trust: bool) -> None:
-    with _progress(_console(stderr=True)) as progress:
+def _check(results: Path, sample: int, tolerance: float, json: str | None, *, trust: bool) -> None:
+    with _progress() as progress:
         task = progress.add_task("repeating", total=None)
 
         def advance(cell: str, total: int) -> None:
             progress.update(task, advance=1, total=total, description=cell)
 
         repetitions = check(results, sample=sample, trust=trust, progress=advance)
+    _write_json(
+        json,
+        _json_text(
+            [
+                {
+                    "track": one.cell.track.name,
+                    "policy": one.cell.participant,
+                    "run": one.cell.run,
+                    "difference": one.difference if isfinite(one.difference) else None,
+                    "reproduces": one.difference <= tolerance,
+                }
+                for one in repetitions
+            ]
+        ),
+    )
     _console().print(repetition_table(repetitions, tolerance))
     if any(one.difference > tolerance for one in repetitions):
         raise typer.Exit(1)
@@ -329,8 +452,14 @@ def _check(results: Path, sample: int, tolerance: float, *, trust: bool) -> None
 
 @app.command()
 def render(
-    scenario: Annotated[str, typer.Argument(help="A scenario by name, or a track's, such as ptne-v1/delay.")],
-    policy: Annotated[str, typer.Argument(help="A policy by name, an .onnx file, or 'module:object'.")],
+    scenario: Annotated[
+        str,
+        typer.Argument(help="A scenario by name, or a track's, such as ptne-v1/delay.", autocompletion=_complete_world),
+    ],
+    policy: Annotated[
+        str,
+        typer.Argument(help="A policy by name, an .onnx file, or 'module:object'.", autocompletion=_complete_policy),
+    ],
     *,
     out: Annotated[
         Path,
@@ -343,10 +472,11 @@ def render(
     pictures: Annotated[int, typer.Option(min=2, help="Pictures of a .gif or .mp4.")] = 100,
 ) -> None:
     """Write an episode as a film: strategies, estimates, distances and live links over time."""
+    _require_writable(out)
     world, entry = find_scenario(scenario), get_entry(policy)
     if hold_steps is not None:
         world = world.replace(hold_steps=hold_steps)
-    with _progress(_console(stderr=True)) as progress:
+    with _progress() as progress:
         task = progress.add_task(f"{scenario}: {policy}", total=None)
 
         def advance(done: int, total: int) -> None:
@@ -359,13 +489,18 @@ def render(
 @app.command()
 def certify(
     scenario: Annotated[
-        str, typer.Argument(help="A scenario by name, or a track such as ptne-v1/delay; see 'ptne list'.")
+        str,
+        typer.Argument(
+            help="A scenario by name, or a track such as ptne-v1/delay; see 'ptne list'.",
+            autocompletion=_complete_world,
+        ),
     ],
     law: Annotated[
         str,
         typer.Option(
             help="A law by name (static, adaptive, corollary-one, gadjov-pavel, grounded), by its class in "
-            "ptne_env.laws (FixedGain, LocallyImplicit, …), or as 'module:object' that is called with the layout."
+            "ptne_env.laws (FixedGain, LocallyImplicit, …), or as 'module:object' that is called with the layout.",
+            autocompletion=law_names,
         ),
     ] = "static",
     kappa: Annotated[
@@ -384,9 +519,7 @@ def certify(
         typer.Option(min=0, help="Steps that every message is late, to be predicted.", show_default="the channel's"),
     ] = None,
     hold_steps: Annotated[int, typer.Option(min=0, help="Steps after the deadline, for the digits there.")] = 50,
-    json: Annotated[
-        str | None, typer.Option(help="Write the certificate as JSON to this file; '-' for stdout.")
-    ] = None,
+    json: _Json = None,
 ) -> None:
     """Say before anything runs what a law can promise on a scenario.
 
@@ -394,26 +527,24 @@ def certify(
     predicted at the deadline, the largest stable step, and what noise and late messages do. docs/theory.md says which
     of them are exact and which are bounds.
     """
-    from json import dumps
-
+    _require_writable(json)
     chosen = find_scenario(scenario)
     if hold_steps and chosen.gain > 0:
         chosen = chosen.replace(hold_steps=hold_steps)
     certificate = theory.certify(chosen, law=law_part(law, kappa), noise_std=noise, delay_steps=delay)
-    text = dumps(certificate.to_dict(), indent=2, allow_nan=False, ensure_ascii=False)
-    if json == "-":
-        typer.echo(text)
-        return
+    _write_json(json, _json_text(certificate.to_dict()))
     _console().print(certificate_tables(certificate))
     if json is not None:
-        write_atomically(Path(json), text + "\n")
         _console().print(Text(f"Certificate written to {json}"), soft_wrap=True)
 
 
 @app.command()
 def sweep(
     diagram: Annotated[
-        list[str] | None, typer.Argument(help=f"Which diagrams: {', '.join(SWEEPS)}. All if left out.")
+        list[str] | None,
+        typer.Argument(
+            help=f"Which diagrams: {', '.join(SWEEPS)}. All if left out.", autocompletion=lambda: list(SWEEPS)
+        ),
     ] = None,
     out: Annotated[Path, typer.Option(help="Folder for the pictures; made if missing.")] = Path("results/sweep"),
     points: Annotated[int, typer.Option(min=2, help="Points along each axis.")] = 14,
@@ -422,17 +553,19 @@ def sweep(
     jobs: _Jobs = -1,
     backend: _Backend = "processes",
     address: _Address = None,
-    json: Annotated[str | None, typer.Option(help="Write the numbers as JSON to this file; '-' for stdout.")] = None,
+    json: _Json = None,
 ) -> None:
     """Draw phase diagrams: digits at the deadline over two parameters, as measured and as predicted.
 
     gain-step is over κ and the step Θ, noise-horizon over noise and s_end, dwell-gain over dwell time and c. Every
     point is a batch of episodes of the static law in the environment; docs/theory.md explains the lines.
     """
-    console, names, workers = _console(), diagram or list(SWEEPS), Workers(jobs, backend, address)
+    _keep_interrupts_from_workers()
+    workers = Workers(jobs, backend, address)
+    _require_writable(json, *(out / f"{name}.png" for name in diagram or SWEEPS))
     diagrams = []
-    with _progress(_console(stderr=True)) as progress:
-        for name in names:
+    with _progress() as progress:
+        for name in diagram or SWEEPS:
             task = progress.add_task(name, total=None)
 
             def advance(done: int, total: int, task: TaskID = task) -> None:
@@ -443,15 +576,12 @@ def sweep(
             )
     for each in diagrams:
         save_diagram(each, out / f"{each.name}.png")
-    text = f"[{', '.join(each.to_json() for each in diagrams)}]"
-    if json == "-":
-        typer.echo(text)
-        return
+    _write_json(json, f"[{', '.join(each.to_json() for each in diagrams)}]")
+    console = _console()
     for each in diagrams:
         line = f"{each.name}: measured and predicted digits differ by at most {each.difference:.1g}"
         console.print(Text(f"{line}; {out / each.name}.png"), soft_wrap=True)
     if json is not None:
-        write_atomically(Path(json), text + "\n")
         console.print(Text(f"Numbers written to {json}"), soft_wrap=True)
 
 
@@ -460,6 +590,7 @@ def reproduce(
     out: Annotated[Path, typer.Option(help="Folder for figures (PNG, SVG) and results.json; made if missing.")] = Path(
         "results/paper"
     ),
+    json: _Json = None,
 ) -> None:
     """Reproduce the paper: Table 1, every figure, and a measured verdict on every claim and erratum.
 
@@ -467,13 +598,15 @@ def reproduce(
     """
     from ptne_env import paper
 
-    with _progress(_console(stderr=True)) as progress:
+    _require_writable(json)
+    with _progress() as progress:
         task = progress.add_task("reproducing", total=None)
 
         def advance(done: int, total: int, what: str) -> None:
             progress.update(task, completed=done, total=total, description=what)
 
         reproduction = paper.reproduce(out, progress=advance)
+    _write_json(json, _json_text(reproduction.to_dict()))
     console = _console()
     console.print(*paper.render(reproduction))
     written = f"{len(reproduction.figures)} figures and {reproduction.results.name} written to {out}"
@@ -483,11 +616,16 @@ def reproduce(
 @app.command()
 def train(
     configuration: Annotated[
-        str, typer.Argument(help="A shipped configuration by name (such as random-energy), or a .toml file.")
+        str,
+        typer.Argument(
+            help="A shipped configuration by name (such as random-energy), or a .toml file.",
+            autocompletion=training.configurations,
+        ),
     ],
     out: Annotated[Path, typer.Option(help="Folder for the policy, logs and checkpoints; made if missing.")],
     seed: Annotated[int, typer.Option(min=0, help="Seed of the network, the sampling and the training games.")] = 0,
     steps: Annotated[int | None, typer.Option(min=1, help="Agent-steps; the configuration's own if left out.")] = None,
+    json: _Json = None,
 ) -> None:
     """Train a policy with PPO and export it as policy.onnx.
 
@@ -498,42 +636,65 @@ def train(
     except ImportError as error:
         raise ImportError('training needs an extra: pip install "ptne-env[sb3]"') from error
 
+    _require_writable(json, out / "policy.onnx")
     changes = {"seed": seed} if steps is None else {"seed": seed, "steps": steps}
     arguments = ppo.Arguments.from_toml(configuration, **changes)
-    with _progress(_console(stderr=True)) as progress:
+    with _progress() as progress:
         task = progress.add_task("training", total=arguments.steps)
 
         def advance(done: int, total: int, digits: float) -> None:
-            progress.update(task, completed=done, total=total, description=f"training, {digits:.2f} digits gained")
+            gained = "" if isnan(digits) else f", {digits:.2f} digits gained"
+            progress.update(task, completed=done, total=total, description=f"training{gained}")
 
         summary = ppo.train(arguments, out, advance)
+    _write_json(json, _json_text(summary))
     digits = summary["validation_digits"]
     _console().print(Text(f"{digits:.2f} digits on the validation bank; policy.onnx written to {out}"), soft_wrap=True)
 
 
 @app.command("list")
-def list_() -> None:
-    """Show what there is: scenarios, policies and metrics."""
+def list_(json: _Json = None) -> None:
+    """Show what there is: scenarios, policies, metrics and suites."""
+    _write_json(
+        json,
+        _json_text(
+            {
+                "scenarios": {name: scenario.to_dict() for name, scenario in CATALOGUE.items()},
+                "policies": {entry.name: entry.to_dict() for entry in suite_entries()},
+                "metrics": {**METRICS, **COMPARATIVE_METRICS},
+                "suites": {name: get_suite(name).content() for name in SUITES},
+            }
+        ),
+    )
     console = _console()
-    console.print(scenario_table(), entry_table(), metric_table(), *(suite_table(get_suite(name)) for name in SUITES))
+    console.print(scenario_table(console.width), entry_table(), metric_table())
+    console.print(*(suite_table(get_suite(name)) for name in SUITES))
 
 
 def main() -> None:
-    """Run the command line; exit codes are 0 done, 1 failed, 2 wrong usage."""
+    """Run the command line; exit codes are 0 done, 1 failed, 2 wrong usage, 130 interrupted."""
+    sys.path.append(str(Path.cwd()))  # so that 'module:object' finds a file of the current folder, after all others
     try:
-        app()
+        app(prog_name="ptne")
+    except SystemExit as ended:
+        if ended.code == _INTERRUPTED:
+            _console(stderr=True).print("Interrupted: files are whole, and suites and training go on where they were")
+        raise
     except ValueError as error:
         _fail(str(error), 2)
     except (OSError, ImportError) as error:
         _fail(str(error), 1)
+    except Exception as error:  # noqa: BLE001 - whatever it is, a traceback is shown when it is asked for
+        told = "\n".join([f"{type(error).__name__}: {error}", *getattr(error, "__notes__", ())])
+        _fail(told if _options.debug else f"{told}\n'ptne --debug' before the command shows where it comes from", 1)
 
 
 def _fail(message: str, code: int) -> None:
+    console = _console(stderr=True)
     if _options.debug:
-        _console(stderr=True).print_exception()
-    _console(stderr=True).print(
-        Text("Error: ", style="bold red").append(message, style="not bold default"), soft_wrap=True
-    )
+        console.print_exception()
+    told = Text("Error: ", style="bold red").append(message, style="not bold default")
+    console.print(told, soft_wrap=not console.is_terminal)
     raise SystemExit(code)
 
 

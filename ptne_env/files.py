@@ -64,3 +64,20 @@ def read_json(path: Path, what: str) -> dict[str, Any]:
     if not isinstance(value, dict):
         raise ValueError(f"{path} is not {what}: expected a JSON object, got {type(value).__name__}")
     return value
+
+
+def require_writable(path: Path) -> None:
+    """Fail before long work where :func:`write_atomically` is bound to fail after it.
+
+    Raises:
+        OSError: when ``path`` is a folder, or what would hold it is no folder or cannot be written.
+    """
+    if path.is_dir():
+        raise IsADirectoryError(f"cannot write {path}: it is a folder")
+    folder = path.parent
+    while not folder.exists():
+        folder = folder.parent
+    if not folder.is_dir():
+        raise NotADirectoryError(f"cannot write {path}: {folder} is not a folder")
+    if not os.access(folder, os.W_OK):
+        raise PermissionError(f"cannot write {path}: the folder {folder} is read-only")

@@ -3,10 +3,29 @@
 import csv
 import json
 import os
+import pty
+import re
+import select
+import shutil
+import signal
 import subprocess
 import sys
+import time
+from pathlib import Path
 
 import pytest
+
+ROOT = Path(__file__).parents[1]
+COMMANDS = ("compare", "render", "certify", "sweep", "reproduce", "train", "list")
+LONG = {
+    "compare": "compare --scenario energy --policies static,adaptive,grounded --episodes 3000 --json out.json",
+    "suite": "compare --suite ptne-v1 --track delay --track noise --policies adaptive,grounded --jobs 2 --out out",
+    "render": "render energy static --out out.gif --pictures 400",
+    "sweep": "sweep noise-horizon --points 30 --jobs 2 --out out",
+    "reproduce": "reproduce --out out",
+    "train": "train random-energy --out out --steps 2000000",
+}
+"""Commands that take a while, and write to out or out.*."""
 
 
 def ptne(*arguments, cwd=None, **environment):
@@ -22,12 +41,121 @@ def ptne(*arguments, cwd=None, **environment):
     )
 
 
-@pytest.mark.parametrize("command", ["compare", "render", "reproduce", "certify", "sweep", "list"])
+@pytest.mark.parametrize("command", COMMANDS)
 def test_every_command_has_help(command):
     outcome = ptne(command, "--help")
     assert outcome.returncode == 0
     assert "Usage" in outcome.stdout
     assert len(outcome.stdout.splitlines()) > 5
+
+
+def is_alive(group):
+    """Whether a process of this group is left."""
+    try:
+        os.killpg(group, 0)
+    except ProcessLookupError:
+        return False
+    return True
+
+
+def in_terminal(arguments, cwd, *, until=None, **environment):
+    """Run a command in a terminal of 80 columns, interrupt it once ``until`` is printed; exit code and output."""
+    ours, theirs = pty.openpty()
+    process = subprocess.Popen(  # noqa: S603 - our own command line
+        [sys.executable, "-W", "error", "-m", "ptne_env.cli", *arguments],
+        stdin=theirs,
+        stdout=theirs,
+        stderr=theirs,
+        cwd=cwd,
+        start_new_session=True,
+        env={**os.environ, "COLUMNS": "80", "LINES": "40", "TERM": "xterm-256color", **environment},
+    )
+    os.close(theirs)
+    printed, deadline = b"", time.monotonic() + 200
+    while time.monotonic() < deadline:
+        if select.select([ours], [], [], 0.2)[0]:
+            try:
+                printed += os.read(ours, 65536)
+            except OSError:  # how Linux tells that the other side is closed
+                break
+        if until is not None and re.search(until, printed.decode(errors="ignore")):
+            os.killpg(process.pid, signal.SIGINT)  # as a terminal does: to workers too
+            until = None
+    os.close(ours)
+    code = process.wait(60)
+    while is_alive(process.pid):
+        assert time.monotonic() < deadline, "workers stayed behind"
+        time.sleep(0.2)
+    return code, printed.decode(errors="ignore")
+
+
+@pytest.mark.parametrize("name", LONG)
+def test_long_work_shows_the_time_left_and_an_interruption_leaves_whole_files_and_no_traceback(name, tmp_path):
+    code, printed = in_terminal(LONG[name].split(), tmp_path, until=r"\d/\d+.*\d:\d\d:\d\d")
+    assert code == 130
+    assert "Interrupted" in printed
+    assert "Traceback" not in printed
+    files = [path for path in tmp_path.rglob("*") if path.is_file() and "tensorboard" not in path.parts]
+    assert [path for path in files if path.name.startswith(".")] == []
+    for path in files:
+        assert path.suffix in (".json", ".png", ".svg")
+        if path.suffix == ".json":
+            json.loads(path.read_text(encoding="utf-8"))
+
+
+def test_a_terminal_gets_colours_and_none_with_no_color(tmp_path):
+    code, printed = in_terminal(["certify", "energy"], tmp_path)
+    assert code == 0
+    assert "\x1b[32mholds" in printed
+    code, printed = in_terminal(["certify", "energy"], tmp_path, NO_COLOR="1")
+    assert code == 0
+    assert "holds" in printed
+    assert "\x1b" not in printed
+
+
+@pytest.mark.parametrize(
+    ("words", "expected"),
+    [
+        (["ptne", ""], set(COMMANDS)),
+        (["ptne", "compare", "--scenario", "random-energy-"], {"random-energy-switching"}),
+        (["ptne", "compare", "--policy", "ppo-random"], {"ppo-random-energy", "ppo-random-energy-gains"}),
+        (["ptne", "compare", "--policies", "static,gr"], {"static,grounded"}),
+        (["ptne", "compare", "--suite", ""], {"ptne-v1"}),
+        (["ptne", "compare", "--suite", "ptne-v1", "--track", "large"], {"large-20", "large-50"}),
+        (["ptne", "render", "ptne-v1/d"], {"ptne-v1/delay"}),
+        (["ptne", "render", "energy", "grou"], {"grounded"}),
+        (["ptne", "certify", "energy-s"], {"energy-switching", "energy-switching-transformed"}),
+        (["ptne", "certify", "energy", "--law", "Loc"], {"LocallyImplicit"}),
+        (["ptne", "sweep", ""], {"gain-step", "noise-horizon", "dwell-gain"}),
+        (["ptne", "train", "ptne-v1-m"], {"ptne-v1-markov"}),
+        (["ptne", "compare", "--no-r"], {"--no-report"}),
+    ],
+    ids=lambda value: " ".join(value) if isinstance(value, list) else "",
+)
+def test_the_shell_is_told_what_can_follow(words, expected):
+    environment = {"COMP_WORDS": " ".join(words), "COMP_CWORD": str(len(words) - 1)}
+    outcome = ptne(**environment, _PTNE_COMPLETE="complete_bash")
+    assert outcome.stderr == ""
+    found = set(outcome.stdout.split())
+    assert expected <= found
+    assert all(name.startswith(words[-1]) for name in found)
+
+
+@pytest.mark.skipif(shutil.which("bash") is None, reason="needs bash")
+def test_the_completion_script_works_in_a_real_bash(tmp_path):
+    (tmp_path / "ptne").write_text(f'#!/bin/sh\nexec "{sys.executable}" -m ptne_env.cli "$@"\n', encoding="utf-8")
+    (tmp_path / "ptne").chmod(0o755)
+    script = ptne(_PTNE_COMPLETE="source_bash").stdout
+    script += '\nCOMP_WORDS=(ptne certify energy-s); COMP_CWORD=2; _ptne_completion ptne; echo "${COMPREPLY[*]}"'
+    paths = {"PATH": f"{tmp_path}{os.pathsep}{os.environ['PATH']}"}
+    outcome = subprocess.run(  # noqa: S603 - a script that we wrote
+        [str(shutil.which("bash")), "--norc", "-c", script],
+        capture_output=True,
+        text=True,
+        check=True,
+        env={**os.environ, **paths},
+    )
+    assert outcome.stdout.split() == ["energy-switching", "energy-switching-transformed"]
 
 
 def test_list_shows_scenarios_policies_and_metrics():
@@ -82,6 +210,92 @@ def test_compare_json_to_stdout_is_json_alone():
     assert {record["policy"] for record in data["records"]} == {"null"}
 
 
+TALKATIVE = """
+import numpy as np
+from ptne_env import laws
+
+def make(layout):
+    print("making a policy")
+    return laws.Null(layout)
+
+def broken(layout):
+    return 1 / 0
+"""
+
+
+@pytest.fixture
+def own_module(tmp_path):
+    """A folder with a module whose policy prints, and one that fails."""
+    (tmp_path / "talkative.py").write_text(TALKATIVE, encoding="utf-8")
+    return tmp_path
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        "compare --scenario energy --policy talkative:make --episodes 1",
+        "compare --suite ptne-v1 --track nominal --policy talkative:make --episodes 2 --jobs 2 --no-report --out out",
+        "certify energy",
+        "sweep dwell-gain --points 2 --episodes 1 --jobs 2 --out out",
+        "train random-energy --steps 1 --out out",
+        "list",
+    ],
+)
+def test_json_to_stdout_is_json_alone_whatever_other_code_prints(command, own_module):
+    outcome = ptne("-q", *command.split(), "--json", "-", cwd=own_module)
+    assert outcome.returncode == 0, outcome.stderr
+    assert json.loads(outcome.stdout)
+    assert ("making a policy" in outcome.stderr) == ("talkative" in command)
+
+
+def test_a_module_in_the_current_folder_is_found_by_the_installed_command(own_module):
+    code = "import sys; sys.argv[0] = 'ptne'; from ptne_env.cli import main; main()"
+    arguments = ("render", "energy", "talkative:make", "--out", "run.html")
+    paths = os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")])
+    outcome = subprocess.run(  # noqa: S603 - our own command line, with -P as console scripts have their path
+        [sys.executable, "-P", "-c", code, *arguments],
+        capture_output=True,
+        text=True,
+        encoding="utf-8",
+        cwd=own_module,
+        check=False,
+        env={**os.environ, "PYTHONPATH": paths},
+    )
+    assert outcome.returncode == 0, outcome.stderr
+    assert "making a policy" in outcome.stdout
+
+
+def test_what_goes_wrong_in_other_code_exits_with_1_and_shows_a_traceback_on_demand(own_module):
+    command = ("compare", "--scenario", "energy", "--policy", "talkative:broken", "--episodes", "1")
+    outcome = ptne(*command, cwd=own_module)
+    assert outcome.returncode == 1
+    assert outcome.stderr.startswith("Error: ZeroDivisionError: division by zero")
+    assert "--debug" in outcome.stderr
+    assert "Traceback" not in outcome.stderr
+    outcome = ptne("--debug", *command, cwd=own_module)
+    assert outcome.returncode == 1
+    assert "return 1 / 0" in outcome.stderr
+
+
+@pytest.mark.parametrize("name", ["missing.onnx", "damaged.onnx"])
+def test_a_policy_file_that_is_no_policy_is_named(name, tmp_path):
+    (tmp_path / "damaged.onnx").write_bytes(b"no policy")
+    outcome = ptne("compare", "--scenario", "energy", "--policy", name, cwd=tmp_path)
+    assert outcome.returncode == (1 if name == "missing.onnx" else 2)
+    assert name in outcome.stderr
+    assert "Traceback" not in outcome.stderr
+
+
+@pytest.mark.parametrize("command", ["compare --check file", "train file.toml --out out"])
+def test_a_file_that_is_something_else_is_named(command, tmp_path):
+    for name in ("file", "file.toml"):
+        (tmp_path / name).write_text("something else", encoding="utf-8")
+    outcome = ptne(*command.split(), cwd=tmp_path)
+    assert outcome.returncode == 2
+    assert "file" in outcome.stderr
+    assert "Traceback" not in outcome.stderr
+
+
 def test_compare_takes_a_policy_by_module_and_object():
     outcome = ptne(
         "compare", "--scenario", "energy", "--policy", "ptne_env.laws:Grounded", "--episodes", "1", "--json", "-"
@@ -108,6 +322,9 @@ def test_compare_takes_a_policy_by_module_and_object():
         (("compare", "--suite", "ptne-v1", "--policy", "model.zip"), "say --trust"),
         (("compare", "--track", "nominal"), "name one with --suite"),
         (("compare", "--report", "page.html", "--no-report"), "exclude each other"),
+        (("train", "random-enery", "--out", "out"), "unknown configuration 'random-enery'"),
+        (("reproduce", "--points", "3"), "No such option"),
+        (("list", "everything"), "unexpected extra argument"),
         (("no-such-command",), "No such command"),
     ],
 )
@@ -141,15 +358,32 @@ def test_colours_come_where_they_are_asked_for_and_never_with_no_color():
     assert "\x1b[32m" not in ptne("certify", "energy", FORCE_COLOR="1", TERM="xterm-256color", NO_COLOR="1").stdout
 
 
-def test_an_unwritable_file_exits_with_1(tmp_path):
-    blocked = tmp_path / "file"
-    blocked.write_text("in the way", encoding="utf-8")
-    outcome = ptne(
-        "compare", "--scenario", "energy", "--policy", "null", "--episodes", "1", "--csv", str(blocked / "x.csv")
-    )
+@pytest.mark.parametrize(
+    "command",
+    [
+        "compare --scenario energy --policy null --episodes 1 --csv blocked/x",
+        "compare --scenario energy --policy null --episodes 1 --json blocked/x",
+        "compare --scenario energy --policy null --episodes 1 --report blocked/x",
+        "compare --scenario energy --policy null --episodes 1 --report .",
+        "compare --suite ptne-v1 --out blocked/x",
+        "compare --check blocked --json blocked/x",
+        "render energy static --out blocked/x.gif",
+        "certify energy --json blocked/x",
+        "sweep --out blocked/x",
+        "reproduce --out blocked",
+        "train random-energy --out blocked/x",
+        "list --json blocked/x",
+    ],
+)
+def test_what_cannot_be_written_exits_with_1_before_the_work(command, tmp_path):
+    (tmp_path / "blocked").write_text("in the way", encoding="utf-8")
+    outcome = ptne(*command.split(), cwd=tmp_path)
     assert outcome.returncode == 1
-    assert "Traceback" not in outcome.stderr
-    assert blocked.read_text(encoding="utf-8") == "in the way"
+    assert outcome.stdout == ""
+    assert outcome.stderr.startswith("Error: ")
+    assert len(outcome.stderr.splitlines()) == 1
+    assert (tmp_path / "blocked").read_text(encoding="utf-8") == "in the way"
+    assert [path.name for path in tmp_path.iterdir()] == ["blocked"]
 
 
 @pytest.mark.parametrize("scenario", ["energy-switching", "ptne-v1/switching-physical"])
@@ -220,6 +454,9 @@ def test_check_says_by_its_exit_code_whether_results_reproduce(suite_run):
     outcome = ptne("compare", "--check", "out/results.json", "--sample", "99", cwd=folder)
     assert outcome.returncode == 1
     assert "differs" in outcome.stdout
+    outcome = ptne("compare", "--check", "out", "--sample", "99", "--json", "-", cwd=folder)
+    assert outcome.returncode == 1
+    assert [one["reproduces"] for one in json.loads(outcome.stdout)].count(False) == 1
 
 
 def forge(folder):

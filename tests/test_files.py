@@ -3,7 +3,7 @@ import stat
 
 import pytest
 
-from ptne_env.files import write_atomically
+from ptne_env.files import require_writable, write_atomically
 
 
 def test_folders_are_made_and_text_is_written_as_utf8(tmp_path):
@@ -32,3 +32,20 @@ def test_a_failure_leaves_the_old_file_and_no_litter(tmp_path, monkeypatch):
         write_atomically(path, "new")
     assert path.read_text(encoding="utf-8") == "old"
     assert [entry.name for entry in tmp_path.iterdir()] == ["file"]
+
+
+def test_what_cannot_be_written_is_known_beforehand(tmp_path):
+    (tmp_path / "file").write_text("in the way", encoding="utf-8")
+    for path in (tmp_path / "new", tmp_path / "a" / "b" / "new", tmp_path / "file"):
+        require_writable(path)
+    assert [entry.name for entry in tmp_path.iterdir()] == ["file"]
+    with pytest.raises(IsADirectoryError, match="it is a folder"):
+        require_writable(tmp_path)
+    with pytest.raises(NotADirectoryError, match="file is not a folder"):
+        require_writable(tmp_path / "file" / "a" / "new")
+
+
+def test_a_read_only_folder_is_known_beforehand(tmp_path, monkeypatch):
+    monkeypatch.setattr(os, "access", lambda *_: False)  # the tests may run as root, who may write everywhere
+    with pytest.raises(PermissionError, match="read-only"):
+        require_writable(tmp_path / "new")

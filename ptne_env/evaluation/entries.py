@@ -157,6 +157,13 @@ def get_entry(entry: str | Entry) -> Entry:
     raise ValueError(f"unknown policy {entry!r}; choose from {known}, or name an .onnx file or a 'module:object'")
 
 
+def law_names() -> list[str]:
+    """By which names :func:`law_part` knows the laws: of entries, and of classes in ``ptne_env.laws``."""
+    members = vars(laws).items()
+    classes = [name for name, value in members if isinstance(value, type) and issubclass(value, laws.Law)]
+    return [*ENTRIES, *(name for name in classes if name != "Law")]
+
+
 def law_part(law: str, kappa: float | None = None) -> Part:
     """The part that builds a law: by name, by its class in ``ptne_env.laws``, or by ``"module:object"``.
 
@@ -170,12 +177,8 @@ def law_part(law: str, kappa: float | None = None) -> Part:
     if law in ENTRIES or ":" in law:
         part = get_entry(law).policy
     else:
-        classes = [
-            name for name, value in vars(laws).items() if isinstance(value, type) and issubclass(value, laws.Law)
-        ]
-        if law not in classes:
-            known = ", ".join([*ENTRIES, *(name for name in classes if name != "Law")])
-            raise ValueError(f"unknown law {law!r}; name one of {known}, or a 'module:object'")
+        if law not in law_names():
+            raise ValueError(f"unknown law {law!r}; name one of {', '.join(law_names())}, or a 'module:object'")
         part = Part.of(f"{_LAWS}{law}")
     if not isinstance(part, Part):
         raise ValueError(f"{law!r} is no law; name one of {', '.join(ENTRIES)}, or a 'module:object'")

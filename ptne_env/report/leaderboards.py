@@ -92,14 +92,14 @@ def _fitting(
 ) -> tuple[Table, list[str]]:
     """A table with as many of ``columns`` as fit, two at least, and the headings of the others."""
     console = Console(width=_WIDE)
-    for count in range(len(columns), 1, -1):
+    for count in range(len(columns), 0, -1):
         table = empty_table(title)
         table.add_column("policy", no_wrap=True)
         for heading, _ in columns[:count]:
             table.add_column(Text(heading), justify="right", no_wrap=True)  # Text, because brackets are no markup
         for policy in policies:
             table.add_row(Text(_name(board, policy)), *(cells[policy] for _, cells in columns[:count]))
-        if Measurement.get(console, console.options, table).maximum <= width:
+        if count <= 2 or Measurement.get(console, console.options, table).maximum <= width:
             break
     return table, [heading.replace("\n", " ") for heading, _ in columns[count:]]
 

@@ -11,7 +11,7 @@ from rich.console import Group
 from rich.table import Table
 from rich.text import Text
 
-from ptne_env.evaluation import COMPARATIVE_METRICS, METRICS, Results, suite_entries
+from ptne_env.evaluation import COMPARATIVE_METRICS, METRICS, Entry, Results, suite_entries
 from ptne_env.evaluation.compare import PAPER_START, Record
 from ptne_env.scenario import CATALOGUE, Scenario
 from ptne_env.theory import Certificate
@@ -47,6 +47,12 @@ _NAME_WIDTH = 30
 
 _CELL_WIDTH = 22
 """Columns that an interval of two numbers takes, with its margin."""
+
+_PAIRED_WIDTH = 130
+"""Columns in which a learned policy stands beside two laws; in fewer, each law has a table of its own."""
+
+_LIST_WIDTH = 110
+"""Columns in which the catalogue fits with the numbers of the clock."""
 
 _VERDICTS = {"holds": "green", "fails": "red"}
 
@@ -97,7 +103,11 @@ def comparison_tables(results: Results, width: int = 172) -> Group:
                 for metrics in _fitting(list(columns), width)
             ]
         if label in results.tuned:
-            tables.append(_paired_table(label, results, records))
+            groups = list(results.tuned[label])
+            tables += [
+                _paired_table(label, results, records, some)
+                for some in ([groups] if width >= _PAIRED_WIDTH else [[group] for group in groups])
+            ]
     if any(entry.interface.kind == "full" for entry in results.entries.values()):
         tables.append(Text("* an oracle: it sees what no player can see", style="dim"))
     return Group(*tables)
@@ -125,22 +135,17 @@ def _comparison_table(
     return table
 
 
-def _paired_table(label: str, results: Results, records: _Records) -> Table:
-    """Learned policies against the tuned laws, paired by episode."""
+def _paired_table(label: str, results: Results, records: _Records, groups: Sequence[str]) -> Table:
+    """Learned policies against the tuned laws of some groups, paired by episode."""
     table = empty_table(f"{label}: learned policies against the laws, paired by episode")
     table.add_column("policy", no_wrap=True)
-    for group, entry in results.tuned[label].items():
-        arguments = ", ".join(f"{name}={value:g}" for name, value in entry.to_dict()["policy"]["arguments"].items())
-        law = entry.to_dict()["policy"]["target"].partition(":")[2]
-        table.add_column(Text(f"digits over {entry.name}: {law}({arguments})"), justify="right")
+    for group in groups:
+        entry = results.tuned[label][group]
+        table.add_column(Text(f"digits over {entry.name}: {_call(entry)}"), justify="right")
         table.add_column(Text(f"probability of beating it ({group})"), justify="right")
     for name in results.entries:
         if (label, name, "digits_over_all_laws") in records:
-            metrics = [
-                f"{kind}_{group}_laws"
-                for group in results.tuned[label]
-                for kind in ("digits_over", "probability_of_beating")
-            ]
+            metrics = [f"{kind}_{group}_laws" for group in groups for kind in ("digits_over", "probability_of_beating")]
             table.add_row(Text(name), *(interval(records[label, name, metric]) for metric in metrics))
     return table
 
@@ -279,20 +284,23 @@ def _delay_rows(certificate: Certificate) -> _Rows:
         yield f"  digits at T with d = {delay.steps}", f"{number(delay.digits)} (exact)"
 
 
-def scenario_table() -> Table:
-    """The catalogue."""
+def scenario_table(width: int = 172) -> Table:
+    """The catalogue.
+
+    Args:
+        width: columns of the terminal; in a narrow one the numbers of the clock are left out.
+    """
+    clock = {"T [s]": "deadline", "c [1/s]": "gain", "steps": "steps", "s_end": "s_end"} if width >= _LIST_WIDTH else {}
     table = empty_table("Scenarios")
-    for heading in ("name", "game", "graph", "T [s]", "c [1/s]", "steps", "s_end"):
-        table.add_column(Text(heading))  # Text, because brackets are no markup
+    table.add_column("name", no_wrap=True)
+    for heading in ("game", "graph", *clock):
+        table.add_column(Text(heading), overflow="fold")  # Text, because brackets are no markup
     for name, scenario in CATALOGUE.items():
         table.add_row(
             name,
             f"{type(scenario.built_game).__name__}, {scenario.built_game.num_players} players",
             _describe_signal(scenario),
-            f"{scenario.deadline:g}",
-            f"{scenario.gain:g}",
-            str(scenario.steps),
-            f"{scenario.s_end:g}",
+            *(f"{getattr(scenario, field):g}" for field in clock.values()),
         )
     return table
 
@@ -300,15 +308,21 @@ def scenario_table() -> Table:
 def entry_table() -> Table:
     """The laws and the shipped learned policies."""
     table = empty_table("Policies")
-    for heading in ("name", "policy", "arguments", "interface"):
-        table.add_column(heading)
+    table.add_column("name", no_wrap=True)
+    table.add_column("interface")
+    table.add_column("policy", overflow="fold")
     for entry in suite_entries():
-        data = entry.to_dict()["policy"]
-        numbers = {name: value for name, value in data["arguments"].items() if not isinstance(value, str)}
-        arguments = ", ".join(f"{name}={value:g}" for name, value in numbers.items())
-        target = f"learned on {', '.join(entry.scenarios)}" if entry.scenarios else data["target"]
-        table.add_row(entry.name, target, arguments, f"{entry.interface.kind}, {entry.interface.action_mode}")
+        policy = f"learned on {', '.join(sorted(entry.scenarios))}" if entry.scenarios else _call(entry)
+        mode = "" if entry.interface.action_mode == "input" else f", {entry.interface.action_mode}"
+        table.add_row(entry.name, f"{entry.interface.kind}{mode}", policy)
     return table
+
+
+def _call(entry: Entry) -> str:
+    """The law of an entry with its arguments; with spaces, at which a narrow column breaks."""
+    policy = entry.to_dict()["policy"]
+    arguments = ", ".join(f"{name}={value:g}" for name, value in policy["arguments"].items())
+    return f"{policy['target'].partition(':')[2]} ({arguments})".removesuffix(" ()")
 
 
 def metric_table() -> Table:

@@ -1,4 +1,14 @@
 """Training: PPO of Stable-Baselines3 on our slots, and the export of what it learned.
 
-Needs the extra ``pip install "ptne-env[sb3]"``.
+All but the names of configurations needs the extra ``pip install "ptne-env[sb3]"``.
 """
+
+from pathlib import Path
+
+CONFIGURATIONS = Path(__file__).parent / "configurations"
+"""Folder of the shipped configurations, one ``.toml`` file each."""
+
+
+def configurations() -> list[str]:
+    """The names of the shipped configurations."""
+    return sorted(path.stem for path in CONFIGURATIONS.glob("*.toml"))

@@ -30,13 +30,12 @@ from ptne_env.evaluation import Entry, episode_seed, evaluate
 from ptne_env.evaluation.suite import find_scenario
 from ptne_env.files import read_json, write_atomically
 from ptne_env.interface import ActionMode, Interface, InterfaceKind, Layout
+from ptne_env.training import CONFIGURATIONS, configurations
 from ptne_env.training.export import to_onnx
 from ptne_env.training.features import Products
 
 Progress = Callable[[int, int, float], None]
 """Called with agent-steps done, agent-steps in all, and mean digits gained of late (NaN before an episode ends)."""
-
-_CONFIGURATIONS = Path(__file__).parent / "configurations"
 
 
 @dataclass(frozen=True)
@@ -94,24 +93,22 @@ class Arguments:
         """The arguments of a shipped configuration, or of a TOML file, with some of them changed.
 
         Raises:
-            ValueError: for an unknown configuration or key, naming what there is.
+            ValueError: for an unknown configuration or key, naming what there is, or a file that is not TOML.
         """
         path = Path(name_or_path)
         if path.suffix != ".toml":
-            path = _CONFIGURATIONS / f"{name_or_path}.toml"
+            path = CONFIGURATIONS / f"{name_or_path}.toml"
         if not path.is_file():
             raise ValueError(f"unknown configuration {str(name_or_path)!r}; choose from {', '.join(configurations())}")
-        values = tomllib.loads(path.read_text(encoding="utf-8")) | changes
+        try:
+            values = tomllib.loads(path.read_text(encoding="utf-8")) | changes
+        except ValueError as error:
+            raise ValueError(f"{path} is not a TOML file: {error}") from error
         known = {field.name for field in dataclasses.fields(cls)}
         unknown = sorted(set(values) - known)
         if unknown:
             raise ValueError(f"{path.name}: unknown {', '.join(unknown)}; the arguments are {', '.join(sorted(known))}")
         return cls(**values)
-
-
-def configurations() -> list[str]:
-    """The names of the shipped configurations."""
-    return sorted(path.stem for path in _CONFIGURATIONS.glob("*.toml"))
 
 
 def train(arguments: Arguments, out: Path, progress: Progress | None = None) -> dict[str, Any]:

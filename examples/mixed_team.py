@@ -1,0 +1,48 @@
+"""Mixed teams: some players follow one law, the others another.
+
+Prints the digits at the deadline on the benchmark's games for every number of players, from none to all, who follow
+the tuned static law while the others keep the paper's gains; 50 episodes each.
+
+Run it with: python examples/mixed_team.py
+"""
+
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+from ptne_env import Part, get_scenario
+from ptne_env.evaluation.benchmark import run_suite
+from ptne_env.evaluation.leaderboard import leaderboard
+from ptne_env.evaluation.suite import Suite, Teammates, Track
+
+PAPER = Part.of("ptne_env.laws:Static", kappa=2.0)
+ENTRY = "static-tuned"
+
+
+def teams() -> Suite:
+    """A track per team: the last players of the five are teammates who follow the paper's law, whoever enters."""
+    base = get_scenario("random-energy")
+    tracks = tuple(
+        Track(
+            f"{number} of 5",
+            base,
+            "The others follow the paper's law.",
+            teammates=Teammates(PAPER, tuple(range(number, 5))) if number < 5 else None,
+        )
+        for number in range(1, 6)
+    )
+    return Suite("teams", 1, tracks, episodes=50)
+
+
+def main() -> None:
+    """Run the entry in every team; the anchor "static" is the paper's law in all of them."""
+    with TemporaryDirectory() as folder:
+        board = leaderboard(run_suite(teams(), [ENTRY], Path(folder)))
+    nobody = board.row("5 of 5", "static")
+    rows = {"0 of 5": nobody, **{track.name: board.row(track.name, ENTRY) for track in board.run.tracks}}
+    for name, row in rows.items():
+        digits = row.metrics["digits"]
+        print(f"{name} follow {ENTRY}: {digits.mean:.2f} digits [{digits.low:.2f}, {digits.high:.2f}]")
+
+
+if __name__ == "__main__":
+    main()
