@@ -153,22 +153,11 @@ class Report:
     facts: tuple[tuple[str, str], ...]
     parameters: tuple[tuple[str, str, str, str], ...]
 
-    def figures(self) -> dict[str, Any]:
-        """What figures and player draw, as a JSON object; arrays are base64 of little-endian float32 in row order."""
-        return {
-            "policies": list(self.policies),
-            "profiles": {name: list(shares) for name, shares in self.profiles.items()},
-            "thresholds": list(self.thresholds),
-            "shown": list(self.sections[0].shown),
-            "scenes": [drawn(section.name, self.scenes[section.name], section.shown) for section in self.sections],
-        }
 
-
-def drawn(name: str, scene: Scene, shown: Sequence[str]) -> dict[str, Any]:
-    """What figures and player draw of a scene, as a JSON object; see :meth:`Report.figures`.
+def drawn(scene: Scene, shown: Sequence[str]) -> dict[str, Any]:
+    """What figures and player draw of a scene, as a JSON object; arrays are base64 of little-endian float32, row by row.
 
     Args:
-        name: of the scene.
         scene: to draw.
         shown: policies that are drawn before the reader chooses.
     """
@@ -178,7 +167,6 @@ def drawn(name: str, scene: Scene, shown: Sequence[str]) -> dict[str, Any]:
         name: trace.estimates - scene.equilibrium[:, None, None] for name, trace in scene.traces.items()
     }  # from x*, so that float32 keeps the last digits of small distances
     return {
-        "name": name,
         "shown": list(shown),
         "t": _rounded(scene.t, 6),
         "s": _rounded(scene.s, 6),

@@ -20,6 +20,17 @@
     made.append(...children);
     return made;
   };
+  /** The text that a script element holds packed: gzip in base64. */
+  async function unpack(id) {
+    const letters = atob(document.getElementById(id).textContent), bytes = new Uint8Array(letters.length);
+    for (let place = 0; place < letters.length; place++) bytes[place] = letters.charCodeAt(place);
+    return new Response(new Blob([bytes]).stream().pipeThrough(new DecompressionStream("gzip"))).text();
+  }
+  const scenes = new Map();
+  function sceneAt(index) {
+    if (!scenes.has(index)) scenes.set(index, unpack(`scene-${index}`).then(JSON.parse));
+    return scenes.get(index);
+  }
   const number = (value, digits = 3) => {
     if (!Number.isFinite(value)) return "–";
     const size = Math.abs(value);
@@ -93,9 +104,11 @@
     draw();
   }
 
-  function drawErrors(section) {
-    const chart = section.querySelector(".chart"), scene = figures.scenes[section.dataset.scene];
+  async function drawErrors(section) {
+    const chart = section.querySelector(".chart");
     if (redraws.has(chart)) return;
+    redraws.set(chart, () => {});  // it is coming
+    const scene = await sceneAt(Number(section.dataset.scene));
     let chosen = scene.shown;
     const traces = (name, index) => {
       const [low, middle, high] = scene.traces[name].errors.map((row) => row.map((value) => 10 ** value));
@@ -284,28 +297,31 @@
   function startPlayer() {
     const [select, axisSelect, viewSelect, slider, play, instant, holder] = ["scene", "axis", "view", "frame", "play", "instant", "cards"].map((id) => document.getElementById(`player-${id}`));
     let cards = [], chosen = [], timer = null;
-    const scene = () => figures.scenes[Number(select.value)];
+    let scene;
     const move = () => {
-      const frame = Number(slider.value), now = scene();
-      const text = `t = ${now.t[frame].toFixed(3)} s, s = ${now.s[frame].toFixed(2)}, g(t) = ${number(now.gain[frame])}/s`;
+      const frame = Number(slider.value);
+      const text = `t = ${scene.t[frame].toFixed(3)} s, s = ${scene.s[frame].toFixed(2)}, g(t) = ${number(scene.gain[frame])}/s`;
       instant.textContent = text;
       slider.setAttribute("aria-valuetext", text);
       for (const each of cards) each.move(frame);
     };
     const show = () => {
-      cards = chosen.map((name) => card(scene(), name, axisSelect.value, viewSelect.value));
+      cards = chosen.map((name) => card(scene, name, axisSelect.value, viewSelect.value));
       holder.replaceChildren(...cards.map((each) => each.parts));
       move();
     };
     const pause = () => { clearInterval(timer); timer = null; play.textContent = "Play"; };
-    const load = () => {
+    const load = async () => {
       pause();
+      const asked = Number(select.value), found = await sceneAt(asked);
+      if (asked !== Number(select.value)) return;  // somebody was faster
+      scene = found;
       decoded.clear();
-      const names = Object.keys(scene().traces), kept = chosen.filter((name) => names.includes(name));
-      chosen = kept.length ? kept : [scene().shown[0], ...scene().shown.slice(-1)].filter((name, index, all) => name && all.indexOf(name) === index);
+      const names = Object.keys(scene.traces), kept = chosen.filter((name) => names.includes(name));
+      chosen = kept.length ? kept : [...new Set([scene.shown[0], ...scene.shown.slice(-1)])];
       choices(document.getElementById("player-choice"), names, chosen, (picked) => { chosen = picked; show(); }, false);
-      slider.max = scene().t.length - 1;
-      slider.value = Math.min(Number(slider.value), scene().t.length - 1);
+      slider.max = scene.t.length - 1;
+      slider.value = Math.min(Number(slider.value), scene.t.length - 1);
       show();
     };
     play.addEventListener("click", () => {
@@ -317,15 +333,12 @@
     slider.addEventListener("input", () => { pause(); move(); });
     select.addEventListener("change", load);
     for (const each of [axisSelect, viewSelect]) each.addEventListener("change", show);
-    load();
+    return load();
   }
-  startPlayer();
   // Plotly takes most of the time to load: tables and player do not wait for it.
-  addEventListener("load", () => setTimeout(() => {
-    const source = document.getElementById("plotly");
-    if (!source) return;
-    document.head.append(element("script", { textContent: source.textContent }));
-    source.remove();
+  async function startFigures() {
+    document.head.append(element("script", { textContent: await unpack("plotly") }));
     drawFigures();
-  }));
+  }
+  startPlayer().then(() => { if (document.querySelector(".chart")) setTimeout(startFigures); });
 })();
