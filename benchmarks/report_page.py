@@ -1,4 +1,3 @@
-# ruff: noqa: T201 - a script, and it prints
 """How long a report page takes to load, in the system's own Chromium without a network.
 
 Run it from the project's folder with: python -m benchmarks.report_page results/report/index.html
@@ -53,7 +52,9 @@ def main() -> None:
     program = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
     if program is None:
         parser.error("no Chromium in the PATH: install one, such as with apt-get install chromium")
-    print(f"{arguments.page}: {arguments.page.stat().st_size / 1e6:.1f} MB; {os.getloadavg()[0]:.1f} other processes run")
+    print(
+        f"{arguments.page}: {arguments.page.stat().st_size / 1e6:.1f} MB; {os.getloadavg()[0]:.1f} other processes run"
+    )
     print("milliseconds from the start of the navigation")
     with sync_playwright() as driver:
         browser = driver.chromium.launch(

@@ -279,7 +279,7 @@ def _run_suite(
             write_atomically(Path(json), text + "\n")
         if page is not None:
             progress.reset(task, total=len(run.tracks))
-            scenes = suite_scenes(run, progress=lambda track: advance(f"report: {track}", len(run.tracks)))
+            scenes = suite_scenes(run, jobs=jobs, progress=lambda track: advance(f"report: {track}", len(run.tracks)))
             write_atomically(page, render_page(suite_report(board, scenes, folder=str(folder))))
     if json == "-":
         typer.echo(text)

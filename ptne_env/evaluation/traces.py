@@ -9,11 +9,12 @@ import numpy as np
 
 from ptne_env.arrays import BoolArray, FloatArray, IntArray, require_count
 from ptne_env.dynamics import Dynamics, State
-from ptne_env.evaluation.bank import draw_start
+from ptne_env.evaluation.bank import Split, draw_start
 from ptne_env.evaluation.benchmark import Run
 from ptne_env.evaluation.compare import Results
 from ptne_env.evaluation.entries import Entry
 from ptne_env.evaluation.rollout import Member, rollout
+from ptne_env.evaluation.suite import Suite, Track
 from ptne_env.interface import Port
 
 EPISODES = 20
@@ -104,30 +105,50 @@ def comparison_scenes(
 
 
 def suite_scenes(
-    run: Run, *, episodes: int = EPISODES, progress: Callable[[str], None] | None = None
+    run: Run, *, episodes: int = EPISODES, jobs: int = 1, progress: Callable[[str], None] | None = None
 ) -> dict[str, Scene]:
     """A scene per track of a suite, from the first ``episodes`` of the bank; of a learned policy, its first seed.
 
     Args:
         run: of the suite.
         episodes: at most as many as the run had.
+        jobs: processes, -1 for one per core.
         progress: called with the name of the track when it is done.
+
+    Raises:
+        ImportError: when joblib is missing.
     """
-    scenes = {}
+    try:
+        from joblib import Parallel, delayed
+    except ImportError as error:
+        raise ImportError('suites need joblib: pip install "ptne-env[bench]"') from error
+
     count = min(require_count("episodes", episodes, 1), run.episodes)
-    for track in run.tracks:
-        dynamics = Dynamics(track.scenario)
-        start = run.suite.draw_start(dynamics, track.name, count, seed=run.seed, split=run.split)
-        entries = {
+    playing = {
+        track.name: {
             name: participant.runs[0]
             for name, participant in run.participants.items()
             if run.of(track.name, name)[0].reason is None
         }
-        teammates = None if track.teammates is None else track.teammates.join
-        scenes[track.name] = scene(dynamics, start, entries, teammates)
+        for track in run.tracks
+    }
+    tasks = (
+        delayed(_track_scene)(run.suite, track, count, run.seed, run.split, playing[track.name]) for track in run.tracks
+    )
+    scenes = {}
+    for track, found in zip(run.tracks, Parallel(n_jobs=jobs, return_as="generator")(tasks), strict=True):
+        scenes[track.name] = found
         if progress is not None:
             progress(track.name)
     return scenes
+
+
+def _track_scene(
+    suite: Suite, track: Track, episodes: int, seed: int, split: Split, entries: Mapping[str, Entry]
+) -> Scene:
+    dynamics = Dynamics(track.scenario)
+    start = suite.draw_start(dynamics, track.name, episodes, seed=seed, split=split)
+    return scene(dynamics, start, entries, None if track.teammates is None else track.teammates.join)
 
 
 def scene(

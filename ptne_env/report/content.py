@@ -155,7 +155,7 @@ class Report:
 
 
 def drawn(scene: Scene, shown: Sequence[str]) -> dict[str, Any]:
-    """What figures and player draw of a scene, as a JSON object; arrays are base64 of little-endian float32, row by row.
+    """What figures and player draw of a scene, as a JSON object; arrays are base64 of little-endian float32 by rows.
 
     Args:
         scene: to draw.
