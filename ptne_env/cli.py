@@ -428,7 +428,7 @@ def sweep(
 
 @app.command()
 def reproduce(
-    out: Annotated[Path, typer.Option(help="Folder for figures (PNG, SVG) and results.json; made if missing.")] = Path(
+    out: Annotated[Path, typer.Option(help="Folder for figures, results.json and a page; made if missing.")] = Path(
         "results/paper"
     ),
 ) -> None:
@@ -449,6 +449,7 @@ def reproduce(
     console.print(*paper.render(reproduction))
     written = f"{len(reproduction.figures)} figures and {reproduction.results.name} written to {out}"
     console.print(Text(written), soft_wrap=True)
+    _tell_files(console, (), reproduction.page)
 
 
 @app.command()

@@ -29,7 +29,9 @@ def render_page(report: Report) -> str:
     }
     plotly = resources.files("ptne_env.report") / "plotly" / "plotly-basic.min.js"
     packed = _packed(scenes) | {"plotly": _pack(plotly.read_text(encoding="utf-8"))}
-    return _render("page.html", title=report.title, kind=report.kind, report=report, figures=figures, packed=packed)
+    return render_template(
+        "page.html", title=report.title, kind=report.kind, report=report, figures=figures, packed=packed
+    )
 
 
 def render_episode(name: str, scene: Scene) -> str:
@@ -46,7 +48,7 @@ def render_episode(name: str, scene: Scene) -> str:
     figures = {"policies": policies, "scenes": [name]}
     packed = _packed({name: drawn(scene, policies)})
     title = f"{name}: {', '.join(policies)}"
-    return _render("episode.html", title=title, kind="scenario", figures=figures, packed=packed)
+    return render_template("episode.html", title=title, kind="scenario", figures=figures, packed=packed)
 
 
 def _packed(scenes: Mapping[str, Any]) -> dict[str, str]:
@@ -61,7 +63,16 @@ def _pack(text: str) -> str:
     return b64encode(compress(text.encode(), mtime=0)).decode("ascii")
 
 
-def _render(template: str, **values: Any) -> str:
+def render_template(template: str, **values: Any) -> str:
+    """A page from a template of ``ptne_env/report/templates``.
+
+    Args:
+        template: its file name.
+        **values: what the template names.
+
+    Raises:
+        ImportError: when Jinja is missing, naming the extra to install.
+    """
     try:
         from jinja2 import Environment, PackageLoader, StrictUndefined
     except ImportError as error:
