@@ -374,9 +374,11 @@ def _comparison_answer(
     ]
     if not pairs:
         return f"{opening} The paper's law ({LAW}) took part in none of its cases."
-    ahead = estimate(mean, pairs)
     law = _mean_digits(results, LAW, [label for label, found in digits.items() if named in found])
     closing = f"The paper's law ({LAW}) reaches {_said(law)} digits in the same cases"
+    ahead = estimate(mean, pairs)
+    if (ahead.mean or 0.0) < 0:  # first in most cases, and far behind in the others
+        return f"{opening} {closing}; {named} stays {_said(estimate(mean, [-pair for pair in pairs]))} behind it."
     return f"{opening} {closing}; {named} gains {_said(ahead)} on it."
 
 
@@ -496,8 +498,8 @@ def _suite_answer(board: Leaderboard) -> str:
         text = f"{where}, nobody scores above the paper's law ({LAW}), which is 1 by definition."
     else:
         text = (
-            f"{where}, {best.policy} has the highest score, {_said(best.score, share)} where 0 is doing nothing and 1 "
-            f"is the paper's law, and is better than the law with probability {_said(best.improvement, share)}."
+            f"{where}, {best.policy} has the highest score, {_said(best.score, share)}, where 0 is doing nothing and 1 "
+            f"is the paper's law, and it is better than the law with probability {_said(best.improvement, share)}."
         )
     text += f" It ranks first on {firsts} of them"
     if len(ranked) > 1:

@@ -9,6 +9,7 @@ from gzip import compress
 from importlib import resources
 from typing import Any
 
+from ptne_env.envs.rendering import COLOURS
 from ptne_env.evaluation.traces import Scene
 from ptne_env.report.content import Report, drawn
 
@@ -21,6 +22,7 @@ def render_page(report: Report) -> str:
     """
     scenes = {section.name: drawn(report.scenes[section.name], section.shown) for section in report.sections}
     figures = {
+        "colours": COLOURS,
         "policies": report.policies,
         "profiles": report.profiles,
         "thresholds": report.thresholds,
@@ -45,7 +47,7 @@ def render_episode(name: str, scene: Scene) -> str:
         ImportError: when Jinja is missing, naming the extra to install.
     """
     policies = list(scene.traces)
-    figures = {"policies": policies, "scenes": [name]}
+    figures = {"colours": COLOURS, "policies": policies, "scenes": [name]}
     packed = _packed({name: drawn(scene, policies)})
     title = f"{name}: {', '.join(policies)}"
     return render_template("episode.html", title=title, kind="scenario", figures=figures, packed=packed)

@@ -59,7 +59,7 @@ def test_the_player_is_scrubbed(visit, compared):
     slider, cards = page.locator("#player-frame"), page.locator("#player-cards .card")
     assert int(slider.get_attribute("max")) == len(scene.t) - 1
     assert cards.count() == 2
-    names = cards.locator("h4").all_text_contents()
+    names = cards.locator("h3").all_text_contents()
     cards.first.locator("summary").click()
     seen = set()
     for frame in (0, 17, 40):
@@ -87,10 +87,10 @@ def test_policies_stand_side_by_side_and_the_episode_plays(visit):
     cards, box = page.locator("#player-cards .card"), page.locator("#player-choice input:not(:checked)").first
     assert cards.count() == 2
     added = box.get_attribute("value")
-    assert added not in cards.locator("h4").all_text_contents()
+    assert added not in cards.locator("h3").all_text_contents()
     box.click()
     assert cards.count() == 3
-    assert added in cards.locator("h4").all_text_contents()
+    assert added in cards.locator("h3").all_text_contents()
     page.locator("#player-view").select_option("distance")
     assert cards.locator("figcaption", has_text="Distances of strategies").count() == 3
     page.locator("#player-play").click()
@@ -129,7 +129,7 @@ def test_a_page_never_overflows(visit, name, width, scheme):
 
 def test_an_episode_is_a_page_of_its_own(visit):
     page = visit("episode")
-    assert page.locator("#player-cards .card h4").all_text_contents() == ["static"]
+    assert page.locator("#player-cards .card h3").all_text_contents() == ["static"]
     page.locator("#player-frame").fill("9")
     assert page.locator("#player-cards .card .cursor").count() == 3
 

@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 
 from ptne_env import evaluate
+from ptne_env.envs.rendering import COLOURS
 from ptne_env.evaluation.traces import comparison_scenes
 from ptne_env.report import comparison_report, render_page, suite_report
 
@@ -221,3 +222,28 @@ def test_plotly_is_the_file_that_npm_has():
 
 def test_the_same_results_make_the_same_page(compared, page_file):
     assert render_page(compared) == page_file("comparison").read_text(encoding="utf-8")
+
+
+def luminance(colour):
+    channels = [int(colour[place : place + 2], 16) / 255 for place in (1, 3, 5)]
+    linear = [value / 12.92 if value <= 0.04045 else ((value + 0.055) / 1.055) ** 2.4 for value in channels]
+    return np.dot([0.2126, 0.7152, 0.0722], linear)
+
+
+def contrast(one, other):
+    dark, light = sorted([luminance(one), luminance(other)])
+    return (light + 0.05) / (dark + 0.05)
+
+
+def test_letters_and_lines_stand_out_in_light_and_dark():
+    """WCAG 2 AA: 4.5 for letters, 3 for what a figure is read by."""
+    css = (resources.files("ptne_env.report") / "templates" / "page.css").read_text(encoding="utf-8")
+    schemes = [
+        dict(re.findall(r"--(\w+): (#\w{6});", block)) for block in re.findall(r":root \{(.*?)\}", css, re.DOTALL)
+    ]
+    assert len(schemes) == 2
+    for scheme in schemes:
+        for ground in (scheme["ground"], scheme["panel"]):
+            assert min(contrast(scheme[name], ground) for name in ("ink", "faint", "accent", "holds", "fails")) >= 4.5
+        assert min(contrast(colour, scheme["ground"]) for colour in COLOURS) >= 3
+    assert len(set(COLOURS)) == 10
