@@ -247,3 +247,17 @@ def test_letters_and_lines_stand_out_in_light_and_dark():
             assert min(contrast(scheme[name], ground) for name in ("ink", "faint", "accent", "holds", "fails")) >= 4.5
         assert min(contrast(colour, scheme["ground"]) for colour in COLOURS) >= 3
     assert len(set(COLOURS)) == 10
+
+
+def test_the_answer_says_when_who_is_first_most_often_is_behind_on_average(comparison):
+    def spoiled(cell):
+        if (cell.scenario, cell.policy) != ("energy", "grounded"):
+            return cell
+        return replace(cell, samples={**cell.samples, "digits": cell.samples["digits"] - 60})
+
+    results = replace(comparison, cells=tuple(spoiled(cell) for cell in comparison.cells))
+    answer = comparison_report(results, comparison_scenes(results), episodes=6, hold_steps=0).answer
+    assert answer.startswith("grounded comes closest, or as close as the best, in ")
+    behind = re.search(r"grounded stays ([\d.]+) \[([\d.]+), ([\d.]+)\] behind it\.$", answer)
+    low, middle, high = float(behind[2]), float(behind[1]), float(behind[3])
+    assert 0 < low <= middle <= high
