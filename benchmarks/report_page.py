@@ -13,18 +13,18 @@ from pathlib import Path
 from playwright.sync_api import Browser, sync_playwright
 
 _WATCH = """
-new MutationObserver((_, observer) => {
-  if (![...document.querySelectorAll(".chart")].some((chart) => chart.querySelector(".main-svg"))) return;
+window.drawn = new Promise((resolve) => new MutationObserver((_, observer) => {
+  if (!document.querySelector(".chart .main-svg")) return;
   observer.disconnect();
-  requestAnimationFrame(() => setTimeout(() => { window.drawn = performance.now(); }));
-}).observe(document, { childList: true, subtree: true });
+  requestAnimationFrame(() => setTimeout(() => resolve(performance.now())));
+}).observe(document, { childList: true, subtree: true }));
 """
 """Notes when the first figure has been painted."""
 
-_TIMES = """() => ({
+_TIMES = """async () => ({
   "first paint": performance.getEntriesByName("first-contentful-paint")[0].startTime,
   "load event": performance.getEntriesByType("navigation")[0].loadEventEnd,
-  "first figure": window.drawn,
+  "first figure": await window.drawn,
 })"""
 
 
@@ -36,7 +36,6 @@ def load(browser: Browser, page: Path) -> dict[str, float]:
     session = context.new_cdp_session(tab)
     session.send("Performance.enable", {"timeDomain": "threadTicks"})
     tab.goto(page.absolute().as_uri())
-    tab.wait_for_function("window.drawn")
     times: dict[str, float] = tab.evaluate(_TIMES)
     metrics = {metric["name"]: metric["value"] for metric in session.send("Performance.getMetrics")["metrics"]}
     context.close()

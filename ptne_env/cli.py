@@ -315,7 +315,7 @@ def render(
     hold_steps: Annotated[
         int | None, typer.Option(min=0, help="Steps after the deadline.", show_default="the scenario's own")
     ] = None,
-    pictures: Annotated[int, typer.Option(min=2, help="Pictures of a .gif or .mp4.")] = 100,
+    pictures: Annotated[int, typer.Option(min=2, help="Pictures of a film, or instants of a page.")] = 100,
 ) -> None:
     """Write an episode as a film: strategies, estimates, distances and live links over time."""
     world, entry = find_scenario(scenario), get_entry(policy)
