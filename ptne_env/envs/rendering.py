@@ -45,10 +45,12 @@ class Renderer:
     Args:
         dynamics: the world.
         mode: ``"human"`` shows a window where the display has one, ``"rgb_array"`` returns the picture.
+        title: what the headline begins with; the scenario's name if left out.
     """
 
-    def __init__(self, dynamics: Dynamics, mode: str) -> None:
+    def __init__(self, dynamics: Dynamics, mode: str, title: str | None = None) -> None:
         self.dynamics = dynamics
+        self.title = dynamics.scenario.name if title is None else title
         self.mode = mode
         self._estimates: list[FloatArray] = []
         self._estimate_distances: list[float] = []
@@ -214,7 +216,7 @@ class Renderer:
                 color="0.2" if up else "0.75", linestyle="-" if up else ":", linewidth=width if up else 0.6 * width
             )
         reached = f"error {far[-1]:.1e}" if far[-1] > distances.FLOOR else f"error below {distances.FLOOR:.0e}"
-        artists.title.set_text(f"{self.dynamics.scenario.name}    t = {times[-1]:.3f} s    {reached}")
+        artists.title.set_text(f"{self.title}    t = {times[-1]:.3f} s    {reached}")
 
 
 @dataclass(frozen=True)

@@ -80,7 +80,7 @@ def _pictures(
 
     rollout(entry.build(port.layout), port, start, watch=keep)
     wanted = set(np.linspace(0, len(states) - 1, count).round().astype(int).tolist())
-    renderer = Renderer(dynamics, "rgb_array")
+    renderer = Renderer(dynamics, "rgb_array", f"{dynamics.scenario.name}: {entry.name}")
     renderer.foresee(states)
     done = 0
     for step, state in enumerate(states):
