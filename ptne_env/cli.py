@@ -469,7 +469,7 @@ def render(
     hold_steps: Annotated[
         int | None, typer.Option(min=0, help="Steps after the deadline.", show_default="the scenario's own")
     ] = None,
-    pictures: Annotated[int, typer.Option(min=2, help="Pictures of a .gif or .mp4.")] = 100,
+    pictures: Annotated[int, typer.Option(min=2, help="Pictures of a film, or instants of a page.")] = 100,
 ) -> None:
     """Write an episode as a film: strategies, estimates, distances and live links over time."""
     _require_writable(out)
@@ -587,7 +587,7 @@ def sweep(
 
 @app.command()
 def reproduce(
-    out: Annotated[Path, typer.Option(help="Folder for figures (PNG, SVG) and results.json; made if missing.")] = Path(
+    out: Annotated[Path, typer.Option(help="Folder for figures, results.json and a page; made if missing.")] = Path(
         "results/paper"
     ),
     json: _Json = None,
@@ -611,6 +611,7 @@ def reproduce(
     console.print(*paper.render(reproduction))
     written = f"{len(reproduction.figures)} figures and {reproduction.results.name} written to {out}"
     console.print(Text(written), soft_wrap=True)
+    _tell_files(console, (), reproduction.page)
 
 
 @app.command()

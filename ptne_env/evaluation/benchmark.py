@@ -531,7 +531,7 @@ def _is_hash(digest: Any, content: Any) -> bool:
 
 
 def _difference(old: Measured, new: Measured) -> float:
-    if old.samples.keys() != new.samples.keys():
+    if old.samples.keys() != new.samples.keys() or old.reason != new.reason:
         return float("inf")
     largest = 0.0
     for name, values in old.samples.items():

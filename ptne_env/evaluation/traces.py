@@ -24,7 +24,7 @@ EPISODES = 20
 """Episodes over which errors are told, where nothing else is said."""
 
 FRAMES = 60
-"""About as many instants of an episode are kept."""
+"""About as many instants of an episode are kept, where nothing else is said."""
 
 QUANTILES = (0.1, 0.5, 0.9)
 """Of the error over episodes: the band and the median."""
@@ -168,6 +168,8 @@ def scene(
     start: State,
     entries: Mapping[str, Entry],
     teammates: Callable[[Dynamics], Member] | None = None,
+    *,
+    frames: int = FRAMES,
 ) -> Scene:
     """How each of several policies does from the same start.
 
@@ -176,17 +178,18 @@ def scene(
         start: of all episodes.
         entries: the policies by name.
         teammates: make those who act beside each of them.
+        frames: about as many instants are kept.
 
     Raises:
         ValueError: when a policy cannot act in this world.
     """
     clock = dynamics.clock
     share = clock.steps / clock.total_steps
-    frames = np.unique(
+    kept = np.unique(
         np.concatenate(
             [
-                np.linspace(0, clock.steps, 1 + max(1, round(FRAMES * share))).round(),
-                np.linspace(clock.steps, clock.total_steps, 1 + round(FRAMES * (1 - share))).round(),
+                np.linspace(0, clock.steps, 1 + max(1, round(frames * share))).round(),
+                np.linspace(clock.steps, clock.total_steps, 1 + round(frames * (1 - share))).round(),
             ]
         )
     ).astype(np.int64)
@@ -194,19 +197,19 @@ def scene(
     traces = {}
     for name, entry in entries.items():
         port = Port(dynamics, entry.interface)
-        watch = _Watch(dynamics, frames)
+        watch = _Watch(dynamics, kept)
         outcome = rollout(
             entry.build(port.layout), port, start, None if teammates is None else teammates(dynamics), watch
         )
-        errors = np.quantile(outcome.estimate_distance[frames], QUANTILES, axis=1)
-        traces[name] = Trace(errors, outcome.estimate_distance[frames, 0], *watch.arrays())
-    t, deadline = clock.t[frames], int(np.searchsorted(frames, clock.steps))
+        errors = np.quantile(outcome.estimate_distance[kept], QUANTILES, axis=1)
+        traces[name] = Trace(errors, outcome.estimate_distance[kept, 0], *watch.arrays())
+    t, deadline = clock.t[kept], int(np.searchsorted(kept, clock.steps))
     chance = start.chance
-    modes = dynamics.modes[frames] if chance is None or chance.modes is None else chance.modes[frames, 0]
+    modes = dynamics.modes[kept] if chance is None or chance.modes is None else chance.modes[kept, 0]
     live = np.array([dynamics.signal.graphs[mode].adjacency[links[:, 0], links[:, 1]] > 0 for mode in modes])
     return Scene(
         t=t,
-        s=clock.s[frames],
+        s=clock.s[kept],
         gain=clock.transformation.gain(t, clock.gain),
         deadline_frame=deadline,
         owners=dynamics.game.owners,

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import io
 from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import networkx as nx
 import numpy as np
@@ -44,7 +45,6 @@ _STYLE: dict[Any, Any] = {
     "legend.frameon": False,
     "legend.fontsize": 8,
     "lines.linewidth": 1.3,
-    "svg.fonttype": "none",
     "svg.hashsalt": "ptne_env",  # the same picture gives the same file
     "mathtext.fontset": "dejavusans",
 }
@@ -59,12 +59,18 @@ class FigureSpec:
         caption: what it shows, naming the paper's figure; printed below the figure.
         size: width and height in inches.
         draw: fills the figure.
+        number: of the paper's figure, as LaTeX counts, or of the erratum that is shown.
+        original: the paper's caption; empty where the figure is ours.
+        claims: names of the claims that it bears on.
     """
 
     name: str
     caption: str
     size: tuple[float, float]
     draw: Callable[[Figure, Experiments, Sequence[Claim]], None]
+    number: str
+    original: str = ""
+    claims: tuple[str, ...] = ()
 
 
 def save(spec: FigureSpec, experiments: Experiments, claims: Sequence[Claim], out: Path) -> tuple[Path, Path]:
@@ -79,29 +85,58 @@ def save(spec: FigureSpec, experiments: Experiments, claims: Sequence[Claim], ou
     Raises:
         ImportError: naming the extra to install when matplotlib is missing.
     """
-    try:
-        from matplotlib import rc_context  # matplotlib is an extra
-        from matplotlib.backends.backend_agg import FigureCanvasAgg
-        from matplotlib.figure import Figure
-        from matplotlib.layout_engine import ConstrainedLayoutEngine
-    except ImportError as error:
-        raise ImportError('figures need matplotlib: pip install "ptne-env[bench]"') from error
     png, svg = out / f"{spec.name}.png", out / f"{spec.name}.svg"
-    with rc_context(_STYLE):
-        width, height = spec.size
-        lines = _wrap(spec.caption, width)
-        band = 0.17 * len(lines) + 0.12  # inches for the caption below the axes
-        share = band / (height + band)
-        layout = ConstrainedLayoutEngine(rect=(0, share, 1, 1 - share), w_pad=0.09, h_pad=0.07)
-        figure = Figure(figsize=(width, height + band), layout=layout)
-        FigureCanvasAgg(figure)
-        spec.draw(figure, experiments, claims)
-        figure.text(0.5, 0.08 / (height + band), "\n".join(lines), ha="center", va="bottom", color=INK, fontsize=8.5)
+    with _style():
+        figure = _drawn(spec, experiments, claims, _wrap(spec.caption, spec.size[0]))
         for path, options in ((png, {"dpi": 200}), (svg, {"metadata": {"Date": None}})):
             buffer = io.BytesIO()
             figure.savefig(buffer, format=path.suffix[1:], **options)
             write_atomically(path, buffer.getvalue())
     return png, svg
+
+
+def picture(spec: FigureSpec, experiments: Experiments, claims: Sequence[Claim]) -> bytes:
+    """One figure for a page: SVG without the caption, its letters as outlines, as readers have other fonts.
+
+    Args:
+        spec: which figure, from :data:`FIGURES`.
+        experiments: the runs.
+        claims: measured claims, from which the figures of errata take their numbers.
+
+    Raises:
+        ImportError: naming the extra to install when matplotlib is missing.
+    """
+    buffer = io.BytesIO()
+    with _style("path"):
+        _drawn(spec, experiments, claims, []).savefig(buffer, format="svg", metadata={"Date": None})
+    return buffer.getvalue()
+
+
+def _style(letters: Literal["none", "path"] = "none") -> AbstractContextManager[None]:
+    """The style of all figures, with letters of SVG files kept as text or drawn as outlines."""
+    try:
+        from matplotlib import rc_context  # matplotlib is an extra
+    except ImportError as error:
+        raise ImportError('figures need matplotlib: pip install "ptne-env[bench]"') from error
+    return rc_context({**_STYLE, "svg.fonttype": letters})
+
+
+def _drawn(spec: FigureSpec, experiments: Experiments, claims: Sequence[Claim], lines: Sequence[str]) -> Figure:
+    """The figure above the lines of its caption."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+    from matplotlib.layout_engine import ConstrainedLayoutEngine
+
+    width, height = spec.size
+    band = 0.17 * len(lines) + 0.12 * bool(lines)  # inches for the caption below the axes
+    share = band / (height + band)
+    layout = ConstrainedLayoutEngine(rect=(0, share, 1, 1 - share), w_pad=0.09, h_pad=0.07)
+    figure = Figure(figsize=(width, height + band), layout=layout)
+    FigureCanvasAgg(figure)
+    spec.draw(figure, experiments, claims)
+    if lines:
+        figure.text(0.5, 0.08 / (height + band), "\n".join(lines), ha="center", va="bottom", color=INK, fontsize=8.5)
+    return figure
 
 
 def _wrap(text: str, width: float) -> list[str]:
@@ -336,8 +371,15 @@ def _erratum_3(figure: Figure, experiments: Experiments, _: Sequence[Claim]) -> 
     axes.legend(loc="upper center")
 
 
-_STATIC = rf"static law, $\kappa={KAPPA:g}$, $c={GAIN:g}$ s$^{{-1}}$, $T={DEADLINE:g}$ s"
+_STATIC = f"static law, κ = {KAPPA:g}, c = {GAIN:g}/s, T = {DEADLINE:g} s"
 _READING = "Thick lines: the players' own strategies; thin: what the others estimate; dotted: the Nash equilibrium."
+
+_SIMULATED = (
+    "Simulated results of the proposed {}algorithm in ({}): (a) all players' estimated strategies x^i_j(t), i, j ∈ V; "
+)
+_GAINS_OF = "The plot of all players' dynamic gain κ_ij(t), i, j ∈ V generated by ({})."
+_RELATIVE = "and (b) relative errors of all players' actions."
+_SWITCHING_CLAIMS = "Theorem 4, dwelling in t (as stated)", "Theorem 4, dwelling in s"
 
 FIGURES: tuple[FigureSpec, ...] = (
     FigureSpec(
@@ -345,6 +387,9 @@ FIGURES: tuple[FigureSpec, ...] = (
         "The time transformation λ and its derivative (paper: Fig. TimeTransFunction).",
         (6.6, 2.5),
         _time_transformation,
+        "Fig. 1",
+        "The illustration of the time transformation function λ(s) and λ'(s).",
+        ("Lemma 1",),
     ),
     FigureSpec(
         "graph",
@@ -352,19 +397,45 @@ FIGURES: tuple[FigureSpec, ...] = (
         "5-cycle is our choice.",
         (6.0, 2.7),
         _graph,
+        "Fig. 2",
+        "The communication network for a group of five players in the game: (a) fixed graph G; (b) Laplacian matrix L.",
+        ("Proposition 1", "Erratum 4, the paper's own gain"),
     ),
-    FigureSpec("static", f"Example 1, {_STATIC} (paper: Fig. AlgorithmStatic). {_READING}", (8.2, 3.3), _static),
+    FigureSpec(
+        "static",
+        f"Example 1, {_STATIC} (paper: Fig. AlgorithmStatic). {_READING}",
+        (8.2, 3.3),
+        _static,
+        "Fig. 3",
+        _SIMULATED.format("prescribed-time NE seeking ", 10) + "and (b) relative errors.",
+        ("Theorem 1", "Theorem 2, hold", "Theorem 2, boundedness of u"),
+    ),
     FigureSpec(
         "corollary-one",
         f"Example 1 without the time gain (paper: Fig. Positionerror). {_READING}",
         (8.2, 6.0),
         _comparison,
+        "Fig. 4",
+        "Simulated results of the algorithms in Corollary 1 and of Gadjov and Pavel, respectively.",
+        ("Corollary 1", "Erratum 5a, Corollary 1's coupling", "Erratum 5b, Corollary 1's assumptions"),
     ),
     FigureSpec(
-        "adaptive", f"Example 1, adaptive law (paper: Fig. AlgorithmAdaptive). {_READING}", (8.2, 3.3), _adaptive
+        "adaptive",
+        f"Example 1, adaptive law (paper: Fig. AlgorithmAdaptive). {_READING}",
+        (8.2, 3.3),
+        _adaptive,
+        "Fig. 5",
+        _SIMULATED.format("", 36) + _RELATIVE,
+        ("Theorem 3",),
     ),
     FigureSpec(
-        "adaptive-gains", "The gains of the adaptive law (paper: Fig. DynamicGain).", (5.2, 3.0), _adaptive_gains
+        "adaptive-gains",
+        "The gains of the adaptive law (paper: Fig. DynamicGain).",
+        (5.2, 3.0),
+        _adaptive_gains,
+        "Fig. 6",
+        _GAINS_OF.format(36),
+        ("Theorem 3",),
     ),
     FigureSpec(
         "switching-graphs",
@@ -372,6 +443,9 @@ FIGURES: tuple[FigureSpec, ...] = (
         "The paper's drawing is not in our copy; these are our choice.",
         (8.2, 2.1),
         _switching_graphs,
+        "Fig. 7",
+        "The jointly switching topologies G_i with P = {1, 2, 3, 4}.",
+        _SWITCHING_CLAIMS,
     ),
     FigureSpec(
         "switching",
@@ -379,30 +453,47 @@ FIGURES: tuple[FigureSpec, ...] = (
         f"t the error at T does not vanish. {_READING}",
         (8.2, 6.2),
         _switching,
+        "Fig. 8",
+        _SIMULATED.format("", 47) + _RELATIVE,
+        (*_SWITCHING_CLAIMS, "Erratum 2, switching in t"),
     ),
     FigureSpec(
         "switching-gains",
         "The gains of the adaptive law over switching graphs (paper: Fig. AlgorithmAdaptiveSwitchingK).",
         (8.2, 3.0),
         _switching_gains,
+        "Fig. 9",
+        _GAINS_OF.format(47),
+        (*_SWITCHING_CLAIMS, "Erratum 5c, the switching law after T"),
     ),
     FigureSpec(
         "non-quadratic",
         f"Example 2 (corrected), adaptive law over switching graphs (paper: Fig. NonQuadraticGame). {_READING}",
         (8.2, 6.2),
         _non_quadratic,
+        "Fig. 10",
+        _SIMULATED.format("", 47) + _RELATIVE,
+        ("Erratum 1, equilibrium of Example 2", "Erratum 1, assumptions of Example 2"),
     ),
     FigureSpec(
         "erratum-2",
         "Erratum 2: what is left at T when the signal dwells in t, against its period. Not in the paper.",
         (5.2, 3.2),
         _erratum_2,
+        "Erratum 2",
+        claims=("Erratum 2, switching in t",),
     ),
     FigureSpec(
         "erratum-3",
         f"Erratum 3: input and velocity near T, Example 1, {_STATIC}. Not in the paper.",
         (5.2, 3.2),
         _erratum_3,
+        "Erratum 3",
+        claims=(
+            "Erratum 3, velocity near T",
+            "Theorem 2, smoothness of u",
+            "Theorem 2, boundedness of the plant's input",
+        ),
     ),
 )
 """Every figure, in the order of the paper; the last two are ours."""

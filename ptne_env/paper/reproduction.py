@@ -14,13 +14,23 @@ from ptne_env._version import __version__
 from ptne_env.files import write_atomically
 from ptne_env.paper.claims import CHECKS, Claim
 from ptne_env.paper.experiments import DEADLINE, GAIN, GAMMA, INITIAL_GAIN, S_END, Experiments
-from ptne_env.paper.figures import FIGURES, save
+from ptne_env.paper.figures import FIGURES, picture, save
+from ptne_env.paper.page import render_page
 from ptne_env.paper.table import TableRow, table_one
 
 if TYPE_CHECKING:
     from rich.table import Table
 
-RESULTS_FILE = "results.json"
+RESULTS_FILE, PAGE_FILE = "results.json", "index.html"
+
+_SETTINGS = {
+    "deadline": DEADLINE,
+    "gain": GAIN,
+    "gamma": GAMMA,
+    "initial_gain": INITIAL_GAIN,
+    "s_end": S_END,
+    "graph": "5-cycle",
+}
 
 
 @dataclass(frozen=True)
@@ -32,6 +42,7 @@ class Reproduction:
         claims: every claim and erratum with its verdict.
         figures: the files written, a PNG and an SVG per figure.
         results: the JSON file with all numbers.
+        page: the HTML file that shows it all.
         seconds: how long it took.
     """
 
@@ -39,20 +50,14 @@ class Reproduction:
     claims: tuple[Claim, ...]
     figures: tuple[Path, ...]
     results: Path
+    page: Path
     seconds: float
 
     def to_dict(self) -> dict[str, Any]:
         """A JSON object without NaN or infinite numbers; the same code gives the same object."""
         return {
             "version": __version__,
-            "settings": {
-                "deadline": DEADLINE,
-                "gain": GAIN,
-                "gamma": GAMMA,
-                "initial_gain": INITIAL_GAIN,
-                "s_end": S_END,
-                "graph": "5-cycle",
-            },
+            "settings": _SETTINGS,
             "table_1": [dataclasses.asdict(row) for row in self.table],
             "claims": [dataclasses.asdict(claim) for claim in self.claims],
             "figures": [path.name for path in self.figures],
@@ -63,11 +68,11 @@ def reproduce(out: Path, *, progress: Callable[[int, int, str], None] | None = N
     """Run every experiment of the paper and write its table, figures and claims to ``out``.
 
     Args:
-        out: directory for the figures (PNG and SVG) and ``results.json``; made when it does not exist.
+        out: directory for the figures (PNG and SVG), ``results.json`` and ``index.html``; made when it does not exist.
         progress: called as ``progress(done, total, what)`` before each part and once more at the end.
 
     Raises:
-        ImportError: naming the extra to install when matplotlib is missing.
+        ImportError: naming the extra to install when matplotlib or Jinja is missing.
         NotADirectoryError: when ``out`` is a file.
     """
     began = time.perf_counter()
@@ -89,12 +94,15 @@ def reproduce(out: Path, *, progress: Callable[[int, int, str], None] | None = N
         announce(check.__name__.replace("_", " ").capitalize())
         claims += check(experiments)
     figures: list[Path] = []
+    pictures: dict[str, bytes] = {}
     for spec in FIGURES:
         announce(f"Figure {spec.name}")
         figures += save(spec, experiments, claims, out)
+        pictures[spec.name] = picture(spec, experiments, claims)
     announce("Done")
-    results = out / RESULTS_FILE
-    reproduction = Reproduction(table, tuple(claims), tuple(figures), results, time.perf_counter() - began)
+    results, page = out / RESULTS_FILE, out / PAGE_FILE
+    write_atomically(page, render_page(table, claims, pictures, _SETTINGS, str(out)))
+    reproduction = Reproduction(table, tuple(claims), tuple(figures), results, page, time.perf_counter() - began)
     write_atomically(results, json.dumps(reproduction.to_dict(), indent=2, ensure_ascii=False, allow_nan=False) + "\n")
     return reproduction
 

@@ -153,22 +153,11 @@ class Report:
     facts: tuple[tuple[str, str], ...]
     parameters: tuple[tuple[str, str, str, str], ...]
 
-    def figures(self) -> dict[str, Any]:
-        """What figures and player draw, as a JSON object; arrays are base64 of little-endian float32 in row order."""
-        return {
-            "policies": list(self.policies),
-            "profiles": {name: list(shares) for name, shares in self.profiles.items()},
-            "thresholds": list(self.thresholds),
-            "shown": list(self.sections[0].shown),
-            "scenes": [drawn(section.name, self.scenes[section.name], section.shown) for section in self.sections],
-        }
 
-
-def drawn(name: str, scene: Scene, shown: Sequence[str]) -> dict[str, Any]:
-    """What figures and player draw of a scene, as a JSON object; see :meth:`Report.figures`.
+def drawn(scene: Scene, shown: Sequence[str]) -> dict[str, Any]:
+    """What figures and player draw of a scene, as a JSON object; arrays are base64 of little-endian float32 by rows.
 
     Args:
-        name: of the scene.
         scene: to draw.
         shown: policies that are drawn before the reader chooses.
     """
@@ -178,7 +167,6 @@ def drawn(name: str, scene: Scene, shown: Sequence[str]) -> dict[str, Any]:
         name: trace.estimates - scene.equilibrium[:, None, None] for name, trace in scene.traces.items()
     }  # from x*, so that float32 keeps the last digits of small distances
     return {
-        "name": name,
         "shown": list(shown),
         "t": _rounded(scene.t, 6),
         "s": _rounded(scene.s, 6),
@@ -386,9 +374,11 @@ def _comparison_answer(
     ]
     if not pairs:
         return f"{opening} The paper's law ({LAW}) took part in none of its cases."
-    ahead = estimate(mean, pairs)
     law = _mean_digits(results, LAW, [label for label, found in digits.items() if named in found])
     closing = f"The paper's law ({LAW}) reaches {_said(law)} digits in the same cases"
+    ahead = estimate(mean, pairs)
+    if (ahead.mean or 0.0) < 0:  # first in most cases, and far behind in the others
+        return f"{opening} {closing}; {named} stays {_said(estimate(mean, [-pair for pair in pairs]))} behind it."
     return f"{opening} {closing}; {named} gains {_said(ahead)} on it."
 
 
@@ -508,8 +498,8 @@ def _suite_answer(board: Leaderboard) -> str:
         text = f"{where}, nobody scores above the paper's law ({LAW}), which is 1 by definition."
     else:
         text = (
-            f"{where}, {best.policy} has the highest score, {_said(best.score, share)} where 0 is doing nothing and 1 "
-            f"is the paper's law, and is better than the law with probability {_said(best.improvement, share)}."
+            f"{where}, {best.policy} has the highest score, {_said(best.score, share)}, where 0 is doing nothing and 1 "
+            f"is the paper's law, and it is better than the law with probability {_said(best.improvement, share)}."
         )
     text += f" It ranks first on {firsts} of them"
     if len(ranked) > 1:

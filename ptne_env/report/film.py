@@ -47,7 +47,7 @@ def film(
         entry: the policy.
         path: of the film: ``.gif``, ``.mp4`` (which needs the program ffmpeg) or ``.html`` (the player of the report).
         seed: of the bank.
-        pictures: how many a film has, evenly spaced in steps; the player of a page has its own number.
+        pictures: how many a film has, or instants a page, evenly spaced in steps.
         progress: called with the number of pictures that are drawn and of all.
 
     Raises:
@@ -62,7 +62,8 @@ def film(
     dynamics = Dynamics(scenario)
     start = draw_start(dynamics, 1, seed)
     if ending == ".html":
-        write_atomically(path, render_episode(scenario.name, scene(dynamics, start, {entry.name: entry})))
+        seen = scene(dynamics, start, {entry.name: entry}, frames=pictures)
+        write_atomically(path, render_episode(scenario.name, seen))
         return
     write = _gif if ending == ".gif" else _mp4
     write(path, _pictures(dynamics, entry, start, pictures, progress))
@@ -79,7 +80,7 @@ def _pictures(
 
     rollout(entry.build(port.layout), port, start, watch=keep)
     wanted = set(np.linspace(0, len(states) - 1, count).round().astype(int).tolist())
-    renderer = Renderer(dynamics, "rgb_array")
+    renderer = Renderer(dynamics, "rgb_array", f"{dynamics.scenario.name}: {entry.name}")
     renderer.foresee(states)
     done = 0
     for step, state in enumerate(states):

@@ -2,29 +2,38 @@
 
 from __future__ import annotations
 
+import json
+from base64 import b64encode
+from collections.abc import Mapping
+from gzip import compress
+from importlib import resources
 from typing import Any
 
+from ptne_env.envs.rendering import COLOURS
 from ptne_env.evaluation.traces import Scene
 from ptne_env.report.content import Report, drawn
-
-_MISSING = 'pages need an extra: pip install "ptne-env[bench]"'
 
 
 def render_page(report: Report) -> str:
     """A report as HTML, with everything that it needs inside.
 
     Raises:
-        ImportError: when Jinja or Plotly is missing, naming the extra to install.
+        ImportError: when Jinja is missing, naming the extra to install.
     """
-    try:
-        from markupsafe import Markup
-        from plotly.offline import get_plotlyjs
-    except ImportError as error:
-        raise ImportError(_MISSING) from error
-
-    plotly = Markup(get_plotlyjs())  # noqa: S704 - the library's own script, not anybody's input
-    figures = report.figures()
-    return _render("page.html", title=report.title, kind=report.kind, report=report, figures=figures, plotly=plotly)
+    scenes = {section.name: drawn(report.scenes[section.name], section.shown) for section in report.sections}
+    figures = {
+        "colours": COLOURS,
+        "policies": report.policies,
+        "profiles": report.profiles,
+        "thresholds": report.thresholds,
+        "shown": report.sections[0].shown,
+        "scenes": list(scenes),
+    }
+    plotly = resources.files("ptne_env.report") / "plotly" / "plotly-basic.min.js"
+    packed = _packed(scenes) | {"plotly": _pack(plotly.read_text(encoding="utf-8"))}
+    return render_template(
+        "page.html", title=report.title, kind=report.kind, report=report, figures=figures, packed=packed
+    )
 
 
 def render_episode(name: str, scene: Scene) -> str:
@@ -38,15 +47,38 @@ def render_episode(name: str, scene: Scene) -> str:
         ImportError: when Jinja is missing, naming the extra to install.
     """
     policies = list(scene.traces)
-    figures = {"policies": policies, "profiles": {}, "scenes": [drawn(name, scene, policies)]}
-    return _render("episode.html", title=f"{name}: {', '.join(policies)}", kind="scenario", figures=figures)
+    figures = {"colours": COLOURS, "policies": policies, "scenes": [name]}
+    packed = _packed({name: drawn(scene, policies)})
+    title = f"{name}: {', '.join(policies)}"
+    return render_template("episode.html", title=title, kind="scenario", figures=figures, packed=packed)
 
 
-def _render(template: str, **values: Any) -> str:
+def _packed(scenes: Mapping[str, Any]) -> dict[str, str]:
+    """Every scene by itself, as a browser unpacks it only when somebody looks at it."""
+    return {
+        f"scene-{index}": _pack(json.dumps(scene, allow_nan=False, ensure_ascii=False, separators=(",", ":")))
+        for index, scene in enumerate(scenes.values())
+    }
+
+
+def _pack(text: str) -> str:
+    return b64encode(compress(text.encode(), mtime=0)).decode("ascii")
+
+
+def render_template(template: str, **values: Any) -> str:
+    """A page from a template of ``ptne_env/report/templates``.
+
+    Args:
+        template: its file name.
+        **values: what the template names.
+
+    Raises:
+        ImportError: when Jinja is missing, naming the extra to install.
+    """
     try:
         from jinja2 import Environment, PackageLoader, StrictUndefined
     except ImportError as error:
-        raise ImportError(_MISSING) from error
+        raise ImportError('pages need Jinja: pip install "ptne-env[bench]"') from error
 
     environment = Environment(
         autoescape=True,  # names of policies are their users' own

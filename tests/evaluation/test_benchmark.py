@@ -1,5 +1,6 @@
 """Running a suite: cells are kept whole, interrupted runs go on, results can be repeated."""
 
+import dataclasses
 import json
 import os
 import random
@@ -352,6 +353,16 @@ def test_check_finds_numbers_that_do_not_reproduce(tmp_path):
     Store(tmp_path).keep(cell, measured)
     differences = {one.cell.key: one.difference for one in check(path, suite=SMALL, sample=100)}
     assert differences.pop(cell.key) == pytest.approx(0.25 / (1 + measured.samples["digits"][1]))
+    assert set(differences.values()) == {0.0}
+
+
+def test_check_finds_a_reason_that_does_not_reproduce(tmp_path):
+    run = run_suite(SMALL, ["ppo-random-energy"], tmp_path)
+    path = results_of(run, tmp_path)
+    index = next(index for index, measured in enumerate(run.measured) if measured.reason is not None)
+    Store(tmp_path).keep(run.cells[index], dataclasses.replace(run.measured[index], reason=None))
+    differences = {one.cell.key: one.difference for one in check(path, suite=SMALL, sample=100)}
+    assert differences.pop(run.cells[index].key) == float("inf")
     assert set(differences.values()) == {0.0}
 
 

@@ -68,7 +68,9 @@ def test_a_suite_is_drawn_with_its_teammates_from_its_own_bank(tmp_path):
     team = Track("team", world, "Others act.", teammates=Teammates(Part.of("ptne_env.laws:Null"), (1, 3)))
     suite = Suite("tiny", 1, (Track("alone", world, "Nothing."), team), episodes=3)
     run = run_suite(suite, ["ppo-random-energy-gains"], tmp_path)
-    scenes = suite_scenes(run)
+    told = []
+    scenes = suite_scenes(run, jobs=2, progress=told.append)
+    assert list(scenes) == told == ["alone", "team"]
     for name, scene in scenes.items():
         trace = scene.traces["static"]
         measured = run.of(name, "static")[0].samples["estimate_distance"]

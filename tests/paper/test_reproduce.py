@@ -30,7 +30,7 @@ def test_every_figure_is_written_twice(reproduction):
     result, _ = reproduction
     assert [spec.name for spec in FIGURES] == NAMES
     out = result.results.parent
-    expected = sorted([f"{name}.{kind}" for name in NAMES for kind in ("png", "svg")] + ["results.json"])
+    expected = sorted([f"{name}.{kind}" for name in NAMES for kind in ("png", "svg")] + ["index.html", "results.json"])
     assert sorted(path.name for path in out.iterdir()) == expected  # and no temporary file is left
     for path in result.figures:
         data = path.read_bytes()

@@ -72,4 +72,5 @@ def _enlarged(report, tracks, policies):
         for index in range(tracks)
     ]
     scenes = {one.name: replace(scene, traces=traces) for one in sections}
-    return replace(report, sections=tuple(sections), scenes=scenes, policies=tuple(names), profiles={})
+    profiles = dict(zip(names, repeated(list(report.profiles.values()), policies), strict=True))
+    return replace(report, sections=tuple(sections), scenes=scenes, policies=tuple(names), profiles=profiles)

@@ -5,12 +5,16 @@ import re
 import shlex
 from base64 import b64decode
 from dataclasses import replace
+from gzip import decompress
+from hashlib import sha256
 from html.parser import HTMLParser
+from importlib import resources
 
 import numpy as np
 import pytest
 
 from ptne_env import evaluate
+from ptne_env.envs.rendering import COLOURS
 from ptne_env.evaluation.traces import comparison_scenes
 from ptne_env.report import comparison_report, render_page, suite_report
 
@@ -76,9 +80,9 @@ def test_anchors_lead_somewhere_and_no_identifier_repeats(pages):
         assert targets <= set(identifiers)
 
 
-def test_hostile_names_are_shown_and_not_obeyed(pages, page_file, hostile):
+def test_hostile_names_are_shown_and_not_obeyed(pages, page_file, compared, hostile):
     page = pages["comparison"]
-    assert len(page.all("script")) == len(pages["suite"].all("script")) == 3
+    assert len(page.all("script")) == 3 + len(compared.sections)
     assert not page.all("b")
     assert hostile in [text for attributes, text in page.all("th") if attributes.get("scope") == "row"]
     figures = json.loads(next(text for attributes, text in page.all("script") if attributes.get("id") == "figures"))
@@ -189,11 +193,12 @@ def test_a_command_of_the_page_repeats_its_numbers(comparison, compared, hostile
     assert again.record(label, "static", "digits") == comparison.record(label, "static", "digits")
 
 
-def test_figures_carry_the_episode(compared):
-    figures = json.loads(json.dumps(compared.figures(), allow_nan=False))
-    for section, drawn in zip(compared.sections, figures["scenes"], strict=True):
+def test_figures_carry_the_episode(compared, pages):
+    page = {attributes["id"]: text for attributes, text in pages["comparison"].all("script") if "id" in attributes}
+    assert json.loads(page["figures"])["scenes"] == [section.name for section in compared.sections]
+    packed = [json.loads(decompress(b64decode(text))) for name, text in page.items() if name.startswith("scene-")]
+    for section, drawn in zip(compared.sections, packed, strict=True):
         scene = compared.scenes[section.name]
-        assert drawn["name"] == section.name
         frames = len(scene.t)
         offsets = np.frombuffer(b64decode(drawn["traces"]["static"]["estimates"]), "<f4").reshape(5, 5, frames)
         expected = scene.traces["static"].estimates - scene.equilibrium[:, None, None]
@@ -201,13 +206,58 @@ def test_figures_carry_the_episode(compared):
         for frame in range(frames):
             live = [links for start, links in drawn["live"] if start <= frame][-1]
             assert live == np.flatnonzero(scene.live[:, frame]).tolist()
-    assert len(figures["scenes"][2]["live"]) > 1  # the graph of energy-switching switches
+    assert len(packed[2]["live"]) > 1  # the graph of energy-switching switches
 
 
 def test_the_page_of_20_tracks_with_15_policies_is_of_a_size_that_loads_at_once(page_file):
-    assert page_file("large").stat().st_size < 12e6  # of which Plotly takes 5
-    assert page_file("suite").stat().st_size < 6.5e6
+    assert page_file("large").stat().st_size < 5e6
+    assert page_file("suite").stat().st_size < 1.5e6  # of which Plotly takes 0.6
+
+
+def test_plotly_is_the_file_that_npm_has():
+    bundle = (resources.files("ptne_env.report") / "plotly" / "plotly-basic.min.js").read_bytes()
+    assert b"plotly.js (basic - minified) v4.1.1" in bundle[:100]
+    assert sha256(bundle).hexdigest() == "99784e3abfb07b142a15e521a439e6d9addceadb3f79553fd24c72774f0649ba"
 
 
 def test_the_same_results_make_the_same_page(compared, page_file):
     assert render_page(compared) == page_file("comparison").read_text(encoding="utf-8")
+
+
+def luminance(colour):
+    channels = [int(colour[place : place + 2], 16) / 255 for place in (1, 3, 5)]
+    linear = [value / 12.92 if value <= 0.04045 else ((value + 0.055) / 1.055) ** 2.4 for value in channels]
+    return np.dot([0.2126, 0.7152, 0.0722], linear)
+
+
+def contrast(one, other):
+    dark, light = sorted([luminance(one), luminance(other)])
+    return (light + 0.05) / (dark + 0.05)
+
+
+def test_letters_and_lines_stand_out_in_light_and_dark():
+    """WCAG 2 AA: 4.5 for letters, 3 for what a figure is read by."""
+    css = (resources.files("ptne_env.report") / "templates" / "page.css").read_text(encoding="utf-8")
+    schemes = [
+        dict(re.findall(r"--(\w+): (#\w{6});", block)) for block in re.findall(r":root \{(.*?)\}", css, re.DOTALL)
+    ]
+    assert len(schemes) == 2
+    for scheme in schemes:
+        for ground in (scheme["ground"], scheme["panel"]):
+            assert min(contrast(scheme[name], ground) for name in ("ink", "faint", "accent", "holds", "fails")) >= 4.5
+        assert min(contrast(colour, scheme["ground"]) for colour in COLOURS) >= 3
+    assert len(set(COLOURS)) == 10
+
+
+def test_the_answer_says_when_who_is_first_most_often_is_behind_on_average(comparison):
+    def spoiled(cell):
+        if (cell.scenario, cell.policy) != ("energy", "grounded"):
+            return cell
+        return replace(cell, samples={**cell.samples, "digits": cell.samples["digits"] - 60})
+
+    results = replace(comparison, cells=tuple(spoiled(cell) for cell in comparison.cells))
+    answer = comparison_report(results, comparison_scenes(results), episodes=6, hold_steps=0).answer
+    assert answer.startswith("grounded comes closest, or as close as the best, in ")
+    behind = re.search(r"grounded stays ([\d.]+) \[([\d.]+), ([\d.]+)\] behind it\.$", answer)
+    low, middle, high = float(behind[2]), float(behind[1]), float(behind[3])
+    assert 0 < low <= middle <= high

@@ -1,10 +1,9 @@
 "use strict";
 (() => {
   const figures = JSON.parse(document.getElementById("figures").textContent);
-  const colours = ["#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#8c6bb1", "#7f7f7f", "#a6761d", "#e7298a"];
   const dashes = ["solid", "dash", "dot"];
-  const colourOf = (index) => colours[index % colours.length];
-  const dashOf = (index) => dashes[Math.floor(index / colours.length) % dashes.length];
+  const colourOf = (index) => figures.colours[index % figures.colours.length];
+  const dashOf = (index) => dashes[Math.floor(index / figures.colours.length) % dashes.length];
   const places = new Map(figures.policies.map((name, index) => [name, index]));
   const line = (name) => ({ color: colourOf(places.get(name)), dash: dashOf(places.get(name)), width: 2 });
   const colour = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
@@ -20,6 +19,17 @@
     made.append(...children);
     return made;
   };
+  /** The text that a script element holds packed: gzip in base64. */
+  async function unpack(id) {
+    const letters = atob(document.getElementById(id).textContent), bytes = new Uint8Array(letters.length);
+    for (let place = 0; place < letters.length; place++) bytes[place] = letters.charCodeAt(place);
+    return new Response(new Blob([bytes]).stream().pipeThrough(new DecompressionStream("gzip"))).text();
+  }
+  const scenes = new Map();
+  function sceneAt(index) {
+    if (!scenes.has(index)) scenes.set(index, unpack(`scene-${index}`).then(JSON.parse));
+    return scenes.get(index);
+  }
   const number = (value, digits = 3) => {
     if (!Number.isFinite(value)) return "–";
     const size = Math.abs(value);
@@ -93,9 +103,11 @@
     draw();
   }
 
-  function drawErrors(section) {
-    const chart = section.querySelector(".chart"), scene = figures.scenes[section.dataset.scene];
+  async function drawErrors(section) {
+    const chart = section.querySelector(".chart");
     if (redraws.has(chart)) return;
+    redraws.set(chart, () => {});  // it is coming
+    const scene = await sceneAt(Number(section.dataset.scene));
     let chosen = scene.shown;
     const traces = (name, index) => {
       const [low, middle, high] = scene.traces[name].errors.map((row) => row.map((value) => 10 ** value));
@@ -114,7 +126,7 @@
       const deadline = { type: "line", xref: "x", yref: "y domain", x0: scene.t[scene.deadline], x1: scene.t[scene.deadline], y0: 0, y1: 1, line: { color: colour("--faint"), width: 1, dash: "dot" } };
       return Plotly.react(chart, chosen.flatMap(traces), layout({
         height: narrow ? 620 : 380, grid: { rows: narrow ? 2 : 1, columns: narrow ? 1 : 2, pattern: "independent", xgap: 0.12, ygap: 0.25 },
-        xaxis: axis("time t [s]"), yaxis: axis("relative error of estimates", scale), xaxis2: axis("transformed time s, to the deadline"), yaxis2: axis("", { ...scale, matches: "y" }),
+        xaxis: axis("time t [s]"), yaxis: axis("relative error of estimates", scale), xaxis2: axis("transformed time s"), yaxis2: axis("", { ...scale, matches: "y" }),
         shapes: [deadline],
       }), settings);
     };
@@ -149,7 +161,7 @@
   const WIDTH = 400, LEFT = 46, RIGHT = 8, TOP = 6, BOTTOM = 20;
 
   /** A small chart of lines over time with a cursor and a mark at the deadline, an index. y is drawn as scale(y); values beyond the range are cut. */
-  function lineChart(x, deadline, series, { height, low, high, ticks, marks = [], scale = (value) => value, written = number, label }) {
+  function lineChart([axisName, x], deadline, series, { height, low, high, ticks, marks = [], scale = (value) => value, written = number, label }) {
     const [from, to] = [x[0], x[x.length - 1]];
     const px = (value) => LEFT + (value - from) / (to - from || 1) * (WIDTH - LEFT - RIGHT);
     const py = (value) => height - BOTTOM - (scale(Math.min(high, Math.max(low, value))) - scale(low)) / (scale(high) - scale(low) || 1) * (height - TOP - BOTTOM);
@@ -159,6 +171,7 @@
       svg.append(drawn("text", { x: LEFT - 5, y: py(tick) + 4, "text-anchor": "end" }, written(tick)));
     }
     for (const [value, anchor] of [[from, "start"], [to, "end"]]) svg.append(drawn("text", { x: px(value), y: height - 5, "text-anchor": anchor }, number(value)));
+    svg.append(drawn("text", { x: (LEFT + WIDTH - RIGHT) / 2, y: height - 5, "text-anchor": "middle" }, axisName === "t" ? "t [s]" : "s"));
     for (const [value, stroke] of marks) svg.append(drawn("line", { x1: LEFT, x2: WIDTH - RIGHT, y1: py(value), y2: py(value), stroke, "stroke-dasharray": "1 3" }));
     if (x[deadline] < to) svg.append(drawn("line", { class: "deadline", x1: px(x[deadline]), x2: px(x[deadline]), y1: TOP, y2: height - BOTTOM }), drawn("text", { x: px(x[deadline]) - 3, y: TOP + 11, "text-anchor": "end" }, "T"));
     for (const { y, stroke, width = 1.8, opacity = 1 } of series) {
@@ -199,6 +212,7 @@
       return svg.appendChild(drawn("line", { x1, y1, x2, y2 }));
     });
     const crowded = scene.players > 20;
+    svg.classList.toggle("crowded", crowded);
     for (let player = 0; player < scene.players; player++) {
       const [cx, cy] = place(player);
       svg.append(drawn("circle", { class: "node", cx, cy, r: crowded ? 3 : scene.players > 10 ? 8 : 10, stroke: colourOf(player) }));
@@ -235,7 +249,7 @@
   }
 
   function card(scene, name, axisName, view) {
-    const frames = scene.t.length, trace = scene.traces[name], x = scene[axisName];
+    const frames = scene.t.length, trace = scene.traces[name], x = [axisName, scene[axisName]];
     const offsets = rows(trace.strategies, frames), inputs = rows(trace.inputs, frames), gains = rows(trace.gains, frames);
     const position = positions(scene, name, x, view);
     const largest = Math.max(1, ...extent(inputs).map(Math.abs).filter(Number.isFinite));
@@ -262,7 +276,7 @@
     });
     const head = element("tr", {}, ...["player", "strategy", "equilibrium", "input", "gain"].map((text) => element("th", { scope: "col", textContent: text })));
     const table = element("table", {}, element("caption", { textContent: `${name} at this instant` }), element("thead", {}, head), body);
-    const numbers = element("details", {}, element("summary", { textContent: "Numbers at this instant" }), element("div", { className: "scroll", tabIndex: 0 }, table));
+    const numbers = element("details", {}, element("summary", { textContent: "Numbers at this instant" }), element("div", { className: "scroll", tabIndex: 0, role: "region", ariaLabel: `Numbers of ${name}` }, table));
     let last = 0;
     const tell = () => rowsOfTable.forEach((cells, component) => [
       scene.equilibrium[component] + offsets[component][last], scene.equilibrium[component], inputs[component][last], gains[scene.owners[component]][last],
@@ -276,7 +290,7 @@
       netCaption.textContent = `Live links: ${up.length > 12 ? `${up.length} of ${scene.links.length}` : up.join(", ") || "none"}`;
       if (numbers.open) tell();
     };
-    const parts = element("article", { className: "card", ariaLabel: name }, element("header", {}, element("h4", { textContent: name }), readout),
+    const parts = element("article", { className: "card", ariaLabel: name }, element("header", {}, element("h3", { textContent: name }), readout),
       figure(view === "distance" ? "Distances of strategies and estimates from the equilibrium" : "Strategies and estimates", position.svg), element("figure", {}, net.svg, netCaption), figure("Inputs of the strategies (asinh scale)", input.svg), figure("Consensus gain on what is heard, per player", gain.svg), numbers);
     return { parts, move };
   }
@@ -284,28 +298,31 @@
   function startPlayer() {
     const [select, axisSelect, viewSelect, slider, play, instant, holder] = ["scene", "axis", "view", "frame", "play", "instant", "cards"].map((id) => document.getElementById(`player-${id}`));
     let cards = [], chosen = [], timer = null;
-    const scene = () => figures.scenes[Number(select.value)];
+    let scene;
     const move = () => {
-      const frame = Number(slider.value), now = scene();
-      const text = `t = ${now.t[frame].toFixed(3)} s, s = ${now.s[frame].toFixed(2)}, g(t) = ${number(now.gain[frame])}/s`;
+      const frame = Number(slider.value);
+      const text = `t = ${scene.t[frame].toFixed(3)} s, s = ${scene.s[frame].toFixed(2)}, g(t) = ${number(scene.gain[frame])}/s`;
       instant.textContent = text;
       slider.setAttribute("aria-valuetext", text);
       for (const each of cards) each.move(frame);
     };
     const show = () => {
-      cards = chosen.map((name) => card(scene(), name, axisSelect.value, viewSelect.value));
+      cards = chosen.map((name) => card(scene, name, axisSelect.value, viewSelect.value));
       holder.replaceChildren(...cards.map((each) => each.parts));
       move();
     };
     const pause = () => { clearInterval(timer); timer = null; play.textContent = "Play"; };
-    const load = () => {
+    const load = async () => {
       pause();
+      const asked = Number(select.value), found = await sceneAt(asked);
+      if (asked !== Number(select.value)) return;  // somebody was faster
+      scene = found;
       decoded.clear();
-      const names = Object.keys(scene().traces), kept = chosen.filter((name) => names.includes(name));
-      chosen = kept.length ? kept : [scene().shown[0], ...scene().shown.slice(-1)].filter((name, index, all) => name && all.indexOf(name) === index);
+      const names = Object.keys(scene.traces), kept = chosen.filter((name) => names.includes(name));
+      chosen = kept.length ? kept : [...new Set([scene.shown[0], ...scene.shown.slice(-1)])];
       choices(document.getElementById("player-choice"), names, chosen, (picked) => { chosen = picked; show(); }, false);
-      slider.max = scene().t.length - 1;
-      slider.value = Math.min(Number(slider.value), scene().t.length - 1);
+      slider.max = scene.t.length - 1;
+      slider.value = Math.min(Number(slider.value), scene.t.length - 1);
       show();
     };
     play.addEventListener("click", () => {
@@ -317,15 +334,12 @@
     slider.addEventListener("input", () => { pause(); move(); });
     select.addEventListener("change", load);
     for (const each of [axisSelect, viewSelect]) each.addEventListener("change", show);
-    load();
+    return load();
   }
-  startPlayer();
   // Plotly takes most of the time to load: tables and player do not wait for it.
-  addEventListener("load", () => setTimeout(() => {
-    const source = document.getElementById("plotly");
-    if (!source) return;
-    document.head.append(element("script", { textContent: source.textContent }));
-    source.remove();
+  async function startFigures() {
+    document.head.append(element("script", { textContent: await unpack("plotly") }));
     drawFigures();
-  }));
+  }
+  startPlayer().then(() => { if (document.querySelector(".chart")) setTimeout(startFigures); });
 })();

@@ -1,0 +1,72 @@
+"""The reproduction as a page that opens without a network: the paper's captions, our figures, claims and verdicts."""
+
+from __future__ import annotations
+
+import shlex
+from base64 import b64encode
+from collections.abc import Mapping, Sequence
+
+from ptne_env.evaluation.benchmark import versions
+from ptne_env.paper.claims import Claim
+from ptne_env.paper.figures import FIGURES
+from ptne_env.paper.table import TableRow
+from ptne_env.report.page import render_template
+
+_ERRATUM = "Erratum"
+"""How the names of errata begin."""
+
+
+def render_page(
+    table: Sequence[TableRow],
+    claims: Sequence[Claim],
+    pictures: Mapping[str, bytes],
+    settings: Mapping[str, object],
+    out: str,
+) -> str:
+    """Table 1, every figure, claim and erratum as HTML.
+
+    Args:
+        table: Table 1.
+        claims: all that were measured.
+        pictures: SVG by name of the figure.
+        settings: of the experiments.
+        out: folder of the results, for the command that makes them again.
+
+    Raises:
+        ImportError: when Jinja is missing, naming the extra to install.
+    """
+    places = {claim.name: place for place, claim in enumerate(claims)}
+    figures = [
+        {
+            "spec": spec,
+            "source": f"data:image/svg+xml;base64,{b64encode(pictures[spec.name]).decode('ascii')}",
+            "claims": [claims[places[name]] for name in spec.claims],
+        }
+        for spec in FIGURES
+    ]
+    found = {f"{name} version": version for name, version in versions().items() if name != "sources"}
+    stated = [claim for claim in claims if not claim.name.startswith(_ERRATUM)]
+    return render_template(
+        "paper.html",
+        title="The paper reproduced",
+        answer=_answer(table, stated),
+        table=table,
+        figures=figures,
+        claims=stated,
+        errata=[claim for claim in claims if claim.name.startswith(_ERRATUM)],
+        places=places,
+        command=shlex.join(["ptne", "reproduce", "--out", out]),
+        settings=[(name.replace("_", " "), str(value)) for name, value in {**settings, **found}.items()],
+    )
+
+
+def _answer(table: Sequence[TableRow], claims: Sequence[Claim]) -> str:
+    failing = [claim.name for claim in claims if claim.verdict == "fails"]
+    text = f"Of {len(claims)} claims {len(claims) - len(failing)} hold when measured"
+    text += f" and {len(failing)} fail: {'; '.join(failing)}." if failing else "."
+    settled = [f"{row.algorithm} {_seconds(row.ours)} (the paper: {row.paper:g} s)" for row in table]
+    return f"{text} The strategies settle within 0.5 % of the equilibrium after: {', '.join(settled)}."
+
+
+def _seconds(value: float | None) -> str:
+    return "never" if value is None else f"{value:.2f} s"

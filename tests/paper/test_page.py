@@ -1,0 +1,78 @@
+"""The page of the reproduction: every caption, figure and verdict, from the measurements alone."""
+
+import dataclasses
+import re
+from html import unescape
+
+import pytest
+
+from ptne_env.paper.figures import FIGURES
+from ptne_env.paper.page import render_page
+
+
+@pytest.fixture(scope="module")
+def text(reproduction):
+    return reproduction[0].page.read_text(encoding="utf-8")
+
+
+def read(text):
+    return unescape(re.sub(r"\s+", " ", re.sub(r"<[^>]+>", " ", text)))
+
+
+def test_every_figure_stands_beside_the_papers_caption_with_its_verdicts(text, claims):
+    sections = text.split('<h3 id="figure-')[1:]
+    assert len(sections) == len(FIGURES) == text.count("data:image/svg+xml;base64,")
+    for section, spec in zip(sections, FIGURES, strict=True):
+        said = read(section)
+        assert f'">{spec.number} ' in said
+        assert spec.original in said
+        assert f"Ours: {spec.caption}" in said
+        assert spec.claims
+        for name in spec.claims:
+            assert re.search(rf"{re.escape(name)} (holds|fails|confirmed) {re.escape(claims[name].finding)}", said)
+    assert [spec.number for spec in FIGURES[:10]] == [f"Fig. {number}" for number in range(1, 11)]
+
+
+def test_every_claim_and_erratum_has_its_verdict(text, claims):
+    articles = re.findall(r'<article class="claim" id="([^"]+)">(.*?)</article>', text, re.DOTALL)
+    assert len({identifier for identifier, _ in articles}) == len(articles) == len(claims)
+    words = {True: {"holds": "confirmed", "fails": "not confirmed"}, False: {"holds": "holds", "fails": "fails"}}
+    for (_, article), claim in zip(articles, claims.values(), strict=True):
+        said = read(article)
+        for part in (claim.name, claim.statement, claim.criterion, claim.finding):
+            assert part in said
+        assert f'{claim.verdict}">{words[claim.name.startswith("Erratum")][claim.verdict]}</strong>' in article
+    assert set(re.findall(r'href="#(claim-\d+)"', text)) <= {identifier for identifier, _ in articles}
+
+
+def test_table_1_stands_beside_the_papers(text, reproduction):
+    table = read(text[text.index("<tbody>") : text.index("</tbody>")])
+    for row in reproduction[0].table:
+        assert (
+            f"{row.algorithm} {row.kappa:g} {row.gain:g} {row.paper:g} {row.ours:.2f} {row.at_paper_time:.2g}" in table
+        )
+
+
+def test_the_answer_counts_what_holds(text, reproduction):
+    answer = unescape(re.search(r'id="answer">(.*?)</p>', text, re.DOTALL)[1])
+    assert answer.startswith("Of 11 claims 8 hold when measured and 3 fail: Theorem 2, smoothness of u; ")
+    assert "Gadjov–Pavel 21.57 s (the paper: 21 s)" in answer
+    result = reproduction[0]
+    table = [dataclasses.replace(row, ours=None) for row in result.table]
+    held = [dataclasses.replace(claim, verdict="holds") for claim in result.claims]
+    said = render_page(table, held, {spec.name: b"" for spec in FIGURES}, {}, "out")
+    assert "Of 11 claims 11 hold when measured. The strategies settle" in said
+    assert "Corollary 1 never (the paper: 13 s)" in said
+
+
+@pytest.mark.parametrize(("width", "scheme"), [(1280, "light"), (390, "light"), (390, "dark")])
+def test_a_browser_shows_it_without_a_complaint(open_file, reproduction, width, scheme):
+    page = open_file(reproduction[0].page, width, scheme)
+    assert page.evaluate("document.documentElement.scrollWidth") <= width
+    pictures = page.locator("main img")
+    assert pictures.count() == len(FIGURES)
+    for picture in pictures.all():
+        assert picture.evaluate("picture => picture.complete && picture.naturalWidth > 100")
+        assert picture.get_attribute("alt")
+    page.locator("a", has_text="Theorem 1").first.click()
+    assert page.evaluate("document.querySelector(':target h3').textContent") == "Theorem 1"
