@@ -490,7 +490,11 @@ def list_() -> None:
 
 
 def main() -> None:
-    """Run the command line; exit codes are 0 done, 1 failed, 2 wrong usage."""
+    """Run the command line; exit codes are 0 done, 1 failed, 2 wrong usage.
+
+    Modules of the current folder are found too, after everything that is installed.
+    """
+    sys.path.append(str(Path.cwd()))
     try:
         app()
     except ValueError as error:
