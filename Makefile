@@ -7,13 +7,17 @@ VENV   ?= .venv
 BIN    := $(VENV)/bin
 OUT    ?= results
 
-.PHONY: compare reproduce test lint types unit clean
+.PHONY: compare reproduce docs test lint types unit clean
 
 compare: $(VENV)/.bench
 	$(BIN)/ptne compare --json $(OUT)/compare.json --csv $(OUT)/compare.csv --report $(OUT)/report/index.html
 
 reproduce: $(VENV)/.bench
 	$(BIN)/ptne reproduce --out $(OUT)/paper
+
+docs: $(VENV)/.docs
+	$(BIN)/sphinx-build --builder html --conf-dir docs --fresh-env --fail-on-warning --keep-going --quiet . $(OUT)/site
+	@echo 'Site written to $(OUT)/site/index.html: open it in a browser'
 
 test: lint types unit
 
@@ -36,9 +40,13 @@ $(VENV)/.bench: pyproject.toml | $(VENV)/bin/python
 	$(BIN)/pip install --quiet --disable-pip-version-check --editable '.[bench]'
 	touch $@
 
+$(VENV)/.docs: pyproject.toml | $(VENV)/bin/python
+	$(BIN)/pip install --quiet --disable-pip-version-check --editable '.[docs]'
+	touch $@ $(VENV)/.bench
+
 $(VENV)/.test: pyproject.toml | $(VENV)/bin/python
 	$(BIN)/pip install --quiet --disable-pip-version-check --editable '.[test]'
-	touch $@ $(VENV)/.bench
+	touch $@ $(VENV)/.docs $(VENV)/.bench
 
 clean:
 	rm -rf $(VENV) $(OUT)

@@ -1,3 +1,4 @@
+# ruff: noqa: INP001 - Sphinx reads it by its path
 """The documentation site, built by ``make docs`` from the Markdown files that GitHub shows and from the docstrings."""
 
 import re
@@ -7,6 +8,7 @@ from docutils import nodes
 from docutils.utils.math.latex2mathml import tex2mathml
 from sphinx.application import Sphinx
 from sphinx.ext.napoleon import Config, GoogleDocstring
+from sphinx.util.inspect import TypeAliasForwardRef
 from sphinx.writers.html5 import HTML5Translator
 
 from ptne_env import __version__
@@ -25,6 +27,7 @@ html_title = "ptne_env"
 html_static_path = ["static"]
 html_css_files = ["site.css"]
 html_copy_source = False
+html_show_copyright = False
 templates_path = ["templates"]
 html_additional_pages = {"index": "redirect.html"}
 html_math_renderer = "mathml"
@@ -32,11 +35,12 @@ html_math_renderer = "mathml"
 myst_enable_extensions = ["dollarmath"]
 myst_heading_anchors = 4
 
-autodoc_default_options = {"members": True, "show-inheritance": True, "member-order": "bysource"}
+autodoc_default_options = {"members": True, "member-order": "bysource"}
 autodoc_preserve_defaults = True
 autodoc_type_aliases = {
     name: name for name in ("Array", "BoolArray", "CounterArray", "Float32Array", "FloatArray", "IntArray", "Memory")
 }
+TypeAliasForwardRef.__repr__ = lambda alias: alias.name  # within tuples and dictionaries Sphinx prints its own wrapping
 python_use_unqualified_type_names = True
 python_maximum_signature_line_length = 100
 
@@ -47,9 +51,7 @@ def _docstring(_app: Sphinx, _what: str, _name: str, _obj: object, _options: obj
     lines[:] = re.sub(r"(``.*?``)|\|", lambda match: match[1] or r"\|", text).splitlines()
 
 
-def _without_field_numbers(
-    _app: Sphinx, _what: str, _name: str, obj: object, _skip: bool, _options: object
-) -> bool | None:
+def _without_field_numbers(_app: Sphinx, _what: str, _name: str, obj: object, *_: object) -> bool | None:
     """Leave out the fields of a NamedTuple: the docstring of the class has them."""
     return True if type(obj).__name__ == "_tuplegetter" else None
 
@@ -58,8 +60,10 @@ def _mathml(translator: HTML5Translator, node: nodes.math | nodes.math_block) ->
     """Formulas as MathML, which browsers show without a script and without a network."""
     block = isinstance(node, nodes.math_block)
     tag = "div" if block else "span"
-    translator.body.append(translator.starttag(node, tag, "", CLASS="math notranslate"))
-    translator.body.append(tex2mathml(node.astext(), as_block=block) + f"</{tag}>")
+    formula = re.sub(
+        r"<mo( class=\"mathopen\")?>([‖|])", r'<mo stretchy="false"\1>\2', tex2mathml(node.astext(), as_block=block)
+    )
+    translator.body += [translator.starttag(node, tag, "", CLASS="math notranslate"), formula, f"</{tag}>"]
     raise nodes.SkipNode
 
 

@@ -131,7 +131,7 @@ class Layout:
     ``clock``               4        t/T, s, Θ_k, Δt_k/T, the first three by the player's own clock
     ``time_since_switch``   1        over the signal's mean dwell, clipped to 1; 0 for a fixed graph
     ``player``              N        one-hot
-    ``relative_strategies`` n       x − x^i (only under ``full``)
+    ``relative_strategies`` n        x − x^i (only under ``full``)
     ``pseudo_gradient``     n        F(x) at the real strategies, as far as a box lets them move (only under ``full``)
     ``own_payoff``          1        J_i(x) at the real strategies, natural units (only with ``own_payoff``)
     ``neighbour_errors``    D n      Σ_l a_jl (x^j − x^l) per neighbour slot (only with ``neighbour_errors``)
