@@ -15,7 +15,7 @@ from ptne_env import __version__
 
 project = "ptne_env"
 release = __version__
-extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.viewcode"]
+extensions = ["myst_parser", "sphinx.ext.autodoc"]
 
 # The source folder is the project's, so that documents link to each other as they do on GitHub.
 root_doc = "docs/index"
@@ -33,6 +33,7 @@ html_additional_pages = {"index": "redirect.html"}
 html_math_renderer = "mathml"
 
 myst_enable_extensions = ["dollarmath"]
+myst_fence_as_directive = ["math"]  # as GitHub writes formulas on lines of their own
 myst_heading_anchors = 4
 
 autodoc_default_options = {"members": True, "member-order": "bysource"}
@@ -61,7 +62,9 @@ def _mathml(translator: HTML5Translator, node: nodes.math | nodes.math_block) ->
     block = isinstance(node, nodes.math_block)
     tag = "div" if block else "span"
     formula = re.sub(
-        r"<mo( class=\"mathopen\")?>([‖|])", r'<mo stretchy="false"\1>\2', tex2mathml(node.astext(), as_block=block)
+        r'<mo( class="mathopen")?>(?=[‖|])',  # else the left one of a pair grows and the right one stands aloof
+        lambda match: f'<mo stretchy="false" form="{"prefix" if match[1] else "postfix"}">',
+        tex2mathml(node.astext(), as_block=block),
     )
     translator.body += [translator.starttag(node, tag, "", CLASS="math notranslate"), formula, f"</{tag}>"]
     raise nodes.SkipNode
