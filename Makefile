@@ -15,6 +15,10 @@ compare: $(VENV)/.bench
 reproduce: $(VENV)/.bench
 	$(BIN)/ptne reproduce --out $(OUT)/paper
 
+docs: $(VENV)/.docs
+	$(BIN)/sphinx-build --builder html --conf-dir docs --fresh-env --fail-on-warning --keep-going --quiet . $(OUT)/site
+	@echo 'Site written to $(OUT)/site/index.html: open it in a browser'
+
 test: lint types unit
 
 lint: $(VENV)/.test
@@ -39,9 +43,13 @@ $(VENV)/.bench: pyproject.toml | $(VENV)/bin/python
 	$(BIN)/pip install --quiet --disable-pip-version-check --editable '.[bench]'
 	touch $@
 
+$(VENV)/.docs: pyproject.toml | $(VENV)/bin/python
+	$(BIN)/pip install --quiet --disable-pip-version-check --editable '.[docs]'
+	touch $@ $(VENV)/.bench
+
 $(VENV)/.test: pyproject.toml | $(VENV)/bin/python
 	$(BIN)/pip install --quiet --disable-pip-version-check --editable '.[test]'
-	touch $@ $(VENV)/.bench
+	touch $@ $(VENV)/.docs $(VENV)/.bench
 
 # A Ray cluster of two nodes on this machine, one of which is killed in the middle.
 ray: $(VENV)/.ray

@@ -122,24 +122,25 @@ class Layout:
 
     An observation is a flat float32 vector of named slices, in the order of :attr:`slices`:
 
-    ====================== ======== ========================================================================
-    name                   size     content
-    ====================== ======== ========================================================================
-    ``own_gradient``       m        ∂J_i/∂x_i(x^i), padded with 0 to the largest n_i
-    ``own_estimate``       n        x^i (not under ``local``)
-    ``relative_estimates`` D n      x^j − x^i per neighbour slot, taken in float64; 0 where the link is down; x^j is
-                                    what the channel delivers
-    ``weights``            D        a_ij per neighbour slot; 0 where the link is down, or the message is lost
-    ``log_scale``          1        log10 σ_i (only under ``local``)
-    ``clock``              4        t/T, s, Θ_k, Δt_k/T, the first three by the player's own clock
-    ``time_since_switch``  1        over the signal's mean dwell, clipped to 1; 0 for a fixed graph
-    ``player``             N        one-hot
-    ``relative_strategies`` n       x − x^i (only under ``full``)
-    ``pseudo_gradient``    n        F(x) at the real strategies, as far as a box lets them move (only under ``full``)
-    ``own_payoff``         1        J_i(x) at the real strategies, natural units (only with ``own_payoff``)
-    ``neighbour_errors``   D n      Σ_l a_jl (x^j − x^l) per neighbour slot (only with ``neighbour_errors``)
-    ``best_response``      n        best responses to x, minus x (only with ``best_response``)
-    ====================== ======== ========================================================================
+    ======================= ======== =======================================================================
+    name                    size     content
+    ======================= ======== =======================================================================
+    ``own_gradient``        m        ∂J_i/∂x_i(x^i), padded with 0 to the largest n_i
+    ``own_estimate``        n        x^i (not under ``local``)
+    ``relative_estimates``  D n      x^j − x^i per neighbour slot, taken in float64; 0 where the link is down; x^j is
+                                     what the channel delivers
+    ``weights``             D        a_ij per neighbour slot; 0 where the link is down, or the message is lost
+    ``log_scale``           1        log10 σ_i (only under ``local``)
+    ``clock``               4        t/T, s, Θ_k, Δt_k/T, the first three by the player's own clock
+    ``time_since_switch``   1        over the signal's mean dwell, clipped to 1; 0 for a fixed graph
+    ``player``              N        one-hot
+    ``relative_strategies`` n        x − x^i (only under ``full``)
+    ``pseudo_gradient``     n        F(x) at the real strategies, as far as a box lets them move (only under ``full``)
+    ``own_payoff``          1        J_i(x) at the real strategies, natural units (only with ``own_payoff``)
+    ``neighbour_errors``    D n      Σ_l a_jl (x^j − x^l) per neighbour slot (only with ``neighbour_errors``)
+    ``best_response``       n        best responses to x, minus x (only with ``best_response``)
+    ======================= ======== =======================================================================
+
 
     Under ``local``, gradient and relative estimates are divided by σ_i = max(‖own gradient‖_∞, max over live links
     ‖x^j − x^i‖_∞, 1e-30), and components are in ego order: the own block first, then cyclically.

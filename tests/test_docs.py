@@ -2,13 +2,14 @@
 
 import ast
 import dataclasses
-import importlib
+import importlib.util
 import inspect
 import itertools
 import math
 import os
 import re
 import runpy
+import shlex
 import subprocess
 import sys
 from functools import cache
@@ -16,17 +17,21 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import typer
 from matplotlib import image
 
 import ptne_env
+from ptne_env.cli import app
 from ptne_env.evaluation import ENTRIES
 from ptne_env.evaluation.suite import get_suite
+from ptne_env.policies import shipped
 from ptne_env.rewards import TERMS
 from ptne_env.scenario import CATALOGUE, Scenario
 
 ROOT = Path(__file__).parents[1]
 PACKAGE = ROOT / "ptne_env"
 DOCUMENTS = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+PAGES = [*DOCUMENTS, *sorted(ROOT.glob("[!R]*.md")), *sorted((ROOT / "baselines").glob("*.md"))]
 BLOCK = re.compile(r"^```(\w*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 
 
@@ -53,7 +58,9 @@ def table(document, header):
 def run(code, folder):
     """Run a program in a fresh interpreter in which every warning is an error."""
     command = [sys.executable, "-W", "error", "-X", "utf8", "-c", code]
-    environment = {**os.environ, "OMP_NUM_THREADS": "1"}  # workers that share the cores would wait for each other
+    # Workers that share the cores would wait for each other; documents may name parts of the examples.
+    paths = os.pathsep.join(filter(None, [os.environ.get("PYTHONPATH"), str(ROOT / "examples")]))
+    environment = {**os.environ, "OMP_NUM_THREADS": "1", "PYTHONPATH": paths}
     done = subprocess.run(  # noqa: S603
         command, cwd=folder, capture_output=True, text=True, encoding="utf-8", check=False, env=environment
     )
@@ -79,6 +86,173 @@ def test_the_readme_has_the_loop_and_it_prints_the_promised_distance(tmp_path):
     loop = blocks(ROOT / "README.md", "python")[0]
     assert "laws.Static(env.layout, kappa=2.0)" in loop
     assert float(run(loop, tmp_path)) == pytest.approx(6.5e-5, rel=0.01)
+
+
+def told_commands(document):
+    """The lines of console blocks and the inline code of a document, each split as a shell does."""
+    lines = [line for kind in ("console", "sh") for body in blocks(document, kind) for line in body.splitlines()]
+    lines += [" ".join(code.split()) for code in re.findall(r"`([^`]+)`", prose(document))]
+    return [words for line in lines if line.isprintable() and (words := _split(line))]
+
+
+def _split(line):
+    try:
+        return shlex.split(line, comments=True)
+    except ValueError:  # inline code that is no command and has a lone quotation mark
+        return []
+
+
+def parse(arguments):
+    """What ``ptne`` makes of its arguments, without doing it: the name of the command and its parameters."""
+    group = typer.main.get_command(app)
+    group.callback = lambda **_: None
+    for name, command in group.commands.items():
+        command.callback = lambda name=name, **parameters: (name, parameters)
+    return group.main(arguments, standalone_mode=False)
+
+
+def options():
+    """Every option of ``ptne`` and of its commands."""
+    group = typer.main.get_command(app)
+    return {option for one in (group, *group.commands.values()) for each in one.params for option in each.opts} | {
+        "--help"
+    }
+
+
+@pytest.mark.parametrize("document", PAGES, ids=lambda page: page.relative_to(ROOT).as_posix())
+def test_commands_are_those_of_the_command_line(document):
+    for arguments in [words[1:] for words in told_commands(document) if words[0] == "ptne"]:
+        if arguments and arguments[-1].startswith("--"):  # an option is only named
+            assert arguments.pop() in options()
+        if len(arguments) < 2:  # a command is only named
+            assert set(arguments) <= set(typer.main.get_command(app).commands)
+            continue
+        _, parameters = parse(arguments)
+        scenarios, suite = parameters.get("scenario") or (), parameters.get("suite")
+        for scenario in [scenarios] if isinstance(scenarios, str) else scenarios:
+            assert scenario in CATALOGUE or scenario.isupper() or scenario.startswith("ptne-v1/"), arguments
+        tracks = [track.name for track in get_suite(suite).tracks] if suite == "ptne-v1" else ()
+        assert set(parameters.get("track") or ()) <= set(tracks), arguments
+        names = (parameters.get("policies") or "").split(",")
+        assert {name for name in names if name and ":" not in name} <= set(ENTRIES) | set(shipped()), arguments
+
+
+@pytest.mark.parametrize("arguments", ["compare --scenarios energy", "contrast", "render energy", "train --out DIR"])
+def test_a_command_that_does_not_exist_would_be_noticed(arguments):
+    with pytest.raises(Exception, match=r"(?i)no such|missing"):
+        parse(arguments.split())
+
+
+@pytest.mark.parametrize("document", PAGES, ids=lambda page: page.relative_to(ROOT).as_posix())
+def test_options_scripts_and_make_targets_exist(document):
+    commands = told_commands(document)
+    told = {words[0].partition("=")[0] for words in commands if words[0].startswith("--")}
+    assert told <= options()
+    targets = re.findall(r"^(\w+):", (ROOT / "Makefile").read_text(encoding="utf-8"), re.MULTILINE)
+    assert {words[1] for words in commands if words[0] == "make" and len(words) > 1} <= set(targets)
+    for words in commands:
+        if words[0] in ("python", "python3") and words[1:] and words[1:2] != ["-m"]:
+            assert (ROOT / words[1]).is_file(), words
+        elif words[0] in ("python", "python3") and words[2:] and words[2] != "venv":
+            assert importlib.util.find_spec(words[2]), words
+
+
+def test_the_tour_leads_where_it_says(tmp_path):
+    tour = ROOT / "docs" / "tour.md"
+    (policy,) = [code for code in blocks(tour, "python") if "class Ramp" in code]
+    assert "Save this as\n`my_policy.py`" in prose(tour)
+    (tmp_path / "my_policy.py").write_text(policy, encoding="utf-8")
+    lines = "".join(blocks(tour, "console")).splitlines()
+    first, film, _, small, whole, again = [shlex.split(line) for line in lines if re.match("ptne [a-z]", line)]
+    tables = blocks(tour, "text")
+    for command, told in ((first, tables[0]), (small, tables[1])):
+        assert starts_of_lines(told, ptne(command, tmp_path)) == []
+    assert (tmp_path / "results" / "report" / "index.html").is_file()
+    ptne(film, tmp_path)
+    assert (tmp_path / film[-1]).is_file()
+    ptne([*whole, "--track", "nominal", "--track", "hold", "--episodes", "2"], tmp_path)
+    assert (tmp_path / "results" / "ptne-v1" / "report" / "index.html").is_file()
+    ptne([*again, "--sample", "1"], tmp_path)
+
+
+def starts_of_lines(told, printed):
+    """The lines of ``told`` that no line of ``printed`` starts with, in the same order."""
+    lines = iter([_words(line) for line in printed.splitlines()])
+    return [
+        words
+        for words in filter(None, map(_words, told.splitlines()))
+        if not any(len(line) >= len(words) and all(map(_agree, line, words)) for line in lines)
+    ]
+
+
+def ptne(words, folder):
+    """Run a command as its script does, which does not look for modules in the current folder by itself."""
+    paths = os.pathsep.join(filter(None, [os.environ.get("PYTHONPATH"), str(ROOT)]))
+    done = subprocess.run(  # noqa: S603 - our own command line
+        [sys.executable, "-P", "-W", "error", "-X", "utf8", "-m", "ptne_env.cli", *words[1:]],
+        cwd=folder,
+        capture_output=True,
+        text=True,
+        encoding="utf-8",
+        check=False,
+        env={**os.environ, "OMP_NUM_THREADS": "1", "PYTHONPATH": paths},
+    )
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+def test_parts_in_the_document_are_those_of_the_example():
+    example = definitions((ROOT / "examples" / "own_parts.py").read_text(encoding="utf-8"))
+    told = {}
+    for code in blocks(ROOT / "docs" / "adding-parts.md", "python"):
+        told |= definitions(code)
+    shared = sorted(set(example) & set(told))
+    assert shared == ["BeautyContest", "Clipped", "HeavyBall", "suite", "wheel"]
+    assert [name for name in shared if example[name] != told[name]] == []
+
+
+def definitions(code):
+    return {node.name: ast.dump(node) for node in ast.parse(code).body if hasattr(node, "name")}
+
+
+def test_the_list_of_examples_is_complete():
+    text = (ROOT / "docs" / "examples.md").read_text(encoding="utf-8")
+    assert [path.name for path in (ROOT / "examples").glob("*.py") if path.name not in text] == []
+
+
+def test_the_site_builds_without_a_warning_has_everything_and_needs_no_network(tmp_path):
+    """As ``make docs`` builds it. A link that leads nowhere, in a document or a docstring, is a warning."""
+    (recipe,) = re.findall(r"sphinx-build (.*) \. \$\(OUT\)/site", (ROOT / "Makefile").read_text(encoding="utf-8"))
+    done = subprocess.run(  # noqa: S603 - our own documents
+        [sys.executable, "-m", "sphinx", *recipe.split(), str(ROOT), str(tmp_path)],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        encoding="utf-8",
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    html = {
+        path.relative_to(tmp_path).with_suffix("").as_posix(): path.read_text(encoding="utf-8")
+        for path in tmp_path.rglob("*.html")
+    }
+    assert {page.relative_to(ROOT).with_suffix("").as_posix() for page in PAGES} <= set(html)
+    assert "docs/index.html" in html["index"]
+
+    reference = "".join(text for name, text in html.items() if name.startswith("docs/api/"))
+    modules = [".".join(path.relative_to(ROOT).with_suffix("").parts) for path in PACKAGE.rglob("[!_]*.py")]
+    silent = [name for name in modules if f'id="module-{name}"' not in reference and not name.endswith("_v0")]
+    assert silent == ["ptne_env.cli"]  # whose reference is --help
+    for public in (ptne_env.parallel_env, ptne_env.Layout, ptne_env.laws.Static):
+        assert f'id="{public.__module__}.{public.__qualname__}"' in reference
+    assert "TypeAliasForwardRef" not in reference
+
+    mathematics = ROOT / "docs" / "mathematics.md"
+    formulas = re.findall(r"\$[^$]+\$", prose(mathematics)) + blocks(mathematics, "math")
+    assert html["docs/mathematics"].count("<math ") == len(formulas) > 100
+    assert [formula for formula in formulas if formula[0] == "$" and re.search(r"\\[,;!{}]", formula)] == []  # GitHub
+    for text in html.values():
+        assert re.findall(r"<(?:script|link|img|iframe)[^>]*(?:src|href)=\"(?:https?:)?//", text) == []
 
 
 @pytest.mark.parametrize("document", DOCUMENTS, ids=lambda document: document.stem)

@@ -65,7 +65,7 @@ class Game(ABC):
 
     @cached_property
     def dimension(self) -> int:
-        """N = Σ n_i."""
+        """n = Σ n_i."""
         return sum(self.action_dims)
 
     @cached_property
