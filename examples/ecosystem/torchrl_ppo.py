@@ -19,7 +19,7 @@ OBSERVATION, ACTION = ("player", "observation"), ("player", "action")
 
 
 def law_digits() -> list[float]:
-    """What the law gains through the wrapper. ``set_seed`` would seed a reset and lose it to the next: say reset(seed)."""
+    """What the law gains through the wrapper; each episode starts with ``reset(seed=...)`` and goes on from there."""
     env = PettingZooWrapper(ptne_env.parallel_env(SCENARIO))
     policy = law(env.layout)
     act = TensorDictModule(lambda o: torch.from_numpy(policy.predict(o.numpy())[0]), [OBSERVATION], [ACTION])
