@@ -1,6 +1,8 @@
 # Two commands, each complete on a fresh machine with Python 3.11 or newer and make:
 #   make compare   installs, runs the comparison of all laws on all scenarios, says where the results are
 #   make test      installs the test extra, runs linters, types and tests
+# and, because the pins of these frameworks conflict, one environment each in .ecosystem/:
+#   make ecosystem runs the examples of every framework, writes the table of docs/ecosystem.md
 
 PYTHON ?= python3
 VENV   ?= .venv
@@ -18,6 +20,10 @@ reproduce: $(VENV)/.bench
 docs: $(VENV)/.docs
 	$(BIN)/sphinx-build --builder html --conf-dir docs --fresh-env --fail-on-warning --keep-going --quiet . $(OUT)/site
 	@echo 'Site written to $(OUT)/site/index.html: open it in a browser'
+
+ecosystem:
+	$(PYTHON) examples/ecosystem/run.py
+
 
 test: lint types unit
 
@@ -60,4 +66,4 @@ $(VENV)/.ray: $(VENV)/.test
 	touch $@
 
 clean:
-	rm -rf $(VENV) $(OUT)
+	rm -rf $(VENV) $(OUT) .ecosystem

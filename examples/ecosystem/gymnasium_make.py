@@ -1,0 +1,30 @@
+"""Gymnasium: all players as one agent, whose observations and actions are the players' one after the other.
+
+Run it with: python examples/ecosystem/gymnasium_make.py
+"""
+
+import gymnasium
+from gymnasium.utils.env_checker import check_env
+from yardstick import EPISODES, SCENARIO, TASK, law, report
+
+
+def main() -> None:
+    """Gymnasium's own check, and the law's digits."""
+    check_env(gymnasium.make(f"ptne_env:ptne/{SCENARIO}-joint-v0", **TASK).unwrapped, skip_render_check=True)
+    env = gymnasium.make(f"ptne_env:ptne/{SCENARIO}-joint-v0")
+    layout = env.unwrapped.layout
+    policy = law(layout)
+    gained = []
+    for seed in range(EPISODES):
+        observation, _ = env.reset(seed=seed)
+        total, over = 0.0, False
+        while not over:
+            actions, _ = policy.predict(observation.reshape(layout.num_players, layout.size))
+            observation, reward, terminated, truncated, _ = env.step(actions.ravel())
+            total, over = total + reward, terminated or truncated
+        gained.append(total)
+    report(gained)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,188 @@
+"""Run the examples of this folder, each in a virtual environment of its framework, because their pins conflict.
+
+An example is ``<framework>_<idea>.py``, and ``requirements/<framework>.txt`` says what its framework is. The outcome of
+a complete run is the table in docs/ecosystem.md.
+
+Run it with: make ecosystem
+or: python examples/ecosystem/run.py --only torchrl
+"""
+
+import argparse
+import json
+import os
+import platform
+import subprocess
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from time import monotonic
+from typing import Any
+
+FOLDER = Path(__file__).resolve().parent
+ROOT = FOLDER.parents[1]
+PAGE = ROOT / "docs" / "ecosystem.md"
+HOME = ROOT / ".ecosystem"
+BEGIN, END = "<!-- written by make ecosystem -->", "<!-- end -->"
+TOLD = ("gymnasium", "pettingzoo", "torch", "tensordict", "torchrl", "numpy")
+"""Packages whose versions the table tells besides those in the requirements, where they are installed."""
+
+Row = dict[str, Any]
+
+
+class FailedError(Exception):
+    """A command that did not end with exit code 0; the message is the end of its output."""
+
+
+def call(command: Sequence[str | Path], timeout: float = 3600) -> str:
+    """Run a command and return what it printed.
+
+    Raises:
+        FailedError: when it fails, cannot be started, or takes longer than ``timeout`` seconds.
+    """
+    environment = {"OMP_NUM_THREADS": "1", **os.environ}  # the networks are small: threads would wait for each other
+    environment.pop("PYTHONPATH", None)
+    try:
+        done = subprocess.run(  # noqa: S603 - our own examples, and pip
+            [str(part) for part in command],
+            capture_output=True, text=True, encoding="utf-8", errors="replace", check=False, timeout=timeout,
+            env=environment,
+        )  # fmt: skip
+    except (OSError, subprocess.TimeoutExpired) as error:
+        raise FailedError(str(error)) from error
+    if done.returncode:
+        lines = (done.stdout + done.stderr).splitlines()
+        raise FailedError("\n".join([*lines[-20:], f"exit code {done.returncode}"]))
+    return done.stdout
+
+
+def requirements(framework: str) -> Path:
+    """The file that says what the framework is."""
+    return FOLDER / "requirements" / f"{framework}.txt"
+
+
+def frameworks() -> list[str]:
+    """The names of all frameworks."""
+    return sorted(path.stem for path in (FOLDER / "requirements").glob("*.txt"))
+
+
+def prepare(framework: str, home: Path) -> Path:
+    """The interpreter of the framework's virtual environment, which is made, or brought up to date, if it must be.
+
+    Raises:
+        FailedError: when something cannot be installed.
+    """
+    venv = home / framework
+    python, stamp = venv / "bin" / "python", venv / "installed.txt"
+    wanted = requirements(framework).read_text(encoding="utf-8") + (ROOT / "pyproject.toml").read_text(encoding="utf-8")
+    if not stamp.exists() or stamp.read_text(encoding="utf-8") != wanted:
+        call([sys.executable, "-m", "venv", venv])
+        call([python, "-m", "pip", "install", "--quiet", "--requirement", requirements(framework), "--editable", ROOT])
+        stamp.write_text(wanted, encoding="utf-8")
+    return python
+
+
+def versions(framework: str, python: Path) -> dict[str, str]:
+    """The versions of what the requirements name and of :data:`TOLD`, as installed."""
+    installed = {
+        package["name"]: package["version"]
+        for package in json.loads(call([python, "-m", "pip", "list", "--format=json"]))
+    }
+    lines = requirements(framework).read_text(encoding="utf-8").splitlines()
+    named = [line.split("=")[0].split("[")[0].split()[0] for line in lines]
+    return {name: installed[name].split("+")[0] for name in dict.fromkeys([*named, *TOLD]) if name in installed}
+
+
+def run(example: Path, python: Path) -> list[Row]:
+    """What the example reported, one row per line of JSON, with the seconds it took.
+
+    Raises:
+        FailedError: when it fails, or reports nothing.
+    """
+    began = monotonic()
+    printed = call([python, example])
+    seconds = monotonic() - began
+    rows = [json.loads(line) for line in printed.splitlines() if line.startswith('{"what"')]
+    if not rows:
+        raise FailedError("it reported nothing; it printed:\n" + "\n".join(printed.splitlines()[-20:]))
+    return [{**row, "example": example.stem, "seconds": seconds} for row in rows]
+
+
+def table(rows: Sequence[Row], told: dict[str, dict[str, str]]) -> str:
+    """The rows and the versions as Markdown."""
+
+    def number(value: float | None) -> str:
+        return "–" if value is None else f"{value:.2f}"
+
+    lines = [
+        f"Python {platform.python_version()} on {os.cpu_count()} cores of {platform.machine()}.",
+        "",
+        "| Environment | Versions |",
+        "| --- | --- |",
+        *(
+            f"| `{framework}` | {', '.join(f'{name} {version}' for name, version in found.items())} |"
+            for framework, found in told.items()
+        ),
+        "",
+        "| Example | The law's digits | Largest difference | Digits before training | and after | Seconds |",
+        "| --- | --- | --- | --- | --- | --- |",
+    ]
+    for row in rows:
+        link = f"[{row['example']}](../examples/ecosystem/{row['example']}.py)" + (
+            f", {row['what']}" if row["what"] else ""
+        )
+        training = f"{number(row['before'])} | {number(row['after'])}"
+        lines.append(f"| {link} | {row['law']:.6f} | {row['difference']:.0e} | {training} | {row['seconds']:.0f} |")
+    return "\n".join(lines)
+
+
+def write(page: Path, text: str) -> None:
+    """Put ``text`` between the marks of the page.
+
+    Raises:
+        ValueError: when the page has no marks.
+    """
+    before, begin, rest = page.read_text(encoding="utf-8").partition(BEGIN)
+    _, end, after = rest.partition(END)
+    if not begin or not end:
+        raise ValueError(f"{page} needs the marks {BEGIN} and {END}")
+    page.write_text(f"{before}{BEGIN}\n\n{text}\n\n{END}{after}", encoding="utf-8")
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """The exit code: 0, or 1 when something failed."""
+    parser = argparse.ArgumentParser(
+        description="Run the examples of every framework and write docs/ecosystem.md's table."
+    )
+    parser.add_argument("--only", nargs="+", choices=frameworks(), help="these frameworks; the page stays as it is")
+    parser.add_argument("--home", type=Path, default=HOME, help="where the virtual environments are kept")
+    chosen = parser.parse_args(arguments)
+    rows: list[Row] = []
+    told: dict[str, dict[str, str]] = {}
+    failed = []
+    for framework in chosen.only or frameworks():
+        step, began = "installation", monotonic()
+        try:
+            python = prepare(framework, chosen.home)
+            told[framework] = versions(framework, python)
+            print(f"{framework}: ready after {monotonic() - began:.0f} s", flush=True)
+            for example in sorted(FOLDER.glob(f"{framework}_*.py")):
+                step = example.stem
+                for row in run(example, python):
+                    rows.append(row)
+                    print(json.dumps(row), flush=True)
+        except FailedError as error:
+            failed.append(framework)
+            print(f"{framework}: {step} failed\n{error}", file=sys.stderr, flush=True)
+    if failed:
+        print(f"failed: {', '.join(failed)}; the page stays as it is", file=sys.stderr)
+        return 1
+    if chosen.only:
+        print(table(rows, told))
+    else:
+        write(PAGE, table(rows, told))
+        print(f"the table is in {PAGE}")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

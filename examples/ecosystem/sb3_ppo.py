@@ -1,0 +1,36 @@
+"""Stable-Baselines3: PPO with one network for all players, whose slots are the players of all environments.
+
+Run it with: python examples/ecosystem/sb3_ppo.py
+"""
+
+import numpy as np
+from stable_baselines3 import PPO
+from stable_baselines3.common.env_checker import check_env
+from stable_baselines3.common.evaluation import evaluate_policy
+from yardstick import EPISODES, SCENARIO, TASK, digits, law, report
+
+from ptne_env.envs.joint import JointEnv
+from ptne_env.envs.sb3 import SlotVecEnv
+
+
+def main() -> None:
+    """Stable-Baselines3's own check, the law's digits by its own evaluation, and a short training."""
+    check_env(JointEnv(SCENARIO, **TASK))
+    slots = SlotVecEnv(SCENARIO, EPISODES, seed=0)
+    returns, _ = evaluate_policy(
+        law(slots.layout), slots, n_eval_episodes=slots.num_envs, return_episode_rewards=True, warn=False
+    )
+    gained = np.reshape(returns, (EPISODES, slots.layout.num_players)).mean(axis=1)
+
+    env = SlotVecEnv(SCENARIO, num_envs=16, seed=0, **TASK)
+    model = PPO(
+        "MlpPolicy", env, n_steps=50, batch_size=500, n_epochs=5, learning_rate=1e-3, gamma=0.9, gae_lambda=0.9,
+        policy_kwargs={"log_std_init": -1.0}, seed=0, device="cpu",
+    )  # fmt: skip
+    before = digits(model)
+    model.learn(32_000)
+    report(gained, before, digits(model))
+
+
+if __name__ == "__main__":
+    main()

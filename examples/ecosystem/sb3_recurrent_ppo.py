@@ -1,0 +1,33 @@
+"""sb3-contrib: recurrent PPO, whose memory travels through ``predict`` like a law's.
+
+Run it with: python examples/ecosystem/sb3_recurrent_ppo.py
+"""
+
+import numpy as np
+from sb3_contrib import RecurrentPPO
+from stable_baselines3.common.evaluation import evaluate_policy
+from yardstick import EPISODES, SCENARIO, TASK, digits, law, report
+
+from ptne_env.envs.sb3 import SlotVecEnv
+
+
+def main() -> None:
+    """The law's digits by Stable-Baselines3's evaluation, and a short training of an LSTM."""
+    slots = SlotVecEnv(SCENARIO, EPISODES, seed=0)
+    returns, _ = evaluate_policy(
+        law(slots.layout), slots, n_eval_episodes=slots.num_envs, return_episode_rewards=True, warn=False
+    )
+    gained = np.reshape(returns, (EPISODES, slots.layout.num_players)).mean(axis=1)
+
+    env = SlotVecEnv(SCENARIO, num_envs=16, seed=0, **TASK)
+    model = RecurrentPPO(
+        "MlpLstmPolicy", env, n_steps=50, batch_size=500, n_epochs=5, learning_rate=1e-3, gamma=0.9, gae_lambda=0.9,
+        policy_kwargs={"log_std_init": -1.0, "lstm_hidden_size": 32}, seed=0, device="cpu",
+    )  # fmt: skip
+    before = digits(model)
+    model.learn(20_000)
+    report(gained, before, digits(model))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,78 @@
+"""What the examples of this folder share: the task they play, the digits they must meet, and how they report.
+
+An episode that starts with ``reset(seed=k)`` is episode k of ``ptne_env.evaluate(..., seed=0, split="train")``. So a
+law that acts through a framework's wrapper must gain the digits that ``evaluate`` says, episode by episode.
+"""
+
+import json
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+import ptne_env
+from ptne_env import Entry, Interface, laws
+from ptne_env.policy import Policy
+
+SCENARIO = "random-energy"
+EPISODES = 4
+TASK = {"interface": "local", "action_mode": "gains"}
+"""How policies are trained here: two gains per player in [−1, 1], of which 0 is the paper's law."""
+
+
+def law(layout: ptne_env.Layout) -> Policy:
+    """The paper's static law."""
+    return laws.Static(layout, kappa=2.0)
+
+
+class Acting:
+    """A policy for ``ptne_env.evaluate``, from a function of observations (R, size) to actions (R, action size)."""
+
+    def __init__(self, act: Callable[[np.ndarray], np.ndarray]) -> None:
+        """What the framework's network does with a batch of observations."""
+        self.act = act
+
+    def predict(
+        self,
+        observation: np.ndarray,
+        state: object = None,
+        episode_start: np.ndarray | None = None,  # noqa: ARG002 - Stable-Baselines3's signature
+        deterministic: bool = False,  # noqa: ARG002, FBT001, FBT002
+    ) -> tuple[np.ndarray, object]:
+        """The actions, and the memory as it was."""
+        return self.act(observation), state
+
+
+def digits(policy: Policy, interface: Interface = Interface("local", "gains")) -> float:  # noqa: B008 - it is frozen
+    """Mean digits at the deadline, over 20 games that no training has seen; the interface is :data:`TASK`'s."""
+    entry = Entry("policy", policy, interface)
+    scenario = ptne_env.get_scenario(SCENARIO)
+    results = ptne_env.evaluate([entry], [scenario], episodes=20, split="validation", against_laws=False)
+    return float(results.record(SCENARIO, "policy", "digits")["mean"])
+
+
+def report(gained: Sequence[float], before: float | None = None, after: float | None = None, what: str = "") -> None:
+    """Print one line of JSON, which ``run.py`` collects.
+
+    Args:
+        gained: digits (mean over players of the return) that the law gained through the framework's wrapper in the
+            episodes that ``reset(seed=0)``, ``reset(seed=1)``, … started.
+        before: :func:`digits` of the untrained policy.
+        after: of the trained one.
+        what: was trained, where an example trains several things.
+
+    Raises:
+        SystemExit: when the law gained other digits than in ``ptne_env.evaluate``, or training gained none.
+    """
+    scenario = ptne_env.get_scenario(SCENARIO)
+    results = ptne_env.evaluate(
+        [Entry("law", law)], [scenario], episodes=len(gained), split="train", against_laws=False
+    )
+    expected = results.cells[0].samples["digits_gained"]
+    difference = float(np.abs(gained - expected).max())
+    if not difference < 1e-4:  # some frameworks have rewards in float32
+        raise SystemExit(f"through the wrapper the law gained {gained} digits, in ptne_env.evaluate {expected}")
+    if before is not None and after is not None and not after > before:
+        raise SystemExit(f"training gained no digits: {before} before, {after} after")
+    print(
+        json.dumps({"what": what, "law": np.mean(gained), "difference": difference, "before": before, "after": after})
+    )

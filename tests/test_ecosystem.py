@@ -1,0 +1,212 @@
+"""The examples for other frameworks, of which those run here that the test extra can; and the runner of all of them."""
+
+import importlib.util
+import json
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+FOLDER = ROOT / "examples" / "ecosystem"
+HERE = [
+    path
+    for path in sorted(FOLDER.glob("*_*.py"))
+    if path.stem.split("_")[0] in ("pettingzoo", "gymnasium", "sb3", "cleanrl")
+]
+
+
+def load(name):
+    spec = importlib.util.spec_from_file_location(f"ecosystem_{name}", FOLDER / f"{name}.py")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.mark.parametrize("example", HERE, ids=lambda path: path.stem)
+def test_example_agrees_with_evaluate_and_training_gains_digits(example, tmp_path):
+    outcome = subprocess.run(  # noqa: S603 - our own example; its warnings are the frameworks' own
+        [sys.executable, str(example)],
+        capture_output=True,
+        text=True,
+        encoding="utf-8",
+        cwd=tmp_path,
+        env={**os.environ, "OMP_NUM_THREADS": "1"},
+        check=False,
+        timeout=600,
+    )
+    assert outcome.returncode == 0, outcome.stderr
+    row = json.loads(outcome.stdout.splitlines()[-1])
+    assert row["difference"] < 1e-4
+    assert (row["before"] is None) == (example.stem.split("_")[0] in ("pettingzoo", "gymnasium"))
+    assert list(tmp_path.iterdir()) == []
+
+
+# --- the yardstick ----------------------------------------------------------------------------------------------------
+
+
+def test_a_wrapper_that_changes_the_digits_is_found_out(capsys):
+    yardstick = load("yardstick")
+    with pytest.raises(SystemExit, match="through the wrapper the law gained"):
+        yardstick.report([1.0, 2.0])
+    gained = _gained(yardstick, 2)
+    with pytest.raises(SystemExit, match="through the wrapper"):
+        yardstick.report(gained[::-1])  # the seeds did not reach the environment
+    yardstick.report(gained)
+    row = json.loads(capsys.readouterr().out)
+    assert row == {"what": "", "law": gained.mean(), "difference": 0.0, "before": None, "after": None}
+
+
+def test_a_training_that_gains_nothing_is_found_out():
+    yardstick = load("yardstick")
+    with pytest.raises(SystemExit, match="training gained no digits: 4.0 before, 4.0 after"):
+        yardstick.report(_gained(yardstick, 1), before=4.0, after=4.0)
+
+
+def _gained(yardstick, episodes):
+    scenario = yardstick.ptne_env.get_scenario(yardstick.SCENARIO)
+    entry = yardstick.Entry("law", yardstick.law)
+    results = yardstick.ptne_env.evaluate([entry], [scenario], episodes=episodes, split="train", against_laws=False)
+    return results.cells[0].samples["digits_gained"]
+
+
+# --- the runner -------------------------------------------------------------------------------------------------------
+
+GOOD = """
+import json
+print("some talk")
+print(json.dumps({"what": "a network", "law": 3.5, "difference": 2e-16, "before": 1.0, "after": 2.25}))
+"""
+BAD = """
+import sys
+for line in range(30):
+    print("line", line)
+sys.exit("the last word")
+"""
+
+
+@pytest.fixture
+def runner(tmp_path, monkeypatch):
+    """The runner on a folder of its own with the frameworks "alpha" and "beta", of which nothing is installed."""
+    module = load("run")
+    (tmp_path / "requirements").mkdir()
+    for framework in ("alpha", "beta"):
+        (tmp_path / "requirements" / f"{framework}.txt").write_text("numpy>=1\npytest[extra]==9\n", encoding="utf-8")
+        (tmp_path / f"{framework}_example.py").write_text(GOOD, encoding="utf-8")
+    page = tmp_path / "page.md"
+    page.write_text(f"head\n\n{module.BEGIN}\nold\n{module.END}\n\ntail\n", encoding="utf-8")
+    monkeypatch.setattr(module, "FOLDER", tmp_path)
+    monkeypatch.setattr(module, "PAGE", page)
+    monkeypatch.setattr(module, "prepare", lambda framework, home: Path(sys.executable))
+    monkeypatch.setattr(module, "versions", lambda framework, python: {framework: "1.2"})
+    return module
+
+
+def test_a_complete_run_writes_the_table_between_the_marks(runner):
+    assert runner.main([]) == 0
+    text = runner.PAGE.read_text(encoding="utf-8")
+    assert text.startswith("head\n")
+    assert text.endswith("tail\n")
+    assert "old" not in text
+    for framework in ("alpha", "beta"):
+        assert f"| `{framework}` | {framework} 1.2 |" in text
+        row = rf"\| \[{framework}_example\]\(.*\), a network \| 3\.500000 \| 2e-16 \| 1\.00 \| 2\.25 \| \d+ \|"
+        assert len(re.findall(row, text)) == 1
+    assert runner.main([]) == 0
+    assert runner.PAGE.read_text(encoding="utf-8").count(runner.BEGIN) == 1
+
+
+def test_some_frameworks_alone_are_printed_and_leave_the_page(runner, capsys):
+    before = runner.PAGE.read_text(encoding="utf-8")
+    assert runner.main(["--only", "beta"]) == 0
+    assert runner.PAGE.read_text(encoding="utf-8") == before
+    printed = capsys.readouterr().out
+    assert "beta_example" in printed
+    assert "alpha" not in printed
+
+
+@pytest.mark.parametrize(
+    ("program", "complaint"),
+    [(BAD, "line 29\nthe last word\nexit code 1"), ("print('hm')", "it reported nothing; it printed:\nhm")],
+)
+def test_a_failure_is_told_with_its_last_lines_and_the_others_go_on(runner, capsys, program, complaint):
+    (runner.FOLDER / "alpha_example.py").write_text(program, encoding="utf-8")
+    before = runner.PAGE.read_text(encoding="utf-8")
+    assert runner.main([]) == 1
+    printed = capsys.readouterr()
+    assert f"alpha: alpha_example failed\n{'' if 'hm' in program else 'line 11'}" in printed.err
+    assert complaint in printed.err
+    assert "line 10\n" not in printed.err
+    assert "failed: alpha; the page stays as it is" in printed.err
+    assert '"example": "beta_example"' in printed.out
+    assert runner.PAGE.read_text(encoding="utf-8") == before
+
+
+def test_an_unknown_framework_is_an_error_of_usage(runner):
+    with pytest.raises(SystemExit) as error:
+        runner.main(["--only", "gamma"])
+    assert error.value.code == 2
+
+
+def test_an_example_that_hangs_is_ended(runner):
+    with pytest.raises(runner.FailedError, match="timed out after 0.2 seconds"):
+        runner.call([sys.executable, "-c", "import time; time.sleep(60)"], timeout=0.2)
+
+
+def test_an_environment_is_made_once_and_again_when_its_requirements_change(tmp_path, monkeypatch):
+    module = load("run")
+    calls = []
+
+    def call(command):
+        calls.append([str(part) for part in command])
+        (tmp_path / "cleanrl").mkdir(exist_ok=True)
+
+    monkeypatch.setattr(module, "call", call)
+    python = module.prepare("cleanrl", tmp_path)
+    assert python == tmp_path / "cleanrl" / "bin" / "python"
+    assert [command[1:3] for command in calls] == [["-m", "venv"], ["-m", "pip"]]
+    assert str(FOLDER / "requirements" / "cleanrl.txt") in calls[1]
+    module.prepare("cleanrl", tmp_path)
+    assert len(calls) == 2
+    other = tmp_path / "other.txt"
+    other.write_text("torch==0\n", encoding="utf-8")
+    monkeypatch.setattr(module, "requirements", lambda framework: other)
+    module.prepare("cleanrl", tmp_path)
+    assert len(calls) == 4
+
+
+def test_an_installation_that_failed_is_tried_again(tmp_path, monkeypatch):
+    module = load("run")
+    monkeypatch.setattr(module.sys, "executable", str(tmp_path / "no-such-python"))
+    for _ in range(2):
+        with pytest.raises(module.FailedError, match="no-such-python"):
+            module.prepare("cleanrl", tmp_path)
+    assert not (tmp_path / "cleanrl").exists()
+
+
+def test_versions_are_those_installed():
+    module = load("run")
+    found = module.versions("cleanrl", Path(sys.executable))
+    assert found["torch"] == "2.13.0"
+    assert next(iter(found)) == "torch"
+    assert {"gymnasium", "pettingzoo", "numpy"} < set(found)
+
+
+# --- the page ---------------------------------------------------------------------------------------------------------
+
+
+def test_every_framework_has_an_example_and_every_example_its_row_and_versions():
+    module = load("run")
+    text = module.PAGE.read_text(encoding="utf-8")
+    frameworks = module.frameworks()
+    examples = [path.stem for path in sorted(FOLDER.glob("*_*.py"))]
+    assert {name.split("_")[0] for name in examples} == set(frameworks)
+    assert [name for name in examples if f"| [{name}](" not in text] == []
+    for framework in frameworks:
+        (told,) = re.findall(rf"\| `{framework}` \| (.*) \|", text)
+        pins = re.findall(r"^([\w-]+)(?:\[.*\])?==([\d.]+)", module.requirements(framework).read_text(), re.MULTILINE)
+        assert pins
+        assert [f"{name} {version}" for name, version in pins if f"{name} {version}" not in told] == []
