@@ -24,7 +24,6 @@ docs: $(VENV)/.docs
 ecosystem:
 	$(PYTHON) examples/ecosystem/run.py
 
-
 test: lint types unit
 
 lint: $(VENV)/.test

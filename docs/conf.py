@@ -19,7 +19,7 @@ extensions = ["myst_parser", "sphinx.ext.autodoc"]
 
 # The source folder is the project's, so that documents link to each other as they do on GitHub.
 root_doc = "docs/index"
-include_patterns = ["*.md", "baselines/*.md", "docs/**"]
+include_patterns = ["*.md", "baselines/*.md", "examples/*.md", "docs/**"]
 exclude_patterns = [".*", "build", "dist", "results"]
 
 html_theme = "furo"

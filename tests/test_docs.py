@@ -216,7 +216,7 @@ def definitions(code):
 
 
 def test_the_list_of_examples_is_complete():
-    text = (ROOT / "docs" / "examples.md").read_text(encoding="utf-8")
+    text = (ROOT / "examples" / "README.md").read_text(encoding="utf-8")
     assert [path.name for path in (ROOT / "examples").glob("*.py") if path.name not in text] == []
 
 
