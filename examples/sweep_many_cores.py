@@ -18,6 +18,7 @@ import ptne_env
 from ptne_env import Part, get_scenario
 from ptne_env.evaluation.benchmark import run_suite
 from ptne_env.evaluation.leaderboard import leaderboard
+from ptne_env.evaluation.parallel import Workers
 from ptne_env.evaluation.suite import Suite, Track
 
 GAINS = (1.0, 2.0, 4.0, 8.0)
@@ -29,7 +30,7 @@ def sweep(folder: Path) -> dict[tuple[int, float], float]:
     base = get_scenario("random-energy")
     tracks = [Track(f"K={steps}", base.replace(steps=steps), f"{steps} steps to the deadline.") for steps in STEPS]
     policies = [ptne_env.Entry(f"κ={gain:g}", Part.of("ptne_env.laws:Static", kappa=gain)) for gain in GAINS]
-    run = run_suite(Suite("gain-steps", 1, tuple(tracks), episodes=20), policies, folder, jobs=-1)
+    run = run_suite(Suite("gain-steps", 1, tuple(tracks), episodes=20), policies, folder, workers=Workers(-1))
     board = leaderboard(run)
     points = [(steps, gain) for steps in STEPS for gain in GAINS]
     return {(k, gain): board.row(f"K={k}", f"κ={gain:g}").metrics["digits"].mean for k, gain in points}
