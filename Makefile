@@ -34,14 +34,13 @@ soak: $(VENV)/.test
 # The tests that need neither torch nor the whole source tree, with the oldest packages that pyproject.toml admits, and
 # with the newest: make newest PYTHON=python3.13
 lowest: RESOLUTION := lowest-direct
-lowest: WARNINGS   := -W ignore::DeprecationWarning  # old packages on new ones of their own
 newest: RESOLUTION := highest
 lowest newest:
 	$(PYTHON) -m venv --clear $(VENV)-$@
 	$(VENV)-$@/bin/pip install --quiet --disable-pip-version-check uv
 	$(VENV)-$@/bin/uv pip install --quiet --compile-bytecode --python $(VENV)-$@/bin/python --resolution $(RESOLUTION) \
 		--editable '.[bench]' 'hypothesis>=6.100' 'pytest>=8.3' 'pytest-xdist>=3.6'
-	$(VENV)-$@/bin/pytest --numprocesses auto $(WARNINGS) \
+	$(VENV)-$@/bin/pytest --numprocesses auto \
 		--ignore tests/test_docs.py --ignore tests/test_examples.py --ignore tests/test_benchmarks.py
 
 # Wheel and source archive, each installed in an empty environment and used outside of the source tree.
