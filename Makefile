@@ -40,6 +40,38 @@ unit: $(VENV)/.test
 soak: $(VENV)/.test
 	$(BIN)/python tests/soak.py --episodes 100000
 
+# The tests that need neither torch nor the whole source tree, with the oldest packages that pyproject.toml admits, and
+# with the newest: make newest PYTHON=python3.13
+lowest: RESOLUTION := lowest-direct
+newest: RESOLUTION := highest
+lowest newest:
+	$(PYTHON) -m venv --clear $(VENV)-$@
+	$(VENV)-$@/bin/pip install --quiet --disable-pip-version-check uv
+	$(VENV)-$@/bin/uv pip install --quiet --compile-bytecode --python $(VENV)-$@/bin/python --resolution $(RESOLUTION) \
+		--editable '.[bench]' 'hypothesis>=6.100' 'pytest>=8.3' 'pytest-xdist>=3.6'
+	$(VENV)-$@/bin/pytest --numprocesses auto \
+		--ignore tests/test_docs.py --ignore tests/test_examples.py --ignore tests/test_benchmarks.py
+
+# Wheel and source archive, each installed in an empty environment and used outside of the source tree.
+smoke: SMOKE := $(abspath $(VENV)-smoke)
+smoke:
+	$(PYTHON) -m venv --clear $(SMOKE)
+	$(SMOKE)/bin/pip install --quiet --disable-pip-version-check build
+	$(SMOKE)/bin/python -m build --outdir $(SMOKE)/dist .
+	for archive in $(SMOKE)/dist/*; do \
+		$(PYTHON) -m venv --clear $(SMOKE)/empty && cp tests/smoke.py $(SMOKE)/empty && (cd $(SMOKE)/empty && \
+		bin/pip install --quiet --disable-pip-version-check $$archive && bin/python -W error smoke.py && \
+		bin/pip install --quiet --disable-pip-version-check "$$archive[bench]" && bin/python smoke.py bench) || exit 1; \
+	done
+
+# What users are told to install, held against the published vulnerabilities; a package that cannot be looked up fails.
+audit:
+	$(PYTHON) -m venv --clear $(VENV)-audit
+	$(VENV)-audit/bin/pip install --quiet --disable-pip-version-check torch==2.13.0
+	$(VENV)-audit/bin/pip install --quiet --disable-pip-version-check --editable '.[sb3]' pip-audit
+	$(VENV)-audit/bin/pip freeze --exclude-editable > $(VENV)-audit/requirements.txt
+	$(VENV)-audit/bin/pip-audit --strict --no-deps --disable-pip --requirement $(VENV)-audit/requirements.txt
+
 $(VENV)/bin/python:
 	@$(PYTHON) -c 'import sys; sys.exit("ptne_env needs Python 3.11 or newer, $(PYTHON) is " + sys.version.split()[0] + "; say PYTHON=...") if sys.version_info < (3, 11) else 0'
 	$(PYTHON) -m venv $(VENV)
@@ -65,4 +97,4 @@ $(VENV)/.ray: $(VENV)/.test
 	touch $@
 
 clean:
-	rm -rf $(VENV) $(OUT) .ecosystem
+	rm -rf $(VENV) $(VENV)-* $(OUT) .ecosystem

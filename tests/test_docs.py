@@ -160,7 +160,7 @@ def test_options_scripts_and_make_targets_exist(document):
 def test_the_tour_leads_where_it_says(tmp_path):
     tour = ROOT / "docs" / "tour.md"
     (policy,) = [code for code in blocks(tour, "python") if "class Ramp" in code]
-    assert "Save this as\n`my_policy.py`" in prose(tour)
+    assert "`my_policy.py`:" in prose(tour)
     (tmp_path / "my_policy.py").write_text(policy, encoding="utf-8")
     lines = "".join(blocks(tour, "console")).splitlines()
     first, film, _, small, whole, again = [shlex.split(line) for line in lines if re.match("ptne [a-z]", line)]

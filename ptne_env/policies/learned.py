@@ -19,6 +19,9 @@ LAYOUT_VERSION = 1
 """Version of the meaning of observations and actions; a file of another version is refused."""
 
 _METADATA_KEY = "ptne_env"
+_ELSEWHERE = b"location"
+"""By this key, and no other, an ONNX file names files to read its weights from, wherever they are."""
+
 _FOLDER = Path(__file__).parent
 
 
@@ -153,7 +156,7 @@ def load(path_or_name: str | Path) -> LearnedPolicy:
 
     Raises:
         FileNotFoundError: when there is no such file, naming the shipped policies.
-        PolicyFileError: when the file is damaged, foreign or of another version.
+        PolicyFileError: when the file is damaged, foreign or of another version, or wants to read other files.
         ImportError: without onnxruntime, naming the extra to install.
     """
     try:
@@ -167,6 +170,8 @@ def load(path_or_name: str | Path) -> LearnedPolicy:
         names = ", ".join(shipped()) or "none"
         raise FileNotFoundError(f"no policy {str(path_or_name)!r}: name an .onnx file or a shipped policy ({names})")
     content = path.read_bytes()
+    if _ELSEWHERE in content:
+        raise PolicyFileError(f"{path} keeps weights in another file, which a policy of this library never does")
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = 1  # the networks are small, and one thread gives the same bits everywhere
     options.log_severity_level = 4

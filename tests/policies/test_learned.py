@@ -158,3 +158,17 @@ def test_shipped_policies_beat_tuned_laws_on_games_they_have_not_seen(name, metr
     scenario = policies.load(name).metadata.scenarios[0]
     results = ptne_env.evaluate([name], [scenario], episodes=100)
     assert results.record(scenario, name, metric)["low"] >= digits
+
+
+def test_a_file_that_wants_to_read_another_one_is_refused(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "secret.bin").write_bytes(np.arange(140, dtype=np.float32).tobytes())
+    model = onnx.load(write(tmp_path / "mine.onnx"))
+    weights = onnx.TensorProto(name="w", data_type=1, dims=[28, 5], data_location=onnx.TensorProto.EXTERNAL)
+    weights.external_data.add(key="location", value="secret.bin")
+    del model.graph.initializer[:], model.graph.node[:]
+    model.graph.initializer.append(weights)
+    model.graph.node.append(helper.make_node("MatMul", ["observation", "w"], ["action"]))
+    (tmp_path / "mine.onnx").write_bytes(model.SerializeToString())
+    with pytest.raises(PolicyFileError, match="mine.onnx keeps weights in another file"):
+        policies.load(tmp_path / "mine.onnx")

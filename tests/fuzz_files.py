@@ -1,0 +1,50 @@
+"""Arbitrary bytes as files of results and policies, guided by coverage; needs atheris (``pip install atheris``).
+
+``python tests/fuzz_files.py -max_total_time=60``, with libFuzzer's options: whatever the bytes are, a reader returns or
+raises what it documents.
+"""
+
+import contextlib
+import sys
+import tempfile
+from pathlib import Path
+
+import atheris
+
+with atheris.instrument_imports(include=["ptne_env", "json"]):
+    from ptne_env import policies
+    from ptne_env.evaluation import benchmark
+    from ptne_env.policies import Metadata
+
+FILE = Path(tempfile.mkdtemp()) / "file.onnx"
+
+
+def read(path):
+    """As each kind of file in turn."""
+    with contextlib.suppress(ValueError):
+        benchmark._read_results(path)
+    with contextlib.suppress(ValueError):
+        benchmark._read(path)
+    with contextlib.suppress(policies.PolicyFileError):
+        policies.load(path)
+    with contextlib.suppress(policies.PolicyFileError, UnicodeDecodeError):
+        Metadata.from_json(path.read_text(encoding="utf-8"))
+
+
+def one(data):
+    """What libFuzzer calls."""
+    FILE.write_bytes(data)
+    read(FILE)
+
+
+if __name__ == "__main__":
+    corpus = FILE.parent / "corpus"
+    corpus.mkdir()
+    for name in policies.shipped():
+        policy = policies.shipped_path(name).read_bytes()
+        (corpus / name).write_bytes(policy)
+        (corpus / f"{name}.json").write_text(policies.load(name).metadata.to_json(), encoding="utf-8")
+    (corpus / "results").write_text('{"format": 2, "suite": {}, "cells": [], "checksum": "0"}', encoding="utf-8")
+    (corpus / "cell").write_text('{"cell": {}, "samples": {"digits": [1.5, null]}, "checksum": "0"}', encoding="utf-8")
+    atheris.Setup([*sys.argv, str(corpus)], one)
+    atheris.Fuzz()

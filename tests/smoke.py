@@ -1,0 +1,60 @@
+"""What an installed package must do at the least: ``python tests/smoke.py [bench]``, outside of the source tree."""
+
+import subprocess
+import sys
+import sysconfig
+from importlib import metadata
+from pathlib import Path
+
+import gymnasium
+import numpy as np
+import pettingzoo
+
+import ptne_env
+
+
+def installed():
+    """It is the installed package and whole."""
+    assert Path(ptne_env.__file__).is_relative_to(sysconfig.get_path("purelib")), ptne_env.__file__
+    assert metadata.version("ptne-env") == ptne_env.__version__
+    assert (Path(ptne_env.__file__).parent / "py.typed").is_file()
+
+
+def play():
+    """An episode under the paper's law, through each interface's registry."""
+    env = pettingzoo.make("parallel", "ptne/energy-v0")
+    law, memory = ptne_env.laws.Static(env.layout), None
+    observations, _ = env.reset(seed=0)
+    while env.agents:
+        rows, memory = law.predict(np.stack(list(observations.values())), memory)
+        observations, _, _, _, infos = env.step(dict(zip(env.agents, rows, strict=True)))
+    assert infos["player_0"]["is_success"]
+    gymnasium.make("ptne_env:ptne/energy-joint-v0").reset(seed=0)
+
+
+def bench():
+    """The command line, and a policy that is shipped."""
+    from ptne_env import policies
+
+    command = Path(sysconfig.get_path("scripts")) / "ptne"
+    listed = subprocess.run([command, "list"], capture_output=True, text=True, check=True).stdout  # noqa: S603
+    names = policies.shipped()
+    assert names
+    assert "energy-switching" in listed
+    policy = policies.load(names[0])
+    results = ptne_env.evaluate(["static", names[0]], ["random-energy"], episodes=3)
+    assert results.record("random-energy", names[0], "digits")["mean"] > 1
+    page = [command, "compare", "--scenario", "energy", "--policy", "static", "--episodes", "2", "--report", "out.html"]
+    subprocess.run(page, capture_output=True, check=True)  # noqa: S603
+    assert "</html>" in Path("out.html").read_text(encoding="utf-8")
+    return policy.name
+
+
+if __name__ == "__main__":
+    installed()
+    play()
+    print("plays, from", Path(ptne_env.__file__).parent)
+    if "bench" in sys.argv:
+        print("lists, compares, and loads", bench())
+    else:
+        assert not {"torch", "matplotlib", "onnxruntime"} & set(sys.modules)
