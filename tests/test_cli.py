@@ -463,13 +463,9 @@ def forge(folder):
     """Improve a published cell, checksum and all."""
     from ptne_env.evaluation.suite import content_hash
 
-    path = min((folder / "cells").iterdir())
-    data = json.loads(path.read_text(encoding="utf-8"))
-    name = next(iter(data["samples"]), None)
-    if name is None:
-        data["not_applicable"] = None
-    else:
-        data["samples"][name][0] += 1
+    cells = {path: json.loads(path.read_text(encoding="utf-8")) for path in sorted((folder / "cells").iterdir())}
+    path, data = next((path, data) for path, data in cells.items() if data["samples"])  # a policy that fits has some
+    next(iter(data["samples"].values()))[0] += 1
     data["checksum"] = content_hash({key: data[key] for key in ("samples", "not_applicable")})
     path.write_text(json.dumps(data), encoding="utf-8")
 
