@@ -39,7 +39,8 @@ def call(command: Sequence[str | Path], timeout: float = 3600) -> str:
     Raises:
         FailedError: when it fails, cannot be started, or takes longer than ``timeout`` seconds.
     """
-    environment = {"OMP_NUM_THREADS": "1", **os.environ}  # the networks are small: threads would wait for each other
+    # The networks are small: threads would wait for each other. RLlib keeps agents in sets, whose order is hashed.
+    environment = {"OMP_NUM_THREADS": "1", "PYTHONHASHSEED": "0", **os.environ}
     environment.pop("PYTHONPATH", None)
     try:
         done = subprocess.run(  # noqa: S603 - our own examples, and pip
