@@ -55,7 +55,7 @@ class Network(DefaultPPOTorchRLModule):
         torch.nn.init.constant_(self.pi.log_std, -1.0)
 
 
-def build(policies: set[str]) -> Algorithm:
+def build(policies: list[str]) -> Algorithm:
     """PPO whose policies are named after the players, or are one, ``shared``."""
     model = DefaultModelConfig(fcnet_hiddens=[64, 64], vf_share_layers=False, free_log_std=True)
     specs = {policy: RLModuleSpec(module_class=Network, model_config=model) for policy in policies}
@@ -99,7 +99,7 @@ def main() -> None:
     check_multiagent_environments(make_env(TASK))
     register_env("ptne", make_env)
     gained = law_digits()
-    for what, policies in {"one policy for all": {"shared"}, "one policy per player": set(PLAYERS)}.items():
+    for what, policies in {"one policy for all": ["shared"], "one policy per player": PLAYERS}.items():
         algorithm = build(policies)
         before = digits(acting(algorithm))
         for _ in range(8):

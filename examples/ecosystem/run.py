@@ -39,7 +39,8 @@ def call(command: Sequence[str | Path], timeout: float = 3600) -> str:
     Raises:
         FailedError: when it fails, cannot be started, or takes longer than ``timeout`` seconds.
     """
-    environment = {"OMP_NUM_THREADS": "1", **os.environ}  # the networks are small: threads would wait for each other
+    # The networks are small: threads would wait for each other. RLlib keeps agents in sets, whose order is hashed.
+    environment = {"OMP_NUM_THREADS": "1", "PYTHONHASHSEED": "0", **os.environ}
     environment.pop("PYTHONPATH", None)
     try:
         done = subprocess.run(  # noqa: S603 - our own examples, and pip
@@ -83,13 +84,12 @@ def prepare(framework: str, home: Path) -> Path:
 
 def versions(framework: str, python: Path) -> dict[str, str]:
     """The versions of what the requirements name and of :data:`TOLD`, as installed."""
-    installed = {
-        package["name"]: package["version"]
-        for package in json.loads(call([python, "-m", "pip", "list", "--format=json"]))
-    }
+    packages = json.loads(call([python, "-m", "pip", "list", "--format=json"]))
+    installed = {each["name"].lower().replace("_", "-"): each["version"].split("+")[0] for each in packages}
     lines = requirements(framework).read_text(encoding="utf-8").splitlines()
     named = [line.split("=")[0].split("[")[0].split()[0] for line in lines]
-    return {name: installed[name].split("+")[0] for name in dict.fromkeys([*named, *TOLD]) if name in installed}
+    also = [name for name in TOLD if name in installed and name not in named]
+    return {name: installed[name] for name in [*named, *also]}
 
 
 def run(example: Path, python: Path) -> list[Row]:

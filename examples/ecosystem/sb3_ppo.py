@@ -28,7 +28,7 @@ def main() -> None:
         policy_kwargs={"log_std_init": -1.0}, seed=0, device="cpu",
     )  # fmt: skip
     before = digits(model)
-    model.learn(32_000)
+    model.learn(20_000)
     report(gained, before, digits(model))
 
 

@@ -25,7 +25,7 @@ def main() -> None:
         policy_kwargs={"log_std_init": -1.0, "lstm_hidden_size": 32}, seed=0, device="cpu",
     )  # fmt: skip
     before = digits(model)
-    model.learn(20_000)
+    model.learn(12_000)
     report(gained, before, digits(model))
 
 
