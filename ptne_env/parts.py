@@ -89,6 +89,8 @@ class Part:
         try:
             return target(**arguments, **extra)
         except (TypeError, AttributeError, LookupError, ArithmeticError) as error:  # what wrong arguments end in
+            if not arguments and not isinstance(error, TypeError):
+                raise  # there was nothing to refuse: a mistake in the target
             raise ValueError(f"part {self.target!r} refuses its arguments {sorted(arguments)}: {error}") from error
 
     def to_dict(self) -> dict[str, Any]:

@@ -7,6 +7,7 @@ import ptne_env
 from ptne_env import Entry, Part, distances, evaluate, get_scenario, laws
 from ptne_env.evaluation import episode_seed
 from ptne_env.evaluation.benchmark import run_suite
+from ptne_env.evaluation.parallel import Workers
 from ptne_env.evaluation.suite import Suite, Teammates, Track
 from ptne_env.evaluation.traces import comparison_scenes, suite_scenes
 
@@ -69,7 +70,7 @@ def test_a_suite_is_drawn_with_its_teammates_from_its_own_bank(tmp_path):
     suite = Suite("tiny", 1, (Track("alone", world, "Nothing."), team), episodes=3)
     run = run_suite(suite, ["ppo-random-energy-gains"], tmp_path)
     told = []
-    scenes = suite_scenes(run, jobs=2, progress=told.append)
+    scenes = suite_scenes(run, workers=Workers(2), progress=told.append)
     assert list(scenes) == told == ["alone", "team"]
     for name, scene in scenes.items():
         trace = scene.traces["static"]

@@ -71,7 +71,7 @@ def test_a_suite_that_lost_a_process_goes_on_with_the_same_results(tmp_path, mon
     monkeypatch.syspath_prepend(Path(__file__).parent)
     scenario = ptne_env.get_scenario("random-energy", steps=40)
     suite = Suite("small", 1, (Track("ring", scenario, "The base."),), episodes=3)
-    fatal = ptne_env.Entry("fatal", Part.of("test_parallel:Fatal", mark=str(tmp_path / "mark")))
+    fatal = ptne_env.Entry("fatal", Part.of("test_workers:Fatal", mark=str(tmp_path / "mark")))
     with pytest.raises(ChildProcessError, match="died"):
         run_suite(suite, [fatal], tmp_path / "killed", workers=Workers(2))
     again = run_suite(suite, [fatal], tmp_path / "killed", workers=Workers(2))
