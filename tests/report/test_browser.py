@@ -123,6 +123,7 @@ def test_figures_show_the_policies_that_are_chosen(visit):
 def test_a_page_never_overflows(visit, name, width, scheme):
     page = visit(name, width, scheme)
     page.evaluate("document.querySelectorAll('details').forEach(each => { each.open = true; })")
+    page.evaluate("document.querySelectorAll('option').forEach(each => { each.textContent += ' with a long name'; })")
     page.wait_for_timeout(300)
     assert page.evaluate("document.documentElement.scrollWidth") <= width
     ground = page.evaluate("getComputedStyle(document.body).backgroundColor")
