@@ -343,16 +343,19 @@ class Decoded(NamedTuple):
     clipped: IntArray
 
 
-class _Workspace(NamedTuple):
+@dataclass
+class _Workspace:
     """Where a port puts observations of one batch size together.
 
     Attributes:
         fields: views of each part, environments last, and of everything as (B, N size).
         scratch: for the relative estimates of some neighbour slots at a time, float64, shape (slots, n, N, B).
+        instant: whose clock stands in the fields, where all environments share one.
     """
 
     fields: dict[str, Float32Array]
     scratch: FloatArray
+    instant: int | None = None
 
 
 class Port:
@@ -440,7 +443,8 @@ class Port:
             out: where to write, of that shape and C-contiguous; a new array if left out.
         """
         batch = state.estimates.shape[2]
-        fields, scratch = self._workspaces.get(batch) or self._prepare(batch)
+        workspace = self._workspaces.get(batch) or self._prepare(batch)
+        fields, scratch = workspace.fields, workspace.scratch
         if self.interface.kind == "local":
             differences, scale = self._ego_differences(state)
             self._scaled = (state, scale)
@@ -457,7 +461,10 @@ class Port:
                 shown[...] = self.dynamics.relative_estimates(state, part, scratch[: len(shown)])
         if not self.dynamics.has_constant_weights:
             fields["weights"][...] = state.weights
-        fields["clock"][...] = self._clock_table.take(state.instants, axis=2)
+        instant = int(state.instants[0]) if state.instants.size == 1 else None
+        if instant is None or instant != workspace.instant:  # blocks of a vector environment are often in lockstep
+            fields["clock"][...] = self._clock_table.take(state.instants, axis=2)
+            workspace.instant = instant
         if self.dynamics.signal.is_random:
             fields["time_since_switch"][...] = state.time_since_switch
         if self.interface.kind == "full":
