@@ -68,7 +68,8 @@ def observe(port: Port, state: State, out: Float32Array) -> Float32Array:
     """:meth:`Port.observe` under ``physical``: one-dimensional strategies, a fixed graph, environments in lockstep."""
     world, layout = port.dynamics, port.layout
     players = layout.num_players
-    clock = port._clock_table[:, state.instants[0], None].repeat(players, axis=1)  # noqa: SLF001 - a trial from outside
+    clocks = port._clock_table[:, :, state.instants[0]]  # noqa: SLF001 - a trial from outside
+    clock = np.broadcast_to(clocks, (len(clocks), players))
     constants = np.concatenate([world.mode_weights[:, :, 0], clock, np.eye(players)]).astype(np.float32)
     _observe(state.estimates, state.own_gradients, world.neighbours, constants, out)
     return out
