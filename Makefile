@@ -50,7 +50,8 @@ lowest newest:
 	$(VENV)-$@/bin/uv pip install --quiet --compile-bytecode --python $(VENV)-$@/bin/python --resolution $(RESOLUTION) \
 		--editable '.[bench]' 'hypothesis>=6.100' 'pytest>=8.3' 'pytest-xdist>=3.6'
 	$(VENV)-$@/bin/pytest --numprocesses auto \
-		--ignore tests/test_docs.py --ignore tests/test_examples.py --ignore tests/test_benchmarks.py
+		--ignore tests/test_docs.py --ignore tests/test_examples.py --ignore tests/test_ecosystem.py \
+		--ignore tests/test_benchmarks.py
 
 # Wheel and source archive, each installed in an empty environment and used outside of the source tree.
 smoke: SMOKE := $(abspath $(VENV)-smoke)

@@ -14,6 +14,7 @@ import time
 from pathlib import Path
 
 import pytest
+from extras import need_sb3
 
 ROOT = Path(__file__).parents[1]
 COMMANDS = ("compare", "render", "certify", "sweep", "reproduce", "train", "list")
@@ -29,6 +30,8 @@ LONG = {
 
 
 def ptne(*arguments, cwd=None, **environment):
+    if "train" in arguments and "--help" not in arguments:
+        need_sb3()
     return subprocess.run(  # noqa: S603 - our own command line
         [sys.executable, "-W", "error", "-m", "ptne_env.cli", *arguments],
         capture_output=True,
@@ -60,7 +63,11 @@ def is_alive(group):
 
 def in_terminal(arguments, cwd, *, until=None, **environment):
     """Run a command in a terminal of 80 columns, interrupt it once ``until`` is printed; exit code and output."""
+    if "train" in arguments:
+        need_sb3()
     ours, theirs = pty.openpty()
+    # Where tests run in the background they ignore interruptions, and so would what they start.
+    ignored = signal.signal(signal.SIGINT, signal.default_int_handler)
     process = subprocess.Popen(  # noqa: S603 - our own command line
         [sys.executable, "-W", "error", "-m", "ptne_env.cli", *arguments],
         stdin=theirs,
@@ -70,6 +77,7 @@ def in_terminal(arguments, cwd, *, until=None, **environment):
         start_new_session=True,
         env={**os.environ, "COLUMNS": "80", "LINES": "40", "TERM": "xterm-256color", **environment},
     )
+    signal.signal(signal.SIGINT, ignored)
     os.close(theirs)
     printed, deadline = b"", time.monotonic() + 200
     while time.monotonic() < deadline:
