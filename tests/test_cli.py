@@ -277,7 +277,7 @@ def test_what_goes_wrong_in_other_code_exits_with_1_and_shows_a_traceback_on_dem
     command = ("compare", "--scenario", "energy", "--policy", "talkative:broken", "--episodes", "1")
     outcome = ptne(*command, cwd=own_module)
     assert outcome.returncode == 1
-    assert outcome.stderr.startswith("Error: ZeroDivisionError: division by zero")
+    assert outcome.stderr.lstrip().startswith("Error: ZeroDivisionError: division by zero")
     assert "--debug" in outcome.stderr
     assert "Traceback" not in outcome.stderr
     outcome = ptne("--debug", *command, cwd=own_module)
@@ -388,7 +388,7 @@ def test_what_cannot_be_written_exits_with_1_before_the_work(command, tmp_path):
     outcome = ptne(*command.split(), cwd=tmp_path)
     assert outcome.returncode == 1
     assert outcome.stdout == ""
-    assert outcome.stderr.startswith("Error: ")
+    assert outcome.stderr.lstrip().startswith("Error: ")
     assert len(outcome.stderr.splitlines()) == 1
     assert (tmp_path / "blocked").read_text(encoding="utf-8") == "in the way"
     assert [path.name for path in tmp_path.iterdir()] == ["blocked"]

@@ -292,7 +292,7 @@ def _shares(signal: Signal) -> FloatArray:
     # All dwells are drawn from one range, so it is the stationary distribution of the chain.
     size = len(signal.graphs)
     balance = np.vstack([signal.transition.T - np.eye(size), np.ones(size)])
-    return np.linalg.lstsq(balance, np.eye(size + 1)[-1])[0]
+    return np.linalg.lstsq(balance, np.eye(size + 1)[-1], rcond=None)[0]
 
 
 def _restricted(matrix: FloatArray, free: BoolArray) -> FloatArray:
