@@ -349,12 +349,13 @@ class _Workspace:
 
     Attributes:
         fields: views of each part, environments last, and of everything as (B, N size).
-        scratch: for the relative estimates of some neighbour slots at a time, float64, shape (slots, n, N, B).
+        relative: relative estimates of some neighbour slots at a time: the slots, their part of the fields, and a
+            float64 scratch of that shape (slots, n, N, B), which the others use too.
         instant: whose clock stands in the fields, where all environments share one.
     """
 
     fields: dict[str, Float32Array]
-    scratch: FloatArray
+    relative: list[tuple[slice, Float32Array, FloatArray]]
     instant: int | None = None
 
 
@@ -444,7 +445,7 @@ class Port:
         """
         batch = state.estimates.shape[2]
         workspace = self._workspaces.get(batch) or self._prepare(batch)
-        fields, scratch = workspace.fields, workspace.scratch
+        fields, instants = workspace.fields, state.instants
         if self.interface.kind == "local":
             differences, scale = self._ego_differences(state)
             self._scaled = (state, scale)
@@ -454,16 +455,13 @@ class Port:
         else:
             fields["own_estimate"][...] = state.estimates
             fields["own_gradient"][...] = self._own_gradients(state)
-            relative = fields["relative_estimates"]
-            for first in range(0, len(relative), len(scratch)):
-                part = slice(first, first + len(scratch))
-                shown = relative[part]
-                shown[...] = self.dynamics.relative_estimates(state, part, scratch[: len(shown)])
+            for slots, shown, scratch in workspace.relative:
+                shown[...] = self.dynamics.relative_estimates(state, slots, scratch)
         if not self.dynamics.has_constant_weights:
             fields["weights"][...] = state.weights
-        instant = int(state.instants[0]) if state.instants.size == 1 else None
+        instant = instants.item() if instants.size == 1 else None
         if instant is None or instant != workspace.instant:  # blocks of a vector environment are often in lockstep
-            fields["clock"][...] = self._clock_table.take(state.instants, axis=2)
+            fields["clock"][...] = self._clock_table.take(instants, axis=2)
             workspace.instant = instant
         if self.dynamics.signal.is_random:
             fields["time_since_switch"][...] = state.time_since_switch
@@ -550,8 +548,10 @@ class Port:
         while len(self._workspaces) >= _WORKSPACES:
             self._workspaces.pop(next(iter(self._workspaces)))
         slots, n, players = self._slots
-        some = max(1, min(slots, _SCRATCH_ENTRIES // (n * players * batch)))
-        self._workspaces[batch] = workspace = _Workspace(parts, np.empty((some, n, players, batch)))
+        scratch = np.empty((max(1, min(slots, _SCRATCH_ENTRIES // (n * players * batch))), n, players, batch))
+        some = [slice(first, min(first + len(scratch), slots)) for first in range(0, slots, len(scratch))]
+        relative = [(part, parts["relative_estimates"][part], scratch[: part.stop - part.start]) for part in some]
+        self._workspaces[batch] = workspace = _Workspace(parts, relative)
         return workspace
 
     def _observe_extras(self, state: State, fields: dict[str, Float32Array]) -> None:
