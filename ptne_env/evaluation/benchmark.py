@@ -10,7 +10,7 @@ from dataclasses import dataclass, fields
 from functools import cache, cached_property
 from hashlib import sha256
 from importlib import metadata
-from inspect import getsourcefile
+from inspect import getsourcefile, unwrap
 from pathlib import Path
 from typing import Any
 
@@ -137,7 +137,7 @@ def _hashes(value: Any) -> dict[str, str]:
 def _paths(value: Any) -> Iterator[Path]:
     if isinstance(value, Part):
         try:
-            source = getsourcefile(value.resolve())
+            source = getsourcefile(unwrap(value.resolve()))  # as it was written, whatever a decorator compiles later
         except TypeError:  # an object that is no class, function or module
             source = None
         if source is not None and not Path(source).is_relative_to(_PACKAGE):

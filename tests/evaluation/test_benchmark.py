@@ -447,3 +447,11 @@ def test_log_error_area_of_doing_nothing_is_the_log_of_the_initial_error(tmp_pat
     (measured,) = run_suite(SMALL, [], tmp_path, tracks=["ring"], episodes=3).of("ring", "null")
     expected = np.log10(measured.samples["estimate_distance"])
     np.testing.assert_allclose(measured.samples["log_error_area"], expected, rtol=1e-12)
+
+
+def test_the_files_of_a_part_are_the_same_before_and_after_it_ran():
+    """networkx compiles its decorated functions when they are first called; workers may not have called them yet."""
+    part = Part.of("networkx:dense_gnm_random_graph", n=4, m=3, seed=0)
+    before = benchmark._hashes(part)
+    part.build()
+    assert benchmark._hashes(part) == before != {}
