@@ -141,7 +141,6 @@ class Layout:
     ``best_response``       n        best responses to x, minus x (only with ``best_response``)
     ======================= ======== =======================================================================
 
-
     Under ``local``, gradient and relative estimates are divided by σ_i = max(‖own gradient‖_∞, max over live links
     ‖x^j − x^i‖_∞, 1e-30), and components are in ego order: the own block first, then cyclically.
 

@@ -220,21 +220,18 @@ def evaluate(
     trials = [(label, law, validation[label]) for label in tuning for law in laws]
     total = len(runs) + len(trials) + len(opponents.GROUPS) * len(tuning)
 
-    def measured(tasks: Sequence[tuple[str, Entry, _Bank]]) -> list[Cell]:
-        found = {}
-        for index, cell in workers.run(_run, tasks):
-            found[index] = cell
-            if progress is not None:
-                progress(f"{cell.scenario}: {cell.policy}", total)
-        return [found[index] for index in range(len(tasks))]
+    def tell(_: int, cell: Cell) -> None:
+        if progress is not None:
+            progress(f"{cell.scenario}: {cell.policy}", total)
 
-    found = measured([*runs, *trials])
+    found = workers.gather(_run, [*runs, *trials], tell)
     cells, tried = found[: len(runs)], found[len(runs) :]
     tuned = {
         label: opponents.best([cell.samples["digits"].mean() for cell in tried if cell.scenario == label])
         for label in tuning
     }
-    opposing = measured([(label, entry, banks[label]) for label in tuning for entry in tuned[label].values()])
+    against = [(label, entry, banks[label]) for label in tuning for entry in tuned[label].values()]
+    opposing = workers.gather(_run, against, tell)
     for label in tuning:
         best = {
             group: next(cell for cell in opposing if (cell.scenario, cell.policy) == (label, entry.name))
@@ -244,9 +241,8 @@ def evaluate(
             if cell.scenario == label and chosen[cell.policy].is_learned:
                 cell.samples.update(_paired(cell, best))
     ordered = tuple(cell for label in cases for cell in (*cells, *opposing) if cell.scenario == label)
-    tables = dict(workers.run(Cell.records, [(cell,) for cell in ordered]))
-    records = tuple(record for index in range(len(ordered)) for record in tables[index])
-    return Results(seed, cases, chosen, tuned, ordered, records)
+    tables = workers.gather(Cell.records, [(cell,) for cell in ordered])
+    return Results(seed, cases, chosen, tuned, ordered, tuple(record for table in tables for record in table))
 
 
 class _Bank(NamedTuple):

@@ -71,6 +71,20 @@ class Workers:
         except BrokenProcessPool as error:
             raise ChildProcessError(_LOST) from error
 
+    def gather(
+        self,
+        function: Callable[..., Result],
+        tasks: Sequence[tuple[Any, ...]],
+        finished: Callable[[int, Result], None] | None = None,
+    ) -> list[Result]:
+        """The results of :meth:`run` in the order of the tasks; ``finished(index, result)`` is called on the way."""
+        found: dict[int, Result] = {}
+        for index, result in self.run(function, tasks):
+            found[index] = result
+            if finished is not None:
+                finished(index, result)
+        return [found[index] for index in range(len(tasks))]
+
 
 def _numbered(index: int, function: Callable[..., Result], task: tuple[Any, ...]) -> tuple[int, Result]:
     return index, function(*task)

@@ -10,6 +10,7 @@ import json
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
+from itertools import count
 from typing import Any
 
 import numpy as np
@@ -153,12 +154,14 @@ def run_sweep(
     sweep = SWEEPS[name]
     x, y = sweep.axes(points)
     tasks = [(name, one, other, episodes, seed) for other in y.values for one in x.values]
-    found: dict[int, tuple[float | None, float | None]] = {}
-    for index, result in workers.run(_measure, tasks):
-        found[index] = result
+    done = count(1)
+
+    def tell(*_: object) -> None:
         if progress is not None:
-            progress(len(found), len(tasks))
-    rows = [[found[index] for index in range(start, start + points)] for start in range(0, len(tasks), points)]
+            progress(next(done), len(tasks))
+
+    found = workers.gather(_measure, tasks, tell)
+    rows = [found[start : start + points] for start in range(0, len(tasks), points)]
     return Diagram(
         name=name,
         title=sweep.title,
@@ -228,7 +231,7 @@ def _gain_step_axes(points: int) -> tuple[Axis, Axis]:
     steps = np.unique(np.rint(np.geomspace(total, total / 0.04, points)).astype(int))[::-1]
     if len(steps) < points:
         raise ValueError(f"{points} points along Θ are more than there are numbers of steps")
-    return _logarithmic("κ", 0.1, 30.0, points), Axis("step Θ", tuple(float(total / count) for count in steps))
+    return _logarithmic("κ", 0.1, 30.0, points), Axis("step Θ", tuple(float(total / number) for number in steps))
 
 
 def _gain_step_point(kappa: float, theta: float) -> tuple[Scenario, float]:

@@ -155,12 +155,13 @@ def _scenes(
     workers: Workers,
     progress: Callable[[str], None] | None,
 ) -> dict[str, Scene]:
-    names, found = list(tasks), {}
-    for index, one in workers.run(function, list(tasks.values())):
-        found[names[index]] = one
+    names = list(tasks)
+
+    def tell(index: int, _: Scene) -> None:
         if progress is not None:
             progress(names[index])
-    return {name: found[name] for name in names}
+
+    return dict(zip(names, workers.gather(function, list(tasks.values()), tell), strict=True))
 
 
 def scene(
