@@ -5,9 +5,11 @@ import pytest
 from test_dynamics import large_energy_scenario
 from worlds import BLOCKS, BLOCKS_SWITCHING, FAULTY, begin, make_port
 
-from ptne_env import CATALOGUE, Interface, get_scenario
-from ptne_env.dynamics import RANGE_LIMIT, State
-from ptne_env.interface import CONSENSUS_GAIN, OBSERVATION_BOUND
+from ptne_env import CATALOGUE, Interface, get_scenario, interface
+from ptne_env.dynamics import RANGE_LIMIT, Dynamics, State
+from ptne_env.evaluation.bank import draw_start
+from ptne_env.evaluation.suite import find_scenario
+from ptne_env.interface import CONSENSUS_GAIN, OBSERVATION_BOUND, Port
 
 KINDS = ["physical", "local", "full"]
 WORLDS = {
@@ -414,3 +416,19 @@ def test_gains_act_on_what_is_heard(kind):
     for i in range(5):
         expected[i, i] -= state.own_gradients[i]
     assert inputs == pytest.approx(expected, rel=1e-9)
+
+
+@pytest.mark.parametrize("scenario", ["energy", "energy-switching", "ptne-v1/delay"])
+def test_observations_are_the_same_however_many_neighbour_slots_fit_into_the_scratch(scenario, monkeypatch):
+    world = Dynamics(find_scenario(scenario))
+    states = [draw_start(world, 3, seed=0)]
+    for _ in range(60):  # past a switch, after which other links are up
+        states.append(world.step(states[-1], np.ones_like(states[-1].estimates)))
+    seen = []
+    for entries in (10**6, 1):
+        monkeypatch.setattr(interface, "_SCRATCH_ENTRIES", entries)
+        port = Port(world, Interface("physical"))
+        seen.append([port.observe(state) for state in states])
+        assert len(port._workspaces[3].relative) == (1 if entries > 1 else world.slots)
+    assert world.slots > 1
+    np.testing.assert_array_equal(*seen)
