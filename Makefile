@@ -91,7 +91,7 @@ $(VENV)/.test: pyproject.toml | $(VENV)/bin/python
 
 # A Ray cluster of two nodes on this machine, one of which is killed in the middle.
 ray: $(VENV)/.ray
-	$(BIN)/pytest --show-capture=no tests/evaluation/test_cluster.py
+	$(BIN)/pytest --show-capture=no tests/experiments/test_cluster.py
 
 $(VENV)/.ray: $(VENV)/.test
 	$(BIN)/pip install --quiet --disable-pip-version-check --editable '.[test,ray]'

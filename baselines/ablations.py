@@ -19,9 +19,9 @@ import typer
 from stable_baselines3 import PPO
 from stable_baselines3.common.vec_env import VecFrameStack
 
-from ptne_env import Entry, Interface, evaluate
-from ptne_env.evaluation import episode_seed
-from ptne_env.evaluation.parallel import Workers
+from ptne_env import Interface, PolicySpec, evaluate
+from ptne_env.experiments import episode_seed
+from ptne_env.experiments.workers import Workers
 from ptne_env.files import write_atomically
 from ptne_env.policy import Policy
 from ptne_env.training import ppo
@@ -103,7 +103,7 @@ def measure(name: str, arguments: ppo.Arguments) -> dict[str, Any]:
     began = perf_counter()
     policy = train(dataclasses.replace(arguments, **changes), **kind)
     seconds = perf_counter() - began
-    entry = Entry(name, policy, Interface(arguments.interface, arguments.action_mode))
+    entry = PolicySpec(name, policy, Interface(arguments.interface, arguments.action_mode))
     results = evaluate([entry], list(arguments.scenarios), episodes=200, split="validation", against_laws=False)
     digits = results.record(arguments.scenarios[0], name, "digits")
     return {"variation": name, "seed": arguments.seed, "seconds": seconds} | {

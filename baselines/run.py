@@ -15,8 +15,8 @@ from typing import Annotated, Any
 import typer
 
 from ptne_env import policies
-from ptne_env.evaluation import COMPARED, Entry, evaluate
-from ptne_env.evaluation.parallel import Workers
+from ptne_env.experiments import COMPARED, PolicySpec, evaluate
+from ptne_env.experiments.workers import Workers
 from ptne_env.files import write_atomically
 from ptne_env.report.tables import number
 
@@ -43,7 +43,7 @@ METRICS = (
 _INTRODUCTION = (
     "Written by `python baselines/run.py`; do not edit. Digits on {episodes} held-out games per scenario (test bank, "
     "seed 0), with 95 % intervals over games. The seed with the median digits on the validation bank ships as "
-    "`ppo-<configuration>`. Laws were tuned on the validation bank (`ptne_env/evaluation/opponents.py`)."
+    "`ppo-<configuration>`. Laws were tuned on the validation bank (`ptne_env/experiments/tuning.py`)."
 )
 _HEADINGS = (
     "policy",
@@ -99,7 +99,9 @@ def measure(configuration: str, summaries: list[dict[str, Any]], runs: Path, epi
     """Every seed, and the laws, on the test bank: one row each."""
     (scenario,) = summaries[0]["arguments"]["scenarios"]
     learned = [
-        Entry(f"{configuration}, seed {seed}", policies.load(runs / configuration / f"seed-{seed}" / "policy.onnx"))
+        PolicySpec(
+            f"{configuration}, seed {seed}", policies.load(runs / configuration / f"seed-{seed}" / "policy.onnx")
+        )
         for seed in range(len(summaries))
     ]
     results = evaluate([*learned, *COMPARED], [scenario], episodes=episodes)

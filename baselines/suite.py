@@ -14,11 +14,11 @@ from typing import Annotated
 import typer
 from run import ONE_SEED
 
-from ptne_env.evaluation import ENTRIES
-from ptne_env.evaluation.benchmark import run_suite
-from ptne_env.evaluation.leaderboard import Leaderboard, leaderboard
-from ptne_env.evaluation.parallel import Workers
-from ptne_env.evaluation.statistics import Summary
+from ptne_env.experiments import ENTRIES
+from ptne_env.experiments.benchmark import run_suite
+from ptne_env.experiments.leaderboard import Leaderboard, leaderboard
+from ptne_env.experiments.statistics import Summary
+from ptne_env.experiments.workers import Workers
 from ptne_env.files import write_atomically
 from ptne_env.report.tables import number
 

@@ -1,7 +1,7 @@
 """Tunes the laws of the field for a suite: the best mean digits over its tracks, on the validation split.
 
 Run it as ``python baselines/tune_laws.py``. It prints every candidate with its mean, the best of each law first; the
-entries of ``ptne_env/evaluation/entries.py`` have these parameters. The paper's laws have the paper's.
+entries of ``ptne_env/experiments/entries.py`` have these parameters. The paper's laws have the paper's.
 """
 
 from collections.abc import Iterator
@@ -15,10 +15,10 @@ from rich.console import Console
 from rich.progress import Progress
 from rich.table import Table
 
-from ptne_env import Part
-from ptne_env.evaluation import Entry
-from ptne_env.evaluation.benchmark import run_suite
-from ptne_env.evaluation.parallel import Workers
+from ptne_env import FactorySpec
+from ptne_env.experiments import PolicySpec
+from ptne_env.experiments.benchmark import run_suite
+from ptne_env.experiments.workers import Workers
 
 GRIDS: dict[str, dict[str, tuple[Any, ...]]] = {
     "Static": {"kappa": (2.0, 2.5, 3.0, 3.5), "gradient_gain": (2.0, 2.5, 3.0, 3.5)},
@@ -36,11 +36,11 @@ GRIDS: dict[str, dict[str, tuple[Any, ...]]] = {
 """What is tried, by law and parameter."""
 
 
-def candidates(law: str) -> Iterator[Part]:
+def candidates(law: str) -> Iterator[FactorySpec]:
     """A part for every point of the law's grid."""
     grid = GRIDS[law]
     for values in product(*grid.values()):
-        yield Part.of(f"ptne_env.laws:{law}", **dict(zip(grid, values, strict=True)))
+        yield FactorySpec.of(f"ptne_env.laws:{law}", **dict(zip(grid, values, strict=True)))
 
 
 def main(
@@ -58,7 +58,7 @@ def main(
         task = progress.add_task("tuning", total=None)
         run = run_suite(
             suite,
-            [Entry(name, part) for name, part in entries.items()],
+            [PolicySpec(name, part) for name, part in entries.items()],
             folder,
             split="validation",
             episodes=episodes,

@@ -21,10 +21,10 @@ import typer
 from ray.cluster_utils import Cluster
 from ray.util.joblib import register_ray
 
-from ptne_env.evaluation import ENTRIES
-from ptne_env.evaluation.benchmark import Cell, Store, _measure
-from ptne_env.evaluation.parallel import Workers
-from ptne_env.evaluation.suite import get_suite
+from ptne_env.experiments import ENTRIES
+from ptne_env.experiments.benchmark import Cell, Store, _measure
+from ptne_env.experiments.suite import get_suite
+from ptne_env.experiments.workers import Workers
 
 SUITE = "ptne-v1"
 LAWS = ("static", "adaptive", "grounded", "corollary-one", "fixed-gain", "averaging-integral")

@@ -20,8 +20,8 @@ from benchmarks.ours import vector
 from benchmarks.timing import Contender, Plan, interleave, ratio
 from ptne_env.arrays import Float32Array, FloatArray, IntArray
 from ptne_env.dynamics import State
+from ptne_env.encoder import Encoder
 from ptne_env.envs.vector import VectorParallelEnv
-from ptne_env.interface import Port
 
 _TILE = 16
 """Environments whose observations are put together before they are written: a cache line of float32."""
@@ -64,19 +64,19 @@ def _inputs(actions: Float32Array, out: FloatArray) -> None:
                     out[c, i, b] = actions[b, i, c]
 
 
-def observe(port: Port, state: State, out: Float32Array) -> Float32Array:
-    """:meth:`Port.observe` under ``physical``: one-dimensional strategies, a fixed graph, environments in lockstep."""
-    world, layout = port.dynamics, port.layout
+def observe(encoder: Encoder, state: State, out: Float32Array) -> Float32Array:
+    """:meth:`Encoder.observe` under ``physical``: one-dimensional strategies, a fixed graph, environments in lockstep."""
+    world, layout = encoder.world, encoder.layout
     players = layout.num_players
-    clocks = port._clock_table[:, :, state.instants[0]]  # noqa: SLF001 - a trial from outside
+    clocks = encoder._clock_table[:, :, state.instants[0]]  # noqa: SLF001 - a trial from outside
     clock = np.broadcast_to(clocks, (len(clocks), players))
     constants = np.concatenate([world.mode_weights[:, :, 0], clock, np.eye(players)]).astype(np.float32)
     _observe(state.estimates, state.own_gradients, world.neighbours, constants, out)
     return out
 
 
-def inputs(port: Port, actions: npt.NDArray[np.floating], state: State) -> FloatArray:  # noqa: ARG001 - the signature
-    """:meth:`Port.inputs` under ``physical``."""
+def inputs(encoder: Encoder, actions: npt.NDArray[np.floating], state: State) -> FloatArray:  # noqa: ARG001 - the signature
+    """:meth:`Encoder.inputs` under ``physical``."""
     result = np.empty(actions.shape[::-1])
     _inputs(actions, result)
     return result
@@ -85,8 +85,8 @@ def inputs(port: Port, actions: npt.NDArray[np.floating], state: State) -> Float
 def kernels() -> ExitStack:
     """While open, the kernels are used."""
     stack = ExitStack()
-    stack.enter_context(mock.patch.object(Port, "observe", observe))
-    stack.enter_context(mock.patch.object(Port, "inputs", inputs))
+    stack.enter_context(mock.patch.object(Encoder, "observe", observe))
+    stack.enter_context(mock.patch.object(Encoder, "inputs", inputs))
     return stack
 
 

@@ -18,11 +18,12 @@ from benchmarks.peers import MissingPeerError, iter_forever
 from benchmarks.timing import Contender, Plan, Spread, seconds_per_call
 from ptne_env import laws, parallel_env
 from ptne_env.arrays import Float32Array
-from ptne_env.dynamics import Dynamics, State
+from ptne_env.dynamics import State, World
+from ptne_env.encoder import Encoder
 from ptne_env.envs.vector import VectorParallelEnv
-from ptne_env.evaluation import rollout
-from ptne_env.evaluation.bank import draw_start
-from ptne_env.interface import Interface, InterfaceKind, Port
+from ptne_env.experiments import rollout
+from ptne_env.experiments.episodes import draw_start
+from ptne_env.observation import Interface, InterfaceKind
 from ptne_env.rewards import Reward
 from ptne_env.scenario import Scenario, get_scenario
 
@@ -110,28 +111,30 @@ def slots(interface: InterfaceKind, num_envs: int) -> Contender:
 
 def parts(interface: InterfaceKind, num_envs: int, plan: Plan, scenario: str | Scenario = "energy") -> dict[str, float]:
     """Microseconds of each part of a step of ``num_envs`` environments, each alone and therefore in a warm cache."""
-    world, port, reward, state = _world(interface, num_envs, scenario)
+    world, encoder, reward, state = _world(interface, num_envs, scenario)
     reward.reset(state)
-    port.observe(state)
-    played = next(actions(port.layout.action_bound, (num_envs, port.layout.num_players, port.layout.action_size)))
-    inputs = port.decode(played, state).inputs
+    encoder.observe(state)
+    played = next(
+        actions(encoder.layout.action_bound, (num_envs, encoder.layout.num_players, encoder.layout.action_size))
+    )
+    inputs = encoder.decode(played, state).inputs
     after = world.step(state, inputs)
     calls: dict[str, Callable[[], object]] = {
-        "decode actions": lambda: port.decode(played, state),
+        "decode actions": lambda: encoder.decode(played, state),
         "transition": lambda: world.step(state, inputs),
         "reward": lambda: reward.total(reward.step(after)),
         # A new state each time, because a state remembers its relative estimates.
-        "observe": lambda: port.observe(
+        "observe": lambda: encoder.observe(
             State(world, after.step, after.game, after.estimates, after.own_gradients, after.diverged)
         ),
     }
     return {name: 1e6 * seconds_per_call(call, plan) for name, call in calls.items()}
 
 
-def _world(interface: InterfaceKind, num_envs: int, scenario: str | Scenario) -> tuple[Dynamics, Port, Reward, State]:
-    world = Dynamics(get_scenario(scenario))
+def _world(interface: InterfaceKind, num_envs: int, scenario: str | Scenario) -> tuple[World, Encoder, Reward, State]:
+    world = World(get_scenario(scenario))
     state = draw_start(world, num_envs, seed=0)
-    return world, Port(world, Interface(interface)), Reward(world), state
+    return world, Encoder(world, Interface(interface)), Reward(world), state
 
 
 def memory(interface: InterfaceKind, num_envs: int, scenario: str | Scenario = "energy") -> dict[str, float]:
@@ -228,12 +231,12 @@ def training_share(plan: Plan) -> dict[str, Any]:
 def law_rollouts(plan: Plan) -> list[Contender]:
     """Rollouts of laws over a bank of ``random-energy``, environment, law and recorded metrics together."""
     episodes = 10 if plan.quick else 1000
-    world = Dynamics(get_scenario("random-energy"))
+    world = World(get_scenario("random-energy"))
     start = draw_start(world, episodes, seed=0)
-    port = Port(world, Interface("physical"))
+    encoder = Encoder(world, Interface("physical"))
     agent_steps = episodes * world.game.num_players * world.clock.total_steps
-    policies = {"static": laws.Static(port.layout), "adaptive": laws.Adaptive(port.layout)}
+    policies = {"static": laws.Static(encoder.layout), "adaptive": laws.Adaptive(encoder.layout)}
     return [
-        Contender(f"{name} law, {episodes} episodes", agent_steps, partial(rollout, policy, port, start))
+        Contender(f"{name} law, {episodes} episodes", agent_steps, partial(rollout, policy, encoder, start))
         for name, policy in policies.items()
     ]

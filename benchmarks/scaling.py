@@ -10,8 +10,8 @@ import numpy as np
 from benchmarks import ours
 from benchmarks.timing import Contender, Plan, Spread, interleave
 from ptne_env.envs.vector import VectorParallelEnv
-from ptne_env.interface import Layout
-from ptne_env.parts import Part
+from ptne_env.factory import FactorySpec
+from ptne_env.observation import ObservationLayout
 from ptne_env.scenario import Scenario
 
 _ENTRIES = 2_000_000
@@ -28,14 +28,16 @@ def scenario(players: int, graph: str) -> Scenario:
     """
     return Scenario(
         name=f"{graph}-{players}",
-        game=Part.of("ptne_env.games:RandomEnergy", players=players),
-        signal=Part.of("ptne_env.graphs:fixed", graph=Part.of(f"ptne_env.graphs:{graph}", players=players)),
+        game=FactorySpec.of("ptne_env.games:RandomEnergy", players=players),
+        topology=FactorySpec.of(
+            "ptne_env.switching:fixed", graph=FactorySpec.of(f"ptne_env.graphs:{graph}", players=players)
+        ),
         start="random",  # type: ignore[arg-type]  # a short name, as documented
         input_limit=100.0,
     )
 
 
-def arithmetic(layout: Layout) -> int:
+def arithmetic(layout: ObservationLayout) -> int:
     """Additions, multiplications and comparisons that one agent-step of an energy game needs, interface ``physical``.
 
     Per component: 2 to move the estimate, 1 for the gradient's sum, 3 for the distance, 2 to stay in range, 2 to
@@ -44,7 +46,7 @@ def arithmetic(layout: Layout) -> int:
     return (10 + layout.slots) * layout.dimension + 20
 
 
-def traffic(layout: Layout) -> int:
+def traffic(layout: ObservationLayout) -> int:
     """Bytes that one agent-step must move at least, everything being read and written once.
 
     The action is read (float32), the estimate read and written (float64), the observation written (float32) and the

@@ -12,9 +12,9 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 
-from ptne_env import Layout
-from ptne_env.evaluation.benchmark import run_suite
-from ptne_env.evaluation.leaderboard import leaderboard
+from ptne_env import ObservationLayout
+from ptne_env.experiments.benchmark import run_suite
+from ptne_env.experiments.leaderboard import leaderboard
 
 TRACKS = ("nominal", "switching-transformed", "noise", "coarse-step", "short-deadline")
 
@@ -26,7 +26,7 @@ class EvenPace:
     however long the step is; so it neither crawls through short steps nor overshoots in long ones.
     """
 
-    def __init__(self, layout: Layout, gradient: float = 0.25, consensus: float = 0.5) -> None:
+    def __init__(self, layout: ObservationLayout, gradient: float = 0.25, consensus: float = 0.5) -> None:
         """What observations mean comes from the layout; nothing else reaches a policy."""
         self.layout, self.gradient, self.consensus = layout, gradient, consensus
 
@@ -45,7 +45,7 @@ class EvenPace:
         return self.layout.write(move / np.maximum(reading.theta, 1e-9), reading), state
 
 
-def make(layout: Layout) -> EvenPace:
+def make(layout: ObservationLayout) -> EvenPace:
     """What ``--policy custom_policy:make`` calls."""
     return EvenPace(layout)
 

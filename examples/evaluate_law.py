@@ -12,7 +12,7 @@ from ptne_env import laws
 class HalfSpeed:
     """A policy is anything with Stable-Baselines3's predict(); this one does half of what the static law would."""
 
-    def __init__(self, layout: ptne_env.Layout) -> None:
+    def __init__(self, layout: ptne_env.ObservationLayout) -> None:
         """Build the law for the observations of this layout."""
         self.law = laws.Static(layout, kappa=2.0)
 
@@ -33,8 +33,8 @@ def main() -> None:
     results = ptne_env.evaluate(
         [
             "static",
-            ptne_env.Entry("static, κ = 4", lambda layout: laws.Static(layout, kappa=4.0)),
-            ptne_env.Entry("half speed", HalfSpeed),
+            ptne_env.PolicySpec("static, κ = 4", lambda layout: laws.Static(layout, kappa=4.0)),
+            ptne_env.PolicySpec("half speed", HalfSpeed),
         ],
         [
             ptne_env.get_scenario("energy", start="random"),

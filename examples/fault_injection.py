@@ -9,22 +9,22 @@ Run it with: python examples/fault_injection.py
 from typing import Any
 
 import ptne_env
-from ptne_env import Part, get_scenario
+from ptne_env import FactorySpec, get_scenario
 
 
-def channel(name: str, **arguments: Any) -> dict[str, Part]:
+def channel(name: str, **arguments: Any) -> dict[str, FactorySpec]:
     """The change of a scenario that puts a channel between the players."""
-    return {"channel": Part.of(f"ptne_env.channel:{name}", **arguments)}
+    return {"channel": FactorySpec.of(f"ptne_env.channel:{name}", **arguments)}
 
 
-def chain(*stages: dict[str, Part]) -> dict[str, Part]:
+def chain(*stages: dict[str, FactorySpec]) -> dict[str, FactorySpec]:
     """Several channels one after the other: a message passes the first one first."""
     return channel("Chain", stages=[stage["channel"] for stage in stages])
 
 
-def push(bound: float) -> dict[str, Part]:
+def push(bound: float) -> dict[str, FactorySpec]:
     """A velocity that disturbs the strategies, drawn anew every 25 steps."""
-    return {"disturbance": Part.of("ptne_env.disturbances:UniformDisturbance", bound=bound, dwell=25)}
+    return {"disturbance": FactorySpec.of("ptne_env.disturbances:UniformDisturbance", bound=bound, dwell=25)}
 
 
 FAULTS: dict[str, dict[str, dict[str, Any]]] = {

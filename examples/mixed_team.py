@@ -9,12 +9,12 @@ Run it with: python examples/mixed_team.py
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from ptne_env import Part, get_scenario
-from ptne_env.evaluation.benchmark import run_suite
-from ptne_env.evaluation.leaderboard import leaderboard
-from ptne_env.evaluation.suite import Suite, Teammates, Track
+from ptne_env import FactorySpec, get_scenario
+from ptne_env.experiments.benchmark import run_suite
+from ptne_env.experiments.leaderboard import leaderboard
+from ptne_env.experiments.suite import Suite, Teammates, Track
 
-PAPER = Part.of("ptne_env.laws:Static", kappa=2.0)
+PAPER = FactorySpec.of("ptne_env.laws:Static", kappa=2.0)
 ENTRY = "static-tuned"
 
 

@@ -14,13 +14,13 @@ import networkx as nx
 import numpy as np
 from rich.console import Console
 
-from ptne_env import Part, get_scenario, graphs, laws
-from ptne_env.channel import Channel, Dice, Memory, Messages
-from ptne_env.evaluation.benchmark import run_suite
-from ptne_env.evaluation.leaderboard import leaderboard
-from ptne_env.evaluation.suite import Suite, Track
+from ptne_env import FactorySpec, get_scenario, graphs, laws, switching
+from ptne_env.channel import Channel, LinkNoise, Memory, Messages
+from ptne_env.experiments.benchmark import run_suite
+from ptne_env.experiments.leaderboard import leaderboard
+from ptne_env.experiments.suite import Suite, Track
 from ptne_env.games import AffineGame
-from ptne_env.interface import Layout, Reading
+from ptne_env.observation import ObservationLayout, Reading
 from ptne_env.report import leaderboard_tables
 
 
@@ -33,9 +33,9 @@ class BeautyContest(AffineGame):
         super().__init__(np.eye(len(tastes)) - conformity / (len(tastes) - 1) * others, -np.asarray(tastes))
 
 
-def wheel(players: int) -> graphs.Signal:
+def wheel(players: int) -> switching.SwitchingTopology:
     """Player 0 in the hub, the others on the rim."""
-    return graphs.fixed(graphs.from_networkx(nx.wheel_graph(players)))
+    return switching.fixed(graphs.from_networkx(nx.wheel_graph(players)))
 
 
 class Clipped(Channel):
@@ -47,7 +47,7 @@ class Clipped(Channel):
         """The largest number that can be sent."""
         self.bound = bound
 
-    def transmit(self, messages: Messages, memory: Memory | None, dice: Dice) -> tuple[Messages, Memory]:  # noqa: ARG002 - nothing is remembered
+    def transmit(self, messages: Messages, memory: Memory | None, link_noise: LinkNoise) -> tuple[Messages, Memory]:  # noqa: ARG002 - nothing is remembered
         """What is left of the messages."""
         return replace(messages, values=np.clip(messages.values, -self.bound, self.bound)), ()
 
@@ -55,7 +55,7 @@ class Clipped(Channel):
 class HeavyBall(laws.Law):
     """The static law with inertia: v ← β v + (1 − β) u, and v is the input."""
 
-    def __init__(self, layout: Layout, kappa: float = 2.0, inertia: float = 0.5) -> None:
+    def __init__(self, layout: ObservationLayout, kappa: float = 2.0, inertia: float = 0.5) -> None:
         """Consensus gain κ, and β."""
         super().__init__(layout)
         self.kappa, self.inertia = kappa, inertia
@@ -72,9 +72,9 @@ class HeavyBall(laws.Law):
 def suite() -> Suite:
     """Two tracks: the game on the wheel, and with messages that are cut."""
     base = get_scenario(
-        "energy", name="contest", game="own_parts:BeautyContest", signal=Part.of("own_parts:wheel", players=5)
+        "energy", name="contest", game="own_parts:BeautyContest", topology=FactorySpec.of("own_parts:wheel", players=5)
     ).replace(start="random")
-    cut = base.replace(name="clipped", channel=Part.of("own_parts:Clipped", bound=10.0))
+    cut = base.replace(name="clipped", channel=FactorySpec.of("own_parts:Clipped", bound=10.0))
     return Suite(
         "own-parts",
         1,

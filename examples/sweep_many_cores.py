@@ -15,11 +15,11 @@ from time import perf_counter
 from joblib import cpu_count
 
 import ptne_env
-from ptne_env import Part, get_scenario
-from ptne_env.evaluation.benchmark import run_suite
-from ptne_env.evaluation.leaderboard import leaderboard
-from ptne_env.evaluation.parallel import Workers
-from ptne_env.evaluation.suite import Suite, Track
+from ptne_env import FactorySpec, get_scenario
+from ptne_env.experiments.benchmark import run_suite
+from ptne_env.experiments.leaderboard import leaderboard
+from ptne_env.experiments.suite import Suite, Track
+from ptne_env.experiments.workers import Workers
 
 GAINS = (1.0, 2.0, 4.0, 8.0)
 STEPS = (100, 200, 400)
@@ -29,7 +29,9 @@ def sweep(folder: Path) -> dict[tuple[int, float], float]:
     """Mean digits by number of steps and κ."""
     base = get_scenario("random-energy")
     tracks = [Track(f"K={steps}", base.replace(steps=steps), f"{steps} steps to the deadline.") for steps in STEPS]
-    policies = [ptne_env.Entry(f"κ={gain:g}", Part.of("ptne_env.laws:Static", kappa=gain)) for gain in GAINS]
+    policies = [
+        ptne_env.PolicySpec(f"κ={gain:g}", FactorySpec.of("ptne_env.laws:Static", kappa=gain)) for gain in GAINS
+    ]
     run = run_suite(Suite("gain-steps", 1, tuple(tracks), episodes=20), policies, folder, workers=Workers(-1))
     board = leaderboard(run)
     points = [(steps, gain) for steps in STEPS for gain in GAINS]

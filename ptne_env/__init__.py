@@ -15,12 +15,12 @@ if TYPE_CHECKING:
     from ptne_env.envs.parallel import NashSeekingEnv as NashSeekingEnv
     from ptne_env.envs.parallel import parallel_env as parallel_env
     from ptne_env.envs.vector import VectorParallelEnv as VectorParallelEnv
-    from ptne_env.evaluation import Entry as Entry
-    from ptne_env.evaluation import Results as Results
-    from ptne_env.evaluation import evaluate as evaluate
-    from ptne_env.interface import Interface as Interface
-    from ptne_env.interface import Layout as Layout
-    from ptne_env.parts import Part as Part
+    from ptne_env.experiments import PolicySpec as PolicySpec
+    from ptne_env.experiments import Results as Results
+    from ptne_env.experiments import evaluate as evaluate
+    from ptne_env.factory import FactorySpec as FactorySpec
+    from ptne_env.observation import Interface as Interface
+    from ptne_env.observation import ObservationLayout as ObservationLayout
     from ptne_env.policy import Policy as Policy
     from ptne_env.scenario import CATALOGUE as CATALOGUE
     from ptne_env.scenario import Scenario as Scenario
@@ -29,16 +29,16 @@ else:
     # Each name is imported when it is first asked for (PEP 562): together they take long.
     _HOMES = {
         "CATALOGUE": "scenario",
-        "Entry": "evaluation",
-        "Interface": "interface",
-        "Layout": "interface",
+        "PolicySpec": "experiments",
+        "Interface": "observation",
+        "ObservationLayout": "observation",
         "NashSeekingEnv": "envs",
-        "Part": "parts",
+        "FactorySpec": "factory",
         "Policy": "policy",
-        "Results": "evaluation",
+        "Results": "experiments",
         "Scenario": "scenario",
         "VectorParallelEnv": "envs",
-        "evaluate": "evaluation",
+        "evaluate": "experiments",
         "get_scenario": "scenario",
         "laws": "laws",
         "parallel_env": "envs",

@@ -2,14 +2,14 @@
 
 In every step the sender j puts its estimate x^j on each of its live links. A channel turns the sequence of these
 messages into what the receiver i hears: in every step a value per component, whether anything is heard at all, and the
-weight a_ij that it gives to it. Observations hold (what was heard) − x^i and these weights, and nothing else of x^j.
+weight a_ij that it gives to it. Observations hold (what was received) − x^i and these weights, and nothing else of x^j.
 
 A channel is one stage or a :class:`Chain` of stages, each fed with what comes out of the one before. Below, v is what a
 stage is fed on a link (i, j) in step k, y what it puts out, σ a parameter, ξ ~ N(0, 1) and U ~ U(0, 1) independent over
 episodes, stages, steps, directed links and (for noise) components. Before the start a stage was fed what it is fed at
 the start, and its receivers hold that.
 
-Random numbers are hashes of an episode's key and of what they are for (:mod:`ptne_env.counters`), so they are the same
+Random numbers are hashes of an episode's key and of what they are for (:mod:`ptne_env.counter_random`), so they are the same
 whatever a policy does and however many environments there are.
 """
 
@@ -22,7 +22,7 @@ from typing import Any, Literal, TypeAlias, get_args
 
 import numpy as np
 
-from ptne_env import counters
+from ptne_env import counter_random
 from ptne_env.arrays import (
     BoolArray,
     FloatArray,
@@ -32,7 +32,7 @@ from ptne_env.arrays import (
     require_non_negative,
     require_positive,
 )
-from ptne_env.counters import CounterArray
+from ptne_env.counter_random import CounterArray
 
 Gap: TypeAlias = Literal["hold", "drop"]
 """What a receiver does when nothing comes: ``hold`` the last message received, or ``drop`` the link for the step."""
@@ -61,7 +61,7 @@ class Messages:
     own: FloatArray
 
 
-class Dice:
+class LinkNoise:
     """The random numbers of one stage in one step, each a function of what it is for.
 
     Args:
@@ -77,19 +77,19 @@ class Dice:
         self._senders = senders
         self._dimension = dimension
 
-    def stage(self, index: int) -> Dice:
-        """The dice of stage ``index`` of a chain, independent of all others."""
-        return Dice(counters.child_keys(self._keys, index), self._step, self._senders, self._dimension)
+    def stage(self, index: int) -> LinkNoise:
+        """The link_noise of stage ``index`` of a chain, independent of all others."""
+        return LinkNoise(counter_random.child_keys(self._keys, index), self._step, self._senders, self._dimension)
 
     def uniforms(self, purpose: int = 0) -> FloatArray:
         """U(0, 1) per directed link, shape (D, N, B); another ``purpose`` gives other numbers."""
-        return counters.uniforms(self._base(purpose), self._links()[:, :, None])
+        return counter_random.uniforms(self._base(purpose), self._links()[:, :, None])
 
     def normals(self, purpose: int = 0) -> FloatArray:
         """N(0, 1) per component and directed link, shape (D, n, N, B); another ``purpose`` gives other numbers."""
         components = np.arange(self._dimension, dtype=np.uint64)
         numbers = self._links()[:, None, :] * np.uint64(self._dimension) + components[:, None]
-        return counters.normals(self._base(purpose), numbers[..., None])
+        return counter_random.normals(self._base(purpose), numbers[..., None])
 
     def _links(self) -> CounterArray:
         """The number i N + j of each link, which is the same in every slot; shape (D, N)."""
@@ -98,11 +98,11 @@ class Dice:
 
     def _base(self, purpose: int) -> CounterArray:
         """A key per environment for this purpose and step, shape (B,)."""
-        return counters.words(counters.child_keys(self._keys, purpose), self._step.astype(np.uint64))
+        return counter_random.words(counter_random.child_keys(self._keys, purpose), self._step.astype(np.uint64))
 
 
 class Channel(ABC):
-    """What happens to messages: a map from what is on the links to what is heard, with a memory.
+    """What happens to messages: a map from what is on the links to what is received, with a memory.
 
     Attributes:
         is_perfect: whether everything is heard as it was sent.
@@ -115,13 +115,13 @@ class Channel(ABC):
     largest_weight_factor: float = 1.0
 
     @abstractmethod
-    def transmit(self, messages: Messages, memory: Memory | None, dice: Dice) -> tuple[Messages, Memory]:
+    def transmit(self, messages: Messages, memory: Memory | None, link_noise: LinkNoise) -> tuple[Messages, Memory]:
         """What comes out in a step, and what the channel remembers of it.
 
         Args:
             messages: what is put in.
             memory: what :meth:`transmit` returned in the step before; ``None`` in the first one.
-            dice: the random numbers of the step.
+            link_noise: the random numbers of the step.
         """
 
 
@@ -142,12 +142,12 @@ class Chain(Channel):
         self.is_random = any(stage.is_random for stage in self.stages)
         self.largest_weight_factor = float(np.prod([stage.largest_weight_factor for stage in self.stages]))
 
-    def transmit(self, messages: Messages, memory: Memory | None, dice: Dice) -> tuple[Messages, Memory]:
+    def transmit(self, messages: Messages, memory: Memory | None, link_noise: LinkNoise) -> tuple[Messages, Memory]:
         """What comes out of the last stage."""
         remembered = []
         for index, stage in enumerate(self.stages):
             before = None if memory is None else memory[index]
-            messages, after = stage.transmit(messages, before, dice.stage(index))
+            messages, after = stage.transmit(messages, before, link_noise.stage(index))
             remembered.append(after)
         return messages, tuple(remembered)
 
@@ -167,9 +167,9 @@ class AdditiveNoise(Channel):
     def __init__(self, std: float) -> None:
         self.std = require_non_negative("std", std)
 
-    def transmit(self, messages: Messages, memory: Memory | None, dice: Dice) -> tuple[Messages, Memory]:  # noqa: ARG002 - nothing is remembered
+    def transmit(self, messages: Messages, memory: Memory | None, link_noise: LinkNoise) -> tuple[Messages, Memory]:  # noqa: ARG002 - nothing is remembered
         """Messages with noise."""
-        noise = dice.normals()
+        noise = link_noise.normals()
         noise *= self.std
         noise += messages.values
         return replace(messages, values=noise), ()
@@ -185,9 +185,9 @@ class MultiplicativeNoise(Channel):
     def __init__(self, std: float) -> None:
         self.std = require_non_negative("std", std)
 
-    def transmit(self, messages: Messages, memory: Memory | None, dice: Dice) -> tuple[Messages, Memory]:  # noqa: ARG002 - nothing is remembered
+    def transmit(self, messages: Messages, memory: Memory | None, link_noise: LinkNoise) -> tuple[Messages, Memory]:  # noqa: ARG002 - nothing is remembered
         """Messages with noise."""
-        noise = dice.normals()
+        noise = link_noise.normals()
         noise *= self.std
         noise *= messages.values - messages.own
         noise += messages.values
@@ -215,26 +215,26 @@ class Delay(Channel):
         self.longest = require_count("longest", steps if longest is None else longest, self.steps)
         self.is_random = self.longest > self.steps
 
-    def transmit(self, messages: Messages, memory: Memory | None, dice: Dice) -> tuple[Messages, Memory]:
+    def transmit(self, messages: Messages, memory: Memory | None, link_noise: LinkNoise) -> tuple[Messages, Memory]:
         """What arrived last."""
         lags = np.full(messages.live.shape, self.steps)
         if self.is_random:
-            lags += (dice.uniforms() * (self.longest - self.steps + 1)).astype(np.int64)
+            lags += (link_noise.uniforms() * (self.longest - self.steps + 1)).astype(np.int64)
         lags[~messages.live] = -1  # never arrives
         if memory is None:
-            held, heard = messages.values, messages.live
+            held, received = messages.values, messages.live
             past, past_lags = (messages.values,) * self.longest, (np.full_like(lags, -1),) * self.longest
         else:
-            held, heard, past, past_lags = memory
+            held, received, past, past_lags = memory
         # Newest first: entry d was sent d steps ago. Tuples of arrays that nobody changes shift for free.
         past, past_lags = (messages.values, *past), (lags, *past_lags)
-        held, heard = held.copy(), heard.copy()
+        held, received = held.copy(), received.copy()
         for age in range(self.longest, self.steps - 1, -1):
             arrives = past_lags[age] == age
             np.copyto(held, past[age], where=arrives[:, None])
-            heard |= arrives
+            received |= arrives
         last = self.longest
-        return replace(messages, values=held, live=heard), (held, heard, past[:last], past_lags[:last])
+        return replace(messages, values=held, live=received), (held, received, past[:last], past_lags[:last])
 
 
 class _Losing(Channel):
@@ -248,11 +248,11 @@ class _Losing(Channel):
     def _lose(self, messages: Messages, lost: BoolArray, memory: Memory | None) -> tuple[Messages, Memory]:
         if self.gap == "drop":
             return replace(messages, live=messages.live & ~lost), ()
-        held, heard = (messages.values, messages.live) if memory is None else memory
+        held, received = (messages.values, messages.live) if memory is None else memory
         arrives = messages.live & ~lost
         held = np.where(arrives[:, None], messages.values, held)
-        heard = heard | arrives
-        return replace(messages, values=held, live=np.where(lost, heard, messages.live)), (held, heard)
+        received = received | arrives
+        return replace(messages, values=held, live=np.where(lost, received, messages.live)), (held, received)
 
 
 class Loss(_Losing):
@@ -270,9 +270,9 @@ class Loss(_Losing):
         super().__init__(gap)
         self.probability = _require_probability("probability", probability)
 
-    def transmit(self, messages: Messages, memory: Memory | None, dice: Dice) -> tuple[Messages, Memory]:
+    def transmit(self, messages: Messages, memory: Memory | None, link_noise: LinkNoise) -> tuple[Messages, Memory]:
         """What is not lost."""
-        return self._lose(messages, dice.uniforms() < self.probability, memory or None)
+        return self._lose(messages, link_noise.uniforms() < self.probability, memory or None)
 
 
 class BurstLoss(_Losing):
@@ -302,16 +302,16 @@ class BurstLoss(_Losing):
         self.loss_bad = _require_probability("loss_bad", loss_bad)
         self.loss_good = _require_probability("loss_good", loss_good)
 
-    def transmit(self, messages: Messages, memory: Memory | None, dice: Dice) -> tuple[Messages, Memory]:
+    def transmit(self, messages: Messages, memory: Memory | None, link_noise: LinkNoise) -> tuple[Messages, Memory]:
         """What is not lost."""
-        turn = dice.uniforms()
+        turn = link_noise.uniforms()
         if memory is None:
             bad = turn < self.to_bad / (self.to_bad + self.to_good)
         else:
             bad = np.where(memory[0], turn >= self.to_good, turn < self.to_bad)
-        lost = dice.uniforms(purpose=1) < np.where(bad, self.loss_bad, self.loss_good)
-        heard, held = self._lose(messages, lost, (memory and memory[1]) or None)
-        return heard, (bad, held)
+        lost = link_noise.uniforms(purpose=1) < np.where(bad, self.loss_bad, self.loss_good)
+        received, held = self._lose(messages, lost, (memory and memory[1]) or None)
+        return received, (bad, held)
 
 
 class _Quantiser(Channel):
@@ -324,7 +324,7 @@ class _Quantiser(Channel):
             raise ValueError(f"target is one of {', '.join(map(repr, get_args(Target)))}, got {target!r}")
         self.target: Target = target
 
-    def transmit(self, messages: Messages, memory: Memory | None, dice: Dice) -> tuple[Messages, Memory]:  # noqa: ARG002 - neither is needed
+    def transmit(self, messages: Messages, memory: Memory | None, link_noise: LinkNoise) -> tuple[Messages, Memory]:  # noqa: ARG002 - neither is needed
         """Messages on levels."""
         if self.target == "message":
             return replace(messages, values=self._level(messages.values)), ()
@@ -401,9 +401,9 @@ class AsymmetricLinks(Channel):
             raise ValueError(f"AsymmetricLinks needs low < high, got {low!r} and {high!r}")
         self.largest_weight_factor = self.high
 
-    def transmit(self, messages: Messages, memory: Memory | None, dice: Dice) -> tuple[Messages, Memory]:
+    def transmit(self, messages: Messages, memory: Memory | None, link_noise: LinkNoise) -> tuple[Messages, Memory]:
         """Messages with other weights."""
-        factors = self.low + (self.high - self.low) * dice.uniforms() if memory is None else memory[0]
+        factors = self.low + (self.high - self.low) * link_noise.uniforms() if memory is None else memory[0]
         return replace(messages, weights=messages.weights * factors), (factors,)
 
 

@@ -24,23 +24,23 @@ except ImportError as error:  # pragma: no cover - exercised in an environment w
 from ptne_env import policies as learned
 from ptne_env import theory, training
 from ptne_env._version import __version__
-from ptne_env.evaluation import (
+from ptne_env.experiments import (
     COMPARATIVE_METRICS,
     ENTRIES,
     METRICS,
-    Entry,
+    PolicySpec,
     default_entries,
     evaluate,
-    get_entry,
+    get_policy_spec,
     suite_entries,
 )
-from ptne_env.evaluation.benchmark import check, executes_code, get_participant, run_suite
-from ptne_env.evaluation.entries import law_names, law_part
-from ptne_env.evaluation.leaderboard import leaderboard
-from ptne_env.evaluation.parallel import Workers
-from ptne_env.evaluation.suite import SUITES, find_scenario, get_suite
-from ptne_env.evaluation.sweep import SWEEPS, run_sweep
-from ptne_env.evaluation.traces import comparison_scenes, suite_scenes
+from ptne_env.experiments.benchmark import check, executes_code, get_participant, run_suite
+from ptne_env.experiments.leaderboard import leaderboard
+from ptne_env.experiments.policy_specs import law_names, law_part
+from ptne_env.experiments.suite import SUITES, find_scenario, get_suite
+from ptne_env.experiments.sweep import SWEEPS, run_sweep
+from ptne_env.experiments.traces import comparison_scenes, suite_scenes
+from ptne_env.experiments.workers import Workers
 from ptne_env.files import require_writable, write_atomically
 from ptne_env.report import (
     certificate_tables,
@@ -318,7 +318,7 @@ def compare(
 
 
 def _compare(
-    entries: Sequence[str | Entry],
+    entries: Sequence[str | PolicySpec],
     scenarios: Sequence[str],
     episodes: int,
     seed: int,
@@ -473,7 +473,7 @@ def render(
 ) -> None:
     """Write an episode as a film: strategies, estimates, distances and live links over time."""
     _require_writable(out)
-    world, entry = find_scenario(scenario), get_entry(policy)
+    world, entry = find_scenario(scenario), get_policy_spec(policy)
     if hold_steps is not None:
         world = world.replace(hold_steps=hold_steps)
     with _progress() as progress:

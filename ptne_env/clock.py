@@ -354,7 +354,7 @@ class StepClock:
         return Reading(frozen(believed), frozen(transformed(believed)), frozen(theta))
 
     @property
-    def signal_times(self) -> dict[str, FloatArray]:
-        """The clocks that signals follow at each instant: t, and s that goes on with s_end + c (t − T) after T."""
+    def topology_times(self) -> dict[str, FloatArray]:
+        """The clocks that topologies follow at each instant: t, and s that goes on with s_end + c (t − T) after T."""
         hold = self.gain * (self.t[self.steps :] - self.deadline)
         return {"physical": self.t, "transformed": np.concatenate([self.s[: self.steps], self.s_end + hold])}

@@ -6,9 +6,9 @@ from abc import ABC, abstractmethod
 
 import numpy as np
 
-from ptne_env import counters
+from ptne_env import counter_random
 from ptne_env.arrays import FloatArray, IntArray, require_count, require_positive
-from ptne_env.counters import CounterArray
+from ptne_env.counter_random import CounterArray
 
 
 class Disturbance(ABC):
@@ -31,7 +31,7 @@ class Disturbance(ABC):
         """The velocity w in units of the strategies per second, shape (n, B).
 
         Args:
-            keys: one per environment, which name its random numbers (:mod:`ptne_env.counters`), shape (B,).
+            keys: one per environment, which name its random numbers (:mod:`ptne_env.counter_random`), shape (B,).
             step: index of the step, shape (B,).
             dimension: n.
         """
@@ -68,7 +68,7 @@ class UniformDisturbance(Disturbance):
     def velocity(self, keys: CounterArray, step: IntArray, dimension: int) -> FloatArray:
         """The draw of each environment's step."""
         draws = (step // self.dwell).astype(np.uint64) * np.uint64(dimension)
-        numbers = counters.uniforms(keys, draws + np.arange(dimension, dtype=np.uint64)[:, None])
+        numbers = counter_random.uniforms(keys, draws + np.arange(dimension, dtype=np.uint64)[:, None])
         numbers -= 0.5
         numbers *= 2 * self.bound
         return numbers

@@ -24,7 +24,7 @@ import numpy as np
 
 from ptne_env import distances
 from ptne_env.arrays import FloatArray, require_non_negative
-from ptne_env.dynamics import RANGE_LIMIT, Dynamics, State
+from ptne_env.dynamics import RANGE_LIMIT, State, World
 from ptne_env.games import NoBestResponseError
 
 TERMS = ("digits", "tracking", "payoff", "regret")
@@ -51,7 +51,7 @@ class Reward:
     """The reward of one world; remembers the distances of the previous instant.
 
     Args:
-        dynamics: the world.
+        world: the world.
         reward: a term's name, or weights by name.
 
     Attributes:
@@ -61,12 +61,12 @@ class Reward:
         ValueError: for an unknown term, or ``regret`` on a game without best response.
     """
 
-    def __init__(self, dynamics: Dynamics, reward: str | Mapping[str, float] = "digits") -> None:
+    def __init__(self, world: World, reward: str | Mapping[str, float] = "digits") -> None:
         self.weights = parse_reward(reward)
-        self.dynamics = dynamics
-        if "regret" in self.weights and not dynamics.game.has_best_response:
+        self.world = world
+        if "regret" in self.weights and not world.game.has_best_response:
             raise NoBestResponseError(
-                f"reward 'regret' needs a best response, which {type(dynamics.game).__name__} does not have "
+                f"reward 'regret' needs a best response, which {type(world.game).__name__} does not have "
                 "everywhere; choose digits, tracking or payoff"
             )
         self._distance = np.empty((0, 0))
@@ -82,7 +82,7 @@ class Reward:
         self._measure(state)
         terms = {name: self._term(name, state, before) for name in self.weights}
         if state.any_diverged:
-            remaining = 1 + self.dynamics.clock.total_steps - state.step
+            remaining = 1 + self.world.clock.total_steps - state.step
             worst = self._worst(state)
             for name, value in terms.items():
                 if name in worst:
@@ -101,13 +101,13 @@ class Reward:
 
     def _worst(self, state: State) -> dict[str, FloatArray | float]:
         """Reward per remaining step at the range limit; the digits' is 0 once the distance is at its limit."""
-        limit = self.dynamics.distance_limit(state.game)
+        limit = self.world.distance_limit(state.game)
         return {"tracking": -limit, "payoff": -REWARD_LIMIT, "regret": -REWARD_LIMIT}
 
     def _measure(self, state: State) -> None:
         distance = distances.player_distances(state.estimates, state.game)
         if state.any_diverged:
-            distance = np.where(state.diverged, self.dynamics.distance_limit(state.game), distance)
+            distance = np.where(state.diverged, self.world.distance_limit(state.game), distance)
         self._distance = distance
         self._digits = distances.digits(distance)
 

@@ -16,30 +16,30 @@ from ptne_env.arrays import require_count, require_finite, require_positive
 from ptne_env.channel import Channel
 from ptne_env.clock import Spacing, StepClock, TimeTransformation
 from ptne_env.disturbances import Disturbance
+from ptne_env.factory import FactorySpec
 from ptne_env.games import Game, GameFamily, SingleGame
-from ptne_env.graphs import Signal
-from ptne_env.parts import Part
 from ptne_env.starts import Start
+from ptne_env.switching import SwitchingTopology
 
 SHORTFALL_WARNING = 0.01
 """A scenario whose last step ends more than this fraction of T short of the deadline says so."""
 
-_SHORTHANDS: dict[str, dict[str, Part]] = {
+_SHORTHANDS: dict[str, dict[str, FactorySpec]] = {
     "start": {
-        "paper": Part.of("ptne_env.starts:paper_start"),
-        "random": Part.of("ptne_env.starts:UniformStart", low=-20.0, high=20.0),
+        "paper": FactorySpec.of("ptne_env.starts:paper_start"),
+        "random": FactorySpec.of("ptne_env.starts:UniformStart", low=-20.0, high=20.0),
     },
     "transformation": {
-        "exponential": Part.of("ptne_env.clock:Exponential"),
-        "rational": Part.of("ptne_env.clock:Rational"),
-        "tanh": Part.of("ptne_env.clock:HyperbolicTangent"),
+        "exponential": FactorySpec.of("ptne_env.clock:Exponential"),
+        "rational": FactorySpec.of("ptne_env.clock:Rational"),
+        "tanh": FactorySpec.of("ptne_env.clock:HyperbolicTangent"),
     },
-    "channel": {"perfect": Part.of("ptne_env.channel:perfect")},
-    "disturbance": {"none": Part.of("ptne_env.disturbances:Undisturbed")},
+    "channel": {"perfect": FactorySpec.of("ptne_env.channel:perfect")},
+    "disturbance": {"none": FactorySpec.of("ptne_env.disturbances:Undisturbed")},
 }
 _PARTS: Mapping[str, tuple[type, ...]] = {
     "game": (Game, GameFamily),
-    "signal": (Signal,),
+    "topology": (SwitchingTopology,),
     "start": (Start,),
     "transformation": (TimeTransformation,),
     "channel": (Channel,),
@@ -47,34 +47,34 @@ _PARTS: Mapping[str, tuple[type, ...]] = {
 }
 
 
-def _as_part(field: str, value: Any) -> Part:
-    if isinstance(value, Part):
+def _as_part(field: str, value: Any) -> FactorySpec:
+    if isinstance(value, FactorySpec):
         return value
     if isinstance(value, Mapping):
-        return Part.from_dict(value)
+        return FactorySpec.from_dict(value)
     if isinstance(value, str):
         known = _SHORTHANDS.get(field, {})
         if value in known:
             return known[value]
         if ":" in value:
-            return Part.of(value)
-        choices = [*map(repr, known), "a 'module:object' string", "a Part"]
+            return FactorySpec.of(value)
+        choices = [*map(repr, known), "a 'module:object' string", "a FactorySpec"]
         raise ValueError(f"{field} is {', '.join(choices[:-1])} or {choices[-1]}; got {value!r}")
-    raise ValueError(f"{field} is a name, a 'module:object' string or a Part, got {type(value).__name__}")
+    raise ValueError(f"{field} is a name, a 'module:object' string or a FactorySpec, got {type(value).__name__}")
 
 
 @dataclass(frozen=True, kw_only=True)
 class Scenario:
     """The physics of an experiment. Two scenarios are equal when every field is, and can be dictionary keys.
 
-    ``game``, ``signal``, ``start``, ``transformation``, ``channel`` and ``disturbance`` accept a
-    :class:`~ptne_env.parts.Part`, a ``"module:object"`` string or the short names below, and hold a Part afterwards.
+    ``game``, ``topology``, ``start``, ``transformation``, ``channel`` and ``disturbance`` accept a
+    :class:`~ptne_env.factory.FactorySpec`, a ``"module:object"`` string or the short names below, and hold a FactorySpec afterwards.
 
     Attributes:
         name: for tables and files.
         game: builds a :class:`~ptne_env.games.Game`, or a :class:`~ptne_env.games.GameFamily` of which every episode
             draws one.
-        signal: builds a :class:`~ptne_env.graphs.Signal` on the game's players.
+        topology: builds a :class:`~ptne_env.switching.SwitchingTopology` on the game's players.
         start: builds a :class:`~ptne_env.starts.Start`; ``"paper"`` or ``"random"`` (every estimate U(−20, 20)).
         transformation: builds λ from ``deadline``; ``"exponential"`` (paper), ``"rational"`` or ``"tanh"``.
         deadline: T in seconds.
@@ -98,10 +98,10 @@ class Scenario:
     """
 
     name: str
-    game: Part
-    signal: Part
-    start: Part
-    transformation: Part = _SHORTHANDS["transformation"]["exponential"]
+    game: FactorySpec
+    topology: FactorySpec
+    start: FactorySpec
+    transformation: FactorySpec = _SHORTHANDS["transformation"]["exponential"]
     deadline: float = 1.2
     gain: float = 20.0
     steps: int = 400
@@ -109,8 +109,8 @@ class Scenario:
     spacing: Spacing = "effective"
     hold_steps: int = 0
     input_limit: float = 1000.0
-    channel: Part = _SHORTHANDS["channel"]["perfect"]
-    disturbance: Part = _SHORTHANDS["disturbance"]["none"]
+    channel: FactorySpec = _SHORTHANDS["channel"]["perfect"]
+    disturbance: FactorySpec = _SHORTHANDS["disturbance"]["none"]
     clock_shifts: tuple[float, ...] = ()
     slots: int | None = None
 
@@ -121,22 +121,22 @@ class Scenario:
             object.__setattr__(self, field, _as_part(field, getattr(self, field)))
         require_positive("input_limit", self.input_limit)
         clock = self.built_clock  # validates deadline, gain, steps, s_end, spacing, hold_steps
-        game, signal = self.built_game, self.built_signal
-        if signal.num_players != game.num_players:
+        game, topology = self.built_game, self.built_topology
+        if topology.num_players != game.num_players:
             raise ValueError(
-                f"scenario {self.name!r}: the game has {game.num_players} players, the graphs {signal.num_players}"
+                f"scenario {self.name!r}: the game has {game.num_players} players, the graphs {topology.num_players}"
             )
-        if not signal.is_jointly_connected:
-            kind = "graph is disconnected" if signal.is_fixed else "graphs are not jointly connected over a period"
+        if not topology.is_jointly_connected:
+            kind = "graph is disconnected" if topology.is_fixed else "graphs are not jointly connected over a period"
             raise ValueError(
                 f"scenario {self.name!r}: the {kind} (Assumptions 1 and 2), so no law can reach the equilibrium; add "
-                f"links between the components of {signal.union!r}"
+                f"links between the components of {topology.union!r}"
             )
-        if not signal.is_fixed:
-            longest = float(np.diff(clock.signal_times[signal.clock]).max())
-            if signal.shortest_dwell < longest * (1 - 1e-9):
+        if not topology.is_fixed:
+            longest = float(np.diff(clock.topology_times[topology.clock]).max())
+            if topology.shortest_dwell < longest * (1 - 1e-9):
                 raise ValueError(
-                    f"scenario {self.name!r}: the shortest dwell, {signal.shortest_dwell:.4g} on the {signal.clock} "
+                    f"scenario {self.name!r}: the shortest dwell, {topology.shortest_dwell:.4g} on the {topology.clock} "
                     f"clock, is shorter than the longest step, {longest:.4g}, so graphs would be skipped; use more "
                     "steps, another spacing or longer dwells"
                 )
@@ -152,7 +152,7 @@ class Scenario:
 
     def _check_players(self) -> None:
         """Check what has an entry for every player or neighbour, and that the remaining parts can be built."""
-        degree = self.built_signal.union.largest_degree
+        degree = self.built_topology.union.largest_degree
         if self.slots is not None and require_count("slots", self.slots, 1) < degree:
             raise ValueError(
                 f"scenario {self.name!r}: a player has {degree} neighbours and slots is {self.slots}; raise it to "
@@ -169,7 +169,7 @@ class Scenario:
         self.built_channel, self.built_disturbance  # noqa: B018 - built here, so that they fail here
 
     def _build(self, field: str, **extra: Any) -> Any:
-        part: Part = getattr(self, field)
+        part: FactorySpec = getattr(self, field)
         built = part.build(**extra)
         if not isinstance(built, _PARTS[field]):
             wanted = " or ".join(kind.__name__ for kind in _PARTS[field])
@@ -197,15 +197,15 @@ class Scenario:
 
     @property
     def is_random(self) -> bool:
-        """Whether two episodes of the same policy differ by chance."""
-        parts = (self.built_start, self.built_signal, self.built_channel, self.built_disturbance)
+        """Whether two episodes of the same policy differ by randomness."""
+        parts = (self.built_start, self.built_topology, self.built_channel, self.built_disturbance)
         return self.has_random_game or any(part.is_random for part in parts)
 
     @cached_property
-    def built_signal(self) -> Signal:
-        """The switching signal, built once."""
-        signal: Signal = self._build("signal")
-        return signal
+    def built_topology(self) -> SwitchingTopology:
+        """The switching topology, built once."""
+        topology: SwitchingTopology = self._build("topology")
+        return topology
 
     @cached_property
     def built_start(self) -> Start:
@@ -255,7 +255,7 @@ class Scenario:
         """A JSON object with one entry per field."""
         values = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
         values["clock_shifts"] = list(self.clock_shifts)
-        return {name: value.to_dict() if isinstance(value, Part) else value for name, value in values.items()}
+        return {name: value.to_dict() if isinstance(value, FactorySpec) else value for name, value in values.items()}
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any]) -> Scenario:
@@ -290,44 +290,46 @@ class Scenario:
 
 
 def _catalogue() -> dict[str, Scenario]:
-    energy = Part.of("ptne_env.games:EnergyGame")
-    corrected = Part.of("ptne_env.games:NonQuadraticGame", variant="corrected")
-    printed = Part.of("ptne_env.games:NonQuadraticGame", variant="printed")
-    ring = Part.of("ptne_env.graphs:fixed", graph=Part.of("ptne_env.graphs:cycle", players=5))
-    physical = Part.of("ptne_env.graphs:paper_signal", dwell=0.1, clock="physical")
-    transformed = Part.of("ptne_env.graphs:paper_signal", dwell=0.25, clock="transformed")
+    energy = FactorySpec.of("ptne_env.games:EnergyGame")
+    corrected = FactorySpec.of("ptne_env.games:NonQuadraticGame", variant="corrected")
+    printed = FactorySpec.of("ptne_env.games:NonQuadraticGame", variant="printed")
+    ring = FactorySpec.of("ptne_env.switching:fixed", graph=FactorySpec.of("ptne_env.graphs:cycle", players=5))
+    physical = FactorySpec.of("ptne_env.switching:paper_topology", dwell=0.1, clock="physical")
+    transformed = FactorySpec.of("ptne_env.switching:paper_topology", dwell=0.25, clock="transformed")
     start = _SHORTHANDS["start"]["paper"]
-    family = Part.of("ptne_env.games:RandomEnergy", players=5)
+    family = FactorySpec.of("ptne_env.games:RandomEnergy", players=5)
     anywhere = _SHORTHANDS["start"]["random"]
 
-    def in_games(name: str, **arguments: Any) -> Part:
-        return Part.of(f"ptne_env.games:{name}", **arguments)
+    def in_games(name: str, **arguments: Any) -> FactorySpec:
+        return FactorySpec.of(f"ptne_env.games:{name}", **arguments)
 
-    def between(low: float, high: float) -> Part:
-        return Part.of("ptne_env.starts:UniformStart", low=low, high=high)
+    def between(low: float, high: float) -> FactorySpec:
+        return FactorySpec.of("ptne_env.starts:UniformStart", low=low, high=high)
 
-    square = Part.of("ptne_env.graphs:fixed", graph=Part.of("ptne_env.graphs:cycle", players=4))
-    hvac = Part.of("ptne_env.games:EnergyGame", target=(50.0, 55.0, 60.0, 65.0, 70.0), coupling=0.04, base_price=5.0)
+    square = FactorySpec.of("ptne_env.switching:fixed", graph=FactorySpec.of("ptne_env.graphs:cycle", players=4))
+    hvac = FactorySpec.of(
+        "ptne_env.games:EnergyGame", target=(50.0, 55.0, 60.0, 65.0, 70.0), coupling=0.04, base_price=5.0
+    )
     scenarios = [
-        Scenario(name="energy", game=energy, signal=ring, start=start),
-        Scenario(name="energy-switching", game=energy, signal=physical, start=start),
-        Scenario(name="energy-switching-transformed", game=energy, signal=transformed, start=start),
-        Scenario(name="non-quadratic", game=corrected, signal=ring, start=start),
-        Scenario(name="non-quadratic-switching", game=corrected, signal=physical, start=start),
-        Scenario(name="non-quadratic-printed", game=printed, signal=ring, start=start),
-        Scenario(name="random-energy", game=family, signal=ring, start=anywhere, s_end=6.0),
-        Scenario(name="random-energy-switching", game=family, signal=physical, start=anywhere, s_end=6.0),
+        Scenario(name="energy", game=energy, topology=ring, start=start),
+        Scenario(name="energy-switching", game=energy, topology=physical, start=start),
+        Scenario(name="energy-switching-transformed", game=energy, topology=transformed, start=start),
+        Scenario(name="non-quadratic", game=corrected, topology=ring, start=start),
+        Scenario(name="non-quadratic-switching", game=corrected, topology=physical, start=start),
+        Scenario(name="non-quadratic-printed", game=printed, topology=ring, start=start),
+        Scenario(name="random-energy", game=family, topology=ring, start=anywhere, s_end=6.0),
+        Scenario(name="random-energy-switching", game=family, topology=physical, start=anywhere, s_end=6.0),
         Scenario(
-            name="random-energy-switching-transformed", game=family, signal=transformed, start=anywhere, s_end=6.0
+            name="random-energy-switching-transformed", game=family, topology=transformed, start=anywhere, s_end=6.0
         ),
-        Scenario(name="hvac-ye-hu", game=hvac, signal=ring, start=between(0.0, 100.0)),
-        Scenario(name="cournot", game=in_games("NetworkedCournot"), signal=ring, start=between(0.0, 6.0)),
-        Scenario(name="oligopoly", game=in_games("Oligopoly"), signal=square, start=between(20.0, 60.0)),
-        Scenario(name="robots", game=in_games("ConnectivityControl"), signal=ring, start=between(-10.0, 10.0)),
-        Scenario(name="ev-charging", game=in_games("ElectricVehicleCharging"), signal=ring, start=between(0.0, 2.0)),
-        Scenario(name="rate-control", game=in_games("RateControl"), signal=ring, start=between(0.0, 4.0)),
-        Scenario(name="random-affine", game=in_games("RandomAffine", players=5), signal=ring, start=anywhere),
-        Scenario(name="weakly-monotone", game=in_games("WeaklyMonotoneGame"), signal=ring, start=anywhere),
+        Scenario(name="hvac-ye-hu", game=hvac, topology=ring, start=between(0.0, 100.0)),
+        Scenario(name="cournot", game=in_games("NetworkedCournot"), topology=ring, start=between(0.0, 6.0)),
+        Scenario(name="oligopoly", game=in_games("Oligopoly"), topology=square, start=between(20.0, 60.0)),
+        Scenario(name="robots", game=in_games("ConnectivityControl"), topology=ring, start=between(-10.0, 10.0)),
+        Scenario(name="ev-charging", game=in_games("ElectricVehicleCharging"), topology=ring, start=between(0.0, 2.0)),
+        Scenario(name="rate-control", game=in_games("RateControl"), topology=ring, start=between(0.0, 4.0)),
+        Scenario(name="random-affine", game=in_games("RandomAffine", players=5), topology=ring, start=anywhere),
+        Scenario(name="weakly-monotone", game=in_games("WeaklyMonotoneGame"), topology=ring, start=anywhere),
     ]
     return {scenario.name: scenario for scenario in scenarios}
 

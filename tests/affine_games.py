@@ -3,7 +3,7 @@
 import numpy as np
 from sample_games import BlockGame, times
 
-from ptne_env import Part, Scenario
+from ptne_env import FactorySpec, Scenario
 
 
 class AffineGame(BlockGame):
@@ -21,10 +21,10 @@ class AffineGame(BlockGame):
         return np.linalg.solve(self.matrix, -self.offset)[:, None]
 
 
-def affine_scenario(matrix, offset, signal, **fields):
+def affine_scenario(matrix, offset, topology, **fields):
     """A scenario that plays F(x) = A x + q from random estimates."""
-    game = Part.of("affine_games:AffineGame", matrix=matrix, offset=offset)
-    return Scenario(name="affine", game=game, signal=signal, **{"start": "random", **fields})
+    game = FactorySpec.of("affine_games:AffineGame", matrix=matrix, offset=offset)
+    return Scenario(name="affine", game=game, topology=topology, **{"start": "random", **fields})
 
 
 def random_affine(generator, players, coupling=0.5):
@@ -41,19 +41,19 @@ def random_affine(generator, players, coupling=0.5):
     return matrix, generator.uniform(-5, 5, players), adjacency
 
 
-def run(dynamics, port, law, start, steps=None):
+def run(world, encoder, law, start, steps=None):
     """All estimates of an episode, (K+1, n, N, B)."""
     state, memory, states = start, None, [start.estimates]
-    for _ in range(steps or dynamics.clock.steps):
-        observations = port.observe(state).reshape(-1, port.layout.size)
+    for _ in range(steps or world.clock.steps):
+        observations = encoder.observe(state).reshape(-1, encoder.layout.size)
         actions, memory = law.predict(observations, state=memory)
-        actions = actions.reshape(state.batch_size, port.layout.num_players, -1)
-        state = dynamics.step(state, port.decode(actions, state).inputs)
+        actions = actions.reshape(state.batch_size, encoder.layout.num_players, -1)
+        state = world.step(state, encoder.decode(actions, state).inputs)
         states.append(state.estimates)
     return np.array(states)
 
 
-def loop_start(dynamics, seed=0, size=20.0, batch=1):
+def loop_start(world, seed=0, size=20.0, batch=1):
     """A state with estimates drawn from U(−size, size)."""
-    shape = (dynamics.game.dimension, dynamics.game.num_players, batch)
-    return dynamics.start(np.random.default_rng(seed).uniform(-size, size, shape))
+    shape = (world.game.dimension, world.game.num_players, batch)
+    return world.start(np.random.default_rng(seed).uniform(-size, size, shape))

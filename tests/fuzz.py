@@ -16,11 +16,11 @@ from functools import partial
 
 import numpy as np
 
-from ptne_env import Interface, Part, Scenario, VectorParallelEnv, laws, parallel_env
-from ptne_env.dynamics import Dynamics
+from ptne_env import FactorySpec, Interface, Scenario, VectorParallelEnv, laws, parallel_env
+from ptne_env.dynamics import World
+from ptne_env.encoder import Encoder
 from ptne_env.envs import vector
-from ptne_env.interface import Port
-from ptne_env.sources import Sources
+from ptne_env.random_streams import RandomStreams
 
 CHAINS = (
     "AdditiveNoise",
@@ -68,7 +68,7 @@ def a_game(rng):
         return [rng.uniform(low, high) for _ in range(count)]
 
     def game(name, **arguments):
-        return Part.of(f"ptne_env.games:{name}", **arguments)
+        return FactorySpec.of(f"ptne_env.games:{name}", **arguments)
 
     players = rng.randint(2, 6)
     kind = rng.choice(("energy", "energy", "random energy", "random affine", "box", "shipped"))
@@ -115,22 +115,22 @@ def adjacency(rng, players, edges):
     return matrix
 
 
-def a_signal(rng, players):
-    """A part that builds a signal, fixed or switching, of random or named graphs."""
+def a_topology(rng, players):
+    """A part that builds a topology, fixed or switching, of random or named graphs."""
 
-    def signal(name, **arguments):
-        return Part.of(f"ptne_env.graphs:{name}", **arguments)
+    def graph(name, **arguments):
+        return FactorySpec.of(f"ptne_env.graphs:{name}", **arguments)
 
     edges = some_edges(rng, players)
-    whole = signal("Graph", adjacency=adjacency(rng, players, edges))
+    whole = graph("Graph", adjacency=adjacency(rng, players, edges))
     clock = rng.choice(("physical", "transformed"))
     dwells = sorted(rng.uniform(0.1, 2) for _ in range(2))
     modes = rng.randint(2, 3)
-    graphs = [signal("Graph", adjacency=adjacency(rng, players, edges[index::modes])) for index in range(modes)]
+    graphs = [graph("Graph", adjacency=adjacency(rng, players, edges[index::modes])) for index in range(modes)]
     named = rng.choice(("path", "star", "complete", *(["cycle"] if players > 2 else [])))
     jumps = {"transition": np.full((modes, modes), 1 / modes), "dwells": dwells[1]}
     kinds = {
-        "fixed": {"graph": rng.choice((whole, signal(named, players=players)))},
+        "fixed": {"graph": rng.choice((whole, graph(named, players=players)))},
         "periodic": {"graphs": graphs, "dwells": [rng.uniform(0.1, 2) for _ in graphs], "clock": clock},
         "random_dwells": {"graphs": graphs, "dwells": dwells, "clock": clock},
         "markov": {"graphs": graphs, "clock": clock, **jumps},
@@ -144,7 +144,7 @@ def a_signal(rng, players):
         "random_graphs": {"players": players, "probability": rng.uniform(0.5, 1), "modes": rng.randint(2, 5)},
     }
     kind = rng.choice(("fixed", *kinds))
-    return signal(kind, **kinds[kind])
+    return FactorySpec.of(f"ptne_env.switching:{kind}", **kinds[kind])
 
 
 def a_channel(rng):
@@ -160,10 +160,10 @@ def a_channel(rng):
             "LogarithmicQuantiser": {"ratio": rng.uniform(0.3, 0.99), "target": target},
             "AsymmetricLinks": {"low": rng.uniform(0, 1), "high": rng.uniform(1, 2)},
         }
-        return Part.of(f"ptne_env.channel:{kind}", **arguments[kind])
+        return FactorySpec.of(f"ptne_env.channel:{kind}", **arguments[kind])
 
     kinds = [rng.choice((*CHAINS, "AsymmetricLinks")) for _ in range(rng.randint(1, 3))]
-    return Part.of("ptne_env.channel:Chain", stages=[stage(kind) for kind in kinds])
+    return FactorySpec.of("ptne_env.channel:Chain", stages=[stage(kind) for kind in kinds])
 
 
 def a_scenario(rng):
@@ -179,8 +179,8 @@ def a_scenario(rng):
     return Scenario(
         name="fuzz",
         game=game,
-        signal=a_signal(rng, players),
-        start=Part.of("ptne_env.starts:UniformStart", low=-reach, high=rng.uniform(0, 1) * reach),
+        topology=a_topology(rng, players),
+        start=FactorySpec.of("ptne_env.starts:UniformStart", low=-reach, high=rng.uniform(0, 1) * reach),
         transformation=rng.choice(("exponential", "exponential", "rational", "tanh")),
         deadline=log_uniform(rng, 0.1, 10),
         gain=rng.choice((0.0, 20.0, log_uniform(rng, 0.1, 50))),
@@ -190,7 +190,7 @@ def a_scenario(rng):
         hold_steps=rng.choice((0, 0, rng.randint(1, 6))),
         input_limit=log_uniform(rng, 0.1, 1e6),
         channel=a_channel(rng) if rng.random() < 0.4 else "perfect",
-        disturbance=Part.of("ptne_env.disturbances:UniformDisturbance", **disturbance)
+        disturbance=FactorySpec.of("ptne_env.disturbances:UniformDisturbance", **disturbance)
         if rng.random() < 0.3
         else "none",
         clock_shifts=tuple(rng.uniform(-0.02, 0.02) for _ in range(players)) if wrong_clocks else (),
@@ -238,7 +238,9 @@ def actor(rng, layout):
     """A function from observations (B, N, size) to actions: random of some size, or a law's where one fits."""
     generator, bound = np.random.default_rng(rng.getrandbits(32)), layout.action_bound
     if rng.random() < 0.4:
-        law = rng.choice((laws.Static, laws.Adaptive, laws.CorollaryOne, laws.Grounded, laws.CappedGain, laws.Null))
+        law = rng.choice(
+            (laws.Static, laws.Adaptive, laws.CorollaryOne, laws.Grounded, laws.CappedGain, laws.ZeroInput)
+        )
         with contextlib.suppress(ValueError):  # not every law acts through every interface
             policy, memory = law(layout), [None]
 
@@ -497,28 +499,28 @@ def check_step(env, outcome):
 def exact_step(rng, scenario, tally):
     """x_{k+1} = x_k + (Δs_k + c Δt_k) u_k, to rounding, and it is the transition that the law's theory has."""
     plain = scenario.replace(channel="perfect", disturbance="none", clock_shifts=())
-    world = Dynamics(plain)
+    world = World(plain)
     if world.scenario.has_random_game or world.game.has_bounds:
         return
     n, players = world.game.dimension, world.game.num_players
     generator = np.random.default_rng(rng.getrandbits(32))
     clock = world.clock
-    port = Port(world, Interface())
-    chance = None
-    if world.signal.is_random:
-        chance = world.draw_chance([Sources.from_seed(1)])
+    encoder = Encoder(world, Interface())
+    randomness = None
+    if world.topology.is_random:
+        randomness = world.draw_randomness([RandomStreams.from_seed(1)])
     try:
-        state = world.start(generator.uniform(-5, 5, (n, players, 1)), chance=chance)
+        state = world.start(generator.uniform(-5, 5, (n, players, 1)), randomness=randomness)
     except ValueError:
         return
-    law = laws.Static(port.layout)
+    law = laws.Static(encoder.layout)
     for k in range(clock.steps):
         theta = clock.s[k + 1] - clock.s[k] + plain.gain * (clock.t[k + 1] - clock.t[k])
         if k == clock.steps - 1:  # the clock is set to T once the last step is done
             theta = clock.theta[k]
-        before, graph = state.estimates[:, :, 0], world.signal.graphs[int(state.mode[0])]
-        actions, _ = law.predict(port.observe(state)[0])
-        inputs = port.decode(actions[None], state).inputs
+        before, graph = state.estimates[:, :, 0], world.topology.graphs[int(state.mode[0])]
+        actions, _ = law.predict(encoder.observe(state)[0])
+        inputs = encoder.decode(actions[None], state).inputs
         state = world.step(state, inputs)
         if state.any_diverged:
             return
@@ -553,11 +555,12 @@ def relabelled(rng, tally):
     def run(order):
         scenario = Scenario(
             name="relabelled",
-            game=Part.of(
+            game=FactorySpec.of(
                 "ptne_env.games:EnergyGame", curvature=curvature[order], target=target[order], coupling=coupling
             ),
-            signal=Part.of(
-                "ptne_env.graphs:fixed", graph=Part.of("ptne_env.graphs:Graph", adjacency=matrix[np.ix_(order, order)])
+            topology=FactorySpec.of(
+                "ptne_env.switching:fixed",
+                graph=FactorySpec.of("ptne_env.graphs:Graph", adjacency=matrix[np.ix_(order, order)]),
             ),
             start="random",
         )

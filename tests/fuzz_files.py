@@ -13,7 +13,7 @@ import atheris
 
 with atheris.instrument_imports(include=["ptne_env", "json"]):
     from ptne_env import policies
-    from ptne_env.evaluation import benchmark
+    from ptne_env.experiments import benchmark
     from ptne_env.policies import Metadata
 
 FILE = Path(tempfile.mkdtemp()) / "file.onnx"

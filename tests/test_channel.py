@@ -16,11 +16,12 @@ from hypothesis import strategies as st
 from scipy import stats
 from worlds import BLOCKS_SWITCHING, EVERY_FAULT, FAULTY, begin, channel_part, make_port
 
-from ptne_env import Part, Scenario, get_scenario, laws
-from ptne_env.channel import Chain, Channel, Dice, Messages
-from ptne_env.dynamics import RANGE_LIMIT, Dynamics
-from ptne_env.interface import Interface, Port
-from ptne_env.sources import Sources
+from ptne_env import FactorySpec, Scenario, get_scenario, laws
+from ptne_env.channel import Chain, Channel, LinkNoise, Messages
+from ptne_env.dynamics import RANGE_LIMIT, World
+from ptne_env.encoder import Encoder
+from ptne_env.observation import Interface
+from ptne_env.random_streams import RandomStreams
 
 FALSE_ALARM = 1e-6
 
@@ -192,31 +193,31 @@ def is_chain(channel):
 
 def wandering(scenario, batch, steps=None, seed=0):
     """States of an episode under random inputs."""
-    dynamics = Dynamics(scenario)
+    world = World(scenario)
     generator = np.random.default_rng(seed)
-    states = [begin(dynamics, range(batch))]
-    for _ in range(steps or dynamics.clock.total_steps):
+    states = [begin(world, range(batch))]
+    for _ in range(steps or world.clock.total_steps):
         inputs = generator.normal(size=(*states[0].estimates.shape[:2], 1)) * 20
-        states.append(dynamics.step(states[-1], np.tile(inputs, (1, 1, batch))))
-    return dynamics, states
+        states.append(world.step(states[-1], np.tile(inputs, (1, 1, batch))))
+    return world, states
 
 
 @pytest.mark.parametrize("world", ["fixed", "switching", "blocks"])
 @pytest.mark.parametrize("name", CHANNELS)
 def test_channel_agrees_with_its_twin_link_by_link(name, world):
     scenario = {"fixed": FIXED, "switching": SWITCHING, "blocks": BLOCKS_SWITCHING}[world]
-    dynamics, states = wandering(scenario.replace(channel=CHANNELS[name]), batch=2, steps=40)
-    players, exact = dynamics.game.num_players, "noise" not in name and "everything" not in name
+    world, states = wandering(scenario.replace(channel=CHANNELS[name]), batch=2, steps=40)
+    players, exact = world.game.num_players, "noise" not in name and "everything" not in name
     exact = exact and "logarithmic" not in name
-    heard = gaps = 0
+    received = gaps = 0
     for b in range(2):
-        chance = states[0].chance
-        key = 0 if chance is None else int(chance.channel_keys[b])
+        randomness = states[0].randomness
+        key = 0 if randomness is None else int(randomness.channel_keys[b])
         for i in range(players):
-            for slot, j in enumerate(dynamics.neighbours[:, i].tolist()):
+            for slot, j in enumerate(world.neighbours[:, i].tolist()):
                 twin = twin_of(CHANNELS[name], key, i, j, players)
                 for state in states:
-                    graph = dynamics.signal.graphs[int(state.mode[b])].adjacency
+                    graph = world.topology.graphs[int(state.mode[b])].adjacency
                     own = state.estimates[:, i, b].tolist()
                     weight = float(graph[i, j])
                     value = state.estimates[:, j, b].tolist() if weight > 0 else None
@@ -226,7 +227,7 @@ def test_channel_agrees_with_its_twin_link_by_link(name, world):
                         value, weight = own, 0.0
                         gaps += j != i
                     else:
-                        heard += 1
+                        received += 1
                     relative = [v - x for v, x in zip(value, own, strict=True)]
                     found = state.relative_estimates[slot, :, i, b]
                     assert float(np.broadcast_to(state.weights, (*state.weights.shape[:2], 2))[slot, i, b]) == weight
@@ -234,7 +235,7 @@ def test_channel_agrees_with_its_twin_link_by_link(name, world):
                         assert found.tolist() == relative
                     else:
                         assert found == pytest.approx(relative, rel=1e-9, abs=1e-9)
-    assert heard > 50
+    assert received > 50
     if world == "switching" or "drop" in name:
         assert gaps > 100
 
@@ -251,20 +252,20 @@ def column(array, b, batch):
 
 @pytest.mark.parametrize("name", FAULTS)
 def test_batch_agrees_bit_for_bit_with_batches_of_one_through_a_restart(name):
-    dynamics, batch = Dynamics(FAULTS[name]), 5
-    together, alone = begin(dynamics, range(batch)), [begin(dynamics, [b]) for b in range(batch)]
+    world, batch = World(FAULTS[name]), 5
+    together, alone = begin(world, range(batch)), [begin(world, [b]) for b in range(batch)]
     generator = np.random.default_rng(0)
     for k in range(50):
         if k in (20, 33):  # some start afresh while others go on
             mask = np.arange(batch) % 2 == k % 2
             seeds = [100 * k + b for b in np.flatnonzero(mask)]
-            together = dynamics.merge(together, begin(dynamics, seeds), mask)
+            together = world.merge(together, begin(world, seeds), mask)
             for b, seed in zip(np.flatnonzero(mask), seeds, strict=True):
-                alone[b] = begin(dynamics, [seed])
+                alone[b] = begin(world, [seed])
         inputs = generator.normal(size=together.estimates.shape)
-        together = dynamics.step(together, inputs)
+        together = world.step(together, inputs)
         for b in range(batch):
-            alone[b] = dynamics.step(alone[b], inputs[:, :, b : b + 1])
+            alone[b] = world.step(alone[b], inputs[:, :, b : b + 1])
             for field in HEARD:
                 whole, single = getattr(together, field), getattr(alone[b], field)
                 assert np.array_equal(column(whole, b, batch), single), field
@@ -272,11 +273,11 @@ def test_batch_agrees_bit_for_bit_with_batches_of_one_through_a_restart(name):
 
 def noise_of(seed, inputs_seed, scenario):
     """What the channel adds to each message, per step, under inputs of another seed."""
-    dynamics = Dynamics(scenario)
-    generator, state, result = np.random.default_rng(inputs_seed), begin(dynamics, [seed]), []
+    world = World(scenario)
+    generator, state, result = np.random.default_rng(inputs_seed), begin(world, [seed]), []
     for _ in range(10):
-        result.append(state.messages - dynamics.sent_messages(state.estimates))
-        state = dynamics.step(state, generator.normal(size=state.estimates.shape))
+        result.append(state.messages - world.sent_messages(state.estimates))
+        state = world.step(state, generator.normal(size=state.estimates.shape))
     return np.array(result)
 
 
@@ -290,7 +291,7 @@ def test_noise_is_the_same_for_every_policy_and_another_for_every_seed():
 
 def test_padding_slots_leaves_the_noise_of_a_link_alone():
     plain, padded = (
-        begin(Dynamics(FIXED.replace(channel=STAGES["additive noise"], slots=slots)), [1]) for slots in (None, 4)
+        begin(World(FIXED.replace(channel=STAGES["additive noise"], slots=slots)), [1]) for slots in (None, 4)
     )
     assert np.array_equal(padded.messages[:2], plain.messages)
     assert not padded.relative_estimates[2:].any()
@@ -310,13 +311,13 @@ def test_stages_of_a_chain_draw_independently():
 
 def test_perfect_channel_costs_nothing_and_changes_nothing():
     for scenario in (FIXED, SWITCHING):
-        dynamics, states = wandering(scenario, 2, steps=20)
-        assert dynamics.channel.is_perfect
+        world, states = wandering(scenario, 2, steps=20)
+        assert world.channel.is_perfect
         for state in states:
-            assert state.heard is None
-            assert state.chance is None
+            assert state.received is None
+            assert state.randomness is None
     chained = FIXED.replace(channel=channel_part("Chain", stages=(channel_part("Chain", stages=()),)))
-    assert Dynamics(chained).channel.is_perfect
+    assert World(chained).channel.is_perfect
 
 
 def test_zero_faults_are_the_perfect_channel():
@@ -331,14 +332,14 @@ def test_zero_faults_are_the_perfect_channel():
         ),
     )
     for interface in ("physical", "local"):
-        plain, faulty = (Dynamics(SWITCHING.replace(channel=channel)) for channel in ("perfect", none))
-        ports = [Port(dynamics, Interface(interface)) for dynamics in (plain, faulty)]
-        states = [begin(dynamics, range(3)) for dynamics in (plain, faulty)]
+        plain, faulty = (World(SWITCHING.replace(channel=channel)) for channel in ("perfect", none))
+        encoders = [Encoder(world, Interface(interface)) for world in (plain, faulty)]
+        states = [begin(world, range(3)) for world in (plain, faulty)]
         for _ in range(40):
-            observations = [port.observe(state) for port, state in zip(ports, states, strict=True)]
+            observations = [encoder.observe(state) for encoder, state in zip(encoders, states, strict=True)]
             assert np.array_equal(*observations)
             actions = np.random.default_rng(0).uniform(-1, 1, (3, 5, 5)).astype(np.float32)
-            inputs = [port.decode(actions, state).inputs for port, state in zip(ports, states, strict=True)]
+            inputs = [encoder.decode(actions, state).inputs for encoder, state in zip(encoders, states, strict=True)]
             states = [plain.step(states[0], inputs[0]), faulty.step(states[1], inputs[1])]
 
 
@@ -360,8 +361,8 @@ def transmit(channel, steps, messages=None, batch=400, seed=0):
     memory, results = None, []
     for k in range(steps):
         going_in = constant_messages(batch) if messages is None else messages(k)
-        dice = Dice(keys, np.full(batch, k), SENDERS, 5)
-        out, memory = channel.transmit(going_in, memory, dice)
+        link_noise = LinkNoise(keys, np.full(batch, k), SENDERS, 5)
+        out, memory = channel.transmit(going_in, memory, link_noise)
         results.append(out)
     return results
 
@@ -403,12 +404,12 @@ def test_delays_are_uniform_and_messages_overtake_each_other():
     def numbered(k):
         return constant_messages(value=float(k))
 
-    heard = np.array([out.values[:, 0] for out in transmit(build("random delay"), 60, numbered)])
+    received = np.array([out.values[:, 0] for out in transmit(build("random delay"), 60, numbered)])
     # Delays of 1..5: nothing newer than 1 step, and what arrives in step k is, of those arriving, the last one sent.
     steps = np.arange(60)[:, None, None, None]
-    assert (heard[10:] <= steps[10:] - 1).all()
-    assert (np.diff(heard, axis=0) < 0).any()  # an older message arrived after a newer one
-    ages = (steps - heard)[10:]
+    assert (received[10:] <= steps[10:] - 1).all()
+    assert (np.diff(received, axis=0) < 0).any()  # an older message arrived after a newer one
+    ages = (steps - received)[10:]
     # Age 1 means that the message of the step before had delay 1: one in five.
     assert stats.binomtest(int((ages == 1).sum()), ages.size, 0.2).pvalue > FALSE_ALARM
     # Age 2 and fresh: delay 2 for the last but one, and not 1 for the last.
@@ -466,7 +467,7 @@ def test_what_is_put_on_a_dead_link_is_never_heard(name):
         rubbish = np.where(live[:, None], values, generator.normal(size=shape) * 1e3)
         sequence.append(Messages(values, live, live.astype(float), own))
         garbled.append(Messages(rubbish, live, live.astype(float), own))
-    heard = 0
+    received = 0
     for plain, other, sent in zip(
         transmit(channel, 25, sequence.__getitem__, 6),
         transmit(channel, 25, garbled.__getitem__, 6),
@@ -476,27 +477,27 @@ def test_what_is_put_on_a_dead_link_is_never_heard(name):
         assert np.array_equal(plain.live, other.live)
         assert np.array_equal(plain.weights, other.weights)
         visible = plain.live & sent.live
-        heard += visible.sum()
+        received += visible.sum()
         assert np.array_equal(plain.values * visible[:, None], other.values * visible[:, None])
-    assert heard > 100
+    assert received > 100
 
 
 @pytest.mark.parametrize("kind", ["physical", "local"])
 def test_observation_does_not_depend_on_strangers_however_messages_travel(kind):
-    dynamics = Dynamics(FAULTY.replace(disturbance="none"))
-    port = Port(dynamics, Interface(kind))
+    world = World(FAULTY.replace(disturbance="none"))
+    encoder = Encoder(world, Interface(kind))
     generator = np.random.default_rng(0)
-    states = [begin(dynamics, [5])] * 2
+    states = [begin(world, [5])] * 2
     player = 0
-    strangers = [j for j in range(5) if j != player and j not in dynamics.neighbours[:, player]]
+    strangers = [j for j in range(5) if j != player and j not in world.neighbours[:, player]]
     assert len(strangers) == 2
     for _ in range(60):
         inputs = generator.normal(size=(5, 5, 1))
         others = inputs.copy()
         others[:, strangers] = generator.normal(size=(5, 2, 1)) * 10
-        first, second = (port.observe(state)[0] for state in states)
+        first, second = (encoder.observe(state)[0] for state in states)
         assert np.array_equal(first[player], second[player])
-        states = [dynamics.step(states[0], inputs), dynamics.step(states[1], others)]
+        states = [world.step(states[0], inputs), world.step(states[1], others)]
     assert not np.array_equal(first[strangers], second[strangers])
 
 
@@ -538,17 +539,17 @@ stage_parts = st.one_of(
 )
 def test_no_chain_of_faults_makes_an_observation_that_is_not_in_its_space(stages, kind, seed, size):
     scenario = FAULTY.replace(channel=channel_part("Chain", stages=stages), input_limit=1e6)
-    dynamics, port = make_port(scenario, kind=kind)
-    space = port.observation_space()
-    state, generator = begin(dynamics, [seed, seed + 1]), np.random.default_rng(seed)
+    world, encoder = make_port(scenario, kind=kind)
+    space = encoder.observation_space()
+    state, generator = begin(world, [seed, seed + 1]), np.random.default_rng(seed)
     for _ in range(8):
-        observations = port.observe(state)
+        observations = encoder.observe(state)
         assert np.isfinite(state.relative_estimates).all()
         assert np.isfinite(state.weights).all()
         assert state.weights.min() >= 0
         assert np.abs(state.relative_estimates).max() <= 2 * RANGE_LIMIT
         assert all(space.contains(row) for env in observations for row in env)
-        state = dynamics.step(state, size * generator.normal(size=state.estimates.shape))
+        state = world.step(state, size * generator.normal(size=state.estimates.shape))
 
 
 @pytest.mark.parametrize("name", CHANNELS)
@@ -593,10 +594,10 @@ def test_channel_that_cannot_be_is_refused(name):
 
 
 def test_start_without_the_draws_is_refused():
-    dynamics = Dynamics(FAULTY)
-    sources = [Sources.from_seed(0)]
-    with pytest.raises(ValueError, match="'faulty' draws a signal, a channel or a disturbance: pass what 1"):
-        dynamics.start(dynamics.draw_estimates(sources), dynamics.draw_game(sources))
+    world = World(FAULTY)
+    sources = [RandomStreams.from_seed(0)]
+    with pytest.raises(ValueError, match="'faulty' draws a topology, a channel or a disturbance: pass what 1"):
+        world.start(world.draw_estimates(sources), world.draw_game(sources))
 
 
 # --- noise near the deadline ------------------------------------------------------------------------------------------
@@ -632,24 +633,24 @@ def test_noise_in_the_sampled_environment_follows_its_recursion(spacing, k):
     episodes = 3000
     scenario = Scenario(
         name="follower",
-        game=Part.of("ptne_env.games:EnergyGame", curvature=(1.0, 1.0), target=(1.0, 2.0)),
-        signal=Part.of("ptne_env.graphs:fixed", graph=Part.of("ptne_env.graphs:path", players=2)),
-        start=Part.of("ptne_env.starts:FixedStart", estimates=((0.0, 0.0), (0.0, 0.0))),
+        game=FactorySpec.of("ptne_env.games:EnergyGame", curvature=(1.0, 1.0), target=(1.0, 2.0)),
+        topology=FactorySpec.of("ptne_env.switching:fixed", graph=FactorySpec.of("ptne_env.graphs:path", players=2)),
+        start=FactorySpec.of("ptne_env.starts:FixedStart", estimates=((0.0, 0.0), (0.0, 0.0))),
         channel=channel_part("AdditiveNoise", std=1.0),
         spacing=spacing,
         steps=60,
         s_end=5.0,
     )
-    dynamics, port = make_port(scenario)
-    law, state = laws.Static(port.layout, kappa=k), begin(dynamics, range(episodes))
+    world, encoder = make_port(scenario)
+    law, state = laws.Static(encoder.layout, kappa=k), begin(world, range(episodes))
     bounds = stats.chi2.isf([1 - FALSE_ALARM / 2, FALSE_ALARM / 2], episodes) / episodes
     variance, largest = 0.0, 0.0
     for step in range(60):
-        observations = port.observe(state).reshape(2 * episodes, -1)
+        observations = encoder.observe(state).reshape(2 * episodes, -1)
         actions = law.predict(observations)[0].reshape(episodes, 2, 2)
         actions[:, 1] = 0.0
-        state = dynamics.step(state, port.decode(actions, state).inputs)
-        h = dynamics.clock.theta[step]
+        state = world.step(state, encoder.decode(actions, state).inputs)
+        h = world.clock.theta[step]
         largest = max(largest, h)
         variance = (1 - k * h) ** 2 * variance + (k * h) ** 2
         z = state.estimates[1, 0]
@@ -662,16 +663,16 @@ class Shouting(Channel):
 
     is_random = False
 
-    def transmit(self, messages, memory, dice):
+    def transmit(self, messages, memory, link_noise):
         return replace(messages, live=np.ones_like(messages.live), weights=np.ones_like(messages.weights)), ()
 
 
 def test_nobody_hears_anything_on_a_link_that_is_down_whatever_a_channel_says():
-    dynamics = Dynamics(SWITCHING.replace(channel=Part.of("test_channel:Shouting")))
-    sources = [Sources.from_seed(0)]
-    game, chance = dynamics.draw_game(sources), dynamics.draw_chance(sources)
-    state = dynamics.start(dynamics.draw_estimates(sources), game, chance)
-    live = dynamics.graph_weights(state) > 0
+    world = World(SWITCHING.replace(channel=FactorySpec.of("test_channel:Shouting")))
+    sources = [RandomStreams.from_seed(0)]
+    game, randomness = world.draw_game(sources), world.draw_randomness(sources)
+    state = world.start(world.draw_estimates(sources), game, randomness)
+    live = world.graph_weights(state) > 0
     assert live.any()
     assert not live.all()
     assert np.array_equal(state.weights > 0, np.broadcast_to(live, state.weights.shape))

@@ -224,7 +224,7 @@ from ptne_env import laws
 
 def make(layout):
     print("making a policy")
-    return laws.Null(layout)
+    return laws.ZeroInput(layout)
 
 def broken(layout):
     return 1 / 0
@@ -469,7 +469,7 @@ def test_check_says_by_its_exit_code_whether_results_reproduce(suite_run):
 
 def forge(folder):
     """Improve a published cell, checksum and all."""
-    from ptne_env.evaluation.suite import content_hash
+    from ptne_env.experiments.suite import content_hash
 
     cells = {path: json.loads(path.read_text(encoding="utf-8")) for path in sorted((folder / "cells").iterdir())}
     path, data = next((path, data) for path, data in cells.items() if data["samples"])  # a policy that fits has some

@@ -180,7 +180,7 @@ def test_hold_phase_starts_at_the_deadline_with_the_mean_theta(clock):
 
 @given(clocks)
 def test_signals_follow_t_or_an_s_that_goes_on_after_the_deadline(clock):
-    steps, times = clock.steps, clock.signal_times
+    steps, times = clock.steps, clock.topology_times
     assert np.array_equal(times["physical"], clock.t)
     assert np.array_equal(times["transformed"][:steps], clock.s[:steps])
     assert times["transformed"][steps:] == pytest.approx(

@@ -22,8 +22,8 @@ from matplotlib import image
 
 import ptne_env
 from ptne_env.cli import app
-from ptne_env.evaluation import ENTRIES
-from ptne_env.evaluation.suite import get_suite
+from ptne_env.experiments import ENTRIES
+from ptne_env.experiments.suite import get_suite
 from ptne_env.policies import shipped
 from ptne_env.rewards import TERMS
 from ptne_env.scenario import CATALOGUE, Scenario
@@ -243,7 +243,7 @@ def test_the_site_builds_without_a_warning_has_everything_and_needs_no_network(t
     modules = [".".join(path.relative_to(ROOT).with_suffix("").parts) for path in PACKAGE.rglob("[!_]*.py")]
     silent = [name for name in modules if f'id="module-{name}"' not in reference and not name.endswith("_v0")]
     assert silent == ["ptne_env.cli"]  # whose reference is --help
-    for public in (ptne_env.parallel_env, ptne_env.Layout, ptne_env.laws.Static):
+    for public in (ptne_env.parallel_env, ptne_env.ObservationLayout, ptne_env.laws.Static):
         assert f'id="{public.__module__}.{public.__qualname__}"' in reference
     assert "TypeAliasForwardRef" not in reference
 

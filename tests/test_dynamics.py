@@ -6,9 +6,9 @@ from scipy import stats
 from scipy.linalg import expm
 from worlds import BLOCKS, BLOCKS_SWITCHING, FAULTY, PAPER_START, begin, loop_matrix, stack
 
-from ptne_env import CATALOGUE, Part, Scenario, get_scenario
-from ptne_env.dynamics import RANGE_LIMIT, Dynamics
-from ptne_env.sources import Sources
+from ptne_env import CATALOGUE, FactorySpec, Scenario, get_scenario
+from ptne_env.dynamics import RANGE_LIMIT, World
+from ptne_env.random_streams import RandomStreams
 
 AFFINE = {
     "energy": get_scenario("energy"),
@@ -31,8 +31,8 @@ STATE_ARRAYS = (
 )
 
 
-def start(dynamics, seed=3):
-    return dynamics.draw_estimates([Sources.from_seed(seed)])
+def start(world, seed=3):
+    return world.draw_estimates([RandomStreams.from_seed(seed)])
 
 
 def inputs_of_static_law(game, estimates, adjacency, kappa):
@@ -47,12 +47,12 @@ def inputs_of_static_law(game, estimates, adjacency, kappa):
     return inputs
 
 
-def roll(dynamics, estimates, kappa=2.0):
+def roll(world, estimates, kappa=2.0):
     """All stacked states under the static law, and the adjacency that acted in each step."""
-    state, states, acted = dynamics.start(estimates), [stack(estimates)], []
-    for _ in range(dynamics.clock.total_steps):
-        adjacency = dynamics.signal.graphs[int(state.mode[0])].adjacency
-        state = dynamics.step(state, inputs_of_static_law(dynamics.game, state.estimates, adjacency, kappa))
+    state, states, acted = world.start(estimates), [stack(estimates)], []
+    for _ in range(world.clock.total_steps):
+        adjacency = world.topology.graphs[int(state.mode[0])].adjacency
+        state = world.step(state, inputs_of_static_law(world.game, state.estimates, adjacency, kappa))
         states.append(stack(state.estimates))
         acted.append(adjacency)
     return np.array(states), acted
@@ -60,11 +60,11 @@ def roll(dynamics, estimates, kappa=2.0):
 
 def active_graph(scenario, t, s):
     """The adjacency at an instant, found by walking through the dwells."""
-    signal = scenario.built_signal
-    if signal.is_fixed:
-        return signal.graphs[0].adjacency
-    now = ((t if signal.clock == "physical" else s) + 1e-9) % sum(signal.dwells)  # a rounded switch is a switch
-    for graph, dwell in zip(signal.graphs, signal.dwells, strict=True):
+    topology = scenario.built_topology
+    if topology.is_fixed:
+        return topology.graphs[0].adjacency
+    now = ((t if topology.clock == "physical" else s) + 1e-9) % sum(topology.dwells)  # a rounded switch is a switch
+    for graph, dwell in zip(topology.graphs, topology.dwells, strict=True):
         if now < dwell:
             return graph.adjacency
         now -= dwell
@@ -75,10 +75,10 @@ def active_graph(scenario, t, s):
 @pytest.mark.parametrize("name", AFFINE)
 def test_static_law_is_the_product_of_its_step_matrices(name, hold_steps):
     scenario = AFFINE[name].replace(hold_steps=hold_steps)
-    dynamics = Dynamics(scenario)
+    world = World(scenario)
     game, clock = scenario.built_game, scenario.built_clock
-    estimates = start(dynamics)
-    states, _ = roll(dynamics, estimates)
+    estimates = start(world)
+    states, _ = roll(world, estimates)
 
     equilibrium = np.tile(game.nash_equilibrium, game.num_players)
     error = stack(estimates) - equilibrium
@@ -95,12 +95,12 @@ def test_static_law_is_the_product_of_its_step_matrices(name, hold_steps):
 def test_halving_the_step_halves_the_distance_to_the_continuous_solution(scenario):
     game, gaps = scenario.built_game, []
     for steps in (400, 800, 1600):
-        dynamics = Dynamics(scenario.replace(steps=steps, s_end=5.0, gain=2.0))
-        estimates = start(dynamics)
-        states, _ = roll(dynamics, estimates)
+        world = World(scenario.replace(steps=steps, s_end=5.0, gain=2.0))
+        estimates = start(world)
+        states, _ = roll(world, estimates)
         equilibrium = np.tile(game.nash_equilibrium, game.num_players)
-        matrix = loop_matrix(game, scenario.built_signal.graphs[0].adjacency, 2.0)
-        exact = equilibrium + expm(-matrix * dynamics.clock.effective_time) @ (stack(estimates) - equilibrium)
+        matrix = loop_matrix(game, scenario.built_topology.graphs[0].adjacency, 2.0)
+        exact = equilibrium + expm(-matrix * world.clock.effective_time) @ (stack(estimates) - equilibrium)
         gaps.append(np.abs(states[-1] - exact).max())
     assert gaps[0] / gaps[1] == pytest.approx(2.0, abs=0.1)
     assert gaps[1] / gaps[2] == pytest.approx(2.0, abs=0.05)
@@ -109,55 +109,56 @@ def test_halving_the_step_halves_the_distance_to_the_continuous_solution(scenari
 @pytest.mark.parametrize("spacing", ["effective", "transformed", "physical"])
 def test_held_input_moves_the_estimates_by_the_effective_time_whatever_the_spacing(spacing):
     steps = 4000 if spacing == "physical" else 400
-    dynamics = Dynamics(get_scenario("energy", spacing=spacing, steps=steps, s_end=6.0))
-    state = dynamics.start(start(dynamics))
+    world = World(get_scenario("energy", spacing=spacing, steps=steps, s_end=6.0))
+    state = world.start(start(world))
     first = state.estimates
     held = np.random.default_rng(0).normal(size=first.shape)
     for _ in range(steps):
-        state = dynamics.step(state, held)
+        state = world.step(state, held)
     tau = 6.0 + 20.0 * 1.2 * (1 - np.exp(-6.0))
     assert state.estimates == pytest.approx(first + tau * held, rel=1e-12, abs=1e-10)
 
 
 @pytest.mark.parametrize("name", CATALOGUE)
 def test_state_says_what_each_player_can_know(name):
-    dynamics = Dynamics(get_scenario(name, start="random"))
-    state = begin(dynamics, [1, 2])
+    world = World(get_scenario(name, start="random"))
+    state = begin(world, [1, 2])
     game = state.game
     for _ in range(120):
-        state = dynamics.step(state, -0.01 * state.estimates)
-    adjacency = dynamics.signal.graphs[int(state.mode[0])].adjacency
+        state = world.step(state, -0.01 * state.estimates)
+    adjacency = world.topology.graphs[int(state.mode[0])].adjacency
     assert np.array_equal(state.own_gradients, game.own_gradients(state.estimates))
     for i in range(game.num_players):
         seen = {}
-        for slot, j in enumerate(dynamics.neighbours[:, i]):
+        for slot, j in enumerate(world.neighbours[:, i]):
             weight = state.weights[slot, i, 0]
             assert weight == adjacency[i, j]
             expected = (state.estimates[:, j] - state.estimates[:, i]) * (weight > 0)
             assert np.array_equal(state.relative_estimates[slot, :, i], expected)
             seen[int(j)] = weight
-        assert sorted(seen) == np.flatnonzero(dynamics.signal.union.adjacency[i]).tolist()
+        assert sorted(seen) == np.flatnonzero(world.topology.union.adjacency[i]).tolist()
         assert sum(seen.values()) == adjacency[i].sum()
 
 
 def test_spare_slots_point_at_the_player_itself_with_weight_zero():
     star = get_scenario(
-        "energy", signal=Part.of("ptne_env.graphs:fixed", graph=Part.of("ptne_env.graphs:star", players=5))
+        "energy",
+        topology=FactorySpec.of("ptne_env.switching:fixed", graph=FactorySpec.of("ptne_env.graphs:star", players=5)),
     )
-    dynamics = Dynamics(star)
-    assert dynamics.slots == 4
-    assert dynamics.neighbours[:, 0].tolist() == [1, 2, 3, 4]
-    state = dynamics.start(start(dynamics))
+    world = World(star)
+    assert world.slots == 4
+    assert world.neighbours[:, 0].tolist() == [1, 2, 3, 4]
+    state = world.start(start(world))
     for i in range(1, 5):
-        assert dynamics.neighbours[:, i].tolist() == [0, i, i, i]
+        assert world.neighbours[:, i].tolist() == [0, i, i, i]
         assert state.weights[:, i, 0].tolist() == [1, 0, 0, 0]
         assert not state.relative_estimates[1:, :, i].any()
 
 
 def test_slots_are_padded_to_the_number_that_the_scenario_asks_for():
-    dynamics, padded = (Dynamics(get_scenario("energy-switching", slots=slots)) for slots in (None, 4))
-    assert (dynamics.slots, padded.slots) == (2, 4)
-    assert np.array_equal(padded.neighbours[:2], dynamics.neighbours)
+    world, padded = (World(get_scenario("energy-switching", slots=slots)) for slots in (None, 4))
+    assert (world.slots, padded.slots) == (2, 4)
+    assert np.array_equal(padded.neighbours[:2], world.neighbours)
     assert padded.neighbours[2:].tolist() == [[0, 1, 2, 3, 4]] * 2
     assert not padded.mode_weights[2:].any()
     state = padded.start(start(padded))
@@ -168,8 +169,8 @@ PUSH = "ptne_env.disturbances:UniformDisturbance"
 
 
 def test_disturbance_pushes_the_real_strategies_alone_and_is_bounded():
-    plain = Dynamics(get_scenario("energy", hold_steps=30))
-    pushed = Dynamics(get_scenario("energy", hold_steps=30, disturbance=Part.of(PUSH, bound=2.0)))
+    plain = World(get_scenario("energy", hold_steps=30))
+    pushed = World(get_scenario("energy", hold_steps=30, disturbance=FactorySpec.of(PUSH, bound=2.0)))
     states = [begin(plain, [1, 2]), begin(pushed, [1, 2])]
     shares = []
     for k in range(430):
@@ -187,11 +188,11 @@ def test_disturbance_pushes_the_real_strategies_alone_and_is_bounded():
 
 
 def test_disturbance_may_wait_for_the_deadline_and_may_last():
-    push = Part.of(PUSH, bound=2.0, dwell=10, after_deadline_only=True)
-    dynamics = Dynamics(get_scenario("energy", steps=20, hold_steps=20, disturbance=push))
-    state, moves = begin(dynamics, [1]), []
+    push = FactorySpec.of(PUSH, bound=2.0, dwell=10, after_deadline_only=True)
+    world = World(get_scenario("energy", steps=20, hold_steps=20, disturbance=push))
+    state, moves = begin(world, [1]), []
     for _ in range(40):
-        following = dynamics.step(state, np.zeros_like(state.estimates))
+        following = world.step(state, np.zeros_like(state.estimates))
         moves.append((following.strategies - state.strategies)[:, 0])
         state = following
     assert not np.any(moves[:20])
@@ -200,9 +201,9 @@ def test_disturbance_may_wait_for_the_deadline_and_may_last():
 
 
 def test_diverged_environments_are_not_pushed():
-    dynamics = Dynamics(get_scenario("energy", input_limit=1e9, disturbance=Part.of(PUSH, bound=2.0)))
-    state = dynamics.step(begin(dynamics, [1]), np.full((5, 5, 1), 1e9))
-    after = dynamics.step(state, np.zeros((5, 5, 1)))
+    world = World(get_scenario("energy", input_limit=1e9, disturbance=FactorySpec.of(PUSH, bound=2.0)))
+    state = world.step(begin(world, [1]), np.full((5, 5, 1), 1e9))
+    after = world.step(state, np.zeros((5, 5, 1)))
     assert state.diverged.all()
     assert np.array_equal(after.estimates, state.estimates)
 
@@ -210,11 +211,11 @@ def test_diverged_environments_are_not_pushed():
 def test_players_with_wrong_clocks_integrate_their_own_gain():
     shifts = (0.0, 0.03, -0.03, 0.0, -0.2)
     scenario = get_scenario("energy", hold_steps=40)
-    plain, wrong = Dynamics(scenario), Dynamics(scenario.replace(clock_shifts=shifts))
+    plain, wrong = World(scenario), World(scenario.replace(clock_shifts=shifts))
     states = [begin(plain, [1]), begin(wrong, [1])]
     held = np.ones((5, 5, 1))
     for k in range(440):
-        moved = [dynamics.step(state, held) for dynamics, state in zip((plain, wrong), states, strict=True)]
+        moved = [world.step(state, held) for world, state in zip((plain, wrong), states, strict=True)]
         for i, shift in enumerate(shifts):
             change = (moved[1].estimates - states[1].estimates)[:, i, 0]
             assert change == pytest.approx(np.full(5, plain.clock.read(shift).theta[k]), abs=1e-13)
@@ -224,7 +225,7 @@ def test_players_with_wrong_clocks_integrate_their_own_gain():
 
 
 def test_clocks_that_are_right_change_nothing():
-    plain, shifted = (Dynamics(get_scenario("energy", clock_shifts=shifts)) for shifts in ((), (0.0,) * 5))
+    plain, shifted = (World(get_scenario("energy", clock_shifts=shifts)) for shifts in ((), (0.0,) * 5))
     assert shifted.theta is shifted.clock.theta
     assert np.array_equal(plain.readings, shifted.readings)
 
@@ -232,9 +233,9 @@ def test_clocks_that_are_right_change_nothing():
 @pytest.mark.parametrize("name", ["energy-switching", "energy-switching-transformed"])
 def test_graph_of_a_step_is_the_one_at_its_start(name):
     scenario = get_scenario(name, hold_steps=60)
-    dynamics, clock = Dynamics(scenario), scenario.built_clock
-    dwell = scenario.built_signal.dwells[0]
-    state = dynamics.start(start(dynamics))
+    world, clock = World(scenario), scenario.built_clock
+    dwell = scenario.built_topology.dwells[0]
+    state = world.start(start(world))
     seen = set()
     for k in range(clock.total_steps):
         if name.endswith("transformed"):
@@ -243,40 +244,40 @@ def test_graph_of_a_step_is_the_one_at_its_start(name):
             now = clock.t[k]
         mode, dwelt = int(state.mode[0]), now / dwell + 1e-9
         assert mode == int(np.floor(dwelt)) % 4
-        assert dynamics.time_since_switch[k] == pytest.approx(dwelt % 1.0, abs=1e-6)
+        assert world.time_since_switch[k] == pytest.approx(dwelt % 1.0, abs=1e-6)
         seen.add(mode)
-        state = dynamics.step(state, np.zeros_like(state.estimates))
+        state = world.step(state, np.zeros_like(state.estimates))
     assert seen == {0, 1, 2, 3}
 
 
 def test_step_leaves_its_arguments_alone():
-    dynamics = Dynamics(get_scenario("energy-switching"))
-    state = dynamics.start(start(dynamics))
+    world = World(get_scenario("energy-switching"))
+    state = world.start(start(world))
     inputs = np.random.default_rng(0).normal(size=state.estimates.shape)
     kept = {name: np.copy(getattr(state, name)) for name in STATE_ARRAYS}, inputs.copy()
-    dynamics.step(dynamics.step(state, inputs), inputs)
+    world.step(world.step(state, inputs), inputs)
     assert all(np.array_equal(getattr(state, name), copy) for name, copy in kept[0].items())
     assert np.array_equal(inputs, kept[1])
 
 
 def test_start_does_not_keep_the_callers_array():
-    dynamics = Dynamics(get_scenario("energy"))
-    estimates = start(dynamics)
-    state = dynamics.start(estimates)
+    world = World(get_scenario("energy"))
+    estimates = start(world)
+    state = world.start(estimates)
     kept = state.estimates.copy()
     estimates[:] = 99.0
     assert np.array_equal(state.estimates, kept)
 
 
 def test_time_stands_still_after_the_last_step():
-    dynamics = Dynamics(get_scenario("energy", steps=3, hold_steps=2))
-    state = dynamics.start(start(dynamics))
+    world = World(get_scenario("energy", steps=3, hold_steps=2))
+    state = world.start(start(world))
     for k in range(5):
-        assert not dynamics.is_over(state)[0]
+        assert not world.is_over(state)[0]
         assert state.step[0] == k
-        state = dynamics.step(state, np.ones_like(state.estimates))
-    assert dynamics.is_over(state)[0]
-    after = dynamics.step(state, np.ones_like(state.estimates))
+        state = world.step(state, np.ones_like(state.estimates))
+    assert world.is_over(state)[0]
+    after = world.step(state, np.ones_like(state.estimates))
     assert after.step[0] == 5
     assert np.array_equal(after.estimates, state.estimates)
 
@@ -286,12 +287,14 @@ def large_energy_scenario(players=11, **fields):
     generator = np.random.default_rng(8)
     return Scenario(
         name="large",
-        game=Part.of(
+        game=FactorySpec.of(
             "ptne_env.games:EnergyGame",
             curvature=generator.uniform(0.5, 2, players),
             target=generator.uniform(5, 30, players),
         ),
-        signal=Part.of("ptne_env.graphs:fixed", graph=Part.of("ptne_env.graphs:cycle", players=players)),
+        topology=FactorySpec.of(
+            "ptne_env.switching:fixed", graph=FactorySpec.of("ptne_env.graphs:cycle", players=players)
+        ),
         start="random",
         **fields,
     )
@@ -308,18 +311,18 @@ BATCHED = {
 
 @pytest.mark.parametrize("name", BATCHED)
 def test_batch_agrees_bit_for_bit_with_batches_of_one_even_when_one_diverges(name):
-    dynamics = Dynamics(BATCHED[name])
+    world = World(BATCHED[name])
     batch = 7
-    together = begin(dynamics, range(batch))
-    alone = [begin(dynamics, [b]) for b in range(batch)]
+    together = begin(world, range(batch))
+    alone = [begin(world, [b]) for b in range(batch)]
     generator = np.random.default_rng(0)
     for k in range(60):
         inputs = generator.normal(size=together.estimates.shape)
         if k == 20:
             inputs[:, :, 3] = 1e8  # the fourth environment leaves the range
-        together = dynamics.step(together, inputs)
+        together = world.step(together, inputs)
         for b in range(batch):
-            alone[b] = dynamics.step(alone[b], inputs[:, :, b : b + 1])
+            alone[b] = world.step(alone[b], inputs[:, :, b : b + 1])
             for name_ in STATE_ARRAYS:
                 whole, single = getattr(together, name_), getattr(alone[b], name_)
                 part = whole if whole.shape == single.shape and name_ == "weights" else whole[..., b : b + 1]
@@ -329,48 +332,48 @@ def test_batch_agrees_bit_for_bit_with_batches_of_one_even_when_one_diverges(nam
 
 @pytest.mark.parametrize("value", [1e9, -1e9, 1e300])
 def test_diverged_world_stays_finite_in_range_and_where_it_is(value):
-    dynamics = Dynamics(get_scenario("non-quadratic"))
-    state = dynamics.start(start(dynamics))
-    state = dynamics.step(state, np.full_like(state.estimates, value))
+    world = World(get_scenario("non-quadratic"))
+    state = world.start(start(world))
+    state = world.step(state, np.full_like(state.estimates, value))
     assert state.diverged.tolist() == [True]
-    assert dynamics.is_over(state).tolist() == [True]
+    assert world.is_over(state).tolist() == [True]
     for field in (state.estimates, state.own_gradients, state.relative_estimates):
         assert np.all(np.isfinite(field))
     assert np.abs(state.estimates).max() == RANGE_LIMIT
     assert np.abs(state.own_gradients).max() <= RANGE_LIMIT
-    after = dynamics.step(state, np.ones_like(state.estimates))
+    after = world.step(state, np.ones_like(state.estimates))
     assert after.diverged.tolist() == [True]
     assert np.array_equal(after.estimates, state.estimates)
 
 
 def test_gradient_out_of_range_is_divergence_even_with_estimates_in_range():
-    dynamics = Dynamics(get_scenario("non-quadratic"))
+    world = World(get_scenario("non-quadratic"))
     estimates = np.zeros((5, 5, 1))
     estimates[1, 1] = 40.0  # e^{20}/4 = 1.2e8
-    state = dynamics.start(estimates)
+    state = world.start(estimates)
     assert state.diverged.tolist() == [True]
 
 
 def test_range_is_inclusive():
-    dynamics = Dynamics(large_energy_scenario(input_limit=1e9))
-    at_limit = dynamics.start(np.zeros((11, 11, 1)))
+    world = World(large_energy_scenario(input_limit=1e9))
+    at_limit = world.start(np.zeros((11, 11, 1)))
     inputs = np.zeros((11, 11, 1))
-    inputs[0, 1] = RANGE_LIMIT / dynamics.clock.theta[0]
-    moved = dynamics.step(at_limit, inputs)
+    inputs[0, 1] = RANGE_LIMIT / world.clock.theta[0]
+    moved = world.step(at_limit, inputs)
     assert moved.estimates[0, 1, 0] == pytest.approx(RANGE_LIMIT)
     inputs[0, 1] *= 1.001
-    assert dynamics.step(at_limit, inputs).diverged.tolist() == [True]
+    assert world.step(at_limit, inputs).diverged.tolist() == [True]
     inputs[0, 1] /= 1.002
-    assert dynamics.step(at_limit, inputs).diverged.tolist() == [False]
+    assert world.step(at_limit, inputs).diverged.tolist() == [False]
 
 
 @given(st.integers(0, 2**32 - 1))
 def test_no_estimate_in_range_is_farther_than_the_distance_that_divergence_is_charged(seed):
-    dynamics = Dynamics(get_scenario("energy"))
+    world = World(get_scenario("energy"))
     corner = np.random.default_rng(seed).choice([-RANGE_LIMIT, RANGE_LIMIT], 5)
-    equilibrium = dynamics.game.nash_equilibrium
+    equilibrium = world.game.nash_equilibrium
     distance = np.linalg.norm(corner - equilibrium) / np.linalg.norm(equilibrium)
-    limit = dynamics.distance_limit(dynamics.game)
+    limit = world.distance_limit(world.game)
     assert distance <= limit[0] <= 1.001 * distance
 
 
@@ -386,23 +389,23 @@ def test_no_estimate_in_range_is_farther_than_the_distance_that_divergence_is_ch
 )
 def test_impossible_initial_estimates_are_refused(estimates, message):
     with pytest.raises(ValueError, match=message):
-        Dynamics(get_scenario("energy")).start(estimates)
+        World(get_scenario("energy")).start(estimates)
 
 
 def test_paper_start_puts_each_players_own_strategy_on_the_diagonal():
-    dynamics = Dynamics(get_scenario("energy"))
-    state = dynamics.start(start(dynamics))
+    world = World(get_scenario("energy"))
+    state = world.start(start(world))
     assert np.array_equal(state.estimates[:, :, 0], PAPER_START.T)
     assert state.strategies[:, 0].tolist() == [-2, -4, -6, -8, -10]
 
 
 def test_strategies_of_unequal_dimensions_are_the_own_blocks():
-    dynamics = Dynamics(BLOCKS)
+    world = World(BLOCKS)
     estimates = np.arange(18.0).reshape(6, 3, 1)
-    assert dynamics.start(estimates).strategies[:, 0].tolist() == [0, 3, 7, 11, 14, 17]
+    assert world.start(estimates).strategies[:, 0].tolist() == [0, 3, 7, 11, 14, 17]
 
 
 def test_same_sources_draw_the_same_start():
-    dynamics = Dynamics(get_scenario("energy", start="random"))
-    assert np.array_equal(start(dynamics, 5), start(dynamics, 5))
-    assert not np.array_equal(start(dynamics, 5), start(dynamics, 6))
+    world = World(get_scenario("energy", start="random"))
+    assert np.array_equal(start(world, 5), start(world, 5))
+    assert not np.array_equal(start(world, 5), start(world, 6))

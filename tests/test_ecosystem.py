@@ -69,7 +69,7 @@ def test_a_training_that_gains_nothing_is_found_out():
 
 def _gained(yardstick, episodes):
     scenario = yardstick.ptne_env.get_scenario(yardstick.SCENARIO)
-    entry = yardstick.Entry("law", yardstick.law)
+    entry = yardstick.PolicySpec("law", yardstick.law)
     results = yardstick.ptne_env.evaluate([entry], [scenario], episodes=episodes, split="train", against_laws=False)
     return results.cells[0].samples["digits_gained"]
 

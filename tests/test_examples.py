@@ -59,7 +59,7 @@ def test_parts_of_ones_own_are_found_by_module_and_object_alone(tmp_path):
     data = json.loads((tmp_path / "out" / "results.json").read_text(encoding="utf-8"))
     contest, clipped = (track["scenario"] for track in data["suite"]["tracks"])
     assert contest["game"]["target"] == "own_parts:BeautyContest"
-    assert contest["signal"]["target"] == "own_parts:wheel"
+    assert contest["topology"]["target"] == "own_parts:wheel"
     assert clipped["channel"]["target"] == "own_parts:Clipped"
     digits = {(row["track"], row["policy"]): row["metrics"]["digits"]["mean"] for row in data["tracks"]}
     for track in ("contest", "clipped"):

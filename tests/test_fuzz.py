@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 from soak import attempt, main, soak
 
 from ptne_env import VectorParallelEnv
-from ptne_env.dynamics import Dynamics
-from ptne_env.interface import Clipped, Port
+from ptne_env.dynamics import World
+from ptne_env.encoder import Clipped, Encoder
 
 
 @settings(suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large])
@@ -29,7 +29,7 @@ def test_random_worlds_differ_and_have_everything_in_them():
         except ValueError:
             continue
     assert len(scenarios) > 60
-    for field in ("game", "signal"):
+    for field in ("game", "topology"):
         assert len({getattr(scenario, field).target for scenario in scenarios}) >= 4
     stages = {stage.target for one in scenarios for _, stages in one.channel.arguments for stage in stages}
     assert len(stages) == 8
@@ -39,8 +39,8 @@ def test_random_worlds_differ_and_have_everything_in_them():
     assert any(scenario.hold_steps for scenario in scenarios)
 
 
-def clip_nan(port, actions):
-    bound = port.layout.action_bound
+def clip_nan(encoder, actions):
+    bound = encoder.layout.action_bound
     return Clipped(np.clip(actions, -bound, bound), np.zeros(actions.shape[:2], dtype=int))
 
 
@@ -49,13 +49,13 @@ def share_observations(env, buffers={}):  # noqa: B006 - sharing is the fault
     return buffers.setdefault(shape, np.empty(shape, dtype=np.float32))
 
 
-STEP, OBSERVE, IS_OVER = Dynamics.step, Port.observe, Dynamics.is_over
+STEP, OBSERVE, IS_OVER = World.step, Encoder.observe, World.is_over
 FAULTS = {
-    "NaN is accepted": (Port, "clip", clip_nan),
-    "a step is too long": (Dynamics, "step", lambda world, state, inputs: STEP(world, state, inputs * (1 + 1e-7))),
+    "NaN is accepted": (Encoder, "clip", clip_nan),
+    "a step is too long": (World, "step", lambda world, state, inputs: STEP(world, state, inputs * (1 + 1e-7))),
     "observations are overwritten": (VectorParallelEnv, "_empty_observations", share_observations),
-    "episodes end late": (Dynamics, "is_over", lambda world, state: IS_OVER(world, state) & (state.step > 1)),
-    "player 0 is special": (Port, "observe", lambda port, state, out=None: special(OBSERVE(port, state, out))),
+    "episodes end late": (World, "is_over", lambda world, state: IS_OVER(world, state) & (state.step > 1)),
+    "player 0 is special": (Encoder, "observe", lambda encoder, state, out=None: special(OBSERVE(encoder, state, out))),
 }
 
 
@@ -83,7 +83,7 @@ def test_the_soak_repeats_itself_and_counts_what_it_plays():
 
 
 def test_the_soak_tells_what_did_not_hold_and_where(monkeypatch, capsys):
-    monkeypatch.setattr(Port, "clip", clip_nan)
+    monkeypatch.setattr(Encoder, "clip", clip_nan)
     arguments = ["--episodes", "1000", "--each", "5", "--jobs", "1"]
     monkeypatch.setattr("soak.CHUNK", 8)
     monkeypatch.setattr("soak.ENOUGH", 1)

@@ -5,10 +5,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
 
-from ptne_env import Part, get_scenario, graphs
-from ptne_env.dynamics import Dynamics
-from ptne_env.graphs import DrawnSignal, Graph, RandomSignal, Signal
-from ptne_env.sources import Sources
+from ptne_env import FactorySpec, get_scenario, graphs, switching
+from ptne_env.dynamics import World
+from ptne_env.graphs import Graph
+from ptne_env.random_streams import RandomStreams
+from ptne_env.switching import EpisodeTopology, MarkovTopology, SwitchingTopology
 
 
 @st.composite
@@ -124,23 +125,23 @@ def test_too_few_players_are_refused(name, players):
 
 
 def test_paper_signal_has_four_disconnected_modes_that_are_jointly_the_cycle():
-    signal = graphs.paper_signal()
-    assert [graph.edges for graph in signal.graphs] == [
+    topology = switching.paper_topology()
+    assert [graph.edges for graph in topology.graphs] == [
         [(0, 1), (2, 3)],
         [(1, 2), (3, 4)],
         [(0, 4), (2, 3)],
         [(0, 1), (3, 4)],
     ]
-    assert not any(graph.is_connected for graph in signal.graphs)
-    assert signal.is_jointly_connected
-    assert signal.union == graphs.cycle(5)
-    assert signal.period == pytest.approx(0.4)
-    assert signal.mean_dwell == pytest.approx(0.1)
+    assert not any(graph.is_connected for graph in topology.graphs)
+    assert topology.is_jointly_connected
+    assert topology.union == graphs.cycle(5)
+    assert topology.period == pytest.approx(0.4)
+    assert topology.mean_dwell == pytest.approx(0.1)
 
 
 def test_signal_whose_union_is_disconnected_is_not_jointly_connected():
     pairs = [graphs.from_edges(4, [(0, 1)]), graphs.from_edges(4, [(2, 3)])]
-    assert not graphs.periodic(pairs, [1.0, 1.0]).is_jointly_connected
+    assert not switching.periodic(pairs, [1.0, 1.0]).is_jointly_connected
 
 
 @given(
@@ -148,8 +149,8 @@ def test_signal_whose_union_is_disconnected_is_not_jointly_connected():
     st.lists(st.floats(0.0, 50.0), min_size=1, max_size=20),
 )
 def test_active_mode_and_age_are_those_found_by_walking_through_the_dwells(dwells, instants):
-    signal = Signal([graphs.path(3)] * len(dwells), dwells)
-    schedule = signal.schedule(instants)
+    topology = SwitchingTopology([graphs.path(3)] * len(dwells), dwells)
+    schedule = topology.schedule(instants)
     for instant, mode, age in zip(instants, schedule.modes, schedule.age, strict=True):
         now, walked = instant, 0
         while now >= dwells[walked % len(dwells)]:
@@ -162,36 +163,36 @@ def test_active_mode_and_age_are_those_found_by_walking_through_the_dwells(dwell
 
 
 def test_instants_that_are_rounded_multiples_of_the_dwell_start_the_next_mode():
-    signal = graphs.paper_signal(dwell=0.1)
+    topology = switching.paper_topology(dwell=0.1)
     instants = np.concatenate([np.arange(400) * 0.1, np.cumsum(np.full(400, 0.1))])
-    schedule = signal.schedule(instants)
+    schedule = topology.schedule(instants)
     expected = np.concatenate([np.arange(400), np.arange(1, 401)]) % 4
     assert np.array_equal(schedule.modes, expected)
     assert schedule.age == pytest.approx(np.zeros(800), abs=1e-8)
 
 
 def test_age_is_measured_against_the_mean_dwell_and_clipped():
-    signal = Signal([graphs.path(3)] * 2, [3.0, 1.0])
-    assert signal.schedule([0.0, 1.0, 2.9, 3.0, 3.5]).age == pytest.approx([0.0, 0.5, 1.0, 0.0, 0.25])
+    topology = SwitchingTopology([graphs.path(3)] * 2, [3.0, 1.0])
+    assert topology.schedule([0.0, 1.0, 2.9, 3.0, 3.5]).age == pytest.approx([0.0, 0.5, 1.0, 0.0, 0.25])
 
 
 def test_fixed_graph_never_changes_and_has_no_age():
-    signal = graphs.fixed(graphs.cycle(4))
-    schedule = signal.schedule([0.0, 1e9])
+    topology = switching.fixed(graphs.cycle(4))
+    schedule = topology.schedule([0.0, 1e9])
     assert schedule.modes.tolist() == [0, 0]
     assert schedule.age.tolist() == [0, 0]
-    assert signal.switches(0, 1e9).size == 0
+    assert topology.switches(0, 1e9).size == 0
 
 
 @given(st.lists(st.floats(0.1, 2.0), min_size=2, max_size=4), st.floats(0, 20), st.floats(0.1, 10))
 def test_mode_changes_at_every_switch_and_nowhere_else(dwells, start, length):
-    signal = Signal([graphs.path(3)] * len(dwells), dwells)
-    switches = signal.switches(start, start + length)
+    topology = SwitchingTopology([graphs.path(3)] * len(dwells), dwells)
+    switches = topology.switches(start, start + length)
     assert np.all((switches > start) & (switches < start + length))
-    before, after = (signal.schedule(switches + shift).modes for shift in (-1e-6, 1e-6))
+    before, after = (topology.schedule(switches + shift).modes for shift in (-1e-6, 1e-6))
     assert np.array_equal((before + 1) % len(dwells), after)
     bounds = np.concatenate([[start], switches, [start + length]])
-    middles = signal.schedule((bounds[:-1] + bounds[1:]) / 2).modes
+    middles = topology.schedule((bounds[:-1] + bounds[1:]) / 2).modes
     assert np.array_equal((middles[:-1] + 1) % len(dwells), middles[1:])
 
 
@@ -208,12 +209,12 @@ def test_mode_changes_at_every_switch_and_nowhere_else(dwells, start, length):
 )
 def test_inconsistent_signals_are_refused(arguments, message):
     with pytest.raises(ValueError, match=message):
-        Signal(**arguments)
+        SwitchingTopology(**arguments)
 
 
 def test_instant_before_the_start_is_refused():
     with pytest.raises(ValueError, match="starts at 0"):
-        graphs.paper_signal().schedule([-0.1])
+        switching.paper_topology().schedule([-0.1])
 
 
 FALSE_ALARM = 1e-6
@@ -224,7 +225,7 @@ CHAIN = [[0.5, 0.3, 0.2], [0.1, 0.2, 0.7], [0.6, 0.4, 0.0]]
 
 
 def generators(count, seed=0):
-    return [Sources.from_seed(seed + index).graph for index in range(count)]
+    return [RandomStreams.from_seed(seed + index).graph for index in range(count)]
 
 
 def following(row, choice):
@@ -237,57 +238,57 @@ def following(row, choice):
     return len(row) - 1
 
 
-def walked(signal, instants, generator):
+def walked(topology, instants, generator):
     """Mode and age by walking from dwell to dwell with the same draws, in plain Python."""
-    count = int(max(instants) / signal.shortest) + 2
+    count = int(max(instants) / topology.shortest) + 2
     choices, units = generator.random((2, count))
     modes, ages = [], []
     for instant in instants:
-        mode = signal.first if signal.first is not None else int(choices[0] * len(signal.graphs))
+        mode = topology.first if topology.first is not None else int(choices[0] * len(topology.graphs))
         begun, dwell = 0.0, 0
         while True:
-            end = begun + signal.shortest + (signal.longest - signal.shortest) * units[dwell]
-            if instant < end - 1e-9 * signal.shortest:
+            end = begun + topology.shortest + (topology.longest - topology.shortest) * units[dwell]
+            if instant < end - 1e-9 * topology.shortest:
                 break
-            begun, dwell, mode = end, dwell + 1, following(signal.transition[mode].tolist(), choices[dwell + 1])
+            begun, dwell, mode = end, dwell + 1, following(topology.transition[mode].tolist(), choices[dwell + 1])
         modes.append(mode)
-        ages.append(min((instant - begun) / signal.mean_dwell, 1.0))
+        ages.append(min((instant - begun) / topology.mean_dwell, 1.0))
     return modes, ages
 
 
 @pytest.mark.parametrize(
-    "signal",
+    "topology",
     [
-        graphs.markov(PAIRS, CHAIN, (0.2, 0.7)),
-        graphs.markov(PAIRS, CHAIN, 0.25),
-        graphs.random_dwells(PAIRS, (0.2, 0.7)),
-        graphs.random_edges(graphs.complete(4), 0.3, (0.2, 0.7), modes=5),
+        switching.markov(PAIRS, CHAIN, (0.2, 0.7)),
+        switching.markov(PAIRS, CHAIN, 0.25),
+        switching.random_dwells(PAIRS, (0.2, 0.7)),
+        switching.random_edges(graphs.complete(4), 0.3, (0.2, 0.7), modes=5),
     ],
     ids=["markov", "markov, dwells known", "dwells", "edges"],
 )
-def test_drawn_schedule_is_the_one_found_by_walking_through_the_draws(signal):
+def test_drawn_schedule_is_the_one_found_by_walking_through_the_draws(topology):
     instants = np.linspace(0, 12, 97)
-    schedule = signal.draw(instants, generators(6))
+    schedule = topology.draw(instants, generators(6))
     assert schedule.modes.shape == schedule.age.shape == (97, 6)
     for b, generator in enumerate(generators(6)):
-        modes, ages = walked(signal, instants.tolist(), generator)
+        modes, ages = walked(topology, instants.tolist(), generator)
         assert schedule.modes[:, b].tolist() == modes
         assert schedule.age[:, b] == pytest.approx(np.array(ages), abs=1e-9)
-    assert len({tuple(column) for column in schedule.modes.T}) > 1 or signal.first is not None
+    assert len({tuple(column) for column in schedule.modes.T}) > 1 or topology.first is not None
 
 
 def test_schedules_of_episodes_do_not_depend_on_each_other():
-    signal, instants = graphs.markov(PAIRS, CHAIN, (0.2, 0.7)), np.linspace(0, 12, 97)
-    together = signal.draw(instants, generators(5))
+    topology, instants = switching.markov(PAIRS, CHAIN, (0.2, 0.7)), np.linspace(0, 12, 97)
+    together = topology.draw(instants, generators(5))
     for b in range(5):
-        alone = signal.draw(instants, generators(1, seed=b))
+        alone = topology.draw(instants, generators(1, seed=b))
         assert np.array_equal(alone.modes[:, 0], together.modes[:, b])
         assert np.array_equal(alone.age[:, 0], together.age[:, b])
 
 
 def test_modes_follow_the_chain_and_dwells_their_range():
-    signal = graphs.markov(PAIRS, CHAIN, 1.0)
-    modes = signal.draw(np.arange(60) + 0.5, generators(300)).modes
+    topology = switching.markov(PAIRS, CHAIN, 1.0)
+    modes = topology.draw(np.arange(60) + 0.5, generators(300)).modes
     assert stats.chisquare(np.bincount(modes[0], minlength=3)).pvalue > FALSE_ALARM
     for mode in range(3):
         following = np.bincount(modes[1:][modes[:-1] == mode], minlength=3)
@@ -296,7 +297,7 @@ def test_modes_follow_the_chain_and_dwells_their_range():
         assert not following[~possible].any()
         assert stats.chisquare(following[possible], expected[possible]).pvalue > FALSE_ALARM
 
-    order = graphs.random_dwells(PAIRS, (0.5, 1.5))
+    order = switching.random_dwells(PAIRS, (0.5, 1.5))
     instants = np.linspace(0, 1.5, 3001)
     first = (order.draw(instants, generators(400)).modes == 0).sum(axis=0) * 0.0005  # the first dwell of each episode
     assert stats.kstest(first - 0.5, "uniform").pvalue > FALSE_ALARM
@@ -304,93 +305,93 @@ def test_modes_follow_the_chain_and_dwells_their_range():
 
 
 def test_links_of_the_pool_are_up_as_often_as_asked_for():
-    signal = graphs.random_edges(graphs.complete(6), 0.3, 1.0, modes=400, seed=3)
-    up = sum(len(graph.edges) for graph in signal.graphs)
+    topology = switching.random_edges(graphs.complete(6), 0.3, 1.0, modes=400, seed=3)
+    up = sum(len(graph.edges) for graph in topology.graphs)
     assert stats.binomtest(up, 400 * 15, 0.3).pvalue > FALSE_ALARM
-    again = graphs.random_edges(graphs.complete(6), 0.3, 1.0, modes=400, seed=3)
-    assert again.graphs == signal.graphs
-    assert graphs.random_edges(graphs.complete(6), 0.3, 1.0, modes=400, seed=4).graphs != signal.graphs
-    weighted = graphs.random_edges(Graph([[0, 2.5], [2.5, 0]]), 0.5, 1.0, modes=20)
+    again = switching.random_edges(graphs.complete(6), 0.3, 1.0, modes=400, seed=3)
+    assert again.graphs == topology.graphs
+    assert switching.random_edges(graphs.complete(6), 0.3, 1.0, modes=400, seed=4).graphs != topology.graphs
+    weighted = switching.random_edges(Graph([[0, 2.5], [2.5, 0]]), 0.5, 1.0, modes=20)
     assert {graph.adjacency[0, 1] for graph in weighted.graphs} == {0.0, 2.5}
 
 
 def test_every_episode_draws_its_graph_and_keeps_it():
-    signal, instants = graphs.random_graphs(5, 0.5, modes=7, seed=1), np.linspace(0, 3, 11)
-    schedule = signal.draw(instants, generators(2000))
+    topology, instants = switching.random_graphs(5, 0.5, modes=7, seed=1), np.linspace(0, 3, 11)
+    schedule = topology.draw(instants, generators(2000))
     assert schedule.modes.shape == schedule.age.shape == (11, 2000)
     assert not schedule.age.any()
     assert not np.diff(schedule.modes, axis=0).any()
     assert stats.chisquare(np.bincount(schedule.modes[0], minlength=7)).pvalue > FALSE_ALARM
     for b in range(5):
-        alone = signal.draw(instants, generators(1, seed=b))
+        alone = topology.draw(instants, generators(1, seed=b))
         assert np.array_equal(alone.modes[:, 0], schedule.modes[:, b])
-    assert signal.shortest_dwell == signal.mean_dwell == signal.period == np.inf
-    assert signal.switches(0, 10).size == 0
+    assert topology.shortest_dwell == topology.mean_dwell == topology.period == np.inf
+    assert topology.switches(0, 10).size == 0
 
 
 def test_random_graphs_are_connected_and_linked_as_often_as_connected_graphs_are():
-    signal = graphs.random_graphs(4, 0.5, modes=400, seed=2)
-    assert signal.graphs == graphs.random_graphs(4, 0.5, modes=400, seed=2).graphs
-    assert signal.graphs != graphs.random_graphs(4, 0.5, modes=400, seed=3).graphs
-    assert all(graph.is_connected for graph in signal.graphs)
+    topology = switching.random_graphs(4, 0.5, modes=400, seed=2)
+    assert topology.graphs == switching.random_graphs(4, 0.5, modes=400, seed=2).graphs
+    assert topology.graphs != switching.random_graphs(4, 0.5, modes=400, seed=3).graphs
+    assert all(graph.is_connected for graph in topology.graphs)
     # At probability 1/2 all connected graphs are equally likely: of 4 players there are 16, 15, 6 and 1 with 3, ..., 6
     # links.
-    links = np.bincount([len(graph.edges) for graph in signal.graphs], minlength=7)
+    links = np.bincount([len(graph.edges) for graph in topology.graphs], minlength=7)
     assert not links[:3].any()
     assert stats.chisquare(links[3:], 400 * np.array([16, 15, 6, 1]) / 38).pvalue > FALSE_ALARM
     with pytest.raises(ValueError, match="hardly any graph of 5 players is connected"):
-        graphs.random_graphs(5, 1e-6, modes=2)
+        switching.random_graphs(5, 1e-6, modes=2)
     with pytest.raises(ValueError, match="between 0 and 1"):
-        graphs.random_graphs(5, 1.5)
+        switching.random_graphs(5, 1.5)
     with pytest.raises(ValueError, match="at least two"):
-        DrawnSignal([graphs.path(3)])
+        EpisodeTopology([graphs.path(3)])
     with pytest.raises(ValueError, match="draw one per episode"):
-        signal.schedule([0.0])
+        topology.schedule([0.0])
 
 
 def test_joint_connectivity_is_what_can_be_promised():
     connected = [graphs.path(4), graphs.cycle(4)]
     apart = [graphs.from_edges(4, [(0, 1)]), graphs.from_edges(4, [(2, 3)])]
     even = np.full((2, 2), 0.5)
-    assert graphs.fixed(graphs.path(4)).joint_connectivity == "always"
-    assert graphs.fixed(apart[0]).joint_connectivity == "never"
-    assert graphs.periodic(PAIRS, [1] * 3).joint_connectivity == "always"
-    assert graphs.periodic(apart, [1, 1]).joint_connectivity == "never"
-    assert graphs.random_dwells(PAIRS, (0.5, 1)).joint_connectivity == "always"
-    assert graphs.markov(PAIRS, CHAIN, 1.0).joint_connectivity == "almost surely"
-    assert graphs.markov(connected, even, 1.0).joint_connectivity == "always"
-    assert graphs.markov(apart, even, 1.0).joint_connectivity == "never"
-    assert graphs.random_edges(graphs.cycle(4), 0.5, 1.0).joint_connectivity == "almost surely"
-    assert graphs.random_edges(graphs.cycle(4), 1.0, 1.0, modes=2).joint_connectivity == "always"
-    assert graphs.random_edges(graphs.cycle(4), 1e-9, 1.0).joint_connectivity == "never"
-    assert graphs.random_graphs(4, 0.5).joint_connectivity == "always"
-    assert DrawnSignal([graphs.path(4), apart[0]]).joint_connectivity == "never"
+    assert switching.fixed(graphs.path(4)).joint_connectivity == "always"
+    assert switching.fixed(apart[0]).joint_connectivity == "never"
+    assert switching.periodic(PAIRS, [1] * 3).joint_connectivity == "always"
+    assert switching.periodic(apart, [1, 1]).joint_connectivity == "never"
+    assert switching.random_dwells(PAIRS, (0.5, 1)).joint_connectivity == "always"
+    assert switching.markov(PAIRS, CHAIN, 1.0).joint_connectivity == "almost surely"
+    assert switching.markov(connected, even, 1.0).joint_connectivity == "always"
+    assert switching.markov(apart, even, 1.0).joint_connectivity == "never"
+    assert switching.random_edges(graphs.cycle(4), 0.5, 1.0).joint_connectivity == "almost surely"
+    assert switching.random_edges(graphs.cycle(4), 1.0, 1.0, modes=2).joint_connectivity == "always"
+    assert switching.random_edges(graphs.cycle(4), 1e-9, 1.0).joint_connectivity == "never"
+    assert switching.random_graphs(4, 0.5).joint_connectivity == "always"
+    assert EpisodeTopology([graphs.path(4), apart[0]]).joint_connectivity == "never"
 
 
 def test_almost_sure_means_no_window():
     """An episode with a given window in which the union is not connected happens, with any window."""
-    signal = graphs.markov(PAIRS, np.full((3, 3), 1 / 3), 1.0)
-    modes = signal.draw(np.arange(40) + 0.5, generators(2000)).modes
+    topology = switching.markov(PAIRS, np.full((3, 3), 1 / 3), 1.0)
+    modes = topology.draw(np.arange(40) + 0.5, generators(2000)).modes
     disconnected = [len(set(modes[:5, b])) < 3 for b in range(2000)]
     probability = (3 * 2**5 - 3) / 3**5  # a mode or two are missing among five
     assert stats.binomtest(sum(disconnected), 2000, probability).pvalue > FALSE_ALARM
 
 
 def test_random_signal_has_no_schedule_without_a_draw():
-    signal = graphs.markov(PAIRS, CHAIN, (0.2, 0.7))
-    assert signal.is_random
-    assert not signal.is_fixed
-    assert (signal.shortest_dwell, signal.mean_dwell) == (0.2, pytest.approx(0.45))
-    for call in (lambda: signal.schedule([0.0]), lambda: signal.switches(0, 1)):
+    topology = switching.markov(PAIRS, CHAIN, (0.2, 0.7))
+    assert topology.is_random
+    assert not topology.is_fixed
+    assert (topology.shortest_dwell, topology.mean_dwell) == (0.2, pytest.approx(0.45))
+    for call in (lambda: topology.schedule([0.0]), lambda: topology.switches(0, 1)):
         with pytest.raises(ValueError, match="is random and has no"):
             call()
     with pytest.raises(ValueError, match="starts at 0"):
-        signal.draw([-1.0, 0.0], generators(1))
+        topology.draw([-1.0, 0.0], generators(1))
 
 
 def test_drawing_a_certain_signal_gives_everybody_its_schedule():
-    signal, instants = graphs.paper_signal(), np.linspace(0, 1, 31)
-    drawn, schedule = signal.draw(instants, generators(3)), signal.schedule(instants)
+    topology, instants = switching.paper_topology(), np.linspace(0, 1, 31)
+    drawn, schedule = topology.draw(instants, generators(3)), topology.schedule(instants)
     for b in range(3):
         assert np.array_equal(drawn.modes[:, b], schedule.modes)
         assert np.array_equal(drawn.age[:, b], schedule.age)
@@ -414,18 +415,20 @@ def test_drawing_a_certain_signal_gives_everybody_its_schedule():
 def test_random_signal_that_cannot_be_is_refused(arguments, message):
     defaults = {"graphs": [graphs.path(3)] * 2, "transition": np.full((2, 2), 0.5), "dwells": 1.0}
     with pytest.raises(ValueError, match=message):
-        RandomSignal(**(defaults | arguments))
+        MarkovTopology(**(defaults | arguments))
 
 
 @pytest.mark.parametrize("probability", [0.0, 1.1, -0.1])
 def test_links_that_are_up_with_no_probability_are_refused(probability):
     with pytest.raises(ValueError, match="probability must be"):
-        graphs.random_edges(graphs.cycle(4), probability, 1.0)
+        switching.random_edges(graphs.cycle(4), probability, 1.0)
 
 
 def random_scenario(**arguments):
-    part = Part.of("ptne_env.graphs:random_edges", graph=Part.of("ptne_env.graphs:cycle", players=5), **arguments)
-    return get_scenario("energy", signal=part, start="random")
+    part = FactorySpec.of(
+        "ptne_env.switching:random_edges", graph=FactorySpec.of("ptne_env.graphs:cycle", players=5), **arguments
+    )
+    return get_scenario("energy", topology=part, start="random")
 
 
 def test_scenario_refuses_what_never_connects_and_what_may_dwell_too_shortly():
@@ -438,15 +441,15 @@ def test_scenario_refuses_what_never_connects_and_what_may_dwell_too_shortly():
 def test_every_episode_has_its_own_signal_and_it_is_held_in_the_state():
     scenario = random_scenario(probability=0.5, dwells=(0.02, 0.05))
     assert scenario.is_random
-    dynamics = Dynamics(scenario)
+    world = World(scenario)
 
     def states(seeds):
-        sources = [Sources.from_seed(seed) for seed in seeds]
-        estimates, chance = dynamics.draw_estimates(sources), dynamics.draw_chance(sources)
-        state, result = dynamics.start(estimates, chance=chance), []
+        sources = [RandomStreams.from_seed(seed) for seed in seeds]
+        estimates, randomness = world.draw_estimates(sources), world.draw_randomness(sources)
+        state, result = world.start(estimates, randomness=randomness), []
         for _ in range(400):
             result.append(state)
-            state = dynamics.step(state, np.zeros_like(state.estimates))
+            state = world.step(state, np.zeros_like(state.estimates))
         return result
 
     together = states(range(3))
@@ -455,6 +458,6 @@ def test_every_episode_has_its_own_signal_and_it_is_held_in_the_state():
     assert np.array_equal(modes[:, [1]], np.array([state.mode for state in states([1])]))
     for state in together[::40]:
         for b in range(3):
-            adjacency = dynamics.signal.graphs[int(state.mode[b])].adjacency
+            adjacency = world.topology.graphs[int(state.mode[b])].adjacency
             for i in range(5):
-                assert state.weights[:, i, b].tolist() == [adjacency[i, j] for j in dynamics.neighbours[:, i]]
+                assert state.weights[:, i, b].tolist() == [adjacency[i, j] for j in world.neighbours[:, i]]

@@ -72,4 +72,4 @@ def test_exactly_the_catalogue_is_registered():
 
 def test_a_fresh_interpreter_makes_environments_by_the_module_s_name():
     statement = "import gymnasium\nenv = gymnasium.make('ptne_env:ptne/energy-joint-v0')\nenv.reset(seed=3)"
-    assert "ptne_env.envs.joint" in modules_after(statement)
+    assert "ptne_env.envs.gymnasium" in modules_after(statement)

@@ -4,74 +4,74 @@ from test_dynamics import large_energy_scenario
 from worlds import BLOCKS, constant_actions, make_env, play, while_running
 
 from ptne_env import get_scenario, laws
-from ptne_env.dynamics import Dynamics
+from ptne_env.dynamics import World
 from ptne_env.games import NoBestResponseError
+from ptne_env.random_streams import RandomStreams
 from ptne_env.rewards import REWARD_LIMIT, TERMS, Reward, parse_reward
-from ptne_env.sources import Sources
 
 GAMES = {"energy": get_scenario("energy", start="random"), "blocks": BLOCKS}
 
 
 def episode(scenario, reward, steps=25, batch=3):
     """States along a random walk, and the terms of each step."""
-    dynamics = Dynamics(scenario)
-    judge = Reward(dynamics, reward)
+    world = World(scenario)
+    judge = Reward(world, reward)
     generator = np.random.default_rng(0)
-    states = [dynamics.start(dynamics.draw_estimates([Sources.from_seed(b) for b in range(batch)]))]
+    states = [world.start(world.draw_estimates([RandomStreams.from_seed(b) for b in range(batch)]))]
     judge.reset(states[0])
     terms = []
     for _ in range(steps):
-        states.append(dynamics.step(states[-1], generator.normal(size=states[-1].estimates.shape)))
+        states.append(world.step(states[-1], generator.normal(size=states[-1].estimates.shape)))
         terms.append(judge.step(states[-1]))
-    return dynamics, judge, states, terms
+    return world, judge, states, terms
 
 
-def distance(dynamics, state):
-    equilibrium = dynamics.game.nash_equilibrium
+def distance(world, state):
+    equilibrium = world.game.nash_equilibrium
     error = state.estimates - equilibrium[:, None, None]
     return np.sqrt((error**2).sum(axis=0)) / np.linalg.norm(equilibrium)
 
 
 @pytest.mark.parametrize("name", GAMES)
 def test_digits_telescope_to_the_digits_gained(name):
-    dynamics, _, states, terms = episode(GAMES[name], "digits")
+    world, _, states, terms = episode(GAMES[name], "digits")
     gained = sum(term["digits"] for term in terms)
-    expected = np.log10(distance(dynamics, states[0])) - np.log10(distance(dynamics, states[-1]))
+    expected = np.log10(distance(world, states[0])) - np.log10(distance(world, states[-1]))
     assert gained == pytest.approx(expected, abs=1e-12)
 
 
 def test_digits_count_no_further_than_twelve():
-    dynamics = Dynamics(get_scenario("energy"))
-    judge = Reward(dynamics)
-    equilibrium = np.repeat(dynamics.game.nash_equilibrium[:, None, None], 5, axis=1)
-    state = dynamics.start(equilibrium * 1.1)
+    world = World(get_scenario("energy"))
+    judge = Reward(world)
+    equilibrium = np.repeat(world.game.nash_equilibrium[:, None, None], 5, axis=1)
+    state = world.start(equilibrium * 1.1)
     judge.reset(state)
-    arrived = dynamics.step(state, (equilibrium - state.estimates) / dynamics.clock.theta[0])
+    arrived = world.step(state, (equilibrium - state.estimates) / world.clock.theta[0])
     first = judge.step(arrived)["digits"]
     assert first == pytest.approx(np.full((5, 1), 11.0), abs=1e-9)
-    assert judge.step(dynamics.step(arrived, np.zeros_like(equilibrium)))["digits"].tolist() == [[0.0]] * 5
+    assert judge.step(world.step(arrived, np.zeros_like(equilibrium)))["digits"].tolist() == [[0.0]] * 5
 
 
 @pytest.mark.parametrize("name", GAMES)
 def test_tracking_is_minus_the_distance_after_the_step(name):
-    dynamics, _, states, terms = episode(GAMES[name], "tracking")
+    world, _, states, terms = episode(GAMES[name], "tracking")
     for state, term in zip(states[1:], terms, strict=True):
-        assert term["tracking"] == pytest.approx(-distance(dynamics, state), rel=1e-12)
+        assert term["tracking"] == pytest.approx(-distance(world, state), rel=1e-12)
 
 
 @pytest.mark.parametrize("name", GAMES)
 def test_payoff_is_minus_the_cost_of_the_real_strategies(name):
-    dynamics, _, states, terms = episode(GAMES[name], "payoff")
-    owners = dynamics.game.owners
+    world, _, states, terms = episode(GAMES[name], "payoff")
+    owners = world.game.owners
     for state, term in zip(states[1:], terms, strict=True):
         strategies = state.estimates[np.arange(owners.size), owners]
-        assert np.array_equal(term["payoff"], -dynamics.game.costs(strategies))
+        assert np.array_equal(term["payoff"], -world.game.costs(strategies))
 
 
 @pytest.mark.parametrize("name", GAMES)
 def test_regret_is_minus_what_a_player_could_gain_alone(name):
-    dynamics, _, states, terms = episode(GAMES[name], "regret")
-    game, owners = dynamics.game, dynamics.game.owners
+    world, _, states, terms = episode(GAMES[name], "regret")
+    game, owners = world.game, world.game.owners
     for state, term in zip(states[1:], terms, strict=True):
         strategies = state.estimates[np.arange(owners.size), owners]
         response = game.best_response(strategies)
@@ -117,12 +117,12 @@ def test_return_of_an_episode_is_the_digits_gained():
 @pytest.mark.parametrize("reward", TERMS)
 @pytest.mark.parametrize("scenario", [get_scenario("energy", start="random"), large_energy_scenario()])
 def test_batch_agrees_bit_for_bit_with_batches_of_one(scenario, reward):
-    dynamics = Dynamics(scenario)
+    world = World(scenario)
     batch = 6
-    estimates = dynamics.draw_estimates([Sources.from_seed(b) for b in range(batch)])
-    together, judge = dynamics.start(estimates), Reward(dynamics, reward)
+    estimates = world.draw_estimates([RandomStreams.from_seed(b) for b in range(batch)])
+    together, judge = world.start(estimates), Reward(world, reward)
     judge.reset(together)
-    alone = [(dynamics.start(estimates[:, :, b : b + 1]), Reward(dynamics, reward)) for b in range(batch)]
+    alone = [(world.start(estimates[:, :, b : b + 1]), Reward(world, reward)) for b in range(batch)]
     for state, own in alone:
         own.reset(state)
     generator = np.random.default_rng(0)
@@ -130,10 +130,10 @@ def test_batch_agrees_bit_for_bit_with_batches_of_one(scenario, reward):
         inputs = generator.normal(size=estimates.shape)
         if k == 5:
             inputs[:, :, 2] = 1e9  # the third environment leaves the range
-        together = dynamics.step(together, inputs)
+        together = world.step(together, inputs)
         terms = judge.step(together)[reward]
         for b, (state, own) in enumerate(alone):
-            following = dynamics.step(state, inputs[:, :, b : b + 1])
+            following = world.step(state, inputs[:, :, b : b + 1])
             assert np.array_equal(own.step(following)[reward][:, 0], terms[:, b])
             alone[b] = following, own
     assert together.diverged.tolist() == [b == 2 for b in range(batch)]
@@ -156,7 +156,7 @@ def returns_of(env, act):
 @pytest.mark.parametrize("reward", [*TERMS, {"digits": 1.0, "payoff": 1e-6, "tracking": 0.1}])
 def test_crash_never_pays(reward, crash_at):
     env = make_env("energy", steps=20, reward=reward, input_limit=1e7)
-    theta = env.dynamics.clock.theta
+    theta = env.world.clock.theta
     brink = 1.9e5  # own gradients are 2.6 times a strategy that all share, so this is just inside the range
 
     def after(continuation):
@@ -212,7 +212,7 @@ def test_rewards_of_a_crash_are_finite_and_charged_for_the_remaining_steps(rewar
     env.reset()
     env.step(constant_actions(env, 0.0))
     _, rewards, _, _, _ = env.step(constant_actions(env, 1e9))
-    limit = env.dynamics.distance_limit(env.dynamics.game)[0]
+    limit = env.world.distance_limit(env.world.game)[0]
     worst = {"tracking": limit, "payoff": REWARD_LIMIT, "regret": REWARD_LIMIT}
     for value in rewards.values():
         if reward == "digits":

@@ -8,13 +8,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 from worlds import BLOCKS, FROM_THE_PAPER, PAPER_START
 
-from ptne_env import CATALOGUE, Part, Scenario, get_scenario
+from ptne_env import CATALOGUE, FactorySpec, Scenario, get_scenario
 from ptne_env.games import EnergyGame, NonQuadraticGame
-from ptne_env.graphs import cycle, paper_signal
+from ptne_env.graphs import cycle
+from ptne_env.switching import paper_topology
 
 
 def edges(count, *pairs):
-    return Part.of("ptne_env.graphs:from_edges", players=count, edges=pairs)
+    return FactorySpec.of("ptne_env.graphs:from_edges", players=count, edges=pairs)
 
 
 @st.composite
@@ -25,9 +26,11 @@ def scenarios(draw):
     spacing = draw(st.sampled_from(["effective", "transformed", "physical"]))
     return Scenario(
         name=draw(st.text(max_size=10)),
-        game=Part.of("ptne_env.games:EnergyGame", target=target, coupling=draw(finite)),
-        signal=Part.of("ptne_env.graphs:fixed", graph=Part.of("ptne_env.graphs:complete", players=players)),
-        start=Part.of("ptne_env.starts:UniformStart", low=-draw(finite), high=draw(finite)),
+        game=FactorySpec.of("ptne_env.games:EnergyGame", target=target, coupling=draw(finite)),
+        topology=FactorySpec.of(
+            "ptne_env.switching:fixed", graph=FactorySpec.of("ptne_env.graphs:complete", players=players)
+        ),
+        start=FactorySpec.of("ptne_env.starts:UniformStart", low=-draw(finite), high=draw(finite)),
         transformation=draw(st.sampled_from(["exponential", "tanh"])),
         deadline=draw(finite),
         gain=draw(finite),
@@ -36,8 +39,10 @@ def scenarios(draw):
         spacing=spacing,
         hold_steps=draw(st.integers(0, 5)),
         input_limit=draw(finite),
-        channel=draw(st.sampled_from(["perfect", Part.of("ptne_env.channel:Loss", probability=0.5)])),
-        disturbance=draw(st.sampled_from(["none", Part.of("ptne_env.disturbances:UniformDisturbance", bound=1.0)])),
+        channel=draw(st.sampled_from(["perfect", FactorySpec.of("ptne_env.channel:Loss", probability=0.5)])),
+        disturbance=draw(
+            st.sampled_from(["none", FactorySpec.of("ptne_env.disturbances:UniformDisturbance", bound=1.0)])
+        ),
         clock_shifts=draw(st.sampled_from([(), (0.1,) * players])),
         slots=draw(st.sampled_from([None, 4])),
     )
@@ -86,7 +91,7 @@ def test_catalogue_has_the_promised_scenarios():
 @pytest.mark.parametrize("name", FROM_THE_PAPER)
 def test_catalogue_has_the_settings_of_the_paper(name):
     scenario = CATALOGUE[name]
-    clock, game, signal = scenario.built_clock, scenario.built_game, scenario.built_signal
+    clock, game, topology = scenario.built_clock, scenario.built_game, scenario.built_topology
     assert (clock.deadline, clock.gain, clock.steps, clock.s_end, clock.hold_steps) == (1.2, 20.0, 400, 8.0, 0)
     assert clock.spacing == "effective"
     assert type(clock.transformation).__name__ == "Exponential"
@@ -96,11 +101,11 @@ def test_catalogue_has_the_settings_of_the_paper(name):
     if not name.startswith("energy"):
         assert game.variant == ("printed" if name.endswith("printed") else "corrected")
     if "switching" in name:
-        assert signal.graphs == paper_signal().graphs
-        assert signal.clock == ("transformed" if name.endswith("transformed") else "physical")
-        assert signal.dwells == ((0.25,) * 4 if name.endswith("transformed") else (0.1,) * 4)
+        assert topology.graphs == paper_topology().graphs
+        assert topology.clock == ("transformed" if name.endswith("transformed") else "physical")
+        assert topology.dwells == ((0.25,) * 4 if name.endswith("transformed") else (0.1,) * 4)
     else:
-        assert signal.graphs == (cycle(5),)
+        assert topology.graphs == (cycle(5),)
 
 
 @pytest.mark.parametrize("name", [name for name in CATALOGUE if name.startswith("random-energy")])
@@ -108,7 +113,7 @@ def test_random_scenarios_draw_game_and_start_on_the_graphs_of_the_paper(name):
     scenario, paper = CATALOGUE[name], CATALOGUE[name.removeprefix("random-")]
     changed = {"name": name, "game": scenario.game, "start": get_scenario("energy", start="random").start, "s_end": 6.0}
     assert scenario == paper.replace(**changed)
-    assert scenario.game == Part.of("ptne_env.games:RandomEnergy", players=5)
+    assert scenario.game == FactorySpec.of("ptne_env.games:RandomEnergy", players=5)
     assert scenario.has_random_game
     assert scenario.is_random
     assert not paper.has_random_game
@@ -131,7 +136,7 @@ def test_other_games_start_at_random_in_their_box_on_a_cycle(name):
     scenario, (kind, dims) = CATALOGUE[name], OTHER_GAMES[name]
     game, clock = scenario.built_game, scenario.built_clock
     assert (type(game).__name__, game.action_dims) == (kind, dims)
-    assert scenario.built_signal.graphs == (cycle(len(dims)),)
+    assert scenario.built_topology.graphs == (cycle(len(dims)),)
     assert (clock.deadline, clock.gain, clock.steps, clock.s_end, clock.hold_steps) == (1.2, 20.0, 400, 8.0, 0)
     start = scenario.built_start
     assert start.is_random
@@ -159,7 +164,7 @@ def test_overrides_change_only_what_they_name():
 @pytest.mark.parametrize("kind", ["exponential", "rational", "tanh"])
 def test_short_names_are_the_parts_they_stand_for(kind):
     scenario = get_scenario("energy", transformation=kind, s_end=300.0 if kind == "rational" else 8.0)
-    assert isinstance(scenario.transformation, Part)
+    assert isinstance(scenario.transformation, FactorySpec)
     assert scenario.built_clock.transformation.deadline == 1.2
 
 
@@ -205,24 +210,28 @@ REFUSED = {
     "no input": (lambda: get_scenario("energy", input_limit=0.0), "input_limit must be a finite number above 0"),
     "unknown spacing": (lambda: get_scenario("energy", spacing="even"), "spacing is one of effective, transformed"),
     "start of another shape": (
-        lambda: get_scenario("energy", start=Part.of("ptne_env.starts:FixedStart", estimates=[[0.0] * 3] * 3)),
+        lambda: get_scenario("energy", start=FactorySpec.of("ptne_env.starts:FixedStart", estimates=[[0.0] * 3] * 3)),
         "made for 3 players and dimension 3.*choose start='random'",
     ),
     "disconnected graph": (
-        lambda: get_scenario("energy", signal=Part.of("ptne_env.graphs:fixed", graph=edges(5, (0, 1), (2, 3)))),
+        lambda: get_scenario(
+            "energy", topology=FactorySpec.of("ptne_env.switching:fixed", graph=edges(5, (0, 1), (2, 3)))
+        ),
         "graph is disconnected.*add links",
     ),
-    "signal that is not jointly connected": (
+    "topology that is not jointly connected": (
         lambda: get_scenario(
             "energy",
-            signal=Part.of(
-                "ptne_env.graphs:periodic", graphs=[edges(5, (0, 1)), edges(5, (2, 3), (3, 4))], dwells=[1, 1]
+            topology=FactorySpec.of(
+                "ptne_env.switching:periodic", graphs=[edges(5, (0, 1)), edges(5, (2, 3), (3, 4))], dwells=[1, 1]
             ),
         ),
         "not jointly connected over a period.*add links",
     ),
     "dwell shorter than the longest step": (
-        lambda: get_scenario("energy-switching", signal=Part.of("ptne_env.graphs:paper_signal", dwell=0.003)),
+        lambda: get_scenario(
+            "energy-switching", topology=FactorySpec.of("ptne_env.switching:paper_topology", dwell=0.003)
+        ),
         "shorter than the longest step.*use more steps, another spacing or longer dwells",
     ),
     "transformed dwell shorter than the longest step": (
@@ -230,7 +239,7 @@ REFUSED = {
         "dwell, 0.25 on the transformed clock, is shorter than the longest step",
     ),
     "game and graph for different numbers": (
-        lambda: get_scenario("energy", signal="ptne_env.graphs:paper_signal", game="sample_games:BlockGame"),
+        lambda: get_scenario("energy", topology="ptne_env.switching:paper_topology", game="sample_games:BlockGame"),
         "the game has 3 players, the graphs 5",
     ),
     "too few slots": (
@@ -254,7 +263,7 @@ REFUSED = {
     ),
     "disturbance without bound": (
         lambda: get_scenario(
-            "energy", disturbance=Part.of("ptne_env.disturbances:UniformDisturbance", bound=float("inf"))
+            "energy", disturbance=FactorySpec.of("ptne_env.disturbances:UniformDisturbance", bound=float("inf"))
         ),
         "bound must be a finite number above 0",
     ),
@@ -267,7 +276,7 @@ REFUSED = {
         lambda: Scenario.from_dict(get_scenario("energy").to_dict() | {"colour": 1}),
         r"unknown keys \['colour'\]",
     ),
-    "missing key": (lambda: Scenario.from_dict({"name": "x"}), r"missing keys \['game', 'signal', 'start'\]"),
+    "missing key": (lambda: Scenario.from_dict({"name": "x"}), r"missing keys \['game', 'start', 'topology'\]"),
     "not an object": (lambda: Scenario.from_json("[1, 2]"), "expected a JSON object, got list"),
     "not JSON": (lambda: Scenario.from_json("{"), "Expecting"),
 }
@@ -281,12 +290,12 @@ def test_scenario_that_cannot_be_is_refused_with_advice(name):
 
 
 def test_part_of_another_type_is_refused():
-    with pytest.raises(ValueError, match="game is a name, a 'module:object' string or a Part, got EnergyGame"):
+    with pytest.raises(ValueError, match="game is a name, a 'module:object' string or a FactorySpec, got EnergyGame"):
         get_scenario("energy", game=EnergyGame())
 
 
 def test_dwell_as_long_as_the_longest_step_is_allowed():
     clock = get_scenario("energy").built_clock
     longest = float(np.diff(clock.t).max())
-    signal = Part.of("ptne_env.graphs:paper_signal", dwell=longest)
-    assert get_scenario("energy-switching", signal=signal).built_signal.mean_dwell == longest
+    topology = FactorySpec.of("ptne_env.switching:paper_topology", dwell=longest)
+    assert get_scenario("energy-switching", topology=topology).built_topology.mean_dwell == longest

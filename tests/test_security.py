@@ -6,10 +6,10 @@ from pathlib import Path
 
 import pytest
 
-from ptne_env import Entry, Part, Scenario, get_scenario
-from ptne_env.evaluation.benchmark import Participant, check, get_participant, run_suite
-from ptne_env.evaluation.leaderboard import leaderboard
-from ptne_env.evaluation.suite import Suite, Track, content_hash, find_scenario
+from ptne_env import FactorySpec, PolicySpec, Scenario, get_scenario
+from ptne_env.experiments.benchmark import Participant, check, get_participant, run_suite
+from ptne_env.experiments.leaderboard import leaderboard
+from ptne_env.experiments.suite import Suite, Track, content_hash, find_scenario
 
 TEXT = (Path(__file__).parents[1] / "SECURITY.md").read_text(encoding="utf-8")
 CALLED = []
@@ -57,7 +57,7 @@ def test_results_are_data_until_they_are_checked(tmp_path):
     suite = Suite("small", 1, (Track("ring", get_scenario("energy", steps=60, deadline=0.1), "The base."),), episodes=1)
     run = run_suite(suite, ["static"], tmp_path)
     data = leaderboard(run).to_dict()
-    stranger = Participant("static", (Entry("static", Part.of("test_security:mark", word="called")),))
+    stranger = Participant("static", (PolicySpec("static", FactorySpec.of("test_security:mark", word="called")),))
     data["participants"] = [stranger.to_dict()]
     data["cells"] = [cell for cell in data["cells"] if cell["participant"] == "static"]
     signed = {key: value for key, value in data.items() if key not in ("checksum", "timings")}

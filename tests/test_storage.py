@@ -15,10 +15,10 @@ from hypothesis import strategies as st
 
 import ptne_env
 from ptne_env import Scenario, policies
-from ptne_env.evaluation import benchmark
-from ptne_env.evaluation.benchmark import check, run_suite
-from ptne_env.evaluation.leaderboard import leaderboard
-from ptne_env.evaluation.suite import Suite, Track, content_hash
+from ptne_env.experiments import benchmark
+from ptne_env.experiments.benchmark import check, run_suite
+from ptne_env.experiments.leaderboard import leaderboard
+from ptne_env.experiments.suite import Suite, Track, content_hash
 from ptne_env.files import read_json, write_atomically
 from ptne_env.policies import Metadata, PolicyFileError
 

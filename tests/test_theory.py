@@ -7,8 +7,9 @@ import pytest
 from ptne_env import theory
 from ptne_env.clock import Exponential, HyperbolicTangent, Rational
 from ptne_env.games import EnergyGame, Game, NonQuadraticGame
-from ptne_env.graphs import Graph, complete, cycle, fixed, paper_signal, path
+from ptne_env.graphs import Graph, complete, cycle, path
 from ptne_env.scenario import CATALOGUE, get_scenario
+from ptne_env.switching import fixed, paper_topology
 
 
 class BlockGame(Game):
@@ -139,9 +140,9 @@ def test_rate_of_a_large_gain_is_that_of_gradient_play_shared_by_all():
 
 def test_rate_in_t_is_that_of_the_last_graph():
     game = EnergyGame()
-    assert theory.convergence_rate(game, paper_signal(0.1, "physical"), 2.0, 1.2) == 0.0
+    assert theory.convergence_rate(game, paper_topology(0.1, "physical"), 2.0, 1.2) == 0.0
     # With a connected graph last, its own rate counts, whatever came before.
-    mixed = type(paper_signal())([path(5), cycle(5)], [1.0, 5.0], "physical")
+    mixed = type(paper_topology())([path(5), cycle(5)], [1.0, 5.0], "physical")
     assert theory.convergence_rate(game, mixed, 2.0, 1.2) == pytest.approx(0.2801, abs=1e-4)
     assert theory.convergence_rate(game, mixed, 2.0, 0.5) == pytest.approx(
         theory.convergence_rate(game, fixed(path(5)), 2.0, 1.2), rel=1e-12
@@ -150,12 +151,12 @@ def test_rate_in_t_is_that_of_the_last_graph():
 
 def test_rate_in_s_is_the_floquet_rate():
     game = EnergyGame()
-    signal = paper_signal(0.25, "transformed")
-    rate = theory.convergence_rate(game, signal, 2.0, 1.2)
+    topology = paper_topology(0.25, "transformed")
+    rate = theory.convergence_rate(game, topology, 2.0, 1.2)
     assert rate == pytest.approx(0.1551, abs=1e-4)
     # Fast switching averages the graphs: every edge of the cycle is on for half the time or a quarter of it.
-    fast = theory.convergence_rate(game, paper_signal(1e-4, "transformed"), 2.0, 1.2)
-    mean = Graph(np.mean([graph.adjacency for graph in signal.graphs], axis=0))
+    fast = theory.convergence_rate(game, paper_topology(1e-4, "transformed"), 2.0, 1.2)
+    mean = Graph(np.mean([graph.adjacency for graph in topology.graphs], axis=0))
     assert fast == pytest.approx(theory.convergence_rate(game, fixed(mean), 2.0, 1.2), rel=1e-4)
 
 
@@ -191,10 +192,10 @@ def test_certificate_of_the_energy_scenario():
 
 def test_sampled_digits_are_those_of_a_plain_loop():
     scenario = get_scenario("energy-switching")
-    game, clock, signal = scenario.built_game, scenario.built_clock, scenario.built_signal
+    game, clock, topology = scenario.built_game, scenario.built_clock, scenario.built_topology
     estimates = scenario.built_start.draw(5, 5, np.random.default_rng(0))[:, :, None]
     for k in range(clock.steps):
-        graph = signal.graphs[int(signal.schedule(clock.t[k]).modes)]
+        graph = topology.graphs[int(topology.schedule(clock.t[k]).modes)]
         u = -2.0 * np.einsum("ij,kjb->kib", graph.laplacian, estimates)
         gradients = game.own_gradients(estimates)
         for i in range(5):

@@ -3,10 +3,10 @@
 import numpy as np
 
 import ptne_env
-from ptne_env import CATALOGUE, Interface, Part, Scenario
-from ptne_env.dynamics import Dynamics
-from ptne_env.interface import Port
-from ptne_env.sources import Sources
+from ptne_env import CATALOGUE, FactorySpec, Interface, Scenario
+from ptne_env.dynamics import World
+from ptne_env.encoder import Encoder
+from ptne_env.random_streams import RandomStreams
 
 FROM_THE_PAPER = [name for name, scenario in CATALOGUE.items() if not scenario.is_random]
 """The scenarios of the catalogue that play the paper's games from the paper's start."""
@@ -24,19 +24,19 @@ PAPER_START = np.array(
 
 BLOCKS = Scenario(
     name="blocks",
-    game=Part.of("sample_games:BlockGame", action_dims=(2, 1, 3)),
-    signal=Part.of("ptne_env.graphs:fixed", graph=Part.of("ptne_env.graphs:path", players=3)),
+    game=FactorySpec.of("sample_games:BlockGame", action_dims=(2, 1, 3)),
+    topology=FactorySpec.of("ptne_env.switching:fixed", graph=FactorySpec.of("ptne_env.graphs:path", players=3)),
     start="random",
 )
 """Players of 2, 1 and 3 dimensions on a path."""
 
 BLOCKS_SWITCHING = BLOCKS.replace(
     name="blocks-switching",
-    signal=Part.of(
-        "ptne_env.graphs:periodic",
+    topology=FactorySpec.of(
+        "ptne_env.switching:periodic",
         graphs=(
-            Part.of("ptne_env.graphs:from_edges", players=3, edges=((0, 1),)),
-            Part.of("ptne_env.graphs:from_edges", players=3, edges=((1, 2),)),
+            FactorySpec.of("ptne_env.graphs:from_edges", players=3, edges=((0, 1),)),
+            FactorySpec.of("ptne_env.graphs:from_edges", players=3, edges=((1, 2),)),
         ),
         dwells=(0.3, 0.5),
         clock="transformed",
@@ -46,7 +46,7 @@ BLOCKS_SWITCHING = BLOCKS.replace(
 
 def channel_part(kind, **arguments):
     """The part that builds a stage of a channel."""
-    return Part.of(f"ptne_env.channel:{kind}", **arguments)
+    return FactorySpec.of(f"ptne_env.channel:{kind}", **arguments)
 
 
 EVERY_FAULT = channel_part(
@@ -71,9 +71,9 @@ EVERY_FAULT = channel_part(
 
 FAULTY = CATALOGUE["random-energy"].replace(
     name="faulty",
-    signal=Part.of(
-        "ptne_env.graphs:random_edges",
-        graph=Part.of("ptne_env.graphs:cycle", players=5),
+    topology=FactorySpec.of(
+        "ptne_env.switching:random_edges",
+        graph=FactorySpec.of("ptne_env.graphs:cycle", players=5),
         probability=0.6,
         dwells=(0.3, 0.5),
         clock="transformed",
@@ -83,22 +83,24 @@ FAULTY = CATALOGUE["random-energy"].replace(
     steps=60,
     hold_steps=4,
     channel=EVERY_FAULT,
-    disturbance=Part.of("ptne_env.disturbances:UniformDisturbance", bound=3.0, dwell=2),
+    disturbance=FactorySpec.of("ptne_env.disturbances:UniformDisturbance", bound=3.0, dwell=2),
     clock_shifts=(0.0, 0.01, -0.01, 0.0, 0.02),
     slots=4,
 )
 """Everything that can go wrong."""
 
 
-def energy_scenario(curvature, target, signal, **fields):
-    """The energy game with these players, on any signal, from random estimates."""
-    game = Part.of("ptne_env.games:EnergyGame", curvature=curvature, target=target)
-    return Scenario(name="energy-variant", game=game, signal=signal, **{"start": "random", **fields})
+def energy_scenario(curvature, target, topology, **fields):
+    """The energy game with these players, on any topology, from random estimates."""
+    game = FactorySpec.of("ptne_env.games:EnergyGame", curvature=curvature, target=target)
+    return Scenario(name="energy-variant", game=game, topology=topology, **{"start": "random", **fields})
 
 
 def fixed_part(adjacency):
-    """The part that builds the fixed signal of an adjacency matrix."""
-    return Part.of("ptne_env.graphs:fixed", graph=Part.of("ptne_env.graphs:Graph", adjacency=adjacency))
+    """The part that builds the fixed topology of an adjacency matrix."""
+    return FactorySpec.of(
+        "ptne_env.switching:fixed", graph=FactorySpec.of("ptne_env.graphs:Graph", adjacency=adjacency)
+    )
 
 
 def loop_matrix(game, adjacency, kappa, gradient_gain=1.0):
@@ -113,11 +115,11 @@ def loop_matrix(game, adjacency, kappa, gradient_gain=1.0):
     return matrix
 
 
-def begin(dynamics, seeds):
+def begin(world, seeds):
     """The state at t = 0 that these seeds draw, game and estimates, one environment each."""
-    sources = [Sources.from_seed(seed) for seed in seeds]
-    estimates, game = dynamics.draw_estimates(sources), dynamics.draw_game(sources)
-    return dynamics.start(estimates, game, dynamics.draw_chance(sources))
+    sources = [RandomStreams.from_seed(seed) for seed in seeds]
+    estimates, game = world.draw_estimates(sources), world.draw_game(sources)
+    return world.start(estimates, game, world.draw_randomness(sources))
 
 
 def stack(estimates):
@@ -127,7 +129,7 @@ def stack(estimates):
 
 def while_running(env):
     """Once per step of the episode; one that never ends fails instead of hanging."""
-    for _ in range(env.dynamics.clock.total_steps + 1):
+    for _ in range(env.world.clock.total_steps + 1):
         if not env.agents:
             return
         yield
@@ -160,6 +162,6 @@ def make_env(scenario, **arguments):
 
 
 def make_port(scenario, **interface):
-    """A world and its port."""
-    dynamics = Dynamics(ptne_env.get_scenario(scenario))
-    return dynamics, Port(dynamics, Interface(**interface))
+    """A world and its encoder."""
+    world = World(ptne_env.get_scenario(scenario))
+    return world, Encoder(world, Interface(**interface))

@@ -55,7 +55,7 @@ class NashSeekingTask(PettingZooClass):
 
     def max_steps(self, env: EnvBase) -> int:
         """Of an episode, the hold phase included."""
-        return env.dynamics.clock.total_steps
+        return env.world.clock.total_steps
 
     @staticmethod
     def env_name() -> str:

@@ -9,7 +9,7 @@ from stable_baselines3.common.env_checker import check_env
 from stable_baselines3.common.evaluation import evaluate_policy
 from yardstick import EPISODES, SCENARIO, TASK, digits, law, report
 
-from ptne_env.envs.joint import JointEnv
+from ptne_env.envs.gymnasium import JointEnv
 from ptne_env.envs.sb3 import SlotVecEnv
 
 

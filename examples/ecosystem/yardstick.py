@@ -10,7 +10,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 import ptne_env
-from ptne_env import Entry, Interface, laws
+from ptne_env import Interface, PolicySpec, laws
 from ptne_env.policy import Policy
 
 SCENARIO = "random-energy"
@@ -19,7 +19,7 @@ TASK = {"interface": "local", "action_mode": "gains"}
 """How policies are trained here: two gains per player in [−1, 1], of which 0 is the paper's law."""
 
 
-def law(layout: ptne_env.Layout) -> Policy:
+def law(layout: ptne_env.ObservationLayout) -> Policy:
     """The paper's static law."""
     return laws.Static(layout, kappa=2.0)
 
@@ -44,7 +44,7 @@ class Acting:
 
 def digits(policy: Policy, interface: Interface = Interface("local", "gains")) -> float:  # noqa: B008 - it is frozen
     """Mean digits at the deadline, over 20 games that no training has seen; the interface is :data:`TASK`'s."""
-    entry = Entry("policy", policy, interface)
+    entry = PolicySpec("policy", policy, interface)
     scenario = ptne_env.get_scenario(SCENARIO)
     results = ptne_env.evaluate([entry], [scenario], episodes=20, split="validation", against_laws=False)
     return float(results.record(SCENARIO, "policy", "digits")["mean"])
@@ -65,7 +65,7 @@ def report(gained: Sequence[float], before: float | None = None, after: float | 
     """
     scenario = ptne_env.get_scenario(SCENARIO)
     results = ptne_env.evaluate(
-        [Entry("law", law)], [scenario], episodes=len(gained), split="train", against_laws=False
+        [PolicySpec("law", law)], [scenario], episodes=len(gained), split="train", against_laws=False
     )
     expected = results.cells[0].samples["digits_gained"]
     difference = float(np.abs(gained - expected).max())

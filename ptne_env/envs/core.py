@@ -11,14 +11,15 @@ import numpy.typing as npt
 
 from ptne_env import distances, theory
 from ptne_env.arrays import BoolArray, Float32Array, FloatArray, IntArray, require_count
-from ptne_env.dynamics import RANGE_LIMIT, Dynamics, State
-from ptne_env.interface import Interface, Port
+from ptne_env.dynamics import RANGE_LIMIT, State, World
+from ptne_env.encoder import Encoder
+from ptne_env.observation import Interface
+from ptne_env.random_streams import RandomStreams
 from ptne_env.rewards import Reward
 from ptne_env.scenario import Scenario
-from ptne_env.sources import Sources
 
 
-class Outcome(NamedTuple):
+class StepResult(NamedTuple):
     """What a step did. Environments last where there are players too.
 
     Attributes:
@@ -34,7 +35,7 @@ class Outcome(NamedTuple):
     truncated: BoolArray
 
 
-class Beginning(NamedTuple):
+class ResetResult(NamedTuple):
     """What episodes start with.
 
     Attributes:
@@ -43,7 +44,7 @@ class Beginning(NamedTuple):
         mask: which they are, shape (B,).
     """
 
-    sources: list[Sources]
+    sources: list[RandomStreams]
     state: State
     mask: BoolArray
 
@@ -83,10 +84,10 @@ class Simulation:
             )
         self.num_envs = require_count("num_envs", num_envs, 1)
         self.max_cycles = None if max_cycles is None else require_count("max_cycles", max_cycles, 1)
-        self.dynamics: Dynamics = twin.dynamics if twin else Dynamics(scenario)
-        self.port: Port = twin.port.twin() if twin else Port(self.dynamics, interface)
-        self._reward = Reward(self.dynamics, reward)
-        self._sources: list[Sources] = []
+        self.world: World = twin.world if twin else World(scenario)
+        self.encoder: Encoder = twin.encoder.twin() if twin else Encoder(self.world, interface)
+        self._reward = Reward(self.world, reward)
+        self._sources: list[RandomStreams] = []
         self.state: State | None = None
 
     @property
@@ -118,7 +119,7 @@ class Simulation:
         seeds: Sequence[int | None] | None = None,
         mask: BoolArray | None = None,
         estimates: FloatArray | None = None,
-    ) -> Beginning:
+    ) -> ResetResult:
         """What episodes start with; nothing has started yet.
 
         Args:
@@ -136,49 +137,49 @@ class Simulation:
         if estimates is not None:  # they may be refused, and then nothing has been drawn
             sources = copy.deepcopy(sources)
         drawn = [sources[index] for index in chosen]
-        game = self.dynamics.draw_game(drawn)
-        if self.dynamics.scenario.has_random_game:
+        game = self.world.draw_game(drawn)
+        if self.world.scenario.has_random_game:
             theory.require_strong_monotonicity(game)
         if estimates is None:
-            estimates = self.dynamics.draw_estimates(drawn)
-        fresh = self.dynamics.start(estimates, game, self.dynamics.draw_chance(drawn))
+            estimates = self.world.draw_estimates(drawn)
+        fresh = self.world.start(estimates, game, self.world.draw_randomness(drawn))
         if fresh.any_diverged:
             raise ValueError(f"own gradients at the initial estimates must be within ±{RANGE_LIMIT:g}: start closer")
-        return Beginning(sources, fresh, np.ones(self.num_envs, dtype=np.bool_) if mask is None else mask)
+        return ResetResult(sources, fresh, np.ones(self.num_envs, dtype=np.bool_) if mask is None else mask)
 
-    def begin(self, beginning: Beginning) -> State:
+    def begin(self, beginning: ResetResult) -> State:
         """Start the episodes that were drawn."""
         self._sources, state, mask = beginning
         if not mask.all():
-            state = self.dynamics.merge(self.current, state, mask)
+            state = self.world.merge(self.current, state, mask)
         self.state = state
         self._reward.reset(state)
         return state
 
-    def _seeded(self, chosen: IntArray, seeds: Sequence[int | None]) -> list[Sources]:
+    def _seeded(self, chosen: IntArray, seeds: Sequence[int | None]) -> list[RandomStreams]:
         """The generators of all environments, new ones for those among ``chosen`` that have a seed."""
         if len(seeds) != self.num_envs:
             raise ValueError(f"{self.num_envs} environments need as many seeds, got {len(seeds)}")
-        sources = list(self._sources) or [Sources.from_seed(seed) for seed in seeds]
+        sources = list(self._sources) or [RandomStreams.from_seed(seed) for seed in seeds]
         for index in chosen.tolist():
             if seeds[index] is not None:
-                sources[index] = Sources.from_seed(seeds[index])
+                sources[index] = RandomStreams.from_seed(seeds[index])
         return sources
 
-    def step(self, actions: npt.NDArray[np.floating], restart: Beginning | None = None) -> Outcome:
+    def step(self, actions: npt.NDArray[np.floating], restart: ResetResult | None = None) -> StepResult:
         """Hold everybody's inputs for one step.
 
         Args:
-            actions: finite and within the action box (see :meth:`Port.clip`), shape (B, N, action size).
+            actions: finite and within the action box (see :meth:`Encoder.clip`), shape (B, N, action size).
             restart: what environments that start afresh instead of moving start with: their rewards are 0.
 
         Raises:
             RuntimeError: before the first reset.
         """
-        state = self.dynamics.step(self.current, self.port.inputs(actions, self.current))
+        state = self.world.step(self.current, self.encoder.inputs(actions, self.current))
         terms = self._reward.step(state)
         self.state = state
-        terminated = self.dynamics.is_over(state)
+        terminated = self.world.is_over(state)
         if self.max_cycles is None:
             truncated = np.zeros(self.num_envs, dtype=np.bool_)
         else:
@@ -187,11 +188,11 @@ class Simulation:
             self.begin(restart)
             terms = {name: np.where(restart.mask, 0.0, term) for name, term in terms.items()}
             terminated, truncated = terminated & ~restart.mask, truncated & ~restart.mask
-        return Outcome(self._reward.total(terms), terms, terminated, truncated)
+        return StepResult(self._reward.total(terms), terms, terminated, truncated)
 
     def observe(self, out: Float32Array | None = None) -> Float32Array:
         """Everybody's observations, shape (B, N, size), float32, owned by the caller."""
-        return self.port.observe(self.current, out)
+        return self.encoder.observe(self.current, out)
 
     def succeeded(self) -> BoolArray:
         """Whether each environment is within 0.5 % of the equilibrium in all estimates and in range, shape (B,)."""

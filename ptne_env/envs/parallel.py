@@ -11,16 +11,10 @@ from gymnasium import spaces
 from pettingzoo import ParallelEnv
 
 from ptne_env.arrays import Float32Array, FloatArray
+from ptne_env.encoder import NonFiniteActionError
 from ptne_env.envs.core import Simulation
 from ptne_env.envs.rendering import Renderer
-from ptne_env.interface import (
-    OBSERVATION_BOUND,
-    ActionMode,
-    Interface,
-    InterfaceKind,
-    Layout,
-    NonFiniteActionError,
-)
+from ptne_env.observation import OBSERVATION_BOUND, ActionMode, Interface, InterfaceKind, ObservationLayout
 from ptne_env.scenario import Scenario, get_scenario
 
 AgentInfo = dict[str, Any]
@@ -68,22 +62,22 @@ class NashSeekingEnv(ParallelEnv[str, Float32Array, Float32Array]):
         self.metadata = {**type(self).metadata, "name": f"ptne_{scenario.name.replace('-', '_')}_v0"}  # type: ignore[misc]  # PettingZoo reads the name from each instance
         self.render_mode = render_mode
         self._simulation = Simulation(scenario, interface=interface, reward=reward, max_cycles=max_cycles)
-        self.dynamics = self._simulation.dynamics
-        port = self._simulation.port
-        self.possible_agents = [f"player_{index}" for index in range(self.dynamics.game.num_players)]
+        self.world = self._simulation.world
+        encoder = self._simulation.encoder
+        self.possible_agents = [f"player_{index}" for index in range(self.world.game.num_players)]
         self.agents: list[str] = []
-        self.observation_spaces = {agent: port.observation_space() for agent in self.possible_agents}
-        self.action_spaces = {agent: port.action_space() for agent in self.possible_agents}
-        n, players = self.dynamics.game.dimension, len(self.possible_agents)
+        self.observation_spaces = {agent: encoder.observation_space() for agent in self.possible_agents}
+        self.action_spaces = {agent: encoder.action_space() for agent in self.possible_agents}
+        n, players = self.world.game.dimension, len(self.possible_agents)
         self.state_space = spaces.Box(
             -OBSERVATION_BOUND, OBSERVATION_BOUND, (players * (n + players) + 4,), dtype=np.float32
         )
-        self._renderer = Renderer(self.dynamics, render_mode) if render_mode else None
+        self._renderer = Renderer(self.world, render_mode) if render_mode else None
 
     @property
-    def layout(self) -> Layout:
+    def layout(self) -> ObservationLayout:
         """What observations and actions mean."""
-        return self._simulation.port.layout
+        return self._simulation.encoder.layout
 
     @property
     def max_cycles(self) -> int | None:
@@ -119,13 +113,13 @@ class NashSeekingEnv(ParallelEnv[str, Float32Array, Float32Array]):
         Raises:
             RuntimeError: before the first reset, where the scenario draws games.
         """
-        game = self._simulation.current.game if self.scenario.has_random_game else self.dynamics.game
+        game = self._simulation.current.game if self.scenario.has_random_game else self.world.game
         return game.nash_equilibrium.copy()
 
     @property
     def time(self) -> float:
         """t now, in seconds."""
-        return float(self.dynamics.clock.t[self._simulation.current.step[0]])
+        return float(self.world.clock.t[self._simulation.current.step[0]])
 
     def reset(
         self, seed: int | None = None, options: Mapping[str, Any] | None = None
@@ -146,7 +140,7 @@ class NashSeekingEnv(ParallelEnv[str, Float32Array, Float32Array]):
                 table = np.array(options["estimates"], dtype=np.float64)
             except (TypeError, ValueError) as error:
                 raise ValueError(f"options['estimates'] must be an (N, n) table of numbers: {error}") from error
-            expected = (self.dynamics.game.num_players, self.dynamics.game.dimension)
+            expected = (self.world.game.num_players, self.world.game.dimension)
             if table.shape != expected:
                 raise ValueError(f"options['estimates'] has the shape (N, n) = {expected}, got {table.shape}")
             estimates = table.T[:, :, None]
@@ -176,7 +170,7 @@ class NashSeekingEnv(ParallelEnv[str, Float32Array, Float32Array]):
         if not agents:
             raise RuntimeError("no episode is running: call reset() before step()")
         try:
-            inside, clipped = self._simulation.port.clip(self._stack(actions))
+            inside, clipped = self._simulation.encoder.clip(self._stack(actions))
         except NonFiniteActionError:
             raise self._complaint(actions) from None
         outcome = self._simulation.step(inside)
@@ -214,9 +208,9 @@ class NashSeekingEnv(ParallelEnv[str, Float32Array, Float32Array]):
         Returns:
             A float32 vector of length N n + N² + 4, the clock being (t/T, s, Θ_k, Δt_k/T).
         """
-        state, clock = self._simulation.current, self.dynamics.clock
+        state, clock = self._simulation.current, self.world.clock
         step = int(state.step[0])
-        adjacency = self.dynamics.signal.graphs[int(state.mode[0])].adjacency
+        adjacency = self.world.topology.graphs[int(state.mode[0])].adjacency
         times = [clock.t[step] / clock.deadline, clock.s[step], clock.theta[step], clock.dt[step] / clock.deadline]
         return np.concatenate([state.estimates[:, :, 0].T.ravel(), adjacency.ravel(), times]).astype(np.float32)
 
@@ -297,7 +291,7 @@ def parallel_env(
 
     Args:
         scenario: a name of the catalogue (``ptne list`` shows them) or a scenario.
-        interface: ``"physical"`` or ``"local"``; see :class:`ptne_env.interface.Layout`.
+        interface: ``"physical"`` or ``"local"``; see :class:`ptne_env.observation.ObservationLayout`.
         action_mode: ``"input"`` or ``"gains"``.
         action_scale: under ``local``, an action of 1 is this many times σ_i.
         own_payoff: whether players observe their own costs J_i at the real strategies.

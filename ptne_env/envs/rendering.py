@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from ptne_env import distances
 from ptne_env.arrays import FloatArray
-from ptne_env.dynamics import Dynamics, State
+from ptne_env.dynamics import State, World
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -43,18 +43,18 @@ class Renderer:
     """Draws the episode so far.
 
     Args:
-        dynamics: the world.
+        world: the world.
         mode: ``"human"`` shows a window where the display has one, ``"rgb_array"`` returns the picture.
         title: what the headline begins with; the scenario's name if left out.
     """
 
-    def __init__(self, dynamics: Dynamics, mode: str, title: str | None = None) -> None:
-        self.dynamics = dynamics
-        self.title = dynamics.scenario.name if title is None else title
+    def __init__(self, world: World, mode: str, title: str | None = None) -> None:
+        self.world = world
+        self.title = world.scenario.name if title is None else title
         self.mode = mode
         self._estimates: list[FloatArray] = []
         self._estimate_distances: list[float] = []
-        self._game = dynamics.game
+        self._game = world.game
         self._mode = 0
         self._limits: tuple[tuple[float, float], tuple[float, float]] | None = None
         self._figure: Figure | None = None
@@ -146,7 +146,7 @@ class Renderer:
             height_ratios=[2, 3],
             gridspec_kw={"left": 0.07, "right": 0.975, "top": 0.86, "bottom": 0.17, "wspace": 0.24, "hspace": 0.5},
         )
-        game, clock = self._game, self.dynamics.clock
+        game, clock = self._game, self.world.clock
         own, others = [], []
         crowded = game.dimension * game.num_players > _LINES
         for component, owner in enumerate(game.owners):
@@ -178,10 +178,10 @@ class Renderer:
         return _Artists(axes["estimates"], axes["distance"], title, own, others, distance, links)
 
     def _build_graph(self, axes: Any) -> dict[tuple[int, int], Any]:
-        players = self.dynamics.game.num_players
+        players = self.world.game.num_players
         angles = np.pi / 2 - 2 * np.pi * np.arange(players) / players
         x, y = np.cos(angles), np.sin(angles)
-        links = {(i, j): axes.plot(x[[i, j]], y[[i, j]], zorder=1)[0] for i, j in self.dynamics.signal.union.edges}
+        links = {(i, j): axes.plot(x[[i, j]], y[[i, j]], zorder=1)[0] for i, j in self.world.topology.union.edges}
         colours = [COLOURS[player % len(COLOURS)] for player in range(players)]
         size = min(16.0, 220 / players)  # of a node, in points, so that neighbours on the circle do not touch
         axes.scatter(x, y, s=size**2, color="white", edgecolor=colours, linewidth=min(1.8, size / 4), zorder=2)
@@ -197,7 +197,7 @@ class Renderer:
 
     def _update(self, artists: _Artists) -> None:
         estimates, far = np.array(self._estimates), self._estimate_distances
-        times = self.dynamics.clock.t[: len(estimates)]
+        times = self.world.clock.t[: len(estimates)]
         for component, (owner, line) in enumerate(zip(self._game.owners, artists.own, strict=True)):
             line.set_data(times, estimates[:, component, owner])
             if artists.others:
@@ -208,7 +208,7 @@ class Renderer:
         values_limits, distance_limits = self._limits or self._needed(estimates, far)
         artists.values_axes.set_ylim(values_limits)
         artists.distance_axes.set_ylim(distance_limits)
-        live = set(self.dynamics.signal.graphs[self._mode].edges)
+        live = set(self.world.topology.graphs[self._mode].edges)
         width = min(2.5, 25 / self._game.num_players)
         for link, line in artists.links.items():
             up = link in live

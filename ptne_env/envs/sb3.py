@@ -19,7 +19,7 @@ except ImportError as error:  # pragma: no cover - exercised in an environment w
 
 from ptne_env.arrays import BoolArray, Float32Array
 from ptne_env.envs.vector import VectorParallelEnv, VectorStep
-from ptne_env.interface import Layout
+from ptne_env.observation import ObservationLayout
 from ptne_env.scenario import Scenario
 
 Indices = int | Iterable[int] | None
@@ -174,7 +174,7 @@ class MixedSlotVecEnv(VecEnv):
         if not parts:
             raise ValueError("a mixture needs at least one part")
         self.parts = list(parts)
-        self.layout: Layout = parts[0].layout
+        self.layout: ObservationLayout = parts[0].layout
         for part in parts[1:]:
             if (part.layout.slices, part.layout.interface) != (self.layout.slices, self.layout.interface) or (
                 part.action_space != parts[0].action_space

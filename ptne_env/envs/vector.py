@@ -11,10 +11,10 @@ from gymnasium import spaces
 
 from ptne_env.arrays import BoolArray, Float32Array, FloatArray, IntArray, require_count
 from ptne_env.dynamics import RANGE_LIMIT
-from ptne_env.envs.core import Beginning, Outcome, Simulation
-from ptne_env.interface import ActionMode, Interface, InterfaceKind, Layout
+from ptne_env.envs.core import ResetResult, Simulation, StepResult
+from ptne_env.observation import ActionMode, Interface, InterfaceKind, ObservationLayout
+from ptne_env.random_streams import require_seed
 from ptne_env.scenario import Scenario, get_scenario
-from ptne_env.sources import require_seed
 
 BLOCK_SIZE = 2048
 """Environments that are stepped at a time, at most: more bring nothing once a block costs more than its calls."""
@@ -97,16 +97,16 @@ class VectorParallelEnv:
             )
 
         one = simulation(1, None)
-        port = one.port
-        self.layout: Layout = port.layout
+        encoder = one.encoder
+        self.layout: ObservationLayout = encoder.layout
         self.num_players = self.layout.num_players
         largest = max(1, min(BLOCK_SIZE, BLOCK_ENTRIES // (self.num_players * self.layout.size)))
         size = -(-self.num_envs // -(-self.num_envs // largest))  # blocks of about the same size
         starts = range(0, self.num_envs, size)
         self._slices = [slice(start, min(start + size, self.num_envs)) for start in starts]
         self._blocks = [simulation(part.stop - part.start, one) for part in self._slices]
-        self.single_observation_space: spaces.Box = port.observation_space()
-        self.single_action_space: spaces.Box = port.action_space()
+        self.single_observation_space: spaces.Box = encoder.observation_space()
+        self.single_action_space: spaces.Box = encoder.action_space()
         self._over = np.ones(self.num_envs, dtype=np.bool_)
 
     @property
@@ -179,8 +179,10 @@ class VectorParallelEnv:
         shape = (self.num_envs, self.num_players, self.layout.action_size)
         if actions.shape != shape or actions.dtype.kind != "f":
             raise ValueError(f"actions are floats of shape {shape}, got {actions.dtype} of shape {actions.shape}")
-        actions, clipped = self._blocks[0].port.clip(actions)  # refuses what is not finite before any block has moved
-        beginnings: Sequence[Beginning | None] = [None] * len(self._blocks)
+        actions, clipped = self._blocks[0].encoder.clip(
+            actions
+        )  # refuses what is not finite before any block has moved
+        beginnings: Sequence[ResetResult | None] = [None] * len(self._blocks)
         if restart is not None:
             clipped[restart] = 0
             beginnings = self._draw(restart)
@@ -195,7 +197,7 @@ class VectorParallelEnv:
 
     def _draw(
         self, chosen: BoolArray, seeds: list[int | None] | None = None, estimates: FloatArray | None = None
-    ) -> list[Beginning | None]:
+    ) -> list[ResetResult | None]:
         """What the chosen environments start with, block by block; ``None`` for a block that has none."""
         return [
             block.draw(
@@ -208,7 +210,7 @@ class VectorParallelEnv:
             for block, part in zip(self._blocks, self._slices, strict=True)
         ]
 
-    def _assemble(self, observations: Float32Array, outcomes: list[Outcome], clipped: IntArray) -> VectorStep:
+    def _assemble(self, observations: Float32Array, outcomes: list[StepResult], clipped: IntArray) -> VectorStep:
         terminated = np.concatenate([outcome.terminated for outcome in outcomes])
         truncated = np.concatenate([outcome.truncated for outcome in outcomes])
         self._over = terminated | truncated

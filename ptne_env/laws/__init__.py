@@ -2,12 +2,9 @@
 
 from ptne_env.laws.adaptive import Adaptive as Adaptive
 from ptne_env.laws.adaptive import AveragingIntegral as AveragingIntegral
-from ptne_env.laws.anchors import CentralisedOracle as CentralisedOracle
-from ptne_env.laws.anchors import Null as Null
-from ptne_env.laws.anchors import RandomPolicy as RandomPolicy
 from ptne_env.laws.base import Condition as Condition
 from ptne_env.laws.base import Law as Law
-from ptne_env.laws.base import Premises as Premises
+from ptne_env.laws.base import ProblemConstants as ProblemConstants
 from ptne_env.laws.discrete import AggregateTracking as AggregateTracking
 from ptne_env.laws.discrete import ProjectedGradient as ProjectedGradient
 from ptne_env.laws.extremum_seeking import ExtremumSeeking as ExtremumSeeking
@@ -19,5 +16,8 @@ from ptne_env.laws.oracles import NodeAdaptiveOracle as NodeAdaptiveOracle
 from ptne_env.laws.static import CorollaryOne as CorollaryOne
 from ptne_env.laws.static import FixedGain as FixedGain
 from ptne_env.laws.static import Static as Static
+from ptne_env.laws.trivial import CentralisedOracle as CentralisedOracle
+from ptne_env.laws.trivial import RandomPolicy as RandomPolicy
+from ptne_env.laws.trivial import ZeroInput as ZeroInput
 from ptne_env.laws.variants import CappedGain as CappedGain
 from ptne_env.laws.variants import LocallyImplicit as LocallyImplicit

@@ -5,16 +5,16 @@ from __future__ import annotations
 import numpy as np
 
 from ptne_env.arrays import FloatArray, require_non_negative
-from ptne_env.interface import Layout, Reading
 from ptne_env.laws.base import (
     Condition,
     Law,
-    Premises,
+    ProblemConstants,
     consensus,
     decisive,
     lasting_connectivity,
     strong_monotonicity,
 )
+from ptne_env.observation import ObservationLayout, Reading
 
 
 class Adaptive(Law):
@@ -34,15 +34,15 @@ class Adaptive(Law):
         ValueError: for a negative gain.
     """
 
-    def __init__(self, layout: Layout, gamma: float = 0.01, initial_gain: float = 0.5) -> None:
+    def __init__(self, layout: ObservationLayout, gamma: float = 0.01, initial_gain: float = 0.5) -> None:
         super().__init__(layout)
         self.gamma = require_non_negative("gamma", gamma)
         self.initial_gain = require_non_negative("initial_gain", initial_gain)
 
-    def condition(self, premises: Premises) -> Condition:
+    def condition(self, constants: ProblemConstants) -> Condition:
         """ε > 0, and the graphs that act as s → ∞ are (jointly) connected (Theorems 3 and 4); γ > 0 on all links."""
         positive = Condition.above("the gains adapt: γ > 0", self.gamma, 0.0)
-        return decisive(positive, lasting_connectivity(premises), strong_monotonicity(premises))
+        return decisive(positive, lasting_connectivity(constants), strong_monotonicity(constants))
 
     def gains(self, memory: FloatArray) -> FloatArray:
         """κ_ij of every link, in both directions."""
@@ -72,5 +72,5 @@ class AveragingIntegral(Adaptive):
         initial_gain: k_ij(0) ≥ 0.
     """
 
-    def __init__(self, layout: Layout, gamma: float = 0.01, initial_gain: float = 0.0) -> None:
+    def __init__(self, layout: ObservationLayout, gamma: float = 0.01, initial_gain: float = 0.0) -> None:
         super().__init__(layout, gamma, initial_gain)

@@ -11,12 +11,12 @@ import numpy as np
 import numpy.typing as npt
 
 from ptne_env.arrays import BoolArray, Float32Array, FloatArray, IntArray
-from ptne_env.interface import Interface, Layout, Reading
+from ptne_env.observation import Interface, ObservationLayout, Reading
 
 
 @dataclass(frozen=True)
-class Premises:
-    """What a theorem may ask of a scenario, in numbers. ``ptne_env.theory.premises`` reads them off a scenario.
+class ProblemConstants:
+    """What a theorem may ask of a scenario, in numbers. ``ptne_env.theory.constants`` reads them off a scenario.
 
     Attributes:
         epsilon: ε, largest constant for which F is ε-strongly monotone; not positive when F is not.
@@ -25,7 +25,7 @@ class Premises:
         exact: whether these are exact and global (F affine), or sampled.
         jacobian: dF, shape (n, n); at x* unless F is affine.
         owners: the player who owns each component, shape (n,).
-        laplacians: L of every mode of the signal, each (N, N).
+        laplacians: L of every mode of the topology, each (N, N).
         recurring_connectivity: λ2 of the union of the graphs that act as s → ∞: all modes on the transformed clock, the
             last one on the physical clock (docs/errata.md, 2).
         largest_step: largest Θ_k.
@@ -129,14 +129,14 @@ def decisive(*conditions: Condition) -> Condition:
     return next((condition for condition in conditions if not condition.holds), conditions[-1])
 
 
-def strong_monotonicity(premises: Premises) -> Condition:
+def strong_monotonicity(constants: ProblemConstants) -> Condition:
     """ε > 0 (Assumption 4)."""
-    return Condition.above("F is strongly monotone: ε > 0", premises.epsilon, 0.0, exact=premises.exact)
+    return Condition.above("F is strongly monotone: ε > 0", constants.epsilon, 0.0, exact=constants.exact)
 
 
-def lasting_connectivity(premises: Premises) -> Condition:
+def lasting_connectivity(constants: ProblemConstants) -> Condition:
     """λ2 > 0 for the union of the graphs that act as s → ∞ (Assumptions 1 and 2)."""
-    return Condition.above("the graphs are connected as s → ∞: λ2 > 0", premises.recurring_connectivity, 0.0)
+    return Condition.above("the graphs are connected as s → ∞: λ2 > 0", constants.recurring_connectivity, 0.0)
 
 
 class Law(ABC):
@@ -159,7 +159,7 @@ class Law(ABC):
     interface: ClassVar[Interface] = Interface()
     """Through which it acts in comparisons."""
 
-    def __init__(self, layout: Layout) -> None:
+    def __init__(self, layout: ObservationLayout) -> None:
         name = type(self).__name__
         if layout.interface.action_mode != "input" and not self._acts_through_gains():
             raise ValueError(f"{name} needs action_mode='input', this layout has {layout.interface.action_mode!r}")
@@ -223,11 +223,11 @@ class Law(ABC):
         """
         return None
 
-    def condition(self, premises: Premises) -> Condition | None:  # noqa: ARG002 - laws with a theorem use it
+    def condition(self, constants: ProblemConstants) -> Condition | None:  # noqa: ARG002 - laws with a theorem use it
         """Whether a scenario meets the law's condition, with the number that decides; ``None`` if it promises nothing.
 
         Args:
-            premises: of the scenario; ``ptne_env.theory.condition`` reads them off one.
+            constants: of the scenario; ``ptne_env.theory.condition`` reads them off one.
         """
         return None
 

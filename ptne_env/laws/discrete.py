@@ -10,17 +10,17 @@ import numpy as np
 import numpy.typing as npt
 
 from ptne_env.arrays import FloatArray, frozen, require_count, require_positive
-from ptne_env.interface import Interface, Layout, Reading
 from ptne_env.laws.base import (
     Condition,
     Law,
-    Premises,
+    ProblemConstants,
     consensus,
     decisive,
     lasting_connectivity,
     per_step,
     strong_monotonicity,
 )
+from ptne_env.observation import Interface, ObservationLayout, Reading
 
 
 class ProjectedGradient(Law):
@@ -42,7 +42,7 @@ class ProjectedGradient(Law):
 
     def __init__(
         self,
-        layout: Layout,
+        layout: ObservationLayout,
         step: float = 0.1,
         mixing: float = 0.3,
         lower: npt.ArrayLike = -np.inf,
@@ -58,25 +58,25 @@ class ProjectedGradient(Law):
         if self._is_bounded and "own_estimate" not in layout.slices:
             raise ValueError("bounds need the own strategy, which 'local' does not show; use the interface 'physical'")
 
-    def contraction(self, premises: Premises) -> FloatArray:
+    def contraction(self, constants: ProblemConstants) -> FloatArray:
         """The matrix of :meth:`condition`, shape (2, 2): how (‖consensus error‖, ‖disagreement‖)² grow at most."""
-        alpha, players = self.step, premises.num_players
-        epsilon, iota_strategies, iota = premises.epsilon, premises.iota_strategies, premises.iota_estimates
-        sigma = max(mixing_norm(laplacian, self.mixing) for laplacian in premises.laplacians)
+        alpha, players = self.step, constants.num_players
+        epsilon, iota_strategies, iota = constants.epsilon, constants.iota_strategies, constants.iota_estimates
+        sigma = max(mixing_norm(laplacian, self.mixing) for laplacian in constants.laplacians)
         mean = 1 - 2 * alpha * epsilon / players + (alpha * iota_strategies) ** 2 / players
         cross = alpha * sigma * (iota + iota_strategies + alpha * iota * iota_strategies) / np.sqrt(players)
         return np.array([[mean, cross], [cross, sigma**2 * (1 + alpha * iota) ** 2]])
 
-    def condition(self, premises: Premises) -> Condition:
+    def condition(self, constants: ProblemConstants) -> Condition:
         """ρ = λ_max(M_α) < 1: every iteration then shrinks ‖𝐱 − 1⊗x*‖ by √ρ at least, on every sequence of modes.
 
         M_α = [[1 − 2αε/N + α²ι_F²/N, ασ(ι + ι_F + αιι_F)/√N], [·, σ²(1 + αι)²]] with σ the largest ‖W − 11ᵀ/N‖ over
         the modes, which is 1 as soon as one of them is disconnected.
         """
-        if premises.epsilon <= 0:
-            return strong_monotonicity(premises)
-        largest = float(np.linalg.eigvalsh(self.contraction(premises))[-1])
-        return Condition.below("λ_max(M_α) < 1", largest, 1.0, exact=premises.exact)
+        if constants.epsilon <= 0:
+            return strong_monotonicity(constants)
+        largest = float(np.linalg.eigvalsh(self.contraction(constants))[-1])
+        return Condition.below("λ_max(M_α) < 1", largest, 1.0, exact=constants.exact)
 
     def _initial_memory(self, rows: int) -> FloatArray:
         return np.zeros((rows, 1))
@@ -96,7 +96,7 @@ class AggregateTracking(Law):
     """v̂_i = Σ_j w_ij v_j; x_i ← x_i − α_k ∂J_i/∂x_i(x_i, N v̂_i); v_i ← v̂_i + (new x_i − old x_i), v_i(0) = x_i(0).
 
     J. Koshal, A. Nedić and U. V. Shanbhag, "Distributed algorithms for aggregative games on graphs", Operations
-    Research 64(3), 2016: the synchronous algorithm, with α_k = α/(k + 1)^p and W = I − h L. On a signal whose modes are
+    Research 64(3), 2016: the synchronous algorithm, with α_k = α/(k + 1)^p and W = I − h L. On a topology whose modes are
     disjoint pairs and with h = ½/a_ij it is their gossip.
 
     The estimate v_i of the average strategy is the mean of player i's estimates x^i_j over j, so estimates carry the
@@ -119,7 +119,7 @@ class AggregateTracking(Law):
     interface = Interface("physical")
 
     def __init__(
-        self, layout: Layout, step: float = 0.5, power: float = 0.6, mixing: float = 0.3, warm_up: int = 4
+        self, layout: ObservationLayout, step: float = 0.5, power: float = 0.6, mixing: float = 0.3, warm_up: int = 4
     ) -> None:
         super().__init__(layout)
         if len(set(layout.action_dims)) != 1:
@@ -131,17 +131,17 @@ class AggregateTracking(Law):
             raise ValueError(f"power must be a finite number of at least 0, got {power!r}")
         self.power = float(power)
 
-    def condition(self, premises: Premises) -> Condition:
+    def condition(self, constants: ProblemConstants) -> Condition:
         """An aggregative game, ε > 0, W stochastic, Σ α_k = ∞ and Σ α_k² < ∞, graphs that stay connected."""
         return decisive(
-            Condition.below("aggregative: spread of ∂²J_i/∂x_i∂x_j over j ≠ i", _spread(premises), 1e-9),
+            Condition.below("aggregative: spread of ∂²J_i/∂x_i∂x_j over j ≠ i", _spread(constants), 1e-9),
             Condition.below(
-                "W = I − h L is stochastic: h max Σ_j a_ij < 1", self.mixing * premises.largest_degree, 1.0
+                "W = I − h L is stochastic: h max Σ_j a_ij < 1", self.mixing * constants.largest_degree, 1.0
             ),
             Condition.above("Σ α_k² is finite: p > 1/2", self.power, 0.5),
             Condition.below("Σ α_k is infinite: p ≤ 1", self.power, np.nextafter(1.0, 2.0)),
-            lasting_connectivity(premises),
-            strong_monotonicity(premises),
+            lasting_connectivity(constants),
+            strong_monotonicity(constants),
         )
 
     def _initial_memory(self, rows: int) -> FloatArray:
@@ -180,10 +180,10 @@ def mixing_norm(laplacian: FloatArray, mixing: float) -> float:
     return float(np.linalg.norm(np.eye(players) - mixing * laplacian - 1 / players, 2))
 
 
-def _spread(premises: Premises) -> float:
+def _spread(constants: ProblemConstants) -> float:
     """How far the coupling of a player to the others is from the same for all others, per place in the block."""
-    owners, jacobian = premises.owners, premises.jacobian
-    players = premises.num_players
+    owners, jacobian = constants.owners, constants.jacobian
+    players = constants.num_players
     if len(set(np.bincount(owners))) != 1:
         return np.inf
     blocks = jacobian.reshape(players, len(owners) // players, players, -1)

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from ptne_env.arrays import FloatArray, require_non_negative, require_positive
-from ptne_env.interface import Interface, Layout, Reading
-from ptne_env.laws.base import Condition, Law, Premises, decisive, per_step
+from ptne_env.laws.base import Condition, Law, ProblemConstants, decisive, per_step
 from ptne_env.laws.grounded import grounded_error
+from ptne_env.observation import Interface, ObservationLayout, Reading
 
 
 class ExtremumSeeking(Law):
@@ -40,7 +40,7 @@ class ExtremumSeeking(Law):
 
     def __init__(
         self,
-        layout: Layout,
+        layout: ObservationLayout,
         amplitude: float = 1.0,
         gain: float = 0.2,
         frequency: float = 9.0,
@@ -56,19 +56,19 @@ class ExtremumSeeking(Law):
         n = layout.dimension
         self.frequencies = self.frequency * (1 + (np.arange(n) + 1) / (n + 1))
 
-    def condition(self, premises: Premises) -> Condition:
+    def condition(self, constants: ProblemConstants) -> Condition:
         """DF strictly diagonally dominant, and steps that resolve the cost's fastest ripple: Θ 4ω < π.
 
         For quadratic games on continuous time the first is the paper's assumption, under which the averaged loop is
         exponentially stable; the strategies then stay within O(a + 1/ω) of the equilibrium.
         """
-        jacobian = premises.jacobian
+        jacobian = constants.jacobian
         off = np.abs(jacobian).sum(axis=1) - np.abs(jacobian.diagonal())
         dominance = (jacobian.diagonal() - off).min()
         return decisive(
-            Condition.below("Θ resolves the probing: 4 ω Θ < π", 4 * self.frequency * premises.largest_step, np.pi),
+            Condition.below("Θ resolves the probing: 4 ω Θ < π", 4 * self.frequency * constants.largest_step, np.pi),
             Condition.above(
-                "dF is diagonally dominant: min_i (F_ii − Σ_j |F_ij|) > 0", dominance, 0.0, exact=premises.exact
+                "dF is diagonally dominant: min_i (F_ii − Σ_j |F_ij|) > 0", dominance, 0.0, exact=constants.exact
             ),
         )
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from ptne_env.arrays import FloatArray, require_non_negative
-from ptne_env.interface import Layout, Reading
-from ptne_env.laws.base import Condition, Law, Premises, consensus, decisive, strong_monotonicity
+from ptne_env.laws.base import Condition, Law, ProblemConstants, consensus, decisive, strong_monotonicity
+from ptne_env.observation import ObservationLayout, Reading
 
 
 class Grounded(Law):
@@ -24,24 +24,24 @@ class Grounded(Law):
         ValueError: for a negative gain.
     """
 
-    def __init__(self, layout: Layout, kappa: float = 2.0) -> None:
+    def __init__(self, layout: ObservationLayout, kappa: float = 2.0) -> None:
         super().__init__(layout)
         self.kappa = require_non_negative("kappa", kappa)
 
-    def condition(self, premises: Premises) -> Condition:
+    def condition(self, constants: ProblemConstants) -> Condition:
         """κ > ((ι + √(N−1) ι_F)²/(4ε) + √(N−1) ι)/λ, with λ the smallest eigenvalue of the grounded Laplacians.
 
         The paper proves that a large enough κ exists (there 1/δ). This one is enough, for d/dτ ½(‖x − x*‖² + ‖y‖²), y
         being the estimates minus what they estimate, is at most −ε a² + (ι + √(N−1) ι_F) a b − (κ λ − √(N−1) ι) b²
         with a = ‖x − x*‖ and b = ‖y‖.
         """
-        grounded, bound = _grounded_connectivity(premises), np.inf
-        if premises.epsilon > 0 and grounded > 0:
-            others = np.sqrt(premises.num_players - 1)
-            cross = premises.iota_estimates + others * premises.iota_strategies
-            bound = (cross**2 / (4 * premises.epsilon) + others * premises.iota_estimates) / grounded
+        grounded, bound = _grounded_connectivity(constants), np.inf
+        if constants.epsilon > 0 and grounded > 0:
+            others = np.sqrt(constants.num_players - 1)
+            cross = constants.iota_estimates + others * constants.iota_strategies
+            bound = (cross**2 / (4 * constants.epsilon) + others * constants.iota_estimates) / grounded
         name = "κ > ((ι + √(N−1) ι_F)²/(4ε) + √(N−1) ι)/λ"
-        return Condition.above(name, self.kappa, bound, exact=premises.exact)
+        return Condition.above(name, self.kappa, bound, exact=constants.exact)
 
     def _inputs(self, reading: Reading, memory: None) -> tuple[FloatArray, None]:
         own = self.layout.own_mask[reading.player]
@@ -65,16 +65,16 @@ class AdaptiveGrounded(Law):
         ValueError: for a negative gain.
     """
 
-    def __init__(self, layout: Layout, gamma: float = 0.01, initial_gain: float = 0.5) -> None:
+    def __init__(self, layout: ObservationLayout, gamma: float = 0.01, initial_gain: float = 0.5) -> None:
         super().__init__(layout)
         self.gamma = require_non_negative("gamma", gamma)
         self.initial_gain = require_non_negative("initial_gain", initial_gain)
 
-    def condition(self, premises: Premises) -> Condition:
+    def condition(self, constants: ProblemConstants) -> Condition:
         """γ > 0, ε > 0 and every graph connected: with H the grounded Laplacian, V = ½‖x − x*‖² + ½ yᵀ H y + gains."""
         positive = Condition.above("the gains adapt: γ > 0", self.gamma, 0.0)
-        grounded = Condition.above("every graph is connected: λ2 > 0", premises.connectivity, 0.0)
-        return decisive(positive, grounded, strong_monotonicity(premises))
+        grounded = Condition.above("every graph is connected: λ2 > 0", constants.connectivity, 0.0)
+        return decisive(positive, grounded, strong_monotonicity(constants))
 
     def gains(self, memory: FloatArray) -> FloatArray:
         """θ_ij of every player and component that it does not own."""
@@ -91,7 +91,7 @@ class AdaptiveGrounded(Law):
         return inputs, memory + reading.theta * np.where(own, 0.0, growth)
 
 
-def grounded_error(layout: Layout, reading: Reading) -> FloatArray:
+def grounded_error(layout: ObservationLayout, reading: Reading) -> FloatArray:
     """−ξ_ij per component, shape (R, n)."""
     error = consensus(reading.weights, reading.relative_estimates)
     leaders = layout.neighbour_components[reading.player]
@@ -99,12 +99,12 @@ def grounded_error(layout: Layout, reading: Reading) -> FloatArray:
     return error
 
 
-def _grounded_connectivity(premises: Premises) -> float:
+def _grounded_connectivity(constants: ProblemConstants) -> float:
     """The smallest eigenvalue of H_j = L without row and column j, plus diag(a_ij), over players j and modes."""
-    if premises.connectivity == 0:
+    if constants.connectivity == 0:
         return 0.0
     smallest = np.inf
-    for laplacian in premises.laplacians:
+    for laplacian in constants.laplacians:
         for leader in range(len(laplacian)):
             others = np.arange(len(laplacian)) != leader
             matrix = laplacian[np.ix_(others, others)] - np.diag(laplacian[others, leader])

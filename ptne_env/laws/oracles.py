@@ -5,16 +5,16 @@ from __future__ import annotations
 import numpy as np
 
 from ptne_env.arrays import FloatArray, require_non_negative, require_positive
-from ptne_env.interface import Interface, Layout, Reading
 from ptne_env.laws.base import (
     Condition,
     Law,
-    Premises,
+    ProblemConstants,
     consensus,
     decisive,
     per_step,
     strong_monotonicity,
 )
+from ptne_env.observation import Interface, ObservationLayout, Reading
 
 
 class BestResponseOracle(Law):
@@ -35,18 +35,18 @@ class BestResponseOracle(Law):
     needs = ("best_response",)
     interface = Interface("full", best_response=True)
 
-    def __init__(self, layout: Layout, relaxation: float = 1.0) -> None:
+    def __init__(self, layout: ObservationLayout, relaxation: float = 1.0) -> None:
         super().__init__(layout)
         self.relaxation = require_positive("relaxation", relaxation)
         if self.relaxation > 1:
             raise ValueError(f"relaxation must be at most 1, got {relaxation!r}")
 
-    def condition(self, premises: Premises) -> Condition:
+    def condition(self, constants: ProblemConstants) -> Condition:
         """ρ(I − ω D⁻¹ dF) < 1 with D the own blocks of dF: for affine games, exactly where it converges."""
-        own = premises.owners[:, None] == premises.owners
-        matrix = np.linalg.solve(np.where(own, premises.jacobian, 0.0), premises.jacobian)
+        own = constants.owners[:, None] == constants.owners
+        matrix = np.linalg.solve(np.where(own, constants.jacobian, 0.0), constants.jacobian)
         radius = np.abs(np.linalg.eigvals(np.eye(len(own)) - self.relaxation * matrix)).max()
-        return Condition.below("ρ(I − ω D⁻¹ dF) < 1", radius, 1.0, exact=premises.exact)
+        return Condition.below("ρ(I − ω D⁻¹ dF) < 1", radius, 1.0, exact=constants.exact)
 
     def _inputs(self, reading: Reading, memory: None) -> tuple[FloatArray, None]:
         return per_step(reading.relative_strategies + self.relaxation * reading.best_response, reading), memory
@@ -56,7 +56,7 @@ class FixedTimeOracle(Law):
     """dx/dτ = −k F(x) (‖F(x)‖^{−ξ1} + ‖F(x)‖^{−ξ2}), ξ1 in (0, 1), ξ2 < 0: fixed-time pseudo-gradient play.
 
     J. I. Poveda, M. Krstić and T. Başar, "Fixed-time Nash equilibrium seeking in time-varying networks", IEEE
-    Transactions on Automatic Control 68(4), 2023: the first-order dynamics. An oracle: the norm is that of everybody's
+    Transactions on Automatic Control 68(4), 2023: the first-order world. An oracle: the norm is that of everybody's
     gradients at the real strategies, onto which the estimates are moved within the step.
 
     With F ε-strongly monotone, d‖F‖/dτ ≤ −k ε (‖F‖^{1−ξ1} + ‖F‖^{1−ξ2}), so F = 0 from τ = (1/ξ1 + 1/|ξ2|)/(k ε) on,
@@ -78,7 +78,12 @@ class FixedTimeOracle(Law):
     interface = Interface("full")
 
     def __init__(
-        self, layout: Layout, gain: float = 1.0, near: float = 0.5, far: float = -0.5, largest_step: float = 0.3
+        self,
+        layout: ObservationLayout,
+        gain: float = 1.0,
+        near: float = 0.5,
+        far: float = -0.5,
+        largest_step: float = 0.3,
     ) -> None:
         super().__init__(layout)
         self.gain = require_positive("gain", gain)
@@ -91,17 +96,17 @@ class FixedTimeOracle(Law):
         """(1/ξ1 + 1/|ξ2|)/(k ε), in effective time."""
         return (1 / self.near - 1 / self.far) / (self.gain * epsilon) if epsilon > 0 else np.inf
 
-    def condition(self, premises: Premises) -> Condition:
+    def condition(self, constants: ProblemConstants) -> Condition:
         """ε > 0, limited steps that contract, and a settling bound within the episode."""
-        contracts = 2 * premises.epsilon / premises.iota_strategies**2
+        contracts = 2 * constants.epsilon / constants.iota_strategies**2
         return decisive(
-            strong_monotonicity(premises),
+            strong_monotonicity(constants),
             Condition.below("limited steps contract: largest step < 2ε/ι_F²", self.largest_step, contracts),
             Condition.below(
                 "(1/ξ1 + 1/|ξ2|)/(k ε) < τ_K",
-                self.settling_bound(premises.epsilon),
-                premises.effective_time,
-                exact=premises.exact,
+                self.settling_bound(constants.epsilon),
+                constants.effective_time,
+                exact=constants.exact,
             ),
         )
 
@@ -135,16 +140,16 @@ class NodeAdaptiveOracle(Law):
     needs = ("neighbour_errors",)
     interface = Interface("full", neighbour_errors=True)
 
-    def __init__(self, layout: Layout, gamma: float = 0.001, initial_gain: float = 0.5) -> None:
+    def __init__(self, layout: ObservationLayout, gamma: float = 0.001, initial_gain: float = 0.5) -> None:
         super().__init__(layout)
         self.gamma = require_non_negative("gamma", gamma)
         self.initial_gain = require_non_negative("initial_gain", initial_gain)
 
-    def condition(self, premises: Premises) -> Condition:
+    def condition(self, constants: ProblemConstants) -> Condition:
         """γ > 0, ε > 0 and every graph connected; neither ι nor λ2 need be known."""
         positive = Condition.above("the gains adapt: γ > 0", self.gamma, 0.0)
-        connected = Condition.above("every graph is connected: λ2 > 0", premises.connectivity, 0.0)
-        return decisive(positive, connected, strong_monotonicity(premises))
+        connected = Condition.above("every graph is connected: λ2 > 0", constants.connectivity, 0.0)
+        return decisive(positive, connected, strong_monotonicity(constants))
 
     def _initial_memory(self, rows: int) -> FloatArray:
         return np.full((rows, 1 + self.layout.slots), self.initial_gain)

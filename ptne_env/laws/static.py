@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from ptne_env.arrays import Float32Array, FloatArray, require_non_negative, require_positive
-from ptne_env.interface import CONSENSUS_GAIN, GAIN_OCTAVES, Layout, Reading
-from ptne_env.laws.base import Condition, Law, Premises, consensus
+from ptne_env.laws.base import Condition, Law, ProblemConstants, consensus
+from ptne_env.observation import CONSENSUS_GAIN, GAIN_OCTAVES, ObservationLayout, Reading
 
 
 class Static(Law):
@@ -24,7 +24,7 @@ class Static(Law):
         ValueError: for a negative gain, or one out of reach in action mode ``gains``.
     """
 
-    def __init__(self, layout: Layout, kappa: float = 2.0, gradient_gain: float = 1.0) -> None:
+    def __init__(self, layout: ObservationLayout, kappa: float = 2.0, gradient_gain: float = 1.0) -> None:
         super().__init__(layout)
         self.kappa = require_non_negative("kappa", kappa)
         self.gradient_gain = require_positive("gradient_gain", gradient_gain)
@@ -38,9 +38,9 @@ class Static(Law):
                     f"{gradient_gain} and {kappa}"
                 )
 
-    def condition(self, premises: Premises) -> Condition:
+    def condition(self, constants: ProblemConstants) -> Condition:
         """κ > (ι²/ε + ι)/λ2 (eq. GainCondition), for scaled costs with κ divided by the gradient gain."""
-        return _gain_condition(self.kappa / self.gradient_gain, premises)
+        return _gain_condition(self.kappa / self.gradient_gain, constants)
 
     def _inputs(self, reading: Reading, memory: None) -> tuple[FloatArray, None]:
         inputs = consensus(reading.weights, reading.relative_estimates)
@@ -68,14 +68,14 @@ class FixedGain(Static):
     disagreement is positive definite, and then (𝐱 − 1⊗x*)ᵀ M (𝐱 − 1⊗x*) > 0.
     """
 
-    def condition(self, premises: Premises) -> Condition:
+    def condition(self, constants: ProblemConstants) -> Condition:
         """κ > ((ι_F + ι)²/(4ε) + ι)/λ2, with κ divided by the gradient gain."""
         bound = np.inf
-        if premises.epsilon > 0 and premises.connectivity > 0:
-            total = premises.iota_strategies + premises.iota_estimates
-            bound = (total**2 / (4 * premises.epsilon) + premises.iota_estimates) / premises.connectivity
+        if constants.epsilon > 0 and constants.connectivity > 0:
+            total = constants.iota_strategies + constants.iota_estimates
+            bound = (total**2 / (4 * constants.epsilon) + constants.iota_estimates) / constants.connectivity
         kappa = self.kappa / self.gradient_gain
-        return Condition.above("κ > ((ι_F + ι)²/(4ε) + ι)/λ2", kappa, bound, exact=premises.exact)
+        return Condition.above("κ > ((ι_F + ι)²/(4ε) + ι)/λ2", kappa, bound, exact=constants.exact)
 
 
 class CorollaryOne(Law):
@@ -92,13 +92,13 @@ class CorollaryOne(Law):
         ValueError: for a negative gain.
     """
 
-    def __init__(self, layout: Layout, kappa: float = 10.0) -> None:
+    def __init__(self, layout: ObservationLayout, kappa: float = 10.0) -> None:
         super().__init__(layout)
         self.kappa = require_non_negative("kappa", kappa)
 
-    def condition(self, premises: Premises) -> Condition:
+    def condition(self, constants: ProblemConstants) -> Condition:
         """κ > (ι²/ε + ι)/λ2 (eq. GainCondition); convergence is asymptotic, not by the deadline."""
-        return _gain_condition(self.kappa, premises)
+        return _gain_condition(self.kappa, constants)
 
     def _inputs(self, reading: Reading, memory: None) -> tuple[FloatArray, None]:
         inputs = self.kappa * consensus(reading.weights, reading.relative_estimates) - reading.gradient
@@ -112,6 +112,6 @@ def gain_bound(epsilon: float, iota: float, connectivity: float) -> float:
     return (iota**2 / epsilon + iota) / connectivity if epsilon > 0 and connectivity > 0 else np.inf
 
 
-def _gain_condition(kappa: float, premises: Premises) -> Condition:
-    bound = gain_bound(premises.epsilon, premises.iota, premises.connectivity)
-    return Condition.above("κ > (ι²/ε + ι)/λ2", kappa, bound, exact=premises.exact)
+def _gain_condition(kappa: float, constants: ProblemConstants) -> Condition:
+    bound = gain_bound(constants.epsilon, constants.iota, constants.connectivity)
+    return Condition.above("κ > (ι²/ε + ι)/λ2", kappa, bound, exact=constants.exact)

@@ -6,9 +6,9 @@ import numpy as np
 from scipy import linalg
 
 from ptne_env.arrays import FloatArray, require_non_negative, require_positive
-from ptne_env.interface import Layout, Reading
-from ptne_env.laws.base import Condition, Law, Premises, consensus, decisive
+from ptne_env.laws.base import Condition, Law, ProblemConstants, consensus, decisive
 from ptne_env.laws.static import Static
+from ptne_env.observation import ObservationLayout, Reading
 
 
 class LocallyImplicit(Law):
@@ -35,7 +35,9 @@ class LocallyImplicit(Law):
         ValueError: for a parameter out of range.
     """
 
-    def __init__(self, layout: Layout, kappa: float = 2.0, damping: float = 1.0, curvature: float = 3.0) -> None:
+    def __init__(
+        self, layout: ObservationLayout, kappa: float = 2.0, damping: float = 1.0, curvature: float = 3.0
+    ) -> None:
         super().__init__(layout)
         self.kappa = require_non_negative("kappa", kappa)
         self.damping = require_positive("damping", damping)
@@ -43,21 +45,21 @@ class LocallyImplicit(Law):
         if self.damping < 1:
             raise ValueError(f"damping must be at least 1, got {damping!r}")
 
-    def implicit_diagonal(self, premises: Premises, laplacian: FloatArray) -> FloatArray:
+    def implicit_diagonal(self, constants: ProblemConstants, laplacian: FloatArray) -> FloatArray:
         """The diagonal of D in the paper's stacking col(x^1 … x^N), shape (Nn,)."""
-        own = premises.owners == np.arange(premises.num_players)[:, None]
+        own = constants.owners == np.arange(constants.num_players)[:, None]
         return np.ravel(self.damping * self.kappa * laplacian.diagonal()[:, None] + self.curvature * own)
 
-    def condition(self, premises: Premises) -> Condition:
+    def condition(self, constants: ProblemConstants) -> Condition:
         """Stable for every constant Θ: the largest generalised eigenvalue of (Mᵀ D⁻¹ M, M + Mᵀ) is below 1."""
-        fixed = Condition.below("the graph is fixed: number of modes < 2", len(premises.laplacians), 2.0)
-        laplacian, value = premises.laplacians[0], np.inf
-        matrix, diagonal = premises.loop(laplacian, self.kappa), self.implicit_diagonal(premises, laplacian)
+        fixed = Condition.below("the graph is fixed: number of modes < 2", len(constants.laplacians), 2.0)
+        laplacian, value = constants.laplacians[0], np.inf
+        matrix, diagonal = constants.loop(laplacian, self.kappa), self.implicit_diagonal(constants, laplacian)
         symmetric = matrix + matrix.T
         if diagonal.min() > 0 and np.linalg.eigvalsh(symmetric)[0] > 0:
             value = float(linalg.eigh(matrix.T @ (matrix / diagonal[:, None]), symmetric, eigvals_only=True)[-1])
         name = "stable for every Θ: λ_max(Mᵀ D⁻¹ M, M + Mᵀ) < 1"
-        return decisive(fixed, Condition.below(name, value, 1.0, exact=premises.exact))
+        return decisive(fixed, Condition.below(name, value, 1.0, exact=constants.exact))
 
     def _inputs(self, reading: Reading, memory: None) -> tuple[FloatArray, None]:
         inputs = self.kappa * consensus(reading.weights, reading.relative_estimates) - reading.gradient
@@ -83,14 +85,14 @@ class CappedGain(Static):
         ValueError: for a parameter out of range.
     """
 
-    def __init__(self, layout: Layout, kappa: float = 2.0, largest_gain: float = 200.0) -> None:
+    def __init__(self, layout: ObservationLayout, kappa: float = 2.0, largest_gain: float = 200.0) -> None:
         super().__init__(layout, kappa)
         self.largest_gain = require_positive("largest_gain (G, in 1/s)", largest_gain)
 
-    def condition(self, premises: Premises) -> Condition:
+    def condition(self, constants: ProblemConstants) -> Condition:
         """The static law's, and G > c, below which even the constant part of the gain is cut."""
-        constant = Condition.above("the cap leaves c: G > c", self.largest_gain, premises.gain)
-        return decisive(constant, super().condition(premises))
+        constant = Condition.above("the cap leaves c: G > c", self.largest_gain, constants.gain)
+        return decisive(constant, super().condition(constants))
 
     def _inputs(self, reading: Reading, memory: None) -> tuple[FloatArray, None]:
         inputs, memory = super()._inputs(reading, memory)

@@ -37,7 +37,7 @@ from ptne_env.theory import (
     spectral_abscissa,
 )
 
-Outcome: TypeAlias = Literal["holds", "fails"]
+StepResult: TypeAlias = Literal["holds", "fails"]
 
 VANISHED = 1e-6
 """An error counts as vanishing at T when it is below this at s = 60 and still falls."""
@@ -59,7 +59,7 @@ class Claim:
     name: str
     statement: str
     criterion: str
-    verdict: Outcome
+    verdict: StepResult
     finding: str
     measured: Mapping[str, Any] = field(default_factory=dict)
 
@@ -123,7 +123,7 @@ def proposition_1(experiments: Experiments) -> list[Claim]:
         rest = np.linalg.solve(matrix, offset.ravel()).reshape(5, 5)
         distances[graph_kind.__name__] = float(np.abs(rest - game.nash_equilibrium).max())
         smallest[graph_kind.__name__] = float(np.linalg.svd(matrix, compute_uv=False)[-1])
-    disconnected = closed_loop_matrix(game, experiments.switching["physical"].signal.graphs[0], KAPPA)
+    disconnected = closed_loop_matrix(game, experiments.switching["physical"].topology.graphs[0], KAPPA)
     kernel = disconnected.shape[0] - int(np.linalg.matrix_rank(disconnected))
     worst, invertible = max(distances.values()), min(smallest.values()) > 1e-6
     return [
@@ -242,17 +242,17 @@ def theorem_3(experiments: Experiments) -> list[Claim]:
 
 
 def theorem_4(experiments: Experiments) -> list[Claim]:
-    """Theorem 4: the same over jointly connected switching graphs, with the signal dwelling in t and in s."""
+    """Theorem 4: the same over jointly connected switching graphs, with the topology dwelling in t and in s."""
     statement = "over jointly connected switching graphs the adaptive law reaches x* at T; κ_ij increases and settles"
     return [
         _adaptive_claim(
             "Theorem 4, dwelling in t (as stated)",
-            f"{statement}; the signal dwells 0.1 s in t",
+            f"{statement}; the topology dwells 0.1 s in t",
             experiments.switching["physical"],
         ),
         _adaptive_claim(
             "Theorem 4, dwelling in s",
-            f"{statement}; the signal dwells 0.25 in s",
+            f"{statement}; the topology dwells 0.25 in s",
             experiments.switching["transformed"],
         ),
     ]
@@ -305,13 +305,13 @@ def erratum_1(experiments: Experiments) -> list[Claim]:
 
 
 def erratum_2(experiments: Experiments) -> list[Claim]:
-    """A signal that dwells in t leaves an error at T, which shrinks with Γ; one that dwells in s does not."""
+    """A topology that dwells in t leaves an error at T, which shrinks with Γ; one that dwells in s does not."""
     periods = [0.8, 0.4, 0.2, 0.1]
     runs = [experiments.switching_with_period(period) for period in periods]
     errors = [float(run.estimate_distance[-1]) for run in runs]
     stuck = [_has_stalled(run) for run in runs]
     switches = [len(run.timeline.segments) - 1 for run in runs]
-    last = [run.signal.graphs[run.timeline.segments[-1].mode] for run in runs]
+    last = [run.topology.graphs[run.timeline.segments[-1].mode] for run in runs]
     transformed = experiments.switching["transformed"]
     at_deadline = float(transformed.estimate_distance[transformed.timeline.deadline_index])
     shrinks = all(later < earlier for earlier, later in pairwise(errors))
@@ -504,7 +504,7 @@ def _missing_constant(experiments: Experiments) -> Claim:
     growths = []
     for gamma in (GAMMA, GAMMA / GAIN):  # in effective time, dτ = c dt, dropping c divides γ by it
         after = simulate(
-            run.game, run.signal, run.estimates[first], hold, initial_gain=run.gains[first].tolist(), gamma=gamma
+            run.game, run.topology, run.estimates[first], hold, initial_gain=run.gains[first].tolist(), gamma=gamma
         )
         growths.append(float((after.gains[-1] - after.gains[0]).sum()))
     meant, printed = growths

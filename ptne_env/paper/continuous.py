@@ -19,7 +19,7 @@ from ptne_env.arrays import FloatArray, require_count, require_non_negative, req
 from ptne_env.clock import TimeTransformation
 from ptne_env.distances import SUCCESS_DISTANCE
 from ptne_env.games import Game
-from ptne_env.graphs import Signal
+from ptne_env.switching import SwitchingTopology
 from ptne_env.theory import closed_loop_matrix
 
 RELATIVE_TOLERANCE = 1e-13
@@ -35,7 +35,7 @@ class Segment:
     Attributes:
         start: τ at which it starts.
         end: τ at which it ends.
-        mode: index of the graph in the signal.
+        mode: index of the graph in the topology.
     """
 
     start: float
@@ -73,30 +73,30 @@ class Timeline:
         )
 
 
-def plain_timeline(signal: Signal, horizon: float, *, samples: int = 2001) -> Timeline:
+def plain_timeline(topology: SwitchingTopology, horizon: float, *, samples: int = 2001) -> Timeline:
     """Physical time as it is, [0, horizon], for dx/dt = u without the prescribed-time gain (Corollary 1).
 
     Args:
-        signal: on the physical clock.
+        topology: on the physical clock.
         horizon: end in seconds.
         samples: evenly spaced instants, to which the switches are added.
 
     Raises:
-        ValueError: when the horizon is not positive, fewer than 2 samples are asked for, or the signal switches on
+        ValueError: when the horizon is not positive, fewer than 2 samples are asked for, or the topology switches on
             the transformed clock.
     """
     require_positive("horizon", horizon, " (seconds)")
     require_count("samples", samples, 2)
-    if not signal.is_fixed and signal.clock == "transformed":
-        raise ValueError("without a prescribed time there is no transformed clock; give a physical signal")
-    switches = signal.switches(0.0, horizon)
+    if not topology.is_fixed and topology.clock == "transformed":
+        raise ValueError("without a prescribed time there is no transformed clock; give a physical topology")
+    switches = topology.switches(0.0, horizon)
     t = np.union1d(np.linspace(0.0, horizon, samples), switches)
-    segments = _segments(signal, switches, switches, (0.0, horizon), (0.0, horizon))
+    segments = _segments(topology, switches, switches, (0.0, horizon), (0.0, horizon))
     return Timeline(tau=t, s=t, t=t, segments=segments, deadline_index=t.size - 1)
 
 
 def prescribed_timeline(
-    signal: Signal,
+    topology: SwitchingTopology,
     transformation: TimeTransformation,
     constant: float,
     *,
@@ -107,7 +107,7 @@ def prescribed_timeline(
     """The approach of T up to s_end, sampled evenly in τ, and then ``hold`` seconds after T.
 
     Args:
-        signal: on either clock; after T a transformed one goes on with s_end + c (t − T).
+        topology: on either clock; after T a transformed one goes on with s_end + c (t − T).
         transformation: λ, with its deadline T.
         constant: c ≥ 0 in 1/s.
         s_end: transformed time at which the approach stops; the state there stands for the one at T.
@@ -126,12 +126,12 @@ def prescribed_timeline(
     deadline = transformation.deadline
 
     def to_s(instants: FloatArray) -> FloatArray:
-        return transformation.inverse(instants) if signal.clock == "physical" else instants
+        return transformation.inverse(instants) if topology.clock == "physical" else instants
 
     end = float(transformation.effective_time(s_end, constant))
     # A graph that physical time would change after s_end does not change before it: the approach stops there.
-    stop = float(transformation.time(s_end)) if signal.clock == "physical" else s_end
-    switches = signal.switches(0.0, stop)
+    stop = float(transformation.time(s_end)) if topology.clock == "physical" else s_end
+    switches = topology.switches(0.0, stop)
     s_switches = to_s(switches)
     tau_switches = transformation.effective_time(s_switches, constant)
     regular = np.linspace(0.0, end, samples)
@@ -141,17 +141,17 @@ def prescribed_timeline(
     order = np.argsort(tau, kind="stable")
     tau, s = tau[order], np.concatenate([s_regular, s_switches])[order]
     t = transformation.time(s)
-    segments = _segments(signal, switches, tau_switches, (0.0, stop), (0.0, end))
+    segments = _segments(topology, switches, tau_switches, (0.0, stop), (0.0, end))
     deadline_index = tau.size - 1
     if hold > 0:
         # In the hold phase dτ = c dt, and so does the transformed clock run.
-        span = (deadline, deadline + hold) if signal.clock == "physical" else (s_end, s_end + constant * hold)
-        later = signal.switches(*span)
-        unit = constant if signal.clock == "physical" else 1.0
+        span = (deadline, deadline + hold) if topology.clock == "physical" else (s_end, s_end + constant * hold)
+        later = topology.switches(*span)
+        unit = constant if topology.clock == "physical" else 1.0
         tau_later = end + unit * (later - span[0])
         count = max(2, round(samples * constant * hold / end))
         tau_hold = np.union1d(np.linspace(end, end + constant * hold, count), tau_later)[1:]
-        segments += _segments(signal, later, tau_later, span, (end, end + constant * hold))
+        segments += _segments(topology, later, tau_later, span, (end, end + constant * hold))
         tau = np.concatenate([tau, tau_hold])
         s = np.concatenate([s, np.full(tau_hold.size, s_end)])
         t = np.concatenate([t, deadline + (tau_hold - end) / constant])
@@ -159,7 +159,7 @@ def prescribed_timeline(
 
 
 def _segments(
-    signal: Signal,
+    topology: SwitchingTopology,
     switches: FloatArray,
     tau_switches: FloatArray,
     span: tuple[float, float],
@@ -168,7 +168,7 @@ def _segments(
     bounds = np.concatenate([[span[0]], switches, [span[1]]])
     tau_bounds = np.concatenate([[tau_span[0]], tau_switches, [tau_span[1]]])
     # The middle of a stretch is safely inside it, whatever rounding does to its ends.
-    modes = signal.schedule((bounds[:-1] + bounds[1:]) / 2).modes
+    modes = topology.schedule((bounds[:-1] + bounds[1:]) / 2).modes
     stretches = zip(tau_bounds[:-1], tau_bounds[1:], modes, strict=True)
     return tuple(Segment(float(start), float(end), int(mode)) for start, end, mode in stretches)
 
@@ -179,14 +179,14 @@ class Run:
 
     Attributes:
         game: what was played.
-        signal: over which graphs.
+        topology: over which graphs.
         timeline: the instants, S of them.
         errors: x^i − x*, shape (S, N, n), row i of an instant being player i's.
-        gains: κ_ij of each link of the union graph, shape (S, E), in the order of ``signal.union.edges``.
+        gains: κ_ij of each link of the union graph, shape (S, E), in the order of ``topology.union.edges``.
     """
 
     game: Game
-    signal: Signal
+    topology: SwitchingTopology
     timeline: Timeline
     errors: FloatArray
     gains: FloatArray
@@ -213,7 +213,7 @@ class Run:
     @cached_property
     def inputs(self) -> FloatArray:
         """u^i at each instant, shape (S, N, n); at a switch the input of the graph that ends there."""
-        loop = _Loop(self.game, self.signal)
+        loop = _Loop(self.game, self.topology)
         modes = self._modes()
         return np.stack([loop.input(e, k, int(m)) for e, k, m in zip(self.errors, self.gains, modes, strict=True)])
 
@@ -244,13 +244,13 @@ class Run:
 class _Loop:
     """The right-hand side u and dκ/dτ of the laws, on the error and with one κ per link."""
 
-    def __init__(self, game: Game, signal: Signal) -> None:
+    def __init__(self, game: Game, topology: SwitchingTopology) -> None:
         self.game = game
-        edges = signal.union.edges
+        edges = topology.union.edges
         self.incidence = np.zeros((game.num_players, len(edges)))
         for column, (i, j) in enumerate(edges):
             self.incidence[[i, j], column] = 1.0, -1.0
-        self.weights = [np.array([graph.adjacency[edge] for edge in edges]) for graph in signal.graphs]
+        self.weights = [np.array([graph.adjacency[edge] for edge in edges]) for graph in topology.graphs]
         self.components = np.arange(game.dimension)
 
     def input(self, error: FloatArray, gains: FloatArray, mode: int) -> FloatArray:
@@ -269,7 +269,7 @@ class _Loop:
 
 def simulate(
     game: Game,
-    signal: Signal,
+    topology: SwitchingTopology,
     start: npt.ArrayLike,
     timeline: Timeline,
     *,
@@ -284,7 +284,7 @@ def simulate(
 
     Args:
         game: what is played.
-        signal: over which graphs.
+        topology: over which graphs.
         start: x^i(0), shape (N, n), row i being player i's.
         timeline: the instants.
         initial_gain: κ_ij(0) ≥ 0, one number or one per link of the union graph.
@@ -296,14 +296,14 @@ def simulate(
     """
     require_non_negative("gamma", gamma)
     players, dimension = game.num_players, game.dimension
-    edges = signal.union.edges
+    edges = topology.union.edges
     gains = np.broadcast_to(np.asarray(initial_gain, dtype=np.float64), (len(edges),))
     if not (np.all(np.isfinite(gains)) and np.all(gains >= 0)):
         raise ValueError(f"initial_gain must be finite and at least 0, got {initial_gain!r}")
     estimates = np.asarray(start, dtype=np.float64)
     if estimates.shape != (players, dimension):
         raise ValueError(f"start must have the shape {(players, dimension)}, got {estimates.shape}")
-    loop, size = _Loop(game, signal), players * dimension
+    loop, size = _Loop(game, topology), players * dimension
     state = np.concatenate([(estimates - game.nash_equilibrium).ravel(), gains])
     states = np.empty((timeline.tau.size, state.size))
 
@@ -331,15 +331,17 @@ def simulate(
         states[inside] = solution.y.T[np.searchsorted(solution.t, instants)]
         state = solution.y[:, -1]
     errors = states[:, :size].reshape(-1, players, dimension)
-    return Run(game, signal, timeline, errors, states[:, size:])
+    return Run(game, topology, timeline, errors, states[:, size:])
 
 
-def exact_static(game: Game, signal: Signal, start: npt.ArrayLike, timeline: Timeline, *, kappa: float) -> Run:
+def exact_static(
+    game: Game, topology: SwitchingTopology, start: npt.ArrayLike, timeline: Timeline, *, kappa: float
+) -> Run:
     """The static law by matrix exponentials, x(τ) = x* + e^{−Mτ}(x(0) − x*) piecewise; for affine F only.
 
     Args:
         game: with affine F.
-        signal: over which graphs.
+        topology: over which graphs.
         start: x^i(0), shape (N, n).
         timeline: the instants.
         kappa: κ ≥ 0.
@@ -353,7 +355,7 @@ def exact_static(game: Game, signal: Signal, start: npt.ArrayLike, timeline: Tim
     estimates = np.asarray(start, dtype=np.float64)
     if estimates.shape != (players, dimension):
         raise ValueError(f"start must have the shape {(players, dimension)}, got {estimates.shape}")
-    matrices = [closed_loop_matrix(game, graph, kappa) for graph in signal.graphs]
+    matrices = [closed_loop_matrix(game, graph, kappa) for graph in topology.graphs]
     state = (estimates - game.nash_equilibrium).ravel()
     states = np.empty((timeline.tau.size, state.size))
     for segment in timeline.segments:
@@ -362,5 +364,5 @@ def exact_static(game: Game, signal: Signal, start: npt.ArrayLike, timeline: Tim
         propagators = linalg.expm(-matrices[segment.mode] * spans[:, None, None])
         states[inside] = propagators[:-1] @ state
         state = propagators[-1] @ state
-    gains = np.full((timeline.tau.size, len(signal.union.edges)), float(kappa))
-    return Run(game, signal, timeline, states.reshape(-1, players, dimension), gains)
+    gains = np.full((timeline.tau.size, len(topology.union.edges)), float(kappa))
+    return Run(game, topology, timeline, states.reshape(-1, players, dimension), gains)

@@ -9,9 +9,10 @@ import numpy as np
 from ptne_env.arrays import FloatArray
 from ptne_env.clock import Exponential, TimeTransformation
 from ptne_env.games import EnergyGame, Game, NonQuadraticGame
-from ptne_env.graphs import Signal, SignalClock, cycle, fixed, paper_signal
+from ptne_env.graphs import cycle
 from ptne_env.paper.continuous import Run, exact_static, plain_timeline, prescribed_timeline, simulate
 from ptne_env.starts import paper_start
+from ptne_env.switching import SwitchingTopology, TopologyClock, fixed, paper_topology
 
 DEADLINE = 1.2
 """T in seconds."""
@@ -27,12 +28,12 @@ S_END = 60.0
 """Where the approach of T stops: e^{−60} T is below the resolution of float64 around T by ten digits."""
 HOLD = 0.4
 """Seconds after T that are shown."""
-DWELLS: dict[SignalClock, float] = {"physical": 0.1, "transformed": 0.25}
+DWELLS: dict[TopologyClock, float] = {"physical": 0.1, "transformed": 0.25}
 """Dwell time of a mode on each clock: Γ/4 of the paper in seconds, and ours in units of s."""
 
 
 class Experiments:
-    """Lazily integrated runs of the paper's two examples, on the 5-cycle or the paper's switching signal.
+    """Lazily integrated runs of the paper's two examples, on the 5-cycle or the paper's switching topology.
 
     Attributes:
         energy: Example 1.
@@ -76,25 +77,25 @@ class Experiments:
         return self._adaptive(self.energy, self.ring)
 
     @cached_property
-    def switching(self) -> dict[SignalClock, Run]:
-        """Theorem 4's law on Example 1, the signal dwelling in t (the paper's) or in s."""
-        return {clock: self._adaptive(self.energy, paper_signal(DWELLS[clock], clock)) for clock in DWELLS}
+    def switching(self) -> dict[TopologyClock, Run]:
+        """Theorem 4's law on Example 1, the topology dwelling in t (the paper's) or in s."""
+        return {clock: self._adaptive(self.energy, paper_topology(DWELLS[clock], clock)) for clock in DWELLS}
 
     @cached_property
-    def non_quadratic_switching(self) -> dict[SignalClock, Run]:
-        """Theorem 4's law on Example 2, the signal dwelling in t (the paper's) or in s."""
-        return {clock: self._adaptive(self.non_quadratic, paper_signal(DWELLS[clock], clock)) for clock in DWELLS}
+    def non_quadratic_switching(self) -> dict[TopologyClock, Run]:
+        """Theorem 4's law on Example 2, the topology dwelling in t (the paper's) or in s."""
+        return {clock: self._adaptive(self.non_quadratic, paper_topology(DWELLS[clock], clock)) for clock in DWELLS}
 
     def switching_with_period(self, period: float) -> Run:
-        """Theorem 4's law on Example 1 with another Γ in seconds, the signal dwelling in t."""
-        signal = paper_signal(period / 4, "physical")
-        timeline = prescribed_timeline(signal, self.transformation, GAIN, s_end=S_END, samples=501)
-        return simulate(self.energy, signal, self.start, timeline, initial_gain=INITIAL_GAIN, gamma=GAMMA)
+        """Theorem 4's law on Example 1 with another Γ in seconds, the topology dwelling in t."""
+        topology = paper_topology(period / 4, "physical")
+        timeline = prescribed_timeline(topology, self.transformation, GAIN, s_end=S_END, samples=501)
+        return simulate(self.energy, topology, self.start, timeline, initial_gain=INITIAL_GAIN, gamma=GAMMA)
 
     def _plain(self, kappa: float) -> Run:
         timeline = plain_timeline(self.ring, 30.0)
         return simulate(self.energy, self.ring, self.start, timeline, initial_gain=kappa)
 
-    def _adaptive(self, game: Game, signal: Signal) -> Run:
-        timeline = prescribed_timeline(signal, self.transformation, GAIN, s_end=S_END, hold=HOLD)
-        return simulate(game, signal, self.start, timeline, initial_gain=INITIAL_GAIN, gamma=GAMMA)
+    def _adaptive(self, game: Game, topology: SwitchingTopology) -> Run:
+        timeline = prescribed_timeline(topology, self.transformation, GAIN, s_end=S_END, hold=HOLD)
+        return simulate(game, topology, self.start, timeline, initial_gain=INITIAL_GAIN, gamma=GAMMA)

@@ -15,10 +15,11 @@ import numpy as np
 from ptne_env.arrays import FloatArray
 from ptne_env.clock import Exponential
 from ptne_env.files import write_atomically
-from ptne_env.graphs import Graph, SignalClock, cycle
+from ptne_env.graphs import Graph, cycle
 from ptne_env.paper.claims import Claim
 from ptne_env.paper.continuous import Run
 from ptne_env.paper.experiments import DEADLINE, DWELLS, GAIN, GAMMA, HOLD, KAPPA, Experiments
+from ptne_env.switching import TopologyClock
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -27,7 +28,7 @@ if TYPE_CHECKING:
 # Okabe and Ito's palette: distinct for colour-blind readers too, and none of them pale.
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00")
 INK, GREY, LIGHT = "#222222", "#777777", "#CCCCCC"
-_CLOCK_NAMES: dict[SignalClock, str] = {
+_CLOCK_NAMES: dict[TopologyClock, str] = {
     "physical": f"dwell {DWELLS['physical']:g} s in $t$ (as in the paper)",
     "transformed": f"dwell {DWELLS['transformed']:g} in $s$",
 }
@@ -210,12 +211,12 @@ def _runs(figure: Figure, runs: Sequence[tuple[str, Run]], end: float, *, deadli
 
 
 def _gains(axes: Axes, run: Run, title: str) -> None:
-    for (i, j), colour, gain in zip(run.signal.union.edges, COLOURS, run.gains.T, strict=True):
+    for (i, j), colour, gain in zip(run.topology.union.edges, COLOURS, run.gains.T, strict=True):
         axes.plot(run.timeline.t, gain, color=colour, label=rf"$\kappa_{{{i + 1}{j + 1}}}$")
     axes.set(xlabel="time $t$ [s]", ylabel=r"gain $\kappa_{ij}$", xlim=(0, DEADLINE + HOLD))
     axes.set_ylim(0, 1.18 * float(run.gains.max()))  # room for the legend above the curves
     axes.set_title(title)
-    axes.legend(loc="upper center", ncols=len(run.signal.union.edges), columnspacing=1.0, handlelength=1.2)
+    axes.legend(loc="upper center", ncols=len(run.topology.union.edges), columnspacing=1.0, handlelength=1.2)
     _mark_deadline(axes, top=0.86)
 
 
@@ -303,15 +304,15 @@ def _adaptive_gains(figure: Figure, experiments: Experiments, _: Sequence[Claim]
 
 
 def _switching_graphs(figure: Figure, experiments: Experiments, _: Sequence[Claim]) -> None:
-    signal = experiments.switching["physical"].signal
-    period, dwell = signal.period, signal.dwells[0]
-    for m, (axes, graph) in enumerate(zip(figure.subplots(1, 4), signal.graphs, strict=True)):
-        _network(axes, graph, signal.union)
+    topology = experiments.switching["physical"].topology
+    period, dwell = topology.period, topology.dwells[0]
+    for m, (axes, graph) in enumerate(zip(figure.subplots(1, 4), topology.graphs, strict=True)):
+        _network(axes, graph, topology.union)
         interval = f"[{m * dwell:.1f}, {(m + 1) * dwell:.1f})"
         axes.set_title(rf"$\mathcal{{G}}_{m + 1}$: $t$ mod {period:g} s in {interval}", fontsize=8.5)
 
 
-def _by_clock(figure: Figure, runs: dict[SignalClock, Run]) -> None:
+def _by_clock(figure: Figure, runs: dict[TopologyClock, Run]) -> None:
     named = [(f", {_CLOCK_NAMES[clock]}", run) for clock, run in runs.items()]
     _runs(figure, named, DEADLINE + HOLD, deadline=True)
 
@@ -337,12 +338,12 @@ def _erratum_2(figure: Figure, _: Experiments, claims: Sequence[Claim]) -> None:
         measured["error_at_deadline"],
         "o-",
         color=COLOURS[1],
-        label="signal dwells in $t$, period Γ",
+        label="topology dwells in $t$, period Γ",
     )
     axes.axhline(
-        measured["error_at_deadline_transformed"], color=COLOURS[0], linestyle="--", label="signal dwells 0.25 in $s$"
+        measured["error_at_deadline_transformed"], color=COLOURS[0], linestyle="--", label="topology dwells 0.25 in $s$"
     )
-    axes.set(xlabel="period Γ of the signal in $t$ [s]", ylabel="relative error of the estimates at $T$")
+    axes.set(xlabel="period Γ of the topology in $t$ [s]", ylabel="relative error of the estimates at $T$")
     axes.set_xticks(measured["periods"], [f"{period:g}" for period in measured["periods"]])
     axes.minorticks_off()
     axes.set_ylim(1e-8, 10)
@@ -439,7 +440,7 @@ FIGURES: tuple[FigureSpec, ...] = (
     ),
     FigureSpec(
         "switching-graphs",
-        "The four modes of the switching signal (paper: Fig. SwitchingGraphs), each disconnected, jointly connected. "
+        "The four modes of the switching topology (paper: Fig. SwitchingGraphs), each disconnected, jointly connected. "
         "The paper's drawing is not in our copy; these are our choice.",
         (8.2, 2.1),
         _switching_graphs,
@@ -477,7 +478,7 @@ FIGURES: tuple[FigureSpec, ...] = (
     ),
     FigureSpec(
         "erratum-2",
-        "Erratum 2: what is left at T when the signal dwells in t, against its period. Not in the paper.",
+        "Erratum 2: what is left at T when the topology dwells in t, against its period. Not in the paper.",
         (5.2, 3.2),
         _erratum_2,
         "Erratum 2",

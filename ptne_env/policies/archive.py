@@ -10,7 +10,8 @@ import numpy as np
 import numpy.typing as npt
 
 from ptne_env.arrays import BoolArray, Float32Array
-from ptne_env.interface import SMALLEST_SCALE, Interface, Layout
+from ptne_env.encoder import SMALLEST_SCALE
+from ptne_env.observation import Interface, ObservationLayout
 from ptne_env.policies.learned import PolicyFileError
 
 
@@ -35,7 +36,7 @@ class ArchivePolicy:
         has_gains = actions.shape == (2,) and not in_units
         self.interface = Interface("local" if is_local else "physical", "gains" if has_gains else "input")
 
-    def require(self, layout: Layout) -> None:
+    def require(self, layout: ObservationLayout) -> None:
         """Check that the policy can act in an environment of this layout.
 
         Raises:
@@ -95,7 +96,7 @@ def load_archive(path: str) -> ArchivePolicy:
     return ArchivePolicy(file, network)
 
 
-def load_archive_for(layout: Layout, path: str) -> ArchivePolicy:
+def load_archive_for(layout: ObservationLayout, path: str) -> ArchivePolicy:
     """:func:`load_archive`, and check that the policy can act in an environment of this layout.
 
     Raises:

@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ptne_env.arrays import BoolArray, Float32Array
-from ptne_env.interface import Interface, Layout
+from ptne_env.observation import Interface, ObservationLayout
 
 LAYOUT_VERSION = 1
 """Version of the meaning of observations and actions; a file of another version is refused."""
@@ -80,7 +80,7 @@ class Metadata:
             )
         return metadata
 
-    def require(self, layout: Layout) -> None:
+    def require(self, layout: ObservationLayout) -> None:
         """Check that the policy can act in an environment of this layout.
 
         Raises:
@@ -117,7 +117,7 @@ class LearnedPolicy:
         self._session = session
         self._input = session.get_inputs()[0].name
 
-    def require(self, layout: Layout) -> None:
+    def require(self, layout: ObservationLayout) -> None:
         """Check that the policy can act in an environment of this layout; see :meth:`Metadata.require`."""
         self.metadata.require(layout)
 
@@ -188,7 +188,7 @@ def load(path_or_name: str | Path) -> LearnedPolicy:
     return LearnedPolicy(path.stem, session, metadata)
 
 
-def load_for(layout: Layout, path_or_name: str) -> LearnedPolicy:
+def load_for(layout: ObservationLayout, path_or_name: str) -> LearnedPolicy:
     """:func:`load`, and check that the policy can act in an environment of this layout.
 
     Raises:

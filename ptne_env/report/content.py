@@ -12,15 +12,15 @@ import numpy as np
 
 from ptne_env import distances
 from ptne_env.arrays import FloatArray
-from ptne_env.evaluation import METRICS, Entry, Results, episode_seed
-from ptne_env.evaluation.benchmark import TIMINGS, Participant, files, versions
-from ptne_env.evaluation.compare import PAPER_START
-from ptne_env.evaluation.leaderboard import THRESHOLDS, Leaderboard, OverallRow, TrackRow
-from ptne_env.evaluation.metrics import SUITE_METRICS
-from ptne_env.evaluation.statistics import Summary, estimate, mean
-from ptne_env.evaluation.suite import LAW, content_hash
-from ptne_env.evaluation.traces import Scene
-from ptne_env.parts import Part
+from ptne_env.experiments import METRICS, PolicySpec, Results, episode_seed
+from ptne_env.experiments.benchmark import TIMINGS, Participant, files, versions
+from ptne_env.experiments.compare import PAPER_START
+from ptne_env.experiments.leaderboard import THRESHOLDS, Leaderboard, OverallRow, TrackRow
+from ptne_env.experiments.metrics import SUITE_METRICS
+from ptne_env.experiments.statistics import Summary, estimate, mean
+from ptne_env.experiments.suite import LAW, content_hash
+from ptne_env.experiments.traces import Scene
+from ptne_env.factory import FactorySpec
 from ptne_env.report.tables import number, share
 from ptne_env.scenario import CATALOGUE
 
@@ -221,14 +221,14 @@ def _parameters(participants: Iterable[Participant]) -> tuple[tuple[str, str, st
     rows = []
     for participant in participants:
         for run in participant.runs:
-            hashes = files(run) if isinstance(run.policy, Part) else {}
+            hashes = files(run) if isinstance(run.policy, FactorySpec) else {}
             kinds = f"{run.interface.kind}, {run.interface.action_mode}"
             held = ", ".join(f"{name} {digest[:12]}" for name, digest in hashes.items())
             rows.append((participant.name, _spelled(run), kinds, held))
     return tuple(rows)
 
 
-def _spelled(entry: Entry) -> str:
+def _spelled(entry: PolicySpec) -> str:
     policy = entry.to_dict()["policy"]
     arguments = ", ".join(f"{key}={value!r}" for key, value in policy.get("arguments", {}).items())
     return f"{policy['target']}({arguments})"

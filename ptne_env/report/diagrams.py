@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from ptne_env.arrays import FloatArray
-from ptne_env.evaluation.sweep import CEILING, FLOOR, Axis, Diagram
+from ptne_env.experiments.sweep import CEILING, FLOOR, Axis, Diagram
 from ptne_env.files import write_atomically
 
 _LINES = ("#D55E00", "#CC79A7", "#E69F00")

@@ -10,10 +10,10 @@ from rich.measure import Measurement
 from rich.table import Table
 from rich.text import Text
 
-from ptne_env.evaluation.benchmark import Repetition
-from ptne_env.evaluation.leaderboard import THRESHOLDS, Leaderboard, OverallRow, TrackRow
-from ptne_env.evaluation.statistics import Summary
-from ptne_env.evaluation.suite import LAW, Suite
+from ptne_env.experiments.benchmark import Repetition
+from ptne_env.experiments.leaderboard import THRESHOLDS, Leaderboard, OverallRow, TrackRow
+from ptne_env.experiments.statistics import Summary
+from ptne_env.experiments.suite import LAW, Suite
 from ptne_env.report.tables import empty_table, number, share
 
 _METRICS = {

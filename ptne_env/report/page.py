@@ -10,7 +10,7 @@ from importlib import resources
 from typing import Any
 
 from ptne_env.envs.rendering import COLOURS
-from ptne_env.evaluation.traces import Scene
+from ptne_env.experiments.traces import Scene
 from ptne_env.report.content import Report, drawn
 
 

@@ -11,8 +11,8 @@ from rich.console import Group
 from rich.table import Table
 from rich.text import Text
 
-from ptne_env.evaluation import COMPARATIVE_METRICS, METRICS, Entry, Results, suite_entries
-from ptne_env.evaluation.compare import PAPER_START, Record
+from ptne_env.experiments import COMPARATIVE_METRICS, METRICS, PolicySpec, Results, suite_entries
+from ptne_env.experiments.compare import PAPER_START, Record
 from ptne_env.scenario import CATALOGUE, Scenario
 from ptne_env.theory import Certificate
 
@@ -318,7 +318,7 @@ def entry_table() -> Table:
     return table
 
 
-def _call(entry: Entry) -> str:
+def _call(entry: PolicySpec) -> str:
     """The law of an entry with its arguments; with spaces, at which a narrow column breaks."""
     policy = entry.to_dict()["policy"]
     arguments = ", ".join(f"{name}={value:g}" for name, value in policy["arguments"].items())
@@ -336,8 +336,8 @@ def metric_table() -> Table:
 
 
 def _describe_signal(scenario: Scenario) -> str:
-    signal = scenario.built_signal
-    if signal.is_fixed:
-        return f"fixed, λ2 = {number(signal.union.algebraic_connectivity)}"
-    unit = "s of t" if signal.clock == "physical" else "of s"
-    return f"{len(signal.graphs)} modes, {number(signal.mean_dwell)} {unit} each"
+    topology = scenario.built_topology
+    if topology.is_fixed:
+        return f"fixed, λ2 = {number(topology.union.algebraic_connectivity)}"
+    unit = "s of t" if topology.clock == "physical" else "of s"
+    return f"{len(topology.graphs)} modes, {number(topology.mean_dwell)} {unit} each"

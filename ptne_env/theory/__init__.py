@@ -27,7 +27,7 @@ from ptne_env.theory.closed_loop import law_loop as law_loop
 from ptne_env.theory.closed_loop import spectral_abscissa as spectral_abscissa
 from ptne_env.theory.conditions import build_law as build_law
 from ptne_env.theory.conditions import condition as condition
-from ptne_env.theory.conditions import premises as premises
+from ptne_env.theory.conditions import problem_constants as problem_constants
 from ptne_env.theory.constants import MonotonicityConstants as MonotonicityConstants
 from ptne_env.theory.constants import gain_bound as gain_bound
 from ptne_env.theory.constants import guaranteed_rate as guaranteed_rate

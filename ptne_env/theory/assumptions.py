@@ -9,8 +9,8 @@ import numpy as np
 
 from ptne_env.clock import LemmaViolationError, TimeTransformation, check_time_transformation
 from ptne_env.games import Game, check_game
-from ptne_env.graphs import Signal
 from ptne_env.laws.base import algebraic_connectivity
+from ptne_env.switching import SwitchingTopology
 from ptne_env.theory.constants import MonotonicityConstants, jacobians, monotonicity_constants
 
 Verdict: TypeAlias = Literal["holds", "fails", "sampled only"]
@@ -51,25 +51,25 @@ class LemmaCheck:
 
 
 def check_assumptions(
-    game: Game, signal: Signal, constants: MonotonicityConstants | None = None
+    game: Game, topology: SwitchingTopology, constants: MonotonicityConstants | None = None
 ) -> tuple[AssumptionCheck, ...]:
     """Assumptions 1–4 of the paper, each with the number that decides it.
 
     Args:
         game: the game of Assumptions 3 and 4.
-        signal: the graphs of Assumptions 1 and 2.
+        topology: the graphs of Assumptions 1 and 2.
         constants: of the game, when already known.
     """
     constants = constants or monotonicity_constants(game)
-    smallest = min(algebraic_connectivity(graph.laplacian) for graph in signal.graphs)
-    joint = algebraic_connectivity(signal.union.laplacian)
+    smallest = min(algebraic_connectivity(graph.laplacian) for graph in topology.graphs)
+    joint = algebraic_connectivity(topology.union.laplacian)
     convexity, meaning, verdict = _check_convexity(game)
     monotone: Verdict = "fails" if constants.epsilon <= 0 else "holds" if constants.exact else "sampled only"
     kind = "exact" if constants.exact else f"smallest of {constants.samples} samples within {constants.radius:g} of x*"
     return (
         AssumptionCheck(
             1,
-            "the fixed graph is connected" if signal.is_fixed else "every graph is connected at every instant",
+            "the fixed graph is connected" if topology.is_fixed else "every graph is connected at every instant",
             smallest,
             "smallest λ2 over the modes",
             "holds" if smallest > 0 else "fails",
@@ -78,7 +78,7 @@ def check_assumptions(
             2,
             "the graphs are jointly connected over a period",
             joint,
-            "λ2 of the union graph" + (", almost surely" if signal.joint_connectivity == "almost surely" else ""),
+            "λ2 of the union graph" + (", almost surely" if topology.joint_connectivity == "almost surely" else ""),
             "holds" if joint > 0 else "fails",
         ),
         AssumptionCheck(3, "each J_i is strictly convex and radially unbounded in x_i", convexity, meaning, verdict),

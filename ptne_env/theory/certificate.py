@@ -12,13 +12,13 @@ import numpy as np
 
 from ptne_env.arrays import FloatArray, require_count, require_non_negative
 from ptne_env.channel import AdditiveNoise, Chain, Channel, Delay
-from ptne_env.dynamics import Dynamics
+from ptne_env.dynamics import World
+from ptne_env.factory import FactorySpec
 from ptne_env.laws import Condition, CorollaryOne, FixedGain, Law, Static
-from ptne_env.parts import Part
 from ptne_env.scenario import SHORTFALL_WARNING, Scenario
 from ptne_env.theory.assumptions import AssumptionCheck, LemmaCheck, check_assumptions, check_lemma
 from ptne_env.theory.closed_loop import NoClosedLoopError, gain_growth, input_decay_rate
-from ptne_env.theory.conditions import build_law, premises
+from ptne_env.theory.conditions import build_law, problem_constants
 from ptne_env.theory.constants import MonotonicityConstants, guaranteed_rate, monotonicity_constants
 from ptne_env.theory.sampled import (
     LoopClock,
@@ -110,7 +110,7 @@ class Certificate:
         lemma: whether λ is a time transformation.
         assumptions: the paper's Assumptions 1–4.
         constants: ε and ι.
-        algebraic_connectivity: smallest λ2 over the modes of the signal.
+        algebraic_connectivity: smallest λ2 over the modes of the topology.
         condition: what the law's own theorem asks, and whether the scenario meets it (sufficient for convergence, not
             necessary); ``None`` for a law that promises nothing.
         guaranteed_rate: λ_min(O) of the proof of Theorem 1, which the rate is not below; ``None`` unless the paper's
@@ -120,8 +120,8 @@ class Certificate:
         clock: ``"effective"``, or ``"physical"`` for a law that undoes the time gain.
         rate: r with which the error decays like e^{−r s} as t → T (e^{−r t} on the physical clock); 0 or less when it
             does not vanish.
-        rate_is_exact: whether the loop is linear and the signal not random; otherwise the rate is that of the
-            linearisation at x*, or estimated from one draw of the signal.
+        rate_is_exact: whether the loop is linear and the topology not random; otherwise the rate is that of the
+            linearisation at x*, or estimated from one draw of the topology.
         frozen_gains: of a law whose gains adapt, at t = 0 and, where the loop is linear, at T; the last is what
             ``rate``, the noise and the delay are about.
         sampled_rate: rate of the slowest mode of the sampled loop over the second half of the steps to T, per unit of
@@ -198,7 +198,7 @@ def certify(
     scenario: Scenario,
     kappa: float = 2.0,
     *,
-    law: Part | None = None,
+    law: FactorySpec | None = None,
     noise_std: float | None = None,
     delay_steps: int | None = None,
     delay_limit: int = 10,
@@ -206,9 +206,9 @@ def certify(
     """Everything that the theory says about a law on ``scenario``.
 
     Args:
-        scenario: the experiment; of a random start, signal or game one is taken, the first two with seed 0.
+        scenario: the experiment; of a random start, topology or game one is taken, the first two with seed 0.
         kappa: κ ≥ 0 of the static law, which is certified when ``law`` is left out.
-        law: builds a law from the layout, such as ``Part.of("ptne_env.laws:Grounded", kappa=4.0)``. What is about the
+        law: builds a law from the layout, such as ``FactorySpec.of("ptne_env.laws:Grounded", kappa=4.0)``. What is about the
             closed loop needs one that is linear in gradient and differences, possibly with gains that adapt.
         noise_std: σ ≥ 0 of additive noise on every component of every message, whose effect is predicted; what the
             scenario's channel adds if left out.
@@ -223,18 +223,18 @@ def certify(
     std = require_non_negative("noise_std", faults.noise_std if noise_std is None else noise_std)
     lag = require_count("delay_steps", faults.delay_steps if delay_steps is None else delay_steps, 0)
     require_count("delay_limit", delay_limit, 0)
-    part = law or Part.of("ptne_env.laws:Static", kappa=require_non_negative("kappa", kappa))
+    part = law or FactorySpec.of("ptne_env.laws:Static", kappa=require_non_negative("kappa", kappa))
     built = build_law(part, scenario)
-    game, signal, clock = scenario.built_game, scenario.built_signal, scenario.built_clock
+    game, topology, clock = scenario.built_game, scenario.built_topology, scenario.built_clock
     constants = monotonicity_constants(game)
-    facts = premises(scenario, constants)
+    facts = problem_constants(scenario, constants)
     own_kappa = getattr(built, "kappa", None)
     certificate = Certificate(
         scenario=scenario.name,
         law=_describe(part),
         kappa=None if own_kappa is None else float(own_kappa),
         lemma=check_lemma(clock.transformation),
-        assumptions=check_assumptions(game, signal, constants),
+        assumptions=check_assumptions(game, topology, constants),
         constants=constants,
         algebraic_connectivity=facts.connectivity,
         condition=built.condition(facts),
@@ -311,7 +311,7 @@ class _Prediction:
             finite = path[np.isfinite(path).all(axis=1)][: scenario.steps + 1]
             inputs = np.diff(finite, axis=0) / theta[: len(finite) - 1, None]
             return cls(scenario, law, loops, memories, start, path, float(np.abs(inputs).max()))
-        episode = play(law, Dynamics(scenario), estimates)
+        episode = play(law, World(scenario), estimates)
         if episode.memory is not None:
             memories["deadline"] = episode.memory
             loops["deadline"] = sampled_loop(scenario, law, episode.memory)
@@ -330,11 +330,11 @@ class _Prediction:
     def fields(self) -> dict[str, Any]:
         """The fields of a certificate that hold numbers of the loop."""
         scenario, loop, path = self.scenario, self.loop, self.path
-        game, signal, clock = scenario.built_game, scenario.built_signal, scenario.built_clock
+        game, topology, clock = scenario.built_game, scenario.built_topology, scenario.built_clock
         rate = loop.rate(scenario)
         effective = loop.clock == "effective"
         matrices = [each.matrix for each in loop.per_mode]
-        input_rate = input_decay_rate(matrices, signal, scenario.deadline) if effective else rate
+        input_rate = input_decay_rate(matrices, topology, scenario.deadline) if effective else rate
         growth = gain_growth(clock.transformation)
         time_left = scenario.deadline * scenario.gain + scenario.s_end if effective else scenario.deadline
         largest_step = float(loop.steps[: clock.steps].max())
@@ -344,7 +344,7 @@ class _Prediction:
         return {
             "clock": loop.clock,
             "rate": rate,
-            "rate_is_exact": path is not None and not signal.is_random,
+            "rate_is_exact": path is not None and not topology.is_random,
             "frozen_gains": tuple(self._frozen_gains()) if self.law.has_memory else (),
             "sampled_rate": None if mode is None else mode.rate,
             "dominant_share": None if mode is None else mode.share,
@@ -374,7 +374,7 @@ class _Prediction:
         if self.has_one_recursion:
             late = loop.errors(self.start, steps)[loop.deadline_step]
             digits = _digits(distance(late, self.scenario.built_game))
-        if not self.scenario.built_signal.is_fixed:
+        if not self.scenario.built_topology.is_fixed:
             return DelayPrediction(None, 0, for_every_delay=False, bound=None, steps=steps, digits=digits)
         longest = int(loop.steps[: loop.deadline_step].argmax())
         step, slowest = float(loop.steps[longest]), loop.loops[int(loop.index[longest])]
@@ -390,7 +390,7 @@ class _Prediction:
 
     def notes(self) -> Iterator[str]:
         """What a reader must know of these numbers."""
-        scenario, game, signal = self.scenario, self.scenario.built_game, self.scenario.built_signal
+        scenario, game, topology = self.scenario, self.scenario.built_game, self.scenario.built_topology
         if not game.is_affine:
             yield "F is not affine: rate, largest stable step, noise and delay are those of the linearisation at x*"
         if game.has_bounds:
@@ -413,18 +413,18 @@ class _Prediction:
                 "the law looks at its step: the rate is that of its last step, the margin that of the worst of its "
                 "steps, with the law as it acts there; whether g(t) u stays bounded is not decided"
             )
-        if signal.is_random:
+        if topology.is_random:
             yield (
-                "the signal is random: the sampled digits are those of one draw, with seed 0; "
+                "the topology is random: the sampled digits are those of one draw, with seed 0; "
                 + (
                     "the rate is the smallest over the modes, as any may be the last before T"
-                    if signal.clock == "physical"
+                    if topology.clock == "physical"
                     else "the rate is estimated from one draw of 2000 dwells"
                 )
             )
-        if not signal.is_fixed:
+        if not topology.is_fixed:
             yield (
-                "the signal switches: the rate is what remains as t → T and says little about the time before, and the "
+                "the topology switches: the rate is what remains as t → T and says little about the time before, and the "
                 "largest stable step is the smallest over the modes, which does not prove that their products are "
                 "stable"
             )
@@ -451,16 +451,18 @@ class _Prediction:
 
 def _guarantee(certificate: Certificate, scenario: Scenario, law: Law, prediction: _Prediction) -> dict[str, Any]:
     """What the proof of Theorem 1 promises: ‖I − hM‖² ≤ 1 − 2 h λ_min(O) + h² ‖M‖² in every step."""
-    signal, constants = scenario.built_signal, certificate.constants
+    topology, constants = scenario.built_topology, certificate.constants
     is_static = type(law) in (Static, FixedGain, CorollaryOne)
-    if not (is_static and signal.is_fixed and prediction.path is not None):
+    if not (is_static and topology.is_fixed and prediction.path is not None):
         return {}
     kappa, gradient_gain = law.kappa, getattr(law, "gradient_gain", 1.0)  # type: ignore[attr-defined]  # of those three
     connectivity = certificate.algebraic_connectivity
-    rate = guaranteed_rate(constants, connectivity, signal.num_players, kappa, gradient_gain)
+    rate = guaranteed_rate(constants, connectivity, topology.num_players, kappa, gradient_gain)
     if rate <= 0:
         return {}
-    norm = gradient_gain * constants.iota_estimates + kappa * float(np.linalg.eigvalsh(signal.graphs[0].laplacian)[-1])
+    norm = gradient_gain * constants.iota_estimates + kappa * float(
+        np.linalg.eigvalsh(topology.graphs[0].laplacian)[-1]
+    )
     steps = prediction.loop.steps[: scenario.steps]
     gained = -np.log10(1 - 2 * steps * rate + (steps * norm) ** 2).sum() / 2
     return {
@@ -470,13 +472,13 @@ def _guarantee(certificate: Certificate, scenario: Scenario, law: Law, predictio
 
 
 def _scenario_notes(scenario: Scenario, faults: _ChannelFaults) -> Iterator[str]:
-    signal = scenario.built_signal
+    topology = scenario.built_topology
     if scenario.has_random_game:
         yield "the scenario draws games: the numbers are those of the typical one"
-    if not signal.is_fixed and signal.clock == "physical" and not signal.is_random:
-        switches = signal.switches(0.0, scenario.deadline).size
+    if not topology.is_fixed and topology.clock == "physical" and not topology.is_random:
+        switches = topology.switches(0.0, scenario.deadline).size
         yield (
-            f"the signal dwells in t: it switches {switches} times before T and its last graph is then frozen, so "
+            f"the topology dwells in t: it switches {switches} times before T and its last graph is then frozen, so "
             "Assumption 2 fails in the transformed time in which the proof lives (docs/errata.md, 2)"
         )
     if faults.others:
@@ -496,7 +498,7 @@ def _is_linear(scenario: Scenario) -> bool:
     return scenario.built_game.is_affine and not scenario.built_game.has_bounds
 
 
-def _describe(part: Part) -> str:
+def _describe(part: FactorySpec) -> str:
     arguments = ", ".join(f"{name}={value}" for name, value in part.to_dict()["arguments"].items())
     return f"{part.target.rpartition(':')[2]}({arguments})"
 

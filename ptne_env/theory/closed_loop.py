@@ -19,14 +19,15 @@ from scipy import linalg
 from ptne_env.arrays import BoolArray, FloatArray, IntArray, require_non_negative
 from ptne_env.clock import TimeTransformation
 from ptne_env.games import Game
-from ptne_env.graphs import Graph, RandomSignal, Signal
-from ptne_env.interface import Layout, Reading
+from ptne_env.graphs import Graph
 from ptne_env.laws import Law
 from ptne_env.laws.base import loop_matrix
+from ptne_env.observation import ObservationLayout, Reading
+from ptne_env.switching import MarkovTopology, SwitchingTopology
 from ptne_env.theory.constants import ZERO, jacobians
 
 _RANDOM_DWELLS = 2000
-"""Dwells of the one draw from which the rate of a random signal is estimated."""
+"""Dwells of the one draw from which the rate of a random topology is estimated."""
 
 
 class NoClosedLoopError(ValueError):
@@ -160,7 +161,7 @@ def law_loop(law: Law, game: Game, graph: Graph, memory: Any = None, *, theta: f
     return Loop(*(_restricted(matrix.reshape(size, size), free) for matrix in (local, message, noise)))
 
 
-def blank_reading(layout: Layout, player: IntArray) -> Reading:
+def blank_reading(layout: ObservationLayout, player: IntArray) -> Reading:
     """What each ``player`` reads, shape (R,), where everything else is 0; to be filled in."""
     observations = np.zeros((player.size, layout.size))
     observations[:, layout.slices["player"]] = np.eye(layout.num_players)[player]
@@ -173,64 +174,64 @@ def spectral_abscissa(matrix: FloatArray) -> float:
     return 0.0 if abs(smallest) <= ZERO * np.linalg.norm(matrix, 2) else smallest
 
 
-def convergence_rate(game: Game, signal: Signal, kappa: float, deadline: float) -> float:
+def convergence_rate(game: Game, topology: SwitchingTopology, kappa: float, deadline: float) -> float:
     """:func:`decay_rate` of the static law.
 
     Args:
         game: the game; linearised at x* unless affine.
-        signal: who hears whom.
+        topology: who hears whom.
         kappa: κ ≥ 0.
         deadline: T in seconds.
 
     Raises:
-        ValueError: when κ < 0 or the signal has another number of players.
+        ValueError: when κ < 0 or the topology has another number of players.
     """
-    return decay_rate([closed_loop_matrix(game, graph, kappa) for graph in signal.graphs], signal, deadline)
+    return decay_rate([closed_loop_matrix(game, graph, kappa) for graph in topology.graphs], topology, deadline)
 
 
-def decay_rate(matrices: Sequence[FloatArray], signal: Signal, deadline: float) -> float:
+def decay_rate(matrices: Sequence[FloatArray], topology: SwitchingTopology, deadline: float) -> float:
     """The rate r with which the error of dx/dτ = −M x decays like e^{−r s} as t → T.
 
-    A fixed graph gives the spectral abscissa of M. A signal on the transformed clock gives the Floquet rate
+    A fixed graph gives the spectral abscissa of M. A topology on the transformed clock gives the Floquet rate
     −ln ρ(Π e^{−M_m Δ_m})/period, since dτ/ds → 1; a random one its Lyapunov exponent, estimated from one draw of 2000
-    dwells. A signal on the physical clock switches finitely often before T, so only its last graph counts, and the rate
+    dwells. A topology on the physical clock switches finitely often before T, so only its last graph counts, and the rate
     is 0 when that one is disconnected (docs/errata.md, 2); a random one may end with any mode, and its rate is the
     smallest.
 
     Args:
-        matrices: M of every mode of the signal.
-        signal: who hears whom.
+        matrices: M of every mode of the topology.
+        topology: who hears whom.
         deadline: T in seconds.
     """
-    if signal.is_fixed or signal.clock == "physical":
-        return min(spectral_abscissa(matrices[mode]) for mode in last_modes(signal, deadline))
-    return _switching_rate(matrices, signal)
+    if topology.is_fixed or topology.clock == "physical":
+        return min(spectral_abscissa(matrices[mode]) for mode in last_modes(topology, deadline))
+    return _switching_rate(matrices, topology)
 
 
-def decay_rate_in_time(matrices: Sequence[FloatArray], signal: Signal) -> float:
+def decay_rate_in_time(matrices: Sequence[FloatArray], topology: SwitchingTopology) -> float:
     """The rate r with which the error of dx/dt = −M x, a law without the time gain, decays like e^{−r t}.
 
-    A fixed graph gives the spectral abscissa, a signal on the physical clock the Floquet rate (a random one its
+    A fixed graph gives the spectral abscissa, a topology on the physical clock the Floquet rate (a random one its
     Lyapunov exponent), and one on the transformed clock, which switches ever faster in t, the spectral abscissa of the
     mean of M.
     """
-    if signal.is_fixed:
+    if topology.is_fixed:
         return spectral_abscissa(matrices[0])
-    if signal.clock == "physical":
-        return _switching_rate(matrices, signal)
-    return spectral_abscissa(np.average(matrices, axis=0, weights=_shares(signal)))
+    if topology.clock == "physical":
+        return _switching_rate(matrices, topology)
+    return spectral_abscissa(np.average(matrices, axis=0, weights=_shares(topology)))
 
 
-def input_decay_rate(matrices: Sequence[FloatArray], signal: Signal, deadline: float) -> float:
+def input_decay_rate(matrices: Sequence[FloatArray], topology: SwitchingTopology, deadline: float) -> float:
     """The rate with which u decays as t → T, for a law with the time gain.
 
     It is the error's, except that on a frozen disconnected graph the error stops short of x* while u still vanishes,
     at the smallest positive real part.
     """
-    rate = decay_rate(matrices, signal, deadline)
-    if signal.is_fixed or signal.clock == "transformed" or rate != 0:
+    rate = decay_rate(matrices, topology, deadline)
+    if topology.is_fixed or topology.clock == "transformed" or rate != 0:
         return rate
-    return min(float(_moving(matrices[mode]).real.min(initial=math.inf)) for mode in last_modes(signal, deadline))
+    return min(float(_moving(matrices[mode]).real.min(initial=math.inf)) for mode in last_modes(topology, deadline))
 
 
 def largest_stable_step(matrix: FloatArray) -> float | None:
@@ -257,25 +258,25 @@ def gain_growth(transformation: TimeTransformation) -> float:
     return float(growth) / (far - near)
 
 
-def last_modes(signal: Signal, deadline: float) -> Sequence[int]:
-    """Indices of the graphs that may act as t → T, for a fixed graph or a signal on the physical clock."""
-    if signal.is_fixed:
+def last_modes(topology: SwitchingTopology, deadline: float) -> Sequence[int]:
+    """Indices of the graphs that may act as t → T, for a fixed graph or a topology on the physical clock."""
+    if topology.is_fixed:
         return (0,)
-    if signal.is_random:
-        return range(len(signal.graphs))
-    last_switch = float(np.max(signal.switches(0.0, deadline), initial=0.0))
-    return (int(signal.schedule((last_switch + deadline) / 2).modes),)
+    if topology.is_random:
+        return range(len(topology.graphs))
+    last_switch = float(np.max(topology.switches(0.0, deadline), initial=0.0))
+    return (int(topology.schedule((last_switch + deadline) / 2).modes),)
 
 
-def _switching_rate(matrices: Sequence[FloatArray], signal: Signal) -> float:
-    if not signal.is_random:
+def _switching_rate(matrices: Sequence[FloatArray], topology: SwitchingTopology) -> float:
+    if not topology.is_random:
         monodromy = np.eye(len(matrices[0]))
-        for matrix, dwell in zip(matrices, signal.dwells, strict=True):
+        for matrix, dwell in zip(matrices, topology.dwells, strict=True):
             monodromy = linalg.expm(-matrix * dwell) @ monodromy
-        return -math.log(float(np.abs(np.linalg.eigvals(monodromy)).max())) / signal.period
-    step = signal.shortest_dwell / 4
-    instants = step * np.arange(math.ceil(_RANDOM_DWELLS * signal.mean_dwell / step))
-    modes = signal.draw(instants, [np.random.default_rng(0)]).modes[:, 0]
+        return -math.log(float(np.abs(np.linalg.eigvals(monodromy)).max())) / topology.period
+    step = topology.shortest_dwell / 4
+    instants = step * np.arange(math.ceil(_RANDOM_DWELLS * topology.mean_dwell / step))
+    modes = topology.draw(instants, [np.random.default_rng(0)]).modes[:, 0]
     moves = [linalg.expm(-matrix * step) for matrix in matrices]
     error, growths = np.random.default_rng(1).normal(size=len(matrices[0])), []
     for mode in modes:
@@ -285,13 +286,13 @@ def _switching_rate(matrices: Sequence[FloatArray], signal: Signal) -> float:
     return -float(np.mean(settled)) / step
 
 
-def _shares(signal: Signal) -> FloatArray:
-    """The share of the time that a signal spends in each mode."""
-    if not isinstance(signal, RandomSignal):
-        return np.asarray(signal.dwells) / signal.period
+def _shares(topology: SwitchingTopology) -> FloatArray:
+    """The share of the time that a topology spends in each mode."""
+    if not isinstance(topology, MarkovTopology):
+        return np.asarray(topology.dwells) / topology.period
     # All dwells are drawn from one range, so it is the stationary distribution of the chain.
-    size = len(signal.graphs)
-    balance = np.vstack([signal.transition.T - np.eye(size), np.ones(size)])
+    size = len(topology.graphs)
+    balance = np.vstack([topology.transition.T - np.eye(size), np.ones(size)])
     return np.linalg.lstsq(balance, np.eye(size + 1)[-1], rcond=None)[0]
 
 

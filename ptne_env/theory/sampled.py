@@ -14,7 +14,7 @@ import numpy as np
 import scipy
 
 from ptne_env.arrays import FloatArray, IntArray, require_count, require_non_negative
-from ptne_env.dynamics import Dynamics
+from ptne_env.dynamics import World
 from ptne_env.games import Game
 from ptne_env.laws import Law
 from ptne_env.scenario import Scenario
@@ -45,7 +45,7 @@ class SampledLoop:
 
     Attributes:
         loops: the distinct loops.
-        per_mode: the loop of every mode of the signal, in order; as it is in the last step to T, should it depend on
+        per_mode: the loop of every mode of the topology, in order; as it is in the last step to T, should it depend on
             the step.
         index: which of them acts in each step, shape (K+H,).
         steps: h_k, by which each step advances, shape (K+H,): Θ_k, or Δt_k for a law without the time gain.
@@ -83,8 +83,8 @@ class SampledLoop:
         """Its :func:`~ptne_env.theory.closed_loop.decay_rate`, or the one in t for a law without the time gain."""
         matrices = [loop.matrix for loop in self.per_mode]
         if self.clock == "effective":
-            return decay_rate(matrices, scenario.built_signal, scenario.deadline)
-        return decay_rate_in_time(matrices, scenario.built_signal)
+            return decay_rate(matrices, scenario.built_topology, scenario.deadline)
+        return decay_rate_in_time(matrices, scenario.built_topology)
 
     def errors(self, start: FloatArray, delay: int = 0) -> FloatArray:
         """The error **x** − 1⊗x* at every instant.
@@ -186,14 +186,14 @@ def sampled_loop(scenario: Scenario, law: Law, memory: Any = None, game: Game | 
     Raises:
         ValueError: as :func:`~ptne_env.theory.closed_loop.law_loop`.
     """
-    game, signal, clock = game or scenario.built_game, scenario.built_signal, scenario.built_clock
+    game, topology, clock = game or scenario.built_game, scenario.built_topology, scenario.built_clock
     modes = schedule(scenario)
     theta, dt = clock.theta[: clock.total_steps], clock.dt[: clock.total_steps]
 
     def probe(mode: int, theta: float = 1.0, dt: float = 1.0) -> Loop:
-        return law_loop(law, game, signal.graphs[mode], memory, theta=theta, dt=dt)
+        return law_loop(law, game, topology.graphs[mode], memory, theta=theta, dt=dt)
 
-    loops = tuple(probe(mode) for mode in range(len(signal.graphs)))
+    loops = tuple(probe(mode) for mode in range(len(topology.graphs)))
     # Beside the steps that there are, one that is longer in τ and one that is longer in t.
     thetas, dts = np.append(theta, [2 * theta[0], theta[0]]), np.append(dt, [dt[0], 2 * dt[0]])
     answers = _answers(law, thetas, dts, memory)
@@ -205,7 +205,7 @@ def sampled_loop(scenario: Scenario, law: Law, memory: Any = None, game: Game | 
     kinds, index = np.unique(np.stack([modes, theta, dt]), axis=1, return_inverse=True)
     loops = tuple(probe(int(mode), float(one), float(other)) for mode, one, other in kinds.T)
     last = clock.steps - 1
-    per_mode = tuple(probe(mode, float(theta[last]), float(dt[last])) for mode in range(len(signal.graphs)))
+    per_mode = tuple(probe(mode, float(theta[last]), float(dt[last])) for mode in range(len(topology.graphs)))
     return SampledLoop(loops, per_mode, np.asarray(index).reshape(-1), theta, "effective", clock.steps)
 
 
@@ -234,10 +234,10 @@ def _is_constant(answers: FloatArray) -> bool:
 
 
 def schedule(scenario: Scenario) -> IntArray:
-    """The mode that acts in each step, shape (K+H,); of a random signal one draw, with seed 0."""
-    signal, clock = scenario.built_signal, scenario.built_clock
-    instants = clock.signal_times[signal.clock][: clock.total_steps]
-    return signal.draw(instants, [np.random.default_rng(0)]).modes[:, 0]
+    """The mode that acts in each step, shape (K+H,); of a random topology one draw, with seed 0."""
+    topology, clock = scenario.built_topology, scenario.built_clock
+    instants = clock.topology_times[topology.clock][: clock.total_steps]
+    return topology.draw(instants, [np.random.default_rng(0)]).modes[:, 0]
 
 
 def start_error(estimates: FloatArray, game: Game) -> FloatArray:
@@ -416,28 +416,28 @@ class Play:
     memory: Any
 
 
-def play(law: Law, dynamics: Dynamics, estimates: FloatArray, game: Game | None = None) -> Play:
+def play(law: Law, world: World, estimates: FloatArray, game: Game | None = None) -> Play:
     """Run a law, linear or not, in float64, over perfect links and without limits or bounds.
 
     It is the recursion of a law whose gains adapt. What is shown are gradients, relative and own estimates, weights and
-    steps, and of a random signal one draw.
+    steps, and of a random topology one draw.
 
     Args:
-        law: built for the layout of ``dynamics``.
-        dynamics: the world.
+        law: built for the layout of ``world``.
+        world: the world.
         estimates: initial, shape (n, N).
         game: what is played, where the scenario draws games; its typical game if left out.
     """
-    game, clock, layout = game or dynamics.game, dynamics.clock, law.layout
+    game, clock, layout = game or world.game, world.clock, law.layout
     n, players = game.dimension, game.num_players
     neighbours = np.array(layout.neighbours)
     blank = blank_reading(layout, np.arange(players))
-    modes, own = schedule(dynamics.scenario), layout.own_mask
+    modes, own = schedule(world.scenario), layout.own_mask
     errors = np.full((clock.total_steps + 1, players * n), np.inf)
     errors[0] = start_error(estimates, game)
     current, memory, peak, memory_at_deadline = estimates.T.copy(), None, 0.0, None
     for k in range(clock.total_steps):
-        weights = dynamics.mode_weights[:, :, modes[k]].T
+        weights = world.mode_weights[:, :, modes[k]].T
         gradient = game.own_gradients(current.T[:, :, None])[:, 0]
         reading = blank._replace(
             gradient=np.where(own, gradient, 0.0),

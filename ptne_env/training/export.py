@@ -14,7 +14,7 @@ from stable_baselines3.common.torch_layers import FlattenExtractor
 from torch import nn
 
 from ptne_env._version import __version__
-from ptne_env.interface import Layout
+from ptne_env.observation import ObservationLayout
 from ptne_env.policies import Metadata
 from ptne_env.training.features import Products
 
@@ -24,7 +24,9 @@ if TYPE_CHECKING:
 _OPSET, _IR = 17, 8
 
 
-def to_onnx(model: OnPolicyAlgorithm, layout: Layout, *, scenarios: tuple[str, ...], seed: int, digits: float) -> bytes:
+def to_onnx(
+    model: OnPolicyAlgorithm, layout: ObservationLayout, *, scenarios: tuple[str, ...], seed: int, digits: float
+) -> bytes:
     """The deterministic actor as an ONNX file: observations (R, size) float32 to clipped mean actions, float32.
 
     The graph is written node by node: a policy here is a stack of affine maps and tanh, perhaps behind

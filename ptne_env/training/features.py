@@ -7,7 +7,7 @@ import torch
 from gymnasium import spaces
 from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 
-from ptne_env.interface import Layout
+from ptne_env.observation import ObservationLayout
 
 
 class Products(BaseFeaturesExtractor):
@@ -29,7 +29,7 @@ class Products(BaseFeaturesExtractor):
         self.factors, self.gates = list(factors), list(gates)
 
     @staticmethod
-    def of(layout: Layout) -> dict[str, list[int]]:
+    def of(layout: ObservationLayout) -> dict[str, list[int]]:
         """The arguments for a layout."""
 
         def entries(*names: str) -> list[int]:

@@ -26,10 +26,10 @@ from stable_baselines3.common.vec_env import VecMonitor
 from torch import nn
 
 from ptne_env.envs.sb3 import MixedSlotVecEnv, SlotVecEnv
-from ptne_env.evaluation import Entry, episode_seed, evaluate
-from ptne_env.evaluation.suite import find_scenario
+from ptne_env.experiments import PolicySpec, episode_seed, evaluate
+from ptne_env.experiments.suite import find_scenario
 from ptne_env.files import read_json, write_atomically
-from ptne_env.interface import ActionMode, Interface, InterfaceKind, Layout
+from ptne_env.observation import ActionMode, Interface, InterfaceKind, ObservationLayout
 from ptne_env.training import CONFIGURATIONS, configurations
 from ptne_env.training.export import to_onnx
 from ptne_env.training.features import Products
@@ -190,7 +190,7 @@ def make_env(arguments: Arguments) -> VecMonitor:
     return VecMonitor(parts[0] if len(parts) == 1 else MixedSlotVecEnv(parts))
 
 
-def settings(arguments: Arguments, layout: Layout) -> dict[str, Any]:
+def settings(arguments: Arguments, layout: ObservationLayout) -> dict[str, Any]:
     """What PPO is built with, as keyword arguments."""
     network: dict[str, Any] = {
         "net_arch": list(arguments.hidden),
@@ -235,7 +235,7 @@ def _start_or_resume(arguments: Arguments, out: Path) -> tuple[PPO, VecMonitor]:
 
 
 def _validate(model: PPO, arguments: Arguments) -> float:
-    entry = Entry("ppo", model, Interface(arguments.interface, arguments.action_mode))
+    entry = PolicySpec("ppo", model, Interface(arguments.interface, arguments.action_mode))
     results = evaluate(
         [entry],
         [find_scenario(name) for name in arguments.scenarios],

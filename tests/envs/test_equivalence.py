@@ -9,7 +9,7 @@ from worlds import BLOCKS_SWITCHING, FAULTY, make_env
 
 from ptne_env import VectorParallelEnv, get_scenario
 from ptne_env.envs import vector as vector_module
-from ptne_env.envs.joint import JointEnv, JointVectorEnv
+from ptne_env.envs.gymnasium import JointEnv, JointVectorEnv
 from ptne_env.rewards import TERMS
 
 try:
@@ -238,7 +238,7 @@ def test_scenarios_of_the_comparison_are_what_they_are_called():
         "crashing",
         "faulty",
     }
-    assert {name for name, scenario in built.items() if not scenario.built_signal.is_fixed} == {
+    assert {name for name, scenario in built.items() if not scenario.built_topology.is_fixed} == {
         "switching",
         "cut",
         "random games, switching",

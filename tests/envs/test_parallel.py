@@ -215,7 +215,7 @@ def test_spaces_contain_all_that_an_episode_returns(name, arguments):
     generator = np.random.default_rng(0)
     observations, infos = env.reset(seed=0)
     assert infos == {agent: {} for agent in env.possible_agents}
-    for _ in range(env.dynamics.clock.total_steps + 1):
+    for _ in range(env.world.clock.total_steps + 1):
         for agent in env.possible_agents:
             assert observations[agent].dtype == np.float32
             assert env.observation_space(agent).contains(observations[agent])
@@ -261,8 +261,8 @@ def test_state_is_all_estimates_the_live_links_and_the_clock():
     env.reset(seed=0)
     for _ in range(70):
         env.step(constant_actions(env, 1.0))
-    clock = env.dynamics.clock
-    active = env.dynamics.signal.graphs[int(env.dynamics.modes[70])].adjacency
+    clock = env.world.clock
+    active = env.world.topology.graphs[int(env.world.modes[70])].adjacency
     times = [clock.t[70] / 1.2, clock.s[70], clock.theta[70], clock.dt[70] / 1.2]
     expected = np.concatenate([env.estimates.ravel(), active.ravel(), times]).astype(np.float32)
     assert np.array_equal(env.state(), expected)
@@ -279,7 +279,7 @@ def test_clipped_entries_are_counted_per_agent():
     infos = env.step(actions)[4]
     assert [infos[agent]["clipped"] for agent in env.possible_agents] == [0, 3, 0, 1, 0]
     moved = env.estimates - PAPER_START
-    assert np.abs(moved).max() == pytest.approx(10 * env.dynamics.clock.theta[0])
+    assert np.abs(moved).max() == pytest.approx(10 * env.world.clock.theta[0])
 
 
 def test_hold_phase_starts_at_the_deadline_and_observes_a_clock_that_has_stopped_in_s():
@@ -289,7 +289,7 @@ def test_hold_phase_starts_at_the_deadline_and_observes_a_clock_that_has_stopped
     for _ in while_running(env):
         observations = env.step(constant_actions(env, 0.0))[0]
         seen.append(env.layout.select(observations["player_0"], "clock"))
-    mean = env.dynamics.clock.theta[:400].mean()
+    mean = env.world.clock.theta[:400].mean()
     at_deadline, first_hold, second_hold, terminal = seen[-4], seen[-3], seen[-2], seen[-1]
     assert at_deadline[0] == 1.0
     assert at_deadline[1] == first_hold[1] == second_hold[1] == terminal[1] == 8.0

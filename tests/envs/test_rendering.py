@@ -42,7 +42,7 @@ def test_picture_shows_which_links_are_alive():
     env = make_env("energy-switching", render_mode="rgb_array")
     env.reset()
     first = env.render()
-    while env.dynamics.modes[int(env._simulation.state.step[0])] == 0:
+    while env.world.modes[int(env._simulation.state.step[0])] == 0:
         env.step(constant_actions(env, 0.0))
     height, width, _ = first.shape
     graph = slice(height // 2, None), slice(2 * width // 3, None)

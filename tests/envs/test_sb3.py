@@ -16,11 +16,11 @@ from stable_baselines3.common.vec_env import VecMonitor, VecNormalize
 from test_parallel import arrays_in, same
 from worlds import BLOCKS, make_env
 
-from ptne_env import Entry, Interface, Part, VectorParallelEnv, evaluate, get_scenario, laws
+from ptne_env import FactorySpec, Interface, PolicySpec, VectorParallelEnv, evaluate, get_scenario, laws
 from ptne_env.envs import vector as vector_module
-from ptne_env.envs.joint import JointEnv
+from ptne_env.envs.gymnasium import JointEnv
 from ptne_env.envs.sb3 import MixedSlotVecEnv, SlotVecEnv
-from ptne_env.evaluation import episode_seed
+from ptne_env.experiments import episode_seed
 
 
 @pytest.fixture(autouse=True)
@@ -310,7 +310,7 @@ def test_evaluate_policy_takes_a_law_and_returns_its_digits_gained(name, interfa
     env = SlotVecEnv(name, episodes, seed=episode_seed(seed, 0), interface=interface)
     model = law(env.layout)
     mean, _ = evaluate_policy(model, wrap(env), n_eval_episodes=episodes * 5, warn=False)
-    entry = Entry("law", law, Interface(interface))
+    entry = PolicySpec("law", law, Interface(interface))
     results = evaluate([entry], [get_scenario(name)], episodes=episodes, seed=seed)
     expected = results.record(name, "law", "digits_gained")["mean"]
     assert mean == pytest.approx(expected, abs=1e-4)
@@ -332,7 +332,7 @@ def start_at(distance):
     """Everybody's estimates so far from the equilibrium, relatively, in the scenario ``energy``."""
     equilibrium = get_scenario("energy").built_game.nash_equilibrium
     shift = distance * np.linalg.norm(equilibrium) / np.sqrt(5)
-    return Part.of("ptne_env.starts:FixedStart", estimates=np.tile(equilibrium + shift, (5, 1)).tolist())
+    return FactorySpec.of("ptne_env.starts:FixedStart", estimates=np.tile(equilibrium + shift, (5, 1)).tolist())
 
 
 @pytest.mark.parametrize(("distance", "success"), [(0.004, True), (0.006, False)])

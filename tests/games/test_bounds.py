@@ -1,4 +1,4 @@
-"""Boxes: what games, dynamics, checks and theory make of them."""
+"""Boxes: what games, world, checks and theory make of them."""
 
 import numpy as np
 import pytest
@@ -6,8 +6,8 @@ from sample_games import BlockGame
 from worlds import begin, make_env
 
 import ptne_env
-from ptne_env import Part, get_scenario, theory
-from ptne_env.dynamics import Dynamics
+from ptne_env import FactorySpec, get_scenario, theory
+from ptne_env.dynamics import World
 from ptne_env.games import EnergyGame, Game, NetworkedCournot, check_game
 from ptne_env.laws import Static
 
@@ -83,31 +83,31 @@ def test_the_boxes_cannot_be_overwritten():
 @pytest.mark.parametrize("name", BOXED)
 def test_strategies_stay_in_the_box_and_estimates_of_others_need_not(name):
     scenario = get_scenario(name, start="random")
-    dynamics = Dynamics(scenario)
-    state, generator = begin(dynamics, range(4)), np.random.default_rng(0)
-    own = np.arange(dynamics.game.dimension), dynamics.game.owners
+    world = World(scenario)
+    state, generator = begin(world, range(4)), np.random.default_rng(0)
+    own = np.arange(world.game.dimension), world.game.owners
     outside = 0
     for _ in range(20):
-        assert np.array_equal(state.strategies, dynamics.game.project(state.strategies))
+        assert np.array_equal(state.strategies, world.game.project(state.strategies))
         shared = np.repeat(state.estimates.transpose(1, 0, 2).reshape(-1, 1, 4), 1, axis=1)
         outside += np.sum(shared < 0)
         inputs = generator.normal(size=state.estimates.shape) * 20
-        following = dynamics.step(state, inputs)
-        free = state.estimates + dynamics.clock.theta[state.step] * inputs
+        following = world.step(state, inputs)
+        free = state.estimates + world.clock.theta[state.step] * inputs
         expected = free.copy()
-        expected[own] = dynamics.game.project(free[own])
+        expected[own] = world.game.project(free[own])
         assert np.array_equal(following.estimates, expected)
         state = following
     assert outside > 0
 
 
 def test_inputs_in_any_memory_order_are_projected():
-    dynamics = Dynamics(get_scenario("cournot"))
-    state = begin(dynamics, range(3))
+    world = World(get_scenario("cournot"))
+    state = begin(world, range(3))
     inputs = np.random.default_rng(0).normal(size=state.estimates.shape) * 50
-    expected = dynamics.step(state, inputs).estimates
+    expected = world.step(state, inputs).estimates
     for order in (np.asfortranarray(inputs), np.ascontiguousarray(inputs.transpose(2, 1, 0)).transpose(2, 1, 0)):
-        assert np.array_equal(dynamics.step(state, order).estimates, expected)
+        assert np.array_equal(world.step(state, order).estimates, expected)
 
 
 def test_start_outside_the_box_is_projected():
@@ -118,15 +118,17 @@ def test_start_outside_the_box_is_projected():
 
 
 def test_one_boxed_environment_agrees_with_many_bit_for_bit():
-    scenario = get_scenario("random-affine", game=Part.of("ptne_env.games:RandomAffine", low=-4.0, high=4.0), steps=50)
-    dynamics = Dynamics(scenario)
+    scenario = get_scenario(
+        "random-affine", game=FactorySpec.of("ptne_env.games:RandomAffine", low=-4.0, high=4.0), steps=50
+    )
+    world = World(scenario)
     law = np.random.default_rng(1).normal(size=(5, 5, 6))
-    many = begin(dynamics, range(6))
-    alone = [begin(dynamics, [seed]) for seed in range(6)]
+    many = begin(world, range(6))
+    alone = [begin(world, [seed]) for seed in range(6)]
     for _ in range(10):
-        many = dynamics.step(many, law - many.estimates)
+        many = world.step(many, law - many.estimates)
         for b in range(6):
-            alone[b] = dynamics.step(alone[b], law[..., b : b + 1] - alone[b].estimates)
+            alone[b] = world.step(alone[b], law[..., b : b + 1] - alone[b].estimates)
             assert np.array_equal(alone[b].estimates[..., 0], many.estimates[..., b])
             assert np.array_equal(alone[b].own_gradients[:, 0], many.own_gradients[:, b])
 
@@ -138,17 +140,17 @@ def test_static_law_reaches_the_boxed_equilibrium_at_the_rate_told(name):
     assert certificate.digits_sampled is None
     assert any("a box confines" in note for note in certificate.notes)
     scenario = get_scenario(name, steps=2000, s_end=30.0, gain=100.0)
-    dynamics = Dynamics(scenario)
+    world = World(scenario)
     env = make_env(scenario)
     law, errors = Static(env.layout), []
     observations, _ = env.reset(seed=0)
-    equilibrium = dynamics.game.nash_equilibrium
+    equilibrium = world.game.nash_equilibrium
     while env.agents:
         actions, _ = law.predict(np.stack([observations[agent] for agent in env.agents]))
         observations, *_ = env.step(dict(zip(env.agents, actions, strict=True)))
         errors.append(np.linalg.norm(env.estimates - equilibrium))
     errors = np.array(errors)
-    tau = np.cumsum(dynamics.clock.theta[: len(errors)])
+    tau = np.cumsum(world.clock.theta[: len(errors)])
     late = (errors < 1e-7 * errors[0]) & (errors > 1e-10 * errors[0])  # where the slowest mode is alone
     slope = np.polyfit(tau[late], np.log(errors[late]), 1)[0]
     assert -slope == pytest.approx(certificate.rate, rel=0.05)

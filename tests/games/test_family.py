@@ -3,10 +3,10 @@ import pytest
 from scipy import optimize
 from worlds import make_env
 
-from ptne_env import Part, get_scenario, theory
-from ptne_env.dynamics import Dynamics
+from ptne_env import FactorySpec, get_scenario, theory
+from ptne_env.dynamics import World
 from ptne_env.games import EnergyGame, NonQuadraticGame, RandomEnergy, SingleGame
-from ptne_env.sources import Sources
+from ptne_env.random_streams import RandomStreams
 
 PARAMETERS = ("curvature", "target", "coupling")
 
@@ -150,7 +150,7 @@ def test_a_game_that_is_not_affine_is_not_decided():
 
 
 def test_a_drawn_game_that_is_not_strongly_monotone_is_refused_by_the_environment():
-    env = make_env("random-energy", game=Part.of("test_family:TwistedFamily"))
+    env = make_env("random-energy", game=FactorySpec.of("test_family:TwistedFamily"))
     with pytest.raises(ValueError, match="game 0 of the batch is not strongly monotone"):
         env.reset(seed=0)
     with pytest.raises(RuntimeError, match=r"call reset\(\) first"):
@@ -203,40 +203,40 @@ def test_ranges_that_are_empty_or_admit_other_games_are_refused(arguments, messa
 FAMILIES = {
     "none": "ptne_env.games:EnergyGame",
     "five players": "ptne_env.games:RandomEnergy",
-    "other ranges": Part.of("ptne_env.games:RandomEnergy", coupling=(0.0, 9.0)),
+    "other ranges": FactorySpec.of("ptne_env.games:RandomEnergy", coupling=(0.0, 9.0)),
 }
 STARTS = {
     "none": "paper",
     "uniform": "random",
-    "narrow": Part.of("ptne_env.starts:UniformStart", low=0.0, high=1.0),
+    "narrow": FactorySpec.of("ptne_env.starts:UniformStart", low=0.0, high=1.0),
 }
-SIGNALS = {
-    "fixed": get_scenario("energy").signal,
-    "switching": get_scenario("energy-switching").signal,
+TOPOLOGIES = {
+    "fixed": get_scenario("energy").topology,
+    "switching": get_scenario("energy-switching").topology,
 }
 
 
 def episodes(**fields):
     """Games and starts of four episodes in three environments."""
-    dynamics = Dynamics(get_scenario("random-energy", **fields))
-    sources = [Sources.from_seed(seed) for seed in range(3)]
-    return [(dynamics.draw_game(sources), dynamics.draw_estimates(sources)) for _ in range(4)]
+    world = World(get_scenario("random-energy", **fields))
+    sources = [RandomStreams.from_seed(seed) for seed in range(3)]
+    return [(world.draw_game(sources), world.draw_estimates(sources)) for _ in range(4)]
 
 
-@pytest.mark.parametrize("signal", SIGNALS)
+@pytest.mark.parametrize("topology", TOPOLOGIES)
 @pytest.mark.parametrize("start", STARTS)
-def test_games_do_not_depend_on_what_starts_and_graphs_draw(start, signal):
+def test_games_do_not_depend_on_what_starts_and_graphs_draw(start, topology):
     expected = episodes()
-    found = episodes(start=STARTS[start], signal=SIGNALS[signal])
+    found = episodes(start=STARTS[start], topology=TOPOLOGIES[topology])
     assert all(same_games(ours[0], theirs[0]) for ours, theirs in zip(found, expected, strict=True))
     assert np.array_equal(found[0][1], expected[0][1]) == (start == "uniform")
 
 
-@pytest.mark.parametrize("signal", SIGNALS)
+@pytest.mark.parametrize("topology", TOPOLOGIES)
 @pytest.mark.parametrize("family", FAMILIES)
-def test_starts_do_not_depend_on_what_games_and_graphs_draw(family, signal):
+def test_starts_do_not_depend_on_what_games_and_graphs_draw(family, topology):
     expected = episodes()
-    found = episodes(game=FAMILIES[family], signal=SIGNALS[signal])
+    found = episodes(game=FAMILIES[family], topology=TOPOLOGIES[topology])
     assert all(np.array_equal(ours[1], theirs[1]) for ours, theirs in zip(found, expected, strict=True))
     assert same_games(found[0][0], expected[0][0]) == (family == "five players")
 

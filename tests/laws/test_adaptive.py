@@ -39,8 +39,8 @@ def test_both_ends_of_a_link_keep_the_same_gain_without_a_message():
 def test_gain_of_a_link_grows_only_while_it_is_alive():
     env = make_env("energy-switching")
     gains = gains_along(env, laws.Adaptive(env.layout))
-    dynamics = env.dynamics
-    alive = dynamics.mode_weights[:, :, dynamics.modes[1:-1]].transpose(2, 1, 0) > 0
+    world = env.world
+    alive = world.mode_weights[:, :, world.modes[1:-1]].transpose(2, 1, 0) > 0
     grown = np.diff(gains, axis=0) > 0
     assert not grown[~alive].any()
     assert grown[alive][:50].all()
@@ -60,9 +60,9 @@ def test_negative_gains_are_refused(name):
 
 
 def test_memory_of_other_rows_is_refused_with_a_way_out():
-    dynamics, port = make_port("energy")
-    observation = port.observe(dynamics.start(np.zeros((5, 5, 1))))[0]
-    law = laws.Adaptive(port.layout)
+    world, encoder = make_port("energy")
+    observation = encoder.observe(world.start(np.zeros((5, 5, 1))))[0]
+    law = laws.Adaptive(encoder.layout)
     _, memory = law.predict(observation)
     with pytest.raises(ValueError, match=r"memory has the shape \(5, 2\).*need \(3, 2\); pass state=None"):
         law.predict(observation[:3], state=memory)

@@ -5,7 +5,7 @@ import pytest
 from affine_games import affine_scenario, loop_start, run
 from worlds import fixed_part, make_port
 
-from ptne_env import Part, get_scenario, laws, theory
+from ptne_env import FactorySpec, get_scenario, laws, theory
 from ptne_env.theory import condition
 
 # A strongly monotone game (ε = 1) between two players whose estimates a weak link does not hold together.
@@ -18,27 +18,27 @@ def rotating(**fields):
 
 
 def test_it_is_the_adaptive_law_from_gains_of_zero():
-    dynamics, port = make_port("energy")
-    start = loop_start(dynamics)
-    mine = run(dynamics, port, laws.AveragingIntegral(port.layout, gamma=0.02), start)
-    assert np.array_equal(mine, run(dynamics, port, laws.Adaptive(port.layout, 0.02, 0.0), start))
+    world, encoder = make_port("energy")
+    start = loop_start(world)
+    mine = run(world, encoder, laws.AveragingIntegral(encoder.layout, gamma=0.02), start)
+    assert np.array_equal(mine, run(world, encoder, laws.Adaptive(encoder.layout, 0.02, 0.0), start))
 
 
 def test_integral_gains_need_no_bound_on_the_connectivity_where_fixed_gains_do():
     """Their theorem: convergence for every connected graph, without λ2 or ι. A small fixed gain diverges here."""
     scenario = rotating(steps=4000, s_end=20.0)
     assert condition(laws.AveragingIntegral, scenario).holds
-    game, graph = scenario.built_game, scenario.built_signal.graphs[0]
+    game, graph = scenario.built_game, scenario.built_topology.graphs[0]
     small = 0.5
-    assert not condition(Part.of("ptne_env.laws:FixedGain", kappa=small), scenario).holds
+    assert not condition(FactorySpec.of("ptne_env.laws:FixedGain", kappa=small), scenario).holds
     assert theory.spectral_abscissa(theory.closed_loop_matrix(game, graph, small)) < 0
-    dynamics, port = make_port(scenario)
-    start, target = loop_start(dynamics, size=5.0), game.nash_equilibrium[:, None, None]
+    world, encoder = make_port(scenario)
+    start, target = loop_start(world, size=5.0), game.nash_equilibrium[:, None, None]
     distance = {
-        name: [np.linalg.norm(state - target) for state in run(dynamics, port, law, start)[[0, -1]]]
+        name: [np.linalg.norm(state - target) for state in run(world, encoder, law, start)[[0, -1]]]
         for name, law in {
-            "fixed": laws.Static(port.layout, small),
-            "integral": laws.AveragingIntegral(port.layout, gamma=1.0),
+            "fixed": laws.Static(encoder.layout, small),
+            "integral": laws.AveragingIntegral(encoder.layout, gamma=1.0),
         }.items()
     }
     assert distance["fixed"][1] > 10 * distance["fixed"][0]
@@ -47,16 +47,16 @@ def test_integral_gains_need_no_bound_on_the_connectivity_where_fixed_gains_do()
 
 def test_gains_grow_and_rest():
     scenario = rotating(steps=4000, s_end=20.0)
-    dynamics, port = make_port(scenario)
+    world, encoder = make_port(scenario)
     law, state, memory, history = (
-        laws.AveragingIntegral(port.layout, gamma=1.0),
-        loop_start(dynamics, size=5.0),
+        laws.AveragingIntegral(encoder.layout, gamma=1.0),
+        loop_start(world, size=5.0),
         None,
         [],
     )
-    for _ in range(dynamics.clock.steps):
-        actions, memory = law.predict(port.observe(state)[0], state=memory)
-        state = dynamics.step(state, port.decode(actions[None], state).inputs)
+    for _ in range(world.clock.steps):
+        actions, memory = law.predict(encoder.observe(state)[0], state=memory)
+        state = world.step(state, encoder.decode(actions[None], state).inputs)
         history.append(memory[:, 0])
     history = np.array(history)
     assert np.all(np.diff(history, axis=0) >= 0)
@@ -66,6 +66,6 @@ def test_gains_grow_and_rest():
 
 
 def test_condition_asks_for_gains_that_adapt():
-    found = condition(Part.of("ptne_env.laws:AveragingIntegral", gamma=0.0), get_scenario("energy"))
+    found = condition(FactorySpec.of("ptne_env.laws:AveragingIntegral", gamma=0.0), get_scenario("energy"))
     assert "γ > 0" in found.name
     assert not found.holds

@@ -5,8 +5,8 @@ import pytest
 from affine_games import affine_scenario, random_affine
 from worlds import BLOCKS, fixed_part, loop_matrix
 
-from ptne_env import CATALOGUE, Part, get_scenario, laws, theory
-from ptne_env.theory import condition, premises
+from ptne_env import CATALOGUE, FactorySpec, get_scenario, laws, theory
+from ptne_env.theory import condition, problem_constants
 
 RANDOM = range(40)
 
@@ -27,23 +27,23 @@ def test_conditions_are_decided_by_the_constants_of_the_theory():
     assert static == certificate.condition
     assert static.bound == theory.gain_bound(certificate.constants, certificate.algebraic_connectivity)
     assert (static.value, static.holds, static.exact) == (2.0, False, True)
-    assert condition(Part.of("ptne_env.laws:Static", kappa=static.bound * 1.001), scenario).holds
-    scaled = condition(Part.of("ptne_env.laws:Static", kappa=8.0, gradient_gain=4.0), scenario)
+    assert condition(FactorySpec.of("ptne_env.laws:Static", kappa=static.bound * 1.001), scenario).holds
+    scaled = condition(FactorySpec.of("ptne_env.laws:Static", kappa=8.0, gradient_gain=4.0), scenario)
     assert scaled == static  # the same law for scaled costs
 
 
 @pytest.mark.parametrize("scenario", ["energy", "non-quadratic", BLOCKS], ids=str)
 def test_premises_have_the_loop_matrix_of_the_theory(scenario):
     scenario = get_scenario(scenario)
-    facts = premises(scenario)
-    expected = theory.closed_loop_matrix(scenario.built_game, scenario.built_signal.graphs[0], 1.7)
+    facts = problem_constants(scenario)
+    expected = theory.closed_loop_matrix(scenario.built_game, scenario.built_topology.graphs[0], 1.7)
     assert np.array_equal(facts.loop(facts.laplacians[0], 1.7), expected)
     assert facts.exact == scenario.built_game.is_affine
 
 
 def test_what_recurs_depends_on_the_clock_of_the_signal():
-    assert premises(get_scenario("energy-switching")).recurring_connectivity == 0
-    transformed = premises(get_scenario("energy-switching-transformed"))
+    assert problem_constants(get_scenario("energy-switching")).recurring_connectivity == 0
+    transformed = problem_constants(get_scenario("energy-switching-transformed"))
     assert transformed.recurring_connectivity == pytest.approx(4 * np.sin(np.pi / 5) ** 2)
     assert transformed.connectivity == 0
     assert not condition(laws.Adaptive, get_scenario("energy-switching")).holds
@@ -68,7 +68,7 @@ def test_every_law_says_whether_a_scenario_meets_its_condition(law, scenario):
             condition(law, get_scenario(scenario))
         return
     found = condition(law, get_scenario(scenario))
-    if law in (laws.Null, laws.CentralisedOracle):
+    if law in (laws.ZeroInput, laws.CentralisedOracle):
         assert found is None
         return
     assert isinstance(found, laws.Condition)
@@ -85,7 +85,7 @@ def test_fixed_gain_of_bianchi_and_grammatico_makes_the_loop_strongly_monotone(s
     bound = condition(laws.FixedGain, scenario).bound
     assert bound <= condition(laws.Static, scenario).bound  # weaker than the paper's
     kappa = 1.0001 * bound
-    assert condition(Part.of("ptne_env.laws:FixedGain", kappa=kappa), scenario).holds
+    assert condition(FactorySpec.of("ptne_env.laws:FixedGain", kappa=kappa), scenario).holds
     assert positive_definite(loop_matrix(scenario.built_game, adjacency, kappa))
 
 

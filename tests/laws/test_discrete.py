@@ -8,8 +8,8 @@ import pytest
 from affine_games import affine_scenario, loop_start, random_affine, run
 from worlds import BLOCKS, BLOCKS_SWITCHING, fixed_part, make_port
 
-from ptne_env import Part, get_scenario, laws
-from ptne_env.theory import condition, premises
+from ptne_env import FactorySpec, get_scenario, laws
+from ptne_env.theory import condition, problem_constants
 
 ENERGY = get_scenario("energy", start="random")
 
@@ -21,12 +21,12 @@ def mixing(graph, h):
 @pytest.mark.parametrize("kind", ["physical", "local"])
 @pytest.mark.parametrize("scenario", [ENERGY, BLOCKS, BLOCKS_SWITCHING], ids=lambda scenario: scenario.name)
 def test_projected_gradient_is_its_equation_every_two_steps(scenario, kind):
-    dynamics, port = make_port(scenario, kind=kind, action_scale=1e3)
-    law = laws.ProjectedGradient(port.layout, step=0.2, mixing=0.25)
-    states = run(dynamics, port, law, loop_start(dynamics))[..., 0]
-    game, modes = dynamics.game, dynamics.modes
+    world, encoder = make_port(scenario, kind=kind, action_scale=1e3)
+    law = laws.ProjectedGradient(encoder.layout, step=0.2, mixing=0.25)
+    states = run(world, encoder, law, loop_start(world))[..., 0]
+    game, modes = world.game, world.modes
     for k in range(0, 60, 2):
-        mixed = states[k] @ mixing(dynamics.signal.graphs[modes[k]], 0.25)
+        mixed = states[k] @ mixing(world.topology.graphs[modes[k]], 0.25)
         expected = mixed.copy()
         gradients = game.own_gradients(mixed[:, :, None])[:, 0]
         for component, owner in enumerate(game.owners):
@@ -35,8 +35,8 @@ def test_projected_gradient_is_its_equation_every_two_steps(scenario, kind):
 
 
 def switching_part(adjacencies):
-    graphs = tuple(Part.of("ptne_env.graphs:Graph", adjacency=adjacency) for adjacency in adjacencies)
-    return Part.of("ptne_env.graphs:periodic", graphs=graphs, dwells=(0.3, 0.7), clock="transformed")
+    graphs = tuple(FactorySpec.of("ptne_env.graphs:Graph", adjacency=adjacency) for adjacency in adjacencies)
+    return FactorySpec.of("ptne_env.switching:periodic", graphs=graphs, dwells=(0.3, 0.7), clock="transformed")
 
 
 @pytest.mark.parametrize("seed", range(20))
@@ -46,40 +46,40 @@ def test_projected_gradient_contracts_over_time_varying_graphs_as_its_theorem_sa
     matrix, offset, first = random_affine(generator, 4)
     second = random_affine(generator, 4)[2]
     scenario = affine_scenario(matrix, offset, switching_part([first, second]), input_limit=1e5)
-    dynamics, port = make_port(scenario)
-    facts = premises(scenario)
+    world, encoder = make_port(scenario)
+    facts = problem_constants(scenario)
     h = 0.5 / facts.largest_degree
     law = next(
         law
-        for law in (laws.ProjectedGradient(port.layout, step, h) for step in np.geomspace(0.5, 1e-4, 40))
+        for law in (laws.ProjectedGradient(encoder.layout, step, h) for step in np.geomspace(0.5, 1e-4, 40))
         if law.condition(facts).holds
     )
     rate = np.sqrt(law.condition(facts).value)
-    states = run(dynamics, port, law, loop_start(dynamics))[..., 0]
-    distances = np.linalg.norm(states - dynamics.game.nash_equilibrium[:, None], axis=(1, 2))[::2]
-    assert len(set(dynamics.modes[::2])) == 2
+    states = run(world, encoder, law, loop_start(world))[..., 0]
+    distances = np.linalg.norm(states - world.game.nash_equilibrium[:, None], axis=(1, 2))[::2]
+    assert len(set(world.modes[::2])) == 2
     assert np.all(distances[1:] <= rate * distances[:-1] * (1 + 1e-5))
     assert distances[-1] < 0.99 * distances[0]
 
 
 def test_projected_gradient_does_not_promise_what_it_cannot():
     assert condition(laws.ProjectedGradient, ENERGY).holds
-    assert not condition(Part.of("ptne_env.laws:ProjectedGradient", step=1.0), ENERGY).holds
+    assert not condition(FactorySpec.of("ptne_env.laws:ProjectedGradient", step=1.0), ENERGY).holds
     assert not condition(
         laws.ProjectedGradient, get_scenario("energy-switching-transformed")
     ).holds  # disconnected modes
-    large = Part.of("ptne_env.laws:ProjectedGradient", step=3.0)
-    dynamics, port = make_port(ENERGY.replace(input_limit=1e9))
-    assert np.abs(run(dynamics, port, large.build(layout=port.layout), loop_start(dynamics))[-1]).max() > 1e3
+    large = FactorySpec.of("ptne_env.laws:ProjectedGradient", step=3.0)
+    world, encoder = make_port(ENERGY.replace(input_limit=1e9))
+    assert np.abs(run(world, encoder, large.build(layout=encoder.layout), loop_start(world))[-1]).max() > 1e3
 
 
 def test_projected_gradient_reaches_the_solution_of_the_variational_inequality_in_a_box():
-    dynamics, port = make_port(ENERGY)
+    world, encoder = make_port(ENERGY)
     lower, upper = 3.0, 15.0
-    law = laws.ProjectedGradient(port.layout, step=0.4, lower=lower, upper=upper)
-    states = run(dynamics, port, law, loop_start(dynamics))
+    law = laws.ProjectedGradient(encoder.layout, step=0.4, lower=lower, upper=upper)
+    states = run(world, encoder, law, loop_start(world))
     x = np.diag(states[-1][..., 0])
-    gradient = dynamics.game.pseudo_gradient(x[:, None])[:, 0]
+    gradient = world.game.pseudo_gradient(x[:, None])[:, 0]
     inside = (x > lower + 1e-3) & (x < upper - 1e-3)
     assert 0 < inside.sum() < 5
     assert np.abs(gradient[inside]).max() < 1e-4
@@ -91,12 +91,12 @@ def test_projected_gradient_reaches_the_solution_of_the_variational_inequality_i
 
 
 def test_aggregate_tracking_is_its_equation_every_two_steps():
-    dynamics, port = make_port(ENERGY)
-    law = laws.AggregateTracking(port.layout, step=0.3, power=0.7, mixing=0.2, warm_up=1)
-    states = run(dynamics, port, law, loop_start(dynamics))[1:, ..., 0]  # after the warm-up
+    world, encoder = make_port(ENERGY)
+    law = laws.AggregateTracking(encoder.layout, step=0.3, power=0.7, mixing=0.2, warm_up=1)
+    states = run(world, encoder, law, loop_start(world))[1:, ..., 0]  # after the warm-up
     x, v = np.diag(states[0]), states[0].mean(axis=0)
     assert v == pytest.approx(x, abs=1e-5)
-    game, matrix = dynamics.game, mixing(dynamics.signal.graphs[0], 0.2)
+    game, matrix = world.game, mixing(world.topology.graphs[0], 0.2)
     for k in range(150):
         mixed = matrix @ v
         own = 2 * game.curvature[:, 0] * (x - game.target[:, 0])
@@ -112,10 +112,10 @@ def test_aggregate_tracking_converges_to_the_equilibrium_under_its_conditions(sc
     """The theorem of Koshal, Nedić & Shanbhag: almost sure convergence with a diminishing step, here without noise."""
     scenario = get_scenario(scenario, start="random", steps=1600)
     assert condition(laws.AggregateTracking, scenario).holds
-    dynamics, port = make_port(scenario)
-    state = loop_start(dynamics)
-    target = np.array(dynamics.game.nash_equilibrium)
-    states = run(dynamics, port, laws.AggregateTracking(port.layout), state)[..., 0]
+    world, encoder = make_port(scenario)
+    state = loop_start(world)
+    target = np.array(world.game.nash_equilibrium)
+    states = run(world, encoder, laws.AggregateTracking(encoder.layout), state)[..., 0]
     strategies = states[:, range(5), range(5)]
     error = np.linalg.norm(strategies - target, axis=1) / np.linalg.norm(target)
     assert error[-1] < 0.01
@@ -125,12 +125,12 @@ def test_aggregate_tracking_converges_to_the_equilibrium_under_its_conditions(sc
 
 def test_aggregate_tracking_gossips_where_pairs_meet():
     """h = 1/2 on a mode of disjoint pairs: a pair agrees on the mean of its two averages, and nobody else's changes."""
-    dynamics, port = make_port(get_scenario("energy-switching", start="random"))
+    world, encoder = make_port(get_scenario("energy-switching", start="random"))
     states = run(
-        dynamics, port, laws.AggregateTracking(port.layout, mixing=0.5, warm_up=1), loop_start(dynamics), steps=2
+        world, encoder, laws.AggregateTracking(encoder.layout, mixing=0.5, warm_up=1), loop_start(world), steps=2
     )[..., 0]
     before, after = states[1].mean(axis=0), states[2].mean(axis=0)
-    assert dynamics.modes[1] == 0
+    assert world.modes[1] == 0
     for i, j in [(0, 1), (2, 3)]:
         assert after[[i, j]] == pytest.approx([(before[i] + before[j]) / 2] * 2, abs=1e-4)
     assert after[4] == pytest.approx(before[4], abs=1e-5)
@@ -146,7 +146,7 @@ def test_aggregate_tracking_gossips_where_pairs_meet():
     ],
 )
 def test_conditions_of_aggregate_tracking(arguments, name, holds):
-    found = condition(Part.of("ptne_env.laws:AggregateTracking", **arguments), ENERGY)
+    found = condition(FactorySpec.of("ptne_env.laws:AggregateTracking", **arguments), ENERGY)
     assert name in found.name
     assert found.holds is holds
 

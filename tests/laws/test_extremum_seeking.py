@@ -10,7 +10,7 @@ from affine_games import affine_scenario, loop_start, run
 from scipy import linalg
 from worlds import begin, fixed_part, make_env, make_port
 
-from ptne_env import Interface, Part, get_scenario, laws
+from ptne_env import FactorySpec, Interface, get_scenario, laws
 from ptne_env.theory import condition
 
 MATRIX = np.array([[2.0, 0.5, -0.4], [0.3, 1.5, 0.6], [-0.5, 0.2, 1.8]])
@@ -18,14 +18,14 @@ OFFSET = np.array([1.0, -2.0, 0.5])
 PATH = np.array([[0.0, 1, 0], [1, 0, 1], [0, 1, 0]])
 
 
-def world(steps, **fields):
+def probing_world(steps, **fields):
     scenario = affine_scenario(MATRIX, OFFSET, fixed_part(PATH), steps=steps, **fields)
     return scenario, *make_port(scenario, own_payoff=True)
 
 
-def mean_strategies(dynamics, law, states):
+def mean_strategies(world, law, states):
     """x̂ = x − μ at every instant, (K+1, n)."""
-    tau = np.concatenate([[0.0], np.cumsum(dynamics.clock.theta[: dynamics.clock.steps])])
+    tau = np.concatenate([[0.0], np.cumsum(world.clock.theta[: world.clock.steps])])
     return states[:, range(3), range(3), 0] - law.amplitude * np.sin(tau[:, None] * law.frequencies), tau
 
 
@@ -33,13 +33,13 @@ def test_strategies_follow_the_averaged_loop_the_closer_the_faster_they_probe():
     """dx̂/dτ = −(k a²/2) F(x̂), with a deviation that shrinks like 1/ω: the averaging theorem."""
     deviations = []
     for frequency in (10.0, 40.0, 160.0):
-        scenario, dynamics, port = world(int(800 * frequency / 10))
+        scenario, world, encoder = probing_world(int(800 * frequency / 10))
         arguments = {"amplitude": 0.4, "gain": 1.0, "frequency": frequency, "washout": 0.0}
-        assert condition(Part.of("ptne_env.laws:ExtremumSeeking", **arguments), scenario).holds
-        law = laws.ExtremumSeeking(port.layout, **arguments)
-        states = run(dynamics, port, law, loop_start(dynamics, size=2.0))
-        means, tau = mean_strategies(dynamics, law, states)
-        target = dynamics.game.nash_equilibrium
+        assert condition(FactorySpec.of("ptne_env.laws:ExtremumSeeking", **arguments), scenario).holds
+        law = laws.ExtremumSeeking(encoder.layout, **arguments)
+        states = run(world, encoder, law, loop_start(world, size=2.0))
+        means, tau = mean_strategies(world, law, states)
+        target = world.game.nash_equilibrium
         rate = 1.0 * 0.4**2 / 2
         decay = np.stack([linalg.expm(-rate * MATRIX * time) for time in tau[::100]])
         averaged = target + decay @ (means[0] - target)
@@ -50,24 +50,24 @@ def test_strategies_follow_the_averaged_loop_the_closer_the_faster_they_probe():
 
 
 def test_strategies_end_within_the_probing_of_the_equilibrium():
-    _, dynamics, port = world(4000)
-    law = laws.ExtremumSeeking(port.layout, amplitude=0.3, gain=4.0, frequency=40.0, washout=2.0)
-    states = run(dynamics, port, law, loop_start(dynamics, size=2.0))
+    _, world, encoder = probing_world(4000)
+    law = laws.ExtremumSeeking(encoder.layout, amplitude=0.3, gain=4.0, frequency=40.0, washout=2.0)
+    states = run(world, encoder, law, loop_start(world, size=2.0))
     strategies = states[-400:, range(3), range(3), 0]
-    target = dynamics.game.nash_equilibrium
+    target = world.game.nash_equilibrium
     assert np.abs(strategies - target).max() < 0.3 + 0.05
     assert np.abs(strategies.mean(axis=0) - target).max() < 0.03
     assert np.abs(strategies[0] - target).max() > 0.05  # it goes on probing
 
 
 def test_it_reads_neither_gradients_nor_estimates_for_its_strategies():
-    _, dynamics, port = world(4000)
-    observations = port.observe(loop_start(dynamics))[0]
-    law = laws.ExtremumSeeking(port.layout)
+    _, world, encoder = probing_world(4000)
+    observations = encoder.observe(loop_start(world))[0]
+    law = laws.ExtremumSeeking(encoder.layout)
     actions, memory = law.predict(observations)
     blind = observations.copy()
     for name in ("own_gradient", "own_estimate", "relative_estimates", "weights"):
-        port.layout.select(blind, name)[...] = 7.0
+        encoder.layout.select(blind, name)[...] = 7.0
     blind_actions, blind_memory = law.predict(blind)
     assert np.array_equal(actions.diagonal(), blind_actions.diagonal())
     assert np.array_equal(memory, blind_memory)
@@ -85,11 +85,11 @@ def test_frequencies_satisfy_the_conditions_of_the_paper():
 
 
 def test_conditions_of_extremum_seeking():
-    scenario = world(400)[0]
+    scenario = probing_world(400)[0]
     found = condition(laws.ExtremumSeeking, scenario)
     assert found.value == pytest.approx(min(2 - 0.9, 1.5 - 0.9, 1.8 - 0.7))
     assert found.holds
-    fast = condition(Part.of("ptne_env.laws:ExtremumSeeking", frequency=30.0), scenario)
+    fast = condition(FactorySpec.of("ptne_env.laws:ExtremumSeeking", frequency=30.0), scenario)
     assert "4 ω Θ < π" in fast.name
     assert not fast.holds
     weak = affine_scenario(MATRIX - np.diag([1.5, 0, 0]), OFFSET, fixed_part(PATH))
@@ -97,9 +97,9 @@ def test_conditions_of_extremum_seeking():
 
 
 def test_default_gains_improve_the_energy_game_by_a_digit():
-    dynamics, port = make_port(get_scenario("energy", start="random"), own_payoff=True)
-    states = run(dynamics, port, laws.ExtremumSeeking(port.layout), loop_start(dynamics))
-    error = np.linalg.norm(states[:, range(5), range(5), 0] - dynamics.game.nash_equilibrium, axis=1)
+    world, encoder = make_port(get_scenario("energy", start="random"), own_payoff=True)
+    states = run(world, encoder, laws.ExtremumSeeking(encoder.layout), loop_start(world))
+    error = np.linalg.norm(states[:, range(5), range(5), 0] - world.game.nash_equilibrium, axis=1)
     assert error[-1] < 0.1 * error[0]
 
 
@@ -126,15 +126,15 @@ def test_extremum_seeking_refuses_parameters_out_of_range(arguments, message):
 @pytest.mark.parametrize("scenario", ["energy", "random-energy", "non-quadratic"])
 def test_own_payoff_is_a_last_slice_with_the_cost_at_the_real_strategies(scenario, kind):
     plain = make_port(scenario, kind=kind)[1]
-    dynamics, port = make_port(scenario, kind=kind, own_payoff=True)
-    state = begin(dynamics, range(3))
-    seen, without = port.observe(state), plain.observe(begin(plain.dynamics, range(3)))
-    assert port.layout.slices["own_payoff"] == slice(plain.layout.size, plain.layout.size + 1)
+    world, encoder = make_port(scenario, kind=kind, own_payoff=True)
+    state = begin(world, range(3))
+    seen, without = encoder.observe(state), plain.observe(begin(plain.world, range(3)))
+    assert encoder.layout.slices["own_payoff"] == slice(plain.layout.size, plain.layout.size + 1)
     assert np.array_equal(seen[..., :-1], without)
     expected = state.game.costs(state.strategies).T
-    assert np.array_equal(port.layout.select(seen, "own_payoff")[..., 0], expected.astype(np.float32))
-    assert np.array_equal(port.layout.read(seen[0]).own_payoff[:, 0], expected.astype(np.float32)[0])
-    assert port.observation_space().contains(seen[0, 0])
+    assert np.array_equal(encoder.layout.select(seen, "own_payoff")[..., 0], expected.astype(np.float32))
+    assert np.array_equal(encoder.layout.read(seen[0]).own_payoff[:, 0], expected.astype(np.float32)[0])
+    assert encoder.observation_space().contains(seen[0, 0])
 
 
 def test_payoffs_are_left_out_unless_asked_for():
@@ -145,5 +145,5 @@ def test_payoffs_are_left_out_unless_asked_for():
     rows = np.stack(list(observations.values()))
     assert np.array_equal(
         env.layout.select(rows, "own_payoff")[:, 0],
-        env.dynamics.game.costs(env.strategies[:, None])[:, 0].astype(np.float32),
+        env.world.game.costs(env.strategies[:, None])[:, 0].astype(np.float32),
     )

@@ -10,17 +10,17 @@ from affine_games import affine_scenario, loop_start, random_affine, run
 from scipy import integrate
 from worlds import BLOCKS, fixed_part, make_port, stack
 
-from ptne_env import Interface, Part, get_scenario, laws
-from ptne_env.theory import condition, premises
+from ptne_env import FactorySpec, Interface, get_scenario, laws
+from ptne_env.theory import condition, problem_constants
 
 ORACLES = [laws.BestResponseOracle, laws.FixedTimeOracle, laws.NodeAdaptiveOracle]
 
 
 def build(scenario, law, **arguments):
-    dynamics, _ = make_port(scenario)
-    port = make_port(scenario, kind="full", **dict.fromkeys(law.needs, True))[1]
-    assert port.interface == law.interface
-    return dynamics, port, law(port.layout, **arguments)
+    world, _ = make_port(scenario)
+    encoder = make_port(scenario, kind="full", **dict.fromkeys(law.needs, True))[1]
+    assert encoder.interface == law.interface
+    return world, encoder, law(encoder.layout, **arguments)
 
 
 @pytest.mark.parametrize("law", ORACLES)
@@ -46,12 +46,12 @@ def test_slices_of_oracles_are_not_for_players(name):
 
 @pytest.mark.parametrize("scenario", [get_scenario("energy", start="random"), BLOCKS], ids=lambda world: world.name)
 def test_best_response_play_is_its_equation(scenario):
-    dynamics, port, law = build(scenario, laws.BestResponseOracle, relaxation=0.7)
-    start = loop_start(dynamics)
-    states = run(dynamics, port, law, start, steps=20)
+    world, encoder, law = build(scenario, laws.BestResponseOracle, relaxation=0.7)
+    start = loop_start(world)
+    states = run(world, encoder, law, start, steps=20)
     x = start.strategies
     for state in states[1:]:
-        x = x + 0.7 * (dynamics.game.best_response(x) - x)
+        x = x + 0.7 * (world.game.best_response(x) - x)
         assert state[..., 0] == pytest.approx(np.tile(x, (1, state.shape[1])), abs=1e-4)
 
 
@@ -61,10 +61,10 @@ def test_best_response_play_converges_exactly_where_its_condition_says(seed):
     generator = np.random.default_rng(seed)
     matrix, offset, adjacency = random_affine(generator, 4, coupling=generator.uniform(0.5, 5.0))
     scenario = affine_scenario(matrix, offset, fixed_part(adjacency), start="random", input_limit=1e5, steps=60)
-    dynamics, port, law = build(scenario, laws.BestResponseOracle)
-    states = run(dynamics, port, law, loop_start(dynamics))[:, :, 0, 0]
-    found = law.condition(premises(scenario))
-    error = np.abs(states - dynamics.game.nash_equilibrium).max(axis=1)
+    world, encoder, law = build(scenario, laws.BestResponseOracle)
+    states = run(world, encoder, law, loop_start(world))[:, :, 0, 0]
+    found = law.condition(problem_constants(scenario))
+    error = np.abs(states - world.game.nash_equilibrium).max(axis=1)
     if found.value < 0.9:
         assert error[-1] < 0.1 * error[1]
     elif found.value > 1.1:
@@ -88,13 +88,13 @@ def test_fixed_time_seeking_settles_within_its_bound_from_everywhere(size, expon
     """The theorem of Poveda, Krstić & Başar: a settling time that does not depend on the start."""
     near, far = exponents
     scenario = get_scenario("energy", start="random", steps=20_000, gain=1.0, input_limit=1e9)
-    dynamics, port, law = build(scenario, laws.FixedTimeOracle, near=near, far=far)
-    bound = law.settling_bound(premises(scenario).epsilon)
-    assert law.condition(premises(scenario)).holds
-    settled = int(np.searchsorted(np.cumsum(dynamics.clock.theta), bound))
-    state = loop_start(dynamics, size=size)
-    states = run(dynamics, port, law, state, steps=settled + 10)[..., 0]
-    error = np.linalg.norm(states[:, range(5), range(5)] - dynamics.game.nash_equilibrium, axis=1)
+    world, encoder, law = build(scenario, laws.FixedTimeOracle, near=near, far=far)
+    bound = law.settling_bound(problem_constants(scenario).epsilon)
+    assert law.condition(problem_constants(scenario)).holds
+    settled = int(np.searchsorted(np.cumsum(world.clock.theta), bound))
+    state = loop_start(world, size=size)
+    states = run(world, encoder, law, state, steps=settled + 10)[..., 0]
+    error = np.linalg.norm(states[:, range(5), range(5)] - world.game.nash_equilibrium, axis=1)
     assert error[settled] < 1e-3
     assert error[int(settled * 0.1)] > 1e-2
 
@@ -110,9 +110,9 @@ def test_fixed_time_bound_is_the_integral_of_its_comparison_equation():
 def test_fixed_time_condition_names_what_fails():
     scenario = get_scenario("energy")
     assert condition(laws.FixedTimeOracle, scenario).holds
-    slow = condition(Part.of("ptne_env.laws:FixedTimeOracle", gain=0.01), scenario)
+    slow = condition(FactorySpec.of("ptne_env.laws:FixedTimeOracle", gain=0.01), scenario)
     assert (slow.name, slow.holds) == ("(1/ξ1 + 1/|ξ2|)/(k ε) < τ_K", False)
-    long = condition(Part.of("ptne_env.laws:FixedTimeOracle", largest_step=1.0), scenario)
+    long = condition(FactorySpec.of("ptne_env.laws:FixedTimeOracle", largest_step=1.0), scenario)
     assert "limited steps contract" in long.name
     assert not long.holds
 
@@ -128,32 +128,32 @@ def node_inputs(game, laplacian, estimates, gains):
 
 @pytest.mark.parametrize("scenario", [get_scenario("energy", start="random"), BLOCKS], ids=lambda world: world.name)
 def test_node_adaptive_law_is_its_equation(scenario):
-    dynamics, port, law = build(scenario, laws.NodeAdaptiveOracle, gamma=0.0002, initial_gain=0.3)
-    game, laplacian = dynamics.game, scenario.built_signal.graphs[0].laplacian
-    start = loop_start(dynamics)
-    states = run(dynamics, port, law, start, steps=40)[..., 0]
+    world, encoder, law = build(scenario, laws.NodeAdaptiveOracle, gamma=0.0002, initial_gain=0.3)
+    game, laplacian = world.game, scenario.built_topology.graphs[0].laplacian
+    start = loop_start(world)
+    states = run(world, encoder, law, start, steps=40)[..., 0]
     gains = np.full(game.num_players, 0.3)
     for k in range(40):
-        expected = states[k] + dynamics.clock.theta[k] * node_inputs(game, laplacian, states[k], gains)
+        expected = states[k] + world.clock.theta[k] * node_inputs(game, laplacian, states[k], gains)
         assert states[k + 1] == pytest.approx(expected, abs=1e-4)
-        gains = gains + dynamics.clock.theta[k] * 0.0002 * np.sum((states[k] @ laplacian) ** 2, axis=0)
+        gains = gains + world.clock.theta[k] * 0.0002 * np.sum((states[k] @ laplacian) ** 2, axis=0)
 
 
 def test_node_gains_grow_until_the_network_converges_and_then_rest():
     """The theorem of Bianchi & Grammatico: convergence from gains of zero, which stay bounded."""
     scenario = get_scenario("energy", start="random", steps=4000, s_end=20.0, gain=60.0)
-    dynamics, port, law = build(scenario, laws.NodeAdaptiveOracle, gamma=0.001, initial_gain=0.0)
-    assert law.condition(premises(scenario)).holds
-    state, memory, history = loop_start(dynamics), None, []
-    for _ in range(dynamics.clock.steps):
-        actions, memory = law.predict(port.observe(state)[0], state=memory)
-        state = dynamics.step(state, port.decode(actions[None], state).inputs)
+    world, encoder, law = build(scenario, laws.NodeAdaptiveOracle, gamma=0.001, initial_gain=0.0)
+    assert law.condition(problem_constants(scenario)).holds
+    state, memory, history = loop_start(world), None, []
+    for _ in range(world.clock.steps):
+        actions, memory = law.predict(encoder.observe(state)[0], state=memory)
+        state = world.step(state, encoder.decode(actions[None], state).inputs)
         history.append(memory[:, 0])
     history = np.array(history)
     assert np.all(np.diff(history, axis=0) >= 0)
     assert np.all(history[-1] > 0.05)
     assert history[-1] == pytest.approx(history[3000], rel=1e-4)
-    target = np.tile(dynamics.game.nash_equilibrium, 5)
+    target = np.tile(world.game.nash_equilibrium, 5)
     assert np.linalg.norm(stack(state.estimates) - target) < 1e-3 * np.linalg.norm(target)
 
 
@@ -176,18 +176,18 @@ def test_oracles_refuse_parameters_out_of_range(law, arguments, message):
     "scenario", [get_scenario("energy-switching", start="random"), BLOCKS], ids=lambda world: world.name
 )
 def test_slices_of_oracles_show_what_they_say(scenario):
-    dynamics, port = make_port(scenario, kind="full", neighbour_errors=True, best_response=True)
+    world, encoder = make_port(scenario, kind="full", neighbour_errors=True, best_response=True)
     plain = make_port(scenario, kind="full")[1]
-    state, game = loop_start(dynamics, batch=3), dynamics.game
-    seen = port.observe(state)
-    assert np.array_equal(seen[..., : plain.layout.size], plain.observe(loop_start(plain.dynamics, batch=3)))
+    state, game = loop_start(world, batch=3), world.game
+    seen = encoder.observe(state)
+    assert np.array_equal(seen[..., : plain.layout.size], plain.observe(loop_start(plain.world, batch=3)))
     for b in range(3):
-        reading = port.layout.read(seen[b])
+        reading = encoder.layout.read(seen[b])
         estimates = state.estimates[:, :, b]
-        laplacian = dynamics.signal.graphs[0].laplacian
+        laplacian = world.topology.graphs[0].laplacian
         errors = estimates @ laplacian
         response = game.best_response(state.strategies[:, [b]]) - state.strategies[:, [b]]
-        for i, slots in enumerate(port.layout.neighbours):
+        for i, slots in enumerate(encoder.layout.neighbours):
             for slot, j in enumerate(slots):
                 assert reading.neighbour_errors[i, slot] == pytest.approx(errors[:, j], rel=1e-6, abs=1e-4)
             assert reading.best_response[i] == pytest.approx(response[:, 0], rel=1e-6)

@@ -5,12 +5,12 @@ import pytest
 from affine_games import loop_start, run
 from worlds import BLOCKS, energy_scenario, make_env, make_port, play, stack
 
-from ptne_env import Part, get_scenario, laws
-from ptne_env.theory import condition, premises
+from ptne_env import FactorySpec, get_scenario, laws
+from ptne_env.theory import condition, problem_constants
 
-RING = Part.of("ptne_env.graphs:fixed", graph=Part.of("ptne_env.graphs:cycle", players=5))
+RING = FactorySpec.of("ptne_env.switching:fixed", graph=FactorySpec.of("ptne_env.graphs:cycle", players=5))
 HVAC = energy_scenario(1.0, (50.0, 55.0, 60.0, 65.0, 70.0), RING).replace(
-    game=Part.of("ptne_env.games:EnergyGame", target=(50, 55, 60, 65, 70), coupling=0.04, base_price=5.0)
+    game=FactorySpec.of("ptne_env.games:EnergyGame", target=(50, 55, 60, 65, 70), coupling=0.04, base_price=5.0)
 )
 """(x − x̂)² + (0.04 Σ x + 5) x with x̂ = (50, 55, 60, 65, 70)."""
 
@@ -42,8 +42,8 @@ def test_own_strategy_follows_its_own_gradient_alone():
 )
 def test_laws_of_ye_and_hu_reach_the_equilibrium_of_their_hvac_game(law):
     """The numbers are those that the literature gives for Ye & Hu's game, to the three decimals printed."""
-    dynamics, port = make_port(HVAC)
-    states = run(dynamics, port, law(port.layout), loop_start(dynamics))[..., 0]
+    world, encoder = make_port(HVAC)
+    states = run(world, encoder, law(encoder.layout), loop_start(world))[..., 0]
     assert states[-1] == pytest.approx(np.repeat(HVAC_EQUILIBRIUM, 5).reshape(5, 5), abs=6e-4)
 
 
@@ -60,13 +60,13 @@ def grounded_errors(estimates, adjacency, owners):
 @pytest.mark.parametrize("kind", ["physical", "local"])
 @pytest.mark.parametrize("scenario", [get_scenario("energy", start="random"), BLOCKS], ids=lambda world: world.name)
 def test_adaptive_grounded_law_is_its_equation(scenario, kind):
-    dynamics, port = make_port(scenario, kind=kind, action_scale=1e3)
-    law = laws.AdaptiveGrounded(port.layout, gamma=0.003, initial_gain=0.2)
-    states = run(dynamics, port, law, loop_start(dynamics), steps=40)[..., 0]
-    game, adjacency = dynamics.game, scenario.built_signal.graphs[0].adjacency
+    world, encoder = make_port(scenario, kind=kind, action_scale=1e3)
+    law = laws.AdaptiveGrounded(encoder.layout, gamma=0.003, initial_gain=0.2)
+    states = run(world, encoder, law, loop_start(world), steps=40)[..., 0]
+    game, adjacency = world.game, scenario.built_topology.graphs[0].adjacency
     gains = np.full(states.shape[1:], 0.2)
     for k in range(40):
-        theta, errors = dynamics.clock.theta[k], grounded_errors(states[k], adjacency, game.owners)
+        theta, errors = world.clock.theta[k], grounded_errors(states[k], adjacency, game.owners)
         inputs = -gains * errors
         gradients = game.own_gradients(states[k][:, :, None])[:, 0]
         for component, owner in enumerate(game.owners):
@@ -78,20 +78,20 @@ def test_adaptive_grounded_law_is_its_equation(scenario, kind):
 def test_gains_of_ye_and_hu_grow_until_the_network_converges_and_then_rest():
     """The theorem of the node-based law: global convergence from gains of zero, which stay bounded."""
     scenario = get_scenario("energy", start="random", steps=4000, s_end=20.0, gain=60.0)
-    dynamics, port = make_port(scenario)
-    law = laws.AdaptiveGrounded(port.layout, gamma=0.005, initial_gain=0.0)
-    assert law.condition(premises(scenario)).holds
-    state, memory, history = loop_start(dynamics), None, []
-    for _ in range(dynamics.clock.steps):
-        actions, memory = law.predict(port.observe(state)[0], state=memory)
-        state = dynamics.step(state, port.decode(actions[None], state).inputs)
+    world, encoder = make_port(scenario)
+    law = laws.AdaptiveGrounded(encoder.layout, gamma=0.005, initial_gain=0.0)
+    assert law.condition(problem_constants(scenario)).holds
+    state, memory, history = loop_start(world), None, []
+    for _ in range(world.clock.steps):
+        actions, memory = law.predict(encoder.observe(state)[0], state=memory)
+        state = world.step(state, encoder.decode(actions[None], state).inputs)
         history.append(memory)
     history = np.array(history)
     assert np.all(np.diff(history, axis=0) >= 0)
     others = ~np.eye(5, dtype=bool)
     assert history[-1][others].min() > 0.01
     assert history[-1] == pytest.approx(history[3000], rel=1e-3)
-    target = np.tile(dynamics.game.nash_equilibrium, 5)
+    target = np.tile(world.game.nash_equilibrium, 5)
     assert np.linalg.norm(stack(state.estimates) - target) < 1e-3 * np.linalg.norm(target)
 
 
@@ -99,7 +99,7 @@ def test_conditions_of_ye_and_hu():
     scenario = get_scenario("energy")
     fixed = condition(laws.Grounded, scenario)
     assert not fixed.holds  # sufficient only: the law converges all the same
-    assert condition(Part.of("ptne_env.laws:Grounded", kappa=1.01 * fixed.bound), scenario).holds
+    assert condition(FactorySpec.of("ptne_env.laws:Grounded", kappa=1.01 * fixed.bound), scenario).holds
     assert condition(laws.AdaptiveGrounded, scenario).holds
-    assert "gains adapt" in condition(Part.of("ptne_env.laws:AdaptiveGrounded", gamma=0.0), scenario).name
+    assert "gains adapt" in condition(FactorySpec.of("ptne_env.laws:AdaptiveGrounded", gamma=0.0), scenario).name
     assert "every graph" in condition(laws.AdaptiveGrounded, get_scenario("energy-switching")).name

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from worlds import energy_scenario, fixed_part, make_env, make_port, play
 
-from ptne_env import Interface, Part, laws
+from ptne_env import FactorySpec, Interface, laws
 
 LAWS = {
     "static": laws.Static,
@@ -22,7 +22,7 @@ LAWS = {
     "extremum-seeking": laws.ExtremumSeeking,
     "locally-implicit": laws.LocallyImplicit,
     "capped-gain": laws.CappedGain,
-    "null": laws.Null,
+    "null": laws.ZeroInput,
 }
 INTERFACES = {
     "physical": {"kind": "physical"},
@@ -50,16 +50,16 @@ TARGET = np.array([10.0, 15.0, 20.0, 25.0, 30.0])
 
 
 def signal_part(modes, weights):
-    """A signal with these links and a weight for each pair."""
+    """A topology with these links and a weight for each pair."""
     graphs = []
     for edges in modes:
         adjacency = np.zeros((5, 5))
         for i, j in edges:
             adjacency[i, j] = adjacency[j, i] = weights[min(i, j), max(i, j)]
-        graphs.append(Part.of("ptne_env.graphs:Graph", adjacency=adjacency))
+        graphs.append(FactorySpec.of("ptne_env.graphs:Graph", adjacency=adjacency))
     if len(graphs) == 1:
-        return Part.of("ptne_env.graphs:fixed", graph=graphs[0])
-    return Part.of("ptne_env.graphs:periodic", graphs=graphs, dwells=[0.1] * len(graphs), clock="physical")
+        return FactorySpec.of("ptne_env.switching:fixed", graph=graphs[0])
+    return FactorySpec.of("ptne_env.switching:periodic", graphs=graphs, dwells=[0.1] * len(graphs), clock="physical")
 
 
 def scrambled_scenario(player, modes, weights, generator):
@@ -88,12 +88,12 @@ def test_scrambling_what_a_player_may_not_see_changes_none_of_its_actions(player
     modes = MODES if switching else [RING]
     weights = generator.uniform(0.5, 1.5, (5, 5))
     interface = INTERFACES[interface] | PAYOFF[law]
-    world, port = make_port(energy_scenario(CURVATURE, TARGET, signal_part(modes, weights)), **interface)
+    world, encoder = make_port(energy_scenario(CURVATURE, TARGET, signal_part(modes, weights)), **interface)
     other, other_port = make_port(scrambled_scenario(player, modes, weights, generator), **interface)
     assert np.abs(other.game.nash_equilibrium - world.game.nash_equilibrium).max() > 1
     assert not np.array_equal(other.mode_weights, world.mode_weights)
 
-    policy, other_policy = LAWS[law](port.layout), LAWS[law](other_port.layout)
+    policy, other_policy = LAWS[law](encoder.layout), LAWS[law](other_port.layout)
     memory = other_memory = None
     state = world.start(generator.uniform(-20, 20, (5, 5, 1)))
     compared = 0
@@ -107,31 +107,31 @@ def test_scrambling_what_a_player_may_not_see_changes_none_of_its_actions(player
             estimates[range(5), range(5)] = state.strategies
         other_state = other._complete(estimates, other.game, state.step, state.diverged)
 
-        observations, other_observations = port.observe(state)[0], other_port.observe(other_state)[0]
+        observations, other_observations = encoder.observe(state)[0], other_port.observe(other_state)[0]
         actions, memory = policy.predict(observations, state=memory)
         other_actions, other_memory = other_policy.predict(other_observations, state=other_memory)
         assert np.array_equal(actions[player], other_actions[player])
         strangers = [j for j in range(5) if j not in visible]
         compared += not np.array_equal(observations[strangers], other_observations[strangers])
-        state = world.step(state, port.decode(actions[None], state).inputs)
+        state = world.step(state, encoder.decode(actions[None], state).inputs)
     assert compared == 150  # the worlds did look different to others
 
 
 @pytest.mark.parametrize(("law", "kind"), KINDS)
 def test_law_acts_the_same_whoever_else_is_in_the_batch(law, kind):
     scenario = energy_scenario(CURVATURE, TARGET, signal_part([RING], np.ones((5, 5))))
-    world, port = make_port(scenario, kind=kind, **PAYOFF[law])
+    world, encoder = make_port(scenario, kind=kind, **PAYOFF[law])
     generator = np.random.default_rng(0)
-    policy = LAWS[law](port.layout)
+    policy = LAWS[law](encoder.layout)
     memory, alone = None, [None] * 5
     state = world.start(generator.uniform(-20, 20, (5, 5, 1)))
     for _ in range(20):
-        observations = port.observe(state)[0]
+        observations = encoder.observe(state)[0]
         actions, memory = policy.predict(observations, state=memory)
         for i in range(5):
             action, alone[i] = policy.predict(observations[i : i + 1], state=alone[i])
             assert np.array_equal(action[0], actions[i])
-        state = world.step(state, port.decode(actions[None], state).inputs)
+        state = world.step(state, encoder.decode(actions[None], state).inputs)
 
 
 @pytest.mark.parametrize(("law", "kind"), [case for case in KINDS if case[0] != "extremum-seeking"])  # probes by number
@@ -161,7 +161,7 @@ def test_full_information_is_not_to_be_had_from_an_environment():
 
 
 def test_layouts_of_players_hold_nothing_of_the_game():
-    _, port = make_port(energy_scenario(CURVATURE, TARGET, signal_part([RING], np.ones((5, 5)))))
+    _, encoder = make_port(energy_scenario(CURVATURE, TARGET, signal_part([RING], np.ones((5, 5)))))
     _, other = make_port(energy_scenario(CURVATURE + 1, TARGET * 2, signal_part([RING], np.ones((5, 5)))))
-    assert port.layout == other.layout
-    assert port.layout.interface == Interface()
+    assert encoder.layout == other.layout
+    assert encoder.layout.interface == Interface()

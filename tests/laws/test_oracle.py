@@ -3,7 +3,7 @@ import pytest
 from worlds import BLOCKS, make_port
 
 from ptne_env import get_scenario, laws
-from ptne_env.sources import Sources
+from ptne_env.random_streams import RandomStreams
 
 
 @pytest.mark.parametrize("kind", ["physical", "local"])
@@ -24,29 +24,29 @@ def test_oracle_refuses_a_gain_that_is_not_positive(gain):
     "scenario", [get_scenario("energy", start="random"), BLOCKS], ids=lambda scenario: scenario.name
 )
 def test_oracle_is_gradient_descent_on_the_shared_strategies(scenario):
-    dynamics, port = make_port(scenario, kind="full")
-    law = laws.CentralisedOracle(port.layout)
-    state = dynamics.start(dynamics.draw_estimates([Sources.from_seed(1)]))
+    world, encoder = make_port(scenario, kind="full")
+    law = laws.CentralisedOracle(encoder.layout)
+    state = world.start(world.draw_estimates([RandomStreams.from_seed(1)]))
     x = state.strategies
-    for k in range(dynamics.clock.steps):
-        actions, _ = law.predict(port.observe(state)[0])
-        state = dynamics.step(state, port.decode(actions[None], state).inputs)
-        x = x - dynamics.clock.theta[k] * dynamics.game.pseudo_gradient(x)
+    for k in range(world.clock.steps):
+        actions, _ = law.predict(encoder.observe(state)[0])
+        state = world.step(state, encoder.decode(actions[None], state).inputs)
+        x = x - world.clock.theta[k] * world.game.pseudo_gradient(x)
         assert np.abs(state.estimates - x[:, None]).max() <= 4e-6 * np.abs(x).max()
-    assert state.strategies[:, 0] == pytest.approx(dynamics.game.nash_equilibrium, rel=1e-9)
+    assert state.strategies[:, 0] == pytest.approx(world.game.nash_equilibrium, rel=1e-9)
 
 
 def test_oracle_obeys_the_input_limit_of_everybody():
-    dynamics, port = make_port(get_scenario("energy", input_limit=3.0), kind="full")
-    state = dynamics.start(dynamics.draw_estimates([Sources.from_seed(1)]))
-    actions, _ = laws.CentralisedOracle(port.layout).predict(port.observe(state)[0])
+    world, encoder = make_port(get_scenario("energy", input_limit=3.0), kind="full")
+    state = world.start(world.draw_estimates([RandomStreams.from_seed(1)]))
+    actions, _ = laws.CentralisedOracle(encoder.layout).predict(encoder.observe(state)[0])
     assert np.abs(actions).max() == 3.0
 
 
 def test_laws_of_players_act_through_the_full_interface_as_through_the_physical_one():
-    dynamics, port = make_port("energy", kind="full")
+    world, encoder = make_port("energy", kind="full")
     _, plain = make_port("energy")
-    state = dynamics.start(dynamics.draw_estimates([Sources.from_seed(1)]))
-    full, _ = laws.Static(port.layout).predict(port.observe(state)[0])
+    state = world.start(world.draw_estimates([RandomStreams.from_seed(1)]))
+    full, _ = laws.Static(encoder.layout).predict(encoder.observe(state)[0])
     physical, _ = laws.Static(plain.layout).predict(plain.observe(state)[0])
     assert np.array_equal(full, physical)

@@ -8,7 +8,7 @@ import pytest
 from worlds import BLOCKS, make_env, make_port, play
 
 from ptne_env import Interface, Policy, laws
-from ptne_env.sources import Sources
+from ptne_env.random_streams import RandomStreams
 
 LAWS = [
     laws.Static,
@@ -21,7 +21,7 @@ LAWS = [
     laws.ProjectedGradient,
     laws.LocallyImplicit,
     laws.CappedGain,
-    laws.Null,
+    laws.ZeroInput,
     laws.RandomPolicy,
 ]
 SPECIAL = [
@@ -40,12 +40,12 @@ def observe_for(law, scenario="energy", batch=3):
 
 
 def observe(scenario="energy", batch=3, **interface):
-    dynamics, port = make_port(scenario, **interface)
-    state = dynamics.start(
-        np.stack([dynamics.draw_estimates([Sources.from_seed(b)])[..., 0] for b in range(batch)], -1)
+    world, encoder = make_port(scenario, **interface)
+    state = world.start(
+        np.stack([world.draw_estimates([RandomStreams.from_seed(b)])[..., 0] for b in range(batch)], -1)
     )
-    state = dynamics.start(state.estimates + np.random.default_rng(0).normal(size=state.estimates.shape))
-    return port.layout, port.observe(state).reshape(-1, port.layout.size)
+    state = world.start(state.estimates + np.random.default_rng(0).normal(size=state.estimates.shape))
+    return encoder.layout, encoder.observe(state).reshape(-1, encoder.layout.size)
 
 
 @pytest.mark.parametrize("law", [*LAWS, *SPECIAL])
@@ -148,7 +148,7 @@ def test_batches_agree_bit_for_bit_with_single_environments(law):
 
 def test_null_stays_where_it_is():
     env = make_env("energy", steps=10)
-    states, steps = play(env, laws.Null(env.layout), seed=1)
+    states, steps = play(env, laws.ZeroInput(env.layout), seed=1)
     assert np.array_equal(states[0], states[-1])
     assert [reward for step in steps for reward in step[1].values()] == [0.0] * 50
 

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from worlds import BLOCKS, BLOCKS_SWITCHING, loop_matrix, make_env, make_port, play
 
-from ptne_env import Interface, Part, get_scenario, laws
+from ptne_env import FactorySpec, Interface, get_scenario, laws
 
 AFFINE = {
     "energy": get_scenario("energy"),
@@ -19,13 +19,13 @@ AFFINE = {
 def test_environment_is_the_product_of_the_step_matrices_through_float32(name, kind, hold_steps):
     env = make_env(AFFINE[name], interface=kind, hold_steps=hold_steps)
     states, _ = play(env, laws.Static(env.layout, kappa=1.0), seed=5)
-    game, clock, dynamics = env.dynamics.game, env.dynamics.clock, env.dynamics
+    game, clock, world = env.world.game, env.world.clock, env.world
     equilibrium = np.tile(game.nash_equilibrium, game.num_players)
     error = states[0].ravel() - equilibrium
     largest = np.abs(states).max()
     assert len(states) == 401 + hold_steps
     for k in range(clock.total_steps):
-        graph = dynamics.signal.graphs[int(dynamics.modes[k])]
+        graph = world.topology.graphs[int(world.modes[k])]
         error = error - clock.theta[k] * loop_matrix(game, graph.adjacency, 1.0) @ error
         assert np.abs(states[k + 1].ravel() - equilibrium - error).max() <= 2e-6 * largest
 
@@ -73,7 +73,7 @@ def test_gains_out_of_reach_are_refused_with_the_reach(kappa, gradient_gain):
 
 def test_gradient_gain_is_the_law_for_scaled_costs():
     env = make_env("energy")
-    doubled = Part.of("ptne_env.games:EnergyGame", curvature=2.0, coupling=0.2, base_price=20.0)
+    doubled = FactorySpec.of("ptne_env.games:EnergyGame", curvature=2.0, coupling=0.2, base_price=20.0)
     scaled = make_env("energy", game=doubled)
     plain, _ = play(env, laws.Static(env.layout, kappa=2.0, gradient_gain=2.0))
     other, _ = play(scaled, laws.Static(scaled.layout, kappa=2.0))
@@ -102,7 +102,7 @@ def test_gradient_gain_must_be_positive(gain):
         laws.Static(make_port("energy")[1].layout, gradient_gain=gain)
 
 
-@pytest.mark.parametrize("law", [laws.Adaptive, laws.CorollaryOne, laws.Grounded, laws.Null])
+@pytest.mark.parametrize("law", [laws.Adaptive, laws.CorollaryOne, laws.Grounded, laws.ZeroInput])
 def test_laws_that_cannot_act_through_gains_say_so(law):
     layout = make_port("energy", action_mode="gains")[1].layout
     with pytest.raises(ValueError, match=f"{law.__name__} needs action_mode='input', this layout has 'gains'"):
@@ -111,23 +111,23 @@ def test_laws_that_cannot_act_through_gains_say_so(law):
 
 @pytest.mark.parametrize("kind", ["physical", "local"])
 def test_corollary_one_asks_for_the_static_input_over_the_gain_of_time(kind):
-    dynamics, port = make_port("energy", **vars(Interface(kind, action_scale=100.0)))
-    state = dynamics.start(np.random.default_rng(0).uniform(-20, 20, (5, 5, 1)))
+    world, encoder = make_port("energy", **vars(Interface(kind, action_scale=100.0)))
+    state = world.start(np.random.default_rng(0).uniform(-20, 20, (5, 5, 1)))
     for _ in range(200):
-        state = dynamics.step(state, np.zeros_like(state.estimates))
+        state = world.step(state, np.zeros_like(state.estimates))
     k = int(state.step[0])
-    observation = port.observe(state)[0]
-    static = port.decode(laws.Static(port.layout, kappa=3.0).predict(observation)[0][None], state).inputs
-    slow = port.decode(laws.CorollaryOne(port.layout, kappa=3.0).predict(observation)[0][None], state).inputs
-    assert slow == pytest.approx(static * dynamics.clock.dt[k] / dynamics.clock.theta[k], rel=1e-5, abs=1e-6)
+    observation = encoder.observe(state)[0]
+    static = encoder.decode(laws.Static(encoder.layout, kappa=3.0).predict(observation)[0][None], state).inputs
+    slow = encoder.decode(laws.CorollaryOne(encoder.layout, kappa=3.0).predict(observation)[0][None], state).inputs
+    assert slow == pytest.approx(static * world.clock.dt[k] / world.clock.theta[k], rel=1e-5, abs=1e-6)
 
 
 def test_corollary_one_moves_as_if_there_were_no_gain_of_time():
     env = make_env("energy")
-    clock = env.dynamics.clock
+    clock = env.world.clock
     states, _ = play(env, laws.CorollaryOne(env.layout, kappa=10.0))
-    game = env.dynamics.game
-    matrix = loop_matrix(game, env.dynamics.signal.graphs[0].adjacency, 10.0)
+    game = env.world.game
+    matrix = loop_matrix(game, env.world.topology.graphs[0].adjacency, 10.0)
     equilibrium = np.tile(game.nash_equilibrium, 5)
     error = states[0].ravel() - equilibrium
     for k in range(400):

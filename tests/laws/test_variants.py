@@ -5,8 +5,8 @@ import pytest
 from affine_games import affine_scenario, loop_start, random_affine, run
 from worlds import fixed_part, loop_matrix, make_port, stack
 
-from ptne_env import Part, get_scenario, laws
-from ptne_env.theory import condition, premises
+from ptne_env import FactorySpec, get_scenario, laws
+from ptne_env.theory import condition, problem_constants
 
 STEPS = 10.0 ** np.linspace(-3, 7, 101)
 
@@ -26,7 +26,7 @@ def test_implicit_law_is_stable_for_every_step_on_affine_games_that_meet_its_con
     scenario = affine_scenario(matrix, offset, fixed_part(adjacency))
     kappa = 1.01 * condition(laws.FixedGain, scenario).bound
     law = build(scenario, kappa=kappa, curvature=2 * np.linalg.norm(matrix, 2))
-    facts = premises(scenario)
+    facts = problem_constants(scenario)
     assert law.condition(facts).holds
     loop = facts.loop(facts.laplacians[0], kappa)
     diagonal = law.implicit_diagonal(facts, facts.laplacians[0])
@@ -40,7 +40,7 @@ def test_implicit_law_is_stable_for_every_step_on_affine_games_that_meet_its_con
 def test_implicit_condition_says_no_where_some_step_is_unstable():
     """With m far below the own curvature the law does diverge, and the condition does not hold."""
     scenario = get_scenario("energy")
-    law, facts = build(scenario, curvature=0.1), premises(scenario)
+    law, facts = build(scenario, curvature=0.1), problem_constants(scenario)
     assert not law.condition(facts).holds
     loop = facts.loop(facts.laplacians[0], law.kappa)
     diagonal = law.implicit_diagonal(facts, facts.laplacians[0])
@@ -50,27 +50,27 @@ def test_implicit_condition_says_no_where_some_step_is_unstable():
 @pytest.mark.parametrize("steps", [400, 40, 8, 2])
 def test_implicit_law_in_the_environment_is_the_product_of_its_steps(steps):
     scenario = get_scenario("energy", start="random", steps=steps, input_limit=1e6)
-    dynamics, port = make_port(scenario)
-    law, facts, start = laws.LocallyImplicit(port.layout), premises(scenario), loop_start(dynamics)
+    world, encoder = make_port(scenario)
+    law, facts, start = laws.LocallyImplicit(encoder.layout), problem_constants(scenario), loop_start(world)
     assert law.condition(facts).holds
-    states = run(dynamics, port, law, start)
-    loop = loop_matrix(dynamics.game, facts.laplacians[0] * -1 + np.diag(facts.laplacians[0].diagonal()), law.kappa)
+    states = run(world, encoder, law, start)
+    loop = loop_matrix(world.game, facts.laplacians[0] * -1 + np.diag(facts.laplacians[0].diagonal()), law.kappa)
     diagonal = law.implicit_diagonal(facts, facts.laplacians[0])
-    target = np.tile(dynamics.game.nash_equilibrium, 5)
+    target = np.tile(world.game.nash_equilibrium, 5)
     error = stack(start.estimates) - target
     size = np.linalg.norm(error)
-    for theta in dynamics.clock.theta[:steps]:
+    for theta in world.clock.theta[:steps]:
         error = error - (loop @ error) / (1 / theta + diagonal)
     assert stack(states[-1]) - target == pytest.approx(error, abs=1e-6 * size)
     assert np.linalg.norm(error) < size
 
 
 def test_coarse_steps_blow_the_static_law_up_and_not_the_implicit_one():
-    dynamics, port = make_port(get_scenario("energy", start="random", steps=40))
-    start = loop_start(dynamics)
-    target = dynamics.game.nash_equilibrium[:, None, None]
+    world, encoder = make_port(get_scenario("energy", start="random", steps=40))
+    start = loop_start(world)
+    target = world.game.nash_equilibrium[:, None, None]
     distance = {
-        law: np.linalg.norm(run(dynamics, port, law(port.layout), start)[-1] - target)
+        law: np.linalg.norm(run(world, encoder, law(encoder.layout), start)[-1] - target)
         for law in (laws.Static, laws.LocallyImplicit)
     }
     assert distance[laws.Static] > 1e3
@@ -78,10 +78,10 @@ def test_coarse_steps_blow_the_static_law_up_and_not_the_implicit_one():
 
 
 def test_implicit_law_is_the_static_law_for_short_steps():
-    dynamics, port = make_port(get_scenario("energy", start="random", steps=100_000))
-    observations = port.observe(loop_start(dynamics))[0]
-    implicit, _ = laws.LocallyImplicit(port.layout).predict(observations)
-    static, _ = laws.Static(port.layout).predict(observations)
+    world, encoder = make_port(get_scenario("energy", start="random", steps=100_000))
+    observations = encoder.observe(loop_start(world))[0]
+    implicit, _ = laws.LocallyImplicit(encoder.layout).predict(observations)
+    static, _ = laws.Static(encoder.layout).predict(observations)
     assert implicit == pytest.approx(static, rel=3e-3)
     assert not np.array_equal(implicit, static)
 
@@ -102,11 +102,11 @@ def test_implicit_consensus_alone_is_stable_for_every_sequence_of_steps():
 @pytest.mark.parametrize("cap", [1.0, 50.0, 1e6])
 def test_capped_gain_is_the_static_law_in_the_time_that_the_cap_leaves(cap):
     scenario = get_scenario("energy", start="random")
-    dynamics, port = make_port(scenario)
-    start, clock = loop_start(dynamics), dynamics.clock
-    states = run(dynamics, port, laws.CappedGain(port.layout, largest_gain=cap), start)
-    loop = loop_matrix(dynamics.game, scenario.built_signal.graphs[0].adjacency, 2.0)
-    target = np.tile(dynamics.game.nash_equilibrium, 5)
+    world, encoder = make_port(scenario)
+    start, clock = loop_start(world), world.clock
+    states = run(world, encoder, laws.CappedGain(encoder.layout, largest_gain=cap), start)
+    loop = loop_matrix(world.game, scenario.built_topology.graphs[0].adjacency, 2.0)
+    target = np.tile(world.game.nash_equilibrium, 5)
     error = stack(start.estimates) - target
     size = np.linalg.norm(error)
     for theta, dt in zip(clock.theta[: clock.steps], clock.dt[: clock.steps], strict=True):
@@ -115,28 +115,28 @@ def test_capped_gain_is_the_static_law_in_the_time_that_the_cap_leaves(cap):
 
 
 def test_capped_gain_at_one_is_corollary_one_and_at_infinity_the_static_law():
-    dynamics, port = make_port("energy")
-    observations = port.observe(loop_start(dynamics))[0]
-    for cap, law in {1.0: laws.CorollaryOne(port.layout, 2.0), 1e12: laws.Static(port.layout, 2.0)}.items():
-        actions, _ = laws.CappedGain(port.layout, 2.0, cap).predict(observations)
+    world, encoder = make_port("energy")
+    observations = encoder.observe(loop_start(world))[0]
+    for cap, law in {1.0: laws.CorollaryOne(encoder.layout, 2.0), 1e12: laws.Static(encoder.layout, 2.0)}.items():
+        actions, _ = laws.CappedGain(encoder.layout, 2.0, cap).predict(observations)
         assert actions == pytest.approx(law.predict(observations)[0], rel=1e-6)
 
 
 def test_capped_velocity_is_bounded_where_the_static_one_grows():
     """Erratum 3: at r < 1 the velocity g(t) u of the static law is unbounded as t → T."""
-    dynamics, port = make_port(get_scenario("energy", start="random", s_end=20.0, steps=1000))
-    start, dt = loop_start(dynamics), dynamics.clock.dt[:1000, None, None, None]
-    static = np.abs(np.diff(run(dynamics, port, laws.Static(port.layout), start), axis=0) / dt)
-    capped = np.abs(np.diff(run(dynamics, port, laws.CappedGain(port.layout, 2.0, 100.0), start), axis=0) / dt)
+    world, encoder = make_port(get_scenario("energy", start="random", s_end=20.0, steps=1000))
+    start, dt = loop_start(world), world.clock.dt[:1000, None, None, None]
+    static = np.abs(np.diff(run(world, encoder, laws.Static(encoder.layout), start), axis=0) / dt)
+    capped = np.abs(np.diff(run(world, encoder, laws.CappedGain(encoder.layout, 2.0, 100.0), start), axis=0) / dt)
     assert static[-1].max() > 100 * static[500].max()
     assert capped[-1].max() <= capped[500].max()
 
 
 def test_capped_gain_asks_for_a_cap_above_c():
     scenario = get_scenario("energy")
-    low = condition(Part.of("ptne_env.laws:CappedGain", kappa=10.0, largest_gain=19.0), scenario)
+    low = condition(FactorySpec.of("ptne_env.laws:CappedGain", kappa=10.0, largest_gain=19.0), scenario)
     assert (low.value, low.bound, low.holds) == (19.0, 20.0, False)
-    assert condition(Part.of("ptne_env.laws:CappedGain", kappa=10.0, largest_gain=21.0), scenario).holds
+    assert condition(FactorySpec.of("ptne_env.laws:CappedGain", kappa=10.0, largest_gain=21.0), scenario).holds
 
 
 @pytest.mark.parametrize(

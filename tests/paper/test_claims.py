@@ -8,10 +8,11 @@ import pytest
 
 from ptne_env.clock import Exponential
 from ptne_env.games import NonQuadraticGame
-from ptne_env.graphs import fixed, path
+from ptne_env.graphs import path
 from ptne_env.paper import Experiments, table_one
 from ptne_env.paper import claims as claims_module
 from ptne_env.paper.claims import VANISHED, lemma_1, proposition_1, theorem_1, theorem_3
+from ptne_env.switching import fixed
 
 
 def test_table_one(experiments):
@@ -168,7 +169,7 @@ def test_lemma_1_fails_for_a_wrong_transformation(monkeypatch):
 
 
 def test_proposition_1_fails_on_a_disconnected_graph(monkeypatch, experiments):
-    broken = experiments.switching["physical"].signal.graphs[0]
+    broken = experiments.switching["physical"].topology.graphs[0]
     monkeypatch.setattr(claims_module, "path", lambda players: type(broken)(broken.adjacency + 1e-12 * _ring(players)))
     (claim,) = proposition_1(experiments)
     assert claim.verdict == "fails"
@@ -189,7 +190,7 @@ def test_theorem_3_fails_when_gains_fall():
         @property
         def adaptive(self):
             run = super().adaptive
-            return type(run)(run.game, run.signal, run.timeline, run.errors, run.gains[::-1].copy())
+            return type(run)(run.game, run.topology, run.timeline, run.errors, run.gains[::-1].copy())
 
     assert theorem_3(Falling())[0].verdict == "fails"
 

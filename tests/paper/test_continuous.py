@@ -6,9 +6,10 @@ from scipy import integrate, linalg
 
 from ptne_env.clock import Exponential, HyperbolicTangent, Rational
 from ptne_env.games import EnergyGame, NonQuadraticGame
-from ptne_env.graphs import Signal, cycle, fixed, paper_signal, path
+from ptne_env.graphs import cycle, path
 from ptne_env.paper.continuous import exact_static, plain_timeline, prescribed_timeline, simulate
 from ptne_env.starts import paper_start
+from ptne_env.switching import SwitchingTopology, fixed, paper_topology
 from ptne_env.theory import closed_loop_matrix
 
 DEADLINE, GAIN = 1.2, 20.0
@@ -40,18 +41,18 @@ def test_static_law_agrees_with_the_matrix_exponential(start, kappa):
 
 @pytest.mark.parametrize("clock", ["physical", "transformed"])
 def test_switching_agrees_with_piecewise_exponentials(start, clock):
-    signal = paper_signal(0.1 if clock == "physical" else 0.25, clock)
-    timeline = prescribed_timeline(signal, LAMBDA, GAIN, s_end=6.0, hold=0.25, samples=201)
-    run = simulate(EnergyGame(), signal, start, timeline, initial_gain=2.0)
-    exact = exact_static(EnergyGame(), signal, start, timeline, kappa=2.0)
+    topology = paper_topology(0.1 if clock == "physical" else 0.25, clock)
+    timeline = prescribed_timeline(topology, LAMBDA, GAIN, s_end=6.0, hold=0.25, samples=201)
+    run = simulate(EnergyGame(), topology, start, timeline, initial_gain=2.0)
+    exact = exact_static(EnergyGame(), topology, start, timeline, kappa=2.0)
     assert relative_mismatch(run, exact) <= 1e-9
 
 
 def test_adaptive_law_agrees_with_an_integration_in_physical_time(start):
     """The paper's equation as it stands, in t and with plain loops, up to t = 0.9 T."""
-    game, signal, gamma = EnergyGame(), paper_signal(0.1, "physical"), 0.1
+    game, topology, gamma = EnergyGame(), paper_topology(0.1, "physical"), 0.1
     horizon = 0.9 * DEADLINE
-    weights = [graph.adjacency for graph in signal.graphs]
+    weights = [graph.adjacency for graph in topology.graphs]
 
     def loop(t, y, mode):
         x, kappa = y[:25].reshape(5, 5), y[25:].reshape(5, 5)
@@ -71,11 +72,11 @@ def test_adaptive_law_agrees_with_an_integration_in_physical_time(start):
             :, -1
         ]
 
-    timeline = prescribed_timeline(signal, LAMBDA, GAIN, s_end=float(LAMBDA.inverse(horizon)), samples=11)
-    run = simulate(game, signal, start, timeline, initial_gain=0.5, gamma=gamma)
+    timeline = prescribed_timeline(topology, LAMBDA, GAIN, s_end=float(LAMBDA.inverse(horizon)), samples=11)
+    run = simulate(game, topology, start, timeline, initial_gain=0.5, gamma=gamma)
     np.testing.assert_allclose(run.estimates[-1], state[:25].reshape(5, 5), atol=1e-7)
     table = state[25:].reshape(5, 5)
-    np.testing.assert_allclose(run.gains[-1], [table[edge] for edge in signal.union.edges], atol=1e-7)
+    np.testing.assert_allclose(run.gains[-1], [table[edge] for edge in topology.union.edges], atol=1e-7)
 
 
 @pytest.mark.parametrize("transformation", [Exponential(1.2), Rational(0.7), HyperbolicTangent(2.0)])
@@ -88,8 +89,8 @@ def test_timeline_follows_the_transformation(transformation):
 
 
 def test_switches_in_t_end_before_the_deadline_and_go_on_after_it():
-    signal = paper_signal(0.1, "physical")
-    timeline = prescribed_timeline(signal, LAMBDA, GAIN, s_end=30.0, hold=0.25)
+    topology = paper_topology(0.1, "physical")
+    timeline = prescribed_timeline(topology, LAMBDA, GAIN, s_end=30.0, hold=0.25)
     first, hold = timeline.deadline_index, timeline.after_deadline()
     before = [segment for segment in timeline.segments if segment.end <= timeline.tau[first]]
     assert [segment.mode for segment in before] == [0, 1, 2, 3] * 3
@@ -105,7 +106,7 @@ def test_switches_in_t_end_before_the_deadline_and_go_on_after_it():
 
 
 def test_switches_in_s_go_on_for_ever():
-    timeline = prescribed_timeline(paper_signal(0.25, "transformed"), LAMBDA, GAIN, s_end=10.0, hold=0.05)
+    timeline = prescribed_timeline(paper_topology(0.25, "transformed"), LAMBDA, GAIN, s_end=10.0, hold=0.05)
     modes = [segment.mode for segment in timeline.segments]
     # 40 dwells to s = 10, and 0.05 s after T are another c·0.05 = 1 of s.
     assert modes == [0, 1, 2, 3] * 11
@@ -114,8 +115,8 @@ def test_switches_in_s_go_on_for_ever():
 
 
 def test_segments_cover_the_timeline():
-    for signal in (fixed(cycle(5)), paper_signal(0.1), paper_signal(0.3, "transformed")):
-        timeline = prescribed_timeline(signal, LAMBDA, GAIN, s_end=12.0, hold=0.4)
+    for topology in (fixed(cycle(5)), paper_topology(0.1), paper_topology(0.3, "transformed")):
+        timeline = prescribed_timeline(topology, LAMBDA, GAIN, s_end=12.0, hold=0.4)
         starts = [segment.start for segment in timeline.segments]
         ends = [segment.end for segment in timeline.segments]
         assert starts[0] == timeline.tau[0]
@@ -126,17 +127,17 @@ def test_segments_cover_the_timeline():
 
 
 def test_inputs_are_the_derivative_of_the_estimates(start):
-    signal = paper_signal(0.1, "physical")
-    timeline = plain_timeline(signal, 0.4, samples=4001)
-    run = simulate(EnergyGame(), signal, start, timeline, initial_gain=0.5, gamma=0.1)
+    topology = paper_topology(0.1, "physical")
+    timeline = plain_timeline(topology, 0.4, samples=4001)
+    run = simulate(EnergyGame(), topology, start, timeline, initial_gain=0.5, gamma=0.1)
     middle = slice(1100, 1900)  # inside the second dwell
     slope = np.gradient(run.estimates[middle], timeline.tau[middle], axis=0)
     np.testing.assert_allclose(run.inputs[middle][1:-1], slope[1:-1], atol=1e-2 * np.abs(slope).max())
 
 
 def test_distances_and_settling_time(start):
-    signal = fixed(cycle(5))
-    run = simulate(EnergyGame(), signal, start, plain_timeline(signal, 30.0), initial_gain=10.0)
+    topology = fixed(cycle(5))
+    run = simulate(EnergyGame(), topology, start, plain_timeline(topology, 30.0), initial_gain=10.0)
     star = run.game.nash_equilibrium
     strategies = np.diagonal(run.estimates[500])
     assert run.strategy_distance[500] == pytest.approx(np.linalg.norm(strategies - star) / np.linalg.norm(star))
@@ -154,7 +155,7 @@ def test_distances_and_settling_time(start):
 @pytest.mark.parametrize(
     ("call", "match"),
     [
-        (lambda x: plain_timeline(paper_signal(0.25, "transformed"), 1.0), "transformed clock"),
+        (lambda x: plain_timeline(paper_topology(0.25, "transformed"), 1.0), "transformed clock"),
         (lambda x: plain_timeline(fixed(cycle(5)), -1.0), "horizon"),
         (lambda x: prescribed_timeline(fixed(cycle(5)), LAMBDA, -1.0), "constant"),
         (lambda x: prescribed_timeline(fixed(cycle(5)), LAMBDA, 0.0, hold=1.0), "c > 0"),
@@ -167,18 +168,18 @@ def test_timelines_refuse_bad_numbers(call, match):
 
 
 def test_simulations_refuse_what_does_not_fit(start):
-    signal = fixed(cycle(5))
-    timeline = plain_timeline(signal, 1.0, samples=3)
+    topology = fixed(cycle(5))
+    timeline = plain_timeline(topology, 1.0, samples=3)
     with pytest.raises(ValueError, match="shape"):
-        simulate(EnergyGame(), signal, start[:, :4], timeline, initial_gain=1.0)
+        simulate(EnergyGame(), topology, start[:, :4], timeline, initial_gain=1.0)
     with pytest.raises(ValueError, match="initial_gain"):
-        simulate(EnergyGame(), signal, start, timeline, initial_gain=-1.0)
+        simulate(EnergyGame(), topology, start, timeline, initial_gain=-1.0)
     with pytest.raises(ValueError, match="gamma"):
-        simulate(EnergyGame(), signal, start, timeline, initial_gain=1.0, gamma=-0.1)
+        simulate(EnergyGame(), topology, start, timeline, initial_gain=1.0, gamma=-0.1)
     with pytest.raises(ValueError, match="affine"):
-        exact_static(NonQuadraticGame(), signal, start, timeline, kappa=1.0)
+        exact_static(NonQuadraticGame(), topology, start, timeline, kappa=1.0)
     with pytest.raises(ValueError, match="shape"):
-        exact_static(EnergyGame(), signal, start.T[:4], timeline, kappa=1.0)
+        exact_static(EnergyGame(), topology, start.T[:4], timeline, kappa=1.0)
 
 
 def test_one_weighted_graph_counts_its_weights(start):
@@ -187,7 +188,7 @@ def test_one_weighted_graph_counts_its_weights(start):
     by_weight = simulate(EnergyGame(), fixed(weighted), start, timeline, initial_gain=1.0)
     by_gain = simulate(EnergyGame(), fixed(cycle(5)), start, timeline, initial_gain=3.0)
     np.testing.assert_allclose(by_weight.errors, by_gain.errors, atol=1e-10)
-    mixed = Signal([weighted, path(5)], [0.5, 0.5])
+    mixed = SwitchingTopology([weighted, path(5)], [0.5, 0.5])
     run = simulate(EnergyGame(), mixed, start, plain_timeline(mixed, 2.0, samples=5), initial_gain=1.0)
     exact = exact_static(EnergyGame(), mixed, start, run.timeline, kappa=1.0)
     np.testing.assert_allclose(run.errors, exact.errors, atol=1e-9)

@@ -12,7 +12,7 @@ from onnx import helper
 
 import ptne_env
 from ptne_env import Interface, policies
-from ptne_env.evaluation.suite import find_scenario
+from ptne_env.experiments.suite import find_scenario
 from ptne_env.policies import Metadata, PolicyFileError
 
 
@@ -86,7 +86,7 @@ def test_another_layout_is_refused_and_named(tmp_path, layout, changes, named):
     with pytest.raises(PolicyFileError, match=named):
         policy.require(layout)
     with pytest.raises(PolicyFileError, match="another layout"):
-        ptne_env.Entry("mine", policy, Interface("local")).build(layout)
+        ptne_env.PolicySpec("mine", policy, Interface("local")).build(layout)
 
 
 def test_observations_of_another_length_are_refused(tmp_path):

@@ -4,12 +4,12 @@ from dataclasses import replace
 
 import pytest
 
-from ptne_env import Entry, Part, evaluate, get_scenario
-from ptne_env.evaluation import get_entry
-from ptne_env.evaluation.benchmark import run_suite
-from ptne_env.evaluation.leaderboard import leaderboard
-from ptne_env.evaluation.suite import Suite, Track
-from ptne_env.evaluation.traces import comparison_scenes, suite_scenes
+from ptne_env import FactorySpec, PolicySpec, evaluate, get_scenario
+from ptne_env.experiments import get_policy_spec
+from ptne_env.experiments.benchmark import run_suite
+from ptne_env.experiments.leaderboard import leaderboard
+from ptne_env.experiments.suite import Suite, Track
+from ptne_env.experiments.traces import comparison_scenes, suite_scenes
 from ptne_env.report import comparison_report, film, render_page, suite_report
 
 
@@ -22,7 +22,7 @@ def hostile():
 @pytest.fixture(scope="session")
 def comparison(hostile):
     """Results on a fixed and on a drawn world, with an oracle and a hostile name."""
-    mine = Entry(hostile, Part.of("ptne_env.laws:Static", kappa=1.0))
+    mine = PolicySpec(hostile, FactorySpec.of("ptne_env.laws:Static", kappa=1.0))
     return evaluate(["static", "grounded", "null", "oracle", mine], ["energy", "energy-switching"], episodes=6)
 
 
@@ -36,7 +36,7 @@ def compared(comparison):
 def board(tmp_path_factory):
     """A suite of two tracks, on one of which a learned policy cannot act."""
     world = get_scenario("random-energy", steps=200)
-    robots = world.replace(game=Part.of("ptne_env.games:ConnectivityControl"))
+    robots = world.replace(game=FactorySpec.of("ptne_env.games:ConnectivityControl"))
     suite = Suite("tiny", 1, (Track("plain", world, "Nothing."), Track("robots", robots, "Robots.")), episodes=6)
     folder = tmp_path_factory.mktemp("suite")
     return leaderboard(run_suite(suite, ["ppo-random-energy", "grounded", "adaptive"], folder))
@@ -55,7 +55,7 @@ def page_file(compared, benched, tmp_path_factory):
     pages = {"comparison": compared, "suite": benched, "large": _enlarged(benched, 20, 15)}
     for name, report in pages.items():
         (folder / f"{name}.html").write_text(render_page(report), encoding="utf-8")
-    film(get_scenario("energy", steps=100), get_entry("static"), folder / "episode.html")
+    film(get_scenario("energy", steps=100), get_policy_spec("static"), folder / "episode.html")
     return lambda name: folder / f"{name}.html"
 
 

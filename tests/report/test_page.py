@@ -15,7 +15,7 @@ import pytest
 
 from ptne_env import evaluate
 from ptne_env.envs.rendering import COLOURS
-from ptne_env.evaluation.traces import comparison_scenes
+from ptne_env.experiments.traces import comparison_scenes
 from ptne_env.report import comparison_report, render_page, suite_report
 
 VOID = {"meta", "link", "input", "br", "img", "hr"}

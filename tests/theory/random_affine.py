@@ -6,12 +6,13 @@ from dataclasses import dataclass
 import networkx as nx
 import numpy as np
 
-from ptne_env import Part, Scenario, theory
+from ptne_env import FactorySpec, Scenario, theory
 from ptne_env.distances import estimate_distance
-from ptne_env.dynamics import Dynamics
-from ptne_env.evaluation.rollout import rollout
-from ptne_env.interface import Interface, Port
-from ptne_env.sources import Sources
+from ptne_env.dynamics import World
+from ptne_env.encoder import Encoder
+from ptne_env.experiments.rollout import rollout
+from ptne_env.observation import Interface
+from ptne_env.random_streams import RandomStreams
 from ptne_env.theory.closed_loop import blank_reading
 
 BATCH = 2
@@ -21,40 +22,40 @@ BATCH = 2
 @dataclass
 class Case:
     scenario: Scenario
-    part: Part
+    part: FactorySpec
     law: object
-    port: Port
+    encoder: Encoder
     starts: np.ndarray  # (n, N, BATCH)
 
     def play(self):
-        dynamics = self.port.dynamics
-        return rollout(self.law, self.port, dynamics.start(self.starts))
+        world = self.encoder.world
+        return rollout(self.law, self.encoder, world.start(self.starts))
 
     def switch(self, clock):
         """Make the graph switch between its two halves, each disconnected, on ``clock``."""
-        adjacency = self.scenario.built_signal.graphs[0].adjacency
+        adjacency = self.scenario.built_topology.graphs[0].adjacency
         halves = [np.zeros_like(adjacency), np.zeros_like(adjacency)]
         for edge, (i, j) in enumerate(np.argwhere(np.triu(adjacency))):
             halves[edge % 2][i, j] = halves[edge % 2][j, i] = adjacency[i, j]
-        graphs = tuple(Part.of("ptne_env.graphs:Graph", adjacency=half) for half in halves)
-        longest = np.diff(self.scenario.built_clock.signal_times[clock]).max()
+        graphs = tuple(FactorySpec.of("ptne_env.graphs:Graph", adjacency=half) for half in halves)
+        longest = np.diff(self.scenario.built_clock.topology_times[clock]).max()
         dwells = (2.5 * longest, 3.5 * longest)
-        signal = Part.of("ptne_env.graphs:periodic", graphs=graphs, dwells=dwells, clock=clock)
-        self.scenario = self.scenario.replace(signal=signal)
-        self.port = Port(Dynamics(self.scenario), Interface())
+        topology = FactorySpec.of("ptne_env.switching:periodic", graphs=graphs, dwells=dwells, clock=clock)
+        self.scenario = self.scenario.replace(topology=topology)
+        self.encoder = Encoder(World(self.scenario), Interface())
         self.law = theory.build_law(self.part, self.scenario)
 
     def play_in_float64(self):
-        """The law in the environment's own dynamics, seeing more than float32.
+        """The law in the environment's own world, seeing more than float32.
 
         Estimate distances (K+H+1, BATCH), and the root mean square of the velocity Θ u/Δt over a step, (K+H, BATCH).
         """
-        dynamics, distances, velocities, memory = self.port.dynamics, [], [], None
-        state, (n, players) = dynamics.start(self.starts), self.starts.shape[:2]
+        world, distances, velocities, memory = self.encoder.world, [], [], None
+        state, (n, players) = world.start(self.starts), self.starts.shape[:2]
         rows = players * BATCH
-        blank = blank_reading(self.port.layout, np.repeat(np.arange(players), BATCH))
-        own = self.port.layout.own_mask[blank.player]
-        for theta, dt in zip(dynamics.clock.theta[:-1], dynamics.clock.dt[:-1], strict=True):
+        blank = blank_reading(self.encoder.layout, np.repeat(np.arange(players), BATCH))
+        own = self.encoder.layout.own_mask[blank.player]
+        for theta, dt in zip(world.clock.theta[:-1], world.clock.dt[:-1], strict=True):
             distances.append(estimate_distance(state.estimates, state.game))
             weights = np.broadcast_to(state.weights, (*state.weights.shape[:2], BATCH))
             reading = blank._replace(
@@ -67,7 +68,7 @@ class Case:
             inputs, memory = self.law.inputs(reading, memory)
             inputs = inputs.reshape(players, BATCH, n).transpose(2, 0, 1)
             velocities.append(theta / dt * np.sqrt((inputs**2).mean(axis=(0, 1))))
-            state = dynamics.step(state, inputs)
+            state = world.step(state, inputs)
         distances.append(estimate_distance(state.estimates, state.game))
         return np.array(distances), np.array(velocities)
 
@@ -76,15 +77,15 @@ class Case:
 
         With ``follow``, a vector of the stacked estimates, the size of the error's component along it.
         """
-        stages = [Part.of("ptne_env.channel:Delay", steps=delay)] if delay else []
-        stages += [Part.of("ptne_env.channel:AdditiveNoise", std=noise_std)] if noise_std else []
-        channel = Part.of("ptne_env.channel:Chain", stages=tuple(stages))
+        stages = [FactorySpec.of("ptne_env.channel:Delay", steps=delay)] if delay else []
+        stages += [FactorySpec.of("ptne_env.channel:AdditiveNoise", std=noise_std)] if noise_std else []
+        channel = FactorySpec.of("ptne_env.channel:Chain", stages=tuple(stages))
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            dynamics = Dynamics(self.scenario.replace(channel=channel))
-        port, path, memory, batch = Port(dynamics, Interface()), [], None, starts.shape[2]
-        chance = dynamics.draw_chance([Sources.from_seed(seed * batch + one) for one in range(batch)])
-        state = dynamics.start(starts, chance=chance)
+            world = World(self.scenario.replace(channel=channel))
+        encoder, path, memory, batch = Encoder(world, Interface()), [], None, starts.shape[2]
+        randomness = world.draw_randomness([RandomStreams.from_seed(seed * batch + one) for one in range(batch)])
+        state = world.start(starts, randomness=randomness)
 
         def measure(state):
             if follow is None:
@@ -92,11 +93,11 @@ class Case:
             errors = state.estimates - state.game.nash_equilibria[:, None]
             return np.abs(follow @ errors.transpose(1, 0, 2).reshape(-1, errors.shape[2]))
 
-        for _ in range(dynamics.clock.steps):
+        for _ in range(world.clock.steps):
             path.append(measure(state))
-            observations = port.observe(state)
+            observations = encoder.observe(state)
             actions, memory = self.law.predict(observations.reshape(-1, observations.shape[-1]), memory)
-            state = dynamics.step(state, port.decode(actions.reshape(*observations.shape[:2], -1), state).inputs)
+            state = world.step(state, encoder.decode(actions.reshape(*observations.shape[:2], -1), state).inputs)
         path.append(measure(state))
         return np.array(path)
 
@@ -110,11 +111,11 @@ def graph_part(generator, players):
     tree = nx.random_labeled_tree(players, seed=int(generator.integers(1 << 31)))
     adjacency = nx.to_numpy_array(tree) + (generator.random((players, players)) < 0.2)
     adjacency = np.triu((adjacency + adjacency.T > 0) * generator.uniform(0.5, 1.5, (players, players)), 1)
-    return Part.of("ptne_env.graphs:Graph", adjacency=adjacency + adjacency.T)
+    return FactorySpec.of("ptne_env.graphs:Graph", adjacency=adjacency + adjacency.T)
 
 
 def random_game(generator, players, skew, epsilon, spread):
-    return Part.of(
+    return FactorySpec.of(
         "sample_games:AffineGame",
         action_dims=generator.choice([1, 1, 1, 2], players),
         epsilon=float(generator.uniform(*epsilon)),
@@ -160,7 +161,7 @@ def random_case(
     values = {
         "name": f"random-{seed}",
         "game": random_game(generator, players, skew, epsilon, spread),
-        "signal": Part.of("ptne_env.graphs:fixed", graph=graph_part(generator, players)),
+        "topology": FactorySpec.of("ptne_env.switching:fixed", graph=graph_part(generator, players)),
         "start": "random",
         "deadline": float(generator.uniform(0.5, 2.5)),
         "gain": float(generator.uniform(0.0, 2.0 if spacing == "transformed" else 25.0)),
@@ -170,7 +171,7 @@ def random_case(
         **fields,
     }
     rough = quietly(**values)
-    part = Part.of(f"ptne_env.laws:{law}", **arguments)
+    part = FactorySpec.of(f"ptne_env.laws:{law}", **arguments)
     built = theory.build_law(part, rough)
     loop = theory.sampled_loop(rough, built)
     longest = loop.steps[: rough.steps].max()
@@ -179,9 +180,9 @@ def random_case(
         raise ValueError(f"the loop of random case {seed} is unstable at every step: raise κ or lower the skew")
     steps = max(20, int(np.ceil(rough.steps * longest / stable * generator.uniform(*margin))))
     scenario = quietly(**{**values, "steps": steps})
-    port = Port(Dynamics(scenario), Interface())
-    game = port.dynamics.game
+    encoder = Encoder(World(scenario), Interface())
+    game = encoder.world.game
     starts = generator.uniform(-20, 20, (game.dimension, players, BATCH))
     slowest = slowest_mode(loop.loops[0].matrix).reshape(players, game.dimension).T
     starts[:, :, 1] = game.nash_equilibrium[:, None] + 10 * slowest + 0.02 * starts[:, :, 1]
-    return Case(scenario, part, built, port, starts)
+    return Case(scenario, part, built, encoder, starts)

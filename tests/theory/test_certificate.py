@@ -1,4 +1,4 @@
-"""Certificates say no more than they know: of boxes, random signals, channels, random games and other laws."""
+"""Certificates say no more than they know: of boxes, random topologies, channels, random games and other laws."""
 
 import json
 import warnings
@@ -6,8 +6,9 @@ import warnings
 import numpy as np
 import pytest
 
-from ptne_env import CATALOGUE, Part, get_scenario, laws, theory
-from ptne_env.graphs import cycle, fixed, markov, paper_signal, periodic, random_dwells
+from ptne_env import CATALOGUE, FactorySpec, get_scenario, laws, theory
+from ptne_env.graphs import cycle
+from ptne_env.switching import fixed, markov, paper_topology, periodic, random_dwells
 
 LAWS = sorted(name for name, value in vars(laws).items() if isinstance(value, type) and issubclass(value, laws.Law))
 LAWS.remove("Law")
@@ -22,21 +23,21 @@ WITHOUT_LOOP = {
 }
 """Not linear in gradient and differences, or reading or remembering more than these and gains."""
 
-CYCLE = Part.of("ptne_env.graphs:cycle", players=5)
+CYCLE = FactorySpec.of("ptne_env.graphs:cycle", players=5)
 
 
 def channel(name, **arguments):
-    return Part.of(f"ptne_env.channel:{name}", **arguments)
+    return FactorySpec.of(f"ptne_env.channel:{name}", **arguments)
 
 
-def energy_matrices(signal, kappa=2.0):
+def energy_matrices(topology, kappa=2.0):
     game = get_scenario("energy").built_game
-    return [theory.closed_loop_matrix(game, graph, kappa) for graph in signal.graphs]
+    return [theory.closed_loop_matrix(game, graph, kappa) for graph in topology.graphs]
 
 
 @pytest.mark.parametrize("law", LAWS)
 def test_every_law_has_a_certificate_with_its_own_condition(law):
-    part = Part.of(f"ptne_env.laws:{law}")
+    part = FactorySpec.of(f"ptne_env.laws:{law}")
     certificate = theory.certify(get_scenario("energy", hold_steps=5), law=part, delay_limit=1)
     assert certificate.condition == theory.condition(part, get_scenario("energy"))
     data = certificate.to_dict()
@@ -49,9 +50,9 @@ def test_every_law_has_a_certificate_with_its_own_condition(law):
 def test_a_box_takes_the_held_components_out_of_the_loop(name):
     scenario = get_scenario(name)
     game = scenario.built_game
-    loop = theory.sampled_loop(scenario, theory.build_law(Part.of("ptne_env.laws:Static"), scenario))
+    loop = theory.sampled_loop(scenario, theory.build_law(FactorySpec.of("ptne_env.laws:Static"), scenario))
     assert len(loop.loops[0].matrix) == game.num_players * game.dimension - game.held_at_equilibrium.sum()
-    expected = theory.closed_loop_matrix(game, scenario.built_signal.graphs[0], 2.0)
+    expected = theory.closed_loop_matrix(game, scenario.built_topology.graphs[0], 2.0)
     np.testing.assert_allclose(loop.loops[0].matrix, expected, atol=1e-6)
     certificate = theory.certify(scenario, delay_limit=0)
     assert not certificate.rate_is_exact
@@ -75,11 +76,11 @@ def test_noise_and_delay_of_a_channel_are_those_that_are_predicted():
         ({"channel": channel("Delay", steps=1, longest=3)}, "channel's Delay is in none"),
         ({"channel": channel("AdditiveNoise", std=0.1)}, "each on its own"),
         (
-            {"disturbance": Part.of("ptne_env.disturbances:UniformDisturbance", bound=1.0)},
+            {"disturbance": FactorySpec.of("ptne_env.disturbances:UniformDisturbance", bound=1.0)},
             "UniformDisturbance is in none",
         ),
         ({"clock_shifts": (0.0, 0.01, 0.0, 0.0, 0.0)}, "clocks disagree"),
-        ({"game": Part.of("ptne_env.games:RandomEnergy", players=5), "start": "random"}, "draws games"),
+        ({"game": FactorySpec.of("ptne_env.games:RandomEnergy", players=5), "start": "random"}, "draws games"),
     ],
 )
 def test_what_is_left_out_is_said(changes, phrase):
@@ -88,19 +89,19 @@ def test_what_is_left_out_is_said(changes, phrase):
 
 @pytest.mark.parametrize("clock", ["physical", "transformed"])
 def test_a_random_signal_gets_estimates_that_are_called_so(clock):
-    graphs = (CYCLE, Part.of("ptne_env.graphs:path", players=5))
+    graphs = (CYCLE, FactorySpec.of("ptne_env.graphs:path", players=5))
     dwells = (0.1, 0.2) if clock == "physical" else (0.3, 0.5)
-    part = Part.of("ptne_env.graphs:random_dwells", graphs=graphs, dwells=dwells, clock=clock)
-    certificate = theory.certify(get_scenario("energy", signal=part), delay_limit=0)
+    part = FactorySpec.of("ptne_env.switching:random_dwells", graphs=graphs, dwells=dwells, clock=clock)
+    certificate = theory.certify(get_scenario("energy", topology=part), delay_limit=0)
     assert not certificate.rate_is_exact
-    assert any("the signal is random" in note for note in certificate.notes)
+    assert any("the topology is random" in note for note in certificate.notes)
     slowest = min(map(theory.spectral_abscissa, energy_matrices(part.build())))
     assert certificate.rate == pytest.approx(slowest) if clock == "physical" else certificate.rate > slowest
     assert certificate.digits_sampled > 2
 
 
 def test_rates_of_random_signals_meet_those_of_signals_that_are_not():
-    periodic_signal = paper_signal(0.25, "transformed")
+    periodic_signal = paper_topology(0.25, "transformed")
     graphs = periodic_signal.graphs
     certain = random_dwells(graphs, 0.25, "transformed")
     matrices = energy_matrices(periodic_signal)
@@ -114,7 +115,7 @@ def test_rates_of_random_signals_meet_those_of_signals_that_are_not():
 
 
 def test_a_law_without_the_time_gain_sees_the_mean_of_graphs_that_switch_ever_faster():
-    graphs = paper_signal().graphs
+    graphs = paper_topology().graphs
     even = [[0.25] * 4] * 4
     in_s = markov(graphs, even, 0.25, "transformed")
     matrices = energy_matrices(in_s)
@@ -126,14 +127,14 @@ def test_a_law_without_the_time_gain_sees_the_mean_of_graphs_that_switch_ever_fa
 
 
 def test_a_law_that_looks_at_its_step_is_not_judged_by_the_rate_alone():
-    certificate = theory.certify(get_scenario("energy"), law=Part.of("ptne_env.laws:CappedGain"), delay_limit=0)
+    certificate = theory.certify(get_scenario("energy"), law=FactorySpec.of("ptne_env.laws:CappedGain"), delay_limit=0)
     assert (certificate.velocity_bounded, certificate.energy_finite) == (None, None)
     assert any("looks at its step" in note for note in certificate.notes)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         coarse = get_scenario("energy", steps=20)
     margins = [
-        theory.certify(coarse, law=Part.of(f"ptne_env.laws:{law}"), delay_limit=0).step_margin
+        theory.certify(coarse, law=FactorySpec.of(f"ptne_env.laws:{law}"), delay_limit=0).step_margin
         for law in ("Static", "LocallyImplicit")
     ]
     assert margins[0] < 1 < margins[1]  # implicit steps are stable where explicit ones are not
@@ -141,7 +142,7 @@ def test_a_law_that_looks_at_its_step_is_not_judged_by_the_rate_alone():
 
 @pytest.mark.parametrize("law", ["Adaptive", "AdaptiveGrounded", "AveragingIntegral"])
 def test_gains_that_adapt_are_shown_at_both_ends(law):
-    certificate = theory.certify(get_scenario("energy"), law=Part.of(f"ptne_env.laws:{law}"), delay_limit=0)
+    certificate = theory.certify(get_scenario("energy"), law=FactorySpec.of(f"ptne_env.laws:{law}"), delay_limit=0)
     start, end = certificate.frozen_gains
     assert (start.instant, end.instant) == ("start", "deadline")
     assert start.smallest == start.largest <= end.smallest <= end.largest

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from random_affine import random_case
 
-from ptne_env import Part, get_scenario, theory
+from ptne_env import FactorySpec, get_scenario, theory
 
 LAWS = ["Grounded", "CorollaryOne", "Static", "Static", "Static"]
 SCENARIOS = 200
@@ -164,15 +164,18 @@ def test_digits_of_a_certificate_are_those_of_the_environment_at_the_deadline_an
 
 
 def test_guarantees_of_the_gain_condition_hold_on_every_start():
-    everybody = {3: Part.of("ptne_env.graphs:complete", players=3), 4: Part.of("ptne_env.graphs:complete", players=4)}
+    everybody = {
+        3: FactorySpec.of("ptne_env.graphs:complete", players=3),
+        4: FactorySpec.of("ptne_env.graphs:complete", players=4),
+    }
     telling = 0
     for seed in range(40):
         fields = {"spacing": "effective", "players": (3, 4), "epsilon": (2.0, 3.0), "spread": (0.1, 0.4), "skew": 0.3}
         case = random_case(seed, s_end=5.0, gain=0.0, **fields)
         if seed % 4 == 0:  # connected so well that the bound says something
             graph = everybody[case.scenario.built_game.num_players]
-            case.scenario = case.scenario.replace(signal=Part.of("ptne_env.graphs:fixed", graph=graph))
-        game, graph = case.scenario.built_game, case.scenario.built_signal.graphs[0]
+            case.scenario = case.scenario.replace(topology=FactorySpec.of("ptne_env.switching:fixed", graph=graph))
+        game, graph = case.scenario.built_game, case.scenario.built_topology.graphs[0]
         constants = theory.monotonicity_constants(game)
         bound = theory.gain_bound(constants, graph.algebraic_connectivity)
         rates = [
@@ -307,7 +310,7 @@ def test_delay_bound_is_exact_for_one_link_that_is_all_delay():
 @pytest.mark.parametrize("seed", [2, 9, 17])
 def test_law_loop_of_the_static_law_is_the_closed_loop_matrix(seed):
     case = random_case(seed)
-    game, graph = case.scenario.built_game, case.scenario.built_signal.graphs[0]
+    game, graph = case.scenario.built_game, case.scenario.built_topology.graphs[0]
     loop = theory.law_loop(case.law, game, graph)
     gain = case.law.gradient_gain
     expected = gain * theory.closed_loop_matrix(game, graph, case.law.kappa / gain)
@@ -321,7 +324,7 @@ def test_law_loop_of_the_static_law_is_the_closed_loop_matrix(seed):
 
 def test_law_loop_of_the_grounded_law_is_its_equation():
     case = random_case(2, "Grounded")
-    game, graph, kappa = case.scenario.built_game, case.scenario.built_signal.graphs[0], case.law.kappa
+    game, graph, kappa = case.scenario.built_game, case.scenario.built_topology.graphs[0], case.law.kappa
     n, players, a = game.dimension, game.num_players, graph.adjacency
     error = np.random.default_rng(0).normal(size=(players, n))
     expected = np.zeros((players, n))
@@ -339,7 +342,7 @@ def test_law_loop_of_the_grounded_law_is_its_equation():
 
 def test_law_loop_at_frozen_gains_is_the_static_law_on_the_graph_weighted_by_them():
     case = random_case(4, "Adaptive")
-    game, graph = case.scenario.built_game, case.scenario.built_signal.graphs[0]
+    game, graph = case.scenario.built_game, case.scenario.built_topology.graphs[0]
     gains = np.random.default_rng(1).uniform(0.5, 2.0, graph.adjacency.shape)
     gains = gains + gains.T
     neighbours = np.array(case.law.layout.neighbours)
@@ -356,7 +359,7 @@ def test_law_loop_at_frozen_gains_is_the_static_law_on_the_graph_weighted_by_the
 def test_recursion_of_the_adaptive_law_is_the_environment(seed):
     case = random_case(seed, "Adaptive", spacing="effective", gain=5.0)
     for column in range(2):
-        played = theory.play(case.law, case.port.dynamics, case.starts[:, :, column])
+        played = theory.play(case.law, case.encoder.world, case.starts[:, :, column])
         measured = case.play().estimate_distance[:, column]
         predicted = theory.distance(played.errors, case.scenario.built_game)
         np.testing.assert_allclose(measured, predicted, rtol=1e-6, atol=ROUNDING)
@@ -365,7 +368,7 @@ def test_recursion_of_the_adaptive_law_is_the_environment(seed):
 
 def test_a_loop_that_diverges_is_told_so_and_overflows_nowhere():
     scenario = get_scenario("random-energy", steps=150)
-    adaptive = Part.of("ptne_env.laws:Adaptive", gamma=0.01, initial_gain=0.5)
+    adaptive = FactorySpec.of("ptne_env.laws:Adaptive", gamma=0.01, initial_gain=0.5)
     certificate = theory.certify(scenario, law=adaptive)
     assert certificate.digits_sampled < -100
     assert any("diverges" in note for note in certificate.notes)
@@ -374,7 +377,7 @@ def test_a_loop_that_diverges_is_told_so_and_overflows_nowhere():
 
 def test_a_law_that_looks_at_its_step_has_a_loop_for_every_step():
     case = random_case(3, "Static", spacing="effective", gain=3.0)
-    implicit = Part.of("sample_laws:Damped", kappa=1.5).build(layout=case.port.layout)
+    implicit = FactorySpec.of("sample_laws:Damped", kappa=1.5).build(layout=case.encoder.layout)
     case.law = implicit
     loop = theory.sampled_loop(case.scenario, implicit)
     assert len(loop.loops) > 1
@@ -393,7 +396,7 @@ def test_a_law_that_looks_at_its_step_has_a_loop_for_every_step():
     ],
 )
 def test_what_has_no_closed_loop_gets_no_numbers_of_one(target, phrase):
-    certificate = theory.certify(get_scenario("energy"), law=Part.of(target))
+    certificate = theory.certify(get_scenario("energy"), law=FactorySpec.of(target))
     assert phrase in certificate.notes[0]
     assert (certificate.rate, certificate.digits_sampled, certificate.noise, certificate.delay) == (None,) * 4
     assert len(certificate.assumptions) == 4
@@ -401,4 +404,4 @@ def test_what_has_no_closed_loop_gets_no_numbers_of_one(target, phrase):
 
 def test_what_is_no_law_is_refused():
     with pytest.raises(ValueError, match="the theory is about"):
-        theory.certify(get_scenario("energy"), law=Part.of("ptne_env.laws:RandomPolicy"))
+        theory.certify(get_scenario("energy"), law=FactorySpec.of("ptne_env.laws:RandomPolicy"))

@@ -17,9 +17,9 @@ torch = need_sb3()
 from stable_baselines3 import PPO
 
 import ptne_env
-from ptne_env import Entry, Interface, evaluate, policies
+from ptne_env import Interface, PolicySpec, evaluate, policies
 from ptne_env.envs.sb3 import SlotVecEnv
-from ptne_env.evaluation.suite import find_scenario
+from ptne_env.experiments.suite import find_scenario
 from ptne_env.training import ppo
 from ptne_env.training.export import to_onnx
 from ptne_env.training.features import Products
@@ -31,7 +31,7 @@ def test_training_gains_digits_over_its_own_start(run):
     torch.manual_seed(0)
     untrained = PPO("MlpPolicy", env, policy_kwargs={"activation_fn": torch.nn.Tanh}, device="cpu", seed=0)
     results = evaluate(
-        [Entry("untrained", untrained, Interface("local"))],
+        [PolicySpec("untrained", untrained, Interface("local"))],
         [ptne_env.get_scenario("random-energy")],
         episodes=50,
         split="validation",
@@ -64,7 +64,7 @@ def test_digits_in_the_file_are_those_that_the_file_reaches(run):
     out, summary, _ = run
     policy = policies.load(out / "policy.onnx")
     results = evaluate(
-        [Entry("learned", policy)], [ptne_env.get_scenario("random-energy")], episodes=50, split="validation"
+        [PolicySpec("learned", policy)], [ptne_env.get_scenario("random-energy")], episodes=50, split="validation"
     )
     assert results.record("random-energy", "learned", "digits")["mean"] == pytest.approx(
         policy.metadata.digits, abs=1e-3

@@ -1,0 +1,27 @@
+"""PettingZoo's turn-based (AEC) form of the environment: players act one after the other on the same observation."""
+
+from __future__ import annotations
+
+from typing import Any, TypeAlias
+
+from pettingzoo import AECEnv
+from pettingzoo.utils.conversions import parallel_to_aec_wrapper
+from pettingzoo.utils.wrappers import OrderEnforcingWrapper
+
+from ptne_env.envs.parallel import parallel_env
+from ptne_env.scenario import Scenario
+
+TurnBasedEnv: TypeAlias = AECEnv
+
+
+def aec_env(scenario: str | Scenario = "energy", **arguments: Any) -> TurnBasedEnv:
+    """The turn-based form of a scenario, with PettingZoo's check of the order of calls.
+
+    Args:
+        scenario: a name of the catalogue or a scenario.
+        **arguments: of :func:`ptne_env.parallel_env`.
+
+    Raises:
+        ValueError: as :func:`ptne_env.parallel_env`.
+    """
+    return OrderEnforcingWrapper(parallel_to_aec_wrapper(parallel_env(scenario, **arguments)))

@@ -1,0 +1,318 @@
+"""Phase diagrams: digits at the deadline over two parameters, measured in the environment beside what theory predicts.
+
+Every point is a batch of episodes of the static law from random starts. Predicted are the digits of the sampled loop
+from the same starts, and boundaries; docs/theory.md shows the diagrams.
+"""
+
+from __future__ import annotations
+
+import json
+import warnings
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from itertools import count
+from typing import Any
+
+import numpy as np
+
+from ptne_env import theory
+from ptne_env._version import __version__
+from ptne_env.arrays import FloatArray, require_count
+from ptne_env.dynamics import World
+from ptne_env.encoder import Encoder
+from ptne_env.experiments.episodes import draw_start
+from ptne_env.experiments.rollout import rollout
+from ptne_env.experiments.workers import Workers
+from ptne_env.factory import FactorySpec
+from ptne_env.laws import Static
+from ptne_env.observation import Interface
+from ptne_env.scenario import Scenario, get_scenario
+
+CEILING = 12.0
+"""Digits count up to here: beyond, the environment's float64 and the observations' float32 end."""
+
+FLOOR = -2.0
+"""And down to here: below, a loop grows without bound."""
+
+_KAPPA = 2.0
+
+
+@dataclass(frozen=True)
+class Axis:
+    """One parameter of a diagram.
+
+    Attributes:
+        label: with the symbol and the unit.
+        values: increasing.
+        is_logarithmic: whether they are spaced evenly in their logarithm.
+    """
+
+    label: str
+    values: tuple[float, ...]
+    is_logarithmic: bool = True
+
+
+@dataclass(frozen=True)
+class Boundary:
+    """A line that theory draws through a diagram.
+
+    Attributes:
+        label: what changes there.
+        x, y: points of the line, in the units of the axes.
+    """
+
+    label: str
+    x: tuple[float, ...]
+    y: tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class Diagram:
+    """A measured phase diagram.
+
+    Attributes:
+        name: for files.
+        title: what is shown.
+        x, y: the axes.
+        measured: mean digits at T, one row per value of y and one column per value of x, within FLOOR..CEILING;
+            ``None`` where no such scenario exists.
+        predicted: digits that theory predicts, likewise.
+        boundaries: lines that theory draws.
+        episodes: behind each point.
+        seed: of the starts, and of the noise.
+        version: of this library.
+    """
+
+    name: str
+    title: str
+    x: Axis
+    y: Axis
+    measured: tuple[tuple[float | None, ...], ...]
+    predicted: tuple[tuple[float | None, ...], ...]
+    boundaries: tuple[Boundary, ...]
+    episodes: int
+    seed: int
+    version: str = __version__
+
+    def grid(self, which: str) -> FloatArray:
+        """``"measured"`` or ``"predicted"`` as an array, NaN where there is no scenario; shape (len(y), len(x))."""
+        return np.array(getattr(self, which), dtype=np.float64)
+
+    @property
+    def difference(self) -> float:
+        """The largest |measured − predicted| digits over the points."""
+        return float(np.nanmax(np.abs(self.grid("measured") - self.grid("predicted"))))
+
+    def to_json(self) -> str:
+        """Everything as a JSON text."""
+        return json.dumps(asdict(self), indent=1, allow_nan=False, ensure_ascii=False)
+
+
+@dataclass(frozen=True)
+class Sweep:
+    """A diagram that can be measured.
+
+    Attributes:
+        title: what is shown.
+        axes: the two axes, for a number of points along each.
+        point: the scenario and κ of a point (x, y).
+        boundaries: what theory draws over these axes.
+    """
+
+    title: str
+    axes: Callable[[int], tuple[Axis, Axis]]
+    point: Callable[[float, float], tuple[Scenario, float]]
+    boundaries: Callable[[Axis, Axis], Sequence[Boundary]]
+
+
+def run_sweep(
+    name: str,
+    *,
+    points: int = 14,
+    episodes: int = 8,
+    seed: int = 0,
+    workers: Workers = Workers(),  # noqa: B008 - immutable
+    progress: Callable[[int, int], None] | None = None,
+) -> Diagram:
+    """Measure one phase diagram.
+
+    Args:
+        name: one of :data:`SWEEPS`.
+        points: along each axis, at least 2.
+        episodes: per point.
+        seed: of the starts, and of the noise.
+        workers: who measures the points. The results do not depend on it.
+        progress: called with the number of points that are done and their total.
+
+    Raises:
+        ValueError: when the name is unknown or a number is too small.
+        ImportError, ConnectionError, ChildProcessError: as :meth:`~ptne_env.experiments.workers.Workers.run`.
+    """
+    if name not in SWEEPS:
+        raise ValueError(f"unknown diagram {name!r}; choose from {', '.join(SWEEPS)}")
+    require_count("points", points, 2)
+    require_count("episodes", episodes, 1)
+    sweep = SWEEPS[name]
+    x, y = sweep.axes(points)
+    tasks = [(name, one, other, episodes, seed) for other in y.values for one in x.values]
+    done = count(1)
+
+    def tell(*_: object) -> None:
+        if progress is not None:
+            progress(next(done), len(tasks))
+
+    found = workers.gather(_measure, tasks, tell)
+    rows = [found[start : start + points] for start in range(0, len(tasks), points)]
+    return Diagram(
+        name=name,
+        title=sweep.title,
+        x=x,
+        y=y,
+        measured=tuple(tuple(measured for measured, _ in row) for row in rows),
+        predicted=tuple(tuple(predicted for _, predicted in row) for row in rows),
+        boundaries=tuple(sweep.boundaries(x, y)),
+        episodes=episodes,
+        seed=seed,
+    )
+
+
+def _measure(name: str, x: float, y: float, episodes: int, seed: int) -> tuple[float | None, float | None]:
+    """Mean digits at T of one point, as measured and as predicted."""
+    try:
+        scenario, kappa = _point(name, x, y)
+    except ValueError:  # such as a dwell that is shorter than a step
+        return None, None
+    encoder = Encoder(World(scenario), Interface())
+    law, start = Static(encoder.layout, kappa), draw_start(encoder.world, episodes, seed)
+    distances = rollout(law, encoder, start).estimate_distance[scenario.steps]
+
+    game, loop = scenario.built_game, theory.sampled_loop(scenario, law)
+    std = theory.channel_noise(scenario.built_channel)
+    errors = theory.start_error(start.estimates, game)
+    transition = loop.transition()
+    if not np.all(np.isfinite(transition)):
+        return _mean_digits(distances), FLOOR
+    clean = theory.distance((transition @ errors).T, game)
+    noise = theory.noise_distance(loop.noise_covariance(std), game) if std else 0.0
+    return _mean_digits(distances), _mean_digits(np.hypot(clean, noise))
+
+
+def _mean_digits(distances: FloatArray) -> float:
+    return float(-np.log10(np.clip(distances, 10.0**-CEILING, 10.0**-FLOOR)).mean())
+
+
+def _point(name: str, x: float, y: float) -> tuple[Scenario, float]:
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)  # a short horizon is what some diagrams are about
+        return SWEEPS[name].point(x, y)
+
+
+def _logarithmic(label: str, low: float, high: float, points: int) -> Axis:
+    return Axis(label, tuple(float(value) for value in np.geomspace(low, high, points)))
+
+
+def _horizontal(label: str, x: Axis, level: float) -> Boundary:
+    return Boundary(label, (x.values[0], x.values[-1]), (level, level))
+
+
+def _vertical(label: str, y: Axis, place: float) -> Boundary:
+    return Boundary(label, (place, place), (y.values[0], y.values[-1]))
+
+
+# The limit on inputs is put out of reach: what is predicted is the loop, not its saturation.
+_FREE: Mapping[str, Any] = {"start": "random", "input_limit": 1e6}
+
+
+def _energy(**changes: Any) -> Scenario:
+    return get_scenario("energy", **_FREE, **changes)
+
+
+def _gain_step_axes(points: int) -> tuple[Axis, Axis]:
+    total = _energy().built_clock.effective_time
+    steps = np.unique(np.rint(np.geomspace(total, total / 0.04, points)).astype(int))[::-1]
+    if len(steps) < points:
+        raise ValueError(f"{points} points along Θ are more than there are numbers of steps")
+    return _logarithmic("κ", 0.1, 30.0, points), Axis("step Θ", tuple(float(total / number) for number in steps))
+
+
+def _gain_step_point(kappa: float, theta: float) -> tuple[Scenario, float]:
+    return _energy(steps=round(_energy().built_clock.effective_time / theta)), kappa
+
+
+def _gain_step_boundaries(x: Axis, y: Axis) -> list[Boundary]:
+    game, graph = _energy().built_game, _energy().built_topology.graphs[0]
+    kappas = np.geomspace(x.values[0], x.values[-1], 200)
+    steps = [theory.largest_stable_step(theory.closed_loop_matrix(game, graph, float(kappa))) for kappa in kappas]
+    known = [(float(kappa), step) for kappa, step in zip(kappas, steps, strict=True) if step is not None]
+    bound = theory.gain_bound(theory.monotonicity_constants(game), graph.algebraic_connectivity)
+    return [
+        Boundary("largest stable step", *map(tuple, zip(*known, strict=True))),
+        *([_vertical("gain condition (sufficient)", y, bound)] if bound is not None else []),
+    ]
+
+
+_NOISE_GAIN = 5.0
+
+
+def _noise_axes(points: int) -> tuple[Axis, Axis]:
+    horizons = tuple(float(value) for value in np.linspace(2.0, 34.0, points))
+    return _logarithmic("noise σ", 1e-7, 10.0, points), Axis("horizon s_end", horizons, is_logarithmic=False)
+
+
+def _noise_point(std: float, s_end: float) -> tuple[Scenario, float]:
+    channel = FactorySpec.of("ptne_env.channel:AdditiveNoise", std=std)
+    return _energy(channel=channel, s_end=s_end, gain=_NOISE_GAIN), _KAPPA
+
+
+def _noise_boundaries(x: Axis, y: Axis) -> list[Boundary]:  # noqa: ARG001 - the signature is shared
+    floor = []
+    for s_end in np.linspace(y.values[0], y.values[-1], 17):
+        scenario, kappa = _point("noise-horizon", 1.0, float(s_end))
+        encoder = Encoder(World(scenario), Interface())
+        loop, game = theory.sampled_loop(scenario, Static(encoder.layout, kappa)), scenario.built_game
+        errors = theory.start_error(draw_start(encoder.world, 64, 0).estimates, game)
+        clean = theory.distance((loop.transition() @ errors).T, game)
+        floor.append(float(np.exp(np.log(clean).mean()) / theory.noise_distance(loop.noise_covariance(), game)))
+    return [Boundary("noise as large as the error", tuple(floor), tuple(np.linspace(y.values[0], y.values[-1], 17)))]
+
+
+def _dwell_axes(points: int) -> tuple[Axis, Axis]:
+    return _logarithmic("dwell time [s]", 0.01, 0.8, points), _logarithmic("c [1/s]", 1.0, 200.0, points)
+
+
+def _dwell_point(dwell: float, gain: float) -> tuple[Scenario, float]:
+    topology = FactorySpec.of("ptne_env.switching:paper_topology", dwell=dwell)
+    return _energy(topology=topology, gain=gain), _KAPPA
+
+
+def _dwell_boundaries(x: Axis, y: Axis) -> list[Boundary]:
+    scenario, kappa = _point("dwell-gain", 0.1, 20.0)
+    game, graphs = scenario.built_game, scenario.built_topology.graphs
+    matrices = [theory.closed_loop_matrix(game, graph, kappa) for graph in graphs]
+    steps = [theory.largest_stable_step(matrix) for matrix in matrices]
+    stable = min(step for step in steps if step is not None)
+    rate = theory.input_decay_rate(matrices, scenario.built_topology, scenario.deadline)
+    dwells = np.geomspace(x.values[0], x.values[-1], 50)
+    settles = dwells[(dwells > 1 / (rate * y.values[-1])) & (dwells < 1 / (rate * y.values[0]))]
+    lines = [
+        _vertical("all four graphs act before T", y, scenario.deadline / 3),
+        Boundary("a graph settles within its dwell", tuple(settles), tuple(1 / (rate * settles))),
+    ]
+    gain = (stable * scenario.steps - scenario.s_end) / scenario.deadline  # where the step (cT + s_end)/K is stable
+    if y.values[0] < gain < y.values[-1]:
+        lines.append(_horizontal("largest stable step", x, gain))
+    return lines
+
+
+SWEEPS: Mapping[str, Sweep] = {
+    "gain-step": Sweep(
+        "Energy game on the 5-cycle: consensus gain and step", _gain_step_axes, _gain_step_point, _gain_step_boundaries
+    ),
+    "noise-horizon": Sweep(
+        f"Energy game, c = {_NOISE_GAIN:g}: noise on messages and horizon", _noise_axes, _noise_point, _noise_boundaries
+    ),
+    "dwell-gain": Sweep(
+        "Energy game, switching in t: dwell time and constant gain", _dwell_axes, _dwell_point, _dwell_boundaries
+    ),
+}
+"""The phase diagrams by name."""

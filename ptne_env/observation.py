@@ -1,0 +1,299 @@
+"""How does a policy see and act? Observation layouts, units, order of components and action modes.
+
+A *layout* is what a policy knows about its observations: named slices, the neighbours in its slots, units and limits.
+A *encoder* connects one layout to a running world: it turns states into observations and actions into inputs.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Literal, NamedTuple, TypeAlias, get_args
+
+import numpy as np
+import numpy.typing as npt
+
+from ptne_env.arrays import BoolArray, Float32Array, FloatArray, IntArray, require_positive
+
+InterfaceKind: TypeAlias = Literal["physical", "local", "full"]
+ActionMode: TypeAlias = Literal["input", "gains"]
+
+OBSERVATION_BOUND = 1e6
+"""Box bound of every observed entry that carries units."""
+
+GAIN_OCTAVES = 3.0
+"""In action mode ``gains`` an action of ±1 multiplies or divides a gain by 2^3."""
+
+CONSENSUS_GAIN = 2.0
+"""In action mode ``gains`` the action 0 means gradient gain 1 and this consensus gain, the paper's κ."""
+
+
+@dataclass(frozen=True)
+class Interface:
+    """How a policy sees and acts. A policy carries its own; the physics does not depend on it.
+
+    Attributes:
+        kind: ``"physical"`` (natural units, player order), ``"local"`` (scale-free, ego order) or ``"full"``
+            (``physical`` and what no player can see; for oracles only).
+        action_mode: ``"input"`` (an action is the input u^i) or ``"gains"`` (two numbers per player).
+        action_scale: under ``local``, an action of 1 is this many times σ_i.
+        own_payoff: whether a player sees its own cost J_i at the real strategies.
+        neighbour_errors: whether it sees its neighbours' consensus errors, which are two links away; oracles only.
+        best_response: whether it sees everybody's best response to the real strategies; oracles only.
+
+    Raises:
+        ValueError: for an unknown kind or action mode, a scale that is not positive, or an oracle's slice in an
+            interface that is not ``full``.
+    """
+
+    kind: InterfaceKind = "physical"
+    action_mode: ActionMode = "input"
+    action_scale: float = 5.0
+    own_payoff: bool = False
+    neighbour_errors: bool = False
+    best_response: bool = False
+
+    def __post_init__(self) -> None:
+        if self.kind not in get_args(InterfaceKind):
+            raise ValueError(f"unknown interface {self.kind!r}; choose from {', '.join(get_args(InterfaceKind))}")
+        if self.action_mode not in get_args(ActionMode):
+            raise ValueError(f"unknown action mode {self.action_mode!r}; choose from {', '.join(get_args(ActionMode))}")
+        require_positive("action_scale", self.action_scale)
+        for name in ("neighbour_errors", "best_response"):
+            if getattr(self, name) and self.kind != "full":
+                raise ValueError(f"{name} is for oracles: it needs the interface 'full', got {self.kind!r}")
+
+
+class Reading(NamedTuple):
+    """Observations of R players, read back into float64 and player order. Gradients and estimates are in ``unit``.
+
+    Attributes:
+        player: who observes, shape (R,).
+        gradient: R_i^T ∂J_i/∂x_i(x^i), zero outside the own block, shape (R, n).
+        relative_estimates: x^j − x^i per neighbour slot, shape (R, D, n).
+        weights: a_ij per neighbour slot, shape (R, D).
+        unit: what 1 of the above is in natural units, shape (R, 1); 1 under ``physical``, σ_i under ``local``.
+        theta: Θ_k of the coming step, shape (R, 1).
+        dt: Δt_k of the coming step in seconds, shape (R, 1).
+        relative_strategies: x − x^i, shape (R, n); empty (R, 0) unless the interface is ``full``.
+        pseudo_gradient: F(x), or in a box (x − Π(x − Θ F(x)))/Θ, the way that is open; shape (R, n), and empty (R, 0)
+            unless the interface is ``full``.
+        own_estimate: x^i in natural units, shape (R, n); empty (R, 0) under ``local``.
+        own_payoff: J_i(x) in natural units, shape (R, 1); empty (R, 0) unless the interface has it.
+        neighbour_errors: Σ_l a_jl (x^j − x^l) of the neighbour j in each slot, shape (R, D, n); empty (R, 0, n) unless
+            the interface has it.
+        best_response: y − x with y_i the best response of player i to x, shape (R, n); empty (R, 0) unless the
+            interface has it.
+    """
+
+    player: IntArray
+    gradient: FloatArray
+    relative_estimates: FloatArray
+    weights: FloatArray
+    unit: FloatArray
+    theta: FloatArray
+    dt: FloatArray
+    relative_strategies: FloatArray
+    pseudo_gradient: FloatArray
+    own_estimate: FloatArray
+    own_payoff: FloatArray
+    neighbour_errors: FloatArray
+    best_response: FloatArray
+
+
+@dataclass(frozen=True)
+class ObservationLayout:
+    """What a policy knows about its observations and actions, which it was built for.
+
+    An observation is a flat float32 vector of named slices, in the order of :attr:`slices`:
+
+    ======================= ======== =======================================================================
+    name                    size     content
+    ======================= ======== =======================================================================
+    ``own_gradient``        m        ∂J_i/∂x_i(x^i), padded with 0 to the largest n_i
+    ``own_estimate``        n        x^i (not under ``local``)
+    ``relative_estimates``  D n      x^j − x^i per neighbour slot, taken in float64; 0 where the link is down; x^j is
+                                     what the channel delivers
+    ``weights``             D        a_ij per neighbour slot; 0 where the link is down, or the message is lost
+    ``log_scale``           1        log10 σ_i (only under ``local``)
+    ``clock``               4        t/T, s, Θ_k, Δt_k/T, the first three by the player's own clock
+    ``time_since_switch``   1        over the topology's mean dwell, clipped to 1; 0 for a fixed graph
+    ``player``              N        one-hot
+    ``relative_strategies`` n        x − x^i (only under ``full``)
+    ``pseudo_gradient``     n        F(x) at the real strategies, as far as a box lets them move (only under ``full``)
+    ``own_payoff``          1        J_i(x) at the real strategies, natural units (only with ``own_payoff``)
+    ``neighbour_errors``    D n      Σ_l a_jl (x^j − x^l) per neighbour slot (only with ``neighbour_errors``)
+    ``best_response``       n        best responses to x, minus x (only with ``best_response``)
+    ======================= ======== =======================================================================
+
+    Under ``local``, gradient and relative estimates are divided by σ_i = max(‖own gradient‖_∞, max over live links
+    ‖x^j − x^i‖_∞, 1e-30), and components are in ego order: the own block first, then cyclically.
+
+    Attributes:
+        interface: units, order and action mode.
+        action_dims: n_i of each player.
+        neighbours: per player, the player in each of its D slots; a padded slot holds the player itself.
+        input_limit: largest |u|.
+        deadline: T in seconds.
+    """
+
+    interface: Interface
+    action_dims: tuple[int, ...]
+    neighbours: tuple[tuple[int, ...], ...]
+    input_limit: float
+    deadline: float
+
+    @property
+    def num_players(self) -> int:
+        """N."""
+        return len(self.action_dims)
+
+    @cached_property
+    def dimension(self) -> int:
+        """n = Σ n_i."""
+        return sum(self.action_dims)
+
+    @property
+    def slots(self) -> int:
+        """D, neighbour slots per player."""
+        return len(self.neighbours[0])
+
+    @cached_property
+    def slices(self) -> dict[str, slice]:
+        """The named parts of an observation, in order."""
+        n, slots, kind = self.dimension, self.slots, self.interface.kind
+        sizes = {"own_gradient": max(self.action_dims)}
+        if kind != "local":
+            sizes["own_estimate"] = n
+        sizes |= {"relative_estimates": slots * n, "weights": slots}
+        if kind == "local":
+            sizes["log_scale"] = 1
+        sizes |= {"clock": 4, "time_since_switch": 1, "player": self.num_players}
+        if kind == "full":
+            sizes |= {"relative_strategies": n, "pseudo_gradient": n}
+        extras = {"own_payoff": 1, "neighbour_errors": slots * n, "best_response": n}
+        sizes |= {name: size for name, size in extras.items() if getattr(self.interface, name)}
+        ends = np.cumsum(list(sizes.values()))
+        return {name: slice(int(end) - size, int(end)) for (name, size), end in zip(sizes.items(), ends, strict=True)}
+
+    @cached_property
+    def size(self) -> int:
+        """Length of an observation."""
+        return max(part.stop for part in self.slices.values())
+
+    @cached_property
+    def action_size(self) -> int:
+        """Length of an action: n in mode ``input``, 2 in mode ``gains``."""
+        return self.dimension if self.interface.action_mode == "input" else 2
+
+    @cached_property
+    def action_bound(self) -> float:
+        """Actions live in the box [−bound, bound]: the input limit under ``physical``, else 1.
+
+        The limit is rounded down to a float32, so that no action in the box exceeds it.
+        """
+        if self.interface.kind == "local" or self.interface.action_mode == "gains":
+            return 1.0
+        bound = np.float32(self.input_limit)
+        return float(bound if float(bound) <= self.input_limit else np.nextafter(bound, np.float32(0)))
+
+    @cached_property
+    def own_components(self) -> IntArray:
+        """Components of each player's own block, padded with n to the largest n_i; shape (N, m)."""
+        result = np.full((self.num_players, max(self.action_dims)), self.dimension, dtype=np.int64)
+        offset = 0
+        for player, dim in enumerate(self.action_dims):
+            result[player, :dim] = np.arange(offset, offset + dim)
+            offset += dim
+        return result
+
+    @cached_property
+    def ego_order(self) -> IntArray:
+        """Which component stands at each place in a player's ego order, shape (N, n)."""
+        return (self.own_components[:, :1] + np.arange(self.dimension)) % self.dimension
+
+    @cached_property
+    def ego_place(self) -> IntArray:
+        """At which place of a player's ego order each component stands, shape (N, n); inverse of ``ego_order``."""
+        return np.argsort(self.ego_order, axis=1)
+
+    @cached_property
+    def neighbour_components(self) -> BoolArray:
+        """Whether component c belongs to the neighbour in slot d of player i, shape (N, D, n)."""
+        owners = np.repeat(np.arange(self.num_players), self.action_dims)
+        neighbours = np.array(self.neighbours)
+        own = neighbours == np.arange(self.num_players)[:, None]
+        return (owners == neighbours[:, :, None]) & ~own[:, :, None]
+
+    @cached_property
+    def own_mask(self) -> BoolArray:
+        """Whether component c is player i's own, shape (N, n)."""
+        owners = np.repeat(np.arange(self.num_players), self.action_dims)
+        return owners == np.arange(self.num_players)[:, None]
+
+    def select(self, observation: npt.NDArray[np.floating], name: str) -> npt.NDArray[np.floating]:
+        """The slice ``name`` of observations of shape (..., size), as a view.
+
+        Raises:
+            ValueError: when this layout has no such slice.
+        """
+        if name not in self.slices:
+            raise ValueError(f"the {self.interface.kind!r} layout has no {name!r}; it has {', '.join(self.slices)}")
+        return observation[..., self.slices[name]]
+
+    def neighbour_estimates(self, observation: npt.NDArray[np.floating]) -> FloatArray:
+        """The neighbours' estimates x^j per slot, (..., size) to (..., D, n), float64; a dead link repeats x^i.
+
+        Raises:
+            ValueError: under ``local``, where the own estimate is not observed.
+        """
+        own = np.asarray(self.select(observation, "own_estimate"), dtype=np.float64)
+        relative = np.asarray(self.select(observation, "relative_estimates"), dtype=np.float64)
+        return relative.reshape(*own.shape[:-1], self.slots, self.dimension) + own[..., None, :]
+
+    def read(self, observation: npt.NDArray[np.floating]) -> Reading:
+        """Read observations of R players, shape (R, size).
+
+        Raises:
+            ValueError: when the observations have another shape than this layout's.
+        """
+        if observation.ndim != 2 or observation.shape[1] != self.size:
+            raise ValueError(
+                f"this policy was built for observations of length {self.size} ({self.interface.kind!r} layout, "
+                f"{self.num_players} players, {self.slots} neighbour slots), got the shape {observation.shape}"
+            )
+        rows = observation.shape[0]
+        values = {name: np.asarray(observation[:, part], dtype=np.float64) for name, part in self.slices.items()}
+        player = values["player"].argmax(axis=1)
+        own = np.zeros((rows, self.dimension + 1))  # one column more, into which padding falls
+        np.put_along_axis(own, self.own_components[player], values["own_gradient"], axis=1)
+        relative = values["relative_estimates"].reshape(rows, self.slots, self.dimension)
+        unit = np.ones((rows, 1))
+        if self.interface.kind == "local":
+            relative = np.take_along_axis(relative, self.ego_place[player][:, None, :], axis=2)
+            unit = 10.0 ** values["log_scale"]
+        unseen = np.empty((rows, 0))
+        return Reading(
+            player=player,
+            gradient=own[:, :-1],
+            relative_estimates=relative,
+            weights=values["weights"],
+            unit=unit,
+            theta=values["clock"][:, 2:3],
+            dt=values["clock"][:, 3:4] * self.deadline,
+            relative_strategies=values.get("relative_strategies", unseen),
+            pseudo_gradient=values.get("pseudo_gradient", unseen),
+            own_estimate=values.get("own_estimate", unseen),
+            own_payoff=values.get("own_payoff", unseen),
+            neighbour_errors=values.get("neighbour_errors", unseen).reshape(rows, -1, self.dimension),
+            best_response=values.get("best_response", unseen),
+        )
+
+    def write(self, inputs: FloatArray, reading: Reading) -> Float32Array:
+        """The actions that ask for ``inputs`` (R, n), given in the reading's unit and player order; (R, n) float32.
+
+        Actions are clipped to the action box.
+        """
+        if self.interface.kind == "local":
+            inputs = np.take_along_axis(inputs, self.ego_order[reading.player], axis=1) / self.interface.action_scale
+        return np.clip(inputs, -self.action_bound, self.action_bound).astype(np.float32)

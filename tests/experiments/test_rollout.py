@@ -1,0 +1,163 @@
+"""The batched rollout against the environment, step by step."""
+
+import numpy as np
+import pytest
+
+import ptne_env
+from ptne_env import distances, laws
+from ptne_env.dynamics import World
+from ptne_env.encoder import Encoder
+from ptne_env.experiments.episodes import draw_start, episode_seed
+from ptne_env.experiments.metrics import measure, settling_time
+from ptne_env.experiments.rollout import rollout
+from ptne_env.observation import Interface
+
+
+def run(scenario, policy, interface=None, episodes=4, seed=3):
+    world = World(scenario)
+    encoder = Encoder(world, interface or Interface())
+    return world, rollout(policy(encoder.layout), encoder, draw_start(world, episodes, seed))
+
+
+@pytest.mark.parametrize("name", ["energy", "energy-switching", "non-quadratic-switching", "random-energy-switching"])
+@pytest.mark.parametrize("law", [laws.Static, laws.Adaptive])
+def test_metrics_of_a_batch_are_those_of_its_episodes_run_one_by_one_in_the_environment(name, law):
+    scenario = ptne_env.get_scenario(name, start="random", hold_steps=7, steps=300)
+    world, batch = run(scenario, law, episodes=3)
+    samples = measure(batch)
+    clock = world.clock
+    for episode in range(3):
+        env = ptne_env.parallel_env(scenario)
+        observations, _ = env.reset(seed=episode_seed(3, episode))
+        policy, memory = law(env.layout), None
+        gained, input_energy, velocity_energy, peak = 0.0, 0.0, 0.0, 0.0
+        for step in range(clock.total_steps):
+            agents = env.agents
+            actions, memory = policy.predict(np.stack([observations[agent] for agent in agents]), memory)
+            observations, rewards, *_ = env.step(dict(zip(agents, actions, strict=True)))
+            gained += np.mean(list(rewards.values()))
+            if step < clock.steps:
+                inputs = actions.astype(float)
+                input_energy += clock.dt[step] * (inputs**2).sum()
+                velocity_energy += clock.theta[step] ** 2 / clock.dt[step] * (inputs**2).sum()
+                peak = max(peak, np.abs(inputs).max())
+            if step + 1 == clock.steps:
+                equilibrium = env.nash_equilibrium
+                scale = np.linalg.norm(equilibrium)
+                strategy = np.linalg.norm(env.strategies - equilibrium) / scale
+                estimate = np.linalg.norm(env.estimates - equilibrium) / (np.sqrt(5) * scale)
+                mean = env.estimates.mean(axis=0)
+                consensus = np.linalg.norm(env.estimates - mean) / (np.sqrt(5) * scale)
+        expected = {
+            "strategy_distance": strategy,
+            "estimate_distance": estimate,
+            "digits": -np.log10(estimate),
+            "consensus_error": consensus,
+            "digits_gained": gained,
+            "input_energy": input_energy,
+            "velocity_energy": velocity_energy,
+            "peak_input": peak,
+        }
+        for metric, value in expected.items():
+            assert samples[metric][episode] == pytest.approx(value, rel=1e-9, abs=1e-12), metric
+
+
+def test_digits_after_hold_exist_only_with_a_hold_phase_and_exceed_the_digits_at_the_deadline():
+    _, without = run(ptne_env.get_scenario("energy"), laws.Static, episodes=1)
+    _, with_hold = run(ptne_env.get_scenario("energy", hold_steps=40), laws.Static, episodes=1)
+    assert np.isnan(measure(without)["digits_after_hold"]).all()
+    assert measure(with_hold)["digits_after_hold"][0] > measure(with_hold)["digits"][0] + 0.3
+    assert measure(with_hold)["digits"] == measure(without)["digits"]
+
+
+def test_a_diverged_episode_has_the_digits_of_the_range_limit_and_finite_metrics():
+    scenario = ptne_env.get_scenario("non-quadratic", start="random")
+    world, batch = run(scenario, laws.RandomPolicy)
+    assert batch.diverged.all()
+    samples = measure(batch)
+    np.testing.assert_allclose(samples["digits"], -np.log10(world.distance_limit(world.game)[0]))
+    assert (samples["settled_share"] == 0).all()
+    assert (samples["diverged_share"] == 1).all()
+    for metric, values in samples.items():
+        if metric not in ("settling_time", "settling_time_1e_6", "digits_after_hold"):
+            assert np.isfinite(values).all(), metric
+
+
+def test_a_diverging_episode_leaves_the_others_of_its_batch_alone():
+    class Reckless:
+        """The static law, but the second episode's players push as hard as they can."""
+
+        def __init__(self, layout):
+            self.law = laws.Static(layout)
+
+        def predict(self, observation, state=None, episode_start=None, deterministic=False):
+            actions, state = self.law.predict(observation, state, episode_start, deterministic)
+            actions[5:10] = 1000.0
+            return actions, state
+
+    scenario = ptne_env.get_scenario("non-quadratic", start="random")
+    _, mixed = run(scenario, Reckless, episodes=3)
+    _, calm = run(scenario, laws.Static, episodes=3)
+    assert mixed.diverged.tolist() == [False, True, False]
+    np.testing.assert_array_equal(mixed.estimate_distance[:, [0, 2]], calm.estimate_distance[:, [0, 2]])
+
+
+def test_saturated_share_counts_the_inputs_at_the_limit():
+    _, free = run(ptne_env.get_scenario("energy"), laws.Static, episodes=1)
+    _, tight = run(ptne_env.get_scenario("energy", input_limit=1.3), laws.Static, episodes=1)
+    assert free.saturated_share[0] == 0
+    assert 0.05 < tight.saturated_share[0] < 1
+    assert tight.peak_input[0] == np.float32(1.3)
+
+
+def test_the_null_policy_spends_nothing_and_gains_nothing():
+    _, still = run(ptne_env.get_scenario("energy", start="random"), laws.ZeroInput)
+    samples = measure(still)
+    for metric in ("input_energy", "velocity_energy", "peak_input", "peak_velocity", "digits_gained"):
+        assert (samples[metric] == 0).all(), metric
+
+
+def test_the_oracle_follows_centralised_pseudo_gradient_play_exactly():
+    scenario = ptne_env.get_scenario("energy", start="random", s_end=5.0, gain=1.0)
+    world, batch = run(scenario, laws.CentralisedOracle, Interface("full"), episodes=2)
+    for episode in range(2):
+        estimates = draw_start(world, 2, 3).estimates[:, :, episode]
+        x = np.diagonal(estimates).copy()[:, None]
+        for theta in world.clock.theta[: world.clock.steps]:
+            x = x - theta * world.game.pseudo_gradient(x)
+        expected = distances.strategy_distance(x, world.game)[0]
+        assert batch.strategy_distance[-1, episode] == pytest.approx(expected, rel=1e-6)
+
+
+class Answering:
+    def __init__(self, answer):
+        self.answer = answer
+
+    def predict(self, observation, state=None, episode_start=None, deterministic=False):
+        return self.answer(observation), state
+
+
+@pytest.mark.parametrize(
+    ("answer", "message"),
+    [
+        (lambda observation: np.zeros((len(observation), 4), dtype=np.float32), "shape"),
+        (lambda observation: np.full((len(observation), 5), np.nan, dtype=np.float32), "not finite"),
+    ],
+)
+def test_a_policy_that_answers_nonsense_is_told_what_was_expected(answer, message):
+    with pytest.raises(ValueError, match=message):
+        run(ptne_env.get_scenario("energy"), lambda layout: Answering(answer), episodes=1)
+
+
+def test_settling_time_is_the_first_instant_from_which_the_distance_stays_inside():
+    times = np.array([0.0, 1.0, 2.0, 3.0])
+    distance = np.array(
+        [
+            # never outside, in and out again, ends outside, settles at the last instant
+            [0.001, 1.0, 1.0, 1.0],
+            [0.001, 0.001, 0.001, 1.0],
+            [0.001, 1.0, 0.001, 1.0],
+            [0.001, 0.001, 1.0, 0.001],
+        ]
+    )
+    np.testing.assert_array_equal(settling_time(times, distance), [0.0, 3.0, np.nan, 3.0])

@@ -1,0 +1,198 @@
+"""What a suite is: frozen content, seeded episodes that an environment can replay, and team rules."""
+
+from hashlib import sha256
+
+import numpy as np
+import pytest
+
+import ptne_env
+from ptne_env import FactorySpec, laws
+from ptne_env.dynamics import World
+from ptne_env.encoder import Encoder
+from ptne_env.experiments.benchmark import run_suite
+from ptne_env.experiments.episodes import track_seed
+from ptne_env.experiments.policy_specs import suite_entries
+from ptne_env.experiments.rollout import Member, rollout
+from ptne_env.experiments.suite import SUITES, Suite, Teammates, Track, canonical_json, get_suite
+from ptne_env.observation import Interface
+from ptne_env.policies import shipped
+
+PUBLISHED = {"ptne-v1": "e597723fc876dfc3b695d9164f74222279bbf4bdf97d17b8c3e980adeffafda5"}
+"""The content hashes that results were published with. A new content is a new version, and a new line."""
+
+BASE = ptne_env.get_scenario("random-energy")
+
+
+def small(**changes):
+    tracks = changes.pop("tracks", (Track("nominal", BASE, "The base."),))
+    return Suite("small", changes.pop("version", 1), tracks, **changes)
+
+
+def test_published_suites_are_what_they_were():
+    assert {name: get_suite(name).content_hash for name in SUITES} == PUBLISHED
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"tracks": (Track("nominal", BASE.replace(input_limit=999.0), "The base."),)},
+        {"tracks": (Track("renamed", BASE, "The base."),)},
+        {
+            "tracks": (
+                Track(
+                    "nominal", BASE, "The base.", teammates=Teammates(FactorySpec.of("ptne_env.laws:ZeroInput"), (0,))
+                ),
+            )
+        },
+        {"tracks": (Track("nominal", BASE, "The base."), Track("more", BASE, "The same."))},
+        {"episodes": 201},
+        {"version": 2},
+    ],
+)
+def test_a_suite_whose_content_has_changed_is_refused_under_its_old_hash(change):
+    frozen = small().content_hash
+    assert small(frozen=frozen).content_hash == frozen
+    with pytest.raises(ValueError, match="a change of content is a new version"):
+        small(frozen=frozen, **change)
+
+
+def test_what_is_none_does_not_count_and_the_order_of_keys_neither():
+    assert canonical_json({"b": [1, None], "a": {"c": None}}) == canonical_json({"a": {}, "b": [1, None], "d": None})
+
+
+def test_every_track_is_a_valid_world_with_a_sentence():
+    suite = get_suite("ptne-v1")
+    for track in suite.tracks:
+        assert track.change.endswith(".")
+        assert "\n" not in track.change
+        Encoder(World(track.scenario), Interface())
+    names = [track.name for track in suite.tracks]
+    assert names[0] == "nominal"
+    assert suite.track("nominal").scenario == BASE.replace(name="nominal")
+
+
+@pytest.mark.parametrize(("seed", "episode"), [(0, 0), (0, 199), (7, 3)])
+@pytest.mark.parametrize("split", ["train", "validation", "test"])
+def test_an_episodes_number_is_the_seed_sequence_of_the_protocol(seed, episode, split):
+    names = ("ptne-v1", "nominal", split)
+    key = [int.from_bytes(sha256(name.encode()).digest()[:4], "big") for name in names]
+    promised = np.random.SeedSequence([seed, episode], spawn_key=key)
+    number = np.random.SeedSequence(track_seed(*names, seed, episode))
+    np.testing.assert_array_equal(number.generate_state(8), promised.generate_state(8))
+    for one, other in zip(number.spawn(4), promised.spawn(4), strict=True):
+        np.testing.assert_array_equal(one.generate_state(8), other.generate_state(8))
+
+
+def test_banks_share_no_episode():
+    suite = get_suite("ptne-v1")
+    seeds = {
+        suite.episode_seed(track.name, episode, seed=seed, split=split)
+        for track in suite.tracks
+        for split in ("train", "validation", "test")
+        for seed in range(3)
+        for episode in range(5)
+    }
+    assert len(seeds) == len(suite.tracks) * 3 * 3 * 5
+
+
+@pytest.mark.parametrize("name", ["nominal", "switching-physical", "saturated", "large-20"])
+def test_an_environment_replays_an_episode_of_a_track(name):
+    suite = get_suite("ptne-v1")
+    track = suite.track(name)
+    world = World(track.scenario)
+    encoder = Encoder(world, Interface())
+    start = suite.draw_start(world, name, 3)
+    found = rollout(laws.Static(encoder.layout), encoder, start)
+
+    env = ptne_env.parallel_env(track.scenario)
+    law = laws.Static(env.layout)
+    observations, _ = env.reset(seed=suite.episode_seed(name, 2))
+    np.testing.assert_array_equal(env.estimates.T, start.estimates[:, :, 2])
+    while env.agents:
+        actions = {agent: law.predict(observation)[0] for agent, observation in observations.items()}
+        observations, *_ = env.step(actions)
+    error = np.linalg.norm(env.strategies - env.nash_equilibrium) / np.linalg.norm(env.nash_equilibrium)
+    assert error == pytest.approx(found.strategy_distance[-1, 2], rel=1e-12)
+
+
+def test_a_team_of_two_static_laws_is_the_static_law():
+    world = World(BASE)
+    encoder = Encoder(world, Interface())
+    start = get_suite("ptne-v1").draw_start(world, "mixed-team", 4)
+    alone = rollout(laws.Static(encoder.layout), encoder, start)
+    team = rollout(laws.Static(encoder.layout), encoder, start, Member(laws.Static(encoder.layout), encoder, (1, 3)))
+    np.testing.assert_array_equal(alone.estimate_distance, team.estimate_distance)
+
+
+class Watching:
+    """The static law, keeping what it was asked."""
+
+    def __init__(self, layout):
+        self.law, self.layout, self.seen = laws.Static(layout), layout, []
+
+    def predict(self, observation, state=None, episode_start=None, deterministic=False):
+        self.seen.append(observation.copy())
+        return self.law.predict(observation, state, episode_start, deterministic)
+
+
+def test_members_of_a_team_see_their_own_players_through_their_own_interface():
+    world = World(BASE)
+    physical, local = Encoder(world, Interface()), Encoder(world, Interface("local"))
+    one, other = Watching(physical.layout), Watching(local.layout)
+    start = get_suite("ptne-v1").draw_start(world, "mixed-team", 2)
+    rollout(one, physical, start, Member(other, local, (1, 3)))
+    for policy, players in ((one, [0, 2, 4]), (other, [1, 3])):
+        assert len(policy.seen) == BASE.steps
+        for rows in policy.seen:
+            assert policy.layout.select(rows, "player").argmax(axis=1).tolist() == players * 2
+
+
+def test_everybody_plays_every_track_or_says_why_not(tmp_path):
+    suite, entries = get_suite("ptne-v1"), suite_entries()
+    run = run_suite("ptne-v1", entries, tmp_path, episodes=1)
+    refused = {}
+    for cell, measured in zip(run.cells, run.measured, strict=True):
+        if measured.reason is None:
+            assert np.isfinite(measured.samples[cell.track.metric]).all()
+        else:
+            refused.setdefault(cell.participant, set()).add(cell.track.name)
+    # Learned policies were made for five players of one component each with two neighbour slots, or with the four of
+    # the unseen graphs; no best response exists in Example 2.
+    learned = {name: {"large-20", "large-50", "unseen-graphs", "robots"} for name in shipped()}
+    learned["ppo-ptne-v1-unseen-graphs"] = {track.name for track in suite.tracks} - {"unseen-graphs"}
+    assert len(learned) >= 9
+    assert refused == {**learned, "best-response-oracle": {"non-quadratic"}}
+    assert len(run.cells) == len(suite.tracks) * len(entries)
+
+
+def test_teammates_act_in_place_of_the_entry():
+    world = World(BASE)
+    encoder = Encoder(world, Interface())
+    start = get_suite("ptne-v1").draw_start(world, "mixed-team", 2)
+    null, law = laws.ZeroInput(encoder.layout), laws.Static(encoder.layout)
+    nobody = rollout(null, encoder, start).input_energy
+    some, others = (
+        rollout(null, encoder, start, Member(law, encoder, players)).input_energy for players in ((1, 3), (0, 2, 4))
+    )
+    assert np.all(nobody == 0)
+    assert np.all(some > 0)
+    assert np.all(others > 0)
+
+
+@pytest.mark.parametrize("players", [(), (0, 0), (5,), (0, 1, 2, 3, 4)])
+def test_teammates_are_some_of_the_players(players):
+    with pytest.raises(ValueError, match="teammates are some"):
+        Track("team", BASE, "A team.", teammates=Teammates(FactorySpec.of("ptne_env.laws:ZeroInput"), players))
+
+
+def test_wrong_suites_are_told_what_is_wrong():
+    with pytest.raises(ValueError, match="unknown suite 'ptne-v0'; choose from ptne-v1"):
+        get_suite("ptne-v0")
+    with pytest.raises(ValueError, match="not a Suite"):
+        get_suite("builtins:dict")
+    with pytest.raises(ValueError, match="has no track 'nominl'; choose from nominal"):
+        get_suite("ptne-v1").track("nominl")
+    with pytest.raises(ValueError, match="different names"):
+        small(tracks=())
+    with pytest.raises(ValueError, match="is scored by digits, got 'digits_after_hold'"):
+        Track("nominal", BASE, "The base.", "digits_after_hold")

@@ -1,0 +1,90 @@
+"""Traces show what the evaluation measured: the same starts, the same rollout."""
+
+import numpy as np
+import pytest
+
+import ptne_env
+from ptne_env import FactorySpec, PolicySpec, distances, evaluate, get_scenario, laws
+from ptne_env.experiments import episode_seed
+from ptne_env.experiments.benchmark import run_suite
+from ptne_env.experiments.suite import Suite, Teammates, Track
+from ptne_env.experiments.traces import comparison_scenes, suite_scenes
+from ptne_env.experiments.workers import Workers
+
+
+def test_the_first_episode_is_the_environments_own():
+    scenario = get_scenario("random-energy-switching", hold_steps=30, steps=90)
+    results = evaluate(["static"], [scenario], episodes=4, seed=5)
+    scene = comparison_scenes(results)["random-energy-switching"]
+    trace = scene.traces["static"]
+    env = ptne_env.parallel_env(scenario)
+    observations, _ = env.reset(seed=episode_seed(5, 0))
+    law, kept = laws.Static(env.layout, kappa=2.0), [env.estimates]
+    while env.agents:
+        actions = {agent: law.predict(observation)[0] for agent, observation in observations.items()}
+        observations, *_ = env.step(actions)
+        kept.append(env.estimates)
+    clock = scenario.built_clock
+    instants = [int(np.flatnonzero(clock.t == t)[0]) for t in scene.t]
+    assert instants[0] == 0
+    assert instants[scene.deadline_frame] == clock.steps
+    assert instants[-1] == clock.total_steps
+    for frame, instant in enumerate(instants):
+        np.testing.assert_array_equal(trace.estimates[..., frame], kept[instant].T)
+    np.testing.assert_array_equal(scene.equilibrium, env.nash_equilibrium)
+
+
+def test_errors_are_quantiles_of_what_the_evaluation_measured():
+    results = evaluate(["adaptive"], ["energy"], episodes=5)
+    scenes = comparison_scenes(results)
+    for cell in results.cells:
+        scene, measured = scenes[cell.scenario], cell.samples["estimate_distance"]
+        at_deadline = scene.traces["adaptive"].errors[:, scene.deadline_frame]
+        np.testing.assert_array_equal(at_deadline, np.quantile(measured, [0.1, 0.5, 0.9]))
+        assert scene.traces["adaptive"].error[scene.deadline_frame] == measured[0]
+        assert scene.episodes == len(measured)
+
+
+def test_consensus_gains_are_those_of_the_law():
+    results = evaluate(
+        [PolicySpec("mine", FactorySpec.of("ptne_env.laws:Static", kappa=3.25))], ["energy-switching"], episodes=2
+    )
+    scene = comparison_scenes(results)["energy-switching"]
+    gains = scene.traces["mine"].consensus_gains[:, :-1]
+    alone = np.array(
+        [[not scene.live[(scene.links == player).any(axis=1), frame].any() for frame in range(gains.shape[1])]
+         for player in range(5)]
+    )  # fmt: skip
+    assert alone.any()
+    assert np.isnan(gains[alone]).all()
+    np.testing.assert_allclose(gains[~alone], 3.25, rtol=1e-5)  # actions are float32
+
+
+def test_a_learned_policy_is_drawn_beside_the_tuned_laws_that_it_was_measured_against():
+    results = evaluate(["ppo-random-energy"], [get_scenario("random-energy", steps=40)], episodes=2)
+    scene = comparison_scenes(results)["random-energy"]
+    assert list(scene.traces) == ["ppo-random-energy", "best of the paper's laws", "best of all laws"]
+
+
+def test_a_suite_is_drawn_with_its_teammates_from_its_own_bank(tmp_path):
+    world = get_scenario("random-energy", steps=40)
+    team = Track("team", world, "Others act.", teammates=Teammates(FactorySpec.of("ptne_env.laws:ZeroInput"), (1, 3)))
+    suite = Suite("tiny", 1, (Track("alone", world, "Nothing."), team), episodes=3)
+    run = run_suite(suite, ["ppo-random-energy-gains"], tmp_path)
+    told = []
+    scenes = suite_scenes(run, workers=Workers(2), progress=told.append)
+    assert list(scenes) == sorted(told) == ["alone", "team"]
+    for name, scene in scenes.items():
+        trace = scene.traces["static"]
+        measured = run.of(name, "static")[0].samples["estimate_distance"]
+        np.testing.assert_array_equal(trace.errors[1, scene.deadline_frame], np.median(measured))
+        distance = distances.estimate_distance(trace.estimates[..., :1], _game(run, name))
+        assert distance[0] == pytest.approx(trace.error[0], rel=1e-12)
+    assert not np.any(scenes["team"].traces["static"].inputs[[1, 3], :-1])
+    assert np.all(scenes["alone"].traces["static"].inputs[:, :-1])
+
+
+def _game(run, track):
+    from ptne_env.dynamics import World
+
+    return run.suite.draw_start(World(run.suite.track(track).scenario), track, 1).game

@@ -1,0 +1,166 @@
+"""Tasks on several workers: the same results as on one, and clear words when something is missing or dies."""
+
+import importlib
+import os
+import sys
+from pathlib import Path
+
+import pytest
+
+import ptne_env
+from ptne_env import FactorySpec
+from ptne_env.experiments import benchmark
+from ptne_env.experiments.benchmark import run_suite
+from ptne_env.experiments.suite import Suite, Track
+from ptne_env.experiments.workers import Workers
+
+
+def square(number):
+    if number < 0:
+        raise ValueError(f"{number} has no business here")
+    return number**2
+
+
+def die(number):
+    if number == 1:
+        os._exit(1)
+    return number
+
+
+def stay(number):
+    return number, os.getpid()
+
+
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_every_result_comes_with_the_index_of_its_task(jobs):
+    assert dict(Workers(jobs).run(square, [(3,), (4,), (5,)])) == {0: 9, 1: 16, 2: 25}
+    assert dict(Workers(jobs).run(square, [])) == {}
+
+
+def test_one_job_stays_in_this_process_and_two_do_not():
+    assert dict(Workers(1).run(stay, [(0,)])) == {0: (0, os.getpid())}
+    assert os.getpid() not in {process for _, (_, process) in Workers(2).run(stay, [(0,), (1,)])}
+
+
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_what_a_task_raises_is_raised(jobs):
+    with pytest.raises(ValueError, match="-1 has no business here"):
+        list(Workers(jobs).run(square, [(1,), (-1,), (2,)]))
+
+
+def test_a_dead_process_is_told():
+    with pytest.raises(ChildProcessError, match="a worker process died.*what is finished is kept"):
+        list(Workers(2).run(die, [(0,), (1,), (2,)]))
+    assert dict(Workers(2).run(square, [(2,), (3,)])) == {0: 4, 1: 9}  # and the next run has new ones
+
+
+class Fatal:
+    """The null law, in whose first life the process dies."""
+
+    def __init__(self, layout, mark):
+        if not Path(mark).exists():
+            Path(mark).touch()
+            os._exit(1)
+        self.law = FactorySpec.of("ptne_env.laws:ZeroInput").build(layout=layout)
+
+    def predict(self, observation, state=None, episode_start=None, deterministic=False):
+        return self.law.predict(observation, state, episode_start, deterministic)
+
+
+def test_a_suite_that_lost_a_process_goes_on_with_the_same_results(tmp_path, monkeypatch):
+    monkeypatch.syspath_prepend(Path(__file__).parent)
+    scenario = ptne_env.get_scenario("random-energy", steps=40)
+    suite = Suite("small", 1, (Track("ring", scenario, "The base."),), episodes=3)
+    fatal = ptne_env.PolicySpec("fatal", FactorySpec.of("test_workers:Fatal", mark=str(tmp_path / "mark")))
+    with pytest.raises(ChildProcessError, match="died"):
+        run_suite(suite, [fatal], tmp_path / "killed", workers=Workers(2))
+    again = run_suite(suite, [fatal], tmp_path / "killed", workers=Workers(2))
+    alone = run_suite(suite, [fatal], tmp_path / "alone")
+    for one, other in zip(again.measured, alone.measured, strict=True):
+        assert benchmark._difference(one, other) == 0.0
+
+
+def test_a_worker_with_other_files_is_refused():
+    cell = benchmark.Cell(
+        "small",
+        Track("ring", ptne_env.get_scenario("random-energy", steps=40), "The base."),
+        "static",
+        0,
+        ptne_env.PolicySpec("static", FactorySpec.of("ptne_env.laws:Static", kappa=2.0)),
+        0,
+        "test",
+        2,
+    )
+    assert benchmark._measure(cell, cell.key).samples["digits"].shape == (2,)
+    with pytest.raises(ValueError, match="another version of the library.*'static'.*install the same"):
+        benchmark._measure(cell, "0" * 64)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"jobs": 0}, "0 jobs"),
+        ({"backend": "dask"}, "unknown backend 'dask'; choose from processes, ray"),
+        ({"address": "auto"}, "choose the backend 'ray'"),
+    ],
+)
+def test_workers_that_cannot_be_are_refused(arguments, message):
+    with pytest.raises(ValueError, match=message):
+        Workers(**arguments)
+
+
+@pytest.fixture
+def no_cluster(monkeypatch):
+    monkeypatch.delitem(sys.modules, "ptne_env.experiments.cluster", raising=False)
+
+
+@pytest.mark.usefixtures("no_cluster")
+def test_without_ray_the_error_names_the_extra(monkeypatch):
+    monkeypatch.setitem(sys.modules, "ray", None)
+    with pytest.raises(ImportError, match=r"ptne-env\[ray\]"):
+        list(Workers(2, "ray").run(square, [(1,), (2,)]))
+
+
+@pytest.fixture
+def fake_ray(monkeypatch, no_cluster):
+    monkeypatch.setitem(sys.modules, "ray", importlib.import_module("fake_ray"))
+    yield sys.modules["ray"]
+    sys.modules["ray"].addresses.clear()
+
+
+class Flaky:
+    """Squares, but the machine dies under every task the given number of times."""
+
+    def __init__(self, deaths):
+        self.deaths, self.calls = deaths, {}
+
+    def __call__(self, number):
+        self.calls[number] = self.calls.get(number, 0) + 1
+        if self.calls[number] <= self.deaths:
+            raise SystemExit
+        return square(number)
+
+
+def test_tasks_of_dead_machines_run_again(fake_ray):
+    flaky = Flaky(deaths=2)
+    assert dict(Workers(-1, "ray", "auto").run(flaky, [(n,) for n in range(9)])) == {n: n**2 for n in range(9)}
+    assert set(flaky.calls.values()) == {3}
+    assert fake_ray.addresses == ["auto"]
+
+
+@pytest.mark.usefixtures("fake_ray")
+def test_a_task_that_kills_every_machine_ends_the_run():
+    with pytest.raises(ChildProcessError, match="lost 4 times.*the node died"):
+        list(Workers(-1, "ray").run(Flaky(deaths=9), [(1,), (2,)]))
+
+
+@pytest.mark.usefixtures("fake_ray")
+def test_where_nothing_listens_the_address_is_told():
+    with pytest.raises(ConnectionError, match=r"no Ray cluster answers at 127.0.0.1:1: "):
+        list(Workers(-1, "ray", "127.0.0.1:1").run(square, [(1,), (2,)]))
+
+
+@pytest.mark.usefixtures("fake_ray")
+def test_what_a_task_on_a_cluster_raises_is_raised():
+    with pytest.raises(ValueError, match="-1 has no business here"):
+        list(Workers(4, "ray").run(square, [(1,), (-1,), (2,)]))
