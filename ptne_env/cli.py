@@ -47,12 +47,12 @@ from ptne_env.report import (
     comparison_report,
     comparison_tables,
     entry_table,
-    film,
     leaderboard_tables,
     metric_table,
     render_page,
     repetition_table,
     save_diagram,
+    save_video,
     scenario_table,
     suite_report,
     suite_table,
@@ -482,7 +482,7 @@ def render(
         def advance(done: int, total: int) -> None:
             progress.update(task, completed=done, total=total)
 
-        film(world, entry, out, seed=seed, pictures=pictures, progress=advance)
+        save_video(world, entry, out, seed=seed, pictures=pictures, progress=advance)
     _console().print(Text(f"Film written to {out}"), soft_wrap=True)
 
 

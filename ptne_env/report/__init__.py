@@ -12,4 +12,4 @@ from ptne_env.report.tables import comparison_tables as comparison_tables
 from ptne_env.report.tables import entry_table as entry_table
 from ptne_env.report.tables import metric_table as metric_table
 from ptne_env.report.tables import scenario_table as scenario_table
-from ptne_env.report.video import film as film
+from ptne_env.report.video import save_video as save_video

@@ -9,9 +9,9 @@ from gzip import compress
 from importlib import resources
 from typing import Any
 
-from ptne_env.envs.rendering import COLOURS
 from ptne_env.experiments.traces import Scene
 from ptne_env.report.content import Report, drawn
+from ptne_env.style import COLOURS, DARK, LIGHT
 
 
 def render_page(report: Report) -> str:
@@ -88,4 +88,4 @@ def render_template(template: str, **values: Any) -> str:
         lstrip_blocks=True,
     )
     environment.policies["json.dumps_kwargs"] = {"allow_nan": False, "ensure_ascii": False, "separators": (",", ":")}
-    return environment.get_template(template).render(**values)
+    return environment.get_template(template).render(light=LIGHT, dark=DARK, **values)
