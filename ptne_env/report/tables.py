@@ -14,7 +14,6 @@ from rich.text import Text
 from ptne_env.experiments import COMPARATIVE_METRICS, METRICS, PolicySpec, Results, suite_entries
 from ptne_env.experiments.compare import PAPER_START, Record
 from ptne_env.scenario import CATALOGUE, Scenario
-from ptne_env.theory import Certificate
 
 _BLOCKS = {
     "How close": {
@@ -53,8 +52,6 @@ _PAIRED_WIDTH = 130
 
 _LIST_WIDTH = 110
 """Columns in which the catalogue fits with the numbers of the clock."""
-
-_VERDICTS = {"holds": "green", "fails": "red"}
 
 
 def number(value: float | None) -> str:
@@ -163,125 +160,6 @@ def empty_table(title: str, *, show_header: bool = True) -> Table:
     return Table(
         title=title, box=box.SIMPLE_HEAD, title_justify="left", pad_edge=False, show_header=show_header, expand=False
     )
-
-
-def certificate_tables(certificate: Certificate) -> Group:
-    """What a certificate says: assumptions with the number that decides each, then the promises; 100 columns wide."""
-    assumptions = empty_table(f"{certificate.scenario}: the paper's assumptions")
-    for heading in ("", "assumption", "decided by", "value", "verdict"):
-        assumptions.add_column(heading, justify="right" if heading == "value" else "left")
-    for check in certificate.assumptions:
-        assumptions.add_row(
-            str(check.number), check.statement, check.meaning, number(check.value), _verdict(check.verdict)
-        )
-    lemma = certificate.lemma
-    statement = "Lemma 1: λ is strictly increasing, λ → T, λ' → 0" + (f" ({lemma.reason})" if lemma.reason else "")
-    assumptions.add_row("λ", statement, "limit of 1 − λ/T", number(lemma.remaining), _verdict(lemma.verdict))
-
-    promises = empty_table(f"{certificate.scenario}: {certificate.law}", show_header=False)
-    promises.add_column("what", no_wrap=True)
-    promises.add_column("value")
-    for rows in (_condition_rows, _rate_rows, _digit_rows, _step_rows, _noise_rows, _delay_rows):
-        promises.add_section()
-        for what, value in rows(certificate):
-            promises.add_row(what, value)
-    notes = [Text(f"Note: {note}", style="yellow") for note in certificate.notes]
-    return Group(assumptions, promises, *notes)
-
-
-def _verdict(verdict: str) -> Text:
-    return Text(verdict, style=_VERDICTS.get(verdict, "yellow"))
-
-
-_Rows: TypeAlias = Iterable[tuple[str, str]]
-
-
-def _condition_rows(certificate: Certificate) -> _Rows:
-    constants, condition = certificate.constants, certificate.condition
-    kind = "exact" if constants.exact else "sampled bounds"
-    yield (
-        "monotonicity and Lipschitz constants",
-        f"ε = {number(constants.epsilon)}, ι = {number(constants.iota)} ({kind})",
-    )
-    yield "smallest algebraic connectivity λ2", number(certificate.algebraic_connectivity)
-    if condition is None:
-        yield "the law's own condition", "it promises nothing"
-    else:
-        verdict = "holds" if condition.holds else "fails (sufficient, not necessary)"
-        kind = "" if condition.exact else ", from samples"
-        numbers = f"{number(condition.value)} against {number(condition.bound)}"
-        yield condition.name, f"{numbers}{kind}: {verdict}"
-    for gains in certificate.frozen_gains:
-        when = "at the start" if gains.instant == "start" else "at T"
-        yield f"gains {when}", f"{number(gains.smallest)} to {number(gains.largest)}: r = {number(gains.rate)}"
-
-
-def _rate_rows(certificate: Certificate) -> _Rows:
-    if certificate.rate is None:
-        return
-    time = "s" if certificate.clock == "effective" else "t"
-    kind = "exact" if certificate.rate_is_exact else "see the notes"
-    yield f"closed-loop rate r, error ~ e^(−r {time})", f"{number(certificate.rate)} ({kind})"
-    if certificate.guaranteed_rate is not None:
-        yield "  guaranteed by ε, ι, λ2 and κ alone", f"≥ {number(certificate.guaranteed_rate)} (bound)"
-    if certificate.sampled_rate is not None and certificate.dominant_share is not None:
-        share = f"its mode is {certificate.dominant_share:.0%} of the error half-way"
-        yield "  of the sampled loop, second half", f"{number(certificate.sampled_rate)}; {share}"
-    yield "rate at which the input u decays", number(certificate.input_rate)
-    if certificate.velocity_bounded is not None:
-        yield "velocity g(t) u as t → T", "bounded" if certificate.velocity_bounded else "unbounded"
-        yield "control energy ∫‖g u‖² dt", "finite" if certificate.energy_finite else "infinite"
-
-
-def _digit_rows(certificate: Certificate) -> _Rows:
-    if certificate.digits_from_rate is not None:
-        yield "predicted digits at T, from the rate", f"{number(certificate.digits_from_rate)} (first order)"
-    if certificate.digits_sampled is not None:
-        yield "predicted digits at T, sampled loop from this start", f"{number(certificate.digits_sampled)} (exact)"
-    if certificate.digits_after_hold is not None:
-        yield "  after the hold phase", f"{number(certificate.digits_after_hold)} (exact)"
-    if certificate.worst_digits_gained is not None:
-        yield "digits gained by T from the worst start", f"{number(certificate.worst_digits_gained)} (exact)"
-    if certificate.guaranteed_digits is not None:
-        yield "digits at T guaranteed by ε, ι, λ2, κ and Θ alone", f"≥ {number(certificate.guaranteed_digits)} (bound)"
-    yield "effective time to the deadline", number(certificate.effective_time)
-    yield "short of the deadline, 1 − t_K/T", f"{certificate.shortfall:.3%}"
-
-
-def _step_rows(certificate: Certificate) -> _Rows:
-    if certificate.largest_step is None:
-        return
-    stable = "none" if certificate.largest_stable_step is None else number(certificate.largest_stable_step)
-    margin = "" if certificate.step_margin is None else f", {number(certificate.step_margin)} times the largest"
-    yield f"largest step {'Θ' if certificate.clock == 'effective' else 'Δt'}", number(certificate.largest_step)
-    yield "largest stable step", stable + margin
-
-
-def _noise_rows(certificate: Certificate) -> _Rows:
-    noise = certificate.noise
-    if noise is None:
-        return
-    gain = "overflows" if noise.gain is None else f"{number(noise.gain)} σ"
-    yield "noise of std σ on messages: RMS distance at T", gain
-    if noise.std and noise.digits is not None:
-        yield f"  digits at T with σ = {noise.std:g}", f"{number(noise.digits)} (root mean square)"
-
-
-def _delay_rows(certificate: Certificate) -> _Rows:
-    delay = certificate.delay
-    if delay is None:
-        return
-    if delay.for_every_delay:
-        yield "messages d steps late", "stable for every d (shown by a sufficient condition)"
-    elif delay.margin is None:
-        yield "messages d steps late", "no statement: the graph switches, or unstable without delay"
-    else:
-        reach = "tried no further" if delay.margin == delay.tried else "exact"
-        yield "messages d steps late", f"stable up to d = {delay.margin} ({reach})"
-    if delay.bound is not None:
-        yield "  small-gain bound, of first order", f"stable for d < {number(delay.bound)} (bound)"
-    if delay.steps and delay.digits is not None:
-        yield f"  digits at T with d = {delay.steps}", f"{number(delay.digits)} (exact)"
 
 
 def scenario_table(width: int = 172) -> Table:
