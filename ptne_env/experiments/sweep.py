@@ -1,6 +1,6 @@
-"""Phase diagrams: digits at the deadline over two parameters, measured in the environment beside what theory predicts.
+"""Phase diagrams: digits at the deadline over two parameters, as the environment measures and as theory predicts them.
 
-Every point is a batch of episodes of the static law from random starts. Predicted are the digits of the sampled loop
+Every point is a batch of episodes of the static law from random starts. Theory predicts the digits of the sampled loop
 from the same starts, and boundaries; docs/theory.md shows the diagrams.
 """
 
@@ -18,7 +18,7 @@ import numpy as np
 from ptne_env import theory
 from ptne_env._version import __version__
 from ptne_env.arrays import FloatArray, require_count
-from ptne_env.dynamics import World
+from ptne_env.dynamics import State, World
 from ptne_env.encoder import Encoder
 from ptne_env.experiments.episodes import draw_start
 from ptne_env.experiments.rollout import rollout
@@ -29,10 +29,10 @@ from ptne_env.observation import Interface
 from ptne_env.scenario import Scenario, get_scenario
 
 CEILING = 12.0
-"""Digits count up to here: beyond, the environment's float64 and the observations' float32 end."""
+"""Digits count up to here, where the environment's float64 and the observations' float32 end."""
 
 FLOOR = -2.0
-"""And down to here: below, a loop grows without bound."""
+"""Digits count down to here; below, a loop grows without bound."""
 
 _KAPPA = 2.0
 
@@ -43,8 +43,8 @@ class Axis:
 
     Attributes:
         label: with the symbol and the unit.
-        values: increasing.
-        is_logarithmic: whether they are spaced evenly in their logarithm.
+        values: the grid, increasing.
+        is_logarithmic: whether the logarithms of the values are evenly spaced.
     """
 
     label: str
@@ -57,7 +57,7 @@ class Boundary:
     """A line that theory draws through a diagram.
 
     Attributes:
-        label: what changes there.
+        label: the change that happens there.
         x, y: points of the line, in the units of the axes.
     """
 
@@ -72,13 +72,13 @@ class Diagram:
 
     Attributes:
         name: for files.
-        title: what is shown.
+        title: for readers.
         x, y: the axes.
         measured: mean digits at T, one row per value of y and one column per value of x, within FLOOR..CEILING;
             ``None`` where no such scenario exists.
         predicted: digits that theory predicts, likewise.
         boundaries: lines that theory draws.
-        episodes: behind each point.
+        episodes: number of episodes per point.
         seed: of the starts, and of the noise.
         version: of this library.
     """
@@ -113,10 +113,10 @@ class Sweep:
     """A diagram that can be measured.
 
     Attributes:
-        title: what is shown.
-        axes: the two axes, for a number of points along each.
-        point: the scenario and κ of a point (x, y).
-        boundaries: what theory draws over these axes.
+        title: for readers.
+        axes: makes the two axes, for a number of points along each.
+        point: makes the scenario and κ of a point (x, y).
+        boundaries: makes the lines that theory draws over these axes.
     """
 
     title: str
@@ -141,8 +141,8 @@ def run_sweep(
         points: along each axis, at least 2.
         episodes: per point.
         seed: of the starts, and of the noise.
-        workers: who measures the points. The results do not depend on it.
-        progress: called with the number of points that are done and their total.
+        workers: where the points are measured; the results do not depend on it.
+        progress: called with the number of points that are done and of all.
 
     Raises:
         ValueError: when the name is unknown or a number is too small.
@@ -154,15 +154,15 @@ def run_sweep(
     require_count("episodes", episodes, 1)
     sweep = SWEEPS[name]
     x, y = sweep.axes(points)
-    tasks = [(name, one, other, episodes, seed) for other in y.values for one in x.values]
+    tasks = [(name, across, up, episodes, seed) for up in y.values for across in x.values]
     done = count(1)
 
-    def tell(*_: object) -> None:
+    def report(*_: object) -> None:
         if progress is not None:
             progress(next(done), len(tasks))
 
-    found = workers.gather(_measure, tasks, tell)
-    rows = [found[start : start + points] for start in range(0, len(tasks), points)]
+    digits = workers.gather(_measure, tasks, report)
+    rows = [digits[start : start + points] for start in range(0, len(tasks), points)]
     return Diagram(
         name=name,
         title=sweep.title,
@@ -184,17 +184,20 @@ def _measure(name: str, x: float, y: float, episodes: int, seed: int) -> tuple[f
         return None, None
     encoder = Encoder(World(scenario), Interface())
     law, start = Static(encoder.layout, kappa), draw_start(encoder.world, episodes, seed)
-    distances = rollout(law, encoder, start).estimate_distance[scenario.steps]
+    measured = _mean_digits(rollout(law, encoder, start).estimate_distance[scenario.steps])
 
     game, loop = scenario.built_game, theory.sampled_loop(scenario, law)
+    if not np.all(np.isfinite(loop.transition())):
+        return measured, FLOOR
     std = theory.channel_noise(scenario.built_channel)
-    errors = theory.start_error(start.estimates, game)
-    transition = loop.transition()
-    if not np.all(np.isfinite(transition)):
-        return _mean_digits(distances), FLOOR
-    clean = theory.distance((transition @ errors).T, game)
     noise = theory.noise_distance(loop.noise_covariance(std), game) if std else 0.0
-    return _mean_digits(distances), _mean_digits(np.hypot(clean, noise))
+    return measured, _mean_digits(np.hypot(_noiseless(loop, start), noise))
+
+
+def _noiseless(loop: theory.SampledLoop, start: State) -> FloatArray:
+    """Estimate distances at T of the sampled loop without noise, shape (B,)."""
+    errors = theory.start_error(start.estimates, start.game)
+    return theory.distance((loop.transition() @ errors).T, start.game)
 
 
 def _mean_digits(distances: FloatArray) -> float:
@@ -203,7 +206,7 @@ def _mean_digits(distances: FloatArray) -> float:
 
 def _point(name: str, x: float, y: float) -> tuple[Scenario, float]:
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", UserWarning)  # a short horizon is what some diagrams are about
+        warnings.simplefilter("ignore", UserWarning)  # some diagrams are about short horizons
         return SWEEPS[name].point(x, y)
 
 
@@ -219,7 +222,7 @@ def _vertical(label: str, y: Axis, place: float) -> Boundary:
     return Boundary(label, (place, place), (y.values[0], y.values[-1]))
 
 
-# The limit on inputs is put out of reach: what is predicted is the loop, not its saturation.
+# The limit on inputs is put out of reach: theory predicts the loop without saturation.
 _FREE: Mapping[str, Any] = {"start": "random", "input_limit": 1e6}
 
 
@@ -265,15 +268,15 @@ def _noise_point(std: float, s_end: float) -> tuple[Scenario, float]:
 
 
 def _noise_boundaries(x: Axis, y: Axis) -> list[Boundary]:  # noqa: ARG001 - the signature is shared
-    floor = []
-    for s_end in np.linspace(y.values[0], y.values[-1], 17):
-        scenario, kappa = _point("noise-horizon", 1.0, float(s_end))
+    horizons = np.linspace(y.values[0], y.values[-1], 17)
+    levels = []
+    for horizon in horizons:
+        scenario, kappa = _point("noise-horizon", 1.0, float(horizon))
         encoder = Encoder(World(scenario), Interface())
-        loop, game = theory.sampled_loop(scenario, Static(encoder.layout, kappa)), scenario.built_game
-        errors = theory.start_error(draw_start(encoder.world, 64, 0).estimates, game)
-        clean = theory.distance((loop.transition() @ errors).T, game)
-        floor.append(float(np.exp(np.log(clean).mean()) / theory.noise_distance(loop.noise_covariance(), game)))
-    return [Boundary("noise as large as the error", tuple(floor), tuple(np.linspace(y.values[0], y.values[-1], 17)))]
+        loop = theory.sampled_loop(scenario, Static(encoder.layout, kappa))
+        error = np.exp(np.log(_noiseless(loop, draw_start(encoder.world, 64, 0))).mean())
+        levels.append(float(error / theory.noise_distance(loop.noise_covariance(), scenario.built_game)))
+    return [Boundary("noise as large as the error", tuple(levels), tuple(horizons))]
 
 
 def _dwell_axes(points: int) -> tuple[Axis, Axis]:
