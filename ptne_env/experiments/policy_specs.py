@@ -19,7 +19,8 @@ from ptne_env.policy import Policy
 from ptne_env.scenario import CATALOGUE
 
 _LAWS = "ptne_env.laws:"
-_ARCHIVE = "ptne_env.policies.archive:load_archive_for"
+ARCHIVE = "ptne_env.policies.archive:load_archive_for"
+"""Target of the policies whose making executes code that is stored in a file."""
 
 PolicySource: TypeAlias = FactorySpec | Policy | Callable[[ObservationLayout], Policy]
 """A factory spec or a callable that builds the policy from a layout, or the policy itself."""
@@ -74,11 +75,6 @@ class PolicySpec:
         """Whether every training seed is a factory spec, so that another process can make it again."""
         return all(isinstance(policy, FactorySpec) for policy in self.training_seeds)
 
-    @property
-    def executes_code(self) -> bool:
-        """Whether making it executes code that is stored in a file."""
-        return any(isinstance(policy, FactorySpec) and policy.target == _ARCHIVE for policy in self.training_seeds)
-
     def build(self, layout: ObservationLayout, training_seed: int = 0) -> Policy:
         """The policy of a training seed for a layout.
 
@@ -117,7 +113,7 @@ class PolicySpec:
             raise ValueError(f"policy {data['name']!r} was an object, not a factory spec: nothing can make it again")
         seeds = tuple(FactorySpec.of(policy["target"], **policy["arguments"]) for policy in data["training_seeds"])
         scenarios = None if data["scenarios"] is None else frozenset(data["scenarios"])
-        return cls(data["name"], seeds, Interface(**data["interface"]), scenarios)
+        return cls(data["name"], seeds if len(seeds) > 1 else seeds[0], Interface(**data["interface"]), scenarios)
 
 
 def _source_to_dict(policy: PolicySource) -> dict[str, Any]:
@@ -220,7 +216,7 @@ def get_policy_spec(policy: str | PolicySpec, *, trust: bool = False) -> PolicyS
     if stores_code(policy):
         if not trust:
             raise ValueError(f"loading {policy!r} executes code that is stored in it: say that you trust it (--trust)")
-        return PolicySpec(Path(policy).stem, FactorySpec.of(_ARCHIVE, path=policy), load_archive(policy).interface)
+        return PolicySpec(Path(policy).stem, FactorySpec.of(ARCHIVE, path=policy), load_archive(policy).interface)
     if ":" in policy:
         return PolicySpec(policy, FactorySpec.of(policy))
     known = ", ".join([*POLICIES, *policies.shipped()])

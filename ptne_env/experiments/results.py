@@ -5,7 +5,6 @@ from __future__ import annotations
 import csv
 import io
 import json
-from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from functools import cached_property
 from pathlib import Path
@@ -29,7 +28,7 @@ FORMAT = 3
 Record: TypeAlias = dict[str, Any]
 """Keys: track, policy, metric, mean, low, high, episodes; the numbers are ``None`` where no episode has a value."""
 
-Samples: TypeAlias = Mapping[str, FloatArray]
+Samples: TypeAlias = dict[str, FloatArray]
 """Per metric, shape (training seeds, episodes), NaN where an episode has no value; a timing is repeated."""
 
 
@@ -182,7 +181,7 @@ def read_results(path: Path) -> dict[str, Any]:
     """
     kind = "a file of results"
     data = read_json(path, kind)
-    if missing := sorted({"format", "suite"} - data.keys()):
+    if missing := sorted({"format", "suite", "jobs"} - data.keys()):
         raise ValueError(f"{path} is not {kind}: it has no {', '.join(missing)}")
     if data["format"] != FORMAT:
         raise ValueError(

@@ -16,7 +16,7 @@ from ptne_env.experiments.jobs import Job, JobResult
 from ptne_env.experiments.metrics import METRICS, against_law
 from ptne_env.experiments.policy_specs import PolicySpec, get_policy_spec
 from ptne_env.experiments.results import Results, records
-from ptne_env.experiments.store import Store
+from ptne_env.experiments.store import Store, run_jobs
 from ptne_env.experiments.suite import LEADERBOARD_SEED, SUITES, Suite, Track, comparison, get_suite
 from ptne_env.experiments.workers import Workers
 from ptne_env.scenario import Scenario
@@ -127,7 +127,7 @@ def run_suite(
         if (track.name, spec.name) not in not_applicable
         for training_seed in range(len(spec.training_seeds))
     ]
-    runner = _Runner(Store(folder), workers, progress)
+    runner = _Runner(None if folder is None else Store(folder), workers, progress)
     samples, reasons = _collected(jobs, runner.run(jobs))
     own = specs.keys() - {reference.name for reference in suite.references}
     if own and own.isdisjoint(policy for _, policy in samples):
@@ -135,15 +135,15 @@ def run_suite(
         raise ValueError(f"policy {name!r} fits no track: {reason}")
     tuned: dict[str, dict[str, PolicySpec]] = {}
     if against_laws:
-        learned = {track for track, policy in samples if specs[policy].is_learned}
-        random = [track for track in chosen if track.name in learned and track.scenario.is_random]
+        with_learned = {track for track, policy in samples if specs[policy].is_learned}
+        random = [track for track in chosen if track.name in with_learned and track.scenario.is_random]
         tuned = _tuned_laws(suite, random, runner)
         opposing = [Job(track, law, 0, sets[track.name]) for track in random for law in tuned[track.name].values()]
         law_samples, _ = _collected(opposing, runner.run(opposing))
-        for (track, policy), own in samples.items():
+        for (track, policy), measured in samples.items():
             if track in tuned and specs[policy].is_learned:
                 for group, law in tuned[track].items():
-                    own |= against_law(group, own["digits"], law_samples[track, law.name]["digits"])
+                    measured.update(against_law(group, measured["digits"], law_samples[track, law.name]["digits"]))
         jobs, samples = [*jobs, *opposing], {**samples, **law_samples}
     ordered = {
         (track.name, name): samples[track.name, name]
@@ -187,7 +187,7 @@ def _by_name(suite: Suite, policies: Iterable[str | PolicySpec]) -> dict[str, Po
 class _Runner:
     """Runs lists of jobs, and counts them for the progress callback."""
 
-    store: Store
+    store: Store | None
     workers: Workers
     progress: Callable[[str, int], None] | None
     total: int = 0
@@ -198,7 +198,7 @@ class _Runner:
         # The largest games first, so that no worker is left alone with one at the end.
         order = sorted(range(len(jobs)), key=lambda index: -jobs[index].track.scenario.built_game.num_players)
         found: dict[int, JobResult] = {}
-        for place, result in self.store.run([jobs[index] for index in order], self.workers):
+        for place, result in run_jobs([jobs[index] for index in order], self.store, self.workers):
             job = jobs[order[place]]
             found[order[place]] = result
             if self.progress is not None:

@@ -157,7 +157,7 @@ def _saturated(moment: Moment) -> FloatArray:
 
 def _components(moment: Moment) -> FloatArray:
     components, players, _ = moment.inputs.shape
-    return ~moment.state.diverged * float(components * players)
+    return (~moment.state.diverged).astype(np.float64) * (components * players)
 
 
 def _messages(moment: Moment) -> FloatArray:

@@ -22,15 +22,14 @@ class Store:
     same result. Nothing is stored of a job without a key.
 
     Args:
-        folder: of the results, made when the first one is stored; ``None`` stores nothing.
+        folder: of the results, made when the first one is stored.
     """
 
-    def __init__(self, folder: Path | None) -> None:
+    def __init__(self, folder: Path) -> None:
         self.folder = folder
 
     def path(self, key: str) -> Path:
         """The file of the job with this key."""
-        assert self.folder is not None
         return self.folder / "jobs" / f"{key}.json"
 
     def load(self, key: str) -> JobResult:
@@ -48,8 +47,8 @@ class Store:
         return JobResult.from_dict(data)
 
     def save(self, job: Job, result: JobResult) -> None:
-        """Write the job's file."""
-        if self.folder is None or job.key is None:
+        """Write the job's file; nothing for a job without a key."""
+        if job.key is None:
             return
         body = result.to_dict()
         checksum = content_hash({name: body[name] for name in _CHECKED})
@@ -57,24 +56,32 @@ class Store:
         data = {"job": job.to_dict(), **names, **body, "checksum": checksum}
         write_atomically(self.path(job.key), json.dumps(data, allow_nan=False, ensure_ascii=False))
 
-    def run(self, jobs: Sequence[Job], workers: Workers) -> Iterator[tuple[int, JobResult]]:
-        """Stored results of the jobs, and results of the workers for the others, which are stored; with the index."""
-        missing = []
-        for index, job in enumerate(jobs):
-            result = self._stored(job)
-            if result is None:
-                missing.append(index)
-            else:
-                yield index, result
-        for place, result in workers.run(run_job, [(jobs[index], jobs[index].key) for index in missing]):
-            self.save(jobs[missing[place]], result)
-            yield missing[place], result
-
-    def _stored(self, job: Job) -> JobResult | None:
+    def find(self, job: Job) -> JobResult | None:
         """The stored result; ``None`` where there is none, or a damaged file, so that the job has to be run."""
-        if self.folder is None or job.key is None:
+        if job.key is None:
             return None
         try:
             return self.load(job.key)
         except (FileNotFoundError, ValueError):
             return None
+
+
+def run_jobs(jobs: Sequence[Job], store: Store | None, workers: Workers) -> Iterator[tuple[int, JobResult]]:
+    """The index and the result of each job: stored ones first, then those of workers, which are stored.
+
+    Args:
+        jobs: to be run.
+        store: of results; ``None`` stores nothing.
+        workers: run the jobs.
+    """
+    missing = []
+    for index, job in enumerate(jobs):
+        result = None if store is None else store.find(job)
+        if result is None:
+            missing.append(index)
+        else:
+            yield index, result
+    for place, result in workers.run(run_job, [(jobs[index], jobs[index].key) for index in missing]):
+        if store is not None:
+            store.save(jobs[missing[place]], result)
+        yield missing[place], result

@@ -142,8 +142,6 @@ class Suite:
 
     def __post_init__(self) -> None:
         require_count("a suite's number of episodes", self.episodes, 1)
-        if not (isinstance(self.name, str) and self.name):
-            raise ValueError(f"a suite needs a name, got {self.name!r}")
         names = [track.name for track in self.tracks]
         if not names or len(set(names)) < len(names):
             raise ValueError(f"a suite needs tracks with different names, got {names}")
