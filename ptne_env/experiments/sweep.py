@@ -20,7 +20,7 @@ from ptne_env._version import __version__
 from ptne_env.arrays import FloatArray, require_count
 from ptne_env.dynamics import State, World
 from ptne_env.encoder import Encoder
-from ptne_env.experiments.episodes import draw_start
+from ptne_env.experiments.episodes import EpisodeSet
 from ptne_env.experiments.rollout import rollout
 from ptne_env.experiments.workers import Workers
 from ptne_env.factory import FactorySpec
@@ -183,8 +183,8 @@ def _measure(name: str, x: float, y: float, episodes: int, seed: int) -> tuple[f
     except ValueError:  # such as a dwell that is shorter than a step
         return None, None
     encoder = Encoder(World(scenario), Interface())
-    law, start = Static(encoder.layout, kappa), draw_start(encoder.world, episodes, seed)
-    measured = _mean_digits(rollout(law, encoder, start).estimate_distance[scenario.steps])
+    law, start = Static(encoder.layout, kappa), EpisodeSet(episodes, seed).initial_state(encoder.world)
+    measured = _mean_digits(rollout(law, encoder, start)["estimate_distance"][scenario.steps])
 
     game, loop = scenario.built_game, theory.sampled_loop(scenario, law)
     if not np.all(np.isfinite(loop.transition())):
@@ -274,7 +274,7 @@ def _noise_boundaries(x: Axis, y: Axis) -> list[Boundary]:  # noqa: ARG001 - the
         scenario, kappa = _point("noise-horizon", 1.0, float(horizon))
         encoder = Encoder(World(scenario), Interface())
         loop = theory.sampled_loop(scenario, Static(encoder.layout, kappa))
-        error = np.exp(np.log(_noiseless(loop, draw_start(encoder.world, 64, 0))).mean())
+        error = np.exp(np.log(_noiseless(loop, EpisodeSet(64).initial_state(encoder.world))).mean())
         levels.append(float(error / theory.noise_distance(loop.noise_covariance(), scenario.built_game)))
     return [Boundary("noise as large as the error", tuple(levels), tuple(horizons))]
 
