@@ -10,12 +10,12 @@ from typing import Any
 import numpy as np
 
 from ptne_env.arrays import require_count
+from ptne_env.catalogue import CATALOGUE
 from ptne_env.experiments.jobs import Job
 from ptne_env.experiments.policy_specs import ARCHIVE, PolicySpec
 from ptne_env.experiments.results import read_results
 from ptne_env.experiments.store import Store
 from ptne_env.experiments.suite import PAPER_START, Suite, comparison, get_suite
-from ptne_env.scenario import CATALOGUE
 
 
 @dataclass(frozen=True)

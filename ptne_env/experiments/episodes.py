@@ -6,10 +6,10 @@ from dataclasses import dataclass
 from hashlib import sha256
 from typing import Literal, TypeAlias, get_args
 
-from ptne_env import theory
 from ptne_env.arrays import require_count
-from ptne_env.dynamics import State, World
+from ptne_env.dynamics import State, draw_initial_state
 from ptne_env.random_streams import RandomStreams
+from ptne_env.world import World
 
 Split: TypeAlias = Literal["train", "validation", "test"]
 
@@ -93,8 +93,5 @@ class EpisodeSet:
         Raises:
             ValueError: when a drawn game is not strongly monotone.
         """
-        sources = [RandomStreams.from_seed(self.episode_seed(episode)) for episode in range(self.count)]
-        game = world.draw_game(sources)
-        if world.scenario.has_random_game:
-            theory.require_strong_monotonicity(game)
-        return world.start(world.draw_estimates(sources), game, world.draw_randomness(sources))
+        streams = [RandomStreams.from_seed(self.episode_seed(episode)) for episode in range(self.count)]
+        return draw_initial_state(world, streams)

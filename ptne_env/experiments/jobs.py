@@ -11,15 +11,14 @@ from typing import Any
 import numpy as np
 
 from ptne_env.arrays import FloatArray
-from ptne_env.dynamics import State, World
-from ptne_env.encoder import Encoder
+from ptne_env.dynamics import State
+from ptne_env.encoder import make_encoder
 from ptne_env.experiments.episodes import EpisodeSet
 from ptne_env.experiments.metrics import METRICS, measure
 from ptne_env.experiments.policy_specs import PolicySpec
 from ptne_env.experiments.provenance import content_hash, versions
 from ptne_env.experiments.rollout import rollout
 from ptne_env.experiments.suite import Track
-from ptne_env.scenario import Scenario
 
 
 @dataclass(frozen=True)
@@ -56,9 +55,9 @@ class Job:
 
     def compute(self) -> JobResult:
         """Run the episodes."""
-        world, start = _start(self.track.scenario, self.episodes)
+        world, start = self.track.world, _initial_state(self.track, self.episodes)
         try:
-            encoder = Encoder(world, self.policy.interface)
+            encoder = make_encoder(world, self.policy.interface)
             policy = self.policy.build(encoder.layout, self.training_seed)
         except ValueError as error:  # made for another layout, or for other games
             return JobResult({}, {}, str(error))
@@ -69,9 +68,8 @@ class Job:
 
 
 @lru_cache(maxsize=2)  # jobs with the same episodes follow each other
-def _start(scenario: Scenario, episodes: EpisodeSet) -> tuple[World, State]:
-    world = World(scenario)
-    return world, episodes.initial_state(world)
+def _initial_state(track: Track, episodes: EpisodeSet) -> State:
+    return episodes.initial_state(track.world)
 
 
 @dataclass(frozen=True)

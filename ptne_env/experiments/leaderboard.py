@@ -123,7 +123,7 @@ def leaderboard(
     """
     raw, fine_times = {}, {}
     for track in tracks:
-        whole = float(track.scenario.built_clock.t[-1])
+        whole = float(track.world.clock.t[-1])
         for name in policies:
             if (track.name, name) in samples:
                 found = samples[track.name, name]

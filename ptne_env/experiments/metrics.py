@@ -36,7 +36,7 @@ class Metric:
         name: key of records, CSV and JSON files.
         heading: of a column.
         meaning: in one sentence or phrase.
-        value: of a rollout, shape (B,), NaN in an episode without a value; ``None`` where it follows from other metrics.
+        value: of a rollout, shape (B,), NaN in an episode without a value; ``None`` where it follows from others.
         unit: empty for a pure number.
         direction: which values are better; ``None`` where neither is.
         block: the table in which it stands.

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import Any
 
+from ptne_env.catalogue import get_scenario
 from ptne_env.experiments.suite import Suite, Teammates, Track
 from ptne_env.factory import FactorySpec
-from ptne_env.scenario import get_scenario
 
 
 def ptne_v1() -> Suite:

@@ -9,11 +9,13 @@ from typing import Any
 
 import numpy as np
 
+from ptne_env import dynamics
 from ptne_env.arrays import BoolArray, FloatArray
-from ptne_env.dynamics import State, World
+from ptne_env.dynamics import State
 from ptne_env.encoder import Encoder
 from ptne_env.experiments.series import SERIES, Moment
 from ptne_env.policy import Policy
+from ptne_env.world import World
 
 
 @dataclass(frozen=True)
@@ -68,7 +70,8 @@ class Member:
         Raises:
             ValueError: when the policy returns actions of another shape, or actions that are not finite.
         """
-        layout, batch, rows = self.encoder.layout, state.batch_size, len(self.players) * state.batch_size
+        layout, batch = self.encoder.layout, dynamics.batch_size(state)
+        rows = len(self.players) * batch
         is_alone = len(self.players) == layout.num_players
         if self._episode_start is None:
             self._episode_start = np.ones(rows, dtype=np.bool_)
@@ -83,11 +86,11 @@ class Member:
         self._episode_start = np.zeros_like(self._episode_start)
         chosen = _checked(np.asarray(actions), (batch, len(self.players), layout.action_size))
         if is_alone:
-            return self.encoder.decode(chosen, state).inputs
+            return self.encoder.decode(chosen, state)
         actions_of_all = np.zeros((batch, layout.num_players, layout.action_size), dtype=chosen.dtype)
         actions_of_all[:, self.players] = chosen
         inputs = np.zeros_like(state.estimates)
-        inputs[:, self.players] = self.encoder.decode(actions_of_all, state).inputs[:, self.players]
+        inputs[:, self.players] = self.encoder.decode(actions_of_all, state)[:, self.players]
         return inputs
 
 
@@ -110,7 +113,7 @@ def rollout(
     Raises:
         ValueError: when a policy returns actions of another shape, or actions that are not finite.
     """
-    world, batch = encoder.world, start.batch_size
+    world, batch = encoder.world, dynamics.batch_size(start)
     clock, players = world.clock, range(world.game.num_players)
     taken = set() if teammates is None else set(teammates.players.tolist())
     member = Member(policy, encoder, [player for player in players if player not in taken])
@@ -129,7 +132,7 @@ def rollout(
             if step in instants:
                 values[series.name].append(series.value(moment))
         if not is_last:
-            state = world.step(state, inputs)
+            state = dynamics.step(world, state, inputs)
     seconds = member.seconds / (clock.total_steps * len(member.players) * batch)
     return Rollout(world, {name: np.array(found) for name, found in values.items()}, state.diverged, seconds)
 

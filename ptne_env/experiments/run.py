@@ -136,7 +136,7 @@ def run_suite(
     tuned: dict[str, dict[str, PolicySpec]] = {}
     if against_laws:
         with_learned = {track for track, policy in samples if specs[policy].is_learned}
-        random = [track for track in chosen if track.name in with_learned and track.scenario.is_random]
+        random = [track for track in chosen if track.name in with_learned and track.world.is_random]
         tuned = _tuned_laws(suite, random, runner)
         opposing = [Job(track, law, 0, sets[track.name]) for track in random for law in tuned[track.name].values()]
         law_samples, _ = _collected(opposing, runner.run(opposing))
@@ -196,7 +196,7 @@ class _Runner:
         """The results of jobs, in their order."""
         self.total += len(jobs)
         # The largest games first, so that no worker is left alone with one at the end.
-        order = sorted(range(len(jobs)), key=lambda index: -jobs[index].track.scenario.built_game.num_players)
+        order = sorted(range(len(jobs)), key=lambda index: -jobs[index].track.world.game.num_players)
         found: dict[int, JobResult] = {}
         for place, result in run_jobs([jobs[index] for index in order], self.store, self.workers):
             job = jobs[order[place]]

@@ -9,11 +9,12 @@ from typing import Literal, TypeAlias
 
 import numpy as np
 
-from ptne_env import distances
+from ptne_env import distances, dynamics
 from ptne_env.arrays import FloatArray, ordered_sum
 from ptne_env.clock import StepClock
-from ptne_env.dynamics import State, World
+from ptne_env.dynamics import State
 from ptne_env.rewards import REWARD_LIMIT
+from ptne_env.world import World
 
 When: TypeAlias = Literal["instants", "steps", "deadline", "ends"]
 """Every instant, every step to the deadline, the instant T, or the first and the last instant."""
@@ -34,6 +35,11 @@ class Moment:
     state: State
     inputs: FloatArray
     step: int
+
+    @property
+    def strategies(self) -> FloatArray:
+        """The real strategies x, shape (n, B)."""
+        return dynamics.strategies(self.world, self.state)
 
     @cached_property
     def player_distances(self) -> FloatArray:
@@ -68,9 +74,9 @@ class Moment:
 
     def limited(self, distance: FloatArray) -> FloatArray:
         """``distance`` (..., B) with the range limit where an episode has diverged."""
-        if not self.state.any_diverged:
+        if not dynamics.any_diverged(self.state):
             return distance
-        return np.where(self.state.diverged, self.world.distance_limit(self.state.game), distance)
+        return np.where(self.state.diverged, dynamics.distance_limit(self.state.game), distance)
 
 
 @dataclass(frozen=True)
@@ -104,7 +110,7 @@ def squared(array: FloatArray) -> FloatArray:
 
 
 def _strategy_distance(moment: Moment) -> FloatArray:
-    return moment.limited(distances.strategy_distance(moment.state.strategies, moment.state.game))
+    return moment.limited(distances.strategy_distance(moment.strategies, moment.state.game))
 
 
 def _estimate_distance(moment: Moment) -> FloatArray:
@@ -124,9 +130,9 @@ def _consensus_error(moment: Moment) -> FloatArray:
 def _regret(moment: Moment) -> FloatArray:
     state = moment.state
     if not state.game.has_best_response:
-        return np.full(state.batch_size, np.nan)
+        return np.full(dynamics.batch_size(state), np.nan)
     with np.errstate(over="ignore", invalid="ignore"):  # only a diverged environment overflows
-        regrets = np.clip(state.game.regrets(state.strategies), 0, REWARD_LIMIT)
+        regrets = np.clip(state.game.regrets(moment.strategies), 0, REWARD_LIMIT)
     return ordered_sum(np.where(state.diverged, REWARD_LIMIT, regrets))
 
 
@@ -151,7 +157,7 @@ def _peak_velocity(moment: Moment) -> FloatArray:
 
 def _saturated(moment: Moment) -> FloatArray:
     # The action box is float32, so an input at the limit may be the float32 just below it.
-    limit = np.nextafter(np.float32(moment.world.scenario.input_limit), np.float32(0))
+    limit = np.nextafter(np.float32(moment.world.input_limit), np.float32(0))
     return (moment.magnitudes >= limit).sum(axis=(0, 1)).astype(np.float64)
 
 
@@ -161,7 +167,9 @@ def _components(moment: Moment) -> FloatArray:
 
 
 def _messages(moment: Moment) -> FloatArray:
-    return ~moment.state.diverged * (moment.state.weights > 0).sum(axis=(0, 1)).astype(np.float64)
+    return ~moment.state.diverged * (dynamics.weights(moment.world, moment.state) > 0).sum(axis=(0, 1)).astype(
+        np.float64
+    )
 
 
 SERIES: dict[str, Series] = {

@@ -4,20 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, fields
-from functools import cache, cached_property
+from functools import cache, cached_property, lru_cache
 from typing import Any
 
 from ptne_env.arrays import require_count
+from ptne_env.catalogue import get_scenario
 from ptne_env.distances import FLOOR
-from ptne_env.dynamics import World
-from ptne_env.encoder import Encoder
+from ptne_env.encoder import make_encoder
 from ptne_env.experiments.episodes import EpisodeSet, Split
 from ptne_env.experiments.metrics import FINE_DISTANCE
 from ptne_env.experiments.policy_specs import POLICIES, PolicySpec
 from ptne_env.experiments.provenance import content_hash, file_hashes
 from ptne_env.experiments.rollout import Member
 from ptne_env.factory import FactorySpec, resolve
-from ptne_env.scenario import Scenario, get_scenario
+from ptne_env.scenario import Scenario
+from ptne_env.world import World
 
 ZERO, LAW, ORACLE = "zero-input", "static", "oracle"
 """The reference policies of published suites: score 0, score 1 (the paper's law), and an oracle beside them."""
@@ -54,7 +55,7 @@ class Teammates:
             ValueError: when their policy cannot act there.
         """
         spec = PolicySpec("teammates", self.policy)
-        encoder = Encoder(world, spec.interface)
+        encoder = make_encoder(world, spec.interface)
         return Member(spec.build(encoder.layout), encoder, self.players)
 
     def to_dict(self) -> dict[str, Any]:
@@ -93,12 +94,17 @@ class Track:
         if self.episodes is not None:
             require_count(f"episodes of track {self.name!r}", self.episodes, 1)
         if self.teammates is not None:
-            chosen, players = set(self.teammates.players), set(range(self.scenario.built_game.num_players))
+            chosen, players = set(self.teammates.players), set(range(self.world.game.num_players))
             if not (chosen < players and 0 < len(chosen) == len(self.teammates.players)):
                 raise ValueError(
                     f"track {self.name!r}: teammates are some, not all, of the players {sorted(players)}, each once; "
                     f"got {list(self.teammates.players)}"
                 )
+
+    @property
+    def world(self) -> World:
+        """The scenario's world, built once per process."""
+        return _world(self.scenario)
 
     def to_dict(self) -> dict[str, Any]:
         """A JSON object."""
@@ -116,6 +122,11 @@ class Track:
         values = (getattr(self.scenario, field.name) for field in fields(self.scenario))
         parts = tuple(value for value in values if isinstance(value, FactorySpec))
         return file_hashes(parts if self.teammates is None else (*parts, self.teammates.policy))
+
+
+@lru_cache(maxsize=100)
+def _world(scenario: Scenario) -> World:
+    return World(scenario)
 
 
 @dataclass(frozen=True)
@@ -236,14 +247,16 @@ def _comparison_tracks(scenario: str | Scenario, hold_steps: int) -> Iterator[Tr
         yield _comparison_track(scenario.name, scenario)
         return
     named = get_scenario(scenario, hold_steps=hold_steps)
-    yield _comparison_track(scenario, named if named.is_random else named.replace(start="random"))
-    if not named.is_random:
+    is_random = _world(named).is_random
+    yield _comparison_track(scenario, named if is_random else named.replace(start="random"))
+    if not is_random:
         yield _comparison_track(scenario + PAPER_START, named)
 
 
 def _comparison_track(name: str, scenario: Scenario) -> Track:
-    change = "Random episodes." if scenario.is_random else "The paper's own start, one episode."
-    return Track(name, scenario, change, episodes=None if scenario.is_random else 1)
+    if _world(scenario).is_random:
+        return Track(name, scenario, "Random episodes.")
+    return Track(name, scenario, "The paper's own start, one episode.", episodes=1)
 
 
 SUITES: Mapping[str, str] = {"ptne-v1": "ptne_env.experiments.ptne_v1:ptne_v1"}

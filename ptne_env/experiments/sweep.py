@@ -18,15 +18,17 @@ import numpy as np
 from ptne_env import theory
 from ptne_env._version import __version__
 from ptne_env.arrays import FloatArray, require_count
-from ptne_env.dynamics import State, World
-from ptne_env.encoder import Encoder
+from ptne_env.catalogue import get_scenario
+from ptne_env.dynamics import State
+from ptne_env.encoder import make_encoder
 from ptne_env.experiments.episodes import EpisodeSet
 from ptne_env.experiments.rollout import rollout
 from ptne_env.experiments.workers import Workers
 from ptne_env.factory import FactorySpec
 from ptne_env.laws import Static
 from ptne_env.observation import Interface
-from ptne_env.scenario import Scenario, get_scenario
+from ptne_env.scenario import Scenario
+from ptne_env.world import World
 
 CEILING = 12.0
 """Digits count up to here, where the environment's float64 and the observations' float32 end."""
@@ -179,18 +181,18 @@ def run_sweep(
 def _measure(name: str, x: float, y: float, episodes: int, seed: int) -> tuple[float | None, float | None]:
     """Mean digits at T of one point, as measured and as predicted."""
     try:
-        scenario, kappa = _point(name, x, y)
+        world, kappa = _point(name, x, y)
     except ValueError:  # such as a dwell that is shorter than a step
         return None, None
-    encoder = Encoder(World(scenario), Interface())
-    law, start = Static(encoder.layout, kappa), EpisodeSet(episodes, seed).initial_state(encoder.world)
-    measured = _mean_digits(rollout(law, encoder, start)["estimate_distance"][scenario.steps])
+    encoder = make_encoder(world, Interface())
+    law, start = Static(encoder.layout, kappa), EpisodeSet(episodes, seed).initial_state(world)
+    measured = _mean_digits(rollout(law, encoder, start)["estimate_distance"][world.clock.steps])
 
-    game, loop = scenario.built_game, theory.sampled_loop(scenario, law)
+    loop = theory.sampled_loop(world.scenario, law)
     if not np.all(np.isfinite(loop.transition())):
         return measured, FLOOR
-    std = theory.channel_noise(scenario.built_channel)
-    noise = theory.noise_distance(loop.noise_covariance(std), game) if std else 0.0
+    std = theory.channel_noise(world.channel)
+    noise = theory.noise_distance(loop.noise_covariance(std), world.game) if std else 0.0
     return measured, _mean_digits(np.hypot(_noiseless(loop, start), noise))
 
 
@@ -204,10 +206,11 @@ def _mean_digits(distances: FloatArray) -> float:
     return float(-np.log10(np.clip(distances, 10.0**-CEILING, 10.0**-FLOOR)).mean())
 
 
-def _point(name: str, x: float, y: float) -> tuple[Scenario, float]:
+def _point(name: str, x: float, y: float) -> tuple[World, float]:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)  # some diagrams are about short horizons
-        return SWEEPS[name].point(x, y)
+        scenario, kappa = SWEEPS[name].point(x, y)
+        return World(scenario), kappa
 
 
 def _logarithmic(label: str, low: float, high: float, points: int) -> Axis:
@@ -231,7 +234,7 @@ def _energy(**changes: Any) -> Scenario:
 
 
 def _gain_step_axes(points: int) -> tuple[Axis, Axis]:
-    total = _energy().built_clock.effective_time
+    total = World(_energy()).clock.effective_time
     steps = np.unique(np.rint(np.geomspace(total, total / 0.04, points)).astype(int))[::-1]
     if len(steps) < points:
         raise ValueError(f"{points} points along Θ are more than there are numbers of steps")
@@ -239,11 +242,12 @@ def _gain_step_axes(points: int) -> tuple[Axis, Axis]:
 
 
 def _gain_step_point(kappa: float, theta: float) -> tuple[Scenario, float]:
-    return _energy(steps=round(_energy().built_clock.effective_time / theta)), kappa
+    return _energy(steps=round(World(_energy()).clock.effective_time / theta)), kappa
 
 
 def _gain_step_boundaries(x: Axis, y: Axis) -> list[Boundary]:
-    game, graph = _energy().built_game, _energy().built_topology.graphs[0]
+    world = World(_energy())
+    game, graph = world.game, world.topology.graphs[0]
     kappas = np.geomspace(x.values[0], x.values[-1], 200)
     steps = [theory.largest_stable_step(theory.closed_loop_matrix(game, graph, float(kappa))) for kappa in kappas]
     known = [(float(kappa), step) for kappa, step in zip(kappas, steps, strict=True) if step is not None]
@@ -271,11 +275,10 @@ def _noise_boundaries(x: Axis, y: Axis) -> list[Boundary]:  # noqa: ARG001 - the
     horizons = np.linspace(y.values[0], y.values[-1], 17)
     levels = []
     for horizon in horizons:
-        scenario, kappa = _point("noise-horizon", 1.0, float(horizon))
-        encoder = Encoder(World(scenario), Interface())
-        loop = theory.sampled_loop(scenario, Static(encoder.layout, kappa))
-        error = np.exp(np.log(_noiseless(loop, EpisodeSet(64).initial_state(encoder.world))).mean())
-        levels.append(float(error / theory.noise_distance(loop.noise_covariance(), scenario.built_game)))
+        world, kappa = _point("noise-horizon", 1.0, float(horizon))
+        loop = theory.sampled_loop(world.scenario, Static(make_encoder(world, Interface()).layout, kappa))
+        error = np.exp(np.log(_noiseless(loop, EpisodeSet(64).initial_state(world))).mean())
+        levels.append(float(error / theory.noise_distance(loop.noise_covariance(), world.game)))
     return [Boundary("noise as large as the error", tuple(levels), tuple(horizons))]
 
 
@@ -289,12 +292,12 @@ def _dwell_point(dwell: float, gain: float) -> tuple[Scenario, float]:
 
 
 def _dwell_boundaries(x: Axis, y: Axis) -> list[Boundary]:
-    scenario, kappa = _point("dwell-gain", 0.1, 20.0)
-    game, graphs = scenario.built_game, scenario.built_topology.graphs
-    matrices = [theory.closed_loop_matrix(game, graph, kappa) for graph in graphs]
+    world, kappa = _point("dwell-gain", 0.1, 20.0)
+    scenario = world.scenario
+    matrices = [theory.closed_loop_matrix(world.game, graph, kappa) for graph in world.topology.graphs]
     steps = [theory.largest_stable_step(matrix) for matrix in matrices]
     stable = min(step for step in steps if step is not None)
-    rate = theory.input_decay_rate(matrices, scenario.built_topology, scenario.deadline)
+    rate = theory.input_decay_rate(matrices, world.topology, scenario.deadline)
     dwells = np.geomspace(x.values[0], x.values[-1], 50)
     settles = dwells[(dwells > 1 / (rate * y.values[-1])) & (dwells < 1 / (rate * y.values[0]))]
     lines = [

@@ -7,15 +7,17 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ptne_env import dynamics
 from ptne_env.arrays import BoolArray, FloatArray, IntArray, require_count
-from ptne_env.dynamics import State, World
-from ptne_env.encoder import Encoder
+from ptne_env.dynamics import State
+from ptne_env.encoder import make_encoder
 from ptne_env.experiments.episodes import EpisodeSet
 from ptne_env.experiments.policy_specs import PolicySpec
 from ptne_env.experiments.results import Results
 from ptne_env.experiments.rollout import Member, rollout
 from ptne_env.experiments.suite import Track
 from ptne_env.experiments.workers import Workers
+from ptne_env.world import World
 
 EPISODES = 20
 """Default number of episodes over which errors are shown."""
@@ -114,10 +116,8 @@ def _task(results: Results, track: Track, episodes: int) -> tuple[Track, Episode
 
 
 def _track_scene(track: Track, episodes: EpisodeSet, policies: Mapping[str, PolicySpec]) -> Scene:
-    world = World(track.scenario)
-    return scene(
-        world, episodes.initial_state(world), policies, None if track.teammates is None else track.teammates.join
-    )
+    teammates = None if track.teammates is None else track.teammates.join
+    return scene(track.world, episodes.initial_state(track.world), policies, teammates)
 
 
 def scene(
@@ -153,7 +153,7 @@ def scene(
     links = np.array(world.topology.union.edges, dtype=np.int64).reshape(-1, 2)
     traces = {}
     for name, policy in policies.items():
-        encoder = Encoder(world, policy.interface)
+        encoder = make_encoder(world, policy.interface)
         watch = _Watch(world, kept)
         team = None if teammates is None else teammates(world)
         distance = rollout(policy.build(encoder.layout), encoder, start, team, watch)["estimate_distance"]
@@ -172,7 +172,7 @@ def scene(
         equilibrium=start.game.nash_equilibria[:, 0],
         links=links,
         live=live.T,
-        episodes=start.batch_size,
+        episodes=dynamics.batch_size(start),
         traces=traces,
     )
 
@@ -181,6 +181,7 @@ class _Watch:
     """Keeps some instants of the first episode of a rollout."""
 
     def __init__(self, world: World, frames: IntArray) -> None:
+        self._world = world
         self._owners = world.game.owners
         self._frames = frozenset(frames.tolist())
         self._estimates: list[FloatArray] = []
@@ -198,7 +199,8 @@ class _Watch:
             return
         first = inputs[:, :, 0]
         self._inputs.append(first[components, self._owners])
-        received = (state.weights[:, None, :, 0] * state.relative_estimates[..., 0]).sum(axis=0)
+        weights = dynamics.weights(self._world, state)[:, None, :, 0]
+        received = (weights * dynamics.relative_estimates(self._world, state)[..., 0]).sum(axis=0)
         received[components, self._owners] = 0  # the gradient acts in the own block
         squares = (received**2).sum(axis=0)
         with np.errstate(divide="ignore", invalid="ignore"):

@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ptne_env.arrays import FloatArray, require_count
-from ptne_env.dynamics import State, World
-from ptne_env.encoder import Encoder
+from ptne_env.dynamics import State
+from ptne_env.encoder import make_encoder
 from ptne_env.envs.rendering import Renderer, pixels
-from ptne_env.experiments.episodes import draw_start
+from ptne_env.experiments.episodes import EpisodeSet
 from ptne_env.experiments.policy_specs import PolicySpec
 from ptne_env.experiments.rollout import rollout
 from ptne_env.experiments.traces import scene
@@ -22,6 +22,7 @@ from ptne_env.files import write_atomically
 from ptne_env.report.page import render_episode
 from ptne_env.scenario import Scenario
 from ptne_env.style import drawing
+from ptne_env.world import World
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -65,7 +66,7 @@ def save_video(
         raise ValueError(f"a video is written to {', '.join(FORMATS)}, got {path.name!r}")
     require_count("pictures", pictures, 2)
     world = World(scenario)
-    start = draw_start(world, 1, seed)
+    start = EpisodeSet(1, seed).initial_state(world)
     if suffix == ".html":
         traced = scene(world, start, {spec.name: spec}, frames=pictures)
         write_atomically(path, render_episode(scenario.name, traced))
@@ -81,7 +82,7 @@ def _pictures(
     world: World, spec: PolicySpec, start: State, count: int, progress: Callable[[int, int], None] | None
 ) -> Iterator[Figure]:
     """The same figure ``count`` times, brought up to date for each."""
-    encoder = Encoder(world, spec.interface)
+    encoder = make_encoder(world, spec.interface)
     states: list[State] = []
 
     def keep(state: State, _: FloatArray | None) -> None:
