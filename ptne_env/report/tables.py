@@ -133,7 +133,7 @@ def track_tables(results: Results, track: Track) -> list[Table]:
     rows = {} if board is None else {row.policy: row for row in board.rows if row.track == name}
     means = {policy: results.record(name, policy, track.metric)["mean"] or 0.0 for policy in specs}
     order = sorted(specs, key=lambda policy: ((rows[policy].rank or 0) if policy in rows else 0, -means[policy]))
-    blocks = {"How close": [] if board is None else _ranking_columns(rows, is_saturated=name in board.saturated)}
+    blocks = {"How close": [] if board is None else _ranking_columns(rows)}
     for metric in sorted(METRICS.values(), key=lambda metric: metric.name != track.metric):
         values = {policy: Value.of(results.summary(name, policy, metric.name)) for policy in order}
         column = Column(metric.label, metric.meaning, values, descending=metric.direction == "higher")
@@ -142,10 +142,9 @@ def track_tables(results: Results, track: Track) -> list[Table]:
         "How close": _not_applicable(results, name),
         "Against tuned laws": [f"{law.name}: {call(law)}" for law in results.tuned.get(name, {}).values()],
     }
-    count = f"{results.episodes[name]} episode{'s' * (results.episodes[name] > 1)}"
     return [
         Table(
-            f"{name}: {block.lower()}, {count}",
+            f"{name}: {block.lower()}",
             tuple(column for column in columns if column.is_filled),
             {policy: specs[policy].is_oracle for policy in order if _is_filled(policy, columns)},
             tuple(notes.get(block, ())),
@@ -159,10 +158,16 @@ def _is_filled(policy: str, columns: Iterable[Column]) -> bool:
     return any(column[policy].value is not None for column in columns)
 
 
-def _ranking_columns(rows: Mapping[str, TrackRow], *, is_saturated: bool) -> list[Column]:
-    by = "time to 1e-6, as several policies reach the floor of digits" if is_saturated else "digits"
+def track_rules(results: Results, track: Track) -> str:
+    """The number of episodes of a track, the metric that ranks its policies, and its physics, in sentences."""
+    board, count = results.leaderboard, results.episodes[track.name]
+    by = "time to 1e-6" if board and track.name in board.saturated else METRICS[track.metric].heading
+    return f"{count} episode{'s' * (count > 1)}, ranked by {by}. {track.change}"
+
+
+def _ranking_columns(rows: Mapping[str, TrackRow]) -> list[Column]:
     return [
-        _column("rank", f"by {by}", rows, lambda row: Value.count(row.rank), descending=False),
+        _column("rank", "1 is best", rows, lambda row: Value.count(row.rank), descending=False),
         _column("score", "0 is zero input, 1 the paper's law", rows, lambda row: Value.of(row.score, share)),
         _column(
             f"P(better than {LAW})",
@@ -239,12 +244,12 @@ def overview(results: Results) -> Table:
         ),
         *(
             _column(
-                f"P(score > {THRESHOLDS[index]:g})",
-                f"share of normalised scores above {THRESHOLDS[index]:g}",
-                scores,
-                lambda row, index=index: Value.of(row.profile[index], share),
+                f"P(score > {level:g})",
+                f"share of normalised scores above {level:g}",
+                {policy: row.profile[THRESHOLDS.index(level)] for policy, row in scores.items()},
+                lambda found: Value.of(found, share),
             )
-            for index in (THRESHOLDS.index(1.0), THRESHOLDS.index(2.0))
+            for level in (1.0, 2.0)
         ),
         _column(
             f"unpaired P(better than {LAW})",
@@ -304,18 +309,20 @@ def first_places(results: Results) -> dict[str, list[str]]:
     return firsts
 
 
-def mean_digits(results: Results, policy: str, minus: str | None = None) -> Summary:
+def mean_digits(results: Results, policy: str, *, minus: str | None = None, on: str | None = None) -> Summary:
     """The mean over tracks of the metric that scores each, with its 95 % interval.
 
     Args:
         results: of a comparison or of another suite.
         policy: its name; the tracks are those on which it was run.
-        minus: a policy whose value is taken off, episode by episode, on the tracks on which both were run.
+        minus: a policy whose value is subtracted, episode by episode, on the tracks on which both were run.
+        on: another policy that was run on the tracks.
     """
+    needed = {policy, minus or policy, on or policy}
     scores = [
         results.samples[track.name, policy][track.metric]
         - (0.0 if minus is None else results.samples[track.name, minus][track.metric])
         for track in results.tracks
-        if {(track.name, policy), (track.name, minus or policy)} <= results.samples.keys()
+        if all((track.name, name) in results.samples for name in needed)
     ]
     return estimate(mean, scores) if scores else Summary(None, None, None)

@@ -19,7 +19,7 @@ from ptne_env.experiments.policy_specs import PolicySpec
 from ptne_env.experiments.rollout import rollout
 from ptne_env.experiments.traces import scene
 from ptne_env.files import write_atomically
-from ptne_env.report.page import render_episode
+from ptne_env.report.pages import render_episode
 from ptne_env.scenario import Scenario
 from ptne_env.style import drawing
 from ptne_env.world import World
