@@ -9,7 +9,6 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from gzip import compress
 from importlib import resources
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -99,18 +98,17 @@ class Report:
     parameters: tuple[tuple[str, str, str, str], ...]
 
 
-def page(results: Results, scenes: Mapping[str, Scene], *, folder: Path | None = None) -> str:
+def page(results: Results, scenes: Mapping[str, Scene]) -> str:
     """Results as one HTML file with everything that it needs inside.
 
     Args:
         results: of a comparison or of another suite.
         scenes: of every track (:func:`~ptne_env.experiments.traces.scenes`).
-        folder: of the results, for the commands on the page; the default folder if left out.
 
     Raises:
         ImportError: when Jinja is missing, naming the extra to install.
     """
-    return render_report(report(results, scenes, folder=folder))
+    return render_report(report(results, scenes))
 
 
 def render_report(content: Report) -> str:
@@ -164,7 +162,7 @@ def _pack(text: str) -> str:
 # --- content --------------------------------------------------------------------------------------------------------
 
 
-def report(results: Results, scenes: Mapping[str, Scene], *, folder: Path | None = None) -> Report:
+def report(results: Results, scenes: Mapping[str, Scene]) -> Report:
     """The content of the page of results; arguments as :func:`page`."""
     suite, board = results.suite, results.leaderboard
     table = overview(results)
@@ -173,18 +171,18 @@ def report(results: Results, scenes: Mapping[str, Scene], *, folder: Path | None
         title=f"{suite.name}, seed {results.seed}",
         answer=_answer(results, table),
         overview=table,
-        sections=tuple(_section(results, track, scenes[track.name], folder) for track in results.tracks),
+        sections=tuple(_section(results, track, scenes[track.name]) for track in results.tracks),
         policies=tuple(dict.fromkeys([*results.policies, *tuned])),
         profiles={} if board is None else {row.policy: row.profile for row in board.overall},
         thresholds=() if board is None else board.thresholds,
         scenes=dict(scenes),
-        command=_command(results, results.tracks, folder),
+        command=_command(results, results.tracks),
         facts=(
             ("suite", suite.name),
             ("suite, SHA-256", suite.content_hash),
             ("seed", str(results.seed)),
             ("split", results.split),
-            ("check of a sample of jobs", shlex.join(["ptne", "check", str((folder or Path()) / "results.json")])),
+            ("check of a sample of jobs, in the folder of this page", "ptne check results.json"),
             *((f"version of {name}", version) for name, version in versions().items()),
         ),
         parameters=tuple(row for spec in results.policies.values() for row in _parameters(spec)),
@@ -225,7 +223,7 @@ def _comparison(results: Results, best: str, others: Sequence[str], improvement:
     return f"The paper's law ({LAW}) reaches {Value.of(law)} digits on the same tracks; {best} {difference}{better}."
 
 
-def _section(results: Results, track: Track, scene: Scene, folder: Path | None) -> Section:
+def _section(results: Results, track: Track, scene: Scene) -> Section:
     tables = tuple(track_tables(results, track))
     world, scenario = World(track.scenario), track.scenario
     keys: dict[str, list[str]] = {}
@@ -239,7 +237,7 @@ def _section(results: Results, track: Track, scene: Scene, folder: Path | None) 
         f"{scenario.hold_steps} after it.",
         tables=tables,
         shown=_shown([policy for policy, is_oracle in tables[0].rows.items() if not is_oracle]),
-        command=_command(results, [track], folder),
+        command=_command(results, [track]),
         facts=(
             ("track, SHA-256", content_hash(track.to_dict())),
             ("replay of the player's episode", _replay(results, track)),
@@ -269,7 +267,7 @@ def _replay(results: Results, track: Track) -> str:
     return f"ptne_env.parallel_env({made}).reset(seed={seed})"
 
 
-def _command(results: Results, tracks: Sequence[Track], folder: Path | None) -> str:
+def _command(results: Results, tracks: Sequence[Track]) -> str:
     """The command that repeats the numbers of some tracks."""
     options: dict[str, list[object]] = {"--seed": [results.seed], "--episodes": [max(results.episodes.values())]}
     if results.suite.is_comparison:
@@ -279,7 +277,6 @@ def _command(results: Results, tracks: Sequence[Track], folder: Path | None) -> 
         options["--suite"] = [results.target or results.suite.name]
         options["--track"] = [track.name for track in tracks if len(tracks) < len(results.suite.tracks)]
     options["--policy"] = list(results.policies)
-    options["--out"] = [] if folder is None else [folder]
     return shlex.join(
         [
             "ptne",

@@ -110,7 +110,7 @@ def empty_table(title: str | None = None, *, show_header: bool = True) -> RichTa
     )
 
 
-def check_table(repetitions: Sequence[Repetition], tolerance: float) -> RichTable:
+def repetition_table(repetitions: Sequence[Repetition], tolerance: float) -> RichTable:
     """The jobs that were run again, and whether each reproduces.
 
     Args:
