@@ -19,6 +19,8 @@ Row = TypeVar("Row")
 FIRST_MARGIN = 0.1
 """A policy whose interval comes within this many digits of the best mean of a track shares the first place there."""
 
+_PERCENT = "\N{NO-BREAK SPACE}%"
+
 ORACLE_NOTE = "* an oracle: it uses information that players lack, and has no rank"
 """The meaning of the mark of oracles."""
 
@@ -136,7 +138,7 @@ def track_tables(results: Results, track: Track) -> list[Table]:
     blocks = {"How close": [] if board is None else _ranking_columns(rows)}
     for metric in sorted(METRICS.values(), key=lambda metric: metric.name != track.metric):
         values = {policy: Value.of(results.summary(name, policy, metric.name)) for policy in order}
-        column = Column(metric.label, metric.meaning, values, descending=metric.direction == "higher")
+        column = Column(metric.label.replace(" %", _PERCENT), metric.meaning, values, descending=metric.direction == "higher")
         blocks.setdefault(metric.block, []).append(column)
     notes = {
         "How close": _not_applicable(results, name),
