@@ -138,8 +138,8 @@ def track_tables(results: Results, track: Track) -> list[Table]:
     blocks = {"How close": [] if board is None else _ranking_columns(rows)}
     for metric in sorted(METRICS.values(), key=lambda metric: metric.name != track.metric):
         values = {policy: Value.of(results.summary(name, policy, metric.name)) for policy in order}
-        column = Column(metric.label.replace(" %", _PERCENT), metric.meaning, values, descending=metric.direction == "higher")
-        blocks.setdefault(metric.block, []).append(column)
+        label, descending = metric.label.replace(" %", _PERCENT), metric.direction == "higher"
+        blocks.setdefault(metric.block, []).append(Column(label, metric.meaning, values, descending))
     notes = {
         "How close": _not_applicable(results, name),
         "Against tuned laws": [f"{law.name}: {call(law)}" for law in results.tuned.get(name, {}).values()],
