@@ -26,7 +26,7 @@ _HOLD_STEPS = 50
 
 
 def _complete_track(context: typer.Context) -> list[str]:
-    suite = context.params.get("suite")
+    suite: str = context.params.get("suite") or ""
     return [track.name for track in get_suite(suite).tracks] if suite in SUITES else list(CATALOGUE)
 
 

@@ -36,10 +36,10 @@ class Metric:
         name: key of records, CSV and JSON files.
         heading: of a column.
         meaning: in one sentence or phrase.
+        direction: of better values; ``None`` where neither is better.
+        block: the table in which it stands.
         value: of a rollout, shape (B,), NaN in an episode without a value; ``None`` where it follows from others.
         unit: empty for a pure number.
-        direction: which values are better; ``None`` where neither is.
-        block: the table in which it stands.
         source: the metric whose episodes it summarises; its own where left out.
         statistic: over episodes: the mean, or the mean of the worst tenth ("cvar").
         is_timing: whether it is a measured time, which another run does not repeat; such metrics are kept apart.
@@ -48,10 +48,10 @@ class Metric:
     name: str
     heading: str
     meaning: str
-    value: Callable[[Rollout], FloatArray] | None = None
-    unit: str = ""
     direction: Literal["higher", "lower"] | None = None
     block: Block = "How close"
+    value: Callable[[Rollout], FloatArray] | None = None
+    unit: str = ""
     source: str = ""
     statistic: Literal["mean", "cvar"] = "mean"
     is_timing: bool = False
@@ -105,24 +105,16 @@ def settling_time(
     return np.where(settled, times[np.minimum(last_outside + 1, len(times) - 1)], np.nan)
 
 
-def _settling(threshold: float) -> Callable[[Rollout], FloatArray]:
-    return lambda rollout: settling_time(rollout.world.clock.t, rollout["strategy_distance"], threshold)
+def _settling(rollout: Rollout, threshold: float) -> FloatArray:
+    return settling_time(rollout.world.clock.t, rollout["strategy_distance"], threshold)
 
 
-def _settled(threshold: float) -> Callable[[Rollout], FloatArray]:
-    return lambda rollout: np.isfinite(_settling(threshold)(rollout)).astype(np.float64)
+def _settled(rollout: Rollout, threshold: float) -> FloatArray:
+    return np.isfinite(_settling(rollout, threshold)).astype(np.float64)
 
 
-def _at_deadline(series: str) -> Callable[[Rollout], FloatArray]:
-    return lambda rollout: rollout[series][rollout.world.clock.steps]
-
-
-def _total(series: str) -> Callable[[Rollout], FloatArray]:
-    return lambda rollout: ordered_sum(rollout[series])
-
-
-def _largest(series: str) -> Callable[[Rollout], FloatArray]:
-    return lambda rollout: rollout[series].max(axis=0)
+def _at_deadline(rollout: Rollout, series: str) -> FloatArray:
+    return rollout[series][rollout.world.clock.steps]
 
 
 def _digits_after_hold(rollout: Rollout) -> FloatArray:
@@ -140,197 +132,80 @@ def _log_error_area(rollout: Rollout) -> FloatArray:
     return area / clock.deadline
 
 
-for _metric in [
-    Metric(
-        "digits",
-        "digits",
-        "−log10 of the estimate distance at the deadline, at most 12",
-        lambda rollout: distances.digits(_at_deadline("estimate_distance")(rollout)),
-        direction="higher",
-    ),
-    Metric(
-        "digits_cvar",
-        "CVaR (10 %)",
-        "mean digits of the worst tenth of the episodes (conditional value at risk)",
-        direction="higher",
-        source="digits",
-        statistic="cvar",
-    ),
-    Metric(
-        "strategy_distance",
-        "strategy distance",
-        "‖x − x*‖/‖x*‖ at the deadline (the paper's plots)",
-        _at_deadline("strategy_distance"),
-        direction="lower",
-    ),
-    Metric(
-        "estimate_distance",
-        "estimate distance",
-        "‖𝐱 − 1⊗x*‖/(√N ‖x*‖) at the deadline (what the theorems claim)",
-        _at_deadline("estimate_distance"),
-        direction="lower",
-    ),
-    Metric(
-        "consensus_error",
-        "consensus error",
-        "‖𝐱 − 1⊗x̄‖/(√N ‖x*‖) at the deadline",
-        lambda rollout: rollout["consensus_error"][0],
-        direction="lower",
-    ),
-    Metric(
-        "regret",
-        "regret",
-        "Nikaido–Isoda regret Σ_i [J_i(x) − min over y of J_i(y, x_{-i})] at the deadline",
-        lambda rollout: rollout["regret"][0],
-        direction="lower",
-    ),
-    Metric(
-        "settling_time",
-        "settling time",
-        "first instant after which the strategy distance stays within 0.5 %, in seconds",
-        _settling(distances.SUCCESS_DISTANCE),
-        unit="s",
-        direction="lower",
-    ),
-    Metric(
-        "settled_share",
-        "settled share",
-        "share of episodes that settled by the end",
-        _settled(distances.SUCCESS_DISTANCE),
-        direction="higher",
-    ),
-    Metric(
-        "settling_time_1e_6",
-        "settling to 1e-6",
-        "first instant after which the strategy distance stays within 1e-6, in seconds",
-        _settling(FINE_DISTANCE),
-        unit="s",
-        direction="lower",
-    ),
-    Metric(
-        "settled_share_1e_6",
-        "settled to 1e-6",
-        "share of episodes that settled to 1e-6 by the end",
-        _settled(FINE_DISTANCE),
-        direction="higher",
-    ),
-    Metric(
-        "digits_after_hold",
-        "digits after hold",
-        "−log10 of the estimate distance after the hold phase, at most 12",
-        _digits_after_hold,
-        direction="higher",
-    ),
-    Metric(
-        "digits_gained",
-        "digits gained",
-        "mean over players of the summed digits reward, to the end of the episode",
-        lambda rollout: rollout["mean_digits"][1] - rollout["mean_digits"][0],
-        direction="higher",
-    ),
-    Metric(
-        "log_error_area",
-        "mean log10 error",
-        "mean of log10 of the estimate distance over [0, T]",
-        _log_error_area,
-        direction="lower",
-    ),
-    Metric(
-        "input_energy",
-        "input energy",
-        "Σ Δt ‖u‖² to the deadline",
-        _total("input_energy"),
-        direction="lower",
-        block="At what cost",
-    ),
-    Metric(
-        "velocity_energy",
-        "velocity energy",
-        "Σ Θ² ‖u‖²/Δt to the deadline",
-        _total("velocity_energy"),
-        direction="lower",
-        block="At what cost",
-    ),
-    Metric(
-        "peak_input",
-        "peak |u|",
-        "largest |u| to the deadline",
-        _largest("peak_input"),
-        direction="lower",
-        block="At what cost",
-    ),
-    Metric(
-        "peak_velocity",
-        "peak velocity",
-        "largest Θ|u|/Δt to the deadline, per second",
-        _largest("peak_velocity"),
-        unit="1/s",
-        direction="lower",
-        block="At what cost",
-    ),
-    Metric(
-        "saturated_share",
-        "saturated share",
-        "share of input components at the input limit",
-        lambda rollout: _total("saturated")(rollout) / np.maximum(_total("components")(rollout), 1),
-        direction="lower",
-        block="At what cost",
-    ),
-    Metric(
-        "diverged_share",
-        "diverged share",
-        "share of episodes that left the range",
-        lambda rollout: rollout.diverged.astype(np.float64),
-        direction="lower",
-        block="At what cost",
-    ),
-    Metric(
-        "messages",
-        "messages",
-        "estimates sent over live links until the deadline",
-        _total("messages"),
-        direction="lower",
-        block="At what cost",
-    ),
-    Metric(
-        "bits",
-        "bits",
-        f"bits in these messages, {NUMBER_BITS} per number",
-        lambda rollout: _total("messages")(rollout) * rollout.world.game.dimension * NUMBER_BITS,
-        direction="lower",
-        block="At what cost",
-    ),
-    Metric(
-        "microseconds_per_decision",
-        "µs per decision",
-        "microseconds of the policy per player and step, all episodes in one batch",
-        lambda rollout: np.full(rollout.diverged.shape, 1e6 * rollout.seconds_per_decision),
-        direction="lower",
-        block="At what cost",
-        is_timing=True,
-    ),
-    *(
-        metric
-        for group, laws in {"paper": "the paper's laws", "all": "all laws"}.items()
-        for metric in (
-            Metric(
-                f"digits_over_{group}_laws",
-                f"digits over the best of {laws}",
-                f"digits beyond the best of {laws}, tuned, paired by episode",
-                direction="higher",
-                block="Against tuned laws",
-            ),
-            Metric(
-                f"probability_of_beating_{group}_laws",
-                f"P(beats the best of {laws})",
-                f"share of episodes with more digits than the best of {laws}; a tie counts half",
-                direction="higher",
-                block="Against tuned laws",
-            ),
-        )
-    ),
-]:
+def _saturated_share(rollout: Rollout) -> FloatArray:
+    return ordered_sum(rollout["saturated"]) / np.maximum(ordered_sum(rollout["components"]), 1)
+
+
+def _bits(rollout: Rollout) -> FloatArray:
+    return ordered_sum(rollout["messages"]) * rollout.world.game.dimension * NUMBER_BITS
+
+
+def _microseconds(rollout: Rollout) -> FloatArray:
+    return np.full(rollout.diverged.shape, 1e6 * rollout.seconds_per_decision)
+
+
+# fmt: off
+for _metric in (
+    Metric("digits", "digits", "−log10 of the estimate distance at the deadline, at most 12", "higher",
+           value=lambda rollout: distances.digits(_at_deadline(rollout, "estimate_distance"))),
+    Metric("digits_cvar", "CVaR (10 %)", "mean digits of the worst tenth of the episodes (conditional value at risk)",
+           "higher", source="digits", statistic="cvar"),
+    Metric("strategy_distance", "strategy distance", "‖x − x*‖/‖x*‖ at the deadline (the paper's plots)", "lower",
+           value=lambda rollout: _at_deadline(rollout, "strategy_distance")),
+    Metric("estimate_distance", "estimate distance",
+           "‖𝐱 − 1⊗x*‖/(√N ‖x*‖) at the deadline (what the theorems claim)", "lower",
+           value=lambda rollout: _at_deadline(rollout, "estimate_distance")),
+    Metric("consensus_error", "consensus error", "‖𝐱 − 1⊗x̄‖/(√N ‖x*‖) at the deadline", "lower",
+           value=lambda rollout: rollout["consensus_error"][0]),
+    Metric("regret", "regret",
+           "Nikaido–Isoda regret Σ_i [J_i(x) − min over y of J_i(y, x_{-i})] at the deadline", "lower",
+           value=lambda rollout: rollout["regret"][0]),
+    Metric("settling_time", "settling time",
+           "first instant after which the strategy distance stays within 0.5 %, in seconds", "lower", unit="s",
+           value=lambda rollout: _settling(rollout, distances.SUCCESS_DISTANCE)),
+    Metric("settled_share", "settled share", "share of episodes that settled by the end", "higher",
+           value=lambda rollout: _settled(rollout, distances.SUCCESS_DISTANCE)),
+    Metric("settling_time_1e_6", "settling to 1e-6",
+           "first instant after which the strategy distance stays within 1e-6, in seconds", "lower", unit="s",
+           value=lambda rollout: _settling(rollout, FINE_DISTANCE)),
+    Metric("settled_share_1e_6", "settled to 1e-6", "share of episodes that settled to 1e-6 by the end", "higher",
+           value=lambda rollout: _settled(rollout, FINE_DISTANCE)),
+    Metric("digits_after_hold", "digits after hold", "−log10 of the estimate distance after the hold phase, at most 12",
+           "higher", value=_digits_after_hold),
+    Metric("digits_gained", "digits gained",
+           "mean over players of the summed digits reward, to the end of the episode", "higher",
+           value=lambda rollout: rollout["mean_digits"][1] - rollout["mean_digits"][0]),
+    Metric("log_error_area", "mean log10 error", "mean of log10 of the estimate distance over [0, T]", "lower",
+           value=_log_error_area),
+    Metric("input_energy", "input energy", "Σ Δt ‖u‖² to the deadline", "lower", "At what cost",
+           lambda rollout: ordered_sum(rollout["input_energy"])),
+    Metric("velocity_energy", "velocity energy", "Σ Θ² ‖u‖²/Δt to the deadline", "lower", "At what cost",
+           lambda rollout: ordered_sum(rollout["velocity_energy"])),
+    Metric("peak_input", "peak |u|", "largest |u| to the deadline", "lower", "At what cost",
+           lambda rollout: rollout["peak_input"].max(axis=0)),
+    Metric("peak_velocity", "peak velocity", "largest Θ|u|/Δt to the deadline, per second", "lower", "At what cost",
+           lambda rollout: rollout["peak_velocity"].max(axis=0), unit="1/s"),
+    Metric("saturated_share", "saturated share", "share of input components at the input limit", "lower",
+           "At what cost", _saturated_share),
+    Metric("diverged_share", "diverged share", "share of episodes that left the range", "lower", "At what cost",
+           lambda rollout: rollout.diverged.astype(np.float64)),
+    Metric("messages", "messages", "estimates sent over live links until the deadline", "lower", "At what cost",
+           lambda rollout: ordered_sum(rollout["messages"])),
+    Metric("bits", "bits", f"bits in these messages, {NUMBER_BITS} per number", "lower", "At what cost", _bits),
+    Metric("microseconds_per_decision", "µs per decision",
+           "microseconds of the policy per player and step, all episodes in one batch", "lower", "At what cost",
+           _microseconds, is_timing=True),
+    Metric("digits_over_paper_laws", "digits over the best paper law",
+           "digits beyond the best of the paper's laws, paired by episode", "higher", "Against tuned laws"),
+    Metric("probability_of_beating_paper_laws", "P(beats the best paper law)",
+           "share of episodes with more digits than that law; a tie counts half", "higher", "Against tuned laws"),
+    Metric("digits_over_all_laws", "digits over the best law", "digits beyond the best of all laws, paired by episode",
+           "higher", "Against tuned laws"),
+    Metric("probability_of_beating_all_laws", "P(beats the best law)",
+           "share of episodes with more digits than that law; a tie counts half", "higher", "Against tuned laws"),
+):
     register(_metric)
+# fmt: on
 
 
 def against_law(group: str, digits: FloatArray, law: FloatArray) -> dict[str, FloatArray]:
