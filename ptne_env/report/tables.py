@@ -223,11 +223,8 @@ def overview(results: Results) -> Table:
     firsts = first_places(results)
     means = {policy: mean_digits(results, policy) for policy in policies}
     counts = {policy: sum(name == policy for _, name in results.samples) for policy in policies}
-
-    def place(policy: str) -> tuple[float, ...]:
-        score = scores[policy].score.mean if policy in scores else None
-        return -math.inf if score is None else score, len(firsts.get(policy, ())), means[policy].mean or 0.0
-
+    best = sorted(policies, key=lambda policy: (-len(firsts.get(policy, ())), -(means[policy].mean or 0.0)))
+    order = dict.fromkeys([*scores, *best])
     columns = [
         _column(
             "score",
@@ -280,7 +277,7 @@ def overview(results: Results) -> Table:
     return Table(
         f"{results.suite.name}, seed {results.seed}: overall",
         tuple(column for column in columns if column.values),
-        {policy: policies[policy].is_oracle for policy in sorted(policies, key=place, reverse=True)},
+        {policy: policies[policy].is_oracle for policy in order},
         () if board is None else tuple(_scope(results, board)),
     )
 
