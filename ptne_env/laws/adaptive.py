@@ -6,8 +6,7 @@ import numpy as np
 
 from ptne_env.arrays import FloatArray, require_non_negative
 from ptne_env.laws.base import Law, consensus
-from ptne_env.observation import ObservationLayout
-from ptne_env.observation import Reading as Observation
+from ptne_env.observation import Observation, ObservationLayout
 
 
 def adaptive_inputs(observation: Observation, memory: FloatArray, gamma: float) -> tuple[FloatArray, FloatArray]:
@@ -16,14 +15,7 @@ def adaptive_inputs(observation: Observation, memory: FloatArray, gamma: float) 
     Eqs. PrescribedTimeAlgorithmAdaptive and PrescribedTimeAlgorithmAdaptiveSwitching: on a switching topology a_ij is
     that of the active graph. The gains take an Euler step of Θ_k like the estimates. Both ends of a link see the same
     differences, so κ_ij = κ_ji needs no message.
-
-    Args:
-        observation: of R players.
-        memory: κ_ij per neighbour slot, shape (R, D), in natural units.
-        gamma: γ, the same on all links.
-
-    Returns:
-        u^i in the observation's unit, shape (R, n), and the gains after the step.
+    The memory is κ_ij per neighbour slot, shape (R, D), in natural units; γ = ``gamma`` on all links.
     """
     differences = observation.relative_estimates
     inputs = consensus(memory * observation.weights, differences) - observation.gradient

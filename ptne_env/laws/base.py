@@ -1,4 +1,9 @@
-"""The base class of all laws, and the terms that their equations share."""
+"""The base class of all laws, and the terms that their equations share.
+
+The law itself is a pure function of a parsed :class:`~ptne_env.observation.Observation` of R players, of memory with a
+row per player, and of parameters. It returns the inputs u^i, float64 in the observation's unit, shape (R, n), and the
+memory for the next step. Classes check parameters and adapt the function to ``predict``.
+"""
 
 from __future__ import annotations
 
@@ -9,15 +14,13 @@ import numpy as np
 import numpy.typing as npt
 
 from ptne_env.arrays import BoolArray, Float32Array, FloatArray
-from ptne_env.observation import Interface, ObservationLayout
-from ptne_env.observation import Reading as Observation
+from ptne_env.observation import Interface, Observation, ObservationLayout
 
 
 class Law(ABC):
     """A policy that is built from a layout and acts on observations and its own memory alone.
 
-    A subclass implements :meth:`inputs`, and :meth:`initial_memory` if it has memory. The law's equation stands beside
-    it as a pure function of a parsed observation, memory and parameters.
+    A subclass implements :meth:`inputs`, and :meth:`initial_memory` if it has memory.
 
     Args:
         layout: of the environment's observations, ``env.layout``.
@@ -128,5 +131,5 @@ def step_length(observation: Observation) -> FloatArray:
 
 
 def per_step(displacements: FloatArray, observation: Observation) -> FloatArray:
-    """The inputs u = Δx/Θ that move estimates by ``displacements`` (R, n) in the coming step; 0 at the terminal step."""
+    """The inputs u = Δx/Θ that move estimates by Δx = ``displacements`` (R, n) within the step; 0 at the terminal step."""
     return displacements / step_length(observation)

@@ -15,8 +15,7 @@ import numpy.typing as npt
 
 from ptne_env.arrays import FloatArray, frozen, require_count, require_positive
 from ptne_env.laws.base import Law, consensus, per_step
-from ptne_env.observation import ObservationLayout
-from ptne_env.observation import Reading as Observation
+from ptne_env.observation import Observation, ObservationLayout
 
 
 def projected_gradient_inputs(
@@ -31,17 +30,8 @@ def projected_gradient_inputs(
 
     M. Bianchi and S. Grammatico, "Fully distributed Nash equilibrium seeking over time-varying communication networks
     with linear convergence rate", IEEE Control Systems Letters 5(2), 2021.
-
-    Args:
-        observation: of R players.
-        memory: number of steps done, shape (R, 1).
-        layout: of the observation.
-        step: α.
-        mixing: h.
-        box: lower and upper bounds of Π, shape (n,) each; ``None`` for no projection.
-
-    Returns:
-        u^i in the observation's unit, shape (R, n), and the memory for the next step.
+    With α = ``step`` and h = ``mixing``; ``box`` holds the lower and upper bounds of Π, shape (n,) each. The memory is
+    the number of steps done, shape (R, 1).
     """
     mixed = mixing * consensus(observation.weights, observation.relative_estimates)
     descent = -step * observation.gradient
@@ -64,23 +54,14 @@ def aggregate_tracking_inputs(
     """v̂_i = Σ_j w_ij v_j; x_i ← x_i − α_k ∂J_i/∂x_i(x_i, N v̂_i); v_i ← v̂_i + (new x_i − old x_i), v_i(0) = x_i(0).
 
     J. Koshal, A. Nedić and U. V. Shanbhag, "Distributed algorithms for aggregative games on graphs", Operations
-    Research 64(3), 2016: the synchronous algorithm, with α_k = α/(k + 1)^p and W = I − h L. On a topology whose modes are
-    disjoint pairs and with h = ½/a_ij it is their gossip.
+    Research 64(3), 2016: the synchronous algorithm, with α_k = α/(k + 1)^p and W = I − h L. On a topology whose modes
+    are disjoint pairs and with h = ½/a_ij it is their gossip.
 
     The estimate v_i of the average strategy is the mean of player i's estimates x^i_j over j, so estimates carry the
     aggregate and not the others' strategies: the error of the strategies vanishes, that of the estimates does not.
 
-    Args:
-        observation: of R players of m components each, with ``own_estimate``.
-        memory: number of steps done, shape (R, 1).
-        layout: of the observation.
-        step: α.
-        power: p.
-        mixing: h.
-        warm_up: steps spent on v_i(0) = x_i(0).
-
-    Returns:
-        u^i in natural units, shape (R, n), and the memory for the next step.
+    With α = ``step``, p = ``power``, h = ``mixing``, and ``warm_up`` steps spent on v_i(0) = x_i(0). The memory is the
+    number of steps done, shape (R, 1).
     """
     rows, players = len(observation.player), layout.num_players
     own = layout.own_mask[observation.player]

@@ -9,8 +9,7 @@ import numpy as np
 from ptne_env.arrays import FloatArray, require_non_negative, require_positive
 from ptne_env.laws.base import Law, per_step
 from ptne_env.laws.grounded import grounded_error
-from ptne_env.observation import Interface, ObservationLayout
-from ptne_env.observation import Reading as Observation
+from ptne_env.observation import Interface, Observation, ObservationLayout
 
 
 def extremum_seeking_inputs(
@@ -31,18 +30,8 @@ def extremum_seeking_inputs(
     mean. The strategies use neither gradients nor estimates; the estimates of the other strategies follow the
     neighbours as in :func:`~ptne_env.laws.grounded.grounded_inputs`, for metrics that measure them.
 
-    Args:
-        observation: of R players, with ``own_payoff``.
-        memory: τ, η (NaN before the first cost) and μ per component, shape (R, 2 + n).
-        layout: of the observation.
-        amplitude: a.
-        gain: k.
-        frequencies: ω_c per component in 1/τ, shape (n,).
-        washout: ω_h in 1/τ; 0 for none.
-        kappa: consensus gain of the estimates.
-
-    Returns:
-        u^i in the observation's unit, shape (R, n), and the memory for the next step.
+    With a = ``amplitude``, k = ``gain``, ω_c = ``frequencies`` per component in 1/τ, shape (n,), and ω_h = ``washout``
+    in 1/τ, 0 for none. The memory is τ, η (NaN before the first cost) and μ per component, shape (R, 2 + n).
     """
     time, mean, dither = memory[:, :1], memory[:, 1:2], memory[:, 2:]
     own = layout.own_mask[observation.player]

@@ -6,8 +6,7 @@ import numpy as np
 
 from ptne_env.arrays import FloatArray, require_non_negative
 from ptne_env.laws.base import Law, consensus
-from ptne_env.observation import ObservationLayout
-from ptne_env.observation import Reading as Observation
+from ptne_env.observation import Observation, ObservationLayout
 
 
 def grounded_error(observation: Observation, layout: ObservationLayout) -> FloatArray:
@@ -26,14 +25,6 @@ def grounded_inputs(observation: Observation, layout: ObservationLayout, kappa: 
 
     M. Ye and G. Hu, "Distributed Nash equilibrium seeking by a consensus based approach", IEEE Transactions on
     Automatic Control 62(9), 2017, in effective time. A strategy follows its own gradient alone.
-
-    Args:
-        observation: of R players.
-        layout: of the observation.
-        kappa: κ, the consensus gain.
-
-    Returns:
-        u^i in the observation's unit, shape (R, n).
     """
     own = layout.own_mask[observation.player]
     return np.where(own, -observation.gradient, kappa * grounded_error(observation, layout))
@@ -47,15 +38,7 @@ def adaptive_grounded_inputs(
     M. Ye and G. Hu, "Adaptive approaches for fully distributed Nash equilibrium seeking in networked games",
     Automatica, 2021: the node-based law, in effective time. Every player tunes the gains of its own consensus errors,
     so no gain must be known. (The edge-based law of that paper is of the kind of :class:`~ptne_env.laws.Adaptive`.)
-
-    Args:
-        observation: of R players.
-        memory: θ_ij, one per component, shape (R, n), in natural units.
-        layout: of the observation.
-        gamma: γ.
-
-    Returns:
-        u^i in the observation's unit, shape (R, n), and the gains after an Euler step of Θ_k.
+    The memory is θ_ij, one gain per component, shape (R, n), in natural units, and takes an Euler step of Θ_k.
     """
     error = grounded_error(observation, layout)
     own = layout.own_mask[observation.player]

@@ -8,21 +8,13 @@ import numpy as np
 
 from ptne_env.arrays import FloatArray, require_non_negative, require_positive
 from ptne_env.laws.base import Law, consensus, per_step
-from ptne_env.observation import Interface, ObservationLayout
-from ptne_env.observation import Reading as Observation
+from ptne_env.observation import Interface, Observation, ObservationLayout
 
 
 def centralised_inputs(observation: Observation, gradient_gain: float) -> FloatArray:
     """u^i = (x − x^i)/Θ − g F(x): pseudo-gradient play dx/dτ = −g F(x) on the real strategies x.
 
     Every player knows the real strategies and moves its estimates onto them within the step.
-
-    Args:
-        observation: of R players under the interface ``full``.
-        gradient_gain: g.
-
-    Returns:
-        u^i in natural units, shape (R, n).
     """
     return per_step(observation.relative_strategies, observation) - gradient_gain * observation.pseudo_gradient
 
@@ -32,13 +24,6 @@ def best_response_inputs(observation: Observation, relaxation: float) -> FloatAr
 
     T. Başar and G. J. Olsder, "Dynamic Noncooperative Game Theory", SIAM 1999, chapter 4. The estimates are moved onto
     the new strategies within the step.
-
-    Args:
-        observation: of R players under the interface ``full`` with ``best_response``.
-        relaxation: ω.
-
-    Returns:
-        u^i in natural units, shape (R, n).
     """
     return per_step(observation.relative_strategies + relaxation * observation.best_response, observation)
 
@@ -55,15 +40,7 @@ def fixed_time_inputs(
     from every start. The factor of F is infinite at F = 0 and grows with F, so a sampled step limits it:
     Θ·factor ≤ ``largest_step``, within which the law is pseudo-gradient play with that step.
 
-    Args:
-        observation: of R players under the interface ``full``.
-        gain: k.
-        near: ξ1.
-        far: ξ2.
-        largest_step: in units of 1/F.
-
-    Returns:
-        u^i in natural units, shape (R, n).
+    With k = ``gain``, ξ1 = ``near`` and ξ2 = ``far``.
     """
     norm = np.sqrt(np.einsum("rn,rn->r", observation.pseudo_gradient, observation.pseudo_gradient))[:, None]
     with np.errstate(divide="ignore"):
@@ -80,13 +57,8 @@ def node_adaptive_inputs(observation: Observation, memory: FloatArray, gamma: fl
     integrators, without constraints and in effective time. There neighbours send each other k_j ρ^j, which holds
     estimates from two links away; no message of this environment carries them.
 
-    Args:
-        observation: of R players under the interface ``full`` with ``neighbour_errors``.
-        memory: k_i and the k_j of the neighbours, which follow from ρ^j, shape (R, 1 + D).
-        gamma: γ.
-
-    Returns:
-        u^i in natural units, shape (R, n), and the gains after an Euler step of Θ_k.
+    The memory is k_i and the k_j of the neighbours, which follow from ρ^j, shape (R, 1 + D); it takes an Euler step of
+    Θ_k.
     """
     error = -consensus(observation.weights, observation.relative_estimates)
     errors = np.concatenate([error[:, None], observation.neighbour_errors], axis=1)  # (R, 1 + D, n), the own one first
@@ -99,8 +71,8 @@ def node_adaptive_inputs(observation: Observation, memory: FloatArray, gamma: fl
 class Oracle(Law):
     """A law that uses information players lack.
 
-    It needs the interface ``full``, which ``parallel_env`` refuses, and acts under the same input limit as every policy.
-    Tables mark it.
+    It needs the interface ``full``, which ``parallel_env`` refuses, and every table marks it. The input limit is that
+    of every policy.
     """
 
     needs_full_information: ClassVar[bool] = True
@@ -151,7 +123,7 @@ class BestResponseOracle(Oracle):
 
 
 class FixedTimeOracle(Oracle):
-    """Fixed-time pseudo-gradient play, :func:`fixed_time_inputs`. Players lack the norm of everyone's gradients.
+    """Fixed-time pseudo-gradient play, :func:`fixed_time_inputs`. Players lack the norm of all gradients.
 
     Args:
         layout: with :attr:`interface`.

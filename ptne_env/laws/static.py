@@ -8,22 +8,14 @@ import numpy as np
 
 from ptne_env.arrays import Float32Array, FloatArray, require_non_negative, require_positive
 from ptne_env.laws.base import Law, consensus, step_length
-from ptne_env.observation import CONSENSUS_GAIN, GAIN_OCTAVES, ObservationLayout
-from ptne_env.observation import Reading as Observation
+from ptne_env.observation import CONSENSUS_GAIN, GAIN_OCTAVES, Observation, ObservationLayout
 
 
 def static_inputs(observation: Observation, kappa: float, gradient_gain: float = 1.0) -> FloatArray:
     """u^i = −g R_i^T ∂J_i/∂x_i(x^i) − κ Σ_j a_ij (x^i − x^j), the static law.
 
     Eq. PrescribedTimeAlgorithm, Theorem 1; the environment's dynamics supply the time gain c + 1/(T − t).
-
-    Args:
-        observation: of R players.
-        kappa: κ, the consensus gain.
-        gradient_gain: g; the law for costs g J_i.
-
-    Returns:
-        u^i in the observation's unit, shape (R, n).
+    With κ = ``kappa`` and g = ``gradient_gain``; g ≠ 1 is the same law for the costs g J_i.
     """
     inputs = consensus(observation.weights, observation.relative_estimates)
     inputs *= kappa
@@ -35,7 +27,7 @@ def corollary_one_inputs(observation: Observation, kappa: float) -> FloatArray:
     """u^i = (Δt_k/Θ_k) (−R_i^T ∂J_i/∂x_i(x^i) − κ Σ_j a_ij (x^i − x^j)), so that dx^i/dt has no time gain.
 
     Corollary 1, which prints e^i − e^j where x^i − x^j is meant (docs/errata.md, 5). The environment multiplies every
-    input by Θ_k, so the law divides by it. At κ = 1 it is Gadjov and Pavel's law. Shapes as :func:`static_inputs`.
+    input by Θ_k, so the law divides by it. At κ = 1 it is Gadjov and Pavel's law.
     """
     return static_inputs(observation, kappa) * (observation.dt / step_length(observation))
 

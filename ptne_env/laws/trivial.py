@@ -9,8 +9,7 @@ import numpy.typing as npt
 
 from ptne_env.arrays import BoolArray, Float32Array, FloatArray, require_count
 from ptne_env.laws.base import Law
-from ptne_env.observation import ObservationLayout
-from ptne_env.observation import Reading as Observation
+from ptne_env.observation import Observation, ObservationLayout
 
 
 class ZeroInput(Law):

@@ -9,8 +9,7 @@ import numpy as np
 from ptne_env.arrays import FloatArray, require_non_negative, require_positive
 from ptne_env.laws.base import Law, step_length
 from ptne_env.laws.static import Static, static_inputs
-from ptne_env.observation import ObservationLayout
-from ptne_env.observation import Reading as Observation
+from ptne_env.observation import Observation, ObservationLayout
 
 
 def locally_implicit_inputs(
@@ -24,16 +23,7 @@ def locally_implicit_inputs(
 
     For affine games on a fixed graph the sampled loop is x ← x − (1/Θ + D)⁻¹ M (x − 1⊗x*). Consensus alone (no game) is
     stable for every sequence of steps when δ ≥ 1, because L ⪯ 2 diag(Σ_j a_ij) makes 𝐱ᵀ L 𝐱 a Lyapunov function.
-
-    Args:
-        observation: of R players.
-        layout: of the observation.
-        kappa: κ, the consensus gain.
-        damping: δ.
-        curvature: m.
-
-    Returns:
-        u^i in the observation's unit, shape (R, n).
+    With κ = ``kappa``, δ = ``damping`` and m = ``curvature``.
     """
     degree = np.einsum("rd->r", observation.weights)[:, None]
     own = layout.own_mask[observation.player]
@@ -41,19 +31,11 @@ def locally_implicit_inputs(
 
 
 def capped_gain_inputs(observation: Observation, kappa: float, largest_gain: float) -> FloatArray:
-    """u^i = min(1, G Δt_k/Θ_k) times the static input: the time gain g(t) = c + 1/λ'(s) capped at G.
+    """u^i = min(1, G Δt_k/Θ_k) times the static input: the time gain g(t) = c + 1/λ'(s), capped at G in 1/s.
 
     No velocity exceeds G‖u‖. It is Corollary 1 in the time ∫ min(g, G) dt ≤ τ: for the paper's λ,
     cT + 1 + ln((G − c)T) instead of τ → ∞, so convergence is no longer exact at T. At G = 1 it is
     :func:`~ptne_env.laws.static.corollary_one_inputs`.
-
-    Args:
-        observation: of R players.
-        kappa: κ, the consensus gain.
-        largest_gain: G in 1/s.
-
-    Returns:
-        u^i in the observation's unit, shape (R, n).
     """
     share = np.minimum(1.0, largest_gain * observation.dt / step_length(observation))
     return static_inputs(observation, kappa) * share

@@ -20,8 +20,7 @@ from ptne_env.clock import TimeTransformation
 from ptne_env.games import Game
 from ptne_env.graphs import Graph
 from ptne_env.laws import Law
-from ptne_env.observation import ObservationLayout
-from ptne_env.observation import Reading as Observation
+from ptne_env.observation import Observation, ObservationLayout
 from ptne_env.switching import MarkovTopology, SwitchingTopology
 from ptne_env.theory.constants import ZERO, jacobians
 
@@ -206,9 +205,9 @@ def decay_rate(matrices: Sequence[FloatArray], topology: SwitchingTopology, dead
 
     A fixed graph gives the spectral abscissa of M. A topology on the transformed clock gives the Floquet rate
     −ln ρ(Π e^{−M_m Δ_m})/period, since dτ/ds → 1; a random one its Lyapunov exponent, estimated from one draw of 2000
-    dwells. A topology on the physical clock switches finitely often before T, so only its last graph counts, and the rate
-    is 0 when that one is disconnected (docs/errata.md, 2); a random one may end with any mode, and its rate is the
-    smallest.
+    dwells. A topology on the physical clock switches finitely often before T, so only its last graph counts, and the
+    rate is 0 when that graph is disconnected (docs/errata.md, 2); a random one may end with any mode, and its rate is
+    the smallest.
 
     Args:
         matrices: M of every mode of the topology.

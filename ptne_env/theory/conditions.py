@@ -35,9 +35,9 @@ from ptne_env.laws import (
     ProjectedGradient,
     Static,
 )
-from ptne_env.scenario import Scenario
 from ptne_env.theory.closed_loop import last_modes, loop_matrix
 from ptne_env.theory.constants import MonotonicityConstants, gain_bound, jacobians, monotonicity_constants
+from ptne_env.world import World
 
 
 @dataclass(frozen=True)
@@ -79,17 +79,17 @@ class ProblemConstants(MonotonicityConstants):
         return max(float(graph.laplacian.diagonal().max()) for graph in self.graphs)
 
 
-def problem_constants(scenario: Scenario, constants: MonotonicityConstants | None = None) -> ProblemConstants:
-    """The numbers of ``scenario`` that conditions use; for a family of games, those of its representative member.
+def problem_constants(world: World, constants: MonotonicityConstants | None = None) -> ProblemConstants:
+    """The numbers of ``world`` that conditions use; for a family of games, those of its representative member.
 
     Args:
-        scenario: the experiment.
+        world: the scenario, built.
         constants: of its game, when already known.
     """
-    game, topology, clock = scenario.built_game, scenario.built_topology, scenario.built_clock
+    game, topology, clock = world.game, world.topology, world.clock
     recurring = [topology.union]
     if not topology.is_fixed and topology.clock == "physical":  # one mode is the last before T
-        recurring = [topology.graphs[mode] for mode in last_modes(topology, scenario.deadline)]
+        recurring = [topology.graphs[mode] for mode in last_modes(topology, world.scenario.deadline)]
     return ProblemConstants(
         **vars(constants or monotonicity_constants(game)),
         jacobian=jacobians(game, game.nash_equilibrium[:, None])[:, :, 0],
@@ -227,9 +227,7 @@ def _grounded(law: Grounded, constants: ProblemConstants) -> Condition:
         others = np.sqrt(constants.num_players - 1)
         cross = constants.iota_estimates + others * constants.iota_strategies
         bound = (cross**2 / (4 * constants.epsilon) + others * constants.iota_estimates) / grounded
-    return Condition.above(
-        "κ > ((ι + √(N−1) ι_F)²/(4ε) + √(N−1) ι)/λ", law.kappa, bound, exact=constants.exact
-    )
+    return Condition.above("κ > ((ι + √(N−1) ι_F)²/(4ε) + √(N−1) ι)/λ", law.kappa, bound, exact=constants.exact)
 
 
 def _grounded_connectivity(constants: ProblemConstants) -> float:
@@ -303,9 +301,7 @@ def _projected_gradient(law: ProjectedGradient, constants: ProblemConstants) -> 
     mean = 1 - 2 * alpha * constants.epsilon / players + (alpha * iota_strategies) ** 2 / players
     cross = alpha * sigma * (iota + iota_strategies + alpha * iota * iota_strategies) / np.sqrt(players)
     contraction = np.array([[mean, cross], [cross, sigma**2 * (1 + alpha * iota) ** 2]])
-    return Condition.below(
-        "λ_max(M_α) < 1", float(np.linalg.eigvalsh(contraction)[-1]), 1.0, exact=constants.exact
-    )
+    return Condition.below("λ_max(M_α) < 1", float(np.linalg.eigvalsh(contraction)[-1]), 1.0, exact=constants.exact)
 
 
 @condition.register

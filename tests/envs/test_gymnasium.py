@@ -14,9 +14,10 @@ from test_parallel import arrays_in, same
 from worlds import BLOCKS, make_env
 
 import ptne_env
-from ptne_env import CATALOGUE, laws
+from ptne_env import CATALOGUE, dynamics, laws
 from ptne_env.envs.gymnasium import JointEnv, JointVectorEnv
 from ptne_env.registration import register_environments
+from ptne_env.world import World
 
 BATCH = 4
 MODES = {"NEXT_STEP": AutoresetMode.NEXT_STEP, "SAME_STEP": AutoresetMode.SAME_STEP, "DISABLED": AutoresetMode.DISABLED}
@@ -32,7 +33,7 @@ def test_make_finds_every_scenario_by_module_and_id(name):
     assert env.unwrapped.parallel.scenario == ptne_env.get_scenario(name, hold_steps=3)
     assert env.unwrapped.layout.interface == ptne_env.Interface("local")
     assert env.spec.id == f"ptne/{name}-joint-v0"
-    game = env.unwrapped.parallel.scenario.built_game
+    game = World(env.unwrapped.parallel.scenario).game
     assert env.observation_space.shape == (game.num_players * env.unwrapped.layout.size,)
     assert env.action_space.shape == (game.num_players * game.dimension,)
 
@@ -249,7 +250,7 @@ def test_same_step_hands_over_the_last_observation_and_info():
         _, *_, infos = each.step(np.ones((2, 25)))
         assert "final_obs" not in infos
     observations, rewards, terminated, _, infos = env.step(np.full((2, 25), 2000.0))
-    last, expected, _, _, last_infos = plain.step(np.full((2, 25), 2000.0))
+    last, expected, _, _, last_infos = dynamics.step(plain, np.full((2, 25), 2000.0))
     assert terminated.all()
     assert np.array_equal(rewards, expected)
     assert infos["final_obs"].dtype == object
