@@ -131,5 +131,5 @@ def step_length(observation: Observation) -> FloatArray:
 
 
 def per_step(displacements: FloatArray, observation: Observation) -> FloatArray:
-    """The inputs u = Δx/Θ that move estimates by Δx = ``displacements`` (R, n) within the step; 0 at the terminal step."""
+    """The inputs Δx/Θ that move estimates by Δx = ``displacements`` (R, n) within the step; 0 at the terminal step."""
     return displacements / step_length(observation)

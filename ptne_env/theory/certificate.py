@@ -17,6 +17,7 @@ from ptne_env.factory import FactorySpec
 from ptne_env.laws import CorollaryOne, FixedGain, Law, Static
 from ptne_env.observation import Interface
 from ptne_env.scenario import Scenario
+from ptne_env.switching import SwitchingTopology
 from ptne_env.theory.assumptions import AssumptionCheck, LemmaCheck, check_assumptions, check_lemma
 from ptne_env.theory.closed_loop import NoClosedLoopError, gain_growth, input_decay_rate
 from ptne_env.theory.conditions import Condition, condition, problem_constants
@@ -36,11 +37,6 @@ from ptne_env.world import SHORTFALL_WARNING, World
 
 _LARGEST_DIGITS = 308.0
 """Digits are clipped to ± this number, so that a certificate holds no infinity."""
-
-_RANDOM_RATES = {
-    "physical": "the rate is the smallest over the modes, as any of them may be the last before T",
-    "transformed": "the rate is estimated from one draw of 2000 dwells",
-}
 
 
 @dataclass(frozen=True)
@@ -126,8 +122,8 @@ class Certificate:
             does not vanish.
         rate_is_exact: whether the loop is linear and the topology not random; otherwise the rate is that of the
             linearisation at x*, or estimated from one draw of the topology.
-        frozen_gains: of a law whose gains adapt, at t = 0 and, where the loop is linear, at T; the last is what
-            ``rate``, noise and delay use.
+        frozen_gains: of a law whose gains adapt, at t = 0 and, where the loop is linear, at T; ``rate``, noise and
+            delay use the last.
         sampled_rate: rate of the slowest mode of the sampled loop over the second half of the steps to T, per unit of
             the loop's own time; ``None`` where the graph switches, gains adapt, or the loop is not linear.
         dominant_share: share of that mode when this half begins; from 0.95 on, a real one dominates. ``None`` likewise.
@@ -148,8 +144,8 @@ class Certificate:
         velocity_bounded: whether g(t) u stays bounded as t → T: ``input_rate`` ≥ 1 for the paper's λ. ``None`` where
             it is not decided, for a law that reads its step.
         energy_finite: whether ∫‖g u‖² dt is finite: ``input_rate`` > 1/2 for the paper's λ. ``None`` likewise.
-        noise: what noise on messages does.
-        delay: what late messages do.
+        noise: effect of noise on messages.
+        delay: effect of late messages.
         shortfall: 1 − t_K/T, how far short of the deadline the last step ends, as a fraction of T.
         notes: limits of these numbers, in sentences.
     """
@@ -412,7 +408,7 @@ class _Prediction:
 
     def notes(self) -> Iterator[str]:
         """Limits of these numbers."""
-        world, game, topology, path = self.world, self.world.game, self.world.topology, self.path
+        world, game, path = self.world, self.world.game, self.path
         if not game.is_affine:
             yield "F is not affine: rate, largest stable step, noise and delay are those of the linearisation at x*"
         if game.has_bounds:
@@ -435,15 +431,7 @@ class _Prediction:
                 "the law reads the length of its step: the rate is that of its last step, the margin that of the worst "
                 "of its steps, with the law as it acts there; whether g(t) u stays bounded is not decided"
             )
-        if topology.is_random:
-            yield "the topology is random: the sampled digits are those of one draw, with seed 0"
-            yield _RANDOM_RATES[topology.clock]
-        if not topology.is_fixed:
-            yield (
-                "the topology switches: the rate is that of the limit t → T and says little about the time before, and "
-                "the largest stable step is the smallest over the modes, which does not prove that their products are "
-                "stable"
-            )
+        yield from _topology_notes(world.topology)
         if self.peak_input > world.scenario.input_limit:
             yield (
                 f"the start asks for |u| = {self.peak_input:.4g}, above the input limit, which the prediction ignores"
@@ -481,6 +469,20 @@ def _guarantee(certificate: Certificate, prediction: _Prediction) -> dict[str, A
     steps = prediction.loop.steps[: prediction.loop.deadline_step]
     gained = -np.log10(1 - 2 * steps * rate + (steps * norm) ** 2).sum() / 2
     return {"guaranteed_rate": rate, "guaranteed_digits": prediction.digits(prediction.start) + float(gained)}
+
+
+def _topology_notes(topology: SwitchingTopology) -> Iterator[str]:
+    if topology.is_random:
+        yield "the topology is random: the sampled digits are those of one draw, with seed 0"
+        if topology.clock == "physical":
+            yield "the rate is the smallest over the modes, as any of them may be the last before T"
+        else:
+            yield "the rate is estimated from one draw of 2000 dwells"
+    if not topology.is_fixed:
+        yield (
+            "the topology switches: the rate is that of the limit t → T and says little about the time before, and the "
+            "largest stable step is the smallest over the modes, which does not prove that their products are stable"
+        )
 
 
 def _scenario_notes(world: World, faults: _ChannelFaults) -> Iterator[str]:
