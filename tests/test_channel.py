@@ -14,7 +14,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import stats
-from worlds import BLOCKS_SWITCHING, EVERY_FAULT, FAULTY, begin, channel_part, make_port
+from worlds import BLOCKS_SWITCHING, EVERY_FAULT, FAULTY, begin, channel_part, make_port, quantity
 
 from ptne_env import FactorySpec, Scenario, dynamics, get_scenario, laws
 from ptne_env.channel import Chain, Channel, LinkNoise, Messages
@@ -250,7 +250,7 @@ def test_channel_agrees_with_its_twin_link_by_link(name, world):
 # --- batches, seeds, policies -----------------------------------------------------------------------------------------
 
 FAULTS = {name: SWITCHING.replace(channel=part) for name, part in CHANNELS.items()} | {"all at once": FAULTY}
-HEARD = ("weights", "relative_estimates", "messages", "mode", "time_since_switch", "estimates")
+RECEIVED = ("weights", "relative_estimates", "messages", "active_mode", "time_since_switch", "estimates")
 
 
 def column(array, b, batch):
@@ -273,8 +273,8 @@ def test_batch_agrees_bit_for_bit_with_batches_of_one_through_a_restart(name):
         together = dynamics.step(world, together, inputs)
         for b in range(batch):
             alone[b] = dynamics.step(world, alone[b], inputs[:, :, b : b + 1])
-            for field in HEARD:
-                whole, single = getattr(together, field), getattr(alone[b], field)
+            for field in RECEIVED:
+                whole, single = quantity(world, together, field), quantity(world, alone[b], field)
                 assert np.array_equal(column(whole, b, batch), single), field
 
 
@@ -283,7 +283,7 @@ def noise_of(seed, inputs_seed, scenario):
     world = World(scenario)
     generator, state, result = np.random.default_rng(inputs_seed), begin(world, [seed]), []
     for _ in range(10):
-        result.append(state.messages - dynamics.sent_messages(world, state.estimates))
+        result.append(state.received.messages - dynamics.sent_messages(world, state.estimates))
         state = dynamics.step(world, state, generator.normal(size=state.estimates.shape))
     return np.array(result)
 
@@ -297,12 +297,12 @@ def test_noise_is_the_same_for_every_policy_and_another_for_every_seed():
 
 
 def test_padding_slots_leaves_the_noise_of_a_link_alone():
-    plain, padded = (
-        begin(World(FIXED.replace(channel=STAGES["additive noise"], slots=slots)), [1]) for slots in (None, 4)
-    )
-    assert np.array_equal(padded.messages[:2], plain.messages)
-    assert not padded.relative_estimates[2:].any()
-    assert not padded.weights[2:].any()
+    noisy = FIXED.replace(channel=STAGES["additive noise"])
+    plain, world = begin(World(noisy), [1]), World(noisy.replace(slots=4))
+    padded = begin(world, [1])
+    assert np.array_equal(padded.received.messages[:2], plain.received.messages)
+    assert not dynamics.relative_estimates(world, padded)[2:].any()
+    assert not padded.received.weights[2:].any()
 
 
 def test_stages_of_a_chain_draw_independently():
@@ -346,10 +346,7 @@ def test_zero_faults_are_the_perfect_channel():
             observations = [encoder.observe(state) for encoder, state in zip(encoders, states, strict=True)]
             assert np.array_equal(*observations)
             actions = np.random.default_rng(0).uniform(-1, 1, (3, 5, 5)).astype(np.float32)
-            inputs = [
-                encoder.decode(actions, state)
-                for encoder, state in zip(encoders, states, strict=True)
-            ]
+            inputs = [encoder.decode(actions, state) for encoder, state in zip(encoders, states, strict=True)]
             states = [dynamics.step(plain, states[0], inputs[0]), dynamics.step(faulty, states[1], inputs[1])]
 
 
@@ -600,13 +597,13 @@ REFUSED = {
 def test_channel_that_cannot_be_is_refused(name):
     kind, arguments, message = REFUSED[name]
     with pytest.raises(ValueError, match=message):
-        FIXED.replace(channel=channel_part(kind, **arguments))
+        World(FIXED.replace(channel=channel_part(kind, **arguments)))
 
 
 def test_start_without_the_draws_is_refused():
     world = World(FAULTY)
     sources = [RandomStreams.from_seed(0)]
-    with pytest.raises(ValueError, match="'faulty' draws a topology, a channel or a disturbance: pass what 1"):
+    with pytest.raises(ValueError, match="'faulty' draws a topology, a channel or a disturbance: pass the draws of 1"):
         dynamics.initial_state(world, world.draw_estimates(sources), world.draw_game(sources))
 
 

@@ -6,7 +6,6 @@ from test_dynamics import large_energy_scenario
 from worlds import BLOCKS, BLOCKS_SWITCHING, FAULTY, begin, make_port
 
 from ptne_env import CATALOGUE, Interface, dynamics, get_scenario
-from ptne_env.dynamics import State
 from ptne_env.encoder import make_encoder
 from ptne_env.experiments.episodes import draw_start
 from ptne_env.experiments.suite import find_scenario
@@ -111,7 +110,7 @@ def test_player_at_rest_observes_the_smallest_scale():
     world, encoder = make_port(BLOCKS, kind="local")
     at_rest = np.repeat(np.zeros((6, 1)), 3, axis=1)[:, :, None]
     moving = dynamics.initial_state(world, at_rest)
-    state = State(world, moving.step, moving.game, at_rest, np.zeros((6, 1)), moving.diverged)
+    state = moving._replace(estimates=at_rest, own_gradients=np.zeros((6, 1)))
     observations = encoder.observe(state)
     assert encoder.layout.select(observations, "log_scale") == pytest.approx(np.full((1, 3, 1), -30.0))
     assert encoder.layout.observation_space().contains(observations[0, 0])
@@ -292,9 +291,7 @@ def test_gains_actions_are_clipped_to_their_box(value):
     state = wander(world)
     inside = np.full((2, 5, 2), value, dtype=np.float32)
     outside = inside * 3
-    assert np.array_equal(
-        encoder.decode(inside, state), encoder.decode(outside, state)
-    )
+    assert np.array_equal(encoder.decode(inside, state), encoder.decode(outside, state))
     assert not encoder.clip(inside).clipped.any()
     assert encoder.clip(outside).clipped.tolist() == [[2 * (value != 0)] * 5] * 2
 
@@ -443,6 +440,6 @@ def test_observations_are_the_same_however_many_neighbour_slots_fit_into_the_scr
         monkeypatch.setattr("ptne_env.encoder._SCRATCH_ENTRIES", entries)
         encoder = make_encoder(world, Interface("physical"))
         seen.append([encoder.observe(state) for state in states])
-        assert len(encoder._workspaces[3].relative) == (1 if entries > 1 else world.slots)
+        assert len(encoder._workspaces[3].scratch) == (world.slots if entries > 1 else 1)
     assert world.slots > 1
     np.testing.assert_array_equal(*seen)

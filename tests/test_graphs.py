@@ -433,9 +433,9 @@ def random_scenario(**arguments):
 
 def test_scenario_refuses_what_never_connects_and_what_may_dwell_too_shortly():
     with pytest.raises(ValueError, match="not jointly connected.*add links"):
-        random_scenario(probability=1e-9, dwells=0.1)
+        World(random_scenario(probability=1e-9, dwells=0.1))
     with pytest.raises(ValueError, match=r"shortest dwell, 0\.001 on the physical clock, is shorter"):
-        random_scenario(probability=0.5, dwells=(0.001, 0.5))
+        World(random_scenario(probability=0.5, dwells=(0.001, 0.5)))
 
 
 def test_every_episode_has_its_own_signal_and_it_is_held_in_the_state():

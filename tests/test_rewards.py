@@ -212,7 +212,7 @@ def test_rewards_of_a_crash_are_finite_and_charged_for_the_remaining_steps(rewar
     env.reset()
     env.step(constant_actions(env, 0.0))
     _, rewards, _, _, _ = env.step(constant_actions(env, 1e9))
-    limit = env.world.distance_limit(env.world.game)[0]
+    limit = dynamics.distance_limit(env.world.game)[0]
     worst = {"tracking": limit, "payoff": REWARD_LIMIT, "regret": REWARD_LIMIT}
     for value in rewards.values():
         if reward == "digits":

@@ -189,7 +189,7 @@ def test_games_with_unequal_dimensions_are_scenarios_too():
 
 def test_scenario_more_than_a_percent_short_of_the_deadline_says_so():
     with pytest.warns(UserWarning, match=r"11\.11% of T short of the deadline; raise s_end"):
-        get_scenario("energy", transformation="rational")
+        World(get_scenario("energy", transformation="rational"))
 
 
 REFUSED = {
@@ -260,7 +260,7 @@ REFUSED = {
     "unknown channel": (lambda: get_scenario("energy", channel="noisy"), "channel is 'perfect', a 'module:object'"),
     "channel of another kind": (
         lambda: get_scenario("energy", channel="ptne_env.starts:paper_start"),
-        "built a FixedStart where channel needs a Channel",
+        "built a FixedStart where a Channel is needed",
     ),
     "disturbance without bound": (
         lambda: get_scenario(
@@ -270,7 +270,7 @@ REFUSED = {
     ),
     "part of another kind": (
         lambda: get_scenario("energy", game="ptne_env.starts:paper_start"),
-        "built a FixedStart where game needs a Game",
+        "built a FixedStart where a Game or GameFamily is needed",
     ),
     "missing part": (lambda: get_scenario("energy", game="ptne_env.games:ChessGame"), "has no 'ChessGame'"),
     "unknown key": (
@@ -287,7 +287,7 @@ REFUSED = {
 def test_scenario_that_cannot_be_is_refused_with_advice(name):
     build, message = REFUSED[name]
     with pytest.raises(ValueError, match=message):
-        build()
+        World(build())
 
 
 def test_part_of_another_type_is_refused():

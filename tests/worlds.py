@@ -4,9 +4,20 @@ import numpy as np
 
 import ptne_env
 from ptne_env import CATALOGUE, FactorySpec, Interface, Scenario, dynamics
+from ptne_env.dynamics import State
 from ptne_env.encoder import make_encoder
 from ptne_env.random_streams import RandomStreams
 from ptne_env.world import World
+
+
+def quantity(world, state, name):
+    """A field of a state, or a quantity that a function of ``dynamics`` computes from it, by name."""
+    if name in State._fields:
+        return getattr(state, name)
+    if name == "messages":
+        return dynamics.sent_messages(world, state.estimates) if state.received is None else state.received.messages
+    return getattr(dynamics, name)(world, state)
+
 
 FROM_THE_PAPER = [name for name, scenario in CATALOGUE.items() if not World(scenario).is_random]
 """The scenarios of the catalogue that play the paper's games from the paper's start."""

@@ -14,7 +14,7 @@ from test_parallel import arrays_in, same
 from worlds import BLOCKS, make_env
 
 import ptne_env
-from ptne_env import CATALOGUE, dynamics, laws
+from ptne_env import CATALOGUE, laws
 from ptne_env.envs.gymnasium import JointEnv, JointVectorEnv
 from ptne_env.registration import register_environments
 from ptne_env.world import World
@@ -250,7 +250,7 @@ def test_same_step_hands_over_the_last_observation_and_info():
         _, *_, infos = each.step(np.ones((2, 25)))
         assert "final_obs" not in infos
     observations, rewards, terminated, _, infos = env.step(np.full((2, 25), 2000.0))
-    last, expected, _, _, last_infos = dynamics.step(plain, np.full((2, 25), 2000.0))
+    last, expected, _, _, last_infos = plain.step(np.full((2, 25), 2000.0))
     assert terminated.all()
     assert np.array_equal(rewards, expected)
     assert infos["final_obs"].dtype == object

@@ -6,7 +6,7 @@ import pytest
 from worlds import BLOCKS, PAPER_START, constant_actions, make_env, play, while_running
 
 import ptne_env
-from ptne_env import CATALOGUE, dynamics, get_scenario, laws
+from ptne_env import CATALOGUE, get_scenario, laws
 
 INTERFACES = [
     {"interface": interface, "action_mode": mode} for interface in ("physical", "local") for mode in ("input", "gains")
@@ -508,7 +508,7 @@ def test_double_precision_actions_are_welcome():
     other.reset()
     actions = random_actions(env, np.random.default_rng(0))
     env.step(actions)
-    dynamics.step(other, {agent: action.astype(np.float64) for agent, action in actions.items()})
+    other.step({agent: action.astype(np.float64) for agent, action in actions.items()})
     assert np.array_equal(env.estimates, other.estimates)
 
 
@@ -518,7 +518,7 @@ def test_order_of_the_actions_does_not_matter():
     other.reset()
     actions = random_actions(env, np.random.default_rng(0))
     env.step(actions)
-    dynamics.step(other, dict(reversed(actions.items())))
+    other.step(dict(reversed(actions.items())))
     assert np.array_equal(env.estimates, other.estimates)
 
 

@@ -16,7 +16,7 @@ from stable_baselines3.common.vec_env import VecMonitor, VecNormalize
 from test_parallel import arrays_in, same
 from worlds import BLOCKS, make_env
 
-from ptne_env import FactorySpec, Interface, PolicySpec, VectorParallelEnv, dynamics, evaluate, get_scenario, laws
+from ptne_env import FactorySpec, Interface, PolicySpec, VectorParallelEnv, evaluate, get_scenario, laws
 from ptne_env.envs import vector as vector_module
 from ptne_env.envs.gymnasium import JointEnv
 from ptne_env.envs.sb3 import MixedSlotVecEnv, SlotVecEnv
@@ -209,7 +209,7 @@ def test_mixture_is_its_parts_one_after_the_other():
     generator = np.random.default_rng(1)
     for _ in range(7):
         actions = random_actions(together, generator)
-        observations, rewards, dones, infos = dynamics.step(together, actions)
+        observations, rewards, dones, infos = together.step(actions)
         expected = [part.step(own) for part, own in zip(apart, np.split(actions, 2), strict=True)]
         assert np.array_equal(observations, np.concatenate([outcome[0] for outcome in expected]))
         assert np.array_equal(rewards, np.concatenate([outcome[1] for outcome in expected]))
@@ -283,7 +283,7 @@ def test_normalisation_changes_what_is_seen_and_not_what_happens():
     for _ in range(40):
         actions = random_actions(env, generator)
         observations, rewards, dones, infos = env.step(actions)
-        raw, raw_rewards, raw_dones, raw_infos = dynamics.step(plain, actions)
+        raw, raw_rewards, raw_dones, raw_infos = plain.step(actions)
         assert np.array_equal(env.get_original_obs(), raw)
         assert np.array_equal(env.get_original_reward(), raw_rewards)
         assert np.array_equal(dones, raw_dones)
