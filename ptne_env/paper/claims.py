@@ -638,7 +638,7 @@ def _exact_error(experiments: Experiments, constant: float, s_end: float) -> flo
 
 def _numerator(constants: MonotonicityConstants) -> float:
     bound = gain_bound(constants, 1.0)
-    if bound is None:
+    if not np.isfinite(bound):
         raise ArithmeticError("the game is not strongly monotone; the gain condition does not exist")
     return bound
 
@@ -649,8 +649,7 @@ def _gain_bound(experiments: Experiments) -> float:
 
 
 def _satisfies(constants: MonotonicityConstants, graph: Graph) -> bool:
-    bound = gain_bound(constants, graph.algebraic_connectivity)
-    return bound is not None and bound < KAPPA
+    return gain_bound(constants, graph.algebraic_connectivity) < KAPPA
 
 
 def run_checks(experiments: Experiments | None = None) -> tuple[Claim, ...]:
