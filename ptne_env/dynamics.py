@@ -12,7 +12,7 @@ import numpy.typing as npt
 from ptne_env import channel as channels
 from ptne_env import counter_random
 from ptne_env.arrays import Array, BoolArray, FloatArray, IntArray, frozen, replaced
-from ptne_env.channel import LinkNoise, Memory, Messages
+from ptne_env.channel import LinkRandomness, Memory, Messages
 from ptne_env.counter_random import CounterArray
 from ptne_env.games import Game
 from ptne_env.random_streams import RandomStreams
@@ -221,7 +221,7 @@ class World:
             )
         else:
             schedule = self.topology.schedule(self._topology_times)
-        self.modes, self.time_since_switch = schedule.modes, schedule.age
+        self.modes, self.time_since_switch = schedule.modes, schedule.time_since_switch
         shifts = scenario.clock_shifts if any(scenario.clock_shifts) else (0.0,)
         self.readings = frozen(np.stack([self.clock.read(shift) for shift in shifts], axis=1))
         self.theta = self.clock.theta if len(shifts) == 1 else self.readings[2]
@@ -247,7 +247,7 @@ class World:
         modes = age = None
         if self.topology.is_random:
             schedule = self.topology.draw(self._topology_times, [source.graph for source in sources])
-            modes, age = schedule.modes.astype(np.int16), schedule.age.astype(np.float32)
+            modes, age = schedule.modes.astype(np.int16), schedule.time_since_switch.astype(np.float32)
         elif not (self.channel.is_random or self.disturbance.is_random):
             return None
         keys = np.array(
@@ -403,9 +403,9 @@ class World:
         keys = np.zeros(batch, dtype=np.uint64) if state.randomness is None else state.randomness.channel_keys
         weights = self.graph_weights(state)
         weights = np.broadcast_to(weights, (*weights.shape[:2], batch))
-        link_noise = LinkNoise(keys, state.step, self.neighbours, self.game.dimension)
+        randomness = LinkRandomness(keys, state.step, self.neighbours, self.game.dimension)
         sent = Messages(self.sent_messages(state.estimates), weights > 0, weights, state.estimates)
-        received, memory = self.channel.transmit(sent, memory, link_noise)
+        received, memory = self.channel.transmit(sent, memory, randomness)
         values = received.values
         if not _in_range(values):  # noise may leave the range that observations are bounded by
             values = np.clip(values, -RANGE_LIMIT, RANGE_LIMIT)

@@ -17,7 +17,7 @@ from scipy import stats
 from worlds import BLOCKS_SWITCHING, EVERY_FAULT, FAULTY, begin, channel_part, make_port
 
 from ptne_env import FactorySpec, Scenario, get_scenario, laws
-from ptne_env.channel import Chain, Channel, LinkNoise, Messages
+from ptne_env.channel import Chain, Channel, LinkRandomness, Messages
 from ptne_env.dynamics import RANGE_LIMIT, World
 from ptne_env.encoder import Encoder
 from ptne_env.observation import Interface
@@ -361,8 +361,8 @@ def transmit(channel, steps, messages=None, batch=400, seed=0):
     memory, results = None, []
     for k in range(steps):
         going_in = constant_messages(batch) if messages is None else messages(k)
-        link_noise = LinkNoise(keys, np.full(batch, k), SENDERS, 5)
-        out, memory = channel.transmit(going_in, memory, link_noise)
+        randomness = LinkRandomness(keys, np.full(batch, k), SENDERS, 5)
+        out, memory = channel.transmit(going_in, memory, randomness)
         results.append(out)
     return results
 
@@ -663,7 +663,7 @@ class Shouting(Channel):
 
     is_random = False
 
-    def transmit(self, messages, memory, link_noise):
+    def transmit(self, messages, memory, randomness):
         return replace(messages, live=np.ones_like(messages.live), weights=np.ones_like(messages.weights)), ()
 
 
