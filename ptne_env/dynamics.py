@@ -223,7 +223,7 @@ class World:
             schedule = self.topology.schedule(self._topology_times)
         self.modes, self.time_since_switch = schedule.modes, schedule.time_since_switch
         shifts = scenario.clock_shifts if any(scenario.clock_shifts) else (0.0,)
-        self.readings = frozen(np.stack([self.clock.read(shift) for shift in shifts], axis=1))
+        self.readings = frozen(np.stack([self.clock.shifted(shift) for shift in shifts], axis=1))
         self.theta = self.clock.theta if len(shifts) == 1 else self.readings[2]
         # Looking up an instant's successor costs one environment a quarter of computing it.
         instants, last = np.arange(self.clock.total_steps + 1), self.clock.total_steps
