@@ -161,10 +161,8 @@ def theorem_2(experiments: Experiments) -> Iterator[Claim]:
     distance = run.estimate_distance
     inputs = np.linalg.norm(run.errors.reshape(len(distance), -1) @ experiments.loop_matrix(KAPPA).T, axis=1)
     held, input_held, peak = float(distance[k:].max()), float(inputs[k:].max()), float(inputs[: k + 1].max())
-    exponents, conditioned = (
-        near_deadline(experiments, KAPPA),
-        near_deadline(experiments, 1.05 * experiments.gain_bound),
-    )
+    exponents = near_deadline(experiments, KAPPA)
+    conditioned = near_deadline(experiments, 1.05 * experiments.gain_bound)
     yield decided(
         "Theorem 2, hold",
         "the equilibrium is maintained and u stays zero from T on",

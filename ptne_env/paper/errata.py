@@ -59,8 +59,7 @@ def erratum_1(experiments: Experiments) -> Iterator[Claim]:
 
 def erratum_2(experiments: Experiments) -> Iterator[Claim]:
     """A topology that dwells in t leaves an error at T, which shrinks with Γ; a topology that dwells in s does not."""
-    periods = [0.8, 0.4, 0.2, 0.1]
-    runs = [experiments.switching_with_period(period) for period in periods]
+    periods, runs = list(experiments.by_period), list(experiments.by_period.values())
     errors = [float(run.estimate_distance[-1]) for run in runs]
     last = [run.topology.graphs[run.timeline.segments[-1].mode] for run in runs]
     transformed = experiments.switching["transformed"]
@@ -232,11 +231,8 @@ def _missing_constant(experiments: Experiments) -> Claim:
 
 
 def _misprinted_bounds(experiments: Experiments) -> Iterator[Claim]:
-    kappa, constants, graph = (
-        100.0,
-        experiments.constants,
-        cycle(5),
-    )  # a large κ makes the proof's λ_min(O) nearly tight
+    # At a large κ the proof's λ_min(O) is nearly tight.
+    kappa, constants, graph = 100.0, experiments.constants, cycle(5)
     decay = 2 * guaranteed_rate(constants, graph.algebraic_connectivity, 5, kappa)  # the paper's O is twice ours
     run = experiments.exact_approach(kappa, s_end=60.0, samples=601)
     norms = np.linalg.norm(run.errors, axis=(1, 2))

@@ -31,6 +31,8 @@ HOLD = 0.4
 """Seconds shown after T."""
 DWELLS: dict[TopologyClock, float] = {"physical": 0.1, "transformed": 0.25}
 """Dwell time of a mode on each clock: Γ/4 of the paper in seconds, and ours in units of s."""
+PERIODS = (0.8, 0.4, 0.2, 0.1)
+"""Periods Γ in seconds that erratum 2 compares."""
 
 
 class Experiments:
@@ -113,16 +115,16 @@ class Experiments:
         """Theorem 4's law on Example 2, the topology dwelling in t (the paper's) or in s."""
         return {clock: self._adaptive(self.non_quadratic, paper_topology(DWELLS[clock], clock)) for clock in DWELLS}
 
-    def switching_with_period(self, period: float) -> Run:
-        """Theorem 4's law on Example 1 with another Γ in seconds, the topology dwelling in t."""
-        topology = paper_topology(period / 4, "physical")
-        timeline = prescribed_timeline(topology, self.transformation, GAIN, s_end=S_END, samples=501)
-        return simulate(self.energy, topology, self.start, timeline, initial_gain=INITIAL_GAIN, gamma=GAMMA)
+    @cached_property
+    def by_period(self) -> dict[float, Run]:
+        """Theorem 4's law on Example 1 by the period Γ in seconds of a topology that dwells in t."""
+        topologies = {period: paper_topology(period / 4, "physical") for period in PERIODS}
+        return {period: self._adaptive(self.energy, topology, 0.0, 501) for period, topology in topologies.items()}
 
     def _plain(self, kappa: float) -> Run:
         timeline = plain_timeline(self.ring, 30.0)
         return simulate(self.energy, self.ring, self.start, timeline, initial_gain=kappa)
 
-    def _adaptive(self, game: Game, topology: SwitchingTopology) -> Run:
-        timeline = prescribed_timeline(topology, self.transformation, GAIN, s_end=S_END, hold=HOLD)
+    def _adaptive(self, game: Game, topology: SwitchingTopology, hold: float = HOLD, samples: int = 2001) -> Run:
+        timeline = prescribed_timeline(topology, self.transformation, GAIN, s_end=S_END, hold=hold, samples=samples)
         return simulate(game, topology, self.start, timeline, initial_gain=INITIAL_GAIN, gamma=GAMMA)

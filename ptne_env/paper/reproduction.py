@@ -15,7 +15,7 @@ from ptne_env.files import write_atomically
 from ptne_env.paper.claims import CLAIMS, Claim
 from ptne_env.paper.errata import ERRATA
 from ptne_env.paper.experiments import DEADLINE, GAIN, GAMMA, INITIAL_GAIN, S_END, Experiments
-from ptne_env.paper.figures import FIGURES, picture, save
+from ptne_env.paper.figures import FIGURES, draw
 from ptne_env.paper.page import render_page
 from ptne_env.paper.table import TableRow, table_one
 
@@ -101,8 +101,10 @@ def reproduce(out: Path, *, progress: Callable[[int, int, str], None] | None = N
     pictures: dict[str, bytes] = {}
     for spec in FIGURES:
         announce(f"Figure {spec.name}")
-        figures += save(spec, experiments, claims, out)
-        pictures[spec.name] = picture(spec, experiments, claims)
+        figures += [out / f"{spec.name}.png", out / f"{spec.name}.svg"]
+        write_atomically(figures[-2], draw(spec, experiments, "png"))
+        write_atomically(figures[-1], draw(spec, experiments, "svg"))
+        pictures[spec.name] = draw(spec, experiments, "page")
     announce("Done")
     results, page = out / RESULTS_FILE, out / PAGE_FILE
     write_atomically(page, render_page(table, claims, pictures, _SETTINGS, str(out)))
