@@ -61,7 +61,7 @@ def test_boxes_of_single_games_merge_too():
 
 @pytest.mark.parametrize("other", [EnergyGame(), RandomAffine(players=3).representative])
 def test_other_games_do_not_merge(other):
-    with pytest.raises(TypeError, match="knows affine games of the same players alone"):
+    with pytest.raises(TypeError, match="needs affine games of the same players"):
         RandomAffine().representative.merged(other, np.array([True]))
     with pytest.raises(TypeError, match="with and without bounds"):
         RandomAffine().representative.merged(FAMILIES["in a box"].representative, np.array([True]))

@@ -115,7 +115,7 @@ def test_merging_keeps_the_price_and_refuses_another_kind_of_game():
     mask = np.array([True, False])
     assert game.merged(family.draw(generators([9])), mask).base_price == 3.0
     for first, second in [(game, NonQuadraticGame()), (game, HiddenGame()), (HiddenGame(), game)]:
-        with pytest.raises(TypeError, match=r"knows energy games alone, got \w+ and \w+; a subclass defines its own"):
+        with pytest.raises(TypeError, match=r"needs energy games, got \w+ and \w+; a subclass defines its own"):
             first.merged(second, mask)
     single = NonQuadraticGame()
     assert single.merged(single, mask) is single
