@@ -406,7 +406,7 @@ def test_observation_of_a_faulty_world_holds_what_is_heard_by_the_players_own_cl
             assert reading.weights[row] == pytest.approx(weights[:, i, b], rel=1e-6)
             found = reading.relative_estimates[row] * reading.unit[row]
             assert found == pytest.approx(relative[:, :, i, b], rel=1e-5, abs=1e-5)
-            own = world.clock.read(shift)
+            own = world.clock.shifted(shift)
             observed = layout.select(encoder.observe(state)[b, i], "clock")
             dt = world.clock.dt[25] / world.clock.deadline
             expected = [own.t[25] / world.clock.deadline, own.s[25], own.theta[25], dt]
@@ -440,6 +440,6 @@ def test_observations_are_the_same_however_many_neighbour_slots_fit_into_the_scr
         monkeypatch.setattr("ptne_env.encoder._SCRATCH_ENTRIES", entries)
         encoder = make_encoder(world, Interface("physical"))
         seen.append([encoder.observe(state) for state in states])
-        assert len(encoder._workspaces[3].scratch) == (world.slots if entries > 1 else 1)
+        assert len(encoder._workspaces[3].relative) == (1 if entries > 1 else world.slots)
     assert world.slots > 1
     np.testing.assert_array_equal(*seen)
