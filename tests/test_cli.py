@@ -189,7 +189,7 @@ def test_compare_prints_a_table_and_writes_json_and_csv(tmp_path):
     rows = list(csv.DictReader((folder / "results.csv").read_text(encoding="utf-8").splitlines()))
     assert len(rows) == len(data["records"]) + len(data["timings"])
     assert (tmp_path / "there" / "again.json").read_bytes() == (folder / "results.json").read_bytes()
-    assert "static comes closest" in (folder / "report.html").read_text(encoding="utf-8")
+    assert "static is the closest to the equilibrium" in (folder / "report.html").read_text(encoding="utf-8")
     assert "Report written to results/comparison/report.html" in outcome.stdout
 
 
@@ -445,7 +445,7 @@ def test_a_suite_prints_a_table_per_track_and_an_overall_one(suite_run):
         "overall",
     ):
         assert text in printed
-    for text in ("oracle *", "n/a", "the policy was made for another layout", "Not over large-20", "out/results.json"):
+    for text in ("oracle *", "n/a", "the policy was made for another layout", "Scores are not over large-20", "out/results.json"):
         assert text in printed
     data = json.loads((folder / "out" / "results.json").read_text(encoding="utf-8"))
     overall = {row["policy"] for row in data["leaderboard"]["overall"]}
