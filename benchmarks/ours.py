@@ -1,4 +1,4 @@
-"""Our own contenders, the parts of which a step consists, the share of a PPO update, and law rollouts."""
+"""Our contenders, the parts of a step, the share of a PPO update, and law rollouts."""
 
 from __future__ import annotations
 
@@ -28,8 +28,8 @@ from ptne_env.rewards import Reward
 from ptne_env.scenario import Scenario, get_scenario
 
 _BATCHES = 16
-"""Random joint actions that are drawn beforehand, and as many of the opposite sign: their mean is 0, so that random
-play diffuses, as with fresh draws, and does not drift."""
+"""Random joint actions, drawn before the clock runs, and as many of the opposite sign: their mean is 0, so estimates
+diffuse, as with fresh draws, and do not drift."""
 
 
 def actions(bound: float, shape: tuple[int, ...]) -> Iterator[Float32Array]:
@@ -57,7 +57,7 @@ def single(interface: InterfaceKind) -> Contender:
 
 
 def dictionaries() -> Contender:
-    """The five dictionaries that a step returns, built from values that are there already: the floor of the API."""
+    """The five dictionaries that a step returns, built from given values: the cost of the API alone."""
     env = parallel_env("energy")
     agents, size = env.possible_agents, env.layout.size
     values, clipped = [0.0] * len(agents), [0] * len(agents)
@@ -79,7 +79,7 @@ def dictionaries() -> Contender:
 
 
 def vector(interface: InterfaceKind, num_envs: int, scenario: str | Scenario = "energy") -> Contender:
-    """The vector path; environments that are over are reset."""
+    """The vector environment; finished episodes are reset."""
     env = VectorParallelEnv(scenario, num_envs, interface=interface)
     env.reset(seed=0)
     turn = actions(env.layout.action_bound, (num_envs, env.num_players, env.layout.action_size))
@@ -110,7 +110,7 @@ def slots(interface: InterfaceKind, num_envs: int) -> Contender:
 
 
 def parts(interface: InterfaceKind, num_envs: int, plan: Plan, scenario: str | Scenario = "energy") -> dict[str, float]:
-    """Microseconds of each part of a step of ``num_envs`` environments, each alone and therefore in a warm cache."""
+    """Microseconds of each part of a step of ``num_envs`` environments; each part runs alone, in a warm cache."""
     world, encoder, reward, state = _world(interface, num_envs, scenario)
     reward.reset(state)
     encoder.observe(state)
@@ -139,7 +139,7 @@ def _world(interface: InterfaceKind, num_envs: int, scenario: str | Scenario) ->
 
 def memory(interface: InterfaceKind, num_envs: int, scenario: str | Scenario = "energy") -> dict[str, float]:
     """Bytes per environment of a vector environment: held between steps, and at the peak of a step."""
-    layout = VectorParallelEnv(scenario, 1, interface=interface).layout  # also builds what environments share
+    layout = VectorParallelEnv(scenario, 1, interface=interface).layout  # also builds the shared tables
     played = np.zeros((num_envs, layout.num_players, layout.action_size), dtype=np.float32)
     tracemalloc.start()
     try:
@@ -157,7 +157,7 @@ def memory(interface: InterfaceKind, num_envs: int, scenario: str | Scenario = "
 
 @contextmanager
 def _timed(owner: type, name: str, spent: list[float]) -> Iterator[None]:
-    """Add up in ``spent[0]`` the seconds in a method, while the context lasts."""
+    """Add the seconds in a method to ``spent[0]`` while the context lasts."""
     method = getattr(owner, name)
 
     def timed(*arguments: Any, **keywords: Any) -> Any:
@@ -175,10 +175,10 @@ def _timed(owner: type, name: str, spent: list[float]) -> Iterator[None]:
 
 
 def training_share(plan: Plan) -> dict[str, Any]:
-    """The environment's share of wall time in PPO at the settings that ``ptne train random-energy`` ships.
+    """The share of the environment in the wall time of PPO with the configuration ``random-energy``.
 
-    Each repeat trains afresh. The first update is left out; the following ones cover one whole episode of every
-    environment, its end and the drawing of new games included.
+    Each repeat is a new training run. The first update is left out; the following updates cover one whole episode of
+    every environment, with its end and the draw of new games.
 
     Raises:
         MissingPeerError: when Stable-Baselines3 is not installed.
@@ -229,7 +229,7 @@ def training_share(plan: Plan) -> dict[str, Any]:
 
 
 def law_rollouts(plan: Plan) -> list[Contender]:
-    """Rollouts of laws over a bank of ``random-energy``, environment, law and recorded metrics together."""
+    """Rollouts of laws over episodes of ``random-energy``: environment, law and metrics together."""
     episodes = 10 if plan.quick else 1000
     world = World(get_scenario("random-energy"))
     start = draw_start(world, episodes, seed=0)

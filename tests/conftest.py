@@ -1,4 +1,4 @@
-"""Shared by all tests: one thread per process, counts of random cases, values built once, a browser without a network."""
+"""Shared by all tests: one thread per process, counts of random cases, values built once, an offline browser."""
 
 import os
 import pickle
