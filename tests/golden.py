@@ -94,9 +94,7 @@ def main():
                 print(f"{scenario}-v0, {mode}: added")
             elif reason := difference(modes[mode], found):
                 changed = True
-                print(
-                    f"{scenario}-v0, {mode}: {reason}; the golden trajectory stays, publish the change as a new version"
-                )
+                print(f"{scenario}-v0, {mode}: {reason}; the golden trajectory stays: publish a new version")
     write_atomically(DATA, json.dumps(kept, indent=0) + "\n")
     return int(changed)
 

@@ -9,8 +9,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from soak import attempt, main, soak
 
-from ptne_env import VectorParallelEnv
-from ptne_env.dynamics import World
+from ptne_env import VectorParallelEnv, dynamics
 from ptne_env.encoder import Clipped, Encoder
 
 
@@ -49,12 +48,12 @@ def share_observations(env, buffers={}):  # noqa: B006 - sharing is the fault
     return buffers.setdefault(shape, np.empty(shape, dtype=np.float32))
 
 
-STEP, OBSERVE, IS_OVER = World.step, Encoder.observe, World.is_over
+STEP, OBSERVE, IS_OVER = dynamics.step, Encoder.observe, dynamics.is_over
 FAULTS = {
     "NaN is accepted": (Encoder, "clip", clip_nan),
-    "a step is too long": (World, "step", lambda world, state, inputs: STEP(world, state, inputs * (1 + 1e-7))),
+    "a step is too long": (dynamics, "step", lambda world, state, inputs: STEP(world, state, inputs * (1 + 1e-7))),
     "observations are overwritten": (VectorParallelEnv, "_empty_observations", share_observations),
-    "episodes end late": (World, "is_over", lambda world, state: IS_OVER(world, state) & (state.step > 1)),
+    "episodes end late": (dynamics, "is_over", lambda world, state: IS_OVER(world, state) & (state.step > 1)),
     "player 0 is special": (Encoder, "observe", lambda encoder, state, out=None: special(OBSERVE(encoder, state, out))),
 }
 
