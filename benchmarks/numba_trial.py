@@ -18,6 +18,7 @@ from rich.console import Console
 
 from benchmarks.ours import vector
 from benchmarks.timing import Contender, Plan, interleave, ratio
+from ptne_env import dynamics
 from ptne_env.arrays import Float32Array, FloatArray, IntArray
 from ptne_env.dynamics import State
 from ptne_env.encoder import Encoder
@@ -68,7 +69,7 @@ def observe(encoder: Encoder, state: State, out: Float32Array) -> Float32Array:
     """:meth:`Encoder.observe` under ``physical``: one-dimensional strategies, a fixed graph, environments in lockstep."""
     world, layout = encoder.world, encoder.layout
     players = layout.num_players
-    clocks = encoder._clock_table[:, :, state.instants[0]]  # noqa: SLF001 - a trial from outside
+    clocks = encoder._clock_table[:, :, dynamics.shared_step(state)[0]]  # noqa: SLF001 - a trial from outside
     clock = np.broadcast_to(clocks, (len(clocks), players))
     constants = np.concatenate([world.mode_weights[:, :, 0], clock, np.eye(players)]).astype(np.float32)
     _observe(state.estimates, state.own_gradients, world.neighbours, constants, out)

@@ -16,16 +16,18 @@ import numpy as np
 
 from benchmarks.peers import MissingPeerError, iter_forever
 from benchmarks.timing import Contender, Plan, Spread, seconds_per_call
-from ptne_env import laws, parallel_env
+from ptne_env import dynamics, laws, parallel_env
 from ptne_env.arrays import Float32Array
-from ptne_env.dynamics import State, World
-from ptne_env.encoder import Encoder
+from ptne_env.catalogue import get_scenario
+from ptne_env.dynamics import State
+from ptne_env.encoder import Encoder, make_encoder
 from ptne_env.envs.vector import VectorParallelEnv
 from ptne_env.experiments import rollout
 from ptne_env.experiments.episodes import draw_start
 from ptne_env.observation import Interface, InterfaceKind
 from ptne_env.rewards import Reward
-from ptne_env.scenario import Scenario, get_scenario
+from ptne_env.scenario import Scenario
+from ptne_env.world import World
 
 _BATCHES = 16
 """Random joint actions that are drawn beforehand, and as many of the opposite sign: their mean is 0, so that random
@@ -117,11 +119,11 @@ def parts(interface: InterfaceKind, num_envs: int, plan: Plan, scenario: str | S
     played = next(
         actions(encoder.layout.action_bound, (num_envs, encoder.layout.num_players, encoder.layout.action_size))
     )
-    inputs = encoder.decode(played, state).inputs
-    after = world.step(state, inputs)
+    inputs = encoder.decode(played, state)
+    after = dynamics.step(world, state, inputs)
     calls: dict[str, Callable[[], object]] = {
         "decode actions": lambda: encoder.decode(played, state),
-        "transition": lambda: world.step(state, inputs),
+        "transition": lambda: dynamics.step(world, state, inputs),
         "reward": lambda: reward.total(reward.step(after)),
         # A new state each time, because a state remembers its relative estimates.
         "observe": lambda: encoder.observe(
@@ -134,7 +136,7 @@ def parts(interface: InterfaceKind, num_envs: int, plan: Plan, scenario: str | S
 def _world(interface: InterfaceKind, num_envs: int, scenario: str | Scenario) -> tuple[World, Encoder, Reward, State]:
     world = World(get_scenario(scenario))
     state = draw_start(world, num_envs, seed=0)
-    return world, Encoder(world, Interface(interface)), Reward(world), state
+    return world, make_encoder(world, Interface(interface)), Reward(world), state
 
 
 def memory(interface: InterfaceKind, num_envs: int, scenario: str | Scenario = "energy") -> dict[str, float]:
@@ -192,7 +194,7 @@ def training_share(plan: Plan) -> dict[str, Any]:
         raise MissingPeerError(f"the share of a PPO update is left out: {error}") from error
     shipped = Arguments.from_toml("random-energy")
     scenario = get_scenario(shipped.scenarios[0])
-    players, episode = scenario.built_game.num_players, scenario.built_clock.total_steps
+    players, episode = World(scenario).game.num_players, World(scenario).clock.total_steps
     updates = 2 if plan.quick else -(-episode // shipped.rollout)
     settings: dict[str, Any] = {"steps": (updates + 1) * shipped.rollout * shipped.envs * players}
     if plan.quick:
@@ -233,7 +235,7 @@ def law_rollouts(plan: Plan) -> list[Contender]:
     episodes = 10 if plan.quick else 1000
     world = World(get_scenario("random-energy"))
     start = draw_start(world, episodes, seed=0)
-    encoder = Encoder(world, Interface("physical"))
+    encoder = make_encoder(world, Interface("physical"))
     agent_steps = episodes * world.game.num_players * world.clock.total_steps
     policies = {"static": laws.Static(encoder.layout), "adaptive": laws.Adaptive(encoder.layout)}
     return [

@@ -20,7 +20,7 @@ from ptne_env.experiments.benchmark import run_suite
 from ptne_env.experiments.leaderboard import leaderboard
 from ptne_env.experiments.suite import Suite, Track
 from ptne_env.games import AffineGame
-from ptne_env.observation import ObservationLayout, Reading
+from ptne_env.observation import Observation, ObservationLayout
 from ptne_env.report import leaderboard_tables
 
 
@@ -63,7 +63,7 @@ class HeavyBall(laws.Law):
     def _initial_memory(self, rows: int) -> np.ndarray:
         return np.zeros((rows, self.layout.dimension))
 
-    def _inputs(self, reading: Reading, memory: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def _inputs(self, reading: Observation, memory: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         pull = np.einsum("rd,rdn->rn", reading.weights, reading.relative_estimates)
         memory = self.inertia * memory + (1 - self.inertia) * (self.kappa * pull - reading.gradient)
         return memory, memory

@@ -12,6 +12,8 @@ from ptne_env.registration import register_environments
 
 if TYPE_CHECKING:
     from ptne_env import laws as laws
+    from ptne_env.catalogue import CATALOGUE as CATALOGUE
+    from ptne_env.catalogue import get_scenario as get_scenario
     from ptne_env.envs.parallel import NashSeekingEnv as NashSeekingEnv
     from ptne_env.envs.parallel import parallel_env as parallel_env
     from ptne_env.envs.vector import VectorParallelEnv as VectorParallelEnv
@@ -22,13 +24,11 @@ if TYPE_CHECKING:
     from ptne_env.observation import Interface as Interface
     from ptne_env.observation import ObservationLayout as ObservationLayout
     from ptne_env.policy import Policy as Policy
-    from ptne_env.scenario import CATALOGUE as CATALOGUE
     from ptne_env.scenario import Scenario as Scenario
-    from ptne_env.scenario import get_scenario as get_scenario
 else:
     # Each name is imported when it is first asked for (PEP 562): together they take long.
     _HOMES = {
-        "CATALOGUE": "scenario",
+        "CATALOGUE": "catalogue",
         "PolicySpec": "experiments",
         "Interface": "observation",
         "ObservationLayout": "observation",
@@ -39,7 +39,7 @@ else:
         "Scenario": "scenario",
         "VectorParallelEnv": "envs",
         "evaluate": "experiments",
-        "get_scenario": "scenario",
+        "get_scenario": "catalogue",
         "laws": "laws",
         "parallel_env": "envs",
     }

@@ -24,6 +24,7 @@ except ImportError as error:  # pragma: no cover - exercised in an environment w
 from ptne_env import policies as learned
 from ptne_env import theory, training
 from ptne_env._version import __version__
+from ptne_env.catalogue import CATALOGUE
 from ptne_env.experiments import (
     COMPARATIVE_METRICS,
     ENTRIES,
@@ -57,7 +58,6 @@ from ptne_env.report import (
     suite_report,
     suite_table,
 )
-from ptne_env.scenario import CATALOGUE
 
 _HOLD_STEPS = 50
 

@@ -1,21 +1,28 @@
-"""The encoder connects an observation layout to a running world: states to observations, actions to inputs."""
+"""Encoders connect a layout to a running world: states to observations, actions to inputs, for every batch size."""
 
 from __future__ import annotations
 
 import copy
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from gymnasium import spaces
 
+from ptne_env import dynamics
 from ptne_env.arrays import Float32Array, FloatArray, IntArray
-from ptne_env.dynamics import RANGE_LIMIT, State, World
-from ptne_env.observation import CONSENSUS_GAIN, GAIN_OCTAVES, OBSERVATION_BOUND, Interface, ObservationLayout
-
-SMALLEST_SCALE = 1e-30
-"""The scale σ_i of the ``local`` interface is at least this, so that a player at rest divides by something."""
+from ptne_env.dynamics import State
+from ptne_env.observation import (
+    CONSENSUS_GAIN,
+    GAIN_OCTAVES,
+    OBSERVATION_BOUND,
+    SMALLEST_SCALE,
+    Interface,
+    ObservationLayout,
+)
+from ptne_env.world import World
 
 _PADDING = 16
 """Columns by which the rows of an observation workspace are longer than a batch that is larger than that."""
@@ -24,7 +31,7 @@ _SCRATCH_ENTRIES = 32_768
 """Numbers in the float64 scratch of a workspace, or one neighbour slot if that is more: it stays in a core's cache."""
 
 _WORKSPACES = 2
-"""Observation workspaces that a encoder keeps, one per batch size: a vector environment has blocks of two sizes."""
+"""Observation workspaces of an encoder, one per batch size: a vector environment has blocks of two sizes."""
 
 
 class NonFiniteActionError(ValueError):
@@ -43,40 +50,32 @@ class Clipped(NamedTuple):
     clipped: IntArray
 
 
-class Decoded(NamedTuple):
-    """What a encoder made of actions.
-
-    Attributes:
-        inputs: u within the input limit, shape (n, N, B).
-        clipped: entries of each player's action outside the box, shape (B, N).
-    """
-
-    inputs: FloatArray
-    clipped: IntArray
-
-
 @dataclass
 class _Workspace:
-    """Where a encoder puts observations of one batch size together.
+    """Memory in which an encoder assembles the observations of one batch size.
 
     Attributes:
-        fields: views of each part, environments last, and of everything as (B, N size).
-        relative: relative estimates of some neighbour slots at a time: the slots, their part of the fields, and a
-            float64 scratch of that shape (slots, n, N, B), which the others use too.
-        instant: whose clock stands in the fields, where all environments share one.
+        fields: views of each slice, environments last; ``everything`` is (B, N size).
+        scratch: float64 memory for some neighbour slots, shape (slots, n, N, B).
+        step: of the clock that stands in the fields, where all environments share one.
     """
 
     fields: dict[str, Float32Array]
-    relative: list[tuple[slice, Float32Array, FloatArray]]
-    instant: int | None = None
+    scratch: FloatArray
+    step: int | None = None
 
 
-class Encoder:
-    """Where policies plug into a world: states to observations, actions to inputs, for every batch size.
+class Encoder(ABC):
+    """Observations and inputs of one interface in one world. Make one with :func:`make_encoder`.
 
     Args:
         world: the world.
         interface: units, order and action mode.
+
+    Attributes:
+        world: as given.
+        interface: as given.
+        layout: of observations and actions; policies are built from it.
 
     Raises:
         ValueError: when the interface shows best responses and the game has none.
@@ -88,107 +87,60 @@ class Encoder:
         game, clock = world.game, world.clock
         if interface.best_response and not game.has_best_response:
             raise ValueError(f"best_response cannot be observed: {type(game).__name__} has none everywhere")
+        # All observations of an instant share the clock and the age of the graph; (5, 1 or N, K+H+1).
+        t, s, theta = world.local_clocks
+        shared = [np.broadcast_to(row, t.shape) for row in (clock.dt / clock.deadline, world.time_since_switch)]
+        self._clock_table = np.stack([t / clock.deadline, s, theta, *shared]).astype(np.float32)
+        largest_t, largest_s, largest_theta, largest_dt = self._clock_table[:4].max(axis=(1, 2)).tolist()
         self.layout = layout = ObservationLayout(
             interface=interface,
             action_dims=game.action_dims,
             neighbours=tuple(tuple(int(j) for j in column) for column in world.neighbours.T),
-            input_limit=world.scenario.input_limit,
+            input_limit=world.input_limit,
             deadline=clock.deadline,
+            largest_weight=float(world.mode_weights.max() * world.channel.largest_weight_factor),
+            largest_clock=(largest_t, largest_s, largest_theta, largest_dt),
         )
-        n, players, slots = game.dimension, game.num_players, world.slots
-        # What every observation of an instant shares: the clock and the age of the graph; (5, 1 or N, K+H+1).
-        t, s, theta = world.readings
-        shared = [np.broadcast_to(row, t.shape) for row in (clock.dt / clock.deadline, world.time_since_switch)]
-        self._clock_table = np.stack([t / clock.deadline, s, theta, *shared]).astype(np.float32)
-        self._workspaces: dict[int, _Workspace] = {}
-        self._scaled: tuple[State, FloatArray] | None = None
         # Row of own_gradients in each place of a player's own block, shape (m, N); padding is masked out.
         own = layout.own_components.T
-        self._gradient_rows = np.minimum(own, n - 1)
-        self._gradient_mask = (own < n)[:, :, None] if (own == n).any() else None
-        # Rows of a (n N, B) array: in ego order from player order, and back.
-        everybody = np.arange(players)
-        self._ego_rows = layout.ego_order.T * players + everybody
-        self._player_rows = layout.ego_place.T * players + everybody
-        self._ego_neighbour_rows = layout.ego_order.T[None] * players + world.neighbours[:, None, :]
-        self._own_rows = np.arange(n), game.owners
-        self._slots = (slots, n, players)
+        self._gradient_rows = np.minimum(own, game.dimension - 1)
+        self._gradient_mask = (own < game.dimension)[:, :, None] if (own == game.dimension).any() else None
+        self._workspaces: dict[int, _Workspace] = {}
 
     def __getstate__(self) -> dict[str, Any]:
-        """Copies and pickles go without the workspace, whose parts are views of one buffer and would come apart."""
-        return {**self.__dict__, "_workspaces": {}, "_scaled": None}
+        """Copies and pickles have no workspace: its parts are views of one buffer and would come apart."""
+        return {**self.__dict__, "_workspaces": {}}
 
-    def twin(self) -> Encoder:
-        """A encoder for other environments of the same world, with the same tables and workspaces: those stay in cache."""
+    def with_shared_tables(self) -> Encoder:
+        """An encoder for other environments of the same world, with the same tables and workspaces in cache."""
         result = copy.copy(self)
         result._workspaces = self._workspaces  # noqa: SLF001 - of the same class
         return result
 
-    def observation_space(self) -> spaces.Box:
-        """A new Box for one player's observation, float32."""
-        layout = self.layout
-        low = np.full(layout.size, -OBSERVATION_BOUND, dtype=np.float32)
-        high = np.full(layout.size, OBSERVATION_BOUND, dtype=np.float32)
-
-        def bound(name: str, lowest: npt.ArrayLike, highest: npt.ArrayLike) -> None:
-            low[layout.slices[name]], high[layout.slices[name]] = lowest, highest
-
-        bound("weights", 0.0, self.world.mode_weights.max() * self.world.channel.largest_weight_factor)
-        bound("clock", 0.0, self._clock_table[:4].max(axis=(1, 2)))
-        bound("time_since_switch", 0.0, 1.0)
-        bound("player", 0.0, 1.0)
-        if self.interface.kind == "local":
-            bound("own_gradient", -1.0, 1.0)
-            bound("relative_estimates", -1.0, 1.0)
-            bound("log_scale", np.log10(SMALLEST_SCALE), np.log10(2 * RANGE_LIMIT))
-        return spaces.Box(low, high, dtype=np.float32)
-
-    def action_space(self) -> spaces.Box:
-        """A new Box for one player's action, float32, symmetric about 0."""
-        bound = self.layout.action_bound
-        return spaces.Box(-bound, bound, (self.layout.action_size,), dtype=np.float32)
-
     def observe(self, state: State, out: Float32Array | None = None) -> Float32Array:
-        """Everybody's observations, shape (B, N, size), float32, C-contiguous and owned by the caller.
+        """Observations of all players, shape (B, N, size), float32, C-contiguous and owned by the caller.
 
         Args:
-            state: what is observed.
+            state: the observed state.
             out: where to write, of that shape and C-contiguous; a new array if left out.
         """
-        batch = state.estimates.shape[2]
+        batch, world = dynamics.batch_size(state), self.world
         workspace = self._workspaces.get(batch) or self._prepare(batch)
-        fields, instants = workspace.fields, state.instants
-        if self.interface.kind == "local":
-            differences, scale = self._ego_differences(state)
-            self._scaled = (state, scale)
-            differences *= 1 / scale  # in float64, and cast in a second pass: faster than numpy's casting output
-            fields["differences"][...] = differences
-            fields["log_scale"][...] = np.log10(scale)
-        else:
-            fields["own_estimate"][...] = state.estimates
-            fields["own_gradient"][...] = self._own_gradients(state)
-            for slots, shown, scratch in workspace.relative:
-                shown[...] = self.world.relative_estimates(state, slots, scratch)
-        if not self.world.has_constant_weights:
-            fields["weights"][...] = state.weights
-        instant = instants.item() if instants.size == 1 else None
-        if instant is None or instant != workspace.instant:  # blocks of a vector environment are often in lockstep
-            fields["clock"][...] = self._clock_table.take(instants, axis=2)
-            workspace.instant = instant
-        if self.world.topology.is_random:
-            fields["time_since_switch"][...] = state.time_since_switch
-        if self.interface.kind == "full":
-            strategies = state.strategies
-            fields["relative_strategies"][...] = strategies[:, None, :] - state.estimates
-            with np.errstate(over="ignore"):
-                pseudo_gradient = state.game.pseudo_gradient(strategies)
-            if state.game.has_bounds:
-                theta = self.world.clock.theta[state.instants]
-                theta = np.where(theta > 0, theta, 1.0)  # at the end, from where nobody moves
-                pseudo_gradient = (strategies - state.game.project(strategies - theta * pseudo_gradient)) / theta
-            pseudo_gradient = np.clip(pseudo_gradient, -OBSERVATION_BOUND, OBSERVATION_BOUND)
-            fields["pseudo_gradient"][...] = pseudo_gradient[:, None]
-        self._observe_extras(state, fields)
+        fields, steps = workspace.fields, dynamics.shared_step(state)
+        link_weights = dynamics.weights(world, state)
+        self._write_differences(workspace, state, link_weights)
+        if not world.has_constant_weights:
+            fields["weights"][...] = link_weights
+        step = steps.item() if steps.size == 1 else None
+        if step is None or step != workspace.step:  # blocks of a vector environment are often in lockstep
+            fields["clock_and_age"][...] = self._clock_table.take(steps, axis=2)
+            workspace.step = step
+        if world.topology.is_random:
+            fields["time_since_switch"][...] = dynamics.time_since_switch(world, state)
+        if self.interface.own_payoff:
+            with np.errstate(over="ignore", invalid="ignore"):  # a diverged game may overflow
+                costs = state.game.costs(dynamics.strategies(world, state))
+            fields["own_payoff"][...] = np.clip(np.nan_to_num(costs), -OBSERVATION_BOUND, OBSERVATION_BOUND)
         if out is None:
             out = np.empty((batch, self.layout.num_players, self.layout.size), dtype=np.float32)
         np.copyto(out.reshape(batch, -1), fields["everything"])
@@ -216,71 +168,44 @@ class Encoder:
         fields = np.empty(actions.shape[::-1])
         fields[...] = actions.astype(np.float32, copy=False).T
         if self.interface.action_mode == "gains":
-            inputs = self._inputs_from_gains(fields, state)
-        elif self.interface.kind == "local":
-            fields *= self.interface.action_scale * self._scale(state)
-            inputs = fields.reshape(-1, state.batch_size).take(self._player_rows, axis=0)
-        else:
-            return fields  # the action box is the input limit
-        limit = self.layout.input_limit
-        np.minimum(inputs, limit, out=inputs)  # np.clip does the same, but for one environment its wrapper costs more
-        return np.maximum(inputs, -limit, out=inputs)
+            return self._limited(self._inputs_from_gains(fields, state))
+        return self._inputs_from_actions(fields, state)
 
-    def decode(self, actions: npt.NDArray[np.floating], state: State) -> Decoded:
-        """:meth:`clip` and :meth:`inputs` in one.
+    def decode(self, actions: npt.NDArray[np.floating], state: State) -> FloatArray:
+        """:meth:`clip`, then :meth:`inputs`.
 
         Raises:
             NonFiniteActionError: when an action holds NaN or infinity.
         """
-        inside, clipped = self.clip(actions)
-        return Decoded(self.inputs(inside, state), clipped)
+        return self.inputs(self.clip(actions).actions, state)
+
+    @abstractmethod
+    def _write_differences(self, workspace: _Workspace, state: State, link_weights: FloatArray) -> None:
+        """Write own gradients, relative estimates and the slices that only this kind of interface has."""
+
+    @abstractmethod
+    def _inputs_from_actions(self, actions: FloatArray, state: State) -> FloatArray:
+        """Inputs u (n, N, B) within the input limit, from actions (n, N, B) in mode ``input``."""
 
     def _inputs_from_gains(self, gains: FloatArray, state: State) -> FloatArray:
+        """−(gradient gain)·gradient − (consensus gain)·Σ a_ij (x^i − x^j), from actions (2, N, B)."""
         gradient_gain, consensus_gain = np.exp2(GAIN_OCTAVES * gains)
-        inputs = np.einsum("dib,dcib->cib", state.weights, state.relative_estimates)
+        inputs = self._consensus(state)
         inputs *= CONSENSUS_GAIN * consensus_gain
-        inputs[self._own_rows] -= gradient_gain[state.game.owners] * state.own_gradients
+        own = np.arange(state.game.dimension), state.game.owners
+        inputs[own] -= gradient_gain[state.game.owners] * state.own_gradients
         return inputs
 
-    def _prepare(self, batch: int) -> _Workspace:
-        """The workspace of a batch size. Parts that never change are written here."""
-        layout = self.layout
-        # Rows of a power-of-two length fall on the same cache lines when they are transposed; padding parts them.
-        row = batch + _PADDING if batch > _PADDING else batch
-        buffer = np.zeros((layout.num_players, layout.size, row), dtype=np.float32)
-        fields = buffer.transpose(1, 0, 2)[:, :, :batch]
-        parts = {name: fields[part] for name, part in layout.slices.items()}
-        parts["differences"] = fields[: layout.slices["relative_estimates"].stop]  # under "local" one block
-        parts["relative_estimates"] = parts["relative_estimates"].reshape(*self._slots, batch)
-        parts["clock"] = fields[layout.slices["clock"].start : layout.slices["time_since_switch"].stop]
-        parts["player"][...] = np.eye(layout.num_players, dtype=np.float32)[:, :, None]
-        parts["everything"] = buffer.reshape(-1, row)[:, :batch].T
-        if self.world.has_constant_weights:
-            parts["weights"][...] = self.world.mode_weights
-        while len(self._workspaces) >= _WORKSPACES:
-            self._workspaces.pop(next(iter(self._workspaces)))
-        slots, n, players = self._slots
-        scratch = np.empty((max(1, min(slots, _SCRATCH_ENTRIES // (n * players * batch))), n, players, batch))
-        some = [slice(first, min(first + len(scratch), slots)) for first in range(0, slots, len(scratch))]
-        relative = [(part, parts["relative_estimates"][part], scratch[: part.stop - part.start]) for part in some]
-        self._workspaces[batch] = workspace = _Workspace(parts, relative)
-        return workspace
+    def _consensus(self, state: State) -> FloatArray:
+        """Σ_j a_ij (x^j − x^i), shape (n, N, B)."""
+        link_weights = dynamics.weights(self.world, state)
+        relative = dynamics.relative_estimates(self.world, state, link_weights)
+        return np.einsum("dib,dcib->cib", link_weights, relative)
 
-    def _observe_extras(self, state: State, fields: dict[str, Float32Array]) -> None:
-        """What only some interfaces show."""
-        interface = self.interface
-        if interface.own_payoff:
-            with np.errstate(over="ignore", invalid="ignore"):  # a diverged game may overflow
-                costs = state.game.costs(state.strategies)
-            fields["own_payoff"][...] = np.clip(np.nan_to_num(costs), -OBSERVATION_BOUND, OBSERVATION_BOUND)
-        if interface.neighbour_errors:
-            errors = -np.einsum("dib,dcib->cib", state.weights, state.relative_estimates)
-            seen = errors[:, self.world.neighbours].swapaxes(0, 1)
-            fields["neighbour_errors"][...] = seen.reshape(fields["neighbour_errors"].shape)
-        if interface.best_response:
-            strategies = state.strategies
-            response = state.game.best_response(strategies) - strategies
-            fields["best_response"][...] = np.clip(response, -OBSERVATION_BOUND, OBSERVATION_BOUND)[:, None]
+    def _limited(self, inputs: FloatArray) -> FloatArray:
+        limit = self.layout.input_limit
+        np.minimum(inputs, limit, out=inputs)  # np.clip does the same, but for one environment its wrapper costs more
+        return np.maximum(inputs, -limit, out=inputs)
 
     def _own_gradients(self, state: State) -> FloatArray:
         """Own gradients per player, padded with 0, shape (m, N, B)."""
@@ -291,27 +216,119 @@ class Encoder:
             gradients *= self._gradient_mask
         return gradients
 
-    def _ego_differences(self, state: State) -> tuple[FloatArray, FloatArray]:
+    def _prepare(self, batch: int) -> _Workspace:
+        """The workspace of a batch size. Slices that never change are written here."""
+        layout, world = self.layout, self.world
+        slots, n, players = layout.slots, layout.dimension, layout.num_players
+        # Rows of a power-of-two length fall on the same cache lines when they are transposed; padding parts them.
+        row = batch + _PADDING if batch > _PADDING else batch
+        buffer = np.zeros((players, layout.size, row), dtype=np.float32)
+        columns = buffer.transpose(1, 0, 2)[:, :, :batch]
+        fields = {name: columns[part] for name, part in layout.slices.items()}
+        for name in {"relative_estimates", "neighbour_errors"} & fields.keys():
+            fields[name] = fields[name].reshape(slots, n, players, batch)
+        fields["gradient_and_relative_estimates"] = columns[: layout.slices["relative_estimates"].stop]
+        fields["clock_and_age"] = columns[layout.slices["clock"].start : layout.slices["time_since_switch"].stop]
+        fields["everything"] = buffer.reshape(-1, row)[:, :batch].T
+        fields["player"][...] = np.eye(players, dtype=np.float32)[:, :, None]
+        if world.has_constant_weights:
+            fields["weights"][...] = world.mode_weights
+        while len(self._workspaces) >= _WORKSPACES:
+            self._workspaces.pop(next(iter(self._workspaces)))
+        some_slots = max(1, min(slots, _SCRATCH_ENTRIES // (n * players * batch)))
+        self._workspaces[batch] = workspace = _Workspace(fields, np.empty((some_slots, n, players, batch)))
+        return workspace
+
+
+class PhysicalEncoder(Encoder):
+    """The interface ``physical``: natural units, player order, actions are inputs."""
+
+    def _write_differences(self, workspace: _Workspace, state: State, link_weights: FloatArray) -> None:
+        fields, scratch = workspace.fields, workspace.scratch
+        fields["own_estimate"][...] = state.estimates
+        fields["own_gradient"][...] = self._own_gradients(state)
+        for first in range(0, self.layout.slots, len(scratch)):
+            slots = slice(first, min(first + len(scratch), self.layout.slots))
+            fields["relative_estimates"][slots] = dynamics.relative_estimates(
+                self.world, state, link_weights, slots=slots, out=scratch[: slots.stop - first]
+            )
+
+    def _inputs_from_actions(self, actions: FloatArray, state: State) -> FloatArray:  # noqa: ARG002 - other kinds need it
+        return actions  # the action box is the input limit
+
+
+class FullEncoder(PhysicalEncoder):
+    """The interface ``full``: ``physical``, and information that players lack; for oracles."""
+
+    def _write_differences(self, workspace: _Workspace, state: State, link_weights: FloatArray) -> None:
+        super()._write_differences(workspace, state, link_weights)
+        fields, game, interface = workspace.fields, state.game, self.interface
+        strategies = dynamics.strategies(self.world, state)
+        fields["relative_strategies"][...] = strategies[:, None, :] - state.estimates
+        with np.errstate(over="ignore"):
+            pseudo_gradient = game.pseudo_gradient(strategies)
+        if game.has_bounds:
+            theta = self.world.clock.theta[dynamics.shared_step(state)]
+            theta = np.where(theta > 0, theta, 1.0)  # terminal step: no movement follows
+            pseudo_gradient = (strategies - game.project(strategies - theta * pseudo_gradient)) / theta
+        fields["pseudo_gradient"][...] = np.clip(pseudo_gradient, -OBSERVATION_BOUND, OBSERVATION_BOUND)[:, None]
+        if interface.neighbour_errors:
+            errors = -self._consensus(state)
+            fields["neighbour_errors"][...] = errors[:, self.world.neighbours].swapaxes(0, 1)
+        if interface.best_response:
+            response = game.best_response(strategies) - strategies
+            fields["best_response"][...] = np.clip(response, -OBSERVATION_BOUND, OBSERVATION_BOUND)[:, None]
+
+
+class LocalEncoder(Encoder):
+    """The interface ``local``: differences and actions in units of σ_i, components in ego order.
+
+    σ_i = max(‖own gradient‖_∞, max over live links ‖x^j − x^i‖_∞, 1e-30).
+    """
+
+    def __init__(self, world: World, interface: Interface) -> None:
+        super().__init__(world, interface)
+        self._order = world.order_components(self.layout.ego_order)
+        # Rows of an (n N, B) array in ego order, in the order of the players' components.
+        self._player_rows = self.layout.ego_place.T * self.layout.num_players + np.arange(self.layout.num_players)
+        self._scaled: tuple[State, FloatArray] | None = None
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Copies and pickles have no scale of a state that they never observed."""
+        return {**super().__getstate__(), "_scaled": None}
+
+    def _write_differences(self, workspace: _Workspace, state: State, link_weights: FloatArray) -> None:
+        differences, scale = self._differences(state, link_weights)
+        self._scaled = (state, scale)
+        differences *= 1 / scale  # in float64, and cast in a second pass: faster than numpy's casting output
+        workspace.fields["gradient_and_relative_estimates"][...] = differences
+        workspace.fields["log_scale"][...] = np.log10(scale)
+
+    def _inputs_from_actions(self, actions: FloatArray, state: State) -> FloatArray:
+        if self._scaled is None or self._scaled[0] is not state:
+            self._scaled = (state, self._differences(state, dynamics.weights(self.world, state))[1])
+        actions *= self.interface.action_scale * self._scaled[1]
+        return self._limited(actions.reshape(-1, dynamics.batch_size(state)).take(self._player_rows, axis=0))
+
+    def _differences(self, state: State, link_weights: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Own gradients, then x^j − x^i in ego order, (m + D n, N, B), and the scale σ_i, (N, B)."""
-        gradients = self._own_gradients(state)
-        own, (slots, n, players), batch = len(gradients), self._slots, state.batch_size
-        differences = np.empty((own + slots * n, players, batch))
+        gradients, layout = self._own_gradients(state), self.layout
+        own, batch = len(gradients), dynamics.batch_size(state)
+        differences = np.empty((own + layout.slots * layout.dimension, layout.num_players, batch))
         differences[:own] = gradients
-        relative = differences[own:].reshape(slots, n, players, batch)
-        rows = state.estimates.reshape(-1, batch)
-        if state.received is None:
-            rows.take(self._ego_neighbour_rows, axis=0, out=relative, mode="clip")  # "raise" would copy once more
-        else:
-            messages = state.received.messages.reshape(slots, -1, batch)
-            messages.take(self._ego_rows, axis=1, out=relative, mode="clip")
-        relative -= rows.take(self._ego_rows, axis=0)
-        if not self.world.has_constant_weights:
-            relative *= (state.weights > 0)[:, None]
+        relative = differences[own:].reshape(layout.slots, layout.dimension, layout.num_players, batch)
+        dynamics.relative_estimates(self.world, state, link_weights, order=self._order, out=relative)
         scale = np.maximum.reduce(np.abs(differences), axis=0)
         return differences, np.maximum(scale, SMALLEST_SCALE, out=scale)
 
-    def _scale(self, state: State) -> FloatArray:
-        """σ_i = max(‖own gradient‖_∞, max over live links ‖x^j − x^i‖_∞, 1e-30), shape (N, B)."""
-        if self._scaled is None or self._scaled[0] is not state:
-            self._scaled = (state, self._ego_differences(state)[1])
-        return self._scaled[1]
+
+_ENCODERS: Mapping[str, type[Encoder]] = {"physical": PhysicalEncoder, "local": LocalEncoder, "full": FullEncoder}
+
+
+def make_encoder(world: World, interface: Interface) -> Encoder:
+    """The encoder of an interface's kind.
+
+    Raises:
+        ValueError: as :class:`Encoder`.
+    """
+    return _ENCODERS[interface.kind](world, interface)

@@ -1,7 +1,6 @@
-"""How does a policy see and act? Observation layouts, units, order of components and action modes.
+"""Observations and actions: units, named slices, spaces, and how a policy reads and writes them.
 
-A *layout* is what a policy knows about its observations: named slices, the neighbours in its slots, units and limits.
-A *encoder* connects one layout to a running world: it turns states into observations and actions into inputs.
+A layout is all that a policy knows about the world. An :class:`~ptne_env.encoder.Encoder` connects it to a running one.
 """
 
 from __future__ import annotations
@@ -12,6 +11,7 @@ from typing import Literal, NamedTuple, TypeAlias, get_args
 
 import numpy as np
 import numpy.typing as npt
+from gymnasium import spaces
 
 from ptne_env.arrays import BoolArray, Float32Array, FloatArray, IntArray, require_positive
 
@@ -20,6 +20,9 @@ ActionMode: TypeAlias = Literal["input", "gains"]
 
 OBSERVATION_BOUND = 1e6
 """Box bound of every observed entry that carries units."""
+
+SMALLEST_SCALE = 1e-30
+"""Under ``local`` the scale σ_i is at least this, so that a player at rest divides by a positive number."""
 
 GAIN_OCTAVES = 3.0
 """In action mode ``gains`` an action of ±1 multiplies or divides a gain by 2^3."""
@@ -30,16 +33,16 @@ CONSENSUS_GAIN = 2.0
 
 @dataclass(frozen=True)
 class Interface:
-    """How a policy sees and acts. A policy carries its own; the physics does not depend on it.
+    """Units and order of observations, and the meaning of actions. Every policy has one; the physics depends on none.
 
     Attributes:
         kind: ``"physical"`` (natural units, player order), ``"local"`` (scale-free, ego order) or ``"full"``
-            (``physical`` and what no player can see; for oracles only).
+            (``physical`` and information that players lack; for oracles only).
         action_mode: ``"input"`` (an action is the input u^i) or ``"gains"`` (two numbers per player).
         action_scale: under ``local``, an action of 1 is this many times σ_i.
         own_payoff: whether a player sees its own cost J_i at the real strategies.
         neighbour_errors: whether it sees its neighbours' consensus errors, which are two links away; oracles only.
-        best_response: whether it sees everybody's best response to the real strategies; oracles only.
+        best_response: whether it sees all players' best responses to the real strategies; oracles only.
 
     Raises:
         ValueError: for an unknown kind or action mode, a scale that is not positive, or an oracle's slice in an
@@ -64,19 +67,19 @@ class Interface:
                 raise ValueError(f"{name} is for oracles: it needs the interface 'full', got {self.kind!r}")
 
 
-class Reading(NamedTuple):
-    """Observations of R players, read back into float64 and player order. Gradients and estimates are in ``unit``.
+class Observation(NamedTuple):
+    """Observations of R players, in float64 and player order. Gradients and estimates are in ``unit``.
 
     Attributes:
-        player: who observes, shape (R,).
+        player: index of the observing player, shape (R,).
         gradient: R_i^T ∂J_i/∂x_i(x^i), zero outside the own block, shape (R, n).
         relative_estimates: x^j − x^i per neighbour slot, shape (R, D, n).
         weights: a_ij per neighbour slot, shape (R, D).
-        unit: what 1 of the above is in natural units, shape (R, 1); 1 under ``physical``, σ_i under ``local``.
+        unit: natural units per unit of the above, shape (R, 1); 1 under ``physical``, σ_i under ``local``.
         theta: Θ_k of the coming step, shape (R, 1).
         dt: Δt_k of the coming step in seconds, shape (R, 1).
         relative_strategies: x − x^i, shape (R, n); empty (R, 0) unless the interface is ``full``.
-        pseudo_gradient: F(x), or in a box (x − Π(x − Θ F(x)))/Θ, the way that is open; shape (R, n), and empty (R, 0)
+        pseudo_gradient: F(x), or in a box (x − Π(x − Θ F(x)))/Θ, which stays inside; shape (R, n), and empty (R, 0)
             unless the interface is ``full``.
         own_estimate: x^i in natural units, shape (R, n); empty (R, 0) under ``local``.
         own_payoff: J_i(x) in natural units, shape (R, 1); empty (R, 0) unless the interface has it.
@@ -103,7 +106,7 @@ class Reading(NamedTuple):
 
 @dataclass(frozen=True)
 class ObservationLayout:
-    """What a policy knows about its observations and actions, which it was built for.
+    """The layout of observations and actions that a policy is built for.
 
     An observation is a flat float32 vector of named slices, in the order of :attr:`slices`:
 
@@ -135,6 +138,8 @@ class ObservationLayout:
         neighbours: per player, the player in each of its D slots; a padded slot holds the player itself.
         input_limit: largest |u|.
         deadline: T in seconds.
+        largest_weight: largest a_ij that a player can observe.
+        largest_clock: largest t/T, s, Θ_k and Δt_k/T.
     """
 
     interface: Interface
@@ -142,6 +147,8 @@ class ObservationLayout:
     neighbours: tuple[tuple[int, ...], ...]
     input_limit: float
     deadline: float
+    largest_weight: float
+    largest_clock: tuple[float, float, float, float]
 
     @property
     def num_players(self) -> int:
@@ -197,6 +204,27 @@ class ObservationLayout:
         bound = np.float32(self.input_limit)
         return float(bound if float(bound) <= self.input_limit else np.nextafter(bound, np.float32(0)))
 
+    def observation_space(self) -> spaces.Box:
+        """A new Box for one player's observation, float32."""
+        low = np.full(self.size, -OBSERVATION_BOUND, dtype=np.float32)
+        high = np.full(self.size, OBSERVATION_BOUND, dtype=np.float32)
+        bounds: dict[str, tuple[npt.ArrayLike, npt.ArrayLike]] = {
+            "weights": (0.0, self.largest_weight),
+            "clock": (0.0, self.largest_clock),
+            "time_since_switch": (0.0, 1.0),
+            "player": (0.0, 1.0),
+        }
+        if self.interface.kind == "local":
+            bounds["own_gradient"] = bounds["relative_estimates"] = (-1.0, 1.0)
+            bounds["log_scale"] = (np.log10(SMALLEST_SCALE), np.log10(OBSERVATION_BOUND))
+        for name, (lowest, highest) in bounds.items():
+            low[self.slices[name]], high[self.slices[name]] = lowest, highest
+        return spaces.Box(low, high, dtype=np.float32)
+
+    def action_space(self) -> spaces.Box:
+        """A new Box for one player's action, float32, symmetric about 0."""
+        return spaces.Box(-self.action_bound, self.action_bound, (self.action_size,), dtype=np.float32)
+
     @cached_property
     def own_components(self) -> IntArray:
         """Components of each player's own block, padded with n to the largest n_i; shape (N, m)."""
@@ -209,12 +237,12 @@ class ObservationLayout:
 
     @cached_property
     def ego_order(self) -> IntArray:
-        """Which component stands at each place in a player's ego order, shape (N, n)."""
+        """The component at each place of a player's ego order, shape (N, n)."""
         return (self.own_components[:, :1] + np.arange(self.dimension)) % self.dimension
 
     @cached_property
     def ego_place(self) -> IntArray:
-        """At which place of a player's ego order each component stands, shape (N, n); inverse of ``ego_order``."""
+        """The place of each component in a player's ego order, shape (N, n); inverse of ``ego_order``."""
         return np.argsort(self.ego_order, axis=1)
 
     @cached_property
@@ -251,7 +279,7 @@ class ObservationLayout:
         relative = np.asarray(self.select(observation, "relative_estimates"), dtype=np.float64)
         return relative.reshape(*own.shape[:-1], self.slots, self.dimension) + own[..., None, :]
 
-    def read(self, observation: npt.NDArray[np.floating]) -> Reading:
+    def read(self, observation: npt.NDArray[np.floating]) -> Observation:
         """Read observations of R players, shape (R, size).
 
         Raises:
@@ -273,7 +301,7 @@ class ObservationLayout:
             relative = np.take_along_axis(relative, self.ego_place[player][:, None, :], axis=2)
             unit = 10.0 ** values["log_scale"]
         unseen = np.empty((rows, 0))
-        return Reading(
+        return Observation(
             player=player,
             gradient=own[:, :-1],
             relative_estimates=relative,
@@ -289,11 +317,13 @@ class ObservationLayout:
             best_response=values.get("best_response", unseen),
         )
 
-    def write(self, inputs: FloatArray, reading: Reading) -> Float32Array:
-        """The actions that ask for ``inputs`` (R, n), given in the reading's unit and player order; (R, n) float32.
+    def write(self, inputs: FloatArray, observation: Observation) -> Float32Array:
+        """The actions that ask for ``inputs`` (R, n), given in the observation's unit and player order; (R, n) float32.
 
         Actions are clipped to the action box.
         """
         if self.interface.kind == "local":
-            inputs = np.take_along_axis(inputs, self.ego_order[reading.player], axis=1) / self.interface.action_scale
+            inputs = (
+                np.take_along_axis(inputs, self.ego_order[observation.player], axis=1) / self.interface.action_scale
+            )
         return np.clip(inputs, -self.action_bound, self.action_bound).astype(np.float32)

@@ -8,7 +8,7 @@ from __future__ import annotations
 import gymnasium
 from pettingzoo import aec_registry, parallel_registry, register
 
-from ptne_env.scenario import CATALOGUE
+from ptne_env.catalogue import CATALOGUE
 
 NAMESPACE = "ptne"
 

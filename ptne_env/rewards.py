@@ -22,10 +22,11 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from ptne_env import distances
+from ptne_env import distances, dynamics
 from ptne_env.arrays import FloatArray, require_non_negative
-from ptne_env.dynamics import RANGE_LIMIT, State, World
+from ptne_env.dynamics import State
 from ptne_env.games import NoBestResponseError
+from ptne_env.world import RANGE_LIMIT, World
 
 TERMS = ("digits", "tracking", "payoff", "regret")
 """The names of the reward terms."""
@@ -81,7 +82,7 @@ class Reward:
         before = self._digits
         self._measure(state)
         terms = {name: self._term(name, state, before) for name in self.weights}
-        if state.any_diverged:
+        if dynamics.any_diverged(state):
             remaining = 1 + self.world.clock.total_steps - state.step
             worst = self._worst(state)
             for name, value in terms.items():
@@ -101,13 +102,13 @@ class Reward:
 
     def _worst(self, state: State) -> dict[str, FloatArray | float]:
         """Reward per remaining step at the range limit; the digits' is 0 once the distance is at its limit."""
-        limit = self.world.distance_limit(state.game)
+        limit = dynamics.distance_limit(state.game)
         return {"tracking": -limit, "payoff": -REWARD_LIMIT, "regret": -REWARD_LIMIT}
 
     def _measure(self, state: State) -> None:
         distance = distances.player_distances(state.estimates, state.game)
-        if state.any_diverged:
-            distance = np.where(state.diverged, self.world.distance_limit(state.game), distance)
+        if dynamics.any_diverged(state):
+            distance = np.where(state.diverged, dynamics.distance_limit(state.game), distance)
         self._distance = distance
         self._digits = distances.digits(distance)
 
@@ -116,7 +117,7 @@ class Reward:
             return self._digits - digits_before
         if name == "tracking":
             return -self._distance
-        game, strategies = state.game, state.strategies
+        game, strategies = state.game, dynamics.strategies(self.world, state)
         with np.errstate(over="ignore", invalid="ignore"):  # only a diverged environment overflows
             loss = game.costs(strategies) if name == "payoff" else game.regrets(strategies)
         return np.clip(-loss, -REWARD_LIMIT, REWARD_LIMIT)

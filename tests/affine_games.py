@@ -3,7 +3,7 @@
 import numpy as np
 from sample_games import BlockGame, times
 
-from ptne_env import FactorySpec, Scenario
+from ptne_env import FactorySpec, Scenario, dynamics
 
 
 class AffineGame(BlockGame):
@@ -47,8 +47,8 @@ def run(world, encoder, law, start, steps=None):
     for _ in range(steps or world.clock.steps):
         observations = encoder.observe(state).reshape(-1, encoder.layout.size)
         actions, memory = law.predict(observations, state=memory)
-        actions = actions.reshape(state.batch_size, encoder.layout.num_players, -1)
-        state = world.step(state, encoder.decode(actions, state).inputs)
+        actions = actions.reshape(dynamics.batch_size(state), encoder.layout.num_players, -1)
+        state = dynamics.step(world, state, encoder.decode(actions, state))
         states.append(state.estimates)
     return np.array(states)
 
@@ -56,4 +56,4 @@ def run(world, encoder, law, start, steps=None):
 def loop_start(world, seed=0, size=20.0, batch=1):
     """A state with estimates drawn from U(−size, size)."""
     shape = (world.game.dimension, world.game.num_players, batch)
-    return world.start(np.random.default_rng(seed).uniform(-size, size, shape))
+    return dynamics.initial_state(world, np.random.default_rng(seed).uniform(-size, size, shape))

@@ -16,11 +16,11 @@ from functools import partial
 
 import numpy as np
 
-from ptne_env import FactorySpec, Interface, Scenario, VectorParallelEnv, laws, parallel_env
-from ptne_env.dynamics import World
-from ptne_env.encoder import Encoder
+from ptne_env import FactorySpec, Interface, Scenario, VectorParallelEnv, dynamics, laws, parallel_env
+from ptne_env.encoder import make_encoder
 from ptne_env.envs import vector
 from ptne_env.random_streams import RandomStreams
+from ptne_env.world import World
 
 CHAINS = (
     "AdditiveNoise",
@@ -500,17 +500,17 @@ def exact_step(rng, scenario, tally):
     """x_{k+1} = x_k + (Δs_k + c Δt_k) u_k, to rounding, and it is the transition that the law's theory has."""
     plain = scenario.replace(channel="perfect", disturbance="none", clock_shifts=())
     world = World(plain)
-    if world.scenario.has_random_game or world.game.has_bounds:
+    if world.has_random_game or world.game.has_bounds:
         return
     n, players = world.game.dimension, world.game.num_players
     generator = np.random.default_rng(rng.getrandbits(32))
     clock = world.clock
-    encoder = Encoder(world, Interface())
+    encoder = make_encoder(world, Interface())
     randomness = None
     if world.topology.is_random:
         randomness = world.draw_randomness([RandomStreams.from_seed(1)])
     try:
-        state = world.start(generator.uniform(-5, 5, (n, players, 1)), randomness=randomness)
+        state = dynamics.initial_state(world, generator.uniform(-5, 5, (n, players, 1)), randomness=randomness)
     except ValueError:
         return
     law = laws.Static(encoder.layout)
@@ -518,11 +518,11 @@ def exact_step(rng, scenario, tally):
         theta = clock.s[k + 1] - clock.s[k] + plain.gain * (clock.t[k + 1] - clock.t[k])
         if k == clock.steps - 1:  # the clock is set to T once the last step is done
             theta = clock.theta[k]
-        before, graph = state.estimates[:, :, 0], world.topology.graphs[int(state.mode[0])]
+        before, graph = state.estimates[:, :, 0], world.topology.graphs[int(dynamics.active_mode(world, state)[0])]
         actions, _ = law.predict(encoder.observe(state)[0])
-        inputs = encoder.decode(actions[None], state).inputs
-        state = world.step(state, inputs)
-        if state.any_diverged:
+        inputs = encoder.inputs(encoder.clip(actions[None]).actions, state)
+        state = dynamics.step(world, state, inputs)
+        if dynamics.any_diverged(state):
             return
         after, moved = state.estimates[:, :, 0], theta * inputs[:, :, 0]
         scale = max(np.abs(before).max(), np.abs(moved).max(), 1e-300)

@@ -14,14 +14,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import stats
-from worlds import BLOCKS_SWITCHING, EVERY_FAULT, FAULTY, begin, channel_part, make_port
+from worlds import BLOCKS_SWITCHING, EVERY_FAULT, FAULTY, begin, channel_part, make_port, quantity
 
-from ptne_env import FactorySpec, Scenario, get_scenario, laws
+from ptne_env import FactorySpec, Scenario, dynamics, get_scenario, laws
 from ptne_env.channel import Chain, Channel, LinkNoise, Messages
-from ptne_env.dynamics import RANGE_LIMIT, World
-from ptne_env.encoder import Encoder
+from ptne_env.encoder import make_encoder
 from ptne_env.observation import Interface
 from ptne_env.random_streams import RandomStreams
+from ptne_env.world import RANGE_LIMIT, World
 
 FALSE_ALARM = 1e-6
 
@@ -198,7 +198,7 @@ def wandering(scenario, batch, steps=None, seed=0):
     states = [begin(world, range(batch))]
     for _ in range(steps or world.clock.total_steps):
         inputs = generator.normal(size=(*states[0].estimates.shape[:2], 1)) * 20
-        states.append(world.step(states[-1], np.tile(inputs, (1, 1, batch))))
+        states.append(dynamics.step(world, states[-1], np.tile(inputs, (1, 1, batch))))
     return world, states
 
 
@@ -217,7 +217,7 @@ def test_channel_agrees_with_its_twin_link_by_link(name, world):
             for slot, j in enumerate(world.neighbours[:, i].tolist()):
                 twin = twin_of(CHANNELS[name], key, i, j, players)
                 for state in states:
-                    graph = world.topology.graphs[int(state.mode[b])].adjacency
+                    graph = world.topology.graphs[int(dynamics.active_mode(world, state)[b])].adjacency
                     own = state.estimates[:, i, b].tolist()
                     weight = float(graph[i, j])
                     value = state.estimates[:, j, b].tolist() if weight > 0 else None
@@ -229,8 +229,15 @@ def test_channel_agrees_with_its_twin_link_by_link(name, world):
                     else:
                         received += 1
                     relative = [v - x for v, x in zip(value, own, strict=True)]
-                    found = state.relative_estimates[slot, :, i, b]
-                    assert float(np.broadcast_to(state.weights, (*state.weights.shape[:2], 2))[slot, i, b]) == weight
+                    found = dynamics.relative_estimates(world, state)[slot, :, i, b]
+                    assert (
+                        float(
+                            np.broadcast_to(
+                                dynamics.weights(world, state), (*dynamics.weights(world, state).shape[:2], 2)
+                            )[slot, i, b]
+                        )
+                        == weight
+                    )
                     if exact:
                         assert found.tolist() == relative
                     else:
@@ -243,7 +250,7 @@ def test_channel_agrees_with_its_twin_link_by_link(name, world):
 # --- batches, seeds, policies -----------------------------------------------------------------------------------------
 
 FAULTS = {name: SWITCHING.replace(channel=part) for name, part in CHANNELS.items()} | {"all at once": FAULTY}
-HEARD = ("weights", "relative_estimates", "messages", "mode", "time_since_switch", "estimates")
+RECEIVED = ("weights", "relative_estimates", "messages", "active_mode", "time_since_switch", "estimates")
 
 
 def column(array, b, batch):
@@ -259,15 +266,15 @@ def test_batch_agrees_bit_for_bit_with_batches_of_one_through_a_restart(name):
         if k in (20, 33):  # some start afresh while others go on
             mask = np.arange(batch) % 2 == k % 2
             seeds = [100 * k + b for b in np.flatnonzero(mask)]
-            together = world.merge(together, begin(world, seeds), mask)
+            together = dynamics.merge(together, begin(world, seeds), mask)
             for b, seed in zip(np.flatnonzero(mask), seeds, strict=True):
                 alone[b] = begin(world, [seed])
         inputs = generator.normal(size=together.estimates.shape)
-        together = world.step(together, inputs)
+        together = dynamics.step(world, together, inputs)
         for b in range(batch):
-            alone[b] = world.step(alone[b], inputs[:, :, b : b + 1])
-            for field in HEARD:
-                whole, single = getattr(together, field), getattr(alone[b], field)
+            alone[b] = dynamics.step(world, alone[b], inputs[:, :, b : b + 1])
+            for field in RECEIVED:
+                whole, single = quantity(world, together, field), quantity(world, alone[b], field)
                 assert np.array_equal(column(whole, b, batch), single), field
 
 
@@ -276,8 +283,8 @@ def noise_of(seed, inputs_seed, scenario):
     world = World(scenario)
     generator, state, result = np.random.default_rng(inputs_seed), begin(world, [seed]), []
     for _ in range(10):
-        result.append(state.messages - world.sent_messages(state.estimates))
-        state = world.step(state, generator.normal(size=state.estimates.shape))
+        result.append(state.received.messages - dynamics.sent_messages(world, state.estimates))
+        state = dynamics.step(world, state, generator.normal(size=state.estimates.shape))
     return np.array(result)
 
 
@@ -290,12 +297,12 @@ def test_noise_is_the_same_for_every_policy_and_another_for_every_seed():
 
 
 def test_padding_slots_leaves_the_noise_of_a_link_alone():
-    plain, padded = (
-        begin(World(FIXED.replace(channel=STAGES["additive noise"], slots=slots)), [1]) for slots in (None, 4)
-    )
-    assert np.array_equal(padded.messages[:2], plain.messages)
-    assert not padded.relative_estimates[2:].any()
-    assert not padded.weights[2:].any()
+    noisy = FIXED.replace(channel=STAGES["additive noise"])
+    plain, world = begin(World(noisy), [1]), World(noisy.replace(slots=4))
+    padded = begin(world, [1])
+    assert np.array_equal(padded.received.messages[:2], plain.received.messages)
+    assert not dynamics.relative_estimates(world, padded)[2:].any()
+    assert not padded.received.weights[2:].any()
 
 
 def test_stages_of_a_chain_draw_independently():
@@ -333,14 +340,14 @@ def test_zero_faults_are_the_perfect_channel():
     )
     for interface in ("physical", "local"):
         plain, faulty = (World(SWITCHING.replace(channel=channel)) for channel in ("perfect", none))
-        encoders = [Encoder(world, Interface(interface)) for world in (plain, faulty)]
+        encoders = [make_encoder(world, Interface(interface)) for world in (plain, faulty)]
         states = [begin(world, range(3)) for world in (plain, faulty)]
         for _ in range(40):
             observations = [encoder.observe(state) for encoder, state in zip(encoders, states, strict=True)]
             assert np.array_equal(*observations)
             actions = np.random.default_rng(0).uniform(-1, 1, (3, 5, 5)).astype(np.float32)
-            inputs = [encoder.decode(actions, state).inputs for encoder, state in zip(encoders, states, strict=True)]
-            states = [plain.step(states[0], inputs[0]), faulty.step(states[1], inputs[1])]
+            inputs = [encoder.decode(actions, state) for encoder, state in zip(encoders, states, strict=True)]
+            states = [dynamics.step(plain, states[0], inputs[0]), dynamics.step(faulty, states[1], inputs[1])]
 
 
 # --- what is drawn ----------------------------------------------------------------------------------------------------
@@ -485,7 +492,7 @@ def test_what_is_put_on_a_dead_link_is_never_heard(name):
 @pytest.mark.parametrize("kind", ["physical", "local"])
 def test_observation_does_not_depend_on_strangers_however_messages_travel(kind):
     world = World(FAULTY.replace(disturbance="none"))
-    encoder = Encoder(world, Interface(kind))
+    encoder = make_encoder(world, Interface(kind))
     generator = np.random.default_rng(0)
     states = [begin(world, [5])] * 2
     player = 0
@@ -497,7 +504,7 @@ def test_observation_does_not_depend_on_strangers_however_messages_travel(kind):
         others[:, strangers] = generator.normal(size=(5, 2, 1)) * 10
         first, second = (encoder.observe(state)[0] for state in states)
         assert np.array_equal(first[player], second[player])
-        states = [world.step(states[0], inputs), world.step(states[1], others)]
+        states = [dynamics.step(world, states[0], inputs), dynamics.step(world, states[1], others)]
     assert not np.array_equal(first[strangers], second[strangers])
 
 
@@ -540,16 +547,16 @@ stage_parts = st.one_of(
 def test_no_chain_of_faults_makes_an_observation_that_is_not_in_its_space(stages, kind, seed, size):
     scenario = FAULTY.replace(channel=channel_part("Chain", stages=stages), input_limit=1e6)
     world, encoder = make_port(scenario, kind=kind)
-    space = encoder.observation_space()
+    space = encoder.layout.observation_space()
     state, generator = begin(world, [seed, seed + 1]), np.random.default_rng(seed)
     for _ in range(8):
         observations = encoder.observe(state)
-        assert np.isfinite(state.relative_estimates).all()
-        assert np.isfinite(state.weights).all()
-        assert state.weights.min() >= 0
-        assert np.abs(state.relative_estimates).max() <= 2 * RANGE_LIMIT
+        assert np.isfinite(dynamics.relative_estimates(world, state)).all()
+        assert np.isfinite(dynamics.weights(world, state)).all()
+        assert dynamics.weights(world, state).min() >= 0
+        assert np.abs(dynamics.relative_estimates(world, state)).max() <= 2 * RANGE_LIMIT
         assert all(space.contains(row) for env in observations for row in env)
-        state = world.step(state, size * generator.normal(size=state.estimates.shape))
+        state = dynamics.step(world, state, size * generator.normal(size=state.estimates.shape))
 
 
 @pytest.mark.parametrize("name", CHANNELS)
@@ -559,7 +566,7 @@ def test_scenario_with_a_channel_survives_json(name):
     assert again == scenario
     assert hash(again) == hash(scenario)
     deterministic = {"constant delay", "no delay", "nothing"} | {name for name in CHANNELS if "levels" in name}
-    assert again.built_channel.is_random == (name not in deterministic)
+    assert World(again).channel.is_random == (name not in deterministic)
 
 
 def test_chains_in_chains_are_one_chain():
@@ -590,14 +597,14 @@ REFUSED = {
 def test_channel_that_cannot_be_is_refused(name):
     kind, arguments, message = REFUSED[name]
     with pytest.raises(ValueError, match=message):
-        FIXED.replace(channel=channel_part(kind, **arguments))
+        World(FIXED.replace(channel=channel_part(kind, **arguments)))
 
 
 def test_start_without_the_draws_is_refused():
     world = World(FAULTY)
     sources = [RandomStreams.from_seed(0)]
-    with pytest.raises(ValueError, match="'faulty' draws a topology, a channel or a disturbance: pass what 1"):
-        world.start(world.draw_estimates(sources), world.draw_game(sources))
+    with pytest.raises(ValueError, match="'faulty' draws a topology, a channel or a disturbance: pass the draws of 1"):
+        dynamics.initial_state(world, world.draw_estimates(sources), world.draw_game(sources))
 
 
 # --- noise near the deadline ------------------------------------------------------------------------------------------
@@ -649,7 +656,7 @@ def test_noise_in_the_sampled_environment_follows_its_recursion(spacing, k):
         observations = encoder.observe(state).reshape(2 * episodes, -1)
         actions = law.predict(observations)[0].reshape(episodes, 2, 2)
         actions[:, 1] = 0.0
-        state = world.step(state, encoder.decode(actions, state).inputs)
+        state = dynamics.step(world, state, encoder.decode(actions, state))
         h = world.clock.theta[step]
         largest = max(largest, h)
         variance = (1 - k * h) ** 2 * variance + (k * h) ** 2
@@ -671,8 +678,10 @@ def test_nobody_hears_anything_on_a_link_that_is_down_whatever_a_channel_says():
     world = World(SWITCHING.replace(channel=FactorySpec.of("test_channel:Shouting")))
     sources = [RandomStreams.from_seed(0)]
     game, randomness = world.draw_game(sources), world.draw_randomness(sources)
-    state = world.start(world.draw_estimates(sources), game, randomness)
-    live = world.graph_weights(state) > 0
+    state = dynamics.initial_state(world, world.draw_estimates(sources), game, randomness)
+    live = dynamics.graph_weights(world, state) > 0
     assert live.any()
     assert not live.all()
-    assert np.array_equal(state.weights > 0, np.broadcast_to(live, state.weights.shape))
+    assert np.array_equal(
+        dynamics.weights(world, state) > 0, np.broadcast_to(live, dynamics.weights(world, state).shape)
+    )

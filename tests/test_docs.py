@@ -21,12 +21,14 @@ import typer
 from matplotlib import image
 
 import ptne_env
+from ptne_env.catalogue import CATALOGUE
 from ptne_env.cli import app
 from ptne_env.experiments import ENTRIES
 from ptne_env.experiments.suite import get_suite
 from ptne_env.policies import shipped
 from ptne_env.rewards import TERMS
-from ptne_env.scenario import CATALOGUE, Scenario
+from ptne_env.scenario import Scenario
+from ptne_env.world import World
 
 ROOT = Path(__file__).parents[1]
 PACKAGE = ROOT / "ptne_env"
@@ -338,7 +340,7 @@ def test_observation_table_is_the_layout(kind):
     rows = table(ROOT / "docs" / "environment.md", "Slice")
     column = {"physical": 2, "local": 3}[kind]
     told = {row[0].strip("`"): row[column] for row in rows if row[column] != "–"}
-    scalar = [name for name, scenario in CATALOGUE.items() if scenario.built_game.action_dims == (1,) * 5]
+    scalar = [name for name, scenario in CATALOGUE.items() if World(scenario).game.action_dims == (1,) * 5]
     assert len(scalar) > 9  # the others have another number of players or components
     for scenario in scalar:
         slices = ptne_env.parallel_env(scenario, interface=kind).layout.slices

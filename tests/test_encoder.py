@@ -5,12 +5,12 @@ import pytest
 from test_dynamics import large_energy_scenario
 from worlds import BLOCKS, BLOCKS_SWITCHING, FAULTY, begin, make_port
 
-from ptne_env import CATALOGUE, Interface, get_scenario
-from ptne_env.dynamics import RANGE_LIMIT, State, World
-from ptne_env.encoder import Encoder
+from ptne_env import CATALOGUE, Interface, dynamics, get_scenario
+from ptne_env.encoder import make_encoder
 from ptne_env.experiments.episodes import draw_start
 from ptne_env.experiments.suite import find_scenario
 from ptne_env.observation import CONSENSUS_GAIN, OBSERVATION_BOUND
+from ptne_env.world import RANGE_LIMIT, World
 
 KINDS = ["physical", "local", "full"]
 WORLDS = {
@@ -25,7 +25,7 @@ def wander(world, steps=37, batch=2, seed=0):
     generator = np.random.default_rng(seed)
     state = begin(world, range(seed, seed + batch))
     for _ in range(steps):
-        state = world.step(state, 0.1 * generator.normal(size=state.estimates.shape))
+        state = dynamics.step(world, state, 0.1 * generator.normal(size=state.estimates.shape))
     return state
 
 
@@ -36,7 +36,7 @@ def test_named_slices_cover_the_observation_without_gaps(name, kind):
     parts = list(encoder.layout.slices.values())
     assert parts[0].start == 0
     assert all(part.stop == following.start for part, following in pairwise(parts))
-    assert parts[-1].stop == encoder.layout.size == encoder.observation_space().shape[0]
+    assert parts[-1].stop == encoder.layout.size == encoder.layout.observation_space().shape[0]
     assert all(part.stop > part.start for part in parts)
 
 
@@ -47,7 +47,7 @@ def test_physical_observation_holds_what_the_table_says(name):
     observations = encoder.observe(state)
     clock, k = world.clock, int(state.step[0])
     for b in range(2):
-        adjacency = world.topology.graphs[int(state.mode[b])].adjacency
+        adjacency = world.topology.graphs[int(dynamics.active_mode(world, state)[b])].adjacency
         for i in range(game.num_players):
             estimate = state.estimates[:, i, b]
             own = game.owners == i
@@ -75,7 +75,7 @@ def test_local_observation_is_scaled_and_in_ego_order(name):
     for i in range(game.num_players):
         own = game.owners == i
         gradient = state.own_gradients[own, 0]
-        scale = max(np.abs(gradient).max(), np.abs(state.relative_estimates[:, :, i, 0]).max())
+        scale = max(np.abs(gradient).max(), np.abs(dynamics.relative_estimates(world, state)[:, :, i, 0]).max())
         row = observations[0, i]
         padded = np.zeros(max(game.action_dims))
         padded[: own.sum()] = gradient / scale
@@ -85,7 +85,9 @@ def test_local_observation_is_scaled_and_in_ego_order(name):
         cyclic = [(first + c) % n for c in range(n)]
         for slot in range(layout.slots):
             seen = layout.select(row, "relative_estimates").reshape(layout.slots, n)[slot]
-            assert seen == pytest.approx(state.relative_estimates[slot, cyclic, i, 0] / scale, rel=1e-6, abs=1e-30)
+            assert seen == pytest.approx(
+                dynamics.relative_estimates(world, state)[slot, cyclic, i, 0] / scale, rel=1e-6, abs=1e-30
+            )
         assert np.abs(layout.select(row, "relative_estimates")).max() <= 1
 
 
@@ -94,7 +96,9 @@ def test_local_observation_of_a_scaled_error_differs_in_its_scale_alone(factor):
     world, encoder = make_port("energy", kind="local")
     equilibrium = world.game.nash_equilibrium[:, None, None]
     error = np.random.default_rng(0).integers(-8, 8, (5, 5, 1)) / 8
-    near, far = (encoder.observe(world.start(equilibrium + scale * error))[0] for scale in (1.0, factor))
+    near, far = (
+        encoder.observe(dynamics.initial_state(world, equilibrium + scale * error))[0] for scale in (1.0, factor)
+    )
     part = encoder.layout.slices["log_scale"]
     assert (far - near)[:, part] == pytest.approx(np.full((5, 1), np.log10(factor)), abs=2e-6)
     rest = np.ones(encoder.layout.size, dtype=bool)
@@ -105,11 +109,11 @@ def test_local_observation_of_a_scaled_error_differs_in_its_scale_alone(factor):
 def test_player_at_rest_observes_the_smallest_scale():
     world, encoder = make_port(BLOCKS, kind="local")
     at_rest = np.repeat(np.zeros((6, 1)), 3, axis=1)[:, :, None]
-    moving = world.start(at_rest)
-    state = State(world, moving.step, moving.game, at_rest, np.zeros((6, 1)), moving.diverged)
+    moving = dynamics.initial_state(world, at_rest)
+    state = moving._replace(estimates=at_rest, own_gradients=np.zeros((6, 1)))
     observations = encoder.observe(state)
     assert encoder.layout.select(observations, "log_scale") == pytest.approx(np.full((1, 3, 1), -30.0))
-    assert encoder.observation_space().contains(observations[0, 0])
+    assert encoder.layout.observation_space().contains(observations[0, 0])
 
 
 @pytest.mark.parametrize("name", WORLDS)
@@ -119,7 +123,7 @@ def test_oracle_sees_the_real_strategies_and_the_pseudo_gradient_besides(name):
     observations = encoder.observe(state)
     plain = make_port(WORLDS[name])[1].observe(state)
     assert np.array_equal(observations[:, :, : plain.shape[2]], plain)
-    strategies = state.strategies
+    strategies = dynamics.strategies(world, state)
     for i in range(layout.num_players):
         relative = (strategies - state.estimates[:, i]).T.astype(np.float32)
         assert np.array_equal(layout.select(observations, "relative_strategies")[:, i], relative)
@@ -139,7 +143,7 @@ def test_neighbour_estimates_are_those_of_the_neighbours_and_a_dead_link_repeats
     for i in range(encoder.layout.num_players):
         for slot, j in enumerate(encoder.layout.neighbours[i]):
             for b in range(2):
-                alive = world.topology.graphs[int(state.mode[b])].adjacency[i, j] > 0
+                alive = world.topology.graphs[int(dynamics.active_mode(world, state)[b])].adjacency[i, j] > 0
                 expected = state.estimates[:, j if alive else i, b]
                 assert seen[b, i, slot] == pytest.approx(expected, rel=2e-7, abs=4e-6)
 
@@ -162,7 +166,7 @@ def test_link_that_goes_down_keeps_its_slot_with_weight_and_difference_zero(name
         assert not relative[weights == 0].any()
         assert np.all(np.any(relative[weights > 0], axis=-1))
         down, up = down + (weights == 0).sum(), up + (weights > 0).sum()
-        state = world.step(state, np.zeros_like(state.estimates))
+        state = dynamics.step(world, state, np.zeros_like(state.estimates))
     assert down > 0
     assert up > 0
 
@@ -171,7 +175,7 @@ def test_differences_are_taken_before_the_cast_to_float32():
     world, encoder = make_port("energy")
     estimates = np.full((5, 5, 1), 12345.678)
     estimates[2, 1] += 1e-9
-    observation = encoder.observe(world.start(estimates))[0]
+    observation = encoder.observe(dynamics.initial_state(world, estimates))[0]
     seen = encoder.layout.select(observation[0], "relative_estimates").reshape(2, 5)
     assert seen[0, 2] == pytest.approx(1e-9, rel=1e-2)  # 12345.678 + 1e-9 has that much rounding in float64
     assert np.count_nonzero(seen) == 1
@@ -189,13 +193,13 @@ def test_terminal_observation_has_no_step_left():
 @pytest.mark.parametrize("name", WORLDS)
 def test_space_contains_every_observation_also_at_the_edge_of_the_range(name, kind):
     world, encoder = make_port(WORLDS[name], kind=kind)
-    space, players, n = encoder.observation_space(), encoder.layout.num_players, encoder.layout.dimension
+    space, players, n = encoder.layout.observation_space(), encoder.layout.num_players, encoder.layout.dimension
     shape = (n, players, 1)
     corners = np.random.default_rng(0).choice([-RANGE_LIMIT, RANGE_LIMIT], shape)
     game = begin(world, [0]).game
-    edge = [world.start(estimates, game) for estimates in (corners, np.zeros(shape))]
+    edge = [dynamics.initial_state(world, estimates, game) for estimates in (corners, np.zeros(shape))]
     states = [*edge, wander(world), wander(world, steps=400)]
-    crashed = world.step(states[1], np.full(shape, 1e9))
+    crashed = dynamics.step(world, states[1], np.full(shape, 1e9))
     assert crashed.diverged.all()
     for state in [*states, crashed]:
         observations = encoder.observe(state)
@@ -206,11 +210,11 @@ def test_space_contains_every_observation_also_at_the_edge_of_the_range(name, ki
 
 def test_entries_with_units_are_bounded_by_a_million():
     _, encoder = make_port("energy")
-    space, layout = encoder.observation_space(), encoder.layout
+    space, layout = encoder.layout.observation_space(), encoder.layout
     for name in ("own_gradient", "own_estimate", "relative_estimates"):
         assert np.all(layout.select(space.high, name) == OBSERVATION_BOUND)
         assert np.all(layout.select(space.low, name) == -OBSERVATION_BOUND)
-    assert space.dtype == encoder.action_space().dtype == np.float32
+    assert space.dtype == encoder.layout.action_space().dtype == np.float32
     assert np.all(space.low < space.high)
     assert OBSERVATION_BOUND == 1e6
 
@@ -222,12 +226,12 @@ def test_physical_action_is_the_input_clipped_to_the_limit():
     world, encoder = make_port(get_scenario("energy", input_limit=7.0))
     state = wander(world)
     actions = np.random.default_rng(0).uniform(-10, 10, (2, 5, 5)).astype(np.float32)
-    inputs, clipped = encoder.decode(actions, state)
+    inputs, clipped = encoder.decode(actions, state), encoder.clip(actions).clipped
     for b in range(2):
         for i in range(5):
             assert np.array_equal(inputs[:, i, b], np.clip(actions[b, i], -7.0, 7.0))
     assert np.array_equal(clipped, (np.abs(actions) > 7).sum(axis=2))
-    assert encoder.action_space().high.tolist() == [7.0] * 5
+    assert encoder.layout.action_space().high.tolist() == [7.0] * 5
 
 
 @pytest.mark.parametrize("name", ["energy", "blocks", "blocks-switching"])
@@ -235,7 +239,7 @@ def test_local_action_is_in_units_of_the_scale_and_in_ego_order(name):
     world, encoder = make_port(get_scenario(WORLDS[name], input_limit=30.0), kind="local", action_scale=4.0)
     state, game, n = wander(world), world.game, encoder.layout.dimension
     actions = np.random.default_rng(0).uniform(-1.5, 1.5, (2, game.num_players, n)).astype(np.float32)
-    inputs, clipped = encoder.decode(actions, state)
+    inputs, clipped = encoder.decode(actions, state), encoder.clip(actions).clipped
     scale = 10.0 ** encoder.layout.select(encoder.observe(state), "log_scale")[..., 0].astype(np.float64)
     saturated = 0
     for b in range(2):
@@ -247,7 +251,7 @@ def test_local_action_is_in_units_of_the_scale_and_in_ego_order(name):
                 assert inputs[component, i, b] == pytest.approx(np.clip(wanted, -30, 30), rel=2e-5)
     assert saturated > 0
     assert np.array_equal(clipped, (np.abs(actions) > 1).sum(axis=2))
-    assert encoder.action_space().high.tolist() == [1.0] * n
+    assert encoder.layout.action_space().high.tolist() == [1.0] * n
 
 
 @pytest.mark.parametrize("kind", ["physical", "local"])
@@ -256,10 +260,10 @@ def test_gains_weigh_gradient_and_consensus(name, kind):
     world, encoder = make_port(WORLDS[name], kind=kind, action_mode="gains")
     state, game = wander(world), world.game
     actions = np.random.default_rng(0).uniform(-1, 1, (2, game.num_players, 2)).astype(np.float32)
-    inputs = encoder.decode(actions, state).inputs
+    inputs = encoder.decode(actions, state)
     assert encoder.layout.action_size == 2
     for b in range(2):
-        adjacency = world.topology.graphs[int(state.mode[b])].adjacency
+        adjacency = world.topology.graphs[int(dynamics.active_mode(world, state)[b])].adjacency
         for i in range(game.num_players):
             first, second = (2.0 ** (3.0 * float(a)) for a in actions[b, i])
             expected = np.zeros(game.dimension)
@@ -274,11 +278,11 @@ def test_local_action_is_in_units_of_the_state_that_it_is_for_whatever_was_obser
     world, encoder = make_port("energy", kind="local")
     first, second = wander(world, steps=0), wander(world, steps=80)
     actions = np.random.default_rng(0).uniform(-1, 1, (2, 5, 5)).astype(np.float32)
-    expected = [make_port("energy", kind="local")[1].decode(actions, state).inputs for state in (first, second)]
+    expected = [make_port("energy", kind="local")[1].decode(actions, state) for state in (first, second)]
     assert not np.array_equal(*expected)
     encoder.observe(first)
-    assert np.array_equal(encoder.decode(actions, second).inputs, expected[1])
-    assert np.array_equal(encoder.decode(actions, first).inputs, expected[0])
+    assert np.array_equal(encoder.decode(actions, second), expected[1])
+    assert np.array_equal(encoder.decode(actions, first), expected[0])
 
 
 @pytest.mark.parametrize("value", [0.0, 1.0, -1.0])
@@ -287,9 +291,9 @@ def test_gains_actions_are_clipped_to_their_box(value):
     state = wander(world)
     inside = np.full((2, 5, 2), value, dtype=np.float32)
     outside = inside * 3
-    assert np.array_equal(encoder.decode(inside, state).inputs, encoder.decode(outside, state).inputs)
-    assert not encoder.decode(inside, state).clipped.any()
-    assert encoder.decode(outside, state).clipped.tolist() == [[2 * (value != 0)] * 5] * 2
+    assert np.array_equal(encoder.decode(inside, state), encoder.decode(outside, state))
+    assert not encoder.clip(inside).clipped.any()
+    assert encoder.clip(outside).clipped.tolist() == [[2 * (value != 0)] * 5] * 2
 
 
 def test_double_precision_action_counts_as_the_float32_that_the_space_declares():
@@ -297,14 +301,15 @@ def test_double_precision_action_counts_as_the_float32_that_the_space_declares()
     state = wander(world)
     actions = np.random.default_rng(0).uniform(-10, 10, (2, 5, 5))
     assert np.array_equal(
-        encoder.decode(actions, state).inputs, encoder.decode(actions.astype(np.float32), state).inputs
+        encoder.decode(actions, state),
+        encoder.decode(actions.astype(np.float32), state),
     )
 
 
 def test_input_limit_that_float32_cannot_hold_is_never_exceeded():
     world, encoder = make_port(get_scenario("energy", input_limit=0.1))
     state = wander(world)
-    assert np.abs(encoder.decode(np.full((2, 5, 5), 9.0, dtype=np.float32), state).inputs).max() <= 0.1
+    assert np.abs(encoder.decode(np.full((2, 5, 5), 9.0, dtype=np.float32), state)).max() <= 0.1
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -320,15 +325,16 @@ def test_batch_agrees_bit_for_bit_with_batches_of_one(name, action_mode, kind):
     for _ in range(12):
         actions = generator.uniform(-bound, bound, (batch, encoder.layout.num_players, encoder.layout.action_size))
         actions = actions.astype(np.float32)
-        observations, (inputs, clipped) = encoder.observe(together), encoder.decode(actions, together)
-        together = world.step(together, inputs)
+        observations, inputs = encoder.observe(together), encoder.decode(actions, together)
+        clipped = encoder.clip(actions).clipped
+        together = dynamics.step(world, together, inputs)
         for b in range(batch):
             part = actions[b : b + 1]
             assert np.array_equal(encoder.observe(alone[b])[0], observations[b])
-            own, own_clipped = encoder.decode(part, alone[b])
+            own, own_clipped = encoder.decode(part, alone[b]), encoder.clip(part).clipped
             assert np.array_equal(own_clipped[0], clipped[b])
             assert np.array_equal(own[..., 0], inputs[..., b])
-            alone[b] = world.step(alone[b], own)
+            alone[b] = dynamics.step(world, alone[b], own)
 
 
 def test_observations_are_owned_by_the_caller():
@@ -370,9 +376,9 @@ def test_reading_restores_natural_units_and_player_order(name, kind):
     for i in range(layout.num_players):
         gradient = np.where(game.owners == i, state.own_gradients[:, 1], 0)
         assert reading.gradient[i] * reading.unit[i] == pytest.approx(gradient, rel=3e-6)
-        relative = state.relative_estimates[:, :, i, 1]
+        relative = dynamics.relative_estimates(world, state)[:, :, i, 1]
         assert reading.relative_estimates[i] * reading.unit[i] == pytest.approx(relative, rel=3e-6, abs=1e-12)
-        assert np.array_equal(reading.weights[i], state.weights[:, i, -1])
+        assert np.array_equal(reading.weights[i], dynamics.weights(world, state)[:, i, -1])
     k = int(state.step[1])
     assert reading.theta[:, 0] == pytest.approx(np.full(layout.num_players, world.clock.theta[k]), rel=1e-7)
     assert reading.dt[:, 0] == pytest.approx(np.full(layout.num_players, world.clock.dt[k]), rel=2e-7)
@@ -384,7 +390,7 @@ def test_written_inputs_are_the_inputs_that_arrive(kind):
     state = wander(world, batch=1)
     reading = encoder.layout.read(encoder.observe(state)[0])
     wanted = np.random.default_rng(0).uniform(-1, 1, (3, 6))
-    arrived = encoder.decode(encoder.layout.write(wanted, reading)[None], state).inputs[:, :, 0].T
+    arrived = encoder.decode(encoder.layout.write(wanted, reading)[None], state)[:, :, 0].T
     assert arrived == pytest.approx(wanted * reading.unit, rel=3e-6)
 
 
@@ -393,7 +399,7 @@ def test_observation_of_a_faulty_world_holds_what_is_heard_by_the_players_own_cl
     world, encoder = make_port(FAULTY, kind=kind)
     state, layout = wander(world, steps=25), encoder.layout
     reading = layout.read(encoder.observe(state).reshape(10, -1))
-    relative, weights = state.relative_estimates, state.weights
+    relative, weights = dynamics.relative_estimates(world, state), dynamics.weights(world, state)
     for b in range(2):
         for i, shift in enumerate(FAULTY.clock_shifts):
             row = 5 * b + i
@@ -406,16 +412,18 @@ def test_observation_of_a_faulty_world_holds_what_is_heard_by_the_players_own_cl
             expected = [own.t[25] / world.clock.deadline, own.s[25], own.theta[25], dt]
             assert observed == pytest.approx(expected, rel=1e-6)
         age = layout.select(encoder.observe(state)[b, 0], "time_since_switch")
-        assert age[0] == np.float32(state.time_since_switch[b])
-    assert len(set(state.time_since_switch)) == 2  # episodes draw their own topologies
+        assert age[0] == np.float32(dynamics.time_since_switch(world, state)[b])
+    assert len(set(dynamics.time_since_switch(world, state))) == 2  # episodes draw their own topologies
 
 
 @pytest.mark.parametrize("kind", ["physical", "local"])
 def test_gains_act_on_what_is_heard(kind):
     world, encoder = make_port(FAULTY, kind=kind, action_mode="gains")
     state = wander(world)
-    inputs = encoder.decode(np.zeros((2, 5, 2), dtype=np.float32), state).inputs
-    expected = CONSENSUS_GAIN * np.einsum("dib,dcib->cib", state.weights, state.relative_estimates)
+    inputs = encoder.decode(np.zeros((2, 5, 2), dtype=np.float32), state)
+    expected = CONSENSUS_GAIN * np.einsum(
+        "dib,dcib->cib", dynamics.weights(world, state), dynamics.relative_estimates(world, state)
+    )
     for i in range(5):
         expected[i, i] -= state.own_gradients[i]
     assert inputs == pytest.approx(expected, rel=1e-9)
@@ -426,12 +434,12 @@ def test_observations_are_the_same_however_many_neighbour_slots_fit_into_the_scr
     world = World(find_scenario(scenario))
     states = [draw_start(world, 3, seed=0)]
     for _ in range(60):  # past a switch, after which other links are up
-        states.append(world.step(states[-1], np.ones_like(states[-1].estimates)))
+        states.append(dynamics.step(world, states[-1], np.ones_like(states[-1].estimates)))
     seen = []
     for entries in (10**6, 1):
         monkeypatch.setattr("ptne_env.encoder._SCRATCH_ENTRIES", entries)
-        encoder = Encoder(world, Interface("physical"))
+        encoder = make_encoder(world, Interface("physical"))
         seen.append([encoder.observe(state) for state in states])
-        assert len(encoder._workspaces[3].relative) == (1 if entries > 1 else world.slots)
+        assert len(encoder._workspaces[3].scratch) == (world.slots if entries > 1 else 1)
     assert world.slots > 1
     np.testing.assert_array_equal(*seen)

@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 from soak import attempt, main, soak
 
 from ptne_env import VectorParallelEnv
-from ptne_env.dynamics import World
 from ptne_env.encoder import Clipped, Encoder
+from ptne_env.world import World
 
 
 @settings(suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large])

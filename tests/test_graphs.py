@@ -5,11 +5,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
 
-from ptne_env import FactorySpec, get_scenario, graphs, switching
-from ptne_env.dynamics import World
+from ptne_env import FactorySpec, dynamics, get_scenario, graphs, switching
 from ptne_env.graphs import Graph
 from ptne_env.random_streams import RandomStreams
 from ptne_env.switching import EpisodeTopology, MarkovTopology, SwitchingTopology
+from ptne_env.world import World
 
 
 @st.composite
@@ -433,31 +433,33 @@ def random_scenario(**arguments):
 
 def test_scenario_refuses_what_never_connects_and_what_may_dwell_too_shortly():
     with pytest.raises(ValueError, match="not jointly connected.*add links"):
-        random_scenario(probability=1e-9, dwells=0.1)
+        World(random_scenario(probability=1e-9, dwells=0.1))
     with pytest.raises(ValueError, match=r"shortest dwell, 0\.001 on the physical clock, is shorter"):
-        random_scenario(probability=0.5, dwells=(0.001, 0.5))
+        World(random_scenario(probability=0.5, dwells=(0.001, 0.5)))
 
 
 def test_every_episode_has_its_own_signal_and_it_is_held_in_the_state():
     scenario = random_scenario(probability=0.5, dwells=(0.02, 0.05))
-    assert scenario.is_random
+    assert World(scenario).is_random
     world = World(scenario)
 
     def states(seeds):
         sources = [RandomStreams.from_seed(seed) for seed in seeds]
         estimates, randomness = world.draw_estimates(sources), world.draw_randomness(sources)
-        state, result = world.start(estimates, randomness=randomness), []
+        state, result = dynamics.initial_state(world, estimates, randomness=randomness), []
         for _ in range(400):
             result.append(state)
-            state = world.step(state, np.zeros_like(state.estimates))
+            state = dynamics.step(world, state, np.zeros_like(state.estimates))
         return result
 
     together = states(range(3))
-    modes = np.array([state.mode for state in together])
+    modes = np.array([dynamics.active_mode(world, state) for state in together])
     assert len({tuple(column) for column in modes.T}) == 3
-    assert np.array_equal(modes[:, [1]], np.array([state.mode for state in states([1])]))
+    assert np.array_equal(modes[:, [1]], np.array([dynamics.active_mode(world, state) for state in states([1])]))
     for state in together[::40]:
         for b in range(3):
-            adjacency = world.topology.graphs[int(state.mode[b])].adjacency
+            adjacency = world.topology.graphs[int(dynamics.active_mode(world, state)[b])].adjacency
             for i in range(5):
-                assert state.weights[:, i, b].tolist() == [adjacency[i, j] for j in world.neighbours[:, i]]
+                assert dynamics.weights(world, state)[:, i, b].tolist() == [
+                    adjacency[i, j] for j in world.neighbours[:, i]
+                ]

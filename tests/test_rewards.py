@@ -3,11 +3,11 @@ import pytest
 from test_dynamics import large_energy_scenario
 from worlds import BLOCKS, constant_actions, make_env, play, while_running
 
-from ptne_env import get_scenario, laws
-from ptne_env.dynamics import World
+from ptne_env import dynamics, get_scenario, laws
 from ptne_env.games import NoBestResponseError
 from ptne_env.random_streams import RandomStreams
 from ptne_env.rewards import REWARD_LIMIT, TERMS, Reward, parse_reward
+from ptne_env.world import World
 
 GAMES = {"energy": get_scenario("energy", start="random"), "blocks": BLOCKS}
 
@@ -17,11 +17,11 @@ def episode(scenario, reward, steps=25, batch=3):
     world = World(scenario)
     judge = Reward(world, reward)
     generator = np.random.default_rng(0)
-    states = [world.start(world.draw_estimates([RandomStreams.from_seed(b) for b in range(batch)]))]
+    states = [dynamics.initial_state(world, world.draw_estimates([RandomStreams.from_seed(b) for b in range(batch)]))]
     judge.reset(states[0])
     terms = []
     for _ in range(steps):
-        states.append(world.step(states[-1], generator.normal(size=states[-1].estimates.shape)))
+        states.append(dynamics.step(world, states[-1], generator.normal(size=states[-1].estimates.shape)))
         terms.append(judge.step(states[-1]))
     return world, judge, states, terms
 
@@ -44,12 +44,12 @@ def test_digits_count_no_further_than_twelve():
     world = World(get_scenario("energy"))
     judge = Reward(world)
     equilibrium = np.repeat(world.game.nash_equilibrium[:, None, None], 5, axis=1)
-    state = world.start(equilibrium * 1.1)
+    state = dynamics.initial_state(world, equilibrium * 1.1)
     judge.reset(state)
-    arrived = world.step(state, (equilibrium - state.estimates) / world.clock.theta[0])
+    arrived = dynamics.step(world, state, (equilibrium - state.estimates) / world.clock.theta[0])
     first = judge.step(arrived)["digits"]
     assert first == pytest.approx(np.full((5, 1), 11.0), abs=1e-9)
-    assert judge.step(world.step(arrived, np.zeros_like(equilibrium)))["digits"].tolist() == [[0.0]] * 5
+    assert judge.step(dynamics.step(world, arrived, np.zeros_like(equilibrium)))["digits"].tolist() == [[0.0]] * 5
 
 
 @pytest.mark.parametrize("name", GAMES)
@@ -120,9 +120,9 @@ def test_batch_agrees_bit_for_bit_with_batches_of_one(scenario, reward):
     world = World(scenario)
     batch = 6
     estimates = world.draw_estimates([RandomStreams.from_seed(b) for b in range(batch)])
-    together, judge = world.start(estimates), Reward(world, reward)
+    together, judge = dynamics.initial_state(world, estimates), Reward(world, reward)
     judge.reset(together)
-    alone = [(world.start(estimates[:, :, b : b + 1]), Reward(world, reward)) for b in range(batch)]
+    alone = [(dynamics.initial_state(world, estimates[:, :, b : b + 1]), Reward(world, reward)) for b in range(batch)]
     for state, own in alone:
         own.reset(state)
     generator = np.random.default_rng(0)
@@ -130,10 +130,10 @@ def test_batch_agrees_bit_for_bit_with_batches_of_one(scenario, reward):
         inputs = generator.normal(size=estimates.shape)
         if k == 5:
             inputs[:, :, 2] = 1e9  # the third environment leaves the range
-        together = world.step(together, inputs)
+        together = dynamics.step(world, together, inputs)
         terms = judge.step(together)[reward]
         for b, (state, own) in enumerate(alone):
-            following = world.step(state, inputs[:, :, b : b + 1])
+            following = dynamics.step(world, state, inputs[:, :, b : b + 1])
             assert np.array_equal(own.step(following)[reward][:, 0], terms[:, b])
             alone[b] = following, own
     assert together.diverged.tolist() == [b == 2 for b in range(batch)]
@@ -212,7 +212,7 @@ def test_rewards_of_a_crash_are_finite_and_charged_for_the_remaining_steps(rewar
     env.reset()
     env.step(constant_actions(env, 0.0))
     _, rewards, _, _, _ = env.step(constant_actions(env, 1e9))
-    limit = env.world.distance_limit(env.world.game)[0]
+    limit = dynamics.distance_limit(env.world.game)[0]
     worst = {"tracking": limit, "payoff": REWARD_LIMIT, "regret": REWARD_LIMIT}
     for value in rewards.values():
         if reward == "digits":

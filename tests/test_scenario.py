@@ -12,6 +12,7 @@ from ptne_env import CATALOGUE, FactorySpec, Scenario, get_scenario
 from ptne_env.games import EnergyGame, NonQuadraticGame
 from ptne_env.graphs import cycle
 from ptne_env.switching import paper_topology
+from ptne_env.world import World
 
 
 def edges(count, *pairs):
@@ -53,8 +54,8 @@ def test_json_round_trip_gives_an_equal_scenario(scenario):
     again = Scenario.from_json(scenario.to_json())
     assert again == scenario
     assert hash(again) == hash(scenario)
-    assert np.array_equal(again.built_clock.theta, scenario.built_clock.theta)
-    assert np.array_equal(again.built_game.nash_equilibrium, scenario.built_game.nash_equilibrium)
+    assert np.array_equal(World(again).clock.theta, World(scenario).clock.theta)
+    assert np.array_equal(World(again).game.nash_equilibrium, World(scenario).game.nash_equilibrium)
 
 
 @pytest.mark.parametrize("name", CATALOGUE)
@@ -91,12 +92,12 @@ def test_catalogue_has_the_promised_scenarios():
 @pytest.mark.parametrize("name", FROM_THE_PAPER)
 def test_catalogue_has_the_settings_of_the_paper(name):
     scenario = CATALOGUE[name]
-    clock, game, topology = scenario.built_clock, scenario.built_game, scenario.built_topology
+    clock, game, topology = World(scenario).clock, World(scenario).game, World(scenario).topology
     assert (clock.deadline, clock.gain, clock.steps, clock.s_end, clock.hold_steps) == (1.2, 20.0, 400, 8.0, 0)
     assert clock.spacing == "effective"
     assert type(clock.transformation).__name__ == "Exponential"
     assert scenario.input_limit == 1000.0
-    assert np.array_equal(scenario.built_start.draw(5, 5, np.random.default_rng(0)), PAPER_START.T)
+    assert np.array_equal(World(scenario).start.draw(5, 5, np.random.default_rng(0)), PAPER_START.T)
     assert isinstance(game, EnergyGame if name.startswith("energy") else NonQuadraticGame)
     if not name.startswith("energy"):
         assert game.variant == ("printed" if name.endswith("printed") else "corrected")
@@ -114,9 +115,9 @@ def test_random_scenarios_draw_game_and_start_on_the_graphs_of_the_paper(name):
     changed = {"name": name, "game": scenario.game, "start": get_scenario("energy", start="random").start, "s_end": 6.0}
     assert scenario == paper.replace(**changed)
     assert scenario.game == FactorySpec.of("ptne_env.games:RandomEnergy", players=5)
-    assert scenario.has_random_game
-    assert scenario.is_random
-    assert not paper.has_random_game
+    assert World(scenario).has_random_game
+    assert World(scenario).is_random
+    assert not World(paper).has_random_game
 
 
 OTHER_GAMES = {
@@ -134,11 +135,11 @@ OTHER_GAMES = {
 @pytest.mark.parametrize("name", OTHER_GAMES)
 def test_other_games_start_at_random_in_their_box_on_a_cycle(name):
     scenario, (kind, dims) = CATALOGUE[name], OTHER_GAMES[name]
-    game, clock = scenario.built_game, scenario.built_clock
+    game, clock = World(scenario).game, World(scenario).clock
     assert (type(game).__name__, game.action_dims) == (kind, dims)
-    assert scenario.built_topology.graphs == (cycle(len(dims)),)
+    assert World(scenario).topology.graphs == (cycle(len(dims)),)
     assert (clock.deadline, clock.gain, clock.steps, clock.s_end, clock.hold_steps) == (1.2, 20.0, 400, 8.0, 0)
-    start = scenario.built_start
+    start = World(scenario).start
     assert start.is_random
     if game.has_bounds:
         assert (start.low, start.high) == (game.low.min(), game.high.max())
@@ -147,7 +148,7 @@ def test_other_games_start_at_random_in_their_box_on_a_cycle(name):
 
 
 def test_random_start_draws_every_estimate_from_minus_20_to_20():
-    start = get_scenario("energy", start="random").built_start
+    start = World(get_scenario("energy", start="random")).start
     draws = start.draw(40, 50, np.random.default_rng(1))
     assert start.is_random
     assert -20 <= draws.min() < -19
@@ -165,7 +166,7 @@ def test_overrides_change_only_what_they_name():
 def test_short_names_are_the_parts_they_stand_for(kind):
     scenario = get_scenario("energy", transformation=kind, s_end=300.0 if kind == "rational" else 8.0)
     assert isinstance(scenario.transformation, FactorySpec)
-    assert scenario.built_clock.transformation.deadline == 1.2
+    assert World(scenario).clock.transformation.deadline == 1.2
 
 
 def test_strings_and_objects_name_parts_too():
@@ -183,12 +184,12 @@ def test_scenarios_are_frozen_and_can_be_keys():
 
 def test_games_with_unequal_dimensions_are_scenarios_too():
     assert Scenario.from_json(BLOCKS.to_json()) == BLOCKS
-    assert BLOCKS.built_game.action_dims == (2, 1, 3)
+    assert World(BLOCKS).game.action_dims == (2, 1, 3)
 
 
 def test_scenario_more_than_a_percent_short_of_the_deadline_says_so():
     with pytest.warns(UserWarning, match=r"11\.11% of T short of the deadline; raise s_end"):
-        get_scenario("energy", transformation="rational")
+        World(get_scenario("energy", transformation="rational"))
 
 
 REFUSED = {
@@ -259,7 +260,7 @@ REFUSED = {
     "unknown channel": (lambda: get_scenario("energy", channel="noisy"), "channel is 'perfect', a 'module:object'"),
     "channel of another kind": (
         lambda: get_scenario("energy", channel="ptne_env.starts:paper_start"),
-        "built a FixedStart where channel needs a Channel",
+        "built a FixedStart where a Channel is needed",
     ),
     "disturbance without bound": (
         lambda: get_scenario(
@@ -269,7 +270,7 @@ REFUSED = {
     ),
     "part of another kind": (
         lambda: get_scenario("energy", game="ptne_env.starts:paper_start"),
-        "built a FixedStart where game needs a Game",
+        "built a FixedStart where a Game or GameFamily is needed",
     ),
     "missing part": (lambda: get_scenario("energy", game="ptne_env.games:ChessGame"), "has no 'ChessGame'"),
     "unknown key": (
@@ -286,7 +287,7 @@ REFUSED = {
 def test_scenario_that_cannot_be_is_refused_with_advice(name):
     build, message = REFUSED[name]
     with pytest.raises(ValueError, match=message):
-        build()
+        World(build())
 
 
 def test_part_of_another_type_is_refused():
@@ -295,7 +296,7 @@ def test_part_of_another_type_is_refused():
 
 
 def test_dwell_as_long_as_the_longest_step_is_allowed():
-    clock = get_scenario("energy").built_clock
+    clock = World(get_scenario("energy")).clock
     longest = float(np.diff(clock.t).max())
     topology = FactorySpec.of("ptne_env.switching:paper_topology", dwell=longest)
-    assert get_scenario("energy-switching", topology=topology).built_topology.mean_dwell == longest
+    assert World(get_scenario("energy-switching", topology=topology)).topology.mean_dwell == longest

@@ -5,11 +5,12 @@ import numpy as np
 import pytest
 
 from ptne_env import theory
+from ptne_env.catalogue import CATALOGUE, get_scenario
 from ptne_env.clock import Exponential, HyperbolicTangent, Rational
 from ptne_env.games import EnergyGame, Game, NonQuadraticGame
 from ptne_env.graphs import Graph, complete, cycle, path
-from ptne_env.scenario import CATALOGUE, get_scenario
 from ptne_env.switching import fixed, paper_topology
+from ptne_env.world import World
 
 
 class BlockGame(Game):
@@ -192,8 +193,8 @@ def test_certificate_of_the_energy_scenario():
 
 def test_sampled_digits_are_those_of_a_plain_loop():
     scenario = get_scenario("energy-switching")
-    game, clock, topology = scenario.built_game, scenario.built_clock, scenario.built_topology
-    estimates = scenario.built_start.draw(5, 5, np.random.default_rng(0))[:, :, None]
+    game, clock, topology = World(scenario).game, World(scenario).clock, World(scenario).topology
+    estimates = World(scenario).start.draw(5, 5, np.random.default_rng(0))[:, :, None]
     for k in range(clock.steps):
         graph = topology.graphs[int(topology.schedule(clock.t[k]).modes)]
         u = -2.0 * np.einsum("ij,kjb->kib", graph.laplacian, estimates)

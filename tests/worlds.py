@@ -3,12 +3,23 @@
 import numpy as np
 
 import ptne_env
-from ptne_env import CATALOGUE, FactorySpec, Interface, Scenario
-from ptne_env.dynamics import World
-from ptne_env.encoder import Encoder
+from ptne_env import CATALOGUE, FactorySpec, Interface, Scenario, dynamics
+from ptne_env.dynamics import State
+from ptne_env.encoder import make_encoder
 from ptne_env.random_streams import RandomStreams
+from ptne_env.world import World
 
-FROM_THE_PAPER = [name for name, scenario in CATALOGUE.items() if not scenario.is_random]
+
+def quantity(world, state, name):
+    """A field of a state, or a quantity that a function of ``dynamics`` computes from it, by name."""
+    if name in State._fields:
+        return getattr(state, name)
+    if name == "messages":
+        return dynamics.sent_messages(world, state.estimates) if state.received is None else state.received.messages
+    return getattr(dynamics, name)(world, state)
+
+
+FROM_THE_PAPER = [name for name, scenario in CATALOGUE.items() if not World(scenario).is_random]
 """The scenarios of the catalogue that play the paper's games from the paper's start."""
 
 PAPER_START = np.array(
@@ -119,7 +130,7 @@ def begin(world, seeds):
     """The state at t = 0 that these seeds draw, game and estimates, one environment each."""
     sources = [RandomStreams.from_seed(seed) for seed in seeds]
     estimates, game = world.draw_estimates(sources), world.draw_game(sources)
-    return world.start(estimates, game, world.draw_randomness(sources))
+    return dynamics.initial_state(world, estimates, game, world.draw_randomness(sources))
 
 
 def stack(estimates):
@@ -164,4 +175,4 @@ def make_env(scenario, **arguments):
 def make_port(scenario, **interface):
     """A world and its encoder."""
     world = World(ptne_env.get_scenario(scenario))
-    return world, Encoder(world, Interface(**interface))
+    return world, make_encoder(world, Interface(**interface))

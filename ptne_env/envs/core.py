@@ -1,4 +1,4 @@
-"""What every adapter steps: B environments of one scenario behind one interface, with rewards and endings."""
+"""The simulation behind every adapter: B environments of one world and one interface, with rewards and endings."""
 
 from __future__ import annotations
 
@@ -9,18 +9,18 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from ptne_env import distances, theory
+from ptne_env import distances, dynamics
 from ptne_env.arrays import BoolArray, Float32Array, FloatArray, IntArray, require_count
-from ptne_env.dynamics import RANGE_LIMIT, State, World
-from ptne_env.encoder import Encoder
+from ptne_env.dynamics import State
+from ptne_env.encoder import Encoder, make_encoder
 from ptne_env.observation import Interface
 from ptne_env.random_streams import RandomStreams
 from ptne_env.rewards import Reward
-from ptne_env.scenario import Scenario
+from ptne_env.world import RANGE_LIMIT, World
 
 
 class StepResult(NamedTuple):
-    """What a step did. Environments last where there are players too.
+    """The result of a step. Environments last where there are players too.
 
     Attributes:
         rewards: weighted sum of the terms, shape (N, B).
@@ -36,58 +36,64 @@ class StepResult(NamedTuple):
 
 
 class ResetResult(NamedTuple):
-    """What episodes start with.
+    """The draws with which episodes start.
 
     Attributes:
-        sources: the generators of all environments.
-        state: of those that start.
-        mask: which they are, shape (B,).
+        streams: the random generators of all environments.
+        state: of the environments that start.
+        mask: whether each environment starts, shape (B,).
     """
 
-    sources: list[RandomStreams]
+    streams: list[RandomStreams]
     state: State
     mask: BoolArray
+
+
+def player_encoder(world: World, interface: Interface) -> Encoder:
+    """The encoder of an environment, which shows no more than players see.
+
+    Raises:
+        ValueError: for the interface ``full``.
+    """
+    if interface.kind == "full":
+        raise ValueError(
+            "the interface 'full' shows information that players lack and is for oracles in evaluations only; choose "
+            "'physical' or 'local'"
+        )
+    return make_encoder(world, interface)
 
 
 class Simulation:
     """B environments that are stepped together and reset one by one.
 
     Args:
-        scenario: the physics.
-        interface: how players see and act; not ``full``.
+        encoder: of observations and actions; its world is simulated.
         reward: a term's name, or weights by name.
         max_cycles: steps after which an episode is truncated, or ``None``.
         num_envs: B.
-        twin: a simulation of the same scenario and interface, whose tables this one uses instead of building its own.
 
     Attributes:
+        encoder: as given.
+        world: of the encoder.
         state: of all environments; ``None`` before the first reset.
 
     Raises:
-        ValueError: for the interface ``full``, an unknown reward or a count below 1.
+        ValueError: for an unknown reward or a count below 1.
     """
 
     def __init__(
         self,
-        scenario: Scenario,
+        encoder: Encoder,
         *,
-        interface: Interface,
         reward: str | Mapping[str, float] = "digits",
         max_cycles: int | None = None,
         num_envs: int = 1,
-        twin: Simulation | None = None,
     ) -> None:
-        if interface.kind == "full":
-            raise ValueError(
-                "the interface 'full' shows what no player can see and is for oracles in evaluations only; choose "
-                "'physical' or 'local'"
-            )
+        self.encoder, self.world = encoder, encoder.world
         self.num_envs = require_count("num_envs", num_envs, 1)
         self.max_cycles = None if max_cycles is None else require_count("max_cycles", max_cycles, 1)
-        self.world: World = twin.world if twin else World(scenario)
-        self.encoder: Encoder = twin.encoder.twin() if twin else Encoder(self.world, interface)
         self._reward = Reward(self.world, reward)
-        self._sources: list[RandomStreams] = []
+        self._streams: list[RandomStreams] = []
         self.state: State | None = None
 
     @property
@@ -100,6 +106,20 @@ class Simulation:
         if self.state is None:
             raise RuntimeError("the environment has no state yet: call reset() first")
         return self.state
+
+    def set_state(self, state: State) -> None:
+        """Continue from ``state``, of as many environments; the random generators stay as they are.
+
+        Raises:
+            ValueError: for a state of another number of environments or of a world of another size.
+        """
+        expected = (self.world.game.dimension, self.world.game.num_players, self.num_envs)
+        if state.estimates.shape != expected:
+            raise ValueError(
+                f"a state of this environment has estimates of shape {expected}, got {state.estimates.shape}"
+            )
+        self.state = state
+        self._reward.reset(state)
 
     def reset(
         self,
@@ -120,11 +140,11 @@ class Simulation:
         mask: BoolArray | None = None,
         estimates: FloatArray | None = None,
     ) -> ResetResult:
-        """What episodes start with; nothing has started yet.
+        """Draw the start of episodes; none has started yet.
 
         Args:
-            seeds: one per environment; ``None`` goes on with the generators there are. Only those in ``mask`` count.
-            mask: which environments start afresh, shape (B,); all if left out.
+            seeds: one per environment; ``None`` continues the present generators. Only those in ``mask`` count.
+            mask: whether each environment starts afresh, shape (B,); all if left out.
             estimates: initial estimates instead of drawn ones, shape (n, N, environments in mask).
 
         Raises:
@@ -133,25 +153,19 @@ class Simulation:
         if self.state is None and mask is not None and not mask.all():
             raise ValueError("the first reset() starts every environment: leave out the mask")
         chosen = np.arange(self.num_envs) if mask is None else np.flatnonzero(mask)
-        sources = self._seeded(chosen, seeds or [None] * self.num_envs)
+        streams = self._seeded(chosen, seeds or [None] * self.num_envs)
         if estimates is not None:  # they may be refused, and then nothing has been drawn
-            sources = copy.deepcopy(sources)
-        drawn = [sources[index] for index in chosen]
-        game = self.world.draw_game(drawn)
-        if self.world.scenario.has_random_game:
-            theory.require_strong_monotonicity(game)
-        if estimates is None:
-            estimates = self.world.draw_estimates(drawn)
-        fresh = self.world.start(estimates, game, self.world.draw_randomness(drawn))
-        if fresh.any_diverged:
+            streams = copy.deepcopy(streams)
+        fresh = dynamics.draw_initial_state(self.world, [streams[index] for index in chosen], estimates)
+        if dynamics.any_diverged(fresh):
             raise ValueError(f"own gradients at the initial estimates must be within ±{RANGE_LIMIT:g}: start closer")
-        return ResetResult(sources, fresh, np.ones(self.num_envs, dtype=np.bool_) if mask is None else mask)
+        return ResetResult(streams, fresh, np.ones(self.num_envs, dtype=np.bool_) if mask is None else mask)
 
-    def begin(self, beginning: ResetResult) -> State:
+    def begin(self, drawn: ResetResult) -> State:
         """Start the episodes that were drawn."""
-        self._sources, state, mask = beginning
+        self._streams, state, mask = drawn
         if not mask.all():
-            state = self.world.merge(self.current, state, mask)
+            state = dynamics.merge(self.current, state, mask)
         self.state = state
         self._reward.reset(state)
         return state
@@ -160,26 +174,27 @@ class Simulation:
         """The generators of all environments, new ones for those among ``chosen`` that have a seed."""
         if len(seeds) != self.num_envs:
             raise ValueError(f"{self.num_envs} environments need as many seeds, got {len(seeds)}")
-        sources = list(self._sources) or [RandomStreams.from_seed(seed) for seed in seeds]
+        streams = list(self._streams) or [RandomStreams.from_seed(seed) for seed in seeds]
         for index in chosen.tolist():
             if seeds[index] is not None:
-                sources[index] = RandomStreams.from_seed(seeds[index])
-        return sources
+                streams[index] = RandomStreams.from_seed(seeds[index])
+        return streams
 
     def step(self, actions: npt.NDArray[np.floating], restart: ResetResult | None = None) -> StepResult:
-        """Hold everybody's inputs for one step.
+        """Hold all players' inputs for one step.
 
         Args:
             actions: finite and within the action box (see :meth:`Encoder.clip`), shape (B, N, action size).
-            restart: what environments that start afresh instead of moving start with: their rewards are 0.
+            restart: the start of environments that start afresh instead of moving: their rewards are 0.
 
         Raises:
             RuntimeError: before the first reset.
         """
-        state = self.world.step(self.current, self.encoder.inputs(actions, self.current))
+        before = self.current
+        state = dynamics.step(self.world, before, self.encoder.inputs(actions, before))
         terms = self._reward.step(state)
         self.state = state
-        terminated = self.world.is_over(state)
+        terminated = dynamics.is_over(self.world, state)
         if self.max_cycles is None:
             truncated = np.zeros(self.num_envs, dtype=np.bool_)
         else:
@@ -191,7 +206,7 @@ class Simulation:
         return StepResult(self._reward.total(terms), terms, terminated, truncated)
 
     def observe(self, out: Float32Array | None = None) -> Float32Array:
-        """Everybody's observations, shape (B, N, size), float32, owned by the caller."""
+        """Observations of all players, shape (B, N, size), float32, owned by the caller."""
         return self.encoder.observe(self.current, out)
 
     def succeeded(self) -> BoolArray:

@@ -1,4 +1,4 @@
-"""The PettingZoo environment: one world, N agents who act at once. The batch of one; the physics is in ``dynamics``."""
+"""The PettingZoo environment: one world, N agents that act at once; the batch of one."""
 
 from __future__ import annotations
 
@@ -10,18 +10,22 @@ import numpy.typing as npt
 from gymnasium import spaces
 from pettingzoo import ParallelEnv
 
+from ptne_env import dynamics
 from ptne_env.arrays import Float32Array, FloatArray
+from ptne_env.catalogue import get_scenario
+from ptne_env.dynamics import State
 from ptne_env.encoder import NonFiniteActionError
-from ptne_env.envs.core import Simulation
+from ptne_env.envs.core import Simulation, player_encoder
 from ptne_env.envs.rendering import Renderer
 from ptne_env.observation import OBSERVATION_BOUND, ActionMode, Interface, InterfaceKind, ObservationLayout
-from ptne_env.scenario import Scenario, get_scenario
+from ptne_env.scenario import Scenario
+from ptne_env.world import World
 
 AgentInfo = dict[str, Any]
 
 
 class NashSeekingEnv(ParallelEnv[str, Float32Array, Float32Array]):
-    """N players of a noncooperative game who must reach its Nash equilibrium by a deadline.
+    """N players of a noncooperative game that must reach its Nash equilibrium by a deadline.
 
     Agents are ``player_0`` … ``player_{N-1}`` and live until the episode ends, which is ``terminated`` after K steps to
     the deadline and the hold phase (time is observed), or when an estimate or own gradient leaves ±5e5
@@ -33,7 +37,8 @@ class NashSeekingEnv(ParallelEnv[str, Float32Array, Float32Array]):
 
     Attributes:
         scenario: the physics.
-        layout: what observations and actions mean; laws and learned policies are built from it.
+        world: the scenario, built.
+        layout: of observations and actions; laws and learned policies are built from it.
         max_cycles: steps after which the episode is truncated, or ``None``.
         render_mode: ``None``, ``"human"`` or ``"rgb_array"``.
         state_space: of :meth:`state`, a float32 Box.
@@ -61,13 +66,13 @@ class NashSeekingEnv(ParallelEnv[str, Float32Array, Float32Array]):
         self.scenario = scenario
         self.metadata = {**type(self).metadata, "name": f"ptne_{scenario.name.replace('-', '_')}_v0"}  # type: ignore[misc]  # PettingZoo reads the name from each instance
         self.render_mode = render_mode
-        self._simulation = Simulation(scenario, interface=interface, reward=reward, max_cycles=max_cycles)
-        self.world = self._simulation.world
-        encoder = self._simulation.encoder
+        self.world = World(scenario)
+        encoder = player_encoder(self.world, interface)
+        self._simulation = Simulation(encoder, reward=reward, max_cycles=max_cycles)
         self.possible_agents = [f"player_{index}" for index in range(self.world.game.num_players)]
         self.agents: list[str] = []
-        self.observation_spaces = {agent: encoder.observation_space() for agent in self.possible_agents}
-        self.action_spaces = {agent: encoder.action_space() for agent in self.possible_agents}
+        self.observation_spaces = {agent: encoder.layout.observation_space() for agent in self.possible_agents}
+        self.action_spaces = {agent: encoder.layout.action_space() for agent in self.possible_agents}
         n, players = self.world.game.dimension, len(self.possible_agents)
         self.state_space = spaces.Box(
             -OBSERVATION_BOUND, OBSERVATION_BOUND, (players * (n + players) + 4,), dtype=np.float32
@@ -76,7 +81,7 @@ class NashSeekingEnv(ParallelEnv[str, Float32Array, Float32Array]):
 
     @property
     def layout(self) -> ObservationLayout:
-        """What observations and actions mean."""
+        """The layout of observations and actions."""
         return self._simulation.encoder.layout
 
     @property
@@ -99,11 +104,11 @@ class NashSeekingEnv(ParallelEnv[str, Float32Array, Float32Array]):
     @property
     def strategies(self) -> FloatArray:
         """The real strategies x now, shape (n,), float64."""
-        return self._simulation.current.strategies[:, 0]
+        return dynamics.strategies(self.world, self._simulation.current)[:, 0]
 
     @property
     def estimates(self) -> FloatArray:
-        """Everybody's estimates now, row i being x^i; shape (N, n), float64."""
+        """All players' estimates now, row i being x^i; shape (N, n), float64."""
         return self._simulation.current.estimates[:, :, 0].T.copy()
 
     @property
@@ -113,7 +118,7 @@ class NashSeekingEnv(ParallelEnv[str, Float32Array, Float32Array]):
         Raises:
             RuntimeError: before the first reset, where the scenario draws games.
         """
-        game = self._simulation.current.game if self.scenario.has_random_game else self.world.game
+        game = self._simulation.current.game if self.world.has_random_game else self.world.game
         return game.nash_equilibrium.copy()
 
     @property
@@ -127,7 +132,7 @@ class NashSeekingEnv(ParallelEnv[str, Float32Array, Float32Array]):
         """Start an episode.
 
         Args:
-            seed: of all random draws from here on; ``None`` goes on with the generators of the last seed.
+            seed: of all random draws from here on; ``None`` continues the generators of the last seed.
             options: ``{"estimates": table}`` starts from the given estimates, shape (N, n), row i being x^i(0), and
                 draws none. Other keys are ignored.
 
@@ -155,7 +160,7 @@ class NashSeekingEnv(ParallelEnv[str, Float32Array, Float32Array]):
     def step(
         self, actions: dict[str, Float32Array]
     ) -> tuple[dict[str, Float32Array], dict[str, float], dict[str, bool], dict[str, bool], dict[str, AgentInfo]]:
-        """Hold everybody's inputs for one step.
+        """Hold all players' inputs for one step.
 
         Args:
             actions: one per live agent, finite floats of shape (action size,). Entries outside the box are clipped to
@@ -210,9 +215,30 @@ class NashSeekingEnv(ParallelEnv[str, Float32Array, Float32Array]):
         """
         state, clock = self._simulation.current, self.world.clock
         step = int(state.step[0])
-        adjacency = self.world.topology.graphs[int(state.mode[0])].adjacency
+        adjacency = self.world.topology.graphs[int(dynamics.active_mode(self.world, state)[0])].adjacency
         times = [clock.t[step] / clock.deadline, clock.s[step], clock.theta[step], clock.dt[step] / clock.deadline]
         return np.concatenate([state.estimates[:, :, 0].T.ravel(), adjacency.ravel(), times]).astype(np.float32)
+
+    def get_state(self) -> State:
+        """The state now, a batch of one, for :func:`ptne_env.dynamics.step` and :meth:`set_state`.
+
+        Raises:
+            RuntimeError: before the first reset.
+        """
+        return self._simulation.current
+
+    def set_state(self, state: State) -> None:
+        """Continue the episode from ``state``, a batch of one of the same world.
+
+        The random generators stay as they are, so the next reset draws as if this had not been called.
+
+        Raises:
+            ValueError: for a state of another world or of several environments.
+        """
+        self._simulation.set_state(state)
+        self.agents = [] if dynamics.is_over(self.world, state)[0] else self.possible_agents.copy()
+        if self._renderer is not None:
+            self._renderer.reset(state)
 
     def render(self) -> npt.NDArray[np.uint8] | None:
         """A picture of the episode so far: (height, width, 3) uint8 in mode ``rgb_array``, a window in ``human``.
@@ -248,7 +274,7 @@ class NashSeekingEnv(ParallelEnv[str, Float32Array, Float32Array]):
         return stacked[None]
 
     def _complaint(self, actions: Mapping[str, Any]) -> ValueError:
-        """What is wrong with ``actions``, agent by agent."""
+        """The faults of ``actions``, agent by agent."""
         if not isinstance(actions, Mapping):
             return ValueError(f"step() needs a dictionary with one action per agent, got a {type(actions).__name__}")
         missing = [agent for agent in self.agents if agent not in actions]
@@ -263,7 +289,7 @@ class NashSeekingEnv(ParallelEnv[str, Float32Array, Float32Array]):
 
 
 def _fault(action: Any, shape: tuple[int, ...]) -> str | None:
-    """What is wrong with an action, or ``None``."""
+    """The fault of an action, or ``None``."""
     try:
         row = np.asarray(action)
     except ValueError:

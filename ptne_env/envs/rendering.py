@@ -9,9 +9,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from ptne_env import distances
+from ptne_env import distances, dynamics
 from ptne_env.arrays import FloatArray
-from ptne_env.dynamics import State, World
+from ptne_env.dynamics import State
+from ptne_env.world import World
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -80,7 +81,7 @@ class Renderer:
         """Add an instant."""
         self._estimates.append(state.estimates[:, :, 0])
         self._estimate_distances.append(float(distances.estimate_distance(state.estimates, self._game)[0]))
-        self._mode = int(state.mode[0])
+        self._mode = int(dynamics.active_mode(self.world, state)[0])
 
     def draw(self) -> npt.NDArray[np.uint8] | None:
         """The picture, (height, width, 3) uint8; ``None`` in mode ``human``, which shows it instead.

@@ -10,11 +10,12 @@ import numpy.typing as npt
 from gymnasium import spaces
 
 from ptne_env.arrays import BoolArray, Float32Array, FloatArray, IntArray, require_count
-from ptne_env.dynamics import RANGE_LIMIT
-from ptne_env.envs.core import ResetResult, Simulation, StepResult
+from ptne_env.catalogue import get_scenario
+from ptne_env.envs.core import ResetResult, Simulation, StepResult, player_encoder
 from ptne_env.observation import ActionMode, Interface, InterfaceKind, ObservationLayout
 from ptne_env.random_streams import require_seed
-from ptne_env.scenario import Scenario, get_scenario
+from ptne_env.scenario import Scenario
+from ptne_env.world import RANGE_LIMIT, World
 
 BLOCK_SIZE = 2048
 """Environments that are stepped at a time, at most: more bring nothing once a block costs more than its calls."""
@@ -24,7 +25,7 @@ BLOCK_ENTRIES = 300_000
 
 
 class VectorStep(NamedTuple):
-    """What :meth:`VectorParallelEnv.step` returns. Arrays are C-contiguous and owned by the caller.
+    """The result of :meth:`VectorParallelEnv.step`. Arrays are C-contiguous and owned by the caller.
 
     Attributes:
         observations: shape (B, N, size), float32.
@@ -86,27 +87,24 @@ class VectorParallelEnv:
         self.scenario = get_scenario(scenario, **overrides)
         self.num_envs = require_count("num_envs", num_envs, 1)
 
-        def simulation(count: int, twin: Simulation | None) -> Simulation:
-            return Simulation(
-                self.scenario,
-                interface=Interface(interface, action_mode, action_scale, own_payoff),
-                reward=reward,
-                max_cycles=max_cycles,
-                num_envs=count,
-                twin=twin,
-            )
-
-        one = simulation(1, None)
-        encoder = one.encoder
+        encoder = player_encoder(World(self.scenario), Interface(interface, action_mode, action_scale, own_payoff))
         self.layout: ObservationLayout = encoder.layout
         self.num_players = self.layout.num_players
         largest = max(1, min(BLOCK_SIZE, BLOCK_ENTRIES // (self.num_players * self.layout.size)))
         size = -(-self.num_envs // -(-self.num_envs // largest))  # blocks of about the same size
         starts = range(0, self.num_envs, size)
         self._slices = [slice(start, min(start + size, self.num_envs)) for start in starts]
-        self._blocks = [simulation(part.stop - part.start, one) for part in self._slices]
-        self.single_observation_space: spaces.Box = encoder.observation_space()
-        self.single_action_space: spaces.Box = encoder.action_space()
+        self._blocks = [
+            Simulation(
+                encoder.with_shared_tables(),
+                reward=reward,
+                max_cycles=max_cycles,
+                num_envs=part.stop - part.start,
+            )
+            for part in self._slices
+        ]
+        self.single_observation_space: spaces.Box = self.layout.observation_space()
+        self.single_action_space: spaces.Box = self.layout.action_space()
         self._over = np.ones(self.num_envs, dtype=np.bool_)
 
     @property
@@ -128,8 +126,8 @@ class VectorParallelEnv:
         """Start episodes.
 
         Args:
-            seed: one per environment, or S for S, S + 1, …; ``None`` goes on with the generators there are.
-            mask: which environments start afresh, shape (B,), bool; all if left out.
+            seed: one per environment, or S for S, S + 1, …; ``None`` continues the present generators.
+            mask: whether each environment starts afresh, shape (B,), bool; all if left out.
             estimates: initial estimates instead of drawn ones, shape (N, n) for all or (B, N, n), row i being x^i(0).
 
         Returns:
@@ -148,16 +146,16 @@ class VectorParallelEnv:
             raise ValueError("the first reset() starts every environment: leave out the mask")
         given = None if estimates is None else self._estimates(estimates)
         observations = self._empty_observations()
-        beginnings = self._draw(chosen, seeds, given)  # whatever is refused is refused before any block has started
-        for block, part, beginning in zip(self._blocks, self._slices, beginnings, strict=True):
-            if beginning is not None:
-                block.begin(beginning)
+        drawn = self._draw(chosen, seeds, given)  # refusals come before any block has started
+        for block, part, start in zip(self._blocks, self._slices, drawn, strict=True):
+            if start is not None:
+                block.begin(start)
             block.observe(observations[part])
         self._over = self._over & ~chosen
         return observations
 
     def step(self, actions: npt.NDArray[np.floating], restart: BoolArray | None = None) -> VectorStep:
-        """Hold everybody's inputs for one step.
+        """Hold all players' inputs for one step.
 
         Args:
             actions: finite floats of shape (B, N, action size); entries outside the box are clipped and counted.
@@ -181,14 +179,14 @@ class VectorParallelEnv:
             raise ValueError(f"actions are floats of shape {shape}, got {actions.dtype} of shape {actions.shape}")
         actions, clipped = self._blocks[0].encoder.clip(
             actions
-        )  # refuses what is not finite before any block has moved
-        beginnings: Sequence[ResetResult | None] = [None] * len(self._blocks)
+        )  # refuses non-finite numbers before any block has moved
+        drawn: Sequence[ResetResult | None] = [None] * len(self._blocks)
         if restart is not None:
             clipped[restart] = 0
-            beginnings = self._draw(restart)
+            drawn = self._draw(restart)
         outcomes = [
-            block.step(actions[part], beginning)
-            for block, part, beginning in zip(self._blocks, self._slices, beginnings, strict=True)
+            block.step(actions[part], start)
+            for block, part, start in zip(self._blocks, self._slices, drawn, strict=True)
         ]
         observations = self._empty_observations()
         for block, part in zip(self._blocks, self._slices, strict=True):
@@ -198,7 +196,7 @@ class VectorParallelEnv:
     def _draw(
         self, chosen: BoolArray, seeds: list[int | None] | None = None, estimates: FloatArray | None = None
     ) -> list[ResetResult | None]:
-        """What the chosen environments start with, block by block; ``None`` for a block that has none."""
+        """The start of the chosen environments, block by block; ``None`` for a block that has none."""
         return [
             block.draw(
                 None if seeds is None else seeds[part],

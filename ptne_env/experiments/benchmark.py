@@ -18,8 +18,7 @@ import numpy as np
 
 from ptne_env._version import __version__
 from ptne_env.arrays import FloatArray, require_count
-from ptne_env.dynamics import World
-from ptne_env.encoder import Encoder
+from ptne_env.encoder import make_encoder
 from ptne_env.experiments.episodes import Split, start_from, track_seed
 from ptne_env.experiments.metrics import measure_for_suite
 from ptne_env.experiments.policy_specs import PolicySpec, get_policy_spec
@@ -31,6 +30,7 @@ from ptne_env.files import read_json, write_atomically
 from ptne_env.observation import Interface
 from ptne_env.policies import shipped_path
 from ptne_env.policies.archive import load_archive
+from ptne_env.world import World
 
 TIMINGS = ("microseconds_per_decision",)
 """Metrics that another run does not repeat; they are kept apart."""
@@ -220,7 +220,7 @@ class Cell:
         """Run the episodes."""
         world = World(self.track.scenario)
         try:
-            encoder = Encoder(world, self.entry.interface)
+            encoder = make_encoder(world, self.entry.interface)
             policy = self.entry.build(encoder.layout)
         except ValueError as error:  # made for another layout, or for other games
             return Measured({}, {}, str(error))
@@ -394,7 +394,7 @@ def run_suite(
         for run, entry in enumerate(participant.runs)
     )
     # The largest first, so that no worker is left alone with one at the end.
-    order = sorted(range(len(cells)), key=lambda index: -cells[index].track.scenario.built_game.num_players)
+    order = sorted(range(len(cells)), key=lambda index: -World(cells[index].track.scenario).game.num_players)
     found: dict[int, Measured] = {}
     for place, measured in Store(folder).fetch([cells[index] for index in order], workers):
         cell = cells[order[place]]

@@ -14,8 +14,9 @@ import numpy as np
 
 from ptne_env._version import __version__
 from ptne_env.arrays import FloatArray, require_count
-from ptne_env.dynamics import State, World
-from ptne_env.encoder import Encoder
+from ptne_env.catalogue import get_scenario
+from ptne_env.dynamics import State
+from ptne_env.encoder import make_encoder
 from ptne_env.experiments import tuning
 from ptne_env.experiments.episodes import Split, draw_start
 from ptne_env.experiments.metrics import measure
@@ -24,7 +25,8 @@ from ptne_env.experiments.rollout import rollout
 from ptne_env.experiments.statistics import summarise, worst_decile
 from ptne_env.experiments.workers import Workers
 from ptne_env.observation import Interface
-from ptne_env.scenario import Scenario, get_scenario
+from ptne_env.scenario import Scenario
+from ptne_env.world import World
 
 PAPER_START = " (paper start)"
 """Suffix of the row that runs a catalogue scenario from the paper's own start."""
@@ -208,12 +210,13 @@ def evaluate(
         label: [entry for entry in chosen.values() if entry.enters(scenario.name)] for label, scenario in cases.items()
     }
     banks = {
-        label: _Bank(scenario, episodes if scenario.is_random else 1, seed, split) for label, scenario in cases.items()
+        label: _Bank(scenario, episodes if World(scenario).is_random else 1, seed, split)
+        for label, scenario in cases.items()
     }
     tuned_labels = [
         label
         for label, scenario in cases.items()
-        if against_laws and scenario.is_random and any(entry.is_learned for entry in entrants[label])
+        if against_laws and World(scenario).is_random and any(entry.is_learned for entry in entrants[label])
     ]
     runs = [(label, entry, banks[label]) for label in cases for entry in entrants[label]]
     laws = [PolicySpec("tuning laws", part, Interface()) for part in tuning.candidates("all")]
@@ -263,7 +266,7 @@ def _drawn(bank: _Bank) -> tuple[World, State]:
 
 def _run(label: str, entry: PolicySpec, bank: _Bank) -> Cell:
     world, start = _drawn(bank)
-    encoder = Encoder(world, entry.interface)
+    encoder = make_encoder(world, entry.interface)
     return Cell(label, entry.name, measure(rollout(entry.build(encoder.layout), encoder, start)))
 
 
@@ -283,8 +286,9 @@ def _cases(scenarios: Iterable[str | Scenario], hold_steps: int) -> Iterator[tup
             yield scenario.name, scenario
             continue
         named = get_scenario(scenario, hold_steps=hold_steps)
-        yield scenario, named if named.is_random else named.replace(start="random")
-        if not named.is_random:
+        is_random = World(named).is_random
+        yield scenario, named if is_random else named.replace(start="random")
+        if not is_random:
             yield scenario + PAPER_START, named
 
 

@@ -6,10 +6,12 @@ from collections.abc import Iterable
 from hashlib import sha256
 from typing import Literal, TypeAlias, get_args
 
-from ptne_env import theory
+from ptne_env import dynamics
 from ptne_env.arrays import require_count
-from ptne_env.dynamics import State, World
+from ptne_env.dynamics import State
+from ptne_env.games import require_strong_monotonicity
 from ptne_env.random_streams import RandomStreams
+from ptne_env.world import World
 
 Split: TypeAlias = Literal["train", "validation", "test"]
 
@@ -74,6 +76,6 @@ def start_from(world: World, seeds: Iterable[int]) -> State:
     """
     sources = [RandomStreams.from_seed(seed) for seed in seeds]
     game = world.draw_game(sources)
-    if world.scenario.has_random_game:
-        theory.require_strong_monotonicity(game)
-    return world.start(world.draw_estimates(sources), game, world.draw_randomness(sources))
+    if world.has_random_game:
+        require_strong_monotonicity(game)
+    return dynamics.initial_state(world, world.draw_estimates(sources), game, world.draw_randomness(sources))

@@ -23,6 +23,7 @@ from ptne_env.experiments.statistics import (
     unpaired_probability_of_improvement,
 )
 from ptne_env.experiments.suite import LAW, NULL, SATURATION_MARGIN, Track, content_hash
+from ptne_env.world import World
 
 SMALLEST_GAIN = 0.1
 """Digits that the law must gain over doing nothing for a track's scores to be normalised by them."""
@@ -185,7 +186,7 @@ def _stacked(run: Run, track: Track, name: str) -> dict[str, FloatArray]:
 
 
 def _fine_time(track: Track, samples: dict[str, FloatArray]) -> FloatArray:
-    whole = float(track.scenario.built_clock.t[-1])
+    whole = float(World(track.scenario).clock.t[-1])
     times = samples["settling_time_1e_6"]
     return np.where(np.isfinite(times), times, whole)
 

@@ -9,11 +9,11 @@ from pathlib import Path
 from typing import Any
 
 from ptne_env import laws, policies
+from ptne_env.catalogue import CATALOGUE
 from ptne_env.factory import FactorySpec
 from ptne_env.observation import Interface, ObservationLayout
 from ptne_env.policies import LearnedPolicy
 from ptne_env.policy import Policy
-from ptne_env.scenario import CATALOGUE
 
 _LAWS = "ptne_env.laws:"
 

@@ -9,12 +9,13 @@ from typing import Any
 
 import numpy as np
 
-from ptne_env import distances
+from ptne_env import distances, dynamics
 from ptne_env.arrays import BoolArray, FloatArray, ordered_sum
-from ptne_env.dynamics import State, World
+from ptne_env.dynamics import State
 from ptne_env.encoder import Encoder
 from ptne_env.policy import Policy
 from ptne_env.rewards import REWARD_LIMIT
+from ptne_env.world import World
 
 NUMBER_BITS = 32
 """Bits of a number in a message: estimates are sent as float32."""
@@ -91,7 +92,11 @@ class Member:
         Raises:
             ValueError: when the policy answers with actions of another shape, or with ones that are not finite.
         """
-        layout, batch, rows = self.encoder.layout, state.batch_size, len(self.players) * state.batch_size
+        layout, batch, rows = (
+            self.encoder.layout,
+            dynamics.batch_size(state),
+            len(self.players) * dynamics.batch_size(state),
+        )
         is_alone = len(self.players) == layout.num_players
         if self._episode_start is None:
             self._episode_start = np.ones(rows, dtype=np.bool_)
@@ -106,11 +111,11 @@ class Member:
         self._episode_start = np.zeros_like(self._episode_start)
         chosen = _checked(np.asarray(actions), (batch, len(self.players), layout.action_size))
         if is_alone:
-            return self.encoder.decode(chosen, state).inputs
+            return self.encoder.decode(chosen, state)
         everybody = np.zeros((batch, layout.num_players, layout.action_size), dtype=chosen.dtype)
         everybody[:, self.players] = chosen
         inputs = np.zeros_like(state.estimates)
-        inputs[:, self.players] = self.encoder.decode(everybody, state).inputs[:, self.players]
+        inputs[:, self.players] = self.encoder.decode(everybody, state)[:, self.players]
         return inputs
 
 
@@ -133,7 +138,7 @@ def rollout(
     Raises:
         ValueError: when a policy answers with actions of another shape, or with ones that are not finite.
     """
-    world, batch = encoder.world, start.batch_size
+    world, batch = encoder.world, dynamics.batch_size(start)
     clock, everybody = world.clock, range(world.game.num_players)
     taken = set() if teammates is None else set(teammates.players.tolist())
     member = Member(policy, encoder, [player for player in everybody if player not in taken])
@@ -148,7 +153,7 @@ def rollout(
             watch(state, inputs)
         if step < clock.steps:
             recorder.spend(step, state, inputs)
-        state = world.step(state, inputs)
+        state = dynamics.step(world, state, inputs)
         recorder.record(step + 1, state)
     if watch is not None:
         watch(state, None)
@@ -171,9 +176,9 @@ class _Recorder:
 
     def __init__(self, world: World, start: State) -> None:
         self.world = world
-        batch = start.batch_size
+        batch = dynamics.batch_size(start)
         self._game = start.game
-        self._limit = world.distance_limit(start.game)
+        self._limit = dynamics.distance_limit(start.game)
         instants = world.clock.total_steps + 1
         self._strategy_distance = np.empty((instants, batch))
         self._estimate_distance = np.empty((instants, batch))
@@ -189,7 +194,7 @@ class _Recorder:
         """Measure the distances of ``state``."""
         players = distances.player_distances(state.estimates, self._game)
         players = np.where(state.diverged, self._limit, players)
-        strategies = distances.strategy_distance(state.strategies, self._game)
+        strategies = distances.strategy_distance(dynamics.strategies(self.world, state), self._game)
         self._strategy_distance[instant] = np.where(state.diverged, self._limit, strategies)
         self._estimate_distance[instant] = np.sqrt(ordered_sum(players**2) / len(players))
         if instant == self.world.clock.steps:
@@ -197,7 +202,7 @@ class _Recorder:
             self._consensus_error = np.where(state.diverged, self._limit, consensus)
             if self._game.has_best_response:
                 with np.errstate(over="ignore", invalid="ignore"):  # only a diverged environment overflows
-                    regrets = np.clip(self._game.regrets(state.strategies), 0, REWARD_LIMIT)
+                    regrets = np.clip(self._game.regrets(dynamics.strategies(self.world, state)), 0, REWARD_LIMIT)
                 self._regret = ordered_sum(np.where(state.diverged, REWARD_LIMIT, regrets))
         if instant in (0, self.world.clock.total_steps):
             self._log_distances.append(ordered_sum(distances.digits(players)) / len(players))
@@ -221,7 +226,7 @@ class _Recorder:
         # The action box is float32, so an input at the limit may be the float32 just below it.
         self._saturated += (sizes >= np.nextafter(np.float32(limit), np.float32(0))).sum(axis=(0, 1))
         self._acted += running * inputs.shape[0] * inputs.shape[1]
-        self._messages += running * (state.weights > 0).sum(axis=(0, 1))
+        self._messages += running * (dynamics.weights(self.world, state) > 0).sum(axis=(0, 1))
 
     def finish(self, state: State, seconds_per_decision: float) -> Rollout:
         """The rollout that ended in ``state``."""

@@ -10,15 +10,17 @@ from hashlib import sha256
 from typing import Any
 
 from ptne_env.arrays import require_count
+from ptne_env.catalogue import get_scenario
 from ptne_env.distances import FLOOR
-from ptne_env.dynamics import State, World
-from ptne_env.encoder import Encoder
+from ptne_env.dynamics import State
+from ptne_env.encoder import make_encoder
 from ptne_env.experiments.episodes import Split, start_from, track_seed
 from ptne_env.experiments.metrics import FINE_DISTANCE, SUITE_METRICS
 from ptne_env.experiments.policy_specs import ENTRIES, PolicySpec
 from ptne_env.experiments.rollout import Member
 from ptne_env.factory import FactorySpec, resolve
-from ptne_env.scenario import Scenario, get_scenario
+from ptne_env.scenario import Scenario
+from ptne_env.world import World
 
 NULL, LAW, ORACLE = "null", "static", "oracle"
 """The entries that every suite runs: score 0, score 1 (the paper's law), and the mark beside them."""
@@ -52,7 +54,7 @@ class Teammates:
             ValueError: when their policy cannot act there.
         """
         entry = PolicySpec("teammates", self.policy)
-        encoder = Encoder(world, entry.interface)
+        encoder = make_encoder(world, entry.interface)
         return Member(entry.build(encoder.layout), encoder, self.players)
 
     def to_dict(self) -> dict[str, Any]:
@@ -87,7 +89,7 @@ class Track:
         if self.metric not in choices:
             raise ValueError(f"track {self.name!r} is scored by {' or '.join(choices)}, got {self.metric!r}")
         if self.teammates is not None:
-            players, everybody = set(self.teammates.players), set(range(self.scenario.built_game.num_players))
+            players, everybody = set(self.teammates.players), set(range(World(self.scenario).game.num_players))
             if not (players < everybody and 0 < len(players) == len(self.teammates.players)):
                 raise ValueError(
                     f"track {self.name!r}: teammates are some, not all, of the players {sorted(everybody)}, each once; "

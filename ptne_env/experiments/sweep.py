@@ -18,15 +18,16 @@ import numpy as np
 from ptne_env import theory
 from ptne_env._version import __version__
 from ptne_env.arrays import FloatArray, require_count
-from ptne_env.dynamics import World
-from ptne_env.encoder import Encoder
+from ptne_env.catalogue import get_scenario
+from ptne_env.encoder import make_encoder
 from ptne_env.experiments.episodes import draw_start
 from ptne_env.experiments.rollout import rollout
 from ptne_env.experiments.workers import Workers
 from ptne_env.factory import FactorySpec
 from ptne_env.laws import Static
 from ptne_env.observation import Interface
-from ptne_env.scenario import Scenario, get_scenario
+from ptne_env.scenario import Scenario
+from ptne_env.world import World
 
 CEILING = 12.0
 """Digits count up to here: beyond, the environment's float64 and the observations' float32 end."""
@@ -182,12 +183,12 @@ def _measure(name: str, x: float, y: float, episodes: int, seed: int) -> tuple[f
         scenario, kappa = _point(name, x, y)
     except ValueError:  # such as a dwell that is shorter than a step
         return None, None
-    encoder = Encoder(World(scenario), Interface())
+    encoder = make_encoder(World(scenario), Interface())
     law, start = Static(encoder.layout, kappa), draw_start(encoder.world, episodes, seed)
     distances = rollout(law, encoder, start).estimate_distance[scenario.steps]
 
-    game, loop = scenario.built_game, theory.sampled_loop(scenario, law)
-    std = theory.channel_noise(scenario.built_channel)
+    game, loop = World(scenario).game, theory.sampled_loop(scenario, law)
+    std = theory.channel_noise(World(scenario).channel)
     errors = theory.start_error(start.estimates, game)
     transition = loop.transition()
     if not np.all(np.isfinite(transition)):
@@ -228,7 +229,7 @@ def _energy(**changes: Any) -> Scenario:
 
 
 def _gain_step_axes(points: int) -> tuple[Axis, Axis]:
-    total = _energy().built_clock.effective_time
+    total = World(_energy()).clock.effective_time
     steps = np.unique(np.rint(np.geomspace(total, total / 0.04, points)).astype(int))[::-1]
     if len(steps) < points:
         raise ValueError(f"{points} points along Θ are more than there are numbers of steps")
@@ -236,11 +237,12 @@ def _gain_step_axes(points: int) -> tuple[Axis, Axis]:
 
 
 def _gain_step_point(kappa: float, theta: float) -> tuple[Scenario, float]:
-    return _energy(steps=round(_energy().built_clock.effective_time / theta)), kappa
+    return _energy(steps=round(World(_energy()).clock.effective_time / theta)), kappa
 
 
 def _gain_step_boundaries(x: Axis, y: Axis) -> list[Boundary]:
-    game, graph = _energy().built_game, _energy().built_topology.graphs[0]
+    world = World(_energy())
+    game, graph = world.game, world.topology.graphs[0]
     kappas = np.geomspace(x.values[0], x.values[-1], 200)
     steps = [theory.largest_stable_step(theory.closed_loop_matrix(game, graph, float(kappa))) for kappa in kappas]
     known = [(float(kappa), step) for kappa, step in zip(kappas, steps, strict=True) if step is not None]
@@ -268,8 +270,8 @@ def _noise_boundaries(x: Axis, y: Axis) -> list[Boundary]:  # noqa: ARG001 - the
     floor = []
     for s_end in np.linspace(y.values[0], y.values[-1], 17):
         scenario, kappa = _point("noise-horizon", 1.0, float(s_end))
-        encoder = Encoder(World(scenario), Interface())
-        loop, game = theory.sampled_loop(scenario, Static(encoder.layout, kappa)), scenario.built_game
+        encoder = make_encoder(World(scenario), Interface())
+        loop, game = theory.sampled_loop(scenario, Static(encoder.layout, kappa)), World(scenario).game
         errors = theory.start_error(draw_start(encoder.world, 64, 0).estimates, game)
         clean = theory.distance((loop.transition() @ errors).T, game)
         floor.append(float(np.exp(np.log(clean).mean()) / theory.noise_distance(loop.noise_covariance(), game)))
@@ -287,11 +289,11 @@ def _dwell_point(dwell: float, gain: float) -> tuple[Scenario, float]:
 
 def _dwell_boundaries(x: Axis, y: Axis) -> list[Boundary]:
     scenario, kappa = _point("dwell-gain", 0.1, 20.0)
-    game, graphs = scenario.built_game, scenario.built_topology.graphs
+    game, graphs = World(scenario).game, World(scenario).topology.graphs
     matrices = [theory.closed_loop_matrix(game, graph, kappa) for graph in graphs]
     steps = [theory.largest_stable_step(matrix) for matrix in matrices]
     stable = min(step for step in steps if step is not None)
-    rate = theory.input_decay_rate(matrices, scenario.built_topology, scenario.deadline)
+    rate = theory.input_decay_rate(matrices, World(scenario).topology, scenario.deadline)
     dwells = np.geomspace(x.values[0], x.values[-1], 50)
     settles = dwells[(dwells > 1 / (rate * y.values[-1])) & (dwells < 1 / (rate * y.values[0]))]
     lines = [

@@ -8,9 +8,10 @@ from typing import Any
 
 import numpy as np
 
+from ptne_env import dynamics
 from ptne_env.arrays import BoolArray, FloatArray, IntArray, require_count
-from ptne_env.dynamics import State, World
-from ptne_env.encoder import Encoder
+from ptne_env.dynamics import State
+from ptne_env.encoder import make_encoder
 from ptne_env.experiments.benchmark import Run
 from ptne_env.experiments.compare import Results
 from ptne_env.experiments.episodes import Split, draw_start
@@ -19,6 +20,7 @@ from ptne_env.experiments.rollout import Member, rollout
 from ptne_env.experiments.suite import Suite, Track
 from ptne_env.experiments.workers import Workers
 from ptne_env.scenario import Scenario
+from ptne_env.world import World
 
 EPISODES = 20
 """Episodes over which errors are told, where nothing else is said."""
@@ -197,7 +199,7 @@ def scene(
     links = np.array(world.topology.union.edges, dtype=np.int64).reshape(-1, 2)
     traces = {}
     for name, entry in entries.items():
-        encoder = Encoder(world, entry.interface)
+        encoder = make_encoder(world, entry.interface)
         watch = _Watch(world, kept)
         outcome = rollout(
             entry.build(encoder.layout), encoder, start, None if teammates is None else teammates(world), watch
@@ -217,7 +219,7 @@ def scene(
         equilibrium=start.game.nash_equilibria[:, 0],
         links=links,
         live=live.T,
-        episodes=start.batch_size,
+        episodes=dynamics.batch_size(start),
         traces=traces,
     )
 
@@ -226,6 +228,7 @@ class _Watch:
     """Keeps some instants of the first episode of a rollout."""
 
     def __init__(self, world: World, frames: IntArray) -> None:
+        self._world = world
         self._owners = world.game.owners
         self._frames = frozenset(frames.tolist())
         self._estimates: list[FloatArray] = []
@@ -243,7 +246,10 @@ class _Watch:
             return
         first = inputs[:, :, 0]
         self._inputs.append(first[components, self._owners])
-        received = (state.weights[:, None, :, 0] * state.relative_estimates[..., 0]).sum(axis=0)
+        received = (
+            dynamics.weights(self._world, state)[:, None, :, 0]
+            * dynamics.relative_estimates(self._world, state)[..., 0]
+        ).sum(axis=0)
         received[components, self._owners] = 0  # the gradient acts in one's own block
         squares = (received**2).sum(axis=0)
         with np.errstate(divide="ignore", invalid="ignore"):

@@ -12,6 +12,7 @@ from ptne_env.games.energy import EnergyGame as EnergyGame
 from ptne_env.games.family import GameFamily as GameFamily
 from ptne_env.games.family import RandomEnergy as RandomEnergy
 from ptne_env.games.family import SingleGame as SingleGame
+from ptne_env.games.family import require_strong_monotonicity as require_strong_monotonicity
 from ptne_env.games.markets import NetworkedCournot as NetworkedCournot
 from ptne_env.games.markets import Oligopoly as Oligopoly
 from ptne_env.games.non_quadratic import NonQuadraticGame as NonQuadraticGame

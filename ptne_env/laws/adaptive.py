@@ -14,7 +14,7 @@ from ptne_env.laws.base import (
     lasting_connectivity,
     strong_monotonicity,
 )
-from ptne_env.observation import ObservationLayout, Reading
+from ptne_env.observation import Observation, ObservationLayout
 
 
 class Adaptive(Law):
@@ -52,7 +52,7 @@ class Adaptive(Law):
     def _initial_memory(self, rows: int) -> FloatArray:
         return np.full((rows, self.layout.slots), self.initial_gain)
 
-    def _inputs(self, reading: Reading, memory: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def _inputs(self, reading: Observation, memory: FloatArray) -> tuple[FloatArray, FloatArray]:
         inputs = consensus(memory * reading.weights, reading.relative_estimates) - reading.gradient
         squared = np.einsum("rdn,rdn->rd", reading.relative_estimates, reading.relative_estimates)
         growth = self.gamma * reading.weights * squared * reading.unit**2

@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ptne_env.arrays import BoolArray, Float32Array, FloatArray, IntArray
-from ptne_env.observation import Interface, ObservationLayout, Reading
+from ptne_env.observation import Interface, Observation, ObservationLayout
 
 
 @dataclass(frozen=True)
@@ -195,7 +195,7 @@ class Law(ABC):
         actions = self._actions(inputs, reading)
         return (actions[0] if single else actions), memory
 
-    def inputs(self, reading: Reading, memory: Any = None) -> tuple[FloatArray, Any]:
+    def inputs(self, reading: Observation, memory: Any = None) -> tuple[FloatArray, Any]:
         """What :meth:`predict` decides, in float64 and before the action box; it is what theory computes with.
 
         Args:
@@ -232,10 +232,10 @@ class Law(ABC):
         return None
 
     @abstractmethod
-    def _inputs(self, reading: Reading, memory: Any) -> tuple[FloatArray, Any]:
+    def _inputs(self, reading: Observation, memory: Any) -> tuple[FloatArray, Any]:
         """Inputs u^i in the reading's unit, shape (R, n), and the memory for the next step."""
 
-    def _actions(self, inputs: FloatArray, reading: Reading) -> Float32Array:
+    def _actions(self, inputs: FloatArray, reading: Observation) -> Float32Array:
         return self.layout.write(inputs, reading)
 
     def _acts_through_gains(self) -> bool:
@@ -262,7 +262,7 @@ def consensus(weights: FloatArray, relative_estimates: FloatArray) -> FloatArray
     return np.einsum("rd,rdn->rn", weights, relative_estimates)
 
 
-def per_step(displacements: FloatArray, reading: Reading) -> FloatArray:
+def per_step(displacements: FloatArray, reading: Observation) -> FloatArray:
     """The inputs (R, n) that move estimates by ``displacements`` in the coming step; 0 where no step comes."""
     over = reading.theta == 0  # the terminal observation, from which nobody acts
     return displacements / np.where(over, np.inf, reading.theta)

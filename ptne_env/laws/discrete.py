@@ -20,7 +20,7 @@ from ptne_env.laws.base import (
     per_step,
     strong_monotonicity,
 )
-from ptne_env.observation import Interface, ObservationLayout, Reading
+from ptne_env.observation import Interface, Observation, ObservationLayout
 
 
 class ProjectedGradient(Law):
@@ -81,7 +81,7 @@ class ProjectedGradient(Law):
     def _initial_memory(self, rows: int) -> FloatArray:
         return np.zeros((rows, 1))
 
-    def _inputs(self, reading: Reading, memory: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def _inputs(self, reading: Observation, memory: FloatArray) -> tuple[FloatArray, FloatArray]:
         mixed = self.mixing * consensus(reading.weights, reading.relative_estimates)
         descent = -self.step * reading.gradient
         if self._is_bounded:
@@ -147,7 +147,7 @@ class AggregateTracking(Law):
     def _initial_memory(self, rows: int) -> FloatArray:
         return np.zeros((rows, 1))
 
-    def _inputs(self, reading: Reading, memory: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def _inputs(self, reading: Observation, memory: FloatArray) -> tuple[FloatArray, FloatArray]:
         rows, players = len(reading.player), self.layout.num_players
         own = self.layout.own_mask[reading.player]
         place = np.arange(self.layout.dimension) % self.layout.action_dims[0]  # of each component in its block

@@ -7,7 +7,7 @@ import numpy as np
 from ptne_env.arrays import FloatArray, require_non_negative, require_positive
 from ptne_env.laws.base import Condition, Law, ProblemConstants, decisive, per_step
 from ptne_env.laws.grounded import grounded_error
-from ptne_env.observation import Interface, ObservationLayout, Reading
+from ptne_env.observation import Interface, Observation, ObservationLayout
 
 
 class ExtremumSeeking(Law):
@@ -76,7 +76,7 @@ class ExtremumSeeking(Law):
         # τ, η (NaN before the first cost), then μ per component.
         return np.hstack([np.zeros((rows, 1)), np.full((rows, 1), np.nan), np.zeros((rows, self.layout.dimension))])
 
-    def _inputs(self, reading: Reading, memory: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def _inputs(self, reading: Observation, memory: FloatArray) -> tuple[FloatArray, FloatArray]:
         time, mean, dither = memory[:, :1], memory[:, 1:2], memory[:, 2:]
         own = self.layout.own_mask[reading.player]
         cost = reading.own_payoff

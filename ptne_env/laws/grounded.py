@@ -6,7 +6,7 @@ import numpy as np
 
 from ptne_env.arrays import FloatArray, require_non_negative
 from ptne_env.laws.base import Condition, Law, ProblemConstants, consensus, decisive, strong_monotonicity
-from ptne_env.observation import ObservationLayout, Reading
+from ptne_env.observation import Observation, ObservationLayout
 
 
 class Grounded(Law):
@@ -43,7 +43,7 @@ class Grounded(Law):
         name = "κ > ((ι + √(N−1) ι_F)²/(4ε) + √(N−1) ι)/λ"
         return Condition.above(name, self.kappa, bound, exact=constants.exact)
 
-    def _inputs(self, reading: Reading, memory: None) -> tuple[FloatArray, None]:
+    def _inputs(self, reading: Observation, memory: None) -> tuple[FloatArray, None]:
         own = self.layout.own_mask[reading.player]
         return np.where(own, -reading.gradient, self.kappa * grounded_error(self.layout, reading)), memory
 
@@ -83,7 +83,7 @@ class AdaptiveGrounded(Law):
     def _initial_memory(self, rows: int) -> FloatArray:
         return np.full((rows, self.layout.dimension), self.initial_gain)
 
-    def _inputs(self, reading: Reading, memory: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def _inputs(self, reading: Observation, memory: FloatArray) -> tuple[FloatArray, FloatArray]:
         error = grounded_error(self.layout, reading)
         own = self.layout.own_mask[reading.player]
         growth = self.gamma * error**2 * reading.unit**2
@@ -91,7 +91,7 @@ class AdaptiveGrounded(Law):
         return inputs, memory + reading.theta * np.where(own, 0.0, growth)
 
 
-def grounded_error(layout: ObservationLayout, reading: Reading) -> FloatArray:
+def grounded_error(layout: ObservationLayout, reading: Observation) -> FloatArray:
     """−ξ_ij per component, shape (R, n)."""
     error = consensus(reading.weights, reading.relative_estimates)
     leaders = layout.neighbour_components[reading.player]

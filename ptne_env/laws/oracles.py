@@ -14,7 +14,7 @@ from ptne_env.laws.base import (
     per_step,
     strong_monotonicity,
 )
-from ptne_env.observation import Interface, ObservationLayout, Reading
+from ptne_env.observation import Interface, Observation, ObservationLayout
 
 
 class BestResponseOracle(Law):
@@ -48,7 +48,7 @@ class BestResponseOracle(Law):
         radius = np.abs(np.linalg.eigvals(np.eye(len(own)) - self.relaxation * matrix)).max()
         return Condition.below("ρ(I − ω D⁻¹ dF) < 1", radius, 1.0, exact=constants.exact)
 
-    def _inputs(self, reading: Reading, memory: None) -> tuple[FloatArray, None]:
+    def _inputs(self, reading: Observation, memory: None) -> tuple[FloatArray, None]:
         return per_step(reading.relative_strategies + self.relaxation * reading.best_response, reading), memory
 
 
@@ -110,7 +110,7 @@ class FixedTimeOracle(Law):
             ),
         )
 
-    def _inputs(self, reading: Reading, memory: None) -> tuple[FloatArray, None]:
+    def _inputs(self, reading: Observation, memory: None) -> tuple[FloatArray, None]:
         norm = np.sqrt(np.einsum("rn,rn->r", reading.pseudo_gradient, reading.pseudo_gradient))[:, None]
         with np.errstate(divide="ignore"):
             factor = self.gain * (norm**-self.near + norm**-self.far)
@@ -154,7 +154,7 @@ class NodeAdaptiveOracle(Law):
     def _initial_memory(self, rows: int) -> FloatArray:
         return np.full((rows, 1 + self.layout.slots), self.initial_gain)
 
-    def _inputs(self, reading: Reading, memory: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def _inputs(self, reading: Observation, memory: FloatArray) -> tuple[FloatArray, FloatArray]:
         error = -consensus(reading.weights, reading.relative_estimates)
         errors = np.concatenate([error[:, None], reading.neighbour_errors], axis=1)  # (R, 1 + D, n), the own one first
         weighted = memory[:, :, None] * errors

@@ -6,7 +6,7 @@ import numpy as np
 
 from ptne_env.arrays import Float32Array, FloatArray, require_non_negative, require_positive
 from ptne_env.laws.base import Condition, Law, ProblemConstants, consensus
-from ptne_env.observation import CONSENSUS_GAIN, GAIN_OCTAVES, ObservationLayout, Reading
+from ptne_env.observation import CONSENSUS_GAIN, GAIN_OCTAVES, Observation, ObservationLayout
 
 
 class Static(Law):
@@ -42,13 +42,13 @@ class Static(Law):
         """κ > (ι²/ε + ι)/λ2 (eq. GainCondition), for scaled costs with κ divided by the gradient gain."""
         return _gain_condition(self.kappa / self.gradient_gain, constants)
 
-    def _inputs(self, reading: Reading, memory: None) -> tuple[FloatArray, None]:
+    def _inputs(self, reading: Observation, memory: None) -> tuple[FloatArray, None]:
         inputs = consensus(reading.weights, reading.relative_estimates)
         inputs *= self.kappa
         inputs -= self.gradient_gain * reading.gradient
         return inputs, memory
 
-    def _actions(self, inputs: FloatArray, reading: Reading) -> Float32Array:
+    def _actions(self, inputs: FloatArray, reading: Observation) -> Float32Array:
         if self.layout.interface.action_mode == "gains":
             return np.tile(self._gain_action.astype(np.float32), (len(inputs), 1))
         return super()._actions(inputs, reading)
@@ -100,7 +100,7 @@ class CorollaryOne(Law):
         """κ > (ι²/ε + ι)/λ2 (eq. GainCondition); convergence is asymptotic, not by the deadline."""
         return _gain_condition(self.kappa, constants)
 
-    def _inputs(self, reading: Reading, memory: None) -> tuple[FloatArray, None]:
+    def _inputs(self, reading: Observation, memory: None) -> tuple[FloatArray, None]:
         inputs = self.kappa * consensus(reading.weights, reading.relative_estimates) - reading.gradient
         over = reading.theta == 0  # the terminal observation, from which nobody acts
         inputs *= np.where(over, 0.0, reading.dt / np.where(over, 1.0, reading.theta))

@@ -9,13 +9,13 @@ import numpy.typing as npt
 
 from ptne_env.arrays import BoolArray, Float32Array, FloatArray, require_count, require_positive
 from ptne_env.laws.base import Law
-from ptne_env.observation import Interface, ObservationLayout, Reading
+from ptne_env.observation import Interface, Observation, ObservationLayout
 
 
 class ZeroInput(Law):
     """u = 0: what the start alone is worth."""
 
-    def _inputs(self, reading: Reading, memory: None) -> tuple[FloatArray, None]:
+    def _inputs(self, reading: Observation, memory: None) -> tuple[FloatArray, None]:
         return np.zeros_like(reading.gradient), memory
 
 
@@ -67,7 +67,7 @@ class CentralisedOracle(Law):
         super().__init__(layout)
         self.gradient_gain = require_positive("gradient_gain", gradient_gain)
 
-    def _inputs(self, reading: Reading, memory: None) -> tuple[FloatArray, None]:
+    def _inputs(self, reading: Observation, memory: None) -> tuple[FloatArray, None]:
         over = reading.theta == 0  # the terminal observation, from which nobody acts
         inputs = reading.relative_strategies / np.where(over, np.inf, reading.theta)
         inputs -= self.gradient_gain * reading.pseudo_gradient

@@ -8,7 +8,7 @@ from scipy import linalg
 from ptne_env.arrays import FloatArray, require_non_negative, require_positive
 from ptne_env.laws.base import Condition, Law, ProblemConstants, consensus, decisive
 from ptne_env.laws.static import Static
-from ptne_env.observation import ObservationLayout, Reading
+from ptne_env.observation import Observation, ObservationLayout
 
 
 class LocallyImplicit(Law):
@@ -61,7 +61,7 @@ class LocallyImplicit(Law):
         name = "stable for every Θ: λ_max(Mᵀ D⁻¹ M, M + Mᵀ) < 1"
         return decisive(fixed, Condition.below(name, value, 1.0, exact=constants.exact))
 
-    def _inputs(self, reading: Reading, memory: None) -> tuple[FloatArray, None]:
+    def _inputs(self, reading: Observation, memory: None) -> tuple[FloatArray, None]:
         inputs = self.kappa * consensus(reading.weights, reading.relative_estimates) - reading.gradient
         degree = np.einsum("rd->r", reading.weights)[:, None]
         own = self.layout.own_mask[reading.player]
@@ -94,7 +94,7 @@ class CappedGain(Static):
         constant = Condition.above("the cap leaves c: G > c", self.largest_gain, constants.gain)
         return decisive(constant, super().condition(constants))
 
-    def _inputs(self, reading: Reading, memory: None) -> tuple[FloatArray, None]:
+    def _inputs(self, reading: Observation, memory: None) -> tuple[FloatArray, None]:
         inputs, memory = super()._inputs(reading, memory)
         over = reading.theta == 0  # the terminal observation, from which nobody acts
         inputs *= np.minimum(1.0, self.largest_gain * reading.dt / np.where(over, 1.0, reading.theta))

@@ -10,8 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ptne_env.arrays import BoolArray, Float32Array
-from ptne_env.encoder import SMALLEST_SCALE
-from ptne_env.observation import Interface, ObservationLayout
+from ptne_env.observation import SMALLEST_SCALE, Interface, ObservationLayout
 from ptne_env.policies.learned import PolicyFileError
 
 

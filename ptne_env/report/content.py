@@ -12,6 +12,7 @@ import numpy as np
 
 from ptne_env import distances
 from ptne_env.arrays import FloatArray
+from ptne_env.catalogue import CATALOGUE
 from ptne_env.experiments import METRICS, PolicySpec, Results, episode_seed
 from ptne_env.experiments.benchmark import TIMINGS, Participant, files, versions
 from ptne_env.experiments.compare import PAPER_START
@@ -22,7 +23,7 @@ from ptne_env.experiments.suite import LAW, content_hash
 from ptne_env.experiments.traces import Scene
 from ptne_env.factory import FactorySpec
 from ptne_env.report.tables import number, share
-from ptne_env.scenario import CATALOGUE
+from ptne_env.world import World
 
 SHOWN = 5
 """Policies that figures show before the reader chooses: the best, and the paper's law."""
@@ -290,7 +291,7 @@ def comparison_report(results: Results, scenes: Mapping[str, Scene], *, episodes
         count = records[label, ranked[0], "digits"]["episodes"]
         starts = "the paper's own start" if label.endswith(PAPER_START) else f"{count} starts"
         named = label.removesuffix(PAPER_START)
-        game, players = scenario.built_game, scenario.built_game.num_players
+        game, players = World(scenario).game, World(scenario).game.num_players
         about = (
             f"{type(game).__name__} with {players} players, {starts}; T = {scenario.deadline:g} s, "
             f"c = {scenario.gain:g} per second, {scenario.steps} steps to the deadline, {scenario.hold_steps} after it."
@@ -432,7 +433,7 @@ def _comparison_leaderboard(
 def _replay(name: str, label: str, seed: int) -> str:
     if label.endswith(PAPER_START):
         return f"ptne_env.parallel_env({name!r}).reset()"
-    start = "" if CATALOGUE.get(name) is None or CATALOGUE[name].is_random else ", start='random'"
+    start = "" if CATALOGUE.get(name) is None or World(CATALOGUE[name]).is_random else ", start='random'"
     return f"ptne_env.parallel_env({name!r}{start}).reset(seed={episode_seed(seed, 0)})"
 
 

@@ -11,10 +11,12 @@ from rich.console import Group
 from rich.table import Table
 from rich.text import Text
 
+from ptne_env.catalogue import CATALOGUE
 from ptne_env.experiments import COMPARATIVE_METRICS, METRICS, PolicySpec, Results, suite_entries
 from ptne_env.experiments.compare import PAPER_START, Record
-from ptne_env.scenario import CATALOGUE, Scenario
+from ptne_env.scenario import Scenario
 from ptne_env.theory import Certificate
+from ptne_env.world import World
 
 _BLOCKS = {
     "How close": {
@@ -298,7 +300,7 @@ def scenario_table(width: int = 172) -> Table:
     for name, scenario in CATALOGUE.items():
         table.add_row(
             name,
-            f"{type(scenario.built_game).__name__}, {scenario.built_game.num_players} players",
+            f"{type(World(scenario).game).__name__}, {World(scenario).game.num_players} players",
             _describe_signal(scenario),
             *(f"{getattr(scenario, field):g}" for field in clock.values()),
         )
@@ -336,7 +338,7 @@ def metric_table() -> Table:
 
 
 def _describe_signal(scenario: Scenario) -> str:
-    topology = scenario.built_topology
+    topology = World(scenario).topology
     if topology.is_fixed:
         return f"fixed, λ2 = {number(topology.union.algebraic_connectivity)}"
     unit = "s of t" if topology.clock == "physical" else "of s"

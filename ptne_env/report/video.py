@@ -10,8 +10,8 @@ import numpy as np
 import numpy.typing as npt
 
 from ptne_env.arrays import FloatArray, require_count
-from ptne_env.dynamics import State, World
-from ptne_env.encoder import Encoder
+from ptne_env.dynamics import State
+from ptne_env.encoder import make_encoder
 from ptne_env.envs.rendering import Renderer
 from ptne_env.experiments.episodes import draw_start
 from ptne_env.experiments.policy_specs import PolicySpec
@@ -20,6 +20,7 @@ from ptne_env.experiments.traces import scene
 from ptne_env.files import write_atomically
 from ptne_env.report.page import render_episode
 from ptne_env.scenario import Scenario
+from ptne_env.world import World
 
 FORMATS = (".gif", ".mp4", ".html")
 """Endings of files that films are written to."""
@@ -72,7 +73,7 @@ def film(
 def _pictures(
     world: World, entry: PolicySpec, start: State, count: int, progress: Callable[[int, int], None] | None
 ) -> Iterator[npt.NDArray[np.uint8]]:
-    encoder = Encoder(world, entry.interface)
+    encoder = make_encoder(world, entry.interface)
     states: list[State] = []
 
     def keep(state: State, _: FloatArray | None) -> None:

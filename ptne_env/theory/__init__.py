@@ -32,7 +32,6 @@ from ptne_env.theory.constants import MonotonicityConstants as MonotonicityConst
 from ptne_env.theory.constants import gain_bound as gain_bound
 from ptne_env.theory.constants import guaranteed_rate as guaranteed_rate
 from ptne_env.theory.constants import monotonicity_constants as monotonicity_constants
-from ptne_env.theory.constants import require_strong_monotonicity as require_strong_monotonicity
 from ptne_env.theory.sampled import DominantMode as DominantMode
 from ptne_env.theory.sampled import SampledLoop as SampledLoop
 from ptne_env.theory.sampled import delay_bound as delay_bound

@@ -12,10 +12,9 @@ import numpy as np
 
 from ptne_env.arrays import FloatArray, require_count, require_non_negative
 from ptne_env.channel import AdditiveNoise, Chain, Channel, Delay
-from ptne_env.dynamics import World
 from ptne_env.factory import FactorySpec
 from ptne_env.laws import Condition, CorollaryOne, FixedGain, Law, Static
-from ptne_env.scenario import SHORTFALL_WARNING, Scenario
+from ptne_env.scenario import Scenario
 from ptne_env.theory.assumptions import AssumptionCheck, LemmaCheck, check_assumptions, check_lemma
 from ptne_env.theory.closed_loop import NoClosedLoopError, gain_growth, input_decay_rate
 from ptne_env.theory.conditions import build_law, problem_constants
@@ -34,6 +33,7 @@ from ptne_env.theory.sampled import (
     sampled_loop,
     start_error,
 )
+from ptne_env.world import SHORTFALL_WARNING, World
 
 _LARGEST_DIGITS = 308.0
 """Digits are kept within ±this, so that a certificate holds no infinity."""
@@ -219,13 +219,13 @@ def certify(
     Raises:
         ValueError: when a number is negative, or the part does not build a law that can act on the scenario.
     """
-    faults = _ChannelFaults.of(scenario.built_channel)
+    faults = _ChannelFaults.of(World(scenario).channel)
     std = require_non_negative("noise_std", faults.noise_std if noise_std is None else noise_std)
     lag = require_count("delay_steps", faults.delay_steps if delay_steps is None else delay_steps, 0)
     require_count("delay_limit", delay_limit, 0)
     part = law or FactorySpec.of("ptne_env.laws:Static", kappa=require_non_negative("kappa", kappa))
     built = build_law(part, scenario)
-    game, topology, clock = scenario.built_game, scenario.built_topology, scenario.built_clock
+    game, topology, clock = World(scenario).game, World(scenario).topology, World(scenario).clock
     constants = monotonicity_constants(game)
     facts = problem_constants(scenario, constants)
     own_kappa = getattr(built, "kappa", None)
@@ -300,14 +300,14 @@ class _Prediction:
 
     @classmethod
     def of(cls, scenario: Scenario, law: Law, loop: SampledLoop) -> _Prediction:
-        game = scenario.built_game
-        estimates = scenario.built_start.draw(game.num_players, game.dimension, np.random.default_rng(0))
+        game = World(scenario).game
+        estimates = World(scenario).start.draw(game.num_players, game.dimension, np.random.default_rng(0))
         start, loops = start_error(estimates, game), {"start": loop}
         memories = {"start": law.initial_memory(game.num_players)}
         if not _is_linear(scenario):
             return cls(scenario, law, loops, memories, start, None, 0.0)
         if not law.has_memory:
-            path, theta = loop.errors(start), scenario.built_clock.theta[: scenario.steps]
+            path, theta = loop.errors(start), World(scenario).clock.theta[: scenario.steps]
             finite = path[np.isfinite(path).all(axis=1)][: scenario.steps + 1]
             inputs = np.diff(finite, axis=0) / theta[: len(finite) - 1, None]
             return cls(scenario, law, loops, memories, start, path, float(np.abs(inputs).max()))
@@ -330,7 +330,7 @@ class _Prediction:
     def fields(self) -> dict[str, Any]:
         """The fields of a certificate that hold numbers of the loop."""
         scenario, loop, path = self.scenario, self.loop, self.path
-        game, topology, clock = scenario.built_game, scenario.built_topology, scenario.built_clock
+        game, topology, clock = World(scenario).game, World(scenario).topology, World(scenario).clock
         rate = loop.rate(scenario)
         effective = loop.clock == "effective"
         matrices = [each.matrix for each in loop.per_mode]
@@ -361,7 +361,7 @@ class _Prediction:
         }
 
     def noise(self, std: float) -> NoisePrediction:
-        game, last = self.scenario.built_game, self.scenario.built_clock.steps
+        game, last = World(self.scenario).game, World(self.scenario).clock.steps
         gain: float | None = noise_distance(self.loop.noise_covariance(), game)
         gain = gain if gain is not None and math.isfinite(gain) else None
         if self.path is None:
@@ -373,8 +373,8 @@ class _Prediction:
         loop, digits = self.loop, None
         if self.has_one_recursion:
             late = loop.errors(self.start, steps)[loop.deadline_step]
-            digits = _digits(distance(late, self.scenario.built_game))
-        if not self.scenario.built_topology.is_fixed:
+            digits = _digits(distance(late, World(self.scenario).game))
+        if not World(self.scenario).topology.is_fixed:
             return DelayPrediction(None, 0, for_every_delay=False, bound=None, steps=steps, digits=digits)
         longest = int(loop.steps[: loop.deadline_step].argmax())
         step, slowest = float(loop.steps[longest]), loop.loops[int(loop.index[longest])]
@@ -390,7 +390,7 @@ class _Prediction:
 
     def notes(self) -> Iterator[str]:
         """What a reader must know of these numbers."""
-        scenario, game, topology = self.scenario, self.scenario.built_game, self.scenario.built_topology
+        scenario, game, topology = self.scenario, World(self.scenario).game, World(self.scenario).topology
         if not game.is_affine:
             yield "F is not affine: rate, largest stable step, noise and delay are those of the linearisation at x*"
         if game.has_bounds:
@@ -432,7 +432,7 @@ class _Prediction:
             yield (
                 f"the start asks for |u| = {self.peak_input:.4g}, above the input limit, which the prediction ignores"
             )
-        if scenario.built_start.is_random and self.path is not None:
+        if World(scenario).start.is_random and self.path is not None:
             yield "the start is random: the sampled digits are those of one draw, with seed 0"
 
     def _frozen_gains(self) -> Iterator[FrozenGains]:
@@ -451,7 +451,7 @@ class _Prediction:
 
 def _guarantee(certificate: Certificate, scenario: Scenario, law: Law, prediction: _Prediction) -> dict[str, Any]:
     """What the proof of Theorem 1 promises: ‖I − hM‖² ≤ 1 − 2 h λ_min(O) + h² ‖M‖² in every step."""
-    topology, constants = scenario.built_topology, certificate.constants
+    topology, constants = World(scenario).topology, certificate.constants
     is_static = type(law) in (Static, FixedGain, CorollaryOne)
     if not (is_static and topology.is_fixed and prediction.path is not None):
         return {}
@@ -467,13 +467,13 @@ def _guarantee(certificate: Certificate, scenario: Scenario, law: Law, predictio
     gained = -np.log10(1 - 2 * steps * rate + (steps * norm) ** 2).sum() / 2
     return {
         "guaranteed_rate": rate,
-        "guaranteed_digits": _digits(distance(prediction.start, scenario.built_game)) + float(gained),
+        "guaranteed_digits": _digits(distance(prediction.start, World(scenario).game)) + float(gained),
     }
 
 
 def _scenario_notes(scenario: Scenario, faults: _ChannelFaults) -> Iterator[str]:
-    topology = scenario.built_topology
-    if scenario.has_random_game:
+    topology = World(scenario).topology
+    if World(scenario).has_random_game:
         yield "the scenario draws games: the numbers are those of the typical one"
     if not topology.is_fixed and topology.clock == "physical" and not topology.is_random:
         switches = topology.switches(0.0, scenario.deadline).size
@@ -485,17 +485,17 @@ def _scenario_notes(scenario: Scenario, faults: _ChannelFaults) -> Iterator[str]
         yield f"the channel's {', '.join(faults.others)} is in none of the predictions"
     if faults.noise_std or faults.delay_steps:
         yield "the channel's noise and constant delay are predicted each on its own, and in rows of their own alone"
-    if not scenario.built_disturbance.is_absent:
+    if not World(scenario).disturbance.is_absent:
         yield f"the disturbance {scenario.disturbance.target.rpartition(':')[2]} is in none of the predictions"
     if any(scenario.clock_shifts):
         yield "the players' clocks disagree; the predictions are for clocks that are right"
-    if scenario.built_clock.shortfall > SHORTFALL_WARNING:
-        short = f"{scenario.built_clock.shortfall:.2%}"
+    if World(scenario).clock.shortfall > SHORTFALL_WARNING:
+        short = f"{World(scenario).clock.shortfall:.2%}"
         yield f"the last step ends {short} of T short of the deadline; raise s_end to come closer"
 
 
 def _is_linear(scenario: Scenario) -> bool:
-    return scenario.built_game.is_affine and not scenario.built_game.has_bounds
+    return World(scenario).game.is_affine and not World(scenario).game.has_bounds
 
 
 def _describe(part: FactorySpec) -> str:

@@ -22,7 +22,7 @@ from ptne_env.games import Game
 from ptne_env.graphs import Graph
 from ptne_env.laws import Law
 from ptne_env.laws.base import loop_matrix
-from ptne_env.observation import ObservationLayout, Reading
+from ptne_env.observation import Observation, ObservationLayout
 from ptne_env.switching import MarkovTopology, SwitchingTopology
 from ptne_env.theory.constants import ZERO, jacobians
 
@@ -161,7 +161,7 @@ def law_loop(law: Law, game: Game, graph: Graph, memory: Any = None, *, theta: f
     return Loop(*(_restricted(matrix.reshape(size, size), free) for matrix in (local, message, noise)))
 
 
-def blank_reading(layout: ObservationLayout, player: IntArray) -> Reading:
+def blank_reading(layout: ObservationLayout, player: IntArray) -> Observation:
     """What each ``player`` reads, shape (R,), where everything else is 0; to be filled in."""
     observations = np.zeros((player.size, layout.size))
     observations[:, layout.slices["player"]] = np.eye(layout.num_players)[player]

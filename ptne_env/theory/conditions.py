@@ -6,8 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from ptne_env.dynamics import World
-from ptne_env.encoder import Encoder
+from ptne_env.encoder import make_encoder
 from ptne_env.factory import FactorySpec
 from ptne_env.laws import Condition, Law, ProblemConstants
 from ptne_env.laws.base import algebraic_connectivity
@@ -15,6 +14,7 @@ from ptne_env.observation import Interface
 from ptne_env.scenario import Scenario
 from ptne_env.theory.closed_loop import last_modes
 from ptne_env.theory.constants import MonotonicityConstants, jacobians, monotonicity_constants
+from ptne_env.world import World
 
 
 def problem_constants(scenario: Scenario, constants: MonotonicityConstants | None = None) -> ProblemConstants:
@@ -24,7 +24,7 @@ def problem_constants(scenario: Scenario, constants: MonotonicityConstants | Non
         scenario: the experiment.
         constants: of its game, when already known.
     """
-    game, topology, clock = scenario.built_game, scenario.built_topology, scenario.built_clock
+    game, topology, clock = World(scenario).game, World(scenario).topology, World(scenario).clock
     constants = constants or monotonicity_constants(game)
     recurring = [topology.union]
     if not topology.is_fixed and topology.clock == "physical":  # one mode is the last before T
@@ -55,7 +55,7 @@ def build_law(law: FactorySpec | Callable[..., Law], scenario: Scenario) -> Law:
         ValueError: when the law cannot act in the scenario, or what is built is no law.
     """
     target = law.resolve() if isinstance(law, FactorySpec) else law
-    encoder = Encoder(World(scenario), getattr(target, "interface", Interface()))
+    encoder = make_encoder(World(scenario), getattr(target, "interface", Interface()))
     built = law.build(layout=encoder.layout) if isinstance(law, FactorySpec) else law(layout=encoder.layout)
     if not isinstance(built, Law):
         raise ValueError(f"{law!r} built a {type(built).__name__}; the theory is about a ptne_env.laws.Law")

@@ -81,25 +81,6 @@ def monotonicity_constants(
     )
 
 
-def require_strong_monotonicity(game: Game) -> None:
-    """Check Assumption 4 on every game of a batch with affine F, whose Jacobian is the same everywhere.
-
-    Raises:
-        ValueError: naming the first game whose dF has no positive definite symmetric part.
-    """
-    known = game.jacobian(np.zeros((game.dimension, game.batch_size))) if game.is_affine else None
-    if known is None:
-        raise ValueError(f"strong monotonicity of {type(game).__name__} cannot be decided: F is not affine")
-    symmetric = np.moveaxis(known + known.transpose(1, 0, 2), 2, 0) / 2
-    try:
-        np.linalg.cholesky(symmetric)
-    except np.linalg.LinAlgError:
-        smallest = np.linalg.eigvalsh(symmetric)[:, 0]
-        raise ValueError(
-            f"game {int(smallest.argmin())} of the batch is not strongly monotone: ε = {smallest.min():.3g}"
-        ) from None
-
-
 def gain_bound(constants: MonotonicityConstants, algebraic_connectivity: float) -> float | None:
     """(ι²/ε + ι)/λ2, which κ must exceed in Theorem 1 (eq. GainCondition); ``None`` when ε or λ2 is not positive."""
     bound = laws.static.gain_bound(constants.epsilon, constants.iota, algebraic_connectivity)

@@ -14,7 +14,6 @@ import numpy as np
 import scipy
 
 from ptne_env.arrays import FloatArray, IntArray, require_count, require_non_negative
-from ptne_env.dynamics import World
 from ptne_env.games import Game
 from ptne_env.laws import Law
 from ptne_env.scenario import Scenario
@@ -26,6 +25,7 @@ from ptne_env.theory.closed_loop import (
     largest_stable_step,
     law_loop,
 )
+from ptne_env.world import World
 
 LoopClock: TypeAlias = Literal["effective", "physical"]
 
@@ -83,8 +83,8 @@ class SampledLoop:
         """Its :func:`~ptne_env.theory.closed_loop.decay_rate`, or the one in t for a law without the time gain."""
         matrices = [loop.matrix for loop in self.per_mode]
         if self.clock == "effective":
-            return decay_rate(matrices, scenario.built_topology, scenario.deadline)
-        return decay_rate_in_time(matrices, scenario.built_topology)
+            return decay_rate(matrices, World(scenario).topology, scenario.deadline)
+        return decay_rate_in_time(matrices, World(scenario).topology)
 
     def errors(self, start: FloatArray, delay: int = 0) -> FloatArray:
         """The error **x** − 1⊗x* at every instant.
@@ -186,7 +186,7 @@ def sampled_loop(scenario: Scenario, law: Law, memory: Any = None, game: Game | 
     Raises:
         ValueError: as :func:`~ptne_env.theory.closed_loop.law_loop`.
     """
-    game, topology, clock = game or scenario.built_game, scenario.built_topology, scenario.built_clock
+    game, topology, clock = game or World(scenario).game, World(scenario).topology, World(scenario).clock
     modes = schedule(scenario)
     theta, dt = clock.theta[: clock.total_steps], clock.dt[: clock.total_steps]
 
@@ -235,7 +235,7 @@ def _is_constant(answers: FloatArray) -> bool:
 
 def schedule(scenario: Scenario) -> IntArray:
     """The mode that acts in each step, shape (K+H,); of a random topology one draw, with seed 0."""
-    topology, clock = scenario.built_topology, scenario.built_clock
+    topology, clock = World(scenario).topology, World(scenario).clock
     instants = clock.topology_times[topology.clock][: clock.total_steps]
     return topology.draw(instants, [np.random.default_rng(0)]).modes[:, 0]
 

@@ -11,6 +11,7 @@ from ptne_env import VectorParallelEnv, get_scenario
 from ptne_env.envs import vector as vector_module
 from ptne_env.envs.gymnasium import JointEnv, JointVectorEnv
 from ptne_env.rewards import TERMS
+from ptne_env.world import World
 
 try:
     from ptne_env.envs.sb3 import SlotVecEnv
@@ -232,13 +233,13 @@ def test_scenarios_of_the_comparison_are_what_they_are_called():
         name: get_scenario(scenario, **{k: v for k, v in fields.items() if k not in ("max_cycles", "action_scale")})
         for name, (scenario, fields) in WORLDS.items()
     }
-    assert {name for name, scenario in built.items() if scenario.has_random_game} == {
+    assert {name for name, scenario in built.items() if World(scenario).has_random_game} == {
         "random games",
         "random games, switching",
         "crashing",
         "faulty",
     }
-    assert {name for name, scenario in built.items() if not scenario.built_topology.is_fixed} == {
+    assert {name for name, scenario in built.items() if not World(scenario).topology.is_fixed} == {
         "switching",
         "cut",
         "random games, switching",

@@ -17,6 +17,7 @@ import ptne_env
 from ptne_env import CATALOGUE, laws
 from ptne_env.envs.gymnasium import JointEnv, JointVectorEnv
 from ptne_env.registration import register_environments
+from ptne_env.world import World
 
 BATCH = 4
 MODES = {"NEXT_STEP": AutoresetMode.NEXT_STEP, "SAME_STEP": AutoresetMode.SAME_STEP, "DISABLED": AutoresetMode.DISABLED}
@@ -32,7 +33,7 @@ def test_make_finds_every_scenario_by_module_and_id(name):
     assert env.unwrapped.parallel.scenario == ptne_env.get_scenario(name, hold_steps=3)
     assert env.unwrapped.layout.interface == ptne_env.Interface("local")
     assert env.spec.id == f"ptne/{name}-joint-v0"
-    game = env.unwrapped.parallel.scenario.built_game
+    game = World(env.unwrapped.parallel.scenario).game
     assert env.observation_space.shape == (game.num_players * env.unwrapped.layout.size,)
     assert env.action_space.shape == (game.num_players * game.dimension,)
 

@@ -21,6 +21,7 @@ from ptne_env.envs import vector as vector_module
 from ptne_env.envs.gymnasium import JointEnv
 from ptne_env.envs.sb3 import MixedSlotVecEnv, SlotVecEnv
 from ptne_env.experiments import episode_seed
+from ptne_env.world import World
 
 
 @pytest.fixture(autouse=True)
@@ -330,7 +331,7 @@ def test_memory_of_a_law_starts_afresh_with_each_of_its_episodes():
 
 def start_at(distance):
     """Everybody's estimates so far from the equilibrium, relatively, in the scenario ``energy``."""
-    equilibrium = get_scenario("energy").built_game.nash_equilibrium
+    equilibrium = World(get_scenario("energy")).game.nash_equilibrium
     shift = distance * np.linalg.norm(equilibrium) / np.sqrt(5)
     return FactorySpec.of("ptne_env.starts:FixedStart", estimates=np.tile(equilibrium + shift, (5, 1)).tolist())
 

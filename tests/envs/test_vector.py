@@ -7,9 +7,10 @@ from test_parallel import arrays_in, same
 from worlds import BLOCKS_SWITCHING, make_env
 
 import ptne_env
-from ptne_env import FactorySpec, VectorParallelEnv, laws
+from ptne_env import FactorySpec, VectorParallelEnv, get_scenario, laws
 from ptne_env.envs import VectorStep
 from ptne_env.envs import vector as vector_module
+from ptne_env.world import World
 
 SHORT = {"steps": 6, "start": "random", "input_limit": 5.0}
 
@@ -255,7 +256,7 @@ def test_success_is_told_at_the_end_alone_and_of_each_environment_by_itself(bloc
 
 
 def test_success_is_not_told_of_an_environment_that_goes_on(block_size):
-    at_rest = np.tile(ptne_env.get_scenario("energy").built_game.nash_equilibrium, (5, 1)).tolist()
+    at_rest = np.tile(World(get_scenario("energy")).game.nash_equilibrium, (5, 1)).tolist()
     start = FactorySpec.of("ptne_env.starts:FixedStart", estimates=at_rest)
     env = make("energy", num_envs=4, steps=5, start=start, input_limit=1e9)
     env.reset()

@@ -2,8 +2,8 @@ import numpy as np
 import pytest
 
 import ptne_env
-from ptne_env.dynamics import World
 from ptne_env.experiments.episodes import draw_start, episode_seed
+from ptne_env.world import World
 
 
 @pytest.mark.parametrize("name", ["energy", "random-energy", "random-energy-switching"])

@@ -4,18 +4,18 @@ import numpy as np
 import pytest
 
 import ptne_env
-from ptne_env import distances, laws
-from ptne_env.dynamics import World
-from ptne_env.encoder import Encoder
+from ptne_env import distances, dynamics, laws
+from ptne_env.encoder import make_encoder
 from ptne_env.experiments.episodes import draw_start, episode_seed
 from ptne_env.experiments.metrics import measure, settling_time
 from ptne_env.experiments.rollout import rollout
 from ptne_env.observation import Interface
+from ptne_env.world import World
 
 
 def run(scenario, policy, interface=None, episodes=4, seed=3):
     world = World(scenario)
-    encoder = Encoder(world, interface or Interface())
+    encoder = make_encoder(world, interface or Interface())
     return world, rollout(policy(encoder.layout), encoder, draw_start(world, episodes, seed))
 
 
@@ -75,7 +75,7 @@ def test_a_diverged_episode_has_the_digits_of_the_range_limit_and_finite_metrics
     world, batch = run(scenario, laws.RandomPolicy)
     assert batch.diverged.all()
     samples = measure(batch)
-    np.testing.assert_allclose(samples["digits"], -np.log10(world.distance_limit(world.game)[0]))
+    np.testing.assert_allclose(samples["digits"], -np.log10(dynamics.distance_limit(world.game)[0]))
     assert (samples["settled_share"] == 0).all()
     assert (samples["diverged_share"] == 1).all()
     for metric, values in samples.items():

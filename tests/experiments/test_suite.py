@@ -7,8 +7,7 @@ import pytest
 
 import ptne_env
 from ptne_env import FactorySpec, laws
-from ptne_env.dynamics import World
-from ptne_env.encoder import Encoder
+from ptne_env.encoder import make_encoder
 from ptne_env.experiments.benchmark import run_suite
 from ptne_env.experiments.episodes import track_seed
 from ptne_env.experiments.policy_specs import suite_entries
@@ -16,6 +15,7 @@ from ptne_env.experiments.rollout import Member, rollout
 from ptne_env.experiments.suite import SUITES, Suite, Teammates, Track, canonical_json, get_suite
 from ptne_env.observation import Interface
 from ptne_env.policies import shipped
+from ptne_env.world import World
 
 PUBLISHED = {"ptne-v1": "e597723fc876dfc3b695d9164f74222279bbf4bdf97d17b8c3e980adeffafda5"}
 """The content hashes that results were published with. A new content is a new version, and a new line."""
@@ -65,7 +65,7 @@ def test_every_track_is_a_valid_world_with_a_sentence():
     for track in suite.tracks:
         assert track.change.endswith(".")
         assert "\n" not in track.change
-        Encoder(World(track.scenario), Interface())
+        make_encoder(World(track.scenario), Interface())
     names = [track.name for track in suite.tracks]
     assert names[0] == "nominal"
     assert suite.track("nominal").scenario == BASE.replace(name="nominal")
@@ -100,7 +100,7 @@ def test_an_environment_replays_an_episode_of_a_track(name):
     suite = get_suite("ptne-v1")
     track = suite.track(name)
     world = World(track.scenario)
-    encoder = Encoder(world, Interface())
+    encoder = make_encoder(world, Interface())
     start = suite.draw_start(world, name, 3)
     found = rollout(laws.Static(encoder.layout), encoder, start)
 
@@ -117,7 +117,7 @@ def test_an_environment_replays_an_episode_of_a_track(name):
 
 def test_a_team_of_two_static_laws_is_the_static_law():
     world = World(BASE)
-    encoder = Encoder(world, Interface())
+    encoder = make_encoder(world, Interface())
     start = get_suite("ptne-v1").draw_start(world, "mixed-team", 4)
     alone = rollout(laws.Static(encoder.layout), encoder, start)
     team = rollout(laws.Static(encoder.layout), encoder, start, Member(laws.Static(encoder.layout), encoder, (1, 3)))
@@ -137,7 +137,7 @@ class Watching:
 
 def test_members_of_a_team_see_their_own_players_through_their_own_interface():
     world = World(BASE)
-    physical, local = Encoder(world, Interface()), Encoder(world, Interface("local"))
+    physical, local = make_encoder(world, Interface()), make_encoder(world, Interface("local"))
     one, other = Watching(physical.layout), Watching(local.layout)
     start = get_suite("ptne-v1").draw_start(world, "mixed-team", 2)
     rollout(one, physical, start, Member(other, local, (1, 3)))
@@ -167,7 +167,7 @@ def test_everybody_plays_every_track_or_says_why_not(tmp_path):
 
 def test_teammates_act_in_place_of_the_entry():
     world = World(BASE)
-    encoder = Encoder(world, Interface())
+    encoder = make_encoder(world, Interface())
     start = get_suite("ptne-v1").draw_start(world, "mixed-team", 2)
     null, law = laws.ZeroInput(encoder.layout), laws.Static(encoder.layout)
     nobody = rollout(null, encoder, start).input_energy

@@ -10,6 +10,7 @@ from ptne_env.experiments.benchmark import run_suite
 from ptne_env.experiments.suite import Suite, Teammates, Track
 from ptne_env.experiments.traces import comparison_scenes, suite_scenes
 from ptne_env.experiments.workers import Workers
+from ptne_env.world import World
 
 
 def test_the_first_episode_is_the_environments_own():
@@ -24,7 +25,7 @@ def test_the_first_episode_is_the_environments_own():
         actions = {agent: law.predict(observation)[0] for agent, observation in observations.items()}
         observations, *_ = env.step(actions)
         kept.append(env.estimates)
-    clock = scenario.built_clock
+    clock = World(scenario).clock
     instants = [int(np.flatnonzero(clock.t == t)[0]) for t in scene.t]
     assert instants[0] == 0
     assert instants[scene.deadline_frame] == clock.steps
@@ -85,6 +86,6 @@ def test_a_suite_is_drawn_with_its_teammates_from_its_own_bank(tmp_path):
 
 
 def _game(run, track):
-    from ptne_env.dynamics import World
+    from ptne_env.world import World
 
     return run.suite.draw_start(World(run.suite.track(track).scenario), track, 1).game

@@ -2,8 +2,7 @@ import numpy as np
 import pytest
 from worlds import make_env
 
-from ptne_env import theory
-from ptne_env.games import AffineGame, NoBestResponseError, RandomAffine
+from ptne_env.games import AffineGame, NoBestResponseError, RandomAffine, require_strong_monotonicity
 from ptne_env.games.energy import EnergyGame
 
 FAMILIES = {
@@ -73,7 +72,7 @@ def test_other_games_do_not_merge(other):
 def test_the_dials_are_the_constants(epsilon, asymmetry, action_dim):
     family = RandomAffine(players=4, epsilon=epsilon, asymmetry=asymmetry, spread=1.5, action_dim=action_dim)
     games = family.draw(generators(range(30)))
-    theory.require_strong_monotonicity(games)
+    require_strong_monotonicity(games)
     matrices = np.moveaxis(games.matrix, 2, 0)
     eigenvalues = np.linalg.eigvalsh((matrices + matrices.transpose(0, 2, 1)) / 2)
     assert eigenvalues[:, 0] == pytest.approx(np.full(30, epsilon), abs=1e-12)

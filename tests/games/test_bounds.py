@@ -6,10 +6,10 @@ from sample_games import BlockGame
 from worlds import begin, make_env
 
 import ptne_env
-from ptne_env import FactorySpec, get_scenario, theory
-from ptne_env.dynamics import World
+from ptne_env import FactorySpec, dynamics, get_scenario, theory
 from ptne_env.games import EnergyGame, Game, NetworkedCournot, check_game
 from ptne_env.laws import Static
+from ptne_env.world import World
 
 BOXED = ("cournot", "ev-charging", "rate-control")
 
@@ -88,11 +88,11 @@ def test_strategies_stay_in_the_box_and_estimates_of_others_need_not(name):
     own = np.arange(world.game.dimension), world.game.owners
     outside = 0
     for _ in range(20):
-        assert np.array_equal(state.strategies, world.game.project(state.strategies))
+        assert np.array_equal(dynamics.strategies(world, state), world.game.project(dynamics.strategies(world, state)))
         shared = np.repeat(state.estimates.transpose(1, 0, 2).reshape(-1, 1, 4), 1, axis=1)
         outside += np.sum(shared < 0)
         inputs = generator.normal(size=state.estimates.shape) * 20
-        following = world.step(state, inputs)
+        following = dynamics.step(world, state, inputs)
         free = state.estimates + world.clock.theta[state.step] * inputs
         expected = free.copy()
         expected[own] = world.game.project(free[own])
@@ -105,9 +105,9 @@ def test_inputs_in_any_memory_order_are_projected():
     world = World(get_scenario("cournot"))
     state = begin(world, range(3))
     inputs = np.random.default_rng(0).normal(size=state.estimates.shape) * 50
-    expected = world.step(state, inputs).estimates
+    expected = dynamics.step(world, state, inputs).estimates
     for order in (np.asfortranarray(inputs), np.ascontiguousarray(inputs.transpose(2, 1, 0)).transpose(2, 1, 0)):
-        assert np.array_equal(world.step(state, order).estimates, expected)
+        assert np.array_equal(dynamics.step(world, state, order).estimates, expected)
 
 
 def test_start_outside_the_box_is_projected():
@@ -126,9 +126,9 @@ def test_one_boxed_environment_agrees_with_many_bit_for_bit():
     many = begin(world, range(6))
     alone = [begin(world, [seed]) for seed in range(6)]
     for _ in range(10):
-        many = world.step(many, law - many.estimates)
+        many = dynamics.step(world, many, law - many.estimates)
         for b in range(6):
-            alone[b] = world.step(alone[b], law[..., b : b + 1] - alone[b].estimates)
+            alone[b] = dynamics.step(world, alone[b], law[..., b : b + 1] - alone[b].estimates)
             assert np.array_equal(alone[b].estimates[..., 0], many.estimates[..., b])
             assert np.array_equal(alone[b].own_gradients[:, 0], many.own_gradients[:, b])
 
@@ -185,6 +185,6 @@ def test_open_sides_are_sampled_for_growth():
 
 
 def test_theory_samples_a_boxed_game_within_its_box():
-    constants = theory.monotonicity_constants(get_scenario("rate-control").built_game, radius=100.0)
+    constants = theory.monotonicity_constants(World(get_scenario("rate-control")).game, radius=100.0)
     assert 0.4 < constants.epsilon < constants.iota < 15
     assert constants.radius == 100.0

@@ -3,10 +3,10 @@ import pytest
 from scipy import optimize
 from worlds import make_env
 
-from ptne_env import FactorySpec, get_scenario, theory
-from ptne_env.dynamics import World
-from ptne_env.games import EnergyGame, NonQuadraticGame, RandomEnergy, SingleGame
+from ptne_env import FactorySpec, get_scenario
+from ptne_env.games import EnergyGame, NonQuadraticGame, RandomEnergy, SingleGame, require_strong_monotonicity
 from ptne_env.random_streams import RandomStreams
+from ptne_env.world import World
 
 PARAMETERS = ("curvature", "target", "coupling")
 
@@ -132,7 +132,7 @@ def test_single_game_is_drawn_without_drawing():
 def test_every_draw_is_strongly_monotone_with_the_constant_of_its_own_parameters():
     family = RandomEnergy()
     game = family.draw(generators(range(500)))
-    theory.require_strong_monotonicity(game)
+    require_strong_monotonicity(game)
     jacobians = np.moveaxis(game.jacobian(np.zeros((5, 500))), 2, 0)
     smallest = np.linalg.eigvalsh((jacobians + jacobians.transpose(0, 2, 1)) / 2)[:, 0]
     assert np.all(smallest >= (2 * game.curvature).min(axis=0) + game.coupling - 1e-12)
@@ -141,12 +141,12 @@ def test_every_draw_is_strongly_monotone_with_the_constant_of_its_own_parameters
 def test_a_game_that_is_not_strongly_monotone_is_named():
     game = TwistedGames(*(getattr(RandomEnergy().draw(generators(range(6))), name) for name in PARAMETERS))
     with pytest.raises(ValueError, match=r"game 4 of the batch is not strongly monotone: ε = -1\b"):
-        theory.require_strong_monotonicity(game)
+        require_strong_monotonicity(game)
 
 
 def test_a_game_that_is_not_affine_is_not_decided():
     with pytest.raises(ValueError, match="strong monotonicity of HiddenGame cannot be decided: F is not affine"):
-        theory.require_strong_monotonicity(HiddenGame())
+        require_strong_monotonicity(HiddenGame())
 
 
 def test_a_drawn_game_that_is_not_strongly_monotone_is_refused_by_the_environment():

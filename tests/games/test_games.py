@@ -15,6 +15,7 @@ from ptne_env.games import (
     RateControl,
     WeaklyMonotoneGame,
     check_game,
+    require_strong_monotonicity,
 )
 
 HVAC = EnergyGame(target=(50, 55, 60, 65, 70), coupling=0.04, base_price=5.0)
@@ -251,7 +252,7 @@ def test_rates_meet_the_first_order_condition_of_every_free_user():
 def test_rate_control_is_strongly_monotone_in_its_box_with_the_constant_told():
     assert theory.monotonicity_constants(RateControl()).epsilon >= 0.4
     with pytest.raises(ValueError, match="cannot be decided"):
-        theory.require_strong_monotonicity(RateControl())
+        require_strong_monotonicity(RateControl())
 
 
 def test_oligopoly_splits_the_demand_like_a_current():
@@ -275,7 +276,7 @@ def test_weakly_monotone_game_meets_assumption_3_and_fails_4():
     assert abs(np.linalg.det(jacobian)) > 1
     assert check_game(game).assumption_3_holds
     with pytest.raises(ValueError, match="not strongly monotone"):
-        theory.require_strong_monotonicity(game)
+        require_strong_monotonicity(game)
 
 
 @pytest.mark.parametrize(

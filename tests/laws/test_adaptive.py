@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from worlds import make_env, make_port, play, while_running
 
-from ptne_env import laws
+from ptne_env import dynamics, laws
 
 
 def gains_along(env, law, **reset):
@@ -61,7 +61,7 @@ def test_negative_gains_are_refused(name):
 
 def test_memory_of_other_rows_is_refused_with_a_way_out():
     world, encoder = make_port("energy")
-    observation = encoder.observe(world.start(np.zeros((5, 5, 1))))[0]
+    observation = encoder.observe(dynamics.initial_state(world, np.zeros((5, 5, 1))))[0]
     law = laws.Adaptive(encoder.layout)
     _, memory = law.predict(observation)
     with pytest.raises(ValueError, match=r"memory has the shape \(5, 2\).*need \(3, 2\); pass state=None"):

@@ -6,6 +6,7 @@ import reference_implementation
 from worlds import BLOCKS, BLOCKS_SWITCHING, FROM_THE_PAPER, PAPER_START, make_env, play, while_running
 
 from ptne_env import laws
+from ptne_env.world import World
 
 GRADIENTS = {
     "energy": reference_implementation.energy_gradient,
@@ -94,7 +95,7 @@ def test_players_of_unequal_dimensions_follow_the_slow_twin(scenario, law, kind)
     env = make_env(scenario, interface=kind, action_scale=IN_REACH)
     start = np.random.default_rng(0).uniform(-20, 20, (3, 6))
     ours, _ = play(env, make(env.layout), options={"estimates": start})
-    game, owners = scenario.built_game, [0, 0, 1, 2, 2, 2]
+    game, owners = World(scenario).game, [0, 0, 1, 2, 2, 2]
     links = [reference_implementation.adjacency(3, [(0, 1)]), reference_implementation.adjacency(3, [(1, 2)])]
 
     def switching(step):

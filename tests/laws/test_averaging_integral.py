@@ -5,8 +5,9 @@ import pytest
 from affine_games import affine_scenario, loop_start, run
 from worlds import fixed_part, make_port
 
-from ptne_env import FactorySpec, get_scenario, laws, theory
+from ptne_env import FactorySpec, dynamics, get_scenario, laws, theory
 from ptne_env.theory import condition
+from ptne_env.world import World
 
 # A strongly monotone game (ε = 1) between two players whose estimates a weak link does not hold together.
 ROTATION = np.array([[1.0, 6.0], [-6.0, 1.0]])
@@ -28,7 +29,7 @@ def test_integral_gains_need_no_bound_on_the_connectivity_where_fixed_gains_do()
     """Their theorem: convergence for every connected graph, without λ2 or ι. A small fixed gain diverges here."""
     scenario = rotating(steps=4000, s_end=20.0)
     assert condition(laws.AveragingIntegral, scenario).holds
-    game, graph = scenario.built_game, scenario.built_topology.graphs[0]
+    game, graph = World(scenario).game, World(scenario).topology.graphs[0]
     small = 0.5
     assert not condition(FactorySpec.of("ptne_env.laws:FixedGain", kappa=small), scenario).holds
     assert theory.spectral_abscissa(theory.closed_loop_matrix(game, graph, small)) < 0
@@ -56,7 +57,7 @@ def test_gains_grow_and_rest():
     )
     for _ in range(world.clock.steps):
         actions, memory = law.predict(encoder.observe(state)[0], state=memory)
-        state = world.step(state, encoder.decode(actions[None], state).inputs)
+        state = dynamics.step(world, state, encoder.inputs(encoder.clip(actions[None]).actions, state))
         history.append(memory[:, 0])
     history = np.array(history)
     assert np.all(np.diff(history, axis=0) >= 0)

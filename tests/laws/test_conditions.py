@@ -7,6 +7,7 @@ from worlds import BLOCKS, fixed_part, loop_matrix
 
 from ptne_env import CATALOGUE, FactorySpec, get_scenario, laws, theory
 from ptne_env.theory import condition, problem_constants
+from ptne_env.world import World
 
 RANDOM = range(40)
 
@@ -36,9 +37,9 @@ def test_conditions_are_decided_by_the_constants_of_the_theory():
 def test_premises_have_the_loop_matrix_of_the_theory(scenario):
     scenario = get_scenario(scenario)
     facts = problem_constants(scenario)
-    expected = theory.closed_loop_matrix(scenario.built_game, scenario.built_topology.graphs[0], 1.7)
+    expected = theory.closed_loop_matrix(World(scenario).game, World(scenario).topology.graphs[0], 1.7)
     assert np.array_equal(facts.loop(facts.laplacians[0], 1.7), expected)
-    assert facts.exact == scenario.built_game.is_affine
+    assert facts.exact == World(scenario).game.is_affine
 
 
 def test_what_recurs_depends_on_the_clock_of_the_signal():
@@ -63,7 +64,7 @@ def test_every_law_says_whether_a_scenario_meets_its_condition(law, scenario):
         with pytest.raises(ValueError, match="best_response cannot be observed: NonQuadraticGame has none everywhere"):
             condition(law, get_scenario(scenario))
         return
-    if law is laws.AggregateTracking and len(set(get_scenario(scenario).built_game.action_dims)) > 1:
+    if law is laws.AggregateTracking and len(set(World(get_scenario(scenario)).game.action_dims)) > 1:
         with pytest.raises(ValueError, match="AggregateTracking adds strategies up: equal dimensions, got"):
             condition(law, get_scenario(scenario))
         return
@@ -86,7 +87,7 @@ def test_fixed_gain_of_bianchi_and_grammatico_makes_the_loop_strongly_monotone(s
     assert bound <= condition(laws.Static, scenario).bound  # weaker than the paper's
     kappa = 1.0001 * bound
     assert condition(FactorySpec.of("ptne_env.laws:FixedGain", kappa=kappa), scenario).holds
-    assert positive_definite(loop_matrix(scenario.built_game, adjacency, kappa))
+    assert positive_definite(loop_matrix(World(scenario).game, adjacency, kappa))
 
 
 def test_fixed_gain_condition_does_not_hold_for_nothing():
@@ -95,7 +96,7 @@ def test_fixed_gain_condition_does_not_hold_for_nothing():
     for seed in RANDOM:
         scenario, adjacency = random_scenario(seed)
         kappa = 0.05 * condition(laws.FixedGain, scenario).bound
-        lost += not positive_definite(loop_matrix(scenario.built_game, adjacency, kappa))
+        lost += not positive_definite(loop_matrix(World(scenario).game, adjacency, kappa))
     assert lost > 5
 
 
@@ -120,7 +121,7 @@ def test_gain_of_ye_and_hu_makes_their_lyapunov_function_decrease(seed):
     """V = ½‖x − x*‖² + ½‖y‖² in the coordinates x and y^i_j = x^i_j − x_j, as :class:`Grounded` derives it."""
     scenario, adjacency = random_scenario(seed)
     kappa = 1.0001 * condition(laws.Grounded, scenario).bound
-    game, n = scenario.built_game, scenario.built_game.dimension
+    game, n = World(scenario).game, World(scenario).game.dimension
     matrix = grounded_matrix(game, adjacency, kappa)
     own = [i * n + i for i in range(n)]
     to_original = np.eye(n * n)  # of (x, y)

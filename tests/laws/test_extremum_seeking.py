@@ -10,7 +10,7 @@ from affine_games import affine_scenario, loop_start, run
 from scipy import linalg
 from worlds import begin, fixed_part, make_env, make_port
 
-from ptne_env import FactorySpec, Interface, get_scenario, laws
+from ptne_env import FactorySpec, Interface, dynamics, get_scenario, laws
 from ptne_env.theory import condition
 
 MATRIX = np.array([[2.0, 0.5, -0.4], [0.3, 1.5, 0.6], [-0.5, 0.2, 1.8]])
@@ -131,10 +131,10 @@ def test_own_payoff_is_a_last_slice_with_the_cost_at_the_real_strategies(scenari
     seen, without = encoder.observe(state), plain.observe(begin(plain.world, range(3)))
     assert encoder.layout.slices["own_payoff"] == slice(plain.layout.size, plain.layout.size + 1)
     assert np.array_equal(seen[..., :-1], without)
-    expected = state.game.costs(state.strategies).T
+    expected = state.game.costs(dynamics.strategies(world, state)).T
     assert np.array_equal(encoder.layout.select(seen, "own_payoff")[..., 0], expected.astype(np.float32))
     assert np.array_equal(encoder.layout.read(seen[0]).own_payoff[:, 0], expected.astype(np.float32)[0])
-    assert encoder.observation_space().contains(seen[0, 0])
+    assert encoder.layout.observation_space().contains(seen[0, 0])
 
 
 def test_payoffs_are_left_out_unless_asked_for():

@@ -10,8 +10,9 @@ from affine_games import affine_scenario, loop_start, random_affine, run
 from scipy import integrate
 from worlds import BLOCKS, fixed_part, make_port, stack
 
-from ptne_env import FactorySpec, Interface, get_scenario, laws
+from ptne_env import FactorySpec, Interface, dynamics, get_scenario, laws
 from ptne_env.theory import condition, problem_constants
+from ptne_env.world import World
 
 ORACLES = [laws.BestResponseOracle, laws.FixedTimeOracle, laws.NodeAdaptiveOracle]
 
@@ -129,7 +130,7 @@ def node_inputs(game, laplacian, estimates, gains):
 @pytest.mark.parametrize("scenario", [get_scenario("energy", start="random"), BLOCKS], ids=lambda world: world.name)
 def test_node_adaptive_law_is_its_equation(scenario):
     world, encoder, law = build(scenario, laws.NodeAdaptiveOracle, gamma=0.0002, initial_gain=0.3)
-    game, laplacian = world.game, scenario.built_topology.graphs[0].laplacian
+    game, laplacian = world.game, World(scenario).topology.graphs[0].laplacian
     start = loop_start(world)
     states = run(world, encoder, law, start, steps=40)[..., 0]
     gains = np.full(game.num_players, 0.3)
@@ -147,7 +148,7 @@ def test_node_gains_grow_until_the_network_converges_and_then_rest():
     state, memory, history = loop_start(world), None, []
     for _ in range(world.clock.steps):
         actions, memory = law.predict(encoder.observe(state)[0], state=memory)
-        state = world.step(state, encoder.decode(actions[None], state).inputs)
+        state = dynamics.step(world, state, encoder.inputs(encoder.clip(actions[None]).actions, state))
         history.append(memory[:, 0])
     history = np.array(history)
     assert np.all(np.diff(history, axis=0) >= 0)
@@ -186,7 +187,9 @@ def test_slices_of_oracles_show_what_they_say(scenario):
         estimates = state.estimates[:, :, b]
         laplacian = world.topology.graphs[0].laplacian
         errors = estimates @ laplacian
-        response = game.best_response(state.strategies[:, [b]]) - state.strategies[:, [b]]
+        response = (
+            game.best_response(dynamics.strategies(world, state)[:, [b]]) - dynamics.strategies(world, state)[:, [b]]
+        )
         for i, slots in enumerate(encoder.layout.neighbours):
             for slot, j in enumerate(slots):
                 assert reading.neighbour_errors[i, slot] == pytest.approx(errors[:, j], rel=1e-6, abs=1e-4)

@@ -5,8 +5,9 @@ import pytest
 from affine_games import loop_start, run
 from worlds import BLOCKS, energy_scenario, make_env, make_port, play, stack
 
-from ptne_env import FactorySpec, get_scenario, laws
+from ptne_env import FactorySpec, dynamics, get_scenario, laws
 from ptne_env.theory import condition, problem_constants
+from ptne_env.world import World
 
 RING = FactorySpec.of("ptne_env.switching:fixed", graph=FactorySpec.of("ptne_env.graphs:cycle", players=5))
 HVAC = energy_scenario(1.0, (50.0, 55.0, 60.0, 65.0, 70.0), RING).replace(
@@ -63,7 +64,7 @@ def test_adaptive_grounded_law_is_its_equation(scenario, kind):
     world, encoder = make_port(scenario, kind=kind, action_scale=1e3)
     law = laws.AdaptiveGrounded(encoder.layout, gamma=0.003, initial_gain=0.2)
     states = run(world, encoder, law, loop_start(world), steps=40)[..., 0]
-    game, adjacency = world.game, scenario.built_topology.graphs[0].adjacency
+    game, adjacency = world.game, World(scenario).topology.graphs[0].adjacency
     gains = np.full(states.shape[1:], 0.2)
     for k in range(40):
         theta, errors = world.clock.theta[k], grounded_errors(states[k], adjacency, game.owners)
@@ -84,7 +85,7 @@ def test_gains_of_ye_and_hu_grow_until_the_network_converges_and_then_rest():
     state, memory, history = loop_start(world), None, []
     for _ in range(world.clock.steps):
         actions, memory = law.predict(encoder.observe(state)[0], state=memory)
-        state = world.step(state, encoder.decode(actions[None], state).inputs)
+        state = dynamics.step(world, state, encoder.inputs(encoder.clip(actions[None]).actions, state))
         history.append(memory)
     history = np.array(history)
     assert np.all(np.diff(history, axis=0) >= 0)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from worlds import energy_scenario, fixed_part, make_env, make_port, play
 
-from ptne_env import FactorySpec, Interface, laws
+from ptne_env import FactorySpec, Interface, dynamics, laws
 
 LAWS = {
     "static": laws.Static,
@@ -95,16 +95,18 @@ def test_scrambling_what_a_player_may_not_see_changes_none_of_its_actions(player
 
     policy, other_policy = LAWS[law](encoder.layout), LAWS[law](other_port.layout)
     memory = other_memory = None
-    state = world.start(generator.uniform(-20, 20, (5, 5, 1)))
+    state = dynamics.initial_state(world, generator.uniform(-20, 20, (5, 5, 1)))
     compared = 0
     for _ in range(150):
         visible = [player] + [
-            int(j) for j, weight in zip(world.neighbours[:, player], state.weights[:, player, 0], strict=True) if weight
+            int(j)
+            for j, weight in zip(world.neighbours[:, player], dynamics.weights(world, state)[:, player, 0], strict=True)
+            if weight
         ]
         estimates = generator.uniform(-20, 20, (5, 5, 1))
         estimates[:, visible] = state.estimates[:, visible]
         if PAYOFF[law]:
-            estimates[range(5), range(5)] = state.strategies
+            estimates[range(5), range(5)] = dynamics.strategies(world, state)
         other_state = other._complete(estimates, other.game, state.step, state.diverged)
 
         observations, other_observations = encoder.observe(state)[0], other_port.observe(other_state)[0]
@@ -113,7 +115,7 @@ def test_scrambling_what_a_player_may_not_see_changes_none_of_its_actions(player
         assert np.array_equal(actions[player], other_actions[player])
         strangers = [j for j in range(5) if j not in visible]
         compared += not np.array_equal(observations[strangers], other_observations[strangers])
-        state = world.step(state, encoder.decode(actions[None], state).inputs)
+        state = dynamics.step(world, state, encoder.inputs(encoder.clip(actions[None]).actions, state))
     assert compared == 150  # the worlds did look different to others
 
 
@@ -124,14 +126,14 @@ def test_law_acts_the_same_whoever_else_is_in_the_batch(law, kind):
     generator = np.random.default_rng(0)
     policy = LAWS[law](encoder.layout)
     memory, alone = None, [None] * 5
-    state = world.start(generator.uniform(-20, 20, (5, 5, 1)))
+    state = dynamics.initial_state(world, generator.uniform(-20, 20, (5, 5, 1)))
     for _ in range(20):
         observations = encoder.observe(state)[0]
         actions, memory = policy.predict(observations, state=memory)
         for i in range(5):
             action, alone[i] = policy.predict(observations[i : i + 1], state=alone[i])
             assert np.array_equal(action[0], actions[i])
-        state = world.step(state, encoder.decode(actions[None], state).inputs)
+        state = dynamics.step(world, state, encoder.inputs(encoder.clip(actions[None]).actions, state))
 
 
 @pytest.mark.parametrize(("law", "kind"), [case for case in KINDS if case[0] != "extremum-seeking"])  # probes by number

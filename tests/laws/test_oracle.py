@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from worlds import BLOCKS, make_port
 
-from ptne_env import get_scenario, laws
+from ptne_env import dynamics, get_scenario, laws
 from ptne_env.random_streams import RandomStreams
 
 
@@ -26,19 +26,19 @@ def test_oracle_refuses_a_gain_that_is_not_positive(gain):
 def test_oracle_is_gradient_descent_on_the_shared_strategies(scenario):
     world, encoder = make_port(scenario, kind="full")
     law = laws.CentralisedOracle(encoder.layout)
-    state = world.start(world.draw_estimates([RandomStreams.from_seed(1)]))
-    x = state.strategies
+    state = dynamics.initial_state(world, world.draw_estimates([RandomStreams.from_seed(1)]))
+    x = dynamics.strategies(world, state)
     for k in range(world.clock.steps):
         actions, _ = law.predict(encoder.observe(state)[0])
-        state = world.step(state, encoder.decode(actions[None], state).inputs)
+        state = dynamics.step(world, state, encoder.inputs(encoder.clip(actions[None]).actions, state))
         x = x - world.clock.theta[k] * world.game.pseudo_gradient(x)
         assert np.abs(state.estimates - x[:, None]).max() <= 4e-6 * np.abs(x).max()
-    assert state.strategies[:, 0] == pytest.approx(world.game.nash_equilibrium, rel=1e-9)
+    assert dynamics.strategies(world, state)[:, 0] == pytest.approx(world.game.nash_equilibrium, rel=1e-9)
 
 
 def test_oracle_obeys_the_input_limit_of_everybody():
     world, encoder = make_port(get_scenario("energy", input_limit=3.0), kind="full")
-    state = world.start(world.draw_estimates([RandomStreams.from_seed(1)]))
+    state = dynamics.initial_state(world, world.draw_estimates([RandomStreams.from_seed(1)]))
     actions, _ = laws.CentralisedOracle(encoder.layout).predict(encoder.observe(state)[0])
     assert np.abs(actions).max() == 3.0
 
@@ -46,7 +46,7 @@ def test_oracle_obeys_the_input_limit_of_everybody():
 def test_laws_of_players_act_through_the_full_interface_as_through_the_physical_one():
     world, encoder = make_port("energy", kind="full")
     _, plain = make_port("energy")
-    state = world.start(world.draw_estimates([RandomStreams.from_seed(1)]))
+    state = dynamics.initial_state(world, world.draw_estimates([RandomStreams.from_seed(1)]))
     full, _ = laws.Static(encoder.layout).predict(encoder.observe(state)[0])
     physical, _ = laws.Static(plain.layout).predict(plain.observe(state)[0])
     assert np.array_equal(full, physical)

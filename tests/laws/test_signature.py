@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from worlds import BLOCKS, make_env, make_port, play
 
-from ptne_env import Interface, Policy, laws
+from ptne_env import Interface, Policy, dynamics, laws
 from ptne_env.random_streams import RandomStreams
 
 LAWS = [
@@ -41,10 +41,10 @@ def observe_for(law, scenario="energy", batch=3):
 
 def observe(scenario="energy", batch=3, **interface):
     world, encoder = make_port(scenario, **interface)
-    state = world.start(
-        np.stack([world.draw_estimates([RandomStreams.from_seed(b)])[..., 0] for b in range(batch)], -1)
+    state = dynamics.initial_state(
+        world, np.stack([world.draw_estimates([RandomStreams.from_seed(b)])[..., 0] for b in range(batch)], -1)
     )
-    state = world.start(state.estimates + np.random.default_rng(0).normal(size=state.estimates.shape))
+    state = dynamics.initial_state(world, state.estimates + np.random.default_rng(0).normal(size=state.estimates.shape))
     return encoder.layout, encoder.observe(state).reshape(-1, encoder.layout.size)
 
 

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from worlds import BLOCKS, BLOCKS_SWITCHING, loop_matrix, make_env, make_port, play
 
-from ptne_env import FactorySpec, Interface, get_scenario, laws
+from ptne_env import FactorySpec, Interface, dynamics, get_scenario, laws
 
 AFFINE = {
     "energy": get_scenario("energy"),
@@ -112,13 +112,17 @@ def test_laws_that_cannot_act_through_gains_say_so(law):
 @pytest.mark.parametrize("kind", ["physical", "local"])
 def test_corollary_one_asks_for_the_static_input_over_the_gain_of_time(kind):
     world, encoder = make_port("energy", **vars(Interface(kind, action_scale=100.0)))
-    state = world.start(np.random.default_rng(0).uniform(-20, 20, (5, 5, 1)))
+    state = dynamics.initial_state(world, np.random.default_rng(0).uniform(-20, 20, (5, 5, 1)))
     for _ in range(200):
-        state = world.step(state, np.zeros_like(state.estimates))
+        state = dynamics.step(world, state, np.zeros_like(state.estimates))
     k = int(state.step[0])
     observation = encoder.observe(state)[0]
-    static = encoder.decode(laws.Static(encoder.layout, kappa=3.0).predict(observation)[0][None], state).inputs
-    slow = encoder.decode(laws.CorollaryOne(encoder.layout, kappa=3.0).predict(observation)[0][None], state).inputs
+    static = encoder.inputs(
+        encoder.clip(laws.Static(encoder.layout, kappa=3.0).predict(observation)[0][None]).actions, state
+    )
+    slow = encoder.inputs(
+        encoder.clip(laws.CorollaryOne(encoder.layout, kappa=3.0).predict(observation)[0][None]).actions, state
+    )
     assert slow == pytest.approx(static * world.clock.dt[k] / world.clock.theta[k], rel=1e-5, abs=1e-6)
 
 

@@ -7,6 +7,7 @@ from worlds import fixed_part, loop_matrix, make_port, stack
 
 from ptne_env import FactorySpec, get_scenario, laws
 from ptne_env.theory import condition, problem_constants
+from ptne_env.world import World
 
 STEPS = 10.0 ** np.linspace(-3, 7, 101)
 
@@ -105,7 +106,7 @@ def test_capped_gain_is_the_static_law_in_the_time_that_the_cap_leaves(cap):
     world, encoder = make_port(scenario)
     start, clock = loop_start(world), world.clock
     states = run(world, encoder, laws.CappedGain(encoder.layout, largest_gain=cap), start)
-    loop = loop_matrix(world.game, scenario.built_topology.graphs[0].adjacency, 2.0)
+    loop = loop_matrix(world.game, World(scenario).topology.graphs[0].adjacency, 2.0)
     target = np.tile(world.game.nash_equilibrium, 5)
     error = stack(start.estimates) - target
     size = np.linalg.norm(error)

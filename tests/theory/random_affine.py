@@ -6,14 +6,14 @@ from dataclasses import dataclass
 import networkx as nx
 import numpy as np
 
-from ptne_env import FactorySpec, Scenario, theory
+from ptne_env import FactorySpec, Scenario, dynamics, theory
 from ptne_env.distances import estimate_distance
-from ptne_env.dynamics import World
-from ptne_env.encoder import Encoder
+from ptne_env.encoder import Encoder, make_encoder
 from ptne_env.experiments.rollout import rollout
 from ptne_env.observation import Interface
 from ptne_env.random_streams import RandomStreams
 from ptne_env.theory.closed_loop import blank_reading
+from ptne_env.world import World
 
 BATCH = 2
 """Starts per scenario, played in one batch: one anywhere, and one that leans towards the slowest mode."""
@@ -29,20 +29,20 @@ class Case:
 
     def play(self):
         world = self.encoder.world
-        return rollout(self.law, self.encoder, world.start(self.starts))
+        return rollout(self.law, self.encoder, dynamics.initial_state(world, self.starts))
 
     def switch(self, clock):
         """Make the graph switch between its two halves, each disconnected, on ``clock``."""
-        adjacency = self.scenario.built_topology.graphs[0].adjacency
+        adjacency = World(self.scenario).topology.graphs[0].adjacency
         halves = [np.zeros_like(adjacency), np.zeros_like(adjacency)]
         for edge, (i, j) in enumerate(np.argwhere(np.triu(adjacency))):
             halves[edge % 2][i, j] = halves[edge % 2][j, i] = adjacency[i, j]
         graphs = tuple(FactorySpec.of("ptne_env.graphs:Graph", adjacency=half) for half in halves)
-        longest = np.diff(self.scenario.built_clock.topology_times[clock]).max()
+        longest = np.diff(World(self.scenario).clock.topology_times[clock]).max()
         dwells = (2.5 * longest, 3.5 * longest)
         topology = FactorySpec.of("ptne_env.switching:periodic", graphs=graphs, dwells=dwells, clock=clock)
         self.scenario = self.scenario.replace(topology=topology)
-        self.encoder = Encoder(World(self.scenario), Interface())
+        self.encoder = make_encoder(World(self.scenario), Interface())
         self.law = theory.build_law(self.part, self.scenario)
 
     def play_in_float64(self):
@@ -51,16 +51,18 @@ class Case:
         Estimate distances (K+H+1, BATCH), and the root mean square of the velocity Θ u/Δt over a step, (K+H, BATCH).
         """
         world, distances, velocities, memory = self.encoder.world, [], [], None
-        state, (n, players) = world.start(self.starts), self.starts.shape[:2]
+        state, (n, players) = dynamics.initial_state(world, self.starts), self.starts.shape[:2]
         rows = players * BATCH
         blank = blank_reading(self.encoder.layout, np.repeat(np.arange(players), BATCH))
         own = self.encoder.layout.own_mask[blank.player]
         for theta, dt in zip(world.clock.theta[:-1], world.clock.dt[:-1], strict=True):
             distances.append(estimate_distance(state.estimates, state.game))
-            weights = np.broadcast_to(state.weights, (*state.weights.shape[:2], BATCH))
+            weights = np.broadcast_to(
+                dynamics.weights(world, state), (*dynamics.weights(world, state).shape[:2], BATCH)
+            )
             reading = blank._replace(
                 gradient=np.where(own, np.tile(state.own_gradients.T, (players, 1)), 0.0),
-                relative_estimates=state.relative_estimates.transpose(2, 3, 0, 1).reshape(rows, -1, n),
+                relative_estimates=dynamics.relative_estimates(world, state).transpose(2, 3, 0, 1).reshape(rows, -1, n),
                 weights=weights.transpose(1, 2, 0).reshape(rows, -1),
                 theta=np.full((rows, 1), theta),
                 dt=np.full((rows, 1), dt),
@@ -68,7 +70,7 @@ class Case:
             inputs, memory = self.law.inputs(reading, memory)
             inputs = inputs.reshape(players, BATCH, n).transpose(2, 0, 1)
             velocities.append(theta / dt * np.sqrt((inputs**2).mean(axis=(0, 1))))
-            state = world.step(state, inputs)
+            state = dynamics.step(world, state, inputs)
         distances.append(estimate_distance(state.estimates, state.game))
         return np.array(distances), np.array(velocities)
 
@@ -83,9 +85,9 @@ class Case:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             world = World(self.scenario.replace(channel=channel))
-        encoder, path, memory, batch = Encoder(world, Interface()), [], None, starts.shape[2]
+        encoder, path, memory, batch = make_encoder(world, Interface()), [], None, starts.shape[2]
         randomness = world.draw_randomness([RandomStreams.from_seed(seed * batch + one) for one in range(batch)])
-        state = world.start(starts, randomness=randomness)
+        state = dynamics.initial_state(world, starts, randomness=randomness)
 
         def measure(state):
             if follow is None:
@@ -97,12 +99,14 @@ class Case:
             path.append(measure(state))
             observations = encoder.observe(state)
             actions, memory = self.law.predict(observations.reshape(-1, observations.shape[-1]), memory)
-            state = world.step(state, encoder.decode(actions.reshape(*observations.shape[:2], -1), state).inputs)
+            state = dynamics.step(
+                world, state, encoder.inputs(encoder.clip(actions.reshape(*observations.shape[:2], -1)).actions, state)
+            )
         path.append(measure(state))
         return np.array(path)
 
     def start_errors(self):
-        game = self.scenario.built_game
+        game = World(self.scenario).game
         return [theory.start_error(self.starts[:, :, b], game) for b in range(BATCH)]
 
 
@@ -180,7 +184,7 @@ def random_case(
         raise ValueError(f"the loop of random case {seed} is unstable at every step: raise κ or lower the skew")
     steps = max(20, int(np.ceil(rough.steps * longest / stable * generator.uniform(*margin))))
     scenario = quietly(**{**values, "steps": steps})
-    encoder = Encoder(World(scenario), Interface())
+    encoder = make_encoder(World(scenario), Interface())
     game = encoder.world.game
     starts = generator.uniform(-20, 20, (game.dimension, players, BATCH))
     slowest = slowest_mode(loop.loops[0].matrix).reshape(players, game.dimension).T

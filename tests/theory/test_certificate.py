@@ -9,6 +9,7 @@ import pytest
 from ptne_env import CATALOGUE, FactorySpec, get_scenario, laws, theory
 from ptne_env.graphs import cycle
 from ptne_env.switching import fixed, markov, paper_topology, periodic, random_dwells
+from ptne_env.world import World
 
 LAWS = sorted(name for name, value in vars(laws).items() if isinstance(value, type) and issubclass(value, laws.Law))
 LAWS.remove("Law")
@@ -31,7 +32,7 @@ def channel(name, **arguments):
 
 
 def energy_matrices(topology, kappa=2.0):
-    game = get_scenario("energy").built_game
+    game = World(get_scenario("energy")).game
     return [theory.closed_loop_matrix(game, graph, kappa) for graph in topology.graphs]
 
 
@@ -46,13 +47,13 @@ def test_every_law_has_a_certificate_with_its_own_condition(law):
     assert (law in WITHOUT_LOOP) is any("no rates, digits or margins" in note for note in certificate.notes)
 
 
-@pytest.mark.parametrize("name", [name for name, scenario in CATALOGUE.items() if scenario.built_game.has_bounds])
+@pytest.mark.parametrize("name", [name for name, scenario in CATALOGUE.items() if World(scenario).game.has_bounds])
 def test_a_box_takes_the_held_components_out_of_the_loop(name):
     scenario = get_scenario(name)
-    game = scenario.built_game
+    game = World(scenario).game
     loop = theory.sampled_loop(scenario, theory.build_law(FactorySpec.of("ptne_env.laws:Static"), scenario))
     assert len(loop.loops[0].matrix) == game.num_players * game.dimension - game.held_at_equilibrium.sum()
-    expected = theory.closed_loop_matrix(game, scenario.built_topology.graphs[0], 2.0)
+    expected = theory.closed_loop_matrix(game, World(scenario).topology.graphs[0], 2.0)
     np.testing.assert_allclose(loop.loops[0].matrix, expected, atol=1e-6)
     certificate = theory.certify(scenario, delay_limit=0)
     assert not certificate.rate_is_exact

@@ -8,6 +8,7 @@ import pytest
 from random_affine import random_case
 
 from ptne_env import FactorySpec, get_scenario, theory
+from ptne_env.world import World
 
 LAWS = ["Grounded", "CorollaryOne", "Static", "Static", "Static"]
 SCENARIOS = 200
@@ -40,7 +41,7 @@ def records():
     for seed in range(SCENARIOS):
         case = random_case(seed, LAWS[seed % len(LAWS)])
         played, loop = case.play(), theory.sampled_loop(case.scenario, case.law)
-        game, steps = case.scenario.built_game, case.scenario.steps
+        game, steps = World(case.scenario).game, case.scenario.steps
         for column, start in enumerate(case.start_errors()):
             result.append(
                 Record(
@@ -103,7 +104,7 @@ def test_no_start_does_worse_than_the_worst_case(records):
 
 def test_worst_case_is_attained(records):
     record = records[20]
-    case, game = record.case, record.case.scenario.built_game
+    case, game = record.case, World(record.case.scenario).game
     direction = np.linalg.svd(record.loop.transition())[2][0].reshape(game.num_players, game.dimension).T
     start = game.nash_equilibrium[:, None] + 10 * direction
     measured = case.play_over_channel(start[:, :, None])[:, 0]
@@ -136,7 +137,7 @@ def test_velocity_is_bounded_where_the_rate_says_so():
         fields = {"spread": (0.1, 1.0), "skew": 0.3, **(slow if seed % 2 else fast)}
         case = random_case(seed, margin=(2.5, 4.0), spacing="effective", gain=0.0, s_end=7.0, **fields)
         certificate = theory.certify(case.scenario, law=case.part, delay_limit=0)
-        clock, loop = case.scenario.built_clock, theory.sampled_loop(case.scenario, case.law)
+        clock, loop = World(case.scenario).clock, theory.sampled_loop(case.scenario, case.law)
         first = int(np.searchsorted(clock.s, 5.5))
         mode = theory.dominant_mode(loop, case.start_errors()[1], first, clock.steps)
         if abs(certificate.input_rate - 1) < 0.1 or not mode.is_alone:
@@ -155,7 +156,7 @@ def test_digits_of_a_certificate_are_those_of_the_environment_at_the_deadline_an
     case = random_case(seed, margin=(3.0, 6.0), spacing="effective", gain=10.0, s_end=6.0, hold_steps=12)
     if kind != "fixed":
         case.switch(kind)
-    start = case.scenario.built_start.draw(*case.starts.shape[1::-1], np.random.default_rng(0))
+    start = World(case.scenario).start.draw(*case.starts.shape[1::-1], np.random.default_rng(0))
     case.starts[:, :, 0] = start
     certificate = theory.certify(case.scenario, law=case.part, delay_limit=0)
     digits = -np.log10(case.play().estimate_distance[:, 0])
@@ -173,9 +174,9 @@ def test_guarantees_of_the_gain_condition_hold_on_every_start():
         fields = {"spacing": "effective", "players": (3, 4), "epsilon": (2.0, 3.0), "spread": (0.1, 0.4), "skew": 0.3}
         case = random_case(seed, s_end=5.0, gain=0.0, **fields)
         if seed % 4 == 0:  # connected so well that the bound says something
-            graph = everybody[case.scenario.built_game.num_players]
+            graph = everybody[World(case.scenario).game.num_players]
             case.scenario = case.scenario.replace(topology=FactorySpec.of("ptne_env.switching:fixed", graph=graph))
-        game, graph = case.scenario.built_game, case.scenario.built_topology.graphs[0]
+        game, graph = World(case.scenario).game, World(case.scenario).topology.graphs[0]
         constants = theory.monotonicity_constants(game)
         bound = theory.gain_bound(constants, graph.algebraic_connectivity)
         rates = [
@@ -188,7 +189,7 @@ def test_guarantees_of_the_gain_condition_hold_on_every_start():
         assert rates[2] <= theory.spectral_abscissa(matrix)
         if seed % 4 == 0:
             step = min(rates[2] / np.linalg.norm(matrix, 2) ** 2, theory.largest_stable_step(matrix) / 2)
-            steps = int(case.scenario.built_clock.effective_time / step) + 1
+            steps = int(World(case.scenario).clock.effective_time / step) + 1
             certificate = theory.certify(case.scenario.replace(steps=min(steps, 4000)), 1.5 * bound, delay_limit=0)
             assert certificate.condition.holds
             assert certificate.guaranteed_rate == rates[2]
@@ -199,8 +200,8 @@ def test_guarantees_of_the_gain_condition_hold_on_every_start():
 
 
 def certificate_start(case):
-    game = case.scenario.built_game
-    estimates = case.scenario.built_start.draw(game.num_players, game.dimension, np.random.default_rng(0))
+    game = World(case.scenario).game
+    estimates = World(case.scenario).start.draw(game.num_players, game.dimension, np.random.default_rng(0))
     return theory.start_error(estimates, game)
 
 
@@ -213,7 +214,7 @@ def test_noise_covariance_is_the_measured_one(spacing, law):
     case = random_case(
         {"effective": 3, "transformed": 11, "physical": 6}[spacing], law, spacing=spacing, gain=1.0, s_end=2.5
     )
-    game, loop = case.scenario.built_game, theory.sampled_loop(case.scenario, case.law)
+    game, loop = World(case.scenario).game, theory.sampled_loop(case.scenario, case.law)
     batch, std = 400, 0.3
     rest = np.repeat(game.nash_equilibrium[:, None, None], game.num_players, axis=1)
     squared = case.play_over_channel(np.repeat(rest, batch, axis=2), noise_std=std)[-1] ** 2
@@ -225,7 +226,7 @@ def test_noise_covariance_is_the_measured_one(spacing, law):
 
 def test_noise_only_adds_to_the_mean_error():
     case = random_case(14, spacing="effective", gain=5.0)
-    game, loop = case.scenario.built_game, theory.sampled_loop(case.scenario, case.law)
+    game, loop = World(case.scenario).game, theory.sampled_loop(case.scenario, case.law)
     start, batch, std = case.starts[:, :, :1], 400, 0.3
     squared = case.play_over_channel(np.repeat(start, batch, axis=2), noise_std=std)[-1] ** 2
     clean = theory.distance(loop.errors(case.start_errors()[0])[-1], game)
@@ -258,7 +259,7 @@ def test_covariance_settles_at_the_stationary_one_and_its_first_order():
 def test_delayed_recursion_is_the_environment(delay, law):
     for seed in (1, 5, 8):
         case = random_case(seed, law, spacing="effective", gain=4.0)
-        loop, game = theory.sampled_loop(case.scenario, case.law), case.scenario.built_game
+        loop, game = theory.sampled_loop(case.scenario, case.law), World(case.scenario).game
         measured = case.play_over_channel(case.starts, delay=delay)
         for column, start in enumerate(case.start_errors()):
             predicted = theory.distance(loop.errors(start, delay), game)
@@ -310,7 +311,7 @@ def test_delay_bound_is_exact_for_one_link_that_is_all_delay():
 @pytest.mark.parametrize("seed", [2, 9, 17])
 def test_law_loop_of_the_static_law_is_the_closed_loop_matrix(seed):
     case = random_case(seed)
-    game, graph = case.scenario.built_game, case.scenario.built_topology.graphs[0]
+    game, graph = World(case.scenario).game, World(case.scenario).topology.graphs[0]
     loop = theory.law_loop(case.law, game, graph)
     gain = case.law.gradient_gain
     expected = gain * theory.closed_loop_matrix(game, graph, case.law.kappa / gain)
@@ -324,7 +325,7 @@ def test_law_loop_of_the_static_law_is_the_closed_loop_matrix(seed):
 
 def test_law_loop_of_the_grounded_law_is_its_equation():
     case = random_case(2, "Grounded")
-    game, graph, kappa = case.scenario.built_game, case.scenario.built_topology.graphs[0], case.law.kappa
+    game, graph, kappa = World(case.scenario).game, World(case.scenario).topology.graphs[0], case.law.kappa
     n, players, a = game.dimension, game.num_players, graph.adjacency
     error = np.random.default_rng(0).normal(size=(players, n))
     expected = np.zeros((players, n))
@@ -342,7 +343,7 @@ def test_law_loop_of_the_grounded_law_is_its_equation():
 
 def test_law_loop_at_frozen_gains_is_the_static_law_on_the_graph_weighted_by_them():
     case = random_case(4, "Adaptive")
-    game, graph = case.scenario.built_game, case.scenario.built_topology.graphs[0]
+    game, graph = World(case.scenario).game, World(case.scenario).topology.graphs[0]
     gains = np.random.default_rng(1).uniform(0.5, 2.0, graph.adjacency.shape)
     gains = gains + gains.T
     neighbours = np.array(case.law.layout.neighbours)
@@ -361,7 +362,7 @@ def test_recursion_of_the_adaptive_law_is_the_environment(seed):
     for column in range(2):
         played = theory.play(case.law, case.encoder.world, case.starts[:, :, column])
         measured = case.play().estimate_distance[:, column]
-        predicted = theory.distance(played.errors, case.scenario.built_game)
+        predicted = theory.distance(played.errors, World(case.scenario).game)
         np.testing.assert_allclose(measured, predicted, rtol=1e-6, atol=ROUNDING)
         assert np.all(played.memory >= 0.5)
 
@@ -383,7 +384,7 @@ def test_a_law_that_looks_at_its_step_has_a_loop_for_every_step():
     assert len(loop.loops) > 1
     measured = case.play().estimate_distance
     for column, start in enumerate(case.start_errors()):
-        predicted = theory.distance(loop.errors(start), case.scenario.built_game)
+        predicted = theory.distance(loop.errors(start), World(case.scenario).game)
         np.testing.assert_allclose(measured[:, column], predicted, rtol=1e-6, atol=ROUNDING)
 
 
