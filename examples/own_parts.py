@@ -65,12 +65,14 @@ class HeavyBall(laws.Law):
         super().__init__(layout)
         self.kappa, self.inertia = kappa, inertia
 
-    def _initial_memory(self, rows: int) -> np.ndarray:
+    def initial_memory(self, rows: int) -> np.ndarray:
+        """v = 0."""
         return np.zeros((rows, self.layout.dimension))
 
-    def _inputs(self, reading: Observation, memory: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        pull = np.einsum("rd,rdn->rn", reading.weights, reading.relative_estimates)
-        memory = self.inertia * memory + (1 - self.inertia) * (self.kappa * pull - reading.gradient)
+    def inputs(self, observation: Observation, memory: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The input v, which is also the memory."""
+        pull = np.einsum("rd,rdn->rn", observation.weights, observation.relative_estimates)
+        memory = self.inertia * memory + (1 - self.inertia) * (self.kappa * pull - observation.gradient)
         return memory, memory
 
 
