@@ -25,7 +25,7 @@ from ptne_env.report import leaderboard_tables
 
 
 class BeautyContest(AffineGame):
-    """J_i(x) = ½ (x_i − r m_i − b_i)² with m_i the mean of the others: everybody wants to be close to the others."""
+    """J_i(x) = ½ (x_i − r m_i − b_i)² with m_i the mean of the others: each player wants to be close to the others."""
 
     def __init__(self, tastes: tuple[float, ...] = (1.0, 2.0, 4.0, 8.0, 16.0), conformity: float = 0.5) -> None:
         """The players' own tastes b_i, and r."""
@@ -39,7 +39,7 @@ def wheel(players: int) -> switching.SwitchingTopology:
 
 
 class Clipped(Channel):
-    """Messages in which every number is cut to ±bound."""
+    """Messages in which every number is clipped to ±bound."""
 
     is_random = False
 
@@ -48,12 +48,9 @@ class Clipped(Channel):
         self.bound = bound
 
     def transmit(
-        self,
-        messages: Messages,
-        memory: Memory | None,
-        randomness: LinkRandomness,  # noqa: ARG002 - nothing is remembered
-    ) -> tuple[Messages, Memory]:
-        """What is left of the messages."""
+        self, messages: Messages, memory: Memory | None, randomness: LinkRandomness
+    ) -> tuple[Messages, Memory]:  # noqa: ARG002 - nothing is remembered
+        """The clipped messages."""
         return replace(messages, values=np.clip(messages.values, -self.bound, self.bound)), ()
 
 
@@ -75,15 +72,15 @@ class HeavyBall(laws.Law):
 
 
 def suite() -> Suite:
-    """Two tracks: the game on the wheel, and with messages that are cut."""
+    """Two tracks: the game on the wheel, and the same with clipped messages."""
     base = get_scenario(
         "energy", name="contest", game="own_parts:BeautyContest", topology=FactorySpec.of("own_parts:wheel", players=5)
     ).replace(start="random")
-    cut = base.replace(name="clipped", channel=FactorySpec.of("own_parts:Clipped", bound=10.0))
+    clipped = base.replace(name="clipped", channel=FactorySpec.of("own_parts:Clipped", bound=10.0))
     return Suite(
         "own-parts",
         1,
-        (Track("contest", base, "The base."), Track("clipped", cut, "Numbers in messages are cut to ±10.")),
+        (Track("contest", base, "The base."), Track("clipped", clipped, "Numbers in messages are clipped to ±10.")),
         episodes=20,
     )
 

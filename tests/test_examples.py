@@ -1,61 +1,61 @@
-"""Every example runs as its docstring says, and prints what examples/README.md says."""
+"""The examples run as their docstrings describe and print the lines that examples/README.md quotes."""
 
 import json
-import os
 import re
-import subprocess
-import sys
+import runpy
 from pathlib import Path
 
+import numpy as np
 import pytest
+from processes import run_python
+
+import ptne_env
 
 FOLDER = Path(__file__).parents[1] / "examples"
 EXAMPLES = sorted(FOLDER.glob("*.py"))
 PRINTED = dict(
     re.findall(r"^\| \[(\w+\.py)\]\(\1\) \|.*\| `([^`]+)` \|$", (FOLDER / "README.md").read_text("utf-8"), re.MULTILINE)
 )
-"""Of what each example prints, what the README shows."""
+"""The line of each example's output that the README quotes."""
 
 
-def test_the_readme_lists_every_example():
+def test_readme_lists_every_example():
     assert set(PRINTED) == {path.name for path in EXAMPLES}
 
 
+def test_in_one_file_is_the_library_bit_for_bit():
+    env = ptne_env.parallel_env("energy-switching-transformed")
+    observations, _ = env.reset(seed=0)
+    law = ptne_env.laws.Static(env.layout, kappa=2.0)
+    trajectory = [env.estimates]
+    while env.agents:
+        actions, _ = law.predict(np.stack(list(observations.values())))
+        observations, *_ = env.step(dict(zip(env.agents, actions, strict=True)))
+        trajectory.append(env.estimates)
+    example = runpy.run_path(str(FOLDER / "in_one_file.py"))
+    np.testing.assert_array_equal(example["play"](), trajectory)
+    t, s, steps = example["clock"]()
+    clock = env.world.clock
+    np.testing.assert_array_equal([t[:-1], s[:-1], steps], [clock.t[:-1], clock.s[:-1], clock.theta[:-1]])
+    np.testing.assert_allclose(example["NASH_EQUILIBRIUM"], env.nash_equilibrium, rtol=1e-14)
+
+
 @pytest.mark.parametrize("example", EXAMPLES, ids=lambda path: path.stem)
-def test_example_runs_without_a_warning_and_prints_what_the_readme_shows(example, tmp_path):
-    outcome = subprocess.run(  # noqa: S603 - our own example
-        [sys.executable, "-W", "error", str(example)],
-        capture_output=True,
-        text=True,
-        encoding="utf-8",
-        cwd=tmp_path,
-        check=False,
-        timeout=300,
-    )
-    assert outcome.returncode == 0, outcome.stderr
-    assert outcome.stderr == ""
-    assert PRINTED[example.name] in " ".join(outcome.stdout.split())
-    if example.stem == "train_sb3":  # what a network learns differs a little between machines
-        before, after = map(float, re.findall(r"(-?\d+\.\d+)", outcome.stdout)[:2])
+def test_example_prints_the_line_that_the_readme_quotes(example, tmp_path):
+    done = run_python("-W", "error", example, folder=tmp_path)
+    assert done.stderr == ""
+    assert PRINTED[example.name] in " ".join(done.stdout.split())
+    if example.stem == "train_sb3":  # the digits of a trained network differ slightly between machines
+        before, after = map(float, re.findall(r"(-?\d+\.\d+)", done.stdout)[:2])
         assert before < 0.5
         assert after > 3.0
 
 
-def test_parts_of_ones_own_are_found_by_module_and_object_alone(tmp_path):
-    """A game, a graph, a channel, a law and a track of somebody else, in processes of their own."""
+def test_own_parts_are_imported_by_module_and_object_in_worker_processes(tmp_path):
+    """A game, a graph, a channel, a law and a track outside the library."""
     command = ["-m", "ptne_env.cli", "compare", "--suite", "own_parts:suite", "--policy", "own_parts:HeavyBall"]
-    paths = os.pathsep.join(filter(None, [str(FOLDER), os.environ.get("PYTHONPATH")]))
-    outcome = subprocess.run(  # noqa: S603 - our own command line
-        [sys.executable, "-W", "error", *command, "--episodes", "3", "--jobs", "2", "--out", "out"],
-        capture_output=True,
-        text=True,
-        encoding="utf-8",
-        cwd=tmp_path,
-        env={**os.environ, "PYTHONPATH": paths},
-        check=False,
-        timeout=300,
-    )
-    assert outcome.returncode == 0, outcome.stderr
+    settings = ["--episodes", "3", "--jobs", "2", "--out", "out"]
+    run_python("-W", "error", *command, *settings, folder=tmp_path, modules=[FOLDER])
     data = json.loads((tmp_path / "out" / "results.json").read_text(encoding="utf-8"))
     contest, clipped = (track["scenario"] for track in data["suite"]["tracks"])
     assert contest["game"]["target"] == "own_parts:BeautyContest"

@@ -11,13 +11,17 @@ def experiments():
 
 
 @pytest.fixture(scope="session")
-def reproduction(tmp_path_factory, experiments):
+def reproduction(tmp_path_factory, experiments, build_once):
     """A reproduction, and the reports of its progress."""
-    reports = []
     out = tmp_path_factory.mktemp("reproduction") / "new" / "folder"
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(module, "Experiments", lambda: experiments)
-        return reproduce(out, progress=lambda *report: reports.append(report)), reports
+
+    def build():
+        reports = []
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(module, "Experiments", lambda: experiments)
+            return reproduce(out, progress=lambda *report: reports.append(report)), reports
+
+    return build_once("reproduction", build)
 
 
 @pytest.fixture(scope="session")
