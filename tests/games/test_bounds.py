@@ -32,7 +32,7 @@ class NarrowLog(Game):
     """J_i = x_i² − log(x_i), undefined at x_i ≤ 0, close to the box."""
 
     def __init__(self):
-        super().__init__((1, 1), low=0.01, high=0.05)
+        super().__init__((1, 1), low=0.001, high=0.05)
 
     def costs(self, strategies):
         if np.any(strategies <= 0):
