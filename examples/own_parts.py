@@ -48,8 +48,11 @@ class Clipped(Channel):
         self.bound = bound
 
     def transmit(
-        self, messages: Messages, memory: Memory | None, randomness: LinkRandomness
-    ) -> tuple[Messages, Memory]:  # noqa: ARG002 - nothing is remembered
+        self,
+        messages: Messages,
+        memory: Memory | None,  # noqa: ARG002 - this channel keeps none
+        randomness: LinkRandomness,  # noqa: ARG002 - this channel draws nothing
+    ) -> tuple[Messages, Memory]:
         """The clipped messages."""
         return replace(messages, values=np.clip(messages.values, -self.bound, self.bound)), ()
 
