@@ -38,7 +38,7 @@ TIMINGS = ("microseconds_per_decision",)
 RESULTS_FORMAT = 2
 """Version of what the entries of ``results.json`` mean; a file of another one is refused."""
 
-_ARCHIVE = "ptne_env.policies.archive:load_archive_for"
+_ARCHIVE = "ptne_env.policies.archive:load_archive"
 _PACKAGE = Path(__file__).parents[1]
 _NOT_COMPUTING = ("report", "paper", "training", "cli.py")
 """Parts of the library on which no number of a cell depends."""

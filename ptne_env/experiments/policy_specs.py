@@ -124,7 +124,7 @@ def learned_entry(path_or_name: str) -> PolicySpec:
         FileNotFoundError, PolicyFileError, ImportError: as :func:`ptne_env.policies.load`.
     """
     policy = policies.load(path_or_name)
-    part = FactorySpec.of("ptne_env.policies:load_for", path_or_name=path_or_name)
+    part = FactorySpec.of("ptne_env.policies:load", path_or_name=path_or_name)
     return PolicySpec(policy.name, part, policy.interface, frozenset(policy.metadata.scenarios))
 
 

@@ -187,7 +187,7 @@ def _measure(name: str, x: float, y: float, episodes: int, seed: int) -> tuple[f
     law, start = Static(encoder.layout, kappa), draw_start(encoder.world, episodes, seed)
     distances = rollout(law, encoder, start).estimate_distance[scenario.steps]
 
-    game, loop = World(scenario).game, theory.sampled_loop(scenario, law)
+    game, loop = World(scenario).game, theory.sampled_loop(encoder.world, law)
     std = theory.channel_noise(World(scenario).channel)
     errors = theory.start_error(start.estimates, game)
     transition = loop.transition()
@@ -249,7 +249,7 @@ def _gain_step_boundaries(x: Axis, y: Axis) -> list[Boundary]:
     bound = theory.gain_bound(theory.monotonicity_constants(game), graph.algebraic_connectivity)
     return [
         Boundary("largest stable step", *map(tuple, zip(*known, strict=True))),
-        *([_vertical("gain condition (sufficient)", y, bound)] if bound is not None else []),
+        *([_vertical("gain condition (sufficient)", y, bound)] if np.isfinite(bound) else []),
     ]
 
 
@@ -271,7 +271,7 @@ def _noise_boundaries(x: Axis, y: Axis) -> list[Boundary]:  # noqa: ARG001 - the
     for s_end in np.linspace(y.values[0], y.values[-1], 17):
         scenario, kappa = _point("noise-horizon", 1.0, float(s_end))
         encoder = make_encoder(World(scenario), Interface())
-        loop, game = theory.sampled_loop(scenario, Static(encoder.layout, kappa)), World(scenario).game
+        loop, game = theory.sampled_loop(encoder.world, Static(encoder.layout, kappa)), World(scenario).game
         errors = theory.start_error(draw_start(encoder.world, 64, 0).estimates, game)
         clean = theory.distance((loop.transition() @ errors).T, game)
         floor.append(float(np.exp(np.log(clean).mean()) / theory.noise_distance(loop.noise_covariance(), game)))
