@@ -1,7 +1,7 @@
 """A policy of your own on the leaderboard of the benchmark.
 
 Prints, for five tracks of the benchmark and 20 episodes each, the digits and the rank of the policy below, of the
-anchors that every suite runs, and of two laws; and the scores over all five, in which 1 is the paper's law.
+reference policies of every suite, and of two laws; and the scores over all five tracks, in which 1 is the paper's law.
 
 Run it with: python examples/custom_policy.py
 or, for the whole benchmark, from the folder of this file: ptne compare --suite ptne-v1 --policy custom_policy:make
@@ -20,21 +20,21 @@ TRACKS = ("nominal", "switching-transformed", "noise", "coarse-step", "short-dea
 
 
 class EvenPace:
-    """The paper's static law with gains that look at the coming step: each step does the same share of the work.
+    """The paper's static law with gains per step instead of gains per time.
 
-    It moves by ``gradient`` times the own gradient and ``consensus`` times the mean difference to the neighbours,
-    however long the step is; so it neither crawls through short steps nor overshoots in long ones.
+    In every step it moves by ``gradient`` times the own gradient and ``consensus`` times the mean difference to the
+    neighbours, for any length of the step; so it is neither slow in short steps nor overshoots in long ones.
     """
 
     def __init__(self, layout: ObservationLayout, gradient: float = 0.25, consensus: float = 0.5) -> None:
-        """What observations mean comes from the layout; nothing else reaches a policy."""
+        """The layout describes the observations; a policy has no other information."""
         self.layout, self.gradient, self.consensus = layout, gradient, consensus
 
     def predict(
         self,
         observation: np.ndarray,
         state: object = None,
-        episode_start: np.ndarray | None = None,  # noqa: ARG002 - this policy remembers nothing
+        episode_start: np.ndarray | None = None,  # noqa: ARG002 - this policy has no memory
         deterministic: bool = False,  # noqa: ARG002, FBT001, FBT002 - Stable-Baselines3's signature
     ) -> tuple[np.ndarray, object]:
         """Actions for one observation per row."""
@@ -46,7 +46,7 @@ class EvenPace:
 
 
 def make(layout: ObservationLayout) -> EvenPace:
-    """What ``--policy custom_policy:make`` calls."""
+    """The function that ``--policy custom_policy:make`` calls."""
     return EvenPace(layout)
 
 

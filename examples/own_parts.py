@@ -1,9 +1,9 @@
 """A game, a graph, a channel, a law and a track of your own, in a module of your own.
 
-Nothing is registered: scenarios, suites and policies name them as "own_parts:Name".
+Nothing is registered: scenarios, suites and policies name the parts as "own_parts:Name".
 
 Run it with: python examples/own_parts.py
-or, where this file can be imported: ptne compare --suite own_parts:suite --policy own_parts:HeavyBall
+or, in the folder of this file: ptne compare --suite own_parts:suite --policy own_parts:HeavyBall
 """
 
 from dataclasses import replace
@@ -47,7 +47,7 @@ class Clipped(Channel):
         """The largest number that can be sent."""
         self.bound = bound
 
-    def transmit(self, messages: Messages, memory: Memory | None, link_noise: LinkNoise) -> tuple[Messages, Memory]:  # noqa: ARG002 - nothing is remembered
+    def transmit(self, messages: Messages, memory: Memory | None, link_noise: LinkNoise) -> tuple[Messages, Memory]:  # noqa: ARG002 - this channel has no memory
         """The clipped messages."""
         return replace(messages, values=np.clip(messages.values, -self.bound, self.bound)), ()
 

@@ -1,7 +1,7 @@
 """A parameter sweep on all cores: digits over the consensus gain κ and the number of steps to the deadline.
 
-Every point is a cell of a suite: a track per number of steps, a participant per gain. joblib spreads the cells over
-processes, each cell is kept in a file, and so a sweep that was interrupted, or asked again, runs only what is missing.
+Every point is a job of a suite: one track per number of steps, one policy per gain. joblib distributes the jobs over
+processes, and each result is stored in a file. So a sweep that is interrupted or repeated runs only the missing jobs.
 
 Prints the grid of mean digits (20 episodes per point), and how long the sweep took, new and repeated.
 
@@ -49,7 +49,7 @@ def main() -> None:
     print(f"{'':8}" + "".join(f"{f'κ = {gain:g}':>9}" for gain in GAINS))
     for steps in STEPS:
         print(f"K = {steps:<4}" + "".join(f"{digits[steps, gain]:9.2f}" for gain in GAINS))
-    print(f"{done - began:.1f} s on {cpu_count()} cores; {again - done:.1f} s when all cells are there already")
+    print(f"{done - began:.1f} s on {cpu_count()} cores; {again - done:.1f} s when all results are stored already")
 
 
 if __name__ == "__main__":

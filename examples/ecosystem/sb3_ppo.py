@@ -1,4 +1,4 @@
-"""Stable-Baselines3: PPO with one network for all players, whose slots are the players of all environments.
+"""Stable-Baselines3: PPO with one network for the players of all environments.
 
 Run it with: python examples/ecosystem/sb3_ppo.py
 """

@@ -1,4 +1,4 @@
-"""sb3-contrib: recurrent PPO, whose memory travels through ``predict`` like a law's.
+"""sb3-contrib: recurrent PPO, whose memory passes through ``predict`` like a law's.
 
 Run it with: python examples/ecosystem/sb3_recurrent_ppo.py
 """
