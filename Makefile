@@ -1,13 +1,15 @@
 # Two commands, each complete on a fresh machine with Python 3.11 or newer and make:
-#   make compare   installs, runs the comparison of all laws on all scenarios, says where the results are
+#   make compare   installs, compares all laws on all scenarios, prints where the results are
 #   make test      installs the test extra, runs linters, types and tests
-# and, because the pins of these frameworks conflict, one environment each in .ecosystem/:
+# The pins of other frameworks conflict, so each has an environment of its own in .ecosystem/:
 #   make ecosystem runs the examples of every framework, writes the table of docs/ecosystem.md
 
 PYTHON ?= python3
 VENV   ?= .venv
 BIN    := $(VENV)/bin
 OUT    ?= results
+PIP     = $(BIN)/pip install --quiet --disable-pip-version-check --constraint constraints.txt
+PYTEST  = $(BIN)/pytest --numprocesses auto --dist worksteal
 
 .PHONY: compare reproduce test lint types unit docs ecosystem ray soak lowest newest smoke audit clean
 
@@ -35,12 +37,14 @@ types: $(VENV)/.test
 	$(BIN)/mypy
 
 unit: $(VENV)/.test
-	$(BIN)/pytest --numprocesses auto
+	$(PYTEST)
 
+# All tests with large counts of random cases, then 100,000 random episodes in random worlds.
 soak: $(VENV)/.test
+	PTNE_SOAK=1 $(PYTEST)
 	$(BIN)/python tests/soak.py --episodes 100000
 
-# The tests that need neither torch nor the whole source tree, with the oldest packages that pyproject.toml admits, and
+# The tests that need neither torch nor the whole source tree, with the oldest packages that pyproject.toml admits, or
 # with the newest: make newest PYTHON=python3.13
 lowest: RESOLUTION := lowest-direct
 newest: RESOLUTION := highest
@@ -48,12 +52,12 @@ lowest newest:
 	$(PYTHON) -m venv --clear $(VENV)-$@
 	$(VENV)-$@/bin/pip install --quiet --disable-pip-version-check uv
 	$(VENV)-$@/bin/uv pip install --quiet --compile-bytecode --python $(VENV)-$@/bin/python --resolution $(RESOLUTION) \
-		--editable '.[bench]' 'hypothesis>=6.100' 'pytest>=8.3' 'pytest-xdist>=3.6'
-	$(VENV)-$@/bin/pytest --numprocesses auto \
+		--editable '.[bench]' 'filelock>=3.13' 'hypothesis>=6.100' 'pytest>=8.3' 'pytest-xdist>=3.6'
+	$(VENV)-$@/bin/pytest --numprocesses auto --dist worksteal \
 		--ignore tests/test_docs.py --ignore tests/test_examples.py --ignore tests/test_ecosystem.py \
 		--ignore tests/test_benchmarks.py
 
-# Wheel and source archive, each installed in an empty environment and used outside of the source tree.
+# Wheel and source archive, each installed in an empty environment and used outside the source tree.
 smoke: SMOKE := $(abspath $(VENV)-smoke)
 smoke:
 	$(PYTHON) -m venv --clear $(SMOKE)
@@ -65,36 +69,36 @@ smoke:
 		bin/pip install --quiet --disable-pip-version-check "$$archive[bench]" && bin/python smoke.py bench) || exit 1; \
 	done
 
-# What users are told to install, held against the published vulnerabilities; a package that cannot be looked up fails.
+# Published vulnerabilities of the packages that users install; a package without an answer is a failure.
 audit:
 	$(PYTHON) -m venv --clear $(VENV)-audit
-	$(VENV)-audit/bin/pip install --quiet --disable-pip-version-check torch==2.13.0
-	$(VENV)-audit/bin/pip install --quiet --disable-pip-version-check --editable '.[sb3]' pip-audit
+	$(VENV)-audit/bin/pip install --quiet --disable-pip-version-check --constraint constraints.txt \
+		--editable '.[sb3]' pip-audit
 	$(VENV)-audit/bin/pip freeze --exclude-editable > $(VENV)-audit/requirements.txt
 	$(VENV)-audit/bin/pip-audit --strict --no-deps --disable-pip --requirement $(VENV)-audit/requirements.txt
 
 $(VENV)/bin/python:
-	@$(PYTHON) -c 'import sys; sys.exit("ptne_env needs Python 3.11 or newer, $(PYTHON) is " + sys.version.split()[0] + "; say PYTHON=...") if sys.version_info < (3, 11) else 0'
+	@$(PYTHON) -c 'import sys; sys.exit("ptne_env needs Python 3.11 or newer, $(PYTHON) is " + sys.version.split()[0] + "; set PYTHON=...") if sys.version_info < (3, 11) else 0'
 	$(PYTHON) -m venv $(VENV)
 
-$(VENV)/.bench: pyproject.toml | $(VENV)/bin/python
-	$(BIN)/pip install --quiet --disable-pip-version-check --editable '.[bench]'
+$(VENV)/.bench: pyproject.toml constraints.txt | $(VENV)/bin/python
+	$(PIP) --editable '.[bench]'
 	touch $@
 
-$(VENV)/.docs: pyproject.toml | $(VENV)/bin/python
-	$(BIN)/pip install --quiet --disable-pip-version-check --editable '.[docs]'
+$(VENV)/.docs: pyproject.toml constraints.txt | $(VENV)/bin/python
+	$(PIP) --editable '.[docs]'
 	touch $@ $(VENV)/.bench
 
-$(VENV)/.test: pyproject.toml | $(VENV)/bin/python
-	$(BIN)/pip install --quiet --disable-pip-version-check --editable '.[test]'
+$(VENV)/.test: pyproject.toml constraints.txt | $(VENV)/bin/python
+	$(PIP) --editable '.[test]'
 	touch $@ $(VENV)/.docs $(VENV)/.bench
 
-# A Ray cluster of two nodes on this machine, one of which is killed in the middle.
+# A Ray cluster of two nodes on this machine; one is killed in the middle.
 ray: $(VENV)/.ray
 	$(BIN)/pytest --show-capture=no tests/experiments/test_cluster.py
 
 $(VENV)/.ray: $(VENV)/.test
-	$(BIN)/pip install --quiet --disable-pip-version-check --editable '.[test,ray]'
+	$(PIP) --editable '.[test,ray]'
 	touch $@
 
 clean:

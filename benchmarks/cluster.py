@@ -1,6 +1,6 @@
-"""What a cell of a suite costs, how well several workers share cells, and what Ray adds; see docs/scaling.md.
+"""Cost of a job of a suite, speed of several workers, and overhead of Ray; see docs/scaling.md.
 
-Run it as ``python -m benchmarks.cluster`` with the extra ``[ray]`` and nothing else running.
+Run ``python -m benchmarks.cluster`` with the extra ``[ray]`` on an idle machine.
 """
 
 from __future__ import annotations
@@ -31,13 +31,13 @@ LAWS = ("static", "adaptive", "grounded", "corollary-one", "fixed-gain", "averag
 
 
 def cell(track: str, law: str, seed: int = 0) -> Cell:
-    """A cell of the suite with its own number of episodes."""
+    """A job of the suite, with as many episodes as the suite has."""
     suite = get_suite(SUITE)
     return Cell(suite.name, suite.track(track), law, 0, ENTRIES[law], seed, "test", suite.episodes)
 
 
 def timed(work: Callable[[], Any], clock: Callable[[], float] = time.perf_counter) -> tuple[float, Any]:
-    """Seconds by the clock, and what came out."""
+    """Seconds by the clock, and the result."""
     began = clock()
     result = work()
     return clock() - began, result
@@ -45,7 +45,7 @@ def timed(work: Callable[[], Any], clock: Callable[[], float] = time.perf_counte
 
 @contextmanager
 def nodes(count: int) -> Iterator[Workers]:
-    """A Ray cluster of nodes with one core each, on this machine, with its workers already started."""
+    """A Ray cluster of nodes with one core each, on this machine, with started workers."""
     cluster = Cluster(initialize_head=True, head_node_args={"num_cpus": 1, "include_dashboard": False})
     for _ in range(count - 1):
         cluster.add_node(num_cpus=1)
@@ -64,7 +64,7 @@ def _tasks(cells: list[Cell]) -> list[tuple[Cell, str]]:
 
 
 def costs(tracks: tuple[str, ...]) -> None:
-    """Seconds of one core to run and to keep a cell of each track, and the bytes that travel."""
+    """Seconds of one core to run and to store a job of each track, and the transferred bytes."""
     typer.echo(f"{'track':24}{'seconds':>9}{'bytes out':>11}{'bytes back':>12}{'ms to keep':>12}")
     rows = []
     with tempfile.TemporaryDirectory() as folder:
@@ -81,9 +81,9 @@ def costs(tracks: tuple[str, ...]) -> None:
 
 
 def sharing(turns: int) -> None:
-    """How long the same cells take on one and on two workers."""
+    """Seconds of the same jobs on one and on two workers."""
     tasks = _tasks([cell("nominal", law, seed) for seed in range(3) for law in LAWS])
-    list(Workers(2).run(_measure, tasks[:4]))  # the processes are there before the clock runs
+    list(Workers(2).run(_measure, tasks[:4]))  # starts the processes before the clock runs
     typer.echo(f"{len(tasks)} cells of the track nominal, median of {turns} turns")
     medians = {}
 
@@ -104,7 +104,7 @@ def _sleep(seconds: float) -> None:
 
 
 def overheads() -> None:
-    """Empty tasks per second on two nodes, and unequal tasks through this backend and through Ray's own."""
+    """Empty tasks per second on two nodes, and unequal tasks through our backend and through Ray's own."""
     unequal = [(4.0,)] + 20 * [(0.2,)]
     register_ray()
     with nodes(2) as workers:
@@ -116,15 +116,15 @@ def overheads() -> None:
         with joblib.parallel_config(backend="ray", n_jobs=2):
             joblib.Parallel()(calls[1:5])
             seconds, _ = timed(lambda: joblib.Parallel()(calls))
-        typer.echo(f"the same through Ray's own backend for joblib, with its pool to start: {seconds:.1f} s")
+        typer.echo(f"the same through Ray's own backend for joblib, including the start of its pool: {seconds:.1f} s")
 
 
 def main(
     *,
-    turns: Annotated[int, typer.Option(min=1, help="Turns of every way to share.")] = 3,
-    track: Annotated[list[str] | None, typer.Option(help="Tracks whose cost is measured; all if left out.")] = None,
+    turns: Annotated[int, typer.Option(min=1, help="Turns of every set of workers.")] = 3,
+    track: Annotated[list[str] | None, typer.Option(help="Tracks whose cost is measured; all by default.")] = None,
 ) -> None:
-    """Print all of it."""
+    """Print costs, speeds and overheads."""
     costs(tuple(track or (one.name for one in get_suite(SUITE).tracks)))
     sharing(turns)
     overheads()

@@ -1,7 +1,7 @@
-"""How long importing takes, each time in a fresh interpreter: ``python -m benchmarks.imports [--repeats R]``.
+"""Import times in fresh interpreters: ``python -m benchmarks.imports [--repeats R]``.
 
-Statements take turns; figures are medians with their range, in seconds, the interpreter's own start included. The CPU
-column is what the machine had to do, whatever else it did meanwhile.
+Statements take turns; figures are medians with their range, in seconds, including the start of the interpreter. CPU
+seconds do not depend on other processes.
 """
 
 from __future__ import annotations
@@ -23,14 +23,14 @@ STATEMENTS = {
     "Gymnasium and PettingZoo": "import gymnasium, pettingzoo",
     "ptne_env": "import ptne_env",
     "ptne_env and an environment": "import ptne_env; ptne_env.parallel_env('energy')",
-    "ptne_env and everything it names": "from ptne_env import *",
+    "ptne_env and all public names": "from ptne_env import *",
 }
 
 
 def seconds(statement: str) -> tuple[float, float]:
     """Elapsed and CPU seconds of a fresh interpreter that runs a statement."""
     before, start = os.times(), perf_counter()
-    subprocess.run([sys.executable, "-c", statement], check=True)  # noqa: S603 - our own interpreter and statements
+    subprocess.run([sys.executable, "-c", statement], check=True)  # noqa: S603 - our own statements
     elapsed, after = perf_counter() - start, os.times()
     used = after.children_user + after.children_system - before.children_user - before.children_system
     return elapsed, used
@@ -42,7 +42,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--repeats", type=int, default=9, help="interpreters per statement")
     repeats = parser.parse_args(arguments).repeats
     for statement in STATEMENTS.values():
-        seconds(statement)  # what is compiled and read once
+        seconds(statement)  # compiles and reads files
     rounds = [[seconds(statement) for statement in STATEMENTS.values()] for _ in range(repeats)]
     table = Table("import", "elapsed [s]", "range", "CPU [s]", title=f"Fresh interpreters, median of {repeats}")
     for name, figures in zip(STATEMENTS, np.array(rounds).swapaxes(0, 1), strict=True):

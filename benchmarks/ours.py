@@ -1,4 +1,4 @@
-"""Our own contenders, the parts of which a step consists, the share of a PPO update, and law rollouts."""
+"""Our contenders, the parts of a step, the share of a PPO update, and law rollouts."""
 
 from __future__ import annotations
 
@@ -30,8 +30,8 @@ from ptne_env.scenario import Scenario
 from ptne_env.world import World
 
 _BATCHES = 16
-"""Random joint actions that are drawn beforehand, and as many of the opposite sign: their mean is 0, so that random
-play diffuses, as with fresh draws, and does not drift."""
+"""Random joint actions, drawn before the clock runs, and as many of the opposite sign: their mean is 0, so estimates
+diffuse, as with fresh draws, and do not drift."""
 
 
 def actions(bound: float, shape: tuple[int, ...]) -> Iterator[Float32Array]:
@@ -59,7 +59,7 @@ def single(interface: InterfaceKind) -> Contender:
 
 
 def dictionaries() -> Contender:
-    """The five dictionaries that a step returns, built from values that are there already: the floor of the API."""
+    """The five dictionaries that a step returns, built from given values: the cost of the API alone."""
     env = parallel_env("energy")
     agents, size = env.possible_agents, env.layout.size
     values, clipped = [0.0] * len(agents), [0] * len(agents)
@@ -81,7 +81,7 @@ def dictionaries() -> Contender:
 
 
 def vector(interface: InterfaceKind, num_envs: int, scenario: str | Scenario = "energy") -> Contender:
-    """The vector path; environments that are over are reset."""
+    """The vector environment; finished episodes are reset."""
     env = VectorParallelEnv(scenario, num_envs, interface=interface)
     env.reset(seed=0)
     turn = actions(env.layout.action_bound, (num_envs, env.num_players, env.layout.action_size))
@@ -112,23 +112,19 @@ def slots(interface: InterfaceKind, num_envs: int) -> Contender:
 
 
 def parts(interface: InterfaceKind, num_envs: int, plan: Plan, scenario: str | Scenario = "energy") -> dict[str, float]:
-    """Microseconds of each part of a step of ``num_envs`` environments, each alone and therefore in a warm cache."""
+    """Microseconds of each part of a step of ``num_envs`` environments; each part runs alone, in a warm cache."""
     world, encoder, reward, state = _world(interface, num_envs, scenario)
     reward.reset(state)
     encoder.observe(state)
-    played = next(
-        actions(encoder.layout.action_bound, (num_envs, encoder.layout.num_players, encoder.layout.action_size))
-    )
+    layout = encoder.layout
+    played = next(actions(layout.action_bound, (num_envs, layout.num_players, layout.action_size)))
     inputs = encoder.decode(played, state)
     after = dynamics.step(world, state, inputs)
     calls: dict[str, Callable[[], object]] = {
         "decode actions": lambda: encoder.decode(played, state),
         "transition": lambda: dynamics.step(world, state, inputs),
         "reward": lambda: reward.total(reward.step(after)),
-        # A new state each time, because a state remembers its relative estimates.
-        "observe": lambda: encoder.observe(
-            State(world, after.step, after.game, after.estimates, after.own_gradients, after.diverged)
-        ),
+        "observe": lambda: encoder.observe(after),
     }
     return {name: 1e6 * seconds_per_call(call, plan) for name, call in calls.items()}
 
@@ -141,7 +137,7 @@ def _world(interface: InterfaceKind, num_envs: int, scenario: str | Scenario) ->
 
 def memory(interface: InterfaceKind, num_envs: int, scenario: str | Scenario = "energy") -> dict[str, float]:
     """Bytes per environment of a vector environment: held between steps, and at the peak of a step."""
-    layout = VectorParallelEnv(scenario, 1, interface=interface).layout  # also builds what environments share
+    layout = VectorParallelEnv(scenario, 1, interface=interface).layout  # also builds the shared tables
     played = np.zeros((num_envs, layout.num_players, layout.action_size), dtype=np.float32)
     tracemalloc.start()
     try:
@@ -159,7 +155,7 @@ def memory(interface: InterfaceKind, num_envs: int, scenario: str | Scenario = "
 
 @contextmanager
 def _timed(owner: type, name: str, spent: list[float]) -> Iterator[None]:
-    """Add up in ``spent[0]`` the seconds in a method, while the context lasts."""
+    """Add the seconds in a method to ``spent[0]`` while the context lasts."""
     method = getattr(owner, name)
 
     def timed(*arguments: Any, **keywords: Any) -> Any:
@@ -177,10 +173,10 @@ def _timed(owner: type, name: str, spent: list[float]) -> Iterator[None]:
 
 
 def training_share(plan: Plan) -> dict[str, Any]:
-    """The environment's share of wall time in PPO at the settings that ``ptne train random-energy`` ships.
+    """The share of the environment in the wall time of PPO with the configuration ``random-energy``.
 
-    Each repeat trains afresh. The first update is left out; the following ones cover one whole episode of every
-    environment, its end and the drawing of new games included.
+    Each repeat is a new training run. The first update is left out; the following updates cover one whole episode of
+    every environment, with its end and the draw of new games.
 
     Raises:
         MissingPeerError: when Stable-Baselines3 is not installed.
@@ -193,8 +189,8 @@ def training_share(plan: Plan) -> dict[str, Any]:
     except ImportError as error:
         raise MissingPeerError(f"the share of a PPO update is left out: {error}") from error
     shipped = Arguments.from_toml("random-energy")
-    scenario = get_scenario(shipped.scenarios[0])
-    players, episode = World(scenario).game.num_players, World(scenario).clock.total_steps
+    world = World(get_scenario(shipped.scenarios[0]))
+    players, episode = world.game.num_players, world.clock.total_steps
     updates = 2 if plan.quick else -(-episode // shipped.rollout)
     settings: dict[str, Any] = {"steps": (updates + 1) * shipped.rollout * shipped.envs * players}
     if plan.quick:
@@ -231,7 +227,7 @@ def training_share(plan: Plan) -> dict[str, Any]:
 
 
 def law_rollouts(plan: Plan) -> list[Contender]:
-    """Rollouts of laws over a bank of ``random-energy``, environment, law and recorded metrics together."""
+    """Rollouts of laws over episodes of ``random-energy``: environment, law and metrics together."""
     episodes = 10 if plan.quick else 1000
     world = World(get_scenario("random-energy"))
     start = draw_start(world, episodes, seed=0)

@@ -1,4 +1,4 @@
-"""The environments that others would use: MPE2, MPE2 through SuperSuit, and VMAS; each is optional."""
+"""Comparable environments of other libraries: MPE2, MPE2 through SuperSuit, and VMAS; each is optional."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ import numpy as np
 from benchmarks.timing import Contender
 
 PLAYERS = 5
-"""Agents in every environment that is compared."""
+"""Agents in every environment."""
 
 EPISODE = 400
-"""Steps of an episode, the peers' as ours, so that restarts weigh alike."""
+"""Steps of an episode, equal for all environments, so that resets have equal weight."""
 
 _POOL = 64
-"""Random joint actions that are drawn beforehand; drawing them is not what is measured."""
+"""Random joint actions, drawn before the clock runs."""
 
 
 class MissingPeerError(ImportError):
@@ -64,11 +64,11 @@ def supersuit(num_envs: int) -> Contender:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         try:
-            import stable_baselines3  # noqa: F401 - SuperSuit imports it late and fails unclearly
+            import stable_baselines3  # noqa: F401 - SuperSuit imports it later, with an unclear error
             import supersuit as wrappers
             from mpe2 import simple_spread_v3
         except ImportError as error:
-            raise _missing("MPE2 through SuperSuit", "mpe2 supersuit stable-baselines3 torch==2.13.0", error) from error
+            raise _missing("MPE2 through SuperSuit", "mpe2 supersuit stable-baselines3 torch", error) from error
         env: Any = simple_spread_v3.parallel_env(N=PLAYERS, max_cycles=EPISODE)
         env = wrappers.pettingzoo_env_to_vec_env_v1(env)
         env = wrappers.concat_vec_envs_v1(env, num_envs, num_cpus=1, base_class="stable_baselines3")
@@ -82,7 +82,7 @@ def supersuit(num_envs: int) -> Contender:
 def vmas(num_envs: int) -> list[Contender]:
     """VMAS ``dispersion`` with 5 agents on the CPU, once with one torch thread and once with two.
 
-    It is never reset, which is to its advantage.
+    It is never reset, which saves it time.
 
     Raises:
         MissingPeerError: when VMAS or torch is not installed.
@@ -93,7 +93,7 @@ def vmas(num_envs: int) -> list[Contender]:
             import torch
             from vmas import make_env
         except ImportError as error:
-            raise _missing("VMAS", "vmas torch==2.13.0", error) from error
+            raise _missing("VMAS", "vmas torch", error) from error
         env: Any = make_env(
             "dispersion", num_envs=num_envs, device="cpu", continuous_actions=True, n_agents=PLAYERS, seed=0
         )

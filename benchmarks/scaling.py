@@ -1,4 +1,4 @@
-"""How the cost of an agent-step grows with players, neighbours and environments, against what it needs at least."""
+"""Cost of an agent-step by players, neighbours and environments, beside its least operations and bytes."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from ptne_env.observation import ObservationLayout
 from ptne_env.scenario import Scenario
 
 _ENTRIES = 2_000_000
-"""Relative estimates D n N B that a batch may have, so that large worlds fit into memory."""
+"""Largest number of relative estimates D n N B of a batch, so that large worlds fit into memory."""
 
 _ENVIRONMENTS = 1024
 """Largest batch in the table over players."""
@@ -24,7 +24,7 @@ _ENVIRONMENTS = 1024
 def scenario(players: int, graph: str) -> Scenario:
     """Random energy games of ``players`` on a ``cycle`` or ``complete`` graph.
 
-    The input limit is small enough for random play to stay in range whatever N is.
+    The input limit is so small that random play stays in range for every N.
     """
     return Scenario(
         name=f"{graph}-{players}",
@@ -32,7 +32,7 @@ def scenario(players: int, graph: str) -> Scenario:
         topology=FactorySpec.of(
             "ptne_env.switching:fixed", graph=FactorySpec.of(f"ptne_env.graphs:{graph}", players=players)
         ),
-        start="random",  # type: ignore[arg-type]  # a short name, as documented
+        start="random",  # type: ignore[arg-type]  # a short name
         input_limit=100.0,
     )
 
@@ -47,16 +47,16 @@ def arithmetic(layout: ObservationLayout) -> int:
 
 
 def traffic(layout: ObservationLayout) -> int:
-    """Bytes that one agent-step must move at least, everything being read and written once.
+    """Least bytes that one agent-step moves, if every array is read and written once.
 
     The action is read (float32), the estimate read and written (float64), the observation written (float32) and the
-    reward written (float64). A neighbour's estimate is another player's own and is counted there.
+    reward written (float64). The estimate of a neighbour is counted as that player's own.
     """
     return 4 * layout.action_size + 16 * layout.dimension + 4 * layout.size + 8
 
 
 def copy_speed(plan: Plan) -> Spread:
-    """Bytes per second, read and written together, at which numpy copies an array too large for the second cache."""
+    """Bytes per second, read and written, at which numpy copies an array larger than the second cache."""
     source = np.zeros(1 << (20 if plan.quick else 24), dtype=np.float64)
     target = np.empty_like(source)
     np.copyto(target, source)
@@ -69,7 +69,7 @@ def copy_speed(plan: Plan) -> Spread:
 
 
 def over_players(plan: Plan) -> list[dict[str, Any]]:
-    """Cost by N and graph: rows of figures per agent-step."""
+    """Cost of an agent-step by N and graph, as rows of a table."""
     rows: list[dict[str, Any]] = []
     contenders: list[Contender] = []
     for players in (5, 10) if plan.quick else (5, 10, 20, 50, 100):
@@ -102,7 +102,7 @@ def over_players(plan: Plan) -> list[dict[str, Any]]:
 
 
 def over_batch(plan: Plan) -> list[dict[str, Any]]:
-    """Cost and memory by B, N = 5, for both interfaces."""
+    """Cost of an agent-step and memory by B, N = 5, for both interfaces, as rows of a table."""
     sizes = (1, 16) if plan.quick else (1, 4, 16, 64, 256, 1024, 2048, 4096, 8192, 16384)
     rows: list[dict[str, Any]] = []
     for kind in ("physical", "local"):

@@ -1,8 +1,8 @@
-"""Ours and the peers, side by side in one run: ``python -m benchmarks.speed [--json FILE] [--quick]``.
+"""Speed of our environments and of their peers in one run: ``python -m benchmarks.speed [--json FILE] [--quick]``.
 
 Agent-steps per second with random actions and full observations. Contenders take turns, five times each; figures are
-medians with their range. Peers that are not installed are left out and named. The whole takes about six minutes on two
-cores; ``--quick`` only shows, in seconds, that everything runs.
+medians with their range. Missing peers are left out and named. The run takes about six minutes on two cores;
+``--quick`` takes seconds and only checks that everything runs.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ TARGETS: dict[tuple[str, str], float] = {
     ("slots", "physical"): 300.0,
     ("slots", "local"): 300.0,
 }
-"""How many times as fast as the peer we mean to be."""
+"""Wanted speed as a multiple of the peer's."""
 
 SHARE_TARGET = 0.03
 """Largest share of a PPO update that the environment may take."""
@@ -52,7 +52,7 @@ _PACKAGES = ("numpy", "pettingzoo", "gymnasium", "mpe2", "supersuit", "vmas", "s
 
 
 class _Report:
-    """Collects what was measured, what was left out, and which targets are met."""
+    """Collects measurements, notes on missing peers, and verdicts on targets."""
 
     def __init__(self, plan: Plan, console: Console) -> None:
         self.plan = plan
@@ -62,7 +62,7 @@ class _Report:
         self.notes: list[str] = []
 
     def available(self, build: Callable[[], Any]) -> Any:
-        """What ``build`` returns, or ``None`` with a note where a peer is missing."""
+        """The result of ``build``, or ``None`` and a note if a peer is missing."""
         try:
             return build()
         except peers.MissingPeerError as error:
@@ -72,7 +72,7 @@ class _Report:
             return None
 
     def compare(self, group: str, mine: Sequence[Contender], theirs: Sequence[Contender]) -> None:
-        """Let them take turns; ours are held against the fastest peer."""
+        """Measure in turns, and compare ours with the fastest peer."""
         self.console.print(f"measuring: {group}", style="dim")
         rates = interleave([*mine, *theirs], self.plan)
         spreads = {name: Spread.of(values) for name, values in rates.items()}
@@ -86,12 +86,11 @@ class _Report:
         for (of, kind), target in TARGETS.items():
             name = f"ptne_env, {kind}"
             if of == group and name in ratios:
-                self._judge(
-                    f"{group}, {kind}: times as fast as {best}", ratios[name], target, ratios[name].median >= target
-                )
+                met = ratios[name].median >= target
+                self._judge(f"{group}, {kind}: times as fast as {best}", ratios[name], target, met)
 
     def share(self, measured: dict[str, Any]) -> None:
-        """The environment's share of a PPO update."""
+        """Judge the share of the environment in a PPO update."""
         share = Spread(**measured["share"])
         self._judge("share of a PPO update", share, SHARE_TARGET, share.median <= SHARE_TARGET)
 
@@ -100,7 +99,7 @@ class _Report:
 
 
 def measure(plan: Plan, console: Console) -> dict[str, Any]:
-    """Everything, as a JSON object."""
+    """All measurements, as a JSON object."""
     report = _Report(plan, console)
     load_before = os.getloadavg() if hasattr(os, "getloadavg") else None
 
@@ -260,12 +259,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Measure, print and write.
 
     Returns:
-        0; a missed target is a result, not a failure.
+        0, also when a target is missed.
     """
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.speed", description="Speed, side by side with peers.")
-    parser.add_argument("--json", type=Path, metavar="FILE", help="also write everything that was measured here")
+    parser = argparse.ArgumentParser(
+        prog="python -m benchmarks.speed", description="Speed of our environments and of their peers."
+    )
+    parser.add_argument("--json", type=Path, metavar="FILE", help="also write all measurements to this file")
     parser.add_argument(
-        "--quick", action="store_true", help="only see that everything runs; seconds instead of minutes"
+        "--quick", action="store_true", help="only check that everything runs; seconds instead of minutes"
     )
     options = parser.parse_args(arguments)
     console = Console(width=None if sys.stdout.isatty() else 120)

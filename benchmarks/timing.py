@@ -1,4 +1,4 @@
-"""Fair timing: contenders take turns, and every figure is a median over the turns with its spread."""
+"""Fair timing: contenders take turns, and every figure is a median over the turns with its range."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ import numpy as np
 
 @dataclass(frozen=True)
 class Plan:
-    """How long to measure.
+    """Duration of a measurement.
 
     Attributes:
         repeats: turns of every contender.
-        seconds: of one turn.
-        quick: whether this is only to see that everything runs.
+        seconds: duration of a turn.
+        quick: whether the run only checks that everything works; such a run has smaller batches.
     """
 
     repeats: int = 5
@@ -25,7 +25,7 @@ class Plan:
 
 
 QUICK = Plan(repeats=2, seconds=0.02, quick=True)
-"""The plan of ``--quick``: everything runs, no figure means much."""
+"""The plan of ``--quick``: its figures mean little."""
 
 
 @dataclass(frozen=True)
@@ -46,18 +46,18 @@ class Spread:
         return Spread(self.median * factor, self.low * factor, self.high * factor)
 
     def to_dict(self) -> dict[str, float]:
-        """A JSON object."""
+        """As a JSON object."""
         return asdict(self)
 
 
 @dataclass(frozen=True)
 class Contender:
-    """Something that can be stepped again and again.
+    """A function that can be called without end, and its name in tables.
 
     Attributes:
         name: in tables.
         agent_steps: agents that one call of ``step`` moves.
-        step: moves all of them once, and starts episodes that are over again.
+        step: moves all agents once, and resets finished episodes.
         prepare: called before each turn.
     """
 
@@ -83,9 +83,9 @@ def _turn(contender: Contender, seconds: float) -> float:
 
 
 def interleave(contenders: Sequence[Contender], plan: Plan) -> dict[str, list[float]]:
-    """Agent-steps per second of every contender, one number per repeat; within a repeat they run one after the other.
+    """Agent-steps per second of every contender, one number per repeat; within a repeat they take turns.
 
-    So a machine that is busy for a while slows all of them, and ratios within a repeat stay fair.
+    A busy period of the machine slows all contenders, so ratios within a repeat stay fair.
     """
     rates: dict[str, list[float]] = {contender.name: [] for contender in contenders}
     for _ in range(plan.repeats):
@@ -95,7 +95,7 @@ def interleave(contenders: Sequence[Contender], plan: Plan) -> dict[str, list[fl
 
 
 def ratio(rates: Mapping[str, Sequence[float]], ours: str, peer: str) -> Spread:
-    """How many times as fast ``ours`` is as ``peer``, repeat by repeat."""
+    """Speed of ``ours`` as a multiple of the speed of ``peer``, repeat by repeat."""
     return Spread.of([mine / theirs for mine, theirs in zip(rates[ours], rates[peer], strict=True)])
 
 

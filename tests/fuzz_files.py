@@ -1,7 +1,7 @@
 """Arbitrary bytes as files of results and policies, guided by coverage; needs atheris (``pip install atheris``).
 
-``python tests/fuzz_files.py -max_total_time=60``, with libFuzzer's options: whatever the bytes are, a reader returns or
-raises what it documents.
+``python tests/fuzz_files.py -max_total_time=60``, with the options of libFuzzer. For all bytes a reader returns
+or raises a documented error.
 """
 
 import contextlib
@@ -20,7 +20,7 @@ FILE = Path(tempfile.mkdtemp()) / "file.onnx"
 
 
 def read(path):
-    """As each kind of file in turn."""
+    """Read the file as each kind of file."""
     with contextlib.suppress(ValueError):
         benchmark._read_results(path)
     with contextlib.suppress(ValueError):
@@ -31,8 +31,8 @@ def read(path):
         Metadata.from_json(path.read_text(encoding="utf-8"))
 
 
-def one(data):
-    """What libFuzzer calls."""
+def test_one_input(data):
+    """The target of libFuzzer."""
     FILE.write_bytes(data)
     read(FILE)
 
@@ -46,5 +46,5 @@ if __name__ == "__main__":
         (corpus / f"{name}.json").write_text(policies.load(name).metadata.to_json(), encoding="utf-8")
     (corpus / "results").write_text('{"format": 2, "suite": {}, "cells": [], "checksum": "0"}', encoding="utf-8")
     (corpus / "cell").write_text('{"cell": {}, "samples": {"digits": [1.5, null]}, "checksum": "0"}', encoding="utf-8")
-    atheris.Setup([*sys.argv, str(corpus)], one)
+    atheris.Setup([*sys.argv, str(corpus)], test_one_input)
     atheris.Fuzz()

@@ -1,9 +1,9 @@
-"""What every published environment did when it was published: ``python tests/golden.py`` adds those that are missing.
+"""Golden trajectories of the published environments: ``python tests/golden.py`` adds the missing ones.
 
-One short trajectory per environment and way to act, from actions of a seeded generator, kept in
-``tests/data/golden.json``. An entry is never written over: behaviour of a ``-v0`` environment does not change, a
-correction is a ``-v1`` beside it. Numbers have twelve digits and are compared to a relative 1e-9, because compilers and
-versions of NumPy round differently; observations are float32 and compared to 1e-6.
+``tests/data/golden.json`` keeps one short trajectory per environment and action mode, from actions of a seeded
+generator. A trajectory is never replaced: the behaviour of a ``-v0`` environment does not change, a correction is a
+``-v1`` beside it. Numbers have twelve digits and are compared to a relative 1e-9, because compilers and versions of
+NumPy round differently; observations are float32 and compared to 1e-6.
 """
 
 import json
@@ -17,24 +17,24 @@ from ptne_env.files import write_atomically
 
 DATA = Path(__file__).parent / "data" / "golden.json"
 
-WAYS = {
+MODES = {
     "physical": ({}, 2.0),
     "local": ({"interface": "local", "max_cycles": 300}, 0.2),
     "gains": ({"interface": "local", "action_mode": "gains", "hold_steps": 5}, 0.3),
 }
-"""Ways to act: arguments of the environment, and the half-width of the random actions.
+"""Action modes: arguments of the environment, and the half-width of the random actions.
 
 Random inputs show the game, the clock and the switching; random gains close the loop around the paper's law.
 """
 
 SEED = 20260101
 INSTANTS = (1, 2, 5, 20, 100, 250)
-"""Steps after which strategies are kept; those after the last step are, too."""
+"""Steps after which strategies are kept, in addition to the last step."""
 
 
-def trajectory(environment_id, way):
-    """What an environment does: numbers in a line of text, by what they are."""
-    arguments, width = WAYS[way]
+def trajectory(environment_id, mode):
+    """The trajectory of an environment: lines of numbers by name."""
+    arguments, width = MODES[mode]
     env = ptne_env.parallel_env(environment_id.removesuffix("-v0"), **arguments)
     generator = np.random.default_rng(SEED)
     observations, _ = env.reset(seed=SEED)
@@ -47,7 +47,7 @@ def trajectory(environment_id, way):
         if length in INSTANTS:
             strategies.append(env.strategies)
     ending = terminations["player_0"], infos["player_0"]["diverged"], infos["player_0"]["is_success"]
-    parts = {
+    lines = {
         "length": length,
         "terminated, diverged, success": ending,
         "nash_equilibrium": env.nash_equilibrium,
@@ -58,13 +58,13 @@ def trajectory(environment_id, way):
         "first_observation": first,
         "last_observation": observations["player_1"],
     }
-    return {name: " ".join(f"{number:.12g}" for number in np.ravel(values)) for name, values in parts.items()}
+    return {name: " ".join(f"{number:.12g}" for number in np.ravel(values)) for name, values in lines.items()}
 
 
 def difference(kept, found):
-    """What is different, by name and amount; empty where two trajectories agree."""
+    """Name and amount of the first difference of two trajectories, or an empty text."""
     if kept.keys() != found.keys():
-        return f"the parts are {sorted(kept)} and {sorted(found)}"
+        return f"the names are {sorted(kept)} and {sorted(found)}"
     for name, values in kept.items():
         tolerance = 1e-6 if name.endswith("observation") else 1e-9
         old, new = np.array(values.split(), dtype=float), np.array(found[name].split(), dtype=float)
@@ -77,24 +77,24 @@ def difference(kept, found):
 
 
 def load():
-    """The kept trajectories, by environment and way to act."""
+    """The kept trajectories, by environment and action mode."""
     return json.loads(DATA.read_text(encoding="utf-8")) if DATA.exists() else {}
 
 
 def main():
-    """Add what is missing; say what is different and leave it."""
+    """Add missing trajectories; print differences and leave them."""
     kept = load()
     changed = False
     for scenario in ptne_env.CATALOGUE:
-        entry = kept.setdefault(f"{scenario}-v0", {})
-        for way in WAYS:
-            found = trajectory(f"{scenario}-v0", way)
-            if way not in entry:
-                entry[way] = found
-                print(f"{scenario}-v0, {way}: added")
-            elif reason := difference(entry[way], found):
+        modes = kept.setdefault(f"{scenario}-v0", {})
+        for mode in MODES:
+            found = trajectory(f"{scenario}-v0", mode)
+            if mode not in modes:
+                modes[mode] = found
+                print(f"{scenario}-v0, {mode}: added")
+            elif reason := difference(modes[mode], found):
                 changed = True
-                print(f"{scenario}-v0, {way}: {reason}; the entry stays, publish the change as a new version")
+                print(f"{scenario}-v0, {mode}: {reason}; the golden trajectory stays: publish a new version")
     write_atomically(DATA, json.dumps(kept, indent=0) + "\n")
     return int(changed)
 

@@ -1,4 +1,4 @@
-"""What an installed package must do at the least: ``python tests/smoke.py [bench]``, outside of the source tree."""
+"""Smoke test of an installed package: ``python tests/smoke.py [bench]``, outside the source tree."""
 
 import subprocess
 import sys
@@ -14,14 +14,14 @@ import ptne_env
 
 
 def installed():
-    """It is the installed package and whole."""
+    """The package is the installed one, and complete."""
     assert Path(ptne_env.__file__).is_relative_to(sysconfig.get_path("purelib")), ptne_env.__file__
     assert metadata.version("ptne-env") == ptne_env.__version__
     assert (Path(ptne_env.__file__).parent / "py.typed").is_file()
 
 
 def play():
-    """An episode under the paper's law, through each interface's registry."""
+    """An episode under the law of the paper; environments from both registries."""
     env = pettingzoo.make("parallel", "ptne/energy-v0")
     law, memory = ptne_env.laws.Static(env.layout), None
     observations, _ = env.reset(seed=0)
@@ -33,7 +33,7 @@ def play():
 
 
 def bench():
-    """The command line, and a policy that is shipped."""
+    """The command line, and a shipped policy."""
     from ptne_env import policies
 
     command = Path(sysconfig.get_path("scripts")) / "ptne"

@@ -1,8 +1,8 @@
-"""Many random episodes and what must hold in all of them: ``python tests/soak.py [--episodes E] [--seed S]``.
+"""Assertions over many random episodes: ``python tests/soak.py [--episodes E] [--seed S]``.
 
-Every world is one session of fuzz.py, found again by its number: ``--world W`` plays that one alone, with a traceback.
-The sum is the same on every run with the same options. The whole of 100,000 episodes takes about ten minutes on two
-cores. The exit code is 1 when anything did not hold.
+Every world is one session of fuzz.py and has a number: ``--world W`` plays that world alone, with a traceback. The
+counts are the same on every run with the same options. 100,000 episodes take about ten minutes on two cores. The exit
+code is 1 after a violation, or when most worlds are refused.
 """
 
 import argparse
@@ -18,25 +18,28 @@ from rich.console import Console
 from rich.table import Table
 
 CHUNK = 32
-"""Worlds between two looks at how many episodes there were."""
+"""Worlds between two counts of the episodes."""
 
 ENOUGH = 100
-"""Worlds in which something did not hold, after which it is no use to go on."""
+"""Worlds with a violation, after which the soak ends early."""
 
 
 def attempt(seed, episodes):
-    """What a world has shown, and what did not hold there: its last frames, or nothing."""
+    """The tally of a world, and its violation: the last frames of the traceback, or an empty text."""
     try:
         return play(seed, episodes), ""
-    except Exception:  # noqa: BLE001 - whatever it is, it should not have been raised
+    except Exception:  # noqa: BLE001 - every exception is a violation
         return Tally(worlds=1), "".join(traceback.format_exc(limit=-3))
 
 
 def soak(episodes, seed, each, jobs):
-    """Play worlds until there were as many episodes: the sum, and what did not hold by world."""
+    """Play worlds until they sum up to ``episodes``: the tally, and the violations by world.
+
+    The soak ends early after many violations, and when most worlds are refused.
+    """
     total, violations, world = Tally(), {}, seed
     with Parallel(n_jobs=jobs) as parallel:
-        while total.episodes < episodes and len(violations) < ENOUGH:
+        while total.episodes < episodes and len(violations) < ENOUGH and not total.refuses_too_many:
             worlds = range(world, world + CHUNK)
             for number, (tally, violation) in zip(
                 worlds, parallel(delayed(attempt)(number, each) for number in worlds), strict=True
@@ -49,9 +52,9 @@ def soak(episodes, seed, each, jobs):
 
 
 def main(arguments=None):
-    """Play, and print what was seen."""
+    """Play, and print the tally and the violations."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--episodes", type=int, default=100_000, help="at least as many")
+    parser.add_argument("--episodes", type=int, default=100_000, help="smallest number of episodes")
     parser.add_argument("--seed", type=int, default=0, help="number of the first world")
     parser.add_argument("--each", type=int, default=200, help="episodes in each world")
     parser.add_argument("--jobs", type=int, default=-1, help="processes, -1 for one per core")
@@ -70,7 +73,9 @@ def main(arguments=None):
     for reason, count in Counter(violation.splitlines()[-1] for violation in violations.values()).most_common():
         first = next(number for number, violation in violations.items() if violation.endswith(reason + "\n"))
         console.print(f"{count} × {reason} (--world {first})", markup=False)
-    return int(bool(violations))
+    if total.refuses_too_many:
+        console.print(f"{total.refused_worlds} of {total.worlds} worlds were refused: the soak tests nothing")
+    return int(bool(violations) or total.refuses_too_many)
 
 
 if __name__ == "__main__":

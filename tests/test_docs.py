@@ -6,12 +6,9 @@ import importlib.util
 import inspect
 import itertools
 import math
-import os
 import re
 import runpy
 import shlex
-import subprocess
-import sys
 from functools import cache
 from pathlib import Path
 
@@ -19,6 +16,7 @@ import numpy as np
 import pytest
 import typer
 from matplotlib import image
+from processes import run_python
 
 import ptne_env
 from ptne_env.catalogue import CATALOGUE
@@ -58,15 +56,8 @@ def table(document, header):
 
 
 def run(code, folder):
-    """Run a program in a fresh interpreter in which every warning is an error."""
-    command = [sys.executable, "-W", "error", "-X", "utf8", "-c", code]
-    # Workers that share the cores would wait for each other; documents may name parts of the examples.
-    paths = os.pathsep.join(filter(None, [os.environ.get("PYTHONPATH"), str(ROOT / "examples")]))
-    environment = {**os.environ, "OMP_NUM_THREADS": "1", "PYTHONPATH": paths}
-    done = subprocess.run(  # noqa: S603
-        command, cwd=folder, capture_output=True, text=True, encoding="utf-8", check=False, env=environment
-    )
-    assert done.returncode == 0, done.stderr
+    """The output of a program that may name parts of the examples; every warning is an error."""
+    done = run_python("-W", "error", "-c", code, folder=folder, modules=[ROOT / "examples"])
     assert done.stderr == ""
     return done.stdout
 
@@ -188,19 +179,8 @@ def starts_of_lines(told, printed):
 
 
 def ptne(words, folder):
-    """Run a command as its script does, which does not look for modules in the current folder by itself."""
-    paths = os.pathsep.join(filter(None, [os.environ.get("PYTHONPATH"), str(ROOT)]))
-    done = subprocess.run(  # noqa: S603 - our own command line
-        [sys.executable, "-P", "-W", "error", "-X", "utf8", "-m", "ptne_env.cli", *words[1:]],
-        cwd=folder,
-        capture_output=True,
-        text=True,
-        encoding="utf-8",
-        check=False,
-        env={**os.environ, "OMP_NUM_THREADS": "1", "PYTHONPATH": paths},
-    )
-    assert done.returncode == 0, done.stderr
-    return done.stdout
+    """The output of a command; like its script, it does not import modules from the current folder by itself."""
+    return run_python("-P", "-W", "error", "-m", "ptne_env.cli", *words[1:], folder=folder, modules=[ROOT]).stdout
 
 
 def test_parts_in_the_document_are_those_of_the_example():
@@ -225,15 +205,7 @@ def test_the_list_of_examples_is_complete():
 def test_the_site_builds_without_a_warning_has_everything_and_needs_no_network(tmp_path):
     """As ``make docs`` builds it. A link that leads nowhere, in a document or a docstring, is a warning."""
     (recipe,) = re.findall(r"sphinx-build (.*) \. \$\(OUT\)/site", (ROOT / "Makefile").read_text(encoding="utf-8"))
-    done = subprocess.run(  # noqa: S603 - our own documents
-        [sys.executable, "-m", "sphinx", *recipe.split(), str(ROOT), str(tmp_path)],
-        cwd=ROOT,
-        capture_output=True,
-        text=True,
-        encoding="utf-8",
-        check=False,
-    )
-    assert done.returncode == 0, done.stderr
+    run_python("-m", "sphinx", *recipe.split(), ROOT, tmp_path, folder=ROOT)
     html = {
         path.relative_to(tmp_path).with_suffix("").as_posix(): path.read_text(encoding="utf-8")
         for path in tmp_path.rglob("*.html")

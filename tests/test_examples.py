@@ -1,15 +1,13 @@
 """The examples run as their docstrings describe and print the lines that examples/README.md quotes."""
 
 import json
-import os
 import re
 import runpy
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
+from processes import run_python
 
 import ptne_env
 
@@ -44,20 +42,11 @@ def test_in_one_file_is_the_library_bit_for_bit():
 
 @pytest.mark.parametrize("example", EXAMPLES, ids=lambda path: path.stem)
 def test_example_prints_the_line_that_the_readme_quotes(example, tmp_path):
-    outcome = subprocess.run(  # noqa: S603 - our own example
-        [sys.executable, "-W", "error", str(example)],
-        capture_output=True,
-        text=True,
-        encoding="utf-8",
-        cwd=tmp_path,
-        check=False,
-        timeout=300,
-    )
-    assert outcome.returncode == 0, outcome.stderr
-    assert outcome.stderr == ""
-    assert PRINTED[example.name] in " ".join(outcome.stdout.split())
+    done = run_python("-W", "error", example, folder=tmp_path)
+    assert done.stderr == ""
+    assert PRINTED[example.name] in " ".join(done.stdout.split())
     if example.stem == "train_sb3":  # the digits of a trained network differ slightly between machines
-        before, after = map(float, re.findall(r"(-?\d+\.\d+)", outcome.stdout)[:2])
+        before, after = map(float, re.findall(r"(-?\d+\.\d+)", done.stdout)[:2])
         assert before < 0.5
         assert after > 3.0
 
@@ -65,18 +54,8 @@ def test_example_prints_the_line_that_the_readme_quotes(example, tmp_path):
 def test_own_parts_are_imported_by_module_and_object_in_worker_processes(tmp_path):
     """A game, a graph, a channel, a law and a track outside the library."""
     command = ["-m", "ptne_env.cli", "compare", "--suite", "own_parts:suite", "--policy", "own_parts:HeavyBall"]
-    paths = os.pathsep.join(filter(None, [str(FOLDER), os.environ.get("PYTHONPATH")]))
-    outcome = subprocess.run(  # noqa: S603 - our own command line
-        [sys.executable, "-W", "error", *command, "--episodes", "3", "--jobs", "2", "--out", "out"],
-        capture_output=True,
-        text=True,
-        encoding="utf-8",
-        cwd=tmp_path,
-        env={**os.environ, "PYTHONPATH": paths},
-        check=False,
-        timeout=300,
-    )
-    assert outcome.returncode == 0, outcome.stderr
+    settings = ["--episodes", "3", "--jobs", "2", "--out", "out"]
+    run_python("-W", "error", *command, *settings, folder=tmp_path, modules=[FOLDER])
     data = json.loads((tmp_path / "out" / "results.json").read_text(encoding="utf-8"))
     contest, clipped = (track["scenario"] for track in data["suite"]["tracks"])
     assert contest["game"]["target"] == "own_parts:BeautyContest"

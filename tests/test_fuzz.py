@@ -4,34 +4,33 @@ import random
 
 import numpy as np
 import pytest
-from fuzz import Tally, a_scenario, play, session
+from fuzz import Tally, a_world, play, session
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from soak import attempt, main, soak
 
-from ptne_env import VectorParallelEnv
+from ptne_env import VectorParallelEnv, dynamics
 from ptne_env.encoder import Clipped, Encoder
-from ptne_env.world import World
 
 
 @settings(suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large])
 @given(st.randoms(use_true_random=False))
-def test_whatever_the_world_and_whatever_is_done_to_it_the_promises_hold(rng):
+def test_all_assertions_hold_in_random_sessions(rng):
     session(rng, 10)
 
 
 @pytest.mark.filterwarnings("ignore:.*short of the deadline")
-def test_random_worlds_differ_and_have_everything_in_them():
+def test_random_worlds_cover_every_kind_of_part():
     scenarios = []
     for seed in range(120):
         try:
-            scenarios.append(a_scenario(random.Random(seed)))  # noqa: S311 - worlds, not secrets
+            scenarios.append(a_world(random.Random(seed))[0])  # noqa: S311 - worlds, not secrets
         except ValueError:
             continue
     assert len(scenarios) > 60
     for field in ("game", "topology"):
         assert len({getattr(scenario, field).target for scenario in scenarios}) >= 4
-    stages = {stage.target for one in scenarios for _, stages in one.channel.arguments for stage in stages}
+    stages = {stage.target for scenario in scenarios for _, stages in scenario.channel.arguments for stage in stages}
     assert len(stages) == 8
     for field in ("disturbance", "transformation", "spacing", "slots"):
         assert len({getattr(scenario, field) for scenario in scenarios}) >= 2
@@ -49,12 +48,12 @@ def share_observations(env, buffers={}):  # noqa: B006 - sharing is the fault
     return buffers.setdefault(shape, np.empty(shape, dtype=np.float32))
 
 
-STEP, OBSERVE, IS_OVER = World.step, Encoder.observe, World.is_over
+STEP, OBSERVE, IS_OVER = dynamics.step, Encoder.observe, dynamics.is_over
 FAULTS = {
     "NaN is accepted": (Encoder, "clip", clip_nan),
-    "a step is too long": (World, "step", lambda world, state, inputs: STEP(world, state, inputs * (1 + 1e-7))),
+    "a step is too long": (dynamics, "step", lambda world, state, inputs: STEP(world, state, inputs * (1 + 1e-7))),
     "observations are overwritten": (VectorParallelEnv, "_empty_observations", share_observations),
-    "episodes end late": (World, "is_over", lambda world, state: IS_OVER(world, state) & (state.step > 1)),
+    "episodes end late": (dynamics, "is_over", lambda world, state: IS_OVER(world, state) & (state.step > 1)),
     "player 0 is special": (Encoder, "observe", lambda encoder, state, out=None: special(OBSERVE(encoder, state, out))),
 }
 
@@ -65,13 +64,13 @@ def special(observations):
 
 
 @pytest.mark.parametrize("fault", FAULTS)
-def test_a_fault_is_found(fault, monkeypatch):
+def test_random_sessions_find_the_fault(fault, monkeypatch):
     owner, name, broken = FAULTS[fault]
     monkeypatch.setattr(owner, name, broken)
     assert any(attempt(seed, 10)[1] for seed in range(40))
 
 
-def test_the_soak_repeats_itself_and_counts_what_it_plays():
+def test_the_tally_of_a_soak_is_the_sum_over_its_worlds():
     total, violations = soak(300, 5, 20, 1)
     assert not violations
     again = Tally()
@@ -82,7 +81,7 @@ def test_the_soak_repeats_itself_and_counts_what_it_plays():
     assert min(total.parallel_episodes, total.errors, total.diverged, total.clipped, total.comparisons) > 0
 
 
-def test_the_soak_tells_what_did_not_hold_and_where(monkeypatch, capsys):
+def test_a_soak_prints_violations_with_their_world(monkeypatch, capsys):
     monkeypatch.setattr(Encoder, "clip", clip_nan)
     arguments = ["--episodes", "1000", "--each", "5", "--jobs", "1"]
     monkeypatch.setattr("soak.CHUNK", 8)
@@ -92,3 +91,12 @@ def test_the_soak_tells_what_did_not_hold_and_where(monkeypatch, capsys):
     assert "AssertionError: a wrong call was accepted (--world 0)" in printed
     with pytest.raises(AssertionError, match="a wrong call was accepted"):
         main(["--world", "0", "--each", "5"])
+
+
+def test_a_soak_in_which_most_worlds_are_refused_fails(monkeypatch, capsys):
+    def refuse(rng):
+        raise ValueError("no such part")
+
+    monkeypatch.setattr("fuzz.a_world", refuse)
+    assert main(["--episodes", "1000", "--jobs", "1"]) == 1
+    assert "128 of 128 worlds were refused" in capsys.readouterr().out

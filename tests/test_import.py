@@ -1,14 +1,13 @@
-"""What importing the package costs, offers and tells the registries."""
+"""The import of the package: its cost, its public names and the registered environments."""
 
 import ast
 import importlib
-import subprocess
-import sys
 from pathlib import Path
 
 import gymnasium
 import pettingzoo
 import pytest
+from processes import run_python
 
 import ptne_env
 
@@ -22,40 +21,38 @@ PUBLIC = {
     for alias in node.names
     if alias.asname
 }
-"""What type checkers see: the names, and where each comes from."""
+"""The names that type checkers see, and the module of each."""
 
 
 def modules_after(statement):
-    """The names of all modules that a fresh interpreter holds after a statement."""
-    code = f"{statement}\nimport sys\nprint(*sys.modules)"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)  # noqa: S603
-    return set(done.stdout.split())
+    """The names of all modules in a fresh interpreter after a statement."""
+    return set(run_python("-c", f"{statement}\nimport sys\nprint(*sys.modules)").stdout.split())
 
 
 def test_importing_the_package_imports_no_heavy_module():
     loaded = modules_after("import ptne_env")
-    assert "ptne_env.registration" in loaded  # what was measured is the import
+    assert "ptne_env.registration" in loaded
     assert not loaded & {*HEAVY, "ptne_env.world"}
 
 
-def test_making_an_environment_imports_nothing_of_the_extras():
+def test_making_an_environment_imports_no_extra():
     loaded = modules_after("import ptne_env\nptne_env.parallel_env('energy').reset(seed=1)")
     assert "ptne_env.envs.parallel" in loaded
     assert not loaded & (set(HEAVY) - {"networkx"})
 
 
 @pytest.mark.parametrize("name", sorted(PUBLIC))
-def test_every_public_name_is_the_one_that_type_checkers_see(name):
+def test_a_public_name_is_the_object_that_type_checkers_see(name):
     home = importlib.import_module(PUBLIC[name])
     assert getattr(ptne_env, name) is getattr(home, name)
     assert name in dir(ptne_env)
 
 
-def test_what_type_checkers_see_is_what_a_star_import_brings():
+def test_a_star_import_brings_the_names_that_type_checkers_see():
     assert {*ptne_env.__all__, "__version__"} == set(PUBLIC)
 
 
-def test_modules_of_the_package_are_attributes_and_other_names_are_not():
+def test_only_public_modules_and_names_are_attributes():
     assert ptne_env.games is importlib.import_module("ptne_env.games")
     for missing in ("nothing_of_the_kind", "_private", "Games"):
         with pytest.raises(AttributeError, match=f"'ptne_env' has no attribute '{missing}'"):
@@ -70,6 +67,6 @@ def test_exactly_the_catalogue_is_registered():
     assert joint == {f"ptne/{scenario}-joint-v0" for scenario in ptne_env.CATALOGUE}
 
 
-def test_a_fresh_interpreter_makes_environments_by_the_module_s_name():
+def test_gymnasium_makes_an_environment_by_its_module_and_name():
     statement = "import gymnasium\nenv = gymnasium.make('ptne_env:ptne/energy-joint-v0')\nenv.reset(seed=3)"
     assert "ptne_env.envs.gymnasium" in modules_after(statement)

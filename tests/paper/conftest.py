@@ -10,11 +10,15 @@ def experiments():
 
 
 @pytest.fixture(scope="session")
-def reproduction(tmp_path_factory):
-    """One whole reproduction, and what it told about its progress."""
-    told = []
+def reproduction(tmp_path_factory, build_once):
+    """One whole reproduction, and the calls of ``progress``."""
     out = tmp_path_factory.mktemp("reproduction") / "deep" / "er"
-    return reproduce(out, progress=lambda done, total, what: told.append((done, total, what))), told
+
+    def build():
+        calls = []
+        return reproduce(out, progress=lambda *call: calls.append(call)), calls
+
+    return build_once("reproduction", build)
 
 
 @pytest.fixture(scope="session")

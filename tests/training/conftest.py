@@ -12,8 +12,11 @@ ARGUMENTS = ppo.Arguments("random-energy", steps=400_000, envs=64, validation_ep
 
 
 @pytest.fixture(scope="session")
-def run(tmp_path_factory):
-    out = tmp_path_factory.mktemp("run")
-    reports = []
-    summary = ppo.train(ARGUMENTS, out, lambda *report: reports.append(report))
-    return out, summary, reports
+def run(tmp_path_factory, build_once):
+    """The folder of the run, its summary and the calls of ``progress``."""
+
+    def build():
+        out, reports = tmp_path_factory.mktemp("run"), []
+        return out, ppo.train(ARGUMENTS, out, lambda *report: reports.append(report)), reports
+
+    return build_once("training", build)
