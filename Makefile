@@ -93,7 +93,7 @@ $(VENV)/.test: pyproject.toml constraints.txt | $(VENV)/bin/python
 	$(PIP) --editable '.[test]'
 	touch $@ $(VENV)/.docs $(VENV)/.bench
 
-# A Ray cluster of two nodes on this machine; one is killed in the middle.
+# The tests on a Ray cluster of two nodes on this machine, whose second node is killed in the middle.
 ray: $(VENV)/.ray
 	$(BIN)/pytest --show-capture=no tests/experiments/test_cluster.py
 

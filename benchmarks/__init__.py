@@ -1,1 +1,1 @@
-"""How fast is it, and against whom? ``python -m benchmarks.speed`` in a checkout; docs/performance.md explains."""
+"""Measurements of speed, in a checkout: ``python -m benchmarks.speed``; docs/performance.md explains them."""

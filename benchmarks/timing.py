@@ -41,10 +41,6 @@ class Spread:
         """The median, the smallest and the largest of ``values``."""
         return cls(float(np.median(values)), float(min(values)), float(max(values)))
 
-    def scaled(self, factor: float) -> Spread:
-        """All three numbers times ``factor``."""
-        return Spread(self.median * factor, self.low * factor, self.high * factor)
-
     def to_dict(self) -> dict[str, float]:
         """As a JSON object."""
         return asdict(self)
