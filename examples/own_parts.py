@@ -15,7 +15,7 @@ import numpy as np
 from rich.console import Console
 
 from ptne_env import FactorySpec, get_scenario, graphs, laws, switching
-from ptne_env.channel import Channel, LinkNoise, Memory, Messages
+from ptne_env.channel import Channel, LinkRandomness, Memory, Messages
 from ptne_env.experiments.benchmark import run_suite
 from ptne_env.experiments.leaderboard import leaderboard
 from ptne_env.experiments.suite import Suite, Track
@@ -47,7 +47,12 @@ class Clipped(Channel):
         """The largest number that can be sent."""
         self.bound = bound
 
-    def transmit(self, messages: Messages, memory: Memory | None, link_noise: LinkNoise) -> tuple[Messages, Memory]:  # noqa: ARG002 - this channel has no memory
+    def transmit(
+        self,
+        messages: Messages,
+        memory: Memory | None,
+        randomness: LinkRandomness,  # noqa: ARG002 - this channel draws nothing
+    ) -> tuple[Messages, Memory]:
         """The clipped messages."""
         return replace(messages, values=np.clip(messages.values, -self.bound, self.bound)), ()
 

@@ -1,4 +1,4 @@
-"""Array types and the checks that every public constructor shares."""
+"""Array types, and the argument checks of all public constructors."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ Array = TypeVar("Array", bound=npt.NDArray[np.generic])
 
 
 def _is_finite(value: object) -> bool:
-    """Whether ``value`` is a finite number; callers may pass anything."""
+    """Whether ``value`` is a finite number; callers may pass any type."""
     if isinstance(value, bool) or not isinstance(value, Real):
         return False
     return math.isfinite(value)
@@ -38,6 +38,13 @@ def require_non_negative(name: str, value: float) -> float:
     return float(value)
 
 
+def require_probability(name: str, value: float) -> float:
+    """Return ``value`` as a float, or raise ``ValueError`` when it is not a number in [0, 1]."""
+    if require_non_negative(name, value) > 1:
+        raise ValueError(f"{name} must be a probability, a number between 0 and 1, got {value!r}")
+    return float(value)
+
+
 def require_finite(name: str, value: float) -> float:
     """Return ``value`` as a float, or raise ``ValueError`` when it is not a finite number."""
     if not _is_finite(value):
@@ -47,20 +54,20 @@ def require_finite(name: str, value: float) -> float:
 
 def require_count(name: str, value: int, minimum: int) -> int:
     """Return ``value``, or raise ``ValueError`` when it is not a whole number of at least ``minimum``."""
-    if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < minimum:  # type: ignore[redundant-expr]  # callers may pass anything
+    if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < minimum:  # type: ignore[redundant-expr]  # callers may pass any type
         raise ValueError(f"{name} must be a whole number of at least {minimum}, got {value!r}")
     return int(value)
 
 
 def frozen(array: npt.ArrayLike) -> FloatArray:
-    """A read-only float64 copy, safe to hand to many readers."""
+    """A read-only float64 copy, safe to share."""
     result = np.array(array, dtype=np.float64)
     result.flags.writeable = False
     return result
 
 
 def ordered_sum(array: FloatArray, axis: int = 0) -> FloatArray:
-    """The sum along ``axis`` in order. Numpy's own depends on the memory layout, and so on the size of the batch."""
+    """The sum along ``axis`` in order. Numpy's own order depends on the memory layout, so on the size of the batch."""
     return np.add.accumulate(array, axis=axis).take(-1, axis=axis)
 
 

@@ -1,17 +1,19 @@
-"""What happens to a message on the way? Noise, delay, loss, quantisation and asymmetry, link by link.
+"""Communication channels: noise, delay, loss, quantisation and asymmetry of messages, link by link.
 
-In every step the sender j puts its estimate x^j on each of its live links. A channel turns the sequence of these
-messages into what the receiver i hears: in every step a value per component, whether anything is heard at all, and the
-weight a_ij that it gives to it. Observations hold (what was received) − x^i and these weights, and nothing else of x^j.
+In every step sender j puts its estimate x^j on each of its live links. From the sequence of these messages a channel
+determines, for receiver i in every step, a received value per component, whether a message is present at all, and its
+weight a_ij. Observations contain (received value) − x^i and these weights, and no other information on x^j.
 
-A channel is one stage or a :class:`Chain` of stages, each fed with what comes out of the one before. Below, v is what a
-stage is fed on a link (i, j) in step k, y what it puts out, σ a parameter, ξ ~ N(0, 1) and U ~ U(0, 1) independent over
-episodes, stages, steps, directed links and (for noise) components. Before the start a stage was fed what it is fed at
-the start, and its receivers hold that.
+A channel is one stage or a :class:`Chain` of stages; the output of each stage is the input of the next. Below, v is the
+input of a stage on link (i, j) in step k, y its output, σ a parameter, and ξ ~ N(0, 1) and U ~ U(0, 1) are independent
+over episodes, stages, steps, directed links and (for noise) components. Before the start, every stage had the input of
+the start, and receivers hold that.
 
-Random numbers are hashes of an episode's key and of what they are for (:mod:`ptne_env.counter_random`), so they are the same
-whatever a policy does and however many environments there are.
+Random numbers are hashes of an episode's key and of their purpose (:mod:`ptne_env.counter_random`). They do not depend
+on the policy or on the number of environments.
 """
+
+# ruff: noqa: ARG002 - a stage may ignore arguments of the interface
 
 from __future__ import annotations
 
@@ -31,26 +33,27 @@ from ptne_env.arrays import (
     require_count,
     require_non_negative,
     require_positive,
+    require_probability,
 )
 from ptne_env.counter_random import CounterArray
 
 Gap: TypeAlias = Literal["hold", "drop"]
-"""What a receiver does when nothing comes: ``hold`` the last message received, or ``drop`` the link for the step."""
+"""Reaction of a receiver to a lost message: ``hold`` the last message received, or ``drop`` the link for the step."""
 
 Target: TypeAlias = Literal["message", "difference"]
-"""What is quantised: the ``message`` x^j, or the ``difference`` x^j − x^i that the receiver measures."""
+"""The quantised value: the ``message`` x^j, or the ``difference`` x^j − x^i that the receiver measures."""
 
 Memory: TypeAlias = tuple[Any, ...]
-"""What a channel remembers: arrays with environments last, and tuples of them."""
+"""Memory of a channel: arrays with environments last, and tuples of them."""
 
 
 @dataclass(frozen=True)
 class Messages:
-    """What is on the links in one step. Neighbour slots first and environments last; never changed.
+    """The messages on all links in one step. Neighbour slots first, environments last; never changed in place.
 
     Attributes:
         values: per slot, component and receiver, shape (D, n, N, B).
-        live: whether the receiver hears anything on the link, shape (D, N, B).
+        live: whether a message is present on the link, shape (D, N, B).
         weights: a_ij, shape (D, N, B).
         own: the receivers' own estimates x^i, shape (n, N, B).
     """
@@ -61,8 +64,8 @@ class Messages:
     own: FloatArray
 
 
-class LinkNoise:
-    """The random numbers of one stage in one step, each a function of what it is for.
+class LinkRandomness:
+    """The random numbers of one stage in one step: noise, losses and delays per directed link.
 
     Args:
         keys: one per environment, shape (B,).
@@ -77,9 +80,9 @@ class LinkNoise:
         self._senders = senders
         self._dimension = dimension
 
-    def stage(self, index: int) -> LinkNoise:
-        """The link_noise of stage ``index`` of a chain, independent of all others."""
-        return LinkNoise(counter_random.child_keys(self._keys, index), self._step, self._senders, self._dimension)
+    def stage(self, index: int) -> LinkRandomness:
+        """The random numbers of stage ``index`` of a chain, independent of all others."""
+        return LinkRandomness(counter_random.child_keys(self._keys, index), self._step, self._senders, self._dimension)
 
     def uniforms(self, purpose: int = 0) -> FloatArray:
         """U(0, 1) per directed link, shape (D, N, B); another ``purpose`` gives other numbers."""
@@ -102,12 +105,12 @@ class LinkNoise:
 
 
 class Channel(ABC):
-    """What happens to messages: a map from what is on the links to what is received, with a memory.
+    """A map, with memory, from messages sent to messages received.
 
     Attributes:
-        is_perfect: whether everything is heard as it was sent.
+        is_perfect: whether every message is received as it was sent.
         is_random: whether two episodes differ.
-        largest_weight_factor: what a weight is at most multiplied with.
+        largest_weight_factor: the largest factor by which a weight is multiplied.
     """
 
     is_perfect: bool = False
@@ -115,21 +118,26 @@ class Channel(ABC):
     largest_weight_factor: float = 1.0
 
     @abstractmethod
-    def transmit(self, messages: Messages, memory: Memory | None, link_noise: LinkNoise) -> tuple[Messages, Memory]:
-        """What comes out in a step, and what the channel remembers of it.
+    def transmit(
+        self, messages: Messages, memory: Memory | None, randomness: LinkRandomness
+    ) -> tuple[Messages, Memory]:
+        """The messages received in a step, and the memory for the next step.
 
         Args:
-            messages: what is put in.
-            memory: what :meth:`transmit` returned in the step before; ``None`` in the first one.
-            link_noise: the random numbers of the step.
+            messages: the messages sent.
+            memory: the memory that :meth:`transmit` returned in the step before; ``None`` in the first step.
+            randomness: the random numbers of the step.
         """
 
 
 class Chain(Channel):
-    """One stage after the other; without any, the perfect channel.
+    """Stages in sequence; the perfect channel if there are none.
 
     Args:
-        stages: channels, the one that messages enter first in front; chains among them count as their stages.
+        stages: channels in the order in which messages pass them; a chain among them stands for its stages.
+
+    Raises:
+        ValueError: when a stage is not a channel.
     """
 
     def __init__(self, stages: Sequence[Channel] = ()) -> None:
@@ -142,18 +150,20 @@ class Chain(Channel):
         self.is_random = any(stage.is_random for stage in self.stages)
         self.largest_weight_factor = float(np.prod([stage.largest_weight_factor for stage in self.stages]))
 
-    def transmit(self, messages: Messages, memory: Memory | None, link_noise: LinkNoise) -> tuple[Messages, Memory]:
-        """What comes out of the last stage."""
+    def transmit(
+        self, messages: Messages, memory: Memory | None, randomness: LinkRandomness
+    ) -> tuple[Messages, Memory]:
+        """The output of the last stage."""
         remembered = []
         for index, stage in enumerate(self.stages):
             before = None if memory is None else memory[index]
-            messages, after = stage.transmit(messages, before, link_noise.stage(index))
+            messages, after = stage.transmit(messages, before, randomness.stage(index))
             remembered.append(after)
         return messages, tuple(remembered)
 
 
 def perfect() -> Channel:
-    """The channel that does nothing: y = v."""
+    """The identity: y = v."""
     return Chain()
 
 
@@ -167,9 +177,11 @@ class AdditiveNoise(Channel):
     def __init__(self, std: float) -> None:
         self.std = require_non_negative("std", std)
 
-    def transmit(self, messages: Messages, memory: Memory | None, link_noise: LinkNoise) -> tuple[Messages, Memory]:  # noqa: ARG002 - nothing is remembered
-        """Messages with noise."""
-        noise = link_noise.normals()
+    def transmit(
+        self, messages: Messages, memory: Memory | None, randomness: LinkRandomness
+    ) -> tuple[Messages, Memory]:
+        """Messages plus noise."""
+        noise = randomness.normals()
         noise *= self.std
         noise += messages.values
         return replace(messages, values=noise), ()
@@ -185,9 +197,11 @@ class MultiplicativeNoise(Channel):
     def __init__(self, std: float) -> None:
         self.std = require_non_negative("std", std)
 
-    def transmit(self, messages: Messages, memory: Memory | None, link_noise: LinkNoise) -> tuple[Messages, Memory]:  # noqa: ARG002 - nothing is remembered
-        """Messages with noise."""
-        noise = link_noise.normals()
+    def transmit(
+        self, messages: Messages, memory: Memory | None, randomness: LinkRandomness
+    ) -> tuple[Messages, Memory]:
+        """Messages plus noise."""
+        noise = randomness.normals()
         noise *= self.std
         noise *= messages.values - messages.own
         noise += messages.values
@@ -195,19 +209,19 @@ class MultiplicativeNoise(Channel):
 
 
 class Delay(Channel):
-    """Messages that travel for some steps, possibly overtaking each other; the receiver holds what arrived last.
+    """Messages that arrive some steps later, possibly overtaking each other; the receiver holds the last arrival.
 
-    The message sent in step k arrives in step k + d, d drawn per message uniformly from ``steps``..``longest``. Of
-    those that arrive in the same step the one sent last counts. Where d is constant, y_k = v_{k−d}. A link that
-    carries nothing in a step, being down or dropped by a stage before, sends nothing, and what arrived earlier is
-    held.
+    The message sent in step k arrives in step k + d, with d drawn per message uniformly from ``steps``..``longest``. Of
+    messages that arrive in the same step, the one sent last counts. For constant d, y_k = v_{k−d}. A link without a
+    message in a step, because it is down or an earlier stage dropped the message, sends nothing; the receiver keeps
+    the last arrival.
 
     Args:
         steps: the shortest delay, ≥ 0.
-        longest: the longest delay; ``steps`` where it is left out, and the delay is constant.
+        longest: the longest delay; by default ``steps``, so that the delay is constant.
 
     Raises:
-        ValueError: when a delay is no whole number of at least 0, or the longest is shorter than the shortest.
+        ValueError: when a delay is not a whole number of at least 0, or the longest is shorter than the shortest.
     """
 
     def __init__(self, steps: int, longest: int | None = None) -> None:
@@ -215,18 +229,20 @@ class Delay(Channel):
         self.longest = require_count("longest", steps if longest is None else longest, self.steps)
         self.is_random = self.longest > self.steps
 
-    def transmit(self, messages: Messages, memory: Memory | None, link_noise: LinkNoise) -> tuple[Messages, Memory]:
-        """What arrived last."""
+    def transmit(
+        self, messages: Messages, memory: Memory | None, randomness: LinkRandomness
+    ) -> tuple[Messages, Memory]:
+        """The last arrivals."""
         lags = np.full(messages.live.shape, self.steps)
         if self.is_random:
-            lags += (link_noise.uniforms() * (self.longest - self.steps + 1)).astype(np.int64)
+            lags += (randomness.uniforms() * (self.longest - self.steps + 1)).astype(np.int64)
         lags[~messages.live] = -1  # never arrives
         if memory is None:
             held, received = messages.values, messages.live
             past, past_lags = (messages.values,) * self.longest, (np.full_like(lags, -1),) * self.longest
         else:
             held, received, past, past_lags = memory
-        # Newest first: entry d was sent d steps ago. Tuples of arrays that nobody changes shift for free.
+        # Newest first: entry d was sent d steps ago. The arrays never change, so shifting the tuples copies nothing.
         past, past_lags = (messages.values, *past), (lags, *past_lags)
         held, received = held.copy(), received.copy()
         for age in range(self.longest, self.steps - 1, -1):
@@ -238,7 +254,7 @@ class Delay(Channel):
 
 
 class _Losing(Channel):
-    """What the channels that lose messages share: what the receiver does then."""
+    """Reaction of receivers to lost messages."""
 
     def __init__(self, gap: Gap) -> None:
         if gap not in get_args(Gap):
@@ -263,22 +279,25 @@ class Loss(_Losing):
         gap: ``"hold"`` or ``"drop"``.
 
     Raises:
-        ValueError: when p is no probability, or the gap is unknown.
+        ValueError: when p is not a probability, or the gap is unknown.
     """
 
     def __init__(self, probability: float, gap: Gap = "hold") -> None:
         super().__init__(gap)
-        self.probability = _require_probability("probability", probability)
+        self.probability = require_probability("probability", probability)
 
-    def transmit(self, messages: Messages, memory: Memory | None, link_noise: LinkNoise) -> tuple[Messages, Memory]:
-        """What is not lost."""
-        return self._lose(messages, link_noise.uniforms() < self.probability, memory or None)
+    def transmit(
+        self, messages: Messages, memory: Memory | None, randomness: LinkRandomness
+    ) -> tuple[Messages, Memory]:
+        """Messages, without those lost."""
+        return self._lose(messages, randomness.uniforms() < self.probability, memory or None)
 
 
 class BurstLoss(_Losing):
     """Losses in bursts: the chain of Gilbert (1960) and Elliott (1963), one per directed link.
 
-    In every step a good link turns bad with probability p and a bad one good with probability r; then a message is lost
+    In every step a good link turns bad with probability p, a bad link turns good with probability r; then a message is
+    lost
     with probability ``loss_bad`` on a bad and ``loss_good`` on a good link. At the start a link is bad with the
     stationary probability p/(p + r). A burst lasts 1/r steps on average.
 
@@ -290,32 +309,34 @@ class BurstLoss(_Losing):
         gap: as for :class:`Loss`.
 
     Raises:
-        ValueError: when a number is no probability, p or r is 0, or the gap is unknown.
+        ValueError: when a number is not a probability, p or r is 0, or the gap is unknown.
     """
 
     def __init__(
         self, to_bad: float, to_good: float, loss_bad: float = 1.0, loss_good: float = 0.0, gap: Gap = "hold"
     ) -> None:
         super().__init__(gap)
-        self.to_bad = _require_probability("to_bad", require_positive("to_bad", to_bad))
-        self.to_good = _require_probability("to_good", require_positive("to_good", to_good))
-        self.loss_bad = _require_probability("loss_bad", loss_bad)
-        self.loss_good = _require_probability("loss_good", loss_good)
+        self.to_bad = require_probability("to_bad", require_positive("to_bad", to_bad))
+        self.to_good = require_probability("to_good", require_positive("to_good", to_good))
+        self.loss_bad = require_probability("loss_bad", loss_bad)
+        self.loss_good = require_probability("loss_good", loss_good)
 
-    def transmit(self, messages: Messages, memory: Memory | None, link_noise: LinkNoise) -> tuple[Messages, Memory]:
-        """What is not lost."""
-        turn = link_noise.uniforms()
+    def transmit(
+        self, messages: Messages, memory: Memory | None, randomness: LinkRandomness
+    ) -> tuple[Messages, Memory]:
+        """Messages, without those lost."""
+        turn = randomness.uniforms()
         if memory is None:
             bad = turn < self.to_bad / (self.to_bad + self.to_good)
         else:
             bad = np.where(memory[0], turn >= self.to_good, turn < self.to_bad)
-        lost = link_noise.uniforms(purpose=1) < np.where(bad, self.loss_bad, self.loss_good)
+        lost = randomness.uniforms(purpose=1) < np.where(bad, self.loss_bad, self.loss_good)
         received, held = self._lose(messages, lost, (memory and memory[1]) or None)
         return received, (bad, held)
 
 
 class _Quantiser(Channel):
-    """What quantisers share: of what they take the levels."""
+    """Quantisation of a message or of the difference to the receiver's own estimate."""
 
     is_random = False
 
@@ -324,8 +345,10 @@ class _Quantiser(Channel):
             raise ValueError(f"target is one of {', '.join(map(repr, get_args(Target)))}, got {target!r}")
         self.target: Target = target
 
-    def transmit(self, messages: Messages, memory: Memory | None, link_noise: LinkNoise) -> tuple[Messages, Memory]:  # noqa: ARG002 - neither is needed
-        """Messages on levels."""
+    def transmit(
+        self, messages: Messages, memory: Memory | None, randomness: LinkRandomness
+    ) -> tuple[Messages, Memory]:
+        """Quantised messages."""
         if self.target == "message":
             return replace(messages, values=self._level(messages.values)), ()
         return replace(messages, values=messages.own + self._level(messages.values - messages.own)), ()
@@ -336,7 +359,7 @@ class _Quantiser(Channel):
 
 
 class UniformQuantiser(_Quantiser):
-    """Levels that are evenly spaced: q(z) = Δ round(z/Δ), so |q(z) − z| ≤ Δ/2; y = q(v), or y − x^i = q(v − x^i).
+    """Evenly spaced levels: q(z) = Δ round(z/Δ), so |q(z) − z| ≤ Δ/2; y = q(v), or y − x^i = q(v − x^i).
 
     Args:
         width: Δ > 0, in the units of the strategies.
@@ -376,16 +399,16 @@ class LogarithmicQuantiser(_Quantiser):
 
     def _level(self, values: FloatArray) -> FloatArray:
         sizes = np.abs(values)
-        some = sizes >= np.finfo(np.float64).tiny  # what is smaller has no logarithm worth the name, and is 0
+        some = sizes >= np.finfo(np.float64).tiny  # smaller numbers are 0
         logarithm = np.log(np.where(some, sizes, 1.0) * (2 * self.ratio / (1 + self.ratio)))
         levels = np.exp(np.floor(logarithm / np.log(self.ratio)) * np.log(self.ratio))
         return np.copysign(levels * some, values)
 
 
 class AsymmetricLinks(Channel):
-    """Links that are trusted differently in the two directions: a_ij becomes w_ij a_ij, w_ij ~ U(low, high).
+    """Links with different weights in their two directions: a_ij becomes w_ij a_ij, w_ij ~ U(low, high).
 
-    Drawn per episode and direction, and constant over the episode.
+    The factor is drawn per episode and direction and is constant over the episode.
 
     Args:
         low: ≥ 0.
@@ -401,9 +424,11 @@ class AsymmetricLinks(Channel):
             raise ValueError(f"AsymmetricLinks needs low < high, got {low!r} and {high!r}")
         self.largest_weight_factor = self.high
 
-    def transmit(self, messages: Messages, memory: Memory | None, link_noise: LinkNoise) -> tuple[Messages, Memory]:
-        """Messages with other weights."""
-        factors = self.low + (self.high - self.low) * link_noise.uniforms() if memory is None else memory[0]
+    def transmit(
+        self, messages: Messages, memory: Memory | None, randomness: LinkRandomness
+    ) -> tuple[Messages, Memory]:
+        """Messages with weights multiplied by w_ij."""
+        factors = self.low + (self.high - self.low) * randomness.uniforms() if memory is None else memory[0]
         return replace(messages, weights=messages.weights * factors), (factors,)
 
 
@@ -413,9 +438,3 @@ def merged(old: Memory, fresh: Memory, mask: BoolArray) -> Memory:
         merged(before, after, mask) if isinstance(before, tuple) else replaced(before, after, mask)
         for before, after in zip(old, fresh, strict=True)
     )
-
-
-def _require_probability(name: str, value: float) -> float:
-    if require_non_negative(name, value) > 1:
-        raise ValueError(f"{name} must be a probability, a number between 0 and 1, got {value!r}")
-    return float(value)

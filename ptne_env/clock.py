@@ -1,4 +1,4 @@
-"""How time passes: time transformations t = λ(s) and the table of steps."""
+"""Time transformations t = λ(s), and the table of an episode's steps."""
 
 from __future__ import annotations
 
@@ -13,16 +13,15 @@ from ptne_env.arrays import FloatArray, frozen, require_count, require_non_negat
 
 Spacing: TypeAlias = Literal["effective", "transformed", "physical"]
 
-
 _GRID = frozen(np.linspace(0.0, 6.0, 2001))
-"""Transformed times at which a time transformation is checked."""
+"""Transformed times s at which a time transformation is checked."""
 
 _LIMIT_TOLERANCE = 1e-4
 """An extrapolated limit counts as 0 when it is within this fraction of T."""
 
 
 class LemmaViolationError(ValueError):
-    """A function is not a time transformation in the sense of Lemma 1."""
+    """The function violates a condition of Lemma 1."""
 
 
 class TimeTransformation(ABC):
@@ -67,7 +66,7 @@ class TimeTransformation(ABC):
         return np.asarray(s, dtype=np.float64) + constant * self.time(s)
 
     def from_effective_time(self, tau: npt.ArrayLike, constant: float) -> FloatArray:
-        """The s with s + c λ(s) = τ, by bracketing; transformations with a closed form override this."""
+        """The s with s + c λ(s) = τ, by root finding; transformations with a closed form override this."""
         times = np.asarray(tau, dtype=np.float64)
 
         def solve(value: float) -> float:
@@ -139,11 +138,11 @@ class HyperbolicTangent(TimeTransformation):
 
 
 def check_time_transformation(transformation: TimeTransformation) -> float:
-    """Check the conditions of Lemma 1 (eq. TFcondition), and that λ, λ' and λ^{-1} belong together.
+    """Check the conditions of Lemma 1 (eq. TFcondition), and that λ, λ' and λ^{-1} are consistent.
 
-    (7a), (7b) and the inverse are checked on a grid that ends where λ has all but reached T, and at s = 6 at the
-    latest. The limits (7c) are extrapolated from s = e^u − 1 with u = 2, 4, …, 512 by Aitken's Δ² process, so a λ may
-    be as slow as T (1 − 1/(1 + ln(1 + s))^p).
+    (7a), (7b) and the inverse are checked on a grid that ends where λ is within 1e-7 T of T, or at s = 6. The limits
+    (7c) are extrapolated from s = e^u − 1 with u = 2, 4, …, 512 by Aitken's Δ² process, which suffices for a λ as slow
+    as T (1 − 1/(1 + ln(1 + s))^p).
 
     Returns:
         The extrapolated limit of 1 − λ(s)/T as s → ∞, 0 up to rounding and extrapolation.
@@ -175,7 +174,7 @@ def check_time_transformation(transformation: TimeTransformation) -> float:
         found=f"off by {mismatch:.3g} s",
     )
     far = np.expm1(2.0 ** np.arange(1, 10))
-    with np.errstate(all="ignore"):  # formulas may overflow far out; what is not finite is left out of the limit
+    with np.errstate(all="ignore"):  # formulas may overflow far out; values that are not finite do not enter the limit
         remaining, slopes = 1 - transformation.time(far) / deadline, transformation.derivative(far) / deadline
     require(
         "(7b) λ is strictly increasing",
@@ -198,31 +197,31 @@ def check_time_transformation(transformation: TimeTransformation) -> float:
 
 
 def _resolved_grid(transformation: TimeTransformation) -> FloatArray:
-    """A grid from 0 to where λ is within 1e-7 T of T, where float64 still resolves it, but no further than 6."""
+    """A grid from 0 to the s where λ is within 1e-7 T of T, which float64 still resolves, but no further than 6."""
     reached = np.abs(transformation.deadline - transformation.time(_GRID)) < 1e-7 * transformation.deadline
     return np.linspace(0.0, float(_GRID[max(int(reached.argmax()), 1)]), _GRID.size) if reached.any() else _GRID
 
 
 def _limit(values: FloatArray) -> float:
-    """The limit of a sequence by Aitken's Δ² process on its last three finite terms; the last one if it stands still.
+    """The limit of a sequence by Aitken's Δ² process on its last three finite terms; the last one if they are equal.
 
-    On s = e^u − 1 with u doubling, powers of ln s fall geometrically, for which the process is exact, and powers and
-    exponentials of s faster still.
+    On s = e^u − 1 with u doubling, powers of ln s decrease geometrically, for which the process is exact; powers and
+    exponentials of s decrease faster.
     """
     first, second, last = values[np.isfinite(values)][-3:]
     bend = (last - second) - (second - first)
     extrapolated = last - (last - second) ** 2 / bend if bend else last
-    # A sequence that does not settle is not extrapolated: its last term tells.
+    # A sequence that does not settle is not extrapolated; its last term is the result.
     return float(extrapolated if abs(last - second) < abs(second - first) else last)
 
 
-class Reading(NamedTuple):
-    """What a player's clock says, and what it makes of it.
+class LocalClock(NamedTuple):
+    """A player's own clock, possibly shifted: the times it shows and the steps that follow from them.
 
     Attributes:
-        t: the time that the player believes in at each instant, in seconds, shape (K+H+1,).
-        s: the transformed time that belongs to it, shape (K+H+1,).
-        theta: Θ^i_k, the integral of its gain over each step, shape (K+H+1,); 0 at the terminal instant.
+        t: time shown at each instant in seconds, shape (K+H+1,).
+        s: transformed time of that time, shape (K+H+1,).
+        theta: Θ^i_k, the integral of the player's gain over each step, shape (K+H+1,); 0 at the terminal instant.
     """
 
     t: FloatArray
@@ -231,7 +230,7 @@ class Reading(NamedTuple):
 
 
 class StepClock:
-    """The table of steps of an episode: K steps to the deadline, then an optional hold phase.
+    """The table of an episode's steps: K steps to the deadline, then an optional hold phase.
 
     Instant k = 0..K+H is the start of step k; instant K is the deadline, where the clock is set to T with the
     estimates unchanged. Step k holds its input over Δs_k of transformed time and Δt_k of physical time, and the
@@ -243,7 +242,7 @@ class StepClock:
         gain: c ≥ 0 in 1/s, the constant part of the prescribed-time gain.
         steps: K ≥ 1.
         s_end: transformed time at which the steps to the deadline stop, > 0.
-        spacing: which of τ (``effective``), s (``transformed``) or t (``physical``) is divided evenly.
+        spacing: the time divided evenly: τ (``effective``), s (``transformed``) or t (``physical``).
         hold_steps: H ≥ 0 steps after the deadline.
 
     Attributes:
@@ -251,7 +250,7 @@ class StepClock:
         s: transformed time of each instant, shape (K+H+1,); stays s_end in the hold phase.
         theta: Θ_k of each step, shape (K+H+1,); 0 at the terminal instant.
         dt: Δt_k of each step in seconds, shape (K+H+1,); 0 at the terminal instant.
-        time_reached: t_K = λ(s_end) < T, what the last step before the deadline reaches.
+        time_reached: t_K = λ(s_end) < T, the end of the last step before the deadline.
 
     Raises:
         ValueError: for a value outside these ranges, or hold steps with c = 0.
@@ -320,7 +319,7 @@ class StepClock:
 
     @property
     def shortfall(self) -> float:
-        """1 − t_K/T: how far short of the deadline the last step ends, as a fraction of T."""
+        """1 − t_K/T, the time between the end of the last step and the deadline, as a fraction of T."""
         return 1 - self.time_reached / self.deadline
 
     @property
@@ -328,20 +327,20 @@ class StepClock:
         """τ_K = s_end + c t_K = Σ Θ_k over the steps to the deadline."""
         return self.s_end + self.gain * self.time_reached
 
-    def read(self, shift: float) -> Reading:
-        """What a clock says that is ``shift`` seconds fast (slow where it is negative), and the Θ^i_k that follow.
+    def shifted(self, shift: float) -> LocalClock:
+        """A clock that is ``shift`` seconds fast, or slow where it is negative.
 
-        All players live on the same instants t_k. One with this clock believes that it is t + δ and so applies the
-        gain g(t + δ): Θ^i_k = S(t_k + Δt_k + δ) − S(t_k + δ) + c Δt_k, where S(t) = λ^{-1}(t) goes on with its slope
-        1/T before 0, and stays s_end from λ(s_end) on as time does for everybody. So a fast clock uses its gain up
-        before T, its last steps being long, and a slow one has not used all of it at T. What is observed is t + δ
-        clipped to the episode, and S of that. A shift of 0 is this table, bit for bit.
+        All players share the instants t_k. A player with this clock reads t + δ and so applies the gain g(t + δ):
+        Θ^i_k = S(t_k + Δt_k + δ) − S(t_k + δ) + c Δt_k, where S(t) = λ^{-1}(t) continues with its slope 1/T before 0
+        and stays s_end from λ(s_end) on, as for all players. So a fast clock reaches the end of its gain before T,
+        with long last steps, and a slow clock has part of its gain left at T. The player observes t + δ, clipped to
+        the episode, and S of that. A shift of 0 gives this table, bit for bit.
 
         Args:
             shift: δ in seconds.
         """
         if shift == 0:
-            return Reading(self.t, self.s, self.theta)
+            return LocalClock(self.t, self.s, self.theta)
 
         def transformed(times: FloatArray) -> FloatArray:
             s = np.minimum(self.transformation.inverse(np.clip(times, 0.0, self.time_reached)), self.s_end)
@@ -350,11 +349,11 @@ class StepClock:
 
         start = self.t + shift
         theta = transformed(start + self.dt) - transformed(start) + self.gain * self.dt
-        believed = np.clip(start, 0.0, self.t[-1])
-        return Reading(frozen(believed), frozen(transformed(believed)), frozen(theta))
+        shown = np.clip(start, 0.0, self.t[-1])
+        return LocalClock(frozen(shown), frozen(transformed(shown)), frozen(theta))
 
     @property
     def topology_times(self) -> dict[str, FloatArray]:
-        """The clocks that topologies follow at each instant: t, and s that goes on with s_end + c (t − T) after T."""
+        """The clocks of topologies at each instant: t, and s, which continues as s_end + c (t − T) after T."""
         hold = self.gain * (self.t[self.steps :] - self.deadline)
         return {"physical": self.t, "transformed": np.concatenate([self.s[: self.steps], self.s_end + hold])}

@@ -1,9 +1,9 @@
-"""Random numbers without a state: a hash of a key and a counter, the same for every batch size and every policy.
+"""Random numbers without a state: each is a hash of a key and a counter, for any batch size and any policy.
 
 A stream is named by a 64-bit key, and its number c is ``mix(mix(key) + (c + 1) γ)``, where mix is the finaliser of
 splitmix64 and γ = 2^64/φ, odd: Steele, Lea & Flood, "Fast splittable pseudorandom number generators" (OOPSLA 2014).
-That numbers can be had in any order makes it counter-based in the sense of Salmon, Moraes, Dror & Shaw, "Parallel
-random numbers: as easy as 1, 2, 3" (SC 2011): what is drawn depends on what it is for, not on what was drawn before.
+The generator is counter-based in the sense of Salmon, Moraes, Dror & Shaw, "Parallel random numbers: as easy as 1, 2,
+3" (SC 2011): each number depends only on its key and counter.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ _DROPPED_BITS = np.uint64(12)
 
 
 def mix(values: CounterArray) -> CounterArray:
-    """The finaliser of splitmix64, a bijection of the 64-bit numbers; every input bit moves every output bit."""
+    """The finaliser of splitmix64, a bijection of the 64-bit numbers; every input bit affects every output bit."""
     values = np.array(values, dtype=np.uint64, ndmin=1)  # a copy; scalars would warn where arrays wrap
     shifted = np.empty_like(values)
     for shift, factor in zip(_SHIFTS, (_FIRST, _SECOND, None), strict=True):
@@ -37,17 +37,17 @@ def mix(values: CounterArray) -> CounterArray:
 
 
 def child_keys(keys: CounterArray, index: int) -> CounterArray:
-    """Keys of the stream number ``index`` below the streams ``keys``, of the same shape.
+    """Keys of child stream ``index`` of the streams ``keys``, of the same shape.
 
     Raises:
         OverflowError: when ``index`` is negative or not below 2^64.
     """
-    # Mixed twice, so that a child's key is none of the numbers of its parent's stream.
+    # Mixed twice, so that a child's key is not a number of its parent's stream.
     return mix(mix(mix(keys) + np.uint64(index) * np.ones(1, np.uint64) * _GAMMA) ^ _GAMMA)
 
 
 def words(keys: CounterArray, counters: CounterArray) -> CounterArray:
-    """64 random bits for every key and counter, which are broadcast against each other."""
+    """64 random bits for every key and counter; the two arrays are broadcast."""
     return mix(mix(keys) + (counters + np.uint64(1)) * _GAMMA)
 
 

@@ -1,4 +1,4 @@
-"""How far from the equilibrium: the relative distances that rewards, success and metrics share.
+"""Relative distances to the equilibrium, shared by rewards, the success criterion and metrics.
 
 Where x* = 0 the scale is 1 instead of ‖x*‖.
 """
@@ -11,12 +11,12 @@ from ptne_env.arrays import FloatArray, ordered_sum
 from ptne_env.games import Game
 
 FLOOR = 1e-12
-"""Distances are floored here before their logarithm is taken: twelve digits is all that is counted."""
+"""Lower bound of a distance before its logarithm is taken: at most twelve digits count."""
 
 _DIGITS_PER_NAT = -1 / np.log(10)
 
 SUCCESS_DISTANCE = 5e-3
-"""An episode succeeds, and a run has settled, within this relative distance (the paper's 0.5 %)."""
+"""Relative distance within which an episode succeeds and a run has settled (the paper's 0.5 %)."""
 
 
 def player_distances(estimates: FloatArray, game: Game) -> FloatArray:
@@ -33,7 +33,7 @@ def strategy_distance(strategies: FloatArray, game: Game) -> FloatArray:
 
 
 def estimate_distance(estimates: FloatArray, game: Game) -> FloatArray:
-    """‖𝐱 − 1⊗x*‖/(√N ‖x*‖), what the theorems claim: (n, N, B) to (B,)."""
+    """‖𝐱 − 1⊗x*‖/(√N ‖x*‖), the quantity of the theorems: (n, N, B) to (B,)."""
     return np.sqrt(ordered_sum(player_distances(estimates, game) ** 2) / estimates.shape[1])
 
 

@@ -1,4 +1,4 @@
-"""What pushes the players about: disturbances of their velocities."""
+"""Disturbances of the players' velocities."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from ptne_env.counter_random import CounterArray
 
 
 class Disturbance(ABC):
-    """A bounded velocity w that is added to that of the real strategies: dx_i/dt = g(t) u^i_i + w_i, held over a step.
+    """A bounded velocity w added to that of the real strategies: dx_i/dt = g(t) u^i_i + w_i, constant over a step.
 
-    Estimates of others are memory and not disturbed.
+    Estimates of other players are memory and are not disturbed.
 
     Attributes:
         is_absent: whether w = 0 always.
@@ -31,7 +31,7 @@ class Disturbance(ABC):
         """The velocity w in units of the strategies per second, shape (n, B).
 
         Args:
-            keys: one per environment, which name its random numbers (:mod:`ptne_env.counter_random`), shape (B,).
+            keys: keys of the random numbers (:mod:`ptne_env.counter_random`), one per environment, shape (B,).
             step: index of the step, shape (B,).
             dimension: n.
         """
@@ -49,15 +49,15 @@ class Undisturbed(Disturbance):
 
 
 class UniformDisturbance(Disturbance):
-    """The velocity w ~ U(−bound, bound) per component, drawn anew every ``dwell`` steps.
+    """The velocity w ~ U(−bound, bound) per component, redrawn every ``dwell`` steps.
 
     Args:
         bound: > 0, in units of the strategies per second.
-        dwell: steps for which a draw stays; as many as the episode has make it a constant bias.
-        after_deadline_only: whether it waits for the hold phase.
+        dwell: steps per draw; the number of steps of the episode makes it a constant bias.
+        after_deadline_only: whether it starts with the hold phase.
 
     Raises:
-        ValueError: when the bound is not positive, or the dwell is no whole number of at least 1.
+        ValueError: when the bound is not positive, or the dwell is not a whole number of at least 1.
     """
 
     def __init__(self, bound: float, dwell: int = 1, after_deadline_only: bool = False) -> None:  # noqa: FBT001, FBT002 - parts call with keywords
@@ -66,7 +66,7 @@ class UniformDisturbance(Disturbance):
         self.after_deadline_only = bool(after_deadline_only)
 
     def velocity(self, keys: CounterArray, step: IntArray, dimension: int) -> FloatArray:
-        """The draw of each environment's step."""
+        """The draw for each environment's step, shape (n, B)."""
         draws = (step // self.dwell).astype(np.uint64) * np.uint64(dimension)
         numbers = counter_random.uniforms(keys, draws + np.arange(dimension, dtype=np.uint64)[:, None])
         numbers -= 0.5

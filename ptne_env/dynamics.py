@@ -15,7 +15,7 @@ import numpy as np
 
 from ptne_env import channel as channels
 from ptne_env.arrays import Array, BoolArray, FloatArray, IntArray, replaced
-from ptne_env.channel import LinkNoise, Memory, Messages
+from ptne_env.channel import LinkRandomness, Memory, Messages
 from ptne_env.games import Game
 from ptne_env.random_streams import RandomStreams
 from ptne_env.world import RANGE_LIMIT, ComponentOrder, EpisodeRandomness, World
@@ -290,9 +290,9 @@ def _transmit(world: World, state: State, memory: Memory | None) -> Received:
     keys = np.zeros(batch, dtype=np.uint64) if state.randomness is None else state.randomness.channel_keys
     link_weights = graph_weights(world, state)
     link_weights = np.broadcast_to(link_weights, (*link_weights.shape[:2], batch))
-    noise = LinkNoise(keys, state.step, world.neighbours, world.game.dimension)
+    randomness = LinkRandomness(keys, state.step, world.neighbours, world.game.dimension)
     sent = Messages(sent_messages(world, state.estimates), link_weights > 0, link_weights, state.estimates)
-    received, memory = world.channel.transmit(sent, memory, noise)
+    received, memory = world.channel.transmit(sent, memory, randomness)
     values = received.values
     if not _in_range(values):  # noise may leave the range that observations are bounded by
         values = np.clip(values, -RANGE_LIMIT, RANGE_LIMIT)

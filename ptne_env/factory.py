@@ -1,4 +1,4 @@
-"""Parts: the one extension mechanism. A part names an object by ``module:object`` and the arguments to call it with."""
+"""Factory specs: an object named by ``module:object`` and the arguments to call it with. The extension mechanism."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ from typing import Any
 
 
 def resolve(target: str) -> Any:
-    """The object that ``module:object`` names.
+    """Import the object named by ``module:object``.
 
     Raises:
-        ValueError: when the string has another form, the module cannot be imported or lacks the object.
+        ValueError: when the string has another form, or the module cannot be imported or has no such object.
     """
     module_name, separator, attribute = target.partition(":")
     if not (separator and module_name and attribute):
@@ -59,7 +59,7 @@ def _to_json(value: Any) -> Any:
 class FactorySpec:
     """A callable named by ``module:object`` with keyword arguments; hashable and JSON-serialisable.
 
-    Arguments may be numbers, strings, lists and parts. Make one with :meth:`of`.
+    Arguments may be numbers, strings, lists and other specs. :meth:`of` is the constructor to use.
     """
 
     target: str
@@ -67,11 +67,11 @@ class FactorySpec:
 
     @classmethod
     def of(cls, target: str, /, **arguments: Any) -> FactorySpec:
-        """The part ``target`` with keyword ``arguments``; lists and arrays are frozen to tuples."""
+        """The spec of ``target`` with keyword ``arguments``; lists and arrays become tuples."""
         return cls(target, tuple((name, _freeze(value)) for name, value in sorted(arguments.items())))
 
     def resolve(self) -> Any:
-        """The object that the target names, not called.
+        """Import the target without calling it.
 
         Raises:
             ValueError: as :func:`resolve`.
@@ -79,18 +79,18 @@ class FactorySpec:
         return resolve(self.target)
 
     def build(self, /, **extra: Any) -> Any:
-        """Import the object and call it with the arguments, and ``extra`` ones that only the builder knows.
+        """Import the target and call it with the arguments and with ``extra`` ones of the caller.
 
         Raises:
-            ValueError: when the object cannot be found or refuses the arguments.
+            ValueError: when the target cannot be imported or refuses the arguments.
         """
         target = self.resolve()
         arguments = {name: _build(value) for name, value in self.arguments}
         try:
             return target(**arguments, **extra)
-        except (TypeError, AttributeError, LookupError, ArithmeticError) as error:  # what wrong arguments end in
+        except (TypeError, AttributeError, LookupError, ArithmeticError) as error:  # typical effects of wrong arguments
             if not arguments and not isinstance(error, TypeError):
-                raise  # there was nothing to refuse: a mistake in the target
+                raise  # without arguments the mistake is in the target
             raise ValueError(f"part {self.target!r} refuses its arguments {sorted(arguments)}: {error}") from error
 
     def to_dict(self) -> dict[str, Any]:
@@ -102,7 +102,7 @@ class FactorySpec:
         """The inverse of :meth:`to_dict`.
 
         Raises:
-            ValueError: when ``data`` has other keys than ``target``, a string, and ``arguments``, an object.
+            ValueError: unless the keys are ``target``, a string, and optionally ``arguments``, an object.
         """
         if not {"target"} <= set(data) <= {"target", "arguments"}:
             raise ValueError(f"a part is an object with 'target' and 'arguments', got the keys {sorted(data)}")

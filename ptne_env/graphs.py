@@ -1,4 +1,4 @@
-"""Who hears whom, and when that changes: communication graphs and switching topologies."""
+"""Communication graphs."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ class Graph:
         adjacency: a_ij of shape (N, N), symmetric, a_ij ≥ 0, zero diagonal.
 
     Raises:
-        ValueError: when the matrix is not of this kind.
+        ValueError: when the matrix is not of this form.
     """
 
     def __init__(self, adjacency: npt.ArrayLike) -> None:
@@ -56,7 +56,7 @@ class Graph:
 
     @property
     def largest_degree(self) -> int:
-        """The largest number of neighbours that a player has."""
+        """The largest number of neighbours of a player."""
         return int((self.adjacency > 0).sum(axis=1).max())
 
     @property
@@ -65,7 +65,7 @@ class Graph:
         return [(int(i), int(j)) for i, j in np.argwhere(np.triu(self.adjacency) > 0)]
 
     def to_networkx(self) -> nx.Graph[int]:
-        """The same graph for networkx, weights in ``weight``."""
+        """The graph as a networkx graph, weights in ``weight``."""
         return nx.from_numpy_array(self.adjacency)
 
     def __eq__(self, other: object) -> bool:
@@ -89,12 +89,12 @@ def path(players: int) -> Graph:
 
 
 def star(players: int) -> Graph:
-    """Player 0 linked to every other, N ≥ 2."""
+    """Player 0 linked to every other player, N ≥ 2."""
     return from_networkx(nx.star_graph(require_count("players", players, 2) - 1))
 
 
 def complete(players: int) -> Graph:
-    """Everybody linked to everybody, N ≥ 2."""
+    """All pairs of players linked, N ≥ 2."""
     return from_networkx(nx.complete_graph(require_count("players", players, 2)))
 
 
@@ -114,10 +114,10 @@ def from_edges(players: int, edges: Iterable[Sequence[int]]) -> Graph:
 
 
 def from_networkx(graph: nx.Graph[int]) -> Graph:
-    """Any undirected networkx graph; nodes are taken in their order, ``weight`` defaults to 1."""
+    """The undirected networkx graph, nodes in their order; ``weight`` defaults to 1."""
     return Graph(nx.to_numpy_array(graph))
 
 
 def union(graphs: Iterable[Graph]) -> Graph:
-    """The union graph: a link where any graph has one, with the largest of its weights."""
+    """The union graph: every link of any of the graphs, with the largest of its weights."""
     return Graph(np.max([graph.adjacency for graph in graphs], axis=0))

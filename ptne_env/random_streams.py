@@ -1,4 +1,4 @@
-"""Random numbers: one generator per source, so that changing what one source draws leaves the others alone."""
+"""Random generators of an environment, one per purpose, so that draws for one purpose do not affect the others."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 
 def require_seed(seed: int) -> int:
     """Return ``seed``, or raise ``ValueError`` when it is negative or not a whole number."""
-    if isinstance(seed, bool) or not isinstance(seed, (int, np.integer)) or seed < 0:  # type: ignore[redundant-expr]  # callers may pass anything
+    if isinstance(seed, bool) or not isinstance(seed, (int, np.integer)) or seed < 0:  # type: ignore[redundant-expr]  # callers may pass any type
         raise ValueError(f"a seed is a whole number of at least 0 or None, got {seed!r}")
     return int(seed)
 
@@ -22,7 +22,7 @@ class RandomStreams:
         game: draws the game of an episode.
         start: draws the initial estimates.
         graph: draws switching topologies.
-        channel: draws the keys of what happens to messages and disturbs velocities.
+        channel: draws the keys of channels and disturbances.
     """
 
     game: np.random.Generator

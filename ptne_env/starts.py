@@ -1,4 +1,4 @@
-"""Where an episode starts: the initial estimates."""
+"""Initial estimates of an episode."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from ptne_env.arrays import FloatArray, frozen
 
 
 class Start(ABC):
-    """The law of the initial estimates."""
+    """The distribution of the initial estimates."""
 
     is_random: bool = False
     """Whether two draws differ."""
@@ -21,12 +21,12 @@ class Start(ABC):
         """Initial estimates of one environment, shape (n, N): column i is x^i(0).
 
         Raises:
-            ValueError: when the start is made for another number of players or another dimension.
+            ValueError: when the start is for another number of players or another dimension.
         """
 
 
 class UniformStart(Start):
-    """Every entry of every estimate is drawn from U(low, high).
+    """Independent entries x^i_j(0) ~ U(low, high).
 
     Raises:
         ValueError: unless low < high, both finite.
@@ -40,12 +40,12 @@ class UniformStart(Start):
         self.low, self.high = float(low), float(high)
 
     def draw(self, num_players: int, dimension: int, generator: np.random.Generator) -> FloatArray:
-        """Independent draws, shape (n, N)."""
+        """Drawn estimates, shape (n, N)."""
         return generator.uniform(self.low, self.high, size=(dimension, num_players))
 
 
 class FixedStart(Start):
-    """The same estimates every time.
+    """The same estimates in every episode.
 
     Args:
         estimates: one row per player, the row of player i being x^i(0); shape (N, n).
@@ -67,7 +67,7 @@ class FixedStart(Start):
         """The fixed estimates, shape (n, N)."""
         if self.estimates.shape != (dimension, num_players):
             raise ValueError(
-                f"this start is made for {self.estimates.shape[1]} players and dimension {self.estimates.shape[0]}, "
+                f"this start is for {self.estimates.shape[1]} players and dimension {self.estimates.shape[0]}, "
                 f"the game has {num_players} and {dimension}; choose start='random' or another table"
             )
         return self.estimates.copy()

@@ -1,4 +1,4 @@
-"""Switching topologies: which graph acts when, fixed, periodic or random."""
+"""Switching topologies: the graph that acts at each instant, fixed, periodic or random."""
 
 from __future__ import annotations
 
@@ -11,20 +11,20 @@ import networkx as nx
 import numpy as np
 import numpy.typing as npt
 
-from ptne_env.arrays import FloatArray, IntArray, frozen, require_count, require_positive
+from ptne_env.arrays import FloatArray, IntArray, frozen, require_count, require_positive, require_probability
 from ptne_env.graphs import Graph, from_edges, union
 
 TopologyClock: TypeAlias = Literal["physical", "transformed"]
 JointConnectivity: TypeAlias = Literal["always", "almost surely", "never"]
-"""Whether the graphs are jointly connected: within every window of a fixed length (``always``, Assumption 2 of the
-paper); with probability 1 from every instant on, but within no window that could be named (``almost surely``, which
+"""Whether the graphs are jointly connected: within every window of some fixed length (``always``, Assumption 2 of the
+paper); with probability 1 from every instant on, but within no window of fixed length (``almost surely``, which
 Assumption 2 does not cover); or ``never``."""
 
 Dwells: TypeAlias = "float | tuple[float, float]"
-"""A dwell time, or the range (shortest, longest) of which every dwell is drawn uniformly."""
+"""A dwell time, or the range (shortest, longest) from which every dwell is drawn uniformly."""
 
 _BOUNDARY_TOLERANCE = 1e-9
-"""Fraction of a dwell within which an instant before a switch counts as the switch, against rounding of k·Δt."""
+"""An instant closer to the next switch than this fraction of a dwell counts as the switch, as k·Δt is rounded."""
 
 
 @dataclass(frozen=True)
@@ -33,18 +33,19 @@ class Schedule:
 
     Attributes:
         modes: index of the active graph at each instant, shape (instants,), or (instants, B) where episodes differ.
-        age: time since the last switch over the mean dwell, clipped to [0, 1], 0 for a fixed graph; of the same shape.
+        time_since_switch: time since the last switch over the mean dwell, clipped to [0, 1]; 0 for a fixed graph. Same
+            shape.
     """
 
     modes: IntArray
-    age: FloatArray
+    time_since_switch: FloatArray
 
 
 class SwitchingTopology:
-    """A switching topology σ: a periodic sequence of graphs with a dwell time each; one graph is the fixed case.
+    """A switching topology σ: a periodic sequence of graphs with a dwell time each; a single graph is the fixed case.
 
-    A topology dwells in the unit of its clock. On the ``physical`` clock (t, the paper's) only finitely many switches
-    happen before the deadline; on the ``transformed`` clock (s) infinitely many do (docs/errata.md, 2).
+    Dwell times are in the unit of the topology's clock. On the ``physical`` clock (t, the paper's) only finitely many
+    switches happen before the deadline; on the ``transformed`` clock (s) infinitely many do (docs/errata.md, 2).
 
     Args:
         graphs: the modes, in order, all on the same players.
@@ -55,6 +56,9 @@ class SwitchingTopology:
         ValueError: when numbers of graphs, dwells or players disagree, a dwell is not positive, or the clock is
             unknown.
     """
+
+    is_random: bool = False
+    """Whether every episode draws its own schedule."""
 
     def __init__(
         self, graphs: Sequence[Graph], dwells: Sequence[float] | None = None, clock: TopologyClock = "physical"
@@ -89,21 +93,13 @@ class SwitchingTopology:
         return union(self.graphs)
 
     @property
-    def is_random(self) -> bool:
-        """Whether episodes draw their own schedules; then :meth:`draw` makes them, and :meth:`schedule` refuses."""
-        return False
-
-    @property
     def joint_connectivity(self) -> JointConnectivity:
-        """Whether, and how surely, the graphs are jointly connected; a periodic topology's over one period."""
+        """Whether the graphs are jointly connected; for a periodic topology, over one period."""
         return "always" if self.union.is_connected else "never"
 
     @property
     def is_jointly_connected(self) -> bool:
-        """Assumption 2 of the paper (Assumption 1 when fixed): the union over windows of some length is connected.
-
-        For a random topology also when that is only almost sure, see :attr:`joint_connectivity`.
-        """
+        """Assumption 2 of the paper (Assumption 1 when fixed), at least with probability 1."""
         return self.joint_connectivity != "never"
 
     @property
@@ -122,14 +118,12 @@ class SwitchingTopology:
         return self.period / len(self.graphs)
 
     def schedule(self, instants: npt.ArrayLike) -> Schedule:
-        """Sample the topology at ``instants`` (any shape) of its clock.
+        """The schedule at ``instants`` (any shape) of the topology's clock.
 
         Raises:
             ValueError: when an instant is negative.
         """
-        times = np.asarray(instants, dtype=np.float64)
-        if times.size and times.min() < 0:
-            raise ValueError(f"a topology starts at 0, got the instant {times.min()}")
+        times = _instants(instants)
         if self.is_fixed:
             return Schedule(np.zeros(times.shape, dtype=np.int64), np.zeros(times.shape))
         ends = np.cumsum(self.dwells)
@@ -139,22 +133,22 @@ class SwitchingTopology:
         phase = np.where(wraps, 0.0, phase)
         modes = np.searchsorted(ends, phase + slack, side="right").astype(np.int64)
         starts = np.concatenate([[0.0], ends[:-1]])
-        age = np.clip((phase - starts[modes]) / self.mean_dwell, 0.0, 1.0)
-        return Schedule(modes, age)
+        return Schedule(modes, np.clip((phase - starts[modes]) / self.mean_dwell, 0.0, 1.0))
 
     def draw(self, instants: npt.ArrayLike, generators: Sequence[np.random.Generator]) -> Schedule:
-        """Schedules of episodes, sampled at increasing ``instants`` (K,) of the clock: modes and ages of shape (K, B).
+        """The schedules of B episodes at increasing ``instants`` (K,) of the clock; arrays of shape (K, B).
 
         Args:
             instants: of the clock, from 0 on.
             generators: one per episode; a topology that is not random draws nothing.
 
         Raises:
-            ValueError: as :meth:`schedule`.
+            ValueError: when an instant is negative.
         """
-        one, episodes = self.schedule(instants), len(generators)
-        modes, age = np.repeat(one.modes[:, None], episodes, axis=1), np.repeat(one.age[:, None], episodes, axis=1)
-        return Schedule(modes, age)
+        schedule, repeats = self.schedule(instants), (1, len(generators))
+        return Schedule(
+            np.tile(schedule.modes[:, None], repeats), np.tile(schedule.time_since_switch[:, None], repeats)
+        )
 
     def switches(self, start: float, end: float) -> FloatArray:
         """The switching instants in the open interval (start, end), in the unit of the clock."""
@@ -166,18 +160,43 @@ class SwitchingTopology:
         return instants[(instants > start + slack) & (instants < end - slack)]
 
 
-class MarkovTopology(SwitchingTopology):
-    """A topology that every episode draws: modes follow a Markov chain, and every dwell is drawn uniformly from a range.
+class RandomTopology(SwitchingTopology):
+    """A topology whose schedule every episode draws with :meth:`draw`; it has no schedule of its own."""
 
-    In mode m the topology dwells for U(shortest, longest) and then goes on to mode m' with probability
+    is_random = True
+
+    def schedule(self, instants: npt.ArrayLike) -> Schedule:  # noqa: ARG002 - the signature is the interface
+        """Does not exist without a draw.
+
+        Raises:
+            ValueError: always.
+        """
+        raise ValueError("this topology is random and has no schedule of its own: draw one per episode, see draw()")
+
+    def switches(self, start: float, end: float) -> FloatArray:  # noqa: ARG002 - the signature is the interface
+        """Do not exist without a draw.
+
+        Raises:
+            ValueError: always.
+        """
+        raise ValueError(
+            "this topology is random and has no switching instants of its own: draw a schedule, see draw()"
+        )
+
+
+class MarkovTopology(RandomTopology):
+    """A topology whose modes follow a Markov chain, with every dwell time drawn uniformly from a range.
+
+    In mode m the topology dwells for U(shortest, longest) and then switches to mode m' with probability
     ``transition[m][m']``; m' may be m again, which counts as a switch.
 
     Args:
         graphs: the modes, at least two, all on the same players.
-        transition: row-stochastic matrix of shape (modes, modes), irreducible: every mode is reached from every other.
+        transition: row-stochastic matrix of shape (modes, modes), irreducible: every mode can be reached from
+            every other.
         dwells: a dwell time or a range (shortest, longest), for all modes.
         clock: ``"physical"`` or ``"transformed"``.
-        first: the mode at the start; drawn uniformly if left out.
+        first: the mode at the start; drawn uniformly by default.
 
     Attributes:
         shortest, longest: range of the dwells, in the unit of the clock.
@@ -206,31 +225,24 @@ class MarkovTopology(SwitchingTopology):
         if modes < 2:
             raise ValueError("a random topology needs at least two graphs; use fixed() for one")
         self.transition = frozen(transition)
-        rows = self.transition.shape == (modes, modes) and np.allclose(
-            self.transition.sum(axis=1), 1, rtol=0, atol=1e-9
-        )
-        if not rows or self.transition.min() < 0:
+        fits = self.transition.shape == (modes, modes) and self.transition.min() >= 0
+        if not (fits and np.allclose(self.transition.sum(axis=1), 1, rtol=0, atol=1e-9)):
             raise ValueError(f"transition is a {modes} × {modes} matrix of probabilities whose rows sum to 1")
         if not nx.is_strongly_connected(nx.from_numpy_array(self.transition > 0, create_using=nx.DiGraph)):
             raise ValueError(
-                "the Markov chain is reducible: some mode is not reached from some other; give every mode a way to "
-                "every other, or leave it out"
+                "the Markov chain is reducible: some mode cannot be reached from some other; connect every mode to "
+                "every other by positive probabilities, or remove it"
             )
         if first is not None and not 0 <= require_count("first", first, 0) < modes:
             raise ValueError(f"first is a mode 0..{modes - 1}, got {first}")
         self.first = first
 
     @property
-    def is_random(self) -> bool:
-        """True."""
-        return True
-
-    @property
     def joint_connectivity(self) -> JointConnectivity:
-        """From the union of all modes, as the chain visits all of them infinitely often with probability 1.
+        """Decided by the union of all modes, as the chain visits each infinitely often with probability 1.
 
-        ``always`` is said where every mode is connected, or the order of the modes is certain. In between, chains whose
-        every path happens to connect within some window are called ``almost surely`` too.
+        The answer is ``always`` where every mode is connected or the order of the modes is certain. Other chains are
+        ``almost surely`` connected, even if each of their paths connects within some window.
         """
         if not self.union.is_connected:
             return "never"
@@ -242,34 +254,10 @@ class MarkovTopology(SwitchingTopology):
         """The shortest dwell that can be drawn."""
         return self.shortest
 
-    def schedule(self, instants: npt.ArrayLike) -> Schedule:  # noqa: ARG002 - the signature is the interface
-        """Not to be had without a draw.
-
-        Raises:
-            ValueError: always.
-        """
-        raise ValueError("this topology is random and has no schedule of its own: draw one per episode, see draw()")
-
-    def switches(self, start: float, end: float) -> FloatArray:  # noqa: ARG002 - the signature is the interface
-        """Not to be had without a draw.
-
-        Raises:
-            ValueError: always.
-        """
-        raise ValueError(
-            "this topology is random and has no switching instants of its own: draw a schedule, see draw()"
-        )
-
     def draw(self, instants: npt.ArrayLike, generators: Sequence[np.random.Generator]) -> Schedule:
-        """A schedule per generator, sampled at increasing ``instants`` (K,) of the clock: modes and ages (K, B).
-
-        Raises:
-            ValueError: when an instant is negative.
-        """
-        times = np.asarray(instants, dtype=np.float64)
-        if times.size and times.min() < 0:
-            raise ValueError(f"a topology starts at 0, got the instant {times.min()}")
-        # As many dwells as there can be, so that what is drawn depends on the episode's length alone.
+        """The schedules of B episodes, one per generator; see :meth:`SwitchingTopology.draw`."""
+        times = _instants(instants)
+        # The largest possible number of dwells, so that the draws depend on the episode's length alone.
         count = int(np.max(times, initial=0.0) / self.shortest) + 2
         choices, unit = np.stack([generator.random((2, count)) for generator in generators], axis=-1)
         ends = np.cumsum(self.shortest + (self.longest - self.shortest) * unit, axis=0)
@@ -288,14 +276,13 @@ class MarkovTopology(SwitchingTopology):
             if first == times.size:
                 break
             mode = (choices[dwell] >= ladder[mode].T).sum(axis=0)
-            begun = times[first:, None] >= end - slack
-            np.copyto(modes[first:], mode, where=begun)
-            np.copyto(starts[first:], end, where=begun)
-        age = np.clip((times[:, None] - starts) / self.mean_dwell, 0.0, 1.0)
-        return Schedule(modes, age)
+            started = times[first:, None] >= end - slack
+            np.copyto(modes[first:], mode, where=started)
+            np.copyto(starts[first:], end, where=started)
+        return Schedule(modes, np.clip((times[:, None] - starts) / self.mean_dwell, 0.0, 1.0))
 
 
-class EpisodeTopology(SwitchingTopology):
+class EpisodeTopology(RandomTopology):
     """A topology that draws one graph for a whole episode, uniformly from a pool, and never switches within it.
 
     Args:
@@ -307,18 +294,13 @@ class EpisodeTopology(SwitchingTopology):
 
     def __init__(self, graphs: Sequence[Graph]) -> None:
         if len(graphs) < 2:
-            raise ValueError("a topology that draws its graph needs at least two; use fixed() for one")
+            raise ValueError("a topology that draws its graph needs at least two graphs; use fixed() for one")
         super().__init__(graphs, [1.0] * len(graphs))
         self.dwells = ()
 
     @property
-    def is_random(self) -> bool:
-        """True."""
-        return True
-
-    @property
     def joint_connectivity(self) -> JointConnectivity:
-        """``always`` where every graph of the pool is connected; an episode that draws another never connects."""
+        """``always`` where every graph of the pool is connected, else ``never``: some episode does not connect."""
         return "always" if all(graph.is_connected for graph in self.graphs) else "never"
 
     @property
@@ -326,20 +308,12 @@ class EpisodeTopology(SwitchingTopology):
         """Infinite."""
         return float("inf")
 
-    def schedule(self, instants: npt.ArrayLike) -> Schedule:  # noqa: ARG002 - the signature is the interface
-        """Not to be had without a draw.
-
-        Raises:
-            ValueError: always.
-        """
-        raise ValueError("this topology is random and has no schedule of its own: draw one per episode, see draw()")
-
     def switches(self, start: float, end: float) -> FloatArray:  # noqa: ARG002 - the signature is the interface
-        """None."""
+        """None: an empty array."""
         return np.empty(0)
 
     def draw(self, instants: npt.ArrayLike, generators: Sequence[np.random.Generator]) -> Schedule:
-        """A graph per generator, at all ``instants`` (K,): modes and ages, which are 0, of shape (K, B)."""
+        """The schedules of B episodes: the graph drawn by each generator at all ``instants`` (K,)."""
         shape = (np.size(instants), len(generators))
         modes = np.array([generator.integers(len(self.graphs)) for generator in generators], dtype=np.int64)
         return Schedule(np.broadcast_to(modes, shape).copy(), np.zeros(shape))
@@ -356,7 +330,7 @@ def periodic(graphs: Sequence[Graph], dwells: Sequence[float], clock: TopologyCl
 
 
 def random_dwells(graphs: Sequence[Graph], dwells: Dwells, clock: TopologyClock = "physical") -> SwitchingTopology:
-    """The topology that repeats ``graphs`` in their order, each for a time that is drawn from the range ``dwells``."""
+    """The topology that repeats ``graphs`` in order, each for a time drawn from the range ``dwells``."""
     following = np.roll(np.eye(len(graphs)), 1, axis=1)
     return MarkovTopology(graphs, following, dwells, clock, first=0)
 
@@ -364,20 +338,21 @@ def random_dwells(graphs: Sequence[Graph], dwells: Dwells, clock: TopologyClock 
 def markov(
     graphs: Sequence[Graph], transition: npt.ArrayLike, dwells: Dwells, clock: TopologyClock = "physical"
 ) -> SwitchingTopology:
-    """The topology that after each dwell goes on to a graph that the row of ``transition`` draws."""
+    """The topology whose next graph after each dwell is drawn from a row of ``transition``."""
     return MarkovTopology(graphs, transition, dwells, clock)
 
 
 def random_edges(
     graph: Graph, probability: float, dwells: Dwells, modes: int = 32, seed: int = 0, clock: TopologyClock = "physical"
 ) -> SwitchingTopology:
-    """The topology that has each link of ``graph`` up or down at random in every dwell.
+    """The topology in which each link of ``graph`` is up or down at random in every dwell.
 
     Every dwell draws uniformly from a pool of ``modes`` graphs, in each of which every link is up with ``probability``
-    independently. The pool is a function of the arguments, and so part of the scenario and the same in every episode.
+    independently. The pool is a function of the arguments, so it belongs to the scenario and is the same in every
+    episode.
 
     Args:
-        graph: the links that there can be.
+        graph: all possible links.
         probability: that a link is up, in (0, 1].
         dwells: a dwell time or a range (shortest, longest).
         modes: graphs in the pool, at least 2.
@@ -387,8 +362,7 @@ def random_edges(
     Raises:
         ValueError: when the probability is not in (0, 1], or as :class:`MarkovTopology`.
     """
-    if require_positive("probability", probability) > 1:
-        raise ValueError(f"probability must be a number between 0 and 1, got {probability!r}")
+    require_probability("probability", require_positive("probability", probability))
     count = require_count("modes", modes, 2)
     links = np.array(graph.edges).reshape(-1, 2)
     up = np.random.default_rng(require_count("seed", seed, 0)).random((count, len(links))) < probability
@@ -402,10 +376,11 @@ def random_edges(
 
 
 def random_graphs(players: int, probability: float, modes: int = 100, seed: int = 0) -> SwitchingTopology:
-    """The topology that draws a connected random graph for every episode, which holds all through it.
+    """The topology that draws a connected random graph for every episode and keeps it throughout.
 
-    The pool is a function of the arguments, and so part of the scenario and the same in every episode: graphs of Erdős
-    and Rényi, every pair of players being linked with ``probability``, of which the connected ones are kept.
+    Graphs come from a pool: the connected ones among graphs of Erdős and Rényi, which link every pair of players with
+    ``probability``. The pool is a function of the arguments, so it belongs to the scenario and is the same in every
+    episode.
 
     Args:
         players: N ≥ 2.
@@ -416,8 +391,7 @@ def random_graphs(players: int, probability: float, modes: int = 100, seed: int 
     Raises:
         ValueError: when the probability is not in (0, 1], or so small that hardly any graph is connected.
     """
-    if require_positive("probability", probability) > 1:
-        raise ValueError(f"probability must be a number between 0 and 1, got {probability!r}")
+    require_probability("probability", require_positive("probability", probability))
     count = require_count("modes", modes, 2)
     i, j = np.triu_indices(require_count("players", players, 2), 1)
     generator = np.random.default_rng(require_count("seed", seed, 0))
@@ -435,8 +409,15 @@ def random_graphs(players: int, probability: float, modes: int = 100, seed: int 
 def paper_topology(dwell: float = 0.1, clock: TopologyClock = "physical") -> SwitchingTopology:
     """The paper's eq. SwitchingSignal: four disconnected modes of ``dwell`` each, Γ = 4·dwell = 0.4 s.
 
-    The paper's figure of the modes is lost; ours are the pairs {12, 34}, {23, 45}, {34, 51}, {45, 12} of edges of
-    the 5-cycle (players 1..5), whose union is the cycle.
+    The paper's figure of the modes is not available; ours are the pairs {12, 34}, {23, 45}, {34, 51}, {45, 12} of edges
+    of the 5-cycle (players 1..5), whose union is the cycle.
     """
     pairs = [[(0, 1), (2, 3)], [(1, 2), (3, 4)], [(2, 3), (4, 0)], [(3, 4), (0, 1)]]
     return SwitchingTopology([from_edges(5, pair) for pair in pairs], [dwell] * 4, clock)
+
+
+def _instants(instants: npt.ArrayLike) -> FloatArray:
+    times = np.asarray(instants, dtype=np.float64)
+    if times.size and times.min() < 0:
+        raise ValueError(f"a topology starts at 0, got the instant {times.min()}")
+    return times

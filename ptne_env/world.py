@@ -168,7 +168,7 @@ class World:
         modes = age = None
         if self.topology.is_random:
             schedule = self.topology.draw(self._topology_times, [stream.graph for stream in streams])
-            modes, age = schedule.modes.astype(np.int16), schedule.age.astype(np.float32)
+            modes, age = schedule.modes.astype(np.int16), schedule.time_since_switch.astype(np.float32)
         keys = [[counter_random.draw_key(stream.channel) for stream in streams] for _ in range(2)]
         return EpisodeRandomness(modes, age, *np.array(keys, dtype=np.uint64))
 
@@ -246,7 +246,7 @@ class World:
         shifts = tuple(require_finite("a clock shift", shift) for shift in shifts)
         if not any(shifts):
             shifts = (0.0,)
-        self.local_clocks = frozen(np.stack([self.clock.read(shift) for shift in shifts], axis=1))
+        self.local_clocks = frozen(np.stack([self.clock.shifted(shift) for shift in shifts], axis=1))
         self.theta = self.clock.theta if len(shifts) == 1 else self.local_clocks[2]
         self._topology_times = self.clock.topology_times[self.topology.clock]
         if self.topology.is_random:
@@ -255,7 +255,7 @@ class World:
             )
         else:
             schedule = self.topology.schedule(self._topology_times)
-        self.modes, self.time_since_switch = schedule.modes, schedule.age
+        self.modes, self.time_since_switch = schedule.modes, schedule.time_since_switch
         # Looking up an instant's successor costs one environment a quarter of computing it.
         instants, last = np.arange(self.clock.total_steps + 1), self.clock.total_steps
         self.next_step, self.is_last_step = np.minimum(instants + 1, last), instants >= last

@@ -17,7 +17,7 @@ from scipy import stats
 from worlds import BLOCKS_SWITCHING, EVERY_FAULT, FAULTY, begin, channel_part, make_port, quantity
 
 from ptne_env import FactorySpec, Scenario, dynamics, get_scenario, laws
-from ptne_env.channel import Chain, Channel, LinkNoise, Messages
+from ptne_env.channel import Chain, Channel, LinkRandomness, Messages
 from ptne_env.encoder import make_encoder
 from ptne_env.observation import Interface
 from ptne_env.random_streams import RandomStreams
@@ -204,7 +204,7 @@ def wandering(scenario, batch, steps=None, seed=0):
 
 @pytest.mark.parametrize("world", ["fixed", "switching", "blocks"])
 @pytest.mark.parametrize("name", CHANNELS)
-def test_channel_agrees_with_its_twin_link_by_link(name, world):
+def test_channel_agrees_with_its_reference_link_by_link(name, world):
     scenario = {"fixed": FIXED, "switching": SWITCHING, "blocks": BLOCKS_SWITCHING}[world]
     world, states = wandering(scenario.replace(channel=CHANNELS[name]), batch=2, steps=40)
     players, exact = world.game.num_players, "noise" not in name and "everything" not in name
@@ -258,7 +258,7 @@ def column(array, b, batch):
 
 
 @pytest.mark.parametrize("name", FAULTS)
-def test_batch_agrees_bit_for_bit_with_batches_of_one_through_a_restart(name):
+def test_batch_equals_single_environments_through_restarts(name):
     world, batch = World(FAULTS[name]), 5
     together, alone = begin(world, range(batch)), [begin(world, [b]) for b in range(batch)]
     generator = np.random.default_rng(0)
@@ -288,7 +288,7 @@ def noise_of(seed, inputs_seed, scenario):
     return np.array(result)
 
 
-def test_noise_is_the_same_for_every_policy_and_another_for_every_seed():
+def test_noise_depends_on_the_seed_and_not_on_the_policy():
     scenario = FIXED.replace(channel=STAGES["additive noise"])
     first = noise_of(3, 0, scenario)
     assert noise_of(3, 0, scenario).tolist() == first.tolist()
@@ -296,7 +296,7 @@ def test_noise_is_the_same_for_every_policy_and_another_for_every_seed():
     assert np.abs(noise_of(4, 0, scenario) - first).max() > 0.1
 
 
-def test_padding_slots_leaves_the_noise_of_a_link_alone():
+def test_padded_slots_do_not_change_the_noise_of_a_link():
     noisy = FIXED.replace(channel=STAGES["additive noise"])
     plain, world = begin(World(noisy), [1]), World(noisy.replace(slots=4))
     padded = begin(world, [1])
@@ -316,7 +316,7 @@ def test_stages_of_a_chain_draw_independently():
     assert stats.kstest(second / 0.3, "norm").pvalue > FALSE_ALARM
 
 
-def test_perfect_channel_costs_nothing_and_changes_nothing():
+def test_perfect_channel_has_no_messages_and_no_draws():
     for scenario in (FIXED, SWITCHING):
         world, states = wandering(scenario, 2, steps=20)
         assert world.channel.is_perfect
@@ -368,8 +368,8 @@ def transmit(channel, steps, messages=None, batch=400, seed=0):
     memory, results = None, []
     for k in range(steps):
         going_in = constant_messages(batch) if messages is None else messages(k)
-        link_noise = LinkNoise(keys, np.full(batch, k), SENDERS, 5)
-        out, memory = channel.transmit(going_in, memory, link_noise)
+        randomness = LinkRandomness(keys, np.full(batch, k), SENDERS, 5)
+        out, memory = channel.transmit(going_in, memory, randomness)
         results.append(out)
     return results
 
@@ -389,7 +389,7 @@ def test_noises_are_normal_with_their_standard_deviation():
             assert abs(np.corrcoef(first.ravel(), second.ravel())[0, 1]) < limit
 
 
-def test_losses_are_as_frequent_as_they_are_said_to_be():
+def test_losses_have_the_given_probability():
     live = np.array([out.live for out in transmit(build("loss, drop"), 30)])
     assert stats.binomtest(int((~live).sum()), live.size, 0.4).pvalue > FALSE_ALARM
 
@@ -424,7 +424,7 @@ def test_delays_are_uniform_and_messages_overtake_each_other():
     assert constant[:, 0, 0, 0].tolist() == [0, 0, 0, 1, 2, 3, 4, 5, 6, 7]
 
 
-def test_asymmetric_weights_are_uniform_constant_and_differ_between_directions():
+def test_asymmetric_weights_are_uniform_constant_and_directed():
     out = transmit(build("asymmetry"), 5)
     weights = out[0].weights
     assert all(np.array_equal(each.weights, weights) for each in out)
@@ -449,7 +449,7 @@ def test_logarithmic_levels_are_within_their_sector(ratio, numbers):
 
 
 @given(st.floats(0.001, 10), st.lists(st.floats(-1e6, 1e6), min_size=25, max_size=25))
-def test_uniform_levels_are_multiples_of_the_width_half_of_it_away_at_most(width, numbers):
+def test_uniform_levels_are_the_nearest_multiples_of_the_width(width, numbers):
     channel = channel_part("UniformQuantiser", width=width).build()
     values = np.array(numbers).reshape(1, 5, 5, 1)
     live = np.ones((1, 5, 1), dtype=bool)
@@ -462,7 +462,7 @@ def test_uniform_levels_are_multiples_of_the_width_half_of_it_away_at_most(width
 
 
 @pytest.mark.parametrize("name", CHANNELS)
-def test_what_is_put_on_a_dead_link_is_never_heard(name):
+def test_values_on_a_down_link_have_no_effect(name):
     channel, generator = build(name), np.random.default_rng(1)
     if not isinstance(channel, Channel):
         raise AssertionError(name)
@@ -490,7 +490,7 @@ def test_what_is_put_on_a_dead_link_is_never_heard(name):
 
 
 @pytest.mark.parametrize("kind", ["physical", "local"])
-def test_observation_does_not_depend_on_strangers_however_messages_travel(kind):
+def test_observation_does_not_depend_on_players_without_a_link(kind):
     world = World(FAULTY.replace(disturbance="none"))
     encoder = make_encoder(world, Interface(kind))
     generator = np.random.default_rng(0)
@@ -544,7 +544,7 @@ stage_parts = st.one_of(
 @given(
     st.lists(stage_parts, max_size=8), st.sampled_from(["physical", "local"]), st.integers(0, 2**32), st.floats(0, 1e5)
 )
-def test_no_chain_of_faults_makes_an_observation_that_is_not_in_its_space(stages, kind, seed, size):
+def test_observations_under_any_chain_are_in_their_space(stages, kind, seed, size):
     scenario = FAULTY.replace(channel=channel_part("Chain", stages=stages), input_limit=1e6)
     world, encoder = make_port(scenario, kind=kind)
     space = encoder.layout.observation_space()
@@ -569,7 +569,7 @@ def test_scenario_with_a_channel_survives_json(name):
     assert World(again).channel.is_random == (name not in deterministic)
 
 
-def test_chains_in_chains_are_one_chain():
+def test_nested_chains_are_one_chain():
     inner, outer = build("everything"), Chain([build("asymmetry"), Chain([build("loss, drop")])])
     assert len(inner.stages) == 8
     assert [type(stage).__name__ for stage in outer.stages] == ["AsymmetricLinks", "Loss"]
@@ -594,7 +594,7 @@ REFUSED = {
 
 
 @pytest.mark.parametrize("name", REFUSED)
-def test_channel_that_cannot_be_is_refused(name):
+def test_invalid_channels_are_refused(name):
     kind, arguments, message = REFUSED[name]
     with pytest.raises(ValueError, match=message):
         World(FIXED.replace(channel=channel_part(kind, **arguments)))
@@ -611,7 +611,7 @@ def test_start_without_the_draws_is_refused():
 
 
 @pytest.mark.parametrize(("k", "amplification"), [(1.5, 1.5), (2.5, 3.1), (6.3, 37.0), (10.5, 600.0)])
-def test_explicit_euler_up_to_the_deadline_amplifies_noise_and_its_implicit_form_does_not(k, amplification):
+def test_explicit_euler_amplifies_noise_near_the_deadline(k, amplification):
     """dx = −k/(T − t)(x + η), 400 uniform steps, the gain of a step taken at its start: k h/(T − t_m) = k/(400 − m).
 
     With η of variance 1, drawn anew in every step, v ← (1 − a)² v + a² for the explicit and v ← (v + a²)/(1 + a)² for
@@ -670,11 +670,11 @@ class Shouting(Channel):
 
     is_random = False
 
-    def transmit(self, messages, memory, link_noise):
+    def transmit(self, messages, memory, randomness):
         return replace(messages, live=np.ones_like(messages.live), weights=np.ones_like(messages.weights)), ()
 
 
-def test_nobody_hears_anything_on_a_link_that_is_down_whatever_a_channel_says():
+def test_down_links_stay_down_for_any_channel():
     world = World(SWITCHING.replace(channel=FactorySpec.of("test_channel:Shouting")))
     sources = [RandomStreams.from_seed(0)]
     game, randomness = world.draw_game(sources), world.draw_randomness(sources)

@@ -27,7 +27,7 @@ def test_every_transformation_satisfies_the_lemma(transformation):
 
 
 @given(transformations, st.floats(0, 10))
-def test_inverse_and_derivative_belong_to_the_transformation(transformation, s):
+def test_inverse_and_derivative_agree_with_the_transformation(transformation, s):
     t = transformation.time(s)
     assert 0 <= t < transformation.deadline
     slope = transformation.derivative(s)
@@ -54,7 +54,7 @@ def test_gain_is_the_constant_from_the_deadline_on(kind):
 
 
 @given(transformations, st.floats(0, 40), st.floats(0, 40))
-def test_effective_time_is_inverted(transformation, constant, s):
+def test_effective_time_has_an_inverse(transformation, constant, s):
     tau = transformation.effective_time(s, constant)
     assert transformation.from_effective_time(tau, constant) == pytest.approx(s, rel=1e-9, abs=1e-9)
 
@@ -115,7 +115,7 @@ BROKEN = {
 
 
 @pytest.mark.parametrize("name", BROKEN)
-def test_wrong_transformation_is_caught_with_the_violated_condition(name):
+def test_violated_condition_of_the_lemma_is_named(name):
     transformation, condition = BROKEN[name]
     with pytest.raises(LemmaViolationError, match=f"violates {condition} of Lemma 1"):
         check_time_transformation(transformation)
@@ -179,7 +179,7 @@ def test_hold_phase_starts_at_the_deadline_with_the_mean_theta(clock):
 
 
 @given(clocks)
-def test_signals_follow_t_or_an_s_that_goes_on_after_the_deadline(clock):
+def test_topology_clocks_continue_after_the_deadline(clock):
     steps, times = clock.steps, clock.topology_times
     assert np.array_equal(times["physical"], clock.t)
     assert np.array_equal(times["transformed"][:steps], clock.s[:steps])
@@ -206,7 +206,7 @@ def test_default_episode_stops_0_03_percent_short_of_the_deadline():
     assert clock.shortfall == pytest.approx(3.35e-4, rel=2e-3)
 
 
-def test_tables_cannot_be_overwritten():
+def test_tables_are_read_only():
     clock = StepClock(Exponential(1.2), gain=20.0, steps=4, s_end=8.0)
     for table in (clock.t, clock.s, clock.theta, clock.dt):
         with pytest.raises(ValueError, match="read-only"):
@@ -233,14 +233,14 @@ def test_without_constant_gain_theta_is_the_transformed_step():
         ({"spacing": "logarithmic"}, "effective, transformed, physical"),
     ],
 )
-def test_impossible_tables_are_refused(arguments, message):
+def test_invalid_clocks_are_refused(arguments, message):
     with pytest.raises(ValueError, match=message):
         StepClock(Exponential(1.2), **{"gain": 20.0, "steps": 10, "s_end": 8.0, **arguments})
 
 
 @pytest.mark.parametrize("kind", [Exponential, Rational, HyperbolicTangent])
 @pytest.mark.parametrize("shift", [-0.7, -0.01, 0.01, 0.3])
-def test_wrong_clock_integrates_the_gain_of_the_time_that_it_shows(kind, shift):
+def test_shifted_clock_integrates_the_gain_of_its_shown_time(kind, shift):
     """Θ^i = ∫ g(t + δ) dt over each step, g = c + 1/T before 0 and c once s_end is reached."""
     clock = StepClock(kind(1.2), gain=5.0, steps=30, s_end=4.0, hold_steps=10)
     reading = clock.read(shift)
@@ -264,7 +264,7 @@ def test_wrong_clock_integrates_the_gain_of_the_time_that_it_shows(kind, shift):
     assert clock.transformation.time(reading.s[before]) == pytest.approx(reading.t[before], abs=1e-9)
 
 
-def test_clock_without_a_shift_is_the_table_itself():
+def test_clock_without_shift_is_the_table_itself():
     clock = StepClock(Exponential(1.2), gain=5.0, steps=30, s_end=4.0)
     reading = clock.read(0.0)
     assert reading.t is clock.t
@@ -278,7 +278,7 @@ def test_small_shift_makes_a_small_difference():
         assert clock.read(shift).theta == pytest.approx(clock.theta, rel=1e-4)
 
 
-def test_fast_clock_spends_its_gain_early_and_a_slow_one_late():
+def test_fast_clock_uses_its_gain_early_and_a_slow_clock_late():
     clock = StepClock(Exponential(1.2), gain=0.0, steps=400, s_end=8.0)
     assert clock.read(0.05).theta.sum() == pytest.approx(8.0 - np.log(1.2 / 1.15), rel=1e-3)
     assert clock.read(-0.05).theta.sum() == pytest.approx(np.log(1.2 / 0.05) + 0.05 / 1.2, rel=1e-2)

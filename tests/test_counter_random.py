@@ -23,7 +23,7 @@ def key_array(*keys):
     return np.array(keys, dtype=np.uint64)
 
 
-def test_mix_makes_the_published_sequence_of_splitmix64():
+def test_mix_gives_the_published_sequence_of_splitmix64():
     states = [(1234567 + (index + 1) * 0x9E3779B97F4A7C15) % 2**64 for index in range(5)]
     published = [
         6457827717110365317,
@@ -48,7 +48,7 @@ def test_golden_values():
 
 
 @pytest.mark.parametrize("function", [counter_random.words, counter_random.uniforms, counter_random.normals])
-def test_numbers_do_not_depend_on_the_shape_they_are_asked_for_in(function):
+def test_numbers_do_not_depend_on_the_shape_of_the_request(function):
     keys = counter_random.mix(np.arange(7, dtype=np.uint64))
     numbers = np.arange(12, dtype=np.uint64).reshape(3, 4, 1)
     together = function(keys, numbers)
@@ -58,7 +58,7 @@ def test_numbers_do_not_depend_on_the_shape_they_are_asked_for_in(function):
     assert together[2, 1, 3] == function(keys[3:4], key_array(9))[0]
 
 
-def test_arguments_are_left_alone():
+def test_arguments_are_not_changed():
     keys, numbers = key_array(5, 6), key_array(1, 2)
     counter_random.normals(keys, numbers)
     counter_random.child_keys(keys, 3)
@@ -100,7 +100,7 @@ def test_neighbouring_keys_are_uncorrelated(difference):
     assert not correlated(first[:-1], second[1:])  # nor is one stream the other, shifted
 
 
-def test_children_are_other_streams_than_their_parent_and_each_other():
+def test_child_streams_differ_from_their_parent_and_each_other():
     numbers = np.arange(SIZE, dtype=np.uint64)
     parent = key_array(3)
     streams = [parent, *(counter_random.child_keys(parent, index) for index in range(3))]
@@ -112,7 +112,7 @@ def test_children_are_other_streams_than_their_parent_and_each_other():
             assert not np.isin(first[:1000], second).any()
 
 
-def test_every_input_bit_moves_half_of_the_output_bits():
+def test_every_input_bit_changes_half_of_the_output_bits():
     values = counter_random.mix(np.arange(500, dtype=np.uint64))
     for bit in range(64):
         changed = counter_random.mix(values) ^ counter_random.mix(values ^ np.uint64(1 << bit))
@@ -125,7 +125,7 @@ def test_numbers_are_never_at_the_ends():
     assert np.isfinite(counter_random.normals(key_array(0), np.arange(SIZE, dtype=np.uint64))).all()
 
 
-def test_key_from_a_generator_is_any_64_bit_number():
+def test_keys_from_a_generator_have_64_bits():
     keys = [counter_random.draw_key(np.random.default_rng(seed)) for seed in range(200)]
     assert len(set(keys)) == 200
     assert max(keys) > 2**63

@@ -21,7 +21,7 @@ def norm(values):
 
 
 @given(st.integers(0, 2**32 - 1))
-def test_distances_are_those_of_their_definitions(seed):
+def test_distances_agree_with_their_definitions(seed):
     estimates, game = world(seed)
     strategies, equilibrium = estimates[:, 0], game.point
     scale = norm(equilibrium)
@@ -40,21 +40,21 @@ def test_distances_are_those_of_their_definitions(seed):
         assert disagreement[b] == pytest.approx(spread / (math.sqrt(3) * scale), rel=1e-12)
 
 
-def test_equilibrium_at_the_origin_is_measured_in_natural_units():
+def test_scale_is_1_for_an_equilibrium_at_the_origin():
     estimates, game = np.full((2, 2, 1), 2.0), RestingGame(np.zeros(2), 2)
     assert game.equilibrium_scale.tolist() == [1.0]
     assert distances.player_distances(estimates, game)[:, 0] == pytest.approx([math.sqrt(8)] * 2)
     assert distances.estimate_distance(estimates, game)[0] == pytest.approx(math.sqrt(8))
 
 
-def test_distances_vanish_at_the_equilibrium_exactly():
+def test_distances_are_exactly_0_at_the_equilibrium():
     _, game = world(0)
     estimates = np.repeat(game.point[:, None, None], 3, axis=1)
     assert distances.estimate_distance(estimates, game).tolist() == [0.0]
     assert distances.strategy_distance(estimates[:, 0], game).tolist() == [0.0]
 
 
-def test_arguments_are_left_alone():
+def test_arguments_are_not_changed():
     estimates, game = world(1)
     kept = estimates.copy(), game.nash_equilibria.copy()
     distances.player_distances(estimates, game)
@@ -63,7 +63,7 @@ def test_arguments_are_left_alone():
     assert np.array_equal(game.nash_equilibria, kept[1])
 
 
-def test_twelve_digits_are_all_that_is_counted():
+def test_at_most_twelve_digits_count():
     assert distances.digits(np.array([1.0, 1e-3, 1e-12, 1e-15, 0.0])) == pytest.approx([0, 3, 12, 12, 12])
 
 
@@ -72,7 +72,7 @@ def test_success_is_half_a_percent():
 
 
 @pytest.mark.parametrize("players", [3, 11, 40])
-def test_batch_agrees_bit_for_bit_with_batches_of_one(players):
+def test_batch_equals_single_environments_bit_for_bit(players):
     estimates, game = world(2, players=players, dimension=players, batch=5)
     strategies = np.ascontiguousarray(estimates[:, 0])
     for b in range(5):
@@ -84,7 +84,7 @@ def test_batch_agrees_bit_for_bit_with_batches_of_one(players):
 
 
 @pytest.mark.parametrize("players", [2, 11, 40])
-def test_every_environment_is_measured_in_its_own_game_bit_for_bit(players):
+def test_every_environment_has_the_distances_of_its_own_game(players):
     family, batch = RandomEnergy(players), 5
     games = family.draw([np.random.default_rng(b) for b in range(batch)])
     estimates = np.random.default_rng(3).normal(size=(players, players, batch))

@@ -406,7 +406,7 @@ def test_observation_of_a_faulty_world_holds_what_is_heard_by_the_players_own_cl
             assert reading.weights[row] == pytest.approx(weights[:, i, b], rel=1e-6)
             found = reading.relative_estimates[row] * reading.unit[row]
             assert found == pytest.approx(relative[:, :, i, b], rel=1e-5, abs=1e-5)
-            own = world.clock.read(shift)
+            own = world.clock.shifted(shift)
             observed = layout.select(encoder.observe(state)[b, i], "clock")
             dt = world.clock.dt[25] / world.clock.deadline
             expected = [own.t[25] / world.clock.deadline, own.s[25], own.theta[25], dt]

@@ -24,7 +24,7 @@ parts = part_strategy(arguments)
 
 
 @given(parts)
-def test_json_round_trip_gives_an_equal_part_with_an_equal_hash(part):
+def test_json_round_trip_keeps_equality_and_hash(part):
     again = FactorySpec.from_dict(json.loads(json.dumps(part.to_dict())))
     assert again == part
     assert hash(again) == hash(part)
@@ -53,21 +53,21 @@ def test_game_with_other_targets_can_be_named():
     assert part.build().num_players == 3
 
 
-def test_parts_within_parts_are_built_first():
+def test_nested_specs_are_built_first():
     graph = FactorySpec.of("ptne_env.graphs:path", players=3)
     built = FactorySpec.of("ptne_env.switching:SwitchingTopology", graphs=[graph, graph], dwells=[0.5, 0.25]).build()
     assert isinstance(built, SwitchingTopology)
     assert built.graphs[0].edges == [(0, 1), (1, 2)]
 
 
-def test_arrays_are_frozen_so_that_parts_are_keys():
+def test_arrays_are_frozen_so_that_specs_are_keys():
     adjacency = np.array([[0.0, 2.0], [2.0, 0.0]])
     part = FactorySpec.of("ptne_env.graphs:Graph", adjacency=adjacency)
     adjacency[:] = 7
     assert {part: 1}[FactorySpec.of("ptne_env.graphs:Graph", adjacency=[[0.0, 2.0], [2.0, 0.0]])] == 1
 
 
-def test_extra_arguments_of_the_builder_are_passed_on():
+def test_extra_arguments_of_build_are_passed_on():
     assert FactorySpec.of("ptne_env.clock:Exponential").build(deadline=3.0).deadline == 3.0
 
 
@@ -81,7 +81,7 @@ def test_target_of_another_form_is_refused(target):
     ("target", "message"),
     [("no_such_module_anywhere:thing", "cannot import"), ("json:no_such_function", "has no 'no_such_function'")],
 )
-def test_target_that_does_not_exist_is_named(target, message):
+def test_missing_target_is_named(target, message):
     with pytest.raises(ValueError, match=message) as caught:
         FactorySpec.of(target).build()
     assert target in str(caught.value)
@@ -104,12 +104,12 @@ def test_arguments_that_json_cannot_hold_are_refused():
 
 
 @pytest.mark.parametrize("data", [{"target": 5}, {"target": "a:b", "arguments": [1]}, {"target": None}])
-def test_objects_with_values_of_another_kind_are_refused(data):
+def test_values_of_another_type_are_refused(data):
     with pytest.raises(ValueError, match="string 'target' and an object 'arguments'"):
         FactorySpec.from_dict(data)
 
 
-def test_arguments_of_a_wrong_kind_are_refused_whatever_the_part_makes_of_them():
+def test_any_error_from_wrong_arguments_is_a_refusal():
     for part in (
         FactorySpec.of("ptne_env.switching:fixed", graph=None),
         FactorySpec.of("ptne_env.graphs:union", graphs=[1]),

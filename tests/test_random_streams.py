@@ -8,19 +8,19 @@ from ptne_env.random_streams import RandomStreams
 NAMES = [field.name for field in dataclasses.fields(RandomStreams)]
 
 
-def test_same_seed_gives_the_same_numbers_and_another_seed_does_not():
+def test_numbers_depend_on_the_seed():
     draws = [[getattr(RandomStreams.from_seed(seed), name).random(4).tolist() for name in NAMES] for seed in (7, 7, 8)]
     assert draws[0] == draws[1]
     assert draws[0] != draws[2]
 
 
-def test_sources_of_one_seed_differ_from_each_other():
+def test_streams_of_a_seed_differ():
     sources = RandomStreams.from_seed(7)
     assert len({getattr(sources, name).random() for name in NAMES}) == len(NAMES)
 
 
 @pytest.mark.parametrize("busy", NAMES)
-def test_drawing_more_from_one_source_leaves_the_others_alone(busy):
+def test_draws_from_a_stream_do_not_affect_the_others(busy):
     quiet, other = RandomStreams.from_seed(3), RandomStreams.from_seed(3)
     getattr(other, busy).random(1000)
     for name in NAMES:
@@ -37,6 +37,6 @@ def test_numpy_integers_are_seeds():
 
 
 @pytest.mark.parametrize("seed", [-1, 1.0, "7", True, [1]])
-def test_other_seeds_are_refused(seed):
+def test_invalid_seeds_are_refused(seed):
     with pytest.raises(ValueError, match="whole number of at least 0 or None"):
         RandomStreams.from_seed(seed)

@@ -13,19 +13,19 @@ def test_paper_start_is_the_table_of_the_paper():
     assert np.array_equal(paper_start().draw(5, 5, generator()), PAPER_START.T)
 
 
-def test_column_of_a_draw_is_the_row_of_the_table():
+def test_columns_of_a_draw_are_rows_of_the_table():
     table = [[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]]
     assert np.array_equal(FixedStart(table).draw(2, 3, generator()), np.transpose(table))
 
 
-def test_fixed_start_gives_a_new_array_every_time():
+def test_fixed_start_returns_a_new_array_for_each_draw():
     start = FixedStart([[1.0, 2.0], [3.0, 4.0]])
     start.draw(2, 2, generator())[:] = 99
     assert np.array_equal(start.draw(2, 2, generator()), [[1.0, 3.0], [2.0, 4.0]])
     assert not start.is_random
 
 
-def test_uniform_start_fills_its_interval_and_no_more():
+def test_uniform_start_fills_exactly_its_interval():
     draws = UniformStart().draw(50, 60, generator())
     assert draws.shape == (60, 50)
     assert -20 <= draws.min() < -19.9
@@ -34,7 +34,7 @@ def test_uniform_start_fills_its_interval_and_no_more():
     assert UniformStart(2.0, 3.0).draw(4, 4, generator()).min() >= 2.0
 
 
-def test_uniform_start_depends_on_the_generator_alone():
+def test_uniform_start_depends_only_on_the_generator():
     start = UniformStart()
     assert start.is_random
     assert np.array_equal(start.draw(3, 4, generator(1)), start.draw(3, 4, generator(1)))
@@ -53,6 +53,6 @@ def test_tables_that_are_not_finite_rectangles_are_refused(table):
         FixedStart(table)
 
 
-def test_start_for_another_game_is_refused_with_a_way_out():
+def test_start_for_another_game_is_refused_with_a_hint():
     with pytest.raises(ValueError, match="5 players and dimension 5.*choose start='random'"):
         paper_start().draw(3, 3, generator())

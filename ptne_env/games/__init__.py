@@ -1,4 +1,4 @@
-"""Noncooperative games: what each player minimises."""
+"""Noncooperative games: the costs that players minimise."""
 
 from ptne_env.games.affine import AffineGame as AffineGame
 from ptne_env.games.affine import RandomAffine as RandomAffine

@@ -1,4 +1,4 @@
-"""Games with an affine pseudo-gradient: any matrix, random strongly monotone ones, and one that is only monotone."""
+"""Games with an affine pseudo-gradient: general, random strongly monotone, and merely monotone."""
 
 from __future__ import annotations
 
@@ -26,13 +26,13 @@ from ptne_env.games.variational import solve_box
 class AffineGame(Game):
     """J_i(x) = ½ x_iᵀ A_ii x_i + x_iᵀ (Σ_{j≠i} A_ij x_j + b_i), so that F(x) = A x + b.
 
-    Games with a story of their own subclass this: they say what A and b are, and may add to :meth:`costs` what depends
-    on others alone.
+    Models with an affine pseudo-gradient subclass this: they define A and b, and may add terms to :meth:`costs` that
+    depend on other players alone.
 
     Args:
         matrix: A, (n, n), or (n, n, G) for a batch; each A_ii is symmetric and positive semidefinite.
         offset: b, (n,) or (n, G).
-        action_dims: n_i of each player; 1 for all when left out.
+        action_dims: n_i of each player; by default 1 for all.
         low: smallest strategies; see :class:`~ptne_env.games.Game`.
         high: largest strategies.
 
@@ -99,7 +99,7 @@ class AffineGame(Game):
 
     @cached_property
     def _is_separable(self) -> bool:
-        """Whether every A_ii is diagonal, so that each component responds on its own."""
+        """Whether every A_ii is diagonal, so that each component has its own best response."""
         return bool(np.all(self._own_blocks[~np.eye(self.dimension, dtype=bool)] == 0))
 
     def _pressure(self, strategies: FloatArray) -> FloatArray:
@@ -119,7 +119,7 @@ class AffineGame(Game):
         """Block i is Σ_j A_ij x^i_j + b_i: (n, N, B) to (n, B)."""
         # One column per component, that of its owner; already so where all players have one component.
         columns = estimates if self.dimension == self.num_players else estimates[:, self.owners]
-        terms = np.multiply(self._transposed, columns, order="C")  # the order in which reduce() adds depends on it
+        terms = np.multiply(self._transposed, columns, order="C")  # the order of reduce()'s additions depends on it
         gradients: FloatArray = np.add.reduce(terms, axis=0)
         gradients += self.offset
         return gradients
@@ -152,7 +152,7 @@ class AffineGame(Game):
             return self
         if type(self) is not AffineGame or type(fresh) is not AffineGame or self.action_dims != fresh.action_dims:
             raise TypeError(
-                f"AffineGame.merged() knows affine games of the same players alone, got {type(self).__name__} and "
+                f"AffineGame.merged() needs affine games of the same players, got {type(self).__name__} and "
                 f"{type(fresh).__name__}; a subclass defines its own"
             )
         matrix, offset = replaced(self.matrix, fresh.matrix, mask), replaced(self.offset, fresh.offset, mask)
@@ -172,7 +172,7 @@ class AffineGame(Game):
 
 
 class RandomAffine(GameFamily):
-    """Affine games F(x) = A x + b with the monotonicity constant ε exactly and a chosen amount of non-symmetry.
+    """Affine games F(x) = A x + b with an exact monotonicity constant ε and a chosen asymmetry.
 
     A = ε I + Q diag(λ) Qᵀ + a K with Q a random orthogonal matrix, λ_k ~ U(0, spread) and one λ_k = 0, and K a random
     skew-symmetric matrix with ‖K‖₂ = 1, so that F is ε-strongly monotone with the largest possible constant ε, and
@@ -186,7 +186,7 @@ class RandomAffine(GameFamily):
         spread: ≥ 0; dF + dFᵀ has eigenvalues in [2ε, 2(ε + spread)].
         scale: half-width of the box of equilibria, above 0.
         action_dim: n_i, the same for all.
-        low: smallest strategy, for all; ``None`` for no bound. In a box x* is where the variational inequality has it.
+        low: smallest strategy of all players; ``None`` for no bound. In a box x* solves the variational inequality.
         high: largest strategy.
 
     Raises:
@@ -232,11 +232,11 @@ class RandomAffine(GameFamily):
 
 
 class WeaklyMonotoneGame(AffineGame):
-    """J_i(x) = (x_i − x̄)² N/(N−1) + c_i(x) − d_i x_i up to terms of others: agree with the mean x̄, and c_i below.
+    """J_i(x) = (x_i − x̄)² N/(N−1) + c_i(x) − d_i x_i up to terms of others, x̄ the mean of all strategies.
 
     The first player leads and the others follow, c_1 = a x_1 Σ_{j>1} x_j and c_i = −a x_i x_1. So
     dF = 2 (I − 11ᵀ/N) + a K with K skew-symmetric: each J_i is strictly convex in x_i and F is monotone, but not
-    strongly, for nobody minds where the mean is: 1ᵀ dF 1 = 0, and Assumption 4 fails. Yet dF is regular and the
+    strongly: no cost depends on the mean alone, so 1ᵀ dF 1 = 0 and Assumption 4 fails. Yet dF is regular and the
     equilibrium unique.
 
     Args:
@@ -257,7 +257,7 @@ class WeaklyMonotoneGame(AffineGame):
 
 
 def times(matrix: FloatArray, vectors: FloatArray) -> FloatArray:
-    """The products, taken in the same order for every number of columns: (n, n, 1 or B) and (n, B) to (n, B)."""
+    """Matrix-vector products with the same order of additions for any B: (n, n, 1 or B) and (n, B) to (n, B)."""
     return ordered_sum(matrix * vectors[None], axis=1)
 
 

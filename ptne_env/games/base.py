@@ -1,4 +1,4 @@
-"""The interface of every game."""
+"""Interface of games, and the solvers for their equilibria."""
 
 from __future__ import annotations
 
@@ -13,28 +13,28 @@ from ptne_env.arrays import BoolArray, FloatArray, IntArray, frozen, ordered_sum
 from ptne_env.games.variational import natural_map, solve_box
 
 RESIDUAL_TOLERANCE = 1e-10
-"""Largest ‖x* − Π(x* − F(x*))‖, relative to 1 + ‖x*‖, with which a computed point is accepted as an equilibrium."""
+"""Largest ‖x* − Π(x* − F(x*))‖, relative to 1 + ‖x*‖, of a computed equilibrium."""
 
 
 class NoBestResponseError(ValueError):
-    """A player's cost has no minimiser, so the game has no best response."""
+    """Some player's cost has no minimiser, so the game has no best response."""
 
 
 class Game(ABC):
     """N players, player i choosing a strategy x_i in R^{n_i}, or in a box, to minimise its cost J_i(x_i, x_{-i}).
 
     Arrays are float64 with environments last: a joint strategy of B environments has shape (n, B) with
-    n = Σ n_i, and everybody's estimates have shape (n, N, B), where column i is player i's estimate x^i.
+    n = Σ n_i, and the estimates of all players have shape (n, N, B), where column i is player i's estimate x^i.
 
     Args:
         action_dims: n_i of each player, each at least 1.
-        low: smallest strategies, one number for all or (n,), and (n, G) for a batch; ``None`` where nothing confines
-            them, −inf for single components that nothing confines.
+        low: smallest strategies, one number for all or (n,), and (n, G) for a batch; ``None`` without lower bounds,
+            −inf for single components without.
         high: largest strategies, likewise with +inf.
 
     Attributes:
         low, high: the box, shape (n, 1) or (n, G) each and read-only, or both ``None``. The dynamics keep the real
-            strategies in it; estimates of others may be anywhere.
+            strategies in it; estimates of others are not bounded.
 
     Raises:
         ValueError: when there are fewer than two players, a dimension is below 1, or the box is empty or of another
@@ -84,7 +84,7 @@ class Game(ABC):
         return self.low is not None
 
     def project(self, strategies: FloatArray) -> FloatArray:
-        """Π(x), the nearest strategies in the box: (n, B) to (n, B); the same array where nothing confines them."""
+        """Π(x), the nearest strategies in the box: (n, B) to (n, B); the same array without a box."""
         if self.low is None or self.high is None:
             return strategies
         return np.clip(strategies, self.low, self.high)
@@ -136,12 +136,12 @@ class Game(ABC):
         return natural_map(strategies, field, self.low, self.high)
 
     def jacobian(self, strategies: FloatArray) -> FloatArray | None:  # noqa: ARG002 - the signature is the interface
-        """dF(x) where it is known: (n, B) to (n, n, B), row = component of F; ``None`` where it is not."""
+        """dF(x): (n, B) to (n, n, B), row = component of F; ``None`` where it is unknown."""
         return None
 
     @property
     def has_best_response(self) -> bool:
-        """Whether :meth:`best_response` exists everywhere; decided on the equilibrium unless a game knows better."""
+        """Whether :meth:`best_response` exists everywhere; by default decided at the equilibrium."""
         try:
             self.best_response(self.nash_equilibria)
         except NoBestResponseError:
@@ -150,11 +150,11 @@ class Game(ABC):
 
     @property
     def batch_size(self) -> int:
-        """G: how many games this is. One game serves any number of environments, G games serve G environments."""
+        """G, the number of games. One game serves any number of environments, G games serve G environments."""
         return 1
 
     def merged(self, fresh: Game, mask: BoolArray) -> Game:  # noqa: ARG002 - the signature is the interface
-        """The batch of games with those in ``mask`` (G,) replaced by those of ``fresh``; a single game stays as it is.
+        """The batch of games with those in ``mask`` (G,) replaced by those of ``fresh``; a single game is unchanged.
 
         Raises:
             TypeError: when ``fresh`` is another kind of game.
@@ -182,12 +182,12 @@ class Game(ABC):
 
     @cached_property
     def held_at_equilibrium(self) -> BoolArray:
-        """Which components of x* their bounds hold, F pressing against them; shape (n, G). All False without a box."""
+        """Whether a bound holds each component of x* against F; shape (n, G). All False without a box."""
         points = self.nash_equilibria
         if self.low is None or self.high is None:
             return np.zeros(points.shape, dtype=np.bool_)
         wanted = points - self.pseudo_gradient(points)
-        slack = RESIDUAL_TOLERANCE * (1 + np.abs(points))  # at a bound with F = 0 a component is free
+        slack = RESIDUAL_TOLERANCE * (1 + np.abs(points))  # a component at a bound with F = 0 is free
         return np.asarray((wanted < self.low - slack) | (wanted > self.high + slack))
 
     @cached_property
@@ -216,14 +216,13 @@ class Game(ABC):
         if self.low is not None and self.high is not None:
             middle = np.where(np.isfinite(self.low + self.high), (self.low + self.high) / 2, 0.0)
             start = np.repeat(middle, self.batch_size // middle.shape[1], axis=1)
-            known = self.jacobian(start) is not None
-            return solve_box(self.pseudo_gradient, self._known_jacobian if known else None, self.low, self.high, start)
+            return solve_box(self.pseudo_gradient, self.jacobian, self.low, self.high, start)
 
         def field(x: FloatArray) -> FloatArray:
             return self.pseudo_gradient(x[:, None])[:, 0]
 
         point = np.asarray(scipy.optimize.root(field, np.zeros(self.dimension), method="hybr", tol=1e-14).x)
-        # Where F only underflows, as e^x does far out, its residual is small and Newton's step is not.
+        # Where F only underflows, as e^x does far out, its residual is small but Newton's step is large.
         slope = scipy.optimize.approx_fprime(point, field)
         step = np.linalg.lstsq(slope, field(point), rcond=None)[0]
         if not np.linalg.norm(step) <= 1e-6 * (1 + np.linalg.norm(point)):
@@ -232,12 +231,6 @@ class Game(ABC):
                 "was found"
             )
         return point[:, None]
-
-    def _known_jacobian(self, strategies: FloatArray) -> FloatArray:
-        jacobian = self.jacobian(strategies)
-        if jacobian is None:
-            raise TypeError(f"{type(self).__name__} knows its Jacobian at some points only")
-        return jacobian
 
 
 def _box(

@@ -1,4 +1,4 @@
-"""Charging of electric vehicles: players meet through the total load of each time slot alone."""
+"""Charging of electric vehicles, coupled through the total load of each time slot."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ class ElectricVehicleCharging(AffineGame):
     Vehicle i charges x_it in time slot t, wears its battery, misses its energy E_i at a price, and pays a price per
     slot that rises with the base load D_t and what all vehicles draw. An aggregative game, after Z. Ma, D. Callaway and
     I. Hiskens, "Decentralized charging control of large populations of plug-in electric vehicles", IEEE Transactions on
-    Control Systems Technology 21(1), 2013; there the energy is a constraint, here a penalty, so that a box is all that
-    confines a player. The numbers are ours. dF = (q + a) I + ρ blockdiag(11ᵀ) + a 11ᵀ⊗I, so F is strongly monotone with
-    ε ≥ q + a.
+    Control Systems Technology 21(1), 2013; there the energy is a constraint, here a penalty, so that the only
+    constraint is a box. The numbers are ours. dF = (q + a) I + ρ blockdiag(11ᵀ) + a 11ᵀ⊗I, so F is strongly monotone
+    with ε ≥ q + a.
 
     Args:
         energy: E_i > 0, which sets N.

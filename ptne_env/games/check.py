@@ -1,15 +1,14 @@
-"""A check that a game's formulas agree with each other and with Assumption 3 of the paper."""
+"""Checks of a game's gradients and of Assumption 3 of the paper, on sampled points."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import partial
 from itertools import pairwise
 
 import numpy as np
 import scipy
 
-from ptne_env.arrays import FloatArray
+from ptne_env.arrays import FloatArray, IntArray
 from ptne_env.games.base import Game
 
 _RADII = np.array([1e2, 1e3, 1e4])
@@ -17,13 +16,13 @@ _RADII = np.array([1e2, 1e3, 1e4])
 
 @dataclass(frozen=True)
 class GameReport:
-    """What :func:`check_game` found, on sampled points.
+    """Result of :func:`check_game`, on sampled points.
 
     Attributes:
         gradient_error: largest |own-gradient − numerical derivative of J_i| / (1 + |derivative|).
         strictly_convex: per player, whether every sampled chord of J_i in its own strategy lies above J_i.
-        radially_unbounded: per player, whether J_i grew along every sampled ray of its own strategy; true where a box
-            leaves no ray to sample, for then a minimiser exists without that.
+        radially_unbounded: per player, whether J_i grew along every sampled ray of its own strategy; true where the box
+            is bounded, as a minimiser exists then.
     """
 
     gradient_error: float
@@ -44,23 +43,19 @@ class GameReport:
 def check_game(game: Game, *, samples: int = 64, radius: float = 5.0, seed: int = 0) -> GameReport:
     """Compare own-gradients with numerical differentiation; test convexity and radial growth of each J_i in x_i.
 
-    Sampling can refute an assumption and never prove it; a game that passes has passed on ``samples`` points. In a box
-    every sample lies within it.
+    Sampling can refute an assumption but not prove it. All samples lie in the game's box.
 
     Args:
         game: the game to check.
         samples: number of random joint strategies.
-        radius: strategies are drawn from U(−radius, radius), those with two bounds from all their box, those with one
-            bound up to 2 radius from it.
+        radius: components are drawn from U(−radius, radius); with two bounds from the whole interval, with one bound
+            from an interval of length 2 radius at it.
         seed: of the draws.
     """
     generator = np.random.default_rng(seed)
     points = _points(game, radius, generator.uniform(-radius, radius, (game.dimension, samples)))
-    gradients = game.pseudo_gradient(points)
-    error = 0.0
-    for component, owner in enumerate(game.owners):
-        numerical = _derivative(game, points, component, int(owner))
-        error = max(error, float(np.max(np.abs(gradients[component] - numerical) / (1 + np.abs(numerical)))))
+    numerical = _gradients(game, points)
+    error = float(np.max(np.abs(game.pseudo_gradient(points) - numerical) / (1 + np.abs(numerical))))
 
     convex, unbounded = [], []
     for player in range(game.num_players):
@@ -81,31 +76,30 @@ def _points(game: Game, radius: float, drawn: FloatArray) -> FloatArray:
     return low + (high - low) * (drawn + radius) / (2 * radius)
 
 
-def _derivative(game: Game, points: FloatArray, component: int, owner: int) -> FloatArray:
-    low, high = (
-        (-np.inf, np.inf)
-        if game.low is None or game.high is None
-        else (game.low[component, 0], game.high[component, 0])
+def _gradients(game: Game, points: FloatArray) -> FloatArray:
+    """∂J_i/∂x_i at points (n, samples), by numerical differentiation of the costs; same shape."""
+    low, high = (np.full((game.dimension, 1), bound) for bound in (-np.inf, np.inf))
+    if game.low is not None and game.high is not None:
+        low, high = game.low[:, :1], game.high[:, :1]
+    # A cost need not be defined outside the box, so derivatives there are taken on the wider side.
+    side = np.where(high - points >= points - low, 1, -1)
+    components, samples = np.indices(points.shape)
+
+    def costs(values: FloatArray, component: IntArray, sample: IntArray) -> FloatArray:
+        component, sample = (np.broadcast_to(index, values.shape).ravel() for index in (component, sample))
+        moved, columns = points[:, sample], np.arange(values.size)
+        moved[component, columns] = values.ravel()
+        return game.costs(moved)[game.owners[component], columns].reshape(values.shape)
+
+    return np.asarray(
+        scipy.differentiate.derivative(
+            costs,
+            points,
+            args=(components, samples),
+            initial_step=np.minimum(0.5, (high - low) / 8),
+            step_direction=np.where(np.isfinite(low) | np.isfinite(high), side, 0),
+        ).df
     )
-
-    def derivative(point: FloatArray) -> float:
-        value = point[component]
-        if np.isfinite(low) or np.isfinite(high):  # a cost need not be defined outside the box: look to its wider side
-            side = 1 if high - value >= value - low else -1
-            options = {"step_direction": side, "initial_step": min(0.5, (high - low) / 8)}
-        else:
-            options = {}
-        result = scipy.differentiate.derivative(partial(_cost_along, game, point, component, owner), value, **options)
-        return float(result.df)
-
-    return np.array([derivative(point) for point in points.T])
-
-
-def _cost_along(game: Game, point: FloatArray, component: int, owner: int, values: FloatArray) -> FloatArray:
-    flat = np.ravel(values)
-    moved = np.repeat(point[:, None], flat.size, axis=1)
-    moved[component] = flat
-    return game.costs(moved)[owner].reshape(np.shape(values))
 
 
 def _cost_on_ray(
@@ -113,12 +107,12 @@ def _cost_on_ray(
 ) -> FloatArray:
     moved = points.copy()
     moved[block] = points[block] + distance * direction
-    with np.errstate(over="ignore"):  # an exponential cost is +inf far out, and that is growth
+    with np.errstate(over="ignore"):  # an exponential cost may overflow to +inf, which is growth
         return game.costs(moved)[player]
 
 
 def _strictly_convex(game: Game, points: FloatArray, player: int, block: slice, direction: FloatArray) -> bool:
-    if game.has_bounds:  # from one point of the box to another
+    if game.has_bounds:  # between two points of the box
         direction = (np.roll(points[block], 1, axis=1) - points[block]) / 2
         points = points.copy()
         points[block] += direction
@@ -130,7 +124,7 @@ def _radially_unbounded(game: Game, points: FloatArray, player: int, block: slic
     grows = True
     for sign in (-1.0, 1.0):
         ray = sign * direction
-        if game.low is not None and game.high is not None:  # only where the box is open
+        if game.low is not None and game.high is not None:  # only in unbounded directions
             ray = np.where(np.where(ray < 0, game.low[block], game.high[block]) * np.sign(ray) == np.inf, ray, 0.0)
             ray = ray / np.maximum(np.linalg.norm(ray, axis=0), 1e-300)
         leaves = np.any(ray != 0, axis=0)

@@ -19,8 +19,8 @@ class EnergyGame(Game):
 
     Args:
         curvature: a_i > 0 of each player, (N,), or one number for all.
-        target: b_i, the consumption that player i would like, (N,); its length sets N.
-        coupling: c ≥ 0, how the price rises with total consumption.
+        target: b_i, the consumption that player i prefers, (N,); its length sets N.
+        coupling: c ≥ 0, the increase of the price with total consumption.
         base_price: d.
 
     For a batch of G games, curvature and target have the shape (N, G) and coupling (G,).
@@ -110,10 +110,9 @@ class EnergyGame(Game):
             return self
         if type(self) is not EnergyGame or type(fresh) is not EnergyGame:
             raise TypeError(
-                f"EnergyGame.merged() knows energy games alone, got {type(self).__name__} and {type(fresh).__name__}; "
+                f"EnergyGame.merged() needs energy games, got {type(self).__name__} and {type(fresh).__name__}; "
                 "a subclass defines its own"
             )
-
         return EnergyGame(
             replaced(self.curvature, fresh.curvature, mask),
             replaced(self.target, fresh.target, mask),

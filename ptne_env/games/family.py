@@ -1,4 +1,4 @@
-"""Which game is played this time? Families of games, of which every episode draws one."""
+"""Families of games; every episode draws a member."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from ptne_env.games.energy import EnergyGame
 
 
 class GameFamily(ABC):
-    """A law of games with the same players and dimensions.
+    """A distribution of games with the same players and dimensions.
 
     Attributes:
-        representative: a typical member, from which players, dimensions and kinds of parameters can be read.
+        representative: a typical member, with the players, dimensions and parameters of all.
     """
 
     representative: Game
@@ -27,13 +27,13 @@ class GameFamily(ABC):
 
 
 class SingleGame(GameFamily):
-    """The family with one member, which every episode plays."""
+    """The family with a single member."""
 
     def __init__(self, game: Game) -> None:
         self.representative = game
 
     def draw(self, generators: Sequence[np.random.Generator]) -> Game:  # noqa: ARG002 - nothing is drawn
-        """The game, which serves any number of environments."""
+        """The game itself, for any number of environments."""
         return self.representative
 
 
@@ -50,7 +50,7 @@ class RandomEnergy(GameFamily):
         base_price: d.
 
     Raises:
-        ValueError: when a range is empty or admits games that are not energy games.
+        ValueError: when a range is empty or contains parameters that :class:`EnergyGame` refuses.
     """
 
     def __init__(
@@ -68,7 +68,7 @@ class RandomEnergy(GameFamily):
         ranges = [curvature] * players + [target] * players + [coupling]
         self._low, self._high = np.array(ranges, dtype=np.float64).T
         self.base_price = float(base_price)
-        self._game(self._low)  # the extreme member is refused here, not in the middle of a run
+        self._game(self._low)  # refuses extreme parameters now instead of during a run
         self.representative = self._game((self._low + self._high) / 2)
 
     def draw(self, generators: Sequence[np.random.Generator]) -> Game:

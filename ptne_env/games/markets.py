@@ -15,11 +15,11 @@ _LINKS = ((0, 1), (1,), (0, 2), (1, 2), (0,))
 class NetworkedCournot(AffineGame):
     """J_i(x) = Σ_{m∈M_i} [½ q_i x_im² + c_i x_im − (P_m − χ_m Σ_k x_km) x_im], 0 ≤ x_im ≤ X_i.
 
-    Firm i sells x_im in each market m ∈ M_i that it is linked to, at a price that falls with all that is sold there, up
+    Firm i sells x_im in each market m ∈ M_i that it is linked to, at a price that falls with the total sales there, up
     to its capacity per market. F is strongly monotone with ε ≥ min (q_i + χ_m), for dF = diag(q_i + χ_m) + Bᵀ diag(χ) B
     with B the incidence matrix of markets and deliveries. The model is that of K. Bimpikis, S. Ehsani and R. Ilkiliç,
     "Cournot competition in networked markets", Management Science 65(6), 2019, with linear demand, and a capacity; the
-    default numbers are ours. Two firms are at their capacity at the equilibrium then, and one delivery does not pay.
+    default numbers are ours. At their equilibrium two firms are at capacity, and one delivery is 0.
 
     Args:
         links: markets of each firm, counted from 0; their number is n_i.
@@ -77,10 +77,10 @@ class Oligopoly(AffineGame):
     """J_i(x) = −s_i(x) (x_i − m_i), sales s_i = (R_∥/R_i) (S − x_i/R̄_i + Σ_{j≠i} x_j/R_j), prices x.
 
     With 1/R_∥ = Σ 1/R_k and 1/R̄_i = Σ_{k≠i} 1/R_k. Consumers of total demand S split like a current over resistors:
-    a small R_i means that they like firm i. Minus the profit is minimised; dF is symmetric and diagonally dominant, so
-    F is strongly monotone. The model is that of P. Frihauf, M. Krstić and T. Başar, "Nash equilibrium seeking in
+    a small R_i means that they prefer firm i. Minus the profit is minimised; dF is symmetric and diagonally dominant,
+    so F is strongly monotone. The model is that of P. Frihauf, M. Krstić and T. Başar, "Nash equilibrium seeking in
     noncooperative games", IEEE Transactions on Automatic Control 57(5), 2012, where prices need not be known to
-    competitors. The default numbers have not been compared with theirs, and no equilibrium is quoted.
+    competitors. The default numbers are ours.
 
     Args:
         preference: R_i > 0, which sets N.

@@ -15,7 +15,7 @@ _SLOPE_OF_FOURTH = {"printed": 1.0, "corrected": 4.0}
 class NonQuadraticGame(Game):
     """J1 = x1²/2 + x1 Σ_{j≥2} x_j, J2 = e^{x2/2}/2 + x2 x4, J3 = x3²/2 + x1³, J5 = x5² − 5 x5 + x1³ x2 + x3 x4⁴.
 
-    J4 = w x4 + x4² + x3³, where w = 1 as printed (ln e^{x4}) and w = 4 in the corrected variant, which alone has
+    J4 = w x4 + x4² + x3³, where w = 1 as printed (ln e^{x4}) and w = 4 in the corrected variant, the only one with
     the equilibrium that the paper prints (docs/errata.md, 1). F is neither strongly monotone nor globally
     Lipschitz, and J2 is unbounded below in x2 wherever x4 ≥ 0.
 

@@ -1,4 +1,4 @@
-"""Rate control: users of a network of links choose their rates and pay for congestion."""
+"""Rate control in a network of links with congestion prices."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ class RateControl(Game):
     their route that is linear in the link's load; after T. Alpcan and T. Başar, "A game-theoretic framework for
     congestion control in general topology networks", IEEE Conference on Decision and Control, 2002. The numbers are
     ours. dF = diag(w_i/(1 + x_i)² + Σ_{l∈route i} a_l) + Rᵀ diag(a) R with R the routing matrix, so F is strongly
-    monotone on x > −1 with ε ≥ min_i Σ_{l∈route i} a_l. Costs are defined for x_i > −1 alone, which the box keeps.
+    monotone on x > −1 with ε ≥ min_i Σ_{l∈route i} a_l. Costs are defined for x_i > −1 only, which the box ensures.
 
     Args:
         routes: links of each user, counted from 0; its length sets N.
@@ -52,7 +52,7 @@ class RateControl(Game):
         super().__init__((1,) * len(routes), low=0.0, high=limits)
         uses = np.array([[link in row for row in routes] for link in range(prices.size)], dtype=np.float64)
         self.utility = frozen(weights[:, None])
-        # x_i meets every x_k once per link that they share, at that link's price.
+        # Entry (i, k) is the sum of the prices of the links that users i and k share.
         self._shared = frozen((uses.T @ np.diag(prices) @ uses)[:, :, None])
         self._own = frozen(np.diag(self._shared[:, :, 0])[:, None])
 

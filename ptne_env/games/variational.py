@@ -1,4 +1,4 @@
-"""Variational inequalities on a box: the equilibria of games whose strategies are confined."""
+"""Variational inequalities on a box, whose solutions are the equilibria of games with bounded strategies."""
 
 from __future__ import annotations
 
@@ -9,9 +9,12 @@ import numpy as np
 from ptne_env.arrays import FloatArray, ordered_sum
 
 Field = Callable[[FloatArray], FloatArray]
+Jacobian = Callable[[FloatArray], FloatArray | None]
 
 TOLERANCE = 1e-12
 """‖x − Π(x − F(x))‖, relative to 1 + ‖x‖, at which the solver stops."""
+MOST_STEPS = 10_000
+"""Number of steps after which the solver stops."""
 
 
 def natural_map(points: FloatArray, field: FloatArray, low: FloatArray, high: FloatArray) -> FloatArray:
@@ -19,49 +22,38 @@ def natural_map(points: FloatArray, field: FloatArray, low: FloatArray, high: Fl
     return points - np.clip(points - field, low, high)
 
 
-def solve_box(
-    field: Field,
-    jacobian: Field | None,
-    low: FloatArray,
-    high: FloatArray,
-    start: FloatArray,
-    *,
-    iterations: int = 10_000,
-) -> FloatArray:
+def solve_box(field: Field, jacobian: Jacobian, low: FloatArray, high: FloatArray, start: FloatArray) -> FloatArray:
     """x in [low, high] with F(x)ᵀ(y − x) ≥ 0 for all y in the box, for G monotone Lipschitz fields F at once.
 
-    A step is Newton's on the natural map (the active-set step: components pressed against a bound are put on it, the
+    A step is Newton's on the natural map (the active-set step: components pressed against a bound are set to it, the
     others solve F = 0) wherever that at least halves the smallest residual so far, and otherwise Korpelevich's
-    extragradient step with a searched length. The latter alone converges for monotone F, the former ends an affine
-    problem as soon as the active set is right. See Facchinei and Pang, Finite-Dimensional Variational Inequalities and
-    Complementarity Problems, 2003, chapters 8 and 12. What happens to one field does not depend on the others.
+    extragradient step with a line search. Extragradient steps converge for every monotone F; a Newton step solves an
+    affine problem as soon as the active set is right. See Facchinei and Pang, Finite-Dimensional Variational
+    Inequalities and Complementarity Problems, 2003, chapters 8 and 12. Fields are solved independently of each other.
 
     Args:
         field: F, (n, G) to (n, G).
-        jacobian: dF, (n, G) to (n, n, G); without it every step is an extragradient step.
+        jacobian: dF, (n, G) to (n, n, G), or ``None`` where dF is unknown; then every step is an extragradient step.
         low: lower bounds, (n, G) or (n, 1); −inf where there is none.
         high: upper bounds likewise.
         start: first points, (n, G).
-        iterations: most steps to take.
 
     Returns:
-        The points reached, (n, G). Whether they solve the inequality is for the caller to check.
+        The points reached, (n, G). The caller checks whether they solve the inequality.
     """
     x = np.clip(start, low, high)
     value = field(x)
     residual = _norm(natural_map(x, value, low, high))
-    goal = np.full_like(residual, np.inf)  # a Newton step must reach half of the residual that the last one left
+    goal = np.full_like(residual, np.inf)  # a Newton step must reach half the residual of the last Newton step
     length = np.ones_like(residual)
-    for _ in range(iterations):
+    for _ in range(MOST_STEPS):
         unsolved = residual > TOLERANCE * (1 + _norm(x))
         if not unsolved.any():
             break
-        newton = np.zeros_like(unsolved)
-        if jacobian is not None:
-            trial, reached = _newton(field, jacobian, x, value, low, high)
-            newton = unsolved & (reached <= goal / 2)  # False where the step does not exist and is NaN
-            goal = np.where(newton, reached, goal)
-            x = np.where(newton, trial, x)
+        trial, reached = _newton(field, jacobian, x, value, low, high)
+        newton = unsolved & (reached <= goal / 2)  # False where no Newton step exists and the residual is NaN
+        goal = np.where(newton, reached, goal)
+        x = np.where(newton, trial, x)
         if (unsolved & ~newton).any():
             middle = np.clip(x - length * value, low, high)
             there = field(middle)
@@ -72,27 +64,28 @@ def solve_box(
             length = np.where(short, np.where(steepness <= 0.4 * moved, 1.5 * length, length), length / 2)
         value = field(x)
         residual = _norm(natural_map(x, value, low, high))
-    if jacobian is not None:  # one step more, to the last digits
-        trial, reached = _newton(field, jacobian, x, value, low, high)
-        x = np.where(reached <= residual, trial, x)
-    return x
+    trial, reached = _newton(field, jacobian, x, value, low, high)  # a further step, to the last digits
+    return np.where(reached <= residual, trial, x)
 
 
 def _newton(
-    field: Field, jacobian: Field, x: FloatArray, value: FloatArray, low: FloatArray, high: FloatArray
+    field: Field, jacobian: Jacobian, x: FloatArray, value: FloatArray, low: FloatArray, high: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Newton's next point in the box, and its residual."""
-    trial = np.clip(_active_set_step(x, value, jacobian(x), low, high), low, high)
+    """Newton's next point in the box, and its residual; NaN where there is none."""
+    slopes = jacobian(x)
+    if slopes is None:
+        return x, np.full(x.shape[1], np.nan)
+    trial = np.clip(_active_set_step(x, value, slopes, low, high), low, high)
     return trial, _norm(natural_map(trial, field(trial), low, high))
 
 
 def _active_set_step(
-    x: FloatArray, value: FloatArray, jacobian: FloatArray, low: FloatArray, high: FloatArray
+    x: FloatArray, value: FloatArray, slopes: FloatArray, low: FloatArray, high: FloatArray
 ) -> FloatArray:
     """Newton's next point; NaN where its system is singular."""
     below, above = x - value <= low, x - value >= high
     held = below | above
-    matrices = np.where(held[:, None], np.eye(len(x))[:, :, None], jacobian)
+    matrices = np.where(held[:, None], np.eye(len(x))[:, :, None], slopes)
     wanted = np.where(below, low - x, np.where(above, high - x, -value))
     stack, right = np.moveaxis(matrices, 2, 0).copy(), wanted.T[..., None].copy()
     singular = np.linalg.slogdet(stack)[0] == 0

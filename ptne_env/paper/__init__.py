@@ -1,7 +1,6 @@
-"""The paper reproduced: continuous-time simulation, Table 1, every figure, every claim and erratum measured."""
+"""Reproduction of the paper: continuous-time simulation, Table 1, all figures, measured claims and errata."""
 
 from ptne_env.paper.claims import Claim as Claim
-from ptne_env.paper.claims import run_checks as run_checks
 from ptne_env.paper.experiments import Experiments as Experiments
 from ptne_env.paper.reproduction import Reproduction as Reproduction
 from ptne_env.paper.reproduction import render as render

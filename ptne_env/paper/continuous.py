@@ -1,8 +1,8 @@
-"""The paper's loops in continuous time, integrated in effective time τ where every one of them is dx/dτ = u.
+"""The paper's loops in continuous time, integrated in effective time τ, where each is dx/dτ = u.
 
 With τ = s + c t the prescribed-time gain disappears (eq. ClosedLoopSysteminSpace has θ = dτ/ds), the instant T lies at
-s = ∞ and not in a singularity, and the phase after T is the same equation with dτ = c dt. The state is the error
-x − 1⊗x*, so that it keeps its relative precision while it vanishes.
+s = ∞ instead of a singularity, and the phase after T has the same equation with dτ = c dt. The state is the error
+x − 1⊗x*, which keeps its relative precision as it vanishes.
 """
 
 from __future__ import annotations
@@ -25,12 +25,12 @@ from ptne_env.theory import closed_loop_matrix
 RELATIVE_TOLERANCE = 1e-13
 ABSOLUTE_TOLERANCE = 1e-16
 MAX_STEP = 0.05
-"""In τ; without it the interpolation between DOP853's long steps is what limits the accuracy at the samples."""
+"""In τ; longer steps of DOP853 would limit the accuracy of the samples interpolated between them."""
 
 
 @dataclass(frozen=True)
 class Segment:
-    """A stretch of effective time on which one graph acts.
+    """An interval of effective time on which one graph acts.
 
     Attributes:
         start: τ at which it starts.
@@ -45,14 +45,14 @@ class Segment:
 
 @dataclass(frozen=True)
 class Timeline:
-    """The instants at which a run is sampled, and the stretches between switches.
+    """The instants at which a run is sampled, and the intervals between switches.
 
     Attributes:
-        tau: effective time of each sample, shape (S,), not decreasing; an interior switch is among them.
-        s: transformed time, shape (S,); stays at its end in the hold phase, and equals t where no time is transformed.
+        tau: effective time of each sample, shape (S,), not decreasing; includes the switches.
+        s: transformed time, shape (S,); constant in the hold phase, and equal to t without a prescribed time.
         t: physical time in seconds, shape (S,).
         segments: cover [tau[0], tau[-1]] in order.
-        deadline_index: the sample at which the approach of T ends; the last one when nothing follows.
+        deadline_index: the sample at which the approach of T ends; the last sample without a hold phase.
     """
 
     tau: FloatArray
@@ -74,7 +74,7 @@ class Timeline:
 
 
 def plain_timeline(topology: SwitchingTopology, horizon: float, *, samples: int = 2001) -> Timeline:
-    """Physical time as it is, [0, horizon], for dx/dt = u without the prescribed-time gain (Corollary 1).
+    """Physical time [0, horizon], for dx/dt = u without the prescribed-time gain (Corollary 1).
 
     Args:
         topology: on the physical clock.
@@ -82,8 +82,8 @@ def plain_timeline(topology: SwitchingTopology, horizon: float, *, samples: int 
         samples: evenly spaced instants, to which the switches are added.
 
     Raises:
-        ValueError: when the horizon is not positive, fewer than 2 samples are asked for, or the topology switches on
-            the transformed clock.
+        ValueError: when the horizon is not positive, there are fewer than 2 samples, or the topology switches on the
+            transformed clock.
     """
     require_positive("horizon", horizon, " (seconds)")
     require_count("samples", samples, 2)
@@ -107,15 +107,15 @@ def prescribed_timeline(
     """The approach of T up to s_end, sampled evenly in τ, and then ``hold`` seconds after T.
 
     Args:
-        topology: on either clock; after T a transformed one goes on with s_end + c (t − T).
+        topology: on either clock; after T a transformed clock continues as s_end + c (t − T).
         transformation: λ, with its deadline T.
         constant: c ≥ 0 in 1/s.
-        s_end: transformed time at which the approach stops; the state there stands for the one at T.
+        s_end: transformed time at which the approach stops; the state there stands for the state at T.
         hold: seconds after T.
         samples: instants of the approach, to which the switches are added; the hold phase has the same density.
 
     Raises:
-        ValueError: when a number is out of range, or a hold phase is asked for with c = 0.
+        ValueError: when a number is out of range, or there is a hold phase with c = 0.
     """
     require_non_negative("constant (c)", constant)
     require_positive("s_end", s_end)
@@ -129,7 +129,7 @@ def prescribed_timeline(
         return transformation.inverse(instants) if topology.clock == "physical" else instants
 
     end = float(transformation.effective_time(s_end, constant))
-    # A graph that physical time would change after s_end does not change before it: the approach stops there.
+    # The approach stops at s_end, so switches in physical time after it do not happen.
     stop = float(transformation.time(s_end)) if topology.clock == "physical" else s_end
     switches = topology.switches(0.0, stop)
     s_switches = to_s(switches)
@@ -144,7 +144,7 @@ def prescribed_timeline(
     segments = _segments(topology, switches, tau_switches, (0.0, stop), (0.0, end))
     deadline_index = tau.size - 1
     if hold > 0:
-        # In the hold phase dτ = c dt, and so does the transformed clock run.
+        # In the hold phase dτ = c dt, on the transformed clock too.
         span = (deadline, deadline + hold) if topology.clock == "physical" else (s_end, s_end + constant * hold)
         later = topology.switches(*span)
         unit = constant if topology.clock == "physical" else 1.0
@@ -167,10 +167,10 @@ def _segments(
 ) -> tuple[Segment, ...]:
     bounds = np.concatenate([[span[0]], switches, [span[1]]])
     tau_bounds = np.concatenate([[tau_span[0]], tau_switches, [tau_span[1]]])
-    # The middle of a stretch is safely inside it, whatever rounding does to its ends.
+    # The middle of an interval is inside it in spite of rounding at its ends.
     modes = topology.schedule((bounds[:-1] + bounds[1:]) / 2).modes
-    stretches = zip(tau_bounds[:-1], tau_bounds[1:], modes, strict=True)
-    return tuple(Segment(float(start), float(end), int(mode)) for start, end, mode in stretches)
+    intervals = zip(tau_bounds[:-1], tau_bounds[1:], modes, strict=True)
+    return tuple(Segment(float(start), float(end), int(mode)) for start, end, mode in intervals)
 
 
 @dataclass(frozen=True)
@@ -178,10 +178,10 @@ class Run:
     """A continuous-time trajectory of all players' estimates.
 
     Attributes:
-        game: what was played.
-        topology: over which graphs.
-        timeline: the instants, S of them.
-        errors: x^i − x*, shape (S, N, n), row i of an instant being player i's.
+        game: the game.
+        topology: the communication graphs.
+        timeline: the S instants.
+        errors: x^i − x*, shape (S, N, n), with a row per player.
         gains: κ_ij of each link of the union graph, shape (S, E), in the order of ``topology.union.edges``.
     """
 
@@ -206,25 +206,25 @@ class Run:
 
     @cached_property
     def estimate_distance(self) -> FloatArray:
-        """‖**x** − 1⊗x*‖/(√N ‖x*‖) of all estimates, shape (S,): what the theorems claim to vanish."""
+        """‖**x** − 1⊗x*‖/(√N ‖x*‖) of all estimates, shape (S,): the error of the theorems."""
         norms = np.linalg.norm(self.errors, axis=(1, 2))
         return norms / (np.sqrt(self.game.num_players) * float(self.game.equilibrium_scale[0]))
 
     @cached_property
     def inputs(self) -> FloatArray:
-        """u^i at each instant, shape (S, N, n); at a switch the input of the graph that ends there."""
+        """u^i at each instant, shape (S, N, n); at a switch with the graph before it."""
         loop = _Loop(self.game, self.topology)
         modes = self._modes()
         return np.stack([loop.input(e, k, int(m)) for e, k, m in zip(self.errors, self.gains, modes, strict=True)])
 
     def strategy_distance_at(self, t: float) -> float:
-        """The strategies' distance at the last sample up to ``t`` seconds; at T that is where the approach ends."""
+        """The strategies' distance at the last sample up to ``t`` seconds; at T, the end of the approach."""
         return float(self.strategy_distance[np.searchsorted(self.timeline.t, t, side="right") - 1])
 
     def settling_time(self, threshold: float = SUCCESS_DISTANCE) -> float | None:
         """The instant in seconds after which the strategies' distance stays at or below ``threshold``.
 
-        The crossing is interpolated in the logarithm of the distance; ``None`` when the run ends above it.
+        The crossing is interpolated in the logarithm of the distance. ``None`` when the run ends above the threshold.
         """
         above = np.flatnonzero(self.strategy_distance > threshold)
         if above.size == 0:
@@ -242,7 +242,7 @@ class Run:
 
 
 class _Loop:
-    """The right-hand side u and dκ/dτ of the laws, on the error and with one κ per link."""
+    """The right-hand sides u and dκ/dτ of the laws, as functions of the error and one κ per link."""
 
     def __init__(self, game: Game, topology: SwitchingTopology) -> None:
         self.game = game
@@ -280,12 +280,12 @@ def simulate(
 
     Covers eq. PrescribedTimeAlgorithm, eq. PrescribedTimeAlgorithmAdaptive, eq.
     PrescribedTimeAlgorithmAdaptiveSwitching and, on a :func:`plain_timeline`, Corollary 1. ``solve_ivp`` (DOP853)
-    is started afresh at every switch, so that no step straddles one.
+    restarts at every switch, so that no step contains a switch.
 
     Args:
-        game: what is played.
-        topology: over which graphs.
-        start: x^i(0), shape (N, n), row i being player i's.
+        game: the game.
+        topology: the communication graphs.
+        start: x^i(0), shape (N, n), with a row per player.
         timeline: the instants.
         initial_gain: κ_ij(0) ≥ 0, one number or one per link of the union graph.
         gamma: γ_ij ≥ 0, the same for all links.
@@ -300,11 +300,8 @@ def simulate(
     gains = np.broadcast_to(np.asarray(initial_gain, dtype=np.float64), (len(edges),))
     if not (np.all(np.isfinite(gains)) and np.all(gains >= 0)):
         raise ValueError(f"initial_gain must be finite and at least 0, got {initial_gain!r}")
-    estimates = np.asarray(start, dtype=np.float64)
-    if estimates.shape != (players, dimension):
-        raise ValueError(f"start must have the shape {(players, dimension)}, got {estimates.shape}")
     loop, size = _Loop(game, topology), players * dimension
-    state = np.concatenate([(estimates - game.nash_equilibrium).ravel(), gains])
+    state = np.concatenate([_initial_error(game, start), gains])
     states = np.empty((timeline.tau.size, state.size))
 
     for segment in timeline.segments:
@@ -341,7 +338,7 @@ def exact_static(
 
     Args:
         game: with affine F.
-        topology: over which graphs.
+        topology: the communication graphs.
         start: x^i(0), shape (N, n).
         timeline: the instants.
         kappa: κ ≥ 0.
@@ -350,13 +347,9 @@ def exact_static(
         ValueError: when F is not affine, κ < 0 or a shape does not fit.
     """
     if not game.is_affine:
-        raise ValueError(f"the matrix exponential solves games with affine F; {type(game).__name__} is not one")
-    players, dimension = game.num_players, game.dimension
-    estimates = np.asarray(start, dtype=np.float64)
-    if estimates.shape != (players, dimension):
-        raise ValueError(f"start must have the shape {(players, dimension)}, got {estimates.shape}")
+        raise ValueError(f"the matrix exponential needs a game with affine F; {type(game).__name__} is not affine")
     matrices = [closed_loop_matrix(game, graph, kappa) for graph in topology.graphs]
-    state = (estimates - game.nash_equilibrium).ravel()
+    state = _initial_error(game, start)
     states = np.empty((timeline.tau.size, state.size))
     for segment in timeline.segments:
         inside = (timeline.tau >= segment.start) & (timeline.tau <= segment.end)
@@ -365,4 +358,12 @@ def exact_static(
         states[inside] = propagators[:-1] @ state
         state = propagators[-1] @ state
     gains = np.full((timeline.tau.size, len(topology.union.edges)), float(kappa))
-    return Run(game, topology, timeline, states.reshape(-1, players, dimension), gains)
+    return Run(game, topology, timeline, states.reshape(-1, game.num_players, game.dimension), gains)
+
+
+def _initial_error(game: Game, start: npt.ArrayLike) -> FloatArray:
+    """x^i(0) − x* of all players, shape (N n,)."""
+    estimates, shape = np.asarray(start, dtype=np.float64), (game.num_players, game.dimension)
+    if estimates.shape != shape:
+        raise ValueError(f"start must have the shape {shape}, got {estimates.shape}")
+    return (estimates - game.nash_equilibrium).ravel()

@@ -1,12 +1,11 @@
-"""Every figure of the paper, and two that show errata, drawn with matplotlib's object-oriented interface."""
+"""The paper's figures and two figures of errata, drawn with matplotlib's object-oriented interface."""
 
 from __future__ import annotations
 
 import io
+import textwrap
 from collections.abc import Callable, Sequence
-from contextlib import AbstractContextManager
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 import networkx as nx
@@ -14,9 +13,7 @@ import numpy as np
 
 from ptne_env.arrays import FloatArray
 from ptne_env.clock import Exponential
-from ptne_env.files import write_atomically
 from ptne_env.graphs import Graph, cycle
-from ptne_env.paper.claims import Claim
 from ptne_env.paper.continuous import Run
 from ptne_env.paper.experiments import DEADLINE, DWELLS, GAIN, GAMMA, HOLD, KAPPA, Experiments
 from ptne_env.switching import TopologyClock
@@ -53,104 +50,70 @@ _STYLE: dict[Any, Any] = {
 
 @dataclass(frozen=True)
 class FigureSpec:
-    """One figure.
+    """A figure.
 
     Attributes:
         name: file name without extension.
-        caption: what it shows, naming the paper's figure; printed below the figure.
+        caption: description naming the paper's figure, printed below the figure.
         size: width and height in inches.
         draw: fills the figure.
-        number: of the paper's figure, as LaTeX counts, or of the erratum that is shown.
+        number: of the paper's figure, as LaTeX counts, or of the erratum.
         original: the paper's caption; empty where the figure is ours.
-        claims: names of the claims that it bears on.
+        claims: names of the claims that the figure illustrates.
     """
 
     name: str
     caption: str
     size: tuple[float, float]
-    draw: Callable[[Figure, Experiments, Sequence[Claim]], None]
+    draw: Callable[[Figure, Experiments], None]
     number: str
     original: str = ""
     claims: tuple[str, ...] = ()
 
 
-def save(spec: FigureSpec, experiments: Experiments, claims: Sequence[Claim], out: Path) -> tuple[Path, Path]:
-    """Draw one figure and write ``out/<name>.png`` (200 dots per inch) and ``out/<name>.svg``.
+def draw(spec: FigureSpec, experiments: Experiments, kind: Literal["png", "svg", "page"]) -> bytes:
+    """The figure as the bytes of a file.
 
     Args:
-        spec: which figure, from :data:`FIGURES`.
+        spec: an entry of :data:`FIGURES`.
         experiments: the runs.
-        claims: measured claims, from which the figures of errata take their numbers.
-        out: an existing directory.
+        kind: ``"png"`` (200 dots per inch) or ``"svg"`` with the caption, or ``"page"``: an SVG without the caption and
+            with letters as outlines, as readers of the page have other fonts.
 
     Raises:
         ImportError: naming the extra to install when matplotlib is missing.
     """
-    png, svg = out / f"{spec.name}.png", out / f"{spec.name}.svg"
-    with _style():
-        figure = _drawn(spec, experiments, claims, _wrap(spec.caption, spec.size[0]))
-        for path, options in ((png, {"dpi": 200}), (svg, {"metadata": {"Date": None}})):
-            buffer = io.BytesIO()
-            figure.savefig(buffer, format=path.suffix[1:], **options)
-            write_atomically(path, buffer.getvalue())
-    return png, svg
-
-
-def picture(spec: FigureSpec, experiments: Experiments, claims: Sequence[Claim]) -> bytes:
-    """One figure for a page: SVG without the caption, its letters as outlines, as readers have other fonts.
-
-    Args:
-        spec: which figure, from :data:`FIGURES`.
-        experiments: the runs.
-        claims: measured claims, from which the figures of errata take their numbers.
-
-    Raises:
-        ImportError: naming the extra to install when matplotlib is missing.
-    """
-    buffer = io.BytesIO()
-    with _style("path"):
-        _drawn(spec, experiments, claims, []).savefig(buffer, format="svg", metadata={"Date": None})
-    return buffer.getvalue()
-
-
-def _style(letters: Literal["none", "path"] = "none") -> AbstractContextManager[None]:
-    """The style of all figures, with letters of SVG files kept as text or drawn as outlines."""
     try:
         from matplotlib import rc_context  # matplotlib is an extra
     except ImportError as error:
         raise ImportError('figures need matplotlib: pip install "ptne-env[bench]"') from error
-    return rc_context({**_STYLE, "svg.fonttype": letters})
-
-
-def _drawn(spec: FigureSpec, experiments: Experiments, claims: Sequence[Claim], lines: Sequence[str]) -> Figure:
-    """The figure above the lines of its caption."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
     from matplotlib.layout_engine import ConstrainedLayoutEngine
 
     width, height = spec.size
+    lines = [] if kind == "page" else textwrap.wrap(spec.caption, int(15.5 * width))
     band = 0.17 * len(lines) + 0.12 * bool(lines)  # inches for the caption below the axes
     share = band / (height + band)
-    layout = ConstrainedLayoutEngine(rect=(0, share, 1, 1 - share), w_pad=0.09, h_pad=0.07)
-    figure = Figure(figsize=(width, height + band), layout=layout)
-    FigureCanvasAgg(figure)
-    spec.draw(figure, experiments, claims)
-    if lines:
-        figure.text(0.5, 0.08 / (height + band), "\n".join(lines), ha="center", va="bottom", color=INK, fontsize=8.5)
-    return figure
+    options: dict[str, Any] = {"dpi": 200} if kind == "png" else {"metadata": {"Date": None}}
+    buffer = io.BytesIO()
+    with rc_context({**_STYLE, "svg.fonttype": "path" if kind == "page" else "none"}):
+        layout = ConstrainedLayoutEngine(rect=(0, share, 1, 1 - share), w_pad=0.09, h_pad=0.07)
+        figure = Figure(figsize=(width, height + band), layout=layout)
+        FigureCanvasAgg(figure)
+        spec.draw(figure, experiments)
+        if lines:
+            place = 0.5, 0.08 / (height + band)
+            figure.text(*place, "\n".join(lines), ha="center", va="bottom", color=INK, fontsize=8.5)
+        figure.savefig(buffer, format="png" if kind == "png" else "svg", **options)
+    return buffer.getvalue()
 
 
-def _wrap(text: str, width: float) -> list[str]:
-    import textwrap
-
-    return textwrap.wrap(text, int(15.5 * width))
-
-
-# --- what several figures share -------------------------------------------------------------------------------------
+# --- shared by several figures --------------------------------------------------------------------------------------
 
 
 def _strategies(axes: Axes, run: Run, end: float) -> None:
-    """All estimates x^i_j over time: one colour per estimated player j, thick the player's own x_j."""
+    """All estimates x^i_j over time: a colour per estimated player j, the player's own x_j thick."""
     t, estimates, equilibrium = run.timeline.t, run.estimates, run.game.nash_equilibrium
     for j in range(run.game.dimension):
         owner = int(run.game.owners[j])
@@ -239,7 +202,7 @@ def _network(axes: Axes, graph: Graph, union: Graph) -> None:
 # --- the figures ----------------------------------------------------------------------------------------------------
 
 
-def _time_transformation(figure: Figure, _: Experiments, __: Sequence[Claim]) -> None:
+def _time_transformation(figure: Figure, _: Experiments) -> None:
     s, transformation = np.linspace(0, 8, 400), Exponential(DEADLINE)
     left, right = figure.subplots(1, 2)
     left.plot(s, transformation.time(s), color=COLOURS[0])
@@ -252,7 +215,7 @@ def _time_transformation(figure: Figure, _: Experiments, __: Sequence[Claim]) ->
     right.set_title(r"(b) $\lambda'(s)=T e^{-s}$")
 
 
-def _graph(figure: Figure, _: Experiments, __: Sequence[Claim]) -> None:
+def _graph(figure: Figure, _: Experiments) -> None:
     left, right = figure.subplots(1, 2)
     graph = cycle(5)
     _network(left, graph, graph)
@@ -270,11 +233,11 @@ def _graph(figure: Figure, _: Experiments, __: Sequence[Claim]) -> None:
     right.set_title(rf"(b) Laplacian $\mathcal{{L}}$, $\lambda_2={graph.algebraic_connectivity:.3f}$")
 
 
-def _static(figure: Figure, experiments: Experiments, _: Sequence[Claim]) -> None:
+def _static(figure: Figure, experiments: Experiments) -> None:
     _runs(figure, [("", experiments.static)], DEADLINE + HOLD, deadline=True)
 
 
-def _comparison(figure: Figure, experiments: Experiments, _: Sequence[Claim]) -> None:
+def _comparison(figure: Figure, experiments: Experiments) -> None:
     runs = [
         (r", Corollary 1 ($\kappa=10$)", experiments.corollary_one),
         (r", Gadjov–Pavel ($\kappa=1$)", experiments.gadjov_pavel),
@@ -295,15 +258,15 @@ def _comparison(figure: Figure, experiments: Experiments, _: Sequence[Claim]) ->
             )
 
 
-def _adaptive(figure: Figure, experiments: Experiments, _: Sequence[Claim]) -> None:
+def _adaptive(figure: Figure, experiments: Experiments) -> None:
     _runs(figure, [("", experiments.adaptive)], DEADLINE + HOLD, deadline=True)
 
 
-def _adaptive_gains(figure: Figure, experiments: Experiments, _: Sequence[Claim]) -> None:
+def _adaptive_gains(figure: Figure, experiments: Experiments) -> None:
     _gains(figure.subplots(), experiments.adaptive, rf"fixed graph, $\gamma={GAMMA:g}$")
 
 
-def _switching_graphs(figure: Figure, experiments: Experiments, _: Sequence[Claim]) -> None:
+def _switching_graphs(figure: Figure, experiments: Experiments) -> None:
     topology = experiments.switching["physical"].topology
     period, dwell = topology.period, topology.dwells[0]
     for m, (axes, graph) in enumerate(zip(figure.subplots(1, 4), topology.graphs, strict=True)):
@@ -317,40 +280,34 @@ def _by_clock(figure: Figure, runs: dict[TopologyClock, Run]) -> None:
     _runs(figure, named, DEADLINE + HOLD, deadline=True)
 
 
-def _switching(figure: Figure, experiments: Experiments, _: Sequence[Claim]) -> None:
+def _switching(figure: Figure, experiments: Experiments) -> None:
     _by_clock(figure, experiments.switching)
 
 
-def _switching_gains(figure: Figure, experiments: Experiments, _: Sequence[Claim]) -> None:
+def _switching_gains(figure: Figure, experiments: Experiments) -> None:
     for axes, (clock, run) in zip(figure.subplots(1, 2), experiments.switching.items(), strict=True):
         _gains(axes, run, _CLOCK_NAMES[clock])
 
 
-def _non_quadratic(figure: Figure, experiments: Experiments, _: Sequence[Claim]) -> None:
+def _non_quadratic(figure: Figure, experiments: Experiments) -> None:
     _by_clock(figure, experiments.non_quadratic_switching)
 
 
-def _erratum_2(figure: Figure, _: Experiments, claims: Sequence[Claim]) -> None:
-    measured = next(claim.measured for claim in claims if claim.name.startswith("Erratum 2"))
-    axes = figure.subplots()
-    axes.loglog(
-        measured["periods"],
-        measured["error_at_deadline"],
-        "o-",
-        color=COLOURS[1],
-        label="topology dwells in $t$, period Γ",
-    )
-    axes.axhline(
-        measured["error_at_deadline_transformed"], color=COLOURS[0], linestyle="--", label="topology dwells 0.25 in $s$"
-    )
+def _erratum_2(figure: Figure, experiments: Experiments) -> None:
+    axes, runs = figure.subplots(), experiments.by_period
+    errors = [run.estimate_distance[-1] for run in runs.values()]
+    axes.loglog(list(runs), errors, "o-", color=COLOURS[1], label="topology dwells in $t$, period Γ")
+    transformed = experiments.switching["transformed"]
+    error = float(transformed.estimate_distance[transformed.timeline.deadline_index])
+    axes.axhline(error, color=COLOURS[0], linestyle="--", label="topology dwells 0.25 in $s$")
     axes.set(xlabel="period Γ of the topology in $t$ [s]", ylabel="relative error of the estimates at $T$")
-    axes.set_xticks(measured["periods"], [f"{period:g}" for period in measured["periods"]])
+    axes.set_xticks(list(runs), [f"{period:g}" for period in runs])
     axes.minorticks_off()
     axes.set_ylim(1e-8, 10)
     axes.legend(loc="center right")
 
 
-def _erratum_3(figure: Figure, experiments: Experiments, _: Sequence[Claim]) -> None:
+def _erratum_3(figure: Figure, experiments: Experiments) -> None:
     run = experiments.static_exact
     # T − t = T e^{−s} is exact where T − t itself has long been rounded away.
     upto = slice(0, int(np.searchsorted(run.timeline.s, 20.0)))
@@ -373,7 +330,7 @@ def _erratum_3(figure: Figure, experiments: Experiments, _: Sequence[Claim]) -> 
 
 
 _STATIC = f"static law, κ = {KAPPA:g}, c = {GAIN:g}/s, T = {DEADLINE:g} s"
-_READING = "Thick lines: the players' own strategies; thin: what the others estimate; dotted: the Nash equilibrium."
+_READING = "Thick lines: the players' own strategies; thin: the estimates of others; dotted: the Nash equilibrium."
 
 _SIMULATED = (
     "Simulated results of the proposed {}algorithm in ({}): (a) all players' estimated strategies x^i_j(t), i, j ∈ V; "
@@ -394,7 +351,7 @@ FIGURES: tuple[FigureSpec, ...] = (
     ),
     FigureSpec(
         "graph",
-        "The fixed graph and its Laplacian (paper: Fig. UndirectedGraph). The paper's drawing is not in our copy; the "
+        "The fixed graph and its Laplacian (paper: Fig. UndirectedGraph). The paper's drawing is not available; the "
         "5-cycle is our choice.",
         (6.0, 2.7),
         _graph,
@@ -441,7 +398,7 @@ FIGURES: tuple[FigureSpec, ...] = (
     FigureSpec(
         "switching-graphs",
         "The four modes of the switching topology (paper: Fig. SwitchingGraphs), each disconnected, jointly connected. "
-        "The paper's drawing is not in our copy; these are our choice.",
+        "The paper's drawing is not available; these are our choice.",
         (8.2, 2.1),
         _switching_graphs,
         "Fig. 7",
@@ -478,7 +435,7 @@ FIGURES: tuple[FigureSpec, ...] = (
     ),
     FigureSpec(
         "erratum-2",
-        "Erratum 2: what is left at T when the topology dwells in t, against its period. Not in the paper.",
+        "Erratum 2: the error at T when the topology dwells in t, against its period. Not in the paper.",
         (5.2, 3.2),
         _erratum_2,
         "Erratum 2",
@@ -497,4 +454,4 @@ FIGURES: tuple[FigureSpec, ...] = (
         ),
     ),
 )
-"""Every figure, in the order of the paper; the last two are ours."""
+"""All figures, in the order of the paper; the last two are ours."""

@@ -1,4 +1,4 @@
-"""The reproduction as a page that opens without a network: the paper's captions, our figures, claims and verdicts."""
+"""The HTML page of the reproduction: Table 1, figures with the paper's captions, claims and verdicts."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from ptne_env.paper.table import TableRow
 from ptne_env.report.page import render_template
 
 _ERRATUM = "Erratum"
-"""How the names of errata begin."""
+"""Prefix of the names of errata."""
 
 
 def render_page(
@@ -27,10 +27,10 @@ def render_page(
 
     Args:
         table: Table 1.
-        claims: all that were measured.
+        claims: claims and errata.
         pictures: SVG by name of the figure.
-        settings: of the experiments.
-        out: folder of the results, for the command that makes them again.
+        settings: settings of the experiments.
+        out: folder of the results, for the command that reproduces them.
 
     Raises:
         ImportError: when Jinja is missing, naming the extra to install.
@@ -49,7 +49,7 @@ def render_page(
     return render_template(
         "paper.html",
         title="The paper reproduced",
-        answer=_answer(table, stated),
+        answer=_answer(stated),
         table=table,
         figures=figures,
         claims=stated,
@@ -60,13 +60,8 @@ def render_page(
     )
 
 
-def _answer(table: Sequence[TableRow], claims: Sequence[Claim]) -> str:
+def _answer(claims: Sequence[Claim]) -> str:
     failing = [claim.name for claim in claims if claim.verdict == "fails"]
-    text = f"Of {len(claims)} claims {len(claims) - len(failing)} hold when measured"
-    text += f" and {len(failing)} fail: {'; '.join(failing)}." if failing else "."
-    settled = [f"{row.algorithm} {_seconds(row.ours)} (the paper: {row.paper:g} s)" for row in table]
-    return f"{text} The strategies settle within 0.5 % of the equilibrium after: {', '.join(settled)}."
-
-
-def _seconds(value: float | None) -> str:
-    return "never" if value is None else f"{value:.2f} s"
+    return f"{len(claims) - len(failing)} of {len(claims)} claims hold when measured. Failing: " + (
+        "; ".join(failing) or "none"
+    )

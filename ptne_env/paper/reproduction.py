@@ -1,4 +1,4 @@
-"""The whole paper at once: Table 1, every figure, every claim, written to a directory and shown in a terminal."""
+"""Reproduction of the whole paper: Table 1, figures, claims and errata, as files and as tables in a terminal."""
 
 from __future__ import annotations
 
@@ -12,9 +12,10 @@ from typing import TYPE_CHECKING, Any
 
 from ptne_env._version import __version__
 from ptne_env.files import write_atomically
-from ptne_env.paper.claims import CHECKS, Claim
+from ptne_env.paper.claims import CLAIMS, Claim
+from ptne_env.paper.errata import ERRATA
 from ptne_env.paper.experiments import DEADLINE, GAIN, GAMMA, INITIAL_GAIN, S_END, Experiments
-from ptne_env.paper.figures import FIGURES, picture, save
+from ptne_env.paper.figures import FIGURES, draw
 from ptne_env.paper.page import render_page
 from ptne_env.paper.table import TableRow, table_one
 
@@ -22,6 +23,9 @@ if TYPE_CHECKING:
     from rich.table import Table
 
 RESULTS_FILE, PAGE_FILE = "results.json", "index.html"
+
+CHECKS = (*CLAIMS, *ERRATA)
+"""All measurements, in the order of the paper and of docs/errata.md."""
 
 _SETTINGS = {
     "deadline": DEADLINE,
@@ -35,15 +39,15 @@ _SETTINGS = {
 
 @dataclass(frozen=True)
 class Reproduction:
-    """What :func:`reproduce` found.
+    """Results of :func:`reproduce`.
 
     Attributes:
         table: the rows of Table 1.
         claims: every claim and erratum with its verdict.
-        figures: the files written, a PNG and an SVG per figure.
+        figures: the figure files, a PNG and an SVG per figure.
         results: the JSON file with all numbers.
-        page: the HTML file that shows it all.
-        seconds: how long it took.
+        page: the HTML page.
+        seconds: duration.
     """
 
     table: tuple[TableRow, ...]
@@ -54,7 +58,7 @@ class Reproduction:
     seconds: float
 
     def to_dict(self) -> dict[str, Any]:
-        """A JSON object without NaN or infinite numbers; the same code gives the same object."""
+        """A JSON object without NaN or infinite numbers, the same in every run."""
         return {
             "version": __version__,
             "settings": _SETTINGS,
@@ -68,8 +72,8 @@ def reproduce(out: Path, *, progress: Callable[[int, int, str], None] | None = N
     """Run every experiment of the paper and write its table, figures and claims to ``out``.
 
     Args:
-        out: directory for the figures (PNG and SVG), ``results.json`` and ``index.html``; made when it does not exist.
-        progress: called as ``progress(done, total, what)`` before each part and once more at the end.
+        out: directory for the figures (PNG and SVG), ``results.json`` and ``index.html``; created if missing.
+        progress: called as ``progress(done, total, part)`` before each part and at the end.
 
     Raises:
         ImportError: naming the extra to install when matplotlib or Jinja is missing.
@@ -81,10 +85,10 @@ def reproduce(out: Path, *, progress: Callable[[int, int, str], None] | None = N
     out.mkdir(parents=True, exist_ok=True)
     experiments, total, done = Experiments(), 1 + len(CHECKS) + len(FIGURES), 0
 
-    def announce(what: str) -> None:
+    def announce(part: str) -> None:
         nonlocal done
         if progress is not None:
-            progress(done, total, what)
+            progress(done, total, part)
         done += 1
 
     announce("Table 1")
@@ -97,8 +101,10 @@ def reproduce(out: Path, *, progress: Callable[[int, int, str], None] | None = N
     pictures: dict[str, bytes] = {}
     for spec in FIGURES:
         announce(f"Figure {spec.name}")
-        figures += save(spec, experiments, claims, out)
-        pictures[spec.name] = picture(spec, experiments, claims)
+        figures += [out / f"{spec.name}.png", out / f"{spec.name}.svg"]
+        write_atomically(figures[-2], draw(spec, experiments, "png"))
+        write_atomically(figures[-1], draw(spec, experiments, "svg"))
+        pictures[spec.name] = draw(spec, experiments, "page")
     announce("Done")
     results, page = out / RESULTS_FILE, out / PAGE_FILE
     write_atomically(page, render_page(table, claims, pictures, _SETTINGS, str(out)))
@@ -108,7 +114,7 @@ def reproduce(out: Path, *, progress: Callable[[int, int, str], None] | None = N
 
 
 def render(reproduction: Reproduction) -> tuple[Table, Table]:
-    """Two rich tables for a terminal: Table 1 with ours beside the paper's, and every claim with its verdict.
+    """Two rich tables for a terminal: Table 1 beside the paper's, and every claim with its verdict.
 
     Raises:
         ImportError: naming the extra to install when rich is missing.
@@ -121,7 +127,7 @@ def render(reproduction: Reproduction) -> tuple[Table, Table]:
     times = Table(title="Table 1: seconds until the strategies are within 0.5 % of the equilibrium")
     times.add_column("Algorithm")
     for heading in ("κ", "c [1/s]", "Paper [s]", "Ours [s]", "Error at the paper's time"):
-        times.add_column(Text(heading), justify="right")  # Text, because brackets are no markup
+        times.add_column(Text(heading), justify="right")  # Text, so that brackets are not markup
     for row in reproduction.table:
         ours = "never" if row.ours is None else f"{row.ours:.2f}"
         cells = (row.algorithm, f"{row.kappa:g}", f"{row.gain:g}", f"{row.paper:g}", ours, f"{row.at_paper_time:.2g}")
@@ -136,6 +142,5 @@ def render(reproduction: Reproduction) -> tuple[Table, Table]:
     verdicts.add_column("Measured", ratio=6)
     for claim in reproduction.claims:
         colour = "green" if claim.verdict == "holds" else "red"
-        # Text, because brackets in a finding are no markup.
         verdicts.add_row(Text(claim.name), Text(claim.verdict, style=colour), Text(claim.finding))
     return times, verdicts

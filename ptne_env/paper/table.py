@@ -1,4 +1,4 @@
-"""Table 1 of the paper, ours beside the paper's."""
+"""Table 1 of the paper: settling times, measured and printed."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ class TableRow:
         algorithm: its name.
         kappa: κ.
         gain: c in 1/s; 0 where there is no time gain.
-        paper: the paper's T in seconds.
-        ours: seconds until the relative error of the strategies stays within 0.5 %; ``None`` when it never does.
-        at_paper_time: relative error of the strategies at the paper's T.
+        paper: the paper's time in seconds.
+        ours: seconds until the relative error of the strategies stays within 0.5 %; ``None`` if it never does.
+        at_paper_time: relative error of the strategies at the paper's time.
     """
 
     algorithm: str
@@ -29,7 +29,7 @@ class TableRow:
 
 
 def table_one(experiments: Experiments) -> tuple[TableRow, ...]:
-    """The three rows of Table 1, on Example 1 and the 5-cycle (our choice; the paper's graph is not in our copy)."""
+    """The three rows of Table 1, on Example 1 and the 5-cycle (our choice; the paper's graph is not available)."""
     rows = [
         ("Gadjov–Pavel", 1.0, 0.0, 21.0, experiments.gadjov_pavel),
         ("Corollary 1", 10.0, 0.0, 13.0, experiments.corollary_one),

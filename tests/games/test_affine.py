@@ -23,7 +23,7 @@ def skew_part(game):
 
 
 @each_family
-def test_a_batch_is_its_games_drawn_one_by_one_bit_for_bit(family):
+def test_batch_of_games_equals_single_draws_bit_for_bit(family):
     games = family.draw(generators(range(40)))
     assert games.batch_size == 40
     x = np.random.default_rng(9).uniform(-9, 9, (games.dimension, 40))
@@ -39,7 +39,7 @@ def test_a_batch_is_its_games_drawn_one_by_one_bit_for_bit(family):
 
 
 @each_family
-def test_merged_batches_are_the_games_that_stayed_and_those_that_came(family):
+def test_merged_batch_replaces_the_masked_games(family):
     game = family.draw(generators(range(5)))
     merged = game.merged(family.draw(generators([10, 11])), np.array([False, True, False, False, True]))
     expected = family.draw(generators([0, 10, 2, 3, 11]))
@@ -49,7 +49,7 @@ def test_merged_batches_are_the_games_that_stayed_and_those_that_came(family):
     assert game.merged(game, np.ones(5, dtype=bool)) is game
 
 
-def test_boxes_of_single_games_merge_too():
+def test_boxes_of_single_games_merge():
     def games(low, count):
         return AffineGame(np.repeat(np.eye(2)[:, :, None], count, 2), np.ones((2, count)), low=low, high=9.0)
 
@@ -60,7 +60,7 @@ def test_boxes_of_single_games_merge_too():
 
 @pytest.mark.parametrize("other", [EnergyGame(), RandomAffine(players=3).representative])
 def test_other_games_do_not_merge(other):
-    with pytest.raises(TypeError, match="knows affine games of the same players alone"):
+    with pytest.raises(TypeError, match="needs affine games of the same players"):
         RandomAffine().representative.merged(other, np.array([True]))
     with pytest.raises(TypeError, match="with and without bounds"):
         RandomAffine().representative.merged(FAMILIES["in a box"].representative, np.array([True]))
@@ -69,7 +69,7 @@ def test_other_games_do_not_merge(other):
 @pytest.mark.parametrize("epsilon", [0.05, 1.0, 4.0])
 @pytest.mark.parametrize("asymmetry", [0.0, 0.5, 3.0])
 @pytest.mark.parametrize("action_dim", [1, 2])
-def test_the_dials_are_the_constants(epsilon, asymmetry, action_dim):
+def test_epsilon_spread_and_asymmetry_are_exact(epsilon, asymmetry, action_dim):
     family = RandomAffine(players=4, epsilon=epsilon, asymmetry=asymmetry, spread=1.5, action_dim=action_dim)
     games = family.draw(generators(range(30)))
     require_strong_monotonicity(games)
@@ -89,13 +89,13 @@ def test_equilibria_fill_the_range_and_own_blocks_are_hessians():
     assert not skew_part(games)[same].any()
 
 
-def test_boxed_equilibria_are_held_about_half_the_time():
+def test_bounds_hold_about_half_of_the_components():
     games = FAMILIES["in a box"].draw(generators(range(200)))
     assert np.abs(games.natural_residual(games.nash_equilibria)).max() < 1e-12
     assert 0.3 < games.held_at_equilibrium.mean() < 0.7
 
 
-def test_environment_draws_a_new_affine_game_in_every_episode():
+def test_every_episode_draws_an_affine_game():
     env = make_env("random-affine")
     env.reset(seed=0)
     first = env.nash_equilibrium
@@ -131,11 +131,11 @@ def test_best_response_of_a_flat_cost_needs_a_box():
         (lambda: RandomAffine(low=1.0, high=0.0), "low < high"),
     ],
 )
-def test_games_that_are_none_are_refused(build, message):
+def test_invalid_games_are_refused(build, message):
     with pytest.raises(ValueError, match=message):
         build()
 
 
-def test_a_singular_game_says_that_its_equilibrium_is_not_single():
+def test_singular_game_has_no_single_equilibrium():
     with pytest.raises(ArithmeticError, match="no single Nash equilibrium"):
         _ = AffineGame(np.ones((2, 2)), [1.0, 2.0]).nash_equilibria

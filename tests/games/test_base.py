@@ -8,7 +8,7 @@ GAMES = [EnergyGame(), NonQuadraticGame(), NonQuadraticGame("printed"), BlockGam
 
 
 @pytest.mark.parametrize("game", GAMES, ids=lambda game: type(game).__name__)
-def test_own_gradient_depends_on_the_own_estimate_alone(game):
+def test_own_gradient_depends_only_on_the_own_estimate(game):
     generator = np.random.default_rng(0)
     estimates = generator.uniform(-5, 5, (game.dimension, game.num_players, 3))
     gradients = game.own_gradients(estimates)
@@ -20,7 +20,7 @@ def test_own_gradient_depends_on_the_own_estimate_alone(game):
 
 
 @pytest.mark.parametrize("game", GAMES, ids=lambda game: type(game).__name__)
-def test_own_gradients_leave_the_estimates_alone(game):
+def test_own_gradients_do_not_change_the_estimates(game):
     estimates = np.random.default_rng(1).uniform(-5, 5, (game.dimension, game.num_players, 2))
     before = estimates.copy()
     game.own_gradients(estimates)
@@ -28,7 +28,7 @@ def test_own_gradients_leave_the_estimates_alone(game):
 
 
 @pytest.mark.parametrize("game", GAMES, ids=lambda game: type(game).__name__)
-def test_pseudo_gradient_is_the_own_gradients_at_a_shared_estimate(game):
+def test_pseudo_gradient_is_own_gradients_at_equal_estimates(game):
     x = np.random.default_rng(2).uniform(-5, 5, (game.dimension, 4))
     shared = np.repeat(x[:, None, :], game.num_players, axis=1)
     assert np.array_equal(game.pseudo_gradient(x), game.own_gradients(shared))
@@ -48,7 +48,7 @@ def test_equilibrium_without_closed_form_is_solved_numerically():
     assert game.nash_equilibrium == pytest.approx(np.linalg.solve(game.matrix, -game.offset), abs=1e-10)
 
 
-def test_no_player_can_gain_by_leaving_the_equilibrium_alone():
+def test_unilateral_deviations_from_the_equilibrium_cost_more():
     game = BlockGame()
     at_rest = game.costs(game.nash_equilibrium[:, None])[:, 0]
     generator = np.random.default_rng(5)
@@ -58,7 +58,7 @@ def test_no_player_can_gain_by_leaving_the_equilibrium_alone():
         assert game.costs(moved)[player].min() > at_rest[player]
 
 
-def test_regrets_of_unequal_dimensions_agree_with_the_definition():
+def test_regrets_with_unequal_dimensions_follow_the_definition():
     game = BlockGame()
     x = np.random.default_rng(6).uniform(-5, 5, (6, 2))
     regrets = game.regrets(x)
@@ -70,7 +70,7 @@ def test_regrets_of_unequal_dimensions_agree_with_the_definition():
     assert regrets.min() > 0
 
 
-def test_game_without_equilibrium_says_so():
+def test_game_without_equilibrium_is_an_error():
     with pytest.raises(ArithmeticError, match="no Nash equilibrium was found"):
         _ = CubicGame().nash_equilibrium
 
@@ -109,6 +109,6 @@ class Vanishing(Game):
         raise NoBestResponseError("no minimum")
 
 
-def test_a_zero_at_infinity_is_no_equilibrium():
+def test_zero_at_infinity_is_not_an_equilibrium():
     with pytest.raises(ArithmeticError):
         Vanishing().nash_equilibrium  # noqa: B018 - the property raises

@@ -55,7 +55,7 @@ def test_empty_or_misshapen_boxes_are_refused(low, high):
         BoxedEnergy(low, high)
 
 
-def test_one_side_is_enough_and_open_sides_are_infinite():
+def test_one_bound_is_enough_and_the_other_is_infinite():
     game = BoxedEnergy(low=5.0)
     assert game.has_bounds
     assert game.high.tolist() == [[np.inf]] * 5
@@ -75,13 +75,13 @@ def test_a_box_around_the_equilibrium_changes_nothing():
     assert np.array_equal(free.natural_residual(x), free.pseudo_gradient(x))
 
 
-def test_the_boxes_cannot_be_overwritten():
+def test_bounds_are_read_only():
     with pytest.raises(ValueError, match="read-only"):
         NetworkedCournot().low[0] = 1.0
 
 
 @pytest.mark.parametrize("name", BOXED)
-def test_strategies_stay_in_the_box_and_estimates_of_others_need_not(name):
+def test_only_strategies_are_projected_into_the_box(name):
     scenario = get_scenario(name, start="random")
     world = World(scenario)
     state, generator = begin(world, range(4)), np.random.default_rng(0)
@@ -117,7 +117,7 @@ def test_start_outside_the_box_is_projected():
     assert np.sum(env.estimates == 50.0) == 5 * 20 - 20
 
 
-def test_one_boxed_environment_agrees_with_many_bit_for_bit():
+def test_batch_in_a_box_equals_single_environments_bit_for_bit():
     scenario = get_scenario(
         "random-affine", game=FactorySpec.of("ptne_env.games:RandomAffine", low=-4.0, high=4.0), steps=50
     )
@@ -134,7 +134,7 @@ def test_one_boxed_environment_agrees_with_many_bit_for_bit():
 
 
 @pytest.mark.parametrize("name", BOXED)
-def test_static_law_reaches_the_boxed_equilibrium_at_the_rate_told(name):
+def test_static_law_reaches_a_boxed_equilibrium_at_the_certified_rate(name):
     certificate = theory.certify(get_scenario(name))
     assert not certificate.rate_is_exact
     assert certificate.digits_sampled is None
@@ -156,20 +156,20 @@ def test_static_law_reaches_the_boxed_equilibrium_at_the_rate_told(name):
     assert -slope == pytest.approx(certificate.rate, rel=0.05)
 
 
-def test_oracle_stays_ahead_of_the_law_in_a_box():
+def test_oracle_reaches_eleven_digits_in_a_box():
     results = ptne_env.evaluate(["static", "oracle"], list(BOXED), episodes=3)
     for name in BOXED:
         assert results.record(name, "oracle", "digits")["mean"] > 11
 
 
-def test_checks_of_a_boxed_game_stay_in_its_box():
+def test_check_samples_only_inside_the_box():
     report = check_game(NarrowLog())
     assert report.gradients_agree
     assert report.strictly_convex == report.radially_unbounded == (True, True)
     assert NarrowLog().nash_equilibrium == pytest.approx([0.05, 0.05], abs=0)
 
 
-def test_open_sides_are_sampled_for_growth():
+def test_growth_is_checked_in_unbounded_directions():
     class Falling(BlockGame):
         """The first player's cost falls forever along its first component."""
 
@@ -184,7 +184,7 @@ def test_open_sides_are_sampled_for_growth():
         assert check_game(game).radially_unbounded[0] == expected
 
 
-def test_theory_samples_a_boxed_game_within_its_box():
+def test_theory_samples_only_inside_the_box():
     constants = theory.monotonicity_constants(World(get_scenario("rate-control")).game, radius=100.0)
     assert 0.4 < constants.epsilon < constants.iota < 15
     assert constants.radius == 100.0

@@ -14,13 +14,13 @@ class ConcaveGame(EnergyGame):
         return super().own_gradients(estimates) * np.array([1, -1, 1, 1, 1])[:, None]
 
 
-def test_forgotten_term_of_a_gradient_is_caught():
+def test_missing_term_of_a_gradient_is_detected():
     report = check_game(ForgetfulEnergyGame())
     assert not report.gradients_agree
     assert report.gradient_error > 1e-3
 
 
-def test_wrong_sign_in_one_component_is_caught():
+def test_wrong_sign_in_one_component_is_detected():
     game = BlockGame()
     game.matrix = game.matrix.copy()
     right = game.own_gradients
@@ -28,20 +28,20 @@ def test_wrong_sign_in_one_component_is_caught():
     assert not check_game(game).gradients_agree
 
 
-def test_right_game_of_unequal_dimensions_passes():
+def test_correct_game_with_unequal_dimensions_passes():
     report = check_game(BlockGame())
     assert report.gradients_agree
     assert report.assumption_3_holds
 
 
-def test_concave_cost_is_named_by_player():
+def test_concave_cost_is_reported_for_its_player():
     report = check_game(ConcaveGame())
     assert report.gradients_agree
     assert report.strictly_convex == (True, False, True, True, True)
     assert report.radially_unbounded == (True, False, True, True, True)
 
 
-def test_cost_that_falls_forever_is_not_radially_unbounded():
+def test_unbounded_decrease_is_not_radial_growth():
     assert check_game(CubicGame()).radially_unbounded == (False, False)
 
 

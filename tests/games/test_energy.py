@@ -19,18 +19,18 @@ def energy_games(draw, most=6):
     return EnergyGame(curvature, target, coupling=draw(reals(0, 2)), base_price=draw(reals(-20, 20)))
 
 
-def test_equilibrium_is_the_one_printed_in_the_paper():
+def test_equilibrium_is_that_of_the_paper():
     assert EnergyGame().nash_equilibrium == pytest.approx([2.01465, 6.77656, 11.53846, 16.30037, 21.06227], abs=5e-6)
 
 
-def test_equilibrium_solves_the_first_order_conditions_written_out_by_hand():
+def test_equilibrium_solves_the_first_order_conditions():
     targets, coupling = np.array([10.0, 15.0, 20.0, 25.0, 30.0]), 0.1
     root = optimize.root(lambda x: 2 * (x - targets) + coupling * x.sum() + 10 + coupling * x, np.zeros(5), tol=1e-14).x
     assert EnergyGame().nash_equilibrium == pytest.approx(root, abs=1e-10)
 
 
 @given(energy_games())
-def test_equilibrium_of_any_energy_game_is_a_zero_found_independently(game):
+def test_equilibrium_agrees_with_an_independent_linear_solver(game):
     a, b, c, d = game.curvature[:, 0], game.target[:, 0], game.coupling, game.base_price
     players = a.size
     system = np.diag(2 * a + c) + c * np.ones((players, players))
@@ -66,7 +66,7 @@ def test_best_response_minimises_the_own_cost(game, seed):
         assert own_cost(response[player, 0]) <= found.fun + 1e-12 * (1 + abs(found.fun))
 
 
-def test_regrets_agree_with_a_brute_force_search():
+def test_regrets_agree_with_a_grid_search():
     game = EnergyGame()
     x = np.random.default_rng(4).uniform(-10, 30, (5, 3))
     regrets = game.regrets(x)
@@ -81,7 +81,7 @@ def test_regrets_agree_with_a_brute_force_search():
 
 
 @given(energy_games(), st.integers(0, 2**32 - 1))
-def test_regrets_are_positive_away_from_the_equilibrium_and_zero_at_it(game, seed):
+def test_regrets_are_zero_exactly_at_the_equilibrium(game, seed):
     x = np.random.default_rng(seed).uniform(-10, 10, (game.num_players, 4))
     assert game.regrets(x).min() >= -1e-9
     assert game.regrets(x).sum() > 0

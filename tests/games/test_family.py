@@ -19,7 +19,7 @@ def same_games(first, second):
     return all(np.array_equal(getattr(first, name), getattr(second, name)) for name in PARAMETERS)
 
 
-def test_draws_fill_their_ranges_and_no_more():
+def test_draws_fill_exactly_their_ranges():
     game = RandomEnergy(players=7).draw(generators(range(2000)))
     assert game.curvature.shape == game.target.shape == (7, 2000)
     assert game.coupling.shape == (2000,)
@@ -32,7 +32,7 @@ def test_draws_fill_their_ranges_and_no_more():
         assert values.mean() == pytest.approx((low + high) / 2, abs=2 * margin)
 
 
-def test_ranges_and_price_are_those_asked_for():
+def test_ranges_and_price_are_arguments():
     family = RandomEnergy(3, curvature=(4.0, 5.0), target=(-9.0, -8.0), coupling=(0.0, 0.01), base_price=-2.0)
     game = family.draw(generators(range(100)))
     assert game.num_players == 3
@@ -50,7 +50,7 @@ def test_parameters_of_a_game_are_drawn_independently():
 
 
 @pytest.mark.parametrize("players", [2, 5, 11])
-def test_a_game_depends_on_its_own_generator_and_not_on_the_size_of_the_batch(players):
+def test_game_depends_only_on_its_generator(players):
     family, batch = RandomEnergy(players), 6
     games = family.draw(generators(range(batch)))
     estimates = np.random.default_rng(0).uniform(-20, 20, (players, players, batch))
@@ -69,14 +69,14 @@ def test_a_game_depends_on_its_own_generator_and_not_on_the_size_of_the_batch(pl
             assert np.array_equal(getattr(alone, of)(strategies[:, b : b + 1].copy())[:, 0], together)
 
 
-def test_a_generator_goes_on_with_another_game():
+def test_second_draw_of_a_generator_is_another_game():
     family, generator = RandomEnergy(), np.random.default_rng(0)
     first, second = family.draw([generator]), family.draw([generator])
     assert not same_games(first, second)
     assert same_games(first, family.draw(generators([0])))
 
 
-def test_closed_form_is_the_root_of_every_game():
+def test_closed_form_equilibria_solve_the_conditions_of_each_game():
     games = RandomEnergy().draw(generators(range(40)))
     assert games.nash_equilibria.shape == (5, 40)
     for b in range(40):
@@ -90,12 +90,12 @@ def test_closed_form_is_the_root_of_every_game():
         assert games.equilibrium_scale[b] == pytest.approx(np.linalg.norm(root), rel=1e-12)
 
 
-def test_a_batch_of_games_has_no_single_equilibrium():
+def test_batch_of_games_has_no_single_equilibrium():
     with pytest.raises(ValueError, match="batch of 3 games has nash_equilibria"):
         _ = RandomEnergy().draw(generators(range(3))).nash_equilibrium
 
 
-def test_merged_replaces_the_games_in_the_mask_in_order_and_leaves_both_batches_alone():
+def test_merged_replaces_the_masked_games_in_a_copy():
     family = RandomEnergy()
     old, fresh = family.draw(generators(range(5))), family.draw(generators([10, 11]))
     kept = [getattr(game, name).copy() for game in (old, fresh) for name in PARAMETERS]
@@ -109,13 +109,13 @@ def test_merged_replaces_the_games_in_the_mask_in_order_and_leaves_both_batches_
     )
 
 
-def test_merging_keeps_the_price_and_refuses_another_kind_of_game():
+def test_merging_keeps_the_price_and_refuses_other_games():
     family = RandomEnergy(base_price=3.0)
     game = family.draw(generators(range(2)))
     mask = np.array([True, False])
     assert game.merged(family.draw(generators([9])), mask).base_price == 3.0
     for first, second in [(game, NonQuadraticGame()), (game, HiddenGame()), (HiddenGame(), game)]:
-        with pytest.raises(TypeError, match=r"knows energy games alone, got \w+ and \w+; a subclass defines its own"):
+        with pytest.raises(TypeError, match=r"needs energy games, got \w+ and \w+; a subclass defines its own"):
             first.merged(second, mask)
     single = NonQuadraticGame()
     assert single.merged(single, mask) is single
@@ -123,13 +123,13 @@ def test_merging_keeps_the_price_and_refuses_another_kind_of_game():
         single.merged(NonQuadraticGame(), mask)
 
 
-def test_single_game_is_drawn_without_drawing():
+def test_single_game_uses_no_random_numbers():
     game, generator = EnergyGame(), np.random.default_rng(0)
     assert SingleGame(game).draw([generator, generator]) is game
     assert generator.random() == np.random.default_rng(0).random()
 
 
-def test_every_draw_is_strongly_monotone_with_the_constant_of_its_own_parameters():
+def test_every_draw_is_strongly_monotone():
     family = RandomEnergy()
     game = family.draw(generators(range(500)))
     require_strong_monotonicity(game)
@@ -138,18 +138,18 @@ def test_every_draw_is_strongly_monotone_with_the_constant_of_its_own_parameters
     assert np.all(smallest >= (2 * game.curvature).min(axis=0) + game.coupling - 1e-12)
 
 
-def test_a_game_that_is_not_strongly_monotone_is_named():
+def test_game_that_is_not_strongly_monotone_is_named():
     game = TwistedGames(*(getattr(RandomEnergy().draw(generators(range(6))), name) for name in PARAMETERS))
     with pytest.raises(ValueError, match=r"game 4 of the batch is not strongly monotone: ε = -1\b"):
         require_strong_monotonicity(game)
 
 
-def test_a_game_that_is_not_affine_is_not_decided():
+def test_strong_monotonicity_needs_an_affine_game():
     with pytest.raises(ValueError, match="strong monotonicity of HiddenGame cannot be decided: F is not affine"):
         require_strong_monotonicity(HiddenGame())
 
 
-def test_a_drawn_game_that_is_not_strongly_monotone_is_refused_by_the_environment():
+def test_environment_refuses_a_draw_that_is_not_strongly_monotone():
     env = make_env("random-energy", game=FactorySpec.of("test_family:TwistedFamily"))
     with pytest.raises(ValueError, match="game 0 of the batch is not strongly monotone"):
         env.reset(seed=0)
@@ -193,7 +193,7 @@ class TwistedFamily(RandomEnergy):
         ({"base_price": float("nan")}, "finite parameters"),
     ],
 )
-def test_ranges_that_are_empty_or_admit_other_games_are_refused(arguments, message):
+def test_empty_ranges_and_invalid_games_are_refused(arguments, message):
     with pytest.raises(ValueError, match=message):
         RandomEnergy(**arguments)
 
@@ -225,7 +225,7 @@ def episodes(**fields):
 
 @pytest.mark.parametrize("topology", TOPOLOGIES)
 @pytest.mark.parametrize("start", STARTS)
-def test_games_do_not_depend_on_what_starts_and_graphs_draw(start, topology):
+def test_games_do_not_depend_on_draws_of_starts_and_graphs(start, topology):
     expected = episodes()
     found = episodes(start=STARTS[start], topology=TOPOLOGIES[topology])
     assert all(same_games(ours[0], theirs[0]) for ours, theirs in zip(found, expected, strict=True))
@@ -234,14 +234,14 @@ def test_games_do_not_depend_on_what_starts_and_graphs_draw(start, topology):
 
 @pytest.mark.parametrize("topology", TOPOLOGIES)
 @pytest.mark.parametrize("family", FAMILIES)
-def test_starts_do_not_depend_on_what_games_and_graphs_draw(family, topology):
+def test_starts_do_not_depend_on_draws_of_games_and_graphs(family, topology):
     expected = episodes()
     found = episodes(game=FAMILIES[family], topology=TOPOLOGIES[topology])
     assert all(np.array_equal(ours[1], theirs[1]) for ours, theirs in zip(found, expected, strict=True))
     assert same_games(found[0][0], expected[0][0]) == (family == "five players")
 
 
-def test_environment_plays_another_game_in_every_episode_and_the_same_ones_under_the_same_seed():
+def test_seed_determines_the_games_of_all_episodes():
     env = make_env("random-energy")
     with pytest.raises(RuntimeError, match=r"call reset\(\) first"):
         _ = env.nash_equilibrium
@@ -256,7 +256,7 @@ def test_environment_plays_another_game_in_every_episode_and_the_same_ones_under
     assert len({point.tobytes() for point in played[0]}) == 4
 
 
-def test_start_that_is_given_draws_a_game_all_the_same():
+def test_given_start_does_not_change_the_drawn_game():
     env, undisturbed = make_env("random-energy"), make_env("random-energy")
     for each in (env, undisturbed):
         each.reset(seed=0)

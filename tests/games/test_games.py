@@ -58,7 +58,7 @@ def deviations(game, point, player, count, seed):
 
 
 @each_game
-def test_own_gradients_are_the_derivatives_of_the_costs_and_costs_are_convex(game):
+def test_own_gradients_are_derivatives_of_convex_costs(game):
     report = check_game(game)
     assert report.gradient_error < 1e-9
     assert report.assumption_3_holds
@@ -78,7 +78,7 @@ def test_jacobian_is_the_derivative_of_the_pseudo_gradient(game):
 
 
 @each_game
-def test_own_gradient_depends_on_the_own_estimate_alone(game):
+def test_own_gradient_depends_only_on_the_own_estimate(game):
     generator = np.random.default_rng(1)
     estimates = generator.uniform(0, 2, (game.dimension, game.num_players, 2))
     gradients = game.own_gradients(estimates)
@@ -100,7 +100,7 @@ def test_equilibrium_solves_the_variational_inequality(game):
 
 
 @each_game
-def test_no_player_can_gain_by_leaving_the_equilibrium_alone(game):
+def test_unilateral_deviations_from_the_equilibrium_cost_more(game):
     at_rest = game.costs(game.nash_equilibria)[:, 0]
     for player in range(game.num_players):
         moved = deviations(game, game.nash_equilibria[:, 0], player, 300, seed=player)
@@ -110,7 +110,7 @@ def test_no_player_can_gain_by_leaving_the_equilibrium_alone(game):
 
 
 @each_game
-def test_best_response_is_in_the_box_and_no_sampled_strategy_does_better(game):
+def test_best_response_beats_sampled_strategies_in_the_box(game):
     points = sampled(game, 4, seed=3)
     response = game.best_response(points)
     assert np.array_equal(response, game.project(response))
@@ -124,7 +124,7 @@ def test_best_response_is_in_the_box_and_no_sampled_strategy_does_better(game):
 
 
 @each_game
-def test_regrets_are_zero_at_the_equilibrium_and_positive_elsewhere(game):
+def test_regrets_are_zero_only_at_the_equilibrium(game):
     assert np.abs(game.regrets(game.nash_equilibria)).max() < 1e-9
     regrets = game.regrets(sampled(game, 20, seed=4))
     assert regrets.min() > -1e-9
@@ -132,7 +132,7 @@ def test_regrets_are_zero_at_the_equilibrium_and_positive_elsewhere(game):
 
 
 @each_game
-def test_one_environment_agrees_with_many_bit_for_bit(game):
+def test_batch_equals_single_environments_bit_for_bit(game):
     points = sampled(game, 7, seed=5)
     estimates = np.random.default_rng(6).uniform(0, 2, (game.dimension, game.num_players, 7))
     for of in ("costs", "regrets", "best_response", "pseudo_gradient", "natural_residual", "jacobian"):
@@ -145,7 +145,7 @@ def test_one_environment_agrees_with_many_bit_for_bit(game):
 
 
 @each_game
-def test_gradients_leave_the_estimates_alone(game):
+def test_own_gradients_do_not_change_the_estimates(game):
     estimates = np.random.default_rng(7).uniform(0, 2, (game.dimension, game.num_players, 3))
     before = estimates.copy()
     game.own_gradients(estimates)
@@ -153,14 +153,14 @@ def test_gradients_leave_the_estimates_alone(game):
 
 
 @pytest.mark.parametrize("name", EPSILON)
-def test_monotonicity_constant_is_the_one_told(name):
+def test_monotonicity_constant_is_that_of_the_docstring(name):
     constants = theory.monotonicity_constants(GAMES[name])
     assert constants.exact
     assert constants.epsilon == pytest.approx(EPSILON[name], abs=1e-12)
 
 
 @pytest.mark.parametrize("name", BELOW)
-def test_monotonicity_constant_is_no_smaller_than_told(name):
+def test_monotonicity_constant_is_at_least_that_of_the_docstring(name):
     constants = theory.monotonicity_constants(GAMES[name])
     assert constants.exact == GAMES[name].is_affine
     assert constants.epsilon >= BELOW[name] - 1e-12
@@ -178,11 +178,11 @@ def test_pseudo_gradient_is_monotone_between_sampled_points(game):
 # --- what single games promise ----------------------------------------------------------------------------------------
 
 
-def test_equilibrium_of_ye_and_hu():
+def test_equilibrium_of_the_hvac_game_of_ye_and_hu():
     assert HVAC.nash_equilibrium == pytest.approx([41.535, 46.437, 51.339, 56.241, 61.143], abs=5e-4)
 
 
-def test_robots_come_to_rest_where_the_linear_system_says():
+def test_robots_equilibrium_solves_its_linear_system():
     game = ConnectivityControl()
     laplacian = np.diag(game.touch.sum(axis=1)) - game.touch
     places = np.linalg.solve(np.diag(game.pull) + laplacian, game.pull[:, None] * game.posts)
@@ -190,7 +190,7 @@ def test_robots_come_to_rest_where_the_linear_system_says():
     assert not np.array_equal(game.touch, game.touch.T)  # no potential game
 
 
-def test_robots_costs_are_distances():
+def test_robots_costs_are_weighted_squared_distances():
     game, x = ConnectivityControl(), np.random.default_rng(0).normal(size=(10, 1))
     at = x.reshape(5, 2)
     for i in range(5):
@@ -199,7 +199,7 @@ def test_robots_costs_are_distances():
         assert game.costs(x)[i, 0] == pytest.approx(cost, rel=1e-13)
 
 
-def test_cournot_prices_fall_with_what_all_firms_bring_to_the_market():
+def test_cournot_prices_fall_with_total_sales():
     links = ((0, 1), (1,), (0, 2), (1, 2), (0,))
     price, slope = np.array([14.0, 12.0, 10.0]), np.array([0.6, 0.5, 0.4])
     curvature, marginal = (0.6, 0.8, 0.5, 0.7, 0.9), (2.0, 3.0, 8.5, 4.0, 2.5)
@@ -219,14 +219,14 @@ def test_cournot_prices_fall_with_what_all_firms_bring_to_the_market():
         assert game.costs(x[:, None])[firm, 0] == pytest.approx(cost, rel=1e-12)
 
 
-def test_cournot_equilibrium_has_firms_at_capacity_and_a_delivery_that_does_not_pay():
+def test_cournot_equilibrium_has_components_at_both_bounds():
     game = NetworkedCournot()
     at, held = game.nash_equilibrium, game.held_at_equilibrium[:, 0]
     assert held.tolist() == [True, True, False, False, True, False, False, True]
     assert at[held] == pytest.approx([4.0, 4.0, 0.0, 4.0], abs=0)
 
 
-def test_charging_costs_are_wear_missing_energy_and_bill():
+def test_charging_costs_are_wear_plus_missing_energy_plus_bill():
     game, x = ElectricVehicleCharging(), np.random.default_rng(2).uniform(0, 2, 20)
     power, load = x.reshape(5, 4), np.array([8.0, 3.0, 1.0, 5.0])
     price = 0.3 * (load + power.sum(axis=0))
@@ -235,7 +235,7 @@ def test_charging_costs_are_wear_missing_energy_and_bill():
         assert game.costs(x[:, None])[i, 0] == pytest.approx(cost, rel=1e-13)
 
 
-def test_rates_meet_the_first_order_condition_of_every_free_user():
+def test_rates_satisfy_first_order_conditions_of_free_users():
     game = RateControl()
     x = game.nash_equilibrium
     routes, congestion = ((0,), (0, 1), (1, 2), (2,), (0, 2)), (0.4, 0.5, 0.3)
@@ -249,13 +249,13 @@ def test_rates_meet_the_first_order_condition_of_every_free_user():
             assert slope == pytest.approx(0, abs=1e-12)
 
 
-def test_rate_control_is_strongly_monotone_in_its_box_with_the_constant_told():
+def test_rate_control_is_strongly_monotone_in_its_box():
     assert theory.monotonicity_constants(RateControl()).epsilon >= 0.4
     with pytest.raises(ValueError, match="cannot be decided"):
         require_strong_monotonicity(RateControl())
 
 
-def test_oligopoly_splits_the_demand_like_a_current():
+def test_oligopoly_divides_demand_like_a_current():
     game = Oligopoly()
     x = np.random.default_rng(3).uniform(20, 60, 4)
     resistance, marginal = np.array([0.15, 0.30, 0.60, 1.0]), np.array([30.0, 30.0, 25.0, 20.0])
@@ -269,7 +269,7 @@ def test_oligopoly_splits_the_demand_like_a_current():
     assert game.sales(x[:, None]).sum() == pytest.approx(100)  # what one firm loses, the others gain
 
 
-def test_weakly_monotone_game_meets_assumption_3_and_fails_4():
+def test_weakly_monotone_game_satisfies_assumption_3_but_not_4():
     game = WeaklyMonotoneGame()
     jacobian = game.jacobian(np.zeros((5, 1)))[:, :, 0]
     assert np.linalg.eigvalsh(jacobian + jacobian.T)[:2] == pytest.approx([0.0, 4.0], abs=1e-14)

@@ -70,7 +70,7 @@ def test_jacobian_is_the_derivative_of_the_pseudo_gradient():
     assert game.jacobian(x[:, None])[:, :, 0] == pytest.approx(numerical, abs=1e-8)
 
 
-def test_best_response_and_regrets_are_refused_with_the_reason():
+def test_best_response_and_regrets_are_refused_with_a_reason():
     game, x = NonQuadraticGame(), np.zeros((5, 1))
     with pytest.raises(NoBestResponseError, match="J2 is unbounded below"):
         game.best_response(x)

@@ -1,27 +1,30 @@
 import pytest
 
+import ptne_env.paper.reproduction as module
 from ptne_env.paper import Experiments, reproduce
 
 
 @pytest.fixture(scope="session")
 def experiments():
-    """The paper's runs, integrated once for all tests."""
+    """The paper's runs, shared by all tests."""
     return Experiments()
 
 
 @pytest.fixture(scope="session")
-def reproduction(tmp_path_factory, build_once):
-    """One whole reproduction, and the calls of ``progress``."""
-    out = tmp_path_factory.mktemp("reproduction") / "deep" / "er"
+def reproduction(tmp_path_factory, build_once, experiments):
+    """A reproduction, and the reports of its progress."""
+    out = tmp_path_factory.mktemp("reproduction") / "new" / "folder"
 
     def build():
-        calls = []
-        return reproduce(out, progress=lambda *call: calls.append(call)), calls
+        reports = []
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(module, "Experiments", lambda: experiments)
+            return reproduce(out, progress=lambda *report: reports.append(report)), reports
 
     return build_once("reproduction", build)
 
 
 @pytest.fixture(scope="session")
 def claims(reproduction):
-    """Every claim by name."""
+    """All claims and errata by name."""
     return {claim.name: claim for claim in reproduction[0].claims}

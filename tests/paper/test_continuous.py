@@ -49,7 +49,7 @@ def test_switching_agrees_with_piecewise_exponentials(start, clock):
 
 
 def test_adaptive_law_agrees_with_an_integration_in_physical_time(start):
-    """The paper's equation as it stands, in t and with plain loops, up to t = 0.9 T."""
+    """The paper's equation in t, with plain loops, up to t = 0.9 T."""
     game, topology, gamma = EnergyGame(), paper_topology(0.1, "physical"), 0.1
     horizon = 0.9 * DEADLINE
     weights = [graph.adjacency for graph in topology.graphs]
@@ -88,7 +88,7 @@ def test_timeline_follows_the_transformation(transformation):
     assert (timeline.s[0], timeline.s[-1]) == (0.0, 4.0)
 
 
-def test_switches_in_t_end_before_the_deadline_and_go_on_after_it():
+def test_switches_in_t_before_and_after_the_deadline():
     topology = paper_topology(0.1, "physical")
     timeline = prescribed_timeline(topology, LAMBDA, GAIN, s_end=30.0, hold=0.25)
     first, hold = timeline.deadline_index, timeline.after_deadline()
@@ -105,10 +105,10 @@ def test_switches_in_t_end_before_the_deadline_and_go_on_after_it():
     assert hold.tau.size < timeline.tau.size
 
 
-def test_switches_in_s_go_on_for_ever():
+def test_switches_in_s_continue_up_to_s_end_and_after_the_deadline():
     timeline = prescribed_timeline(paper_topology(0.25, "transformed"), LAMBDA, GAIN, s_end=10.0, hold=0.05)
     modes = [segment.mode for segment in timeline.segments]
-    # 40 dwells to s = 10, and 0.05 s after T are another c·0.05 = 1 of s.
+    # 40 dwells up to s = 10; the 0.05 s after T are c·0.05 = 1 more of s.
     assert modes == [0, 1, 2, 3] * 11
     starts = np.array([segment.start for segment in timeline.segments[:40]])
     np.testing.assert_allclose(LAMBDA.from_effective_time(starts, GAIN), np.arange(40) * 0.25, atol=1e-9)
@@ -162,12 +162,12 @@ def test_distances_and_settling_time(start):
         (lambda x: prescribed_timeline(fixed(cycle(5)), LAMBDA, 1.0, samples=1), "samples"),
     ],
 )
-def test_timelines_refuse_bad_numbers(call, match):
+def test_timelines_refuse_invalid_numbers(call, match):
     with pytest.raises(ValueError, match=match):
         call(None)
 
 
-def test_simulations_refuse_what_does_not_fit(start):
+def test_simulations_refuse_invalid_arguments(start):
     topology = fixed(cycle(5))
     timeline = plain_timeline(topology, 1.0, samples=3)
     with pytest.raises(ValueError, match="shape"):
@@ -182,7 +182,7 @@ def test_simulations_refuse_what_does_not_fit(start):
         exact_static(EnergyGame(), topology, start.T[:4], timeline, kappa=1.0)
 
 
-def test_one_weighted_graph_counts_its_weights(start):
+def test_weight_of_a_link_acts_like_its_gain(start):
     weighted = type(cycle(5))(cycle(5).adjacency * 3.0)
     timeline = plain_timeline(fixed(weighted), 2.0, samples=5)
     by_weight = simulate(EnergyGame(), fixed(weighted), start, timeline, initial_gain=1.0)

@@ -7,8 +7,8 @@ import xml.etree.ElementTree as ET
 import pytest
 
 from ptne_env.paper import render, reproduce
-from ptne_env.paper.claims import CHECKS
-from ptne_env.paper.figures import FIGURES, save
+from ptne_env.paper.figures import FIGURES, draw
+from ptne_env.paper.reproduction import CHECKS
 
 NAMES = [
     "time-transformation",
@@ -26,12 +26,12 @@ NAMES = [
 ]
 
 
-def test_every_figure_is_written_twice(reproduction):
+def test_every_figure_is_written_as_png_and_svg(reproduction):
     result, _ = reproduction
     assert [spec.name for spec in FIGURES] == NAMES
     out = result.results.parent
     expected = sorted([f"{name}.{kind}" for name in NAMES for kind in ("png", "svg")] + ["index.html", "results.json"])
-    assert sorted(path.name for path in out.iterdir()) == expected  # and no temporary file is left
+    assert sorted(path.name for path in out.iterdir()) == expected  # no temporary file is left
     for path in result.figures:
         data = path.read_bytes()
         if path.suffix == ".png":
@@ -50,7 +50,7 @@ def test_captions_name_the_papers_figures():
         assert "Not in the paper" in spec.caption
 
 
-def test_results_file(reproduction):
+def test_results_file_holds_all_numbers(reproduction):
     result, _ = reproduction
 
     def refuse(constant):
@@ -68,15 +68,15 @@ def test_results_file(reproduction):
     assert {claim["verdict"] for claim in data["claims"]} == {"holds", "fails"}
 
 
-def test_progress_is_told(reproduction):
-    _, told = reproduction
+def test_progress_is_reported(reproduction):
+    _, reports = reproduction
     total = 1 + len(CHECKS) + len(FIGURES)
-    assert [done for done, _, _ in told] == list(range(total + 1))
-    assert {most for _, most, _ in told} == {total}
-    assert (told[0][2], told[-1][2]) == ("Table 1", "Done")
+    assert [done for done, _, _ in reports] == list(range(total + 1))
+    assert {most for _, most, _ in reports} == {total}
+    assert (reports[0][2], reports[-1][2]) == ("Table 1", "Done")
 
 
-def test_terminal_tables(reproduction):
+def test_terminal_tables_show_times_and_verdicts(reproduction):
     from rich.console import Console
 
     console = Console(width=140, record=True, file=io.StringIO())
@@ -87,16 +87,12 @@ def test_terminal_tables(reproduction):
         assert phrase in text
 
 
-def test_figures_are_the_same_in_every_run(tmp_path, experiments, claims):
-    first, second = tmp_path / "1", tmp_path / "2"
-    for out in (first, second):
-        out.mkdir()
-        save(FIGURES[1], experiments, list(claims.values()), out)
-    for kind in ("png", "svg"):
-        assert (first / f"graph.{kind}").read_bytes() == (second / f"graph.{kind}").read_bytes()
+@pytest.mark.parametrize("kind", ["png", "svg", "page"])
+def test_figures_are_the_same_in_every_run(experiments, kind):
+    assert draw(FIGURES[1], experiments, kind) == draw(FIGURES[1], experiments, kind)
 
 
-def test_a_file_is_no_directory(tmp_path):
+def test_existing_file_is_refused_as_directory(tmp_path):
     target = tmp_path / "file"
     target.write_text("kept")
     with pytest.raises(NotADirectoryError, match="name a directory"):
@@ -105,7 +101,7 @@ def test_a_file_is_no_directory(tmp_path):
 
 
 @pytest.mark.parametrize("missing", ["matplotlib", "rich"])
-def test_a_missing_extra_is_named(monkeypatch, tmp_path, experiments, reproduction, missing):
+def test_a_missing_extra_is_named(monkeypatch, experiments, reproduction, missing):
     real = builtins.__import__
 
     def without(name, *args, **kwargs):
@@ -115,7 +111,7 @@ def test_a_missing_extra_is_named(monkeypatch, tmp_path, experiments, reproducti
 
     monkeypatch.setattr(builtins, "__import__", without)
     calls = {
-        "matplotlib": lambda: save(FIGURES[0], experiments, [], tmp_path),
+        "matplotlib": lambda: draw(FIGURES[0], experiments, "png"),
         "rich": lambda: render(reproduction[0]),
     }
     with pytest.raises(ImportError, match=r'pip install "ptne-env\[bench\]"'):
