@@ -50,8 +50,8 @@ class Clipped(Channel):
     def transmit(
         self,
         messages: Messages,
-        memory: Memory | None,
-        randomness: LinkRandomness,  # noqa: ARG002 - this channel draws nothing
+        memory: Memory | None,  # noqa: ARG002 - this channel has no memory
+        randomness: LinkRandomness,  # noqa: ARG002 - and draws nothing
     ) -> tuple[Messages, Memory]:
         """The clipped messages."""
         return replace(messages, values=np.clip(messages.values, -self.bound, self.bound)), ()
