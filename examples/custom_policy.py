@@ -38,11 +38,11 @@ class EvenPace:
         deterministic: bool = False,  # noqa: ARG002, FBT001, FBT002 - Stable-Baselines3's signature
     ) -> tuple[np.ndarray, object]:
         """Actions for one observation per row."""
-        reading = self.layout.read(observation)
-        degree = np.maximum(reading.weights.sum(axis=1, keepdims=True), 1.0)
-        pull = np.einsum("rd,rdn->rn", reading.weights, reading.relative_estimates) / degree
-        move = self.consensus * pull - self.gradient * reading.gradient
-        return self.layout.write(move / np.maximum(reading.theta, 1e-9), reading), state
+        parsed = self.layout.read(observation)
+        degree = np.maximum(parsed.weights.sum(axis=1, keepdims=True), 1.0)
+        pull = np.einsum("rd,rdn->rn", parsed.weights, parsed.relative_estimates) / degree
+        move = self.consensus * pull - self.gradient * parsed.gradient
+        return self.layout.write(move / np.maximum(parsed.theta, 1e-9), parsed), state
 
 
 def make(layout: ObservationLayout) -> EvenPace:

@@ -68,9 +68,9 @@ class HeavyBall(laws.Law):
     def _initial_memory(self, rows: int) -> np.ndarray:
         return np.zeros((rows, self.layout.dimension))
 
-    def _inputs(self, reading: Observation, memory: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        pull = np.einsum("rd,rdn->rn", reading.weights, reading.relative_estimates)
-        memory = self.inertia * memory + (1 - self.inertia) * (self.kappa * pull - reading.gradient)
+    def _inputs(self, observation: Observation, memory: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        pull = np.einsum("rd,rdn->rn", observation.weights, observation.relative_estimates)
+        memory = self.inertia * memory + (1 - self.inertia) * (self.kappa * pull - observation.gradient)
         return memory, memory
 
 
