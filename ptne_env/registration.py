@@ -1,6 +1,6 @@
 """Registration: ``pettingzoo.make("parallel", "ptne/energy-v0")``, ``gymnasium.make("ptne/energy-joint-v0")``.
 
-What is registered is where an environment is to be found; it is imported when somebody makes one.
+The registries hold entry points: an environment is imported when it is made.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What is being optimised? Named reward terms; the reward is their weighted sum.
+"""Reward terms by name; the reward is their weighted sum.
 
 ========== =====================================================================================================
 term       value for player i at step k
@@ -10,10 +10,10 @@ regret     −(J_i(x) − min over y of J_i(y, x_{-i})) after the step; over pla
            gap. Only for games whose best response exists everywhere.
 ========== =====================================================================================================
 
-The rewards know x*. That is training's privilege: no observation does.
+Rewards use x*, which no observation shows: a privilege of training.
 
-A diverged environment is charged, for the step and all that remain, the reward at the range limit, which no state in
-range undercuts, so that crashing never pays.
+A diverged environment receives, for the step and all remaining steps, the reward at the range limit. No state in range
+has a lower reward, so divergence never pays.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ def parse_reward(reward: str | Mapping[str, float]) -> dict[str, float]:
     """A reward's weights by term; a bare name means weight 1.
 
     Raises:
-        ValueError: for an unknown term, no term, or a weight that is negative (a crash would pay) or not finite.
+        ValueError: for an unknown term, no term, or a weight that is negative (divergence would pay) or not finite.
     """
     weights = {reward: 1.0} if isinstance(reward, str) else dict(reward)
     unknown = sorted(set(weights) - set(TERMS))
@@ -49,7 +49,7 @@ def parse_reward(reward: str | Mapping[str, float]) -> dict[str, float]:
 
 
 class Reward:
-    """The reward of one world; remembers the distances of the previous instant.
+    """The reward of one world, with a memory of the distances at the previous instant.
 
     Args:
         world: the world.
@@ -74,7 +74,7 @@ class Reward:
         self._digits = np.empty((0, 0))
 
     def reset(self, state: State) -> None:
-        """Start from ``state``; environments that go on keep what they have."""
+        """Measure the distances of ``state``, from which the next step is rewarded."""
         self._measure(state)
 
     def step(self, state: State) -> dict[str, FloatArray]:

@@ -1,4 +1,4 @@
-"""How PettingZoo, Gymnasium and Stable-Baselines3 talk to the world: adapters without physics."""
+"""Adapters, without physics, to PettingZoo, Gymnasium and Stable-Baselines3."""
 
 from ptne_env.envs.parallel import NashSeekingEnv as NashSeekingEnv
 from ptne_env.envs.parallel import parallel_env as parallel_env

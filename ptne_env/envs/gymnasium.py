@@ -42,7 +42,7 @@ class JointEnv(gymnasium.Env[Float32Array, Float32Array]):
     the end, ``is_success``.
 
     Attributes:
-        parallel: the environment behind it.
+        parallel: the wrapped environment.
     """
 
     metadata: dict[str, Any] = {  # noqa: RUF012 - Gymnasium declares it so
@@ -61,7 +61,7 @@ class JointEnv(gymnasium.Env[Float32Array, Float32Array]):
 
     @property
     def layout(self) -> ObservationLayout:
-        """What each player's part of observations and actions means."""
+        """The layout of each player's part of observations and actions."""
         return self.parallel.layout
 
     def reset(
@@ -73,7 +73,7 @@ class JointEnv(gymnasium.Env[Float32Array, Float32Array]):
         return np.concatenate(list(observations.values())), {}
 
     def step(self, action: Float32Array) -> tuple[Float32Array, float, bool, bool, dict[str, Any]]:
-        """Hold everybody's inputs for one step.
+        """Hold all players' inputs for one step.
 
         Raises:
             RuntimeError: before the first reset and after the end of an episode.
@@ -120,14 +120,14 @@ class JointVectorEnv(gymnasium.vector.VectorEnv[Float32Array, Float32Array, npt.
         scenario: a name of the catalogue or a scenario.
         num_envs: B.
         autoreset_mode: when an environment that ended starts again: in the ``NEXT_STEP`` (default), in the
-            ``SAME_STEP`` (the last observation and info are in ``final_obs`` and ``final_info``), or when told to by
+            ``SAME_STEP`` (the last observation and info are in ``final_obs`` and ``final_info``), or on
             ``reset(options={"reset_mask": mask})`` (``DISABLED``).
         render_mode: ``None``; a vector of environments does not render.
         **arguments: of :class:`~ptne_env.envs.vector.VectorParallelEnv`: interface, action_mode, action_scale, reward,
             max_cycles and fields of the scenario.
 
     Attributes:
-        vector: the environments behind it.
+        vector: the wrapped environments.
     """
 
     def __init__(
@@ -155,7 +155,7 @@ class JointVectorEnv(gymnasium.vector.VectorEnv[Float32Array, Float32Array, npt.
 
     @property
     def layout(self) -> ObservationLayout:
-        """What each player's part of observations and actions means."""
+        """The layout of each player's part of observations and actions."""
         return self.vector.layout
 
     def reset(

@@ -1,4 +1,4 @@
-"""The fast path: B environments of N players in one call, arrays in and out."""
+"""The vector environment: B environments of N players in one call, arrays in and out."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ from ptne_env.scenario import Scenario
 from ptne_env.world import RANGE_LIMIT, World
 
 BLOCK_SIZE = 2048
-"""Environments that are stepped at a time, at most: more bring nothing once a block costs more than its calls."""
+"""Largest number of environments in a block; beyond it the calls of a block cost little compared with its arithmetic."""
 
 BLOCK_ENTRIES = 300_000
-"""Entries of the observations of a block, at most: its arrays fit into a core's cache, which more would not."""
+"""Largest number of observed entries in a block, so that its arrays fit into a core's cache."""
 
 
 class VectorStep(NamedTuple):
@@ -46,8 +46,7 @@ class VectorStep(NamedTuple):
 class VectorParallelEnv:
     """B environments × N players; the arguments are those of :func:`ptne_env.parallel_env`.
 
-    Nothing is reset by itself: an environment that is over is started again with ``reset(mask=...)`` before the next
-    step. Each environment equals a :class:`~ptne_env.NashSeekingEnv` of the same seed, bit for bit.
+    No environment resets itself: one that is over starts again with ``reset(mask=...)`` before the next step. Each environment equals a :class:`~ptne_env.NashSeekingEnv` of the same seed, bit for bit.
 
     Args:
         scenario: a name of the catalogue or a scenario.

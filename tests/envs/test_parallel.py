@@ -6,7 +6,7 @@ import pytest
 from worlds import BLOCKS, PAPER_START, constant_actions, make_env, play, while_running
 
 import ptne_env
-from ptne_env import CATALOGUE, get_scenario, laws
+from ptne_env import CATALOGUE, dynamics, get_scenario, laws
 
 INTERFACES = [
     {"interface": interface, "action_mode": mode} for interface in ("physical", "local") for mode in ("input", "gains")
@@ -548,3 +548,61 @@ def test_start_whose_gradients_are_out_of_range_is_refused():
     with pytest.raises(ValueError, match="start closer"):
         env.reset(options={"estimates": np.full((5, 5), 200.0)})
     np.testing.assert_array_equal(env.estimates, before)
+
+
+# --- state ------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", ["energy-switching", "random-energy-switching"])
+def test_setting_a_state_continues_the_episode_from_it(name):
+    env = ptne_env.parallel_env(name)
+    env.reset(seed=1)
+    law = laws.Static(env.layout)
+
+    def advance(steps):
+        seen = []
+        for _ in range(steps):
+            actions = law.predict(env._simulation.observe()[0])[0]
+            observations, rewards, *_ = env.step(dict(zip(env.agents, actions, strict=True)))
+            seen.append((np.stack(list(observations.values())).tobytes(), tuple(rewards.values())))
+        return seen
+
+    advance(30)
+    saved = env.get_state()
+    first = advance(5)
+    assert env.get_state().step[0] == 35
+    env.set_state(saved)
+    assert advance(5) == first
+
+
+def test_setting_a_state_revives_the_agents_and_a_final_state_ends_the_episode():
+    env = ptne_env.parallel_env("energy", steps=3)
+    env.reset(seed=1)
+    first = env.get_state()
+    while env.agents:
+        env.step({agent: np.zeros(5, dtype=np.float32) for agent in env.agents})
+    last = env.get_state()
+    env.set_state(first)
+    assert env.agents == env.possible_agents
+    env.set_state(last)
+    assert env.agents == []
+
+
+def test_planning_on_a_state_leaves_the_environment_alone():
+    env = ptne_env.parallel_env("energy")
+    env.reset(seed=1)
+    state, estimates = env.get_state(), env.estimates
+    for _ in range(3):
+        state = dynamics.step(env.world, state, np.ones_like(state.estimates))
+    assert np.array_equal(env.estimates, estimates)
+    assert env.get_state().step[0] == 0
+
+
+def test_a_state_of_another_size_is_refused_and_the_state_stays():
+    env, other = ptne_env.parallel_env("energy"), ptne_env.parallel_env("robots")
+    env.reset(seed=1)
+    other.reset(seed=1)
+    before = env.get_state()
+    with pytest.raises(ValueError, match=r"estimates of shape \(5, 5, 1\), got \(10, 5, 1\)"):
+        env.set_state(other.get_state())
+    assert env.get_state() is before
