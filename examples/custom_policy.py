@@ -7,14 +7,10 @@ Run it with: python examples/custom_policy.py
 or, for the whole benchmark, from the folder of this file: ptne compare --suite ptne-v1 --policy custom_policy:make
 """
 
-from pathlib import Path
-from tempfile import TemporaryDirectory
-
 import numpy as np
 
 from ptne_env import ObservationLayout
-from ptne_env.experiments.benchmark import run_suite
-from ptne_env.experiments.leaderboard import leaderboard
+from ptne_env.experiments import run_suite
 
 TRACKS = ("nominal", "switching-transformed", "noise", "coarse-step", "short-deadline")
 
@@ -52,13 +48,13 @@ def make(layout: ObservationLayout) -> EvenPace:
 
 def main() -> None:
     """Run a small part of the benchmark and print the row of the policy beside the others."""
-    with TemporaryDirectory() as folder:
-        policies = ["custom_policy:make", "grounded", "static-tuned"]
-        board = leaderboard(run_suite("ptne-v1", policies, Path(folder), tracks=TRACKS, episodes=20))
+    results = run_suite("ptne-v1", ["custom_policy:make", "grounded", "static-tuned"], tracks=TRACKS, episodes=20)
+    board = results.leaderboard
     print(f"{'digits (rank)':20}" + "".join(f"{track:>23}" for track in TRACKS) + f"{'score':>7}")
     for row in board.overall:
-        cells = (board.row(track, row.policy) for track in TRACKS)
-        texts = (f"{cell.metrics['digits'].mean:.2f} ({cell.rank or 'oracle'})" for cell in cells)
+        digits = (results.summary(track, row.policy, "digits").mean for track in TRACKS)
+        ranks = (board.row(track, row.policy).rank or "oracle" for track in TRACKS)
+        texts = (f"{number:.2f} ({rank})" for number, rank in zip(digits, ranks, strict=True))
         print(f"{row.policy:20}" + "".join(f"{text:>23}" for text in texts) + f"{row.score.mean:7.2f}")
 
 

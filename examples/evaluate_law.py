@@ -46,7 +46,7 @@ def main() -> None:
     for record in results.records:
         if record["metric"] == "digits":
             interval = f"[{record['low']:.2f}, {record['high']:.2f}]"
-            print(f"{record['scenario']:30} {record['policy']:15} {record['mean']:.2f} digits {interval}")
+            print(f"{record['track']:30} {record['policy']:15} {record['mean']:.2f} digits {interval}")
 
 
 if __name__ == "__main__":

@@ -6,13 +6,8 @@ the tuned static law while the others keep the paper's gains; 50 episodes each.
 Run it with: python examples/mixed_team.py
 """
 
-from pathlib import Path
-from tempfile import TemporaryDirectory
-
 from ptne_env import FactorySpec, get_scenario
-from ptne_env.experiments.benchmark import run_suite
-from ptne_env.experiments.leaderboard import leaderboard
-from ptne_env.experiments.suite import Suite, Teammates, Track
+from ptne_env.experiments import Suite, Teammates, Track, run_suite
 
 PAPER = FactorySpec.of("ptne_env.laws:Static", kappa=2.0)
 POLICY = "static-tuned"
@@ -30,18 +25,16 @@ def teams() -> Suite:
         )
         for number in range(1, 6)
     )
-    return Suite("teams", 1, tracks, episodes=50)
+    return Suite("teams-v1", tracks, episodes=50)
 
 
 def main() -> None:
     """Run the policy in every team; the reference policy "static" is the paper's law in all of them."""
-    with TemporaryDirectory() as folder:
-        board = leaderboard(run_suite(teams(), [POLICY], Path(folder)))
-    without = board.row("5 of 5", "static")
-    rows = {"0 of 5": without, **{track.name: board.row(track.name, POLICY) for track in board.run.tracks}}
-    for name, row in rows.items():
-        digits = row.metrics["digits"]
-        print(f"{name} follow {POLICY}: {digits.mean:.2f} digits [{digits.low:.2f}, {digits.high:.2f}]")
+    results = run_suite(teams(), [POLICY])
+    digits = {"0 of 5": results.summary("5 of 5", "static", "digits")}
+    digits |= {track.name: results.summary(track.name, POLICY, "digits") for track in results.tracks}
+    for name, found in digits.items():
+        print(f"{name} follow {POLICY}: {found.mean:.2f} digits [{found.low:.2f}, {found.high:.2f}]")
 
 
 if __name__ == "__main__":

@@ -16,10 +16,7 @@ from joblib import cpu_count
 
 import ptne_env
 from ptne_env import FactorySpec, get_scenario
-from ptne_env.experiments.benchmark import run_suite
-from ptne_env.experiments.leaderboard import leaderboard
-from ptne_env.experiments.suite import Suite, Track
-from ptne_env.experiments.workers import Workers
+from ptne_env.experiments import Suite, Track, Workers, run_suite
 
 GAINS = (1.0, 2.0, 4.0, 8.0)
 STEPS = (100, 200, 400)
@@ -32,10 +29,10 @@ def sweep(folder: Path) -> dict[tuple[int, float], float]:
     policies = [
         ptne_env.PolicySpec(f"κ={gain:g}", FactorySpec.of("ptne_env.laws:Static", kappa=gain)) for gain in GAINS
     ]
-    run = run_suite(Suite("gain-steps", 1, tuple(tracks), episodes=20), policies, folder, workers=Workers(-1))
-    board = leaderboard(run)
+    suite = Suite("gain-steps-v1", tuple(tracks), episodes=20)
+    results = run_suite(suite, policies, folder=folder, workers=Workers(-1))
     points = [(steps, gain) for steps in STEPS for gain in GAINS]
-    return {(k, gain): board.row(f"K={k}", f"κ={gain:g}").metrics["digits"].mean for k, gain in points}
+    return {(k, gain): results.record(f"K={k}", f"κ={gain:g}", "digits")["mean"] for k, gain in points}
 
 
 def main() -> None:
