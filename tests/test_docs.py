@@ -368,10 +368,11 @@ def test_paper_map_has_every_equation_theorem_and_figure_of_the_paper():
     ] == []
 
 
-def test_architecture_names_every_module():
+def test_architecture_names_every_module_and_package():
     text = text_of(ROOT / "docs" / "architecture.md")
-    modules = {path.name for path in PACKAGE.rglob("*.py")} - {"__init__.py", "_version.py"}
-    assert sorted(name for name in modules if name not in text) == []
+    modules = [path.name for path in PACKAGE.glob("[!_]*.py")]
+    packages = [f"{path.parent.name}/" for path in PACKAGE.glob("*/__init__.py")]
+    assert [name for name in modules + packages if f"`{name}" not in text] == []
 
 
 # --- tables -----------------------------------------------------------------------------------------------------------
