@@ -167,45 +167,53 @@ def perfect() -> Channel:
     return Chain()
 
 
-class AdditiveNoise(Channel):
+class _Noise(Channel):
+    """Normal noise on each message."""
+
+    def __init__(self, std: float) -> None:
+        self.std = require_non_negative("std", std)
+
+    def transmit(
+        self, messages: Messages, memory: Memory | None, randomness: LinkRandomness
+    ) -> tuple[Messages, Memory]:
+        """Messages plus noise."""
+        noise = randomness.normals()
+        noise *= self.std
+        self._scale(noise, messages)
+        noise += messages.values
+        return replace(messages, values=noise), ()
+
+    @abstractmethod
+    def _scale(self, noise: FloatArray, messages: Messages) -> None:
+        """Scale the noise, in place."""
+
+
+class AdditiveNoise(_Noise):
     """Noise on each message: y = v + σ ξ, ξ per component.
 
     Args:
         std: σ ≥ 0, in the units of the strategies.
+
+    Raises:
+        ValueError: when σ is negative or not finite.
     """
 
-    def __init__(self, std: float) -> None:
-        self.std = require_non_negative("std", std)
-
-    def transmit(
-        self, messages: Messages, memory: Memory | None, randomness: LinkRandomness
-    ) -> tuple[Messages, Memory]:
-        """Messages plus noise."""
-        noise = randomness.normals()
-        noise *= self.std
-        noise += messages.values
-        return replace(messages, values=noise), ()
+    def _scale(self, noise: FloatArray, messages: Messages) -> None:
+        """No scaling."""
 
 
-class MultiplicativeNoise(Channel):
+class MultiplicativeNoise(_Noise):
     """Noise in proportion to the relative measurement: y − x^i = (v − x^i)(1 + σ ξ), ξ per component.
 
     Args:
         std: σ ≥ 0, without a unit.
+
+    Raises:
+        ValueError: when σ is negative or not finite.
     """
 
-    def __init__(self, std: float) -> None:
-        self.std = require_non_negative("std", std)
-
-    def transmit(
-        self, messages: Messages, memory: Memory | None, randomness: LinkRandomness
-    ) -> tuple[Messages, Memory]:
-        """Messages plus noise."""
-        noise = randomness.normals()
-        noise *= self.std
+    def _scale(self, noise: FloatArray, messages: Messages) -> None:
         noise *= messages.values - messages.own
-        noise += messages.values
-        return replace(messages, values=noise), ()
 
 
 class Delay(Channel):

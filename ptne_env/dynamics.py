@@ -44,6 +44,7 @@ class State(NamedTuple):
         estimates: x^i in column i, shape (n, N, B); the diagonal blocks are the strategies.
         own_gradients: ∂J_i/∂x_i(x^i), blocks stacked, shape (n, B).
         diverged: whether the environment has left the range; it stays where it is from then on. Shape (B,).
+        any_diverged: whether any environment has.
         randomness: draws of the episodes besides game and start; ``None`` where a scenario draws nothing else.
         received: messages that came through the channel; ``None`` where it is perfect.
     """
@@ -53,6 +54,7 @@ class State(NamedTuple):
     estimates: FloatArray
     own_gradients: FloatArray
     diverged: BoolArray
+    any_diverged: bool = False
     randomness: EpisodeRandomness | None = None
     received: Received | None = None
 
@@ -122,7 +124,7 @@ def step(world: World, state: State, inputs: FloatArray) -> State:
         inputs: u_k, held for the step, finite, shape (n, N, B).
     """
     theta = world.theta[..., shared_step(state)]
-    if any_diverged(state):
+    if state.any_diverged:
         theta = np.where(state.diverged, 0.0, theta)
     estimates = theta * inputs
     estimates += state.estimates
@@ -131,7 +133,14 @@ def step(world: World, state: State, inputs: FloatArray) -> State:
     _project_strategies(estimates, state.game)
     memory = None if state.received is None else state.received.memory
     return _complete(
-        world, estimates, state.game, world.next_step[state.step], state.diverged, state.randomness, memory
+        world,
+        estimates,
+        state.game,
+        world.next_step[state.step],
+        state.diverged,
+        state.randomness,
+        memory,
+        any_diverged=state.any_diverged,
     )
 
 
@@ -141,7 +150,7 @@ def merge(state: State, fresh: State, mask: BoolArray) -> State:
     def merged(old: Array, new: Array) -> Array:
         return replaced(old, new, mask)
 
-    received, randomness = state.received, state.randomness
+    diverged, received, randomness = merged(state.diverged, fresh.diverged), state.received, state.randomness
     if received is not None and fresh.received is not None:
         received = Received(*channels.merged(received, fresh.received, mask))
     if randomness is not None and fresh.randomness is not None:
@@ -151,7 +160,8 @@ def merge(state: State, fresh: State, mask: BoolArray) -> State:
         state.game.merged(fresh.game, mask),
         merged(state.estimates, fresh.estimates),
         merged(state.own_gradients, fresh.own_gradients),
-        merged(state.diverged, fresh.diverged),
+        diverged,
+        bool(diverged.any()),
         randomness,
         received,
     )
@@ -169,15 +179,10 @@ def shared_step(state: State) -> IntArray:
     return steps[:1] if in_lockstep else steps
 
 
-def any_diverged(state: State) -> bool:
-    """Whether any environment has left the range."""
-    return bool(np.count_nonzero(state.diverged))
-
-
 def is_over(world: World, state: State) -> BoolArray:
     """Whether each environment has reached its end or diverged, shape (B,)."""
     finished = world.is_last_step[state.step]
-    return finished | state.diverged if any_diverged(state) else finished
+    return finished | state.diverged if state.any_diverged else finished
 
 
 def strategies(world: World, state: State) -> FloatArray:
@@ -268,6 +273,8 @@ def _complete(
     diverged: BoolArray,
     randomness: EpisodeRandomness | None = None,
     memory: Memory | None = None,
+    *,
+    any_diverged: bool = False,
 ) -> State:
     """The state with these estimates: own gradients, divergence and received messages follow from them."""
     if game.is_affine:
@@ -278,9 +285,10 @@ def _complete(
     if not (_in_range(estimates) and _in_range(gradients)):
         farthest = np.maximum(np.abs(estimates).max(axis=(0, 1)), np.abs(gradients).max(axis=0))
         diverged = diverged | ~(farthest <= RANGE_LIMIT)
+        any_diverged = bool(diverged.any())
         estimates = np.clip(np.nan_to_num(estimates, nan=RANGE_LIMIT), -RANGE_LIMIT, RANGE_LIMIT)
         gradients = np.clip(np.nan_to_num(gradients, nan=RANGE_LIMIT), -RANGE_LIMIT, RANGE_LIMIT)
-    state = State(step, game, estimates, gradients, diverged, randomness)
+    state = State(step, game, estimates, gradients, diverged, any_diverged, randomness)
     return state if world.channel.is_perfect else state._replace(received=_transmit(world, state, memory))
 
 

@@ -56,12 +56,13 @@ class _Workspace:
 
     Attributes:
         fields: views of each slice, environments last; ``everything`` is (B, N size).
-        scratch: float64 memory for some neighbour slots, shape (slots, n, N, B).
+        relative: some neighbour slots at a time: the slots, their part of the fields, and a float64 scratch of that
+            shape (slots, n, N, B), which all of them share.
         step: of the clock that stands in the fields, where all environments share one.
     """
 
     fields: dict[str, Float32Array]
-    scratch: FloatArray
+    relative: list[tuple[slice, Float32Array, FloatArray]]
     step: int | None = None
 
 
@@ -127,9 +128,9 @@ class Encoder(ABC):
         batch, world = dynamics.batch_size(state), self.world
         workspace = self._workspaces.get(batch) or self._prepare(batch)
         fields, steps = workspace.fields, dynamics.shared_step(state)
-        link_weights = dynamics.weights(world, state)
+        link_weights = None if world.has_constant_weights else dynamics.weights(world, state)
         self._write_differences(workspace, state, link_weights)
-        if not world.has_constant_weights:
+        if link_weights is not None:
             fields["weights"][...] = link_weights
         step = steps.item() if steps.size == 1 else None
         if step is None or step != workspace.step:  # blocks of a vector environment are often in lockstep
@@ -180,7 +181,7 @@ class Encoder(ABC):
         return self.inputs(self.clip(actions).actions, state)
 
     @abstractmethod
-    def _write_differences(self, workspace: _Workspace, state: State, link_weights: FloatArray) -> None:
+    def _write_differences(self, workspace: _Workspace, state: State, link_weights: FloatArray | None) -> None:
         """Write own gradients, relative estimates and the slices that only this kind of interface has."""
 
     @abstractmethod
@@ -235,23 +236,23 @@ class Encoder(ABC):
             fields["weights"][...] = world.mode_weights
         while len(self._workspaces) >= _WORKSPACES:
             self._workspaces.pop(next(iter(self._workspaces)))
-        some_slots = max(1, min(slots, _SCRATCH_ENTRIES // (n * players * batch)))
-        self._workspaces[batch] = workspace = _Workspace(fields, np.empty((some_slots, n, players, batch)))
+        at_once = max(1, min(slots, _SCRATCH_ENTRIES // (n * players * batch)))
+        scratch = np.empty((at_once, n, players, batch))
+        parts = [slice(first, min(first + at_once, slots)) for first in range(0, slots, at_once)]
+        relative = [(part, fields["relative_estimates"][part], scratch[: part.stop - part.start]) for part in parts]
+        self._workspaces[batch] = workspace = _Workspace(fields, relative)
         return workspace
 
 
 class PhysicalEncoder(Encoder):
     """The interface ``physical``: natural units, player order, actions are inputs."""
 
-    def _write_differences(self, workspace: _Workspace, state: State, link_weights: FloatArray) -> None:
-        fields, scratch = workspace.fields, workspace.scratch
+    def _write_differences(self, workspace: _Workspace, state: State, link_weights: FloatArray | None) -> None:
+        fields = workspace.fields
         fields["own_estimate"][...] = state.estimates
         fields["own_gradient"][...] = self._own_gradients(state)
-        for first in range(0, self.layout.slots, len(scratch)):
-            slots = slice(first, min(first + len(scratch), self.layout.slots))
-            fields["relative_estimates"][slots] = dynamics.relative_estimates(
-                self.world, state, link_weights, slots=slots, out=scratch[: slots.stop - first]
-            )
+        for slots, shown, scratch in workspace.relative:
+            shown[...] = dynamics.relative_estimates(self.world, state, link_weights, slots=slots, out=scratch)
 
     def _inputs_from_actions(self, actions: FloatArray, state: State) -> FloatArray:  # noqa: ARG002 - other kinds need it
         return actions  # the action box is the input limit
@@ -260,7 +261,7 @@ class PhysicalEncoder(Encoder):
 class FullEncoder(PhysicalEncoder):
     """The interface ``full``: ``physical``, and information that players lack; for oracles."""
 
-    def _write_differences(self, workspace: _Workspace, state: State, link_weights: FloatArray) -> None:
+    def _write_differences(self, workspace: _Workspace, state: State, link_weights: FloatArray | None) -> None:
         super()._write_differences(workspace, state, link_weights)
         fields, game, interface = workspace.fields, state.game, self.interface
         strategies = dynamics.strategies(self.world, state)
@@ -297,7 +298,7 @@ class LocalEncoder(Encoder):
         """Copies and pickles have no scale of a state that they never observed."""
         return {**super().__getstate__(), "_scaled": None}
 
-    def _write_differences(self, workspace: _Workspace, state: State, link_weights: FloatArray) -> None:
+    def _write_differences(self, workspace: _Workspace, state: State, link_weights: FloatArray | None) -> None:
         differences, scale = self._differences(state, link_weights)
         self._scaled = (state, scale)
         differences *= 1 / scale  # in float64, and cast in a second pass: faster than numpy's casting output
@@ -306,11 +307,11 @@ class LocalEncoder(Encoder):
 
     def _inputs_from_actions(self, actions: FloatArray, state: State) -> FloatArray:
         if self._scaled is None or self._scaled[0] is not state:
-            self._scaled = (state, self._differences(state, dynamics.weights(self.world, state))[1])
+            self._scaled = (state, self._differences(state)[1])
         actions *= self.interface.action_scale * self._scaled[1]
         return self._limited(actions.reshape(-1, dynamics.batch_size(state)).take(self._player_rows, axis=0))
 
-    def _differences(self, state: State, link_weights: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def _differences(self, state: State, link_weights: FloatArray | None = None) -> tuple[FloatArray, FloatArray]:
         """Own gradients, then x^j − x^i in ego order, (m + D n, N, B), and the scale σ_i, (N, B)."""
         gradients, layout = self._own_gradients(state), self.layout
         own, batch = len(gradients), dynamics.batch_size(state)

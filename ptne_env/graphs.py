@@ -46,8 +46,9 @@ class Graph:
 
     @cached_property
     def algebraic_connectivity(self) -> float:
-        """λ2(L), positive exactly when the graph is connected."""
-        return float(np.linalg.eigvalsh(self.laplacian)[1])
+        """λ2(L), positive exactly when the graph is connected; rounding is cut to 0."""
+        second = float(np.linalg.eigvalsh(self.laplacian)[1])
+        return second if second > 1e-10 * max(1.0, float(self.laplacian.max())) else 0.0
 
     @cached_property
     def is_connected(self) -> bool:

@@ -1,4 +1,4 @@
-"""What would you do with this observation? The signature that every policy has, analytic or learned."""
+"""The signature of every policy, analytic or learned."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from ptne_env.arrays import BoolArray
 
 @runtime_checkable
 class Policy(Protocol):
-    """Stable-Baselines3's ``predict``: an SB3 model is a policy as it is, and a law is a model to SB3's tools."""
+    """Stable-Baselines3's ``predict``: SB3 models are policies, and SB3's tools accept laws as models."""
 
     def predict(
         self,
@@ -24,7 +24,7 @@ class Policy(Protocol):
         """Actions for observations, batched over the leading axis.
 
         Args:
-            observation: of R players (in any number of environments), shape (R, size), or one of shape (size,).
+            observation: of R players (in any number of environments), shape (R, size), or of one player, shape (size,).
             state: the memory that the previous call returned; ``None`` at first. Opaque to callers.
             episode_start: where True, that row's memory starts afresh; shape (R,).
             deterministic: whether a stochastic policy takes its mode.

@@ -82,7 +82,7 @@ class Reward:
         before = self._digits
         self._measure(state)
         terms = {name: self._term(name, state, before) for name in self.weights}
-        if dynamics.any_diverged(state):
+        if state.any_diverged:
             remaining = 1 + self.world.clock.total_steps - state.step
             worst = self._worst(state)
             for name, value in terms.items():
@@ -107,7 +107,7 @@ class Reward:
 
     def _measure(self, state: State) -> None:
         distance = distances.player_distances(state.estimates, state.game)
-        if dynamics.any_diverged(state):
+        if state.any_diverged:
             distance = np.where(state.diverged, dynamics.distance_limit(state.game), distance)
         self._distance = distance
         self._digits = distances.digits(distance)

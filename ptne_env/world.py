@@ -67,7 +67,7 @@ class World:
 
     Attributes:
         scenario: as given.
-        game_family: draws the game of an episode; a :class:`~ptne_env.games.SingleGame` where the scenario names a game.
+        game_family: draws the game of an episode; a :class:`~ptne_env.games.SingleGame` where all episodes play one.
         game: the game, or a typical member of the family; states hold the games that are played.
         topology, start, clock, channel, disturbance: the other parts.
         neighbours: player in each slot, shape (D, N); D is the largest degree in the union graph unless the scenario
@@ -113,9 +113,10 @@ class World:
         self.start.draw(self.game.num_players, self.game.dimension, np.random.default_rng(0))
         self._tabulate_neighbours()
         self._tabulate_time()
-        if self.clock.shortfall > SHORTFALL_WARNING:
+        shortfall = self.clock.shortfall
+        if shortfall > SHORTFALL_WARNING:
             warnings.warn(
-                f"scenario {scenario.name!r}: the last step ends {self.clock.shortfall:.2%} of T short of the deadline; "
+                f"scenario {scenario.name!r}: the last step ends {shortfall:.2%} of T short of the deadline; "
                 "raise s_end to come closer",
                 stacklevel=2,
             )
@@ -219,10 +220,11 @@ class World:
     def _tabulate_neighbours(self) -> None:
         players, union = self.game.num_players, self.topology.union
         slots = union.largest_degree if self.scenario.slots is None else require_count("slots", self.scenario.slots, 1)
-        if slots < union.largest_degree:
+        degree = union.largest_degree
+        if slots < degree:
             raise ValueError(
-                f"scenario {self.scenario.name!r}: a player has {union.largest_degree} neighbours and slots is {slots}; "
-                f"raise it to {union.largest_degree} at least"
+                f"scenario {self.scenario.name!r}: a player has {degree} neighbours and slots is {slots}; raise it to "
+                f"{degree} at least"
             )
         self.neighbours = np.tile(np.arange(players), (slots, 1))
         for player, row in enumerate(union.adjacency):

@@ -1,9 +1,14 @@
-"""Affine games by their matrix, and random ones that are strongly monotone."""
+"""Affine games by their matrix, random strongly monotone ones, and the loop that runs a law on them."""
+
+import os
 
 import numpy as np
 from sample_games import BlockGame, times
 
 from ptne_env import FactorySpec, Scenario, dynamics
+
+SOAK = bool(os.environ.get("PTNE_SOAK"))
+"""Whether tests draw as many random cases as ``make soak`` asks for."""
 
 
 class AffineGame(BlockGame):

@@ -530,7 +530,7 @@ def exact_step(rng, scenario, tally):
         actions, _ = law.predict(encoder.observe(state)[0])
         inputs = encoder.inputs(encoder.clip(actions[None]).actions, state)
         state = dynamics.step(world, state, inputs)
-        if dynamics.any_diverged(state):
+        if state.any_diverged:
             return
         after, moved = state.estimates[:, :, 0], theta * inputs[:, :, 0]
         scale = max(np.abs(before).max(), np.abs(moved).max(), 1e-300)

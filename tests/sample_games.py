@@ -1,4 +1,4 @@
-"""Games that only the tests play: unequal dimensions, solved numerically, without equilibrium, or wrong on purpose."""
+"""Games for tests: unequal dimensions, numerical solution, no equilibrium, or a deliberate error."""
 
 import numpy as np
 
@@ -6,8 +6,13 @@ from ptne_env.arrays import ordered_sum
 from ptne_env.games import EnergyGame, Game, NoBestResponseError
 
 
+def generators(seeds):
+    """A random generator per seed."""
+    return [np.random.default_rng(seed) for seed in seeds]
+
+
 def times(matrix, vectors):
-    """The product, taken in the same order for every number of columns."""
+    """Matrix times vectors, with the same order of additions for any number of columns."""
     return ordered_sum(matrix[:, :, None] * vectors, axis=1)
 
 
@@ -82,7 +87,7 @@ class AffineGame(BlockGame):
 
 
 class RestingGame(Game):
-    """J_i = ½ ‖x_i − p_i‖²: every player wants its own block of the point p, and that is the equilibrium."""
+    """J_i = ½ ‖x_i − p_i‖²: the equilibrium is the point p."""
 
     is_affine = True
 
@@ -123,7 +128,7 @@ class CubicGame(Game):
 
 
 class ForgetfulEnergyGame(EnergyGame):
-    """The energy game whose author forgot that the price, too, depends on the own strategy."""
+    """The energy game without the derivative of the price in the own gradient."""
 
     def own_gradients(self, estimates):
         return super().own_gradients(estimates) - self.coupling * np.einsum("iib->ib", estimates)

@@ -1,20 +1,33 @@
-"""Laws that only the tests run."""
+"""Laws that only the tests run, and the condition of a law on a scenario."""
 
 import numpy as np
 
+from ptne_env import FactorySpec, get_scenario, theory
 from ptne_env.laws import Law, Static
+from ptne_env.world import World
 
 
 class Damped(Static):
-    """The static law, divided by 1 + Θ/T + Δt/T: it looks at its step in a way of its own."""
+    """The static law divided by 1 + Θ/T + Δt/T, so that every step has a loop of its own."""
 
-    def _inputs(self, reading, memory):
-        inputs, memory = super()._inputs(reading, memory)
-        return inputs / (1 + (reading.theta + reading.dt) / self.layout.deadline), memory
+    def inputs(self, observation, memory):
+        inputs, memory = super().inputs(observation, memory)
+        return inputs / (1 + (observation.theta + observation.dt) / self.layout.deadline), memory
 
 
 class Sign(Law):
     """u = −sign of the gradient."""
 
-    def _inputs(self, reading, memory):
-        return -np.sign(reading.gradient), memory
+    def inputs(self, observation, memory):
+        return -np.sign(observation.gradient), memory
+
+
+def spec_of(law, **arguments):
+    """The spec of a law of the library, by class or name."""
+    return FactorySpec.of(f"ptne_env.laws:{law if isinstance(law, str) else law.__name__}", **arguments)
+
+
+def condition_on(scenario, law, **arguments):
+    """The condition of a law of the library on a scenario, by class or name."""
+    world = World(get_scenario(scenario))
+    return theory.condition(theory.build_law(spec_of(law, **arguments), world), theory.problem_constants(world))

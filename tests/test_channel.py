@@ -1,7 +1,6 @@
-"""Channels against a twin in plain Python loops, their statistics, and what a receiver may not know.
+"""Channels: agreement with a reference in plain Python, statistics, and information hidden from receivers.
 
-Each statistical test raises a false alarm with a probability of at most ``FALSE_ALARM`` per comparison; the seeds are
-fixed, so that it either does so always or never.
+Statistical tests have a false-alarm probability of at most ``FALSE_ALARM`` per comparison; seeds are fixed.
 """
 
 import math
@@ -32,7 +31,7 @@ STAGES = {
     "additive noise": channel_part("AdditiveNoise", std=0.3),
     "multiplicative noise": channel_part("MultiplicativeNoise", std=0.3),
     "constant delay": channel_part("Delay", steps=2),
-    "no delay": channel_part("Delay", steps=0),
+    "zero delay": channel_part("Delay", steps=0),
     "random delay": channel_part("Delay", steps=1, longest=5),
     "loss, hold": channel_part("Loss", probability=0.4),
     "loss, drop": channel_part("Loss", probability=0.4, gap="drop"),
@@ -46,12 +45,12 @@ STAGES = {
 }
 CHANNELS = STAGES | {
     "everything": EVERY_FAULT,
-    "everything, the other way round": channel_part("Chain", stages=tuple(reversed(STAGES.values()))),
+    "everything reversed": channel_part("Chain", stages=tuple(reversed(STAGES.values()))),
     "nothing": channel_part("Chain", stages=()),
 }
 
 
-# --- the twin: one link at a time, plain Python -----------------------------------------------------------------------
+# --- the reference: one link at a time, plain Python ------------------------------------------------------------------
 
 GAMMA = 0x9E3779B97F4A7C15
 
@@ -82,8 +81,8 @@ def stages_of(part):
     return [(kind, arguments)]
 
 
-class TwinStage:
-    """One stage on one directed link (i, j); fed with (value per component or None where nothing comes, weight)."""
+class ReferenceStage:
+    """One stage on one directed link (i, j); its input is (value per component, or None without a message, weight)."""
 
     def __init__(self, kind, arguments, key, i, j, players):
         self.kind, self.arguments, self.key = kind, arguments, key
@@ -124,7 +123,7 @@ class TwinStage:
         if first:
             self.held = value
         self.sent.append((self.step + lag, value))
-        for arrival, message in self.sent:  # in the order of sending: of two that arrive at once the last counts
+        for arrival, message in self.sent:  # in the order of sending: of simultaneous arrivals the last counts
             if arrival == self.step and message is not None:
                 self.held = message
         return self.held, weight
@@ -180,9 +179,9 @@ class TwinStage:
         return value, weight * self.factor
 
 
-def twin_of(channel, key, i, j, players):
+def reference_of(channel, key, i, j, players):
     return [
-        TwinStage(kind, arguments, child(key, index) if is_chain(channel) else key, i, j, players)
+        ReferenceStage(kind, arguments, child(key, index) if is_chain(channel) else key, i, j, players)
         for index, (kind, arguments) in enumerate(stages_of(channel))
     ]
 
@@ -215,13 +214,13 @@ def test_channel_agrees_with_its_reference_link_by_link(name, world):
         key = 0 if randomness is None else int(randomness.channel_keys[b])
         for i in range(players):
             for slot, j in enumerate(world.neighbours[:, i].tolist()):
-                twin = twin_of(CHANNELS[name], key, i, j, players)
+                reference = reference_of(CHANNELS[name], key, i, j, players)
                 for state in states:
                     graph = world.topology.graphs[int(dynamics.active_mode(world, state)[b])].adjacency
                     own = state.estimates[:, i, b].tolist()
                     weight = float(graph[i, j])
                     value = state.estimates[:, j, b].tolist() if weight > 0 else None
-                    for stage in twin:
+                    for stage in reference:
                         value, weight = stage.feed(value, weight, own)
                     if value is None or graph[i, j] == 0:
                         value, weight = own, 0.0
@@ -230,14 +229,8 @@ def test_channel_agrees_with_its_reference_link_by_link(name, world):
                         received += 1
                     relative = [v - x for v, x in zip(value, own, strict=True)]
                     found = dynamics.relative_estimates(world, state)[slot, :, i, b]
-                    assert (
-                        float(
-                            np.broadcast_to(
-                                dynamics.weights(world, state), (*dynamics.weights(world, state).shape[:2], 2)
-                            )[slot, i, b]
-                        )
-                        == weight
-                    )
+                    weights = dynamics.weights(world, state)
+                    assert weights[slot, i, b % weights.shape[2]] == weight
                     if exact:
                         assert found.tolist() == relative
                     else:
@@ -263,7 +256,7 @@ def test_batch_equals_single_environments_through_restarts(name):
     together, alone = begin(world, range(batch)), [begin(world, [b]) for b in range(batch)]
     generator = np.random.default_rng(0)
     for k in range(50):
-        if k in (20, 33):  # some start afresh while others go on
+        if k in (20, 33):  # some environments restart
             mask = np.arange(batch) % 2 == k % 2
             seeds = [100 * k + b for b in np.flatnonzero(mask)]
             together = dynamics.merge(together, begin(world, seeds), mask)
@@ -279,7 +272,7 @@ def test_batch_equals_single_environments_through_restarts(name):
 
 
 def noise_of(seed, inputs_seed, scenario):
-    """What the channel adds to each message, per step, under inputs of another seed."""
+    """The noise of each message, per step, under inputs of another seed."""
     world = World(scenario)
     generator, state, result = np.random.default_rng(inputs_seed), begin(world, [seed]), []
     for _ in range(10):
@@ -350,7 +343,7 @@ def test_zero_faults_are_the_perfect_channel():
             states = [dynamics.step(plain, states[0], inputs[0]), dynamics.step(faulty, states[1], inputs[1])]
 
 
-# --- what is drawn ----------------------------------------------------------------------------------------------------
+# --- statistics of draws ----------------------------------------------------------------------------------------------
 
 
 def constant_messages(batch=400, slots=2, dimension=5, players=5, value=3.0):
@@ -363,13 +356,13 @@ SENDERS = np.array([[1, 2, 3, 4, 0], [4, 0, 1, 2, 3]])
 
 
 def transmit(channel, steps, messages=None, batch=400, seed=0):
-    """What comes out in each step; ``messages(k)`` goes in."""
+    """The output of each step for the input ``messages(k)``."""
     keys = np.random.default_rng(seed).integers(0, 2**64, batch, dtype=np.uint64)
     memory, results = None, []
     for k in range(steps):
-        going_in = constant_messages(batch) if messages is None else messages(k)
+        sent = constant_messages(batch) if messages is None else messages(k)
         randomness = LinkRandomness(keys, np.full(batch, k), SENDERS, 5)
-        out, memory = channel.transmit(going_in, memory, randomness)
+        out, memory = channel.transmit(sent, memory, randomness)
         results.append(out)
     return results
 
@@ -383,7 +376,7 @@ def test_noises_are_normal_with_their_standard_deviation():
     relative = np.array([out.values / 3.0 - 1 for out in transmit(build("multiplicative noise"), 10)])
     for noise in (additive, relative):
         assert stats.kstest(noise.ravel() / 0.3, "norm").pvalue > FALSE_ALARM
-        for axis in range(5):  # steps, slots, components, players, episodes: neighbours have nothing in common
+        for axis in range(5):  # neighbours along steps, slots, components, players and episodes are uncorrelated
             first, second = np.delete(noise, 0, axis), np.delete(noise, -1, axis)
             limit = stats.norm.isf(FALSE_ALARM / 2) / math.sqrt(first.size)
             assert abs(np.corrcoef(first.ravel(), second.ravel())[0, 1]) < limit
@@ -406,20 +399,19 @@ def test_bursts_are_the_chain_of_gilbert_and_elliott():
 
 
 def test_delays_are_uniform_and_messages_overtake_each_other():
-    """The message of step k holds the number k, so what is heard tells when it was sent."""
+    """The message of step k is the number k, so the received value is the time of sending."""
 
     def numbered(k):
         return constant_messages(value=float(k))
 
     received = np.array([out.values[:, 0] for out in transmit(build("random delay"), 60, numbered)])
-    # Delays of 1..5: nothing newer than 1 step, and what arrives in step k is, of those arriving, the last one sent.
+    # With delays of 1..5 no message is younger than 1 step, and of simultaneous arrivals the last one sent counts.
     steps = np.arange(60)[:, None, None, None]
     assert (received[10:] <= steps[10:] - 1).all()
-    assert (np.diff(received, axis=0) < 0).any()  # an older message arrived after a newer one
+    assert (np.diff(received, axis=0) < 0).any()  # an older message arrives after a newer one
     ages = (steps - received)[10:]
     # Age 1 means that the message of the step before had delay 1: one in five.
     assert stats.binomtest(int((ages == 1).sum()), ages.size, 0.2).pvalue > FALSE_ALARM
-    # Age 2 and fresh: delay 2 for the last but one, and not 1 for the last.
     constant = np.array([out.values[:, 0] for out in transmit(build("constant delay"), 10, numbered)])
     assert constant[:, 0, 0, 0].tolist() == [0, 0, 0, 1, 2, 3, 4, 5, 6, 7]
 
@@ -429,7 +421,7 @@ def test_asymmetric_weights_are_uniform_constant_and_directed():
     weights = out[0].weights
     assert all(np.array_equal(each.weights, weights) for each in out)
     assert stats.kstest((weights.ravel() - 0.2) / 1.5, "uniform").pvalue > FALSE_ALARM
-    forth, back = weights[0, 0], weights[1, 1]  # 0 hears 1 in its first slot, 1 hears 0 in its second
+    forth, back = weights[0, 0], weights[1, 1]  # player 1 is in player 0's first slot, player 0 in player 1's second
     assert SENDERS[0, 0] == 1
     assert SENDERS[1, 1] == 0
     assert abs(np.corrcoef(forth, back)[0, 1]) < stats.norm.isf(FALSE_ALARM / 2) / math.sqrt(forth.size)
@@ -445,7 +437,7 @@ def test_logarithmic_levels_are_within_their_sector(ratio, numbers):
     delta = (1 - ratio) / (1 + ratio)
     assert np.all(np.abs(levels - values) <= delta * np.abs(values) * (1 + 1e-9) + 1e-300)
     again = channel.transmit(Messages(levels * (1 + 1e-12), live, live.astype(float), messages.own), None, None)
-    assert again[0].values == pytest.approx(levels, rel=1e-9)  # a level is its own level
+    assert again[0].values == pytest.approx(levels, rel=1e-9)  # quantisation is idempotent
 
 
 @given(st.floats(0.001, 10), st.lists(st.floats(-1e6, 1e6), min_size=25, max_size=25))
@@ -458,7 +450,7 @@ def test_uniform_levels_are_the_nearest_multiples_of_the_width(width, numbers):
     assert levels / width == pytest.approx(np.round(levels / width), abs=1e-6)
 
 
-# --- what a receiver may not know -------------------------------------------------------------------------------------
+# --- information hidden from receivers --------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("name", CHANNELS)
@@ -471,9 +463,9 @@ def test_values_on_a_down_link_have_no_effect(name):
     for _ in range(25):
         live = generator.random((2, 5, 6)) < 0.5
         values, own = generator.normal(size=shape), generator.normal(size=(5, 5, 6))
-        rubbish = np.where(live[:, None], values, generator.normal(size=shape) * 1e3)
+        garbage = np.where(live[:, None], values, generator.normal(size=shape) * 1e3)
         sequence.append(Messages(values, live, live.astype(float), own))
-        garbled.append(Messages(rubbish, live, live.astype(float), own))
+        garbled.append(Messages(garbage, live, live.astype(float), own))
     received = 0
     for plain, other, sent in zip(
         transmit(channel, 25, sequence.__getitem__, 6),
@@ -496,19 +488,19 @@ def test_observation_does_not_depend_on_players_without_a_link(kind):
     generator = np.random.default_rng(0)
     states = [begin(world, [5])] * 2
     player = 0
-    strangers = [j for j in range(5) if j != player and j not in world.neighbours[:, player]]
-    assert len(strangers) == 2
+    unlinked = [j for j in range(5) if j != player and j not in world.neighbours[:, player]]
+    assert len(unlinked) == 2
     for _ in range(60):
         inputs = generator.normal(size=(5, 5, 1))
         others = inputs.copy()
-        others[:, strangers] = generator.normal(size=(5, 2, 1)) * 10
+        others[:, unlinked] = generator.normal(size=(5, 2, 1)) * 10
         first, second = (encoder.observe(state)[0] for state in states)
         assert np.array_equal(first[player], second[player])
         states = [dynamics.step(world, states[0], inputs), dynamics.step(world, states[1], others)]
-    assert not np.array_equal(first[strangers], second[strangers])
+    assert not np.array_equal(first[unlinked], second[unlinked])
 
 
-# --- nothing breaks ---------------------------------------------------------------------------------------------------
+# --- any chain of stages ----------------------------------------------------------------------------------------------
 
 probability = st.floats(0.0, 1.0)
 stage_parts = st.one_of(
@@ -565,7 +557,7 @@ def test_scenario_with_a_channel_survives_json(name):
     again = Scenario.from_json(scenario.to_json())
     assert again == scenario
     assert hash(again) == hash(scenario)
-    deterministic = {"constant delay", "no delay", "nothing"} | {name for name in CHANNELS if "levels" in name}
+    deterministic = {"constant delay", "zero delay", "nothing"} | {name for name in CHANNELS if "levels" in name}
     assert World(again).channel.is_random == (name not in deterministic)
 
 
@@ -602,9 +594,9 @@ def test_invalid_channels_are_refused(name):
 
 def test_start_without_the_draws_is_refused():
     world = World(FAULTY)
-    sources = [RandomStreams.from_seed(0)]
+    streams = [RandomStreams.from_seed(0)]
     with pytest.raises(ValueError, match="'faulty' draws a topology, a channel or a disturbance: pass the draws of 1"):
-        dynamics.initial_state(world, world.draw_estimates(sources), world.draw_game(sources))
+        dynamics.initial_state(world, world.draw_estimates(streams), world.draw_game(streams))
 
 
 # --- noise near the deadline ------------------------------------------------------------------------------------------
@@ -629,9 +621,9 @@ def test_explicit_euler_amplifies_noise_near_the_deadline(k, amplification):
 @pytest.mark.parametrize("k", [0.7, 1.5])
 @pytest.mark.parametrize("spacing", ["effective", "transformed", "physical"])
 def test_noise_in_the_sampled_environment_follows_its_recursion(spacing, k):
-    """v ← (1 − k h)² v + (k h)² with h = Θ_k, for a number that follows another one through the noise channel.
+    """v ← (1 − k h)² v + (k h)² with h = Θ_k, for an estimate that follows a constant through the noise channel.
 
-    Two players are linked. Player 1 stands still, so its strategy x^1_1 is a constant. Player 0 runs the static law
+    Two players are linked. Player 1 does not move, so its strategy x^1_1 is constant. Player 0 runs the static law
     with κ = k: its estimate of that strategy has no gradient (it is not its own) and one neighbour, so with noise η of
     standard deviation 1 on the message, z = x^0_1 − x^1_1 follows z ← z − Θ_k k (z − η) exactly. From z = 0 its
     variance is v. The sample variance of B episodes times B/v is χ² with B degrees of freedom; one comparison is wrong
@@ -665,8 +657,8 @@ def test_noise_in_the_sampled_environment_follows_its_recursion(spacing, k):
     assert largest > 0.1
 
 
-class Shouting(Channel):
-    """Somebody's channel that says it heard everything on every link, whatever the graph."""
+class EveryLinkLive(Channel):
+    """A channel that reports a message on every link, up or down."""
 
     is_random = False
 
@@ -675,13 +667,11 @@ class Shouting(Channel):
 
 
 def test_down_links_stay_down_for_any_channel():
-    world = World(SWITCHING.replace(channel=FactorySpec.of("test_channel:Shouting")))
-    sources = [RandomStreams.from_seed(0)]
-    game, randomness = world.draw_game(sources), world.draw_randomness(sources)
-    state = dynamics.initial_state(world, world.draw_estimates(sources), game, randomness)
-    live = dynamics.graph_weights(world, state) > 0
+    world = World(SWITCHING.replace(channel=FactorySpec.of("test_channel:EveryLinkLive")))
+    streams = [RandomStreams.from_seed(0)]
+    game, randomness = world.draw_game(streams), world.draw_randomness(streams)
+    state = dynamics.initial_state(world, world.draw_estimates(streams), game, randomness)
+    live, weights = dynamics.graph_weights(world, state) > 0, dynamics.weights(world, state)
     assert live.any()
     assert not live.all()
-    assert np.array_equal(
-        dynamics.weights(world, state) > 0, np.broadcast_to(live, dynamics.weights(world, state).shape)
-    )
+    assert np.array_equal(weights > 0, np.broadcast_to(live, weights.shape))

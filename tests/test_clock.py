@@ -31,7 +31,7 @@ def test_inverse_and_derivative_agree_with_the_transformation(transformation, s)
     t = transformation.time(s)
     assert 0 <= t < transformation.deadline
     slope = transformation.derivative(s)
-    rounding = 4e-15 * transformation.deadline / slope  # what one rounding of t is worth in s
+    rounding = 4e-15 * transformation.deadline / slope  # rounding of t, in units of s
     assert transformation.inverse(t) == pytest.approx(s, abs=rounding + 1e-13)
     h = 1e-5
     assert (transformation.time(s + h) - transformation.time(max(s - h, 0))) / (s + h - max(s - h, 0)) == pytest.approx(
@@ -69,7 +69,7 @@ def test_closed_form_of_the_exponential_agrees_with_bracketing(deadline, constan
 
 
 class Broken(Exponential):
-    """The exponential for T = 2 with one method or two replaced."""
+    """The exponential for T = 2 with some methods replaced."""
 
     def __init__(self, **methods):
         super().__init__(2.0)
@@ -128,7 +128,7 @@ def test_deadline_must_be_positive(kind, deadline):
         kind(deadline)
 
 
-# --- the table of steps -----------------------------------------------------------------------------------------------
+# --- table of steps ---------------------------------------------------------------------------------------------------
 
 clocks = st.builds(
     lambda transformation, spacing, gain, steps, s_end, hold: StepClock(
@@ -243,42 +243,42 @@ def test_invalid_clocks_are_refused(arguments, message):
 def test_shifted_clock_integrates_the_gain_of_its_shown_time(kind, shift):
     """Θ^i = ∫ g(t + δ) dt over each step, g = c + 1/T before 0 and c once s_end is reached."""
     clock = StepClock(kind(1.2), gain=5.0, steps=30, s_end=4.0, hold_steps=10)
-    reading = clock.read(shift)
+    local = clock.shifted(shift)
     for k in range(clock.total_steps):
 
         def gain(t):
-            believed = t + shift
-            if believed >= clock.time_reached:
+            shown = t + shift
+            if shown >= clock.time_reached:
                 return 5.0
-            return float(clock.transformation.gain(max(believed, 0.0), 5.0))
+            return float(clock.transformation.gain(max(shown, 0.0), 5.0))
 
         edges = np.clip([-shift, clock.time_reached - shift], clock.t[k], clock.t[k] + clock.dt[k])
         bounds = [clock.t[k], *sorted(edges), clock.t[k] + clock.dt[k]]
         total = sum(integrate.quad(gain, *span)[0] for span in pairwise(bounds) if span[1] - span[0] > 1e-15)
-        assert reading.theta[k] == pytest.approx(total, rel=1e-6)
-    assert reading.theta[-1] == 0
-    assert reading.t == pytest.approx(np.clip(clock.t + shift, 0, clock.t[-1]))
-    assert reading.s.min() >= 0
-    assert reading.s.max() <= clock.s_end
-    before = reading.t < clock.time_reached
-    assert clock.transformation.time(reading.s[before]) == pytest.approx(reading.t[before], abs=1e-9)
+        assert local.theta[k] == pytest.approx(total, rel=1e-6)
+    assert local.theta[-1] == 0
+    assert local.t == pytest.approx(np.clip(clock.t + shift, 0, clock.t[-1]))
+    assert local.s.min() >= 0
+    assert local.s.max() <= clock.s_end
+    before = local.t < clock.time_reached
+    assert clock.transformation.time(local.s[before]) == pytest.approx(local.t[before], abs=1e-9)
 
 
 def test_clock_without_shift_is_the_table_itself():
     clock = StepClock(Exponential(1.2), gain=5.0, steps=30, s_end=4.0)
-    reading = clock.read(0.0)
-    assert reading.t is clock.t
-    assert reading.s is clock.s
-    assert reading.theta is clock.theta
+    local = clock.shifted(0.0)
+    assert local.t is clock.t
+    assert local.s is clock.s
+    assert local.theta is clock.theta
 
 
 def test_small_shift_makes_a_small_difference():
     clock = StepClock(Exponential(1.2), gain=20.0, steps=400, s_end=8.0, hold_steps=20)
     for shift in (1e-9, -1e-9):
-        assert clock.read(shift).theta == pytest.approx(clock.theta, rel=1e-4)
+        assert clock.shifted(shift).theta == pytest.approx(clock.theta, rel=1e-4)
 
 
 def test_fast_clock_uses_its_gain_early_and_a_slow_clock_late():
     clock = StepClock(Exponential(1.2), gain=0.0, steps=400, s_end=8.0)
-    assert clock.read(0.05).theta.sum() == pytest.approx(8.0 - np.log(1.2 / 1.15), rel=1e-3)
-    assert clock.read(-0.05).theta.sum() == pytest.approx(np.log(1.2 / 0.05) + 0.05 / 1.2, rel=1e-2)
+    assert clock.shifted(0.05).theta.sum() == pytest.approx(8.0 - np.log(1.2 / 1.15), rel=1e-3)
+    assert clock.shifted(-0.05).theta.sum() == pytest.approx(np.log(1.2 / 0.05) + 0.05 / 1.2, rel=1e-2)

@@ -1,4 +1,4 @@
-"""Each statistical test below raises a false alarm with the probability that it states; their seeds are fixed."""
+"""Counter-based random numbers. Statistical tests have the false-alarm probability stated and fixed seeds."""
 
 import numpy as np
 import pytest
@@ -44,7 +44,7 @@ def test_golden_values():
     assert counter_random.uniforms(keys, numbers).tolist() == [
         [((word >> 12) + 0.5) / 2**52 for word in row] for row in expected
     ]
-    assert expected[0] == [13830413928045401970, 4689417271487893854]  # what was drawn once is drawn for ever
+    assert expected[0] == [13830413928045401970, 4689417271487893854]  # the numbers never change
 
 
 @pytest.mark.parametrize("function", [counter_random.words, counter_random.uniforms, counter_random.normals])
@@ -73,14 +73,14 @@ def test_counters_of_a_key_are_uniform_and_normal(key):
     assert stats.kstest(counter_random.normals(keys, numbers), "norm").pvalue > FALSE_ALARM
 
 
-@pytest.mark.parametrize("spread", [1, 2**32, 0x9E3779B97F4A7C15], ids=["next", "far", "the generator's own stride"])
+@pytest.mark.parametrize("spread", [1, 2**32, 0x9E3779B97F4A7C15], ids=["next", "far", "the stride of the generator"])
 def test_keys_of_a_counter_are_uniform(spread):
     keys = np.arange(SIZE, dtype=np.uint64) * np.uint64(spread)
     assert stats.kstest(counter_random.uniforms(keys, key_array(0)), "uniform").pvalue > FALSE_ALARM
 
 
 def correlated(first, second):
-    """Whether the correlation is farther from 0 than chance takes it with the stated probability."""
+    """Whether the correlation is significant at the level FALSE_ALARM."""
     limit = stats.norm.isf(FALSE_ALARM / 2) / np.sqrt(first.size)
     return abs(np.corrcoef(first, second)[0, 1]) > limit
 
@@ -97,7 +97,7 @@ def test_neighbouring_keys_are_uncorrelated(difference):
     numbers = np.arange(SIZE, dtype=np.uint64)
     first, second = (counter_random.normals(key_array(key), numbers) for key in (10, 10 + difference))
     assert not correlated(first, second)
-    assert not correlated(first[:-1], second[1:])  # nor is one stream the other, shifted
+    assert not correlated(first[:-1], second[1:])  # the streams are not shifts of each other
 
 
 def test_child_streams_differ_from_their_parent_and_each_other():
@@ -121,7 +121,7 @@ def test_every_input_bit_changes_half_of_the_output_bits():
 
 
 def test_numbers_are_never_at_the_ends():
-    assert (2**52 - 1 + 0.5) * 2.0**-52 < 1  # the largest there is
+    assert (2**52 - 1 + 0.5) * 2.0**-52 < 1  # the largest number
     assert np.isfinite(counter_random.normals(key_array(0), np.arange(SIZE, dtype=np.uint64))).all()
 
 

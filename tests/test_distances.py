@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from sample_games import RestingGame
+from sample_games import RestingGame, generators
 
 from ptne_env import distances
 from ptne_env.games import RandomEnergy
 
 
-def world(seed, players=3, dimension=4, batch=2):
+def sample(seed, players=3, dimension=4, batch=2):
     generator = np.random.default_rng(seed)
     estimates = generator.normal(size=(dimension, players, batch))
     return estimates, RestingGame(generator.normal(size=dimension), players)
@@ -22,7 +22,7 @@ def norm(values):
 
 @given(st.integers(0, 2**32 - 1))
 def test_distances_agree_with_their_definitions(seed):
-    estimates, game = world(seed)
+    estimates, game = sample(seed)
     strategies, equilibrium = estimates[:, 0], game.point
     scale = norm(equilibrium)
     per_player = distances.player_distances(estimates, game)
@@ -48,14 +48,14 @@ def test_scale_is_1_for_an_equilibrium_at_the_origin():
 
 
 def test_distances_are_exactly_0_at_the_equilibrium():
-    _, game = world(0)
+    _, game = sample(0)
     estimates = np.repeat(game.point[:, None, None], 3, axis=1)
     assert distances.estimate_distance(estimates, game).tolist() == [0.0]
     assert distances.strategy_distance(estimates[:, 0], game).tolist() == [0.0]
 
 
 def test_arguments_are_not_changed():
-    estimates, game = world(1)
+    estimates, game = sample(1)
     kept = estimates.copy(), game.nash_equilibria.copy()
     distances.player_distances(estimates, game)
     distances.consensus_error(estimates, game)
@@ -71,28 +71,17 @@ def test_success_is_half_a_percent():
     assert distances.SUCCESS_DISTANCE == 0.005
 
 
-@pytest.mark.parametrize("players", [3, 11, 40])
-def test_batch_equals_single_environments_bit_for_bit(players):
-    estimates, game = world(2, players=players, dimension=players, batch=5)
-    strategies = np.ascontiguousarray(estimates[:, 0])
-    for b in range(5):
-        alone, own = estimates[:, :, b : b + 1].copy(), strategies[:, b : b + 1].copy()
-        for measure in (distances.player_distances, distances.estimate_distance, distances.consensus_error):
-            assert np.array_equal(measure(alone, game)[..., 0], measure(estimates, game)[..., b])
-        together = distances.strategy_distance(strategies, game)[b]
-        assert distances.strategy_distance(own, game)[0] == together
-
-
 @pytest.mark.parametrize("players", [2, 11, 40])
-def test_every_environment_has_the_distances_of_its_own_game(players):
-    family, batch = RandomEnergy(players), 5
-    games = family.draw([np.random.default_rng(b) for b in range(batch)])
+@pytest.mark.parametrize("drawn", [False, True], ids=["one game", "a game per environment"])
+def test_batch_equals_single_environments_bit_for_bit(players, drawn):
+    batch, family = 5, RandomEnergy(players)
+    games = family.draw(generators(range(batch))) if drawn else family.representative
     estimates = np.random.default_rng(3).normal(size=(players, players, batch))
     strategies = np.ascontiguousarray(estimates[:, 0])
-    assert len(set(games.equilibrium_scale.tolist())) == batch
+    assert len(set(games.equilibrium_scale.tolist())) == (batch if drawn else 1)
     for b in range(batch):
+        game = family.draw(generators([b])) if drawn else games
         alone, own = estimates[:, :, b : b + 1].copy(), strategies[:, b : b + 1].copy()
-        game = family.draw([np.random.default_rng(b)])
         for measure in (distances.player_distances, distances.estimate_distance, distances.consensus_error):
             assert np.array_equal(measure(alone, game)[..., 0], measure(estimates, games)[..., b])
         together = distances.strategy_distance(strategies, games)[b]

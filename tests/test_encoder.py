@@ -440,6 +440,6 @@ def test_observations_are_the_same_however_many_neighbour_slots_fit_into_the_scr
         monkeypatch.setattr("ptne_env.encoder._SCRATCH_ENTRIES", entries)
         encoder = make_encoder(world, Interface("physical"))
         seen.append([encoder.observe(state) for state in states])
-        assert len(encoder._workspaces[3].scratch) == (world.slots if entries > 1 else 1)
+        assert len(encoder._workspaces[3].relative) == (1 if entries > 1 else world.slots)
     assert world.slots > 1
     np.testing.assert_array_equal(*seen)

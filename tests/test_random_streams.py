@@ -15,8 +15,8 @@ def test_numbers_depend_on_the_seed():
 
 
 def test_streams_of_a_seed_differ():
-    sources = RandomStreams.from_seed(7)
-    assert len({getattr(sources, name).random() for name in NAMES}) == len(NAMES)
+    streams = RandomStreams.from_seed(7)
+    assert len({getattr(streams, name).random() for name in NAMES}) == len(NAMES)
 
 
 @pytest.mark.parametrize("busy", NAMES)

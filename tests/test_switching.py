@@ -287,8 +287,8 @@ def test_draw_of_a_periodic_topology_is_its_schedule():
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ({"transition": [[1, 0], [0, 1]]}, "some mode is not reached from some other"),
-        ({"transition": [[0.5, 0.5], [0, 1]]}, "some mode is not reached"),
+        ({"transition": [[1, 0], [0, 1]]}, "some mode cannot be reached from some other"),
+        ({"transition": [[0.5, 0.5], [0, 1]]}, "some mode cannot be reached"),
         ({"transition": [[0.5, 0.6], [0.5, 0.5]]}, "2 × 2 matrix of probabilities whose rows sum to 1"),
         ({"transition": [[1.5, -0.5], [0.5, 0.5]]}, "2 × 2 matrix of probabilities"),
         ({"transition": [[1.0]]}, "2 × 2 matrix"),

@@ -14,7 +14,7 @@ from ptne_env.world import World
 
 
 class BlockGame(Game):
-    """An affine game with blocks of different sizes, F(x) = A x − 1, that does not tell its Jacobian."""
+    """An affine game with blocks of different sizes, F(x) = A x − 1, whose Jacobian is unknown."""
 
     is_affine = True
 
@@ -105,8 +105,8 @@ def test_gain_condition_of_the_paper():
     bound = theory.gain_bound(constants, ring)
     assert bound == pytest.approx((2.6**2 / 2.1 + 2.6) / ring, rel=1e-12)
     assert bound == pytest.approx(4.2107, abs=1e-4)
-    assert theory.gain_bound(constants, 0.0) is None
-    assert theory.gain_bound(theory.monotonicity_constants(NonQuadraticGame()), ring) is None
+    assert theory.gain_bound(constants, 0.0) == math.inf
+    assert theory.gain_bound(theory.monotonicity_constants(NonQuadraticGame()), ring) == math.inf
 
 
 def test_closed_loop_matrix_is_the_loop_in_player_major_order(block_game):
@@ -122,7 +122,12 @@ def test_closed_loop_matrix_is_the_loop_in_player_major_order(block_game):
     np.testing.assert_allclose(matrix @ error.ravel(), expected.ravel(), atol=1e-8)
 
 
-def test_closed_loop_matrix_refuses_what_does_not_fit():
+def rate_of_the_static_law(topology, kappa=2.0, deadline=1.2):
+    matrices = [theory.closed_loop_matrix(EnergyGame(), graph, kappa) for graph in topology.graphs]
+    return theory.decay_rate(matrices, topology, deadline)
+
+
+def test_closed_loop_matrix_refuses_other_players_and_negative_gains():
     with pytest.raises(ValueError, match="players"):
         theory.closed_loop_matrix(EnergyGame(), cycle(4), 2.0)
     with pytest.raises(ValueError, match="kappa"):
@@ -130,35 +135,30 @@ def test_closed_loop_matrix_refuses_what_does_not_fit():
 
 
 def test_rate_on_the_cycle():
-    assert theory.convergence_rate(EnergyGame(), fixed(cycle(5)), 2.0, 1.2) == pytest.approx(0.2801, abs=1e-4)
+    assert rate_of_the_static_law(fixed(cycle(5))) == pytest.approx(0.2801, abs=1e-4)
 
 
 def test_rate_of_a_large_gain_is_that_of_gradient_play_shared_by_all():
     # As κ → ∞ all estimates agree and follow x̄' = −F(x̄)/N.
-    rate = theory.convergence_rate(EnergyGame(), fixed(complete(5)), 1e5, 1.2)
-    assert rate == pytest.approx(2.1 / 5, rel=1e-4)
+    assert rate_of_the_static_law(fixed(complete(5)), 1e5) == pytest.approx(2.1 / 5, rel=1e-4)
 
 
 def test_rate_in_t_is_that_of_the_last_graph():
-    game = EnergyGame()
-    assert theory.convergence_rate(game, paper_topology(0.1, "physical"), 2.0, 1.2) == 0.0
+    assert rate_of_the_static_law(paper_topology(0.1, "physical")) == 0.0
     # With a connected graph last, its own rate counts, whatever came before.
     mixed = type(paper_topology())([path(5), cycle(5)], [1.0, 5.0], "physical")
-    assert theory.convergence_rate(game, mixed, 2.0, 1.2) == pytest.approx(0.2801, abs=1e-4)
-    assert theory.convergence_rate(game, mixed, 2.0, 0.5) == pytest.approx(
-        theory.convergence_rate(game, fixed(path(5)), 2.0, 1.2), rel=1e-12
-    )
+    assert rate_of_the_static_law(mixed) == pytest.approx(0.2801, abs=1e-4)
+    expected = rate_of_the_static_law(fixed(path(5)))
+    assert rate_of_the_static_law(mixed, deadline=0.5) == pytest.approx(expected, rel=1e-12)
 
 
 def test_rate_in_s_is_the_floquet_rate():
-    game = EnergyGame()
     topology = paper_topology(0.25, "transformed")
-    rate = theory.convergence_rate(game, topology, 2.0, 1.2)
-    assert rate == pytest.approx(0.1551, abs=1e-4)
+    assert rate_of_the_static_law(topology) == pytest.approx(0.1551, abs=1e-4)
     # Fast switching averages the graphs: every edge of the cycle is on for half the time or a quarter of it.
-    fast = theory.convergence_rate(game, paper_topology(1e-4, "transformed"), 2.0, 1.2)
     mean = Graph(np.mean([graph.adjacency for graph in topology.graphs], axis=0))
-    assert fast == pytest.approx(theory.convergence_rate(game, fixed(mean), 2.0, 1.2), rel=1e-4)
+    fast = rate_of_the_static_law(paper_topology(1e-4, "transformed"))
+    assert fast == pytest.approx(rate_of_the_static_law(fixed(mean)), rel=1e-4)
 
 
 def test_largest_stable_step_separates_contraction_from_growth():
@@ -209,7 +209,7 @@ def test_sampled_digits_are_those_of_a_plain_loop():
 
 @pytest.mark.parametrize("name", list(CATALOGUE))
 def test_every_certificate_is_plain_json(name):
-    data = theory.certify(CATALOGUE[name]).to_dict()
+    data = theory.certify(CATALOGUE[name], delay_limit=1).to_dict()
     assert json.loads(json.dumps(data, allow_nan=False)) == data
     assert len(data["assumptions"]) == 4
 
@@ -234,9 +234,9 @@ def test_certificate_warns_of_a_frozen_graph():
 
 
 def test_certificate_notes_a_short_horizon_saturation_and_a_random_start():
+    scenario = get_scenario("energy", s_end=3.0, input_limit=10.0, start="random")
     with pytest.warns(UserWarning, match="short of the deadline"):
-        scenario = get_scenario("energy", s_end=3.0, input_limit=10.0, start="random")
-    notes = " ".join(theory.certify(scenario).notes)
+        notes = " ".join(theory.certify(scenario).notes)
     for phrase in ("short of the deadline", "above the input limit", "start is random"):
         assert phrase in notes
 

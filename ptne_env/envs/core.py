@@ -157,7 +157,7 @@ class Simulation:
         if estimates is not None:  # they may be refused, and then nothing has been drawn
             streams = copy.deepcopy(streams)
         fresh = dynamics.draw_initial_state(self.world, [streams[index] for index in chosen], estimates)
-        if dynamics.any_diverged(fresh):
+        if fresh.any_diverged:
             raise ValueError(f"own gradients at the initial estimates must be within ±{RANGE_LIMIT:g}: start closer")
         return ResetResult(streams, fresh, np.ones(self.num_envs, dtype=np.bool_) if mask is None else mask)
 

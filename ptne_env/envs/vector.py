@@ -18,7 +18,7 @@ from ptne_env.scenario import Scenario
 from ptne_env.world import RANGE_LIMIT, World
 
 BLOCK_SIZE = 2048
-"""Largest number of environments in a block; beyond it the calls of a block cost little compared with its arithmetic."""
+"""Largest number of environments in a block: beyond it the calls of a block cost little beside its arithmetic."""
 
 BLOCK_ENTRIES = 300_000
 """Largest number of observed entries in a block, so that its arrays fit into a core's cache."""
@@ -44,20 +44,16 @@ class VectorStep(NamedTuple):
 
 
 class VectorParallelEnv:
-    """B environments × N players; the arguments are those of :func:`ptne_env.parallel_env`.
+    """B environments × N players.
 
-    No environment resets itself: one that is over starts again with ``reset(mask=...)`` before the next step. Each environment equals a :class:`~ptne_env.NashSeekingEnv` of the same seed, bit for bit.
+    No environment resets itself: one that is over starts again with ``reset(mask=...)`` before the next step. Each
+    environment equals a :class:`~ptne_env.NashSeekingEnv` of the same seed, bit for bit.
 
     Args:
         scenario: a name of the catalogue or a scenario.
         num_envs: B.
-        interface: ``"physical"`` or ``"local"``.
-        action_mode: ``"input"`` or ``"gains"``.
-        action_scale: under ``local``, an action of 1 is this many times σ_i.
-        own_payoff: whether players observe their own costs J_i at the real strategies.
-        reward: a term's name, or weights by name.
-        max_cycles: steps after which an episode is truncated.
-        **overrides: fields of the scenario to change.
+        interface, action_mode, action_scale, own_payoff, reward, max_cycles, **overrides: as those of
+            :func:`ptne_env.parallel_env`.
 
     Attributes:
         scenario: the physics.

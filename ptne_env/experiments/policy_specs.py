@@ -19,7 +19,7 @@ from ptne_env.policies.archive import load_archive
 from ptne_env.policy import Policy
 
 _LAWS = "ptne_env.laws:"
-ARCHIVE = "ptne_env.policies.archive:load_archive_for"
+ARCHIVE = "ptne_env.policies.archive:load_archive"
 """Target of the policies whose making executes code that is stored in a file."""
 
 PolicySource: TypeAlias = FactorySpec | Policy | Callable[[ObservationLayout], Policy]
@@ -168,7 +168,7 @@ def learned_policy(path_or_name: str) -> PolicySpec:
         FileNotFoundError, PolicyFileError, ImportError: as :func:`ptne_env.policies.load`.
     """
     policy = policies.load(path_or_name)
-    source = FactorySpec.of("ptne_env.policies:load_for", path_or_name=path_or_name)
+    source = FactorySpec.of("ptne_env.policies:load", path_or_name=path_or_name)
     return PolicySpec(policy.name, source, policy.interface, frozenset(policy.metadata.scenarios))
 
 

@@ -143,19 +143,19 @@ class Results:
         return json.dumps(self.to_dict(), indent=2, allow_nan=False, ensure_ascii=False)
 
     def to_csv(self) -> str:
-        """The records as CSV, each with version, seed and the parameters of its track and policy as JSON texts."""
+        """The records as CSV, each with the version, the suite's content hash, seed and split."""
         buffer = io.StringIO()
         fields = ["track", "policy", "metric", "mean", "low", "high", "episodes"]
-        fields += ["version", "seed", "split", "track_parameters", "policy_parameters"]
-        writer = csv.DictWriter(buffer, fields, lineterminator="\n")
+        common = {
+            "seed": self.seed,
+            "split": self.split,
+            "version": __version__,
+            "suite": self.suite.name,
+            "content_hash": self.suite.content_hash,
+        }
+        writer = csv.DictWriter(buffer, [*fields, *common], lineterminator="\n")
         writer.writeheader()
-        for track in self.tracks:
-            parameters = {name: json.dumps(policy.to_dict()) for name, policy in self.policies_on(track.name).items()}
-            common = {"version": __version__, "seed": self.seed, "split": self.split}
-            common["track_parameters"] = json.dumps(track.to_dict())
-            for record in self.records:
-                if record["track"] == track.name:
-                    writer.writerow({**record, **common, "policy_parameters": parameters[record["policy"]]})
+        writer.writerows({**record, **common} for record in self.records)
         return buffer.getvalue()
 
 

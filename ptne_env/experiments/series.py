@@ -74,7 +74,7 @@ class Moment:
 
     def limited(self, distance: FloatArray) -> FloatArray:
         """``distance`` (..., B) with the range limit where an episode has diverged."""
-        if not dynamics.any_diverged(self.state):
+        if not self.state.any_diverged:
             return distance
         return np.where(self.state.diverged, dynamics.distance_limit(self.state.game), distance)
 

@@ -188,7 +188,7 @@ def _measure(name: str, x: float, y: float, episodes: int, seed: int) -> tuple[f
     law, start = Static(encoder.layout, kappa), EpisodeSet(episodes, seed).initial_state(world)
     measured = _mean_digits(rollout(law, encoder, start)["estimate_distance"][world.clock.steps])
 
-    loop = theory.sampled_loop(world.scenario, law)
+    loop = theory.sampled_loop(world, law)
     if not np.all(np.isfinite(loop.transition())):
         return measured, FLOOR
     std = theory.channel_noise(world.channel)
@@ -254,7 +254,7 @@ def _gain_step_boundaries(x: Axis, y: Axis) -> list[Boundary]:
     bound = theory.gain_bound(theory.monotonicity_constants(game), graph.algebraic_connectivity)
     return [
         Boundary("largest stable step", *map(tuple, zip(*known, strict=True))),
-        *([_vertical("gain condition (sufficient)", y, bound)] if bound is not None else []),
+        *([_vertical("gain condition (sufficient)", y, bound)] if np.isfinite(bound) else []),
     ]
 
 
@@ -276,7 +276,7 @@ def _noise_boundaries(x: Axis, y: Axis) -> list[Boundary]:  # noqa: ARG001 - the
     levels = []
     for horizon in horizons:
         world, kappa = _point("noise-horizon", 1.0, float(horizon))
-        loop = theory.sampled_loop(world.scenario, Static(make_encoder(world, Interface()).layout, kappa))
+        loop = theory.sampled_loop(world, Static(make_encoder(world, Interface()).layout, kappa))
         error = np.exp(np.log(_noiseless(loop, EpisodeSet(64).initial_state(world))).mean())
         levels.append(float(error / theory.noise_distance(loop.noise_covariance(), world.game)))
     return [Boundary("noise as large as the error", tuple(levels), tuple(horizons))]

@@ -9,7 +9,7 @@ from typing import Any, TypeVar
 
 Result = TypeVar("Result")
 
-_LOST = "a worker process died, often for lack of memory (fewer jobs need less); finished jobs are stored"
+_LOST = "a worker process died, often for lack of memory (fewer jobs need less); stored results are kept"
 
 
 @dataclass(frozen=True)

@@ -1,167 +1,50 @@
-"""What every law shares: reading observations, writing actions, memory, and the condition under which it works."""
+"""The base class of all laws, and the terms that their equations share.
+
+The law itself is a pure function of a parsed :class:`~ptne_env.observation.Observation` of R players, of memory with a
+row per player, and of parameters. It returns the inputs u^i, float64 in the observation's unit, shape (R, n), and the
+memory for the next step. Classes check parameters and adapt the function to ``predict``.
+"""
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass
-from functools import cached_property
 from typing import Any, ClassVar
 
 import numpy as np
 import numpy.typing as npt
 
-from ptne_env.arrays import BoolArray, Float32Array, FloatArray, IntArray
+from ptne_env.arrays import BoolArray, Float32Array, FloatArray
 from ptne_env.observation import Interface, Observation, ObservationLayout
 
 
-@dataclass(frozen=True)
-class ProblemConstants:
-    """What a theorem may ask of a scenario, in numbers. ``ptne_env.theory.constants`` reads them off a scenario.
-
-    Attributes:
-        epsilon: ε, largest constant for which F is ε-strongly monotone; not positive when F is not.
-        iota_strategies: ι_F, Lipschitz constant of F.
-        iota_estimates: ι, Lipschitz constant of the stacked **F**.
-        exact: whether these are exact and global (F affine), or sampled.
-        jacobian: dF, shape (n, n); at x* unless F is affine.
-        owners: the player who owns each component, shape (n,).
-        laplacians: L of every mode of the topology, each (N, N).
-        recurring_connectivity: λ2 of the union of the graphs that act as s → ∞: all modes on the transformed clock, the
-            last one on the physical clock (docs/errata.md, 2).
-        largest_step: largest Θ_k.
-        effective_time: τ_K, the sum of the steps.
-        gain: c in 1/s.
-    """
-
-    epsilon: float
-    iota_strategies: float
-    iota_estimates: float
-    exact: bool
-    jacobian: FloatArray
-    owners: IntArray
-    laplacians: tuple[FloatArray, ...]
-    recurring_connectivity: float
-    largest_step: float
-    effective_time: float
-    gain: float
-
-    @property
-    def iota(self) -> float:
-        """The larger Lipschitz constant, ι of eq. GainCondition."""
-        return max(self.iota_strategies, self.iota_estimates)
-
-    @property
-    def num_players(self) -> int:
-        """N."""
-        return len(self.laplacians[0])
-
-    @cached_property
-    def connectivity(self) -> float:
-        """The smallest λ2 over the modes; exactly 0 where a mode is disconnected."""
-        return min(algebraic_connectivity(laplacian) for laplacian in self.laplacians)
-
-    @property
-    def largest_degree(self) -> float:
-        """The largest Σ_j a_ij over players and modes."""
-        return max(float(laplacian.diagonal().max()) for laplacian in self.laplacians)
-
-    def loop(self, laplacian: FloatArray, kappa: float) -> FloatArray:
-        """M of the static law; see :func:`loop_matrix`."""
-        return loop_matrix(self.jacobian, self.owners, laplacian, kappa)
-
-
-def loop_matrix(jacobian: FloatArray, owners: IntArray, laplacian: FloatArray, kappa: float) -> FloatArray:
-    """M = R^T d**F** + κ L⊗I of the static law in the paper's stacking col(x^1 … x^N) (eq. StackedVariable).
-
-    Args:
-        jacobian: dF, shape (n, n).
-        owners: the player who owns each component, shape (n,).
-        laplacian: L, shape (N, N).
-        kappa: κ.
-
-    Returns:
-        Shape (Nn, Nn); entry i n + k belongs to x^i_k.
-    """
-    n = len(owners)
-    matrix = kappa * np.kron(laplacian, np.eye(n))
-    for component, owner in enumerate(owners):
-        matrix[owner * n + component, owner * n : (owner + 1) * n] += jacobian[component]
-    return np.asarray(matrix)
-
-
-def algebraic_connectivity(laplacian: FloatArray) -> float:
-    """λ2 of a Laplacian, without the rounding that a disconnected graph's has."""
-    second = float(np.linalg.eigvalsh(laplacian)[1])
-    return second if second > 1e-10 * max(1.0, float(laplacian.max())) else 0.0
-
-
-@dataclass(frozen=True)
-class Condition:
-    """What a law's theorem asks, and whether a scenario meets it.
-
-    Attributes:
-        name: the condition in words or symbols, with the direction in which ``value`` is compared with ``bound``.
-        value: the number that decides.
-        bound: what it is compared with; infinite or NaN where no number would do.
-        holds: whether the scenario meets the condition.
-        exact: whether the numbers are exact; otherwise they come from samples or a linearisation and prove nothing.
-    """
-
-    name: str
-    value: float
-    bound: float
-    holds: bool
-    exact: bool = True
-
-    @classmethod
-    def above(cls, name: str, value: float, bound: float, *, exact: bool = True) -> Condition:
-        """The condition value > bound."""
-        return cls(name, float(value), float(bound), bool(value > bound), exact)
-
-    @classmethod
-    def below(cls, name: str, value: float, bound: float, *, exact: bool = True) -> Condition:
-        """The condition value < bound."""
-        return cls(name, float(value), float(bound), bool(value < bound), exact)
-
-
-def decisive(*conditions: Condition) -> Condition:
-    """All of several conditions as one: the first that fails, or else the last."""
-    return next((condition for condition in conditions if not condition.holds), conditions[-1])
-
-
-def strong_monotonicity(constants: ProblemConstants) -> Condition:
-    """ε > 0 (Assumption 4)."""
-    return Condition.above("F is strongly monotone: ε > 0", constants.epsilon, 0.0, exact=constants.exact)
-
-
-def lasting_connectivity(constants: ProblemConstants) -> Condition:
-    """λ2 > 0 for the union of the graphs that act as s → ∞ (Assumptions 1 and 2)."""
-    return Condition.above("the graphs are connected as s → ∞: λ2 > 0", constants.recurring_connectivity, 0.0)
-
-
 class Law(ABC):
-    """A policy built from a layout, acting from observations and its own memory alone.
+    """A policy that is built from a layout and acts on observations and its own memory alone.
+
+    A subclass implements :meth:`inputs`, and :meth:`initial_memory` if it has memory.
 
     Args:
-        layout: of the environment's observations, ``env.layout``; either interface.
+        layout: of the environment's observations, ``env.layout``.
 
     Raises:
-        ValueError: when the layout's action mode or interface is one through which the law cannot act, or lacks a slice
-            that the law reads.
+        ValueError: when the law cannot act through the layout's action mode or interface, or reads a slice that the
+            layout lacks.
     """
 
-    needs_full_information = False
-    """Whether the law is an oracle that reads what no player can see."""
+    needs_full_information: ClassVar[bool] = False
+    """Whether the law is an oracle: it uses information that players lack."""
 
     needs: ClassVar[tuple[str, ...]] = ()
-    """Slices that the law reads and not every layout has."""
+    """Slices that the law reads and only some layouts have."""
+
+    acts_through_gains: ClassVar[bool] = False
+    """Whether the law can act through the action mode ``gains``."""
 
     interface: ClassVar[Interface] = Interface()
-    """Through which it acts in comparisons."""
+    """The interface that the law uses in comparisons."""
 
     def __init__(self, layout: ObservationLayout) -> None:
         name = type(self).__name__
-        if layout.interface.action_mode != "input" and not self._acts_through_gains():
+        if layout.interface.action_mode != "input" and not self.acts_through_gains:
             raise ValueError(f"{name} needs action_mode='input', this layout has {layout.interface.action_mode!r}")
         if self.needs_full_information and layout.interface.kind != "full":
             raise ValueError(f"{name} is an oracle and needs the interface 'full', got {layout.interface.kind!r}")
@@ -183,66 +66,46 @@ class Law(ABC):
         """Actions for observations; see :meth:`ptne_env.policy.Policy.predict`. Laws are deterministic.
 
         Raises:
-            ValueError: when observations or memory are not of this law's shape.
+            ValueError: when observations or memory have another shape than this law needs.
         """
-        observation = np.asarray(observation)
-        single = observation.ndim == 1
-        rows = observation[None] if single else observation
-        reading = self.layout.read(rows)
-        fresh = self._initial_memory(len(rows))
+        array = np.asarray(observation)
+        parsed = self.layout.read(np.atleast_2d(array))
+        fresh = self.initial_memory(len(parsed.player))
         memory = fresh if state is None or fresh is None else _restart(state, fresh, episode_start)
-        inputs, memory = self._inputs(reading, memory)
-        actions = self._actions(inputs, reading)
-        return (actions[0] if single else actions), memory
+        inputs, memory = self.inputs(parsed, memory)
+        actions = self._actions(inputs, parsed)
+        return (actions[0] if array.ndim == 1 else actions), memory
 
-    def inputs(self, reading: Observation, memory: Any = None) -> tuple[FloatArray, Any]:
-        """What :meth:`predict` decides, in float64 and before the action box; it is what theory computes with.
+    @abstractmethod
+    def inputs(self, observation: Observation, memory: Any) -> tuple[FloatArray, Any]:
+        """The law itself, in float64 and before the action box clips.
 
         Args:
-            reading: of R players.
-            memory: the law's, as it returned it; a fresh one if left out.
+            observation: parsed, of R players.
+            memory: as returned by the previous call, or by :meth:`initial_memory`; one row per player.
 
         Returns:
-            The inputs u^i in the reading's unit, shape (R, n), and the memory for the next step.
+            The inputs u^i in the observation's unit, shape (R, n), and the memory for the next step.
         """
-        return self._inputs(reading, self._initial_memory(len(reading.player)) if memory is None else memory)
+
+    def initial_memory(self, rows: int) -> Any:  # noqa: ARG002 - laws with memory use it
+        """The memory at the start of an episode for R players, one row each; ``None`` for a law without memory."""
+        return None
 
     @property
     def has_memory(self) -> bool:
-        """Whether the law remembers something from step to step."""
-        return self._initial_memory(1) is not None
-
-    def initial_memory(self, rows: int) -> Any:
-        """A fresh memory for R players, one row each; ``None`` for a law without memory."""
-        return self._initial_memory(rows)
+        """Whether the law keeps numbers from step to step."""
+        return self.initial_memory(1) is not None
 
     def gains(self, memory: Any) -> FloatArray | None:  # noqa: ARG002 - laws whose gains adapt use it
-        """The gains that act, from a memory with one row per player; ``None`` for a law that adapts none.
+        """The gains that act, from a memory with one row per player; ``None`` for a law without adaptive gains.
 
         With these gains frozen, the law is one without memory.
         """
         return None
 
-    def condition(self, constants: ProblemConstants) -> Condition | None:  # noqa: ARG002 - laws with a theorem use it
-        """Whether a scenario meets the law's condition, with the number that decides; ``None`` if it promises nothing.
-
-        Args:
-            constants: of the scenario; ``ptne_env.theory.condition`` reads them off one.
-        """
-        return None
-
-    @abstractmethod
-    def _inputs(self, reading: Observation, memory: Any) -> tuple[FloatArray, Any]:
-        """Inputs u^i in the reading's unit, shape (R, n), and the memory for the next step."""
-
-    def _actions(self, inputs: FloatArray, reading: Observation) -> Float32Array:
-        return self.layout.write(inputs, reading)
-
-    def _acts_through_gains(self) -> bool:
-        return False
-
-    def _initial_memory(self, rows: int) -> Any:  # noqa: ARG002 - laws with memory use it
-        return None
+    def _actions(self, inputs: FloatArray, observation: Observation) -> Float32Array:
+        return self.layout.write(inputs, observation)
 
 
 def _restart(memory: Any, fresh: FloatArray, episode_start: BoolArray | None) -> FloatArray:
@@ -262,7 +125,11 @@ def consensus(weights: FloatArray, relative_estimates: FloatArray) -> FloatArray
     return np.einsum("rd,rdn->rn", weights, relative_estimates)
 
 
-def per_step(displacements: FloatArray, reading: Observation) -> FloatArray:
-    """The inputs (R, n) that move estimates by ``displacements`` in the coming step; 0 where no step comes."""
-    over = reading.theta == 0  # the terminal observation, from which nobody acts
-    return displacements / np.where(over, np.inf, reading.theta)
+def step_length(observation: Observation) -> FloatArray:
+    """Θ_k of the coming step as a divisor, shape (R, 1); infinite at the terminal step, which no action follows."""
+    return np.where(observation.theta == 0, np.inf, observation.theta)
+
+
+def per_step(displacements: FloatArray, observation: Observation) -> FloatArray:
+    """The inputs Δx/Θ that move estimates by Δx = ``displacements`` (R, n) within the step; 0 at the terminal step."""
+    return displacements / step_length(observation)

@@ -1,28 +1,52 @@
-"""The paper's static law (Theorem 1) and the same law without the time gain (Corollary 1)."""
+"""The paper's static law (Theorem 1), and the same law without the time gain (Corollary 1)."""
 
 from __future__ import annotations
+
+from typing import ClassVar
 
 import numpy as np
 
 from ptne_env.arrays import Float32Array, FloatArray, require_non_negative, require_positive
-from ptne_env.laws.base import Condition, Law, ProblemConstants, consensus
+from ptne_env.laws.base import Law, consensus, step_length
 from ptne_env.observation import CONSENSUS_GAIN, GAIN_OCTAVES, Observation, ObservationLayout
 
 
-class Static(Law):
-    """u^i = −R_i^T ∂J_i/∂x_i(x^i) − κ Σ_j a_ij (x^i − x^j) (eq. PrescribedTimeAlgorithm, Theorem 1).
+def static_inputs(observation: Observation, kappa: float, gradient_gain: float = 1.0) -> FloatArray:
+    """u^i = −g R_i^T ∂J_i/∂x_i(x^i) − κ Σ_j a_ij (x^i − x^j), the static law.
 
-    The environment's dynamics supply the gain c + 1/(T − t). Through action mode ``gains`` it asks for its two gains,
-    which must lie within a factor 8 of 1 and of 2.
+    Eq. PrescribedTimeAlgorithm, Theorem 1; the environment's dynamics supply the time gain c + 1/(T − t).
+    With κ = ``kappa`` and g = ``gradient_gain``; g ≠ 1 is the same law for the costs g J_i.
+    """
+    inputs = consensus(observation.weights, observation.relative_estimates)
+    inputs *= kappa
+    inputs -= gradient_gain * observation.gradient
+    return inputs
+
+
+def corollary_one_inputs(observation: Observation, kappa: float) -> FloatArray:
+    """u^i = (Δt_k/Θ_k) (−R_i^T ∂J_i/∂x_i(x^i) − κ Σ_j a_ij (x^i − x^j)), so that dx^i/dt has no time gain.
+
+    Corollary 1, which prints e^i − e^j where x^i − x^j is meant (docs/errata.md, 5). The environment multiplies every
+    input by Θ_k, so the law divides by it. At κ = 1 it is Gadjov and Pavel's law.
+    """
+    return static_inputs(observation, kappa) * (observation.dt / step_length(observation))
+
+
+class Static(Law):
+    """The static law of the paper, :func:`static_inputs`.
+
+    Through the action mode ``gains`` its actions are its two gains, which must lie within a factor 8 of 1 and of 2.
 
     Args:
         layout: of the environment.
         kappa: κ ≥ 0.
-        gradient_gain: factor on the own gradient; other than 1 it is the same law for scaled costs.
+        gradient_gain: g > 0.
 
     Raises:
-        ValueError: for a negative gain, or one out of reach in action mode ``gains``.
+        ValueError: for a gain out of range, or out of reach in the action mode ``gains``.
     """
+
+    acts_through_gains: ClassVar[bool] = True
 
     def __init__(self, layout: ObservationLayout, kappa: float = 2.0, gradient_gain: float = 1.0) -> None:
         super().__init__(layout)
@@ -38,51 +62,26 @@ class Static(Law):
                     f"{gradient_gain} and {kappa}"
                 )
 
-    def condition(self, constants: ProblemConstants) -> Condition:
-        """κ > (ι²/ε + ι)/λ2 (eq. GainCondition), for scaled costs with κ divided by the gradient gain."""
-        return _gain_condition(self.kappa / self.gradient_gain, constants)
+    def inputs(self, observation: Observation, memory: None) -> tuple[FloatArray, None]:
+        return static_inputs(observation, self.kappa, self.gradient_gain), memory
 
-    def _inputs(self, reading: Observation, memory: None) -> tuple[FloatArray, None]:
-        inputs = consensus(reading.weights, reading.relative_estimates)
-        inputs *= self.kappa
-        inputs -= self.gradient_gain * reading.gradient
-        return inputs, memory
-
-    def _actions(self, inputs: FloatArray, reading: Observation) -> Float32Array:
+    def _actions(self, inputs: FloatArray, observation: Observation) -> Float32Array:
         if self.layout.interface.action_mode == "gains":
             return np.tile(self._gain_action.astype(np.float32), (len(inputs), 1))
-        return super()._actions(inputs, reading)
-
-    def _acts_through_gains(self) -> bool:
-        return True
+        return super()._actions(inputs, observation)
 
 
 class FixedGain(Static):
-    """u^i = −R_i^T ∂J_i/∂x_i(x^i) − κ Σ_j a_ij (x^i − x^j) with Bianchi and Grammatico's condition on κ.
+    """The static law with Bianchi and Grammatico's condition on κ, which is weaker than eq. GainCondition.
 
     M. Bianchi and S. Grammatico, "Continuous-time fully distributed generalized Nash equilibrium seeking for
     multi-integrator agents", Automatica, 2021: their controller with a fixed gain for single integrators, without
-    constraints and in effective time. It is the static law; their condition is weaker than eq. GainCondition.
-
-    It holds exactly where the bound [[ε/N, −(ι_F + ι)/(2√N)], [·, κ λ2 − ι]] of the loop on consensus and
-    disagreement is positive definite, and then (𝐱 − 1⊗x*)ᵀ M (𝐱 − 1⊗x*) > 0.
+    constraints and in effective time.
     """
-
-    def condition(self, constants: ProblemConstants) -> Condition:
-        """κ > ((ι_F + ι)²/(4ε) + ι)/λ2, with κ divided by the gradient gain."""
-        bound = np.inf
-        if constants.epsilon > 0 and constants.connectivity > 0:
-            total = constants.iota_strategies + constants.iota_estimates
-            bound = (total**2 / (4 * constants.epsilon) + constants.iota_estimates) / constants.connectivity
-        kappa = self.kappa / self.gradient_gain
-        return Condition.above("κ > ((ι_F + ι)²/(4ε) + ι)/λ2", kappa, bound, exact=constants.exact)
 
 
 class CorollaryOne(Law):
-    """dx^i/dt = −R_i^T ∂J_i/∂x_i(x^i) − κ Σ_j a_ij (x^i − x^j): the static law without the time gain (Corollary 1).
-
-    The paper prints e^i − e^j where x^i − x^j is meant (docs/errata.md, 5). At κ = 1 it is Gadjov and Pavel's law.
-    The environment multiplies every input by Θ_k, so the law undoes that gain: it asks for u·Δt_k/Θ_k.
+    """The static law without the time gain, :func:`corollary_one_inputs`.
 
     Args:
         layout: of the environment.
@@ -96,22 +95,5 @@ class CorollaryOne(Law):
         super().__init__(layout)
         self.kappa = require_non_negative("kappa", kappa)
 
-    def condition(self, constants: ProblemConstants) -> Condition:
-        """κ > (ι²/ε + ι)/λ2 (eq. GainCondition); convergence is asymptotic, not by the deadline."""
-        return _gain_condition(self.kappa, constants)
-
-    def _inputs(self, reading: Observation, memory: None) -> tuple[FloatArray, None]:
-        inputs = self.kappa * consensus(reading.weights, reading.relative_estimates) - reading.gradient
-        over = reading.theta == 0  # the terminal observation, from which nobody acts
-        inputs *= np.where(over, 0.0, reading.dt / np.where(over, 1.0, reading.theta))
-        return inputs, memory
-
-
-def gain_bound(epsilon: float, iota: float, connectivity: float) -> float:
-    """(ι²/ε + ι)/λ2, which κ must exceed in Theorem 1 (eq. GainCondition); infinite when ε or λ2 is not positive."""
-    return (iota**2 / epsilon + iota) / connectivity if epsilon > 0 and connectivity > 0 else np.inf
-
-
-def _gain_condition(kappa: float, constants: ProblemConstants) -> Condition:
-    bound = gain_bound(constants.epsilon, constants.iota, constants.connectivity)
-    return Condition.above("κ > (ι²/ε + ι)/λ2", kappa, bound, exact=constants.exact)
+    def inputs(self, observation: Observation, memory: None) -> tuple[FloatArray, None]:
+        return corollary_one_inputs(observation, self.kappa), memory

@@ -16,35 +16,16 @@ from ptne_env.clock import Exponential
 from ptne_env.graphs import Graph, cycle
 from ptne_env.paper.continuous import Run
 from ptne_env.paper.experiments import DEADLINE, DWELLS, GAIN, GAMMA, HOLD, KAPPA, Experiments
+from ptne_env.style import COLOURS, FAINT, INK, drawing
 from ptne_env.switching import TopologyClock
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-# Okabe and Ito's palette: distinct for colour-blind readers too, and none of them pale.
-COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00")
-INK, GREY, LIGHT = "#222222", "#777777", "#CCCCCC"
 _CLOCK_NAMES: dict[TopologyClock, str] = {
     "physical": f"dwell {DWELLS['physical']:g} s in $t$ (as in the paper)",
     "transformed": f"dwell {DWELLS['transformed']:g} in $s$",
-}
-_STYLE: dict[Any, Any] = {
-    "font.size": 9,
-    "axes.titlesize": 9.5,
-    "axes.labelsize": 9,
-    "axes.edgecolor": GREY,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.grid": True,
-    "grid.color": "#E6E6E6",
-    "grid.linewidth": 0.6,
-    "axes.axisbelow": True,
-    "legend.frameon": False,
-    "legend.fontsize": 8,
-    "lines.linewidth": 1.3,
-    "svg.hashsalt": "ptne_env",  # the same picture gives the same file
-    "mathtext.fontset": "dejavusans",
 }
 
 
@@ -83,21 +64,17 @@ def draw(spec: FigureSpec, experiments: Experiments, kind: Literal["png", "svg",
     Raises:
         ImportError: naming the extra to install when matplotlib is missing.
     """
-    try:
-        from matplotlib import rc_context  # matplotlib is an extra
-    except ImportError as error:
-        raise ImportError('figures need matplotlib: pip install "ptne-env[bench]"') from error
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-    from matplotlib.layout_engine import ConstrainedLayoutEngine
-
     width, height = spec.size
     lines = [] if kind == "page" else textwrap.wrap(spec.caption, int(15.5 * width))
     band = 0.17 * len(lines) + 0.12 * bool(lines)  # inches for the caption below the axes
     share = band / (height + band)
     options: dict[str, Any] = {"dpi": 200} if kind == "png" else {"metadata": {"Date": None}}
     buffer = io.BytesIO()
-    with rc_context({**_STYLE, "svg.fonttype": "path" if kind == "page" else "none"}):
+    with drawing("figures", {"svg.fonttype": "path" if kind == "page" else "none"}):
+        from matplotlib.backends.backend_agg import FigureCanvasAgg
+        from matplotlib.figure import Figure
+        from matplotlib.layout_engine import ConstrainedLayoutEngine
+
         layout = ConstrainedLayoutEngine(rect=(0, share, 1, 1 - share), w_pad=0.09, h_pad=0.07)
         figure = Figure(figsize=(width, height + band), layout=layout)
         FigureCanvasAgg(figure)
@@ -138,8 +115,8 @@ def _relative_errors(axes: Axes, run: Run, end: float, *, floor: float = 1e-13) 
         linestyle="--",
         label=r"all estimates $\mathbf{x}$",
     )
-    axes.axhline(0.005, color=GREY, linewidth=0.8, linestyle=":")
-    axes.text(0.015 * end, 0.005 / 1.3, "0.5 %", color=GREY, fontsize=7.5, va="top")
+    axes.axhline(0.005, color=FAINT, linewidth=0.8, linestyle=":")
+    axes.text(0.015 * end, 0.005 / 1.3, "0.5 %", color=FAINT, fontsize=7.5, va="top")
     axes.set(xlabel="time $t$ [s]", ylabel="relative error", xlim=(0, end))
     lowest = max(floor, float(run.strategy_distance.min()))
     axes.set_ylim(bottom=min(lowest, 0.005) / 30)  # room for the legend below the curves
@@ -174,8 +151,8 @@ def _runs(figure: Figure, runs: Sequence[tuple[str, Run]], end: float, *, deadli
 
 
 def _gains(axes: Axes, run: Run, title: str) -> None:
-    for (i, j), colour, gain in zip(run.topology.union.edges, COLOURS, run.gains.T, strict=True):
-        axes.plot(run.timeline.t, gain, color=colour, label=rf"$\kappa_{{{i + 1}{j + 1}}}$")
+    for link, ((i, j), gain) in enumerate(zip(run.topology.union.edges, run.gains.T, strict=True)):
+        axes.plot(run.timeline.t, gain, color=COLOURS[link], label=rf"$\kappa_{{{i + 1}{j + 1}}}$")
     axes.set(xlabel="time $t$ [s]", ylabel=r"gain $\kappa_{ij}$", xlim=(0, DEADLINE + HOLD))
     axes.set_ylim(0, 1.18 * float(run.gains.max()))  # room for the legend above the curves
     axes.set_title(title)
@@ -189,7 +166,7 @@ def _network(axes: Axes, graph: Graph, union: Graph) -> None:
     places = {i: np.array([np.cos(angle), np.sin(angle)]) for i, angle in enumerate(angles)}
     down = [edge for edge in union.edges if edge not in graph.edges]
     pair = union.to_networkx()
-    nx.draw_networkx_edges(pair, places, edgelist=down, ax=axes, edge_color=LIGHT, style="dotted", width=1.0)
+    nx.draw_networkx_edges(pair, places, edgelist=down, ax=axes, edge_color=FAINT, style="dotted", width=1.0)
     nx.draw_networkx_edges(pair, places, edgelist=graph.edges, ax=axes, edge_color=INK, width=1.8)
     nx.draw_networkx_nodes(pair, places, ax=axes, node_color=COLOURS[: graph.num_players], node_size=330)
     labels = {i: str(i + 1) for i in places}

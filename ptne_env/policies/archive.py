@@ -1,4 +1,4 @@
-"""Running a Stable-Baselines3 archive (.zip). Loading one executes code in it: load only what you trust."""
+"""Policies in Stable-Baselines3 archives (.zip). Loading an archive executes code in it: load only trusted files."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ from ptne_env.policies.learned import PolicyFileError
 class ArchivePolicy:
     """The policy network of a saved model of any Stable-Baselines3 algorithm; see :class:`ptne_env.policy.Policy`.
 
-    Make one with :func:`load_archive`.
+    :func:`load_archive` makes one.
 
     Attributes:
-        interface: through which it sees and acts, told from its spaces.
+        interface: of the policy, recognised by its spaces.
     """
 
     def __init__(self, path: Path, network: Any) -> None:
@@ -39,7 +39,7 @@ class ArchivePolicy:
         """Check that the policy can act in an environment of this layout.
 
         Raises:
-            PolicyFileError: naming what differs.
+            PolicyFileError: naming the differences.
         """
         mine = (self._network.observation_space.shape[0], self._network.action_space.shape[0])
         theirs = (layout.size, layout.action_size)
@@ -61,14 +61,19 @@ class ArchivePolicy:
         return actions, state
 
 
-def load_archive(path: str) -> ArchivePolicy:
+def load_archive(path: str, layout: ObservationLayout | None = None) -> ArchivePolicy:
     """Load a model that Stable-Baselines3 saved. This executes code that is stored in the file.
 
     Torch is set to one thread, so that the same bits come out on every machine of a kind.
 
+    Args:
+        path: the archive.
+        layout: of the environment in which the policy must be able to act; not checked if left out.
+
     Raises:
         FileNotFoundError: when there is no such file.
-        PolicyFileError: when it is no archive of Stable-Baselines3, or of a model of other environments.
+        PolicyFileError: when it is no archive of Stable-Baselines3, or of a model of other environments or another
+            layout.
         ImportError: when Stable-Baselines3 is not installed.
     """
     try:
@@ -89,18 +94,10 @@ def load_archive(path: str) -> ArchivePolicy:
             arguments["use_sde"] = True
         network = data["policy_class"](data["observation_space"], data["action_space"], lambda _: 0.0, **arguments)
         network.load_state_dict(parameters["policy"])
-    except Exception as error:  # whatever unpickling foreign bytes may raise
+    except Exception as error:  # unpickling foreign bytes may raise anything
         raise PolicyFileError(f"{path} is not an archive of a Stable-Baselines3 model: {error!r}") from error
     network.set_training_mode(mode=False)
-    return ArchivePolicy(file, network)
-
-
-def load_archive_for(layout: ObservationLayout, path: str) -> ArchivePolicy:
-    """:func:`load_archive`, and check that the policy can act in an environment of this layout.
-
-    Raises:
-        FileNotFoundError, PolicyFileError, ImportError: as :func:`load_archive`.
-    """
-    policy = load_archive(path)
-    policy.require(layout)
+    policy = ArchivePolicy(file, network)
+    if layout is not None:
+        policy.require(layout)
     return policy

@@ -16,11 +16,11 @@ from ptne_env.arrays import BoolArray, Float32Array
 from ptne_env.observation import Interface, ObservationLayout
 
 LAYOUT_VERSION = 1
-"""Version of the meaning of observations and actions; a file of another version is refused."""
+"""Version of the meaning of observations and actions; :func:`load` refuses files of another version."""
 
 _METADATA_KEY = "ptne_env"
 _ELSEWHERE = b"location"
-"""By this key, and no other, an ONNX file names files to read its weights from, wherever they are."""
+"""The only key by which an ONNX file names other files that hold its weights."""
 
 _FOLDER = Path(__file__).parent
 
@@ -31,17 +31,17 @@ class PolicyFileError(ValueError):
 
 @dataclass(frozen=True)
 class Metadata:
-    """What a policy file says about itself.
+    """The description of a policy inside its file.
 
     Attributes:
-        interface: through which the policy sees and acts.
+        interface: of the policy.
         action_dims: n_i of each player it was trained with.
         slots: D, neighbour slots per player.
         scenarios: names of the scenarios, families of games or tracks (``"ptne-v1/delay"``) it was trained on.
         steps: agent-steps of training.
         seed: of training.
-        digits: mean digits on the validation bank after training.
-        versions: of the libraries that made it.
+        digits: mean digits on the validation episodes after training.
+        versions: of the libraries that wrote it.
         layout_version: version of the meaning of observations and actions.
     """
 
@@ -84,7 +84,7 @@ class Metadata:
         """Check that the policy can act in an environment of this layout.
 
         Raises:
-            PolicyFileError: naming what differs.
+            PolicyFileError: naming the differences.
         """
         mine = {"interface": self.interface, "action_dims": self.action_dims, "neighbour slots": self.slots}
         theirs = {
@@ -102,12 +102,12 @@ class Metadata:
 class LearnedPolicy:
     """A feed-forward policy, acting by its mean action; see :class:`ptne_env.policy.Policy`.
 
-    Make one with :func:`load`.
+    :func:`load` makes one.
 
     Attributes:
         name: of the file, without its ending.
-        metadata: what the file says about itself.
-        interface: through which it sees and acts.
+        metadata: description in the file.
+        interface: of the policy.
     """
 
     def __init__(self, name: str, session: Any, metadata: Metadata) -> None:
@@ -142,21 +142,26 @@ class LearnedPolicy:
 
 
 def shipped() -> list[str]:
-    """The names of the policies that come with the library."""
+    """The names of the policies in the library."""
     return sorted(path.stem for path in _FOLDER.glob("*.onnx"))
 
 
 def shipped_path(name: str) -> Path | None:
-    """The file of a policy that comes with the library; ``None`` for another name."""
+    """The file of a policy in the library; ``None`` for another name."""
     return _FOLDER / f"{name}.onnx" if name in shipped() else None
 
 
-def load(path_or_name: str | Path) -> LearnedPolicy:
-    """A learned policy from an ``.onnx`` file, or a shipped one by name.
+def load(path_or_name: str | Path, layout: ObservationLayout | None = None) -> LearnedPolicy:
+    """A learned policy from an ``.onnx`` file, or a shipped policy by name.
+
+    Args:
+        path_or_name: the file or name.
+        layout: of the environment in which the policy must be able to act; not checked if left out.
 
     Raises:
         FileNotFoundError: when there is no such file, naming the shipped policies.
-        PolicyFileError: when the file is damaged, foreign or of another version, or wants to read other files.
+        PolicyFileError: when the file is damaged, foreign or of another version, refers to other files, or was made for
+            another layout.
         ImportError: without onnxruntime, naming the extra to install.
     """
     try:
@@ -185,15 +190,6 @@ def load(path_or_name: str | Path) -> LearnedPolicy:
     metadata = Metadata.from_json(text)
     if len(session.get_inputs()) != 1 or len(session.get_outputs()) != 1 or len(session.get_inputs()[0].shape) != 2:
         raise PolicyFileError(f"{path} does not map one batch of observations to one batch of actions")
+    if layout is not None:
+        metadata.require(layout)
     return LearnedPolicy(path.stem, session, metadata)
-
-
-def load_for(layout: ObservationLayout, path_or_name: str) -> LearnedPolicy:
-    """:func:`load`, and check that the policy can act in an environment of this layout.
-
-    Raises:
-        FileNotFoundError, PolicyFileError, ImportError: as :func:`load`.
-    """
-    policy = load(path_or_name)
-    policy.require(layout)
-    return policy

@@ -42,6 +42,8 @@ SHOWN = 5
 _MOST_LINES = 200
 """The player keeps the estimates of all players up to this many lines, as ``env.render()`` does."""
 
+_VERSIONS = {"sources": "sources of ptne_env, SHA-256"}
+
 _Facts = tuple[tuple[str, str], ...]
 """Names and values."""
 
@@ -183,7 +185,7 @@ def report(results: Results, scenes: Mapping[str, Scene]) -> Report:
             ("seed", str(results.seed)),
             ("split", results.split),
             ("check of a sample of jobs, in the folder of this page", "ptne check results.json"),
-            *((f"version of {name}", version) for name, version in versions().items()),
+            *((_VERSIONS.get(name, f"{name} version"), version) for name, version in versions().items()),
         ),
         parameters=tuple(row for spec in results.policies.values() for row in _parameters(spec)),
     )

@@ -19,6 +19,8 @@ Row = TypeVar("Row")
 FIRST_MARGIN = 0.1
 """A policy whose interval comes within this many digits of the best mean of a track shares the first place there."""
 
+_PERCENT = "\N{NO-BREAK SPACE}%"
+
 ORACLE_NOTE = "* an oracle: it uses information that players lack, and has no rank"
 """The meaning of the mark of oracles."""
 
@@ -136,8 +138,8 @@ def track_tables(results: Results, track: Track) -> list[Table]:
     blocks = {"How close": [] if board is None else _ranking_columns(rows)}
     for metric in sorted(METRICS.values(), key=lambda metric: metric.name != track.metric):
         values = {policy: Value.of(results.summary(name, policy, metric.name)) for policy in order}
-        column = Column(metric.label, metric.meaning, values, descending=metric.direction == "higher")
-        blocks.setdefault(metric.block, []).append(column)
+        label, descending = metric.label.replace(" %", _PERCENT), metric.direction == "higher"
+        blocks.setdefault(metric.block, []).append(Column(label, metric.meaning, values, descending))
     notes = {
         "How close": _not_applicable(results, name),
         "Against tuned laws": [f"{law.name}: {call(law)}" for law in results.tuned.get(name, {}).values()],
@@ -221,11 +223,8 @@ def overview(results: Results) -> Table:
     firsts = first_places(results)
     means = {policy: mean_digits(results, policy) for policy in policies}
     counts = {policy: sum(name == policy for _, name in results.samples) for policy in policies}
-
-    def place(policy: str) -> tuple[float, ...]:
-        score = scores[policy].score.mean if policy in scores else None
-        return -math.inf if score is None else score, len(firsts.get(policy, ())), means[policy].mean or 0.0
-
+    best = sorted(policies, key=lambda policy: (-len(firsts.get(policy, ())), -(means[policy].mean or 0.0)))
+    order = dict.fromkeys([*scores, *best])
     columns = [
         _column(
             "score",
@@ -278,7 +277,7 @@ def overview(results: Results) -> Table:
     return Table(
         f"{results.suite.name}, seed {results.seed}: overall",
         tuple(column for column in columns if column.values),
-        {policy: policies[policy].is_oracle for policy in sorted(policies, key=place, reverse=True)},
+        {policy: policies[policy].is_oracle for policy in order},
         () if board is None else tuple(_scope(results, board)),
     )
 

@@ -11,9 +11,11 @@ from rich.console import Group
 from rich.table import Table as RichTable
 from rich.text import Text
 
+from ptne_env import policies
 from ptne_env.catalogue import CATALOGUE
-from ptne_env.experiments import METRICS, Results, get_suite, suite_policies
+from ptne_env.experiments import METRICS, POLICIES, Results, get_suite
 from ptne_env.experiments.check import Repetition
+from ptne_env.experiments.policy_specs import learned_policy
 from ptne_env.experiments.suite import SUITES
 from ptne_env.report.tables import ORACLE_NOTE, Column, Table, call, number, overview, track_rules, track_tables
 from ptne_env.switching import SwitchingTopology
@@ -98,9 +100,8 @@ def _piece(names: dict[str, str], columns: Sequence[Column], *, intervals: bool)
 
 
 def _heading(column: Column) -> str:
-    label = column.label.replace(" %", "\N{NO-BREAK SPACE}%")
-    width = max(_HEADING_WIDTH, len(label) // 3 + 2)
-    return textwrap.fill(label, width, break_long_words=False, break_on_hyphens=False)
+    width = max(_HEADING_WIDTH, len(column.label) // 3 + 2)
+    return textwrap.fill(column.label, width, break_long_words=False, break_on_hyphens=False)
 
 
 def empty_table(title: str | None = None, *, show_header: bool = True) -> RichTable:
@@ -173,15 +174,13 @@ def _topology(topology: SwitchingTopology) -> str:
 
 def _policy_table() -> RichTable:
     rows = []
-    for spec in suite_policies():
+    for spec in [*POLICIES.values(), *map(learned_policy, policies.shipped())]:
         mode = "" if spec.interface.action_mode == "input" else f", {spec.interface.action_mode}"
-        rows.append([spec.name, f"{spec.interface.kind}{mode}", call(spec)])
+        policy = f"learned on {', '.join(sorted(spec.scenarios))}" if spec.scenarios else call(spec)
+        rows.append([spec.name, f"{spec.interface.kind}{mode}", policy])
     return _listing("Policies", ["name", "interface", "policy"], rows)
 
 
 def _metric_table() -> RichTable:
-    rows = [
-        [name, metric.unit, {"higher": "↑", "lower": "↓", None: ""}[metric.direction], metric.meaning]
-        for name, metric in METRICS.items()
-    ]
+    rows = [[name, metric.unit, metric.direction or "", metric.meaning] for name, metric in METRICS.items()]
     return _listing("Metrics", ["name", "unit", "better", "meaning"], rows)

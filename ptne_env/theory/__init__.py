@@ -1,23 +1,14 @@
-"""What can be promised beforehand: assumptions, gain condition, rates, predicted digits, step, noise and delay margins.
+"""Predictions: assumptions, conditions of theorems, rates, digits, and margins for steps, noise and delay.
 
 docs/theory.md says of each prediction whether it is exact or a bound, and where it comes from.
 """
 
-from ptne_env.theory.assumptions import AssumptionCheck as AssumptionCheck
-from ptne_env.theory.assumptions import LemmaCheck as LemmaCheck
-from ptne_env.theory.assumptions import Verdict as Verdict
-from ptne_env.theory.assumptions import check_assumptions as check_assumptions
-from ptne_env.theory.assumptions import check_lemma as check_lemma
 from ptne_env.theory.certificate import Certificate as Certificate
-from ptne_env.theory.certificate import DelayPrediction as DelayPrediction
-from ptne_env.theory.certificate import FrozenGains as FrozenGains
-from ptne_env.theory.certificate import NoisePrediction as NoisePrediction
+from ptne_env.theory.certificate import build_law as build_law
 from ptne_env.theory.certificate import certify as certify
 from ptne_env.theory.certificate import channel_noise as channel_noise
 from ptne_env.theory.closed_loop import Loop as Loop
-from ptne_env.theory.closed_loop import NoClosedLoopError as NoClosedLoopError
 from ptne_env.theory.closed_loop import closed_loop_matrix as closed_loop_matrix
-from ptne_env.theory.closed_loop import convergence_rate as convergence_rate
 from ptne_env.theory.closed_loop import decay_rate as decay_rate
 from ptne_env.theory.closed_loop import decay_rate_in_time as decay_rate_in_time
 from ptne_env.theory.closed_loop import gain_growth as gain_growth
@@ -25,23 +16,16 @@ from ptne_env.theory.closed_loop import input_decay_rate as input_decay_rate
 from ptne_env.theory.closed_loop import largest_stable_step as largest_stable_step
 from ptne_env.theory.closed_loop import law_loop as law_loop
 from ptne_env.theory.closed_loop import spectral_abscissa as spectral_abscissa
-from ptne_env.theory.conditions import build_law as build_law
+from ptne_env.theory.conditions import Condition as Condition
+from ptne_env.theory.conditions import ProblemConstants as ProblemConstants
 from ptne_env.theory.conditions import condition as condition
 from ptne_env.theory.conditions import problem_constants as problem_constants
 from ptne_env.theory.constants import MonotonicityConstants as MonotonicityConstants
 from ptne_env.theory.constants import gain_bound as gain_bound
 from ptne_env.theory.constants import guaranteed_rate as guaranteed_rate
 from ptne_env.theory.constants import monotonicity_constants as monotonicity_constants
-from ptne_env.theory.sampled import DominantMode as DominantMode
 from ptne_env.theory.sampled import SampledLoop as SampledLoop
-from ptne_env.theory.sampled import delay_bound as delay_bound
-from ptne_env.theory.sampled import delay_margin as delay_margin
-from ptne_env.theory.sampled import delayed_radius as delayed_radius
 from ptne_env.theory.sampled import distance as distance
-from ptne_env.theory.sampled import dominant_mode as dominant_mode
-from ptne_env.theory.sampled import is_stable_for_every_delay as is_stable_for_every_delay
 from ptne_env.theory.sampled import noise_distance as noise_distance
-from ptne_env.theory.sampled import play as play
 from ptne_env.theory.sampled import sampled_loop as sampled_loop
 from ptne_env.theory.sampled import start_error as start_error
-from ptne_env.theory.sampled import stationary_noise_covariance as stationary_noise_covariance

@@ -9,7 +9,6 @@ import numpy as np
 
 from ptne_env.clock import LemmaViolationError, TimeTransformation, check_time_transformation
 from ptne_env.games import Game, check_game
-from ptne_env.laws.base import algebraic_connectivity
 from ptne_env.switching import SwitchingTopology
 from ptne_env.theory.constants import MonotonicityConstants, jacobians, monotonicity_constants
 
@@ -22,9 +21,9 @@ class AssumptionCheck:
 
     Attributes:
         number: 1 to 4.
-        statement: what it says.
+        statement: in words.
         value: the number that decides.
-        meaning: what that number is.
+        meaning: name of that number.
         verdict: ``"holds"``, ``"fails"``, or ``"sampled only"`` where no sample refutes it and nothing proves it.
     """
 
@@ -40,7 +39,7 @@ class LemmaCheck:
     """Whether λ is a time transformation of Lemma 1.
 
     Attributes:
-        remaining: the limit of 1 − λ(s)/T as s → ∞, extrapolated; ``None`` where λ fails before that is asked.
+        remaining: the limit of 1 − λ(s)/T as s → ∞, extrapolated; ``None`` where λ fails an earlier condition.
         verdict: ``"holds"`` or ``"fails"``.
         reason: the first condition that is violated; empty when none is.
     """
@@ -61,8 +60,8 @@ def check_assumptions(
         constants: of the game, when already known.
     """
     constants = constants or monotonicity_constants(game)
-    smallest = min(algebraic_connectivity(graph.laplacian) for graph in topology.graphs)
-    joint = algebraic_connectivity(topology.union.laplacian)
+    smallest = min(graph.algebraic_connectivity for graph in topology.graphs)
+    joint = topology.union.algebraic_connectivity
     convexity, meaning, verdict = _check_convexity(game)
     monotone: Verdict = "fails" if constants.epsilon <= 0 else "holds" if constants.exact else "sampled only"
     kind = "exact" if constants.exact else f"smallest of {constants.samples} samples within {constants.radius:g} of x*"
@@ -98,14 +97,13 @@ def check_lemma(transformation: TimeTransformation) -> LemmaCheck:
 
 def _check_convexity(game: Game) -> tuple[float, str, Verdict]:
     """Assumption 3: the deciding number, its meaning and the verdict."""
-    report = check_game(game)
     if game.is_affine:
         # With F affine J_i is quadratic in x_i with this Hessian, so its definiteness decides both properties.
         jacobian = jacobians(game, game.nash_equilibrium[:, None])[:, :, 0]
         blocks = [jacobian[np.ix_(game.owners == i, game.owners == i)] for i in range(game.num_players)]
         curvature = min(float(np.linalg.eigvalsh((block + block.T) / 2)[0]) for block in blocks)
-        holds = curvature > 0 and report.assumption_3_holds
-        return curvature, "smallest curvature of a J_i in x_i (exact)", "holds" if holds else "fails"
+        return curvature, "smallest curvature of a J_i in x_i (exact)", "holds" if curvature > 0 else "fails"
+    report = check_game(game)
     pairs = zip(report.strictly_convex, report.radially_unbounded, strict=True)
     refuted = sum(not (convex and unbounded) for convex, unbounded in pairs)
     return float(refuted), "players whose J_i a sample refutes", "fails" if refuted else "sampled only"

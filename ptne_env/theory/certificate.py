@@ -1,10 +1,10 @@
-"""What can be promised beforehand about a law on a scenario: everything of this package in one object."""
+"""Certificates: all predictions about a law on a scenario, before anything runs."""
 
 from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -12,22 +12,22 @@ import numpy as np
 
 from ptne_env.arrays import FloatArray, require_count, require_non_negative
 from ptne_env.channel import AdditiveNoise, Chain, Channel, Delay
+from ptne_env.encoder import make_encoder
 from ptne_env.factory import FactorySpec
-from ptne_env.laws import Condition, CorollaryOne, FixedGain, Law, Static
+from ptne_env.laws import CorollaryOne, FixedGain, Law, Static
+from ptne_env.observation import Interface
 from ptne_env.scenario import Scenario
+from ptne_env.switching import SwitchingTopology
 from ptne_env.theory.assumptions import AssumptionCheck, LemmaCheck, check_assumptions, check_lemma
 from ptne_env.theory.closed_loop import NoClosedLoopError, gain_growth, input_decay_rate
-from ptne_env.theory.conditions import build_law, problem_constants
+from ptne_env.theory.conditions import Condition, condition, problem_constants
 from ptne_env.theory.constants import MonotonicityConstants, guaranteed_rate, monotonicity_constants
+from ptne_env.theory.delay import delay_bound, delay_margin, delays_tried, is_stable_for_every_delay
 from ptne_env.theory.sampled import (
     LoopClock,
     SampledLoop,
-    delay_bound,
-    delay_margin,
-    delays_tried,
     distance,
     dominant_mode,
-    is_stable_for_every_delay,
     noise_distance,
     play,
     sampled_loop,
@@ -36,7 +36,7 @@ from ptne_env.theory.sampled import (
 from ptne_env.world import SHORTFALL_WARNING, World
 
 _LARGEST_DIGITS = 308.0
-"""Digits are kept within ±this, so that a certificate holds no infinity."""
+"""Digits are clipped to ± this number, so that a certificate holds no infinity."""
 
 
 @dataclass(frozen=True)
@@ -65,7 +65,7 @@ class NoisePrediction:
     Attributes:
         gain: root mean square of the estimate distance at T that noise of standard deviation 1 causes; it is
             proportional. ``None`` where it overflows.
-        std: standard deviation asked about.
+        std: the noise's standard deviation.
         digits: −log10 of the root mean square distance at T under that noise; ``None`` when F is not affine.
     """
 
@@ -84,7 +84,7 @@ class DelayPrediction:
         tried: largest delay that was tried.
         for_every_delay: whether a sufficient condition shows that every delay leaves the loop stable.
         bound: a sufficient bound in steps, of first order; ``None`` as the margin.
-        steps: delay asked about.
+        steps: the delay of the prediction.
         digits: ``digits_sampled`` under that delay; ``None`` when F is not affine or gains adapt.
     """
 
@@ -98,32 +98,32 @@ class DelayPrediction:
 
 @dataclass(frozen=True)
 class Certificate:
-    """What can be said about a law on a scenario before anything runs; see :func:`certify` and docs/theory.md.
+    """All predictions about a law on a scenario; see :func:`certify` and docs/theory.md.
 
-    What is about the closed loop is ``None`` for a law that has none, and ``notes`` says why. The loop is *linear* when
-    F is affine and no box confines the strategies.
+    Numbers of the closed loop are ``None`` for a law that has none, and ``notes`` gives the reason. The loop is
+    *linear* when F is affine and no box confines the strategies.
 
     Attributes:
         scenario: name.
-        law: what acts, with its arguments.
+        law: class and arguments.
         kappa: κ of the law; ``None`` for a law without one.
         lemma: whether λ is a time transformation.
         assumptions: the paper's Assumptions 1–4.
         constants: ε and ι.
         algebraic_connectivity: smallest λ2 over the modes of the topology.
-        condition: what the law's own theorem asks, and whether the scenario meets it (sufficient for convergence, not
-            necessary); ``None`` for a law that promises nothing.
-        guaranteed_rate: λ_min(O) of the proof of Theorem 1, which the rate is not below; ``None`` unless the paper's
-            gain condition holds for the static law or Corollary 1, on a fixed graph, in a linear loop.
-        guaranteed_digits: what ``digits_sampled`` is not below, from the same constants and the distance of the start
+        condition: the condition of the law's own theorem on the scenario (sufficient for convergence, not necessary);
+            ``None`` for a law without a theorem.
+        guaranteed_rate: λ_min(O) of the proof of Theorem 1, a lower bound of the rate; ``None`` unless the paper's gain
+            condition holds for the static law or Corollary 1, on a fixed graph, in a linear loop.
+        guaranteed_digits: a lower bound of ``digits_sampled``, from the same constants and the distance of the start
             alone; ``None`` likewise.
         clock: ``"effective"``, or ``"physical"`` for a law that undoes the time gain.
         rate: r with which the error decays like e^{−r s} as t → T (e^{−r t} on the physical clock); 0 or less when it
             does not vanish.
         rate_is_exact: whether the loop is linear and the topology not random; otherwise the rate is that of the
             linearisation at x*, or estimated from one draw of the topology.
-        frozen_gains: of a law whose gains adapt, at t = 0 and, where the loop is linear, at T; the last is what
-            ``rate``, the noise and the delay are about.
+        frozen_gains: of a law whose gains adapt, at t = 0 and, where the loop is linear, at T; ``rate``, noise and
+            delay use the last.
         sampled_rate: rate of the slowest mode of the sampled loop over the second half of the steps to T, per unit of
             the loop's own time; ``None`` where the graph switches, gains adapt, or the loop is not linear.
         dominant_share: share of that mode when this half begins; from 0.95 on, a real one dominates. ``None`` likewise.
@@ -137,17 +137,17 @@ class Certificate:
             loop is not linear, or gains adapt.
         largest_step: the largest step of the scenario to T, Θ_k (Δt_k on the physical clock).
         largest_stable_step: the step beyond which explicit steps on some mode's M amplify an error; ``None`` when no
-            step is stable. For a law that looks at its step: ``step_margin`` times the largest.
+            step is stable. For a law that reads its step: ``step_margin`` times the largest.
         step_margin: largest_stable_step / largest_step, above 1 when the steps are short enough; ``None`` likewise. For
-            a law that looks at its step, the smallest over the steps, each with the law as it acts there.
+            a law that reads its step, the smallest over the steps, each with the law as it acts there.
         input_rate: the rate at which u decays; it exceeds ``rate`` where u vanishes and the error does not.
         velocity_bounded: whether g(t) u stays bounded as t → T: ``input_rate`` ≥ 1 for the paper's λ. ``None`` where
-            it is not decided, for a law that looks at its step.
+            it is not decided, for a law that reads its step.
         energy_finite: whether ∫‖g u‖² dt is finite: ``input_rate`` > 1/2 for the paper's λ. ``None`` likewise.
-        noise: what noise on messages does.
-        delay: what late messages do.
+        noise: effect of noise on messages.
+        delay: effect of late messages.
         shortfall: 1 − t_K/T, how far short of the deadline the last step ends, as a fraction of T.
-        notes: what else a reader must know.
+        notes: limits of these numbers, in sentences.
     """
 
     scenario: str
@@ -183,7 +183,7 @@ class Certificate:
     delay: DelayPrediction | None = None
 
     def to_dict(self) -> dict[str, Any]:
-        """A JSON object; what does not exist is null, and no number is NaN or infinite."""
+        """A JSON object; a missing value is null, and no number is NaN or infinite."""
         data = dataclasses.asdict(self)
         data["constants"]["iota"] = self.constants.iota
         for name in ("assumptions", "frozen_gains", "notes"):
@@ -203,58 +203,74 @@ def certify(
     delay_steps: int | None = None,
     delay_limit: int = 10,
 ) -> Certificate:
-    """Everything that the theory says about a law on ``scenario``.
+    """All predictions of the theory about a law on ``scenario``.
 
     Args:
-        scenario: the experiment; of a random start, topology or game one is taken, the first two with seed 0.
+        scenario: the experiment; a random start, topology or game contributes one draw, the first two with seed 0.
         kappa: κ ≥ 0 of the static law, which is certified when ``law`` is left out.
-        law: builds a law from the layout, such as ``FactorySpec.of("ptne_env.laws:Grounded", kappa=4.0)``. What is about the
-            closed loop needs one that is linear in gradient and differences, possibly with gains that adapt.
-        noise_std: σ ≥ 0 of additive noise on every component of every message, whose effect is predicted; what the
-            scenario's channel adds if left out.
-        delay_steps: delay of every message in steps, whose effect is predicted; the channel's constant delay if left
-            out.
+        law: builds a law from the layout, such as ``FactorySpec.of("ptne_env.laws:Grounded", kappa=4.0)``. Numbers of
+            the closed loop need a law that is linear in gradient and differences, possibly with gains that adapt.
+        noise_std: σ ≥ 0 of additive noise on every component of every message; the channel's if left out.
+        delay_steps: delay of every message in steps; the channel's constant delay if left out.
         delay_limit: largest delay that is tried for the margin.
 
     Raises:
-        ValueError: when a number is negative, or the part does not build a law that can act on the scenario.
+        ValueError: when a number is negative, or the spec does not build a law that can act on the scenario.
     """
-    faults = _ChannelFaults.of(World(scenario).channel)
+    world = World(scenario)
+    faults = _ChannelFaults.of(world.channel)
     std = require_non_negative("noise_std", faults.noise_std if noise_std is None else noise_std)
     lag = require_count("delay_steps", faults.delay_steps if delay_steps is None else delay_steps, 0)
     require_count("delay_limit", delay_limit, 0)
-    part = law or FactorySpec.of("ptne_env.laws:Static", kappa=require_non_negative("kappa", kappa))
-    built = build_law(part, scenario)
-    game, topology, clock = World(scenario).game, World(scenario).topology, World(scenario).clock
-    constants = monotonicity_constants(game)
-    facts = problem_constants(scenario, constants)
+    spec = law or FactorySpec.of("ptne_env.laws:Static", kappa=require_non_negative("kappa", kappa))
+    built = build_law(spec, world)
+    constants = monotonicity_constants(world.game)
+    facts = problem_constants(world, constants)
     own_kappa = getattr(built, "kappa", None)
     certificate = Certificate(
         scenario=scenario.name,
-        law=_describe(part),
+        law=_describe(spec),
         kappa=None if own_kappa is None else float(own_kappa),
-        lemma=check_lemma(clock.transformation),
-        assumptions=check_assumptions(game, topology, constants),
+        lemma=check_lemma(world.clock.transformation),
+        assumptions=check_assumptions(world.game, world.topology, constants),
         constants=constants,
         algebraic_connectivity=facts.connectivity,
-        condition=built.condition(facts),
-        effective_time=clock.effective_time,
-        shortfall=clock.shortfall,
-        notes=tuple(_scenario_notes(scenario, faults)),
+        condition=condition(built, facts),
+        effective_time=world.clock.effective_time,
+        shortfall=world.clock.shortfall,
+        notes=tuple(_scenario_notes(world, faults)),
     )
     try:
-        loop = sampled_loop(scenario, built)
+        loop = sampled_loop(world, built)
     except NoClosedLoopError as error:
         return dataclasses.replace(certificate, notes=(f"{error}: no rates, digits or margins", *certificate.notes))
-    prediction = _Prediction.of(scenario, built, loop)
+    prediction = _Prediction.of(world, built, loop)
     return dataclasses.replace(
         certificate,
         notes=(*prediction.notes(), *certificate.notes),
         **prediction.fields(),
-        **_guarantee(certificate, scenario, built, prediction),
+        **_guarantee(certificate, prediction),
         noise=prediction.noise(std),
         delay=prediction.delay(lag, delay_limit),
     )
+
+
+def build_law(law: FactorySpec | Callable[..., Law], world: World) -> Law:
+    """The law, built for the layout of ``world`` under the law's own interface.
+
+    Args:
+        law: a law's class, or a spec that builds a law; called with ``layout=``.
+        world: the scenario, built.
+
+    Raises:
+        ValueError: when the law cannot act in the world, or the spec builds something else.
+    """
+    target = law.resolve() if isinstance(law, FactorySpec) else law
+    layout = make_encoder(world, getattr(target, "interface", Interface())).layout
+    built = law.build(layout=layout) if isinstance(law, FactorySpec) else law(layout=layout)
+    if not isinstance(built, Law):
+        raise ValueError(f"{law!r} built a {type(built).__name__}; the theory is about a ptne_env.laws.Law")
+    return built
 
 
 def channel_noise(channel: Channel) -> float:
@@ -264,7 +280,7 @@ def channel_noise(channel: Channel) -> float:
 
 @dataclass(frozen=True)
 class _ChannelFaults:
-    """What a channel does that is predicted, and the kinds of what is not."""
+    """The faults of a channel that are predicted, and the kinds of the others."""
 
     noise_std: float
     delay_steps: int
@@ -285,37 +301,37 @@ class _ChannelFaults:
 
 @dataclass(frozen=True)
 class _Prediction:
-    """The closed loop on a scenario, from its start: the part of a certificate that needs one.
+    """The closed loop in a world, from its start: the part of a certificate that needs a loop.
 
     ``loops`` are those at frozen gains by instant, ``path`` the errors at every instant where the loop is linear.
     """
 
-    scenario: Scenario
+    world: World
     law: Law
     loops: Mapping[str, SampledLoop]
     memories: Mapping[str, Any]
     start: FloatArray
-    path: FloatArray | None
-    peak_input: float
+    path: FloatArray | None = None
+    peak_input: float = 0.0
 
     @classmethod
-    def of(cls, scenario: Scenario, law: Law, loop: SampledLoop) -> _Prediction:
-        game = World(scenario).game
-        estimates = World(scenario).start.draw(game.num_players, game.dimension, np.random.default_rng(0))
+    def of(cls, world: World, law: Law, loop: SampledLoop) -> _Prediction:
+        game, steps = world.game, world.clock.steps
+        estimates = world.start.draw(game.num_players, game.dimension, np.random.default_rng(0))
         start, loops = start_error(estimates, game), {"start": loop}
         memories = {"start": law.initial_memory(game.num_players)}
-        if not _is_linear(scenario):
-            return cls(scenario, law, loops, memories, start, None, 0.0)
+        if game.has_bounds or not game.is_affine:
+            return cls(world, law, loops, memories, start)
         if not law.has_memory:
-            path, theta = loop.errors(start), World(scenario).clock.theta[: scenario.steps]
-            finite = path[np.isfinite(path).all(axis=1)][: scenario.steps + 1]
-            inputs = np.diff(finite, axis=0) / theta[: len(finite) - 1, None]
-            return cls(scenario, law, loops, memories, start, path, float(np.abs(inputs).max()))
-        episode = play(law, World(scenario), estimates)
+            path = loop.errors(start)
+            finite = path[np.isfinite(path).all(axis=1)][: steps + 1]
+            inputs = np.diff(finite, axis=0) / world.clock.theta[: len(finite) - 1, None]
+            return cls(world, law, loops, memories, start, path, float(np.abs(inputs).max()))
+        episode = play(law, world, estimates)
         if episode.memory is not None:
             memories["deadline"] = episode.memory
-            loops["deadline"] = sampled_loop(scenario, law, episode.memory)
-        return cls(scenario, law, loops, memories, start, episode.errors, episode.peak_input)
+            loops["deadline"] = sampled_loop(world, law, episode.memory)
+        return cls(world, law, loops, memories, start, episode.errors, episode.peak_input)
 
     @property
     def loop(self) -> SampledLoop:
@@ -327,20 +343,22 @@ class _Prediction:
         """Whether the path is that of ``loop``: linear, and no gain adapts."""
         return self.path is not None and not self.law.has_memory
 
+    def digits(self, errors: FloatArray) -> float:
+        return _digits(distance(errors, self.world.game))
+
     def fields(self) -> dict[str, Any]:
         """The fields of a certificate that hold numbers of the loop."""
-        scenario, loop, path = self.scenario, self.loop, self.path
-        game, topology, clock = World(scenario).game, World(scenario).topology, World(scenario).clock
-        rate = loop.rate(scenario)
-        effective = loop.clock == "effective"
+        loop, path, scenario = self.loop, self.path, self.world.scenario
+        topology, clock = self.world.topology, self.world.clock
+        rate, effective = loop.rate(self.world), loop.clock == "effective"
         matrices = [each.matrix for each in loop.per_mode]
         input_rate = input_decay_rate(matrices, topology, scenario.deadline) if effective else rate
         growth = gain_growth(clock.transformation)
         time_left = scenario.deadline * scenario.gain + scenario.s_end if effective else scenario.deadline
         largest_step = float(loop.steps[: clock.steps].max())
-        margin = _smallest([each.step_margin() for each in self.loops.values()])
+        margins = [each.step_margin() for each in self.loops.values()]
+        margin = None if None in margins else min(each for each in margins if each is not None)
         mode = dominant_mode(loop, self.start, clock.steps // 2, clock.steps) if self.has_one_recursion else None
-        bounded, finite = input_rate >= growth, input_rate > growth / 2
         return {
             "clock": loop.clock,
             "rate": rate,
@@ -349,32 +367,32 @@ class _Prediction:
             "sampled_rate": None if mode is None else mode.rate,
             "dominant_share": None if mode is None else mode.share,
             "digits_from_rate": rate * time_left / math.log(10),
-            "digits_sampled": None if path is None else _digits(distance(path[clock.steps], game)),
-            "digits_after_hold": _digits(distance(path[-1], game)) if path is not None and clock.hold_steps else None,
+            "digits_sampled": None if path is None else self.digits(path[clock.steps]),
+            "digits_after_hold": self.digits(path[-1]) if path is not None and clock.hold_steps else None,
             "worst_digits_gained": _worst_digits(loop) if self.has_one_recursion else None,
             "largest_step": largest_step,
             "largest_stable_step": None if margin is None else margin * largest_step,
             "step_margin": margin,
             "input_rate": input_rate,
-            "velocity_bounded": None if loop.looks_at_step else not effective or bounded,
-            "energy_finite": None if loop.looks_at_step else not effective or finite,
+            "velocity_bounded": None if loop.reads_step else not effective or input_rate >= growth,
+            "energy_finite": None if loop.reads_step else not effective or input_rate > growth / 2,
         }
 
     def noise(self, std: float) -> NoisePrediction:
-        game, last = World(self.scenario).game, World(self.scenario).clock.steps
-        gain: float | None = noise_distance(self.loop.noise_covariance(), game)
-        gain = gain if gain is not None and math.isfinite(gain) else None
+        game = self.world.game
+        spread = noise_distance(self.loop.noise_covariance(), game)
+        gain = spread if math.isfinite(spread) else None
         if self.path is None:
             return NoisePrediction(gain, std, None)
         added = 0.0 if std == 0 else math.inf if gain is None else std * gain
-        return NoisePrediction(gain, std, _digits(math.hypot(float(distance(self.path[last], game)), added)))
+        mean = float(distance(self.path[self.world.clock.steps], game))
+        return NoisePrediction(gain, std, _digits(math.hypot(mean, added)))
 
     def delay(self, steps: int, limit: int) -> DelayPrediction:
         loop, digits = self.loop, None
         if self.has_one_recursion:
-            late = loop.errors(self.start, steps)[loop.deadline_step]
-            digits = _digits(distance(late, World(self.scenario).game))
-        if not World(self.scenario).topology.is_fixed:
+            digits = self.digits(loop.errors(self.start, steps)[loop.deadline_step])
+        if not self.world.topology.is_fixed:
             return DelayPrediction(None, 0, for_every_delay=False, bound=None, steps=steps, digits=digits)
         longest = int(loop.steps[: loop.deadline_step].argmax())
         step, slowest = float(loop.steps[longest]), loop.loops[int(loop.index[longest])]
@@ -389,50 +407,36 @@ class _Prediction:
         )
 
     def notes(self) -> Iterator[str]:
-        """What a reader must know of these numbers."""
-        scenario, game, topology = self.scenario, World(self.scenario).game, World(self.scenario).topology
+        """Limits of these numbers."""
+        world, game, path = self.world, self.world.game, self.path
         if not game.is_affine:
             yield "F is not affine: rate, largest stable step, noise and delay are those of the linearisation at x*"
         if game.has_bounds:
             held = int(game.held_at_equilibrium.sum())
             yield (
                 f"a box confines the strategies and holds {held} of {game.dimension} components at x*; the theorems "
-                "are for strategies without bounds, and the numbers are those near x*, of what the box does not hold"
+                "are for strategies without bounds, and the numbers are those near x*, of the components that move"
             )
-        if self.law.has_memory:
+        if self.law.has_memory and "deadline" not in self.loops:
+            yield "the gains adapt: rate, noise and delay use the gains at the start, frozen"
+        elif self.law.has_memory:
             yield (
-                "the gains adapt: rate, noise and delay are about the gains at the start, frozen"
-                if "deadline" not in self.loops
-                else "the gains adapt: the digits are those of the whole recursion; rate, noise and delay are about "
-                "the gains at T, frozen, which noise would drive up further"
+                "the gains adapt: the digits are those of the whole recursion; rate, noise and delay use the gains at "
+                "T, frozen, which noise would raise further"
             )
-        if self.path is not None and not np.isfinite(self.path[scenario.steps]).all():
+        if path is not None and not np.isfinite(path[world.clock.steps]).all():
             yield "the sampled loop diverges from this start before T: the steps are too long for the law"
-        if self.loop.looks_at_step:
+        if self.loop.reads_step:
             yield (
-                "the law looks at its step: the rate is that of its last step, the margin that of the worst of its "
-                "steps, with the law as it acts there; whether g(t) u stays bounded is not decided"
+                "the law reads the length of its step: the rate is that of its last step, the margin that of the worst "
+                "of its steps, with the law as it acts there; whether g(t) u stays bounded is not decided"
             )
-        if topology.is_random:
-            yield (
-                "the topology is random: the sampled digits are those of one draw, with seed 0; "
-                + (
-                    "the rate is the smallest over the modes, as any may be the last before T"
-                    if topology.clock == "physical"
-                    else "the rate is estimated from one draw of 2000 dwells"
-                )
-            )
-        if not topology.is_fixed:
-            yield (
-                "the topology switches: the rate is what remains as t → T and says little about the time before, and the "
-                "largest stable step is the smallest over the modes, which does not prove that their products are "
-                "stable"
-            )
-        if self.peak_input > scenario.input_limit:
+        yield from _topology_notes(world.topology)
+        if self.peak_input > world.scenario.input_limit:
             yield (
                 f"the start asks for |u| = {self.peak_input:.4g}, above the input limit, which the prediction ignores"
             )
-        if World(scenario).start.is_random and self.path is not None:
+        if world.start.is_random and path is not None:
             yield "the start is random: the sampled digits are those of one draw, with seed 0"
 
     def _frozen_gains(self) -> Iterator[FrozenGains]:
@@ -444,14 +448,14 @@ class _Prediction:
                 instant=instant,
                 smallest=float(gains.min()),
                 largest=float(gains.max()),
-                rate=loop.rate(self.scenario),
+                rate=loop.rate(self.world),
                 largest_stable_step=None if margin is None else margin * largest,
             )
 
 
-def _guarantee(certificate: Certificate, scenario: Scenario, law: Law, prediction: _Prediction) -> dict[str, Any]:
-    """What the proof of Theorem 1 promises: ‖I − hM‖² ≤ 1 − 2 h λ_min(O) + h² ‖M‖² in every step."""
-    topology, constants = World(scenario).topology, certificate.constants
+def _guarantee(certificate: Certificate, prediction: _Prediction) -> dict[str, Any]:
+    """The bounds of the proof of Theorem 1: ‖I − hM‖² ≤ 1 − 2 h λ_min(O) + h² ‖M‖² in every step."""
+    law, topology, constants = prediction.law, prediction.world.topology, certificate.constants
     is_static = type(law) in (Static, FixedGain, CorollaryOne)
     if not (is_static and topology.is_fixed and prediction.path is not None):
         return {}
@@ -460,51 +464,56 @@ def _guarantee(certificate: Certificate, scenario: Scenario, law: Law, predictio
     rate = guaranteed_rate(constants, connectivity, topology.num_players, kappa, gradient_gain)
     if rate <= 0:
         return {}
-    norm = gradient_gain * constants.iota_estimates + kappa * float(
-        np.linalg.eigvalsh(topology.graphs[0].laplacian)[-1]
-    )
-    steps = prediction.loop.steps[: scenario.steps]
+    largest = float(np.linalg.eigvalsh(topology.graphs[0].laplacian)[-1])
+    norm = gradient_gain * constants.iota_estimates + kappa * largest
+    steps = prediction.loop.steps[: prediction.loop.deadline_step]
     gained = -np.log10(1 - 2 * steps * rate + (steps * norm) ** 2).sum() / 2
-    return {
-        "guaranteed_rate": rate,
-        "guaranteed_digits": _digits(distance(prediction.start, World(scenario).game)) + float(gained),
-    }
+    return {"guaranteed_rate": rate, "guaranteed_digits": prediction.digits(prediction.start) + float(gained)}
 
 
-def _scenario_notes(scenario: Scenario, faults: _ChannelFaults) -> Iterator[str]:
-    topology = World(scenario).topology
-    if World(scenario).has_random_game:
-        yield "the scenario draws games: the numbers are those of the typical one"
+def _topology_notes(topology: SwitchingTopology) -> Iterator[str]:
+    if topology.is_random:
+        yield "the topology is random: the sampled digits are those of one draw, with seed 0"
+        if topology.clock == "physical":
+            yield "the rate is the smallest over the modes, as any of them may be the last before T"
+        else:
+            yield "the rate is estimated from one draw of 2000 dwells"
+    if not topology.is_fixed:
+        yield (
+            "the topology switches: the rate is that of the limit t → T and says little about the time before, and the "
+            "largest stable step is the smallest over the modes, which does not prove that their products are stable"
+        )
+
+
+def _scenario_notes(world: World, faults: _ChannelFaults) -> Iterator[str]:
+    scenario, topology = world.scenario, world.topology
+    if world.has_random_game:
+        yield "the scenario draws games: the numbers are those of the typical game"
     if not topology.is_fixed and topology.clock == "physical" and not topology.is_random:
         switches = topology.switches(0.0, scenario.deadline).size
         yield (
             f"the topology dwells in t: it switches {switches} times before T and its last graph is then frozen, so "
-            "Assumption 2 fails in the transformed time in which the proof lives (docs/errata.md, 2)"
+            "Assumption 2 fails in the transformed time of the proof (docs/errata.md, 2)"
         )
     if faults.others:
-        yield f"the channel's {', '.join(faults.others)} is in none of the predictions"
+        yield f"no prediction includes the channel's {', '.join(faults.others)}"
     if faults.noise_std or faults.delay_steps:
-        yield "the channel's noise and constant delay are predicted each on its own, and in rows of their own alone"
-    if not World(scenario).disturbance.is_absent:
-        yield f"the disturbance {scenario.disturbance.target.rpartition(':')[2]} is in none of the predictions"
+        yield "only the rows of noise and delay include the channel's noise and constant delay, each on its own"
+    if not world.disturbance.is_absent:
+        yield f"no prediction includes the disturbance {scenario.disturbance.target.rpartition(':')[2]}"
     if any(scenario.clock_shifts):
         yield "the players' clocks disagree; the predictions are for clocks that are right"
-    if World(scenario).clock.shortfall > SHORTFALL_WARNING:
-        short = f"{World(scenario).clock.shortfall:.2%}"
-        yield f"the last step ends {short} of T short of the deadline; raise s_end to come closer"
+    if world.clock.shortfall > SHORTFALL_WARNING:
+        yield f"the last step ends {world.clock.shortfall:.2%} of T short of the deadline; raise s_end to come closer"
 
 
-def _is_linear(scenario: Scenario) -> bool:
-    return World(scenario).game.is_affine and not World(scenario).game.has_bounds
-
-
-def _describe(part: FactorySpec) -> str:
-    arguments = ", ".join(f"{name}={value}" for name, value in part.to_dict()["arguments"].items())
-    return f"{part.target.rpartition(':')[2]}({arguments})"
+def _describe(spec: FactorySpec) -> str:
+    arguments = ", ".join(f"{name}={value}" for name, value in spec.to_dict()["arguments"].items())
+    return f"{spec.target.rpartition(':')[2]}({arguments})"
 
 
 def _digits(distances: Any) -> float:
-    """−log10 of a distance, kept within what float64 tells."""
+    """−log10 of a distance, within the range of float64."""
     value = float(distances)
     if not math.isfinite(value):
         return -_LARGEST_DIGITS
@@ -514,9 +523,3 @@ def _digits(distances: Any) -> float:
 def _worst_digits(loop: SampledLoop) -> float:
     transition = loop.transition()
     return _digits(np.linalg.norm(transition, 2) if np.all(np.isfinite(transition)) else math.inf)
-
-
-def _smallest(values: Sequence[float | None]) -> float | None:
-    """The smallest, or ``None`` where one is missing."""
-    known = [value for value in values if value is not None]
-    return min(known) if known and len(known) == len(values) else None

@@ -1,9 +1,8 @@
-"""The closed loop of every law that is linear in gradient and differences: dx/dτ = −M (x − 1⊗x*), and its rates.
+"""The closed loop dx/dτ = −M (x − 1⊗x*) of every law that is linear in gradient and differences, and its rates.
 
 Everything here is in effective time τ = s + c t and in the paper's player-major stacking x = col(x^1, …, x^N) (eq.
 StackedVariable): entry i n + k belongs to x^i_k. For games with affine F it is exact; for the others M is the
-linearisation at x*. Around an x* at which bounds hold some strategies, these do not move, and their entries are left
-out.
+linearisation at x*. Strategies that bounds hold at x* do not move, and their entries are left out.
 """
 
 from __future__ import annotations
@@ -21,13 +20,12 @@ from ptne_env.clock import TimeTransformation
 from ptne_env.games import Game
 from ptne_env.graphs import Graph
 from ptne_env.laws import Law
-from ptne_env.laws.base import loop_matrix
 from ptne_env.observation import Observation, ObservationLayout
 from ptne_env.switching import MarkovTopology, SwitchingTopology
 from ptne_env.theory.constants import ZERO, jacobians
 
 _RANDOM_DWELLS = 2000
-"""Dwells of the one draw from which the rate of a random topology is estimated."""
+"""Number of dwells in the single draw from which the rate of a random topology is estimated."""
 
 
 class NoClosedLoopError(ValueError):
@@ -36,11 +34,11 @@ class NoClosedLoopError(ValueError):
 
 @dataclass(frozen=True)
 class Loop:
-    """One law on one graph: u = −(local e + message ê + noise), where e = x − 1⊗x* and ê is what was sent of it.
+    """One law on one graph: u = −(local e + message ê + noise), with e = x − 1⊗x* and ê the error in messages.
 
     Attributes:
-        local: what a player does with its own estimate and gradient, shape (Nn, Nn), block diagonal.
-        message: what it does with the estimates that its neighbours sent, shape (Nn, Nn), zero diagonal blocks.
+        local: response to the own estimate and gradient, shape (Nn, Nn), block diagonal.
+        message: response to the estimates that neighbours sent, shape (Nn, Nn), zero diagonal blocks.
         noise: covariance of u when every component of every message carries independent noise of variance 1, shape
             (Nn, Nn), block diagonal.
     """
@@ -51,31 +49,47 @@ class Loop:
 
     @property
     def matrix(self) -> FloatArray:
-        """M = local + message: what acts when messages arrive as they were sent."""
+        """M = local + message, the loop over perfect links."""
         return self.local + self.message
 
 
-def closed_loop_matrix(game: Game, graph: Graph, kappa: float, point: FloatArray | None = None) -> FloatArray:
-    """M = Rᵀ dF + κ L⊗I_n of the static law, in the player-major stacking of eq. StackedVariable.
+def loop_matrix(jacobian: FloatArray, owners: IntArray, laplacian: FloatArray, kappa: float) -> FloatArray:
+    """M = Rᵀ dF + κ L⊗I_n of the static law.
 
     Args:
-        game: the game; its F is linearised unless it is affine.
-        graph: the communication graph, on the game's players.
-        kappa: κ ≥ 0. For the adaptive law at frozen gains, use a graph with the weights κ_ij a_ij and κ = 1.
-        point: joint strategy (n,) at which dF is taken; x* when left out.
+        jacobian: dF, shape (n, n).
+        owners: the player who owns each component, shape (n,).
+        laplacian: L, shape (N, N).
+        kappa: κ.
 
     Returns:
-        Shape (Nn, Nn); entry i n + k belongs to x^i_k. Around x*, without the entries that :func:`free_entries` leaves
-        out.
+        Shape (Nn, Nn), over all entries of the stacking.
+    """
+    n = len(owners)
+    matrix = kappa * np.kron(laplacian, np.eye(n))
+    for component, owner in enumerate(owners):
+        matrix[owner * n + component, owner * n : (owner + 1) * n] += jacobian[component]
+    return np.asarray(matrix)
+
+
+def closed_loop_matrix(game: Game, graph: Graph, kappa: float) -> FloatArray:
+    """M of the static law around x*, :func:`loop_matrix` without the entries that bounds hold at x*.
+
+    Args:
+        game: the game; its F is linearised at x* unless it is affine.
+        graph: the communication graph, on the game's players.
+        kappa: κ ≥ 0. For the adaptive law at frozen gains, use a graph with the weights κ_ij a_ij and κ = 1.
+
+    Returns:
+        Shape (Nn, Nn), less the entries that are not in :func:`free_entries`.
 
     Raises:
         ValueError: when κ < 0 or the graph has another number of players.
     """
     require_non_negative("kappa", kappa)
     _require_players(game, graph)
-    at = game.nash_equilibrium if point is None else np.asarray(point, dtype=np.float64)
-    matrix = loop_matrix(jacobians(game, at[:, None])[:, :, 0], game.owners, graph.laplacian, kappa)
-    return _restricted(matrix, free_entries(game)) if point is None else matrix
+    jacobian = jacobians(game, game.nash_equilibrium[:, None])[:, :, 0]
+    return _restricted(loop_matrix(jacobian, game.owners, graph.laplacian, kappa), free_entries(game))
 
 
 def free_entries(game: Game) -> BoolArray:
@@ -85,17 +99,17 @@ def free_entries(game: Game) -> BoolArray:
 
 
 def law_loop(law: Law, game: Game, graph: Graph, memory: Any = None, *, theta: float = 1.0, dt: float = 1.0) -> Loop:
-    """The loop of any law that is linear in gradient and differences, found by asking the law itself.
+    """The loop of any law that is linear in gradient and differences, measured on the law itself.
 
-    Each player is shown unit errors of its own estimate, and unit messages, at x*; what it answers are the columns of
-    M. So M is that of the code that acts in the environment, and a new law needs nothing added here.
+    Each player observes unit errors of its own estimate, and unit messages, at x*; its inputs are the columns of M. So
+    M is that of the code that acts in the environment, and a new law needs nothing added here.
 
     Args:
         law: built for the layout of an environment with these players, whose union graph holds ``graph``.
         game: the game; its F is linearised at x* unless it is affine.
         graph: the active graph.
-        memory: the law's, one row per player; a fresh one if left out. For the adaptive law: its gains κ_ij, frozen.
-        theta: Θ of the step, for laws that look at it.
+        memory: the law's, one row per player; its initial memory if left out. For the adaptive law: the frozen κ_ij.
+        theta: Θ of the step, for laws that read it.
         dt: Δt of the step in seconds, likewise.
 
     Raises:
@@ -104,17 +118,8 @@ def law_loop(law: Law, game: Game, graph: Graph, memory: Any = None, *, theta: f
         ValueError: when players do not match.
     """
     _require_players(game, graph)
+    _require_loop(law, game)
     layout, name = law.layout, type(law).__name__
-    if layout.num_players != game.num_players or layout.dimension != game.dimension:
-        raise ValueError(f"{name} was built for a game of other dimensions; build it for this scenario's layout")
-    unknown = sorted(set(law.needs) - {"own_estimate"})
-    if law.needs_full_information or unknown:
-        raise NoClosedLoopError(
-            f"{name} is an oracle or reads {', '.join(unknown) or 'everything'}; closed loops are of laws that act on "
-            "gradient and differences alone"
-        )
-    if law.has_memory and law.gains(law.initial_memory(game.num_players)) is None:
-        raise NoClosedLoopError(f"{name} remembers more than gains, so it has no closed-loop matrix")
     n, players, slots = game.dimension, game.num_players, layout.slots
     neighbours = np.array(layout.neighbours)  # (N, D)
     weights = graph.adjacency[np.arange(players)[:, None], neighbours]
@@ -132,11 +137,11 @@ def law_loop(law: Law, game: Game, graph: Graph, memory: Any = None, *, theta: f
     relative[:, :n] = -np.eye(n)[:, None] * live[:, None, :, None]
     messages = np.eye(slots * n).reshape(slots * n, slots, n)
     relative[:, n:-2] = messages * live[:, None, :, None]
-    for shown in (gradient, error, relative):
-        shown[:, -2] = np.tensordot(mixture, shown[:, :-2], axes=(0, 1))
+    for probes in (gradient, error, relative):
+        probes[:, -2] = np.tensordot(mixture, probes[:, :-2], axes=(0, 1))
 
     player = np.repeat(np.arange(players), kinds)
-    reading = blank_reading(layout, player)._replace(
+    observation = blank_observation(layout, player)._replace(
         gradient=gradient.reshape(-1, n),
         relative_estimates=relative.reshape(-1, slots, n),
         weights=weights[player],
@@ -144,28 +149,49 @@ def law_loop(law: Law, game: Game, graph: Graph, memory: Any = None, *, theta: f
         dt=np.full((player.size, 1), dt),
         own_estimate=error.reshape(-1, n) + game.nash_equilibrium,
     )
-    inputs = law.inputs(reading, None if memory is None else np.asarray(memory)[player])[0]
-    answers = inputs.reshape(players, kinds, n)
-    mixed = np.tensordot(answers[:, :-2], mixture, axes=(1, 0))
+    inputs = inputs_of(law, observation, memory).reshape(players, kinds, n)
+    mixed = np.tensordot(inputs[:, :-2], mixture, axes=(1, 0))
     scale = 1e-9 * (1 + np.abs(mixed).max())
-    if np.abs(answers[:, -1]).max() > scale or np.abs(mixed - answers[:, -2]).max() > scale:
+    if np.abs(inputs[:, -1]).max() > scale or np.abs(mixed - inputs[:, -2]).max() > scale:
         raise NoClosedLoopError(f"{name} is not linear in gradient and differences, so it has no closed-loop matrix")
 
     local, message, noise = np.zeros((3, players, n, players, n))
     for i in range(players):
-        local[i, :, i] = -answers[i, :n].T
-        noise[i, :, i] = answers[i, n:-2].T @ answers[i, n:-2]
+        local[i, :, i] = -inputs[i, :n].T
+        noise[i, :, i] = inputs[i, n:-2].T @ inputs[i, n:-2]
         for slot in np.flatnonzero(live[i]):
-            message[i, :, neighbours[i, slot]] -= answers[i, n + slot * n : n + (slot + 1) * n].T
+            message[i, :, neighbours[i, slot]] -= inputs[i, n + slot * n : n + (slot + 1) * n].T
     free, size = free_entries(game), players * n
     return Loop(*(_restricted(matrix.reshape(size, size), free) for matrix in (local, message, noise)))
 
 
-def blank_reading(layout: ObservationLayout, player: IntArray) -> Observation:
-    """What each ``player`` reads, shape (R,), where everything else is 0; to be filled in."""
-    observations = np.zeros((player.size, layout.size))
-    observations[:, layout.slices["player"]] = np.eye(layout.num_players)[player]
-    return layout.read(observations)
+def _require_loop(law: Law, game: Game) -> None:
+    """Check that a law was built for the game's players, and reads and remembers no more than a loop has."""
+    layout, name = law.layout, type(law).__name__
+    if layout.num_players != game.num_players or layout.dimension != game.dimension:
+        raise ValueError(f"{name} was built for a game of other dimensions; build it for this scenario's layout")
+    unknown = sorted(set(law.needs) - {"own_estimate"})
+    if law.needs_full_information or unknown:
+        raise NoClosedLoopError(
+            f"{name} is an oracle or reads {', '.join(unknown) or 'everything'}; closed loops are of laws that act on "
+            "gradient and differences alone"
+        )
+    if law.has_memory and law.gains(law.initial_memory(game.num_players)) is None:
+        raise NoClosedLoopError(f"{name} remembers more than gains, so it has no closed-loop matrix")
+
+
+def blank_observation(layout: ObservationLayout, player: IntArray) -> Observation:
+    """Observations of these players, shape (R,), in which every other number is 0."""
+    arrays = np.zeros((player.size, layout.size))
+    arrays[:, layout.slices["player"]] = np.eye(layout.num_players)[player]
+    return layout.read(arrays)
+
+
+def inputs_of(law: Law, observation: Observation, memory: Any = None) -> FloatArray:
+    """The inputs u^i of a law, shape (R, n), at a memory with one row per player (the initial memory if left out)."""
+    players = observation.player
+    rows = law.initial_memory(len(players)) if memory is None else np.asarray(memory)[players]
+    return law.inputs(observation, rows)[0]
 
 
 def spectral_abscissa(matrix: FloatArray) -> float:
@@ -174,33 +200,18 @@ def spectral_abscissa(matrix: FloatArray) -> float:
     return 0.0 if abs(smallest) <= ZERO * np.linalg.norm(matrix, 2) else smallest
 
 
-def convergence_rate(game: Game, topology: SwitchingTopology, kappa: float, deadline: float) -> float:
-    """:func:`decay_rate` of the static law.
-
-    Args:
-        game: the game; linearised at x* unless affine.
-        topology: who hears whom.
-        kappa: κ ≥ 0.
-        deadline: T in seconds.
-
-    Raises:
-        ValueError: when κ < 0 or the topology has another number of players.
-    """
-    return decay_rate([closed_loop_matrix(game, graph, kappa) for graph in topology.graphs], topology, deadline)
-
-
 def decay_rate(matrices: Sequence[FloatArray], topology: SwitchingTopology, deadline: float) -> float:
     """The rate r with which the error of dx/dτ = −M x decays like e^{−r s} as t → T.
 
     A fixed graph gives the spectral abscissa of M. A topology on the transformed clock gives the Floquet rate
     −ln ρ(Π e^{−M_m Δ_m})/period, since dτ/ds → 1; a random one its Lyapunov exponent, estimated from one draw of 2000
-    dwells. A topology on the physical clock switches finitely often before T, so only its last graph counts, and the rate
-    is 0 when that one is disconnected (docs/errata.md, 2); a random one may end with any mode, and its rate is the
-    smallest.
+    dwells. A topology on the physical clock switches finitely often before T, so only its last graph counts, and the
+    rate is 0 when that graph is disconnected (docs/errata.md, 2); a random one may end with any mode, and its rate is
+    the smallest.
 
     Args:
         matrices: M of every mode of the topology.
-        topology: who hears whom.
+        topology: the switching topology.
         deadline: T in seconds.
     """
     if topology.is_fixed or topology.clock == "physical":

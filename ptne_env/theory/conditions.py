@@ -1,78 +1,372 @@
-"""Does a scenario meet what a law asks? The laws hold the conditions of their theorems; here are the numbers."""
+"""Conditions of the laws' theorems: numbers of a scenario against the numbers that each theorem needs.
+
+:func:`condition` finds the condition of a law by its class. All conditions are sufficient for convergence, not
+necessary. A law of your own registers its condition:
+
+    @condition.register
+    def _(law: MyLaw, constants: ProblemConstants) -> Condition:
+        return Condition.above("κ > 1/λ2", law.kappa, 1 / constants.connectivity)
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from dataclasses import dataclass
+from functools import singledispatch
 
 import numpy as np
+from scipy import linalg
 
-from ptne_env.encoder import make_encoder
-from ptne_env.factory import FactorySpec
-from ptne_env.laws import Condition, Law, ProblemConstants
-from ptne_env.laws.base import algebraic_connectivity
-from ptne_env.observation import Interface
-from ptne_env.scenario import Scenario
-from ptne_env.theory.closed_loop import last_modes
-from ptne_env.theory.constants import MonotonicityConstants, jacobians, monotonicity_constants
+from ptne_env.arrays import FloatArray, IntArray
+from ptne_env.graphs import Graph
+from ptne_env.laws import (
+    Adaptive,
+    AdaptiveGrounded,
+    AggregateTracking,
+    BestResponseOracle,
+    CappedGain,
+    CorollaryOne,
+    ExtremumSeeking,
+    FixedGain,
+    FixedTimeOracle,
+    Grounded,
+    Law,
+    LocallyImplicit,
+    NodeAdaptiveOracle,
+    ProjectedGradient,
+    Static,
+)
+from ptne_env.theory.closed_loop import last_modes, loop_matrix
+from ptne_env.theory.constants import MonotonicityConstants, gain_bound, jacobians, monotonicity_constants
 from ptne_env.world import World
 
 
-def problem_constants(scenario: Scenario, constants: MonotonicityConstants | None = None) -> ProblemConstants:
-    """What conditions may ask of ``scenario``; for a family of games, of its representative member.
+@dataclass(frozen=True)
+class ProblemConstants(MonotonicityConstants):
+    """The numbers of a scenario that conditions use: the constants of its game, its graphs and its clock.
+
+    Attributes:
+        jacobian: dF, shape (n, n); at x* unless F is affine.
+        owners: the player who owns each component, shape (n,).
+        graphs: the modes of the topology.
+        recurring_connectivity: λ2 of the union of the graphs that act as s → ∞: all modes on the transformed clock, the
+            last mode on the physical clock (docs/errata.md, 2).
+        largest_step: largest Θ_k.
+        effective_time: τ_K, the sum of the steps.
+        gain: c in 1/s.
+    """
+
+    jacobian: FloatArray
+    owners: IntArray
+    graphs: tuple[Graph, ...]
+    recurring_connectivity: float
+    largest_step: float
+    effective_time: float
+    gain: float
+
+    @property
+    def num_players(self) -> int:
+        """N."""
+        return self.graphs[0].num_players
+
+    @property
+    def connectivity(self) -> float:
+        """The smallest λ2 over the modes; exactly 0 where a mode is disconnected."""
+        return min(graph.algebraic_connectivity for graph in self.graphs)
+
+    @property
+    def largest_degree(self) -> float:
+        """The largest Σ_j a_ij over players and modes."""
+        return max(float(graph.laplacian.diagonal().max()) for graph in self.graphs)
+
+
+def problem_constants(world: World, constants: MonotonicityConstants | None = None) -> ProblemConstants:
+    """The numbers of ``world`` that conditions use; for a family of games, those of its representative member.
 
     Args:
-        scenario: the experiment.
+        world: the scenario, built.
         constants: of its game, when already known.
     """
-    game, topology, clock = World(scenario).game, World(scenario).topology, World(scenario).clock
-    constants = constants or monotonicity_constants(game)
+    game, topology, clock = world.game, world.topology, world.clock
     recurring = [topology.union]
     if not topology.is_fixed and topology.clock == "physical":  # one mode is the last before T
-        recurring = [topology.graphs[mode] for mode in last_modes(topology, scenario.deadline)]
+        recurring = [topology.graphs[mode] for mode in last_modes(topology, world.scenario.deadline)]
     return ProblemConstants(
-        epsilon=constants.epsilon,
-        iota_strategies=constants.iota_strategies,
-        iota_estimates=constants.iota_estimates,
-        exact=constants.exact,
+        **vars(constants or monotonicity_constants(game)),
         jacobian=jacobians(game, game.nash_equilibrium[:, None])[:, :, 0],
         owners=game.owners,
-        laplacians=tuple(graph.laplacian for graph in topology.graphs),
-        recurring_connectivity=min(algebraic_connectivity(graph.laplacian) for graph in recurring),
+        graphs=tuple(topology.graphs),
+        recurring_connectivity=min(graph.algebraic_connectivity for graph in recurring),
         largest_step=float(np.max(clock.theta[: clock.steps])),
         effective_time=clock.effective_time,
         gain=clock.gain,
     )
 
 
-def build_law(law: FactorySpec | Callable[..., Law], scenario: Scenario) -> Law:
-    """The law, built for the scenario's layout under the interface through which it acts.
+@dataclass(frozen=True)
+class Condition:
+    """The condition of a law's theorem on a scenario.
+
+    Attributes:
+        name: the condition in words or symbols, with the direction in which ``value`` is compared with ``bound``.
+        value: the number that decides.
+        bound: the number that it is compared with; infinite or NaN where no number would do.
+        holds: whether the scenario meets the condition.
+        exact: whether the numbers are exact; otherwise they come from samples or a linearisation and prove nothing.
+    """
+
+    name: str
+    value: float
+    bound: float
+    holds: bool
+    exact: bool = True
+
+    @classmethod
+    def above(cls, name: str, value: float, bound: float, *, exact: bool = True) -> Condition:
+        """The condition value > bound."""
+        return cls(name, float(value), float(bound), bool(value > bound), exact)
+
+    @classmethod
+    def below(cls, name: str, value: float, bound: float, *, exact: bool = True) -> Condition:
+        """The condition value < bound."""
+        return cls(name, float(value), float(bound), bool(value < bound), exact)
+
+
+def decisive(*conditions: Condition) -> Condition:
+    """All of several conditions as one: the first that fails, or else the last."""
+    return next((condition for condition in conditions if not condition.holds), conditions[-1])
+
+
+def _strongly_monotone(constants: ProblemConstants) -> Condition:
+    """Assumption 4."""
+    return Condition.above("F is strongly monotone: ε > 0", constants.epsilon, 0.0, exact=constants.exact)
+
+
+def _stays_connected(constants: ProblemConstants) -> Condition:
+    """Assumptions 1 and 2 for the graphs that act as s → ∞."""
+    return Condition.above("the graphs are connected as s → ∞: λ2 > 0", constants.recurring_connectivity, 0.0)
+
+
+def _always_connected(constants: ProblemConstants) -> Condition:
+    return Condition.above("every graph is connected: λ2 > 0", constants.connectivity, 0.0)
+
+
+def _gains_adapt(gamma: float) -> Condition:
+    return Condition.above("the gains adapt: γ > 0", gamma, 0.0)
+
+
+def _gain_condition(kappa: float, constants: ProblemConstants) -> Condition:
+    bound = gain_bound(constants, constants.connectivity)
+    return Condition.above("κ > (ι²/ε + ι)/λ2", kappa, bound, exact=constants.exact)
+
+
+# --- the condition of each law --------------------------------------------------------------------------------------
+
+
+@singledispatch
+def condition(law: Law, constants: ProblemConstants) -> Condition | None:  # noqa: ARG001 - laws with a theorem use them
+    """The condition of the theorem of ``law``, with the number that decides; ``None`` for a law without a theorem.
 
     Args:
-        law: a law's class, or a part that builds one; called with ``layout=``.
-        scenario: the experiment.
-
-    Raises:
-        ValueError: when the law cannot act in the scenario, or what is built is no law.
+        law: built for the scenario; its class, or a base class, selects the condition.
+        constants: of the scenario, see :func:`problem_constants`.
     """
-    target = law.resolve() if isinstance(law, FactorySpec) else law
-    encoder = make_encoder(World(scenario), getattr(target, "interface", Interface()))
-    built = law.build(layout=encoder.layout) if isinstance(law, FactorySpec) else law(layout=encoder.layout)
-    if not isinstance(built, Law):
-        raise ValueError(f"{law!r} built a {type(built).__name__}; the theory is about a ptne_env.laws.Law")
-    return built
+    return None
 
 
-def condition(law: FactorySpec | Callable[..., Law], scenario: Scenario) -> Condition | None:
-    """Whether ``scenario`` meets the condition of a law, with the number that decides.
+@condition.register
+def _static(law: Static, constants: ProblemConstants) -> Condition:
+    """κ > (ι²/ε + ι)/λ2 (eq. GainCondition), for scaled costs with κ divided by the gradient gain."""
+    return _gain_condition(law.kappa / law.gradient_gain, constants)
 
-    Args:
-        law: a law's class, or a part that builds one; called with ``layout=``.
-        scenario: the experiment.
 
-    Returns:
-        The condition; ``None`` for laws that promise nothing.
+@condition.register
+def _corollary_one(law: CorollaryOne, constants: ProblemConstants) -> Condition:
+    """κ > (ι²/ε + ι)/λ2 (eq. GainCondition); convergence is asymptotic, not by the deadline."""
+    return _gain_condition(law.kappa, constants)
 
-    Raises:
-        ValueError: as :func:`build_law`.
+
+@condition.register
+def _capped_gain(law: CappedGain, constants: ProblemConstants) -> Condition:
+    """That of the static law, and G > c, below which even the constant part of the time gain is cut."""
+    return decisive(
+        Condition.above("the cap leaves c: G > c", law.largest_gain, constants.gain), _static(law, constants)
+    )
+
+
+@condition.register
+def _fixed_gain(law: FixedGain, constants: ProblemConstants) -> Condition:
+    """κ > ((ι_F + ι)²/(4ε) + ι)/λ2, with κ divided by the gradient gain.
+
+    It holds exactly where the bound [[ε/N, −(ι_F + ι)/(2√N)], [·, κ λ2 − ι]] of the loop on consensus and
+    disagreement is positive definite, and then (𝐱 − 1⊗x*)ᵀ M (𝐱 − 1⊗x*) > 0.
     """
-    return build_law(law, scenario).condition(problem_constants(scenario))
+    bound = np.inf
+    if constants.epsilon > 0 and constants.connectivity > 0:
+        total = constants.iota_strategies + constants.iota_estimates
+        bound = (total**2 / (4 * constants.epsilon) + constants.iota_estimates) / constants.connectivity
+    name = "κ > ((ι_F + ι)²/(4ε) + ι)/λ2"
+    return Condition.above(name, law.kappa / law.gradient_gain, bound, exact=constants.exact)
+
+
+@condition.register
+def _adaptive(law: Adaptive, constants: ProblemConstants) -> Condition:
+    """ε > 0, and the graphs that act as s → ∞ are (jointly) connected (Theorems 3 and 4); γ > 0 on all links."""
+    return decisive(_gains_adapt(law.gamma), _stays_connected(constants), _strongly_monotone(constants))
+
+
+@condition.register
+def _grounded(law: Grounded, constants: ProblemConstants) -> Condition:
+    """κ > ((ι + √(N−1) ι_F)²/(4ε) + √(N−1) ι)/λ, with λ the smallest eigenvalue of the grounded Laplacians.
+
+    The paper proves that a large enough κ exists (there 1/δ). This κ is large enough, for d/dτ ½(‖x − x*‖² + ‖y‖²),
+    y being the estimates minus the strategies that they estimate, is at most
+    −ε a² + (ι + √(N−1) ι_F) a b − (κ λ − √(N−1) ι) b² with a = ‖x − x*‖ and b = ‖y‖.
+    """
+    grounded, bound = _grounded_connectivity(constants), np.inf
+    if constants.epsilon > 0 and grounded > 0:
+        others = np.sqrt(constants.num_players - 1)
+        cross = constants.iota_estimates + others * constants.iota_strategies
+        bound = (cross**2 / (4 * constants.epsilon) + others * constants.iota_estimates) / grounded
+    return Condition.above("κ > ((ι + √(N−1) ι_F)²/(4ε) + √(N−1) ι)/λ", law.kappa, bound, exact=constants.exact)
+
+
+def _grounded_connectivity(constants: ProblemConstants) -> float:
+    """The smallest eigenvalue of H_j = L without row and column j, plus diag(a_ij), over players j and modes."""
+    if constants.connectivity == 0:
+        return 0.0
+    smallest = np.inf
+    for laplacian in (graph.laplacian for graph in constants.graphs):
+        for leader in range(len(laplacian)):
+            others = np.arange(len(laplacian)) != leader
+            matrix = laplacian[np.ix_(others, others)] - np.diag(laplacian[others, leader])
+            smallest = min(smallest, float(np.linalg.eigvalsh(matrix)[0]))
+    return smallest
+
+
+@condition.register
+def _adaptive_grounded(law: AdaptiveGrounded, constants: ProblemConstants) -> Condition:
+    """γ > 0, ε > 0 and every graph connected: with H the grounded Laplacian, V = ½‖x − x*‖² + ½ yᵀ H y + gains."""
+    return decisive(_gains_adapt(law.gamma), _always_connected(constants), _strongly_monotone(constants))
+
+
+@condition.register
+def _node_adaptive(law: NodeAdaptiveOracle, constants: ProblemConstants) -> Condition:
+    """γ > 0, ε > 0 and every graph connected; the theorem needs neither ι nor λ2."""
+    return decisive(_gains_adapt(law.gamma), _always_connected(constants), _strongly_monotone(constants))
+
+
+@condition.register
+def _locally_implicit(law: LocallyImplicit, constants: ProblemConstants) -> Condition:
+    """Stable for every constant Θ: the largest generalised eigenvalue of (Mᵀ D⁻¹ M, M + Mᵀ) is below 1.
+
+    The sampled loop contracts in the norm of 1/Θ + D for every constant Θ where Mᵀ D⁻¹ M ≺ M + Mᵀ, because that norm
+    changes by −eᵀ(M + Mᵀ)e + eᵀMᵀ(1/Θ + D)⁻¹Me. This needs M + Mᵀ ≻ 0, so a κ that satisfies the condition of
+    :class:`~ptne_env.laws.FixedGain` is enough for that half; for other κ, for switching graphs and for steps that vary
+    it proves nothing.
+    """
+    fixed = Condition.below("the graph is fixed: number of modes < 2", len(constants.graphs), 2.0)
+    graph, value = constants.graphs[0], np.inf
+    matrix = loop_matrix(constants.jacobian, constants.owners, graph.laplacian, law.kappa)
+    diagonal = implicit_diagonal(law, constants.owners, graph)
+    symmetric = matrix + matrix.T
+    if diagonal.min() > 0 and np.linalg.eigvalsh(symmetric)[0] > 0:
+        value = float(linalg.eigh(matrix.T @ (matrix / diagonal[:, None]), symmetric, eigvals_only=True)[-1])
+    name = "stable for every Θ: λ_max(Mᵀ D⁻¹ M, M + Mᵀ) < 1"
+    return decisive(fixed, Condition.below(name, value, 1.0, exact=constants.exact))
+
+
+def implicit_diagonal(law: LocallyImplicit, owners: IntArray, graph: Graph) -> FloatArray:
+    """The diagonal of D in the paper's stacking col(x^1 … x^N), shape (Nn,)."""
+    own = owners == np.arange(graph.num_players)[:, None]
+    degree = graph.laplacian.diagonal()[:, None]
+    return np.ravel(law.damping * law.kappa * degree + law.curvature * own)
+
+
+@condition.register
+def _projected_gradient(law: ProjectedGradient, constants: ProblemConstants) -> Condition:
+    """ρ = λ_max(M_α) < 1: every iteration then shrinks ‖𝐱 − 1⊗x*‖ by √ρ at least, on every sequence of modes.
+
+    M_α = [[1 − 2αε/N + α²ι_F²/N, ασ(ι + ι_F + αιι_F)/√N], [·, σ²(1 + αι)²]] bounds the growth of
+    (‖consensus error‖, ‖disagreement‖)², with σ the largest ‖I − h L − 11ᵀ/N‖ over the modes, the factor by which
+    mixing shrinks disagreement; it is 1 as soon as a mode is disconnected.
+    """
+    if constants.epsilon <= 0:
+        return _strongly_monotone(constants)
+    alpha, players = law.step, constants.num_players
+    iota_strategies, iota = constants.iota_strategies, constants.iota_estimates
+    sigma = max(
+        float(np.linalg.norm(np.eye(players) - law.mixing * graph.laplacian - 1 / players, 2))
+        for graph in constants.graphs
+    )
+    mean = 1 - 2 * alpha * constants.epsilon / players + (alpha * iota_strategies) ** 2 / players
+    cross = alpha * sigma * (iota + iota_strategies + alpha * iota * iota_strategies) / np.sqrt(players)
+    contraction = np.array([[mean, cross], [cross, sigma**2 * (1 + alpha * iota) ** 2]])
+    return Condition.below("λ_max(M_α) < 1", float(np.linalg.eigvalsh(contraction)[-1]), 1.0, exact=constants.exact)
+
+
+@condition.register
+def _aggregate_tracking(law: AggregateTracking, constants: ProblemConstants) -> Condition:
+    """An aggregative game, ε > 0, W stochastic, Σ α_k = ∞ and Σ α_k² < ∞, graphs that stay connected."""
+    return decisive(
+        Condition.below("aggregative: spread of ∂²J_i/∂x_i∂x_j over j ≠ i", _spread(constants), 1e-9),
+        Condition.below("W = I − h L is stochastic: h max Σ_j a_ij < 1", law.mixing * constants.largest_degree, 1.0),
+        Condition.above("Σ α_k² is finite: p > 1/2", law.power, 0.5),
+        Condition.below("Σ α_k is infinite: p ≤ 1", law.power, np.nextafter(1.0, 2.0)),
+        _stays_connected(constants),
+        _strongly_monotone(constants),
+    )
+
+
+def _spread(constants: ProblemConstants) -> float:
+    """The largest difference between the couplings of a player to two other players, per place in the block."""
+    owners, players = constants.owners, constants.num_players
+    if len(set(np.bincount(owners))) != 1:
+        return np.inf
+    blocks = constants.jacobian.reshape(players, len(owners) // players, players, -1)
+    return max(float(np.ptp(np.delete(blocks[player], player, axis=1), axis=1).max()) for player in range(players))
+
+
+@condition.register
+def _extremum_seeking(law: ExtremumSeeking, constants: ProblemConstants) -> Condition:
+    """DF strictly diagonally dominant, and steps that resolve the cost's fastest ripple: Θ 4ω < π.
+
+    For quadratic games on continuous time the first is the paper's assumption, under which the averaged loop is
+    exponentially stable; the strategies then stay within O(a + 1/ω) of the equilibrium.
+    """
+    diagonal = constants.jacobian.diagonal()
+    off = np.abs(constants.jacobian).sum(axis=1) - np.abs(diagonal)
+    dominance = "dF is diagonally dominant: min_i (F_ii − Σ_j |F_ij|) > 0"
+    return decisive(
+        Condition.below("Θ resolves the probing: 4 ω Θ < π", 4 * law.frequency * constants.largest_step, np.pi),
+        Condition.above(dominance, (diagonal - off).min(), 0.0, exact=constants.exact),
+    )
+
+
+@condition.register
+def _best_response(law: BestResponseOracle, constants: ProblemConstants) -> Condition:
+    """ρ(I − ω D⁻¹ dF) < 1 with D the own blocks of dF: for affine games, exactly where it converges."""
+    own = constants.owners[:, None] == constants.owners
+    matrix = np.linalg.solve(np.where(own, constants.jacobian, 0.0), constants.jacobian)
+    radius = np.abs(np.linalg.eigvals(np.eye(len(own)) - law.relaxation * matrix)).max()
+    return Condition.below("ρ(I − ω D⁻¹ dF) < 1", radius, 1.0, exact=constants.exact)
+
+
+@condition.register
+def _fixed_time(law: FixedTimeOracle, constants: ProblemConstants) -> Condition:
+    """ε > 0, limited steps that contract, and the settling bound (1/ξ1 + 1/|ξ2|)/(k ε) within the episode."""
+    contracts = 2 * constants.epsilon / constants.iota_strategies**2
+    return decisive(
+        _strongly_monotone(constants),
+        Condition.below("limited steps contract: largest step < 2ε/ι_F²", law.largest_step, contracts),
+        Condition.below(
+            "(1/ξ1 + 1/|ξ2|)/(k ε) < τ_K",
+            settling_bound(law, constants.epsilon),
+            constants.effective_time,
+            exact=constants.exact,
+        ),
+    )
+
+
+def settling_bound(law: FixedTimeOracle, epsilon: float) -> float:
+    """(1/ξ1 + 1/|ξ2|)/(k ε), in effective time; infinite when ε is not positive."""
+    return (1 / law.near - 1 / law.far) / (law.gain * epsilon) if epsilon > 0 else np.inf

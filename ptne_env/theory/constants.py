@@ -1,17 +1,17 @@
-"""The constants of a game: strong monotonicity ε and Lipschitz continuity ι, and the gain that they ask for."""
+"""The constants of a game, strong monotonicity ε and Lipschitz continuity ι, and the bounds that follow from them."""
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 
-from ptne_env import laws
 from ptne_env.arrays import FloatArray, require_count, require_positive
 from ptne_env.games import Game
 
 ZERO = 1e-10
-"""What is below this fraction of a matrix's norm counts as zero: kernels of disconnected graphs are rounding."""
+"""Below this fraction of a matrix's norm a number counts as zero: kernels of disconnected graphs are rounding."""
 
 
 @dataclass(frozen=True)
@@ -81,10 +81,12 @@ def monotonicity_constants(
     )
 
 
-def gain_bound(constants: MonotonicityConstants, algebraic_connectivity: float) -> float | None:
-    """(ι²/ε + ι)/λ2, which κ must exceed in Theorem 1 (eq. GainCondition); ``None`` when ε or λ2 is not positive."""
-    bound = laws.static.gain_bound(constants.epsilon, constants.iota, algebraic_connectivity)
-    return bound if np.isfinite(bound) else None
+def gain_bound(constants: MonotonicityConstants, algebraic_connectivity: float) -> float:
+    """(ι²/ε + ι)/λ2, which κ must exceed in Theorem 1 (eq. GainCondition); infinite when ε or λ2 is not positive."""
+    epsilon, iota = constants.epsilon, constants.iota
+    if epsilon <= 0 or algebraic_connectivity <= 0:
+        return math.inf
+    return (iota**2 / epsilon + iota) / algebraic_connectivity
 
 
 def guaranteed_rate(
@@ -94,7 +96,7 @@ def guaranteed_rate(
     kappa: float,
     gradient_gain: float = 1.0,
 ) -> float:
-    """λ_min(O) of the proof of Theorem 1: ‖**x** − 1⊗x*‖ falls at least like e^{−λ_min(O) τ}, whatever the start.
+    """λ_min(O) of the proof of Theorem 1: ‖**x** − 1⊗x*‖ falls at least like e^{−λ_min(O) τ} from every start.
 
     O = [[ε/N, −ι/√N], [−ι/√N, κ λ2 − ι]] (before eq. L8), and it bounds λ_min of the symmetric part of M from below.
     It is positive exactly when the gain condition holds, and a bound: the rate itself is the spectral abscissa.

@@ -1,4 +1,4 @@
-"""The sampled loop e_{k+1} = (I − h_k M_k) e_k: what an episode does, step by step, with noise and with delay.
+"""The sampled loop e_{k+1} = (I − h_k M_k) e_k: the error of an episode step by step, with noise and with delay.
 
 For games with affine F this is the environment itself, up to rounding to float32 at the interface, while no input
 saturates. Vectors are in the paper's player-major stacking, as in :mod:`ptne_env.theory.closed_loop`.
@@ -8,20 +8,19 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any, Literal, TypeAlias
+from typing import Any, Literal, NamedTuple, TypeAlias
 
 import numpy as np
-import scipy
 
 from ptne_env.arrays import FloatArray, IntArray, require_count, require_non_negative
 from ptne_env.games import Game
 from ptne_env.laws import Law
-from ptne_env.scenario import Scenario
 from ptne_env.theory.closed_loop import (
     Loop,
-    blank_reading,
+    blank_observation,
     decay_rate,
     decay_rate_in_time,
+    inputs_of,
     largest_stable_step,
     law_loop,
 )
@@ -30,13 +29,7 @@ from ptne_env.world import World
 LoopClock: TypeAlias = Literal["effective", "physical"]
 
 _OVERFLOW = 1e150
-"""A loop whose error passes this has diverged beyond doubt; its squares would overflow."""
-
-_LARGEST_SYSTEM = 1200
-"""Delays are tried while the augmented matrix has no more rows than this: its eigenvalues take seconds beyond."""
-
-_LARGEST_RESOLVENT = 150
-"""The small-gain bound on delays is found for at most this many estimates, for the same reason."""
+"""A loop whose error exceeds this has diverged; its squares would overflow."""
 
 
 @dataclass(frozen=True)
@@ -45,9 +38,9 @@ class SampledLoop:
 
     Attributes:
         loops: the distinct loops.
-        per_mode: the loop of every mode of the topology, in order; as it is in the last step to T, should it depend on
-            the step.
-        index: which of them acts in each step, shape (K+H,).
+        per_mode: the loop of every mode of the topology, in order; that of the last step to T for a law that reads its
+            step.
+        index: position in ``loops`` of the loop of each step, shape (K+H,).
         steps: h_k, by which each step advances, shape (K+H,): Θ_k, or Δt_k for a law without the time gain.
         clock: ``"effective"`` or ``"physical"``, the time in which the law's own loop is dx = −M x.
         deadline_step: K.
@@ -61,37 +54,37 @@ class SampledLoop:
     deadline_step: int
 
     @property
-    def looks_at_step(self) -> bool:
-        """Whether the law is another one in every step."""
+    def reads_step(self) -> bool:
+        """Whether the law reads the length of its step, so that every step has a loop of its own."""
         return len(self.loops) > len(self.per_mode)
 
     def step_margin(self) -> float | None:
-        """How much longer the steps to T may be, at constant M, until they amplify some error.
+        """Factor by which the steps to T may grow, at constant M, until they amplify some error.
 
-        The smallest over the modes against the longest step; where the law looks at its step, the smallest over the
+        The smallest over the modes against the longest step; for a law that reads its step, the smallest over the
         steps. ``None`` when some M amplifies errors in every step.
         """
         stable = [largest_stable_step(loop.matrix) for loop in self.loops]
         if any(step is None for step in stable):
             return None
         limits, steps = np.array(stable, dtype=np.float64), self.steps[: self.deadline_step]
-        if self.looks_at_step:
+        if self.reads_step:
             return float((limits[self.index[: self.deadline_step]] / steps).min())
         return float(limits.min() / steps.max())
 
-    def rate(self, scenario: Scenario) -> float:
-        """Its :func:`~ptne_env.theory.closed_loop.decay_rate`, or the one in t for a law without the time gain."""
+    def rate(self, world: World) -> float:
+        """Its :func:`~ptne_env.theory.closed_loop.decay_rate`, or the rate in t for a law without the time gain."""
         matrices = [loop.matrix for loop in self.per_mode]
         if self.clock == "effective":
-            return decay_rate(matrices, World(scenario).topology, scenario.deadline)
-        return decay_rate_in_time(matrices, World(scenario).topology)
+            return decay_rate(matrices, world.topology, world.scenario.deadline)
+        return decay_rate_in_time(matrices, world.topology)
 
     def errors(self, start: FloatArray, delay: int = 0) -> FloatArray:
         """The error **x** − 1⊗x* at every instant.
 
         Args:
             start: initial error, shape (Nn,).
-            delay: d ≥ 0 steps that every message is late; until it arrives, what was sent at the start is held.
+            delay: d ≥ 0 steps that every message is late; until it arrives, the message of the start is held.
 
         Returns:
             Shape (K+H+1, Nn); not finite from where a diverging loop leaves the range of float64.
@@ -115,17 +108,17 @@ class SampledLoop:
                 break
         return result
 
-    def transition(self, steps: int | None = None) -> FloatArray:
-        """Φ = Π (I − h_k M_k) over the first ``steps`` steps (K if left out); not finite where it overflows."""
+    def transition(self) -> FloatArray:
+        """Φ = Π (I − h_k M_k) over all K+H steps, shape (Nn, Nn); not finite where it overflows."""
         matrices = [loop.matrix for loop in self.loops]
         result = np.eye(len(matrices[0]))
-        for mode, step in zip(self.index[:steps], self.steps[:steps], strict=True):
+        for mode, step in zip(self.index, self.steps, strict=True):
             result = result - step * (matrices[mode] @ result)
             if not np.all(np.abs(result) < _OVERFLOW):
                 return np.full_like(result, np.inf)
         return result
 
-    def noise_covariance(self, noise_std: float = 1.0, steps: int | None = None) -> FloatArray:
+    def noise_covariance(self, noise_std: float = 1.0) -> FloatArray:
         """Covariance of the error at T that additive noise on every message causes; the mean follows :meth:`errors`.
 
         P_{k+1} = (I − h_k M_k) P_k (I − h_k M_k)ᵀ + h_k² σ² W_k from P_0 = 0, with W_k the covariance of u for noise of
@@ -133,7 +126,6 @@ class SampledLoop:
 
         Args:
             noise_std: σ of the noise on each component of each message, independent per directed link and step.
-            steps: how many steps; K if left out.
 
         Returns:
             Shape (Nn, Nn); not finite where it overflows.
@@ -142,7 +134,7 @@ class SampledLoop:
             ValueError: when σ is negative.
         """
         variance = require_non_negative("noise_std", noise_std) ** 2
-        steps = self.deadline_step if steps is None else steps
+        steps = self.deadline_step
         matrices = [loop.matrix for loop in self.loops]
         result = np.zeros_like(matrices[0])
         for mode, step in zip(self.index[:steps], self.steps[:steps], strict=True):
@@ -153,89 +145,68 @@ class SampledLoop:
         return result
 
 
-@dataclass(frozen=True)
-class DominantMode:
-    """The slowest mode of a sampled loop over a window of steps, and whether it is alone.
-
-    A mode of M with eigenvalue μ shrinks by Π |1 − h_k μ| over the window: its rate there is −Σ ln|1 − h_k μ| / Σ h_k.
-    When the window opens the error is one part in the slowest mode and the rest; both the spectral gap and the start
-    decide how large the rest is, and within the window it only becomes smaller.
-
-    Attributes:
-        rate: of the slowest mode, per unit of the loop's time.
-        gap: by how much faster the next mode is.
-        share: ‖part‖/(‖part‖ + ‖rest‖) when the window opens, 0 to 1.
-        is_alone: whether the share is at least 0.95 and the mode real, so that the log error falls along a line.
-    """
-
-    rate: float
-    gap: float
-    share: float
-    is_alone: bool
-
-
-def sampled_loop(scenario: Scenario, law: Law, memory: Any = None, game: Game | None = None) -> SampledLoop:
-    """The steps that ``law`` takes on ``scenario``.
+def sampled_loop(world: World, law: Law, memory: Any = None) -> SampledLoop:
+    """The steps that ``law`` takes in ``world``; in a world of random games, on its typical game.
 
     Args:
-        scenario: the experiment.
-        law: built for the scenario's layout; see :func:`~ptne_env.theory.closed_loop.law_loop` for what it may be.
+        world: the scenario, built.
+        law: built for the world's layout; see :func:`~ptne_env.theory.closed_loop.law_loop` for the laws that have a
+            loop.
         memory: the law's, frozen; one row per player.
-        game: what is played, where the scenario draws games; its typical game if left out.
 
     Raises:
         ValueError: as :func:`~ptne_env.theory.closed_loop.law_loop`.
     """
-    game, topology, clock = game or World(scenario).game, World(scenario).topology, World(scenario).clock
-    modes = schedule(scenario)
+    clock, graphs = world.clock, world.topology.graphs
+    modes = schedule(world)
     theta, dt = clock.theta[: clock.total_steps], clock.dt[: clock.total_steps]
 
-    def probe(mode: int, theta: float = 1.0, dt: float = 1.0) -> Loop:
-        return law_loop(law, game, topology.graphs[mode], memory, theta=theta, dt=dt)
+    def loop(mode: int, theta: float = 1.0, dt: float = 1.0) -> Loop:
+        return law_loop(law, world.game, graphs[mode], memory, theta=theta, dt=dt)
 
-    loops = tuple(probe(mode) for mode in range(len(topology.graphs)))
-    # Beside the steps that there are, one that is longer in τ and one that is longer in t.
+    loops = tuple(loop(mode) for mode in range(len(graphs)))
+    # Beside the steps of the episode, one that is longer in τ and one that is longer in t.
     thetas, dts = np.append(theta, [2 * theta[0], theta[0]]), np.append(dt, [dt[0], 2 * dt[0]])
-    answers = _answers(law, thetas, dts, memory)
-    if _is_constant(answers):
+    responses = _responses(law, thetas, dts, memory)
+    if _is_constant(responses):
         return SampledLoop(loops, loops, modes, theta, "effective", clock.steps)
-    if _is_constant(answers * (thetas / dts)[:, None]):
+    if _is_constant(responses * (thetas / dts)[:, None]):
         return SampledLoop(loops, loops, modes, dt, "physical", clock.steps)
-    # A law that looks at its step in another way has a loop of its own in every step.
+    # A law that reads its step in another way has a loop of its own in every step.
     kinds, index = np.unique(np.stack([modes, theta, dt]), axis=1, return_inverse=True)
-    loops = tuple(probe(int(mode), float(one), float(other)) for mode, one, other in kinds.T)
+    loops = tuple(loop(int(mode), float(theta), float(dt)) for mode, theta, dt in kinds.T)
     last = clock.steps - 1
-    per_mode = tuple(probe(mode, float(theta[last]), float(dt[last])) for mode in range(len(topology.graphs)))
+    per_mode = tuple(loop(mode, float(theta[last]), float(dt[last])) for mode in range(len(graphs)))
     return SampledLoop(loops, per_mode, np.asarray(index).reshape(-1), theta, "effective", clock.steps)
 
 
-def _answers(law: Law, theta: FloatArray, dt: FloatArray, memory: Any) -> FloatArray:
-    """What all players do with the same gradients and differences in steps of other lengths, one row per step."""
+def _responses(law: Law, theta: FloatArray, dt: FloatArray, memory: Any) -> FloatArray:
+    """Inputs of all players for the same gradients and differences in steps of other lengths, one row per step."""
     layout, generator = law.layout, np.random.default_rng(0)
     players, steps = layout.num_players, len(theta)
-    blank = blank_reading(layout, np.tile(np.arange(players), steps))
+    blank = blank_observation(layout, np.tile(np.arange(players), steps))
 
-    def shown(*shape: int) -> FloatArray:
+    def drawn(*shape: int) -> FloatArray:
         return np.tile(generator.uniform(0.5, 1.5, (players, *shape)), (steps, *(1,) * len(shape)))
 
-    reading = blank._replace(
-        gradient=np.where(layout.own_mask[blank.player], shown(layout.dimension), 0.0),
-        relative_estimates=shown(layout.slots, layout.dimension),
-        weights=shown(layout.slots),
-        own_estimate=shown(layout.dimension),
+    observation = blank._replace(
+        gradient=np.where(layout.own_mask[blank.player], drawn(layout.dimension), 0.0),
+        relative_estimates=drawn(layout.slots, layout.dimension),
+        weights=drawn(layout.slots),
+        own_estimate=drawn(layout.dimension),
         theta=np.repeat(theta, players)[:, None],
         dt=np.repeat(dt, players)[:, None],
     )
-    return law.inputs(reading, None if memory is None else np.asarray(memory)[blank.player])[0].reshape(steps, -1)
+    return inputs_of(law, observation, memory).reshape(steps, -1)
 
 
-def _is_constant(answers: FloatArray) -> bool:
-    return bool(np.ptp(answers, axis=0).max() <= 1e-9 * (1 + np.abs(answers).max()))
+def _is_constant(responses: FloatArray) -> bool:
+    return bool(np.ptp(responses, axis=0).max() <= 1e-9 * (1 + np.abs(responses).max()))
 
 
-def schedule(scenario: Scenario) -> IntArray:
+def schedule(world: World) -> IntArray:
     """The mode that acts in each step, shape (K+H,); of a random topology one draw, with seed 0."""
-    topology, clock = World(scenario).topology, World(scenario).clock
+    topology, clock = world.topology, world.clock
     instants = clock.topology_times[topology.clock][: clock.total_steps]
     return topology.draw(instants, [np.random.default_rng(0)]).modes[:, 0]
 
@@ -256,113 +227,21 @@ def noise_distance(covariance: FloatArray, game: Game) -> float:
     return math.sqrt(float(np.trace(covariance)) / game.num_players) / float(game.equilibrium_scale[0])
 
 
-def stationary_noise_covariance(
-    loop: Loop, step: float, noise_std: float = 1.0, *, first_order: bool = False
-) -> FloatArray | None:
-    """Covariance at which a loop with equal steps settles under additive noise on every message.
+class DominantMode(NamedTuple):
+    """The slowest mode of a sampled loop over a window of steps.
 
-    Exactly, P = (I − hM) P (I − hM)ᵀ + h² σ² W (the discrete Lyapunov equation); to first order in h,
-    M P + P Mᵀ = h σ² W, so the floor of the distance grows like σ √h.
+    A mode of M with eigenvalue μ shrinks by Π |1 − h_k μ| over the window: its rate there is −Σ ln|1 − h_k μ| / Σ h_k.
+    When the window opens the error is the part in the slowest mode and the rest; the spectral gap and the start
+    decide how large the rest is, and within the window it only becomes smaller.
 
-    Args:
-        loop: of a connected graph.
-        step: h.
-        noise_std: σ of the noise on each component of each message.
-        first_order: solve the second equation instead of the first.
-
-    Returns:
-        Shape (Nn, Nn), or ``None`` where the loop is not stable.
-
-    Raises:
-        ValueError: when σ is negative.
+    Attributes:
+        rate: of the slowest mode, per unit of the loop's time.
+        share: ‖part‖/(‖part‖ + ‖rest‖) when the window opens, 0 to 1. A complex mode has a conjugate of the same size,
+            so a share near 1 belongs to a real one, and the log error then falls along a line.
     """
-    variance = require_non_negative("noise_std", noise_std) ** 2
-    matrix = loop.matrix
-    if np.linalg.eigvals(matrix).real.min() <= 0:
-        return None
-    if first_order:
-        return np.asarray(scipy.linalg.solve_continuous_lyapunov(matrix, step * variance * loop.noise))
-    transition = np.eye(len(matrix)) - step * matrix
-    if np.abs(np.linalg.eigvals(transition)).max() >= 1:
-        return None
-    return np.asarray(scipy.linalg.solve_discrete_lyapunov(transition, step**2 * variance * loop.noise))
 
-
-def delayed_radius(loop: Loop, step: float, delay: int) -> float:
-    """Spectral radius of the loop when every message is ``delay`` steps late; below 1 it is stable.
-
-    Of the augmented matrix of e_{k+1} = (I − h local) e_k − h message e_{k−d} on (e_k, …, e_{k−d}).
-
-    Raises:
-        ValueError: when the delay is negative.
-    """
-    size, blocks = len(loop.local), require_count("delay", delay, 0) + 1
-    augmented = np.eye(size * blocks, k=-size)
-    augmented[:size, :size] = np.eye(size) - step * loop.local
-    augmented[:size, -size:] -= step * loop.message
-    return float(np.abs(np.linalg.eigvals(augmented)).max())
-
-
-def delay_margin(loop: Loop, step: float, limit: int = 20) -> int | None:
-    """The largest d for which every delay of 0..d steps leaves the loop stable, as far as it was tried.
-
-    Args:
-        loop: of one graph.
-        step: h.
-        limit: largest delay to try; less is tried where the augmented matrix would be too large.
-
-    Returns:
-        d, at most ``limit``; ``None`` where the loop is unstable without delay.
-    """
-    tried = delays_tried(loop, limit)
-    unstable = (d for d in range(tried + 1) if delayed_radius(loop, step, d) >= 1)
-    return (next(unstable, tried + 1) - 1) if delayed_radius(loop, step, 0) < 1 else None
-
-
-def delays_tried(loop: Loop, limit: int) -> int:
-    """How far :func:`delay_margin` tries: to ``limit``, or as far as the augmented matrix is not too large."""
-    return max(0, min(limit, _LARGEST_SYSTEM // len(loop.local) - 1))
-
-
-def is_stable_for_every_delay(loop: Loop, step: float) -> bool:
-    """Whether ρ(|I − h local| + h |message|) < 1 (absolute values by entry), which suffices for every delay.
-
-    The entries of |e| are then below those of a positive system that shrinks, whatever the delays are, and also when
-    they change from message to message. Sufficient only.
-    """
-    positive = np.abs(np.eye(len(loop.local)) - step * loop.local) + step * np.abs(loop.message)
-    return bool(np.abs(np.linalg.eigvals(positive)).max() < 1)
-
-
-def delay_bound(loop: Loop, step: float) -> float | None:
-    """A bound on h d below which the loop is stable with every message d steps late; first order in h d, sufficient.
-
-    With A = I − hM a late message subtracts h message (1 − z^{−d}) from z I − A, and |1 − z^{−d}| ≤ d |z − 1| on
-    |z| = 1. So no eigenvalue crosses the unit circle while h d ρ((z − 1)(z I − A)^{−1} message) < 1 all along it (small
-    gain). For small h the largest ρ is about that of ``message`` itself: h d < 1/(κ ρ(adjacency)) for the static law.
-
-    Returns:
-        1/max_z ρ, over a grid of angles, refined; ``None`` where the loop is unstable without delay, no message
-        matters, or there are more than 150 estimates.
-    """
-    identity = np.eye(len(loop.local))
-    transition = identity - step * loop.matrix
-    if len(identity) > _LARGEST_RESOLVENT or np.abs(np.linalg.eigvals(transition)).max() >= 1:
-        return None
-
-    def gain(angle: float) -> float:
-        z = np.exp(1j * angle)
-        product = (z - 1) * np.linalg.solve(z * identity - transition, loop.message)
-        return float(np.abs(np.linalg.eigvals(product)).max())
-
-    # Peaks are where an eigenvalue of A comes near the circle; the best of the grid is refined between its neighbours.
-    angles = np.unique([*np.geomspace(1e-3, np.pi, 96), *np.abs(np.angle(np.linalg.eigvals(transition)))])
-    gains = [gain(angle) for angle in angles[angles > 0]]
-    best, ends = int(np.argmax(gains)), np.pad(angles[angles > 0], 1, mode="edge")
-    between = (ends[best], ends[best + 2])
-    refined = scipy.optimize.minimize_scalar(lambda angle: -gain(angle), bounds=between, method="bounded")
-    largest = max(gains[best], -float(refined.fun))
-    return 1 / largest if largest > 0 else None
+    rate: float
+    share: float
 
 
 def dominant_mode(sampled: SampledLoop, start: FloatArray, first: int, last: int) -> DominantMode | None:
@@ -390,15 +269,7 @@ def dominant_mode(sampled: SampledLoop, start: FloatArray, first: int, last: int
     parts = vectors * np.linalg.solve(vectors, start) * np.exp(opening - opening.real.max())
     part = float(np.linalg.norm(parts[:, slowest]))
     rest = float(np.linalg.norm(np.delete(parts, slowest, axis=1).sum(axis=1)))
-    share = part / (part + rest)
-    others = np.delete(rates, slowest)
-    is_real = abs(eigenvalues[slowest].imag) <= 1e-9 * abs(eigenvalues[slowest])
-    return DominantMode(
-        rate=float(rates[slowest]),
-        gap=float(others.min() - rates[slowest]),
-        share=share,
-        is_alone=bool(share >= 0.95 and is_real),
-    )
+    return DominantMode(rate=float(rates[slowest]), share=part / (part + rest))
 
 
 @dataclass(frozen=True)
@@ -416,30 +287,30 @@ class Play:
     memory: Any
 
 
-def play(law: Law, world: World, estimates: FloatArray, game: Game | None = None) -> Play:
+def play(law: Law, world: World, estimates: FloatArray) -> Play:
     """Run a law, linear or not, in float64, over perfect links and without limits or bounds.
 
-    It is the recursion of a law whose gains adapt. What is shown are gradients, relative and own estimates, weights and
-    steps, and of a random topology one draw.
+    It is the recursion of a law whose gains adapt. The law observes gradients, relative and own estimates, weights and
+    steps, and of a random topology one draw; in a world of random games, of the typical game.
 
     Args:
         law: built for the layout of ``world``.
         world: the world.
         estimates: initial, shape (n, N).
-        game: what is played, where the scenario draws games; its typical game if left out.
     """
-    game, clock, layout = game or world.game, world.clock, law.layout
+    game, clock, layout = world.game, world.clock, law.layout
     n, players = game.dimension, game.num_players
     neighbours = np.array(layout.neighbours)
-    blank = blank_reading(layout, np.arange(players))
-    modes, own = schedule(world.scenario), layout.own_mask
+    blank = blank_observation(layout, np.arange(players))
+    modes, own = schedule(world), layout.own_mask
     errors = np.full((clock.total_steps + 1, players * n), np.inf)
     errors[0] = start_error(estimates, game)
-    current, memory, peak, memory_at_deadline = estimates.T.copy(), None, 0.0, None
+    current, memory = estimates.T.copy(), law.initial_memory(players)
+    peak, memory_at_deadline = 0.0, None
     for k in range(clock.total_steps):
         weights = world.mode_weights[:, :, modes[k]].T
         gradient = game.own_gradients(current.T[:, :, None])[:, 0]
-        reading = blank._replace(
+        observation = blank._replace(
             gradient=np.where(own, gradient, 0.0),
             relative_estimates=(current[neighbours] - current[:, None]) * (weights > 0)[:, :, None],
             weights=weights,
@@ -447,7 +318,7 @@ def play(law: Law, world: World, estimates: FloatArray, game: Game | None = None
             dt=np.full((players, 1), clock.dt[k]),
             own_estimate=current,
         )
-        inputs, memory = law.inputs(reading, memory)
+        inputs, memory = law.inputs(observation, memory)
         current = current + clock.theta[k] * inputs
         if k < clock.steps:
             peak, memory_at_deadline = max(peak, float(np.abs(inputs).max())), memory

@@ -1,8 +1,7 @@
-"""From a Stable-Baselines3 actor to an ONNX file that :func:`ptne_env.policies.load` reads."""
+"""Export of a Stable-Baselines3 actor to an ONNX file that :func:`ptne_env.policies.load` reads."""
 
 from __future__ import annotations
 
-import io
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -35,10 +34,10 @@ def to_onnx(
 
     Args:
         model: PPO or A2C with an ``MlpPolicy`` of tanh units on a flat observation.
-        layout: it was trained on.
+        layout: of the environments it was trained in.
         scenarios: it was trained on, for the metadata.
         seed: of training, for the metadata.
-        digits: on the validation bank, for the metadata.
+        digits: on the validation episodes, for the metadata.
 
     Raises:
         ValueError: when the actor holds a layer other than these.
@@ -87,9 +86,8 @@ def to_onnx(
     )
     helper.set_model_props(exported, {"ptne_env": metadata.to_json()})
     onnx.checker.check_model(exported)
-    buffer = io.BytesIO()
-    onnx.save_model(exported, buffer)
-    return buffer.getvalue()
+    content: bytes = exported.SerializeToString()
+    return content
 
 
 def _features(extractor: nn.Module) -> tuple[list[onnx.NodeProto], list[onnx.TensorProto], str]:

@@ -1,4 +1,4 @@
-"""What the networks see beside the observation: products that make the right answer nearly linear."""
+"""Features beside the observation: products in which a good input is nearly linear."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ class Products(BaseFeaturesExtractor):
     """The observation, and its gradient and relative estimates once more per gate, multiplied by the gate.
 
     The gates are the weights of the neighbour slots and the player's one-hot. A good input is about linear in gradient
-    and relative estimates, with coefficients that depend on who acts and on which of its links are up. In the products
-    that is one linear map, which tanh layers on the observation alone take several times as long to learn.
+    and relative estimates, with coefficients that depend on the player and on its live links. In the products that is
+    one linear map, which tanh layers on the observation alone take several times as long to learn.
 
     Args:
         observation_space: of one player.

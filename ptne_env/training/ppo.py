@@ -1,8 +1,8 @@
-"""PPO of Stable-Baselines3 on a scenario, one network shared by all players. The file reads top to bottom.
+"""PPO of Stable-Baselines3 on a scenario, with a network that all players share.
 
 Run it with ``ptne train random-energy-switching --out DIR`` or ``python baselines/train.py``. ``DIR`` then holds
 ``policy.onnx`` (load it with :func:`ptne_env.policies.load`), ``summary.json``, TensorBoard logs, and, while it runs,
-``checkpoint.zip``; a run that was interrupted goes on from it when the same command is given again.
+``checkpoint.zip``; the same command resumes an interrupted run from it.
 """
 
 from __future__ import annotations
@@ -35,16 +35,16 @@ from ptne_env.training.export import to_onnx
 from ptne_env.training.features import Products
 
 Progress = Callable[[int, int, float], None]
-"""Called with agent-steps done, agent-steps in all, and mean digits gained of late (NaN before an episode ends)."""
+"""Called with agent-steps done, agent-steps in all, and recent mean digits gained (NaN before an episode ends)."""
 
 
 @dataclass(frozen=True)
 class Arguments:
-    """What defines a training run. Agent-steps count every player of every environment.
+    """The definition of a training run. Agent-steps count every player of every environment.
 
     Attributes:
-        scenarios: what to train on: names of scenarios or families of games, or tracks such as ``"ptne-v1/delay"``.
-            With several, each gets as many environments; their layouts must agree.
+        scenarios: names of scenarios or families of games, or tracks such as ``"ptne-v1/delay"``. Several share the
+            environments evenly; their layouts must agree.
         interface: ``"local"`` or ``"physical"``.
         action_mode: ``"input"`` or ``"gains"``.
         steps: agent-steps of training.
@@ -93,7 +93,7 @@ class Arguments:
         """The arguments of a shipped configuration, or of a TOML file, with some of them changed.
 
         Raises:
-            ValueError: for an unknown configuration or key, naming what there is, or a file that is not TOML.
+            ValueError: for an unknown configuration or key, naming the known ones, or a file that is not TOML.
         """
         path = Path(name_or_path)
         if path.suffix != ".toml":
@@ -116,11 +116,11 @@ def train(arguments: Arguments, out: Path, progress: Progress | None = None) -> 
 
     Args:
         arguments: of the run.
-        out: folder for everything the run writes; made if missing.
+        out: folder for all files of the run; made if missing.
         progress: called after every rollout.
 
     Returns:
-        The summary, also in ``out/summary.json``: arguments, digits on the validation bank, seconds.
+        The summary, also in ``out/summary.json``: arguments, digits on the validation episodes, seconds.
 
     Raises:
         ValueError: when ``out`` holds a run with other arguments, or a damaged one.
@@ -150,7 +150,7 @@ def train(arguments: Arguments, out: Path, progress: Progress | None = None) -> 
 
 
 def _claim(arguments: Arguments, out: Path) -> None:
-    """Write down what runs in this folder, or check that it is the same run."""
+    """Write the arguments into the folder, or check that it holds a run with the same arguments."""
     path = out / "arguments.json"
     mine = json.loads(json.dumps(dataclasses.asdict(arguments)))
     if path.exists():
@@ -166,7 +166,7 @@ def _claim(arguments: Arguments, out: Path) -> None:
 
 
 def make_env(arguments: Arguments) -> VecMonitor:
-    """The slots that a run trains on, monitored.
+    """The environments that a run trains in, monitored.
 
     Raises:
         ValueError: for an unknown scenario or track, scenarios that no policy can share, or a number of environments
@@ -191,7 +191,7 @@ def make_env(arguments: Arguments) -> VecMonitor:
 
 
 def settings(arguments: Arguments, layout: ObservationLayout) -> dict[str, Any]:
-    """What PPO is built with, as keyword arguments."""
+    """The keyword arguments of PPO."""
     network: dict[str, Any] = {
         "net_arch": list(arguments.hidden),
         "activation_fn": nn.Tanh,
@@ -216,13 +216,13 @@ def settings(arguments: Arguments, layout: ObservationLayout) -> dict[str, Any]:
 
 
 def _start_or_resume(arguments: Arguments, out: Path) -> tuple[PPO, VecMonitor]:
-    torch.set_num_threads(1)  # the networks are small: a second thread costs more than it brings
+    torch.set_num_threads(1)  # the networks are small: a second thread costs more time than it saves
     env = make_env(arguments)
     checkpoint = out / "checkpoint.zip"
     if checkpoint.exists():
         try:
             model = PPO.load(checkpoint, env=env, device="cpu")
-        except Exception as error:  # whatever unpickling foreign bytes may raise
+        except Exception as error:  # unpickling foreign bytes may raise anything
             raise ValueError(
                 f"{checkpoint} is damaged, or not of this run: remove it to train afresh ({error!r})"
             ) from error
@@ -235,9 +235,9 @@ def _start_or_resume(arguments: Arguments, out: Path) -> tuple[PPO, VecMonitor]:
 
 
 def _validate(model: PPO, arguments: Arguments) -> float:
-    entry = PolicySpec("ppo", model, Interface(arguments.interface, arguments.action_mode))
+    spec = PolicySpec("ppo", model, Interface(arguments.interface, arguments.action_mode))
     results = evaluate(
-        [entry],
+        [spec],
         [find_scenario(name) for name in arguments.scenarios],
         episodes=arguments.validation_episodes,
         split="validation",

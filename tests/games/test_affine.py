@@ -1,52 +1,14 @@
 import numpy as np
 import pytest
+from sample_games import generators
 from worlds import make_env
 
 from ptne_env.games import AffineGame, NoBestResponseError, RandomAffine, require_strong_monotonicity
 from ptne_env.games.energy import EnergyGame
 
-FAMILIES = {
-    "plain": RandomAffine(),
-    "planar": RandomAffine(players=3, action_dim=2),
-    "in a box": RandomAffine(low=-5.0, high=5.0),
-    "planar in a box": RandomAffine(players=3, action_dim=2, low=-5.0, high=5.0),
-}
-each_family = pytest.mark.parametrize("family", FAMILIES.values(), ids=FAMILIES.keys())
-
-
-def generators(seeds):
-    return [np.random.default_rng(seed) for seed in seeds]
-
 
 def skew_part(game):
     return (game.matrix - game.matrix.transpose(1, 0, 2)) / 2
-
-
-@each_family
-def test_batch_of_games_equals_single_draws_bit_for_bit(family):
-    games = family.draw(generators(range(40)))
-    assert games.batch_size == 40
-    x = np.random.default_rng(9).uniform(-9, 9, (games.dimension, 40))
-    estimates = np.random.default_rng(8).uniform(-9, 9, (games.dimension, games.num_players, 40))
-    for b in range(40):
-        alone = family.draw(generators([b]))
-        assert np.array_equal(alone.matrix[..., 0], games.matrix[..., b])
-        assert np.array_equal(alone.nash_equilibrium, games.nash_equilibria[:, b])
-        for of in ("costs", "regrets", "best_response", "pseudo_gradient", "natural_residual", "jacobian"):
-            assert np.array_equal(getattr(alone, of)(x[:, b : b + 1])[..., 0], getattr(games, of)(x)[..., b]), of
-        one = alone.own_gradients(np.ascontiguousarray(estimates[..., b : b + 1]))
-        assert np.array_equal(one[:, 0], games.own_gradients(estimates)[:, b])
-
-
-@each_family
-def test_merged_batch_replaces_the_masked_games(family):
-    game = family.draw(generators(range(5)))
-    merged = game.merged(family.draw(generators([10, 11])), np.array([False, True, False, False, True]))
-    expected = family.draw(generators([0, 10, 2, 3, 11]))
-    assert np.array_equal(merged.matrix, expected.matrix)
-    assert np.array_equal(merged.offset, expected.offset)
-    assert np.array_equal(merged.nash_equilibria, expected.nash_equilibria)
-    assert game.merged(game, np.ones(5, dtype=bool)) is game
 
 
 def test_boxes_of_single_games_merge():
@@ -63,12 +25,12 @@ def test_other_games_do_not_merge(other):
     with pytest.raises(TypeError, match="needs affine games of the same players"):
         RandomAffine().representative.merged(other, np.array([True]))
     with pytest.raises(TypeError, match="with and without bounds"):
-        RandomAffine().representative.merged(FAMILIES["in a box"].representative, np.array([True]))
+        RandomAffine().representative.merged(RandomAffine(low=-5.0, high=5.0).representative, np.array([True]))
 
 
-@pytest.mark.parametrize("epsilon", [0.05, 1.0, 4.0])
-@pytest.mark.parametrize("asymmetry", [0.0, 0.5, 3.0])
-@pytest.mark.parametrize("action_dim", [1, 2])
+@pytest.mark.parametrize(
+    ("epsilon", "asymmetry", "action_dim"), [(0.05, 3.0, 1), (1.0, 0.0, 1), (4.0, 0.5, 2), (0.05, 3.0, 2)]
+)
 def test_epsilon_spread_and_asymmetry_are_exact(epsilon, asymmetry, action_dim):
     family = RandomAffine(players=4, epsilon=epsilon, asymmetry=asymmetry, spread=1.5, action_dim=action_dim)
     games = family.draw(generators(range(30)))
@@ -82,7 +44,7 @@ def test_epsilon_spread_and_asymmetry_are_exact(epsilon, asymmetry, action_dim):
 
 
 def test_equilibria_fill_the_range_and_own_blocks_are_hessians():
-    games = FAMILIES["planar"].draw(generators(range(200)))
+    games = RandomAffine(players=3, action_dim=2).draw(generators(range(200)))
     assert -10 <= games.nash_equilibria.min() < -9.9
     assert 9.9 < games.nash_equilibria.max() <= 10
     same = games.owners[:, None] == games.owners
@@ -90,7 +52,7 @@ def test_equilibria_fill_the_range_and_own_blocks_are_hessians():
 
 
 def test_bounds_hold_about_half_of_the_components():
-    games = FAMILIES["in a box"].draw(generators(range(200)))
+    games = RandomAffine(low=-5.0, high=5.0).draw(generators(range(200)))
     assert np.abs(games.natural_residual(games.nash_equilibria)).max() < 1e-12
     assert 0.3 < games.held_at_equilibrium.mean() < 0.7
 

@@ -1,4 +1,4 @@
-"""Boxes: what games, world, checks and theory make of them."""
+"""Bounded strategies in games, worlds, checks and theory."""
 
 import numpy as np
 import pytest
@@ -29,14 +29,14 @@ class BoxedEnergy(EnergyGame):
 
 
 class NarrowLog(Game):
-    """J_i = x_i² − log(x_i): no cost at x_i ≤ 0, which the box just avoids."""
+    """J_i = x_i² − log(x_i), undefined at x_i ≤ 0, close to the box."""
 
     def __init__(self):
         super().__init__((1, 1), low=0.01, high=0.05)
 
     def costs(self, strategies):
         if np.any(strategies <= 0):
-            raise AssertionError("a cost was asked for outside its domain")
+            raise AssertionError("cost evaluated outside its domain")
         return strategies**2 - np.log(strategies)
 
     def own_gradients(self, estimates):
@@ -151,7 +151,7 @@ def test_static_law_reaches_a_boxed_equilibrium_at_the_certified_rate(name):
         errors.append(np.linalg.norm(env.estimates - equilibrium))
     errors = np.array(errors)
     tau = np.cumsum(world.clock.theta[: len(errors)])
-    late = (errors < 1e-7 * errors[0]) & (errors > 1e-10 * errors[0])  # where the slowest mode is alone
+    late = (errors < 1e-7 * errors[0]) & (errors > 1e-10 * errors[0])  # where the slowest mode dominates
     slope = np.polyfit(tau[late], np.log(errors[late]), 1)[0]
     assert -slope == pytest.approx(certificate.rate, rel=0.05)
 
@@ -171,7 +171,7 @@ def test_check_samples_only_inside_the_box():
 
 def test_growth_is_checked_in_unbounded_directions():
     class Falling(BlockGame):
-        """The first player's cost falls forever along its first component."""
+        """The first player's cost is unbounded below along its first component."""
 
         def costs(self, strategies):
             return super().costs(strategies) - np.eye(3)[:, :1] * 1e6 * strategies[0]

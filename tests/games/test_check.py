@@ -5,7 +5,7 @@ from ptne_env.games import EnergyGame, check_game
 
 
 class ConcaveGame(EnergyGame):
-    """The second player's cost is turned upside down, and so is its gradient."""
+    """The second player's cost and gradient have the opposite sign."""
 
     def costs(self, strategies):
         return super().costs(strategies) * np.array([1, -1, 1, 1, 1])[:, None]
@@ -52,4 +52,4 @@ def test_same_seed_gives_the_same_report():
 def test_points_are_drawn_within_the_radius():
     near = check_game(ForgetfulEnergyGame(), radius=0.01).gradient_error
     far = check_game(ForgetfulEnergyGame(), radius=5.0).gradient_error
-    assert near < 1e-3 < far  # the forgotten term is 0.1 x_i
+    assert near < 1e-3 < far  # the missing term is 0.1 x_i

@@ -1,22 +1,42 @@
 import numpy as np
 import pytest
+from sample_games import generators
 from scipy import optimize
 from worlds import make_env
 
 from ptne_env import FactorySpec, get_scenario
-from ptne_env.games import EnergyGame, NonQuadraticGame, RandomEnergy, SingleGame, require_strong_monotonicity
+from ptne_env.games import (
+    EnergyGame,
+    NonQuadraticGame,
+    RandomAffine,
+    RandomEnergy,
+    SingleGame,
+    require_strong_monotonicity,
+)
 from ptne_env.random_streams import RandomStreams
 from ptne_env.world import World
 
 PARAMETERS = ("curvature", "target", "coupling")
 
 
-def generators(seeds):
-    return [np.random.default_rng(seed) for seed in seeds]
+DRAWN = {
+    "energy, 2 players": RandomEnergy(2),
+    "energy, 11 players": RandomEnergy(11),
+    "affine": RandomAffine(),
+    "affine, planar": RandomAffine(players=3, action_dim=2),
+    "affine in a box": RandomAffine(low=-5.0, high=5.0),
+    "affine, planar, in a box": RandomAffine(players=3, action_dim=2, low=-5.0, high=5.0),
+}
+each_family = pytest.mark.parametrize("family", DRAWN.values(), ids=DRAWN.keys())
+
+
+def parameters(game):
+    names = PARAMETERS if isinstance(game, EnergyGame) else ("matrix", "offset")
+    return [getattr(game, name) for name in names]
 
 
 def same_games(first, second):
-    return all(np.array_equal(getattr(first, name), getattr(second, name)) for name in PARAMETERS)
+    return all(map(np.array_equal, parameters(first), parameters(second)))
 
 
 def test_draws_fill_exactly_their_ranges():
@@ -49,24 +69,26 @@ def test_parameters_of_a_game_are_drawn_independently():
     assert np.abs(correlation).max() < 0.1  # more than four standard deviations
 
 
-@pytest.mark.parametrize("players", [2, 5, 11])
-def test_game_depends_only_on_its_generator(players):
-    family, batch = RandomEnergy(players), 6
-    games = family.draw(generators(range(batch)))
-    estimates = np.random.default_rng(0).uniform(-20, 20, (players, players, batch))
+@each_family
+def test_batch_of_games_equals_single_draws_bit_for_bit(family):
+    games, batch = family.draw(generators(range(6))), 6
+    assert games.batch_size == batch
+    estimates = np.random.default_rng(8).uniform(-9, 9, (games.dimension, games.num_players, batch))
+    strategies = np.ascontiguousarray(estimates[:, 0])
     for b in range(batch):
-        alone = family.draw(generators([b]))
+        alone, own = family.draw(generators([b])), slice(b, b + 1)
         assert alone.batch_size == 1
-        for name in PARAMETERS:
-            assert np.array_equal(getattr(alone, name)[..., 0], getattr(games, name)[..., b])
+        assert all(
+            np.array_equal(one[..., 0], many[..., b])
+            for one, many in zip(parameters(alone), parameters(games), strict=True)
+        )
         assert np.array_equal(alone.nash_equilibrium, games.nash_equilibria[:, b])
         assert alone.equilibrium_scale[0] == games.equilibrium_scale[b]
-        own = estimates[:, :, b : b + 1].copy()
-        assert np.array_equal(alone.own_gradients(own)[:, 0], games.own_gradients(estimates)[:, b])
-        strategies = np.ascontiguousarray(estimates[:, 0])
-        for of in ("costs", "regrets", "best_response", "pseudo_gradient"):
-            together = getattr(games, of)(strategies)[:, b]
-            assert np.array_equal(getattr(alone, of)(strategies[:, b : b + 1].copy())[:, 0], together)
+        for of in ("costs", "regrets", "best_response", "pseudo_gradient", "natural_residual", "jacobian"):
+            together = getattr(games, of)(strategies)[..., b]
+            assert np.array_equal(getattr(alone, of)(strategies[:, own].copy())[..., 0], together), of
+        gradients = alone.own_gradients(np.ascontiguousarray(estimates[..., own]))
+        assert np.array_equal(gradients[:, 0], games.own_gradients(estimates)[:, b])
 
 
 def test_second_draw_of_a_generator_is_another_game():
@@ -77,9 +99,9 @@ def test_second_draw_of_a_generator_is_another_game():
 
 
 def test_closed_form_equilibria_solve_the_conditions_of_each_game():
-    games = RandomEnergy().draw(generators(range(40)))
-    assert games.nash_equilibria.shape == (5, 40)
-    for b in range(40):
+    games = RandomEnergy().draw(generators(range(4)))
+    assert games.nash_equilibria.shape == (5, 4)
+    for b in range(4):
         a, target, c = games.curvature[:, b], games.target[:, b], games.coupling[b]
 
         def conditions(x, a=a, target=target, c=c):
@@ -95,18 +117,15 @@ def test_batch_of_games_has_no_single_equilibrium():
         _ = RandomEnergy().draw(generators(range(3))).nash_equilibrium
 
 
-def test_merged_replaces_the_masked_games_in_a_copy():
-    family = RandomEnergy()
-    old, fresh = family.draw(generators(range(5))), family.draw(generators([10, 11]))
-    kept = [getattr(game, name).copy() for game in (old, fresh) for name in PARAMETERS]
-    mask = np.array([False, True, False, False, True])
-    merged = old.merged(fresh, mask)
-    assert same_games(merged, family.draw(generators([0, 10, 2, 3, 11])))
-    assert np.array_equal(merged.nash_equilibria, family.draw(generators([0, 10, 2, 3, 11])).nash_equilibria)
-    assert all(
-        np.array_equal(before, getattr(game, name))
-        for before, (game, name) in zip(kept, [(g, n) for g in (old, fresh) for n in PARAMETERS], strict=True)
-    )
+@each_family
+def test_merged_replaces_the_masked_games_in_a_copy(family):
+    old, fresh, expected = (family.draw(generators(seeds)) for seeds in (range(5), [10, 11], [0, 10, 2, 3, 11]))
+    kept = [values.copy() for values in (*parameters(old), *parameters(fresh))]
+    merged = old.merged(fresh, np.array([False, True, False, False, True]))
+    assert same_games(merged, expected)
+    assert np.array_equal(merged.nash_equilibria, expected.nash_equilibria)
+    assert all(map(np.array_equal, kept, (*parameters(old), *parameters(fresh))))
+    assert old.merged(old, np.ones(5, dtype=bool)) is old
 
 
 def test_merging_keeps_the_price_and_refuses_other_games():
@@ -158,13 +177,13 @@ def test_environment_refuses_a_draw_that_is_not_strongly_monotone():
 
 
 class HiddenGame(EnergyGame):
-    """An energy game that hides that its F is affine."""
+    """An energy game that is not declared affine."""
 
     is_affine = False
 
 
 class TwistedGames(EnergyGame):
-    """The last but one game of the batch has dF = −1."""
+    """The second to last game of the batch has dF = −I."""
 
     def jacobian(self, strategies):
         jacobian = super().jacobian(strategies)
@@ -198,7 +217,7 @@ def test_empty_ranges_and_invalid_games_are_refused(arguments, message):
         RandomEnergy(**arguments)
 
 
-# --- sources of randomness --------------------------------------------------------------------------------------------
+# --- random streams ---------------------------------------------------------------------------------------------------
 
 FAMILIES = {
     "none": "ptne_env.games:EnergyGame",
@@ -219,8 +238,8 @@ TOPOLOGIES = {
 def episodes(**fields):
     """Games and starts of four episodes in three environments."""
     world = World(get_scenario("random-energy", **fields))
-    sources = [RandomStreams.from_seed(seed) for seed in range(3)]
-    return [(world.draw_game(sources), world.draw_estimates(sources)) for _ in range(4)]
+    streams = [RandomStreams.from_seed(seed) for seed in range(3)]
+    return [(world.draw_game(streams), world.draw_estimates(streams)) for _ in range(4)]
 
 
 @pytest.mark.parametrize("topology", TOPOLOGIES)

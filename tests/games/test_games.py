@@ -1,7 +1,8 @@
-"""What every game of the catalogue must satisfy, whatever it models."""
+"""Properties of all games, and the models of single games."""
 
 import numpy as np
 import pytest
+from sample_games import BlockGame
 
 from ptne_env import theory
 from ptne_env.games import (
@@ -10,6 +11,7 @@ from ptne_env.games import (
     ElectricVehicleCharging,
     EnergyGame,
     NetworkedCournot,
+    NonQuadraticGame,
     Oligopoly,
     RandomAffine,
     RateControl,
@@ -35,10 +37,18 @@ GAMES = {
     "weakly monotone": WeaklyMonotoneGame(),
 }
 EPSILON = {"hvac": 2.04, "charging": 0.8, "random affine": 1.0, "random affine in a box": 1.0, "weakly monotone": 0.0}
-"""ε where the docstring gives it."""
+"""ε, where the docstring states it."""
 BELOW = {"cournot": 0.9, "cournot, other links": 0.3, "oligopoly": 0.92, "robots": 0.6 * 2, "rates": 0.4}
-"""What the docstring says that ε is no smaller than; for the oligopoly, Gershgorin's bound of its rows."""
+"""Lower bounds of ε in the docstrings; for the oligopoly, Gershgorin's bound of its rows."""
 each_game = pytest.mark.parametrize("game", GAMES.values(), ids=GAMES.keys())
+FURTHER = {
+    "energy": EnergyGame(),
+    "non-quadratic": NonQuadraticGame(),
+    "non-quadratic, printed": NonQuadraticGame("printed"),
+    "blocks": BlockGame(),
+    "other blocks": BlockGame((1, 4, 2, 1), seed=9),
+}
+any_game = pytest.mark.parametrize("game", (GAMES | FURTHER).values(), ids=(GAMES | FURTHER).keys())
 
 
 def sampled(game, count, seed=0):
@@ -48,7 +58,7 @@ def sampled(game, count, seed=0):
 
 
 def deviations(game, point, player, count, seed):
-    """``point`` (n,) with the player's block moved anywhere in its box, near and far."""
+    """``point`` (n,) with the player's block moved in its box by steps of all sizes."""
     generator = np.random.default_rng(seed)
     moved = np.repeat(point[:, None], count, axis=1)
     reach = np.logspace(-4, 1, count)
@@ -77,7 +87,7 @@ def test_jacobian_is_the_derivative_of_the_pseudo_gradient(game):
         assert jacobian[:, component] == pytest.approx(slope, rel=1e-6, abs=1e-6)
 
 
-@each_game
+@any_game
 def test_own_gradient_depends_only_on_the_own_estimate(game):
     generator = np.random.default_rng(1)
     estimates = generator.uniform(0, 2, (game.dimension, game.num_players, 2))
@@ -144,7 +154,7 @@ def test_batch_equals_single_environments_bit_for_bit(game):
         assert np.array_equal(alone[:, 0], game.own_gradients(estimates)[:, b])
 
 
-@each_game
+@any_game
 def test_own_gradients_do_not_change_the_estimates(game):
     estimates = np.random.default_rng(7).uniform(0, 2, (game.dimension, game.num_players, 3))
     before = estimates.copy()
@@ -175,7 +185,7 @@ def test_pseudo_gradient_is_monotone_between_sampled_points(game):
     assert np.all(rise >= floor * distance - 1e-9 * (1 + distance))
 
 
-# --- what single games promise ----------------------------------------------------------------------------------------
+# --- single games -----------------------------------------------------------------------------------------------------
 
 
 def test_equilibrium_of_the_hvac_game_of_ye_and_hu():
@@ -187,7 +197,7 @@ def test_robots_equilibrium_solves_its_linear_system():
     laplacian = np.diag(game.touch.sum(axis=1)) - game.touch
     places = np.linalg.solve(np.diag(game.pull) + laplacian, game.pull[:, None] * game.posts)
     assert game.nash_equilibrium.reshape(5, 2) == pytest.approx(places, abs=1e-12)
-    assert not np.array_equal(game.touch, game.touch.T)  # no potential game
+    assert not np.array_equal(game.touch, game.touch.T)  # not a potential game
 
 
 def test_robots_costs_are_weighted_squared_distances():
@@ -242,7 +252,7 @@ def test_rates_satisfy_first_order_conditions_of_free_users():
     load = [sum(x[user] for user, row in enumerate(routes) if link in row) for link in range(3)]
     for user, weight in enumerate((6.0, 8.0, 9.0, 7.0, 10.0)):
         slope = -weight / (1 + x[user]) + sum(congestion[link] * (load[link] + x[user]) for link in routes[user])
-        if user == 3:  # at its limit, and would like more
+        if user == 3:  # at its limit, with a falling cost
             assert x[user] == 2.0
             assert slope < -0.1
         else:
@@ -266,7 +276,7 @@ def test_oligopoly_divides_demand_like_a_current():
         sales = parallel / resistance[i] * (100 - x[i] / around + np.sum(x[others] / resistance[others]))
         assert game.sales(x[:, None])[i, 0] == pytest.approx(sales, rel=1e-12)
         assert game.costs(x[:, None])[i, 0] == pytest.approx(-sales * (x[i] - marginal[i]), rel=1e-12)
-    assert game.sales(x[:, None]).sum() == pytest.approx(100)  # what one firm loses, the others gain
+    assert game.sales(x[:, None]).sum() == pytest.approx(100)  # total sales are the demand
 
 
 def test_weakly_monotone_game_satisfies_assumption_3_but_not_4():

@@ -1,4 +1,4 @@
-"""The solver against problems whose solutions are known, or found by trying every active set."""
+"""The solver on problems with known solutions, or solutions from enumeration of the active sets."""
 
 import itertools
 
@@ -11,7 +11,7 @@ from ptne_env.games.variational import natural_map, solve_box
 
 
 def by_enumeration(matrix, offset, low, high):
-    """The solution of the affine problem: every component free, low or high in turn, and the one choice that fits."""
+    """The solution of the affine problem: the choice of free, low or high components that satisfies it."""
     size = len(offset)
     for choice in itertools.product((-1, 0, 1), repeat=size):
         held = np.array(choice) != 0
@@ -51,7 +51,7 @@ def test_affine_problems_agree_with_enumeration_of_active_sets(seed, size, asymm
 
 @pytest.mark.parametrize("known", [True, False])
 def test_problem_that_is_not_affine_is_solved(known):
-    # x³ + x + y − 2 = 0 and y + x pressed against y ≥ 0: x = 1, y = 0
+    # x³ + x + y − 2 = 0, with y held at its bound y ≥ 0: x = 1, y = 0
     def field(x):
         return np.stack([x[0] ** 3 + x[0] + x[1] - 2, x[1] - x[0] + 2])
 
@@ -74,7 +74,7 @@ def test_rotation_is_solved():
 
 
 def test_singular_newton_system_does_not_affect_other_problems():
-    # The first problem is flat in one direction: Newton's system is singular, and an extragradient step serves.
+    # The first problem is flat in one direction: Newton's system is singular, so an extragradient step is taken.
     flat, regular = np.diag([0.0, 1.0]), np.array([[2.0, 1.0], [1.0, 2.0]])
     matrices, offsets = np.stack([flat, regular], axis=-1), np.array([[-1.0, -3.0], [-1.0, -3.0]])
 

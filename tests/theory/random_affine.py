@@ -1,4 +1,4 @@
-"""Random affine scenarios: strongly monotone games on connected graphs, and what a law does on them."""
+"""Random affine scenarios, strongly monotone games on connected graphs, with a law and its episodes."""
 
 import warnings
 from dataclasses import dataclass
@@ -12,7 +12,7 @@ from ptne_env.encoder import Encoder, make_encoder
 from ptne_env.experiments.rollout import rollout
 from ptne_env.observation import Interface
 from ptne_env.random_streams import RandomStreams
-from ptne_env.theory.closed_loop import blank_reading
+from ptne_env.theory.closed_loop import blank_observation
 from ptne_env.world import World
 
 BATCH = 2
@@ -21,60 +21,72 @@ BATCH = 2
 
 @dataclass
 class Case:
-    scenario: Scenario
-    part: FactorySpec
+    spec: FactorySpec
     law: object
     encoder: Encoder
     starts: np.ndarray  # (n, N, BATCH)
 
+    @property
+    def world(self):
+        return self.encoder.world
+
+    @property
+    def scenario(self):
+        return self.world.scenario
+
+    @property
+    def game(self):
+        return self.world.game
+
+    @property
+    def loop(self):
+        return theory.sampled_loop(self.world, self.law)
+
     def play(self):
-        world = self.encoder.world
-        return rollout(self.law, self.encoder, dynamics.initial_state(world, self.starts))
+        return rollout(self.law, self.encoder, dynamics.initial_state(self.world, self.starts))
 
     def switch(self, clock):
         """Make the graph switch between its two halves, each disconnected, on ``clock``."""
-        adjacency = World(self.scenario).topology.graphs[0].adjacency
+        adjacency = self.world.topology.graphs[0].adjacency
         halves = [np.zeros_like(adjacency), np.zeros_like(adjacency)]
         for edge, (i, j) in enumerate(np.argwhere(np.triu(adjacency))):
             halves[edge % 2][i, j] = halves[edge % 2][j, i] = adjacency[i, j]
         graphs = tuple(FactorySpec.of("ptne_env.graphs:Graph", adjacency=half) for half in halves)
-        longest = np.diff(World(self.scenario).clock.topology_times[clock]).max()
+        longest = np.diff(self.world.clock.topology_times[clock]).max()
         dwells = (2.5 * longest, 3.5 * longest)
         topology = FactorySpec.of("ptne_env.switching:periodic", graphs=graphs, dwells=dwells, clock=clock)
-        self.scenario = self.scenario.replace(topology=topology)
-        self.encoder = make_encoder(World(self.scenario), Interface())
-        self.law = theory.build_law(self.part, self.scenario)
+        self.encoder = encoder_of(self.scenario.replace(topology=topology))
+        self.law = theory.build_law(self.spec, self.world)
 
     def play_in_float64(self):
-        """The law in the environment's own world, seeing more than float32.
+        """An episode in the environment's own world, with float64 observations of the law.
 
         Estimate distances (K+H+1, BATCH), and the root mean square of the velocity Θ u/Δt over a step, (K+H, BATCH).
         """
-        world, distances, velocities, memory = self.encoder.world, [], [], None
+        world, distances, velocities = self.world, [], []
         state, (n, players) = dynamics.initial_state(world, self.starts), self.starts.shape[:2]
         rows = players * BATCH
-        blank = blank_reading(self.encoder.layout, np.repeat(np.arange(players), BATCH))
-        own = self.encoder.layout.own_mask[blank.player]
+        blank = blank_observation(self.encoder.layout, np.repeat(np.arange(players), BATCH))
+        own, memory = self.encoder.layout.own_mask[blank.player], self.law.initial_memory(rows)
         for theta, dt in zip(world.clock.theta[:-1], world.clock.dt[:-1], strict=True):
             distances.append(estimate_distance(state.estimates, state.game))
-            weights = np.broadcast_to(
-                dynamics.weights(world, state), (*dynamics.weights(world, state).shape[:2], BATCH)
-            )
-            reading = blank._replace(
+            weights = dynamics.weights(world, state)
+            differences = dynamics.relative_estimates(world, state)
+            observation = blank._replace(
                 gradient=np.where(own, np.tile(state.own_gradients.T, (players, 1)), 0.0),
-                relative_estimates=dynamics.relative_estimates(world, state).transpose(2, 3, 0, 1).reshape(rows, -1, n),
-                weights=weights.transpose(1, 2, 0).reshape(rows, -1),
+                relative_estimates=differences.transpose(2, 3, 0, 1).reshape(rows, -1, n),
+                weights=np.broadcast_to(weights, (*weights.shape[:2], BATCH)).transpose(1, 2, 0).reshape(rows, -1),
                 theta=np.full((rows, 1), theta),
                 dt=np.full((rows, 1), dt),
             )
-            inputs, memory = self.law.inputs(reading, memory)
+            inputs, memory = self.law.inputs(observation, memory)
             inputs = inputs.reshape(players, BATCH, n).transpose(2, 0, 1)
             velocities.append(theta / dt * np.sqrt((inputs**2).mean(axis=(0, 1))))
             state = dynamics.step(world, state, inputs)
         distances.append(estimate_distance(state.estimates, state.game))
         return np.array(distances), np.array(velocities)
 
-    def play_over_channel(self, starts, noise_std=0.0, delay=0, seed=0, follow=None):
+    def play_over_channel(self, starts, noise_std=0.0, delay=0, follow=None):
         """Estimate distances (K+1, B) over a channel with noise and constant delay.
 
         With ``follow``, a vector of the stacked estimates, the size of the error's component along it.
@@ -82,11 +94,9 @@ class Case:
         stages = [FactorySpec.of("ptne_env.channel:Delay", steps=delay)] if delay else []
         stages += [FactorySpec.of("ptne_env.channel:AdditiveNoise", std=noise_std)] if noise_std else []
         channel = FactorySpec.of("ptne_env.channel:Chain", stages=tuple(stages))
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            world = World(self.scenario.replace(channel=channel))
-        encoder, path, memory, batch = make_encoder(world, Interface()), [], None, starts.shape[2]
-        randomness = world.draw_randomness([RandomStreams.from_seed(seed * batch + one) for one in range(batch)])
+        encoder = encoder_of(self.scenario.replace(channel=channel))
+        world, path, memory, batch = encoder.world, [], None, starts.shape[2]
+        randomness = world.draw_randomness([RandomStreams.from_seed(seed) for seed in range(batch)])
         state = dynamics.initial_state(world, starts, randomness=randomness)
 
         def measure(state):
@@ -99,15 +109,12 @@ class Case:
             path.append(measure(state))
             observations = encoder.observe(state)
             actions, memory = self.law.predict(observations.reshape(-1, observations.shape[-1]), memory)
-            state = dynamics.step(
-                world, state, encoder.inputs(encoder.clip(actions.reshape(*observations.shape[:2], -1)).actions, state)
-            )
+            state = dynamics.step(world, state, encoder.decode(actions.reshape(*observations.shape[:2], -1), state))
         path.append(measure(state))
         return np.array(path)
 
     def start_errors(self):
-        game = World(self.scenario).game
-        return [theory.start_error(self.starts[:, :, b], game) for b in range(BATCH)]
+        return [theory.start_error(self.starts[:, :, b], self.game) for b in range(BATCH)]
 
 
 def graph_part(generator, players):
@@ -129,11 +136,11 @@ def random_game(generator, players, skew, epsilon, spread):
     )
 
 
-def quietly(**fields):
-    """The scenario, without the warning that evenly spaced steps in t end early."""
+def encoder_of(scenario):
+    """The encoder of the default interface, without the warning that evenly spaced steps in t end early."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        return Scenario(**fields)
+        return make_encoder(World(scenario), Interface())
 
 
 def slowest_mode(matrix):
@@ -174,19 +181,18 @@ def random_case(
         "input_limit": 1e6,
         **fields,
     }
-    rough = quietly(**values)
-    part = FactorySpec.of(f"ptne_env.laws:{law}", **arguments)
-    built = theory.build_law(part, rough)
+    rough = encoder_of(Scenario(**values)).world
+    spec = FactorySpec.of(f"ptne_env.laws:{law}", **arguments)
+    built = theory.build_law(spec, rough)
     loop = theory.sampled_loop(rough, built)
-    longest = loop.steps[: rough.steps].max()
+    longest = loop.steps[: rough.clock.steps].max()
     stable = theory.largest_stable_step(loop.loops[0].matrix)
     if stable is None:
         raise ValueError(f"the loop of random case {seed} is unstable at every step: raise κ or lower the skew")
-    steps = max(20, int(np.ceil(rough.steps * longest / stable * generator.uniform(*margin))))
-    scenario = quietly(**{**values, "steps": steps})
-    encoder = make_encoder(World(scenario), Interface())
+    steps = max(20, int(np.ceil(rough.clock.steps * longest / stable * generator.uniform(*margin))))
+    encoder = encoder_of(rough.scenario.replace(steps=steps))
     game = encoder.world.game
     starts = generator.uniform(-20, 20, (game.dimension, players, BATCH))
     slowest = slowest_mode(loop.loops[0].matrix).reshape(players, game.dimension).T
     starts[:, :, 1] = game.nash_equilibrium[:, None] + 10 * slowest + 0.02 * starts[:, :, 1]
-    return Case(scenario, part, built, encoder, starts)
+    return Case(spec, built, encoder, starts)

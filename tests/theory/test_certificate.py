@@ -1,10 +1,10 @@
-"""Certificates say no more than they know: of boxes, random topologies, channels, random games and other laws."""
+"""Certificates claim no more than is proved: on boxes, random topologies, channels, random games and other laws."""
 
 import json
-import warnings
 
 import numpy as np
 import pytest
+from sample_laws import condition_on, spec_of
 
 from ptne_env import CATALOGUE, FactorySpec, get_scenario, laws, theory
 from ptne_env.graphs import cycle
@@ -22,7 +22,7 @@ WITHOUT_LOOP = {
     "NodeAdaptiveOracle",
     "ProjectedGradient",
 }
-"""Not linear in gradient and differences, or reading or remembering more than these and gains."""
+"""Laws that are not linear in gradient and differences, or read or remember more than these and gains."""
 
 CYCLE = FactorySpec.of("ptne_env.graphs:cycle", players=5)
 
@@ -38,9 +38,8 @@ def energy_matrices(topology, kappa=2.0):
 
 @pytest.mark.parametrize("law", LAWS)
 def test_every_law_has_a_certificate_with_its_own_condition(law):
-    part = FactorySpec.of(f"ptne_env.laws:{law}")
-    certificate = theory.certify(get_scenario("energy", hold_steps=5), law=part, delay_limit=1)
-    assert certificate.condition == theory.condition(part, get_scenario("energy"))
+    certificate = theory.certify(get_scenario("energy", hold_steps=5), law=spec_of(law), delay_limit=1)
+    assert certificate.condition == condition_on("energy", law)
     data = certificate.to_dict()
     assert json.loads(json.dumps(data, allow_nan=False)) == data
     assert (certificate.rate is None) is (law in WITHOUT_LOOP)
@@ -49,13 +48,13 @@ def test_every_law_has_a_certificate_with_its_own_condition(law):
 
 @pytest.mark.parametrize("name", [name for name, scenario in CATALOGUE.items() if World(scenario).game.has_bounds])
 def test_a_box_takes_the_held_components_out_of_the_loop(name):
-    scenario = get_scenario(name)
-    game = World(scenario).game
-    loop = theory.sampled_loop(scenario, theory.build_law(FactorySpec.of("ptne_env.laws:Static"), scenario))
+    world = World(get_scenario(name))
+    game = world.game
+    loop = theory.sampled_loop(world, theory.build_law(laws.Static, world))
     assert len(loop.loops[0].matrix) == game.num_players * game.dimension - game.held_at_equilibrium.sum()
-    expected = theory.closed_loop_matrix(game, World(scenario).topology.graphs[0], 2.0)
+    expected = theory.closed_loop_matrix(game, world.topology.graphs[0], 2.0)
     np.testing.assert_allclose(loop.loops[0].matrix, expected, atol=1e-6)
-    certificate = theory.certify(scenario, delay_limit=0)
+    certificate = theory.certify(world.scenario, delay_limit=0)
     assert not certificate.rate_is_exact
     assert certificate.digits_sampled is None
     assert certificate.guaranteed_rate is None
@@ -73,49 +72,47 @@ def test_noise_and_delay_of_a_channel_are_those_that_are_predicted():
 @pytest.mark.parametrize(
     ("changes", "phrase"),
     [
-        ({"channel": channel("Loss", probability=0.1)}, "channel's Loss is in none of the predictions"),
-        ({"channel": channel("Delay", steps=1, longest=3)}, "channel's Delay is in none"),
+        ({"channel": channel("Loss", probability=0.1)}, "no prediction includes the channel's Loss"),
+        ({"channel": channel("Delay", steps=1, longest=3)}, "no prediction includes the channel's Delay"),
         ({"channel": channel("AdditiveNoise", std=0.1)}, "each on its own"),
         (
             {"disturbance": FactorySpec.of("ptne_env.disturbances:UniformDisturbance", bound=1.0)},
-            "UniformDisturbance is in none",
+            "no prediction includes the disturbance UniformDisturbance",
         ),
         ({"clock_shifts": (0.0, 0.01, 0.0, 0.0, 0.0)}, "clocks disagree"),
         ({"game": FactorySpec.of("ptne_env.games:RandomEnergy", players=5), "start": "random"}, "draws games"),
     ],
 )
-def test_what_is_left_out_is_said(changes, phrase):
+def test_notes_name_the_faults_that_no_prediction_includes(changes, phrase):
     assert any(phrase in note for note in theory.certify(get_scenario("energy", **changes), delay_limit=0).notes)
 
 
 @pytest.mark.parametrize("clock", ["physical", "transformed"])
-def test_a_random_signal_gets_estimates_that_are_called_so(clock):
+def test_a_random_topology_gets_estimates_with_a_note(clock):
     graphs = (CYCLE, FactorySpec.of("ptne_env.graphs:path", players=5))
     dwells = (0.1, 0.2) if clock == "physical" else (0.3, 0.5)
-    part = FactorySpec.of("ptne_env.switching:random_dwells", graphs=graphs, dwells=dwells, clock=clock)
-    certificate = theory.certify(get_scenario("energy", topology=part), delay_limit=0)
+    spec = FactorySpec.of("ptne_env.switching:random_dwells", graphs=graphs, dwells=dwells, clock=clock)
+    certificate = theory.certify(get_scenario("energy", topology=spec), delay_limit=0)
     assert not certificate.rate_is_exact
     assert any("the topology is random" in note for note in certificate.notes)
-    slowest = min(map(theory.spectral_abscissa, energy_matrices(part.build())))
+    slowest = min(map(theory.spectral_abscissa, energy_matrices(spec.build())))
     assert certificate.rate == pytest.approx(slowest) if clock == "physical" else certificate.rate > slowest
     assert certificate.digits_sampled > 2
 
 
-def test_rates_of_random_signals_meet_those_of_signals_that_are_not():
-    periodic_signal = paper_topology(0.25, "transformed")
-    graphs = periodic_signal.graphs
-    certain = random_dwells(graphs, 0.25, "transformed")
-    matrices = energy_matrices(periodic_signal)
-    assert theory.decay_rate(matrices, certain, 1.2) == pytest.approx(
-        theory.decay_rate(matrices, periodic_signal, 1.2), rel=0.05
-    )
+def test_rates_of_random_topologies_agree_with_those_of_certain_ones():
+    certain = paper_topology(0.25, "transformed")
+    drawn = random_dwells(certain.graphs, 0.25, "transformed")
+    matrices = energy_matrices(certain)
+    expected = theory.decay_rate(matrices, certain, 1.2)
+    assert theory.decay_rate(matrices, drawn, 1.2) == pytest.approx(expected, rel=0.05)
     one = markov([cycle(5), cycle(5)], [[0.5, 0.5], [0.5, 0.5]], (0.1, 0.4), "transformed")
     assert theory.decay_rate(energy_matrices(one), one, 1.2) == pytest.approx(
         theory.decay_rate(energy_matrices(one)[:1], fixed(cycle(5)), 1.2), rel=0.05
     )
 
 
-def test_a_law_without_the_time_gain_sees_the_mean_of_graphs_that_switch_ever_faster():
+def test_a_law_without_the_time_gain_has_the_rate_of_the_mean_graph_in_s():
     graphs = paper_topology().graphs
     even = [[0.25] * 4] * 4
     in_s = markov(graphs, even, 0.25, "transformed")
@@ -127,23 +124,20 @@ def test_a_law_without_the_time_gain_sees_the_mean_of_graphs_that_switch_ever_fa
     assert theory.decay_rate_in_time(matrices, uneven) == pytest.approx(expected)
 
 
-def test_a_law_that_looks_at_its_step_is_not_judged_by_the_rate_alone():
-    certificate = theory.certify(get_scenario("energy"), law=FactorySpec.of("ptne_env.laws:CappedGain"), delay_limit=0)
+def test_a_law_that_reads_its_step_is_not_judged_by_the_rate_alone():
+    certificate = theory.certify(get_scenario("energy"), law=spec_of("CappedGain"), delay_limit=0)
     assert (certificate.velocity_bounded, certificate.energy_finite) == (None, None)
-    assert any("looks at its step" in note for note in certificate.notes)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        coarse = get_scenario("energy", steps=20)
+    assert any("reads the length of its step" in note for note in certificate.notes)
+    coarse = get_scenario("energy", steps=20)
     margins = [
-        theory.certify(coarse, law=FactorySpec.of(f"ptne_env.laws:{law}"), delay_limit=0).step_margin
-        for law in ("Static", "LocallyImplicit")
+        theory.certify(coarse, law=spec_of(law), delay_limit=0).step_margin for law in ("Static", "LocallyImplicit")
     ]
     assert margins[0] < 1 < margins[1]  # implicit steps are stable where explicit ones are not
 
 
 @pytest.mark.parametrize("law", ["Adaptive", "AdaptiveGrounded", "AveragingIntegral"])
-def test_gains_that_adapt_are_shown_at_both_ends(law):
-    certificate = theory.certify(get_scenario("energy"), law=FactorySpec.of(f"ptne_env.laws:{law}"), delay_limit=0)
+def test_gains_that_adapt_are_listed_at_start_and_deadline(law):
+    certificate = theory.certify(get_scenario("energy"), law=spec_of(law), delay_limit=0)
     start, end = certificate.frozen_gains
     assert (start.instant, end.instant) == ("start", "deadline")
     assert start.smallest == start.largest <= end.smallest <= end.largest

@@ -19,7 +19,7 @@
     made.append(...children);
     return made;
   };
-  /** The text that a script element holds packed: gzip in base64. */
+  /** The text of a script element that holds it as gzip in base64. */
   async function unpack(id) {
     const letters = atob(document.getElementById(id).textContent), bytes = new Uint8Array(letters.length);
     for (let place = 0; place < letters.length; place++) bytes[place] = letters.charCodeAt(place);
@@ -54,7 +54,7 @@
     const numeric = (row) => typeof key(row) === "number";
     const compare = (a, b) => {
       const [x, y] = [key(a), key(b)];
-      if (x === null || y === null) return (x === null) - (y === null);  // what has no value stands last
+      if (x === null || y === null) return (x === null) - (y === null);  // cells without a value come last
       return sign * (numeric(a) ? x - y : x.localeCompare(y));
     };
     body.append(...[...body.rows].sort(compare));
@@ -87,7 +87,7 @@
     margin: { l: 55, r: 12, t: 12, b: 45 }, showlegend: false, hovermode: "closest", ...more,
   });
   const settings = { responsive: true, displayModeBar: false };
-  const redraws = new Map();  // chart → how it is drawn again when the colour scheme changes
+  const redraws = new Map();  // chart → function that draws it again when the colour scheme changes
 
   function drawProfiles() {
     const chart = document.getElementById("profiles-chart");
@@ -106,7 +106,7 @@
   async function drawErrors(section) {
     const chart = section.querySelector(".chart");
     if (redraws.has(chart)) return;
-    redraws.set(chart, () => {});  // it is coming
+    redraws.set(chart, () => {});  // until it is drawn
     const scene = await sceneAt(Number(section.dataset.scene));
     let chosen = scene.shown;
     const traces = (name, index) => {
@@ -228,7 +228,7 @@
 
   const figure = (caption, content) => element("figure", {}, content, element("figcaption", { textContent: caption }));
 
-  /** Where strategies and others' estimates are, or how far from the equilibrium, on a scale of powers of ten. */
+  /** A chart of strategies and estimates, or of their distances from the equilibrium in powers of ten. */
   function positions(scene, name, x, view) {
     const trace = scene.traces[name], frames = scene.t.length, far = view === "distance", nash = scene.equilibrium;
     const shown = (row, component) => row.map((offset) => far ? Math.max(-12, Math.log10(Math.abs(offset))) : nash[component] + offset);
@@ -240,7 +240,7 @@
     const series = [...others, ...own], label = `${far ? "Distances from the Nash equilibrium of strategies and estimates" : "Strategies and estimates against the Nash equilibrium"}, ${name}`;
     let [low, high] = extent(series.map(({ y }) => y));
     if (far) return lineChart(x, scene.deadline, series, { height: 220, low, high, ticks: niceTicks(low, high), written: (power) => `1e${power}`, label });
-    const [least, most] = extent([nash, ...series.map(({ y }) => [y[0]])]), room = 2 * (most - least) || 1;  // what runs away is cut
+    const [least, most] = extent([nash, ...series.map(({ y }) => [y[0]])]), room = 2 * (most - least) || 1;  // lines that run away are cut
     [low, high] = [Math.max(low, least - room), Math.min(high, most + room)];
     const margin = 0.04 * (high - low || 1);
     return lineChart(x, scene.deadline, series, {
@@ -291,7 +291,7 @@
       if (numbers.open) tell();
     };
     const parts = element("article", { className: "card", ariaLabel: name }, element("header", {}, element("h3", { textContent: name }), readout),
-      figure(view === "distance" ? "Distances of strategies and estimates from the equilibrium" : "Strategies and estimates", position.svg), element("figure", {}, net.svg, netCaption), figure("Inputs of the strategies (asinh scale)", input.svg), figure("Consensus gain on what is heard, per player", gain.svg), numbers);
+      figure(view === "distance" ? "Distances of strategies and estimates from the equilibrium" : "Strategies and estimates", position.svg), element("figure", {}, net.svg, netCaption), figure("Inputs of the strategies (asinh scale)", input.svg), figure("Consensus gain on the received estimates, per player", gain.svg), numbers);
     return { parts, move };
   }
 
@@ -315,7 +315,7 @@
     const load = async () => {
       pause();
       const asked = Number(select.value), found = await sceneAt(asked);
-      if (asked !== Number(select.value)) return;  // somebody was faster
+      if (asked !== Number(select.value)) return;  // another choice was made meanwhile
       scene = found;
       decoded.clear();
       const names = Object.keys(scene.traces), kept = chosen.filter((name) => names.includes(name));
