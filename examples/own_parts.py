@@ -46,8 +46,8 @@ class Clipped(Channel):
     def transmit(
         self,
         messages: Messages,
-        memory: Memory | None,  # noqa: ARG002 - this channel has no memory
-        randomness: LinkRandomness,  # noqa: ARG002 - and draws nothing
+        memory: Memory | None,  # noqa: ARG002 - this channel keeps none
+        randomness: LinkRandomness,  # noqa: ARG002 - this channel draws nothing
     ) -> tuple[Messages, Memory]:
         """The clipped messages."""
         return replace(messages, values=np.clip(messages.values, -self.bound, self.bound)), ()

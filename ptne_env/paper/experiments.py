@@ -66,7 +66,7 @@ class Experiments:
     def required_gain(self, connectivity: float) -> float:
         """(ι²/ε + ι)/λ2 of Example 1 on a graph with this λ2."""
         bound = gain_bound(self.constants, connectivity)
-        if bound is None:
+        if not np.isfinite(bound):
             raise ArithmeticError("the gain condition needs a strongly monotone game and a connected graph")
         return bound
 

@@ -11,7 +11,7 @@ def experiments():
 
 
 @pytest.fixture(scope="session")
-def reproduction(tmp_path_factory, build_once, experiments):
+def reproduction(tmp_path_factory, experiments, build_once):
     """A reproduction, and the reports of its progress."""
     out = tmp_path_factory.mktemp("reproduction") / "new" / "folder"
 
