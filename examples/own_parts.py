@@ -61,10 +61,12 @@ class HeavyBall(laws.Law):
         super().__init__(layout)
         self.kappa, self.inertia = kappa, inertia
 
-    def _initial_memory(self, rows: int) -> np.ndarray:
+    def initial_memory(self, rows: int) -> np.ndarray:
+        """One row per player."""
         return np.zeros((rows, self.layout.dimension))
 
-    def _inputs(self, observation: Observation, memory: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def inputs(self, observation: Observation, memory: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The inputs, one row per player, and the memory for the next step."""
         pull = np.einsum("rd,rdn->rn", observation.weights, observation.relative_estimates)
         memory = self.inertia * memory + (1 - self.inertia) * (self.kappa * pull - observation.gradient)
         return memory, memory
