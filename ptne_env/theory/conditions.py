@@ -1,7 +1,7 @@
 """Conditions of the laws' theorems: numbers of a scenario against the numbers that each theorem needs.
 
 :func:`condition` finds the condition of a law by its class. All conditions are sufficient for convergence, not
-necessary. A law of your own registers its condition:
+necessary. A law of your own registers its condition::
 
     @condition.register
     def _(law: MyLaw, constants: ProblemConstants) -> Condition:
