@@ -27,8 +27,8 @@ def table(headings: Sequence[str], rows: Iterable[Sequence[str]], *, texts: Sequ
 
 
 def interval(summary: Summary | None) -> str:
-    """A mean with its 95 % interval where the sample varies; empty where there is no value."""
-    if summary is None or summary.mean is None:
+    """A mean with its 95 % interval where the sample varies; empty without a summary, a dash without a value."""
+    if summary is None:
         return ""
     if summary.low == summary.high:
         return number(summary.mean)
