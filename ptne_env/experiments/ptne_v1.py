@@ -117,4 +117,4 @@ def ptne_v1() -> Suite:
             game=FactorySpec.of("ptne_env.games:ConnectivityControl"),
         ),
     )
-    return Suite("ptne-v1", tracks)
+    return Suite("ptne-v1", tracks, frozen="3a1aedf15c64c103c6fc7b08aa0faa9ff8fc9939523f2afa94d2ce5075d159f3")
