@@ -212,7 +212,7 @@ REFUSED = {
     "unknown spacing": (lambda: get_scenario("energy", spacing="even"), "spacing is one of effective, transformed"),
     "start of another shape": (
         lambda: get_scenario("energy", start=FactorySpec.of("ptne_env.starts:FixedStart", estimates=[[0.0] * 3] * 3)),
-        "made for 3 players and dimension 3.*choose start='random'",
+        "for 3 players and dimension 3.*choose start='random'",
     ),
     "disconnected graph": (
         lambda: get_scenario(
