@@ -62,11 +62,11 @@ class HeavyBall(laws.Law):
         self.kappa, self.inertia = kappa, inertia
 
     def initial_memory(self, rows: int) -> np.ndarray:
-        """One row per player."""
+        """v = 0."""
         return np.zeros((rows, self.layout.dimension))
 
     def inputs(self, observation: Observation, memory: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """The inputs, one row per player, and the memory for the next step."""
+        """The input v, which is also the memory."""
         pull = np.einsum("rd,rdn->rn", observation.weights, observation.relative_estimates)
         memory = self.inertia * memory + (1 - self.inertia) * (self.kappa * pull - observation.gradient)
         return memory, memory
