@@ -10,7 +10,7 @@ from ptne_env.experiments.benchmark import run_suite
 from ptne_env.experiments.leaderboard import leaderboard
 from ptne_env.experiments.suite import Suite, Track
 from ptne_env.experiments.traces import comparison_scenes, suite_scenes
-from ptne_env.report import comparison_report, film, render_page, suite_report
+from ptne_env.report import comparison_report, render_page, save_video, suite_report
 
 
 @pytest.fixture(scope="session")
@@ -55,7 +55,7 @@ def page_file(compared, benched, tmp_path_factory):
     pages = {"comparison": compared, "suite": benched, "large": _enlarged(benched, 20, 15)}
     for name, report in pages.items():
         (folder / f"{name}.html").write_text(render_page(report), encoding="utf-8")
-    film(get_scenario("energy", steps=100), get_policy_spec("static"), folder / "episode.html")
+    save_video(get_scenario("energy", steps=100), get_policy_spec("static"), folder / "episode.html")
     return lambda name: folder / f"{name}.html"
 
 

@@ -14,9 +14,9 @@ import numpy as np
 import pytest
 
 from ptne_env import evaluate
-from ptne_env.envs.rendering import COLOURS
 from ptne_env.experiments.traces import comparison_scenes
 from ptne_env.report import comparison_report, render_page, suite_report
+from ptne_env.style import COLOURS, DARK, LIGHT
 
 VOID = {"meta", "link", "input", "br", "img", "hr"}
 
@@ -235,18 +235,19 @@ def contrast(one, other):
     return (light + 0.05) / (dark + 0.05)
 
 
-def test_letters_and_lines_stand_out_in_light_and_dark():
-    """WCAG 2 AA: 4.5 for letters, 3 for what a figure is read by."""
-    css = (resources.files("ptne_env.report") / "templates" / "page.css").read_text(encoding="utf-8")
-    schemes = [
-        dict(re.findall(r"--(\w+): (#\w{6});", block)) for block in re.findall(r":root \{(.*?)\}", css, re.DOTALL)
-    ]
-    assert len(schemes) == 2
-    for scheme in schemes:
-        for ground in (scheme["ground"], scheme["panel"]):
-            assert min(contrast(scheme[name], ground) for name in ("ink", "faint", "accent", "holds", "fails")) >= 4.5
-        assert min(contrast(colour, scheme["ground"]) for colour in COLOURS) >= 3
+@pytest.mark.parametrize("scheme", [LIGHT, DARK])
+def test_contrast_of_letters_and_lines(scheme):
+    """WCAG 2 AA: 4.5 for letters, 3 for the lines of a figure."""
+    for ground in (scheme["ground"], scheme["panel"]):
+        assert min(contrast(scheme[name], ground) for name in ("ink", "faint", "accent", "holds", "fails")) >= 4.5
+    assert min(contrast(colour, scheme["ground"]) for colour in COLOURS) >= 3
     assert len(set(COLOURS)) == 10
+
+
+def test_page_declares_both_colour_schemes(page_file):
+    text = page_file("comparison").read_text(encoding="utf-8")
+    for scheme in (LIGHT, DARK):
+        assert f":root {{ {' '.join(f'--{role}: {colour};' for role, colour in scheme.items())}" in text
 
 
 def test_the_answer_says_when_who_is_first_most_often_is_behind_on_average(comparison):

@@ -1,4 +1,4 @@
-"""Films: an episode from its start to its end, in files that can be opened."""
+"""Videos: an episode from its start to its end, in files that can be opened."""
 
 import json
 import re
@@ -10,7 +10,7 @@ from PIL import Image
 
 from ptne_env import get_scenario
 from ptne_env.experiments import get_policy_spec
-from ptne_env.report import film
+from ptne_env.report import save_video
 
 
 @pytest.fixture
@@ -20,7 +20,9 @@ def world():
 
 def test_a_gif_shows_the_episode_picture_by_picture(world, tmp_path):
     seen = []
-    film(world, get_policy_spec("static"), tmp_path / "run.gif", pictures=4, progress=lambda *count: seen.append(count))
+    save_video(
+        world, get_policy_spec("static"), tmp_path / "run.gif", pictures=4, progress=lambda *count: seen.append(count)
+    )
     assert seen == [(1, 4), (2, 4), (3, 4), (4, 4)]
     with Image.open(tmp_path / "run.gif") as image:
         assert image.n_frames == 4
@@ -34,7 +36,7 @@ def test_a_gif_shows_the_episode_picture_by_picture(world, tmp_path):
 
 
 def test_the_axes_stand_still(world, tmp_path):
-    film(world, get_policy_spec("static"), tmp_path / "run.gif", pictures=5)
+    save_video(world, get_policy_spec("static"), tmp_path / "run.gif", pictures=5)
     frames = []
     with Image.open(tmp_path / "run.gif") as image:
         for index in range(5):
@@ -47,7 +49,7 @@ def test_the_axes_stand_still(world, tmp_path):
 
 
 def test_a_page_has_the_player_alone(world, tmp_path):
-    film(world, get_policy_spec("static"), tmp_path / "run.html")
+    save_video(world, get_policy_spec("static"), tmp_path / "run.html")
     text = (tmp_path / "run.html").read_text(encoding="utf-8")
     figures = json.loads(re.search(r'<script type="application/json" id="figures">(.*?)</script>', text)[1])
     assert figures["policies"] == ["static"]
@@ -56,16 +58,16 @@ def test_a_page_has_the_player_alone(world, tmp_path):
 
 @pytest.mark.skipif(shutil.which("ffmpeg") is None, reason="needs ffmpeg in the PATH: apt-get install ffmpeg")
 def test_an_mp4_is_one(world, tmp_path):
-    film(world, get_policy_spec("static"), tmp_path / "run.mp4", pictures=3)
+    save_video(world, get_policy_spec("static"), tmp_path / "run.mp4", pictures=3)
     assert (tmp_path / "run.mp4").read_bytes()[4:8] == b"ftyp"
 
 
 def test_an_mp4_without_ffmpeg_says_what_to_do(world, tmp_path, monkeypatch):
     monkeypatch.setenv("PATH", str(tmp_path))
     with pytest.raises(FileNotFoundError, match="needs the program ffmpeg"):
-        film(world, get_policy_spec("static"), tmp_path / "run.mp4", pictures=2)
+        save_video(world, get_policy_spec("static"), tmp_path / "run.mp4", pictures=2)
 
 
 def test_another_ending_is_refused_before_anything_runs(world, tmp_path):
     with pytest.raises(ValueError, match=r"written to \.gif, \.mp4, \.html, got 'run\.avi'"):
-        film(world, get_policy_spec("static"), tmp_path / "run.avi")
+        save_video(world, get_policy_spec("static"), tmp_path / "run.avi")
