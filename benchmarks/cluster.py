@@ -10,6 +10,7 @@ import tempfile
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -21,8 +22,9 @@ import typer
 from ray.cluster_utils import Cluster
 from ray.util.joblib import register_ray
 
-from ptne_env.experiments import ENTRIES
-from ptne_env.experiments.benchmark import Cell, Store, _measure
+from ptne_env.experiments.jobs import Job, run_job
+from ptne_env.experiments.policy_specs import POLICIES
+from ptne_env.experiments.store import Store
 from ptne_env.experiments.suite import get_suite
 from ptne_env.experiments.workers import Workers
 
@@ -30,10 +32,10 @@ SUITE = "ptne-v1"
 LAWS = ("static", "adaptive", "grounded", "corollary-one", "fixed-gain", "averaging-integral")
 
 
-def cell(track: str, law: str, seed: int = 0) -> Cell:
+def make_job(track: str, law: str, seed: int = 0) -> Job:
     """A job of the suite, with as many episodes as the suite has."""
     suite = get_suite(SUITE)
-    return Cell(suite.name, suite.track(track), law, 0, ENTRIES[law], seed, "test", suite.episodes)
+    return Job(suite.track(track), POLICIES[law], 0, suite.episode_set(track, seed=seed))
 
 
 def timed(work: Callable[[], Any], clock: Callable[[], float] = time.perf_counter) -> tuple[float, Any]:
@@ -52,43 +54,41 @@ def nodes(count: int) -> Iterator[Workers]:
     cluster.wait_for_nodes()
     workers = Workers(-1, "ray", cluster.address)
     try:
-        list(workers.run(_measure, _tasks([cell("nominal", "static")] * 4)))
+        list(workers.run(run_job, _tasks([make_job("nominal", "static")] * 4)))
         yield workers
     finally:
         ray.shutdown()
         cluster.shutdown()
 
 
-def _tasks(cells: list[Cell]) -> list[tuple[Cell, str]]:
-    return [(one, one.key) for one in cells]
+def _tasks(jobs: list[Job]) -> list[tuple[Job, str | None]]:
+    return [(job, job.key) for job in jobs]
 
 
 def costs(tracks: tuple[str, ...]) -> None:
     """Seconds of one core to run and to store a job of each track, and the transferred bytes."""
-    typer.echo(f"{'track':24}{'seconds':>9}{'bytes out':>11}{'bytes back':>12}{'ms to keep':>12}")
+    typer.echo(f"{'track':24}{'seconds':>9}{'bytes out':>11}{'bytes back':>12}{'ms to store':>12}")
     rows = []
     with tempfile.TemporaryDirectory() as folder:
         for track in tracks:
-            one = cell(track, "static")
-            seconds, measured = timed(lambda one=one: _measure(one, one.key), time.process_time)
-            keep, _ = timed(
-                lambda one=one, measured=measured: Store(Path(folder)).keep(one, measured), time.process_time
-            )
-            rows.append((seconds, len(cloudpickle.dumps((_measure, one, one.key))), len(pickle.dumps(measured)), keep))
-            typer.echo(f"{track:24}{seconds:9.2f}{rows[-1][1]:11,}{rows[-1][2]:12,}{1e3 * keep:12.1f}")
-    seconds, out, back, keep = np.mean(rows, axis=0)
-    typer.echo(f"{'mean':24}{seconds:9.2f}{out:11,.0f}{back:12,.0f}{1e3 * keep:12.1f}\n")
+            job = make_job(track, "static")
+            seconds, result = timed(partial(run_job, job, job.key), time.process_time)
+            store, _ = timed(partial(Store(Path(folder)).save, job, result), time.process_time)
+            rows.append((seconds, len(cloudpickle.dumps((run_job, job, job.key))), len(pickle.dumps(result)), store))
+            typer.echo(f"{track:24}{seconds:9.2f}{rows[-1][1]:11,}{rows[-1][2]:12,}{1e3 * store:12.1f}")
+    seconds, out, back, store = np.mean(rows, axis=0)
+    typer.echo(f"{'mean':24}{seconds:9.2f}{out:11,.0f}{back:12,.0f}{1e3 * store:12.1f}\n")
 
 
 def sharing(turns: int) -> None:
     """Seconds of the same jobs on one and on two workers."""
-    tasks = _tasks([cell("nominal", law, seed) for seed in range(3) for law in LAWS])
-    list(Workers(2).run(_measure, tasks[:4]))  # starts the processes before the clock runs
-    typer.echo(f"{len(tasks)} cells of the track nominal, median of {turns} turns")
+    tasks = _tasks([make_job("nominal", law, seed) for seed in range(3) for law in LAWS])
+    list(Workers(2).run(run_job, tasks[:4]))  # starts the processes before the clock runs
+    typer.echo(f"{len(tasks)} jobs of the track nominal, median of {turns} turns")
     medians = {}
 
     def measure(name: str, workers: Workers) -> None:
-        medians[name] = float(np.median([timed(lambda: list(workers.run(_measure, tasks)))[0] for _ in range(turns)]))
+        medians[name] = float(np.median([timed(lambda: list(workers.run(run_job, tasks)))[0] for _ in range(turns)]))
         speed = medians["1 process"] / medians[name]
         typer.echo(f"  {name:14}{medians[name]:7.1f} s, {speed:.2f} times as fast as one process")
 

@@ -67,7 +67,7 @@ def report(gained: Sequence[float], before: float | None = None, after: float | 
     results = ptne_env.evaluate(
         [PolicySpec("law", law)], [scenario], episodes=len(gained), split="train", against_laws=False
     )
-    expected = results.cells[0].samples["digits_gained"]
+    expected = results.samples[SCENARIO, "law"]["digits_gained"][0]
     difference = float(np.abs(gained - expected).max())
     if not difference < 1e-4:  # some frameworks have rewards in float32
         raise SystemExit(f"through the wrapper the law gained {gained} digits, in ptne_env.evaluate {expected}")
