@@ -1,13 +1,13 @@
-"""The sampled world and its laws once more, in plain Python loops, from the equations alone.
+"""The sampled world and its laws a second time, in plain Python loops, from the equations alone.
 
-Nothing here is imported from the library, nothing is vectorised, and nothing is clever: an estimate is a list, a graph
-a list of lists, and a step a loop over players, components and neighbours. Only the exponential time transformation
+It imports nothing from the library and vectorises nothing: an estimate is a list, a graph a list of lists, and a step a
+loop over players, components and neighbours. Only the exponential time transformation
 and the steps that are uniform in effective time are needed.
 """
 
 import math
 
-# --- how time passes ------------------------------------------------------------------------------------------------
+# --- time ----------------------------------------------------------------------------------------------------------
 
 
 def step_table(*, deadline=1.2, gain=20.0, steps=400, s_end=8.0, hold_steps=0):
@@ -32,16 +32,16 @@ def step_table(*, deadline=1.2, gain=20.0, steps=400, s_end=8.0, hold_steps=0):
     for k in range(steps):
         dt = time(grid[k + 1]) - time(grid[k])
         theta = grid[k + 1] - grid[k] + gain * dt
-        table.append({"t": time(grid[k]), "s": grid[k], "theta": theta, "dt": dt, "signal_s": grid[k]})
+        table.append({"t": time(grid[k]), "s": grid[k], "theta": theta, "dt": dt, "topology_s": grid[k]})
     mean = sum(step["theta"] for step in table) / steps
     for k in range(hold_steps):
         dt = mean / gain
         t = deadline + k * dt
-        table.append({"t": t, "s": s_end, "theta": mean, "dt": dt, "signal_s": s_end + gain * (t - deadline)})
+        table.append({"t": t, "s": s_end, "theta": mean, "dt": dt, "topology_s": s_end + gain * (t - deadline)})
     return table
 
 
-# --- who hears whom -------------------------------------------------------------------------------------------------
+# --- graphs ---------------------------------------------------------------------------------------------------------
 
 
 def adjacency(players, edges):
@@ -67,13 +67,13 @@ def fixed(matrix):
 
 def switching(modes, dwell, clock):
     def active(step):
-        now = step["t"] if clock == "physical" else step["signal_s"]
+        now = step["t"] if clock == "physical" else step["topology_s"]
         return modes[math.floor(now / dwell) % len(modes)]
 
     return active
 
 
-# --- what players minimise: own gradient of player i at its own estimate ---------------------------------------------
+# --- games: own gradient of player i at its own estimate -------------------------------------------------------------
 
 
 def energy_gradient(i, x):
@@ -129,7 +129,7 @@ class Static:
         return u
 
     def after(self, world, step):
-        """Nothing is remembered."""
+        """The law has no memory."""
 
 
 class CorollaryOne(Static):
@@ -188,7 +188,7 @@ class Grounded:
         return u
 
     def after(self, world, step):
-        """Nothing is remembered."""
+        """The law has no memory."""
 
 
 def own_block(owners, i):

@@ -1,7 +1,7 @@
 """Conditions of the laws' theorems: numbers of a scenario against the numbers that each theorem needs.
 
 :func:`condition` finds the condition of a law by its class. All conditions are sufficient for convergence, not
-necessary. A law of your own registers its condition:
+necessary. A law of your own registers its condition::
 
     @condition.register
     def _(law: MyLaw, constants: ProblemConstants) -> Condition:
@@ -174,27 +174,27 @@ def condition(law: Law, constants: ProblemConstants) -> Condition | None:  # noq
 
 
 @condition.register
-def _static(law: Static, constants: ProblemConstants) -> Condition:
+def static_condition(law: Static, constants: ProblemConstants) -> Condition:
     """κ > (ι²/ε + ι)/λ2 (eq. GainCondition), for scaled costs with κ divided by the gradient gain."""
     return _gain_condition(law.kappa / law.gradient_gain, constants)
 
 
 @condition.register
-def _corollary_one(law: CorollaryOne, constants: ProblemConstants) -> Condition:
+def corollary_one_condition(law: CorollaryOne, constants: ProblemConstants) -> Condition:
     """κ > (ι²/ε + ι)/λ2 (eq. GainCondition); convergence is asymptotic, not by the deadline."""
     return _gain_condition(law.kappa, constants)
 
 
 @condition.register
-def _capped_gain(law: CappedGain, constants: ProblemConstants) -> Condition:
+def capped_gain_condition(law: CappedGain, constants: ProblemConstants) -> Condition:
     """That of the static law, and G > c, below which even the constant part of the time gain is cut."""
     return decisive(
-        Condition.above("the cap leaves c: G > c", law.largest_gain, constants.gain), _static(law, constants)
+        Condition.above("the cap leaves c: G > c", law.largest_gain, constants.gain), static_condition(law, constants)
     )
 
 
 @condition.register
-def _fixed_gain(law: FixedGain, constants: ProblemConstants) -> Condition:
+def fixed_gain_condition(law: FixedGain, constants: ProblemConstants) -> Condition:
     """κ > ((ι_F + ι)²/(4ε) + ι)/λ2, with κ divided by the gradient gain.
 
     It holds exactly where the bound [[ε/N, −(ι_F + ι)/(2√N)], [·, κ λ2 − ι]] of the loop on consensus and
@@ -209,13 +209,13 @@ def _fixed_gain(law: FixedGain, constants: ProblemConstants) -> Condition:
 
 
 @condition.register
-def _adaptive(law: Adaptive, constants: ProblemConstants) -> Condition:
+def adaptive_condition(law: Adaptive, constants: ProblemConstants) -> Condition:
     """ε > 0, and the graphs that act as s → ∞ are (jointly) connected (Theorems 3 and 4); γ > 0 on all links."""
     return decisive(_gains_adapt(law.gamma), _stays_connected(constants), _strongly_monotone(constants))
 
 
 @condition.register
-def _grounded(law: Grounded, constants: ProblemConstants) -> Condition:
+def grounded_condition(law: Grounded, constants: ProblemConstants) -> Condition:
     """κ > ((ι + √(N−1) ι_F)²/(4ε) + √(N−1) ι)/λ, with λ the smallest eigenvalue of the grounded Laplacians.
 
     The paper proves that a large enough κ exists (there 1/δ). This κ is large enough, for d/dτ ½(‖x − x*‖² + ‖y‖²),
@@ -244,19 +244,19 @@ def _grounded_connectivity(constants: ProblemConstants) -> float:
 
 
 @condition.register
-def _adaptive_grounded(law: AdaptiveGrounded, constants: ProblemConstants) -> Condition:
+def adaptive_grounded_condition(law: AdaptiveGrounded, constants: ProblemConstants) -> Condition:
     """γ > 0, ε > 0 and every graph connected: with H the grounded Laplacian, V = ½‖x − x*‖² + ½ yᵀ H y + gains."""
     return decisive(_gains_adapt(law.gamma), _always_connected(constants), _strongly_monotone(constants))
 
 
 @condition.register
-def _node_adaptive(law: NodeAdaptiveOracle, constants: ProblemConstants) -> Condition:
+def node_adaptive_condition(law: NodeAdaptiveOracle, constants: ProblemConstants) -> Condition:
     """γ > 0, ε > 0 and every graph connected; the theorem needs neither ι nor λ2."""
     return decisive(_gains_adapt(law.gamma), _always_connected(constants), _strongly_monotone(constants))
 
 
 @condition.register
-def _locally_implicit(law: LocallyImplicit, constants: ProblemConstants) -> Condition:
+def locally_implicit_condition(law: LocallyImplicit, constants: ProblemConstants) -> Condition:
     """Stable for every constant Θ: the largest generalised eigenvalue of (Mᵀ D⁻¹ M, M + Mᵀ) is below 1.
 
     The sampled loop contracts in the norm of 1/Θ + D for every constant Θ where Mᵀ D⁻¹ M ≺ M + Mᵀ, because that norm
@@ -283,7 +283,7 @@ def implicit_diagonal(law: LocallyImplicit, owners: IntArray, graph: Graph) -> F
 
 
 @condition.register
-def _projected_gradient(law: ProjectedGradient, constants: ProblemConstants) -> Condition:
+def projected_gradient_condition(law: ProjectedGradient, constants: ProblemConstants) -> Condition:
     """ρ = λ_max(M_α) < 1: every iteration then shrinks ‖𝐱 − 1⊗x*‖ by √ρ at least, on every sequence of modes.
 
     M_α = [[1 − 2αε/N + α²ι_F²/N, ασ(ι + ι_F + αιι_F)/√N], [·, σ²(1 + αι)²]] bounds the growth of
@@ -305,7 +305,7 @@ def _projected_gradient(law: ProjectedGradient, constants: ProblemConstants) -> 
 
 
 @condition.register
-def _aggregate_tracking(law: AggregateTracking, constants: ProblemConstants) -> Condition:
+def aggregate_tracking_condition(law: AggregateTracking, constants: ProblemConstants) -> Condition:
     """An aggregative game, ε > 0, W stochastic, Σ α_k = ∞ and Σ α_k² < ∞, graphs that stay connected."""
     return decisive(
         Condition.below("aggregative: spread of ∂²J_i/∂x_i∂x_j over j ≠ i", _spread(constants), 1e-9),
@@ -327,7 +327,7 @@ def _spread(constants: ProblemConstants) -> float:
 
 
 @condition.register
-def _extremum_seeking(law: ExtremumSeeking, constants: ProblemConstants) -> Condition:
+def extremum_seeking_condition(law: ExtremumSeeking, constants: ProblemConstants) -> Condition:
     """DF strictly diagonally dominant, and steps that resolve the cost's fastest ripple: Θ 4ω < π.
 
     For quadratic games on continuous time the first is the paper's assumption, under which the averaged loop is
@@ -343,7 +343,7 @@ def _extremum_seeking(law: ExtremumSeeking, constants: ProblemConstants) -> Cond
 
 
 @condition.register
-def _best_response(law: BestResponseOracle, constants: ProblemConstants) -> Condition:
+def best_response_condition(law: BestResponseOracle, constants: ProblemConstants) -> Condition:
     """ρ(I − ω D⁻¹ dF) < 1 with D the own blocks of dF: for affine games, exactly where it converges."""
     own = constants.owners[:, None] == constants.owners
     matrix = np.linalg.solve(np.where(own, constants.jacobian, 0.0), constants.jacobian)
@@ -352,7 +352,7 @@ def _best_response(law: BestResponseOracle, constants: ProblemConstants) -> Cond
 
 
 @condition.register
-def _fixed_time(law: FixedTimeOracle, constants: ProblemConstants) -> Condition:
+def fixed_time_condition(law: FixedTimeOracle, constants: ProblemConstants) -> Condition:
     """ε > 0, limited steps that contract, and the settling bound (1/ξ1 + 1/|ξ2|)/(k ε) within the episode."""
     contracts = 2 * constants.epsilon / constants.iota_strategies**2
     return decisive(

@@ -17,7 +17,7 @@ def gains_along(env, law, **reset):
 
 @pytest.mark.parametrize("kind", ["physical", "local"])
 @pytest.mark.parametrize("name", ["energy", "energy-switching"])
-def test_gains_start_where_told_and_never_fall(name, kind):
+def test_gains_start_at_the_initial_gain_and_never_fall(name, kind):
     env = make_env(name, interface=kind)
     gains = gains_along(env, laws.Adaptive(env.layout, initial_gain=0.75))
     assert gains[0].min() >= 0.75
@@ -59,7 +59,7 @@ def test_negative_gains_are_refused(name):
         laws.Adaptive(make_port("energy")[1].layout, **{name: -0.1})
 
 
-def test_memory_of_other_rows_is_refused_with_a_way_out():
+def test_memory_of_another_shape_is_refused_with_advice():
     world, encoder = make_port("energy")
     observation = encoder.observe(dynamics.initial_state(world, np.zeros((5, 5, 1))))[0]
     law = laws.Adaptive(encoder.layout)

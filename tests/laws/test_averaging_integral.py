@@ -3,11 +3,10 @@
 import numpy as np
 import pytest
 from affine_games import affine_scenario, loop_start, run
+from sample_laws import condition_on
 from worlds import fixed_part, make_port
 
-from ptne_env import FactorySpec, dynamics, get_scenario, laws, theory
-from ptne_env.theory import condition
-from ptne_env.world import World
+from ptne_env import dynamics, laws, theory
 
 # A strongly monotone game (ε = 1) between two players whose estimates a weak link does not hold together.
 ROTATION = np.array([[1.0, 6.0], [-6.0, 1.0]])
@@ -25,15 +24,14 @@ def test_it_is_the_adaptive_law_from_gains_of_zero():
     assert np.array_equal(mine, run(world, encoder, laws.Adaptive(encoder.layout, 0.02, 0.0), start))
 
 
-def test_integral_gains_need_no_bound_on_the_connectivity_where_fixed_gains_do():
+def test_integral_gains_converge_without_a_bound_that_fixed_gains_need():
     """Their theorem: convergence for every connected graph, without λ2 or ι. A small fixed gain diverges here."""
     scenario = rotating(steps=4000, s_end=20.0)
-    assert condition(laws.AveragingIntegral, scenario).holds
-    game, graph = World(scenario).game, World(scenario).topology.graphs[0]
-    small = 0.5
-    assert not condition(FactorySpec.of("ptne_env.laws:FixedGain", kappa=small), scenario).holds
-    assert theory.spectral_abscissa(theory.closed_loop_matrix(game, graph, small)) < 0
+    assert condition_on(scenario, laws.AveragingIntegral).holds
     world, encoder = make_port(scenario)
+    game, graph, small = world.game, world.topology.graphs[0], 0.5
+    assert not condition_on(scenario, laws.FixedGain, kappa=small).holds
+    assert theory.spectral_abscissa(theory.closed_loop_matrix(game, graph, small)) < 0
     start, target = loop_start(world, size=5.0), game.nash_equilibrium[:, None, None]
     distance = {
         name: [np.linalg.norm(state - target) for state in run(world, encoder, law, start)[[0, -1]]]
@@ -49,15 +47,11 @@ def test_integral_gains_need_no_bound_on_the_connectivity_where_fixed_gains_do()
 def test_gains_grow_and_rest():
     scenario = rotating(steps=4000, s_end=20.0)
     world, encoder = make_port(scenario)
-    law, state, memory, history = (
-        laws.AveragingIntegral(encoder.layout, gamma=1.0),
-        loop_start(world, size=5.0),
-        None,
-        [],
-    )
+    law, state = laws.AveragingIntegral(encoder.layout, gamma=1.0), loop_start(world, size=5.0)
+    memory, history = None, []
     for _ in range(world.clock.steps):
         actions, memory = law.predict(encoder.observe(state)[0], state=memory)
-        state = dynamics.step(world, state, encoder.inputs(encoder.clip(actions[None]).actions, state))
+        state = dynamics.step(world, state, encoder.decode(actions[None], state))
         history.append(memory[:, 0])
     history = np.array(history)
     assert np.all(np.diff(history, axis=0) >= 0)
@@ -67,6 +61,6 @@ def test_gains_grow_and_rest():
 
 
 def test_condition_asks_for_gains_that_adapt():
-    found = condition(FactorySpec.of("ptne_env.laws:AveragingIntegral", gamma=0.0), get_scenario("energy"))
+    found = condition_on("energy", laws.AveragingIntegral, gamma=0.0)
     assert "γ > 0" in found.name
     assert not found.holds

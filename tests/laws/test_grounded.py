@@ -3,11 +3,10 @@
 import numpy as np
 import pytest
 from affine_games import loop_start, run
+from sample_laws import condition_on
 from worlds import BLOCKS, energy_scenario, make_env, make_port, play, stack
 
-from ptne_env import FactorySpec, dynamics, get_scenario, laws
-from ptne_env.theory import condition, problem_constants
-from ptne_env.world import World
+from ptne_env import FactorySpec, dynamics, get_scenario, laws, theory
 
 RING = FactorySpec.of("ptne_env.switching:fixed", graph=FactorySpec.of("ptne_env.graphs:cycle", players=5))
 HVAC = energy_scenario(1.0, (50.0, 55.0, 60.0, 65.0, 70.0), RING).replace(
@@ -64,7 +63,7 @@ def test_adaptive_grounded_law_is_its_equation(scenario, kind):
     world, encoder = make_port(scenario, kind=kind, action_scale=1e3)
     law = laws.AdaptiveGrounded(encoder.layout, gamma=0.003, initial_gain=0.2)
     states = run(world, encoder, law, loop_start(world), steps=40)[..., 0]
-    game, adjacency = world.game, World(scenario).topology.graphs[0].adjacency
+    game, adjacency = world.game, world.topology.graphs[0].adjacency
     gains = np.full(states.shape[1:], 0.2)
     for k in range(40):
         theta, errors = world.clock.theta[k], grounded_errors(states[k], adjacency, game.owners)
@@ -76,16 +75,16 @@ def test_adaptive_grounded_law_is_its_equation(scenario, kind):
         gains = gains + theta * 0.003 * errors**2
 
 
-def test_gains_of_ye_and_hu_grow_until_the_network_converges_and_then_rest():
+def test_gains_of_ye_and_hu_grow_until_the_network_converges():
     """The theorem of the node-based law: global convergence from gains of zero, which stay bounded."""
     scenario = get_scenario("energy", start="random", steps=4000, s_end=20.0, gain=60.0)
     world, encoder = make_port(scenario)
     law = laws.AdaptiveGrounded(encoder.layout, gamma=0.005, initial_gain=0.0)
-    assert law.condition(problem_constants(scenario)).holds
+    assert theory.condition(law, theory.problem_constants(world)).holds
     state, memory, history = loop_start(world), None, []
     for _ in range(world.clock.steps):
         actions, memory = law.predict(encoder.observe(state)[0], state=memory)
-        state = dynamics.step(world, state, encoder.inputs(encoder.clip(actions[None]).actions, state))
+        state = dynamics.step(world, state, encoder.decode(actions[None], state))
         history.append(memory)
     history = np.array(history)
     assert np.all(np.diff(history, axis=0) >= 0)
@@ -98,9 +97,9 @@ def test_gains_of_ye_and_hu_grow_until_the_network_converges_and_then_rest():
 
 def test_conditions_of_ye_and_hu():
     scenario = get_scenario("energy")
-    fixed = condition(laws.Grounded, scenario)
+    fixed = condition_on(scenario, laws.Grounded)
     assert not fixed.holds  # sufficient only: the law converges all the same
-    assert condition(FactorySpec.of("ptne_env.laws:Grounded", kappa=1.01 * fixed.bound), scenario).holds
-    assert condition(laws.AdaptiveGrounded, scenario).holds
-    assert "gains adapt" in condition(FactorySpec.of("ptne_env.laws:AdaptiveGrounded", gamma=0.0), scenario).name
-    assert "every graph" in condition(laws.AdaptiveGrounded, get_scenario("energy-switching")).name
+    assert condition_on(scenario, laws.Grounded, kappa=1.01 * fixed.bound).holds
+    assert condition_on(scenario, laws.AdaptiveGrounded).holds
+    assert "gains adapt" in condition_on(scenario, laws.AdaptiveGrounded, gamma=0.0).name
+    assert "every graph" in condition_on("energy-switching", laws.AdaptiveGrounded).name

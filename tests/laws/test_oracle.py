@@ -30,20 +30,20 @@ def test_oracle_is_gradient_descent_on_the_shared_strategies(scenario):
     x = dynamics.strategies(world, state)
     for k in range(world.clock.steps):
         actions, _ = law.predict(encoder.observe(state)[0])
-        state = dynamics.step(world, state, encoder.inputs(encoder.clip(actions[None]).actions, state))
+        state = dynamics.step(world, state, encoder.decode(actions[None], state))
         x = x - world.clock.theta[k] * world.game.pseudo_gradient(x)
         assert np.abs(state.estimates - x[:, None]).max() <= 4e-6 * np.abs(x).max()
     assert dynamics.strategies(world, state)[:, 0] == pytest.approx(world.game.nash_equilibrium, rel=1e-9)
 
 
-def test_oracle_obeys_the_input_limit_of_everybody():
+def test_oracle_obeys_the_input_limit():
     world, encoder = make_port(get_scenario("energy", input_limit=3.0), kind="full")
     state = dynamics.initial_state(world, world.draw_estimates([RandomStreams.from_seed(1)]))
     actions, _ = laws.CentralisedOracle(encoder.layout).predict(encoder.observe(state)[0])
     assert np.abs(actions).max() == 3.0
 
 
-def test_laws_of_players_act_through_the_full_interface_as_through_the_physical_one():
+def test_laws_of_players_act_alike_through_full_and_physical():
     world, encoder = make_port("energy", kind="full")
     _, plain = make_port("energy")
     state = dynamics.initial_state(world, world.draw_estimates([RandomStreams.from_seed(1)]))

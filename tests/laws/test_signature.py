@@ -146,7 +146,7 @@ def test_batches_agree_bit_for_bit_with_single_environments(law):
             assert np.array_equal(own, memory[rows])
 
 
-def test_null_stays_where_it_is():
+def test_zero_input_stays_at_the_start():
     env = make_env("energy", steps=10)
     states, steps = play(env, laws.ZeroInput(env.layout), seed=1)
     assert np.array_equal(states[0], states[-1])

@@ -7,8 +7,8 @@ need_sb3()
 
 from ptne_env.training import ppo
 
-# Small enough for a minute on one core, large enough to gain digits beyond doubt.
-ARGUMENTS = ppo.Arguments("random-energy", steps=400_000, envs=64, validation_episodes=50)
+# A few seconds on one core, and more than three digits.
+ARGUMENTS = ppo.Arguments("random-energy", steps=100_000, envs=32, validation_episodes=50)
 
 
 @pytest.fixture(scope="session")
