@@ -22,8 +22,8 @@ from ptne_env.catalogue import get_scenario
 from ptne_env.dynamics import State
 from ptne_env.encoder import Encoder, make_encoder
 from ptne_env.envs.vector import VectorParallelEnv
-from ptne_env.experiments import rollout
-from ptne_env.experiments.episodes import draw_start
+from ptne_env.experiments.episodes import EpisodeSet
+from ptne_env.experiments.rollout import rollout
 from ptne_env.observation import Interface, InterfaceKind
 from ptne_env.rewards import Reward
 from ptne_env.scenario import Scenario
@@ -131,7 +131,7 @@ def parts(interface: InterfaceKind, num_envs: int, plan: Plan, scenario: str | S
 
 def _world(interface: InterfaceKind, num_envs: int, scenario: str | Scenario) -> tuple[World, Encoder, Reward, State]:
     world = World(get_scenario(scenario))
-    state = draw_start(world, num_envs, seed=0)
+    state = EpisodeSet(num_envs).initial_state(world)
     return world, make_encoder(world, Interface(interface)), Reward(world), state
 
 
@@ -230,7 +230,7 @@ def law_rollouts(plan: Plan) -> list[Contender]:
     """Rollouts of laws over episodes of ``random-energy``: environment, law and metrics together."""
     episodes = 10 if plan.quick else 1000
     world = World(get_scenario("random-energy"))
-    start = draw_start(world, episodes, seed=0)
+    start = EpisodeSet(episodes).initial_state(world)
     encoder = make_encoder(world, Interface("physical"))
     agent_steps = episodes * world.game.num_players * world.clock.total_steps
     policies = {"static": laws.Static(encoder.layout), "adaptive": laws.Adaptive(encoder.layout)}
