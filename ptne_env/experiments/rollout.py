@@ -117,24 +117,23 @@ def rollout(
     clock, players = world.clock, range(world.game.num_players)
     taken = set() if teammates is None else set(teammates.players.tolist())
     member = Member(policy, encoder, [player for player in players if player not in taken])
-    recorded = [(series, series.instants(clock)) for series in SERIES.values()]
-    values: dict[str, list[FloatArray]] = {name: [] for name in SERIES}
+    instants = {name: series.instants(clock) for name, series in SERIES.items()}
+    values = {name: np.empty((len(chosen), batch)) for name, chosen in instants.items()}
     state = start
     for step in range(clock.total_steps + 1):
-        is_last = step == clock.total_steps
-        inputs = np.zeros_like(state.estimates) if is_last else member.decide(state)
-        if teammates is not None and not is_last:
+        inputs = member.decide(state) if step < clock.total_steps else None
+        if teammates is not None and inputs is not None:
             inputs += teammates.decide(state)
         if watch is not None:
-            watch(state, None if is_last else inputs)
+            watch(state, inputs)
         moment = Moment(world, state, inputs, step)
-        for series, instants in recorded:
-            if step in instants:
-                values[series.name].append(series.value(moment))
-        if not is_last:
+        for name, chosen in instants.items():
+            if step in chosen:
+                values[name][chosen.index(step)] = SERIES[name].value(moment)
+        if inputs is not None:
             state = dynamics.step(world, state, inputs)
     seconds = member.seconds / (clock.total_steps * len(member.players) * batch)
-    return Rollout(world, {name: np.array(found) for name, found in values.items()}, state.diverged, seconds)
+    return Rollout(world, values, state.diverged, seconds)
 
 
 def _checked(actions: FloatArray, shape: tuple[int, int, int]) -> FloatArray:

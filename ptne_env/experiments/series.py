@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Literal, TypeAlias
 
 import numpy as np
 
 from ptne_env import distances, dynamics
-from ptne_env.arrays import FloatArray, ordered_sum
+from ptne_env.arrays import FloatArray, IntArray, ordered_sum
 from ptne_env.clock import StepClock
 from ptne_env.dynamics import State
 from ptne_env.rewards import REWARD_LIMIT
@@ -20,51 +19,37 @@ When: TypeAlias = Literal["instants", "steps", "deadline", "ends"]
 """Every instant, every step to the deadline, the instant T, or the first and the last instant."""
 
 
-@dataclass(frozen=True)
 class Moment:
-    """One instant of a rollout of B episodes, with intermediate results that several series share.
+    """One instant of a rollout of B episodes, with the intermediate results that several series share.
 
     Attributes:
         world: of the rollout.
         state: at the instant.
-        inputs: held from the instant on, shape (n, N, B); zeros at the last instant.
         step: index of the instant.
+        player_distances: ‖x^i − x*‖/‖x*‖, at the range limit in a diverged episode; shape (N, B).
+        magnitudes: |u| of the inputs that are held from the instant on, 0 in a diverged episode; shape (n, N, B). These
+            three exist before the deadline only.
+        squared_input: ‖u‖², shape (B,).
+        largest_input: the largest |u| of any component, shape (B,).
     """
 
-    world: World
-    state: State
-    inputs: FloatArray
-    step: int
+    def __init__(self, world: World, state: State, inputs: FloatArray | None, step: int) -> None:
+        self.world, self.state, self.step = world, state, step
+        self._has_diverged = state.any_diverged
+        self.player_distances = self.limited(distances.player_distances(state.estimates, state.game))
+        if inputs is not None and step < world.clock.steps:
+            self.magnitudes = np.abs(inputs)
+            if self._has_diverged:
+                self.magnitudes *= ~state.diverged
+            self.squared_input = _squared(self.magnitudes)
+            self.largest_input = self.magnitudes.max(axis=(0, 1))
 
     @property
     def strategies(self) -> FloatArray:
         """The real strategies x, shape (n, B)."""
         return dynamics.strategies(self.world, self.state)
 
-    @cached_property
-    def player_distances(self) -> FloatArray:
-        """‖x^i − x*‖/‖x*‖, at the range limit in a diverged episode; shape (N, B)."""
-        return self.limited(distances.player_distances(self.state.estimates, self.state.game))
-
-    @cached_property
-    def magnitudes(self) -> FloatArray:
-        """|u|, 0 in a diverged episode; shape (n, N, B)."""
-        magnitudes = np.abs(self.inputs)
-        magnitudes *= ~self.state.diverged
-        return magnitudes
-
-    @cached_property
-    def squared_input(self) -> FloatArray:
-        """‖u‖², shape (B,)."""
-        return squared(self.magnitudes)
-
-    @cached_property
-    def largest_input(self) -> FloatArray:
-        """The largest |u| of any component, shape (B,)."""
-        largest: FloatArray = self.magnitudes.max(axis=(0, 1))
-        return largest
-
-    @cached_property
+    @property
     def scaled_magnitudes(self) -> FloatArray | None:
         """|u| times each player's own Θ over the true Θ; ``None`` where all clocks are right."""
         theta = self.world.theta
@@ -74,7 +59,7 @@ class Moment:
 
     def limited(self, distance: FloatArray) -> FloatArray:
         """``distance`` (..., B) with the range limit where an episode has diverged."""
-        if not self.state.any_diverged:
+        if not self._has_diverged:
             return distance
         return np.where(self.state.diverged, dynamics.distance_limit(self.state.game), distance)
 
@@ -90,7 +75,7 @@ class Series:
     """
 
     name: str
-    value: Callable[[Moment], FloatArray]
+    value: Callable[[Moment], FloatArray | IntArray]
     when: When = "steps"
 
     def instants(self, clock: StepClock) -> Sequence[int]:
@@ -103,7 +88,7 @@ class Series:
         }[self.when]
 
 
-def squared(array: FloatArray) -> FloatArray:
+def _squared(array: FloatArray) -> FloatArray:
     """The sum of squares over components and players: (n, N, B) to (B,)."""
     total: FloatArray = (array**2).sum(axis=(0, 1))
     return total
@@ -144,7 +129,7 @@ def _input_energy(moment: Moment) -> FloatArray:
 def _velocity_energy(moment: Moment) -> FloatArray:
     clock, scaled = moment.world.clock, moment.scaled_magnitudes
     theta, dt = clock.theta[moment.step], clock.dt[moment.step]
-    energy: FloatArray = theta**2 / dt * (moment.squared_input if scaled is None else squared(scaled))
+    energy: FloatArray = theta**2 / dt * (moment.squared_input if scaled is None else _squared(scaled))
     return energy
 
 
@@ -155,21 +140,21 @@ def _peak_velocity(moment: Moment) -> FloatArray:
     return peak
 
 
-def _saturated(moment: Moment) -> FloatArray:
+def _saturated(moment: Moment) -> IntArray:
     # The action box is float32, so an input at the limit may be the float32 just below it.
     limit = np.nextafter(np.float32(moment.world.input_limit), np.float32(0))
-    return (moment.magnitudes >= limit).sum(axis=(0, 1)).astype(np.float64)
+    count: IntArray = (moment.magnitudes >= limit).sum(axis=(0, 1))
+    return count
 
 
-def _components(moment: Moment) -> FloatArray:
-    components, players, _ = moment.inputs.shape
-    return (~moment.state.diverged).astype(np.float64) * (components * players)
+def _components(moment: Moment) -> IntArray:
+    components, players, _ = moment.magnitudes.shape
+    return ~moment.state.diverged * (components * players)
 
 
-def _messages(moment: Moment) -> FloatArray:
-    return ~moment.state.diverged * (dynamics.weights(moment.world, moment.state) > 0).sum(axis=(0, 1)).astype(
-        np.float64
-    )
+def _messages(moment: Moment) -> IntArray:
+    links: IntArray = (dynamics.weights(moment.world, moment.state) > 0).sum(axis=(0, 1))
+    return ~moment.state.diverged * links
 
 
 SERIES: dict[str, Series] = {
