@@ -102,10 +102,10 @@ def slots(interface: InterfaceKind, num_envs: int) -> Contender:
         MissingPeerError: when Stable-Baselines3 is not installed.
     """
     try:
-        from ptne_env.envs.sb3 import SlotVecEnv
+        from ptne_env.envs.sb3 import PlayerVecEnv
     except ImportError as error:
-        raise MissingPeerError(f"the slots of Stable-Baselines3 are left out: {error}") from error
-    env = SlotVecEnv("energy", num_envs, interface=interface, seed=0)
+        raise MissingPeerError(f"the adapter of Stable-Baselines3 is left out: {error}") from error
+    env = PlayerVecEnv("energy", num_envs, interface=interface, seed=0)
     env.reset()
     turn = actions(env.layout.action_bound, (env.num_envs, env.layout.action_size))
     return Contender(f"ptne_env, {interface}", env.num_envs, lambda: env.step(next(turn)))
@@ -184,7 +184,7 @@ def training_share(plan: Plan) -> dict[str, Any]:
     try:
         from stable_baselines3.common.vec_env import VecMonitor
 
-        from ptne_env.envs.sb3 import SlotVecEnv
+        from ptne_env.envs.sb3 import PlayerVecEnv
         from ptne_env.training.ppo import Arguments, train
     except ImportError as error:
         raise MissingPeerError(f"the share of a PPO update is left out: {error}") from error
@@ -206,7 +206,7 @@ def training_share(plan: Plan) -> dict[str, Any]:
 
         with (
             tempfile.TemporaryDirectory() as folder,
-            _timed(SlotVecEnv, "step_wait", environment),
+            _timed(PlayerVecEnv, "step_wait", environment),
             _timed(VecMonitor, "step_wait", with_monitor),
             warnings.catch_warnings(),
         ):
