@@ -212,7 +212,7 @@ def test_guarantees_of_the_gain_condition_hold_on_every_start():
 NOISY = {"effective": "Static", "transformed": "Grounded", "physical": "CorollaryOne"}
 
 
-@pytest.mark.parametrize(("spacing", "law"), product(NOISY, NOISY.values()) if SOAK else NOISY.items())
+@pytest.mark.parametrize(("spacing", "law"), [*product(NOISY, NOISY.values())] if SOAK else [*NOISY.items()])
 def test_noise_covariance_is_the_measured_one(spacing, law):
     seed = {"effective": 3, "transformed": 11, "physical": 6}[spacing]
     case = random_case(seed, law, spacing=spacing, gain=1.0, s_end=2.5)
