@@ -14,7 +14,7 @@ PYTEST  = $(BIN)/pytest --numprocesses auto --dist worksteal
 .PHONY: compare reproduce test lint types unit docs ecosystem ray soak lowest newest smoke audit clean
 
 compare: $(VENV)/.bench
-	$(BIN)/ptne compare --json $(OUT)/compare.json --csv $(OUT)/compare.csv --report $(OUT)/report/index.html
+	$(BIN)/ptne compare --out $(OUT)/comparison
 
 reproduce: $(VENV)/.bench
 	$(BIN)/ptne reproduce --out $(OUT)/paper

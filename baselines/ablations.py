@@ -1,4 +1,4 @@
-"""What each choice of the training buys: one change at a time, everything else as shipped.
+"""The effect of each choice of the training: one change at a time, the rest as shipped.
 
 Run it with ``python baselines/ablations.py``; ``ablations.json`` and ``ablations.md`` beside this file are its output.
 A variation that is there already is not repeated. The recurrent one needs ``pip install sb3-contrib``.
@@ -16,12 +16,12 @@ import numpy as np
 import numpy.typing as npt
 import torch
 import typer
+from common import Jobs, Ray, table
 from stable_baselines3 import PPO
 from stable_baselines3.common.vec_env import VecFrameStack
 
 from ptne_env import Interface, PolicySpec, evaluate
-from ptne_env.experiments import episode_seed
-from ptne_env.experiments.workers import Workers
+from ptne_env.experiments import Workers, episode_seed
 from ptne_env.files import write_atomically
 from ptne_env.policy import Policy
 from ptne_env.training import ppo
@@ -89,8 +89,8 @@ def train(arguments: ppo.Arguments, *, memory: bool = False, recurrent: bool = F
     if memory:
         env = VecFrameStack(env, FRAMES)
         newest = (FRAMES - 1) * layout.size
-        entries = settings["policy_kwargs"]["features_extractor_kwargs"]
-        shifted = {name: [entry + newest for entry in group] for name, group in entries.items()}
+        groups = settings["policy_kwargs"]["features_extractor_kwargs"]
+        shifted = {name: [index + newest for index in group] for name, group in groups.items()}
         settings["policy_kwargs"]["features_extractor_kwargs"] = shifted
     model = PPO("MlpPolicy", env, **settings).learn(arguments.steps)
     return Remembering(model) if memory else model
@@ -103,8 +103,8 @@ def measure(name: str, arguments: ppo.Arguments) -> dict[str, Any]:
     began = perf_counter()
     policy = train(dataclasses.replace(arguments, **changes), **kind)
     seconds = perf_counter() - began
-    entry = PolicySpec(name, policy, Interface(arguments.interface, arguments.action_mode))
-    results = evaluate([entry], list(arguments.scenarios), episodes=200, split="validation", against_laws=False)
+    spec = PolicySpec(name, policy, Interface(arguments.interface, arguments.action_mode))
+    results = evaluate([spec], list(arguments.scenarios), episodes=200, split="validation", against_laws=False)
     digits = results.record(arguments.scenarios[0], name, "digits")
     return {"variation": name, "seed": arguments.seed, "seconds": seconds} | {
         key: digits[key] for key in ("mean", "low", "high")
@@ -112,15 +112,12 @@ def measure(name: str, arguments: ppo.Arguments) -> dict[str, Any]:
 
 
 def main(
-    configuration: Annotated[str, typer.Option(help="What the variations start from.")] = "random-energy-switching",
+    configuration: Annotated[str, typer.Option(help="The configuration that is varied.")] = "random-energy-switching",
     steps: Annotated[int, typer.Option(help="Agent-steps of each.")] = 4_000_000,
     seeds: Annotated[int, typer.Option(min=1, help="Training seeds of each.")] = 2,
     runs: Annotated[Path, typer.Option(help="Folder for finished variations.")] = Path("runs/ablations"),
-    jobs: Annotated[int, typer.Option(help="Runs at a time; each takes one core.")] = 2,
-    backend: Annotated[
-        str, typer.Option(help="Where: 'processes' of this machine, or 'ray', a cluster.")
-    ] = "processes",
-    address: Annotated[str | None, typer.Option(help="Of the cluster, such as auto or HOST:6379.")] = None,
+    jobs: Jobs = 2,
+    ray: Ray = None,
 ) -> None:
     """Train every variation and write the table."""
     tasks = [
@@ -130,7 +127,7 @@ def main(
     ]
     paths = [runs / configuration / f"{steps}-{arguments.seed}" / f"{name}.json" for name, arguments in tasks]
     missing = [index for index, path in enumerate(paths) if not path.exists()]
-    workers = Workers(jobs, backend, address)
+    workers = Workers(jobs, ray)
     for place, result in workers.run(measure, [tasks[index] for index in missing]):
         write_atomically(paths[missing[place]], json.dumps(result, indent=1) + "\n")
         typer.echo(f"{result['variation']}, seed {result['seed']}: {result['mean']:.2f} digits")
@@ -138,20 +135,15 @@ def main(
     write_atomically(HERE / "ablations.json", json.dumps(results, indent=1) + "\n")
     introduction = (
         f"Written by `python baselines/ablations.py`; do not edit. `{configuration}`, {steps / 1e6:g} M agent-steps "
-        "and one change at a time: mean digits on the validation bank, one column per training seed."
+        "and one change at a time: mean digits on the validation episodes, one column per training seed."
     )
-    lines = [
-        "# Ablations",
-        "",
-        introduction,
-        "",
-        f"| variation | {' | '.join(f'seed {seed}' for seed in range(seeds))} | seconds of one core |",
-        "| --- |" + " ---: |" * (seeds + 1),
-    ]
+    rows = []
     for name in VARIATIONS:
         own = [result for result in results if result["variation"] == name]
-        digits = " | ".join(f"{result['mean']:.2f}" for result in own)
-        lines.append(f"| {name} | {digits} | {np.median([result['seconds'] for result in own]):.0f} |")
+        digits = [f"{result['mean']:.2f}" for result in own]
+        rows.append([name, *digits, f"{np.median([result['seconds'] for result in own]):.0f}"])
+    headings = ["variation", *(f"seed {seed}" for seed in range(seeds)), "seconds of one core"]
+    lines = ["# Ablations", "", introduction, "", *table(headings, rows, texts=("variation",))]
     write_atomically(HERE / "ablations.md", "\n".join(lines) + "\n")
 
 

@@ -1,7 +1,7 @@
-"""Tunes the laws of the field for a suite: the best mean digits over its tracks, on the validation split.
+"""Tune the laws of the field for a suite: the best mean digits over its tracks, on the validation split.
 
 Run it as ``python baselines/tune_laws.py``. It prints every candidate with its mean, the best of each law first; the
-entries of ``ptne_env/experiments/entries.py`` have these parameters. The paper's laws have the paper's.
+entries of ``ptne_env/experiments/policy_specs.py`` have these parameters. The paper's laws have the paper's.
 """
 
 from collections.abc import Iterator
@@ -11,14 +11,13 @@ from typing import Annotated, Any
 
 import numpy as np
 import typer
+from common import Jobs, Ray
 from rich.console import Console
 from rich.progress import Progress
 from rich.table import Table
 
 from ptne_env import FactorySpec
-from ptne_env.experiments import PolicySpec
-from ptne_env.experiments.benchmark import run_suite
-from ptne_env.experiments.workers import Workers
+from ptne_env.experiments import PolicySpec, Workers, run_suite
 
 GRIDS: dict[str, dict[str, tuple[Any, ...]]] = {
     "Static": {"kappa": (2.0, 2.5, 3.0, 3.5), "gradient_gain": (2.0, 2.5, 3.0, 3.5)},
@@ -33,11 +32,11 @@ GRIDS: dict[str, dict[str, tuple[Any, ...]]] = {
     "FixedTimeOracle": {"gain": (0.5, 1.0, 2.0), "largest_step": (0.2, 0.3, 0.4)},
     "NodeAdaptiveOracle": {"gamma": (0.0001, 0.001, 0.003), "initial_gain": (0.3, 0.5, 0.75, 1.0)},
 }
-"""What is tried, by law and parameter."""
+"""The values of each parameter, by law."""
 
 
 def candidates(law: str) -> Iterator[FactorySpec]:
-    """A part for every point of the law's grid."""
+    """A factory spec for every point of the law's grid."""
     grid = GRIDS[law]
     for values in product(*grid.values()):
         yield FactorySpec.of(f"ptne_env.laws:{law}", **dict(zip(grid, values, strict=True)))
@@ -48,29 +47,34 @@ def main(
     law: Annotated[list[str] | None, typer.Option(help="A law by its class; repeat for several.")] = None,
     episodes: int = 20,
     folder: Path = Path("results/tuning"),
-    jobs: int = -1,
-    backend: str = "processes",
-    address: str | None = None,
+    jobs: Jobs = -1,
+    ray: Ray = None,
 ) -> None:
     """Run the grids, and print them."""
-    entries = {f"{name} {point.to_dict()['arguments']}": point for name in law or GRIDS for point in candidates(name)}
+    specs = [
+        PolicySpec(f"{name} {point.to_dict()['arguments']}", point)
+        for name in law or GRIDS
+        for point in candidates(name)
+    ]
     with Progress(console=Console(stderr=True), transient=True) as progress:
         task = progress.add_task("tuning", total=None)
-        run = run_suite(
+        results = run_suite(
             suite,
-            [PolicySpec(name, part) for name, part in entries.items()],
-            folder,
+            specs,
+            folder=folder,
             split="validation",
             episodes=episodes,
-            workers=Workers(jobs, backend, address),
+            workers=Workers(jobs, ray),
             progress=lambda _, total: progress.update(task, advance=1, total=total),
         )
     means: dict[str, float] = {}
-    for name in entries:
-        found = [(track, run.of(track.name, name)[0]) for track in run.tracks]
-        means[name] = float(np.mean([one.samples[track.metric].mean() for track, one in found if one.reason is None]))
+    for spec in specs:
+        found = [track for track in results.tracks if (track.name, spec.name) in results.samples]
+        means[spec.name] = float(
+            np.mean([results.record(track.name, spec.name, track.metric)["mean"] for track in found])
+        )
     table = Table("candidate", "mean digits")
-    for name in sorted(entries, key=lambda name: (name.split()[0], -means[name])):
+    for name in sorted(means, key=lambda name: (name.split()[0], -means[name])):
         table.add_row(name, f"{means[name]:.3f}")
     Console().print(table)
 

@@ -10,6 +10,7 @@ import tempfile
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -21,19 +22,19 @@ import typer
 from ray.cluster_utils import Cluster
 from ray.util.joblib import register_ray
 
-from ptne_env.experiments import ENTRIES
-from ptne_env.experiments.benchmark import Cell, Store, _measure
-from ptne_env.experiments.suite import get_suite
-from ptne_env.experiments.workers import Workers
+from ptne_env.experiments import POLICIES, Workers, get_suite
+from ptne_env.experiments.jobs import Job, run_job
+from ptne_env.experiments.store import Store
 
 SUITE = "ptne-v1"
 LAWS = ("static", "adaptive", "grounded", "corollary-one", "fixed-gain", "averaging-integral")
 
 
-def cell(track: str, law: str, seed: int = 0) -> Cell:
-    """A job of the suite, with as many episodes as the suite has."""
+def task(track: str, law: str, seed: int = 0) -> tuple[Job, str | None]:
+    """A job of the suite with as many episodes as the suite has, and its key: the arguments of ``run_job``."""
     suite = get_suite(SUITE)
-    return Cell(suite.name, suite.track(track), law, 0, ENTRIES[law], seed, "test", suite.episodes)
+    job = Job(suite.track(track), POLICIES[law], 0, suite.episode_set(track, seed=seed))
+    return job, job.key
 
 
 def timed(work: Callable[[], Any], clock: Callable[[], float] = time.perf_counter) -> tuple[float, Any]:
@@ -50,17 +51,13 @@ def nodes(count: int) -> Iterator[Workers]:
     for _ in range(count - 1):
         cluster.add_node(num_cpus=1)
     cluster.wait_for_nodes()
-    workers = Workers(-1, "ray", cluster.address)
+    workers = Workers(-1, ray=cluster.address)
     try:
-        list(workers.run(_measure, _tasks([cell("nominal", "static")] * 4)))
+        list(workers.run(run_job, [task("nominal", "static")] * 4))
         yield workers
     finally:
         ray.shutdown()
         cluster.shutdown()
-
-
-def _tasks(cells: list[Cell]) -> list[tuple[Cell, str]]:
-    return [(one, one.key) for one in cells]
 
 
 def costs(tracks: tuple[str, ...]) -> None:
@@ -69,12 +66,10 @@ def costs(tracks: tuple[str, ...]) -> None:
     rows = []
     with tempfile.TemporaryDirectory() as folder:
         for track in tracks:
-            one = cell(track, "static")
-            seconds, measured = timed(lambda one=one: _measure(one, one.key), time.process_time)
-            keep, _ = timed(
-                lambda one=one, measured=measured: Store(Path(folder)).keep(one, measured), time.process_time
-            )
-            rows.append((seconds, len(cloudpickle.dumps((_measure, one, one.key))), len(pickle.dumps(measured)), keep))
+            job, key = task(track, "static")
+            seconds, result = timed(partial(run_job, job, key), time.process_time)
+            keep, _ = timed(partial(Store(Path(folder)).save, job, result), time.process_time)
+            rows.append((seconds, len(cloudpickle.dumps((run_job, job, key))), len(pickle.dumps(result)), keep))
             typer.echo(f"{track:24}{seconds:9.2f}{rows[-1][1]:11,}{rows[-1][2]:12,}{1e3 * keep:12.1f}")
     seconds, out, back, keep = np.mean(rows, axis=0)
     typer.echo(f"{'mean':24}{seconds:9.2f}{out:11,.0f}{back:12,.0f}{1e3 * keep:12.1f}\n")
@@ -82,13 +77,13 @@ def costs(tracks: tuple[str, ...]) -> None:
 
 def sharing(turns: int) -> None:
     """Seconds of the same jobs on one and on two workers."""
-    tasks = _tasks([cell("nominal", law, seed) for seed in range(3) for law in LAWS])
-    list(Workers(2).run(_measure, tasks[:4]))  # starts the processes before the clock runs
-    typer.echo(f"{len(tasks)} cells of the track nominal, median of {turns} turns")
+    tasks = [task("nominal", law, seed) for seed in range(3) for law in LAWS]
+    list(Workers(2).run(run_job, tasks[:4]))  # starts the processes before the clock runs
+    typer.echo(f"{len(tasks)} jobs of the track nominal, median of {turns} turns")
     medians = {}
 
     def measure(name: str, workers: Workers) -> None:
-        medians[name] = float(np.median([timed(lambda: list(workers.run(_measure, tasks)))[0] for _ in range(turns)]))
+        medians[name] = float(np.median([timed(lambda: list(workers.run(run_job, tasks)))[0] for _ in range(turns)]))
         speed = medians["1 process"] / medians[name]
         typer.echo(f"  {name:14}{medians[name]:7.1f} s, {speed:.2f} times as fast as one process")
 
@@ -112,7 +107,7 @@ def overheads() -> None:
         typer.echo(f"\n{1000 / seconds:.0f} empty tasks per second on two nodes")
         seconds, _ = timed(lambda: list(workers.run(_sleep, unequal)))
         typer.echo(f"one task of 4 s and twenty of 0.2 s, at best 4 s: {seconds:.1f} s")
-        calls = [joblib.delayed(_sleep)(*task) for task in unequal]
+        calls = [joblib.delayed(_sleep)(*arguments) for arguments in unequal]
         with joblib.parallel_config(backend="ray", n_jobs=2):
             joblib.Parallel()(calls[1:5])
             seconds, _ = timed(lambda: joblib.Parallel()(calls))

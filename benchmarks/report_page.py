@@ -1,6 +1,6 @@
-"""How long a report page takes to load, in the system's own Chromium without a network.
+"""Loading time of a report page in the system's own Chromium, without a network.
 
-Run it from the project's folder with: python -m benchmarks.report_page results/report/index.html
+Run it from the project's folder with: python -m benchmarks.report_page results/comparison/report.html
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ window.drawn = new Promise((resolve) => new MutationObserver((_, observer) => {
   requestAnimationFrame(() => setTimeout(() => resolve(performance.now())));
 }).observe(document, { childList: true, subtree: true }));
 """
-"""Notes when the first figure has been painted."""
+"""Resolves when the first figure has been painted."""
 
 _TIMES = """async () => ({
   "first paint": performance.getEntriesByName("first-contentful-paint")[0].startTime,
@@ -29,7 +29,7 @@ _TIMES = """async () => ({
 
 
 def load(browser: Browser, page: Path) -> dict[str, float]:
-    """Milliseconds from the start of the navigation to first paint, load event and first figure, and of work."""
+    """Milliseconds from the start of the navigation to first paint, load event and first figure; processor time."""
     context = browser.new_context(viewport={"width": 1440, "height": 900}, offline=True)
     tab = context.new_page()
     tab.add_init_script(_WATCH)
@@ -45,7 +45,7 @@ def load(browser: Browser, page: Path) -> dict[str, float]:
 def main() -> None:
     """Print a row per repetition."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("page", type=Path, help="written by ptne compare")
+    parser.add_argument("page", type=Path, help="report.html of ptne compare")
     parser.add_argument("--repeats", type=int, default=3)
     arguments = parser.parse_args()
     program = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)

@@ -33,22 +33,22 @@ html_additional_pages = {"index": "redirect.html"}
 html_math_renderer = "mathml"
 
 myst_enable_extensions = ["dollarmath"]
-myst_fence_as_directive = ["math"]  # as GitHub writes formulas on lines of their own
+myst_fence_as_directive = ["math"]  # GitHub's syntax for displayed formulas
 myst_heading_anchors = 4
 
 autodoc_default_options = {"members": True, "member-order": "bysource"}
-autodoc_mock_imports = ["ray"]  # an extra that documents do not need
+autodoc_mock_imports = ["ray"]  # an extra that the documents do not need
 autodoc_preserve_defaults = True
 autodoc_type_aliases = {
     name: name for name in ("Array", "BoolArray", "CounterArray", "Float32Array", "FloatArray", "IntArray", "Memory")
 }
-TypeAliasForwardRef.__repr__ = lambda alias: alias.name  # within tuples and dictionaries Sphinx prints its own wrapping
+TypeAliasForwardRef.__repr__ = lambda alias: alias.name  # Sphinx prints its wrapper within tuples and dictionaries
 python_use_unqualified_type_names = True
 python_maximum_signature_line_length = 100
 
 
 def _docstring(_app: Sphinx, _what: str, _name: str, _obj: object, _options: object, lines: list[str]) -> None:
-    """Google style to reStructuredText, to which |x| is no magnitude but a name of something to put there."""
+    """Convert Google style to reStructuredText and escape |x|, which reStructuredText would take for a substitution."""
     text = "\n".join(GoogleDocstring(lines, Config(napoleon_use_ivar=True)).lines())
     lines[:] = re.sub(r"(``.*?``)|\|", lambda match: match[1] or r"\|", text).splitlines()
 
@@ -59,11 +59,11 @@ def _without_field_numbers(_app: Sphinx, _what: str, _name: str, obj: object, *_
 
 
 def _mathml(translator: HTML5Translator, node: nodes.math | nodes.math_block) -> None:
-    """Formulas as MathML, which browsers show without a script and without a network."""
+    """Formulas as MathML, which needs neither a script nor a network."""
     block = isinstance(node, nodes.math_block)
     tag = "div" if block else "span"
     formula = re.sub(
-        r'<mo( class="mathopen")?>(?=[‖|])',  # else the left one of a pair grows and the right one stands aloof
+        r'<mo( class="mathopen")?>(?=[‖|])',  # by default the left one of a pair stretches, and the right one has a gap
         lambda match: f'<mo stretchy="false" form="{"prefix" if match[1] else "postfix"}">',
         tex2mathml(node.astext(), as_block=block),
     )
@@ -72,7 +72,7 @@ def _mathml(translator: HTML5Translator, node: nodes.math | nodes.math_block) ->
 
 
 def setup(app: Sphinx) -> dict[str, Any]:
-    """Register what is above."""
+    """Register the functions above."""
     app.connect("autodoc-process-docstring", _docstring)
     app.connect("autodoc-skip-member", _without_field_numbers)
     app.add_html_math_renderer("mathml", inline_renderers=(_mathml, None), block_renderers=(_mathml, None))

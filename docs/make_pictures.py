@@ -1,5 +1,5 @@
 # ruff: noqa: INP001, T201 - a script, and it prints
-"""Draw the picture of the README: the end of an episode, as the environment renders it.
+"""Draw the picture of the README: the last frame of an episode, rendered by the environment.
 
 Run it from the project's folder with: python docs/make_pictures.py
 """
@@ -27,7 +27,7 @@ def draw_run(path: Path) -> None:
     frame = env.render()
     env.close()
     path.parent.mkdir(parents=True, exist_ok=True)
-    # No "Software" entry, so that the same frame gives the same file whatever the version of matplotlib.
+    # Without the "Software" entry the same frame gives the same file under every version of matplotlib.
     image.imsave(path, frame, metadata={"Software": None})
 
 

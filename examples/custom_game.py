@@ -1,4 +1,4 @@
-"""A game of your own: its costs and gradients, what can be said about it beforehand, and how a law plays it.
+"""A game of your own: its costs and gradients, predictions for a law on it, and an evaluation of the law.
 
 Prints whether the gradients are the derivatives of the costs and Assumption 3 holds on samples, the Nash equilibrium,
 the monotonicity and Lipschitz constants ε and ι, whether the static law's gain condition holds at two gains κ with the
@@ -18,7 +18,7 @@ Array = np.ndarray
 
 
 class Fashion(Game):
-    """J_i(x) = (x_i − b_i)² + sqrt(1 + (x_i − m_i)²) with m_i the mean of the others: a taste, and a fashion.
+    """J_i(x) = (x_i − b_i)² + sqrt(1 + (x_i − m_i)²) with m_i the mean of the others: taste and fashion.
 
     Arrays have environments last: strategies are (n, B), and so are gradients.
     """
@@ -33,13 +33,13 @@ class Fashion(Game):
         return (strategies - self.tastes) ** 2 + np.sqrt(1 + (strategies - self._means(strategies)) ** 2)
 
     def own_gradients(self, estimates: Array) -> Array:
-        """Shape (n, N, B) to (n, B): everything that player i knows stands in column i, its own estimate."""
+        """Shape (n, N, B) to (n, B): column i is the estimate of player i, on which alone its gradient may depend."""
         own = np.einsum("iib->ib", estimates)
         means = (estimates.sum(axis=0) - own) / (self.num_players - 1)
         return 2 * (own - self.tastes) + _pull(own - means)
 
     def best_response(self, strategies: Array) -> Array:
-        """Shape (n, B) to (n, B): where the own gradient vanishes, which is within ½ of the taste."""
+        """Shape (n, B) to (n, B): the zero of the own gradient, which is within ½ of the taste."""
         tastes, means = np.broadcast_arrays(self.tastes, self._means(strategies))
         bracket = tastes - 0.6, tastes + 0.6
         return elementwise.find_root(lambda x, b, m: 2 * (x - b) + _pull(x - m), bracket, args=(tastes, means)).x
@@ -54,12 +54,12 @@ def _pull(distance: Array) -> Array:
 
 
 def main() -> None:
-    """Check the game, certify the static law on it at two gains, and let it play."""
+    """Check the game, certify the static law on it at two gains, and evaluate it."""
     game = Fashion()
     report = check_game(game)
     print(f"gradients are derivatives: {report.gradients_agree}; Assumption 3 on samples: {report.assumption_3_holds}")
     regret = np.abs(game.regrets(game.nash_equilibria)).max()
-    print(f"x* = {np.round(game.nash_equilibrium, 4)}; nobody's cost falls by more than {regret:.0e} alone")
+    print(f"x* = {np.round(game.nash_equilibrium, 4)}; no player can lower its own cost by more than {regret:.0e}")
 
     scenario = get_scenario("energy", name="fashion", game="custom_game:Fashion", start="random")
     constants = theory.monotonicity_constants(game)

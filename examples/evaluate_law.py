@@ -10,7 +10,7 @@ from ptne_env import laws
 
 
 class HalfSpeed:
-    """A policy is anything with Stable-Baselines3's predict(); this one does half of what the static law would."""
+    """A policy with the method predict() of Stable-Baselines3; it halves the actions of the static law."""
 
     def __init__(self, layout: ptne_env.ObservationLayout) -> None:
         """Build the law for the observations of this layout."""
@@ -47,7 +47,7 @@ def main() -> None:
     for record in results.records:
         if record["metric"] == "digits":
             interval = f"[{record['low']:.2f}, {record['high']:.2f}]"
-            print(f"{record['scenario']:30} {record['policy']:15} {record['mean']:.2f} digits {interval}")
+            print(f"{record['track']:30} {record['policy']:15} {record['mean']:.2f} digits {interval}")
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""Faults: what is left of a law's digits when messages are lost, late, noisy, or when inputs saturate.
+"""Fault injection: the digits of a law when messages are lost, late or noisy, or when inputs saturate.
 
 Prints the digits of the paper's static law at the deadline as each fault grows alone, then with several at once; 30
 episodes each, the same games and starts for all.
@@ -18,12 +18,12 @@ def channel(name: str, **arguments: Any) -> dict[str, FactorySpec]:
 
 
 def chain(*stages: dict[str, FactorySpec]) -> dict[str, FactorySpec]:
-    """Several channels one after the other: a message passes the first one first."""
+    """Several channels in sequence, in the order of the arguments."""
     return channel("Chain", stages=[stage["channel"] for stage in stages])
 
 
 def push(bound: float) -> dict[str, FactorySpec]:
-    """A velocity that disturbs the strategies, drawn anew every 25 steps."""
+    """A random velocity that disturbs the strategies; a new draw every 25 steps."""
     return {"disturbance": FactorySpec.of("ptne_env.disturbances:UniformDisturbance", bound=bound, dwell=25)}
 
 

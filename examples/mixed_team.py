@@ -1,25 +1,20 @@
 """Mixed teams: some players follow one law, the others another.
 
-Prints the digits at the deadline on the benchmark's games for every number of players, from none to all, who follow
+Prints the digits at the deadline on the benchmark's games for every number of players, from none to all, that follow
 the tuned static law while the others keep the paper's gains; 50 episodes each.
 
 Run it with: python examples/mixed_team.py
 """
 
-from pathlib import Path
-from tempfile import TemporaryDirectory
-
 from ptne_env import FactorySpec, get_scenario
-from ptne_env.experiments.benchmark import run_suite
-from ptne_env.experiments.leaderboard import leaderboard
-from ptne_env.experiments.suite import Suite, Teammates, Track
+from ptne_env.experiments import Suite, Teammates, Track, run_suite
 
 PAPER = FactorySpec.of("ptne_env.laws:Static", kappa=2.0)
-ENTRY = "static-tuned"
+POLICY = "static-tuned"
 
 
 def teams() -> Suite:
-    """A track per team: the last players of the five are teammates who follow the paper's law, whoever enters."""
+    """A track per team: the last players of the five are teammates that follow the paper's law."""
     base = get_scenario("random-energy")
     tracks = tuple(
         Track(
@@ -30,18 +25,16 @@ def teams() -> Suite:
         )
         for number in range(1, 6)
     )
-    return Suite("teams", 1, tracks, episodes=50)
+    return Suite("teams-v1", tracks, episodes=50)
 
 
 def main() -> None:
-    """Run the entry in every team; the anchor "static" is the paper's law in all of them."""
-    with TemporaryDirectory() as folder:
-        board = leaderboard(run_suite(teams(), [ENTRY], Path(folder)))
-    nobody = board.row("5 of 5", "static")
-    rows = {"0 of 5": nobody, **{track.name: board.row(track.name, ENTRY) for track in board.run.tracks}}
-    for name, row in rows.items():
-        digits = row.metrics["digits"]
-        print(f"{name} follow {ENTRY}: {digits.mean:.2f} digits [{digits.low:.2f}, {digits.high:.2f}]")
+    """Run the policy in every team; the reference policy "static" is the paper's law in all of them."""
+    results = run_suite(teams(), [POLICY])
+    digits = {"0 of 5": results.summary("5 of 5", "static", "digits")}
+    digits |= {track.name: results.summary(track.name, POLICY, "digits") for track in results.tracks}
+    for name, found in digits.items():
+        print(f"{name} follow {POLICY}: {found.mean:.2f} digits [{found.low:.2f}, {found.high:.2f}]")
 
 
 if __name__ == "__main__":

@@ -1,14 +1,12 @@
 """A game, a graph, a channel, a law and a track of your own, in a module of your own.
 
-Nothing is registered: scenarios, suites and policies name them as "own_parts:Name".
+Nothing is registered: scenarios, suites and policies name the parts as "own_parts:Name".
 
 Run it with: python examples/own_parts.py
-or, where this file can be imported: ptne compare --suite own_parts:suite --policy own_parts:HeavyBall
+or, in the folder of this file: ptne compare --suite own_parts:suite --policy own_parts:HeavyBall
 """
 
 from dataclasses import replace
-from pathlib import Path
-from tempfile import TemporaryDirectory
 
 import networkx as nx
 import numpy as np
@@ -16,12 +14,10 @@ from rich.console import Console
 
 from ptne_env import FactorySpec, get_scenario, graphs, laws, switching
 from ptne_env.channel import Channel, LinkRandomness, Memory, Messages
-from ptne_env.experiments.benchmark import run_suite
-from ptne_env.experiments.leaderboard import leaderboard
-from ptne_env.experiments.suite import Suite, Track
+from ptne_env.experiments import Suite, Track, run_suite
 from ptne_env.games import AffineGame
 from ptne_env.observation import Observation, ObservationLayout
-from ptne_env.report import leaderboard_tables
+from ptne_env.report import result_tables
 
 
 class BeautyContest(AffineGame):
@@ -83,8 +79,7 @@ def suite() -> Suite:
     ).replace(start="random")
     clipped = base.replace(name="clipped", channel=FactorySpec.of("own_parts:Clipped", bound=10.0))
     return Suite(
-        "own-parts",
-        1,
+        "own-parts-v1",
         (Track("contest", base, "The base."), Track("clipped", clipped, "Numbers in messages are clipped to ±10.")),
         episodes=20,
     )
@@ -92,9 +87,8 @@ def suite() -> Suite:
 
 def main() -> None:
     """Compare the law above with the paper's on the suite above."""
-    with TemporaryDirectory() as folder:
-        run = run_suite("own_parts:suite", ["own_parts:HeavyBall", "grounded"], Path(folder))
-        Console(width=120).print(leaderboard_tables(leaderboard(run), width=120))
+    results = run_suite("own_parts:suite", ["own_parts:HeavyBall", "grounded"])
+    Console(width=120).print(result_tables(results, width=120))
 
 
 if __name__ == "__main__":

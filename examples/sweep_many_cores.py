@@ -1,7 +1,7 @@
 """A parameter sweep on all cores: digits over the consensus gain κ and the number of steps to the deadline.
 
-Every point is a cell of a suite: a track per number of steps, a participant per gain. joblib spreads the cells over
-processes, each cell is kept in a file, and so a sweep that was interrupted, or asked again, runs only what is missing.
+Every point is a job of a suite: one track per number of steps, one policy per gain. joblib distributes the jobs over
+processes, and each result is stored in a file. So a sweep that is interrupted or repeated runs only the missing jobs.
 
 Prints the grid of mean digits (20 episodes per point), and how long the sweep took, new and repeated.
 
@@ -16,10 +16,7 @@ from joblib import cpu_count
 
 import ptne_env
 from ptne_env import FactorySpec, get_scenario
-from ptne_env.experiments.benchmark import run_suite
-from ptne_env.experiments.leaderboard import leaderboard
-from ptne_env.experiments.suite import Suite, Track
-from ptne_env.experiments.workers import Workers
+from ptne_env.experiments import Suite, Track, Workers, run_suite
 
 GAINS = (1.0, 2.0, 4.0, 8.0)
 STEPS = (100, 200, 400)
@@ -32,10 +29,10 @@ def sweep(folder: Path) -> dict[tuple[int, float], float]:
     policies = [
         ptne_env.PolicySpec(f"κ={gain:g}", FactorySpec.of("ptne_env.laws:Static", kappa=gain)) for gain in GAINS
     ]
-    run = run_suite(Suite("gain-steps", 1, tuple(tracks), episodes=20), policies, folder, workers=Workers(-1))
-    board = leaderboard(run)
+    suite = Suite("gain-steps-v1", tuple(tracks), episodes=20)
+    results = run_suite(suite, policies, folder=folder, workers=Workers(-1))
     points = [(steps, gain) for steps in STEPS for gain in GAINS]
-    return {(k, gain): board.row(f"K={k}", f"κ={gain:g}").metrics["digits"].mean for k, gain in points}
+    return {(k, gain): results.record(f"K={k}", f"κ={gain:g}", "digits")["mean"] for k, gain in points}
 
 
 def main() -> None:
@@ -49,7 +46,7 @@ def main() -> None:
     print(f"{'':8}" + "".join(f"{f'κ = {gain:g}':>9}" for gain in GAINS))
     for steps in STEPS:
         print(f"K = {steps:<4}" + "".join(f"{digits[steps, gain]:9.2f}" for gain in GAINS))
-    print(f"{done - began:.1f} s on {cpu_count()} cores; {again - done:.1f} s when all cells are there already")
+    print(f"{done - began:.1f} s on {cpu_count()} cores; {again - done:.1f} s when all results are stored already")
 
 
 if __name__ == "__main__":

@@ -1,11 +1,11 @@
-"""Train PPO of Stable-Baselines3 for some seconds, and see where it stands beside the law.
+"""Train PPO of Stable-Baselines3 for some seconds, and compare it with the law.
 
-Every player of every environment is a slot of one vector environment, and all slots share one network. It sees the
-scale-free interface ``local``, in which an action is relative to how far the player is from rest. ``ptne train`` does
-the same for minutes, with checkpoints, and exports a file that runs without PyTorch.
+Every player of every environment becomes one environment of a vector environment, and all of them share one network. It
+acts through the scale-free interface ``local``, in which an action is relative to the player's distance from rest.
+``ptne train`` does the same for minutes, with checkpoints, and exports a file that runs without PyTorch.
 
-Prints the digits gained over an episode's start, as Stable-Baselines3's own evaluation counts them on 20 games that
-were not trained on: of the network before and after training, and of the paper's static law.
+Prints the digits gained in an episode, by Stable-Baselines3's own evaluation on 20 games outside of the training: those
+of the network before and after training, and those of the paper's static law.
 
 Run it with: python examples/train_sb3.py
 """
@@ -32,7 +32,7 @@ def digits_gained(policy: ptne_env.Policy) -> float:
 
 def main() -> None:
     """Train, and evaluate before and after."""
-    torch.set_num_threads(1)  # the network is small: a second thread costs more than it brings
+    torch.set_num_threads(1)  # the network is small, and a second thread makes it slower
     env = SlotVecEnv(SCENARIO, num_envs=64, interface="local", seed=0)
     network = {
         "log_std_init": -2.0,

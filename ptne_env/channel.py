@@ -407,10 +407,10 @@ class LogarithmicQuantiser(_Quantiser):
 
     def _level(self, values: FloatArray) -> FloatArray:
         sizes = np.abs(values)
-        some = sizes >= np.finfo(np.float64).tiny  # smaller numbers are 0
-        logarithm = np.log(np.where(some, sizes, 1.0) * (2 * self.ratio / (1 + self.ratio)))
+        normal = sizes >= np.finfo(np.float64).tiny  # the level of smaller numbers is 0
+        logarithm = np.log(np.where(normal, sizes, 1.0) * (2 * self.ratio / (1 + self.ratio)))
         levels = np.exp(np.floor(logarithm / np.log(self.ratio)) * np.log(self.ratio))
-        return np.copysign(levels * some, values)
+        return np.copysign(levels * normal, values)
 
 
 class AsymmetricLinks(Channel):

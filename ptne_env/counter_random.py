@@ -54,7 +54,7 @@ def words(keys: CounterArray, counters: CounterArray) -> CounterArray:
 def uniforms(keys: CounterArray, counters: CounterArray) -> FloatArray:
     """U(0, 1) for every key and counter: multiples of 2^−53, never 0 or 1, symmetric about 1/2."""
     bits = words(keys, counters)
-    bits >>= _DROPPED_BITS  # 52 bits and a half are exact in float64, 53 bits and a half would round up to 1
+    bits >>= _DROPPED_BITS  # 52 bits plus ½ are exact in float64; 53 bits plus ½ could round up to 1
     result = bits.astype(np.float64)
     result += 0.5
     result *= 2.0**-52

@@ -1,4 +1,4 @@
-"""Files that are whole or not there: atomic writing, and reading what others may have damaged."""
+"""Atomic writes, and reads that detect damage."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ from typing import Any
 
 
 def write_atomically(path: Path, content: str | bytes) -> None:
-    """Write ``content`` to ``path`` so that a reader, or an interruption, sees the old file or the new one.
+    """Write ``content`` to ``path`` so that readers, also after an interruption, find the old file or the new one.
 
-    Missing folders are created. What is there and is no file, such as ``/dev/null`` or a pipe, is written to as it is.
+    Missing folders are created. A device or a pipe, such as ``/dev/null``, is written to directly.
 
     Raises:
         OSError: naming ``path``, when it cannot be written, as on a full or read-only disk; the old file is untouched
@@ -45,12 +45,12 @@ def _replace(path: Path, data: bytes) -> None:
         raise
 
 
-def read_json(path: Path, what: str) -> dict[str, Any]:
+def read_json(path: Path, kind: str) -> dict[str, Any]:
     """The JSON object in a file.
 
     Args:
         path: of the file.
-        what: it should be, for the message: "the results file of a suite".
+        kind: of file, for the message, such as "a file of results".
 
     Raises:
         OSError: when there is no such file, or it cannot be read.
@@ -60,17 +60,17 @@ def read_json(path: Path, what: str) -> dict[str, Any]:
     try:
         value = json.loads(data)
     except (ValueError, RecursionError) as error:
-        raise ValueError(f"{path} is not {what}: it is cut off, damaged or something else ({error})") from error
+        raise ValueError(f"{path} is not {kind}: it is cut off, damaged or something else ({error})") from error
     if not isinstance(value, dict):
-        raise ValueError(f"{path} is not {what}: expected a JSON object, got {type(value).__name__}")
+        raise ValueError(f"{path} is not {kind}: expected a JSON object, got {type(value).__name__}")
     return value
 
 
 def require_writable(path: Path) -> None:
-    """Fail before long work where :func:`write_atomically` is bound to fail after it.
+    """Check before long work that :func:`write_atomically` can write its result.
 
     Raises:
-        OSError: when ``path`` is a folder, or what would hold it is no folder or cannot be written.
+        OSError: when ``path`` is a folder, or its parent is no folder or cannot be written.
     """
     if path.is_dir():
         raise IsADirectoryError(f"cannot write {path}: it is a folder")

@@ -17,10 +17,10 @@ import pytest
 from extras import need_sb3
 
 ROOT = Path(__file__).parents[1]
-COMMANDS = ("compare", "render", "certify", "sweep", "reproduce", "train", "list")
+COMMANDS = ("compare", "check", "render", "certify", "sweep", "reproduce", "train", "list")
 LONG = {
-    "compare": "compare --scenario energy --policies static,adaptive,grounded --episodes 3000 --json out.json",
-    "suite": "compare --suite ptne-v1 --track delay --track noise --policies adaptive,grounded --jobs 2 --out out",
+    "compare": "compare --scenario energy --policy static,adaptive,grounded --episodes 3000 --out out",
+    "suite": "compare --suite ptne-v1 --track delay --track noise --policy adaptive,grounded --jobs 2 --out out",
     "render": "render energy static --out out.gif --pictures 400",
     "sweep": "sweep noise-horizon --points 30 --jobs 2 --out out",
     "reproduce": "reproduce --out out",
@@ -98,7 +98,7 @@ def in_terminal(arguments, cwd, *, until=None, **environment):
 
 
 @pytest.mark.parametrize("name", LONG)
-def test_long_work_shows_the_time_left_and_an_interruption_leaves_whole_files_and_no_traceback(name, tmp_path):
+def test_interrupted_work_showed_the_time_left_and_leaves_complete_files(name, tmp_path):
     code, printed = in_terminal(LONG[name].split(), tmp_path, until=r"\d/\d+.*\d:\d\d:\d\d")
     assert code == 130
     assert "Interrupted" in printed
@@ -127,7 +127,7 @@ def test_a_terminal_gets_colours_and_none_with_no_color(tmp_path):
         (["ptne", ""], set(COMMANDS)),
         (["ptne", "compare", "--scenario", "random-energy-"], {"random-energy-switching"}),
         (["ptne", "compare", "--policy", "ppo-random"], {"ppo-random-energy", "ppo-random-energy-gains"}),
-        (["ptne", "compare", "--policies", "static,gr"], {"static,grounded"}),
+        (["ptne", "compare", "--policy", "static,gr"], {"static,grounded"}),
         (["ptne", "compare", "--suite", ""], {"ptne-v1"}),
         (["ptne", "compare", "--suite", "ptne-v1", "--track", "large"], {"large-20", "large-50"}),
         (["ptne", "render", "ptne-v1/d"], {"ptne-v1/delay"}),
@@ -140,7 +140,7 @@ def test_a_terminal_gets_colours_and_none_with_no_color(tmp_path):
     ],
     ids=lambda value: " ".join(value) if isinstance(value, list) else "",
 )
-def test_the_shell_is_told_what_can_follow(words, expected):
+def test_the_shell_completes_names(words, expected):
     environment = {"COMP_WORDS": " ".join(words), "COMP_CWORD": str(len(words) - 1)}
     outcome = ptne(**environment, _PTNE_COMPLETE="complete_bash")
     assert outcome.stderr == ""
@@ -176,46 +176,45 @@ def test_list_shows_scenarios_policies_and_metrics():
 def test_compare_prints_a_table_and_writes_json_and_csv(tmp_path):
     outcome = ptne(
         *("compare", "--scenario", "energy", "--policy", "static", "--policy", "oracle", "--episodes", "4"),
-        *("--json", "out/results.json", "--csv", "out/results.csv"),
+        *("--jobs", "1", "--json", "there/again.json"),
         cwd=tmp_path,
     )
     assert outcome.returncode == 0, outcome.stderr
     assert "energy: how close" in outcome.stdout
     assert "6.53e-5" in outcome.stdout  # the static law from the paper's start
     assert "oracle *" in outcome.stdout
-    data = json.loads((tmp_path / "out" / "results.json").read_text(encoding="utf-8"))
-    rows = list(csv.DictReader((tmp_path / "out" / "results.csv").read_text(encoding="utf-8").splitlines()))
-    assert len(rows) == len(data["records"]) == 2 * 2 * 18
-    assert {path.name for path in (tmp_path / "out").iterdir()} == {"results.json", "results.csv"}
-    page = (tmp_path / "results" / "report" / "index.html").read_text(encoding="utf-8")
-    assert "static comes closest" in page
-    assert "Report written to results/report/index.html" in outcome.stdout
+    folder = tmp_path / "results" / "comparison"
+    assert {path.name for path in folder.iterdir()} == {"results.json", "results.csv", "report.html", "jobs"}
+    data = json.loads((folder / "results.json").read_text(encoding="utf-8"))
+    rows = list(csv.DictReader((folder / "results.csv").read_text(encoding="utf-8").splitlines()))
+    assert len(rows) == len(data["records"]) + len(data["timings"])
+    assert (tmp_path / "there" / "again.json").read_bytes() == (folder / "results.json").read_bytes()
+    assert "static is the closest to the equilibrium" in (folder / "report.html").read_text(encoding="utf-8")
+    assert "Report written to results/comparison/report.html" in outcome.stdout
 
 
-def test_a_report_is_written_where_it_is_asked_for_and_not_where_it_is_not(tmp_path):
-    arguments = ("compare", "--scenario", "energy", "--policy", "null", "--episodes", "1")
-    assert ptne(*arguments, "--no-report", cwd=tmp_path).returncode == 0
-    assert ptne(*arguments, "--json", "-", cwd=tmp_path).returncode == 0
+def test_files_are_written_unless_the_output_is_json(tmp_path):
+    arguments = ("compare", "--scenario", "energy", "--policy", "zero-input", "--episodes", "1", "--jobs", "1")
+    assert json.loads(ptne(*arguments, "--json", "-", cwd=tmp_path).stdout)["seed"] == 0
     assert not any(tmp_path.iterdir())
-    outcome = ptne(*arguments, "--json", "-", "--report", "there.html", cwd=tmp_path)
-    assert json.loads(outcome.stdout)["seed"] == 0
-    assert [path.name for path in tmp_path.iterdir()] == ["there.html"]
+    assert json.loads(ptne(*arguments, "--json", "-", "--no-report", "--out", "out", cwd=tmp_path).stdout)["seed"] == 0
+    assert {path.name for path in (tmp_path / "out").iterdir()} == {"results.json", "results.csv", "jobs"}
 
 
-def test_render_writes_a_film(tmp_path):
-    outcome = ptne("render", "energy", "static", "--out", "films/run.html", "--hold-steps", "5", cwd=tmp_path)
+def test_render_writes_a_video(tmp_path):
+    outcome = ptne("render", "energy", "static", "--out", "videos/run.html", "--hold-steps", "5", cwd=tmp_path)
     assert outcome.returncode == 0, outcome.stderr
-    assert "Film written to films/run.html" in outcome.stdout
-    assert "energy: static" in (tmp_path / "films" / "run.html").read_text(encoding="utf-8")
+    assert "Video written to videos/run.html" in outcome.stdout
+    assert "energy: static" in (tmp_path / "videos" / "run.html").read_text(encoding="utf-8")
 
 
 def test_compare_json_to_stdout_is_json_alone():
     outcome = ptne(
-        "compare", "--scenario", "energy", "--policy", "null", "--episodes", "2", "--seed", "9", "--json", "-"
+        "compare", "--scenario", "energy", "--policy", "zero-input", "--episodes", "2", "--seed", "9", "--json", "-"
     )
     data = json.loads(outcome.stdout)
     assert data["seed"] == 9
-    assert {record["policy"] for record in data["records"]} == {"null"}
+    assert {record["policy"] for record in data["records"]} == {"zero-input"}
 
 
 TALKATIVE = """
@@ -249,7 +248,7 @@ def own_module(tmp_path):
         "list",
     ],
 )
-def test_json_to_stdout_is_json_alone_whatever_other_code_prints(command, own_module):
+def test_json_on_stdout_is_json_alone_when_other_code_prints(command, own_module):
     outcome = ptne("-q", *command.split(), "--json", "-", cwd=own_module)
     assert outcome.returncode == 0, outcome.stderr
     assert json.loads(outcome.stdout)
@@ -273,7 +272,7 @@ def test_a_module_in_the_current_folder_is_found_by_the_installed_command(own_mo
     assert "making a policy" in outcome.stdout
 
 
-def test_what_goes_wrong_in_other_code_exits_with_1_and_shows_a_traceback_on_demand(own_module):
+def test_an_error_of_other_code_exits_with_1_and_a_traceback_on_demand(own_module):
     command = ("compare", "--scenario", "energy", "--policy", "talkative:broken", "--episodes", "1")
     outcome = ptne(*command, cwd=own_module)
     assert outcome.returncode == 1
@@ -294,7 +293,7 @@ def test_a_policy_file_that_is_no_policy_is_named(name, tmp_path):
     assert "Traceback" not in outcome.stderr
 
 
-@pytest.mark.parametrize("command", ["compare --check file", "train file.toml --out out"])
+@pytest.mark.parametrize("command", ["check file", "train file.toml --out out"])
 def test_a_file_that_is_something_else_is_named(command, tmp_path):
     for name in ("file", "file.toml"):
         (tmp_path / name).write_text("something else", encoding="utf-8")
@@ -318,7 +317,7 @@ def test_compare_takes_a_policy_by_module_and_object():
         (("compare", "--scenario", "energie"), "unknown scenario 'energie'"),
         (("compare", "--policy", "statics"), "unknown policy 'statics'"),
         (("compare", "--episodes", "0"), "--episodes"),
-        (("render", "energy", "static", "--out", "run.avi"), "a film is written to .gif, .mp4, .html"),
+        (("render", "energy", "static", "--out", "run.avi"), "a video is written to .gif, .mp4, .html"),
         (("certify", "energie"), "unknown scenario 'energie'"),
         (("certify", "energy", "--kappa", "-1"), "kappa"),
         (("certify", "energy", "--law", "statik"), "unknown law 'statik'"),
@@ -326,24 +325,25 @@ def test_compare_takes_a_policy_by_module_and_object():
         (("sweep", "gain-stop"), "unknown diagram 'gain-stop'"),
         (("compare", "--suite", "ptne-v0"), "unknown suite 'ptne-v0'"),
         (("compare", "--suite", "ptne-v1", "--track", "nominl"), "has no track 'nominl'"),
-        (("compare", "--suite", "ptne-v1", "--scenario", "energy"), "leave out --scenario"),
+        (("compare", "--suite", "ptne-v1", "--hold-steps", "3"), "leave out --hold-steps"),
         (("compare", "--suite", "ptne-v1", "--policy", "model.zip"), "say --trust"),
-        (("compare", "--track", "nominal"), "name one with --suite"),
-        (("compare", "--report", "page.html", "--no-report"), "exclude each other"),
+        (("compare", "--track", "nominal"), "unknown scenario 'nominal'"),
+        (("compare", "--scenario", "robots", "--policy", "ppo-random-energy", "--json", "-"), "fits no track"),
+        (("compare", "--jobs", "0"), "0 jobs"),
         (("train", "random-enery", "--out", "out"), "unknown configuration 'random-enery'"),
         (("reproduce", "--points", "3"), "No such option"),
         (("list", "everything"), "unexpected extra argument"),
         (("no-such-command",), "No such command"),
     ],
 )
-def test_wrong_usage_exits_with_2_names_what_was_wrong_and_shows_no_traceback(arguments, message):
+def test_wrong_usage_exits_with_2_and_a_message(arguments, message):
     outcome = ptne(*arguments)
     assert outcome.returncode == 2
     assert message in outcome.stderr
     assert "Traceback" not in outcome.stderr
 
 
-def test_debug_shows_where_an_error_comes_from():
+def test_debug_shows_the_traceback():
     outcome = ptne("--debug", "certify", "energie")
     assert outcome.returncode == 2
     assert "Traceback" in outcome.stderr
@@ -359,7 +359,7 @@ def test_quiet_writes_files_and_prints_nothing(tmp_path):
     assert "unknown scenario" in ptne("--quiet", "certify", "energie").stderr
 
 
-def test_colours_come_where_they_are_asked_for_and_never_with_no_color():
+def test_colours_need_a_terminal_or_force_color_and_no_no_color():
     plain = ptne("certify", "energy", FORCE_COLOR="").stdout
     assert "\x1b" not in plain
     assert "\x1b[32m" in ptne("certify", "energy", FORCE_COLOR="1", TERM="xterm-256color").stdout
@@ -369,12 +369,10 @@ def test_colours_come_where_they_are_asked_for_and_never_with_no_color():
 @pytest.mark.parametrize(
     "command",
     [
-        "compare --scenario energy --policy null --episodes 1 --csv blocked/x",
-        "compare --scenario energy --policy null --episodes 1 --json blocked/x",
-        "compare --scenario energy --policy null --episodes 1 --report blocked/x",
-        "compare --scenario energy --policy null --episodes 1 --report .",
+        "compare --scenario energy --policy zero-input --episodes 1 --out blocked/x",
+        "compare --scenario energy --policy zero-input --episodes 1 --json blocked/x",
         "compare --suite ptne-v1 --out blocked/x",
-        "compare --check blocked --json blocked/x",
+        "check blocked --json blocked/x",
         "render energy static --out blocked/x.gif",
         "certify energy --json blocked/x",
         "sweep --out blocked/x",
@@ -383,7 +381,7 @@ def test_colours_come_where_they_are_asked_for_and_never_with_no_color():
         "list --json blocked/x",
     ],
 )
-def test_what_cannot_be_written_exits_with_1_before_the_work(command, tmp_path):
+def test_an_obstacle_to_writing_exits_with_1_before_the_work(command, tmp_path):
     (tmp_path / "blocked").write_text("in the way", encoding="utf-8")
     outcome = ptne(*command.split(), cwd=tmp_path)
     assert outcome.returncode == 1
@@ -432,7 +430,7 @@ def test_sweep_draws_and_writes_its_numbers(tmp_path):
 @pytest.fixture(scope="module")
 def suite_run(tmp_path_factory):
     folder = tmp_path_factory.mktemp("suite")
-    arguments = ("--policies", "grounded,ppo-random-energy", "--episodes", "6", "--jobs", "1", "--out", "out")
+    arguments = ("--policy", "grounded,ppo-random-energy", "--episodes", "6", "--jobs", "1", "--out", "out")
     outcome = ptne("compare", "--suite", "ptne-v1", "--track", "nominal", "--track", "large-20", *arguments, cwd=folder)
     assert outcome.returncode == 0, outcome.stderr
     return folder, outcome.stdout
@@ -441,38 +439,39 @@ def suite_run(tmp_path_factory):
 def test_a_suite_prints_a_table_per_track_and_an_overall_one(suite_run):
     folder, printed = suite_run
     for text in (
-        "out/report/index.html",
+        "out/report.html",
         "nominal: 6 episodes, ranked by time to 1e-6",
         "large-20: 6 episodes, ranked by digits",
         "overall",
     ):
         assert text in printed
-    for text in ("oracle *", "n/a", "the policy was made for another layout", "Not over large-20", "out/results.json"):
+    for text in ("oracle *", "n/a", "the policy was made for another layout", "Scores are not over large-20", "out/results.json"):
         assert text in printed
     data = json.loads((folder / "out" / "results.json").read_text(encoding="utf-8"))
-    assert {row["policy"] for row in data["overall"]} == {"grounded", "ppo-random-energy", "null", "static", "oracle"}
+    overall = {row["policy"] for row in data["leaderboard"]["overall"]}
+    assert overall == {"grounded", "ppo-random-energy", "zero-input", "static", "oracle"}
 
 
-def test_check_says_by_its_exit_code_whether_results_reproduce(suite_run):
+def test_the_exit_code_of_check_is_0_when_results_reproduce(suite_run):
     folder, _ = suite_run
-    outcome = ptne("compare", "--check", "out", "--sample", "2", cwd=folder)
+    outcome = ptne("check", "out", "--sample", "2", cwd=folder)
     assert outcome.returncode == 0, outcome.stderr
     assert outcome.stdout.count("reproduces") == 2
     forge(folder / "out")
-    outcome = ptne("compare", "--check", "out/results.json", "--sample", "99", cwd=folder)
+    outcome = ptne("check", "out/results.json", "--sample", "99", cwd=folder)
     assert outcome.returncode == 1
     assert "differs" in outcome.stdout
-    outcome = ptne("compare", "--check", "out", "--sample", "99", "--json", "-", cwd=folder)
+    outcome = ptne("check", "out", "--sample", "99", "--json", "-", cwd=folder)
     assert outcome.returncode == 1
     assert [one["reproduces"] for one in json.loads(outcome.stdout)].count(False) == 1
 
 
 def forge(folder):
-    """Improve a published cell, checksum and all."""
-    from ptne_env.experiments.suite import content_hash
+    """Improve a published job, with its checksum."""
+    from ptne_env.experiments.provenance import content_hash
 
-    cells = {path: json.loads(path.read_text(encoding="utf-8")) for path in sorted((folder / "cells").iterdir())}
-    path, data = next((path, data) for path, data in cells.items() if data["samples"])  # a policy that fits has some
+    jobs = {path: json.loads(path.read_text(encoding="utf-8")) for path in sorted((folder / "jobs").iterdir())}
+    path, data = next((path, data) for path, data in jobs.items() if data["samples"])  # a policy that fits has some
     next(iter(data["samples"].values()))[0] += 1
     data["checksum"] = content_hash({key: data[key] for key in ("samples", "not_applicable")})
     path.write_text(json.dumps(data), encoding="utf-8")

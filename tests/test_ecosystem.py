@@ -59,7 +59,7 @@ def _gained(yardstick, episodes):
     scenario = yardstick.ptne_env.get_scenario(yardstick.SCENARIO)
     law = yardstick.PolicySpec("law", yardstick.law)
     results = yardstick.ptne_env.evaluate([law], [scenario], episodes=episodes, split="train", against_laws=False)
-    return results.cells[0].samples["digits_gained"]
+    return results.samples[yardstick.SCENARIO, "law"]["digits_gained"][0]
 
 
 # --- the runner -------------------------------------------------------------------------------------------------------

@@ -61,7 +61,7 @@ def test_own_parts_are_imported_by_module_and_object_in_worker_processes(tmp_pat
     assert contest["game"]["target"] == "own_parts:BeautyContest"
     assert contest["topology"]["target"] == "own_parts:wheel"
     assert clipped["channel"]["target"] == "own_parts:Clipped"
-    digits = {(row["track"], row["policy"]): row["metrics"]["digits"]["mean"] for row in data["tracks"]}
+    digits = {(row["track"], row["policy"]): row["mean"] for row in data["records"] if row["metric"] == "digits"}
     for track in ("contest", "clipped"):
-        assert digits[track, "null"] < digits[track, "own_parts:HeavyBall"] < digits[track, "oracle"]
+        assert digits[track, "zero-input"] < digits[track, "own_parts:HeavyBall"] < digits[track, "oracle"]
     assert digits["clipped", "static"] < digits["contest", "static"] - 0.5  # the channel bites

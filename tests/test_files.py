@@ -10,7 +10,7 @@ def test_folders_are_made_and_text_is_written_as_utf8(tmp_path):
     path = tmp_path / "a" / "b" / "file.txt"
     write_atomically(path, "κ")
     assert path.read_bytes() == "κ".encode()
-    assert [entry.name for entry in path.parent.iterdir()] == ["file.txt"]
+    assert [found.name for found in path.parent.iterdir()] == ["file.txt"]
 
 
 def test_the_file_gets_the_permissions_of_any_new_file(tmp_path):
@@ -31,21 +31,21 @@ def test_a_failure_leaves_the_old_file_and_no_litter(tmp_path, monkeypatch):
     with pytest.raises(OSError, match="disk full"):
         write_atomically(path, "new")
     assert path.read_text(encoding="utf-8") == "old"
-    assert [entry.name for entry in tmp_path.iterdir()] == ["file"]
+    assert [found.name for found in tmp_path.iterdir()] == ["file"]
 
 
-def test_what_cannot_be_written_is_known_beforehand(tmp_path):
+def test_an_obstacle_to_writing_is_found_beforehand(tmp_path):
     (tmp_path / "file").write_text("in the way", encoding="utf-8")
     for path in (tmp_path / "new", tmp_path / "a" / "b" / "new", tmp_path / "file"):
         require_writable(path)
-    assert [entry.name for entry in tmp_path.iterdir()] == ["file"]
+    assert [found.name for found in tmp_path.iterdir()] == ["file"]
     with pytest.raises(IsADirectoryError, match="it is a folder"):
         require_writable(tmp_path)
     with pytest.raises(NotADirectoryError, match="file is not a folder"):
         require_writable(tmp_path / "file" / "a" / "new")
 
 
-def test_a_read_only_folder_is_known_beforehand(tmp_path, monkeypatch):
+def test_a_read_only_folder_is_found_beforehand(tmp_path, monkeypatch):
     monkeypatch.setattr(os, "access", lambda *_: False)  # the tests may run as root, who may write everywhere
     with pytest.raises(PermissionError, match="read-only"):
         require_writable(tmp_path / "new")

@@ -1,4 +1,4 @@
-"""SECURITY.md says what loading a file can do; here it is done."""
+"""The effects of loading a file that SECURITY.md names."""
 
 import json
 import pickle
@@ -7,22 +7,24 @@ from pathlib import Path
 import pytest
 
 from ptne_env import FactorySpec, PolicySpec, Scenario, get_scenario
-from ptne_env.experiments.benchmark import Participant, check, get_participant, run_suite
-from ptne_env.experiments.leaderboard import leaderboard
-from ptne_env.experiments.suite import Suite, Track, content_hash, find_scenario
+from ptne_env.experiments import Suite, Track, get_policy_spec, run_suite
+from ptne_env.experiments.check import check
+from ptne_env.experiments.provenance import content_hash
+from ptne_env.experiments.suite import find_scenario
+from ptne_env.world import World
 
 TEXT = (Path(__file__).parents[1] / "SECURITY.md").read_text(encoding="utf-8")
 CALLED = []
 
 
 def mark(**arguments):
-    """What a stranger's file might call."""
+    """A function that a stranger's file might call."""
     CALLED.append(arguments)
     return arguments
 
 
 class Mark:
-    """What a stranger's pickle might call."""
+    """An object that a stranger's pickle might make."""
 
     def __reduce__(self):
         return mark_pickle, ()
@@ -40,8 +42,10 @@ def nothing_called():
 def test_a_scenario_calls_what_it_names_with_the_arguments_it_gives():
     data = get_scenario("energy").to_dict()
     data["game"] = {"target": "test_security:mark", "arguments": {"word": "called"}}
-    with pytest.raises(ValueError, match="built a dict where game needs a Game"):
-        Scenario.from_dict(data)
+    scenario = Scenario.from_dict(data)
+    assert not CALLED
+    with pytest.raises(ValueError, match="built a dict where a Game or GameFamily is needed"):
+        World(scenario)
     assert CALLED == [{"word": "called"}]
     assert "calls what it names" in TEXT
 
@@ -54,16 +58,15 @@ def test_a_configuration_may_name_a_suite_which_is_imported_and_called():
 
 
 def test_results_are_data_until_they_are_checked(tmp_path):
-    suite = Suite("small", 1, (Track("ring", get_scenario("energy", steps=60, deadline=0.1), "The base."),), episodes=1)
-    run = run_suite(suite, ["static"], tmp_path)
-    data = leaderboard(run).to_dict()
-    stranger = Participant("static", (PolicySpec("static", FactorySpec.of("test_security:mark", word="called")),))
-    data["participants"] = [stranger.to_dict()]
-    data["cells"] = [cell for cell in data["cells"] if cell["participant"] == "static"]
+    suite = Suite("small", (Track("ring", get_scenario("energy", steps=60, deadline=0.1), "The base."),), episodes=1)
+    data = run_suite(suite, ["static"], folder=tmp_path).to_dict()
+    stranger = PolicySpec("static", FactorySpec.of("test_security:mark", word="called"))
+    data["policies"] = [stranger.to_dict()]
+    data["jobs"] = [job for job in data["jobs"] if job["policy"] == "static"]
     signed = {key: value for key, value in data.items() if key not in ("checksum", "timings")}
-    data["checksum"] = content_hash(signed)  # which anybody can make
+    data["checksum"] = content_hash(signed)  # which needs no secret
     (tmp_path / "results.json").write_text(json.dumps(data), encoding="utf-8")
-    run_suite(suite, ["static"], tmp_path)  # finds its cells and does nothing else
+    run_suite(suite, ["static"], folder=tmp_path)  # finds its stored jobs and does nothing else
     assert not CALLED
     check(tmp_path, suite=suite)
     assert [call["word"] for call in CALLED] == ["called"]
@@ -73,5 +76,5 @@ def test_an_archive_is_not_opened_unless_it_is_trusted(tmp_path):
     path = tmp_path / "model.zip"
     path.write_bytes(pickle.dumps(Mark()))
     with pytest.raises(ValueError, match="executes code that is stored in it"):
-        get_participant(str(path))
+        get_policy_spec(str(path))
     assert not CALLED

@@ -15,15 +15,16 @@ from hypothesis import strategies as st
 
 import ptne_env
 from ptne_env import Scenario, policies
-from ptne_env.experiments import benchmark
-from ptne_env.experiments.benchmark import check, run_suite
-from ptne_env.experiments.leaderboard import leaderboard
-from ptne_env.experiments.suite import Suite, Track, content_hash
+from ptne_env.experiments import Suite, Track, run_suite
+from ptne_env.experiments.check import check
+from ptne_env.experiments.provenance import content_hash
+from ptne_env.experiments.results import FORMAT, read_results
+from ptne_env.experiments.store import Store
 from ptne_env.files import read_json, write_atomically
 from ptne_env.policies import Metadata, PolicyFileError
 
 WORLD = ptne_env.get_scenario("random-energy", steps=120, deadline=0.2)
-SMALL = Suite("small", 1, (Track("ring", WORLD, "The base."),), episodes=4)
+SMALL = Suite("small-v1", (Track("ring", WORLD, "The base."),), episodes=4)
 
 
 @contextlib.contextmanager
@@ -49,14 +50,13 @@ def contents(folder):
 
 @pytest.fixture
 def results(tmp_path):
-    run = run_suite(SMALL, ["grounded"], tmp_path)
-    write_atomically(tmp_path / "results.json", leaderboard(run).to_json())
+    write_atomically(tmp_path / "results.json", run_suite(SMALL, ["grounded"], folder=tmp_path).to_json())
     return tmp_path / "results.json"
 
 
-def test_what_is_written_is_read_and_says_what_it_is(results):
+def test_results_are_read_with_their_format_and_checksum(results):
     data = read_json(results, "results")
-    assert data["format"] == benchmark.RESULTS_FORMAT
+    assert data["format"] == FORMAT
     assert data["checksum"] == content_hash(
         {key: value for key, value in data.items() if key not in ("checksum", "timings")}
     )
@@ -67,7 +67,7 @@ def test_results_that_are_cut_off_at_any_length_are_refused(results):
     whole = results.read_bytes()
     for length in [*range(0, len(whole) - 2, 997), len(whole) - 2]:
         results.write_bytes(whole[:length])
-        with pytest.raises(ValueError, match="results.json is not the results file of a suite: it is cut off"):
+        with pytest.raises(ValueError, match="results.json is not a file of results: it is cut off"):
             check(results, suite=SMALL)
 
 
@@ -77,11 +77,11 @@ def test_results_that_are_cut_off_at_any_length_are_refused(results):
         (b"\xff\xfe\x00", "cut off, damaged or something else"),
         (b"PK\x03\x04", "cut off, damaged or something else"),
         (b"[]", "expected a JSON object, got list"),
-        (b"{}", "it has no cells, format, suite"),
+        (b"{}", "it has no format, jobs, suite"),
         (b"[" * 100_000, "cut off, damaged or something else"),
-        (b'{"format": 3, "suite": {}, "cells": []}', "is of format 3, this library reads 2: use the version"),
-        (b'{"format": 2, "suite": {}, "cells": []}', "was damaged or changed after it was written"),
-        (b'{"format": 2, "suite": NaN, "cells": [], "checksum": ""}', "was damaged or changed after it was written"),
+        (b'{"format": 4, "suite": {}, "jobs": []}', "is of format 4, this library reads 3: use the version"),
+        (b'{"format": 3, "suite": {}, "jobs": []}', "was damaged or changed after it was written"),
+        (b'{"format": 3, "suite": NaN, "jobs": [], "checksum": ""}', "was damaged or changed after it was written"),
     ],
 )
 def test_foreign_and_future_results_are_refused(tmp_path, content, message):
@@ -110,15 +110,15 @@ def changed(value, data):
 @given(st.data())
 def test_a_change_anywhere_in_results_is_noticed(tmp_path_factory, data):
     path = tmp_path_factory.mktemp("changed") / "results.json"
-    content = {"format": 2, "suite": {"target": "a", "list": [1.5, {"b": 2}]}, "cells": [{"cell": "x"}], "seed": 0}
+    content = {"format": 3, "suite": {"target": "a", "list": [1.5, {"b": 2}]}, "jobs": [{"key": "x"}], "seed": 0}
     whole = {**content, "checksum": content_hash(content)}
     altered = changed(whole, data)
     path.write_text(json.dumps(altered), encoding="utf-8")
     if json.dumps(without_none(altered), sort_keys=True) == json.dumps(without_none(whole), sort_keys=True):
-        assert benchmark._read_results(path)
+        assert read_results(path)
     else:
         with pytest.raises(ValueError, match="results.json "):
-            benchmark._read_results(path)
+            read_results(path)
 
 
 def without_none(value):
@@ -130,7 +130,7 @@ def without_none(value):
 @settings(max_examples=200)
 @given(st.data())
 @pytest.mark.filterwarnings("ignore:.*short of the deadline")
-def test_a_scenario_that_was_changed_is_another_one_or_refused(data):
+def test_a_changed_scenario_is_another_one_or_refused(data):
     name = data.draw(st.sampled_from(("energy", "energy-switching", "ev-charging")))
     altered = changed(ptne_env.CATALOGUE[name].to_dict(), data)
     try:
@@ -142,26 +142,26 @@ def test_a_scenario_that_was_changed_is_another_one_or_refused(data):
 
 
 @given(st.data())
-def test_metadata_that_were_changed_are_read_or_refused(data):
+def test_changed_metadata_are_read_or_refused(data):
     whole = json.loads(policies.load(policies.shipped()[0]).metadata.to_json())
     with contextlib.suppress(PolicyFileError):
         Metadata.from_json(json.dumps(changed(whole, data)))
 
 
-def test_a_cell_under_the_name_of_another_is_run_again(results, monkeypatch):
-    store = benchmark.Store(results.parent)
-    run = run_suite(SMALL, ["grounded"], results.parent)
-    first, second = (store.path(cell) for cell in run.cells[:2])
+def test_a_job_under_the_name_of_another_is_run_again(results):
+    store = Store(results.parent)
+    jobs = run_suite(SMALL, ["grounded"], folder=results.parent).jobs
+    first, second = (store.path(job.key) for job in jobs[:2])
     kept = first.read_bytes()
     first.write_bytes(second.read_bytes())
-    assert store.load(run.cells[0]) is None
-    with pytest.raises(ValueError, match="is damaged, or another one: remove it and run the suite again"):
+    assert store.find(jobs[0]) is None
+    with pytest.raises(ValueError, match="is damaged, or of another job: remove it and run the suite again"):
         check(results, suite=SMALL, sample=100)
-    run_suite(SMALL, ["grounded"], results.parent)
+    run_suite(SMALL, ["grounded"], folder=results.parent)
     assert json.loads(first.read_bytes())["samples"] == json.loads(kept)["samples"]
 
 
-def test_a_policy_of_a_later_version_is_refused_and_says_what_to_do():
+def test_a_policy_of_a_later_version_is_refused_with_advice():
     data = json.loads(policies.load(policies.shipped()[0]).metadata.to_json())
     with pytest.raises(PolicyFileError, match="made for layout version 2, this library has 1; use the version"):
         Metadata.from_json(json.dumps(data | {"layout_version": 2}))
@@ -185,7 +185,7 @@ FULL = OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))  # as a file object rais
 
 
 @pytest.mark.parametrize("call", ["fsync", "fdopen", "chmod"])
-def test_a_full_disk_is_told_by_the_name_of_the_file_and_keeps_the_old_one(tmp_path, monkeypatch, call):
+def test_a_full_disk_is_an_error_with_the_file_name_and_keeps_the_old_file(tmp_path, monkeypatch, call):
     path = tmp_path / "results.json"
     write_atomically(path, "old")
 
@@ -200,7 +200,7 @@ def test_a_full_disk_is_told_by_the_name_of_the_file_and_keeps_the_old_one(tmp_p
     assert contents(tmp_path) == {Path("results.json"): b"old"}
 
 
-def test_a_disk_quota_loses_nothing_that_was_written(tmp_path):
+def test_a_disk_quota_keeps_the_old_file(tmp_path):
     code = (
         "import resource, signal, sys\n"
         "from pathlib import Path\n"
@@ -219,41 +219,41 @@ def test_a_disk_quota_loses_nothing_that_was_written(tmp_path):
     assert resource.getrlimit(resource.RLIMIT_FSIZE)[0] != 4096  # ours is as it was
 
 
-def test_a_full_disk_keeps_the_cells_and_the_run_goes_on_when_there_is_room(tmp_path):
+def test_a_full_disk_keeps_stored_jobs_and_the_run_goes_on_with_room(tmp_path):
     whole = tmp_path / "whole"
-    run = run_suite(SMALL, ["grounded", "adaptive"], whole)
+    jobs = run_suite(SMALL, ["grounded", "adaptive"], folder=whole).jobs
     with tmpfs(tmp_path / "small", "64k") as folder:
         filler = folder / "filler"
         pages = -(-max(map(len, contents(whole).values())) // 4096)
-        filler.write_bytes(bytes(64 * 1024 - 4096 * (2 * pages + 1)))  # room for two cells or three
+        filler.write_bytes(bytes(64 * 1024 - 4096 * (2 * pages + 1)))  # room for two jobs or three
         with pytest.raises(OSError, match="No space left on device: '.*json'"):
-            run_suite(SMALL, ["grounded", "adaptive"], folder)
-        kept = contents(folder / "cells")
-        assert 0 < len(kept) < len(run.cells)
+            run_suite(SMALL, ["grounded", "adaptive"], folder=folder)
+        kept = contents(folder / "jobs")
+        assert 0 < len(kept) < len(jobs)
         for name, content in kept.items():
-            assert without_timings(content) == without_timings((whole / "cells" / name).read_bytes())
+            assert without_timings(content) == without_timings((whole / "jobs" / name).read_bytes())
         filler.unlink()
-        run_suite(SMALL, ["grounded", "adaptive"], folder)
-        assert contents(folder / "cells").items() >= kept.items()
-        assert contents(folder / "cells").keys() == contents(whole / "cells").keys()
+        run_suite(SMALL, ["grounded", "adaptive"], folder=folder)
+        assert contents(folder / "jobs").items() >= kept.items()
+        assert contents(folder / "jobs").keys() == contents(whole / "jobs").keys()
 
 
 def without_timings(content):
     return {key: value for key, value in json.loads(content).items() if key != "timings"}
 
 
-def test_a_read_only_disk_is_told_by_the_name_of_the_file_and_can_be_read(tmp_path):
+def test_a_read_only_disk_is_an_error_with_the_file_name_and_can_be_read(tmp_path):
     with tmpfs(tmp_path / "disk", "1m") as folder:
-        run = run_suite(SMALL, ["grounded"], folder)
-        write_atomically(folder / "results.json", leaderboard(run).to_json())
+        results = run_suite(SMALL, ["grounded"], folder=folder)
+        write_atomically(folder / "results.json", results.to_json())
         before = contents(folder)
         subprocess.run(["mount", "-o", "remount,ro", str(folder)], check=True)  # noqa: S603, S607 - our own command
         with pytest.raises(OSError, match="Read-only file system: '.*results.json'"):
             write_atomically(folder / "results.json", "new")
-        with pytest.raises(OSError, match="Read-only file system: '.*cells/.*json'"):
-            run_suite(SMALL, ["grounded", "adaptive"], folder)
+        with pytest.raises(OSError, match="Read-only file system: '.*jobs/.*json'"):
+            run_suite(SMALL, ["grounded", "adaptive"], folder=folder)
         assert {one.difference for one in check(folder, suite=SMALL)} == {0.0}  # reading needs no writing
-        assert run_suite(SMALL, ["grounded"], folder).cells == run.cells  # and neither does what is there
+        assert run_suite(SMALL, ["grounded"], folder=folder).records == results.records  # nor do stored jobs
         assert contents(folder) == before
 
 

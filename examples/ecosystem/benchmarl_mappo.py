@@ -1,4 +1,4 @@
-"""BenchMARL: a task of its own for any scenario, and MAPPO on it.
+"""BenchMARL: a task class for any scenario, and MAPPO on it.
 
 Run it with: python examples/ecosystem/benchmarl_mappo.py
 """
@@ -24,7 +24,7 @@ OBSERVATION, ACTION = ("player", "observation"), ("player", "action")
 
 
 class NashSeekingTask(PettingZooClass):
-    """How BenchMARL builds and reads our environments: as PettingZoo's, of which it knows only some by name.
+    """The adapter by which BenchMARL builds and reads our environments.
 
     The configuration holds the arguments of ``ptne_env.parallel_env``.
     """
@@ -32,7 +32,7 @@ class NashSeekingTask(PettingZooClass):
     def get_env_fun(
         self,
         num_envs: int,  # noqa: ARG002 - BenchMARL itself puts several environments in series
-        continuous_actions: bool,  # noqa: ARG002, FBT001 - there are no others
+        continuous_actions: bool,  # noqa: ARG002, FBT001 - all actions are continuous
         seed: int | None,
         device: str,
     ) -> Callable[[], EnvBase]:
@@ -46,7 +46,7 @@ class NashSeekingTask(PettingZooClass):
         return True
 
     def has_state(self) -> bool:
-        """MAPPO's critic sees the global state; where this is False, all observations."""
+        """Whether MAPPO's critic receives the global state; otherwise it receives all observations."""
         return False
 
     def has_render(self, env: EnvBase) -> bool:  # noqa: ARG002
@@ -54,28 +54,28 @@ class NashSeekingTask(PettingZooClass):
         return False
 
     def max_steps(self, env: EnvBase) -> int:
-        """Of an episode, the hold phase included."""
+        """The number of steps of an episode, with the hold phase."""
         return env.world.clock.total_steps
 
     @staticmethod
     def env_name() -> str:
-        """Of the family of tasks."""
+        """The name of the family of tasks."""
         return "ptne"
 
 
 class NashSeeking(Task):
-    """The tasks; what differs between them is their configuration."""
+    """The tasks, which differ in their configuration."""
 
     RANDOM_ENERGY = None
 
     @staticmethod
     def associated_class() -> type[NashSeekingTask]:
-        """What they are made of."""
+        """The class of every task."""
         return NashSeekingTask
 
 
 def law_digits() -> list[float]:
-    """What the law gains in the task's environment."""
+    """The digits that the law gains in the task's environment."""
     env = NashSeeking.RANDOM_ENERGY.get_task({"scenario": SCENARIO}).get_env_fun(1, True, None, "cpu")()  # noqa: FBT003
     policy = law(env.layout)
     act = TensorDictModule(lambda o: torch.from_numpy(policy.predict(o.numpy())[0]), [OBSERVATION], [ACTION])

@@ -19,7 +19,7 @@ from ptne_env import VectorParallelEnv
 
 @dataclass
 class Args:
-    """What can be set from the command line."""
+    """The options of the command line."""
 
     seed: int = 0
     """of the network, the sampling and the games"""
@@ -59,7 +59,7 @@ def network(inputs: int, outputs: int) -> nn.Sequential:
 
 
 def law_digits() -> np.ndarray:
-    """What the law gains in the same loop."""
+    """The digits that the law gains in the same loop."""
     env = VectorParallelEnv(SCENARIO, EPISODES)
     policy, observations = law(env.layout), env.reset(seed=0)
     gained, over = np.zeros(EPISODES), np.zeros(EPISODES, dtype=bool)
@@ -102,7 +102,7 @@ def main() -> None:
                 logprobs[step] = distribution.log_prob(actions[step]).sum(-1)
                 chosen = actions[step].clamp(-1, 1).reshape(args.num_envs, env.num_players, action_size)
                 observations, reward, terminated, truncated, _ = env.step(chosen.numpy())
-                # Nothing truncates here. Where something does, add gamma · critic(last observation) to its reward.
+                # No episode is truncated here. If one were, add gamma · critic(last observation) to its reward.
                 over = terminated | truncated
                 rewards[step] = torch.from_numpy(reward).reshape(rows)
                 ends[step] = torch.from_numpy(over.repeat(env.num_players)).float()
@@ -112,9 +112,9 @@ def main() -> None:
 
             advantages, following, trace = torch.zeros(shape), critic(state).squeeze(-1), torch.zeros(rows)
             for step in reversed(range(args.num_steps)):
-                goes_on = 1 - ends[step]
-                delta = rewards[step] + args.gamma * goes_on * following - values[step]
-                advantages[step] = trace = delta + args.gamma * args.gae_lambda * goes_on * trace
+                continues = 1 - ends[step]
+                delta = rewards[step] + args.gamma * continues * following - values[step]
+                advantages[step] = trace = delta + args.gamma * args.gae_lambda * continues * trace
                 following = values[step]
 
         batch = [part.flatten(0, 1) for part in (states, actions, logprobs, advantages, advantages + values)]

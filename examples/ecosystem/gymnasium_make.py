@@ -1,4 +1,4 @@
-"""Gymnasium: all players as one agent, whose observations and actions are the players' one after the other.
+"""Gymnasium: all players as one agent, whose observations and actions are those of the players, concatenated.
 
 Run it with: python examples/ecosystem/gymnasium_make.py
 """

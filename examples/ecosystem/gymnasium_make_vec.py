@@ -1,4 +1,4 @@
-"""Gymnasium, many environments in one call: an environment that ended starts again in the next step.
+"""Gymnasium, many environments in one call: an environment that has ended starts again in the next step.
 
 Run it with: python examples/ecosystem/gymnasium_make_vec.py
 """

@@ -1,6 +1,6 @@
-"""Minari: the law's runs as a dataset, loaded again and cloned.
+"""Minari: the law's episodes as a dataset, loaded again and cloned.
 
-Under the interface "local" the law is linear in what a player observes, so least squares is all the cloning it needs.
+Under the interface "local" the law is linear in the observation of a player, so least squares can clone it.
 
 Run it with: python examples/ecosystem/minari_cloning.py
 """
@@ -38,7 +38,7 @@ def record() -> None:
 
 
 def replay(dataset: minari.MinariDataset) -> list[float]:
-    """What each episode gained, after the recovered environment has given the same rewards for the same actions."""
+    """The digits gained in each episode, after a check that the recovered environment repeats the rewards."""
     env = dataset.recover_environment()
     gained = []
     for episode in dataset.iterate_episodes():

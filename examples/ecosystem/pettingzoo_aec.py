@@ -1,4 +1,4 @@
-"""PettingZoo, turn by turn (AEC): the players act one after the other on the same instant.
+"""PettingZoo, turn-based (AEC): the players act in turn on the same instant.
 
 Run it with: python examples/ecosystem/pettingzoo_aec.py
 """

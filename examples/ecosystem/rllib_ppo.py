@@ -25,12 +25,12 @@ PLAYERS = [f"player_{index}" for index in range(5)]
 
 
 def make_env(arguments: dict) -> ParallelPettingZooEnv:
-    """What RLlib's runners build; it must import ``ptne_env`` in their processes too."""
+    """The environment of RLlib's runners; their processes import ``ptne_env`` through it."""
     return ParallelPettingZooEnv(ptne_env.parallel_env(SCENARIO, **arguments))
 
 
 def law_digits() -> list[float]:
-    """What the law gains through the wrapper, whose dictionaries have an entry ``__all__`` besides the players'."""
+    """The digits that the law gains through the wrapper, whose dictionaries have an additional entry ``__all__``."""
     env = make_env({})
     policy = law(env.par_env.layout)
     gained = []
@@ -47,7 +47,7 @@ def law_digits() -> list[float]:
 
 
 class Network(DefaultPPOTorchRLModule):
-    """RLlib's own, with less noise at first: with a standard deviation of 1 it would learn to live with the noise."""
+    """RLlib's own, with less initial noise: with a standard deviation of 1 the mean would adapt to the noise."""
 
     def setup(self) -> None:
         """Lower the logarithm of the standard deviation from 0 to −1."""
@@ -56,7 +56,7 @@ class Network(DefaultPPOTorchRLModule):
 
 
 def build(policies: list[str]) -> Algorithm:
-    """PPO whose policies are named after the players, or are one, ``shared``."""
+    """PPO with one policy per player, named like the player, or with one policy for all, ``shared``."""
     model = DefaultModelConfig(fcnet_hiddens=[64, 64], vf_share_layers=False, free_log_std=True)
     specs = {policy: RLModuleSpec(module_class=Network, model_config=model) for policy in policies}
     return (
@@ -76,7 +76,7 @@ def build(policies: list[str]) -> Algorithm:
 
 
 def acting(algorithm: Algorithm) -> Acting:
-    """The means of the policies' actions; whose turn it is, the observation's one-hot says."""
+    """The means of the policies' actions; the one-hot in the observation selects the player."""
     layout = ptne_env.parallel_env(SCENARIO, **TASK).layout
     modules = [algorithm.get_module(player) or algorithm.get_module("shared") for player in PLAYERS]
 

@@ -1,7 +1,7 @@
 """Run the examples of this folder, each in a virtual environment of its framework, because their pins conflict.
 
-An example is ``<framework>_<idea>.py``, and ``requirements/<framework>.txt`` says what its framework is. The outcome of
-a complete run is the table in docs/ecosystem.md.
+An example is ``<framework>_<idea>.py``, and ``requirements/<framework>.txt`` lists its packages. A complete run writes
+the table in docs/ecosystem.md.
 
 Run it with: make ecosystem
 or: python examples/ecosystem/run.py --only torchrl
@@ -23,18 +23,18 @@ ROOT = FOLDER.parents[1]
 PAGE = ROOT / "docs" / "ecosystem.md"
 HOME = ROOT / ".ecosystem"
 BEGIN, END = "<!-- written by make ecosystem -->", "<!-- end -->"
-TOLD = ("gymnasium", "pettingzoo", "torch", "tensordict", "torchrl", "numpy")
-"""Packages whose versions the table tells besides those in the requirements, where they are installed."""
+EXTRA_VERSIONS = ("gymnasium", "pettingzoo", "torch", "tensordict", "torchrl", "numpy")
+"""Packages whose versions the table shows besides those in the requirements, if they are installed."""
 
 Row = dict[str, Any]
 
 
 class FailedError(Exception):
-    """A command that did not end with exit code 0; the message is the end of its output."""
+    """A command ended with another exit code than 0; the message is the end of its output."""
 
 
 def call(command: Sequence[str | Path], timeout: float = 3600) -> str:
-    """Run a command and return what it printed.
+    """Run a command and return its output.
 
     Raises:
         FailedError: when it fails, cannot be started, or takes longer than ``timeout`` seconds.
@@ -57,7 +57,7 @@ def call(command: Sequence[str | Path], timeout: float = 3600) -> str:
 
 
 def requirements(framework: str) -> Path:
-    """The file that says what the framework is."""
+    """The list of the framework's packages."""
     return FOLDER / "requirements" / f"{framework}.txt"
 
 
@@ -67,10 +67,10 @@ def frameworks() -> list[str]:
 
 
 def prepare(framework: str, home: Path) -> Path:
-    """The interpreter of the framework's virtual environment, which is made, or brought up to date, if it must be.
+    """The interpreter of the framework's virtual environment, which is made or updated when its requirements change.
 
     Raises:
-        FailedError: when something cannot be installed.
+        FailedError: when an installation fails.
     """
     venv = home / framework
     python, stamp = venv / "bin" / "python", venv / "installed.txt"
@@ -83,20 +83,20 @@ def prepare(framework: str, home: Path) -> Path:
 
 
 def versions(framework: str, python: Path) -> dict[str, str]:
-    """The versions of what the requirements name and of :data:`TOLD`, as installed."""
+    """The installed versions of the packages in the requirements and in :data:`EXTRA_VERSIONS`."""
     packages = json.loads(call([python, "-m", "pip", "list", "--format=json"]))
     installed = {each["name"].lower().replace("_", "-"): each["version"].split("+")[0] for each in packages}
     lines = requirements(framework).read_text(encoding="utf-8").splitlines()
     named = [line.split("=")[0].split("[")[0].split()[0] for line in lines]
-    also = [name for name in TOLD if name in installed and name not in named]
+    also = [name for name in EXTRA_VERSIONS if name in installed and name not in named]
     return {name: installed[name] for name in [*named, *also]}
 
 
 def run(example: Path, python: Path) -> list[Row]:
-    """What the example reported, one row per line of JSON, with the seconds it took.
+    """The example's report, one row per line of JSON, with the seconds of the run.
 
     Raises:
-        FailedError: when it fails, or reports nothing.
+        FailedError: when it fails or reports nothing.
     """
     began = monotonic()
     printed = call([python, example])
@@ -107,7 +107,7 @@ def run(example: Path, python: Path) -> list[Row]:
     return [{**row, "example": example.stem, "seconds": seconds} for row in rows]
 
 
-def table(rows: Sequence[Row], told: dict[str, dict[str, str]]) -> str:
+def table(rows: Sequence[Row], found_versions: dict[str, dict[str, str]]) -> str:
     """The rows and the versions as Markdown."""
 
     def number(value: float | None) -> str:
@@ -120,7 +120,7 @@ def table(rows: Sequence[Row], told: dict[str, dict[str, str]]) -> str:
         "| --- | --- |",
         *(
             f"| `{framework}` | {', '.join(f'{name} {version}' for name, version in found.items())} |"
-            for framework, found in told.items()
+            for framework, found in found_versions.items()
         ),
         "",
         "| Example | The law's digits | Largest difference | Digits before training | and after | Seconds |",
@@ -149,7 +149,7 @@ def write(page: Path, text: str) -> None:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """The exit code: 0, or 1 when something failed."""
+    """The exit code: 0, or 1 after a failure."""
     parser = argparse.ArgumentParser(
         description="Run the examples of every framework and write docs/ecosystem.md's table."
     )
@@ -157,13 +157,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--home", type=Path, default=HOME, help="where the virtual environments are kept")
     chosen = parser.parse_args(arguments)
     rows: list[Row] = []
-    told: dict[str, dict[str, str]] = {}
+    found_versions: dict[str, dict[str, str]] = {}
     failed = []
     for framework in chosen.only or frameworks():
         step, began = "installation", monotonic()
         try:
             python = prepare(framework, chosen.home)
-            told[framework] = versions(framework, python)
+            found_versions[framework] = versions(framework, python)
             print(f"{framework}: ready after {monotonic() - began:.0f} s", flush=True)
             for example in sorted(FOLDER.glob(f"{framework}_*.py")):
                 step = example.stem
@@ -177,9 +177,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(f"failed: {', '.join(failed)}; the page stays as it is", file=sys.stderr)
         return 1
     if chosen.only:
-        print(table(rows, told))
+        print(table(rows, found_versions))
     else:
-        write(PAGE, table(rows, told))
+        write(PAGE, table(rows, found_versions))
         print(f"the table is in {PAGE}")
     return 0
 

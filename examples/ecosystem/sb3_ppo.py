@@ -1,4 +1,4 @@
-"""Stable-Baselines3: PPO with one network for all players, whose slots are the players of all environments.
+"""Stable-Baselines3: PPO with one network for the players of all environments.
 
 Run it with: python examples/ecosystem/sb3_ppo.py
 """
@@ -16,11 +16,15 @@ from ptne_env.envs.sb3 import SlotVecEnv
 def main() -> None:
     """Stable-Baselines3's own check, the law's digits by its own evaluation, and a short training."""
     check_env(JointEnv(SCENARIO, **TASK))
-    slots = SlotVecEnv(SCENARIO, EPISODES, seed=0)
+    evaluation_env = SlotVecEnv(SCENARIO, EPISODES, seed=0)
     returns, _ = evaluate_policy(
-        law(slots.layout), slots, n_eval_episodes=slots.num_envs, return_episode_rewards=True, warn=False
+        law(evaluation_env.layout),
+        evaluation_env,
+        n_eval_episodes=evaluation_env.num_envs,
+        return_episode_rewards=True,
+        warn=False,
     )
-    gained = np.reshape(returns, (EPISODES, slots.layout.num_players)).mean(axis=1)
+    gained = np.reshape(returns, (EPISODES, evaluation_env.layout.num_players)).mean(axis=1)
 
     env = SlotVecEnv(SCENARIO, num_envs=16, seed=0, **TASK)
     model = PPO(

@@ -1,4 +1,4 @@
-"""sb3-contrib: recurrent PPO, whose memory travels through ``predict`` like a law's.
+"""sb3-contrib: recurrent PPO, whose memory passes through ``predict`` like a law's.
 
 Run it with: python examples/ecosystem/sb3_recurrent_ppo.py
 """
@@ -13,11 +13,15 @@ from ptne_env.envs.sb3 import SlotVecEnv
 
 def main() -> None:
     """The law's digits by Stable-Baselines3's evaluation, and a short training of an LSTM."""
-    slots = SlotVecEnv(SCENARIO, EPISODES, seed=0)
+    evaluation_env = SlotVecEnv(SCENARIO, EPISODES, seed=0)
     returns, _ = evaluate_policy(
-        law(slots.layout), slots, n_eval_episodes=slots.num_envs, return_episode_rewards=True, warn=False
+        law(evaluation_env.layout),
+        evaluation_env,
+        n_eval_episodes=evaluation_env.num_envs,
+        return_episode_rewards=True,
+        warn=False,
     )
-    gained = np.reshape(returns, (EPISODES, slots.layout.num_players)).mean(axis=1)
+    gained = np.reshape(returns, (EPISODES, evaluation_env.layout.num_players)).mean(axis=1)
 
     env = SlotVecEnv(SCENARIO, num_envs=16, seed=0, **TASK)
     model = RecurrentPPO(

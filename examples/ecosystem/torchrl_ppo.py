@@ -19,7 +19,7 @@ OBSERVATION, ACTION = ("player", "observation"), ("player", "action")
 
 
 def law_digits() -> list[float]:
-    """What the law gains through the wrapper; each episode starts with ``reset(seed=...)`` and goes on from there."""
+    """The digits that the law gains through the wrapper; each episode starts with ``reset(seed=...)``."""
     env = PettingZooWrapper(ptne_env.parallel_env(SCENARIO))
     policy = law(env.layout)
     act = TensorDictModule(lambda o: torch.from_numpy(policy.predict(o.numpy())[0]), [OBSERVATION], [ACTION])
@@ -31,7 +31,7 @@ def law_digits() -> list[float]:
 
 
 def network(inputs: int, outputs: int) -> nn.Sequential:
-    """Two layers of 64, applied to the last axis: players and time are batch to it."""
+    """Two layers of 64, applied to the last axis; players and time are batch dimensions."""
     return nn.Sequential(nn.Linear(inputs, 64), nn.Tanh(), nn.Linear(64, 64), nn.Tanh(), nn.Linear(64, outputs))
 
 

@@ -1,7 +1,7 @@
-"""What the examples of this folder share: the task they play, the digits they must meet, and how they report.
+"""Shared by the examples of this folder: the task, the digits that they must reproduce, and the report.
 
 An episode that starts with ``reset(seed=k)`` is episode k of ``ptne_env.evaluate(..., seed=0, split="train")``. So a
-law that acts through a framework's wrapper must gain the digits that ``evaluate`` says, episode by episode.
+law that acts through a framework's wrapper must gain the digits of ``evaluate``, episode by episode.
 """
 
 import json
@@ -16,7 +16,7 @@ from ptne_env.policy import Policy
 SCENARIO = "random-energy"
 EPISODES = 4
 TASK = {"interface": "local", "action_mode": "gains"}
-"""How policies are trained here: two gains per player in [−1, 1], of which 0 is the paper's law."""
+"""The interface of the trained policies: two gains per player in [−1, 1], where 0 is the paper's law."""
 
 
 def law(layout: ptne_env.ObservationLayout) -> Policy:
@@ -28,7 +28,7 @@ class Acting:
     """A policy for ``ptne_env.evaluate``, from a function of observations (R, size) to actions (R, action size)."""
 
     def __init__(self, act: Callable[[np.ndarray], np.ndarray]) -> None:
-        """What the framework's network does with a batch of observations."""
+        """The function from a batch of observations to actions."""
         self.act = act
 
     def predict(
@@ -38,15 +38,15 @@ class Acting:
         episode_start: np.ndarray | None = None,  # noqa: ARG002 - Stable-Baselines3's signature
         deterministic: bool = False,  # noqa: ARG002, FBT001, FBT002
     ) -> tuple[np.ndarray, object]:
-        """The actions, and the memory as it was."""
+        """The actions, and the memory unchanged."""
         return self.act(observation), state
 
 
 def digits(policy: Policy, interface: Interface = Interface("local", "gains")) -> float:  # noqa: B008 - it is frozen
-    """Mean digits at the deadline, over 20 games that no training has seen; the interface is :data:`TASK`'s."""
-    entry = PolicySpec("policy", policy, interface)
+    """Mean digits at the deadline over 20 games outside of the training; the interface is that of :data:`TASK`."""
+    spec = PolicySpec("policy", policy, interface)
     scenario = ptne_env.get_scenario(SCENARIO)
-    results = ptne_env.evaluate([entry], [scenario], episodes=20, split="validation", against_laws=False)
+    results = ptne_env.evaluate([spec], [scenario], episodes=20, split="validation", against_laws=False)
     return float(results.record(SCENARIO, "policy", "digits")["mean"])
 
 
@@ -58,16 +58,16 @@ def report(gained: Sequence[float], before: float | None = None, after: float | 
             episodes that ``reset(seed=0)``, ``reset(seed=1)``, … started.
         before: :func:`digits` of the untrained policy.
         after: of the trained one.
-        what: was trained, where an example trains several things.
+        what: the trained policy, where an example trains several.
 
     Raises:
-        SystemExit: when the law gained other digits than in ``ptne_env.evaluate``, or training gained none.
+        SystemExit: when the law gained other digits than in ``ptne_env.evaluate``, or the training gained none.
     """
     scenario = ptne_env.get_scenario(SCENARIO)
     results = ptne_env.evaluate(
         [PolicySpec("law", law)], [scenario], episodes=len(gained), split="train", against_laws=False
     )
-    expected = results.cells[0].samples["digits_gained"]
+    expected = results.samples[SCENARIO, "law"]["digits_gained"][0]
     difference = float(np.abs(gained - expected).max())
     if not difference < 1e-4:  # some frameworks have rewards in float32
         raise SystemExit(f"through the wrapper the law gained {gained} digits, in ptne_env.evaluate {expected}")

@@ -1,4 +1,4 @@
-"""A picture of a running episode: estimates, distances and the live graph. Needs matplotlib, imported when drawing."""
+"""Pictures of a running episode: estimates, distances and the live graph."""
 
 from __future__ import annotations
 
@@ -12,32 +12,27 @@ import numpy.typing as npt
 from ptne_env import distances, dynamics
 from ptne_env.arrays import FloatArray
 from ptne_env.dynamics import State
+from ptne_env.style import COLOURS, FAINT, INK, drawing
 from ptne_env.world import World
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-COLOURS = (
-    "#0072b2", "#d55e00", "#009e73", "#c46a9b", "#b58900", "#2f93cf", "#8c6bb1", "#7f7f7f", "#a0522d", "#e7298a",
-)  # fmt: skip
-"""Of players, in turn, here and on pages: distinct for colour-blind readers, contrast 3:1 on white and on black."""
-
 _SIZE, _DPI = (9.6, 5.4), 100
-_LINES = 200
-"""Others' estimates are drawn up to this many lines; beyond, the strategies alone."""
-_NAMES = 10
-"""Players are told apart by legend up to this many."""
-_STYLE: dict[Any, Any] = {
-    "font.size": 11,
-    "axes.titlesize": 11,
-    "axes.edgecolor": "0.3",
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.grid": True,
-    "grid.color": "0.92",
-    "axes.axisbelow": True,
-    "legend.frameon": False,
-}
+_STYLE = {"font.size": 11, "legend.fontsize": 11}
+
+_MOST_LINES = 200
+"""Estimates by other players are drawn up to this many lines; beyond it, the strategies alone."""
+
+_MOST_NAMES = 10
+"""The legend names up to this many players."""
+
+
+def pixels(figure: Figure) -> npt.NDArray[np.uint8]:
+    """A figure of :class:`Renderer` as a picture of its own, (height, width, 3) uint8."""
+    figure.canvas.draw()
+    drawn = np.asarray(figure.canvas.buffer_rgba())  # type: ignore[attr-defined]  # the Agg canvas has it
+    return drawn[:, :, :3].copy()
 
 
 class Renderer:
@@ -46,7 +41,7 @@ class Renderer:
     Args:
         world: the world.
         mode: ``"human"`` shows a window where the display has one, ``"rgb_array"`` returns the picture.
-        title: what the headline begins with; the scenario's name if left out.
+        title: the beginning of the headline; the scenario's name if left out.
     """
 
     def __init__(self, world: World, mode: str, title: str | None = None) -> None:
@@ -61,8 +56,8 @@ class Renderer:
         self._figure: Figure | None = None
         self._artists: _Artists | None = None
 
-    def foresee(self, states: Sequence[State]) -> None:
-        """Give all pictures the axes that these states of an episode need, so that a film of them does not jump."""
+    def fix_axes(self, states: Sequence[State]) -> None:
+        """Give every picture the axes that ``states``, the whole episode, need: in a video the axes stand still."""
         self._game = states[0].game
         self._limits = self._needed(
             np.array([state.estimates[:, :, 0] for state in states]),
@@ -89,20 +84,27 @@ class Renderer:
         Raises:
             ImportError: when matplotlib is missing, naming the extra to install.
         """
-        figure = self._open()
-        from matplotlib import rc_context
-
-        with rc_context(_STYLE):
-            if self._artists is None:
-                self._artists = self._build(figure)
-            self._update(self._artists)
+        with drawing("pictures of episodes", _STYLE):
+            figure = self.update()
             if self.mode == "human":
                 figure.canvas.draw_idle()
                 figure.canvas.flush_events()
                 return None
-            figure.canvas.draw()
-        pixels = np.asarray(figure.canvas.buffer_rgba())  # type: ignore[attr-defined]  # the Agg canvas has it
-        return pixels[:, :, :3].copy()
+            return pixels(figure)
+
+    def update(self) -> Figure:
+        """The figure of the episode so far, for a caller that draws it.
+
+        Raises:
+            ImportError: when matplotlib is missing, naming the extra to install.
+        """
+        with drawing("pictures of episodes", _STYLE):
+            if self._figure is None:
+                self._figure = self._open()
+            if self._artists is None:
+                self._artists = self._build(self._figure)
+            self._update(self._artists)
+        return self._figure
 
     def close(self) -> None:
         """Close the window."""
@@ -113,20 +115,17 @@ class Renderer:
         self._figure = self._artists = None
 
     def _open(self) -> Figure:
-        if self._figure is None:
-            try:
-                from matplotlib import pyplot as plt
-                from matplotlib.backends.backend_agg import FigureCanvasAgg
-                from matplotlib.figure import Figure
-            except ImportError as error:
-                raise ImportError('rendering needs matplotlib: pip install "ptne-env[bench]"') from error
-            if self.mode == "human":
-                plt.ion()
-                self._figure = plt.figure(figsize=_SIZE, dpi=_DPI)
-            else:
-                self._figure = Figure(figsize=_SIZE, dpi=_DPI)
-                FigureCanvasAgg(self._figure)
-        return self._figure
+        if self.mode == "human":
+            from matplotlib import pyplot as plt
+
+            plt.ion()
+            return plt.figure(figsize=_SIZE, dpi=_DPI)
+        from matplotlib.backends.backend_agg import FigureCanvasAgg
+        from matplotlib.figure import Figure
+
+        figure = Figure(figsize=_SIZE, dpi=_DPI)
+        FigureCanvasAgg(figure)
+        return figure
 
     def _needed(self, estimates: FloatArray, far: Sequence[float]) -> tuple[tuple[float, float], tuple[float, float]]:
         """Limits of the two vertical axes: room for estimates and equilibrium, and a decade of distances at least."""
@@ -139,7 +138,7 @@ class Renderer:
         return (float(values.min() - margin), float(values.max() + margin)), (nearest / 1.5, 1.5 * farthest)
 
     def _build(self, figure: Figure) -> _Artists:
-        """Everything that does not change during an episode, and empty lines for what does."""
+        """The parts that do not change during an episode, and empty lines for those that do."""
         figure.clear()
         axes = figure.subplot_mosaic(
             [["estimates", "distance"], ["estimates", "graph"]],
@@ -149,7 +148,7 @@ class Renderer:
         )
         game, clock = self._game, self.world.clock
         own, others = [], []
-        crowded = game.dimension * game.num_players > _LINES
+        crowded = game.dimension * game.num_players > _MOST_LINES
         for component, owner in enumerate(game.owners):
             colour = COLOURS[owner % len(COLOURS)]
             axes["estimates"].axhline(game.nash_equilibria[component, 0], color=colour, linestyle=":", linewidth=1)
@@ -161,16 +160,16 @@ class Renderer:
             own.append(axes["estimates"].plot([], [], marker="o", markevery=[-1], markersize=4, **thick)[0])
         reading = "lines: strategies" if crowded else "thick: strategies, thin: others' estimates"
         axes["estimates"].set_title(f"{reading}, dotted: equilibrium", loc="left")
-        if game.num_players <= _NAMES:
+        if game.num_players <= _MOST_NAMES:
             axes["estimates"].legend(
                 loc="upper left", bbox_to_anchor=(-0.02, -0.11), ncols=5, columnspacing=1.2, handlelength=1.4
             )
-        distance = axes["distance"].semilogy([], [], color="0.2", marker="o", markevery=[-1], markersize=4)[0]
+        distance = axes["distance"].semilogy([], [], color=INK, marker="o", markevery=[-1], markersize=4)[0]
         axes["distance"].set_title("relative distance of the estimates", loc="left")
         axes["distance"].minorticks_off()
         for each in (axes["estimates"], axes["distance"]):
             each.set(xlim=(0, clock.t[-1]), xlabel="time t [s]")
-            each.axvline(clock.deadline, color="0.3", linewidth=1)
+            each.axvline(clock.deadline, color=FAINT, linewidth=1)
             each.annotate(
                 "T", (clock.deadline, 1), (-4, -2), ("data", "axes fraction"), "offset points", ha="right", va="top"
             )
@@ -213,16 +212,14 @@ class Renderer:
         width = min(2.5, 25 / self._game.num_players)
         for link, line in artists.links.items():
             up = link in live
-            line.set(
-                color="0.2" if up else "0.75", linestyle="-" if up else ":", linewidth=width if up else 0.6 * width
-            )
+            line.set(color=INK if up else FAINT, linestyle="-" if up else ":", linewidth=width if up else 0.6 * width)
         reached = f"error {far[-1]:.1e}" if far[-1] > distances.FLOOR else f"error below {distances.FLOOR:.0e}"
         artists.title.set_text(f"{self.title}    t = {times[-1]:.3f} s    {reached}")
 
 
 @dataclass(frozen=True)
 class _Artists:
-    """What changes from picture to picture."""
+    """The parts of the figure that change from picture to picture."""
 
     values_axes: Any
     distance_axes: Any

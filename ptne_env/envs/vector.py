@@ -52,8 +52,8 @@ class VectorParallelEnv:
     Args:
         scenario: a name of the catalogue or a scenario.
         num_envs: B.
-        interface, action_mode, action_scale, own_payoff, reward, max_cycles, **overrides: as those of
-            :func:`ptne_env.parallel_env`.
+        interface, action_mode, action_scale, own_payoff, reward, max_cycles: as in :func:`ptne_env.parallel_env`.
+        **overrides: fields of the scenario to change.
 
     Attributes:
         scenario: the physics.

@@ -1,9 +1,8 @@
 """joblib on a Ray cluster: every task of joblib's is a task of Ray's.
 
-Ray has a backend for joblib itself (``ray.util.joblib``). It keeps a pool of actors, which get tasks in turn and not
-when they are free; it hands over results when all are there; and an actor whose machine dies takes the run with it.
-Tasks go where a core is free, one by one, and Ray runs those of a dead machine again elsewhere. docs/scaling.md
-measures both.
+Ray's own backend for joblib (``ray.util.joblib``) keeps a pool of actors. They get tasks in turn, also when they are
+busy; results come when all tasks are done; and the run ends when the machine of an actor dies. With this backend each
+task goes to a free core, and Ray runs the tasks of a dead machine again elsewhere. docs/scaling.md measures both.
 """
 
 from __future__ import annotations
@@ -19,7 +18,7 @@ try:
     import ray
     from ray import exceptions
 except ImportError as error:
-    raise ImportError('the backend "ray" needs an extra: pip install "ptne-env[ray]"') from error
+    raise ImportError('a Ray cluster needs an extra: pip install "ptne-env[ray]"') from error
 
 RETRIES = 3
 """How often Ray runs a task again whose worker or machine died."""
@@ -40,7 +39,7 @@ class RayTasks(ParallelBackendBase):
         self.submitted: dict[Future[Any], Any] = {}
 
     def configure(self, n_jobs: int = 1, parallel: Any = None, **_: Any) -> int:
-        """Connect, and say how many tasks may be submitted at a time."""
+        """Connect, and return the number of tasks that may be submitted at a time."""
         self.parallel = parallel
         if not ray.is_initialized():
             _require_answer(self.address)
@@ -48,7 +47,7 @@ class RayTasks(ParallelBackendBase):
         return self.effective_n_jobs(n_jobs)
 
     def effective_n_jobs(self, n_jobs: int) -> int:
-        """The number itself; of -1 two per core of the cluster, so that a core that is free finds its next task."""
+        """``n_jobs``; for −1 two per core of the cluster, so that a free core has its next task."""
         return n_jobs if n_jobs > 0 else max(2, 2 * int(ray.cluster_resources().get("CPU", 1)))
 
     def submit(self, func: Callable[[], Any], callback: Callable[[Future[Any]], None]) -> Future[Any]:
@@ -61,7 +60,7 @@ class RayTasks(ParallelBackendBase):
         return future
 
     def retrieve_result_callback(self, out: Future[Any]) -> Any:
-        """What a task returned; what it raised is raised."""
+        """The result of a task; its error is raised."""
         try:
             return out.result()
         except exceptions.RayTaskError as error:
@@ -72,18 +71,18 @@ class RayTasks(ParallelBackendBase):
             ) from error
 
     def abort_everything(self, ensure_ready: bool = True) -> None:  # noqa: ARG002, FBT001, FBT002 - joblib's signature
-        """Give up what has not been returned."""
+        """Cancel the unfinished tasks."""
         for reference in tuple(self.submitted.values()):
             ray.cancel(reference)
 
 
 def _require_answer(address: str | None) -> None:
-    """Fail at once where nothing listens: Ray itself goes on trying for minutes."""
-    host, _, encoder = (address or "").removeprefix("ray://").rpartition(":")
-    if not (host and encoder.isdigit()):
+    """Fail at once where nothing listens, where Ray itself would try for minutes."""
+    host, _, port = (address or "").removeprefix("ray://").rpartition(":")
+    if not (host and port.isdigit()):
         return
     try:
-        socket.create_connection((host, int(encoder)), timeout=10).close()
+        socket.create_connection((host, int(port)), timeout=10).close()
     except OSError as error:
         raise ConnectionError(f"no Ray cluster answers at {address}: {error}") from error
 

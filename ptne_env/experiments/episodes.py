@@ -1,15 +1,13 @@
-"""The draws that every policy meets: they depend on the scenario and the seed, and never on a policy."""
+"""Episode sets: the seeded initial states that every policy is run from. They never depend on a policy."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from dataclasses import dataclass
 from hashlib import sha256
 from typing import Literal, TypeAlias, get_args
 
-from ptne_env import dynamics
 from ptne_env.arrays import require_count
-from ptne_env.dynamics import State
-from ptne_env.games import require_strong_monotonicity
+from ptne_env.dynamics import State, draw_initial_state
 from ptne_env.random_streams import RandomStreams
 from ptne_env.world import World
 
@@ -23,10 +21,10 @@ _POOL = 4
 
 
 def episode_seed(seed: int, episode: int, split: Split = "test") -> int:
-    """The seed of one episode; ``env.reset(seed=episode_seed(S, k))`` starts where episode k of an evaluation does.
+    """The seed of one episode; ``env.reset(seed=episode_seed(S, k))`` starts where episode k of a comparison does.
 
-    Splits share no seed, and the small seeds that people choose by hand belong to ``"train"``: what a policy was
-    trained on is not what it is tested on.
+    Splits share no seed, and the small seeds that people choose by hand belong to ``"train"``. So policies are tested
+    on other episodes than those they were trained on.
 
     Raises:
         ValueError: when the split is unknown, or a number is negative or not below 2^32.
@@ -41,7 +39,7 @@ def track_seed(suite: str, track: str, split: Split, seed: int, episode: int) ->
     It is the number whose ``SeedSequence`` is ``SeedSequence([seed, episode], spawn_key=(a, b, c))``, where a, b and c
     are the first four bytes, the highest first, of the SHA-256 of the names of suite, track and split: numpy lays out
     entropy and spawn key as words of 32 bits, [seed, episode, 0, 0, a, b, c], and a number by its words, the lowest
-    first. So whatever takes a seed can replay the episode.
+    first. So anything that takes a seed can replay the episode.
 
     Raises:
         ValueError: as :func:`episode_seed`.
@@ -59,23 +57,41 @@ def _require(split: str, seed: int, episode: int) -> None:
             raise ValueError(f"a {name} is below 2^{_WORD}, got {value}")
 
 
-def draw_start(world: World, episodes: int, seed: int, split: Split = "test") -> State:
-    """The initial state of all episodes, games and estimates drawn.
+@dataclass(frozen=True)
+class EpisodeSet:
+    """A number of seeded episodes.
+
+    Attributes:
+        count: number of episodes.
+        seed: of the set.
+        split: ``"test"``, ``"validation"`` or ``"train"``, which share no episode.
+        track: names of the suite and the track that the seeds depend on (:func:`track_seed`); ``None`` where the seeds
+            are the same in every scenario (:func:`episode_seed`).
 
     Raises:
-        ValueError: when a drawn game is not strongly monotone.
+        ValueError: when the split is unknown or a number is out of range.
     """
-    return start_from(world, (episode_seed(seed, episode, split) for episode in range(episodes)))
 
+    count: int
+    seed: int = 0
+    split: Split = "test"
+    track: tuple[str, str] | None = None
 
-def start_from(world: World, seeds: Iterable[int]) -> State:
-    """The initial state of one episode per seed.
+    def __post_init__(self) -> None:
+        require_count("episodes", self.count, 1)
+        _require(self.split, self.seed, self.count - 1)
 
-    Raises:
-        ValueError: when a drawn game is not strongly monotone.
-    """
-    sources = [RandomStreams.from_seed(seed) for seed in seeds]
-    game = world.draw_game(sources)
-    if world.has_random_game:
-        require_strong_monotonicity(game)
-    return dynamics.initial_state(world, world.draw_estimates(sources), game, world.draw_randomness(sources))
+    def episode_seed(self, episode: int) -> int:
+        """The seed with which an environment of the scenario replays an episode: ``env.reset(seed=...)``."""
+        if self.track is None:
+            return episode_seed(self.seed, episode, self.split)
+        return track_seed(*self.track, self.split, self.seed, episode)
+
+    def initial_state(self, world: World) -> State:
+        """The initial state of all episodes, with games, estimates and randomness drawn.
+
+        Raises:
+            ValueError: when a drawn game is not strongly monotone.
+        """
+        streams = [RandomStreams.from_seed(self.episode_seed(episode)) for episode in range(self.count)]
+        return draw_initial_state(world, streams)

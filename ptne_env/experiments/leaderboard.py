@@ -1,17 +1,16 @@
-"""What a suite has shown: per track and overall, scores, ranks and comparisons with their intervals."""
+"""Leaderboards of suites: per track and overall, scores, ranks and comparisons with their intervals."""
 
 from __future__ import annotations
 
-import json
-from dataclasses import asdict, dataclass
-from typing import Any
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import TypeAlias
 
 import numpy as np
 
 from ptne_env import distances
 from ptne_env.arrays import FloatArray
-from ptne_env.experiments.benchmark import RESULTS_FORMAT, TIMINGS, Run, versions
-from ptne_env.experiments.metrics import SUITE_METRICS
+from ptne_env.experiments.policy_specs import PolicySpec
 from ptne_env.experiments.statistics import (
     Summary,
     estimate,
@@ -19,63 +18,60 @@ from ptne_env.experiments.statistics import (
     mean,
     performance_profile,
     probability_of_improvement,
-    summarise,
     unpaired_probability_of_improvement,
 )
-from ptne_env.experiments.suite import LAW, NULL, SATURATION_MARGIN, Track, content_hash
-from ptne_env.world import World
+from ptne_env.experiments.suite import LAW, SATURATION_MARGIN, ZERO, Track
 
 SMALLEST_GAIN = 0.1
-"""Digits that the law must gain over doing nothing for a track's scores to be normalised by them."""
+"""Digits that the law must gain over zero input for a track's scores to be normalised by them."""
 
 ERRORS = tuple(10.0**-digits for digits in range(1, 13))
-"""ε at which the deadline success P(error ≤ ε) is told."""
+"""ε for which the deadline success P(error ≤ ε) is given."""
 
 THRESHOLDS = tuple(round(0.25 * step, 2) for step in range(21))
-"""Normalised scores at which performance profiles are told."""
+"""Normalised scores for which performance profiles are given."""
 
 _MOST_DIGITS = float(distances.digits(np.array(0.0)))
+
+_ByTrack: TypeAlias = Mapping[tuple[str, str], FloatArray]
+"""By track and policy, shape (training seeds, episodes)."""
 
 
 @dataclass(frozen=True)
 class TrackRow:
-    """One policy on one track.
+    """One policy on one track that it can act on.
 
     Attributes:
         track: name.
         policy: name.
-        not_applicable: why it cannot act there; ``None``, and all that follows is there, where it can.
-        rank: 1 is best; oracles and those that cannot act have none.
-        score: 0 is doing nothing, 1 the paper's law; ``None`` where the law does not gain a tenth of a digit.
+        rank: 1 is best; ``None`` for oracles.
+        score: 0 is zero input, 1 the paper's law; ``None`` where the law does not gain a tenth of a digit.
         improvement: probability of improvement over the paper's law, paired by episode.
         unpaired_improvement: the same over any two episodes.
-        metrics: mean and interval by name of :data:`~ptne_env.experiments.metrics.SUITE_METRICS`, timings apart.
-        fine_time: mean time to 1e-6 in seconds, an episode that never gets there counting as its whole length.
+        fine_time: mean time to 1e-6 in seconds; an episode that never settles counts as its whole length.
         success: P(error ≤ ε) of the estimates at the deadline, for each of :data:`ERRORS`.
     """
 
     track: str
     policy: str
-    not_applicable: str | None = None
-    rank: int | None = None
-    score: Summary | None = None
-    improvement: Summary | None = None
-    unpaired_improvement: float | None = None
-    metrics: dict[str, Summary] | None = None
-    fine_time: float | None = None
-    success: tuple[float, ...] | None = None
+    rank: int | None
+    score: Summary | None
+    improvement: Summary
+    unpaired_improvement: float
+    fine_time: float
+    success: tuple[float, ...]
 
 
 @dataclass(frozen=True)
 class OverallRow:
-    """One policy over the tracks that all can play.
+    """One policy over the common tracks.
 
     Attributes:
         policy: name.
         score: interquartile mean of the normalised scores.
         improvement: probability of improvement over the paper's law, paired by episode, mean over tracks.
         unpaired_improvement: the same over any two episodes.
-        mean_rank: over the tracks; oracles have none.
+        mean_rank: over the tracks; ``None`` for oracles.
         profile: share of normalised scores above each of :data:`THRESHOLDS`.
     """
 
@@ -89,191 +85,121 @@ class OverallRow:
 
 @dataclass(frozen=True)
 class Leaderboard:
-    """The results of a suite.
+    """Scores and ranks of the policies of a suite.
 
     Attributes:
-        run: what was run.
-        rows: one per track and policy, in the order of the run.
-        saturated: names of the tracks where the best policies all stand at the floor, ranked by time to 1e-6.
-        common: names of the tracks that overall scores are taken over: those that all policies can play, short of the
-            policies that cannot play half of them.
-        overall: one per policy that enters overall scores, the best first.
+        rows: one per track and policy that can act there, in the order of the run.
+        saturated: names of the tracks on which several policies reach the floor; those are ranked by time to 1e-6.
+        common: names of the tracks of the overall scores: those that all policies can act on, leaving out the policies
+            that cannot act on half of them.
+        overall: one row per policy with an overall score, the best first.
+        errors: :data:`ERRORS`.
+        thresholds: :data:`THRESHOLDS`.
     """
 
-    run: Run
     rows: tuple[TrackRow, ...]
     saturated: tuple[str, ...]
     common: tuple[str, ...]
     overall: tuple[OverallRow, ...]
+    errors: tuple[float, ...] = ERRORS
+    thresholds: tuple[float, ...] = THRESHOLDS
 
-    def row(self, track: str, policy: str) -> TrackRow:
-        """The row of one policy on one track.
-
-        Raises:
-            KeyError: when there is none.
-        """
-        for row in self.rows:
-            if (row.track, row.policy) == (track, policy):
-                return row
-        raise KeyError(f"no row of policy {policy!r} on track {track!r}")
-
-    def to_dict(self) -> dict[str, Any]:
-        """All that is needed to read the results and to repeat them, as a JSON object; timings in one place.
-
-        ``format`` is the version of what the entries mean, ``checksum`` the hash of all but itself and the timings.
-        """
-        run = self.run
-        content = {
-            "format": RESULTS_FORMAT,
-            "suite": {"target": run.target, "content_hash": run.suite.content_hash, **run.suite.content()},
-            "seed": run.seed,
-            "split": run.split,
-            "episodes": run.episodes,
-            "versions": versions(),
-            "participants": [participant.to_dict() for participant in run.participants.values()],
-            "errors": list(ERRORS),
-            "thresholds": list(THRESHOLDS),
-            "tracks": [asdict(row) for row in self.rows],
-            "saturated_tracks": list(self.saturated),
-            "common_tracks": list(self.common),
-            "overall": [asdict(row) for row in self.overall],
-            "cells": [
-                {"track": cell.track.name, "participant": cell.participant, "run": cell.run, "cell": cell.key}
-                for cell in run.cells
-            ],
-        }
-        timings = {cell.key: measured.timings for cell, measured in zip(run.cells, run.measured, strict=True)}
-        return {**content, "checksum": content_hash(content), "timings": timings}
-
-    def to_json(self) -> str:
-        """:meth:`to_dict` as a JSON text without NaN or Infinity."""
-        return json.dumps(self.to_dict(), indent=2, allow_nan=False, ensure_ascii=False)
+    def row(self, track: str, policy: str) -> TrackRow | None:
+        """The row of one policy on one track; ``None`` where the policy cannot act."""
+        return next((row for row in self.rows if (row.track, row.policy) == (track, policy)), None)
 
 
-def leaderboard(run: Run) -> Leaderboard:
-    """Summarise a run: scores, ranks and comparisons."""
-    names = list(run.participants)
-    samples = {(track.name, name): _stacked(run, track, name) for track in run.tracks for name in names}
-    raw = {
-        (track.name, name): found[track.metric]
-        for track in run.tracks
-        for name in names
-        if (found := samples[track.name, name])
-    }
-    scores: dict[tuple[str, str], FloatArray] = {}
-    for track in run.tracks:
-        null, law = (float(raw[track.name, anchor].mean()) for anchor in (NULL, LAW))
-        if law - null >= SMALLEST_GAIN:
-            for name in names:
-                if (track.name, name) in raw:
-                    scores[track.name, name] = (raw[track.name, name] - null) / (law - null)
-    ranks, saturated = _ranks(run, samples)
-    rows = tuple(_row(run, track, name, samples, scores, ranks) for track in run.tracks for name in names)
-    scored = [track.name for track in run.tracks if (track.name, LAW) in scores]
-    broad = [name for name in names if 2 * sum((track, name) in scores for track in scored) >= len(scored)]
+def leaderboard(
+    tracks: Sequence[Track],
+    policies: Mapping[str, PolicySpec],
+    samples: Mapping[tuple[str, str], Mapping[str, FloatArray]],
+) -> Leaderboard:
+    """Scores, ranks and comparisons.
+
+    Args:
+        tracks: that were run.
+        policies: by name, the reference policies among them.
+        samples: by (track, policy) and metric, shape (training seeds, episodes); nothing where a policy cannot act.
+    """
+    raw, fine_times = {}, {}
+    for track in tracks:
+        whole = float(track.world.clock.t[-1])
+        for name in policies:
+            if (track.name, name) in samples:
+                found = samples[track.name, name]
+                times = found["settling_time_1e_6"]
+                raw[track.name, name] = found[track.metric]
+                fine_times[track.name, name] = np.where(np.isfinite(times), times, whole)
+    scores = _scores(tracks, policies, raw)
+    ranks, saturated = _ranks(tracks, policies, raw, fine_times)
+    rows = tuple(
+        TrackRow(
+            *place,
+            rank=ranks.get(place),
+            score=estimate(mean, [scores[place]]) if place in scores else None,
+            improvement=estimate(probability_of_improvement, [digits], [raw[place[0], LAW]]).within(0, 1),
+            unpaired_improvement=unpaired_probability_of_improvement([digits], [raw[place[0], LAW]]),
+            fine_time=float(fine_times[place].mean()),
+            success=tuple(float((samples[place]["estimate_distance"] <= error).mean()) for error in ERRORS),
+        )
+        for place, digits in raw.items()
+    )
+    scored = [track.name for track in tracks if (track.name, LAW) in scores]
+    broad = [name for name in policies if 2 * sum((track, name) in scores for track in scored) >= len(scored)]
     common = tuple(track for track in scored if all((track, name) in scores for name in broad))
-    overall = [_overall(run, name, common, scores, ranks) for name in broad] if common else []
+    overall = [_overall(name, policies[name], common, scores, ranks) for name in broad] if common else []
     overall.sort(key=lambda row: -(row.score.mean or 0.0))
-    return Leaderboard(run, rows, saturated, common, tuple(overall))
+    return Leaderboard(rows, saturated, common, tuple(overall))
 
 
-def _stacked(run: Run, track: Track, name: str) -> dict[str, FloatArray]:
-    """Every metric of a policy on a track, (training seeds, episodes); empty where it cannot act."""
-    found = run.of(track.name, name)
-    if any(measured.reason is not None for measured in found):
-        return {}
-    return {metric: np.stack([measured.samples[metric] for measured in found]) for metric in found[0].samples}
-
-
-def _fine_time(track: Track, samples: dict[str, FloatArray]) -> FloatArray:
-    whole = float(World(track.scenario).clock.t[-1])
-    times = samples["settling_time_1e_6"]
-    return np.where(np.isfinite(times), times, whole)
+def _scores(
+    tracks: Sequence[Track], policies: Mapping[str, PolicySpec], raw: _ByTrack
+) -> dict[tuple[str, str], FloatArray]:
+    """Normalised scores on the tracks on which the law gains enough."""
+    scores = {}
+    for track in tracks:
+        zero, law = (float(raw[track.name, reference].mean()) for reference in (ZERO, LAW))
+        if law - zero >= SMALLEST_GAIN:
+            for name in policies:
+                if (track.name, name) in raw:
+                    scores[track.name, name] = (raw[track.name, name] - zero) / (law - zero)
+    return scores
 
 
 def _ranks(
-    run: Run, samples: dict[tuple[str, str], dict[str, FloatArray]]
+    tracks: Sequence[Track], policies: Mapping[str, PolicySpec], raw: _ByTrack, fine_times: _ByTrack
 ) -> tuple[dict[tuple[str, str], int], tuple[str, ...]]:
-    """Ranks by track and policy, and the tracks that are saturated."""
+    """Ranks by track and policy, and the names of the tracks that are saturated."""
     ranks, saturated = {}, []
-    for track in run.tracks:
-        entrants = {
-            name: found
-            for name, participant in run.participants.items()
-            if not participant.is_oracle and (found := samples[track.name, name])
+    for track in tracks:
+        ranked = [name for name, policy in policies.items() if not policy.is_oracle and (track.name, name) in raw]
+        at_floor = {
+            name for name in ranked if interquartile_mean([raw[track.name, name]]) >= _MOST_DIGITS - SATURATION_MARGIN
         }
-        at_floor = [
-            name
-            for name, found in entrants.items()
-            if interquartile_mean([found[track.metric]]) >= _MOST_DIGITS - SATURATION_MARGIN
-        ]
         if len(at_floor) > 1:
             saturated.append(track.name)
         keys = {
             name: (
-                # Those at the floor, whom digits do not tell apart, go first and by time.
-                float(_fine_time(track, found).mean()) if len(at_floor) > 1 and name in at_floor else float("inf"),
-                -float(found[track.metric].mean()),
+                # The policies at the floor, which digits do not separate, come first and are ranked by time.
+                float(fine_times[track.name, name].mean()) if len(at_floor) > 1 and name in at_floor else float("inf"),
+                -float(raw[track.name, name].mean()),
             )
-            for name, found in entrants.items()
+            for name in ranked
         }
         for name, key in keys.items():
             ranks[track.name, name] = 1 + sum(other < key for other in keys.values())
     return ranks, tuple(saturated)
 
 
-def _row(
-    run: Run,
-    track: Track,
-    name: str,
-    samples: dict[tuple[str, str], dict[str, FloatArray]],
-    scores: dict[tuple[str, str], FloatArray],
-    ranks: dict[tuple[str, str], int],
-) -> TrackRow:
-    found = samples[track.name, name]
-    if not found:
-        reasons = [measured.reason for measured in run.of(track.name, name) if measured.reason is not None]
-        return TrackRow(track.name, name, not_applicable=reasons[0])
-    law = samples[track.name, LAW][track.metric]
-    score = scores.get((track.name, name))
-    errors = found["estimate_distance"]
-    return TrackRow(
-        track.name,
-        name,
-        rank=ranks.get((track.name, name)),
-        score=None if score is None else estimate(mean, [score]),
-        improvement=estimate(probability_of_improvement, [found[track.metric]], [law]).within(0, 1),
-        unpaired_improvement=unpaired_probability_of_improvement([found[track.metric]], [law]),
-        metrics=_summaries(found),
-        fine_time=float(_fine_time(track, found).mean()),
-        success=tuple(float((errors <= error).mean()) for error in ERRORS),
-    )
-
-
-def _summaries(found: dict[str, FloatArray]) -> dict[str, Summary]:
-    """Mean and interval of every metric; over all training seeds, where there are several."""
-    flat = summarise(np.array([values.ravel() for values in found.values()]))
-    summaries = dict(zip(found, flat, strict=True))
-    for metric, values in found.items():
-        if len(values) > 1 and np.isfinite(values).all():
-            summaries[metric] = estimate(mean, [values])
-    return {metric: summaries[metric] for metric in SUITE_METRICS if metric not in TIMINGS}
-
-
 def _overall(
-    run: Run,
-    name: str,
-    common: tuple[str, ...],
-    scores: dict[tuple[str, str], FloatArray],
-    ranks: dict[tuple[str, str], int],
+    name: str, policy: PolicySpec, common: tuple[str, ...], scores: _ByTrack, ranks: Mapping[tuple[str, str], int]
 ) -> OverallRow:
-    mine, law = ([scores[track, one] for track in common] for one in (name, LAW))
-    oracle = run.participants[name].is_oracle
+    own, law = ([scores[track, policy_name] for track in common] for policy_name in (name, LAW))
     return OverallRow(
         name,
-        score=estimate(interquartile_mean, mine),
-        improvement=estimate(probability_of_improvement, mine, law).within(0, 1),
-        unpaired_improvement=unpaired_probability_of_improvement(mine, law),
-        mean_rank=None if oracle else float(np.mean([ranks[track, name] for track in common])),
-        profile=tuple(map(float, performance_profile(mine, np.array(THRESHOLDS)))),
+        score=estimate(interquartile_mean, own),
+        improvement=estimate(probability_of_improvement, own, law).within(0, 1),
+        unpaired_improvement=unpaired_probability_of_improvement(own, law),
+        mean_rank=None if policy.is_oracle else float(np.mean([ranks[track, name] for track in common])),
+        profile=tuple(map(float, performance_profile(own, np.array(THRESHOLDS)))),
     )

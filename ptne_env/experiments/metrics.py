@@ -1,94 +1,89 @@
-"""What is measured of a rollout, one number per episode."""
+"""Metrics: each declared once, with its name, meaning, unit, direction, and how it follows from a rollout.
+
+Tables, CSV files, pages, ``ptne list`` and docs read :data:`METRICS`. :func:`register` adds a metric.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Literal, TypeAlias
 
 import numpy as np
 
 from ptne_env import distances
-from ptne_env.arrays import FloatArray
+from ptne_env.arrays import FloatArray, ordered_sum
 from ptne_env.experiments.rollout import Rollout
 
 FINE_DISTANCE = 1e-6
-"""A run has settled finely within this relative distance."""
+"""The relative distance of fine settling."""
 
-METRICS: Mapping[str, str] = {
-    "digits": "−log10 of the estimate distance at the deadline, at most 12",
-    "strategy_distance": "‖x − x*‖/‖x*‖ at the deadline (the paper's plots)",
-    "estimate_distance": "‖𝐱 − 1⊗x*‖/(√N ‖x*‖) at the deadline (what the theorems claim)",
-    "consensus_error": "‖𝐱 − 1⊗x̄‖/(√N ‖x*‖) at the deadline",
-    "settling_time": "first instant after which the strategy distance stays within 0.5 %, in seconds",
-    "settled_share": "share of episodes that settled by the end",
-    "settling_time_1e_6": "first instant after which the strategy distance stays within 1e-6, in seconds",
-    "settled_share_1e_6": "share of episodes that settled to 1e-6 by the end",
-    "digits_after_hold": "−log10 of the estimate distance after the hold phase, at most 12",
-    "digits_gained": "mean over players of the summed digits reward, to the end of the episode",
-    "input_energy": "Σ Δt ‖u‖² to the deadline",
-    "velocity_energy": "Σ Θ² ‖u‖²/Δt to the deadline",
-    "peak_input": "largest |u| to the deadline",
-    "peak_velocity": "largest Θ|u|/Δt to the deadline, per second",
-    "saturated_share": "share of input components at the input limit",
-    "diverged_share": "share of episodes that left the range",
-    "microseconds_per_decision": "microseconds of the policy per player and step, all episodes in one batch",
-}
-"""Every metric's name and meaning, in the order of tables."""
+NUMBER_BITS = 32
+"""Bits of a number in a message: estimates are sent as float32."""
 
-COMPARATIVE_METRICS: Mapping[str, str] = {
-    "worst_decile_digits": "mean digits of the worst tenth of the episodes",
-    "digits_over_paper_laws": "digits beyond the best of the paper's laws, paired by episode",
-    "probability_of_beating_paper_laws": "share of episodes with more digits than that law; a tie counts half",
-    "digits_over_all_laws": "digits beyond the best of all laws, paired by episode",
-    "probability_of_beating_all_laws": "share of episodes with more digits than that law; a tie counts half",
-}
-"""What is recorded besides :data:`METRICS`: the worst decile of everybody, the rest of learned policies only."""
+CVAR_SHARE = 0.1
+"""The share of the worst episodes over which the conditional value at risk (CVaR) is the mean."""
 
-SUITE_METRICS: Mapping[str, str] = {
-    **METRICS,
-    "regret": "Nikaido–Isoda regret Σ_i [J_i(x) − min over y of J_i(y, x_{-i})] at the deadline",
-    "log_error_area": "mean of log10 of the estimate distance over [0, T]",
-    "messages": "estimates sent over live links until the deadline",
-    "bits": "in these messages",
-}
-"""What suites measure of every episode."""
+Block: TypeAlias = Literal["How close", "At what cost", "Against tuned laws"]
+"""The tables in which metrics stand."""
 
 
-def measure_for_suite(rollout: Rollout) -> dict[str, FloatArray]:
-    """:data:`SUITE_METRICS` of every episode, each of shape (B,); NaN where there is none."""
-    return {
-        **measure(rollout),
-        "regret": rollout.regret,
-        "log_error_area": rollout.log_error_area,
-        "messages": rollout.messages,
-        "bits": rollout.bits,
-    }
+@dataclass(frozen=True)
+class Metric:
+    """A number per episode, or a statistic of such numbers.
+
+    Attributes:
+        name: key of records, CSV and JSON files.
+        heading: of a column.
+        meaning: in one sentence or phrase.
+        direction: of better values; ``None`` where neither is better.
+        block: the table in which it stands.
+        value: of a rollout, shape (B,), NaN in an episode without a value; ``None`` where it follows from others.
+        unit: empty for a pure number.
+        source: the metric whose episodes it summarises; its own where left out.
+        statistic: over episodes: the mean, or the mean of the worst tenth ("cvar").
+        is_timing: whether it is a measured time, which another run does not repeat; such metrics are kept apart.
+    """
+
+    name: str
+    heading: str
+    meaning: str
+    direction: Literal["higher", "lower"] | None = None
+    block: Block = "How close"
+    value: Callable[[Rollout], FloatArray] | None = None
+    unit: str = ""
+    source: str = ""
+    statistic: Literal["mean", "cvar"] = "mean"
+    is_timing: bool = False
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "source", self.source or self.name)
+
+    @property
+    def label(self) -> str:
+        """The heading with the unit, such as ``"settling time [s]"``."""
+        return f"{self.heading} [{self.unit}]" if self.unit else self.heading
+
+
+METRICS: dict[str, Metric] = {}
+"""All metrics by name, in the order of tables."""
+
+
+def register(metric: Metric) -> Metric:
+    """Add a metric to :data:`METRICS`; with several processes, in a module that the workers import too.
+
+    Raises:
+        ValueError: when the name is taken.
+    """
+    if metric.name in METRICS:
+        raise ValueError(f"there is a metric {metric.name!r} already: choose another name")
+    METRICS[metric.name] = metric
+    return metric
 
 
 def measure(rollout: Rollout) -> dict[str, FloatArray]:
-    """Every metric of every episode, each of shape (B,); NaN where there is none (a run that never settled)."""
-    deadline, batch = rollout.deadline_step, rollout.diverged.shape
-    has_hold = len(rollout.times) > deadline + 1
-    settling = settling_time(rollout.times, rollout.strategy_distance)
-    fine = settling_time(rollout.times, rollout.strategy_distance, FINE_DISTANCE)
-    return {
-        "digits": distances.digits(rollout.estimate_distance[deadline]),
-        "strategy_distance": rollout.strategy_distance[deadline],
-        "estimate_distance": rollout.estimate_distance[deadline],
-        "consensus_error": rollout.consensus_error,
-        "settling_time": settling,
-        "settled_share": np.isfinite(settling).astype(np.float64),
-        "settling_time_1e_6": fine,
-        "settled_share_1e_6": np.isfinite(fine).astype(np.float64),
-        "digits_after_hold": distances.digits(rollout.estimate_distance[-1]) if has_hold else np.full(batch, np.nan),
-        "digits_gained": rollout.digits_gained,
-        "input_energy": rollout.input_energy,
-        "velocity_energy": rollout.velocity_energy,
-        "peak_input": rollout.peak_input,
-        "peak_velocity": rollout.peak_velocity,
-        "saturated_share": rollout.saturated_share,
-        "diverged_share": rollout.diverged.astype(np.float64),
-        "microseconds_per_decision": np.full(batch, 1e6 * rollout.seconds_per_decision),
-    }
+    """Every metric that follows from a rollout, by name, one value per episode: shape (B,)."""
+    return {metric.name: metric.value(rollout) for metric in METRICS.values() if metric.value is not None}
 
 
 def settling_time(
@@ -108,3 +103,121 @@ def settling_time(
     last_outside = np.where(outside.any(axis=0), len(times) - 1 - outside[::-1].argmax(axis=0), -1)
     settled = last_outside < len(times) - 1
     return np.where(settled, times[np.minimum(last_outside + 1, len(times) - 1)], np.nan)
+
+
+def _settling(rollout: Rollout, threshold: float) -> FloatArray:
+    return settling_time(rollout.world.clock.t, rollout["strategy_distance"], threshold)
+
+
+def _settled(rollout: Rollout, threshold: float) -> FloatArray:
+    return np.isfinite(_settling(rollout, threshold)).astype(np.float64)
+
+
+def _at_deadline(rollout: Rollout, series: str) -> FloatArray:
+    return rollout[series][rollout.world.clock.steps]
+
+
+def _digits_after_hold(rollout: Rollout) -> FloatArray:
+    if not rollout.world.clock.hold_steps:
+        return np.full(rollout.diverged.shape, np.nan)
+    return distances.digits(rollout["estimate_distance"][-1])
+
+
+def _log_error_area(rollout: Rollout) -> FloatArray:
+    clock = rollout.world.clock
+    to_deadline = slice(clock.steps + 1)
+    log_errors = -distances.digits(rollout["estimate_distance"][to_deadline])
+    widths = np.diff(clock.t[to_deadline])[:, None]
+    area = ordered_sum(widths * (log_errors[1:] + log_errors[:-1]) / 2)  # the trapezoidal rule
+    return area / clock.deadline
+
+
+def _saturated_share(rollout: Rollout) -> FloatArray:
+    return ordered_sum(rollout["saturated"]) / np.maximum(ordered_sum(rollout["components"]), 1)
+
+
+def _bits(rollout: Rollout) -> FloatArray:
+    return ordered_sum(rollout["messages"]) * rollout.world.game.dimension * NUMBER_BITS
+
+
+def _microseconds(rollout: Rollout) -> FloatArray:
+    return np.full(rollout.diverged.shape, 1e6 * rollout.seconds_per_decision)
+
+
+# fmt: off
+for _metric in (
+    Metric("digits", "digits", "−log10 of the estimate distance at the deadline, at most 12", "higher",
+           value=lambda rollout: distances.digits(_at_deadline(rollout, "estimate_distance"))),
+    Metric("digits_cvar", "CVaR (10 %)", "mean digits of the worst tenth of the episodes (conditional value at risk)",
+           "higher", source="digits", statistic="cvar"),
+    Metric("strategy_distance", "strategy distance", "‖x − x*‖/‖x*‖ at the deadline (the paper's plots)", "lower",
+           value=lambda rollout: _at_deadline(rollout, "strategy_distance")),
+    Metric("estimate_distance", "estimate distance",
+           "‖𝐱 − 1⊗x*‖/(√N ‖x*‖) at the deadline (what the theorems claim)", "lower",
+           value=lambda rollout: _at_deadline(rollout, "estimate_distance")),
+    Metric("consensus_error", "consensus error", "‖𝐱 − 1⊗x̄‖/(√N ‖x*‖) at the deadline", "lower",
+           value=lambda rollout: rollout["consensus_error"][0]),
+    Metric("regret", "regret",
+           "Nikaido–Isoda regret Σ_i [J_i(x) − min over y of J_i(y, x_{-i})] at the deadline", "lower",
+           value=lambda rollout: rollout["regret"][0]),
+    Metric("settling_time", "settling time",
+           "first instant after which the strategy distance stays within 0.5 %, in seconds", "lower", unit="s",
+           value=lambda rollout: _settling(rollout, distances.SUCCESS_DISTANCE)),
+    Metric("settled_share", "settled share", "share of episodes that settled by the end", "higher",
+           value=lambda rollout: _settled(rollout, distances.SUCCESS_DISTANCE)),
+    Metric("settling_time_1e_6", "settling to 1e-6",
+           "first instant after which the strategy distance stays within 1e-6, in seconds", "lower", unit="s",
+           value=lambda rollout: _settling(rollout, FINE_DISTANCE)),
+    Metric("settled_share_1e_6", "settled to 1e-6", "share of episodes that settled to 1e-6 by the end", "higher",
+           value=lambda rollout: _settled(rollout, FINE_DISTANCE)),
+    Metric("digits_after_hold", "digits after hold", "−log10 of the estimate distance after the hold phase, at most 12",
+           "higher", value=_digits_after_hold),
+    Metric("digits_gained", "digits gained",
+           "mean over players of the summed digits reward, to the end of the episode", "higher",
+           value=lambda rollout: rollout["mean_digits"][1] - rollout["mean_digits"][0]),
+    Metric("log_error_area", "mean log10 error", "mean of log10 of the estimate distance over [0, T]", "lower",
+           value=_log_error_area),
+    Metric("input_energy", "input energy", "Σ Δt ‖u‖² to the deadline", "lower", "At what cost",
+           lambda rollout: ordered_sum(rollout["input_energy"])),
+    Metric("velocity_energy", "velocity energy", "Σ Θ² ‖u‖²/Δt to the deadline", "lower", "At what cost",
+           lambda rollout: ordered_sum(rollout["velocity_energy"])),
+    Metric("peak_input", "peak |u|", "largest |u| to the deadline", "lower", "At what cost",
+           lambda rollout: rollout["peak_input"].max(axis=0)),
+    Metric("peak_velocity", "peak velocity", "largest Θ|u|/Δt to the deadline, per second", "lower", "At what cost",
+           lambda rollout: rollout["peak_velocity"].max(axis=0), unit="1/s"),
+    Metric("saturated_share", "saturated share", "share of input components at the input limit", "lower",
+           "At what cost", _saturated_share),
+    Metric("diverged_share", "diverged share", "share of episodes that left the range", "lower", "At what cost",
+           lambda rollout: rollout.diverged.astype(np.float64)),
+    Metric("messages", "messages", "estimates sent over live links until the deadline", "lower", "At what cost",
+           lambda rollout: ordered_sum(rollout["messages"])),
+    Metric("bits", "bits", f"bits in these messages, {NUMBER_BITS} per number", "lower", "At what cost", _bits),
+    Metric("microseconds_per_decision", "µs per decision",
+           "microseconds of the policy per player and step, all episodes in one batch", "lower", "At what cost",
+           _microseconds, is_timing=True),
+    Metric("digits_over_paper_laws", "digits over the best paper law",
+           "digits beyond the best of the paper's laws, paired by episode", "higher", "Against tuned laws"),
+    Metric("probability_of_beating_paper_laws", "P(beats the best paper law)",
+           "share of episodes with more digits than that law; a tie counts half", "higher", "Against tuned laws"),
+    Metric("digits_over_all_laws", "digits over the best law", "digits beyond the best of all laws, paired by episode",
+           "higher", "Against tuned laws"),
+    Metric("probability_of_beating_all_laws", "P(beats the best law)",
+           "share of episodes with more digits than that law; a tie counts half", "higher", "Against tuned laws"),
+):
+    register(_metric)
+# fmt: on
+
+
+def against_law(group: str, digits: FloatArray, law: FloatArray) -> dict[str, FloatArray]:
+    """The metrics of a learned policy against the tuned law of a group, paired by episode.
+
+    Args:
+        group: ``"paper"`` or ``"all"``.
+        digits: of the policy, shape (training seeds, episodes).
+        law: digits of the law, shape (1, episodes).
+    """
+    difference = digits - law
+    return {
+        f"digits_over_{group}_laws": difference,
+        f"probability_of_beating_{group}_laws": (np.sign(difference) + 1) / 2,
+    }

@@ -1,63 +1,87 @@
-"""Who takes part in a comparison: a name, a policy and the interface it acts through."""
+"""Policy specs: a name, a policy per training seed, the interface it acts through, the scenarios it is meant for."""
 
 from __future__ import annotations
 
+import glob
 import inspect
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 from ptne_env import laws, policies
 from ptne_env.catalogue import CATALOGUE
+from ptne_env.experiments.provenance import file_hashes
 from ptne_env.factory import FactorySpec
 from ptne_env.observation import Interface, ObservationLayout
 from ptne_env.policies import LearnedPolicy
+from ptne_env.policies.archive import load_archive
 from ptne_env.policy import Policy
 
 _LAWS = "ptne_env.laws:"
+ARCHIVE = "ptne_env.policies.archive:load_archive"
+"""Target of the policies whose making executes code that is stored in a file."""
+
+PolicySource: TypeAlias = FactorySpec | Policy | Callable[[ObservationLayout], Policy]
+"""A factory spec or a callable that builds the policy from a layout, or the policy itself."""
 
 
 @dataclass(frozen=True)
 class PolicySpec:
-    """A participant.
+    """A policy of a comparison.
 
     Attributes:
         name: for tables and files.
-        policy: a :class:`~ptne_env.factory.FactorySpec` or a callable that builds the policy from a layout (a law's class, for
-            one), or a policy itself, such as a Stable-Baselines3 model.
-        interface: through which it sees and acts; the policy's own attribute ``interface`` if left out, and
-            ``physical`` if it has none.
-        scenarios: names of the scenarios it enters; all if ``None``.
+        policy: a :class:`~ptne_env.factory.FactorySpec` or a callable that builds the policy from a layout (such as
+            the class of a law), or a policy itself, such as a Stable-Baselines3 model; or a tuple of these, one per
+            training seed.
+        interface: makes its observations and decodes its actions; the policy's own attribute ``interface`` if left
+            out, and ``physical`` if it has none.
+        scenarios: names of the scenarios it is run on, "n/a" elsewhere; all if ``None``.
     """
 
     name: str
-    policy: FactorySpec | Policy | Callable[[ObservationLayout], Policy]
+    policy: PolicySource | tuple[PolicySource, ...]
     interface: Interface = None  # type: ignore[assignment]  # filled in below, so that readers never see None
     scenarios: frozenset[str] | None = None
 
     def __post_init__(self) -> None:
+        if not self.training_seeds:
+            raise ValueError(f"policy {self.name!r} has no training seed")
         if self.interface is None:
-            target = self.policy.resolve() if isinstance(self.policy, FactorySpec) else self.policy
+            first = self.training_seeds[0]
+            target = first.resolve() if isinstance(first, FactorySpec) else first
             object.__setattr__(self, "interface", getattr(target, "interface", Interface()))
 
     @property
+    def training_seeds(self) -> tuple[PolicySource, ...]:
+        """The policy of each training seed; one where nothing was trained."""
+        return self.policy if isinstance(self.policy, tuple) else (self.policy,)
+
+    @property
     def is_learned(self) -> bool:
-        """Whether it is measured against the tuned laws: everything but the library's own laws and anchors."""
-        target = self.policy.target if isinstance(self.policy, FactorySpec) else f"{_named(self.policy).__module__}:"
+        """Whether it is compared with the tuned laws: everything but the library's own laws and reference policies."""
+        first = self.training_seeds[0]
+        target = first.target if isinstance(first, FactorySpec) else f"{_named(first).__module__}:"
         return not target.startswith((_LAWS, "ptne_env.laws."))
 
-    def enters(self, scenario: str) -> bool:
-        """Whether it takes part in the scenario of this name."""
-        return self.scenarios is None or scenario in self.scenarios
+    @property
+    def is_oracle(self) -> bool:
+        """Whether it uses information that players lack."""
+        return self.interface.kind == "full"
 
-    def build(self, layout: ObservationLayout) -> Policy:
-        """The policy for a layout.
+    @property
+    def is_repeatable(self) -> bool:
+        """Whether every training seed is a factory spec, so that another process can make it again."""
+        return all(isinstance(policy, FactorySpec) for policy in self.training_seeds)
+
+    def build(self, layout: ObservationLayout, training_seed: int = 0) -> Policy:
+        """The policy of a training seed for a layout.
 
         Raises:
-            ValueError: when it cannot be built, was made for another layout, or what is built has no ``predict``.
+            ValueError: when it cannot be built, was made for another layout, or the result has no ``predict``.
         """
-        built: Any = self.policy
+        built: Any = self.training_seeds[training_seed]
         if isinstance(built, FactorySpec):
             built = built.build(layout=layout)
         elif isinstance(built, type) or not hasattr(built, "predict"):
@@ -70,31 +94,51 @@ class PolicySpec:
         return policy
 
     def to_dict(self) -> dict[str, Any]:
-        """A JSON object that says which policy this is, with its parameters."""
-        if isinstance(self.policy, FactorySpec):
-            policy: Any = self.policy.to_dict()
-        else:
-            named = _named(self.policy)
-            policy = {"target": f"{named.__module__}:{named.__qualname__}"}
-        return {"name": self.name, "policy": policy, "interface": asdict(self.interface)}
+        """A JSON object with the parameters, and the hashes of the files, of every training seed."""
+        return {
+            "name": self.name,
+            "interface": asdict(self.interface),
+            "scenarios": None if self.scenarios is None else sorted(self.scenarios),
+            "training_seeds": [_source_to_dict(policy) for policy in self.training_seeds],
+        }
+
+    @classmethod
+    def from_dict(cls, data: Mapping[str, Any]) -> PolicySpec:
+        """The inverse of :meth:`to_dict` for a repeatable policy; it imports the modules that the policies name.
+
+        Raises:
+            ValueError: when a policy was an object of another process.
+        """
+        if any("arguments" not in policy for policy in data["training_seeds"]):
+            raise ValueError(f"policy {data['name']!r} was an object, not a factory spec: nothing can make it again")
+        seeds = tuple(FactorySpec.of(policy["target"], **policy["arguments"]) for policy in data["training_seeds"])
+        scenarios = None if data["scenarios"] is None else frozenset(data["scenarios"])
+        return cls(data["name"], seeds if len(seeds) > 1 else seeds[0], Interface(**data["interface"]), scenarios)
+
+
+def _source_to_dict(policy: PolicySource) -> dict[str, Any]:
+    if isinstance(policy, FactorySpec):
+        return {**policy.to_dict(), "files": file_hashes(policy)}
+    named = _named(policy)
+    return {"target": f"{named.__module__}:{named.__qualname__}"}
 
 
 def _named(policy: Any) -> type:
     return policy if isinstance(policy, type) else type(policy)
 
 
-ENTRIES: Mapping[str, PolicySpec] = {
-    entry.name: entry
-    for entry in [
+POLICIES: Mapping[str, PolicySpec] = {
+    policy.name: policy
+    for policy in [
         PolicySpec("static", FactorySpec.of(f"{_LAWS}Static", kappa=2.0)),
         PolicySpec("adaptive", FactorySpec.of(f"{_LAWS}Adaptive", gamma=0.01, initial_gain=0.5)),
         PolicySpec("corollary-one", FactorySpec.of(f"{_LAWS}CorollaryOne", kappa=10.0)),
         PolicySpec("gadjov-pavel", FactorySpec.of(f"{_LAWS}CorollaryOne", kappa=1.0)),
         PolicySpec("grounded", FactorySpec.of(f"{_LAWS}Grounded", kappa=2.0)),
-        PolicySpec("null", FactorySpec.of(f"{_LAWS}ZeroInput")),
+        PolicySpec("zero-input", FactorySpec.of(f"{_LAWS}ZeroInput")),
         PolicySpec("random", FactorySpec.of(f"{_LAWS}RandomPolicy", seed=0)),
         PolicySpec("oracle", FactorySpec.of(f"{_LAWS}CentralisedOracle", gradient_gain=1.0)),
-        # The other laws of the field, which enter suites.
+        # The other laws of the field, which are run on suites.
         PolicySpec("static-tuned", FactorySpec.of(f"{_LAWS}Static", kappa=3.0, gradient_gain=3.5)),
         PolicySpec("fixed-gain", FactorySpec.of(f"{_LAWS}FixedGain", kappa=5.0)),
         PolicySpec("averaging-integral", FactorySpec.of(f"{_LAWS}AveragingIntegral", gamma=0.003)),
@@ -111,81 +155,115 @@ ENTRIES: Mapping[str, PolicySpec] = {
         ),
     ]
 }
-"""The laws and anchors by name, in the order in which tables list them."""
+"""The laws and reference policies by name, in the order in which tables list them."""
 
-COMPARED = tuple(ENTRIES)[:8]
-"""Names of those that enter comparisons on the catalogue when nobody is named: the paper's laws and the anchors."""
+COMPARED = tuple(POLICIES)[:8]
+"""Names of the default policies of a comparison on the catalogue: the paper's laws and the reference policies."""
 
 
-def learned_entry(path_or_name: str) -> PolicySpec:
-    """A learned policy as a participant that enters the scenarios it was trained on.
+def learned_policy(path_or_name: str) -> PolicySpec:
+    """The spec of a learned policy, for the scenarios that it was trained on.
 
     Raises:
         FileNotFoundError, PolicyFileError, ImportError: as :func:`ptne_env.policies.load`.
     """
     policy = policies.load(path_or_name)
-    part = FactorySpec.of("ptne_env.policies:load", path_or_name=path_or_name)
-    return PolicySpec(policy.name, part, policy.interface, frozenset(policy.metadata.scenarios))
+    source = FactorySpec.of("ptne_env.policies:load", path_or_name=path_or_name)
+    return PolicySpec(policy.name, source, policy.interface, frozenset(policy.metadata.scenarios))
 
 
-def default_entries() -> list[PolicySpec]:
-    """Who enters a comparison on the catalogue: :data:`COMPARED`, and shipped policies trained on some of it."""
-    learned = map(learned_entry, policies.shipped())
-    return [*(ENTRIES[name] for name in COMPARED), *(entry for entry in learned if any(map(entry.enters, CATALOGUE)))]
+def default_policies() -> list[PolicySpec]:
+    """The default policies of a comparison: :data:`COMPARED`, and the policies trained on a scenario of the catalogue.
+
+    A learned policy is run on the scenarios that it was trained on.
+    """
+    learned = map(learned_policy, policies.shipped())
+    return [
+        *(POLICIES[name] for name in COMPARED),
+        *(policy for policy in learned if policy.scenarios and not policy.scenarios.isdisjoint(CATALOGUE)),
+    ]
 
 
-def suite_entries() -> list[PolicySpec]:
-    """Who enters a suite: all laws, anchors and the shipped learned policies."""
-    return [*ENTRIES.values(), *map(learned_entry, policies.shipped())]
+def suite_policies() -> list[PolicySpec]:
+    """The default policies of a suite: all laws, reference policies and shipped policies, on every track they fit."""
+    return [*POLICIES.values(), *map(get_policy_spec, policies.shipped())]
 
 
-def get_policy_spec(entry: str | PolicySpec) -> PolicySpec:
-    """A participant by name, by an ``.onnx`` file, by ``"module:object"`` (called with a layout), or as it is.
+def get_policy_spec(policy: str | PolicySpec, *, trust: bool = False) -> PolicySpec:
+    """A policy by name, file, ``"module:object"`` or ``"name=pattern"``, or as it is.
+
+    Args:
+        policy: a name of :data:`POLICIES` or of a shipped policy, an ``.onnx`` file, a Stable-Baselines3 ``.zip``, a
+            ``"module:object"`` that is called with the layout, or ``"name=pattern"`` (such as
+            ``"mine=runs/seed-*/policy.onnx"``), whose files are the training seeds of one policy.
+        trust: whether code that is stored in a ``.zip`` may be executed.
 
     Raises:
-        ValueError: for an unknown name, or an object that cannot be imported.
+        ValueError: for an unknown name, an object that cannot be imported, a pattern without files, training seeds
+            with different interfaces, or a ``.zip`` that is not trusted.
         FileNotFoundError, PolicyFileError, ImportError: as :func:`ptne_env.policies.load`.
     """
-    if isinstance(entry, PolicySpec):
-        return entry
-    if entry in ENTRIES:
-        return ENTRIES[entry]
-    if entry in policies.shipped() or Path(entry).suffix == ".onnx":
-        learned = learned_entry(entry)
-        return PolicySpec(learned.name, learned.policy, learned.interface)  # asked for by name, it enters everywhere
-    if ":" in entry:
-        return PolicySpec(entry, FactorySpec.of(entry))
-    known = ", ".join([*ENTRIES, *policies.shipped()])
-    raise ValueError(f"unknown policy {entry!r}; choose from {known}, or name an .onnx file or a 'module:object'")
+    if isinstance(policy, PolicySpec):
+        return policy
+    name, separator, pattern = policy.partition("=")
+    if separator:
+        return _training_seeds(name, pattern, trust=trust)
+    if policy in POLICIES:
+        return POLICIES[policy]
+    if policy in policies.shipped() or Path(policy).suffix == ".onnx":
+        learned = learned_policy(policy)
+        return PolicySpec(learned.name, learned.policy, learned.interface)  # named, it is run wherever it fits
+    if stores_code(policy):
+        if not trust:
+            raise ValueError(f"loading {policy!r} executes code that is stored in it: say that you trust it (--trust)")
+        return PolicySpec(Path(policy).stem, FactorySpec.of(ARCHIVE, path=policy), load_archive(policy).interface)
+    if ":" in policy:
+        return PolicySpec(policy, FactorySpec.of(policy))
+    known = ", ".join([*POLICIES, *policies.shipped()])
+    raise ValueError(f"unknown policy {policy!r}; choose from {known}, or name an .onnx file or a 'module:object'")
+
+
+def stores_code(policy: str) -> bool:
+    """Whether loading the policy that a string names executes code that is stored in a file."""
+    return policy.endswith(".zip")
+
+
+def _training_seeds(name: str, pattern: str, *, trust: bool) -> PolicySpec:
+    found = [get_policy_spec(path, trust=trust) for path in sorted(glob.glob(pattern))]  # noqa: PTH207 - may be absolute
+    if not (name and found):
+        raise ValueError(f"'{name}={pattern}' is not 'name=pattern' with a pattern that matches files")
+    if len({policy.interface for policy in found}) > 1:
+        raise ValueError(f"the files of '{name}={pattern}' have different interfaces: they are not one policy")
+    return PolicySpec(name, tuple(policy.training_seeds[0] for policy in found), found[0].interface)
 
 
 def law_names() -> list[str]:
-    """By which names :func:`law_part` knows the laws: of entries, and of classes in ``ptne_env.laws``."""
+    """The names that :func:`law_factory` knows: of :data:`POLICIES`, and of classes in ``ptne_env.laws``."""
     members = vars(laws).items()
     classes = [name for name, value in members if isinstance(value, type) and issubclass(value, laws.Law)]
-    return [*ENTRIES, *(name for name in classes if name != "Law")]
+    return [*POLICIES, *(name for name in classes if name != "Law")]
 
 
-def law_part(law: str, kappa: float | None = None) -> FactorySpec:
-    """The part that builds a law: by name, by its class in ``ptne_env.laws``, or by ``"module:object"``.
+def law_factory(law: str, kappa: float | None = None) -> FactorySpec:
+    """The factory spec of a law: by name, by its class in ``ptne_env.laws``, or by ``"module:object"``.
 
     Args:
-        law: which.
+        law: its name, class or address.
         kappa: κ in place of the law's own.
 
     Raises:
         ValueError: for an unknown name, a policy that is no law, or κ for a law that has none.
     """
-    if law in ENTRIES or ":" in law:
-        part = get_policy_spec(law).policy
+    if law in POLICIES or ":" in law:
+        factory = get_policy_spec(law).policy
     else:
         if law not in law_names():
             raise ValueError(f"unknown law {law!r}; name one of {', '.join(law_names())}, or a 'module:object'")
-        part = FactorySpec.of(f"{_LAWS}{law}")
-    if not isinstance(part, FactorySpec):
-        raise ValueError(f"{law!r} is no law; name one of {', '.join(ENTRIES)}, or a 'module:object'")
+        factory = FactorySpec.of(f"{_LAWS}{law}")
+    if not isinstance(factory, FactorySpec):
+        raise ValueError(f"{law!r} is no law; name one of {', '.join(POLICIES)}, or a 'module:object'")
     if kappa is None:
-        return part
-    if "kappa" not in inspect.signature(part.resolve()).parameters:
+        return factory
+    if "kappa" not in inspect.signature(factory.resolve()).parameters:
         raise ValueError(f"the law {law!r} has no kappa")
-    return FactorySpec.of(part.target, **{**dict(part.arguments), "kappa": kappa})
+    return FactorySpec.of(factory.target, **{**dict(factory.arguments), "kappa": kappa})

@@ -1,10 +1,10 @@
-"""How sure? Means, robust aggregates and comparisons with bootstrap intervals over training seeds and episodes."""
+"""Means, robust aggregates and comparisons with bootstrap intervals over training seeds and episodes."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TypeAlias
+from typing import Literal, TypeAlias
 
 import numpy as np
 import scipy
@@ -60,22 +60,39 @@ def summarise(samples: FloatArray, *, seed: int = 0) -> list[Summary]:
     return summaries
 
 
-def worst_decile(samples: FloatArray, *, seed: int = 0) -> Summary:
-    """The mean of the worst tenth of the episodes (at least one), with its interval; low values are bad.
-
-    Args:
-        samples: one finite value per episode, shape (episodes,).
-        seed: of the resampling.
-    """
-    if np.ptp(samples) == 0:
-        return Summary(*[float(samples[0])] * 3)
-    return _bootstrap(samples[None], seed, _mean_of_worst_tenth)[0]
-
-
-def _mean_of_worst_tenth(samples: FloatArray, axis: int) -> FloatArray:
+def cvar(samples: FloatArray, axis: int = -1) -> FloatArray:
+    """The conditional value at risk: the mean of the worst tenth (at least one) along ``axis``; low values are bad."""
     count = max(1, samples.shape[axis] // 10)
     lowest = np.partition(samples, count - 1, axis=axis)
     return np.take(lowest, np.arange(count), axis=axis).mean(axis=axis)
+
+
+def summaries(statistics: Mapping[str, tuple[FloatArray, Literal["mean", "cvar"]]]) -> dict[str, Summary]:
+    """A summary of each metric of one policy on one track.
+
+    With one training seed the interval is that of :func:`summarise` over episodes; with several, and a value in every
+    episode, that of :func:`estimate`; with several and missing values, that of :func:`summarise` over all episodes.
+
+    Args:
+        statistics: by metric, its samples of shape (training seeds, episodes), NaN where an episode has no value, and
+            the statistic over episodes.
+    """
+    flat = summarise(np.array([samples.ravel() for samples, _ in statistics.values()]))
+    found = dict(zip(statistics, flat, strict=True))
+    for metric, (samples, statistic) in statistics.items():
+        if len(samples) > 1 and np.isfinite(samples).all():
+            found[metric] = estimate(mean if statistic == "mean" else mean_cvar, [samples])
+        elif statistic == "cvar":
+            found[metric] = _cvar_summary(samples.ravel())
+    return found
+
+
+def _cvar_summary(samples: FloatArray, *, seed: int = 0) -> Summary:
+    if not np.isfinite(samples).all():
+        return Summary(None, None, None)
+    if np.ptp(samples) == 0:
+        return Summary(*[float(samples[0])] * 3)
+    return _bootstrap(samples[None], seed, cvar)[0]
 
 
 def _bootstrap(samples: FloatArray, seed: int, statistic: Callable[..., FloatArray] = np.mean) -> list[Summary]:
@@ -103,6 +120,11 @@ Scores: TypeAlias = Sequence[FloatArray]
 def mean(scores: Scores) -> FloatArray:
     """The mean over tracks of the mean over seeds and episodes; shape (...)."""
     return np.mean([track.mean(axis=(-2, -1)) for track in scores], axis=0)
+
+
+def mean_cvar(scores: Scores) -> FloatArray:
+    """The mean over tracks and training seeds of the :func:`cvar` over episodes; shape (...)."""
+    return np.mean([cvar(track).mean(axis=-1) for track in scores], axis=0)
 
 
 def interquartile_mean(scores: Scores) -> FloatArray:

@@ -1,6 +1,6 @@
-"""Phase diagrams: digits at the deadline over two parameters, measured in the environment beside what theory predicts.
+"""Phase diagrams: digits at the deadline over two parameters, as the environment measures and as theory predicts them.
 
-Every point is a batch of episodes of the static law from random starts. Predicted are the digits of the sampled loop
+Every point is a batch of episodes of the static law from random starts. Theory predicts the digits of the sampled loop
 from the same starts, and boundaries; docs/theory.md shows the diagrams.
 """
 
@@ -19,8 +19,9 @@ from ptne_env import theory
 from ptne_env._version import __version__
 from ptne_env.arrays import FloatArray, require_count
 from ptne_env.catalogue import get_scenario
+from ptne_env.dynamics import State
 from ptne_env.encoder import make_encoder
-from ptne_env.experiments.episodes import draw_start
+from ptne_env.experiments.episodes import EpisodeSet
 from ptne_env.experiments.rollout import rollout
 from ptne_env.experiments.workers import Workers
 from ptne_env.factory import FactorySpec
@@ -30,10 +31,10 @@ from ptne_env.scenario import Scenario
 from ptne_env.world import World
 
 CEILING = 12.0
-"""Digits count up to here: beyond, the environment's float64 and the observations' float32 end."""
+"""Digits count up to here, where the environment's float64 and the observations' float32 end."""
 
 FLOOR = -2.0
-"""And down to here: below, a loop grows without bound."""
+"""Digits count down to here; below, a loop grows without bound."""
 
 _KAPPA = 2.0
 
@@ -44,8 +45,8 @@ class Axis:
 
     Attributes:
         label: with the symbol and the unit.
-        values: increasing.
-        is_logarithmic: whether they are spaced evenly in their logarithm.
+        values: the grid, increasing.
+        is_logarithmic: whether the logarithms of the values are evenly spaced.
     """
 
     label: str
@@ -58,7 +59,7 @@ class Boundary:
     """A line that theory draws through a diagram.
 
     Attributes:
-        label: what changes there.
+        label: the change that happens there.
         x, y: points of the line, in the units of the axes.
     """
 
@@ -73,13 +74,13 @@ class Diagram:
 
     Attributes:
         name: for files.
-        title: what is shown.
+        title: for readers.
         x, y: the axes.
         measured: mean digits at T, one row per value of y and one column per value of x, within FLOOR..CEILING;
             ``None`` where no such scenario exists.
         predicted: digits that theory predicts, likewise.
         boundaries: lines that theory draws.
-        episodes: behind each point.
+        episodes: number of episodes per point.
         seed: of the starts, and of the noise.
         version: of this library.
     """
@@ -114,10 +115,10 @@ class Sweep:
     """A diagram that can be measured.
 
     Attributes:
-        title: what is shown.
-        axes: the two axes, for a number of points along each.
-        point: the scenario and κ of a point (x, y).
-        boundaries: what theory draws over these axes.
+        title: for readers.
+        axes: makes the two axes, for a number of points along each.
+        point: makes the scenario and κ of a point (x, y).
+        boundaries: makes the lines that theory draws over these axes.
     """
 
     title: str
@@ -142,8 +143,8 @@ def run_sweep(
         points: along each axis, at least 2.
         episodes: per point.
         seed: of the starts, and of the noise.
-        workers: who measures the points. The results do not depend on it.
-        progress: called with the number of points that are done and their total.
+        workers: where the points are measured; the results do not depend on it.
+        progress: called with the number of points that are done and of all.
 
     Raises:
         ValueError: when the name is unknown or a number is too small.
@@ -155,15 +156,15 @@ def run_sweep(
     require_count("episodes", episodes, 1)
     sweep = SWEEPS[name]
     x, y = sweep.axes(points)
-    tasks = [(name, one, other, episodes, seed) for other in y.values for one in x.values]
+    tasks = [(name, across, up, episodes, seed) for up in y.values for across in x.values]
     done = count(1)
 
-    def tell(*_: object) -> None:
+    def report(*_: object) -> None:
         if progress is not None:
             progress(next(done), len(tasks))
 
-    found = workers.gather(_measure, tasks, tell)
-    rows = [found[start : start + points] for start in range(0, len(tasks), points)]
+    digits = workers.gather(_measure, tasks, report)
+    rows = [digits[start : start + points] for start in range(0, len(tasks), points)]
     return Diagram(
         name=name,
         title=sweep.title,
@@ -180,32 +181,36 @@ def run_sweep(
 def _measure(name: str, x: float, y: float, episodes: int, seed: int) -> tuple[float | None, float | None]:
     """Mean digits at T of one point, as measured and as predicted."""
     try:
-        scenario, kappa = _point(name, x, y)
+        world, kappa = _point(name, x, y)
     except ValueError:  # such as a dwell that is shorter than a step
         return None, None
-    encoder = make_encoder(World(scenario), Interface())
-    law, start = Static(encoder.layout, kappa), draw_start(encoder.world, episodes, seed)
-    distances = rollout(law, encoder, start).estimate_distance[scenario.steps]
+    encoder = make_encoder(world, Interface())
+    law, start = Static(encoder.layout, kappa), EpisodeSet(episodes, seed).initial_state(world)
+    measured = _mean_digits(rollout(law, encoder, start)["estimate_distance"][world.clock.steps])
 
-    game, loop = World(scenario).game, theory.sampled_loop(encoder.world, law)
-    std = theory.channel_noise(World(scenario).channel)
-    errors = theory.start_error(start.estimates, game)
-    transition = loop.transition()
-    if not np.all(np.isfinite(transition)):
-        return _mean_digits(distances), FLOOR
-    clean = theory.distance((transition @ errors).T, game)
-    noise = theory.noise_distance(loop.noise_covariance(std), game) if std else 0.0
-    return _mean_digits(distances), _mean_digits(np.hypot(clean, noise))
+    loop = theory.sampled_loop(world, law)
+    if not np.all(np.isfinite(loop.transition())):
+        return measured, FLOOR
+    std = theory.channel_noise(world.channel)
+    noise = theory.noise_distance(loop.noise_covariance(std), world.game) if std else 0.0
+    return measured, _mean_digits(np.hypot(_noiseless(loop, start), noise))
+
+
+def _noiseless(loop: theory.SampledLoop, start: State) -> FloatArray:
+    """Estimate distances at T of the sampled loop without noise, shape (B,)."""
+    errors = theory.start_error(start.estimates, start.game)
+    return theory.distance((loop.transition() @ errors).T, start.game)
 
 
 def _mean_digits(distances: FloatArray) -> float:
     return float(-np.log10(np.clip(distances, 10.0**-CEILING, 10.0**-FLOOR)).mean())
 
 
-def _point(name: str, x: float, y: float) -> tuple[Scenario, float]:
+def _point(name: str, x: float, y: float) -> tuple[World, float]:
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", UserWarning)  # a short horizon is what some diagrams are about
-        return SWEEPS[name].point(x, y)
+        warnings.simplefilter("ignore", UserWarning)  # some diagrams are about short horizons
+        scenario, kappa = SWEEPS[name].point(x, y)
+        return World(scenario), kappa
 
 
 def _logarithmic(label: str, low: float, high: float, points: int) -> Axis:
@@ -220,7 +225,7 @@ def _vertical(label: str, y: Axis, place: float) -> Boundary:
     return Boundary(label, (place, place), (y.values[0], y.values[-1]))
 
 
-# The limit on inputs is put out of reach: what is predicted is the loop, not its saturation.
+# The limit on inputs is put out of reach: theory predicts the loop without saturation.
 _FREE: Mapping[str, Any] = {"start": "random", "input_limit": 1e6}
 
 
@@ -267,15 +272,14 @@ def _noise_point(std: float, s_end: float) -> tuple[Scenario, float]:
 
 
 def _noise_boundaries(x: Axis, y: Axis) -> list[Boundary]:  # noqa: ARG001 - the signature is shared
-    floor = []
-    for s_end in np.linspace(y.values[0], y.values[-1], 17):
-        scenario, kappa = _point("noise-horizon", 1.0, float(s_end))
-        encoder = make_encoder(World(scenario), Interface())
-        loop, game = theory.sampled_loop(encoder.world, Static(encoder.layout, kappa)), World(scenario).game
-        errors = theory.start_error(draw_start(encoder.world, 64, 0).estimates, game)
-        clean = theory.distance((loop.transition() @ errors).T, game)
-        floor.append(float(np.exp(np.log(clean).mean()) / theory.noise_distance(loop.noise_covariance(), game)))
-    return [Boundary("noise as large as the error", tuple(floor), tuple(np.linspace(y.values[0], y.values[-1], 17)))]
+    horizons = np.linspace(y.values[0], y.values[-1], 17)
+    levels = []
+    for horizon in horizons:
+        world, kappa = _point("noise-horizon", 1.0, float(horizon))
+        loop = theory.sampled_loop(world, Static(make_encoder(world, Interface()).layout, kappa))
+        error = np.exp(np.log(_noiseless(loop, EpisodeSet(64).initial_state(world))).mean())
+        levels.append(float(error / theory.noise_distance(loop.noise_covariance(), world.game)))
+    return [Boundary("noise as large as the error", tuple(levels), tuple(horizons))]
 
 
 def _dwell_axes(points: int) -> tuple[Axis, Axis]:
@@ -288,12 +292,12 @@ def _dwell_point(dwell: float, gain: float) -> tuple[Scenario, float]:
 
 
 def _dwell_boundaries(x: Axis, y: Axis) -> list[Boundary]:
-    scenario, kappa = _point("dwell-gain", 0.1, 20.0)
-    game, graphs = World(scenario).game, World(scenario).topology.graphs
-    matrices = [theory.closed_loop_matrix(game, graph, kappa) for graph in graphs]
+    world, kappa = _point("dwell-gain", 0.1, 20.0)
+    scenario = world.scenario
+    matrices = [theory.closed_loop_matrix(world.game, graph, kappa) for graph in world.topology.graphs]
     steps = [theory.largest_stable_step(matrix) for matrix in matrices]
     stable = min(step for step in steps if step is not None)
-    rate = theory.input_decay_rate(matrices, World(scenario).topology, scenario.deadline)
+    rate = theory.input_decay_rate(matrices, world.topology, scenario.deadline)
     dwells = np.geomspace(x.values[0], x.values[-1], 50)
     settles = dwells[(dwells > 1 / (rate * y.values[-1])) & (dwells < 1 / (rate * y.values[0]))]
     lines = [

@@ -1,10 +1,9 @@
-"""How did it get there? Error against time over a few episodes, and one episode to look at, instant by instant."""
+"""Traces for figures: the error against time over a few episodes, and one episode instant by instant."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -12,21 +11,19 @@ from ptne_env import dynamics
 from ptne_env.arrays import BoolArray, FloatArray, IntArray, require_count
 from ptne_env.dynamics import State
 from ptne_env.encoder import make_encoder
-from ptne_env.experiments.benchmark import Run
-from ptne_env.experiments.compare import Results
-from ptne_env.experiments.episodes import Split, draw_start
+from ptne_env.experiments.episodes import EpisodeSet
 from ptne_env.experiments.policy_specs import PolicySpec
+from ptne_env.experiments.results import Results
 from ptne_env.experiments.rollout import Member, rollout
-from ptne_env.experiments.suite import Suite, Track
+from ptne_env.experiments.suite import Track
 from ptne_env.experiments.workers import Workers
-from ptne_env.scenario import Scenario
 from ptne_env.world import World
 
 EPISODES = 20
-"""Episodes over which errors are told, where nothing else is said."""
+"""Default number of episodes over which errors are shown."""
 
 FRAMES = 60
-"""About as many instants of an episode are kept, where nothing else is said."""
+"""Default number of instants that are kept of an episode, about."""
 
 QUANTILES = (0.1, 0.5, 0.9)
 """Of the error over episodes: the band and the median."""
@@ -42,7 +39,7 @@ class Trace:
         estimates: x^i in column i, shape (n, N, F).
         inputs: the inputs of the strategies, own block by own block, held from each instant; NaN at the last. (n, F).
         consensus_gains: what multiplies Σ_j a_ij (x^j − x^i) in the inputs of the others' blocks of x^i, by least
-            squares; NaN where a player hears nothing that differs from its own estimate. Shape (N, F).
+            squares; NaN where a player receives nothing that differs from its own estimate. Shape (N, F).
     """
 
     errors: FloatArray
@@ -54,18 +51,18 @@ class Trace:
 
 @dataclass(frozen=True)
 class Scene:
-    """A world, its first episode, and how every policy did there.
+    """A world, its first episode, and the trace of every policy there.
 
     Attributes:
         t: seconds at each instant that is kept, shape (F,).
         s: transformed time, shape (F,); it ends at the deadline.
         gain: g(t) in 1/s, shape (F,).
         deadline_frame: index of the instant T.
-        owners: the player who owns each component, shape (n,).
+        owners: the player that owns each component, shape (n,).
         equilibrium: x* of the first episode, shape (n,).
-        links: pairs of players who are ever neighbours, shape (L, 2).
+        links: pairs of players that are ever neighbours, shape (L, 2).
         live: whether each link is up in the first episode, shape (L, F).
-        episodes: over which errors are told.
+        episodes: number of episodes behind the errors.
         traces: by name of the policy.
     """
 
@@ -86,101 +83,58 @@ class Scene:
         return int(self.owners[-1]) + 1
 
 
-def comparison_scenes(
+def scenes(
     results: Results,
     *,
     episodes: int = EPISODES,
     workers: Workers = Workers(),  # noqa: B008 - immutable
-    progress: Callable[[str], None] | None = None,
+    progress: Callable[[str, int], None] | None = None,
 ) -> dict[str, Scene]:
-    """A scene per scenario of a comparison on the split ``test``, from the first ``episodes`` of its starts.
+    """A scene per track of results, from the first of their episodes; of a learned policy, its first training seed.
 
     Args:
-        results: of the comparison.
-        episodes: at most as many as the comparison had.
-        workers: who runs the episodes.
-        progress: called with the name of the scenario when it is done.
+        results: of a comparison or another suite.
+        episodes: at most as many as the track had.
+        workers: run the episodes.
+        progress: called with the name of the track and the number of tracks when a track is done.
     """
     require_count("episodes", episodes, 1)
-    tasks = {}
-    for label, scenario in results.scenarios.items():
-        cells = [cell for cell in results.cells if cell.scenario == label]
-        entries = results.entries | {entry.name: entry for entry in results.tuned.get(label, {}).values()}
-        count = min(episodes, len(cells[0].samples["digits"]))
-        tasks[label] = (scenario, count, results.seed, {cell.policy: entries[cell.policy] for cell in cells})
-    return _scenes(_comparison_scene, tasks, workers, progress)
-
-
-def _comparison_scene(scenario: Scenario, episodes: int, seed: int, entries: Mapping[str, PolicySpec]) -> Scene:
-    world = World(scenario)
-    return scene(world, draw_start(world, episodes, seed), entries)
-
-
-def suite_scenes(
-    run: Run,
-    *,
-    episodes: int = EPISODES,
-    workers: Workers = Workers(),  # noqa: B008 - immutable
-    progress: Callable[[str], None] | None = None,
-) -> dict[str, Scene]:
-    """A scene per track of a suite, from the first ``episodes`` of the bank; of a learned policy, its first seed.
-
-    Args:
-        run: of the suite.
-        episodes: at most as many as the run had.
-        workers: who runs the episodes.
-        progress: called with the name of the track when it is done.
-    """
-    count = min(require_count("episodes", episodes, 1), run.episodes)
-    tasks = {}
-    for track in run.tracks:
-        entries = {
-            name: participant.runs[0]
-            for name, participant in run.participants.items()
-            if run.of(track.name, name)[0].reason is None
-        }
-        tasks[track.name] = (run.suite, track, count, run.seed, run.split, entries)
-    return _scenes(_suite_scene, tasks, workers, progress)
-
-
-def _suite_scene(
-    suite: Suite, track: Track, episodes: int, seed: int, split: Split, entries: Mapping[str, PolicySpec]
-) -> Scene:
-    world = World(track.scenario)
-    start = suite.draw_start(world, track.name, episodes, seed=seed, split=split)
-    return scene(world, start, entries, None if track.teammates is None else track.teammates.join)
-
-
-def _scenes(
-    function: Callable[..., Scene],
-    tasks: Mapping[str, tuple[Any, ...]],
-    workers: Workers,
-    progress: Callable[[str], None] | None,
-) -> dict[str, Scene]:
-    names = list(tasks)
+    names = list(results.episodes)
+    tasks = [_task(results, track, episodes) for track in results.tracks]
 
     def tell(index: int, _: Scene) -> None:
         if progress is not None:
-            progress(names[index])
+            progress(names[index], len(names))
 
-    return dict(zip(names, workers.gather(function, list(tasks.values()), tell), strict=True))
+    return dict(zip(names, workers.gather(_track_scene, tasks, tell), strict=True))
+
+
+def _task(results: Results, track: Track, episodes: int) -> tuple[Track, EpisodeSet, dict[str, PolicySpec]]:
+    count = min(episodes, results.episodes[track.name])
+    chosen = results.suite.episode_set(track.name, count, seed=results.seed, split=results.split)
+    return track, chosen, results.policies_on(track.name)
+
+
+def _track_scene(track: Track, episodes: EpisodeSet, policies: Mapping[str, PolicySpec]) -> Scene:
+    teammates = None if track.teammates is None else track.teammates.join
+    return scene(track.world, episodes.initial_state(track.world), policies, teammates)
 
 
 def scene(
     world: World,
     start: State,
-    entries: Mapping[str, PolicySpec],
+    policies: Mapping[str, PolicySpec],
     teammates: Callable[[World], Member] | None = None,
     *,
     frames: int = FRAMES,
 ) -> Scene:
-    """How each of several policies does from the same start.
+    """The traces of several policies from the same start.
 
     Args:
         world: the world.
         start: of all episodes.
-        entries: the policies by name.
-        teammates: make those who act beside each of them.
+        policies: by name.
+        teammates: makes the teammates of each policy; ``None`` where there are none.
         frames: about as many instants are kept.
 
     Raises:
@@ -198,14 +152,13 @@ def scene(
     ).astype(np.int64)
     links = np.array(world.topology.union.edges, dtype=np.int64).reshape(-1, 2)
     traces = {}
-    for name, entry in entries.items():
-        encoder = make_encoder(world, entry.interface)
+    for name, policy in policies.items():
+        encoder = make_encoder(world, policy.interface)
         watch = _Watch(world, kept)
-        outcome = rollout(
-            entry.build(encoder.layout), encoder, start, None if teammates is None else teammates(world), watch
-        )
-        errors = np.quantile(outcome.estimate_distance[kept], QUANTILES, axis=1)
-        traces[name] = Trace(errors, outcome.estimate_distance[kept, 0], *watch.arrays())
+        team = None if teammates is None else teammates(world)
+        distance = rollout(policy.build(encoder.layout), encoder, start, team, watch)["estimate_distance"]
+        errors = np.quantile(distance[kept], QUANTILES, axis=1)
+        traces[name] = Trace(errors, distance[kept, 0], *watch.arrays())
     t, deadline = clock.t[kept], int(np.searchsorted(kept, clock.steps))
     randomness = start.randomness
     modes = world.modes[kept] if randomness is None or randomness.modes is None else randomness.modes[kept, 0]
@@ -246,11 +199,9 @@ class _Watch:
             return
         first = inputs[:, :, 0]
         self._inputs.append(first[components, self._owners])
-        received = (
-            dynamics.weights(self._world, state)[:, None, :, 0]
-            * dynamics.relative_estimates(self._world, state)[..., 0]
-        ).sum(axis=0)
-        received[components, self._owners] = 0  # the gradient acts in one's own block
+        weights = dynamics.weights(self._world, state)[:, None, :, 0]
+        received = (weights * dynamics.relative_estimates(self._world, state)[..., 0]).sum(axis=0)
+        received[components, self._owners] = 0  # the gradient acts in the own block
         squares = (received**2).sum(axis=0)
         with np.errstate(divide="ignore", invalid="ignore"):
             self._gains.append(np.where(squares > 0, (received * first).sum(axis=0) / squares, np.nan))

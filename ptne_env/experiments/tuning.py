@@ -1,33 +1,35 @@
-"""Fair opponents: laws tuned on the validation bank, against which learned policies are measured."""
+"""Tuned laws: the strongest laws of a grid on validation episodes, with which learned policies are compared."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping
 from itertools import product
 
 from ptne_env.experiments.policy_specs import PolicySpec
 from ptne_env.factory import FactorySpec
+from ptne_env.observation import Interface
 
 GAINS = (0.5, 1.0, 2.0, 3.0, 4.0, 5.0)
-"""κ, and κ_ij(0), that are tried."""
+"""κ, and κ_ij(0), of the grid."""
 
 ADAPTATION_RATES = (0.0, 0.003, 0.01)
-"""γ that are tried."""
+"""γ of the grid."""
 
 GRADIENT_GAINS = (1.0, 2.0, 3.0, 3.5, 4.0, 5.0)
-"""Gradient gains that are tried."""
+"""Gradient gains of the grid."""
 
 VALIDATION_EPISODES = 200
+"""Number of validation episodes, of seed 0 whatever the seed of the comparison."""
 
 GROUPS = {"paper": "best of the paper's laws", "all": "best of all laws"}
 """Groups of laws, and the name under which the best of each stands in tables."""
 
 
 def candidates(group: str) -> Iterator[FactorySpec]:
-    """The laws of a group, as parts.
+    """The laws of a group, as factory specs.
 
     ``"paper"``: static, adaptive and Corollary 1 with gradient gain 1. ``"all"``: these, static with other gradient
-    gains, and grounded. The oracle and the null policy are in neither.
+    gains, and grounded. The reference policies are in neither.
 
     Raises:
         ValueError: for another group.
@@ -46,12 +48,15 @@ def candidates(group: str) -> Iterator[FactorySpec]:
             yield FactorySpec.of("ptne_env.laws:Static", kappa=gain, gradient_gain=gradient_gain)
 
 
-def best(digits: Sequence[float]) -> dict[str, PolicySpec]:
+def candidate_specs() -> list[PolicySpec]:
+    """All candidates as policies, in order."""
+    return [PolicySpec("candidate law", law, Interface()) for law in candidates("all")]
+
+
+def best(digits: Mapping[FactorySpec, float]) -> dict[str, PolicySpec]:
     """For each group, the law with the most digits; the first of equals wins.
 
     Args:
-        digits: mean digits on the validation bank of each of ``candidates("all")``, in their order. The bank has 200
-            episodes of seed 0, whatever the seed of the comparison.
+        digits: mean digits on the validation episodes of every law of ``candidates("all")``.
     """
-    found = dict(zip(candidates("all"), digits, strict=True))
-    return {group: PolicySpec(name, max(candidates(group), key=found.__getitem__)) for group, name in GROUPS.items()}
+    return {group: PolicySpec(name, max(candidates(group), key=digits.__getitem__)) for group, name in GROUPS.items()}

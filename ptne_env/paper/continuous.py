@@ -123,16 +123,12 @@ def prescribed_timeline(
     require_count("samples", samples, 2)
     if hold > 0 and constant == 0:
         raise ValueError("a hold phase needs c > 0: with c = 0 nothing moves after the deadline")
-    deadline = transformation.deadline
-
-    def to_s(instants: FloatArray) -> FloatArray:
-        return transformation.inverse(instants) if topology.clock == "physical" else instants
-
+    deadline, physical = transformation.deadline, topology.clock == "physical"
     end = float(transformation.effective_time(s_end, constant))
     # The approach stops at s_end, so switches in physical time after it do not happen.
-    stop = float(transformation.time(s_end)) if topology.clock == "physical" else s_end
+    stop = float(transformation.time(s_end)) if physical else s_end
     switches = topology.switches(0.0, stop)
-    s_switches = to_s(switches)
+    s_switches = transformation.inverse(switches) if physical else switches
     tau_switches = transformation.effective_time(s_switches, constant)
     regular = np.linspace(0.0, end, samples)
     s_regular = transformation.from_effective_time(regular, constant)
@@ -145,10 +141,9 @@ def prescribed_timeline(
     deadline_index = tau.size - 1
     if hold > 0:
         # In the hold phase dτ = c dt, on the transformed clock too.
-        span = (deadline, deadline + hold) if topology.clock == "physical" else (s_end, s_end + constant * hold)
+        span = (deadline, deadline + hold) if physical else (s_end, s_end + constant * hold)
         later = topology.switches(*span)
-        unit = constant if topology.clock == "physical" else 1.0
-        tau_later = end + unit * (later - span[0])
+        tau_later = end + (constant if physical else 1.0) * (later - span[0])
         count = max(2, round(samples * constant * hold / end))
         tau_hold = np.union1d(np.linspace(end, end + constant * hold, count), tau_later)[1:]
         segments += _segments(topology, later, tau_later, span, (end, end + constant * hold))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import io
 import textwrap
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -108,13 +108,8 @@ def _strategies(axes: Axes, run: Run, end: float) -> None:
 def _relative_errors(axes: Axes, run: Run, end: float, *, floor: float = 1e-13) -> None:
     t = run.timeline.t
     axes.semilogy(t, np.maximum(run.strategy_distance, floor), color=COLOURS[0], label=r"strategies $x$")
-    axes.semilogy(
-        t,
-        np.maximum(run.estimate_distance, floor),
-        color=COLOURS[1],
-        linestyle="--",
-        label=r"all estimates $\mathbf{x}$",
-    )
+    estimates = np.maximum(run.estimate_distance, floor)
+    axes.semilogy(t, estimates, "--", color=COLOURS[1], label=r"all estimates $\mathbf{x}$")
     axes.axhline(0.005, color=FAINT, linewidth=0.8, linestyle=":")
     axes.text(0.015 * end, 0.005 / 1.3, "0.5 %", color=FAINT, fontsize=7.5, va="top")
     axes.set(xlabel="time $t$ [s]", ylabel="relative error", xlim=(0, end))
@@ -126,20 +121,14 @@ def _relative_errors(axes: Axes, run: Run, end: float, *, floor: float = 1e-13) 
 def _mark_deadline(axes: Axes, top: float = 1.0) -> None:
     """A line at T, from the bottom up to the fraction ``top`` of the axes, below which a legend stays clear of it."""
     axes.axvline(DEADLINE, ymax=top, color=INK, linewidth=0.8)
-    axes.annotate(
-        "$T$",
-        (DEADLINE, 0.0),
-        xycoords=("data", "axes fraction"),
-        xytext=(3, 4),
-        textcoords="offset points",
-        fontsize=9,
-    )
+    place: Any = {"xycoords": ("data", "axes fraction"), "textcoords": "offset points"}
+    axes.annotate("$T$", (DEADLINE, 0.0), xytext=(3, 4), fontsize=9, **place)
 
 
-def _runs(figure: Figure, runs: Sequence[tuple[str, Run]], end: float, *, deadline: bool) -> None:
-    """One row per run: (a) the estimates, (b) the relative errors."""
+def _runs(figure: Figure, runs: Mapping[str, Run], end: float = DEADLINE + HOLD, *, deadline: bool = True) -> None:
+    """A row per run, named by its key: (a) the estimates, (b) the relative errors."""
     grid: Any = figure.subplots(len(runs), 2, squeeze=False)
-    for row, letters, (name, run) in zip(grid, ("ab", "cd"), runs, strict=False):
+    for row, letters, (name, run) in zip(grid, ("ab", "cd"), runs.items(), strict=False):
         _strategies(row[0], run, end)
         _relative_errors(row[1], run, end)
         row[0].set_title(f"({letters[0]}) all players' estimates{name}")
@@ -210,37 +199,19 @@ def _graph(figure: Figure, _: Experiments) -> None:
     right.set_title(rf"(b) Laplacian $\mathcal{{L}}$, $\lambda_2={graph.algebraic_connectivity:.3f}$")
 
 
-def _static(figure: Figure, experiments: Experiments) -> None:
-    _runs(figure, [("", experiments.static)], DEADLINE + HOLD, deadline=True)
-
-
 def _comparison(figure: Figure, experiments: Experiments) -> None:
-    runs = [
-        (r", Corollary 1 ($\kappa=10$)", experiments.corollary_one),
-        (r", Gadjov–Pavel ($\kappa=1$)", experiments.gadjov_pavel),
-    ]
+    runs = {
+        r", Corollary 1 ($\kappa=10$)": experiments.corollary_one,
+        r", Gadjov–Pavel ($\kappa=1$)": experiments.gadjov_pavel,
+    }
     _runs(figure, runs, 30.0, deadline=False)
-    for axes, (_name, run) in zip(figure.axes[1::2], runs, strict=True):
+    offset: Any = {"xytext": (-6, -13), "textcoords": "offset points"}
+    for axes, run in zip(figure.axes[1::2], runs.values(), strict=True):
         settled = run.settling_time()
         axes.set_ylim(1e-5, 10)
         if settled is not None:
             axes.plot(settled, 0.005, "o", color=INK, markersize=4)
-            axes.annotate(
-                f"{settled:.2f} s",
-                (settled, 0.005),
-                xytext=(-6, -13),
-                textcoords="offset points",
-                color=INK,
-                ha="right",
-            )
-
-
-def _adaptive(figure: Figure, experiments: Experiments) -> None:
-    _runs(figure, [("", experiments.adaptive)], DEADLINE + HOLD, deadline=True)
-
-
-def _adaptive_gains(figure: Figure, experiments: Experiments) -> None:
-    _gains(figure.subplots(), experiments.adaptive, rf"fixed graph, $\gamma={GAMMA:g}$")
+            axes.annotate(f"{settled:.2f} s", (settled, 0.005), color=INK, ha="right", **offset)
 
 
 def _switching_graphs(figure: Figure, experiments: Experiments) -> None:
@@ -252,22 +223,13 @@ def _switching_graphs(figure: Figure, experiments: Experiments) -> None:
         axes.set_title(rf"$\mathcal{{G}}_{m + 1}$: $t$ mod {period:g} s in {interval}", fontsize=8.5)
 
 
-def _by_clock(figure: Figure, runs: dict[TopologyClock, Run]) -> None:
-    named = [(f", {_CLOCK_NAMES[clock]}", run) for clock, run in runs.items()]
-    _runs(figure, named, DEADLINE + HOLD, deadline=True)
-
-
-def _switching(figure: Figure, experiments: Experiments) -> None:
-    _by_clock(figure, experiments.switching)
+def _by_clock(runs: Mapping[TopologyClock, Run]) -> dict[str, Run]:
+    return {f", {_CLOCK_NAMES[clock]}": run for clock, run in runs.items()}
 
 
 def _switching_gains(figure: Figure, experiments: Experiments) -> None:
     for axes, (clock, run) in zip(figure.subplots(1, 2), experiments.switching.items(), strict=True):
         _gains(axes, run, _CLOCK_NAMES[clock])
-
-
-def _non_quadratic(figure: Figure, experiments: Experiments) -> None:
-    _by_clock(figure, experiments.non_quadratic_switching)
 
 
 def _erratum_2(figure: Figure, experiments: Experiments) -> None:
@@ -293,13 +255,8 @@ def _erratum_3(figure: Figure, experiments: Experiments) -> None:
     inputs = np.linalg.norm(run.inputs[upto], axis=(1, 2))
     axes = figure.subplots()
     axes.loglog(remaining, inputs, color=COLOURS[0], label=r"$\Vert \mathbf{u}\Vert$")
-    axes.loglog(
-        remaining,
-        (GAIN + 1 / remaining) * inputs,
-        color=COLOURS[1],
-        linestyle="--",
-        label=r"$\Vert g\,\mathbf{u}\Vert$, the velocity",
-    )
+    velocities = (GAIN + 1 / remaining) * inputs
+    axes.loglog(remaining, velocities, "--", color=COLOURS[1], label=r"$\Vert g\,\mathbf{u}\Vert$, the velocity")
     axes.invert_xaxis()
     axes.set(xlabel="time left $T-t$ [s]", ylabel="norm over all players")
     axes.minorticks_off()
@@ -340,7 +297,7 @@ FIGURES: tuple[FigureSpec, ...] = (
         "static",
         f"Example 1, {_STATIC} (paper: Fig. AlgorithmStatic). {_READING}",
         (8.2, 3.3),
-        _static,
+        lambda figure, experiments: _runs(figure, {"": experiments.static}),
         "Fig. 3",
         _SIMULATED.format("prescribed-time NE seeking ", 10) + "and (b) relative errors.",
         ("Theorem 1", "Theorem 2, hold", "Theorem 2, boundedness of u"),
@@ -358,7 +315,7 @@ FIGURES: tuple[FigureSpec, ...] = (
         "adaptive",
         f"Example 1, adaptive law (paper: Fig. AlgorithmAdaptive). {_READING}",
         (8.2, 3.3),
-        _adaptive,
+        lambda figure, experiments: _runs(figure, {"": experiments.adaptive}),
         "Fig. 5",
         _SIMULATED.format("", 36) + _RELATIVE,
         ("Theorem 3",),
@@ -367,7 +324,9 @@ FIGURES: tuple[FigureSpec, ...] = (
         "adaptive-gains",
         "The gains of the adaptive law (paper: Fig. DynamicGain).",
         (5.2, 3.0),
-        _adaptive_gains,
+        lambda figure, experiments: _gains(
+            figure.subplots(), experiments.adaptive, rf"fixed graph, $\gamma={GAMMA:g}$"
+        ),
         "Fig. 6",
         _GAINS_OF.format(36),
         ("Theorem 3",),
@@ -387,7 +346,7 @@ FIGURES: tuple[FigureSpec, ...] = (
         "Example 1, adaptive law over switching graphs (paper: Fig. AlgorithmAdaptiveSwitching): with dwell times in "
         f"t the error at T does not vanish. {_READING}",
         (8.2, 6.2),
-        _switching,
+        lambda figure, experiments: _runs(figure, _by_clock(experiments.switching)),
         "Fig. 8",
         _SIMULATED.format("", 47) + _RELATIVE,
         (*_SWITCHING_CLAIMS, "Erratum 2, switching in t"),
@@ -405,7 +364,7 @@ FIGURES: tuple[FigureSpec, ...] = (
         "non-quadratic",
         f"Example 2 (corrected), adaptive law over switching graphs (paper: Fig. NonQuadraticGame). {_READING}",
         (8.2, 6.2),
-        _non_quadratic,
+        lambda figure, experiments: _runs(figure, _by_clock(experiments.non_quadratic_switching)),
         "Fig. 10",
         _SIMULATED.format("", 47) + _RELATIVE,
         ("Erratum 1, equilibrium of Example 2", "Erratum 1, assumptions of Example 2"),

@@ -6,11 +6,11 @@ import shlex
 from base64 import b64encode
 from collections.abc import Mapping, Sequence
 
-from ptne_env.experiments.benchmark import versions
+from ptne_env.experiments.provenance import versions
 from ptne_env.paper.claims import Claim
 from ptne_env.paper.figures import FIGURES
 from ptne_env.paper.table import TableRow
-from ptne_env.report.page import render_template
+from ptne_env.report.html import render_template
 
 _ERRATUM = "Erratum"
 """Prefix of the names of errata."""

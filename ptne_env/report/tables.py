@@ -1,62 +1,28 @@
-"""Tables for terminals, drawn with rich. Every function returns renderables and prints nothing."""
+"""Tables of results: columns, rows and values, for the terminal and for the page."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
-from typing import TypeAlias
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from typing import TypeVar
 
-from rich import box
-from rich.console import Group
-from rich.table import Table
-from rich.text import Text
+from ptne_env.experiments.leaderboard import THRESHOLDS, Leaderboard, TrackRow
+from ptne_env.experiments.metrics import METRICS
+from ptne_env.experiments.policy_specs import PolicySpec
+from ptne_env.experiments.results import Results
+from ptne_env.experiments.statistics import Summary, estimate, mean
+from ptne_env.experiments.suite import LAW, Track
 
-from ptne_env.catalogue import CATALOGUE
-from ptne_env.experiments import COMPARATIVE_METRICS, METRICS, PolicySpec, Results, suite_entries
-from ptne_env.experiments.compare import PAPER_START, Record
-from ptne_env.scenario import Scenario
-from ptne_env.theory import Certificate
-from ptne_env.world import World
+Row = TypeVar("Row")
 
-_BLOCKS = {
-    "How close": {
-        "digits": "digits",
-        "worst_decile_digits": "worst decile",
-        "strategy_distance": "strategy distance",
-        "estimate_distance": "estimate distance",
-        "consensus_error": "consensus error",
-        "settling_time": "settling time [s]",
-        "settled_share": "settled share",
-        "settling_time_1e_6": "settling to 1e-6 [s]",
-        "settled_share_1e_6": "settled to 1e-6",
-        "digits_after_hold": "digits after hold",
-        "digits_gained": "digits gained",
-    },
-    "At what cost": {
-        "input_energy": "input energy",
-        "velocity_energy": "velocity energy",
-        "peak_input": "peak |u|",
-        "peak_velocity": "peak velocity",
-        "saturated_share": "saturated share",
-        "diverged_share": "diverged share",
-        "microseconds_per_decision": "µs per decision",
-    },
-}
-_Records: TypeAlias = Mapping[tuple[str, str, str], Record]
+FIRST_MARGIN = 0.1
+"""A policy whose interval comes within this many digits of the best mean of a track shares the first place there."""
 
-_NAME_WIDTH = 30
-"""Columns that are kept for the names of policies."""
+_PERCENT = "\N{NO-BREAK SPACE}%"
 
-_CELL_WIDTH = 22
-"""Columns that an interval of two numbers takes, with its margin."""
-
-_PAIRED_WIDTH = 130
-"""Columns in which a learned policy stands beside two laws; in fewer, each law has a table of its own."""
-
-_LIST_WIDTH = 110
-"""Columns in which the catalogue fits with the numbers of the clock."""
-
-_VERDICTS = {"holds": "green", "fails": "red"}
+ORACLE_NOTE = "* an oracle: it uses information that players lack, and has no rank"
+"""The meaning of the mark of oracles."""
 
 
 def number(value: float | None) -> str:
@@ -78,268 +44,284 @@ def share(value: float | None) -> str:
     return "–" if value is None else f"{value + 0.0:.3f}".replace("-0.000", "0.000")
 
 
-def interval(record: Record) -> Text:
-    """The mean, and under it the 95 % interval where the sample varies."""
-    text = Text(number(record["mean"]), justify="right")
-    if record["low"] != record["high"]:
-        text.append(f"\n[{number(record['low'])}, {number(record['high'])}]", style="dim")
-    return text
+@dataclass(frozen=True)
+class Value:
+    """A cell of a table.
+
+    Attributes:
+        text: as it is shown.
+        value: by which the column is sorted; a cell without one comes last.
+        interval: the 95 % interval, as it is shown; empty where there is none.
+    """
+
+    text: str = "–"
+    value: float | None = None
+    interval: str = ""
+
+    @classmethod
+    def of(cls, quantity: Summary | float | None, write: Callable[[float | None], str] = number) -> Value:
+        """The cell of a summary, or of a number without an interval.
+
+        Args:
+            quantity: ``None`` where there is none.
+            write: makes the text of a number.
+        """
+        summary = quantity if isinstance(quantity, Summary) else Summary(quantity, quantity, quantity)
+        if summary.mean is None:
+            return cls()
+        interval = "" if summary.low == summary.high else f"[{write(summary.low)}, {write(summary.high)}]"
+        return cls(write(summary.mean), summary.mean, interval)
+
+    @classmethod
+    def count(cls, number: int | None) -> Value:
+        """The cell of a whole number."""
+        return cls() if number is None else cls(str(number), number)
+
+    def __str__(self) -> str:
+        return f"{self.text} {self.interval}".rstrip()
 
 
-def comparison_tables(results: Results, width: int = 172) -> Group:
-    """Tables per scenario: how close every policy came, and at what cost; ordered as in the comparison.
+@dataclass(frozen=True)
+class Column:
+    """A column of a table.
+
+    Attributes:
+        label: the heading.
+        meaning: of the values, in a phrase.
+        values: by name of the policy.
+        descending: whether large values are good, so that the first click on the heading puts them first.
+    """
+
+    label: str
+    meaning: str
+    values: Mapping[str, Value]
+    descending: bool = False
+
+    def __getitem__(self, policy: str) -> Value:
+        """The value of a policy; a dash where it has none."""
+        return self.values.get(policy, Value())
+
+    @property
+    def is_filled(self) -> bool:
+        """Whether any policy has a value."""
+        return any(value.value is not None for value in self.values.values())
+
+
+@dataclass(frozen=True)
+class Table:
+    """A table with a row per policy, the best first.
+
+    Attributes:
+        caption: the title.
+        columns: the columns beside the policies' names.
+        rows: the policies, and whether each is an oracle.
+        notes: sentences below the table.
+    """
+
+    caption: str
+    columns: tuple[Column, ...]
+    rows: Mapping[str, bool]
+    notes: tuple[str, ...] = ()
+
+
+def track_tables(results: Results, track: Track) -> list[Table]:
+    """A track: a table per block of metrics. Metrics without any value, and policies without one, are left out.
 
     Args:
-        results: of the comparison.
-        width: columns of the terminal; metrics that do not fit side by side go into further tables.
+        results: of a comparison or of another suite.
+        track: one of its tracks.
     """
-    records = {(record["scenario"], record["policy"], record["metric"]): record for record in results.records}
-    tables: list[Table | Text] = []
-    for label in results.scenarios:
-        if label.endswith(PAPER_START) and label.removesuffix(PAPER_START) in results.scenarios:
-            continue  # stands below the random starts of its scenario
-        starts = [name for name in (label, label + PAPER_START) if name in results.scenarios]
-        for title, columns in _BLOCKS.items():
-            tables += [
-                _comparison_table(f"{label}: {title.lower()}", results, records, starts, metrics)
-                for metrics in _fitting(list(columns), width)
-            ]
-        if label in results.tuned:
-            groups = list(results.tuned[label])
-            tables += [
-                _paired_table(label, results, records, some)
-                for some in ([groups] if width >= _PAIRED_WIDTH else [[group] for group in groups])
-            ]
-    if any(entry.interface.kind == "full" for entry in results.entries.values()):
-        tables.append(Text("* an oracle: it sees what no player can see", style="dim"))
-    return Group(*tables)
-
-
-def _comparison_table(
-    title: str, results: Results, records: _Records, starts: Sequence[str], metrics: Sequence[str]
-) -> Table:
-    headings = {metric: heading for block in _BLOCKS.values() for metric, heading in block.items()}
-    table = empty_table(title)
-    table.add_column("policy", no_wrap=True)
-    for metric in metrics:
-        table.add_column(Text(headings[metric]), justify="right")  # Text, because brackets are no markup
-    for start in starts:
-        names = [cell.policy for cell in results.cells if cell.scenario == start]
-        episodes = records[start, names[0], "digits"]["episodes"]
-        table.add_section()
-        table.add_row(
-            Text("the paper's start" if start.endswith(PAPER_START) else f"{episodes} starts", style="italic")
+    name, specs, board = track.name, results.policies_on(track.name), results.leaderboard
+    rows = {} if board is None else {row.policy: row for row in board.rows if row.track == name}
+    means = {policy: results.record(name, policy, track.metric)["mean"] or 0.0 for policy in specs}
+    order = sorted(specs, key=lambda policy: ((rows[policy].rank or 0) if policy in rows else 0, -means[policy]))
+    blocks = {"How close": [] if board is None else _ranking_columns(rows)}
+    for metric in sorted(METRICS.values(), key=lambda metric: metric.name != track.metric):
+        values = {policy: Value.of(results.summary(name, policy, metric.name)) for policy in order}
+        label, descending = metric.label.replace(" %", _PERCENT), metric.direction == "higher"
+        blocks.setdefault(metric.block, []).append(Column(label, metric.meaning, values, descending))
+    notes = {
+        "How close": _not_applicable(results, name),
+        "Against tuned laws": [f"{law.name}: {call(law)}" for law in results.tuned.get(name, {}).values()],
+    }
+    return [
+        Table(
+            f"{name}: {block.lower()}",
+            tuple(column for column in columns if column.is_filled),
+            {policy: specs[policy].is_oracle for policy in order if _is_filled(policy, columns)},
+            tuple(notes.get(block, ())),
         )
-        for name in names:
-            oracle = name in results.entries and results.entries[name].interface.kind == "full"
-            cells = (interval(records[start, name, metric]) for metric in metrics)
-            table.add_row(Text(name + " *" * oracle), *cells)
-    return table
+        for block, columns in blocks.items()
+        if any(column.is_filled for column in columns)
+    ]
 
 
-def _paired_table(label: str, results: Results, records: _Records, groups: Sequence[str]) -> Table:
-    """Learned policies against the tuned laws of some groups, paired by episode."""
-    table = empty_table(f"{label}: learned policies against the laws, paired by episode")
-    table.add_column("policy", no_wrap=True)
-    for group in groups:
-        entry = results.tuned[label][group]
-        table.add_column(Text(f"digits over {entry.name}: {_call(entry)}"), justify="right")
-        table.add_column(Text(f"probability of beating it ({group})"), justify="right")
-    for name in results.entries:
-        if (label, name, "digits_over_all_laws") in records:
-            metrics = [f"{kind}_{group}_laws" for group in groups for kind in ("digits_over", "probability_of_beating")]
-            table.add_row(Text(name), *(interval(records[label, name, metric]) for metric in metrics))
-    return table
+def _is_filled(policy: str, columns: Iterable[Column]) -> bool:
+    return any(column[policy].value is not None for column in columns)
 
 
-def _fitting(metrics: list[str], width: int) -> Iterable[list[str]]:
-    """``metrics`` in groups whose columns fit into ``width`` without breaking an interval."""
-    count = max(1, (width - _NAME_WIDTH) // _CELL_WIDTH)
-    groups = -(-len(metrics) // count)
-    size = -(-len(metrics) // groups)
-    return (metrics[start : start + size] for start in range(0, len(metrics), size))
+def track_rules(results: Results, track: Track) -> str:
+    """The number of episodes of a track, the metric that ranks its policies, and its physics, in sentences."""
+    board, count = results.leaderboard, results.episodes[track.name]
+    by = "time to 1e-6" if board and track.name in board.saturated else METRICS[track.metric].heading
+    return f"{count} episode{'s' * (count > 1)}, ranked by {by}. {track.change}"
 
 
-def empty_table(title: str, *, show_header: bool = True) -> Table:
-    """A table in the style of all."""
+def _ranking_columns(rows: Mapping[str, TrackRow]) -> list[Column]:
+    return [
+        _column("rank", "1 is best", rows, lambda row: Value.count(row.rank), descending=False),
+        _column("score", "0 is zero input, 1 the paper's law", rows, lambda row: Value.of(row.score, share)),
+        _column(
+            f"P(better than {LAW})",
+            "probability of improvement, paired by episode",
+            rows,
+            lambda row: Value.of(row.improvement, share),
+        ),
+        _column(
+            "time to 1e-6 [s]",
+            "mean; an episode that never settles counts as its whole length",
+            rows,
+            lambda row: Value.of(row.fine_time),
+            descending=False,
+        ),
+    ]
+
+
+def _column(
+    label: str, meaning: str, rows: Mapping[str, Row], read: Callable[[Row], Value], *, descending: bool = True
+) -> Column:
+    return Column(label, meaning, {policy: read(row) for policy, row in rows.items()}, descending)
+
+
+def _not_applicable(results: Results, track: str) -> list[str]:
+    """The policies that cannot act on a track, by reason."""
+    reasons: dict[str, list[str]] = {}
+    for (place, policy), reason in results.not_applicable.items():
+        if place == track:
+            reasons.setdefault(reason, []).append(policy)
+    return [f"n/a: {', '.join(policies)}: {reason}" for reason, policies in reasons.items()]
+
+
+def call(spec: PolicySpec) -> str:
+    """The policy of the first training seed with its arguments; with spaces, at which a narrow column breaks."""
+    source = spec.to_dict()["training_seeds"][0]
+    arguments = ", ".join(
+        f"{name}={value:g}" if isinstance(value, float) else f"{name}={value!r}"
+        for name, value in source.get("arguments", {}).items()
+    )
+    return f"{source['target'].partition(':')[2]} ({arguments})".removesuffix(" ()")
+
+
+def overview(results: Results) -> Table:
+    """All tracks: the overall scores, if there are any, the first places, and the metric that scores each track.
+
+    Args:
+        results: of a comparison or of another suite.
+    """
+    policies, board = results.policies, results.leaderboard
+    scores = {} if board is None else {row.policy: row for row in board.overall}
+    firsts = first_places(results)
+    means = {policy: mean_digits(results, policy) for policy in policies}
+    counts = {policy: sum(name == policy for _, name in results.samples) for policy in policies}
+    best = sorted(policies, key=lambda policy: (-len(firsts.get(policy, ())), -(means[policy].mean or 0.0)))
+    order = dict.fromkeys([*scores, *best])
+    columns = [
+        _column(
+            "score",
+            "interquartile mean of the normalised scores: 0 is zero input, 1 the paper's law",
+            scores,
+            lambda row: Value.of(row.score, share),
+        ),
+        _column(
+            "mean rank", "over the tracks of the scores", scores, lambda row: Value.of(row.mean_rank), descending=False
+        ),
+        _column(
+            f"P(better than {LAW})",
+            "probability of improvement, paired by episode",
+            scores,
+            lambda row: Value.of(row.improvement, share),
+        ),
+        *(
+            _column(
+                f"P(score > {level:g})",
+                f"share of normalised scores above {level:g}",
+                {policy: row.profile[THRESHOLDS.index(level)] for policy, row in scores.items()},
+                lambda found: Value.of(found, share),
+            )
+            for level in (1.0, 2.0)
+        ),
+        _column(
+            f"unpaired P(better than {LAW})",
+            "probability of improvement over any two episodes",
+            scores,
+            lambda row: Value.of(row.unpaired_improvement, share),
+        ),
+        _column(
+            "first",
+            f"tracks on which no policy is more than {FIRST_MARGIN:g} digits better, with certainty",
+            firsts,
+            lambda tracks: Value.count(len(tracks)),
+        ),
+        _column("tracks", "tracks on which the policy was run", counts, Value.count),
+        _column("mean digits", "over the tracks on which the policy was run", means, Value.of),
+        *(
+            _column(
+                track.name,
+                f"{METRICS[track.metric].heading} on {track.name}",
+                {policy: results.summary(track.name, policy, track.metric) for policy in policies},
+                lambda summary: Value("n/a") if summary is None else Value.of(summary),
+            )
+            for track in results.tracks
+        ),
+    ]
     return Table(
-        title=title, box=box.SIMPLE_HEAD, title_justify="left", pad_edge=False, show_header=show_header, expand=False
+        f"{results.suite.name}, seed {results.seed}: overall",
+        tuple(column for column in columns if column.values),
+        {policy: policies[policy].is_oracle for policy in order},
+        () if board is None else tuple(_scope(results, board)),
     )
 
 
-def certificate_tables(certificate: Certificate) -> Group:
-    """What a certificate says: assumptions with the number that decides each, then the promises; 100 columns wide."""
-    assumptions = empty_table(f"{certificate.scenario}: the paper's assumptions")
-    for heading in ("", "assumption", "decided by", "value", "verdict"):
-        assumptions.add_column(heading, justify="right" if heading == "value" else "left")
-    for check in certificate.assumptions:
-        assumptions.add_row(
-            str(check.number), check.statement, check.meaning, number(check.value), _verdict(check.verdict)
-        )
-    lemma = certificate.lemma
-    statement = "Lemma 1: λ is strictly increasing, λ → T, λ' → 0" + (f" ({lemma.reason})" if lemma.reason else "")
-    assumptions.add_row("λ", statement, "limit of 1 − λ/T", number(lemma.remaining), _verdict(lemma.verdict))
-
-    promises = empty_table(f"{certificate.scenario}: {certificate.law}", show_header=False)
-    promises.add_column("what", no_wrap=True)
-    promises.add_column("value")
-    for rows in (_condition_rows, _rate_rows, _digit_rows, _step_rows, _noise_rows, _delay_rows):
-        promises.add_section()
-        for what, value in rows(certificate):
-            promises.add_row(what, value)
-    notes = [Text(f"Note: {note}", style="yellow") for note in certificate.notes]
-    return Group(assumptions, promises, *notes)
-
-
-def _verdict(verdict: str) -> Text:
-    return Text(verdict, style=_VERDICTS.get(verdict, "yellow"))
-
-
-_Rows: TypeAlias = Iterable[tuple[str, str]]
-
-
-def _condition_rows(certificate: Certificate) -> _Rows:
-    constants, condition = certificate.constants, certificate.condition
-    kind = "exact" if constants.exact else "sampled bounds"
-    yield (
-        "monotonicity and Lipschitz constants",
-        f"ε = {number(constants.epsilon)}, ι = {number(constants.iota)} ({kind})",
-    )
-    yield "smallest algebraic connectivity λ2", number(certificate.algebraic_connectivity)
-    if condition is None:
-        yield "the law's own condition", "it promises nothing"
-    else:
-        verdict = "holds" if condition.holds else "fails (sufficient, not necessary)"
-        kind = "" if condition.exact else ", from samples"
-        numbers = f"{number(condition.value)} against {number(condition.bound)}"
-        yield condition.name, f"{numbers}{kind}: {verdict}"
-    for gains in certificate.frozen_gains:
-        when = "at the start" if gains.instant == "start" else "at T"
-        yield f"gains {when}", f"{number(gains.smallest)} to {number(gains.largest)}: r = {number(gains.rate)}"
-
-
-def _rate_rows(certificate: Certificate) -> _Rows:
-    if certificate.rate is None:
+def _scope(results: Results, board: Leaderboard) -> Iterator[str]:
+    """Which tracks and policies the overall scores leave out."""
+    if not board.common:
+        yield "No track has scores: no track fits all policies and gives the paper's law a gain."
         return
-    time = "s" if certificate.clock == "effective" else "t"
-    kind = "exact" if certificate.rate_is_exact else "see the notes"
-    yield f"closed-loop rate r, error ~ e^(−r {time})", f"{number(certificate.rate)} ({kind})"
-    if certificate.guaranteed_rate is not None:
-        yield "  guaranteed by ε, ι, λ2 and κ alone", f"≥ {number(certificate.guaranteed_rate)} (bound)"
-    if certificate.sampled_rate is not None and certificate.dominant_share is not None:
-        share = f"its mode is {certificate.dominant_share:.0%} of the error half-way"
-        yield "  of the sampled loop, second half", f"{number(certificate.sampled_rate)}; {share}"
-    yield "rate at which the input u decays", number(certificate.input_rate)
-    if certificate.velocity_bounded is not None:
-        yield "velocity g(t) u as t → T", "bounded" if certificate.velocity_bounded else "unbounded"
-        yield "control energy ∫‖g u‖² dt", "finite" if certificate.energy_finite else "infinite"
+    without = [track.name for track in results.tracks if track.name not in board.common]
+    unscored = [policy for policy in results.policies if policy not in {row.policy for row in board.overall}]
+    yield f"Scores are over the tracks that fit all policies and give the law a gain: {', '.join(board.common)}."
+    if without:
+        yield f"Scores are not over {', '.join(without)}."
+    if unscored:
+        yield f"Without a score: {', '.join(unscored)}, which fit fewer than half of the tracks."
 
 
-def _digit_rows(certificate: Certificate) -> _Rows:
-    if certificate.digits_from_rate is not None:
-        yield "predicted digits at T, from the rate", f"{number(certificate.digits_from_rate)} (first order)"
-    if certificate.digits_sampled is not None:
-        yield "predicted digits at T, sampled loop from this start", f"{number(certificate.digits_sampled)} (exact)"
-    if certificate.digits_after_hold is not None:
-        yield "  after the hold phase", f"{number(certificate.digits_after_hold)} (exact)"
-    if certificate.worst_digits_gained is not None:
-        yield "digits gained by T from the worst start", f"{number(certificate.worst_digits_gained)} (exact)"
-    if certificate.guaranteed_digits is not None:
-        yield "digits at T guaranteed by ε, ι, λ2, κ and Θ alone", f"≥ {number(certificate.guaranteed_digits)} (bound)"
-    yield "effective time to the deadline", number(certificate.effective_time)
-    yield "short of the deadline, 1 − t_K/T", f"{certificate.shortfall:.3%}"
+def first_places(results: Results) -> dict[str, list[str]]:
+    """The tracks on which each policy, oracles apart, is the best or within :data:`FIRST_MARGIN` of the best."""
+    firsts: dict[str, list[str]] = {name: [] for name, spec in results.policies.items() if not spec.is_oracle}
+    for track in results.tracks:
+        found = {policy: results.summary(track.name, policy, track.metric) for policy in firsts}
+        best = max((summary.mean or 0.0 for summary in found.values() if summary), default=0.0)
+        for policy, summary in found.items():
+            if summary and (summary.high or 0.0) >= best - FIRST_MARGIN:
+                firsts[policy].append(track.name)
+    return firsts
 
 
-def _step_rows(certificate: Certificate) -> _Rows:
-    if certificate.largest_step is None:
-        return
-    stable = "none" if certificate.largest_stable_step is None else number(certificate.largest_stable_step)
-    margin = "" if certificate.step_margin is None else f", {number(certificate.step_margin)} times the largest"
-    yield f"largest step {'Θ' if certificate.clock == 'effective' else 'Δt'}", number(certificate.largest_step)
-    yield "largest stable step", stable + margin
-
-
-def _noise_rows(certificate: Certificate) -> _Rows:
-    noise = certificate.noise
-    if noise is None:
-        return
-    gain = "overflows" if noise.gain is None else f"{number(noise.gain)} σ"
-    yield "noise of std σ on messages: RMS distance at T", gain
-    if noise.std and noise.digits is not None:
-        yield f"  digits at T with σ = {noise.std:g}", f"{number(noise.digits)} (root mean square)"
-
-
-def _delay_rows(certificate: Certificate) -> _Rows:
-    delay = certificate.delay
-    if delay is None:
-        return
-    if delay.for_every_delay:
-        yield "messages d steps late", "stable for every d (shown by a sufficient condition)"
-    elif delay.margin is None:
-        yield "messages d steps late", "no statement: the graph switches, or unstable without delay"
-    else:
-        reach = "tried no further" if delay.margin == delay.tried else "exact"
-        yield "messages d steps late", f"stable up to d = {delay.margin} ({reach})"
-    if delay.bound is not None:
-        yield "  small-gain bound, of first order", f"stable for d < {number(delay.bound)} (bound)"
-    if delay.steps and delay.digits is not None:
-        yield f"  digits at T with d = {delay.steps}", f"{number(delay.digits)} (exact)"
-
-
-def scenario_table(width: int = 172) -> Table:
-    """The catalogue.
+def mean_digits(results: Results, policy: str, *, minus: str | None = None, on: str | None = None) -> Summary:
+    """The mean over tracks of the metric that scores each, with its 95 % interval.
 
     Args:
-        width: columns of the terminal; in a narrow one the numbers of the clock are left out.
+        results: of a comparison or of another suite.
+        policy: its name; the tracks are those on which it was run.
+        minus: a policy whose value is subtracted, episode by episode, on the tracks on which both were run.
+        on: another policy that was run on the tracks.
     """
-    clock = {"T [s]": "deadline", "c [1/s]": "gain", "steps": "steps", "s_end": "s_end"} if width >= _LIST_WIDTH else {}
-    table = empty_table("Scenarios")
-    table.add_column("name", no_wrap=True)
-    for heading in ("game", "graph", *clock):
-        table.add_column(Text(heading), overflow="fold")  # Text, because brackets are no markup
-    for name, scenario in CATALOGUE.items():
-        table.add_row(
-            name,
-            f"{type(World(scenario).game).__name__}, {World(scenario).game.num_players} players",
-            _describe_signal(scenario),
-            *(f"{getattr(scenario, field):g}" for field in clock.values()),
-        )
-    return table
-
-
-def entry_table() -> Table:
-    """The laws and the shipped learned policies."""
-    table = empty_table("Policies")
-    table.add_column("name", no_wrap=True)
-    table.add_column("interface")
-    table.add_column("policy", overflow="fold")
-    for entry in suite_entries():
-        policy = f"learned on {', '.join(sorted(entry.scenarios))}" if entry.scenarios else _call(entry)
-        mode = "" if entry.interface.action_mode == "input" else f", {entry.interface.action_mode}"
-        table.add_row(entry.name, f"{entry.interface.kind}{mode}", policy)
-    return table
-
-
-def _call(entry: PolicySpec) -> str:
-    """The law of an entry with its arguments; with spaces, at which a narrow column breaks."""
-    policy = entry.to_dict()["policy"]
-    arguments = ", ".join(f"{name}={value:g}" for name, value in policy["arguments"].items())
-    return f"{policy['target'].partition(':')[2]} ({arguments})".removesuffix(" ()")
-
-
-def metric_table() -> Table:
-    """Every metric and what it means."""
-    table = empty_table("Metrics")
-    table.add_column("name")
-    table.add_column("meaning")
-    for name, meaning in ({**METRICS, **COMPARATIVE_METRICS}).items():
-        table.add_row(name, meaning)
-    return table
-
-
-def _describe_signal(scenario: Scenario) -> str:
-    topology = World(scenario).topology
-    if topology.is_fixed:
-        return f"fixed, λ2 = {number(topology.union.algebraic_connectivity)}"
-    unit = "s of t" if topology.clock == "physical" else "of s"
-    return f"{len(topology.graphs)} modes, {number(topology.mean_dwell)} {unit} each"
+    needed = {policy, minus or policy, on or policy}
+    scores = [
+        results.samples[track.name, policy][track.metric]
+        - (0.0 if minus is None else results.samples[track.name, minus][track.metric])
+        for track in results.tracks
+        if all((track.name, name) in results.samples for name in needed)
+    ]
+    return estimate(mean, scores) if scores else Summary(None, None, None)

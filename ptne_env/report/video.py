@@ -1,140 +1,131 @@
-"""An episode as a film: the pictures of ``env.render()``, or the player of the report page."""
+"""Videos of an episode: the pictures of ``env.render()``, or the player of the report page."""
 
 from __future__ import annotations
 
-import io
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from subprocess import CalledProcessError
+from tempfile import TemporaryDirectory
+from typing import TYPE_CHECKING
 
 import numpy as np
-import numpy.typing as npt
 
 from ptne_env.arrays import FloatArray, require_count
 from ptne_env.dynamics import State
 from ptne_env.encoder import make_encoder
-from ptne_env.envs.rendering import Renderer
-from ptne_env.experiments.episodes import draw_start
+from ptne_env.envs.rendering import Renderer, pixels
+from ptne_env.experiments.episodes import EpisodeSet
 from ptne_env.experiments.policy_specs import PolicySpec
 from ptne_env.experiments.rollout import rollout
 from ptne_env.experiments.traces import scene
 from ptne_env.files import write_atomically
-from ptne_env.report.page import render_episode
+from ptne_env.report.pages import render_episode
 from ptne_env.scenario import Scenario
+from ptne_env.style import drawing
 from ptne_env.world import World
 
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
 FORMATS = (".gif", ".mp4", ".html")
-"""Endings of files that films are written to."""
+"""Suffixes of the files that videos are written to."""
 
 PER_SECOND = 20
 """Pictures per second."""
 
-_LAST = 2 * PER_SECOND
-"""The last picture stays for this many."""
+_HOLD = 2
+"""Seconds for which the last picture stays."""
 
 
-def film(
+def save_video(
     scenario: Scenario,
-    entry: PolicySpec,
+    spec: PolicySpec,
     path: Path,
     *,
     seed: int = 0,
     pictures: int = 100,
     progress: Callable[[int, int], None] | None = None,
 ) -> None:
-    """Run the first episode of the bank and write it as a film.
+    """Run the first episode of the test split and write it as a video.
 
     Args:
         scenario: the world.
-        entry: the policy.
-        path: of the film: ``.gif``, ``.mp4`` (which needs the program ffmpeg) or ``.html`` (the player of the report).
-        seed: of the bank.
-        pictures: how many a film has, or instants a page, evenly spaced in steps.
+        spec: the policy.
+        path: the file: ``.gif``, ``.mp4`` (which needs the program ffmpeg) or ``.html`` (the player of the report).
+        seed: of the episode, where one is drawn.
+        pictures: number of pictures of a video, or of instants of a page, evenly spaced in steps.
         progress: called with the number of pictures that are drawn and of all.
 
     Raises:
-        ValueError: for another ending, or a policy that cannot act in the scenario.
+        ValueError: for another suffix, or a policy that cannot act in the scenario.
         ImportError: when a library is missing, naming the extra to install.
-        OSError: when the file cannot be written, or ffmpeg is missing.
+        OSError: when the file cannot be written, or ffmpeg is missing or fails.
     """
-    ending = path.suffix.lower()
-    if ending not in FORMATS:
-        raise ValueError(f"a film is written to {', '.join(FORMATS)}, got {path.name!r}")
+    suffix = path.suffix.lower()
+    if suffix not in FORMATS:
+        raise ValueError(f"a video is written to {', '.join(FORMATS)}, got {path.name!r}")
     require_count("pictures", pictures, 2)
     world = World(scenario)
-    start = draw_start(world, 1, seed)
-    if ending == ".html":
-        seen = scene(world, start, {entry.name: entry}, frames=pictures)
-        write_atomically(path, render_episode(scenario.name, seen))
+    start = EpisodeSet(1, seed).initial_state(world)
+    if suffix == ".html":
+        traced = scene(world, start, {spec.name: spec}, frames=pictures)
+        write_atomically(path, render_episode(scenario.name, traced))
         return
-    write = _gif if ending == ".gif" else _mp4
-    write(path, _pictures(world, entry, start, pictures, progress))
+    write = _write_gif if suffix == ".gif" else _write_mp4
+    with TemporaryDirectory() as folder, drawing("videos"):
+        draft = Path(folder) / path.name  # neither Pillow nor ffmpeg replaces files atomically
+        write(draft, _pictures(world, spec, start, pictures, progress))
+        write_atomically(path, draft.read_bytes())
 
 
 def _pictures(
-    world: World, entry: PolicySpec, start: State, count: int, progress: Callable[[int, int], None] | None
-) -> Iterator[npt.NDArray[np.uint8]]:
-    encoder = make_encoder(world, entry.interface)
+    world: World, spec: PolicySpec, start: State, count: int, progress: Callable[[int, int], None] | None
+) -> Iterator[Figure]:
+    """The same figure ``count`` times, brought up to date for each."""
+    encoder = make_encoder(world, spec.interface)
     states: list[State] = []
 
     def keep(state: State, _: FloatArray | None) -> None:
         states.append(state)
 
-    rollout(entry.build(encoder.layout), encoder, start, watch=keep)
-    wanted = set(np.linspace(0, len(states) - 1, count).round().astype(int).tolist())
-    renderer = Renderer(world, "rgb_array", f"{world.scenario.name}: {entry.name}")
-    renderer.foresee(states)
-    done = 0
+    rollout(spec.build(encoder.layout), encoder, start, watch=keep)
+    wanted = np.unique(np.linspace(0, len(states) - 1, count).round().astype(int)).tolist()
+    renderer = Renderer(world, "rgb_array", f"{world.scenario.name}: {spec.name}")
+    renderer.fix_axes(states)
+    renderer.reset(states[0])
     for step, state in enumerate(states):
-        if step == 0:
-            renderer.reset(state)
-        else:
+        if step > 0:
             renderer.record(state)
         if step in wanted:
-            picture = renderer.draw()
-            done += 1
+            yield renderer.update()
             if progress is not None:
-                progress(done, len(wanted))
-            if picture is not None:
-                yield picture
+                progress(1 + wanted.index(step), len(wanted))
 
 
-def _gif(path: Path, pictures: Iterator[npt.NDArray[np.uint8]]) -> None:
-    try:
-        from PIL import Image
-    except ImportError as error:
-        raise ImportError('films need Pillow: pip install "ptne-env[bench]"') from error
+def _write_gif(path: Path, figures: Iterator[Figure]) -> None:
+    from PIL import Image
 
-    # One palette for all, so that nothing flickers: that of the last picture, which has every colour.
-    images = [Image.fromarray(picture) for picture in pictures]
-    palette = images[-1].quantize(colors=256)
+    # Matplotlib's PillowWriter gives every picture its own palette: colours flicker, and files are ten times larger.
+
+    images = [Image.fromarray(pixels(figure)) for figure in figures]
+    palette = images[-1].quantize(colors=256)  # the last picture has every colour
     images = [image.quantize(palette=palette, dither=Image.Dither.NONE) for image in images]
-    milliseconds = 1000 // PER_SECOND
-    durations = [milliseconds] * (len(images) - 1) + [milliseconds * _LAST]
-    buffer = io.BytesIO()
-    images[0].save(buffer, "GIF", save_all=True, append_images=images[1:], duration=durations, loop=0)
-    write_atomically(path, buffer.getvalue())
+    durations = [1000 // PER_SECOND] * (len(images) - 1) + [1000 * _HOLD]
+    images[0].save(path, save_all=True, append_images=images[1:], duration=durations, loop=0)
 
 
-def _mp4(path: Path, pictures: Iterator[npt.NDArray[np.uint8]]) -> None:
-    import shutil
-    import subprocess
-    import tempfile
+def _write_mp4(path: Path, figures: Iterator[Figure]) -> None:
+    from matplotlib.animation import FFMpegWriter
 
-    program = shutil.which("ffmpeg")
-    if program is None:
+    if not FFMpegWriter.isAvailable():
         raise FileNotFoundError("an .mp4 needs the program ffmpeg in the PATH: install it, or write a .gif or .html")
-    frames = list(pictures)
-    height, width, _ = frames[0].shape
-    frames += [frames[-1]] * _LAST
-    with tempfile.TemporaryDirectory() as folder:
-        target = Path(folder) / "film.mp4"
-        source = ["-f", "rawvideo", "-pix_fmt", "rgb24", "-s", f"{width}x{height}", "-r", str(PER_SECOND), "-i", "-"]
-        outcome = subprocess.run(  # noqa: S603 - the program that was found, with arguments of our own
-            [program, "-loglevel", "error", *source, "-pix_fmt", "yuv420p", "-movflags", "+faststart", str(target)],
-            input=b"".join(frame.tobytes() for frame in frames),
-            capture_output=True,
-            check=False,
-        )
-        if outcome.returncode:
-            raise OSError(f"ffmpeg failed: {outcome.stderr.decode(errors='replace').strip()}")
-        write_atomically(path, target.read_bytes())
+    hold = ["-vf", f"tpad=stop_mode=clone:stop_duration={_HOLD}"]
+    writer = FFMpegWriter(PER_SECOND, extra_args=[*hold, "-movflags", "+faststart"])
+    figure = next(figures)
+    try:
+        with writer.saving(figure, str(path), figure.dpi):
+            writer.grab_frame()
+            for _ in figures:
+                writer.grab_frame()
+    except CalledProcessError as error:
+        raise OSError(f"ffmpeg failed: {error.stderr.strip()}") from error

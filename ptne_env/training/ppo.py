@@ -243,7 +243,7 @@ def _validate(model: PPO, arguments: Arguments) -> float:
         split="validation",
         against_laws=False,
     )
-    return float(np.mean([cell.samples["digits"].mean() for cell in results.cells if cell.policy == "ppo"]))
+    return float(np.mean([samples["digits"].mean() for samples in results.samples.values()]))
 
 
 class _Monitor(BaseCallback):

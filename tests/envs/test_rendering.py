@@ -19,7 +19,7 @@ def picture(name, steps=0, action=1.0):
 
 
 @pytest.mark.parametrize("name", [*CATALOGUE, BLOCKS], ids=lambda world: getattr(world, "name", world))
-def test_picture_shows_something_in_every_part(name):
+def test_every_part_of_a_picture_shows_something(name):
     pixels = picture(name, steps=20)
     assert pixels.dtype == np.uint8
     assert pixels.ndim == 3
@@ -32,13 +32,13 @@ def test_picture_shows_something_in_every_part(name):
             assert 0.3 < (quarter == 255).all(axis=2).mean() < 0.99
 
 
-def test_picture_follows_the_episode_and_repeats_itself():
+def test_picture_follows_the_episode_and_is_reproducible():
     assert np.array_equal(picture("energy", steps=5), picture("energy", steps=5))
     assert not np.array_equal(picture("energy", steps=5), picture("energy", steps=200))
     assert not np.array_equal(picture("energy", steps=50), picture("energy", steps=50, action=-1.0))
 
 
-def test_picture_shows_which_links_are_alive():
+def test_picture_shows_the_live_links():
     env = make_env("energy-switching", render_mode="rgb_array")
     env.reset()
     first = env.render()
@@ -49,7 +49,7 @@ def test_picture_shows_which_links_are_alive():
     assert not np.array_equal(first[graph], env.render()[graph])
 
 
-def test_picture_starts_afresh_with_each_episode():
+def test_reset_clears_the_picture():
     env = make_env("energy", render_mode="rgb_array")
     env.reset()
     first = env.render()
@@ -59,7 +59,7 @@ def test_picture_starts_afresh_with_each_episode():
     assert np.array_equal(env.render(), first)
 
 
-def test_pictures_are_owned_by_the_caller():
+def test_caller_owns_the_picture():
     env = make_env("energy", render_mode="rgb_array")
     env.reset()
     first = env.render()
@@ -97,7 +97,7 @@ def test_drawing_needs_a_mode_and_an_episode():
         make_env("energy", render_mode="rgb_array").render()
 
 
-def test_unknown_mode_is_refused_with_the_choices():
+def test_unknown_mode_raises_with_the_choices():
     with pytest.raises(ValueError, match=r"unknown render_mode 'ascii'; choose None or one of .*human.*rgb_array"):
         make_env("energy", render_mode="ascii")
 

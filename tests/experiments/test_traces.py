@@ -1,22 +1,19 @@
-"""Traces show what the evaluation measured: the same starts, the same rollout."""
+"""Traces come from the same starts and the same rollout as the samples."""
 
 import numpy as np
 import pytest
 
 import ptne_env
 from ptne_env import FactorySpec, PolicySpec, distances, evaluate, get_scenario, laws
-from ptne_env.experiments import episode_seed
-from ptne_env.experiments.benchmark import run_suite
-from ptne_env.experiments.suite import Suite, Teammates, Track
-from ptne_env.experiments.traces import comparison_scenes, suite_scenes
-from ptne_env.experiments.workers import Workers
+from ptne_env.experiments import Suite, Teammates, Track, Workers, episode_seed, run_suite
+from ptne_env.experiments.traces import scenes
 from ptne_env.world import World
 
 
 def test_the_first_episode_is_the_environments_own():
     scenario = get_scenario("random-energy-switching", hold_steps=30, steps=90)
     results = evaluate(["static"], [scenario], episodes=4, seed=5)
-    scene = comparison_scenes(results)["random-energy-switching"]
+    scene = scenes(results)["random-energy-switching"]
     trace = scene.traces["static"]
     env = ptne_env.parallel_env(scenario)
     observations, _ = env.reset(seed=episode_seed(5, 0))
@@ -35,11 +32,11 @@ def test_the_first_episode_is_the_environments_own():
     np.testing.assert_array_equal(scene.equilibrium, env.nash_equilibrium)
 
 
-def test_errors_are_quantiles_of_what_the_evaluation_measured():
+def test_errors_are_quantiles_of_the_samples():
     results = evaluate(["adaptive"], ["energy"], episodes=5)
-    scenes = comparison_scenes(results)
-    for cell in results.cells:
-        scene, measured = scenes[cell.scenario], cell.samples["estimate_distance"]
+    drawn = scenes(results)
+    for (track, _), samples in results.samples.items():
+        scene, measured = drawn[track], samples["estimate_distance"][0]
         at_deadline = scene.traces["adaptive"].errors[:, scene.deadline_frame]
         np.testing.assert_array_equal(at_deadline, np.quantile(measured, [0.1, 0.5, 0.9]))
         assert scene.traces["adaptive"].error[scene.deadline_frame] == measured[0]
@@ -50,7 +47,7 @@ def test_consensus_gains_are_those_of_the_law():
     results = evaluate(
         [PolicySpec("mine", FactorySpec.of("ptne_env.laws:Static", kappa=3.25))], ["energy-switching"], episodes=2
     )
-    scene = comparison_scenes(results)["energy-switching"]
+    scene = scenes(results)["energy-switching"]
     gains = scene.traces["mine"].consensus_gains[:, :-1]
     alone = np.array(
         [[not scene.live[(scene.links == player).any(axis=1), frame].any() for frame in range(gains.shape[1])]
@@ -61,31 +58,27 @@ def test_consensus_gains_are_those_of_the_law():
     np.testing.assert_allclose(gains[~alone], 3.25, rtol=1e-5)  # actions are float32
 
 
-def test_a_learned_policy_is_drawn_beside_the_tuned_laws_that_it_was_measured_against():
+def test_the_tuned_laws_are_drawn_beside_a_learned_policy():
     results = evaluate(["ppo-random-energy"], [get_scenario("random-energy", steps=40)], episodes=2)
-    scene = comparison_scenes(results)["random-energy"]
+    scene = scenes(results)["random-energy"]
     assert list(scene.traces) == ["ppo-random-energy", "best of the paper's laws", "best of all laws"]
 
 
-def test_a_suite_is_drawn_with_its_teammates_from_its_own_bank(tmp_path):
+def test_a_suite_is_drawn_with_its_teammates_from_its_own_episodes():
     world = get_scenario("random-energy", steps=40)
-    team = Track("team", world, "Others act.", teammates=Teammates(FactorySpec.of("ptne_env.laws:ZeroInput"), (1, 3)))
-    suite = Suite("tiny", 1, (Track("alone", world, "Nothing."), team), episodes=3)
-    run = run_suite(suite, ["ppo-random-energy-gains"], tmp_path)
-    told = []
-    scenes = suite_scenes(run, workers=Workers(2), progress=told.append)
-    assert list(scenes) == sorted(told) == ["alone", "team"]
-    for name, scene in scenes.items():
+    team = Track("team", world, "A team.", teammates=Teammates(FactorySpec.of("ptne_env.laws:ZeroInput"), (1, 3)))
+    suite = Suite("tiny", (Track("alone", world, "Nothing."), team), episodes=3)
+    results = run_suite(suite, ["ppo-random-energy-gains"])
+    calls = []
+    drawn = scenes(results, workers=Workers(2), progress=lambda *arguments: calls.append(arguments))
+    assert sorted(calls) == [("alone", 2), ("team", 2)]
+    assert list(drawn) == ["alone", "team"]
+    for name, scene in drawn.items():
         trace = scene.traces["static"]
-        measured = run.of(name, "static")[0].samples["estimate_distance"]
+        measured = results.samples[name, "static"]["estimate_distance"]
         np.testing.assert_array_equal(trace.errors[1, scene.deadline_frame], np.median(measured))
-        distance = distances.estimate_distance(trace.estimates[..., :1], _game(run, name))
+        game = suite.episode_set(name, 1).initial_state(World(world)).game
+        distance = distances.estimate_distance(trace.estimates[..., :1], game)
         assert distance[0] == pytest.approx(trace.error[0], rel=1e-12)
-    assert not np.any(scenes["team"].traces["static"].inputs[[1, 3], :-1])
-    assert np.all(scenes["alone"].traces["static"].inputs[:, :-1])
-
-
-def _game(run, track):
-    from ptne_env.world import World
-
-    return run.suite.draw_start(World(run.suite.track(track).scenario), track, 1).game
+    assert not np.any(drawn["team"].traces["static"].inputs[[1, 3], :-1])
+    assert np.all(drawn["alone"].traces["static"].inputs[:, :-1])

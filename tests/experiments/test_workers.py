@@ -1,4 +1,4 @@
-"""Tasks on several workers: the same results as on one, and clear words when something is missing or dies."""
+"""Workers: the same results for any number of them, and clear errors when one is missing or dies."""
 
 import importlib
 import os
@@ -6,18 +6,17 @@ import sys
 from pathlib import Path
 
 import pytest
+from small_suite import untimed
 
 import ptne_env
 from ptne_env import FactorySpec
-from ptne_env.experiments import benchmark
-from ptne_env.experiments.benchmark import run_suite
-from ptne_env.experiments.suite import Suite, Track
-from ptne_env.experiments.workers import Workers
+from ptne_env.experiments import Suite, Track, Workers, get_policy_spec, run_suite
+from ptne_env.experiments.jobs import Job, run_job
 
 
 def square(number):
     if number < 0:
-        raise ValueError(f"{number} has no business here")
+        raise ValueError(f"{number} is negative")
     return number**2
 
 
@@ -43,19 +42,19 @@ def test_one_job_stays_in_this_process_and_two_do_not():
 
 
 @pytest.mark.parametrize("jobs", [1, 2])
-def test_what_a_task_raises_is_raised(jobs):
-    with pytest.raises(ValueError, match="-1 has no business here"):
+def test_an_error_of_a_task_is_raised(jobs):
+    with pytest.raises(ValueError, match="-1 is negative"):
         list(Workers(jobs).run(square, [(1,), (-1,), (2,)]))
 
 
-def test_a_dead_process_is_told():
-    with pytest.raises(ChildProcessError, match="a worker process died.*what is finished is kept"):
+def test_a_dead_process_is_an_error():
+    with pytest.raises(ChildProcessError, match="a worker process died.*stored results are kept"):
         list(Workers(2).run(die, [(0,), (1,), (2,)]))
     assert dict(Workers(2).run(square, [(2,), (3,)])) == {0: 4, 1: 9}  # and the next run has new ones
 
 
 class Fatal:
-    """The null law, in whose first life the process dies."""
+    """The zero input; its process dies when it is built for the first time."""
 
     def __init__(self, layout, mark):
         if not Path(mark).exists():
@@ -70,43 +69,25 @@ class Fatal:
 def test_a_suite_that_lost_a_process_goes_on_with_the_same_results(tmp_path, monkeypatch):
     monkeypatch.syspath_prepend(Path(__file__).parent)
     scenario = ptne_env.get_scenario("random-energy", steps=40)
-    suite = Suite("small", 1, (Track("ring", scenario, "The base."),), episodes=3)
+    suite = Suite("small", (Track("ring", scenario, "The base."),), episodes=3)
     fatal = ptne_env.PolicySpec("fatal", FactorySpec.of("test_workers:Fatal", mark=str(tmp_path / "mark")))
     with pytest.raises(ChildProcessError, match="died"):
-        run_suite(suite, [fatal], tmp_path / "killed", workers=Workers(2))
-    again = run_suite(suite, [fatal], tmp_path / "killed", workers=Workers(2))
-    alone = run_suite(suite, [fatal], tmp_path / "alone")
-    for one, other in zip(again.measured, alone.measured, strict=True):
-        assert benchmark._difference(one, other) == 0.0
+        run_suite(suite, [fatal], folder=tmp_path / "killed", workers=Workers(2))
+    again = run_suite(suite, [fatal], folder=tmp_path / "killed", workers=Workers(2))
+    assert untimed(again) == untimed(run_suite(suite, [fatal]))
 
 
 def test_a_worker_with_other_files_is_refused():
-    cell = benchmark.Cell(
-        "small",
-        Track("ring", ptne_env.get_scenario("random-energy", steps=40), "The base."),
-        "static",
-        0,
-        ptne_env.PolicySpec("static", FactorySpec.of("ptne_env.laws:Static", kappa=2.0)),
-        0,
-        "test",
-        2,
-    )
-    assert benchmark._measure(cell, cell.key).samples["digits"].shape == (2,)
+    suite = Suite("small", (Track("ring", ptne_env.get_scenario("random-energy", steps=40), "The base."),))
+    job = Job(suite.tracks[0], get_policy_spec("static"), 0, suite.episode_set("ring", 2))
+    assert run_job(job, job.key).samples["digits"].shape == (2,)
     with pytest.raises(ValueError, match="another version of the library.*'static'.*install the same"):
-        benchmark._measure(cell, "0" * 64)
+        run_job(job, "0" * 64)
 
 
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        ({"jobs": 0}, "0 jobs"),
-        ({"backend": "dask"}, "unknown backend 'dask'; choose from processes, ray"),
-        ({"address": "auto"}, "choose the backend 'ray'"),
-    ],
-)
-def test_workers_that_cannot_be_are_refused(arguments, message):
-    with pytest.raises(ValueError, match=message):
-        Workers(**arguments)
+def test_no_jobs_are_refused():
+    with pytest.raises(ValueError, match="0 jobs"):
+        Workers(0)
 
 
 @pytest.fixture
@@ -118,7 +99,7 @@ def no_cluster(monkeypatch):
 def test_without_ray_the_error_names_the_extra(monkeypatch):
     monkeypatch.setitem(sys.modules, "ray", None)
     with pytest.raises(ImportError, match=r"ptne-env\[ray\]"):
-        list(Workers(2, "ray").run(square, [(1,), (2,)]))
+        list(Workers(2, "auto").run(square, [(1,), (2,)]))
 
 
 @pytest.fixture
@@ -143,7 +124,7 @@ class Flaky:
 
 def test_tasks_of_dead_machines_run_again(fake_ray):
     flaky = Flaky(deaths=2)
-    assert dict(Workers(-1, "ray", "auto").run(flaky, [(n,) for n in range(9)])) == {n: n**2 for n in range(9)}
+    assert dict(Workers(-1, "auto").run(flaky, [(n,) for n in range(9)])) == {n: n**2 for n in range(9)}
     assert set(flaky.calls.values()) == {3}
     assert fake_ray.addresses == ["auto"]
 
@@ -151,16 +132,16 @@ def test_tasks_of_dead_machines_run_again(fake_ray):
 @pytest.mark.usefixtures("fake_ray")
 def test_a_task_that_kills_every_machine_ends_the_run():
     with pytest.raises(ChildProcessError, match="lost 4 times.*the node died"):
-        list(Workers(-1, "ray").run(Flaky(deaths=9), [(1,), (2,)]))
+        list(Workers(-1, "auto").run(Flaky(deaths=9), [(1,), (2,)]))
 
 
 @pytest.mark.usefixtures("fake_ray")
-def test_where_nothing_listens_the_address_is_told():
+def test_an_address_without_a_cluster_is_named():
     with pytest.raises(ConnectionError, match=r"no Ray cluster answers at 127.0.0.1:1: "):
-        list(Workers(-1, "ray", "127.0.0.1:1").run(square, [(1,), (2,)]))
+        list(Workers(-1, "127.0.0.1:1").run(square, [(1,), (2,)]))
 
 
 @pytest.mark.usefixtures("fake_ray")
-def test_what_a_task_on_a_cluster_raises_is_raised():
-    with pytest.raises(ValueError, match="-1 has no business here"):
-        list(Workers(4, "ray").run(square, [(1,), (-1,), (2,)]))
+def test_an_error_of_a_task_on_a_cluster_is_raised():
+    with pytest.raises(ValueError, match="-1 is negative"):
+        list(Workers(4, "auto").run(square, [(1,), (-1,), (2,)]))

@@ -12,15 +12,6 @@ def test_pseudo_gradient_is_own_gradients_at_equal_estimates(game):
     assert np.array_equal(game.pseudo_gradient(x), game.own_gradients(shared))
 
 
-@pytest.mark.parametrize("game", [EnergyGame(), BlockGame()], ids=lambda game: type(game).__name__)
-def test_affine_games_have_the_jacobian_of_their_gradients(game):
-    generator = np.random.default_rng(3)
-    x, step = generator.uniform(-5, 5, (2, game.dimension, 1))
-    difference = game.pseudo_gradient(x + step) - game.pseudo_gradient(x)
-    assert game.is_affine
-    assert game.jacobian(x)[:, :, 0] @ step == pytest.approx(difference, abs=1e-11)
-
-
 def test_equilibrium_without_closed_form_is_solved_numerically():
     game = BlockGame()
     assert game.nash_equilibrium == pytest.approx(np.linalg.solve(game.matrix, -game.offset), abs=1e-10)

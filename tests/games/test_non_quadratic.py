@@ -58,18 +58,6 @@ def test_only_the_second_cost_is_not_radially_unbounded():
     assert not report.assumption_3_holds
 
 
-def test_jacobian_is_the_derivative_of_the_pseudo_gradient():
-    game, x, h = NonQuadraticGame(), np.array([0.3, -1.2, 2.0, 0.7, -0.4]), 1e-6
-    numerical = np.empty((5, 5))
-    for component in range(5):
-        step = np.zeros(5)
-        step[component] = h
-        numerical[:, component] = (
-            game.pseudo_gradient((x + step)[:, None]) - game.pseudo_gradient((x - step)[:, None])
-        )[:, 0] / (2 * h)
-    assert game.jacobian(x[:, None])[:, :, 0] == pytest.approx(numerical, abs=1e-8)
-
-
 def test_best_response_and_regrets_are_refused_with_a_reason():
     game, x = NonQuadraticGame(), np.zeros((5, 1))
     with pytest.raises(NoBestResponseError, match="J2 is unbounded below"):

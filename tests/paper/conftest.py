@@ -5,23 +5,29 @@ from ptne_env.paper import Experiments, reproduce
 
 
 @pytest.fixture(scope="session")
-def experiments():
-    """The paper's runs, shared by all tests."""
-    return Experiments()
+def built(build_once, tmp_path_factory):
+    """The paper's runs, a reproduction from them, and the reports of its progress."""
+
+    def build():
+        experiments, reports = Experiments(), []
+        out = tmp_path_factory.mktemp("reproduction") / "new" / "folder"
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(module, "Experiments", lambda: experiments)
+            return experiments, reproduce(out, progress=lambda *report: reports.append(report)), reports
+
+    return build_once("paper", build)
 
 
 @pytest.fixture(scope="session")
-def reproduction(tmp_path_factory, experiments, build_once):
+def experiments(built):
+    """The paper's runs."""
+    return built[0]
+
+
+@pytest.fixture(scope="session")
+def reproduction(built):
     """A reproduction, and the reports of its progress."""
-    out = tmp_path_factory.mktemp("reproduction") / "new" / "folder"
-
-    def build():
-        reports = []
-        with pytest.MonkeyPatch.context() as patch:
-            patch.setattr(module, "Experiments", lambda: experiments)
-            return reproduce(out, progress=lambda *report: reports.append(report)), reports
-
-    return build_once("reproduction", build)
+    return built[1:]
 
 
 @pytest.fixture(scope="session")

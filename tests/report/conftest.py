@@ -1,76 +1,106 @@
-"""Small results that all tests of the report page share."""
+"""Small results that all tests of the report share."""
 
 from dataclasses import replace
 
 import pytest
 
 from ptne_env import FactorySpec, PolicySpec, evaluate, get_scenario
-from ptne_env.experiments import get_policy_spec
-from ptne_env.experiments.benchmark import run_suite
-from ptne_env.experiments.leaderboard import leaderboard
-from ptne_env.experiments.suite import Suite, Track
-from ptne_env.experiments.traces import comparison_scenes, suite_scenes
-from ptne_env.report import comparison_report, film, render_page, suite_report
+from ptne_env.experiments import Suite, Track, get_policy_spec, run_suite
+from ptne_env.experiments.traces import scenes
+from ptne_env.report import page, save_video
+from ptne_env.report.pages import render_report, report
 
 
 @pytest.fixture(scope="session")
 def hostile():
-    """A name that a page must show and not obey."""
+    """A name that a page must show as text."""
     return "</script><script>alert(1)</script><b>&\"'"
 
 
 @pytest.fixture(scope="session")
 def comparison(hostile):
-    """Results on a fixed and on a drawn world, with an oracle and a hostile name."""
+    """Results on a fixed and on a drawn world, with an oracle, a learned policy and a hostile name."""
     mine = PolicySpec(hostile, FactorySpec.of("ptne_env.laws:Static", kappa=1.0))
-    return evaluate(["static", "grounded", "null", "oracle", mine], ["energy", "energy-switching"], episodes=6)
+    return evaluate(
+        ["static", "grounded", "zero-input", "oracle", mine],
+        ["energy", "energy-switching"],
+        episodes=6,
+        against_laws=False,
+    )
 
 
 @pytest.fixture(scope="session")
-def compared(comparison):
-    """The report on them."""
-    return comparison_report(comparison, comparison_scenes(comparison), episodes=6, hold_steps=0)
-
-
-@pytest.fixture(scope="session")
-def board(tmp_path_factory):
-    """A suite of two tracks, on one of which a learned policy cannot act."""
+def suite():
+    """Results of a suite of two tracks; on one of them a learned policy cannot act."""
     world = get_scenario("random-energy", steps=200)
     robots = world.replace(game=FactorySpec.of("ptne_env.games:ConnectivityControl"))
-    suite = Suite("tiny", 1, (Track("plain", world, "Nothing."), Track("robots", robots, "Robots.")), episodes=6)
-    folder = tmp_path_factory.mktemp("suite")
-    return leaderboard(run_suite(suite, ["ppo-random-energy", "grounded", "adaptive"], folder))
+    tiny = Suite("tiny", (Track("plain", world, "Nothing."), Track("robots", robots, "Robots.")), episodes=6)
+    return run_suite(tiny, ["ppo-random-energy", "grounded", "adaptive"])
 
 
 @pytest.fixture(scope="session")
-def benched(board):
-    """The report on it."""
-    return suite_report(board, suite_scenes(board.run), folder="results/tiny-v1")
+def comparison_scenes(comparison):
+    """The scenes of the comparison."""
+    return scenes(comparison)
 
 
 @pytest.fixture(scope="session")
-def page_file(compared, benched, tmp_path_factory):
+def suite_scenes(suite):
+    """The scenes of the suite."""
+    return scenes(suite)
+
+
+@pytest.fixture(scope="session")
+def comparison_report(comparison, comparison_scenes):
+    """The content of the page of the comparison."""
+    return report(comparison, comparison_scenes)
+
+
+@pytest.fixture(scope="session")
+def suite_report(suite, suite_scenes):
+    """The content of the page of the suite."""
+    return report(suite, suite_scenes)
+
+
+@pytest.fixture(scope="session")
+def page_file(comparison, comparison_scenes, suite_report, tmp_path_factory):
     """Pages by name, as files: ``comparison``, ``suite``, ``episode`` and ``large``, of 20 tracks with 15 policies."""
     folder = tmp_path_factory.mktemp("pages")
-    pages = {"comparison": compared, "suite": benched, "large": _enlarged(benched, 20, 15)}
-    for name, report in pages.items():
-        (folder / f"{name}.html").write_text(render_page(report), encoding="utf-8")
-    film(get_scenario("energy", steps=100), get_policy_spec("static"), folder / "episode.html")
+    pages = {
+        "comparison": page(comparison, comparison_scenes),
+        "suite": render_report(suite_report),
+        "large": render_report(_enlarged(suite_report, 20, 15)),
+    }
+    for name, text in pages.items():
+        (folder / f"{name}.html").write_text(text, encoding="utf-8")
+    save_video(get_scenario("energy", steps=100), get_policy_spec("static"), folder / "episode.html")
     return lambda name: folder / f"{name}.html"
 
 
-def _enlarged(report, tracks, policies):
-    def repeated(items, count):
-        return [items[index % len(items)] for index in range(count)]
-
-    section, names = report.sections[0], [f"policy-{index}" for index in range(policies)]
-    scene = report.scenes[section.name]
-    rows = [replace(row, name=name) for name, row in zip(names, repeated(section.table.rows, policies), strict=True)]
-    traces = dict(zip(names, repeated(list(scene.traces.values()), policies), strict=True))
+def _enlarged(content, tracks, policies):
+    """The content of a page with copies of its first track and of that track's policies."""
+    section, names = content.sections[0], [f"policy-{index}" for index in range(policies)]
+    scene = content.scenes[section.name]
+    originals = dict(zip(names, [*section.tables[0].rows] * policies, strict=False))
+    tables = tuple(
+        replace(
+            table,
+            rows=dict.fromkeys(names, False),
+            columns=tuple(
+                replace(column, values={name: column[original] for name, original in originals.items()})
+                for column in table.columns
+            ),
+        )
+        for table in section.tables
+    )
+    scene = replace(scene, traces={name: scene.traces[original] for name, original in originals.items()})
     sections = [
-        replace(section, name=f"track-{index}", table=replace(section.table, rows=tuple(rows)), shown=tuple(names[:5]))
-        for index in range(tracks)
+        replace(section, name=f"track-{index}", tables=tables, shown=tuple(names[:5])) for index in range(tracks)
     ]
-    scenes = {one.name: replace(scene, traces=traces) for one in sections}
-    profiles = dict(zip(names, repeated(list(report.profiles.values()), policies), strict=True))
-    return replace(report, sections=tuple(sections), scenes=scenes, policies=tuple(names), profiles=profiles)
+    return replace(
+        content,
+        sections=tuple(sections),
+        scenes={each.name: scene for each in sections},
+        policies=tuple(names),
+        profiles={name: next(iter(content.profiles.values())) for name in names},
+    )

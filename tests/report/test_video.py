@@ -1,8 +1,10 @@
-"""Films: an episode from its start to its end, in files that can be opened."""
+"""Videos of an episode: GIF, MP4 and the player."""
 
 import json
+import os
 import re
 import shutil
+import subprocess
 
 import numpy as np
 import pytest
@@ -10,7 +12,8 @@ from PIL import Image
 
 from ptne_env import get_scenario
 from ptne_env.experiments import get_policy_spec
-from ptne_env.report import film
+from ptne_env.report import save_video
+from ptne_env.report.video import PER_SECOND
 
 
 @pytest.fixture
@@ -18,9 +21,11 @@ def world():
     return get_scenario("energy-switching", steps=250, hold_steps=10)
 
 
-def test_a_gif_shows_the_episode_picture_by_picture(world, tmp_path):
+def test_gif_shows_the_episode_and_holds_its_last_picture(world, tmp_path):
     seen = []
-    film(world, get_policy_spec("static"), tmp_path / "run.gif", pictures=4, progress=lambda *count: seen.append(count))
+    save_video(
+        world, get_policy_spec("static"), tmp_path / "run.gif", pictures=4, progress=lambda *count: seen.append(count)
+    )
     assert seen == [(1, 4), (2, 4), (3, 4), (4, 4)]
     with Image.open(tmp_path / "run.gif") as image:
         assert image.n_frames == 4
@@ -28,13 +33,14 @@ def test_a_gif_shows_the_episode_picture_by_picture(world, tmp_path):
         for index in range(4):
             image.seek(index)
             pictures.append(np.asarray(image.convert("RGB")))
+        assert image.info["duration"] == 2000
     inked = [int((picture < 250).any(axis=2).sum()) for picture in pictures]
     assert inked[0] < inked[1]
     assert not np.array_equal(pictures[1], pictures[3])
 
 
-def test_the_axes_stand_still(world, tmp_path):
-    film(world, get_policy_spec("static"), tmp_path / "run.gif", pictures=5)
+def test_axes_stand_still(world, tmp_path):
+    save_video(world, get_policy_spec("static"), tmp_path / "run.gif", pictures=5)
     frames = []
     with Image.open(tmp_path / "run.gif") as image:
         for index in range(5):
@@ -46,8 +52,8 @@ def test_the_axes_stand_still(world, tmp_path):
         assert set(edges[0]) <= set(edge)
 
 
-def test_a_page_has_the_player_alone(world, tmp_path):
-    film(world, get_policy_spec("static"), tmp_path / "run.html")
+def test_html_has_the_player_alone(world, tmp_path):
+    save_video(world, get_policy_spec("static"), tmp_path / "run.html")
     text = (tmp_path / "run.html").read_text(encoding="utf-8")
     figures = json.loads(re.search(r'<script type="application/json" id="figures">(.*?)</script>', text)[1])
     assert figures["policies"] == ["static"]
@@ -55,17 +61,32 @@ def test_a_page_has_the_player_alone(world, tmp_path):
 
 
 @pytest.mark.skipif(shutil.which("ffmpeg") is None, reason="needs ffmpeg in the PATH: apt-get install ffmpeg")
-def test_an_mp4_is_one(world, tmp_path):
-    film(world, get_policy_spec("static"), tmp_path / "run.mp4", pictures=3)
+def test_mp4_has_all_pictures_and_holds_the_last(world, tmp_path):
+    save_video(world, get_policy_spec("static"), tmp_path / "run.mp4", pictures=3)
     assert (tmp_path / "run.mp4").read_bytes()[4:8] == b"ftyp"
+    command = ["ffmpeg", "-i", "run.mp4", "%02d.png"]
+    subprocess.run(command, cwd=tmp_path, check=True, capture_output=True)
+    assert len(list(tmp_path.glob("*.png"))) == 3 + 2 * PER_SECOND
+    assert {path.name for path in tmp_path.iterdir() if path.suffix != ".png"} == {"run.mp4"}
 
 
-def test_an_mp4_without_ffmpeg_says_what_to_do(world, tmp_path, monkeypatch):
+@pytest.mark.skipif(shutil.which("ffmpeg") is None, reason="needs ffmpeg in the PATH: apt-get install ffmpeg")
+def test_failing_ffmpeg_leaves_the_old_file(world, tmp_path, monkeypatch):
+    (tmp_path / "ffmpeg").write_text("#!/bin/sh\ncat > /dev/null; echo broken >&2; exit 1\n")
+    (tmp_path / "ffmpeg").chmod(0o755)
+    monkeypatch.setenv("PATH", f"{tmp_path}:{os.environ['PATH']}")
+    (tmp_path / "run.mp4").write_bytes(b"old")
+    with pytest.raises(OSError, match="ffmpeg failed: broken"):
+        save_video(world, get_policy_spec("static"), tmp_path / "run.mp4", pictures=2)
+    assert (tmp_path / "run.mp4").read_bytes() == b"old"
+
+
+def test_mp4_without_ffmpeg_raises_with_the_remedy(world, tmp_path, monkeypatch):
     monkeypatch.setenv("PATH", str(tmp_path))
     with pytest.raises(FileNotFoundError, match="needs the program ffmpeg"):
-        film(world, get_policy_spec("static"), tmp_path / "run.mp4", pictures=2)
+        save_video(world, get_policy_spec("static"), tmp_path / "run.mp4", pictures=2)
 
 
-def test_another_ending_is_refused_before_anything_runs(world, tmp_path):
+def test_other_suffix_raises_before_anything_runs(world, tmp_path):
     with pytest.raises(ValueError, match=r"written to \.gif, \.mp4, \.html, got 'run\.avi'"):
-        film(world, get_policy_spec("static"), tmp_path / "run.avi")
+        save_video(world, get_policy_spec("static"), tmp_path / "run.avi")

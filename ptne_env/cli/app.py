@@ -1,0 +1,71 @@
+"""The application: options of every command, errors and exit codes."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.text import Text
+
+from ptne_env._version import __version__
+from ptne_env.cli.console import console, output
+
+_INTERRUPTED = 130
+"""Exit code after Ctrl-C."""
+
+app = typer.Typer(
+    no_args_is_help=True,
+    add_completion=True,
+    pretty_exceptions_enable=False,
+    help="Prescribed-time Nash-equilibrium seeking: compare policies with the analytical laws of Feng and Hu's paper, "
+    "reproduce the paper, and certify scenarios beforehand.",
+)
+
+
+def _version(value: bool) -> None:  # noqa: FBT001 - typer's callback signature
+    if value:
+        typer.echo(f"ptne_env {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def _root(
+    version: Annotated[  # noqa: ARG001, FBT002 - handled by its callback
+        bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version and exit.")
+    ] = False,
+    quiet: Annotated[  # noqa: FBT002 - a flag
+        bool, typer.Option("--quiet", "-q", help="Print nothing but errors, and JSON for '--json -'.")
+    ] = False,
+    debug: Annotated[bool, typer.Option("--debug", help="Show the traceback of an error.")] = False,  # noqa: FBT002 - a flag
+) -> None:
+    """Options of every command."""
+    output.quiet, output.debug = quiet, debug
+
+
+def main() -> None:
+    """Run the command line; exit codes are 0 done, 1 failed, 2 wrong usage, 130 interrupted."""
+    sys.path.append(str(Path.cwd()))  # so that 'module:object' finds a file of the current folder, after all others
+    try:
+        app(prog_name="ptne")
+    except SystemExit as ended:
+        if ended.code == _INTERRUPTED:
+            console(stderr=True).print("Interrupted: all files are complete, and the same command goes on from here")
+        raise
+    except ValueError as error:
+        _fail(str(error), 2)
+    except (OSError, ImportError) as error:
+        _fail(str(error), 1)
+    except Exception as error:  # noqa: BLE001 - the traceback of any error is shown on request only
+        message = "\n".join([f"{type(error).__name__}: {error}", *getattr(error, "__notes__", ())])
+        _fail(message if output.debug else f"{message}\n'ptne --debug' before the command shows where it comes from", 1)
+
+
+def _fail(message: str, code: int) -> None:
+    screen = console(stderr=True)
+    if output.debug:
+        screen.print_exception()
+    text = Text("Error: ", style="bold red").append(message, style="not bold default")
+    screen.print(text, soft_wrap=not screen.is_terminal)
+    raise SystemExit(code)

@@ -1,0 +1,198 @@
+"""``ptne compare`` and ``ptne check``: run policies on scenarios or on the tracks of a suite, and check results."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterable
+from math import isfinite
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from ptne_env import report
+from ptne_env.catalogue import CATALOGUE
+from ptne_env.cli import options
+from ptne_env.cli.app import app
+from ptne_env.cli.console import STDOUT, check_writable, console, json_text, progress, say, write_json
+from ptne_env.experiments import PolicySpec, default_policies, get_policy_spec, get_suite, run_suite, suite_policies
+from ptne_env.experiments.check import check as run_check
+from ptne_env.experiments.policy_specs import stores_code
+from ptne_env.experiments.suite import SUITES, comparison
+from ptne_env.experiments.traces import scenes
+from ptne_env.files import write_atomically
+
+_HOLD_STEPS = 50
+
+
+def _complete_track(context: typer.Context) -> list[str]:
+    suite: str = context.params.get("suite") or ""
+    return [track.name for track in get_suite(suite).tracks] if suite in SUITES else list(CATALOGUE)
+
+
+@app.command()
+def compare(
+    *,
+    suite: Annotated[
+        str | None,
+        typer.Option(
+            help="Run the tracks of a suite, such as ptne-v1 or 'module:object', instead of scenarios.",
+            autocompletion=lambda: list(SUITES),
+        ),
+    ] = None,
+    track: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--scenario",
+            "--track",
+            help="A scenario by name, or with --suite a track; repeat for several. All if left out. See 'ptne list'.",
+            autocompletion=_complete_track,
+        ),
+    ] = None,
+    policy: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="A policy by name, an .onnx file, a Stable-Baselines3 .zip, 'module:object' that is called with the "
+            "layout and returns something with predict(), or 'name=pattern' for the files of several training seeds; "
+            "separate several by commas, or repeat. If left out: the paper's laws, and the learned policies on the "
+            "scenarios they were trained on; with --suite, all laws and all learned policies.",
+            autocompletion=options.complete_policy,
+        ),
+    ] = None,
+    episodes: Annotated[
+        int | None,
+        typer.Option(
+            min=1,
+            help="Test episodes per scenario or track, the same for every policy.",
+            show_default="1000, or the suite's own number",
+        ),
+    ] = None,
+    seed: options.Seed = 0,
+    hold_steps: Annotated[
+        int | None,
+        typer.Option(
+            min=0,
+            help="Steps after the deadline, for 'digits after hold'; a suite has its own.",
+            show_default=str(_HOLD_STEPS),
+        ),
+    ] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            help="Folder of results.json, results.csv, report.html and the finished jobs, from which an interrupted "
+            "run goes on. With '--json -' nothing is written unless it is given.",
+            show_default="results/comparison, or results/SUITE",
+        ),
+    ] = None,
+    with_report: Annotated[bool, typer.Option("--report/--no-report", help="Write the page report.html.")] = True,
+    jobs: options.Jobs = -1,
+    ray: options.Ray = None,
+    json: options.Json = None,
+    trust: options.Trust = False,
+) -> None:
+    """Run policies on scenarios and print how close they came to the equilibrium by the deadline, and at what cost.
+
+    Every policy is run from the same seeded episodes; the paper's own start is a track of its own. Intervals are 95 %
+    bootstrap intervals of the mean over episodes. Learned policies are also compared, paired by episode, with laws
+    that were tuned on validation episodes.
+
+    With --suite, run the tracks of a frozen benchmark, with scores and ranks; see docs/protocol.md.
+    """
+    if suite is None:
+        chosen = comparison(
+            track or CATALOGUE, episodes=episodes or 1000, hold_steps=50 if hold_steps is None else hold_steps
+        )
+        tracks = None
+    else:
+        if hold_steps is not None:
+            raise ValueError("a suite fixes the steps after the deadline: leave out --hold-steps")
+        chosen, tracks = get_suite(suite), track
+    folder = out or (None if json == STDOUT else Path("results") / chosen.name)
+    files = {} if folder is None else {name: folder / f"results.{name}" for name in ("json", "csv")}
+    page = None if folder is None or not with_report else folder / "report.html"
+    check_writable(json, page, *files.values())
+    names = [name for given in policy or () for name in given.split(",")]
+    policies = _policies(names, trust=trust) if names else suite_policies() if suite else default_policies()
+    workers = options.make_workers(jobs, ray)
+    with progress(chosen.name) as advance:
+        results = run_suite(
+            suite or chosen,
+            policies,
+            tracks=tracks,
+            episodes=episodes,
+            seed=seed,
+            against_laws=suite is None,
+            folder=folder,
+            workers=workers,
+            progress=lambda job, total: advance(total=total, description=job),
+        )
+        advance(0, description="statistics")
+        text = results.to_json()
+        write_json(json, text)
+        if folder is not None:
+            write_atomically(files["json"], text + "\n")
+            write_atomically(files["csv"], results.to_csv())
+        if page is not None:
+            drawn = scenes(
+                results,
+                workers=workers,
+                progress=lambda name, total: advance(total=total, description=f"report: {name}"),
+            )
+            write_atomically(page, report.page(results, drawn))
+    screen = console()
+    screen.print(report.result_tables(results, screen.width))
+    for path in files.values():
+        say(f"Results written to {path}")
+    if page is not None:
+        say(f"Report written to {page}: open it in a browser")
+
+
+def _policies(names: Iterable[str], *, trust: bool) -> list[PolicySpec]:
+    """The named policies, once the user trusts the code that files among them store."""
+    archives = [name for name in names if stores_code(name)]
+    if archives and not trust:
+        if not sys.stdin.isatty():
+            raise ValueError(
+                f"loading {', '.join(archives)} executes code that is stored there: say --trust if you trust it"
+            )
+        typer.confirm(f"Loading {', '.join(archives)} executes code that is stored there. Do you trust it?", abort=True)
+    return [get_policy_spec(name, trust=True) for name in names]
+
+
+@app.command()
+def check(
+    results: Annotated[Path, typer.Argument(help="The file results.json of a comparison or suite, or its folder.")],
+    *,
+    sample: Annotated[int, typer.Option(min=1, help="Number of jobs to run again.")] = 5,
+    tolerance: Annotated[
+        float, typer.Option(min=0.0, help="Largest |new − old|/(1 + |old|) of a reproduced job.")
+    ] = 0.0,
+    trust: options.Trust = False,
+    json: options.Json = None,
+) -> None:
+    """Run a random sample of the jobs of published results again, and compare every number.
+
+    The exit code is 0 when all of them reproduce, else 1.
+    """
+    check_writable(json)
+    with progress("checking") as advance:
+        repetitions = run_check(
+            results,
+            sample=sample,
+            trust=trust,
+            progress=lambda job, total: advance(total=total, description=job),
+        )
+    rows = [
+        {
+            "track": repetition.job.track.name,
+            "policy": repetition.job.policy.name,
+            "training_seed": repetition.job.training_seed,
+            "difference": repetition.difference if isfinite(repetition.difference) else None,
+            "reproduces": repetition.difference <= tolerance,
+        }
+        for repetition in repetitions
+    ]
+    write_json(json, json_text(rows))
+    console().print(report.repetition_table(repetitions, tolerance))
+    if not all(row["reproduces"] for row in rows):
+        raise typer.Exit(1)

@@ -1,0 +1,112 @@
+"""The output of commands: console, progress, JSON on stdout, and files."""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from json import dumps
+from pathlib import Path
+
+import typer
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.table import Column
+from rich.text import Text
+
+from ptne_env.files import require_writable, write_atomically
+
+_PIPE_WIDTH = 172
+"""Width of tables where the output is no terminal; rich would cut them to 80 columns."""
+
+STDOUT = "-"
+"""The value of ``--json`` for stdout."""
+
+
+@dataclass
+class Output:
+    """Settings of the whole run.
+
+    Attributes:
+        quiet: whether nothing is printed but errors and requested JSON.
+        debug: whether errors show a traceback.
+        stdout: descriptor of the real stdout while it is kept for JSON alone.
+    """
+
+    quiet: bool = False
+    debug: bool = False
+    stdout: int | None = None
+
+
+output = Output()
+
+
+def console(*, stderr: bool = False) -> Console:
+    """A console on stdout or stderr."""
+    stream = sys.stderr if stderr else sys.stdout
+    return Console(
+        stderr=stderr,
+        width=None if stream.isatty() else _PIPE_WIDTH,
+        quiet=not stderr and (output.quiet or output.stdout is not None),
+        color_system=None if os.environ.get("NO_COLOR") else "auto",  # rich alone would still write bold and dim
+    )
+
+
+@contextmanager
+def progress(description: str, total: int | None = None) -> Iterator[Callable[..., None]]:
+    """A bar with the remaining time on stderr.
+
+    Yields:
+        A function of the number of finished steps, the total and a description; what is left out stays as it is, and
+        without a number one more step is finished.
+    """
+    columns = (
+        TextColumn("{task.description}", table_column=Column(ratio=1, no_wrap=True, overflow="ellipsis")),
+        BarColumn(bar_width=20),
+        MofNCompleteColumn(),
+        TimeRemainingColumn(),
+    )
+    disable = output.quiet or not sys.stderr.isatty()
+    with Progress(*columns, console=console(stderr=True), transient=True, expand=True, disable=disable) as bar:
+        task = bar.add_task(description, total=total)
+
+        def advance(done: int | None = None, total: int | None = None, description: str | None = None) -> None:
+            bar.update(task, completed=done, advance=1 if done is None else None, total=total, description=description)
+
+        yield advance
+
+
+def keep_stdout(context: typer.Context, value: str | None) -> str | None:
+    """With ``--json -``, send all other output to stderr, including that of other code and processes."""
+    if value == STDOUT and not context.resilient_parsing:
+        output.stdout = os.dup(1)
+        os.dup2(2, 1)
+    return value
+
+
+def json_text(value: object) -> str:
+    """A JSON text without NaN or Infinity."""
+    return dumps(value, indent=2, allow_nan=False, ensure_ascii=False)
+
+
+def write_json(target: str | None, text: str) -> None:
+    """Write a JSON text to the value of ``--json``."""
+    if target == STDOUT and output.stdout is not None:
+        with os.fdopen(output.stdout, "w", encoding="utf-8", closefd=False) as stdout:
+            stdout.write(text + "\n")
+    elif target is not None:
+        write_atomically(Path(target), text + "\n")
+
+
+def check_writable(*targets: str | Path | None) -> None:
+    """Fail before long work where a file cannot be written."""
+    for target in targets:
+        if target not in (None, STDOUT):
+            require_writable(Path(target))
+
+
+def say(text: str) -> None:
+    """Print a line as it is, without wrapping."""
+    console().print(Text(text), soft_wrap=True)

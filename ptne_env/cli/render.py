@@ -1,0 +1,40 @@
+"""``ptne render``: one episode as a video or a page."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from ptne_env import report
+from ptne_env.cli import options
+from ptne_env.cli.app import app
+from ptne_env.cli.console import check_writable, progress, say
+from ptne_env.experiments import get_policy_spec
+from ptne_env.experiments.suite import find_scenario
+
+
+@app.command()
+def render(
+    scenario: options.World,
+    policy: options.Policy,
+    *,
+    out: Annotated[
+        Path,
+        typer.Option(help="The video: .gif, .mp4 (needs ffmpeg), or .html, a page to scrub through. Made if missing."),
+    ],
+    seed: options.Seed = 0,
+    hold_steps: Annotated[
+        int | None, typer.Option(min=0, help="Steps after the deadline.", show_default="the scenario's own")
+    ] = None,
+    pictures: Annotated[int, typer.Option(min=2, help="Pictures of a video, or instants of a page.")] = 100,
+) -> None:
+    """Write an episode as a video: strategies, estimates, distances and live links over time."""
+    check_writable(out)
+    chosen, spec = find_scenario(scenario), get_policy_spec(policy)
+    if hold_steps is not None:
+        chosen = chosen.replace(hold_steps=hold_steps)
+    with progress(f"{scenario}: {policy}") as advance:
+        report.save_video(chosen, spec, out, seed=seed, pictures=pictures, progress=advance)
+    say(f"Video written to {out}")

@@ -1,0 +1,34 @@
+"""``ptne reproduce``: the paper's table, figures and claims."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from ptne_env.cli import options
+from ptne_env.cli.app import app
+from ptne_env.cli.console import check_writable, console, json_text, progress, say, write_json
+
+
+@app.command()
+def reproduce(
+    out: Annotated[Path, typer.Option(help="Folder for figures, results.json and a page; made if missing.")] = Path(
+        "results/paper"
+    ),
+    json: options.Json = None,
+) -> None:
+    """Reproduce the paper: Table 1, every figure, and a measured verdict on every claim and erratum.
+
+    Simulates the laws in continuous time, with the matrix exponential as the exact reference where the game is affine.
+    """
+    from ptne_env import paper
+
+    check_writable(json)
+    with progress("reproducing") as advance:
+        reproduction = paper.reproduce(out, progress=advance)
+    write_json(json, json_text(reproduction.to_dict()))
+    console().print(*paper.render(reproduction))
+    say(f"{len(reproduction.figures)} figures and {reproduction.results.name} written to {out}")
+    say(f"Report written to {reproduction.page}: open it in a browser")

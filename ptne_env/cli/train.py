@@ -1,0 +1,50 @@
+"""``ptne train``: training a policy with PPO."""
+
+from __future__ import annotations
+
+from math import isnan
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from ptne_env import training
+from ptne_env.cli import options
+from ptne_env.cli.app import app
+from ptne_env.cli.console import check_writable, json_text, progress, say, write_json
+
+
+@app.command()
+def train(
+    configuration: Annotated[
+        str,
+        typer.Argument(
+            help="A shipped configuration by name (such as random-energy), or a .toml file.",
+            autocompletion=training.configurations,
+        ),
+    ],
+    out: Annotated[Path, typer.Option(help="Folder for the policy, logs and checkpoints; made if missing.")],
+    seed: options.Seed = 0,
+    steps: Annotated[int | None, typer.Option(min=1, help="Agent-steps; the configuration's own if left out.")] = None,
+    json: options.Json = None,
+) -> None:
+    """Train a policy with PPO and export it as policy.onnx.
+
+    An interrupted run goes on from its last checkpoint when the same command is given again.
+    """
+    try:
+        from ptne_env.training import ppo
+    except ImportError as error:
+        raise ImportError('training needs an extra: pip install "ptne-env[sb3]"') from error
+
+    check_writable(json, out / "policy.onnx")
+    changes = {"seed": seed} if steps is None else {"seed": seed, "steps": steps}
+    arguments = ppo.Arguments.from_toml(configuration, **changes)
+    with progress("training", arguments.steps) as advance:
+
+        def show(done: int, total: int, digits: float) -> None:
+            advance(done, total, "training" if isnan(digits) else f"training, {digits:.2f} digits gained")
+
+        summary = ppo.train(arguments, out, show)
+    write_json(json, json_text(summary))
+    say(f"{summary['validation_digits']:.2f} digits on the validation episodes; policy.onnx written to {out}")

@@ -1,0 +1,144 @@
+"""Jobs: one policy with one training seed on one track and episode set, and what running it measures."""
+
+from __future__ import annotations
+
+import platform
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from functools import cached_property, lru_cache
+from typing import Any
+
+import numpy as np
+
+from ptne_env.arrays import FloatArray
+from ptne_env.dynamics import State
+from ptne_env.encoder import make_encoder
+from ptne_env.experiments.episodes import EpisodeSet
+from ptne_env.experiments.metrics import METRICS, measure
+from ptne_env.experiments.policy_specs import PolicySpec
+from ptne_env.experiments.provenance import content_hash, versions
+from ptne_env.experiments.rollout import rollout
+from ptne_env.experiments.suite import Track
+
+
+@dataclass(frozen=True)
+class Job:
+    """One policy with one training seed on one track: everything that its numbers depend on.
+
+    Attributes:
+        track: with the scenario.
+        policy: with all training seeds.
+        training_seed: index of the one that is run.
+        episodes: the episode set.
+    """
+
+    track: Track
+    policy: PolicySpec
+    training_seed: int
+    episodes: EpisodeSet
+
+    def to_dict(self) -> dict[str, Any]:
+        """Everything the numbers depend on, as a JSON object. The policy's name is not in it."""
+        policy = self.policy.to_dict()
+        return {
+            "track": {**self.track.to_dict(), "files": self.track.files()},
+            "policy": {"interface": policy["interface"], **policy["training_seeds"][self.training_seed]},
+            "episodes": asdict(self.episodes),
+            "metrics": [name for name, metric in METRICS.items() if metric.value is not None],
+            "versions": versions(),
+        }
+
+    @cached_property
+    def key(self) -> str | None:
+        """The hash of :meth:`to_dict`, by which the result is stored; ``None`` where the policy is an object."""
+        return content_hash(self.to_dict()) if self.policy.is_repeatable else None
+
+    def compute(self) -> JobResult:
+        """Run the episodes."""
+        world, start = self.track.world, _initial_state(self.track, self.episodes)
+        try:
+            encoder = make_encoder(world, self.policy.interface)
+            policy = self.policy.build(encoder.layout, self.training_seed)
+        except ValueError as error:  # made for another layout, or for other games
+            return JobResult({}, {}, str(error))
+        teammates = None if self.track.teammates is None else self.track.teammates.join(world)
+        samples = measure(rollout(policy, encoder, start, teammates))
+        timings = {name: float(samples.pop(name)[0]) for name in METRICS if METRICS[name].is_timing}
+        return JobResult(samples, timings, None)
+
+
+@lru_cache(maxsize=2)  # jobs with the same episodes follow each other
+def _initial_state(track: Track, episodes: EpisodeSet) -> State:
+    return episodes.initial_state(track.world)
+
+
+@dataclass(frozen=True)
+class JobResult:
+    """What a job measured.
+
+    Attributes:
+        samples: per metric, one value per episode, NaN where there is none; shape (B,).
+        timings: per metric that is a timing, its value.
+        not_applicable: why the policy cannot act on this track; ``None`` where it can.
+    """
+
+    samples: dict[str, FloatArray]
+    timings: dict[str, float]
+    not_applicable: str | None
+
+    def to_dict(self) -> dict[str, Any]:
+        """A JSON object; numbers keep every bit, NaN is ``null``."""
+        lists = {
+            name: [value if np.isfinite(value) else None for value in values.tolist()]
+            for name, values in self.samples.items()
+        }
+        return {"samples": lists, "not_applicable": self.not_applicable, "timings": self.timings}
+
+    @classmethod
+    def from_dict(cls, data: Mapping[str, Any]) -> JobResult:
+        """The inverse of :meth:`to_dict`."""
+        samples = {name: np.array(values, dtype=np.float64) for name, values in data["samples"].items()}
+        return cls(samples, dict(data["timings"]), data["not_applicable"])
+
+    def of_metric(self, name: str) -> FloatArray:
+        """The samples of a metric, or its timing for every episode; shape (B,)."""
+        if name in self.samples:
+            return self.samples[name]
+        return np.full(self.samples["digits"].shape, self.timings[name])
+
+    def difference(self, other: JobResult) -> float:
+        """The largest |other − this|/(1 + |this|) of any metric and episode, timings apart.
+
+        It is infinite where one has a value and the other has none.
+        """
+        if self.samples.keys() != other.samples.keys() or self.not_applicable != other.not_applicable:
+            return float("inf")
+        largest = 0.0
+        for name, values in self.samples.items():
+            if not np.array_equal(np.isfinite(values), np.isfinite(other.samples[name])):
+                return float("inf")
+            difference = np.abs(other.samples[name] - values) / (1 + np.abs(values))
+            largest = max(largest, float(np.nanmax(difference, initial=0.0)))
+        return largest
+
+
+def run_job(job: Job, key: str | None) -> JobResult:
+    """Run a job on a worker, after making sure that the worker has the same library and files.
+
+    Args:
+        job: to be run.
+        key: of the job, as the machine that asks computed it.
+
+    Raises:
+        ValueError: when the worker's library, dependencies or files differ.
+    """
+    if key is not None and content_hash(job.to_dict()) != key:
+        raise ValueError(
+            f"a worker on {platform.node()} has another version of the library, its dependencies or the files of "
+            f"policy {job.policy.name!r} than the machine that asks: install the same on both"
+        )
+    try:
+        return job.compute()
+    except Exception as error:
+        error.add_note(f"in track {job.track.name!r}, policy {job.policy.name!r}")
+        raise

@@ -1,0 +1,186 @@
+"""Tables for terminals, drawn with rich. Every function returns renderables and prints nothing."""
+
+from __future__ import annotations
+
+import textwrap
+from collections.abc import Iterator, Sequence
+
+from rich import box
+from rich.cells import cell_len
+from rich.console import Group
+from rich.table import Table as RichTable
+from rich.text import Text
+
+from ptne_env import policies
+from ptne_env.catalogue import CATALOGUE
+from ptne_env.experiments import METRICS, POLICIES, Results, get_suite
+from ptne_env.experiments.check import Repetition
+from ptne_env.experiments.policy_specs import learned_policy
+from ptne_env.experiments.suite import SUITES
+from ptne_env.report.tables import ORACLE_NOTE, Column, Table, call, number, overview, track_rules, track_tables
+from ptne_env.switching import SwitchingTopology
+from ptne_env.world import World
+
+_HEADING_WIDTH = 10
+"""Headings of columns are broken into lines of about this length, long ones into three lines."""
+
+_GAP = 3
+"""Columns of the terminal between two columns of a table."""
+
+_EDGES = 2
+"""Columns of the terminal beside the first and the last column of a table."""
+
+_LIST_WIDTH = 110
+"""Columns of the terminal in which the catalogue fits with the numbers of the clock."""
+
+
+def result_tables(results: Results, width: int = 172) -> Group:
+    """The tables of every track, and the table over all tracks last.
+
+    With a leaderboard the tables of a track show means alone, as intervals would double their length.
+
+    Args:
+        results: of a comparison or of another suite.
+        width: columns of the terminal; a table that is wider is split by columns.
+    """
+    drawn: list[RichTable | Text] = []
+    for track in results.tracks:
+        drawn.append(Text.assemble((track.name, "bold"), f": {track_rules(results, track)}\n"))
+        for table in track_tables(results, track):
+            drawn += _drawn(table, width, intervals=results.leaderboard is None)
+    drawn += _drawn(overview(results), width, intervals=True)
+    if any(spec.is_oracle for spec in results.policies.values()):
+        drawn.append(Text(ORACLE_NOTE, style="dim"))
+    return Group(*drawn)
+
+
+def _drawn(table: Table, width: int, *, intervals: bool) -> list[RichTable | Text]:
+    """A table in as many pieces as the width asks for, and its notes."""
+    names = {policy: policy + " *" * is_oracle for policy, is_oracle in table.rows.items()}
+    room = width - max(map(cell_len, names.values())) - _EDGES
+    return [
+        Text(table.caption, style="italic"),
+        *(_piece(names, columns, intervals=intervals) for columns in _split(table, room, intervals=intervals)),
+        *(Text(note, style="dim") for note in table.notes),
+        Text(),
+    ]
+
+
+def _split(table: Table, room: int, *, intervals: bool) -> Iterator[list[Column]]:
+    """The columns of a table in groups that fit beside the names; a group has one column at least."""
+    group: list[Column] = []
+    left = room
+    for column in table.columns:
+        lines = [*_heading(column).splitlines()]
+        for policy in table.rows:
+            lines += [column[policy].text, column[policy].interval * intervals]
+        needed = _GAP + max(map(cell_len, lines))
+        if group and needed > left:
+            yield group
+            group, left = [], room
+        group.append(column)
+        left -= needed
+    yield group
+
+
+def _piece(names: dict[str, str], columns: Sequence[Column], *, intervals: bool) -> RichTable:
+    piece = empty_table()
+    piece.add_column("policy", no_wrap=True)
+    for column in columns:
+        piece.add_column(Text(_heading(column)), justify="right", no_wrap=True)  # Text, because brackets are no markup
+    for policy, name in names.items():
+        cells = []
+        for column in columns:
+            cell = Text(column[policy].text, justify="right")
+            if intervals and column[policy].interval:
+                cell.append(f"\n{column[policy].interval}", style="dim")
+            cells.append(cell)
+        piece.add_row(Text(name), *cells)
+    return piece
+
+
+def _heading(column: Column) -> str:
+    width = max(_HEADING_WIDTH, len(column.label) // 3 + 2)
+    return textwrap.fill(column.label, width, break_long_words=False, break_on_hyphens=False)
+
+
+def empty_table(title: str | None = None, *, show_header: bool = True) -> RichTable:
+    """A table without rows, in the style of all."""
+    return RichTable(
+        title=title, box=box.SIMPLE_HEAD, title_justify="left", pad_edge=False, show_header=show_header, expand=False
+    )
+
+
+def repetition_table(repetitions: Sequence[Repetition], tolerance: float) -> RichTable:
+    """The jobs that were run again, and whether each reproduces.
+
+    Args:
+        repetitions: of :func:`~ptne_env.experiments.check.check`.
+        tolerance: the largest difference that counts as the same.
+    """
+    table = empty_table("Jobs that were run again")
+    for heading in ("track", "policy", "training seed", "largest difference", "verdict"):
+        table.add_column(heading, justify="right" if heading == "largest difference" else "left")
+    for repetition in repetitions:
+        job, difference = repetition.job, repetition.difference
+        verdict = Text("reproduces", "green") if difference <= tolerance else Text("differs", "red")
+        table.add_row(job.track.name, Text(job.policy.name), str(job.training_seed), number(difference), verdict)
+    return table
+
+
+def catalogue_tables(width: int = 172) -> Group:
+    """The scenarios, policies, metrics and suites.
+
+    Args:
+        width: columns of the terminal; in a narrow one the numbers of the clocks are left out.
+    """
+    suites = (
+        _listing(
+            f"Suite {name}, {get_suite(name).episodes} episodes per track",
+            ["track", "change from the base"],
+            [[track.name, track.change] for track in get_suite(name).tracks],
+        )
+        for name in SUITES
+    )
+    return Group(_scenario_table(width), _policy_table(), _metric_table(), *suites)
+
+
+def _listing(title: str, headings: Sequence[str], rows: Sequence[Sequence[str]]) -> RichTable:
+    table = empty_table(title)
+    for index, heading in enumerate(headings):
+        table.add_column(Text(heading), no_wrap=index == 0, overflow="fold")  # Text, because brackets are no markup
+    for row in rows:
+        table.add_row(*map(Text, row))
+    return table
+
+
+def _scenario_table(width: int) -> RichTable:
+    clock = {"T [s]": "deadline", "c [1/s]": "gain", "steps": "steps", "s_end": "s_end"} if width >= _LIST_WIDTH else {}
+    rows = []
+    for name, scenario in CATALOGUE.items():
+        world = World(scenario)
+        game = f"{type(world.game).__name__}, {world.game.num_players} players"
+        numbers = [f"{getattr(scenario, field):g}" for field in clock.values()]
+        rows.append([name, game, _topology(world.topology), *numbers])
+    return _listing("Scenarios", ["name", "game", "graph", *clock], rows)
+
+
+def _topology(topology: SwitchingTopology) -> str:
+    if topology.is_fixed:
+        return f"fixed, λ2 = {number(topology.union.algebraic_connectivity)}"
+    unit = "s of t" if topology.clock == "physical" else "of s"
+    return f"{len(topology.graphs)} modes, {number(topology.mean_dwell)} {unit} each"
+
+
+def _policy_table() -> RichTable:
+    rows = []
+    for spec in [*POLICIES.values(), *map(learned_policy, policies.shipped())]:
+        mode = "" if spec.interface.action_mode == "input" else f", {spec.interface.action_mode}"
+        policy = f"learned on {', '.join(sorted(spec.scenarios))}" if spec.scenarios else call(spec)
+        rows.append([spec.name, f"{spec.interface.kind}{mode}", policy])
+    return _listing("Policies", ["name", "interface", "policy"], rows)
+
+
+def _metric_table() -> RichTable:
+    rows = [[name, metric.unit, metric.direction or "", metric.meaning] for name, metric in METRICS.items()]
+    return _listing("Metrics", ["name", "unit", "better", "meaning"], rows)

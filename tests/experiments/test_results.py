@@ -1,0 +1,111 @@
+"""Results: records, JSON and CSV, the same for comparisons and suites; a metric is declared once."""
+
+import csv
+import io
+import json
+
+import numpy as np
+import pytest
+from rich.console import Console
+from small_suite import BASE, SMALL
+
+import ptne_env
+from ptne_env import evaluate
+from ptne_env.experiments import METRICS, Metric, Results, register, run_suite
+from ptne_env.experiments.traces import scenes
+from ptne_env.report import catalogue_tables, page, result_tables
+
+
+@pytest.fixture(scope="module")
+def results():
+    return evaluate(["static", "zero-input", "oracle", "random"], ["energy", "non-quadratic"], episodes=6, seed=2)
+
+
+def text_of(renderable):
+    console = Console(width=400, record=True, file=io.StringIO())
+    console.print(renderable)
+    return console.export_text()
+
+
+def test_records_cover_every_track_policy_and_metric_once(results):
+    keys = [(record["track"], record["policy"], record["metric"]) for record in results.records]
+    measured = [name for name, metric in METRICS.items() if metric.block != "Against tuned laws"]
+    assert len(set(keys)) == len(keys) == 4 * 4 * len(measured)
+    assert [metric for track, policy, metric in keys[: len(measured)]] == measured
+    fields = ["track", "policy", "metric", "mean", "low", "high", "episodes"]
+    assert all(list(record) == fields for record in results.records)
+
+
+def test_means_lie_within_their_intervals(results):
+    for record in results.records:
+        if record["mean"] is not None:
+            rounding = 1e-12 * abs(record["mean"])
+            assert record["low"] - rounding <= record["mean"] <= record["high"] + rounding
+
+
+def test_samples_average_to_the_records(results):
+    digits = results.samples["energy", "static"]["digits"]
+    assert digits.shape == (1, 6)
+    assert np.mean(digits) == pytest.approx(results.record("energy", "static", "digits")["mean"], rel=1e-12)
+
+
+def test_json_holds_everything_and_no_nan(results):
+    data = json.loads(results.to_json(), parse_constant=lambda name: pytest.fail(f"{name} in the file"))
+    assert data["versions"]["ptne_env"] == ptne_env.__version__
+    assert data["seed"] == 2
+    timed = [record for record in results.records if METRICS[record["metric"]].is_timing]
+    assert data["timings"] == timed
+    assert data["records"] == [record for record in results.records if record not in timed]
+    policies = {policy["name"]: policy for policy in data["policies"]}
+    assert policies["static"]["training_seeds"][0]["arguments"] == {"kappa": 2.0}
+    rebuilt = ptne_env.Scenario.from_dict(data["suite"]["tracks"][0]["scenario"])
+    assert rebuilt == ptne_env.get_scenario("energy", start="random")
+
+
+def test_results_of_a_suite_have_the_same_keys_and_all_that_repeats_them(results, tmp_path):
+    data = run_suite(SMALL, ["ppo-random-energy"], folder=tmp_path).to_dict()
+    assert list(data) == list(results.to_dict())
+    assert data["suite"]["content_hash"] == SMALL.content_hash
+    assert ptne_env.Scenario.from_dict(data["suite"]["tracks"][0]["scenario"]) == BASE
+    assert {"ptne_env", "sources", "numpy", "scipy", "python"} <= set(data["versions"])
+    policies = {policy["name"]: policy["training_seeds"][0] for policy in data["policies"]}
+    assert set(policies["ppo-random-energy"]["files"]) == {"ppo-random-energy.onnx"}
+    assert (data["seed"], data["split"], data["episodes"]) == (0, "test", {"ring": 5, "complete": 5})
+    assert {f"{job['key']}.json" for job in data["jobs"]} == {path.name for path in (tmp_path / "jobs").iterdir()}
+    assert data["not_applicable"][0]["policy"] == "ppo-random-energy"
+    assert results.leaderboard is results.to_dict()["leaderboard"] is None
+
+
+def test_csv_repeats_the_records(results):
+    rows = list(csv.DictReader(io.StringIO(results.to_csv())))
+    assert len(rows) == len(results.records)
+    for row, record in zip(rows, results.records, strict=True):
+        assert row["metric"] == record["metric"]
+        assert row["mean"] == ("" if record["mean"] is None else str(record["mean"]))
+        assert row["content_hash"] == results.suite.content_hash
+
+
+@pytest.fixture
+def half_way():
+    """A metric of one's own, declared in one statement."""
+    yield register(
+        Metric("half_way_distance", "half-way distance", "the estimate distance after half of the steps", "lower",
+               value=lambda rollout: rollout["estimate_distance"][rollout.world.clock.steps // 2])
+    )  # fmt: skip
+    del METRICS["half_way_distance"]
+
+
+def test_a_metric_is_declared_once_and_stands_in_every_output(half_way):
+    results = evaluate(["static"], [BASE], episodes=2)
+    assert isinstance(results, Results)
+    assert results.record(BASE.name, "static", half_way.name)["mean"] > 0
+    for output in (results.to_csv(), results.to_json(), text_of(catalogue_tables(400))):
+        assert half_way.name in output
+    for output in (text_of(result_tables(results, 400)), page(results, scenes(results, episodes=1))):
+        assert "half-way" in output
+    assert half_way.meaning in text_of(catalogue_tables(400))
+
+
+def test_a_metric_with_a_taken_name_is_refused():
+    with pytest.raises(ValueError, match="already"):
+        register(METRICS["digits"])

@@ -1,0 +1,245 @@
+"""Runs: comparisons of scenarios, and suites of tracks."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from small_suite import BASE, SMALL, untimed
+
+import ptne_env
+from ptne_env import FactorySpec, PolicySpec, evaluate, laws
+from ptne_env.experiments import COMPARED, Suite, Track, Workers, get_policy_spec, get_suite, run_suite, tuning
+
+
+@pytest.fixture(scope="module")
+def results():
+    return evaluate(["static", "zero-input", "oracle", "random"], ["energy", "non-quadratic"], episodes=6, seed=2)
+
+
+def test_a_named_scenario_is_run_from_random_starts_and_the_papers_start(results):
+    assert results.episodes == {
+        "energy": 6,
+        "energy (paper start)": 1,
+        "non-quadratic": 6,
+        "non-quadratic (paper start)": 1,
+    }
+    assert results.record("energy", "static", "digits")["episodes"] == 6
+    assert results.record("energy (paper start)", "static", "digits")["episodes"] == 1
+
+
+def test_the_papers_start_gives_the_distance_of_the_documented_loop(results):
+    record = results.record("energy (paper start)", "static", "strategy_distance")
+    assert record["mean"] == record["low"] == record["high"] == pytest.approx(6.5270e-5, rel=1e-4)
+
+
+def test_an_episode_without_settling_has_no_settling_time(results):
+    assert results.record("energy", "zero-input", "settling_time")["mean"] is None
+    assert results.record("energy", "zero-input", "settled_share")["mean"] == 0
+
+
+def test_results_are_a_function_of_the_seed_apart_from_timings():
+    scenario = ptne_env.get_scenario("energy", start="random")
+    first, again, other = (evaluate(["static", "random"], [scenario], episodes=3, seed=seed) for seed in (7, 7, 8))
+    assert untimed(first) == untimed(again)
+    assert untimed(first) != untimed(other)
+
+
+def test_episodes_do_not_depend_on_the_other_policies():
+    scenario = ptne_env.get_scenario("energy-switching", start="random")
+    alone = evaluate(["static"], [scenario], episodes=3)
+    among = evaluate(["random", "static"], [scenario], episodes=3)
+    assert alone.record("energy-switching", "static", "digits") == among.record("energy-switching", "static", "digits")
+
+
+def test_a_policy_may_be_a_class_a_factory_spec_a_callable_or_an_object():
+    scenario = ptne_env.get_scenario("energy")
+    env = ptne_env.parallel_env(scenario)
+    policies = [
+        PolicySpec("class", laws.Static),
+        PolicySpec("factory", FactorySpec.of("ptne_env.laws:Static", kappa=2.0)),
+        PolicySpec("callable", lambda layout: laws.Static(layout, kappa=2.0)),
+        PolicySpec("object", laws.Static(env.layout)),
+        get_policy_spec("ptne_env.laws:Static"),
+        "static",
+    ]
+    results = evaluate(policies, [scenario])
+    assert len({results.record("energy", name, "digits")["mean"] for name in results.policies}) == 1
+    json.loads(results.to_json())
+
+
+def test_the_two_interfaces_agree_where_no_action_saturates():
+    policies = [
+        PolicySpec("physical", laws.Static),
+        PolicySpec("local", laws.Static, ptne_env.Interface("local")),
+    ]
+    results = evaluate(policies, [ptne_env.get_scenario("energy", start="random")], episodes=5)
+    physical, local = (results.record("energy", name, "digits")["mean"] for name in ("physical", "local"))
+    assert local == pytest.approx(physical, abs=1e-5)
+
+
+def test_every_default_policy_acts_on_every_scenario_of_the_catalogue():
+    results = evaluate(COMPARED, list(ptne_env.CATALOGUE), episodes=2, hold_steps=3)
+    assert len(results.samples) == 8 * (2 * 6 + 11)
+    assert not results.not_applicable
+    # The reference policies bracket the laws: zero input is worse than the static law, full information is better.
+    for scenario in ("energy", "energy-switching", "energy-switching-transformed", "non-quadratic", "random-energy"):
+        digits = [results.record(scenario, name, "digits")["mean"] for name in ("zero-input", "static", "oracle")]
+        assert digits == sorted(digits)
+
+
+def test_an_oracle_by_address_brings_the_interface_that_it_needs():
+    results = evaluate(["oracle", "ptne_env.laws:CentralisedOracle"], ["energy", "random-energy"], episodes=2)
+    for track in results.episodes:
+        named, by_address = (results.record(track, name, "digits") for name in results.policies)
+        assert named["mean"] == by_address["mean"] > 11
+
+
+def test_a_scenario_that_draws_games_has_no_track_of_the_papers_start():
+    results = evaluate(["static"], ["random-energy", "random-energy-switching"], episodes=3)
+    assert results.episodes == {"random-energy": 3, "random-energy-switching": 3}
+    assert len({float(value) for samples in results.samples.values() for value in samples["digits"][0]}) == 6
+
+
+@pytest.mark.parametrize(("policies", "jobs"), [(["static", "zero-input"], 4), (["ppo-random-energy"], 2 + 66 + 2)])
+def test_progress_is_reported_once_per_job(monkeypatch, policies, jobs):
+    monkeypatch.setattr(tuning, "VALIDATION_EPISODES", 2)
+    calls = []
+    evaluate(policies, ["energy"], episodes=1, progress=lambda *arguments: calls.append(arguments))
+    assert len(calls) == calls[-1][1] == jobs
+
+
+def test_results_do_not_depend_on_the_number_of_processes(monkeypatch):
+    monkeypatch.setattr(tuning, "VALIDATION_EPISODES", 5)
+    one, two = (
+        evaluate(["static", "random", "ppo-random-energy"], ["random-energy"], episodes=3, workers=Workers(jobs))
+        for jobs in (1, 2)
+    )
+    assert untimed(one) == untimed(two)
+    assert one.tuned == two.tuned
+    assert list(one.samples) == list(two.samples)
+
+
+@pytest.mark.parametrize(
+    ("policies", "scenarios", "message"),
+    [
+        (["statics"], ["energy"], "unknown policy 'statics'; choose from static"),
+        (["static"], ["energie"], "unknown scenario 'energie'; the catalogue has energy"),
+        (["static", "static"], ["energy"], "different names"),
+        (["static"], ["energy", "energy"], "different names"),
+        ([], ["energy"], "at least one policy"),
+        (["static"], [], "needs tracks"),
+        (["no.such.module:thing"], ["energy"], "cannot import"),
+        (["ptne_env.laws:NoSuchLaw"], ["energy"], "has no 'NoSuchLaw'"),
+        ([PolicySpec("blind", laws.CentralisedOracle, ptne_env.Interface())], ["energy"], "interface 'full'"),
+        (["ppo-random-energy"], ["robots"], "fits no track: the policy was made for another layout"),
+        ([PolicySpec("broken", lambda layout: object())], ["energy"], "no predict"),
+    ],
+)
+def test_wrong_arguments_of_a_comparison_are_refused(policies, scenarios, message):
+    with pytest.raises(ValueError, match=message):
+        evaluate(policies, scenarios, episodes=1)
+
+
+@pytest.mark.parametrize(("episodes", "seed"), [(0, 0), (1, -1), (1.5, 0)])
+def test_counts_out_of_range_are_refused(episodes, seed):
+    with pytest.raises(ValueError, match="whole number"):
+        evaluate(["static"], ["energy"], episodes=episodes, seed=seed)
+
+
+def test_a_policy_is_not_applicable_where_it_does_not_fit_or_is_not_meant_for():
+    bound = PolicySpec("bound", FactorySpec.of("ptne_env.laws:ZeroInput"), scenarios=frozenset({"energy"}))
+    results = evaluate([bound, "static", "ppo-random-energy"], ["energy", "robots"], episodes=2, against_laws=False)
+    assert set(results.policies_on("robots")) == {"static"}
+    assert results.not_applicable["robots", "bound"] == "it is run on energy only"
+    assert "action_dims" in results.not_applicable["robots", "ppo-random-energy"]
+    with pytest.raises(KeyError, match="'bound' on track 'robots': it is run on energy only"):
+        results.record("robots", "bound", "digits")
+
+
+def test_a_policy_of_ones_own_gets_the_same_records(tmp_path, monkeypatch):
+    monkeypatch.syspath_prepend(tmp_path)
+    (tmp_path / "my_law.py").write_text(
+        "import ptne_env\n\ndef make(layout):\n    return ptne_env.laws.Static(layout)\n"
+    )
+    results = run_suite(SMALL, ["my_law:make"])
+    for track in ("ring", "complete"):
+        assert results.summary(track, "my_law:make", "digits") == results.summary(track, "static", "digits")
+
+
+def test_training_seeds_of_one_policy_share_a_row(tmp_path):
+    source = Path(ptne_env.__file__).parent / "policies" / "ppo-random-energy.onnx"
+    for seed in range(3):
+        folder = tmp_path / f"seed-{seed}"
+        folder.mkdir()
+        (folder / "policy.onnx").write_bytes(source.read_bytes())
+    results = run_suite(SMALL, [f"mine={tmp_path}/seed-*/policy.onnx"], tracks=["ring"])
+    assert len(results.policies["mine"].training_seeds) == 3
+    assert results.samples["ring", "mine"]["digits"].shape == (3, 5)
+    assert results.record("ring", "mine", "digits")["mean"] > results.record("ring", "static", "digits")["mean"]
+
+
+def test_names_that_clash_are_refused():
+    with pytest.raises(ValueError, match="different names"):
+        run_suite(SMALL, ["grounded", "grounded"])
+    with pytest.raises(ValueError, match="reference policy"):
+        run_suite(SMALL, [PolicySpec("static", FactorySpec.of("ptne_env.laws:ZeroInput"))])
+
+
+class Wrong:
+    def __init__(self, layout):
+        self.layout = layout
+
+    def predict(self, observation, state=None, episode_start=None, deterministic=False):
+        return np.full((len(observation), self.layout.action_size), np.nan), state
+
+
+def test_an_error_of_a_policy_names_its_track_and_policy():
+    with pytest.raises(ValueError, match="not finite") as caught:
+        run_suite(SMALL, [PolicySpec("wrong", Wrong)])
+    assert caught.value.__notes__ == ["in track 'ring', policy 'wrong'"]
+
+
+def test_messages_and_bits_are_those_of_the_live_links():
+    results = run_suite(get_suite("ptne-v1"), [], tracks=["nominal", "switching-physical"], episodes=2)
+    for track, links in (("nominal", 10), ("switching-physical", 4)):
+        samples = results.samples[track, "static"]
+        assert samples["messages"].tolist() == [[400 * links] * 2]
+        assert samples["bits"].tolist() == [[400 * links * 5 * 32] * 2]
+
+
+def test_regret_and_log_error_area_of_zero_input_follow_from_its_start():
+    samples = run_suite(SMALL, [], tracks=["ring"], episodes=3).samples["ring", "zero-input"]
+    expected = np.log10(samples["estimate_distance"])
+    np.testing.assert_allclose(samples["log_error_area"], expected, rtol=1e-12)
+    env, episodes = ptne_env.parallel_env(BASE, reward="regret"), SMALL.episode_set("ring")
+    for episode in range(3):
+        env.reset(seed=episodes.episode_seed(episode))
+        while env.agents:
+            _, rewards, *_ = env.step({agent: np.zeros(5, dtype=np.float32) for agent in env.agents})
+        assert samples["regret"][0, episode] == pytest.approx(-sum(rewards.values()), rel=1e-12)
+
+
+def test_every_policy_runs_on_every_track_of_ptne_v1_or_has_a_reason():
+    from ptne_env.experiments import suite_policies
+    from ptne_env.policies import shipped
+
+    suite, policies = get_suite("ptne-v1"), suite_policies()
+    results = run_suite("ptne-v1", policies, episodes=1)
+    for (track, _), samples in results.samples.items():
+        assert np.isfinite(samples[suite.track(track).metric]).all()
+    refused = {}
+    for track, policy in results.not_applicable:
+        refused.setdefault(policy, set()).add(track)
+    # Learned policies were made for five players of one component each with two neighbour slots, or with the four of
+    # the unseen graphs; no best response exists in Example 2.
+    learned = {name: {"large-20", "large-50", "unseen-graphs", "robots"} for name in shipped()}
+    learned["ppo-ptne-v1-unseen-graphs"] = {track.name for track in suite.tracks} - {"unseen-graphs"}
+    assert len(learned) >= 9
+    assert refused == {**learned, "best-response-oracle": {"non-quadratic"}}
+    assert len(results.samples) + len(results.not_applicable) == len(suite.tracks) * len(policies)
+
+
+def test_one_track_of_a_suite_may_be_a_scenario_with_an_episode_of_its_own():
+    suite = Suite("mixed", (Track("ring", BASE, "The base."), Track("once", BASE, "Once.", episodes=1)), episodes=3)
+    assert run_suite(suite, [], episodes=2).episodes == {"ring": 2, "once": 1}

@@ -1,0 +1,151 @@
+"""Tables of results, and of the catalogue, in the terminal."""
+
+import io
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from rich.cells import cell_len
+from rich.console import Console
+
+from ptne_env import evaluate
+from ptne_env.experiments import METRICS, Metric, register
+from ptne_env.experiments.traces import scenes
+from ptne_env.report import catalogue_tables, page, result_tables
+from ptne_env.report.tables import number, overview, share, track_tables
+
+
+def written(tables, width=172):
+    stream = io.StringIO()
+    Console(file=stream, width=width).print(tables)
+    return stream.getvalue()
+
+
+@pytest.mark.parametrize("width", [80, 120, 172])
+def test_result_tables_fit_the_terminal_and_lose_nothing(comparison, suite, width):
+    for results in (comparison, suite):
+        text = written(result_tables(results, width), width)
+        assert "…" not in text
+        assert max(map(cell_len, text.splitlines())) <= width
+        words = set(text.split())
+        for record in results.records:
+            if record["mean"] is not None:
+                assert number(record["mean"]) in words
+
+
+def test_blocks_hold_the_metrics_of_the_registry(comparison):
+    track = comparison.tracks[0]
+    tables = track_tables(comparison, track)
+    labels = [column.label.replace("\N{NO-BREAK SPACE}", " ") for table in tables for column in table.columns]
+    assert labels == [
+        metric.label
+        for metric in METRICS.values()
+        if any(
+            record["metric"] == metric.name and record["track"] == track.name and record["mean"] is not None
+            for record in comparison.records
+        )
+    ]
+    digits = tables[0].columns[0]
+    for policy in tables[0].rows:
+        assert digits[policy].value == comparison.record(track.name, policy, "digits")["mean"]
+
+
+def test_best_policy_comes_first_and_oracles_are_marked(comparison, suite):
+    for results in (comparison, suite):
+        for track in results.tracks:
+            table = track_tables(results, track)[0]
+            ranked = [policy for policy, is_oracle in table.rows.items() if not is_oracle]
+            means = [results.record(track.name, policy, "digits")["mean"] for policy in ranked]
+            assert means == sorted(means, reverse=True)
+            assert [policy for policy, is_oracle in table.rows.items() if is_oracle] == ["oracle"]
+        assert "oracle *" in written(result_tables(results))
+
+
+def test_policy_that_cannot_act_is_listed_with_the_reason(suite):
+    plain, robots = (track_tables(suite, track)[0] for track in suite.tracks)
+    assert "ppo-random-energy" in plain.rows
+    assert "ppo-random-energy" not in robots.rows
+    assert robots.notes[0].startswith("n/a: ppo-random-energy: the policy was made for another layout")
+    column = next(column for column in overview(suite).columns if column.label == "robots")
+    assert column["ppo-random-energy"].text == "n/a"
+
+
+def test_overview_shows_the_scores_of_the_leaderboard(suite, comparison):
+    table = overview(suite)
+    columns = {column.label: column for column in table.columns}
+    for row in suite.leaderboard.overall:
+        assert columns["score"][row.policy].value == row.score.mean
+        assert columns["P(score > 1)"][row.policy].value == row.profile[suite.leaderboard.thresholds.index(1.0)]
+    assert list(table.rows)[: len(suite.leaderboard.overall)] == [row.policy for row in suite.leaderboard.overall]
+    assert any("not over robots" in note for note in table.notes)
+    assert "score" not in {column.label for column in overview(comparison).columns}
+
+
+def test_first_place_is_shared_within_a_tenth_of_a_digit(comparison):
+    column = next(column for column in overview(comparison).columns if column.label == "first")
+    assert column["grounded"].value == len(comparison.tracks)
+    assert column["zero-input"].value == 0
+    assert column["oracle"].value is None
+
+
+def test_learned_policy_stands_beside_the_tuned_laws():
+    results = evaluate(["ppo-random-energy"], ["random-energy"], episodes=3)
+    table = track_tables(results, results.tracks[0])[-1]
+    assert list(table.rows) == ["ppo-random-energy"]
+    assert [column.values["ppo-random-energy"].value for column in table.columns] == [
+        results.record("random-energy", "ppo-random-energy", metric.name)["mean"]
+        for metric in METRICS.values()
+        if metric.block == "Against tuned laws"
+    ]
+    assert [note.partition(": ")[0] for note in table.notes] == [
+        law.name for law in results.tuned["random-energy"].values()
+    ]
+
+
+def test_suite_without_scores_has_a_table_over_all_tracks(suite):
+    unscored = replace(suite)
+    unscored.__dict__["leaderboard"] = replace(suite.leaderboard, overall=(), common=())
+    table = overview(unscored)
+    assert table.notes[0].startswith("No track has scores")
+    assert set(table.rows) == set(suite.policies)
+
+
+def test_new_metric_is_in_every_table():
+    try:
+        register(
+            Metric("brightness", "brightness", "always 7", value=lambda rollout: np.full(len(rollout.diverged), 7.0))
+        )
+        results = evaluate(["static"], ["energy"], episodes=2)
+        for text in (written(result_tables(results)), written(catalogue_tables()), page(results, scenes(results))):
+            assert "brightness" in text
+    finally:
+        METRICS.pop("brightness", None)
+
+
+def test_catalogue_tables_fit_a_narrow_terminal():
+    for width in (80, 172):
+        text = written(catalogue_tables(width), width)
+        assert max(map(cell_len, text.splitlines())) <= width
+        assert ("s_end" in text) == (width == 172)
+        for name in ("energy-switching-transformed", "best-response-oracle", "digits_cvar", "weakly-monotone"):
+            assert name in text
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [
+        (None, "–"),
+        (float("inf"), "∞"),
+        (float("nan"), "–"),
+        (0.0, "0"),
+        (0.01234, "0.0123"),
+        (999.6, "1.00e3"),
+        (12.0, "12.0"),
+    ],
+)
+def test_numbers_have_three_digits(value, text):
+    assert number(value) == text
+
+
+def test_shares_have_three_decimals_and_no_negative_zero():
+    assert [share(value) for value in (None, 0.5, -1e-9)] == ["–", "0.500", "0.000"]
