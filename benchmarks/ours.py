@@ -22,8 +22,8 @@ from ptne_env.catalogue import get_scenario
 from ptne_env.dynamics import State
 from ptne_env.encoder import Encoder, make_encoder
 from ptne_env.envs.vector import VectorParallelEnv
-from ptne_env.experiments import rollout
-from ptne_env.experiments.episodes import draw_start
+from ptne_env.experiments.episodes import EpisodeSet
+from ptne_env.experiments.rollout import rollout
 from ptne_env.observation import Interface, InterfaceKind
 from ptne_env.rewards import Reward
 from ptne_env.scenario import Scenario
@@ -102,10 +102,10 @@ def slots(interface: InterfaceKind, num_envs: int) -> Contender:
         MissingPeerError: when Stable-Baselines3 is not installed.
     """
     try:
-        from ptne_env.envs.sb3 import SlotVecEnv
+        from ptne_env.envs.sb3 import PlayerVecEnv
     except ImportError as error:
-        raise MissingPeerError(f"the slots of Stable-Baselines3 are left out: {error}") from error
-    env = SlotVecEnv("energy", num_envs, interface=interface, seed=0)
+        raise MissingPeerError(f"the adapter of Stable-Baselines3 is left out: {error}") from error
+    env = PlayerVecEnv("energy", num_envs, interface=interface, seed=0)
     env.reset()
     turn = actions(env.layout.action_bound, (env.num_envs, env.layout.action_size))
     return Contender(f"ptne_env, {interface}", env.num_envs, lambda: env.step(next(turn)))
@@ -131,7 +131,7 @@ def parts(interface: InterfaceKind, num_envs: int, plan: Plan, scenario: str | S
 
 def _world(interface: InterfaceKind, num_envs: int, scenario: str | Scenario) -> tuple[World, Encoder, Reward, State]:
     world = World(get_scenario(scenario))
-    state = draw_start(world, num_envs, seed=0)
+    state = EpisodeSet(num_envs).initial_state(world)
     return world, make_encoder(world, Interface(interface)), Reward(world), state
 
 
@@ -184,7 +184,7 @@ def training_share(plan: Plan) -> dict[str, Any]:
     try:
         from stable_baselines3.common.vec_env import VecMonitor
 
-        from ptne_env.envs.sb3 import SlotVecEnv
+        from ptne_env.envs.sb3 import PlayerVecEnv
         from ptne_env.training.ppo import Arguments, train
     except ImportError as error:
         raise MissingPeerError(f"the share of a PPO update is left out: {error}") from error
@@ -206,7 +206,7 @@ def training_share(plan: Plan) -> dict[str, Any]:
 
         with (
             tempfile.TemporaryDirectory() as folder,
-            _timed(SlotVecEnv, "step_wait", environment),
+            _timed(PlayerVecEnv, "step_wait", environment),
             _timed(VecMonitor, "step_wait", with_monitor),
             warnings.catch_warnings(),
         ):
@@ -230,7 +230,7 @@ def law_rollouts(plan: Plan) -> list[Contender]:
     """Rollouts of laws over episodes of ``random-energy``: environment, law and metrics together."""
     episodes = 10 if plan.quick else 1000
     world = World(get_scenario("random-energy"))
-    start = draw_start(world, episodes, seed=0)
+    start = EpisodeSet(episodes).initial_state(world)
     encoder = make_encoder(world, Interface("physical"))
     agent_steps = episodes * world.game.num_players * world.clock.total_steps
     policies = {"static": laws.Static(encoder.layout), "adaptive": laws.Adaptive(encoder.layout)}

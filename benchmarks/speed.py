@@ -31,7 +31,7 @@ BATCHES = (1024, 8192)
 """Environments on the vector path."""
 
 SLOT_ENVIRONMENTS = 64
-"""Environments behind the slots of Stable-Baselines3."""
+"""Environments of the Stable-Baselines3 adapter."""
 
 TARGETS: dict[tuple[str, str], float] = {
     ("single", "physical"): 10.0,

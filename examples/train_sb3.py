@@ -16,7 +16,7 @@ from stable_baselines3.common.evaluation import evaluate_policy
 
 import ptne_env
 from ptne_env import laws
-from ptne_env.envs.sb3 import SlotVecEnv
+from ptne_env.envs.sb3 import PlayerVecEnv
 from ptne_env.training.features import Products
 
 SCENARIO = "random-energy"
@@ -25,7 +25,7 @@ TEST_SEED = 1_000_000
 
 def digits_gained(policy: ptne_env.Policy) -> float:
     """The mean return over all players; a law is evaluated like any model."""
-    env = SlotVecEnv(SCENARIO, num_envs=20, interface="local", seed=TEST_SEED)
+    env = PlayerVecEnv(SCENARIO, num_envs=20, interface="local", seed=TEST_SEED)
     mean, _ = evaluate_policy(policy, env, n_eval_episodes=env.num_envs, warn=False)
     return float(mean)
 
@@ -33,7 +33,7 @@ def digits_gained(policy: ptne_env.Policy) -> float:
 def main() -> None:
     """Train, and evaluate before and after."""
     torch.set_num_threads(1)  # the network is small, and a second thread makes it slower
-    env = SlotVecEnv(SCENARIO, num_envs=64, interface="local", seed=0)
+    env = PlayerVecEnv(SCENARIO, num_envs=64, interface="local", seed=0)
     network = {
         "log_std_init": -2.0,
         "features_extractor_class": Products,

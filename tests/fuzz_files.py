@@ -13,18 +13,20 @@ import atheris
 
 with atheris.instrument_imports(include=["ptne_env", "json"]):
     from ptne_env import policies
-    from ptne_env.experiments import benchmark
+    from ptne_env.experiments.results import read_results
+    from ptne_env.experiments.store import Store
     from ptne_env.policies import Metadata
 
 FILE = Path(tempfile.mkdtemp()) / "file.onnx"
+STORE, KEY = Store(FILE.parent), "key"
 
 
 def read(path):
     """Read the file as each kind of file."""
     with contextlib.suppress(ValueError):
-        benchmark._read_results(path)
+        read_results(path)
     with contextlib.suppress(ValueError):
-        benchmark._read(path)
+        STORE.load(KEY)
     with contextlib.suppress(policies.PolicyFileError):
         policies.load(path)
     with contextlib.suppress(policies.PolicyFileError, UnicodeDecodeError):
@@ -34,17 +36,19 @@ def read(path):
 def test_one_input(data):
     """The target of libFuzzer."""
     FILE.write_bytes(data)
+    STORE.path(KEY).write_bytes(data)
     read(FILE)
 
 
 if __name__ == "__main__":
+    STORE.path(KEY).parent.mkdir()
     corpus = FILE.parent / "corpus"
     corpus.mkdir()
     for name in policies.shipped():
         policy = policies.shipped_path(name).read_bytes()
         (corpus / name).write_bytes(policy)
         (corpus / f"{name}.json").write_text(policies.load(name).metadata.to_json(), encoding="utf-8")
-    (corpus / "results").write_text('{"format": 2, "suite": {}, "cells": [], "checksum": "0"}', encoding="utf-8")
-    (corpus / "cell").write_text('{"cell": {}, "samples": {"digits": [1.5, null]}, "checksum": "0"}', encoding="utf-8")
+    (corpus / "results").write_text('{"format": 3, "suite": {}, "jobs": [], "checksum": "0"}', encoding="utf-8")
+    (corpus / "job").write_text('{"job": {}, "samples": {"digits": [1.5, null]}, "checksum": "0"}', encoding="utf-8")
     atheris.Setup([*sys.argv, str(corpus)], test_one_input)
     atheris.Fuzz()

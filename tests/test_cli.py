@@ -445,7 +445,13 @@ def test_a_suite_prints_a_table_per_track_and_an_overall_one(suite_run):
         "overall",
     ):
         assert text in printed
-    for text in ("oracle *", "n/a", "the policy was made for another layout", "Scores are not over large-20", "out/results.json"):
+    for text in (
+        "oracle *",
+        "n/a",
+        "the policy was made for another layout",
+        "Scores are not over large-20",
+        "out/results.json",
+    ):
         assert text in printed
     data = json.loads((folder / "out" / "results.json").read_text(encoding="utf-8"))
     overall = {row["policy"] for row in data["leaderboard"]["overall"]}

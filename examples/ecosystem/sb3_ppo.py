@@ -10,13 +10,13 @@ from stable_baselines3.common.evaluation import evaluate_policy
 from yardstick import EPISODES, SCENARIO, TASK, digits, law, report
 
 from ptne_env.envs.gymnasium import JointEnv
-from ptne_env.envs.sb3 import SlotVecEnv
+from ptne_env.envs.sb3 import PlayerVecEnv
 
 
 def main() -> None:
     """Stable-Baselines3's own check, the law's digits by its own evaluation, and a short training."""
     check_env(JointEnv(SCENARIO, **TASK))
-    evaluation_env = SlotVecEnv(SCENARIO, EPISODES, seed=0)
+    evaluation_env = PlayerVecEnv(SCENARIO, EPISODES, seed=0)
     returns, _ = evaluate_policy(
         law(evaluation_env.layout),
         evaluation_env,
@@ -26,7 +26,7 @@ def main() -> None:
     )
     gained = np.reshape(returns, (EPISODES, evaluation_env.layout.num_players)).mean(axis=1)
 
-    env = SlotVecEnv(SCENARIO, num_envs=16, seed=0, **TASK)
+    env = PlayerVecEnv(SCENARIO, num_envs=16, seed=0, **TASK)
     model = PPO(
         "MlpPolicy", env, n_steps=50, batch_size=500, n_epochs=5, learning_rate=1e-3, gamma=0.9, gae_lambda=0.9,
         policy_kwargs={"log_std_init": -1.0}, seed=0, device="cpu",

@@ -8,12 +8,12 @@ from sb3_contrib import RecurrentPPO
 from stable_baselines3.common.evaluation import evaluate_policy
 from yardstick import EPISODES, SCENARIO, TASK, digits, law, report
 
-from ptne_env.envs.sb3 import SlotVecEnv
+from ptne_env.envs.sb3 import PlayerVecEnv
 
 
 def main() -> None:
     """The law's digits by Stable-Baselines3's evaluation, and a short training of an LSTM."""
-    evaluation_env = SlotVecEnv(SCENARIO, EPISODES, seed=0)
+    evaluation_env = PlayerVecEnv(SCENARIO, EPISODES, seed=0)
     returns, _ = evaluate_policy(
         law(evaluation_env.layout),
         evaluation_env,
@@ -23,7 +23,7 @@ def main() -> None:
     )
     gained = np.reshape(returns, (EPISODES, evaluation_env.layout.num_players)).mean(axis=1)
 
-    env = SlotVecEnv(SCENARIO, num_envs=16, seed=0, **TASK)
+    env = PlayerVecEnv(SCENARIO, num_envs=16, seed=0, **TASK)
     model = RecurrentPPO(
         "MlpLstmPolicy", env, n_steps=50, batch_size=500, n_epochs=5, learning_rate=1e-3, gamma=0.9, gae_lambda=0.9,
         policy_kwargs={"log_std_init": -1.0, "lstm_hidden_size": 32}, seed=0, device="cpu",

@@ -1,4 +1,4 @@
-"""Stable-Baselines3: B environments × N players as B·N slots that share one policy.
+"""Stable-Baselines3: every player of B environments as one of its environments, all with one policy.
 
 Needs the extra ``pip install "ptne-env[sb3]"``.
 """
@@ -25,16 +25,16 @@ from ptne_env.scenario import Scenario
 Indices = int | Iterable[int] | None
 
 
-class SlotVecEnv(VecEnv):
-    """A Stable-Baselines3 ``VecEnv`` with a slot for every player of every environment.
+class PlayerVecEnv(VecEnv):
+    """A Stable-Baselines3 ``VecEnv`` of B·N members, one for every player of every environment.
 
-    Slot b·N + i is player i of environment b. All slots share one policy: parameter sharing, with the player's one-hot
-    in the observation. Environments are reset in the step that ends them; then ``infos`` of their slots hold
+    Member b·N + i is player i of environment b. All members share one policy, and the observation holds the player's
+    one-hot. Environments are reset in the step that ends them; then ``infos`` of their members hold
     ``terminal_observation``, ``TimeLimit.truncated``, ``is_success`` and ``diverged``. Of a step that ends nothing the
-    infos are empty, because a dictionary per slot and term would cost more than the step.
+    infos are empty, because a dictionary per member and term would cost more than the step.
 
     The environments are one object: ``get_attr`` and ``set_attr`` reach its attributes, and ``env_method`` calls a
-    method once and returns the answer for every slot asked for.
+    method once and returns the answer for each requested member.
 
     Args:
         scenario: a name of the catalogue or a scenario.
@@ -69,10 +69,10 @@ class SlotVecEnv(VecEnv):
             self.seed(seed)
 
     def seed(self, seed: int | None = None) -> Sequence[int | None]:
-        """Seed the next reset: environment b gets seed + b, and all its slots say so."""
+        """Seed the next reset: environment b gets seed + b, which all its members report."""
         if seed is None:
             seed = int(np.random.SeedSequence().generate_state(1)[0])
-        self._seeds = [seed + slot // self._players for slot in range(self.num_envs)]
+        self._seeds = [seed + member // self._players for member in range(self.num_envs)]
         return self._seeds
 
     def reset(self) -> Float32Array:
@@ -97,7 +97,7 @@ class SlotVecEnv(VecEnv):
         actions = np.asarray(self._actions)
         shape = (self.num_envs, self.vector.layout.action_size)
         if actions.shape != shape:
-            raise ValueError(f"actions of {self.num_envs} slots have the shape {shape}, got {actions.shape}")
+            raise ValueError(f"actions of {self.num_envs} members have the shape {shape}, got {actions.shape}")
         outcome = self.vector.step(actions.reshape(self.vector.num_envs, self._players, -1))
         over = outcome.terminated | outcome.truncated
         infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
@@ -124,27 +124,27 @@ class SlotVecEnv(VecEnv):
         """Nothing to release."""
 
     def get_attr(self, attr_name: str, indices: Indices = None) -> list[Any]:
-        """The attribute, once per slot asked for."""
+        """The attribute, once per requested member."""
         return [self._find(attr_name)] * self._count(indices)
 
     def set_attr(self, attr_name: str, value: Any, indices: Indices = None) -> None:
-        """Set the attribute of the environments, which are one object; ``indices`` must be all slots.
+        """Set the attribute of the environments, which are one object; ``indices`` must be all members.
 
         Raises:
-            ValueError: when only some slots are named.
+            ValueError: when only some members are named.
         """
         if self._count(indices) != self.num_envs:
-            raise ValueError("the slots share one environment object: an attribute is set for all of them or none")
+            raise ValueError("the members share one environment object: an attribute is set for all of them or none")
         setattr(self if hasattr(self, attr_name) else self.vector, attr_name, value)
 
     def env_method(
         self, method_name: str, *method_args: Any, indices: Indices = None, **method_kwargs: Any
     ) -> list[Any]:
-        """Call the method once; its answer, once per slot asked for."""
+        """Call the method once; its answer, once per requested member."""
         return [self._find(method_name)(*method_args, **method_kwargs)] * self._count(indices)
 
     def env_is_wrapped(self, wrapper_class: type, indices: Indices = None) -> list[bool]:  # noqa: ARG002
-        """No slot is wrapped."""
+        """No member is wrapped."""
         return [False] * self._count(indices)
 
     def _find(self, name: str) -> Any:
@@ -157,8 +157,8 @@ class SlotVecEnv(VecEnv):
         return observations.reshape(self.num_envs, -1)
 
 
-class MixedSlotVecEnv(VecEnv):
-    """The slots of several :class:`SlotVecEnv`, one after the other, as one ``VecEnv``.
+class MixedPlayerVecEnv(VecEnv):
+    """The members of several :class:`PlayerVecEnv`, one after the other, as one ``VecEnv``.
 
     Args:
         parts: of the same observation and action sizes; each seeds itself from the seed of the whole.
@@ -170,7 +170,7 @@ class MixedSlotVecEnv(VecEnv):
         ValueError: without parts, or when a policy for one of them could not act in another.
     """
 
-    def __init__(self, parts: Sequence[SlotVecEnv]) -> None:
+    def __init__(self, parts: Sequence[PlayerVecEnv]) -> None:
         if not parts:
             raise ValueError("a mixture needs at least one part")
         self.parts = list(parts)
@@ -198,7 +198,7 @@ class MixedSlotVecEnv(VecEnv):
         return self._seeds
 
     def reset(self) -> Float32Array:
-        """Start all episodes; observations of shape (slots, size)."""
+        """Start all episodes; observations of shape (members, size)."""
         observations = np.concatenate([part.reset() for part in self.parts])
         self.reset_infos = [{} for _ in range(self.num_envs)]
         self._reset_seeds()
@@ -206,12 +206,12 @@ class MixedSlotVecEnv(VecEnv):
         return observations
 
     def step_async(self, actions: np.ndarray) -> None:
-        """Remember the actions, shape (slots, action size)."""
+        """Remember the actions, shape (members, action size)."""
         for part, own in zip(self.parts, self._slices, strict=True):
             part.step_async(actions[own])
 
     def step_wait(self) -> tuple[Float32Array, Float32Array, BoolArray, list[dict[str, Any]]]:
-        """Step every part; see :meth:`SlotVecEnv.step_wait`."""
+        """Step every part; see :meth:`PlayerVecEnv.step_wait`."""
         observations, rewards, dones, infos = zip(*(part.step_wait() for part in self.parts), strict=True)
         together = [info for part in infos for info in part]
         return np.concatenate(observations), np.concatenate(rewards), np.concatenate(dones), together
@@ -220,25 +220,25 @@ class MixedSlotVecEnv(VecEnv):
         """Nothing to release."""
 
     def get_attr(self, attr_name: str, indices: Indices = None) -> list[Any]:
-        """The attribute of each slot asked for."""
+        """The attribute of each requested member."""
         values = [value for part in self.parts for value in part.get_attr(attr_name)]
         return [values[index] for index in self._get_indices(indices)]
 
     def set_attr(self, attr_name: str, value: Any, indices: Indices = None) -> None:
-        """Set the attribute of all environments; see :meth:`SlotVecEnv.set_attr`."""
+        """Set the attribute of all environments; see :meth:`PlayerVecEnv.set_attr`."""
         if len(list(self._get_indices(indices))) != self.num_envs:
-            raise ValueError("the slots share environment objects: an attribute is set for all of them or none")
+            raise ValueError("the members share environment objects: an attribute is set for all of them or none")
         for part in self.parts:
             part.set_attr(attr_name, value)
 
     def env_method(
         self, method_name: str, *method_args: Any, indices: Indices = None, **method_kwargs: Any
     ) -> list[Any]:
-        """Call the method of every part once; the answer for each slot asked for."""
+        """Call the method of every part once; the answer for each requested member."""
         calls = (part.env_method(method_name, *method_args, **method_kwargs) for part in self.parts)
         answers = [answer for call in calls for answer in call]
         return [answers[index] for index in self._get_indices(indices)]
 
     def env_is_wrapped(self, wrapper_class: type, indices: Indices = None) -> list[bool]:  # noqa: ARG002
-        """No slot is wrapped."""
+        """No member is wrapped."""
         return [False] * len(list(self._get_indices(indices)))

@@ -25,7 +25,7 @@ from stable_baselines3.common.utils import LinearSchedule
 from stable_baselines3.common.vec_env import VecMonitor
 from torch import nn
 
-from ptne_env.envs.sb3 import MixedSlotVecEnv, SlotVecEnv
+from ptne_env.envs.sb3 import MixedPlayerVecEnv, PlayerVecEnv
 from ptne_env.experiments import PolicySpec, episode_seed, evaluate
 from ptne_env.experiments.suite import find_scenario
 from ptne_env.files import read_json, write_atomically
@@ -178,7 +178,7 @@ def make_env(arguments: Arguments) -> VecMonitor:
             f"{arguments.envs} environments cannot be shared evenly by {len(arguments.scenarios)} scenarios"
         )
     parts = [
-        SlotVecEnv(
+        PlayerVecEnv(
             find_scenario(name),
             share,
             interface=arguments.interface,
@@ -187,7 +187,7 @@ def make_env(arguments: Arguments) -> VecMonitor:
         )
         for name in arguments.scenarios
     ]
-    return VecMonitor(parts[0] if len(parts) == 1 else MixedSlotVecEnv(parts))
+    return VecMonitor(parts[0] if len(parts) == 1 else MixedPlayerVecEnv(parts))
 
 
 def settings(arguments: Arguments, layout: ObservationLayout) -> dict[str, Any]:

@@ -14,9 +14,9 @@ from ptne_env.rewards import TERMS
 from ptne_env.world import World
 
 try:
-    from ptne_env.envs.sb3 import SlotVecEnv
+    from ptne_env.envs.sb3 import PlayerVecEnv
 except ImportError:  # without the extra 'sb3' the others agree all the same; test_sb3.py tells that it was left out
-    SlotVecEnv = None
+    PlayerVecEnv = None
 
 BATCH, STEPS, SEED = 5, 27, 11
 CRASHING = 1
@@ -203,8 +203,8 @@ def test_all_adapters_agree_bit_for_bit_step_by_step_through_resets(world, rewar
 
     check_vector(VectorParallelEnv(scenario, BATCH, **arguments), first, steps, actions)
     check_joint_vector(JointVectorEnv(scenario, BATCH, autoreset_mode="SameStep", **arguments), first, steps, actions)
-    if SlotVecEnv is not None:
-        check_slots(SlotVecEnv(scenario, BATCH, **arguments), first, steps, actions)
+    if PlayerVecEnv is not None:
+        check_slots(PlayerVecEnv(scenario, BATCH, **arguments), first, steps, actions)
     for index in (0, CRASHING):
         check_joint(JointEnv(scenario, **arguments), index, first, steps, actions)
     monkeypatch.setattr(vector_module, "BLOCK_SIZE", 2)

@@ -19,7 +19,7 @@ from worlds import BLOCKS, make_env
 from ptne_env import FactorySpec, Interface, PolicySpec, VectorParallelEnv, evaluate, get_scenario, laws
 from ptne_env.envs import vector as vector_module
 from ptne_env.envs.gymnasium import JointEnv
-from ptne_env.envs.sb3 import MixedSlotVecEnv, SlotVecEnv
+from ptne_env.envs.sb3 import MixedPlayerVecEnv, PlayerVecEnv
 from ptne_env.experiments import episode_seed
 from ptne_env.world import World
 
@@ -41,7 +41,7 @@ def random_actions(env, generator):
 
 
 def test_slots_are_the_players_environment_by_environment():
-    slots, vector = SlotVecEnv(BLOCKS, 4, seed=3), VectorParallelEnv(BLOCKS, 4)
+    slots, vector = PlayerVecEnv(BLOCKS, 4, seed=3), VectorParallelEnv(BLOCKS, 4)
     assert slots.num_envs == 12
     assert slots.observation_space == vector.single_observation_space
     assert slots.action_space == vector.single_action_space
@@ -58,7 +58,7 @@ def test_slots_are_the_players_environment_by_environment():
 
 
 def test_seed_counts_up_by_environment_and_holds_for_one_reset():
-    env = SlotVecEnv("random-energy", 3, seed=8)
+    env = PlayerVecEnv("random-energy", 3, seed=8)
     first, second = env.reset(), env.reset()
     assert not np.array_equal(first, second)
     assert env.seed(8) == [8] * 5 + [9] * 5 + [10] * 5
@@ -69,7 +69,7 @@ def test_seed_counts_up_by_environment_and_holds_for_one_reset():
     drawn = env.seed()
     assert drawn == [drawn[0] + slot // 5 for slot in range(15)]
     assert env.seed()[0] != drawn[0]
-    unseeded = [SlotVecEnv("random-energy", 1).reset() for _ in range(2)]
+    unseeded = [PlayerVecEnv("random-energy", 1).reset() for _ in range(2)]
     assert not np.array_equal(*unseeded)
 
 
@@ -79,7 +79,7 @@ def test_seed_counts_up_by_environment_and_holds_for_one_reset():
 )
 def test_end_of_an_episode_hands_over_the_last_observation_and_says_how_it_ended(arguments, truncated):
     env, vector = (
-        SlotVecEnv("random-energy", 2, seed=1, **arguments),
+        PlayerVecEnv("random-energy", 2, seed=1, **arguments),
         VectorParallelEnv("random-energy", 2, **arguments),
     )
     env.reset()
@@ -105,7 +105,7 @@ def test_end_of_an_episode_hands_over_the_last_observation_and_says_how_it_ended
 
 
 def test_crash_of_one_environment_ends_its_slots_alone():
-    env = SlotVecEnv("random-energy", 3, seed=0, input_limit=1e9)
+    env = PlayerVecEnv("random-energy", 3, seed=0, input_limit=1e9)
     env.reset()
     actions = np.zeros((15, 5), dtype=np.float32)
     actions[7] = 1e9  # the third player of the second environment
@@ -120,7 +120,7 @@ def test_crash_of_one_environment_ends_its_slots_alone():
 
 
 def test_what_was_returned_never_changes_later():
-    env = SlotVecEnv("random-energy-switching", 3, seed=0, max_cycles=4)
+    env = PlayerVecEnv("random-energy-switching", 3, seed=0, max_cycles=4)
     record = [env.reset()]
     kept = copy.deepcopy(record)
     generator = np.random.default_rng(0)
@@ -133,7 +133,7 @@ def test_what_was_returned_never_changes_later():
 
 
 def test_attributes_and_methods_are_those_of_the_environments():
-    env = SlotVecEnv("random-energy", 2, seed=0, max_cycles=9)
+    env = PlayerVecEnv("random-energy", 2, seed=0, max_cycles=9)
     env.reset()
     assert env.get_attr("scenario") == [get_scenario("random-energy")] * 10
     assert env.get_attr("num_players", indices=[0, 7]) == [5, 5]
@@ -160,7 +160,7 @@ def test_attributes_and_methods_are_those_of_the_environments():
 @pytest.mark.parametrize(
     ("actions", "message"),
     [
-        (np.zeros((2, 5, 5)), r"actions of 10 slots have the shape \(10, 5\), got \(2, 5, 5\)"),
+        (np.zeros((2, 5, 5)), r"actions of 10 members have the shape \(10, 5\), got \(2, 5, 5\)"),
         (np.zeros((5, 10)), r"have the shape \(10, 5\), got \(5, 10\)"),
         (np.zeros(50), r"have the shape \(10, 5\), got \(50,\)"),
         (np.zeros((10, 5), dtype=np.int64), "got int64"),
@@ -168,7 +168,7 @@ def test_attributes_and_methods_are_those_of_the_environments():
     ],
 )
 def test_bad_actions_are_refused_and_leave_no_trace(actions, message):
-    env, undisturbed = (SlotVecEnv("random-energy", 2, seed=0) for _ in range(2))
+    env, undisturbed = (PlayerVecEnv("random-energy", 2, seed=0) for _ in range(2))
     for each in (env, undisturbed):
         each.reset()
     with pytest.raises(ValueError, match=message):
@@ -179,11 +179,11 @@ def test_bad_actions_are_refused_and_leave_no_trace(actions, message):
 
 def test_step_before_reset_says_to_reset():
     with pytest.raises(RuntimeError, match=r"call reset\(mask=...\) before step\(\)"):
-        SlotVecEnv("energy", 2).step(np.zeros((10, 5), dtype=np.float32))
+        PlayerVecEnv("energy", 2).step(np.zeros((10, 5), dtype=np.float32))
 
 
 def test_limit_of_an_episode_may_be_set_afterwards():
-    env = SlotVecEnv("random-energy", 2, seed=0)
+    env = PlayerVecEnv("random-energy", 2, seed=0)
     env.set_attr("max_cycles", 2)
     assert env.get_attr("max_cycles") == [2] * 10
     env.reset()
@@ -196,11 +196,11 @@ def test_limit_of_an_episode_may_be_set_afterwards():
 
 
 def mixture():
-    return [SlotVecEnv(name, 2, max_cycles=3) for name in ("random-energy", "random-energy-switching")]
+    return [PlayerVecEnv(name, 2, max_cycles=3) for name in ("random-energy", "random-energy-switching")]
 
 
 def test_mixture_is_its_parts_one_after_the_other():
-    together, apart = MixedSlotVecEnv(mixture()), mixture()
+    together, apart = MixedPlayerVecEnv(mixture()), mixture()
     assert together.num_envs == 20
     together.seed(5)
     for part, seed in zip(apart, np.random.SeedSequence(5).generate_state(2).tolist(), strict=True):
@@ -218,7 +218,7 @@ def test_mixture_is_its_parts_one_after_the_other():
 
 
 def test_attributes_of_a_mixture_are_those_of_each_slots_part():
-    env = MixedSlotVecEnv(mixture())
+    env = MixedPlayerVecEnv(mixture())
     names = [scenario.name for scenario in env.get_attr("scenario")]
     assert names == ["random-energy"] * 10 + ["random-energy-switching"] * 10
     assert [scenario.name for scenario in env.get_attr("scenario", [0, 15])] == [names[0], names[15]]
@@ -229,9 +229,9 @@ def test_attributes_of_a_mixture_are_those_of_each_slots_part():
 
 def test_mixture_of_scenarios_that_no_policy_can_share_is_refused():
     with pytest.raises(ValueError, match="layouts differ"):
-        MixedSlotVecEnv([SlotVecEnv("random-energy", 1), SlotVecEnv(BLOCKS, 1)])
+        MixedPlayerVecEnv([PlayerVecEnv("random-energy", 1), PlayerVecEnv(BLOCKS, 1)])
     with pytest.raises(ValueError, match="at least one part"):
-        MixedSlotVecEnv([])
+        MixedPlayerVecEnv([])
 
 
 # --- SB3's wrappers ---------------------------------------------------------------------------------------------------
@@ -259,7 +259,7 @@ def episodes_of_slots(env, count, **arguments):
 
 @pytest.mark.parametrize("arguments", [{"steps": 7}, {"max_cycles": 9, "action_mode": "gains"}])
 def test_monitor_tells_returns_and_lengths_of_episodes(arguments, tmp_path):
-    env = VecMonitor(SlotVecEnv("random-energy", 3, seed=2, **arguments), str(tmp_path / "log"), ("is_success",))
+    env = VecMonitor(PlayerVecEnv("random-energy", 3, seed=2, **arguments), str(tmp_path / "log"), ("is_success",))
     env.reset()
     generator, told = np.random.default_rng(0), []
     for _ in range(30):
@@ -275,8 +275,8 @@ def test_monitor_tells_returns_and_lengths_of_episodes(arguments, tmp_path):
 
 
 def test_normalisation_changes_what_is_seen_and_not_what_happens():
-    plain = SlotVecEnv("random-energy", 3, seed=2, max_cycles=5)
-    env = VecNormalize(SlotVecEnv("random-energy", 3, seed=2, max_cycles=5), gamma=0.9)
+    plain = PlayerVecEnv("random-energy", 3, seed=2, max_cycles=5)
+    env = VecNormalize(PlayerVecEnv("random-energy", 3, seed=2, max_cycles=5), gamma=0.9)
     env.reset()
     plain.reset()
     generator, ends = np.random.default_rng(0), 0
@@ -308,7 +308,7 @@ def test_evaluate_policy_takes_a_law_and_returns_its_digits_gained(name, interfa
     monkeypatch.setattr(vector_module, "BLOCK_SIZE", 3)
     episodes, seed = 4, 6
     # Slots fill whole episodes: one episode for each of the 4 · 5 slots is each player's share of 4 episodes.
-    env = SlotVecEnv(name, episodes, seed=episode_seed(seed, 0), interface=interface)
+    env = PlayerVecEnv(name, episodes, seed=episode_seed(seed, 0), interface=interface)
     model = law(env.layout)
     mean, _ = evaluate_policy(model, wrap(env), n_eval_episodes=episodes * 5, warn=False)
     entry = PolicySpec("law", law, Interface(interface))
@@ -319,7 +319,7 @@ def test_evaluate_policy_takes_a_law_and_returns_its_digits_gained(name, interfa
 
 
 def test_memory_of_a_law_starts_afresh_with_each_of_its_episodes():
-    env = SlotVecEnv("energy", 2)
+    env = PlayerVecEnv("energy", 2)
     rewards, lengths = evaluate_policy(
         laws.Adaptive(env.layout), VecMonitor(env), n_eval_episodes=3 * 10, return_episode_rewards=True
     )
@@ -339,9 +339,9 @@ def start_at(distance):
 @pytest.mark.parametrize(("distance", "success"), [(0.004, True), (0.006, False)])
 def test_eval_callback_reads_success(distance, success, tmp_path):
     still = {"steps": 3, "input_limit": 1e-6}
-    env = VecMonitor(SlotVecEnv("energy", 2, start=start_at(distance), **still))
+    env = VecMonitor(PlayerVecEnv("energy", 2, start=start_at(distance), **still))
     callback = EvalCallback(env, n_eval_episodes=20, eval_freq=8, log_path=str(tmp_path), verbose=0)
-    model = PPO("MlpPolicy", VecMonitor(SlotVecEnv("energy", 1, **still)), n_steps=8, batch_size=40, n_epochs=1)
+    model = PPO("MlpPolicy", VecMonitor(PlayerVecEnv("energy", 1, **still)), n_steps=8, batch_size=40, n_epochs=1)
     model.learn(40, callback=callback)
     assert callback.evaluations_successes == [[success] * 20]
     assert callback.evaluations_length == [[3] * 20]
@@ -382,7 +382,7 @@ def test_algorithms_learn_on_the_joint_environment_without_a_warning(algorithm, 
 def test_algorithms_learn_on_the_slots_without_a_warning_and_the_same_under_the_same_seed(algorithm):
     trained = []
     for _ in range(2):
-        env = VecMonitor(SlotVecEnv("random-energy", 2, interface="local", steps=25))
+        env = VecMonitor(PlayerVecEnv("random-energy", 2, interface="local", steps=25))
         model = TRAINERS[algorithm](env)
         before = parameters_of(model)
         model.learn(400)
@@ -396,7 +396,7 @@ def test_algorithms_learn_on_the_slots_without_a_warning_and_the_same_under_the_
 
 def test_value_of_the_last_observation_is_added_where_an_episode_was_cut_and_nowhere_else():
     def run(**arguments):
-        env = SlotVecEnv("random-energy", 1, interface="local", **arguments)
+        env = PlayerVecEnv("random-energy", 1, interface="local", **arguments)
         model = A2C("MlpPolicy", env, n_steps=3, gamma=0.5, learning_rate=0.0, seed=0)
         model.learn(15)
         return model, model.rollout_buffer.rewards
@@ -420,7 +420,7 @@ def through_supersuit(copies, **arguments):
 @pytest.mark.parametrize("interface", ["physical", "local"])
 def test_supersuit_gives_the_same_steps_as_the_slots(interface):
     arguments = {"interface": interface, "max_cycles": 6, "input_limit": 5.0}
-    theirs, ours = through_supersuit(3, **arguments), SlotVecEnv("random-energy", 3, seed=4, **arguments)
+    theirs, ours = through_supersuit(3, **arguments), PlayerVecEnv("random-energy", 3, seed=4, **arguments)
     assert theirs.num_envs == ours.num_envs
     assert (theirs.observation_space, theirs.action_space) == (ours.observation_space, ours.action_space)
     first, _ = theirs.venv.reset(seed=4)  # SuperSuit's wrapper has no seed() of its own

@@ -40,10 +40,10 @@ def archive(tmp_path_factory):
     need_sb3()
     from stable_baselines3 import PPO
 
-    from ptne_env.envs.sb3 import SlotVecEnv
+    from ptne_env.envs.sb3 import PlayerVecEnv
 
     path = tmp_path_factory.mktemp("archive") / "model.zip"
-    env = SlotVecEnv(BASE, 2, interface="local")
+    env = PlayerVecEnv(BASE, 2, interface="local")
     PPO("MlpPolicy", env, n_steps=20, batch_size=20, device="cpu", seed=0).save(path)
     return str(path)
 

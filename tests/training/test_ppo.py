@@ -18,7 +18,7 @@ from stable_baselines3 import PPO
 
 import ptne_env
 from ptne_env import Interface, PolicySpec, evaluate, policies
-from ptne_env.envs.sb3 import SlotVecEnv
+from ptne_env.envs.sb3 import PlayerVecEnv
 from ptne_env.experiments.suite import find_scenario
 from ptne_env.training import ppo
 from ptne_env.training.export import to_onnx
@@ -27,7 +27,7 @@ from ptne_env.training.features import Products
 
 def test_training_gains_digits_over_its_own_start(run):
     _, summary, _ = run
-    env = SlotVecEnv("random-energy", interface="local")
+    env = PlayerVecEnv("random-energy", interface="local")
     torch.manual_seed(0)
     untrained = PPO("MlpPolicy", env, policy_kwargs={"activation_fn": torch.nn.Tanh}, device="cpu", seed=0)
     results = evaluate(
@@ -153,7 +153,7 @@ def test_an_unknown_configuration_or_argument_is_refused_by_name(tmp_path):
 @pytest.mark.parametrize("products", [True, False])
 def test_the_exported_policy_acts_like_the_model_over_whole_episodes(kind, mode, products, tmp_path):
     arguments = ppo.Arguments("random-energy-switching", kind, mode, envs=2, minibatches=10, products=products, seed=1)
-    env = SlotVecEnv("random-energy-switching", 2, interface=kind, action_mode=mode, seed=4)
+    env = PlayerVecEnv("random-energy-switching", 2, interface=kind, action_mode=mode, seed=4)
     model = PPO("MlpPolicy", env, **ppo.settings(arguments, env.layout))
     with torch.no_grad():  # large weights, so that actions are clipped too
         for parameter in model.policy.action_net.parameters():
@@ -175,7 +175,7 @@ def test_the_exported_policy_acts_like_the_model_over_whole_episodes(kind, mode,
 
 
 def test_a_layer_that_cannot_be_exported_is_named():
-    env = SlotVecEnv("random-energy", interface="local")
+    env = PlayerVecEnv("random-energy", interface="local")
     model = PPO("MlpPolicy", env, policy_kwargs={"activation_fn": torch.nn.ReLU}, device="cpu")
     with pytest.raises(ValueError, match="ReLU"):
         to_onnx(model, env.layout, scenarios=("random-energy",), seed=0, digits=0.0)
@@ -183,7 +183,7 @@ def test_a_layer_that_cannot_be_exported_is_named():
 
 @pytest.mark.parametrize("kind", ["local", "physical"])
 def test_products_are_gradient_and_differences_times_links_and_player(kind):
-    env = SlotVecEnv("random-energy-switching", 3, interface=kind, seed=4)
+    env = PlayerVecEnv("random-energy-switching", 3, interface=kind, seed=4)
     observations, layout = env.reset(), env.layout
     features = Products(env.observation_space, **Products.of(layout))(torch.as_tensor(observations)).numpy()
     assert np.array_equal(features[:, : layout.size], observations)
