@@ -210,7 +210,7 @@ class Run:
         """u^i at each instant, shape (S, N, n); at a switch with the graph before it."""
         loop = _Loop(self.game, self.topology)
         modes = self._modes()
-        return np.stack([loop.input(e, k, int(m)) for e, k, m in zip(self.errors, self.gains, modes, strict=True)])
+        return np.stack([loop.slopes(e, k, int(m))[0] for e, k, m in zip(self.errors, self.gains, modes, strict=True)])
 
     def strategy_distance_at(self, t: float) -> float:
         """The strategies' distance at the last sample up to ``t`` seconds; at T, the end of the approach."""
@@ -237,7 +237,7 @@ class Run:
 
 
 class _Loop:
-    """The right-hand sides u and dκ/dτ of the laws, as functions of the error and one κ per link."""
+    """The right-hand sides of the laws, dx/dτ = u and dκ_ij/dτ = γ a_ij ‖x^i − x^j‖², with one κ per link."""
 
     def __init__(self, game: Game, topology: SwitchingTopology) -> None:
         self.game = game
@@ -248,18 +248,13 @@ class _Loop:
         self.weights = [np.array([graph.adjacency[edge] for edge in edges]) for graph in topology.graphs]
         self.components = np.arange(game.dimension)
 
-    def input(self, error: FloatArray, gains: FloatArray, mode: int) -> FloatArray:
-        """u^i = −R_iᵀ ∂J_i/∂x_i(x^i) − Σ_j κ_ij a_ij (x^i − x^j), shape (N, n)."""
-        differences = self.incidence.T @ error
-        u = -self.incidence @ ((gains * self.weights[mode])[:, None] * differences)
+    def slopes(self, error: FloatArray, gains: FloatArray, mode: int) -> tuple[FloatArray, FloatArray]:
+        """u^i = −R_iᵀ ∂J_i/∂x_i(x^i) − Σ_j κ_ij a_ij (x^i − x^j), shape (N, n), and a_ij ‖x^i − x^j‖², shape (E,)."""
+        weights, differences = self.weights[mode], self.incidence.T @ error
+        u = -self.incidence @ ((gains * weights)[:, None] * differences)
         estimates = (error + self.game.nash_equilibrium).T[:, :, None]
         u[self.game.owners, self.components] -= self.game.own_gradients(estimates)[:, 0]
-        return u
-
-    def gain_growth(self, error: FloatArray, gamma: float, mode: int) -> FloatArray:
-        """dκ_ij/dτ = γ a_ij ‖x^i − x^j‖², shape (E,)."""
-        differences = self.incidence.T @ error
-        return gamma * self.weights[mode] * np.einsum("en,en->e", differences, differences)
+        return u, weights * np.einsum("en,en->e", differences, differences)
 
 
 def simulate(
@@ -302,9 +297,8 @@ def simulate(
     for segment in timeline.segments:
 
         def derivative(_: float, y: FloatArray, mode: int = segment.mode) -> FloatArray:
-            error, kappa = y[:size].reshape(players, dimension), y[size:]
-            growth = loop.gain_growth(error, gamma, mode)
-            return np.concatenate([loop.input(error, kappa, mode).ravel(), growth])
+            u, growth = loop.slopes(y[:size].reshape(players, dimension), y[size:], mode)
+            return np.concatenate([u.ravel(), gamma * growth])
 
         inside = (timeline.tau >= segment.start) & (timeline.tau <= segment.end)
         instants = timeline.tau[inside]
