@@ -32,7 +32,7 @@ Samples: TypeAlias = dict[str, FloatArray]
 """Per metric, shape (training seeds, episodes), NaN where an episode has no value; a timing is repeated."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Results:
     """The outcome of a comparison or of another suite.
 

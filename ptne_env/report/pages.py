@@ -33,6 +33,7 @@ from ptne_env.report.tables import (
     track_rules,
     track_tables,
 )
+from ptne_env.scenario import Scenario
 from ptne_env.style import COLOURS
 from ptne_env.world import World
 
@@ -261,12 +262,17 @@ def _replay(results: Results, track: Track) -> str:
     name, scenario = track.name.removesuffix(PAPER_START), track.scenario
     if not results.suite.is_comparison:
         made = f"get_suite({results.target or results.suite.name!r}).track({name!r}).scenario"
-    elif name in CATALOGUE:
-        start = ", start='random'" if scenario.start != CATALOGUE[name].start else ""
-        made = f"{name!r}{start}, hold_steps={scenario.hold_steps}"
+    elif scenario == _of_catalogue(name, hold_steps=scenario.hold_steps):
+        made = f"{name!r}, hold_steps={scenario.hold_steps}"
+    elif scenario == _of_catalogue(name, hold_steps=scenario.hold_steps, start="random"):
+        made = f"{name!r}, hold_steps={scenario.hold_steps}, start='random'"
     else:
-        made = f"Scenario.from_dict({json.dumps(scenario.to_dict())})"
+        made = f"Scenario.from_dict({scenario.to_dict()})"
     return f"ptne_env.parallel_env({made}).reset(seed={seed})"
+
+
+def _of_catalogue(name: str, **changes: Any) -> Scenario | None:
+    return CATALOGUE[name].replace(**changes) if name in CATALOGUE else None
 
 
 def _command(results: Results, tracks: Sequence[Track]) -> str:
@@ -279,13 +285,8 @@ def _command(results: Results, tracks: Sequence[Track]) -> str:
         options["--suite"] = [results.target or results.suite.name]
         options["--track"] = [track.name for track in tracks if len(tracks) < len(results.suite.tracks)]
     options["--policy"] = list(results.policies)
-    return shlex.join(
-        [
-            "ptne",
-            "compare",
-            *(word for option, values in options.items() for value in values for word in (option, str(value))),
-        ]
-    )
+    words = (word for option, values in options.items() for value in values for word in (option, str(value)))
+    return shlex.join(["ptne", "compare", *words])
 
 
 def _parameters(spec: PolicySpec) -> Iterable[tuple[str, str, str, str]]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import TypeVar
 
 from ptne_env.experiments.leaderboard import THRESHOLDS, Leaderboard, TrackRow
@@ -212,6 +213,7 @@ def call(spec: PolicySpec) -> str:
     return f"{source['target'].partition(':')[2]} ({arguments})".removesuffix(" ()")
 
 
+@lru_cache(maxsize=1)  # page and terminal show it, and its intervals take seconds
 def overview(results: Results) -> Table:
     """All tracks: the overall scores, if there are any, the first places, and the metric that scores each track.
 

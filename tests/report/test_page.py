@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 import ptne_env
-from ptne_env import evaluate
+from ptne_env import Scenario, evaluate, get_scenario
 from ptne_env.experiments.traces import scenes
 from ptne_env.report import page
 from ptne_env.report.pages import report
@@ -193,14 +193,16 @@ def test_command_of_a_section_repeats_its_numbers(comparison, comparison_report,
     assert again.record(track, "static", "digits") == comparison.record(track, "static", "digits")
 
 
-def test_replay_starts_where_the_episode_of_the_player_starts(comparison_report):
-    for section in comparison_report.sections:
-        code = dict(section.facts)["replay of the player's episode"]
-        env, start = code.removesuffix(")").split(".reset(seed=")
-        env = eval(env, {"ptne_env": ptne_env})  # noqa: S307 - the page's own code
-        env.reset(seed=int(start))
-        trace = comparison_report.scenes[section.name].traces["static"]
-        assert np.array_equal(env.estimates.T, trace.estimates[..., 0])
+@pytest.mark.parametrize("changes", [{}, {"start": "random"}, {"start": "random", "steps": 50}])
+def test_replay_starts_where_the_episode_of_the_player_starts(changes):
+    results = evaluate(["static"], [get_scenario("energy", **changes)], episodes=1)
+    content = report(results, scenes(results))
+    code = dict(content.sections[0].facts)["replay of the player's episode"]
+    env, seed = code.removesuffix(")").split(".reset(seed=")
+    env = eval(env, {"ptne_env": ptne_env, "Scenario": Scenario})  # noqa: S307 - the page's own code
+    env.reset(seed=int(seed))
+    assert env.world.scenario == get_scenario("energy", **changes)
+    assert np.array_equal(env.estimates.T, content.scenes["energy"].traces["static"].estimates[..., 0])
 
 
 def test_figures_hold_the_first_episode(comparison_report, pages):
