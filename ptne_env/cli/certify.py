@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Annotated
 
 import typer
+from threadpoolctl import threadpool_limits
 
 from ptne_env import report, theory
 from ptne_env.cli import options
@@ -53,7 +54,8 @@ def certify(
     chosen = find_scenario(scenario)
     if hold_steps and chosen.gain > 0:
         chosen = chosen.replace(hold_steps=hold_steps)
-    certificate = theory.certify(chosen, law=law_factory(law, kappa), noise_std=noise, delay_steps=delay)
+    with threadpool_limits(1):  # on matrices of this size several BLAS threads wait for each other
+        certificate = theory.certify(chosen, law=law_factory(law, kappa), noise_std=noise, delay_steps=delay)
     write_json(json, json_text(certificate.to_dict()))
     console().print(report.certificate_tables(certificate))
     if json is not None:
