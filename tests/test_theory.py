@@ -145,7 +145,7 @@ def test_rate_of_a_large_gain_is_that_of_gradient_play_shared_by_all():
 
 def test_rate_in_t_is_that_of_the_last_graph():
     assert rate_of_the_static_law(paper_topology(0.1, "physical")) == 0.0
-    # With a connected graph last, its own rate counts, whatever came before.
+    # With a connected graph last, its own rate counts alone.
     mixed = type(paper_topology())([path(5), cycle(5)], [1.0, 5.0], "physical")
     assert rate_of_the_static_law(mixed) == pytest.approx(0.2801, abs=1e-4)
     expected = rate_of_the_static_law(fixed(path(5)))
@@ -214,7 +214,7 @@ def test_every_certificate_is_plain_json(name):
     assert len(data["assumptions"]) == 4
 
 
-def test_certificate_of_the_non_quadratic_game_claims_no_more_than_it_knows():
+def test_certificate_of_the_non_quadratic_game_claims_nothing_unproved():
     certificate = theory.certify(get_scenario("non-quadratic"))
     assert [check.verdict for check in certificate.assumptions] == ["holds", "holds", "fails", "fails"]
     assert certificate.condition.bound == math.inf

@@ -225,7 +225,7 @@ def certify(
     spec = law or FactorySpec.of("ptne_env.laws:Static", kappa=require_non_negative("kappa", kappa))
     built = build_law(spec, world)
     constants = monotonicity_constants(world.game)
-    facts = problem_constants(world, constants)
+    problem = problem_constants(world, constants)
     own_kappa = getattr(built, "kappa", None)
     certificate = Certificate(
         scenario=scenario.name,
@@ -234,8 +234,8 @@ def certify(
         lemma=check_lemma(world.clock.transformation),
         assumptions=check_assumptions(world.game, world.topology, constants),
         constants=constants,
-        algebraic_connectivity=facts.connectivity,
-        condition=condition(built, facts),
+        algebraic_connectivity=problem.connectivity,
+        condition=condition(built, problem),
         effective_time=world.clock.effective_time,
         shortfall=world.clock.shortfall,
         notes=tuple(_scenario_notes(world, faults)),

@@ -1,6 +1,6 @@
 """Conditions of the laws' theorems: numbers of a scenario against the numbers that each theorem needs.
 
-:func:`condition` finds the condition of a law by its class. All conditions are sufficient for convergence, not
+:func:`condition` finds the condition of a law by its class. Conditions are sufficient for convergence; most are not
 necessary. A law of your own registers its condition::
 
     @condition.register

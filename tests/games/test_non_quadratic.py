@@ -70,3 +70,9 @@ def test_best_response_and_regrets_are_refused_with_a_reason():
 def test_unknown_variant_is_refused():
     with pytest.raises(ValueError, match="'printed' or 'corrected'"):
         NonQuadraticGame("fixed")
+
+
+def test_jacobian_near_the_origin_is_the_derivative_to_eight_digits():
+    game, x, h = NonQuadraticGame(), np.array([0.3, -1.2, 2.0, 0.7, -0.4]), 1e-6
+    ahead, behind = (game.pseudo_gradient(x[:, None] + sign * h * np.eye(5)) for sign in (1, -1))
+    assert game.jacobian(x[:, None])[:, :, 0] == pytest.approx((ahead - behind) / (2 * h), abs=1e-8)

@@ -86,7 +86,7 @@ def test_every_law_has_a_condition_on_every_scenario_or_none_at_all(law, scenari
 
 
 @pytest.mark.parametrize("seed", RANDOM)
-def test_fixed_gain_of_bianchi_and_grammatico_makes_the_loop_strongly_monotone(seed):
+def test_fixed_gain_condition_makes_the_loop_strongly_monotone(seed):
     """Their theorem in its key inequality (𝐱 − 1⊗x*)ᵀ M (𝐱 − 1⊗x*) > 0, for affine games M + Mᵀ ≻ 0."""
     scenario, game, adjacency = random_world(seed)
     bound = condition_on(scenario, laws.FixedGain).bound

@@ -57,7 +57,7 @@ def test_best_response_play_is_its_equation(scenario):
 
 
 @pytest.mark.parametrize("seed", range(20))
-def test_best_response_play_converges_exactly_where_its_condition_says(seed):
+def test_best_response_play_converges_exactly_where_its_condition_holds(seed):
     """On an affine game x ← BR(x) is linear and converges exactly where its spectral radius is below 1."""
     generator = np.random.default_rng(seed)
     matrix, offset, adjacency = random_affine(generator, 4, coupling=generator.uniform(0.5, 5.0))

@@ -112,7 +112,7 @@ def test_episode_start_resets_the_memory_of_its_rows_alone():
     assert not np.array_equal(going, fresh)
 
 
-def test_first_call_of_stable_baselines3_with_all_episodes_starting_is_a_fresh_one():
+def test_first_call_with_all_episodes_starting_has_fresh_memory():
     layout, observations = observe()
     policy = laws.Adaptive(layout)
     started, memory = policy.predict(observations, state=None, episode_start=np.ones(15, dtype=bool))

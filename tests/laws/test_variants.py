@@ -117,7 +117,7 @@ def test_capped_gain_is_the_static_law_in_the_time_that_the_cap_leaves(cap):
     assert stack(states[-1]) - target == pytest.approx(error, abs=2e-6 * size)
 
 
-def test_capped_gain_at_one_is_corollary_one_and_at_infinity_the_static_law():
+def test_capped_gain_lies_between_corollary_one_and_the_static_law():
     world, encoder = make_port("energy")
     observations = encoder.observe(loop_start(world))[0]
     for cap, law in {1.0: laws.CorollaryOne(encoder.layout, 2.0), 1e12: laws.Static(encoder.layout, 2.0)}.items():

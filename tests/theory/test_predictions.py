@@ -56,7 +56,7 @@ def records():
                     case,
                     loop,
                     theory.distance(loop.errors(start), case.game),
-                    played.estimate_distance[:, column],
+                    played["estimate_distance"][:, column],
                     dominant_mode(loop, start, steps // 2, steps),
                     bool(played.diverged[column]),
                 )
@@ -163,7 +163,7 @@ def test_digits_of_a_certificate_are_those_of_the_environment(seed, kind):
         case.switch(kind)
     case.starts[:, :, 0] = certificate_start(case)
     certificate = theory.certify(case.scenario, law=case.spec, delay_limit=0)
-    digits = -np.log10(case.play().estimate_distance[:, 0])
+    digits = -np.log10(case.play()["estimate_distance"][:, 0])
     assert certificate.digits_sampled == pytest.approx(digits[case.scenario.steps], abs=1e-5)
     assert certificate.digits_after_hold == pytest.approx(digits[-1], abs=1e-5)
 
@@ -212,7 +212,7 @@ def test_guarantees_of_the_gain_condition_hold_on_every_start():
 NOISY = {"effective": "Static", "transformed": "Grounded", "physical": "CorollaryOne"}
 
 
-@pytest.mark.parametrize(("spacing", "law"), product(NOISY, NOISY.values()) if SOAK else NOISY.items())
+@pytest.mark.parametrize(("spacing", "law"), [*product(NOISY, NOISY.values())] if SOAK else [*NOISY.items()])
 def test_noise_covariance_is_the_measured_one(spacing, law):
     seed = {"effective": 3, "transformed": 11, "physical": 6}[spacing]
     case = random_case(seed, law, spacing=spacing, gain=1.0, s_end=2.5)
@@ -352,7 +352,7 @@ def test_law_loop_at_frozen_gains_is_the_static_law_on_the_weighted_graph():
 @pytest.mark.parametrize("seed", range(4 if SOAK else 2))
 def test_recursion_of_the_adaptive_law_is_the_environment(seed):
     case = random_case(seed, "Adaptive", spacing="effective", gain=5.0)
-    measured = case.play().estimate_distance
+    measured = case.play()["estimate_distance"]
     for column in range(2):
         played = play(case.law, case.world, case.starts[:, :, column])
         predicted = theory.distance(played.errors, case.game)
@@ -370,7 +370,7 @@ def test_a_certificate_notes_a_diverging_loop_and_overflows_nowhere():
 def test_a_law_that_reads_its_step_has_a_loop_for_every_step():
     case = random_case(3, "Static", spacing="effective", gain=3.0)
     case.law = Damped(case.encoder.layout, kappa=1.5)
-    loop, measured = case.loop, case.play().estimate_distance
+    loop, measured = case.loop, case.play()["estimate_distance"]
     assert len(loop.loops) > 1
     for column, start in enumerate(case.start_errors()):
         predicted = theory.distance(loop.errors(start), case.game)

@@ -9,7 +9,6 @@ import time
 
 import numpy as np
 import pytest
-from conftest import ARGUMENTS
 from extras import need_sb3
 
 torch = need_sb3()
@@ -23,6 +22,20 @@ from ptne_env.experiments.suite import find_scenario
 from ptne_env.training import ppo
 from ptne_env.training.export import to_onnx
 from ptne_env.training.features import Products
+
+# A few seconds on one core, and more than three digits.
+ARGUMENTS = ppo.Arguments("random-energy", steps=100_000, envs=32, validation_episodes=50)
+
+
+@pytest.fixture(scope="session")
+def run(tmp_path_factory, build_once):
+    """The folder of the run, its summary and the calls of ``progress``."""
+
+    def build():
+        out, reports = tmp_path_factory.mktemp("run"), []
+        return out, ppo.train(ARGUMENTS, out, lambda *report: reports.append(report)), reports
+
+    return build_once("training", build)
 
 
 def test_training_gains_digits_over_its_own_start(run):
