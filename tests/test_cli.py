@@ -66,7 +66,7 @@ def in_terminal(arguments, cwd, *, until=None, **environment):
     if "train" in arguments:
         need_sb3()
     ours, theirs = pty.openpty()
-    # Where tests run in the background they ignore interruptions, and so would what they start.
+    # Tests that run in the background ignore interruptions, and so would their subprocesses.
     ignored = signal.signal(signal.SIGINT, signal.default_int_handler)
     process = subprocess.Popen(  # noqa: S603 - our own command line
         [sys.executable, "-W", "error", "-m", "ptne_env.cli", *arguments],

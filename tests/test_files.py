@@ -46,6 +46,6 @@ def test_an_obstacle_to_writing_is_found_beforehand(tmp_path):
 
 
 def test_a_read_only_folder_is_found_beforehand(tmp_path, monkeypatch):
-    monkeypatch.setattr(os, "access", lambda *_: False)  # the tests may run as root, who may write everywhere
+    monkeypatch.setattr(os, "access", lambda *_: False)  # tests may run as root, which may write everywhere
     with pytest.raises(PermissionError, match="read-only"):
         require_writable(tmp_path / "new")

@@ -93,15 +93,15 @@ def test_foreign_and_future_results_are_refused(tmp_path, content, message):
 
 def changed(value, data):
     """A JSON value with one thing in it replaced or left out."""
-    what = data.draw(st.sampled_from(("go on", "go on", "go on", "leave out", "replace")))
-    if what != "replace" and isinstance(value, dict) and value:
+    change = data.draw(st.sampled_from(("go on", "go on", "go on", "leave out", "replace")))
+    if change != "replace" and isinstance(value, dict) and value:
         name = data.draw(st.sampled_from(sorted(value)))
-        if what == "go on":
+        if change == "go on":
             return {**value, name: changed(value[name], data)}
         return {key: item for key, item in value.items() if key != name}
-    if what != "replace" and isinstance(value, list) and value:
+    if change != "replace" and isinstance(value, list) and value:
         index = data.draw(st.integers(0, len(value) - 1))
-        middle = [changed(value[index], data)] if what == "go on" else []
+        middle = [changed(value[index], data)] if change == "go on" else []
         return [*value[:index], *middle, *value[index + 1 :]]
     plain = st.none() | st.booleans() | st.integers(-3, 50) | st.floats() | st.text(max_size=3)
     return data.draw(plain | st.lists(plain, max_size=2) | st.dictionaries(st.text(max_size=3), plain, max_size=2))

@@ -72,12 +72,12 @@ def check(
     chosen = np.random.default_rng(seed).permutation(len(stored))[: require_count("sample", sample, 1)]
     repetitions = []
     for index in sorted(chosen.tolist()):
-        entry = stored[index]
-        policy = _policy(data, entry)
-        track = suite.track(entry["track"])
+        listed = stored[index]
+        policy = _policy(data, listed)
+        track = suite.track(listed["track"])
         episodes = suite.episode_set(track.name, data["episodes"][track.name], seed=data["seed"], split=data["split"])
-        job = Job(track, policy, entry["training_seed"], episodes)
-        repetitions.append(Repetition(job, Store(path.parent).load(entry["key"]).difference(job.compute())))
+        job = Job(track, policy, listed["training_seed"], episodes)
+        repetitions.append(Repetition(job, Store(path.parent).load(listed["key"]).difference(job.compute())))
         if progress is not None:
             progress(f"{track.name}: {policy.name}", len(chosen))
     return repetitions
@@ -103,9 +103,9 @@ def _policies(data: Mapping[str, Any], track: str | None = None) -> list[dict[st
     return [*data["policies"], *(law for laws in chosen for law in laws.values())]
 
 
-def _policy(data: Mapping[str, Any], entry: Mapping[str, Any]) -> PolicySpec:
+def _policy(data: Mapping[str, Any], job: Mapping[str, Any]) -> PolicySpec:
     """The policy of a job, if its files are those that were run."""
-    found = next(policy for policy in _policies(data, entry["track"]) if policy["name"] == entry["policy"])
+    found = next(policy for policy in _policies(data, job["track"]) if policy["name"] == job["policy"])
     policy = PolicySpec.from_dict(found)
     if policy.to_dict() != found:
         raise ValueError(f"the files of policy {policy.name!r} are not those that were run")

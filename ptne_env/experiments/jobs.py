@@ -1,4 +1,4 @@
-"""Jobs: one policy with one training seed on one track and episode set, and what running it measures."""
+"""Jobs: one policy with one training seed on one track and episode set, and its result."""
 
 from __future__ import annotations
 
@@ -74,7 +74,7 @@ def _initial_state(track: Track, episodes: EpisodeSet) -> State:
 
 @dataclass(frozen=True)
 class JobResult:
-    """What a job measured.
+    """The result of a job.
 
     Attributes:
         samples: per metric, one value per episode, NaN where there is none; shape (B,).

@@ -153,7 +153,7 @@ for _metric in (
     Metric("strategy_distance", "strategy distance", "‖x − x*‖/‖x*‖ at the deadline (the paper's plots)", "lower",
            value=lambda rollout: _at_deadline(rollout, "strategy_distance")),
     Metric("estimate_distance", "estimate distance",
-           "‖𝐱 − 1⊗x*‖/(√N ‖x*‖) at the deadline (what the theorems claim)", "lower",
+           "‖𝐱 − 1⊗x*‖/(√N ‖x*‖) at the deadline (as in the theorems)", "lower",
            value=lambda rollout: _at_deadline(rollout, "estimate_distance")),
     Metric("consensus_error", "consensus error", "‖𝐱 − 1⊗x̄‖/(√N ‖x*‖) at the deadline", "lower",
            value=lambda rollout: rollout["consensus_error"][0]),

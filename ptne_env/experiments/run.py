@@ -45,20 +45,19 @@ def evaluate(
     both chosen by mean digits on validation episodes (:mod:`ptne_env.experiments.tuning`), where something is random.
 
     Args:
-        policies: as :func:`~ptne_env.experiments.policy_specs.get_policy_spec` takes them, or specs.
+        policies: specs, or strings as :func:`~ptne_env.experiments.policy_specs.get_policy_spec` takes them.
         scenarios: names of the catalogue or scenarios.
         episodes: number of random starts.
-        seed: of the episode sets.
+        seed: of the episode sets; the remaining arguments are explained at :func:`run_suite`.
         hold_steps: steps after the deadline for the scenarios given by name.
-        split: ``"test"``, ``"validation"`` or ``"train"``, which share no episode.
-        against_laws: whether learned policies are compared with tuned laws; the tuning takes longer than the rest.
-        folder: in which the results of finished jobs are stored; nothing is stored if left out.
-        workers: run the jobs. Only the measured times of policies depend on it.
-        progress: called with ``"track: policy"`` and the number of all jobs when a job is done.
+        split: ``"test"``, ``"validation"`` or ``"train"``.
+        against_laws: whether learned policies are compared with tuned laws.
+        folder: in which finished jobs are stored.
+        workers: run the jobs.
+        progress: called when a job is done.
 
     Raises:
-        ValueError: for unknown or repeated names, or when no policy can act in any scenario.
-        ImportError, ConnectionError, ChildProcessError: as :meth:`~ptne_env.experiments.workers.Workers.run`.
+        ValueError, OSError, ImportError, ConnectionError, ChildProcessError: as :func:`run_suite`.
     """
     suite = comparison(scenarios, episodes=episodes, hold_steps=hold_steps)
     return run_suite(
@@ -94,12 +93,12 @@ def run_suite(
 
     Args:
         suite: by name, ``"module:object"`` or as it is.
-        policies: as :func:`~ptne_env.experiments.policy_specs.get_policy_spec` takes them, or specs.
+        policies: specs, or strings as :func:`~ptne_env.experiments.policy_specs.get_policy_spec` takes them.
         tracks: names; all if left out.
         episodes: per track; the suite's own number if left out.
         seed: of the episode sets; the leaderboard's is 0.
         split: ``"test"``, ``"validation"`` or ``"train"``, which share no episode.
-        against_laws: whether learned policies are compared with tuned laws.
+        against_laws: whether learned policies are compared with tuned laws; the tuning takes longer than the rest.
         folder: in which the results of finished jobs are stored; nothing is stored if left out.
         workers: run the jobs. Only the measured times of policies depend on it.
         progress: called with ``"track: policy"`` and the number of all jobs when a job is done.

@@ -1,4 +1,4 @@
-"""Series: what a rollout records at each instant or step, one number per episode. Metrics are computed from them."""
+"""Series: the quantities that a rollout records at each instant or step, one number per episode, for the metrics."""
 
 from __future__ import annotations
 

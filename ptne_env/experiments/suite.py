@@ -70,14 +70,14 @@ class Track:
     Attributes:
         name: unique in the suite; part of the seeds of its episodes in a published suite.
         scenario: the physics.
-        change: what is different from the base, in one sentence.
+        change: its difference from the base, in one sentence.
         metric: by which policies are scored, higher being better: ``"digits"`` or ``"digits_after_hold"``.
         teammates: players that follow a fixed policy; ``None`` where every player follows the policy that is run.
         episodes: its own number of episodes; the suite's if ``None``.
 
     Raises:
-        ValueError: for another metric, one that the scenario does not have, or teammates who are not some of the
-            players.
+        ValueError: for another metric, a metric that the scenario does not have, or teammates that are not some of
+            the players.
     """
 
     name: str
@@ -199,7 +199,7 @@ class Suite:
         return EpisodeSet(count, seed, split, None if self.is_comparison else (self.name, track))
 
     def content(self) -> dict[str, Any]:
-        """Name, tracks and rules as a JSON object: what is frozen."""
+        """Name, tracks and rules as a JSON object, which is frozen by its hash."""
         return {
             "suite": self.name,
             "tracks": [track.to_dict() for track in self.tracks],

@@ -38,7 +38,7 @@ class Trace:
         error: the estimate distance of the first episode, shape (F,).
         estimates: x^i in column i, shape (n, N, F).
         inputs: the inputs of the strategies, own block by own block, held from each instant; NaN at the last. (n, F).
-        consensus_gains: what multiplies Σ_j a_ij (x^j − x^i) in the inputs of the others' blocks of x^i, by least
+        consensus_gains: factor of Σ_j a_ij (x^j − x^i) in the inputs of the others' blocks of x^i, by least
             squares; NaN where a player receives nothing that differs from its own estimate. Shape (N, F).
     """
 
@@ -102,11 +102,11 @@ def scenes(
     names = list(results.episodes)
     tasks = [_task(results, track, episodes) for track in results.tracks]
 
-    def tell(index: int, _: Scene) -> None:
+    def report(index: int, _: Scene) -> None:
         if progress is not None:
             progress(names[index], len(names))
 
-    return dict(zip(names, workers.gather(_track_scene, tasks, tell), strict=True))
+    return dict(zip(names, workers.gather(_track_scene, tasks, report), strict=True))
 
 
 def _task(results: Results, track: Track, episodes: int) -> tuple[Track, EpisodeSet, dict[str, PolicySpec]]:

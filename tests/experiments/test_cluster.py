@@ -43,7 +43,7 @@ def kill_second(cluster):
     (raylet,) = cluster.second.all_processes["raylet"]
     workers = Path(f"/proc/{raylet.process.pid}/task/{raylet.process.pid}/children").read_text(encoding="utf-8").split()
     cluster.remove_node(cluster.second, allow_graceful=False)
-    for worker in workers:  # which would otherwise finish what they do before they miss their node
+    for worker in workers:  # they would finish their tasks before they miss their node
         with contextlib.suppress(ProcessLookupError):
             os.kill(int(worker), signal.SIGKILL)
 

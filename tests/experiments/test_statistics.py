@@ -11,7 +11,7 @@ from ptne_env.experiments.statistics import (
     unpaired_probability_of_improvement,
 )
 
-# Scores of two algorithms, runs in rows and tasks in columns, and what rliable 1.2.0 makes of them
+# Scores of two algorithms, runs in rows and tasks in columns, and the values of rliable 1.2.0
 # (aggregate_iqm, probability_of_improvement, run_score_deviation).
 X = np.array([[1.06, 0.93, 1.32], [1.05, 0.73, 1.18], [1.65, 1.47, 0.65], [0.37, 0.69, 1.02], [-0.16, 0.89, 0.38],
               [0.63, 0.73, 0.84]])  # fmt: skip
