@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from ptne_env.arrays import FloatArray, require_non_negative
-from ptne_env.laws.base import Law, consensus
+from ptne_env.arrays import FloatArray
+from ptne_env.laws.base import AdaptiveLaw, consensus
 from ptne_env.observation import Observation, ObservationLayout
 
 
@@ -24,7 +24,7 @@ def adaptive_inputs(observation: Observation, memory: FloatArray, gamma: float) 
     return inputs, memory + observation.theta * growth
 
 
-class Adaptive(Law):
+class Adaptive(AdaptiveLaw):
     """The adaptive law of the paper, :func:`adaptive_inputs`.
 
     Args:
@@ -35,11 +35,6 @@ class Adaptive(Law):
     Raises:
         ValueError: for a negative gain.
     """
-
-    def __init__(self, layout: ObservationLayout, gamma: float = 0.01, initial_gain: float = 0.5) -> None:
-        super().__init__(layout)
-        self.gamma = require_non_negative("gamma", gamma)
-        self.initial_gain = require_non_negative("initial_gain", initial_gain)
 
     def initial_memory(self, rows: int) -> FloatArray:
         """κ_ij(0) per neighbour slot, shape (R, D)."""

@@ -13,7 +13,7 @@ from typing import Any, ClassVar
 import numpy as np
 import numpy.typing as npt
 
-from ptne_env.arrays import BoolArray, Float32Array, FloatArray
+from ptne_env.arrays import BoolArray, Float32Array, FloatArray, require_non_negative
 from ptne_env.observation import Interface, Observation, ObservationLayout
 
 
@@ -106,6 +106,24 @@ class Law(ABC):
 
     def _actions(self, inputs: FloatArray, observation: Observation) -> Float32Array:
         return self.layout.write(inputs, observation)
+
+
+class AdaptiveLaw(Law):
+    """A law with gains that adapt: its memory.
+
+    Args:
+        layout: of the environment.
+        gamma: γ ≥ 0, the rate of adaptation.
+        initial_gain: of every gain at t = 0, ≥ 0.
+
+    Raises:
+        ValueError: for a negative number.
+    """
+
+    def __init__(self, layout: ObservationLayout, gamma: float = 0.01, initial_gain: float = 0.5) -> None:
+        super().__init__(layout)
+        self.gamma = require_non_negative("gamma", gamma)
+        self.initial_gain = require_non_negative("initial_gain", initial_gain)
 
 
 def _restart(memory: Any, fresh: FloatArray, episode_start: BoolArray | None) -> FloatArray:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ptne_env.arrays import FloatArray, require_non_negative
-from ptne_env.laws.base import Law, consensus
+from ptne_env.laws.base import AdaptiveLaw, Law, consensus
 from ptne_env.observation import Observation, ObservationLayout
 
 
@@ -66,7 +66,7 @@ class Grounded(Law):
         return grounded_inputs(observation, self.layout, self.kappa), memory
 
 
-class AdaptiveGrounded(Law):
+class AdaptiveGrounded(AdaptiveLaw):
     """Ye and Hu's node-based law with adaptive gains, :func:`adaptive_grounded_inputs`.
 
     Args:
@@ -77,11 +77,6 @@ class AdaptiveGrounded(Law):
     Raises:
         ValueError: for a negative gain.
     """
-
-    def __init__(self, layout: ObservationLayout, gamma: float = 0.01, initial_gain: float = 0.5) -> None:
-        super().__init__(layout)
-        self.gamma = require_non_negative("gamma", gamma)
-        self.initial_gain = require_non_negative("initial_gain", initial_gain)
 
     def initial_memory(self, rows: int) -> FloatArray:
         """θ_ij(0) per component, shape (R, n)."""
