@@ -39,7 +39,7 @@ def nothing_called():
     CALLED.clear()
 
 
-def test_a_scenario_calls_what_it_names_with_the_arguments_it_gives():
+def test_a_world_calls_the_addresses_of_its_scenario_with_their_arguments():
     data = get_scenario("energy").to_dict()
     data["game"] = {"target": "test_security:mark", "arguments": {"word": "called"}}
     scenario = Scenario.from_dict(data)
@@ -47,7 +47,7 @@ def test_a_scenario_calls_what_it_names_with_the_arguments_it_gives():
     with pytest.raises(ValueError, match="built a dict where a Game or GameFamily is needed"):
         World(scenario)
     assert CALLED == [{"word": "called"}]
-    assert "calls what it names" in TEXT
+    assert "**calls the addresses in it**" in TEXT
 
 
 def test_a_configuration_may_name_a_suite_which_is_imported_and_called():
