@@ -7,7 +7,7 @@ from worlds import BLOCKS, BLOCKS_SWITCHING, FAULTY, begin, make_port
 
 from ptne_env import CATALOGUE, Interface, dynamics, get_scenario
 from ptne_env.encoder import make_encoder
-from ptne_env.experiments.episodes import draw_start
+from ptne_env.experiments.episodes import EpisodeSet
 from ptne_env.experiments.suite import find_scenario
 from ptne_env.observation import CONSENSUS_GAIN, OBSERVATION_BOUND
 from ptne_env.world import RANGE_LIMIT, World
@@ -432,7 +432,7 @@ def test_gains_act_on_what_is_heard(kind):
 @pytest.mark.parametrize("scenario", ["energy", "energy-switching", "ptne-v1/delay"])
 def test_observations_are_the_same_however_many_neighbour_slots_fit_into_the_scratch(scenario, monkeypatch):
     world = World(find_scenario(scenario))
-    states = [draw_start(world, 3, seed=0)]
+    states = [EpisodeSet(3, 0, "test").initial_state(world)]
     for _ in range(60):  # past a switch, after which other links are up
         states.append(dynamics.step(world, states[-1], np.ones_like(states[-1].estimates)))
     seen = []
