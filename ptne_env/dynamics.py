@@ -113,6 +113,42 @@ def initial_state(
     return _complete(world, estimates, game, step, diverged, randomness)
 
 
+def require_state(world: World, state: State, batch: int) -> None:
+    """Check that a state, such as one that was saved, fits a world.
+
+    The memory of a channel and the numbers of a game are not checked.
+
+    Args:
+        world: the world.
+        state: to be checked.
+        batch: B, the expected number of environments.
+
+    Raises:
+        ValueError: when it is no state, has another shape, a step or estimates out of range, another game's
+            dimensions, or draws and messages that the world lacks or needs.
+    """
+    if not isinstance(state, State):
+        raise ValueError(f"a state is a ptne_env.dynamics.State, got {type(state).__name__}")
+    expected, game, last = (world.game.dimension, world.game.num_players, batch), world.game, world.clock.total_steps
+    if state.estimates.shape != expected or state.step.shape != (batch,):
+        raise ValueError(f"a state of this environment has estimates of shape {expected}, got {state.estimates.shape}")
+    if not np.all((state.step >= 0) & (state.step <= last)):
+        raise ValueError(f"a step of this environment is 0 to {last}, got {state.step.tolist()}")
+    if not _in_range(state.estimates):
+        raise ValueError(f"the estimates of a state must be finite and within ±{RANGE_LIMIT:g}")
+    needed = {
+        "players and dimensions": state.game.action_dims == game.action_dims and state.game.batch_size in (1, batch),
+        "random draws": (state.randomness is not None) == world.has_episode_randomness,
+        "active graphs": _fits_topology(world, state, batch),
+        "received messages": _fits_channel(world, state, batch),
+    }
+    faults = [name for name, fits in needed.items() if not fits]
+    if faults:
+        raise ValueError(
+            f"the state is of another world: its {', '.join(faults)} are not those of scenario {world.scenario.name!r}"
+        )
+
+
 def step(world: World, state: State, inputs: FloatArray) -> State:
     """x_{k+1} = x_k + Θ_k u_k, with switching graph, clock, channel and disturbance; exact for the held input.
 
@@ -290,6 +326,21 @@ def _complete(
         gradients = np.clip(np.nan_to_num(gradients, nan=RANGE_LIMIT), -RANGE_LIMIT, RANGE_LIMIT)
     state = State(step, game, estimates, gradients, diverged, any_diverged, randomness)
     return state if world.channel.is_perfect else state._replace(received=_transmit(world, state, memory))
+
+
+def _fits_topology(world: World, state: State, batch: int) -> bool:
+    modes = None if state.randomness is None else state.randomness.modes
+    if modes is None:
+        return not world.topology.is_random
+    expected = (world.clock.total_steps + 1, batch)
+    return world.topology.is_random and modes.shape == expected and bool(modes.max() < len(world.topology.graphs))
+
+
+def _fits_channel(world: World, state: State, batch: int) -> bool:
+    if state.received is None:
+        return world.channel.is_perfect
+    expected = (world.slots, world.game.dimension, world.game.num_players, batch)
+    return not world.channel.is_perfect and state.received.messages.shape == expected
 
 
 def _transmit(world: World, state: State, memory: Memory | None) -> Received:

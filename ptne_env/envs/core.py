@@ -111,13 +111,9 @@ class Simulation:
         """Continue from ``state``, of as many environments; the random generators stay as they are.
 
         Raises:
-            ValueError: for a state of another number of environments or of a world of another size.
+            ValueError: as :func:`ptne_env.dynamics.require_state`; the state stays as it was.
         """
-        expected = (self.world.game.dimension, self.world.game.num_players, self.num_envs)
-        if state.estimates.shape != expected:
-            raise ValueError(
-                f"a state of this environment has estimates of shape {expected}, got {state.estimates.shape}"
-            )
+        dynamics.require_state(self.world, state, self.num_envs)
         self.state = state
         self._reward.reset(state)
 

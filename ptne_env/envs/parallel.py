@@ -233,7 +233,7 @@ class NashSeekingEnv(ParallelEnv[str, Float32Array, Float32Array]):
         The random generators stay as they are, so the next reset draws as if this had not been called.
 
         Raises:
-            ValueError: for a state of another world or of several environments.
+            ValueError: for a state that does not fit the world, or of several environments; the state stays as it was.
         """
         self._simulation.set_state(state)
         self.agents = [] if dynamics.is_over(self.world, state)[0] else self.possible_agents.copy()

@@ -7,6 +7,7 @@ from worlds import BLOCKS, PAPER_START, constant_actions, make_env, play, while_
 
 import ptne_env
 from ptne_env import CATALOGUE, dynamics, get_scenario, laws
+from ptne_env.experiments.suite import get_suite
 
 INTERFACES = [
     {"interface": interface, "action_mode": mode} for interface in ("physical", "local") for mode in ("input", "gains")
@@ -605,4 +606,43 @@ def test_a_state_of_another_size_is_refused_and_the_state_stays():
     before = env.get_state()
     with pytest.raises(ValueError, match=r"estimates of shape \(5, 5, 1\), got \(10, 5, 1\)"):
         env.set_state(other.get_state())
+    assert env.get_state() is before
+
+
+@pytest.mark.parametrize(
+    ("track", "other", "message"),
+    [
+        ("nominal", "markov", "random draws, active graphs"),
+        ("markov", "unseen-graphs", "active graphs"),
+        ("noise", "nominal", "random draws, received messages"),
+        ("nominal", "noise", "random draws, received messages"),
+    ],
+)
+def test_a_state_of_another_world_is_refused(track, other, message):
+    suite = get_suite("ptne-v1")
+    env, foreign = (ptne_env.parallel_env(suite.track(name).scenario) for name in (track, other))
+    env.reset(seed=1)
+    foreign.reset(seed=1)
+    before = env.get_state()
+    with pytest.raises(ValueError, match=f"of another world: its {message} are not those of scenario '{track}'"):
+        env.set_state(foreign.get_state())
+    assert env.get_state() is before
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"step": np.array([10**6])}, r"0 to 400, got \[1000000\]"),
+        ({"step": np.array([-5])}, r"0 to 400, got \[-5\]"),
+        ({"estimates": np.full((5, 5, 1), np.nan)}, "finite"),
+    ],
+)
+def test_a_damaged_state_is_refused_and_the_state_stays(changes, message):
+    env = ptne_env.parallel_env("energy")
+    env.reset(seed=1)
+    before = env.get_state()
+    with pytest.raises(ValueError, match=message):
+        env.set_state(before._replace(**changes))
+    with pytest.raises(ValueError, match="got NoneType"):
+        env.set_state(None)
     assert env.get_state() is before
