@@ -13,7 +13,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import stats
-from worlds import BLOCKS_SWITCHING, EVERY_FAULT, FAULTY, begin, channel_part, make_port, quantity
+from worlds import BLOCKS_SWITCHING, EVERY_FAULT, FAULTY, begin, channel_part, quantity, world_and_encoder
 
 from ptne_env import FactorySpec, Scenario, dynamics, get_scenario, laws
 from ptne_env.channel import Chain, Channel, LinkRandomness, Messages
@@ -538,7 +538,7 @@ stage_parts = st.one_of(
 )
 def test_observations_under_any_chain_are_in_their_space(stages, kind, seed, size):
     scenario = FAULTY.replace(channel=channel_part("Chain", stages=stages), input_limit=1e6)
-    world, encoder = make_port(scenario, kind=kind)
+    world, encoder = world_and_encoder(scenario, kind=kind)
     space = encoder.layout.observation_space()
     state, generator = begin(world, [seed, seed + 1]), np.random.default_rng(seed)
     for _ in range(8):
@@ -640,7 +640,7 @@ def test_noise_in_the_sampled_environment_follows_its_recursion(spacing, k):
         steps=60,
         s_end=5.0,
     )
-    world, encoder = make_port(scenario)
+    world, encoder = world_and_encoder(scenario)
     law, state = laws.Static(encoder.layout, kappa=k), begin(world, range(episodes))
     bounds = stats.chi2.isf([1 - FALSE_ALARM / 2, FALSE_ALARM / 2], episodes) / episodes
     variance, largest = 0.0, 0.0

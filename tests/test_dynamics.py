@@ -107,7 +107,7 @@ def test_halving_the_step_halves_the_distance_to_the_continuous_solution(scenari
 
 
 @pytest.mark.parametrize("spacing", ["effective", "transformed", "physical"])
-def test_held_input_moves_the_estimates_by_the_effective_time_whatever_the_spacing(spacing):
+def test_a_held_input_moves_estimates_by_the_effective_time(spacing):
     steps = 4000 if spacing == "physical" else 400
     world = World(get_scenario("energy", spacing=spacing, steps=steps, s_end=6.0))
     state = dynamics.initial_state(world, start(world))
@@ -120,7 +120,7 @@ def test_held_input_moves_the_estimates_by_the_effective_time_whatever_the_spaci
 
 
 @pytest.mark.parametrize("name", CATALOGUE)
-def test_state_says_what_each_player_can_know(name):
+def test_weights_and_relative_estimates_follow_from_the_state(name):
     world = World(get_scenario(name, start="random"))
     state = begin(world, [1, 2])
     game = state.game
@@ -140,7 +140,7 @@ def test_state_says_what_each_player_can_know(name):
         assert sum(seen.values()) == adjacency[i].sum()
 
 
-def test_spare_slots_point_at_the_player_itself_with_weight_zero():
+def test_padded_slots_hold_the_player_itself_with_weight_zero():
     star = get_scenario(
         "energy",
         topology=FactorySpec.of("ptne_env.switching:fixed", graph=FactorySpec.of("ptne_env.graphs:star", players=5)),
@@ -155,7 +155,7 @@ def test_spare_slots_point_at_the_player_itself_with_weight_zero():
         assert not dynamics.relative_estimates(world, state)[1:, :, i].any()
 
 
-def test_slots_are_padded_to_the_number_that_the_scenario_asks_for():
+def test_neighbour_slots_are_padded_to_the_scenarios_number():
     world, padded = (World(get_scenario("energy-switching", slots=slots)) for slots in (None, 4))
     assert (world.slots, padded.slots) == (2, 4)
     assert np.array_equal(padded.neighbours[:2], world.neighbours)
@@ -168,7 +168,7 @@ def test_slots_are_padded_to_the_number_that_the_scenario_asks_for():
 PUSH = "ptne_env.disturbances:UniformDisturbance"
 
 
-def test_disturbance_pushes_the_real_strategies_alone_and_is_bounded():
+def test_a_disturbance_is_bounded_and_pushes_only_the_strategies():
     plain = World(get_scenario("energy", hold_steps=30))
     pushed = World(get_scenario("energy", hold_steps=30, disturbance=FactorySpec.of(PUSH, bound=2.0)))
     states = [begin(plain, [1, 2]), begin(pushed, [1, 2])]
@@ -229,7 +229,7 @@ def test_players_with_wrong_clocks_integrate_their_own_gain():
     assert np.array_equal(states[0].estimates[:, right], states[1].estimates[:, right])
 
 
-def test_clocks_that_are_right_change_nothing():
+def test_clock_shifts_of_zero_change_nothing():
     plain, shifted = (World(get_scenario("energy", clock_shifts=shifts)) for shifts in ((), (0.0,) * 5))
     assert shifted.theta is shifted.clock.theta
     assert np.array_equal(plain.local_clocks, shifted.local_clocks)
@@ -315,7 +315,7 @@ BATCHED = {
 
 
 @pytest.mark.parametrize("name", BATCHED)
-def test_batch_agrees_bit_for_bit_with_batches_of_one_even_when_one_diverges(name):
+def test_a_batch_with_a_diverged_member_equals_batches_of_one(name):
     world = World(BATCHED[name])
     batch = 7
     together = begin(world, range(batch))
@@ -336,7 +336,7 @@ def test_batch_agrees_bit_for_bit_with_batches_of_one_even_when_one_diverges(nam
 
 
 @pytest.mark.parametrize("value", [1e9, -1e9, 1e300])
-def test_diverged_world_stays_finite_in_range_and_where_it_is(value):
+def test_a_diverged_state_stays_finite_and_constant(value):
     world = World(get_scenario("non-quadratic"))
     state = dynamics.initial_state(world, start(world))
     state = dynamics.step(world, state, np.full_like(state.estimates, value))
@@ -373,7 +373,7 @@ def test_range_is_inclusive():
 
 
 @given(st.integers(0, 2**32 - 1))
-def test_no_estimate_in_range_is_farther_than_the_distance_that_divergence_is_charged(seed):
+def test_the_distance_of_divergence_exceeds_any_in_range(seed):
     world = World(get_scenario("energy"))
     corner = np.random.default_rng(seed).choice([-RANGE_LIMIT, RANGE_LIMIT], 5)
     equilibrium = world.game.nash_equilibrium
@@ -410,7 +410,7 @@ def test_strategies_of_unequal_dimensions_are_the_own_blocks():
     assert dynamics.strategies(world, dynamics.initial_state(world, estimates))[:, 0].tolist() == [0, 3, 7, 11, 14, 17]
 
 
-def test_same_sources_draw_the_same_start():
+def test_equal_random_streams_draw_equal_starts():
     world = World(get_scenario("energy", start="random"))
     assert np.array_equal(start(world, 5), start(world, 5))
     assert not np.array_equal(start(world, 5), start(world, 6))

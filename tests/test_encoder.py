@@ -3,7 +3,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 from test_dynamics import large_energy_scenario
-from worlds import BLOCKS, BLOCKS_SWITCHING, FAULTY, begin, make_port
+from worlds import BLOCKS, BLOCKS_SWITCHING, FAULTY, begin, world_and_encoder
 
 from ptne_env import CATALOGUE, Interface, dynamics, get_scenario
 from ptne_env.encoder import make_encoder
@@ -32,7 +32,7 @@ def wander(world, steps=37, batch=2, seed=0):
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("name", WORLDS)
 def test_named_slices_cover_the_observation_without_gaps(name, kind):
-    _, encoder = make_port(WORLDS[name], kind=kind)
+    _, encoder = world_and_encoder(WORLDS[name], kind=kind)
     parts = list(encoder.layout.slices.values())
     assert parts[0].start == 0
     assert all(part.stop == following.start for part, following in pairwise(parts))
@@ -41,8 +41,8 @@ def test_named_slices_cover_the_observation_without_gaps(name, kind):
 
 
 @pytest.mark.parametrize("name", WORLDS)
-def test_physical_observation_holds_what_the_table_says(name):
-    world, encoder = make_port(WORLDS[name])
+def test_a_physical_observation_follows_the_table_of_slices(name):
+    world, encoder = world_and_encoder(WORLDS[name])
     state, layout, game = wander(world), encoder.layout, world.game
     observations = encoder.observe(state)
     clock, k = world.clock, int(state.step[0])
@@ -67,7 +67,7 @@ def test_physical_observation_holds_what_the_table_says(name):
 
 @pytest.mark.parametrize("name", WORLDS)
 def test_local_observation_is_scaled_and_in_ego_order(name):
-    world, encoder = make_port(WORLDS[name], kind="local")
+    world, encoder = world_and_encoder(WORLDS[name], kind="local")
     state, layout, game = wander(world), encoder.layout, world.game
     n = game.dimension
     observations = encoder.observe(state)
@@ -92,8 +92,8 @@ def test_local_observation_is_scaled_and_in_ego_order(name):
 
 
 @pytest.mark.parametrize("factor", [1e-9, 1e-3, 1e3])
-def test_local_observation_of_a_scaled_error_differs_in_its_scale_alone(factor):
-    world, encoder = make_port("energy", kind="local")
+def test_a_scaled_error_changes_only_the_scale_of_a_local_observation(factor):
+    world, encoder = world_and_encoder("energy", kind="local")
     equilibrium = world.game.nash_equilibrium[:, None, None]
     error = np.random.default_rng(0).integers(-8, 8, (5, 5, 1)) / 8
     near, far = (
@@ -107,7 +107,7 @@ def test_local_observation_of_a_scaled_error_differs_in_its_scale_alone(factor):
 
 
 def test_player_at_rest_observes_the_smallest_scale():
-    world, encoder = make_port(BLOCKS, kind="local")
+    world, encoder = world_and_encoder(BLOCKS, kind="local")
     at_rest = np.repeat(np.zeros((6, 1)), 3, axis=1)[:, :, None]
     moving = dynamics.initial_state(world, at_rest)
     state = moving._replace(estimates=at_rest, own_gradients=np.zeros((6, 1)))
@@ -118,10 +118,10 @@ def test_player_at_rest_observes_the_smallest_scale():
 
 @pytest.mark.parametrize("name", WORLDS)
 def test_oracle_sees_the_real_strategies_and_the_pseudo_gradient_besides(name):
-    world, encoder = make_port(WORLDS[name], kind="full")
+    world, encoder = world_and_encoder(WORLDS[name], kind="full")
     state, layout = wander(world), encoder.layout
     observations = encoder.observe(state)
-    plain = make_port(WORLDS[name])[1].observe(state)
+    plain = world_and_encoder(WORLDS[name])[1].observe(state)
     assert np.array_equal(observations[:, :, : plain.shape[2]], plain)
     strategies = dynamics.strategies(world, state)
     for i in range(layout.num_players):
@@ -135,8 +135,8 @@ def test_oracle_sees_the_real_strategies_and_the_pseudo_gradient_besides(name):
 
 
 @pytest.mark.parametrize("name", WORLDS)
-def test_neighbour_estimates_are_those_of_the_neighbours_and_a_dead_link_repeats_the_own(name):
-    world, encoder = make_port(WORLDS[name])
+def test_neighbour_estimates_repeat_the_own_one_on_a_down_link(name):
+    world, encoder = world_and_encoder(WORLDS[name])
     state = wander(world)
     seen = encoder.layout.neighbour_estimates(encoder.observe(state))
     assert seen.dtype == np.float64
@@ -149,14 +149,14 @@ def test_neighbour_estimates_are_those_of_the_neighbours_and_a_dead_link_repeats
 
 
 def test_neighbour_estimates_need_the_own_estimate():
-    world, encoder = make_port("energy", kind="local")
+    world, encoder = world_and_encoder("energy", kind="local")
     with pytest.raises(ValueError, match="'local' layout has no 'own_estimate'; it has own_gradient, "):
         encoder.layout.neighbour_estimates(encoder.observe(wander(world)))
 
 
 @pytest.mark.parametrize("name", ["energy-switching", "energy-switching-transformed", "blocks-switching"])
-def test_link_that_goes_down_keeps_its_slot_with_weight_and_difference_zero(name):
-    world, encoder = make_port(WORLDS[name])
+def test_a_down_link_keeps_its_slot_with_weight_zero(name):
+    world, encoder = world_and_encoder(WORLDS[name])
     layout, state = encoder.layout, wander(world, steps=0)
     down = up = 0
     for _ in range(world.clock.steps):
@@ -172,7 +172,7 @@ def test_link_that_goes_down_keeps_its_slot_with_weight_and_difference_zero(name
 
 
 def test_differences_are_taken_before_the_cast_to_float32():
-    world, encoder = make_port("energy")
+    world, encoder = world_and_encoder("energy")
     estimates = np.full((5, 5, 1), 12345.678)
     estimates[2, 1] += 1e-9
     observation = encoder.observe(dynamics.initial_state(world, estimates))[0]
@@ -182,7 +182,7 @@ def test_differences_are_taken_before_the_cast_to_float32():
 
 
 def test_terminal_observation_has_no_step_left():
-    world, encoder = make_port(get_scenario("energy", steps=5, hold_steps=3))
+    world, encoder = world_and_encoder(get_scenario("energy", steps=5, hold_steps=3))
     clock = encoder.layout.select(encoder.observe(wander(world, steps=8)), "clock")[0, 0]
     assert clock[2:].tolist() == [0, 0]
     assert clock[0] == pytest.approx(world.clock.t[-1] / 1.2)
@@ -192,7 +192,7 @@ def test_terminal_observation_has_no_step_left():
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("name", WORLDS)
 def test_space_contains_every_observation_also_at_the_edge_of_the_range(name, kind):
-    world, encoder = make_port(WORLDS[name], kind=kind)
+    world, encoder = world_and_encoder(WORLDS[name], kind=kind)
     space, players, n = encoder.layout.observation_space(), encoder.layout.num_players, encoder.layout.dimension
     shape = (n, players, 1)
     corners = np.random.default_rng(0).choice([-RANGE_LIMIT, RANGE_LIMIT], shape)
@@ -209,7 +209,7 @@ def test_space_contains_every_observation_also_at_the_edge_of_the_range(name, ki
 
 
 def test_entries_with_units_are_bounded_by_a_million():
-    _, encoder = make_port("energy")
+    _, encoder = world_and_encoder("energy")
     space, layout = encoder.layout.observation_space(), encoder.layout
     for name in ("own_gradient", "own_estimate", "relative_estimates"):
         assert np.all(layout.select(space.high, name) == OBSERVATION_BOUND)
@@ -223,7 +223,7 @@ def test_entries_with_units_are_bounded_by_a_million():
 
 
 def test_physical_action_is_the_input_clipped_to_the_limit():
-    world, encoder = make_port(get_scenario("energy", input_limit=7.0))
+    world, encoder = world_and_encoder(get_scenario("energy", input_limit=7.0))
     state = wander(world)
     actions = np.random.default_rng(0).uniform(-10, 10, (2, 5, 5)).astype(np.float32)
     inputs, clipped = encoder.decode(actions, state), encoder.clip(actions).clipped
@@ -236,7 +236,7 @@ def test_physical_action_is_the_input_clipped_to_the_limit():
 
 @pytest.mark.parametrize("name", ["energy", "blocks", "blocks-switching"])
 def test_local_action_is_in_units_of_the_scale_and_in_ego_order(name):
-    world, encoder = make_port(get_scenario(WORLDS[name], input_limit=30.0), kind="local", action_scale=4.0)
+    world, encoder = world_and_encoder(get_scenario(WORLDS[name], input_limit=30.0), kind="local", action_scale=4.0)
     state, game, n = wander(world), world.game, encoder.layout.dimension
     actions = np.random.default_rng(0).uniform(-1.5, 1.5, (2, game.num_players, n)).astype(np.float32)
     inputs, clipped = encoder.decode(actions, state), encoder.clip(actions).clipped
@@ -257,7 +257,7 @@ def test_local_action_is_in_units_of_the_scale_and_in_ego_order(name):
 @pytest.mark.parametrize("kind", ["physical", "local"])
 @pytest.mark.parametrize("name", ["energy", "energy-switching", "blocks"])
 def test_gains_weigh_gradient_and_consensus(name, kind):
-    world, encoder = make_port(WORLDS[name], kind=kind, action_mode="gains")
+    world, encoder = world_and_encoder(WORLDS[name], kind=kind, action_mode="gains")
     state, game = wander(world), world.game
     actions = np.random.default_rng(0).uniform(-1, 1, (2, game.num_players, 2)).astype(np.float32)
     inputs = encoder.decode(actions, state)
@@ -274,11 +274,11 @@ def test_gains_weigh_gradient_and_consensus(name, kind):
     assert CONSENSUS_GAIN == 2.0
 
 
-def test_local_action_is_in_units_of_the_state_that_it_is_for_whatever_was_observed_last():
-    world, encoder = make_port("energy", kind="local")
+def test_a_local_action_uses_the_scale_of_its_own_state():
+    world, encoder = world_and_encoder("energy", kind="local")
     first, second = wander(world, steps=0), wander(world, steps=80)
     actions = np.random.default_rng(0).uniform(-1, 1, (2, 5, 5)).astype(np.float32)
-    expected = [make_port("energy", kind="local")[1].decode(actions, state) for state in (first, second)]
+    expected = [world_and_encoder("energy", kind="local")[1].decode(actions, state) for state in (first, second)]
     assert not np.array_equal(*expected)
     encoder.observe(first)
     assert np.array_equal(encoder.decode(actions, second), expected[1])
@@ -287,7 +287,7 @@ def test_local_action_is_in_units_of_the_state_that_it_is_for_whatever_was_obser
 
 @pytest.mark.parametrize("value", [0.0, 1.0, -1.0])
 def test_gains_actions_are_clipped_to_their_box(value):
-    world, encoder = make_port("energy", action_mode="gains")
+    world, encoder = world_and_encoder("energy", action_mode="gains")
     state = wander(world)
     inside = np.full((2, 5, 2), value, dtype=np.float32)
     outside = inside * 3
@@ -296,8 +296,8 @@ def test_gains_actions_are_clipped_to_their_box(value):
     assert encoder.clip(outside).clipped.tolist() == [[2 * (value != 0)] * 5] * 2
 
 
-def test_double_precision_action_counts_as_the_float32_that_the_space_declares():
-    world, encoder = make_port("energy")
+def test_a_float64_action_is_rounded_to_float32():
+    world, encoder = world_and_encoder("energy")
     state = wander(world)
     actions = np.random.default_rng(0).uniform(-10, 10, (2, 5, 5))
     assert np.array_equal(
@@ -307,7 +307,7 @@ def test_double_precision_action_counts_as_the_float32_that_the_space_declares()
 
 
 def test_input_limit_that_float32_cannot_hold_is_never_exceeded():
-    world, encoder = make_port(get_scenario("energy", input_limit=0.1))
+    world, encoder = world_and_encoder(get_scenario("energy", input_limit=0.1))
     state = wander(world)
     assert np.abs(encoder.decode(np.full((2, 5, 5), 9.0, dtype=np.float32), state)).max() <= 0.1
 
@@ -317,7 +317,7 @@ def test_input_limit_that_float32_cannot_hold_is_never_exceeded():
 @pytest.mark.parametrize("name", [*WORLDS, "large"])
 def test_batch_agrees_bit_for_bit_with_batches_of_one(name, action_mode, kind):
     scenario = large_energy_scenario() if name == "large" else WORLDS[name]
-    world, encoder = make_port(scenario, kind=kind, action_mode=action_mode)
+    world, encoder = world_and_encoder(scenario, kind=kind, action_mode=action_mode)
     batch, bound = 7, 1.5 * encoder.layout.action_bound
     together = begin(world, range(batch))
     alone = [begin(world, [b]) for b in range(batch)]
@@ -338,7 +338,7 @@ def test_batch_agrees_bit_for_bit_with_batches_of_one(name, action_mode, kind):
 
 
 def test_observations_are_owned_by_the_caller():
-    world, encoder = make_port("energy")
+    world, encoder = world_and_encoder("energy")
     state = wander(world)
     first = encoder.observe(state)
     kept = first.copy()
@@ -361,7 +361,7 @@ def test_unknown_interfaces_are_refused(arguments, message):
 
 
 def test_observations_of_another_layout_are_refused_with_both_sizes():
-    layout = make_port("energy")[1].layout
+    layout = world_and_encoder("energy")[1].layout
     with pytest.raises(ValueError, match=rf"length {layout.size} .*5 players, 2 neighbour slots.*\(1, 7\)"):
         layout.read(np.zeros((1, 7), dtype=np.float32))
 
@@ -369,7 +369,7 @@ def test_observations_of_another_layout_are_refused_with_both_sizes():
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("name", ["energy-switching", "blocks"])
 def test_reading_restores_natural_units_and_player_order(name, kind):
-    world, encoder = make_port(WORLDS[name], kind=kind)
+    world, encoder = world_and_encoder(WORLDS[name], kind=kind)
     state, game, layout = wander(world), world.game, encoder.layout
     reading = layout.read(encoder.observe(state)[1])
     assert reading.player.tolist() == list(range(layout.num_players))
@@ -386,7 +386,7 @@ def test_reading_restores_natural_units_and_player_order(name, kind):
 
 @pytest.mark.parametrize("kind", ["physical", "local"])
 def test_written_inputs_are_the_inputs_that_arrive(kind):
-    world, encoder = make_port(BLOCKS, kind=kind)
+    world, encoder = world_and_encoder(BLOCKS, kind=kind)
     state = wander(world, batch=1)
     reading = encoder.layout.read(encoder.observe(state)[0])
     wanted = np.random.default_rng(0).uniform(-1, 1, (3, 6))
@@ -395,8 +395,8 @@ def test_written_inputs_are_the_inputs_that_arrive(kind):
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_observation_of_a_faulty_world_holds_what_is_heard_by_the_players_own_clocks(kind):
-    world, encoder = make_port(FAULTY, kind=kind)
+def test_observations_hold_received_messages_and_local_clocks(kind):
+    world, encoder = world_and_encoder(FAULTY, kind=kind)
     state, layout = wander(world, steps=25), encoder.layout
     reading = layout.read(encoder.observe(state).reshape(10, -1))
     relative, weights = dynamics.relative_estimates(world, state), dynamics.weights(world, state)
@@ -417,8 +417,8 @@ def test_observation_of_a_faulty_world_holds_what_is_heard_by_the_players_own_cl
 
 
 @pytest.mark.parametrize("kind", ["physical", "local"])
-def test_gains_act_on_what_is_heard(kind):
-    world, encoder = make_port(FAULTY, kind=kind, action_mode="gains")
+def test_gains_act_on_received_messages(kind):
+    world, encoder = world_and_encoder(FAULTY, kind=kind, action_mode="gains")
     state = wander(world)
     inputs = encoder.decode(np.zeros((2, 5, 2), dtype=np.float32), state)
     expected = CONSENSUS_GAIN * np.einsum(
@@ -430,7 +430,7 @@ def test_gains_act_on_what_is_heard(kind):
 
 
 @pytest.mark.parametrize("scenario", ["energy", "energy-switching", "ptne-v1/delay"])
-def test_observations_are_the_same_however_many_neighbour_slots_fit_into_the_scratch(scenario, monkeypatch):
+def test_observations_do_not_depend_on_the_size_of_the_scratch(scenario, monkeypatch):
     world = World(find_scenario(scenario))
     states = [EpisodeSet(3, 0, "test").initial_state(world)]
     for _ in range(60):  # past a switch, after which other links are up

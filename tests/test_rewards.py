@@ -69,7 +69,7 @@ def test_payoff_is_minus_the_cost_of_the_real_strategies(name):
 
 
 @pytest.mark.parametrize("name", GAMES)
-def test_regret_is_minus_what_a_player_could_gain_alone(name):
+def test_regret_is_minus_the_gain_of_a_best_response(name):
     world, _, states, terms = episode(GAMES[name], "regret")
     game, owners = world.game, world.game.owners
     for state, term in zip(states[1:], terms, strict=True):
@@ -82,7 +82,7 @@ def test_regret_is_minus_what_a_player_could_gain_alone(name):
         assert np.all(term["regret"] <= 1e-12)
 
 
-def test_mixture_is_the_weighted_sum_and_its_terms_are_unweighted():
+def test_a_mixed_reward_is_the_weighted_sum_of_unweighted_terms():
     weights = {"digits": 2.0, "tracking": 0.5, "payoff": 1e-3, "regret": 0.25}
     _, judge, _, terms = episode(GAMES["energy"], weights)
     alone = {name: episode(GAMES["energy"], name)[3] for name in weights}
@@ -93,7 +93,7 @@ def test_mixture_is_the_weighted_sum_and_its_terms_are_unweighted():
         assert judge.total(term) == pytest.approx(sum(weights[name] * term[name] for name in weights), rel=1e-14)
 
 
-def test_environment_reports_terms_and_pays_their_weighted_sum():
+def test_the_reward_is_the_weighted_sum_of_the_reported_terms():
     env = make_env("energy", reward={"digits": 1.0, "tracking": 0.1})
     env.reset(seed=0)
     _, rewards, _, _, infos = env.step(constant_actions(env, 1.0))
@@ -154,7 +154,7 @@ def returns_of(env, act):
 
 @pytest.mark.parametrize("crash_at", [0, 3, 18])
 @pytest.mark.parametrize("reward", [*TERMS, {"digits": 1.0, "payoff": 1e-6, "tracking": 0.1}])
-def test_crash_never_pays(reward, crash_at):
+def test_divergence_never_pays(reward, crash_at):
     env = make_env("energy", steps=20, reward=reward, input_limit=1e7)
     theta = env.world.clock.theta
     brink = 1.9e5  # own gradients are 2.6 times a strategy that all share, so this is just inside the range
@@ -177,7 +177,7 @@ def test_crash_never_pays(reward, crash_at):
 
 
 @pytest.mark.parametrize("reward", ["digits", "tracking", "payoff"])
-def test_crash_never_pays_in_the_non_quadratic_game(reward):
+def test_divergence_never_pays_in_the_non_quadratic_game(reward):
     env = make_env("non-quadratic", steps=40, reward=reward)
     crash, diverged, _ = returns_of(env, lambda k: 1000.0)
     survivor, gone, _ = returns_of(env, lambda k: 0.0)
@@ -187,7 +187,7 @@ def test_crash_never_pays_in_the_non_quadratic_game(reward):
 
 
 @pytest.mark.parametrize("reward", ["digits", "tracking", "payoff"])
-def test_crash_of_one_player_is_charged_to_all_even_where_their_estimates_are_near(reward):
+def test_divergence_of_one_player_is_charged_to_all_players(reward):
     env = make_env("non-quadratic", steps=40, reward=reward)
     near = np.tile(env.nash_equilibrium, (5, 1)) + 1e-3
     totals = []
@@ -207,7 +207,7 @@ def test_crash_of_one_player_is_charged_to_all_even_where_their_estimates_are_ne
 
 
 @pytest.mark.parametrize("reward", TERMS)
-def test_rewards_of_a_crash_are_finite_and_charged_for_the_remaining_steps(reward):
+def test_divergence_is_charged_for_the_remaining_steps(reward):
     env = make_env("energy", steps=20, reward=reward, input_limit=1e9)
     env.reset()
     env.step(constant_actions(env, 0.0))
@@ -221,7 +221,7 @@ def test_rewards_of_a_crash_are_finite_and_charged_for_the_remaining_steps(rewar
             assert value == pytest.approx(-19 * worst[reward], rel=1e-12)
 
 
-def test_name_is_a_mixture_of_one():
+def test_a_single_term_is_a_mixture_of_one():
     assert parse_reward("payoff") == {"payoff": 1.0}
 
 

@@ -66,7 +66,7 @@ def test_catalogue_survives_json_and_pickle(name):
     assert json.loads(scenario.to_json())["name"] == name
 
 
-def test_catalogue_has_the_promised_scenarios():
+def test_the_catalogue_lists_its_scenarios_in_order():
     assert list(CATALOGUE) == [
         "energy",
         "energy-switching",
@@ -187,7 +187,7 @@ def test_games_with_unequal_dimensions_are_scenarios_too():
     assert World(BLOCKS).game.action_dims == (2, 1, 3)
 
 
-def test_scenario_more_than_a_percent_short_of_the_deadline_says_so():
+def test_a_shortfall_above_one_percent_is_a_warning():
     with pytest.warns(UserWarning, match=r"11\.11% of T short of the deadline; raise s_end"):
         World(get_scenario("energy", transformation="rational"))
 
@@ -284,13 +284,13 @@ REFUSED = {
 
 
 @pytest.mark.parametrize("name", REFUSED)
-def test_scenario_that_cannot_be_is_refused_with_advice(name):
+def test_invalid_scenarios_are_refused_with_advice(name):
     build, message = REFUSED[name]
     with pytest.raises(ValueError, match=message):
         World(build())
 
 
-def test_part_of_another_type_is_refused():
+def test_a_part_of_another_type_is_refused():
     with pytest.raises(ValueError, match="game is a name, a 'module:object' string or a FactorySpec, got EnergyGame"):
         get_scenario("energy", game=EnergyGame())
 

@@ -172,7 +172,7 @@ def make_env(scenario, **arguments):
     return ptne_env.parallel_env(scenario, **arguments)
 
 
-def make_port(scenario, **interface):
+def world_and_encoder(scenario, **interface):
     """A world and its encoder."""
     world = World(ptne_env.get_scenario(scenario))
     return world, make_encoder(world, Interface(**interface))

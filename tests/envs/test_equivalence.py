@@ -228,7 +228,7 @@ def test_all_adapters_agree_bit_for_bit_step_by_step_through_resets(world, rewar
         assert any(step.clipped.any() for step in steps)
 
 
-def test_scenarios_of_the_comparison_are_what_they_are_called():
+def test_compared_scenarios_match_their_names():
     built = {
         name: get_scenario(scenario, **{k: v for k, v in fields.items() if k not in ("max_cycles", "action_scale")})
         for name, (scenario, fields) in WORLDS.items()

@@ -40,7 +40,7 @@ def test_make_finds_every_scenario_by_module_and_id(name):
 
 @pytest.mark.parametrize("mode", ["input", "gains"])
 @pytest.mark.parametrize("name", ["energy", "energy-switching", "random-energy-switching-transformed"])
-def test_checkers_of_gymnasium_and_sb3_have_nothing_to_say(name, mode):
+def test_checkers_of_gymnasium_and_sb3_pass_without_a_warning(name, mode):
     env = gymnasium.make(f"ptne_env:ptne/{name}-joint-v0", interface="local", action_mode=mode, steps=150)
     check_env(env.unwrapped)  # a warning would be an error
     check_env_of_sb3(env.unwrapped)
@@ -51,7 +51,7 @@ def check_env_of_sb3(env):
 
 
 @pytest.mark.parametrize("check", [check_env, check_env_of_sb3])
-def test_checkers_recommend_a_normalised_action_space_under_physical_and_nothing_else(check):
+def test_checkers_warn_only_about_the_action_space_of_physical(check):
     env = gymnasium.make("ptne_env:ptne/energy-joint-v0")
     with warnings.catch_warnings(record=True) as told:
         warnings.simplefilter("always")
@@ -111,7 +111,7 @@ def test_the_end_is_termination_and_a_cut_is_truncation(max_cycles, length, ende
         (np.array([0.0] * 13 + [np.nan] + [0.0] * 11), "action of player_2 is not finite"),
     ],
 )
-def test_bad_actions_are_refused_and_leave_no_trace(action, message):
+def test_bad_actions_are_refused_and_change_nothing(action, message):
     env, undisturbed = JointEnv("random-energy"), JointEnv("random-energy")
     good = np.ones(25, dtype=np.float32)
     for each in (env, undisturbed):
@@ -122,12 +122,12 @@ def test_bad_actions_are_refused_and_leave_no_trace(action, message):
     assert same(env.step(good), undisturbed.step(good))
 
 
-def test_step_before_reset_says_to_reset():
+def test_a_step_before_reset_asks_for_reset():
     with pytest.raises(RuntimeError, match=r"call reset\(\) before step\(\)"):
         JointEnv("energy").step(np.zeros(25, dtype=np.float32))
 
 
-def test_picture_is_that_of_the_players():
+def test_pictures_come_from_the_parallel_environment():
     env = gymnasium.make("ptne_env:ptne/energy-joint-v0", render_mode="rgb_array")
     parallel = make_env("energy", render_mode="rgb_array")
     for each in (env, parallel):
@@ -243,7 +243,7 @@ def test_next_step_ignores_the_action_and_starts_with_reward_zero():
     assert not clock[..., 0].any()
 
 
-def test_same_step_hands_over_the_last_observation_and_info():
+def test_same_step_mode_returns_the_last_observation_and_info():
     env, plain = (JointVectorEnv("random-energy", 2, steps=2, autoreset_mode=mode) for mode in ("SameStep", "Disabled"))
     for each in (env, plain):
         each.reset(seed=0)
@@ -280,7 +280,7 @@ def test_disabled_waits_for_a_reset_mask():
 
 
 @pytest.mark.parametrize("mode", MODES)
-def test_reset_mask_starts_some_in_the_middle_of_their_episodes_in_every_mode(mode):
+def test_a_reset_mask_restarts_running_episodes_in_every_mode(mode):
     ours, theirs = make_pair(mode, steps=6)
     for envs in (ours, theirs):
         envs.reset(seed=1)
@@ -296,7 +296,7 @@ def test_reset_mask_starts_some_in_the_middle_of_their_episodes_in_every_mode(mo
 
 
 @pytest.mark.parametrize("mode", MODES)
-def test_what_was_returned_never_changes_later(mode):
+def test_returned_arrays_never_change_later(mode):
     env = JointVectorEnv("random-energy", 3, autoreset_mode=MODES[mode], steps=4)
     record = [env.reset(seed=0)]
     kept = copy.deepcopy(record)
@@ -354,7 +354,7 @@ def test_gymnasiums_statistics_give_the_digits_gained(mode):
         (np.full((2, 25), np.nan), "without NaN or infinity"),
     ],
 )
-def test_bad_actions_of_a_vector_are_refused_and_leave_no_trace(actions, message):
+def test_bad_actions_of_a_vector_are_refused_and_change_nothing(actions, message):
     env, undisturbed = JointVectorEnv("random-energy", 2), JointVectorEnv("random-energy", 2)
     for each in (env, undisturbed):
         each.reset(seed=0)
@@ -378,14 +378,14 @@ def test_bad_masks_are_refused(mask, message):
         env.reset(options={"reset_mask": mask})
 
 
-def test_vector_that_cannot_be_is_refused():
+def test_invalid_vectors_are_refused():
     with pytest.raises(ValueError, match="'Sometimes' is not a valid AutoresetMode"):
         JointVectorEnv("energy", 2, autoreset_mode="Sometimes")
     with pytest.raises(ValueError, match="does not render; make one environment with a render_mode"):
         gymnasium.make_vec("ptne_env:ptne/energy-joint-v0", num_envs=2, render_mode="rgb_array")
 
 
-def test_estimates_reach_every_environment_of_the_vector_and_those_in_the_mask_alone():
+def test_given_estimates_start_all_or_only_the_masked_environments():
     env = JointVectorEnv("energy", 3, autoreset_mode="Disabled")
     env.reset(seed=0, options={"estimates": np.full((5, 5), 3.0)})
     one = JointEnv("energy")

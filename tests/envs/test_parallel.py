@@ -75,7 +75,7 @@ def test_same_seed_and_actions_repeat_whole_episodes_bit_for_bit(name, arguments
     assert len(record[1]) > 1
 
 
-def test_reset_without_seed_goes_on_with_new_starts():
+def test_a_reset_without_seed_draws_new_starts():
     env = make_env("energy", start="random")
     env.reset(seed=0)
     starts = [env.estimates]
@@ -114,7 +114,7 @@ def test_options_set_the_start():
     env.reset(seed=0, options={"colour": "red"})  # PettingZoo lets callers pass options of other environments
 
 
-def test_start_that_is_given_takes_nothing_from_the_random_ones():
+def test_given_estimates_draw_no_random_numbers():
     env, undisturbed = make_env("energy", start="random"), make_env("energy", start="random")
     for each in (env, undisturbed):
         each.reset(seed=0)
@@ -161,7 +161,7 @@ def test_nothing_ends_before_the_last_step():
 
 
 @pytest.mark.parametrize("max_cycles", [None, 3])
-def test_success_is_told_at_every_end(max_cycles):
+def test_success_is_reported_at_every_end(max_cycles):
     env = make_env("energy", max_cycles=max_cycles, steps=4)
     near = np.tile(env.nash_equilibrium, (5, 1))
     direction = np.ones((5, 5)) * np.linalg.norm(env.nash_equilibrium) / np.sqrt(5)
@@ -170,7 +170,7 @@ def test_success_is_told_at_every_end(max_cycles):
         assert info["is_success"] is success
 
 
-def test_success_asks_for_all_estimates_not_only_the_strategies():
+def test_success_requires_all_estimates():
     env = make_env("energy", steps=1)
     table = np.where(np.eye(5, dtype=bool), env.nash_equilibrium, 0.0)
     info = ends(env, options={"estimates": table})[3]
@@ -185,7 +185,7 @@ def crash(env):
 
 
 @pytest.mark.parametrize("interface", ["physical", "local"])
-def test_divergence_ends_the_episode_cleanly(interface):
+def test_divergence_ends_the_episode_with_finite_values(interface):
     env = make_env("non-quadratic", input_limit=1e7, interface=interface, action_scale=1e7)
     observations, rewards, terminations, truncations, infos = crash(env)
     assert all(terminations.values())
@@ -257,7 +257,7 @@ def test_agents_are_players_numbered_from_zero():
     assert env.num_agents == env.max_num_agents == 3
 
 
-def test_state_is_all_estimates_the_live_links_and_the_clock():
+def test_the_global_state_holds_estimates_links_and_clock():
     env = make_env("energy-switching", start="random")
     env.reset(seed=0)
     for _ in range(70):
@@ -283,7 +283,7 @@ def test_clipped_entries_are_counted_per_agent():
     assert np.abs(moved).max() == pytest.approx(10 * env.world.clock.theta[0])
 
 
-def test_hold_phase_starts_at_the_deadline_and_observes_a_clock_that_has_stopped_in_s():
+def test_the_hold_phase_starts_at_the_deadline_with_constant_s():
     env = make_env("energy", hold_steps=3)
     observations, _ = env.reset()
     seen = []
@@ -315,7 +315,7 @@ def test_estimates_at_the_deadline_are_those_of_the_last_step():
 
 @pytest.mark.parametrize("interface", ["physical", "local"])
 @pytest.mark.parametrize("name", ["energy", "energy-switching", BLOCKS], ids=name_of)
-def test_what_was_returned_never_changes_later_and_is_shared_with_nobody(name, interface):
+def test_returned_arrays_never_change_and_are_not_shared(name, interface):
     env = make_env(name, interface=interface, steps=30, start="random", input_limit=5.0)
     record = [env.reset(seed=0)]
     kept = [copy.deepcopy(record[0])]
@@ -333,7 +333,7 @@ def test_what_was_returned_never_changes_later_and_is_shared_with_nobody(name, i
 
 
 @pytest.mark.parametrize("name", ["energy", "energy-switching"])
-def test_writing_into_what_was_returned_changes_nothing(name):
+def test_writing_into_returned_arrays_changes_nothing(name):
     env, undisturbed = (make_env(name, steps=30, start="random", input_limit=5.0) for _ in range(2))
     generators = [np.random.default_rng(0) for _ in range(2)]
     record = undisturbed.reset(seed=0)
@@ -358,7 +358,7 @@ def pickled(env):
 
 @pytest.mark.parametrize("duplicate", [copy.deepcopy, pickled], ids=["deepcopy", "pickle"])
 @pytest.mark.parametrize("name", ["energy", "energy-switching-transformed", BLOCKS], ids=name_of)
-def test_copy_in_the_middle_of_an_episode_goes_on_identically_and_apart(name, duplicate):
+def test_a_copy_continues_identically_and_independently(name, duplicate):
     env = make_env(name, steps=150, start="random", input_limit=5.0, reward={"digits": 1.0, "payoff": 0.1})
     env.reset(seed=0)
     go_on(env, 25, np.random.default_rng(1))
@@ -412,7 +412,7 @@ BAD_ACTIONS = {
 
 
 @pytest.mark.parametrize("name", BAD_ACTIONS)
-def test_bad_action_is_refused_by_name_and_leaves_no_trace(name):
+def test_a_bad_action_is_refused_by_agent_and_changes_nothing(name):
     spoil, message = BAD_ACTIONS[name]
     env, undisturbed = (make_env("energy-switching", start="random", steps=60, input_limit=9.0) for _ in range(2))
     for each in (env, undisturbed):
@@ -446,7 +446,7 @@ BAD_RESETS = {
 
 @pytest.mark.parametrize("scenario", ["energy", "random-energy"])
 @pytest.mark.parametrize("name", BAD_RESETS)
-def test_bad_reset_is_refused_and_leaves_no_trace(name, scenario):
+def test_a_bad_reset_is_refused_and_changes_nothing(name, scenario):
     arguments, message = BAD_RESETS[name]
     env, undisturbed = (make_env(scenario, start="random", steps=30, input_limit=9.0) for _ in range(2))
     for each in (env, undisturbed):
@@ -461,7 +461,7 @@ def test_bad_reset_is_refused_and_leaves_no_trace(name, scenario):
     assert same(ours, theirs)
 
 
-def test_step_before_reset_and_after_the_end_say_to_reset():
+def test_a_step_before_reset_or_after_the_end_asks_for_reset():
     env = make_env("energy", steps=1)
     actions = {agent: np.zeros(5, dtype=np.float32) for agent in env.possible_agents}
     with pytest.raises(RuntimeError, match=r"call reset\(\) before step\(\)"):
@@ -477,7 +477,7 @@ def test_step_before_reset_and_after_the_end_say_to_reset():
 @pytest.mark.parametrize(
     "view", [lambda env: env.estimates, lambda env: env.strategies, lambda env: env.time, lambda env: env.state()]
 )
-def test_views_before_reset_say_to_reset(view):
+def test_properties_before_reset_ask_for_reset(view):
     with pytest.raises(RuntimeError, match=r"call reset\(\) first"):
         view(make_env("energy"))
 
@@ -498,12 +498,12 @@ def test_views_before_reset_say_to_reset(view):
         ({"kappa": 2.0}, "unknown scenario field 'kappa'; the fields are name, game"),
     ],
 )
-def test_environment_that_cannot_be_is_refused_with_advice(arguments, message):
+def test_invalid_arguments_are_refused_with_advice(arguments, message):
     with pytest.raises(ValueError, match=message):
         ptne_env.parallel_env(**arguments)
 
 
-def test_double_precision_actions_are_welcome():
+def test_float64_actions_are_accepted():
     env, other = make_env("energy"), make_env("energy")
     env.reset()
     other.reset()
@@ -542,7 +542,7 @@ def test_custom_scenario_is_an_environment_too():
     assert ends(env)[0] == 9
 
 
-def test_start_whose_gradients_are_out_of_range_is_refused():
+def test_a_start_with_gradients_out_of_range_is_refused():
     env = ptne_env.parallel_env("non-quadratic")
     env.reset(seed=0)
     before = env.estimates
@@ -576,7 +576,7 @@ def test_setting_a_state_continues_the_episode_from_it(name):
     assert advance(5) == first
 
 
-def test_setting_a_state_revives_the_agents_and_a_final_state_ends_the_episode():
+def test_setting_a_state_sets_the_live_agents():
     env = ptne_env.parallel_env("energy", steps=3)
     env.reset(seed=1)
     first = env.get_state()

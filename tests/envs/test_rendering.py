@@ -71,7 +71,7 @@ def test_caller_owns_the_picture():
 
 
 @pytest.mark.parametrize("mode", ["rgb_array", "human"])
-def test_closing_twice_is_harmless_and_leaves_no_figure_open(mode):
+def test_closing_twice_leaves_no_figure_open(mode):
     before = plt.get_fignums()
     env = make_env("energy", render_mode=mode)
     env.reset()

@@ -40,7 +40,7 @@ def random_actions(env, generator):
 # --- the vector -------------------------------------------------------------------------------------------------------
 
 
-def test_slots_are_the_players_environment_by_environment():
+def test_members_are_the_players_environment_by_environment():
     slots, vector = PlayerVecEnv(BLOCKS, 4, seed=3), VectorParallelEnv(BLOCKS, 4)
     assert slots.num_envs == 12
     assert slots.observation_space == vector.single_observation_space
@@ -77,7 +77,7 @@ def test_seed_counts_up_by_environment_and_holds_for_one_reset():
     ("arguments", "truncated"),
     [({"steps": 4}, False), ({"steps": 4, "max_cycles": 4}, False), ({"max_cycles": 4}, True)],
 )
-def test_end_of_an_episode_hands_over_the_last_observation_and_says_how_it_ended(arguments, truncated):
+def test_the_end_returns_the_last_observation_and_its_kind(arguments, truncated):
     env, vector = (
         PlayerVecEnv("random-energy", 2, seed=1, **arguments),
         VectorParallelEnv("random-energy", 2, **arguments),
@@ -104,7 +104,7 @@ def test_end_of_an_episode_hands_over_the_last_observation_and_says_how_it_ended
     assert len({id(info) for info in infos}) == 10
 
 
-def test_crash_of_one_environment_ends_its_slots_alone():
+def test_divergence_of_one_environment_ends_only_its_members():
     env = PlayerVecEnv("random-energy", 3, seed=0, input_limit=1e9)
     env.reset()
     actions = np.zeros((15, 5), dtype=np.float32)
@@ -119,7 +119,7 @@ def test_crash_of_one_environment_ends_its_slots_alone():
     assert np.array_equal(clock == 0, dones)
 
 
-def test_what_was_returned_never_changes_later():
+def test_returned_arrays_never_change_later():
     env = PlayerVecEnv("random-energy-switching", 3, seed=0, max_cycles=4)
     record = [env.reset()]
     kept = copy.deepcopy(record)
@@ -167,7 +167,7 @@ def test_attributes_and_methods_are_those_of_the_environments():
         (np.full((10, 5), np.nan), "without NaN or infinity"),
     ],
 )
-def test_bad_actions_are_refused_and_leave_no_trace(actions, message):
+def test_bad_actions_are_refused_and_change_nothing(actions, message):
     env, undisturbed = (PlayerVecEnv("random-energy", 2, seed=0) for _ in range(2))
     for each in (env, undisturbed):
         each.reset()
@@ -177,7 +177,7 @@ def test_bad_actions_are_refused_and_leave_no_trace(actions, message):
     assert same(env.step(good), undisturbed.step(good))
 
 
-def test_step_before_reset_says_to_reset():
+def test_a_step_before_reset_asks_for_reset():
     with pytest.raises(RuntimeError, match=r"call reset\(mask=...\) before step\(\)"):
         PlayerVecEnv("energy", 2).step(np.zeros((10, 5), dtype=np.float32))
 
@@ -199,7 +199,7 @@ def mixture():
     return [PlayerVecEnv(name, 2, max_cycles=3) for name in ("random-energy", "random-energy-switching")]
 
 
-def test_mixture_is_its_parts_one_after_the_other():
+def test_a_mixture_lists_its_parts_in_order():
     together, apart = MixedPlayerVecEnv(mixture()), mixture()
     assert together.num_envs == 20
     together.seed(5)
@@ -217,7 +217,7 @@ def test_mixture_is_its_parts_one_after_the_other():
         assert [sorted(info) for info in infos] == [sorted(info) for part in expected for info in part[3]]
 
 
-def test_attributes_of_a_mixture_are_those_of_each_slots_part():
+def test_attributes_of_a_mixture_are_those_of_its_parts():
     env = MixedPlayerVecEnv(mixture())
     names = [scenario.name for scenario in env.get_attr("scenario")]
     assert names == ["random-energy"] * 10 + ["random-energy-switching"] * 10
@@ -258,7 +258,7 @@ def episodes_of_slots(env, count, **arguments):
 
 
 @pytest.mark.parametrize("arguments", [{"steps": 7}, {"max_cycles": 9, "action_mode": "gains"}])
-def test_monitor_tells_returns_and_lengths_of_episodes(arguments, tmp_path):
+def test_the_monitor_reports_returns_and_lengths(arguments, tmp_path):
     env = VecMonitor(PlayerVecEnv("random-energy", 3, seed=2, **arguments), str(tmp_path / "log"), ("is_success",))
     env.reset()
     generator, told = np.random.default_rng(0), []
@@ -274,7 +274,7 @@ def test_monitor_tells_returns_and_lengths_of_episodes(arguments, tmp_path):
     env.close()
 
 
-def test_normalisation_changes_what_is_seen_and_not_what_happens():
+def test_normalisation_changes_observations_only():
     plain = PlayerVecEnv("random-energy", 3, seed=2, max_cycles=5)
     env = VecNormalize(PlayerVecEnv("random-energy", 3, seed=2, max_cycles=5), gamma=0.9)
     env.reset()
@@ -318,7 +318,7 @@ def test_evaluate_policy_takes_a_law_and_returns_its_digits_gained(name, interfa
     assert expected > 0.5
 
 
-def test_memory_of_a_law_starts_afresh_with_each_of_its_episodes():
+def test_the_memory_of_a_law_restarts_with_each_episode():
     env = PlayerVecEnv("energy", 2)
     rewards, lengths = evaluate_policy(
         laws.Adaptive(env.layout), VecMonitor(env), n_eval_episodes=3 * 10, return_episode_rewards=True
@@ -379,7 +379,7 @@ def test_algorithms_learn_on_the_joint_environment_without_a_warning(algorithm, 
 
 
 @pytest.mark.parametrize("algorithm", TRAINERS)
-def test_algorithms_learn_on_the_slots_without_a_warning_and_the_same_under_the_same_seed(algorithm):
+def test_algorithms_learn_without_a_warning_and_reproducibly(algorithm):
     trained = []
     for _ in range(2):
         env = VecMonitor(PlayerVecEnv("random-energy", 2, interface="local", steps=25))
@@ -394,7 +394,7 @@ def test_algorithms_learn_on_the_slots_without_a_warning_and_the_same_under_the_
     assert np.array_equal(*trained)
 
 
-def test_value_of_the_last_observation_is_added_where_an_episode_was_cut_and_nowhere_else():
+def test_only_truncated_episodes_are_bootstrapped():
     def run(**arguments):
         env = PlayerVecEnv("random-energy", 1, interface="local", **arguments)
         model = A2C("MlpPolicy", env, n_steps=3, gamma=0.5, learning_rate=0.0, seed=0)
@@ -418,7 +418,7 @@ def through_supersuit(copies, **arguments):
 
 
 @pytest.mark.parametrize("interface", ["physical", "local"])
-def test_supersuit_gives_the_same_steps_as_the_slots(interface):
+def test_supersuit_gives_the_same_steps(interface):
     arguments = {"interface": interface, "max_cycles": 6, "input_limit": 5.0}
     theirs, ours = through_supersuit(3, **arguments), PlayerVecEnv("random-energy", 3, seed=4, **arguments)
     assert theirs.num_envs == ours.num_envs

@@ -49,7 +49,7 @@ def go_on(env, steps, seed=1):
 @pytest.mark.parametrize("mode", ["input", "gains"])
 @pytest.mark.parametrize("interface", ["physical", "local"])
 @pytest.mark.parametrize("name", ["energy", "energy-switching-transformed", "random-energy", BLOCKS_SWITCHING])
-def test_shapes_dtypes_and_memory_are_as_promised(name, interface, mode, block_size):
+def test_shapes_dtypes_and_memory_order_are_as_documented(name, interface, mode, block_size):
     env = make(name, steps=400, interface=interface, action_mode=mode, reward={"digits": 1.0, "payoff": 1e-3})
     batch, players, size = 5, env.num_players, env.layout.size
     observations = env.reset(seed=0)
@@ -80,7 +80,7 @@ def test_shapes_dtypes_and_memory_are_as_promised(name, interface, mode, block_s
 
 @pytest.mark.parametrize("interface", ["physical", "local"])
 @pytest.mark.parametrize("name", ["energy", "energy-switching-transformed", "random-energy"])
-def test_what_was_returned_never_changes_later_and_is_shared_with_nobody(name, interface, block_size):
+def test_returned_arrays_never_change_and_are_not_shared(name, interface, block_size):
     env = make(name, steps=400, max_cycles=7, interface=interface, reward={"digits": 1.0, "tracking": 0.1})
     record = [env.reset(seed=0)]
     kept = copy.deepcopy(record)
@@ -100,7 +100,7 @@ def test_what_was_returned_never_changes_later_and_is_shared_with_nobody(name, i
         assert not any(np.shares_memory(array, other) for other in [*arrays[index + 1 : index + 30], *inside])
 
 
-def test_writing_into_what_was_returned_or_handed_over_changes_nothing(block_size):
+def test_writing_into_returned_or_passed_arrays_changes_nothing(block_size):
     env, undisturbed = make(max_cycles=4), make(max_cycles=4)
     mask = np.ones(5, dtype=np.bool_)
     vandalised, record = env.reset(seed=0, mask=mask), undisturbed.reset(seed=0)
@@ -124,7 +124,7 @@ def test_writing_into_what_was_returned_or_handed_over_changes_nothing(block_siz
 
 
 @pytest.mark.parametrize("duplicate", [copy.deepcopy, lambda env: pickle.loads(pickle.dumps(env))])  # noqa: S301
-def test_copy_in_the_middle_of_an_episode_goes_on_identically_and_apart(duplicate, block_size):
+def test_a_copy_continues_identically_and_independently(duplicate, block_size):
     env = make("random-energy-switching-transformed", steps=400, max_cycles=9, interface="local")
     env.reset(seed=0)
     go_on(env, 5)
@@ -149,7 +149,7 @@ def test_a_seed_is_counted_up_and_a_list_is_taken_as_it_is(block_size):
         assert np.array_equal(np.stack(list(observations.values())), counted[index])
 
 
-def test_without_a_seed_generators_go_on(block_size):
+def test_without_a_seed_the_generators_continue(block_size):
     env, other = make(), make()
     first = env.reset(seed=1)
     second = env.reset()
@@ -162,7 +162,7 @@ def test_without_a_seed_generators_go_on(block_size):
     assert not np.array_equal(make().reset(), make().reset())
 
 
-def test_mask_starts_its_environments_alone_and_leaves_the_others_where_they_are(block_size):
+def test_a_mask_restarts_only_its_environments(block_size):
     env = make(steps=60)
     env.reset(seed=0)
     before = go_on(env, 3)[-1][0]
@@ -181,7 +181,7 @@ def test_mask_starts_its_environments_alone_and_leaves_the_others_where_they_are
     assert np.array_equal(env.reset()[~mask], undisturbed.reset()[~mask])  # the seeds of others did not count
 
 
-def test_environments_in_the_mask_go_on_with_their_own_generators(block_size):
+def test_masked_environments_continue_their_own_generators(block_size):
     env, all_together = make(), make()
     env.reset(seed=0)
     all_together.reset(seed=0)
@@ -242,7 +242,7 @@ def test_reaching_the_end_is_termination_and_an_earlier_cut_is_truncation(max_cy
         assert outcome.truncated.tolist() == [last and not terminates] * 5
 
 
-def test_success_is_told_at_the_end_alone_and_of_each_environment_by_itself(block_size):
+def test_success_is_reported_per_environment_at_its_end(block_size):
     env = make("random-energy", steps=400, s_end=8.0, hold_steps=100, input_limit=1000.0)
     law = laws.Grounded(env.layout, kappa=3.0)
     observations = env.reset(seed=0)
@@ -255,7 +255,7 @@ def test_success_is_told_at_the_end_alone_and_of_each_environment_by_itself(bloc
         assert outcome.infos["is_success"].tolist() == [k == 499 and not each for each in still]
 
 
-def test_success_is_not_told_of_an_environment_that_goes_on(block_size):
+def test_a_running_environment_reports_no_success(block_size):
     at_rest = np.tile(World(get_scenario("energy")).game.nash_equilibrium, (5, 1)).tolist()
     start = FactorySpec.of("ptne_env.starts:FixedStart", estimates=at_rest)
     env = make("energy", num_envs=4, steps=5, start=start, input_limit=1e9)
@@ -272,7 +272,7 @@ def test_success_is_not_told_of_an_environment_that_goes_on(block_size):
     assert outcome.infos["is_success"].tolist() == outcome.terminated.tolist() == [True, False, True, True]
 
 
-def test_divergence_in_the_middle_ends_one_environment_and_leaves_the_others_alone(block_size):
+def test_divergence_ends_one_environment_and_no_other(block_size):
     env, calm = (make(steps=60, input_limit=1e9) for _ in range(2))
     env.reset(seed=0)
     calm.reset(seed=0)
@@ -362,7 +362,7 @@ def test_bad_reset_is_refused_and_no_environment_is_touched(name, block_size):
     assert same(go_on(env, 15, seed=3), go_on(undisturbed, 15, seed=3))
 
 
-def test_first_reset_starts_everybody(block_size):
+def test_the_first_reset_starts_every_environment(block_size):
     env = make()
     with pytest.raises(ValueError, match=r"the first reset\(\) starts every environment: leave out the mask"):
         env.reset(seed=0, mask=[True, True, False, False, False])
@@ -404,7 +404,7 @@ def test_step_of_environments_that_are_over_or_not_started_names_the_first(block
         ({"kappa": 1.0}, "unknown scenario field 'kappa'"),
     ],
 )
-def test_environment_that_cannot_be_is_refused_with_advice(arguments, message):
+def test_invalid_arguments_are_refused_with_advice(arguments, message):
     with pytest.raises(ValueError, match=message):
         make(**arguments)
 
@@ -416,5 +416,5 @@ def test_blocks_are_filled_in_order(monkeypatch):
     assert [block.num_envs for block in make(num_envs=3)._blocks] == [3]
 
 
-def test_it_is_among_the_public_names():
+def test_player_vec_env_is_a_public_name():
     assert ptne_env.VectorParallelEnv is VectorParallelEnv

@@ -1,6 +1,6 @@
 import numpy as np
 import pytest
-from worlds import make_env, make_port, play, while_running
+from worlds import make_env, play, while_running, world_and_encoder
 
 from ptne_env import dynamics, laws
 
@@ -56,11 +56,11 @@ def test_without_growth_it_is_the_static_law():
 @pytest.mark.parametrize("name", ["gamma", "initial_gain"])
 def test_negative_gains_are_refused(name):
     with pytest.raises(ValueError, match=f"{name} must be a finite number of at least 0"):
-        laws.Adaptive(make_port("energy")[1].layout, **{name: -0.1})
+        laws.Adaptive(world_and_encoder("energy")[1].layout, **{name: -0.1})
 
 
 def test_memory_of_another_shape_is_refused_with_advice():
-    world, encoder = make_port("energy")
+    world, encoder = world_and_encoder("energy")
     observation = encoder.observe(dynamics.initial_state(world, np.zeros((5, 5, 1))))[0]
     law = laws.Adaptive(encoder.layout)
     _, memory = law.predict(observation)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from affine_games import affine_scenario, loop_start, run
 from sample_laws import condition_on
-from worlds import fixed_part, make_port
+from worlds import fixed_part, world_and_encoder
 
 from ptne_env import dynamics, laws, theory
 
@@ -18,7 +18,7 @@ def rotating(**fields):
 
 
 def test_it_is_the_adaptive_law_from_gains_of_zero():
-    world, encoder = make_port("energy")
+    world, encoder = world_and_encoder("energy")
     start = loop_start(world)
     mine = run(world, encoder, laws.AveragingIntegral(encoder.layout, gamma=0.02), start)
     assert np.array_equal(mine, run(world, encoder, laws.Adaptive(encoder.layout, 0.02, 0.0), start))
@@ -28,7 +28,7 @@ def test_integral_gains_converge_without_a_bound_that_fixed_gains_need():
     """Their theorem: convergence for every connected graph, without λ2 or ι. A small fixed gain diverges here."""
     scenario = rotating(steps=4000, s_end=20.0)
     assert condition_on(scenario, laws.AveragingIntegral).holds
-    world, encoder = make_port(scenario)
+    world, encoder = world_and_encoder(scenario)
     game, graph, small = world.game, world.topology.graphs[0], 0.5
     assert not condition_on(scenario, laws.FixedGain, kappa=small).holds
     assert theory.spectral_abscissa(theory.closed_loop_matrix(game, graph, small)) < 0
@@ -46,7 +46,7 @@ def test_integral_gains_converge_without_a_bound_that_fixed_gains_need():
 
 def test_gains_grow_and_rest():
     scenario = rotating(steps=4000, s_end=20.0)
-    world, encoder = make_port(scenario)
+    world, encoder = world_and_encoder(scenario)
     law, state = laws.AveragingIntegral(encoder.layout, gamma=1.0), loop_start(world, size=5.0)
     memory, history = None, []
     for _ in range(world.clock.steps):

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from affine_games import SOAK, affine_scenario, loop_start, random_affine, run
 from sample_laws import condition_on
-from worlds import BLOCKS, BLOCKS_SWITCHING, fixed_part, make_port
+from worlds import BLOCKS, BLOCKS_SWITCHING, fixed_part, world_and_encoder
 
 from ptne_env import FactorySpec, get_scenario, laws, theory
 
@@ -21,7 +21,7 @@ def mixing(graph, h):
 @pytest.mark.parametrize("kind", ["physical", "local"])
 @pytest.mark.parametrize("scenario", [ENERGY, BLOCKS, BLOCKS_SWITCHING], ids=lambda scenario: scenario.name)
 def test_projected_gradient_is_its_equation_every_two_steps(scenario, kind):
-    world, encoder = make_port(scenario, kind=kind, action_scale=1e3)
+    world, encoder = world_and_encoder(scenario, kind=kind, action_scale=1e3)
     law = laws.ProjectedGradient(encoder.layout, step=0.2, mixing=0.25)
     states = run(world, encoder, law, loop_start(world))[..., 0]
     game, modes = world.game, world.modes
@@ -46,7 +46,7 @@ def test_projected_gradient_contracts_over_time_varying_graphs(seed):
     matrix, offset, first = random_affine(generator, 4)
     second = random_affine(generator, 4)[2]
     scenario = affine_scenario(matrix, offset, switching_part([first, second]), input_limit=1e5)
-    world, encoder = make_port(scenario)
+    world, encoder = world_and_encoder(scenario)
     constants = theory.problem_constants(world)
     h = 0.5 / constants.largest_degree
     law = next(
@@ -66,13 +66,13 @@ def test_projected_gradient_diverges_where_its_condition_fails():
     assert condition_on(ENERGY, laws.ProjectedGradient).holds
     assert not condition_on(ENERGY, laws.ProjectedGradient, step=1.0).holds
     assert not condition_on("energy-switching-transformed", laws.ProjectedGradient).holds  # disconnected modes
-    world, encoder = make_port(ENERGY.replace(input_limit=1e9))
+    world, encoder = world_and_encoder(ENERGY.replace(input_limit=1e9))
     large = laws.ProjectedGradient(encoder.layout, step=3.0)
     assert np.abs(run(world, encoder, large, loop_start(world))[-1]).max() > 1e3
 
 
 def test_projected_gradient_solves_the_variational_inequality_in_a_box():
-    world, encoder = make_port(ENERGY)
+    world, encoder = world_and_encoder(ENERGY)
     lower, upper = 3.0, 15.0
     law = laws.ProjectedGradient(encoder.layout, step=0.4, lower=lower, upper=upper)
     states = run(world, encoder, law, loop_start(world))
@@ -89,7 +89,7 @@ def test_projected_gradient_solves_the_variational_inequality_in_a_box():
 
 
 def test_aggregate_tracking_is_its_equation_every_two_steps():
-    world, encoder = make_port(ENERGY)
+    world, encoder = world_and_encoder(ENERGY)
     law = laws.AggregateTracking(encoder.layout, step=0.3, power=0.7, mixing=0.2, warm_up=1)
     states = run(world, encoder, law, loop_start(world))[1:, ..., 0]  # after the warm-up
     x, v = np.diag(states[0]), states[0].mean(axis=0)
@@ -110,7 +110,7 @@ def test_aggregate_tracking_converges_under_its_conditions(scenario):
     """The theorem of Koshal, Nedić & Shanbhag: almost sure convergence with a diminishing step, here without noise."""
     scenario = get_scenario(scenario, start="random", steps=1600)
     assert condition_on(scenario, laws.AggregateTracking).holds
-    world, encoder = make_port(scenario)
+    world, encoder = world_and_encoder(scenario)
     state = loop_start(world)
     target = np.array(world.game.nash_equilibrium)
     states = run(world, encoder, laws.AggregateTracking(encoder.layout), state)[..., 0]
@@ -123,7 +123,7 @@ def test_aggregate_tracking_converges_under_its_conditions(scenario):
 
 def test_aggregate_tracking_is_gossip_on_disjoint_pairs():
     """h = 1/2 on a mode of disjoint pairs: a pair agrees on the mean of its two averages, and no other changes."""
-    world, encoder = make_port(get_scenario("energy-switching", start="random"))
+    world, encoder = world_and_encoder(get_scenario("energy-switching", start="random"))
     states = run(
         world, encoder, laws.AggregateTracking(encoder.layout, mixing=0.5, warm_up=1), loop_start(world), steps=2
     )[..., 0]
@@ -158,7 +158,7 @@ def test_condition_of_aggregate_tracking_fails_on_other_games():
 
 
 def test_laws_that_need_absolute_strategies_refuse_the_local_interface():
-    layout = make_port("energy", kind="local")[1].layout
+    layout = world_and_encoder("energy", kind="local")[1].layout
     with pytest.raises(ValueError, match="AggregateTracking reads own_estimate, which the layout of Interface.*lacks"):
         laws.AggregateTracking(layout)
     with pytest.raises(ValueError, match="bounds need the own strategy.*use the interface 'physical'"):
@@ -177,9 +177,9 @@ def test_laws_that_need_absolute_strategies_refuse_the_local_interface():
 )
 def test_discrete_laws_refuse_parameters_out_of_range(law, arguments, message):
     with pytest.raises(ValueError, match=message):
-        law(make_port("energy")[1].layout, **arguments)
+        law(world_and_encoder("energy")[1].layout, **arguments)
 
 
 def test_aggregate_tracking_needs_equal_dimensions():
     with pytest.raises(ValueError, match=r"equal dimensions, got \(2, 1, 3\)"):
-        laws.AggregateTracking(make_port(BLOCKS)[1].layout)
+        laws.AggregateTracking(world_and_encoder(BLOCKS)[1].layout)

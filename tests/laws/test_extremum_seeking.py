@@ -11,7 +11,7 @@ import pytest
 from affine_games import SOAK, affine_scenario, loop_start, run
 from sample_laws import condition_on
 from scipy import linalg
-from worlds import begin, fixed_part, make_env, make_port
+from worlds import begin, fixed_part, make_env, world_and_encoder
 
 from ptne_env import Interface, dynamics, get_scenario, laws
 
@@ -22,7 +22,7 @@ PATH = np.array([[0.0, 1, 0], [1, 0, 1], [0, 1, 0]])
 
 def probing_world(steps, **fields):
     scenario = affine_scenario(MATRIX, OFFSET, fixed_part(PATH), steps=steps, **fields)
-    return scenario, *make_port(scenario, own_payoff=True)
+    return scenario, *world_and_encoder(scenario, own_payoff=True)
 
 
 def mean_strategies(world, law, states):
@@ -76,7 +76,7 @@ def test_it_reads_neither_gradients_nor_estimates_for_its_strategies():
 
 
 def test_frequencies_satisfy_the_conditions_of_the_paper():
-    frequencies = laws.ExtremumSeeking(make_port("energy", own_payoff=True)[1].layout).frequencies
+    frequencies = laws.ExtremumSeeking(world_and_encoder("energy", own_payoff=True)[1].layout).frequencies
     assert np.all((frequencies > 9) & (frequencies < 18))
     for i, first in enumerate(frequencies):
         for j, second in enumerate(frequencies):
@@ -99,7 +99,7 @@ def test_conditions_of_extremum_seeking():
 
 
 def test_default_gains_improve_the_energy_game_by_a_digit():
-    world, encoder = make_port(get_scenario("energy", start="random"), own_payoff=True)
+    world, encoder = world_and_encoder(get_scenario("energy", start="random"), own_payoff=True)
     states = run(world, encoder, laws.ExtremumSeeking(encoder.layout), loop_start(world))
     error = np.linalg.norm(states[:, range(5), range(5), 0] - world.game.nash_equilibrium, axis=1)
     assert error[-1] < 0.1 * error[0]
@@ -107,7 +107,7 @@ def test_default_gains_improve_the_energy_game_by_a_digit():
 
 def test_it_refuses_a_layout_without_payoffs():
     with pytest.raises(ValueError, match=r"ExtremumSeeking reads own_payoff, which the layout .* own_payoff=True"):
-        laws.ExtremumSeeking(make_port("energy")[1].layout)
+        laws.ExtremumSeeking(world_and_encoder("energy")[1].layout)
 
 
 @pytest.mark.parametrize(
@@ -121,14 +121,14 @@ def test_it_refuses_a_layout_without_payoffs():
 )
 def test_extremum_seeking_refuses_parameters_out_of_range(arguments, message):
     with pytest.raises(ValueError, match=message):
-        laws.ExtremumSeeking(make_port("energy", own_payoff=True)[1].layout, **arguments)
+        laws.ExtremumSeeking(world_and_encoder("energy", own_payoff=True)[1].layout, **arguments)
 
 
 @pytest.mark.parametrize("kind", ["physical", "local", "full"])
 @pytest.mark.parametrize("scenario", ["energy", "random-energy", "non-quadratic"])
 def test_own_payoff_is_a_last_slice_with_the_cost_at_the_real_strategies(scenario, kind):
-    plain = make_port(scenario, kind=kind)[1]
-    world, encoder = make_port(scenario, kind=kind, own_payoff=True)
+    plain = world_and_encoder(scenario, kind=kind)[1]
+    world, encoder = world_and_encoder(scenario, kind=kind, own_payoff=True)
     state = begin(world, range(3))
     seen, without = encoder.observe(state), plain.observe(begin(plain.world, range(3)))
     assert encoder.layout.slices["own_payoff"] == slice(plain.layout.size, plain.layout.size + 1)
@@ -141,7 +141,7 @@ def test_own_payoff_is_a_last_slice_with_the_cost_at_the_real_strategies(scenari
 
 def test_payoffs_are_left_out_unless_asked_for():
     assert not Interface().own_payoff
-    assert "own_payoff" not in make_port("energy")[1].layout.slices
+    assert "own_payoff" not in world_and_encoder("energy")[1].layout.slices
     env = make_env("energy", own_payoff=True)
     observations, _ = env.reset(seed=0)
     rows = np.stack(list(observations.values()))

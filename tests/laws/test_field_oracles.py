@@ -9,7 +9,7 @@ import pytest
 from affine_games import affine_scenario, loop_start, random_affine, run
 from sample_laws import condition_on
 from scipy import integrate
-from worlds import BLOCKS, fixed_part, make_port, stack
+from worlds import BLOCKS, fixed_part, stack, world_and_encoder
 
 from ptne_env import Interface, dynamics, get_scenario, laws, theory
 from ptne_env.theory.conditions import settling_bound
@@ -18,8 +18,8 @@ ORACLES = [laws.BestResponseOracle, laws.FixedTimeOracle, laws.NodeAdaptiveOracl
 
 
 def build(scenario, law, **arguments):
-    world, _ = make_port(scenario)
-    encoder = make_port(scenario, kind="full", **dict.fromkeys(law.needs, True))[1]
+    world, _ = world_and_encoder(scenario)
+    encoder = world_and_encoder(scenario, kind="full", **dict.fromkeys(law.needs, True))[1]
     assert encoder.interface == law.interface
     return world, encoder, law(encoder.layout, **arguments)
 
@@ -30,13 +30,13 @@ def test_oracles_are_named_oracles_and_refuse_players_interfaces(law):
     assert law.needs_full_information
     for kind in ("physical", "local"):
         with pytest.raises(ValueError, match=f"{law.__name__} is an oracle and needs the interface 'full'"):
-            law(make_port("energy", kind=kind)[1].layout)
+            law(world_and_encoder("energy", kind=kind)[1].layout)
 
 
 @pytest.mark.parametrize("law", [laws.BestResponseOracle, laws.NodeAdaptiveOracle])
 def test_oracles_name_the_missing_slice(law):
     with pytest.raises(ValueError, match=f"{law.__name__} reads {law.needs[0]}, which the layout of .* lacks"):
-        law(make_port("energy", kind="full")[1].layout)
+        law(world_and_encoder("energy", kind="full")[1].layout)
 
 
 @pytest.mark.parametrize("name", ["neighbour_errors", "best_response"])
@@ -178,8 +178,8 @@ def test_oracles_refuse_parameters_out_of_range(law, arguments, message):
     "scenario", [get_scenario("energy-switching", start="random"), BLOCKS], ids=lambda world: world.name
 )
 def test_slices_of_oracles_hold_errors_and_best_responses(scenario):
-    world, encoder = make_port(scenario, kind="full", neighbour_errors=True, best_response=True)
-    plain = make_port(scenario, kind="full")[1]
+    world, encoder = world_and_encoder(scenario, kind="full", neighbour_errors=True, best_response=True)
+    plain = world_and_encoder(scenario, kind="full")[1]
     state, game = loop_start(world, batch=3), world.game
     seen = encoder.observe(state)
     assert np.array_equal(seen[..., : plain.layout.size], plain.observe(loop_start(plain.world, batch=3)))

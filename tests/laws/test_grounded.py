@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from affine_games import loop_start, run
 from sample_laws import condition_on
-from worlds import BLOCKS, energy_scenario, make_env, make_port, play, stack
+from worlds import BLOCKS, energy_scenario, make_env, play, stack, world_and_encoder
 
 from ptne_env import FactorySpec, dynamics, get_scenario, laws, theory
 
@@ -42,7 +42,7 @@ def test_own_strategy_follows_its_own_gradient_alone():
 )
 def test_laws_of_ye_and_hu_reach_the_equilibrium_of_their_hvac_game(law):
     """The numbers are those that the literature gives for Ye & Hu's game, to the three decimals printed."""
-    world, encoder = make_port(HVAC)
+    world, encoder = world_and_encoder(HVAC)
     states = run(world, encoder, law(encoder.layout), loop_start(world))[..., 0]
     assert states[-1] == pytest.approx(np.repeat(HVAC_EQUILIBRIUM, 5).reshape(5, 5), abs=6e-4)
 
@@ -60,7 +60,7 @@ def grounded_errors(estimates, adjacency, owners):
 @pytest.mark.parametrize("kind", ["physical", "local"])
 @pytest.mark.parametrize("scenario", [get_scenario("energy", start="random"), BLOCKS], ids=lambda world: world.name)
 def test_adaptive_grounded_law_is_its_equation(scenario, kind):
-    world, encoder = make_port(scenario, kind=kind, action_scale=1e3)
+    world, encoder = world_and_encoder(scenario, kind=kind, action_scale=1e3)
     law = laws.AdaptiveGrounded(encoder.layout, gamma=0.003, initial_gain=0.2)
     states = run(world, encoder, law, loop_start(world), steps=40)[..., 0]
     game, adjacency = world.game, world.topology.graphs[0].adjacency
@@ -78,7 +78,7 @@ def test_adaptive_grounded_law_is_its_equation(scenario, kind):
 def test_gains_of_ye_and_hu_grow_until_the_network_converges():
     """The theorem of the node-based law: global convergence from gains of zero, which stay bounded."""
     scenario = get_scenario("energy", start="random", steps=4000, s_end=20.0, gain=60.0)
-    world, encoder = make_port(scenario)
+    world, encoder = world_and_encoder(scenario)
     law = laws.AdaptiveGrounded(encoder.layout, gamma=0.005, initial_gain=0.0)
     assert theory.condition(law, theory.problem_constants(world)).holds
     state, memory, history = loop_start(world), None, []

@@ -6,7 +6,7 @@ And relabelling the players permutes the results: no law prefers a player for it
 import numpy as np
 import pytest
 from affine_games import SOAK
-from worlds import energy_scenario, fixed_part, make_env, make_port, play
+from worlds import energy_scenario, fixed_part, make_env, play, world_and_encoder
 
 from ptne_env import FactorySpec, Interface, dynamics, laws
 
@@ -90,8 +90,8 @@ def test_scrambling_hidden_information_changes_no_action(player, law, interface,
     modes = MODES if switching else [RING]
     weights = generator.uniform(0.5, 1.5, (5, 5))
     interface = INTERFACES[interface] | PAYOFF[law]
-    world, encoder = make_port(energy_scenario(CURVATURE, TARGET, topology_spec(modes, weights)), **interface)
-    other, other_encoder = make_port(scrambled_scenario(player, modes, weights, generator), **interface)
+    world, encoder = world_and_encoder(energy_scenario(CURVATURE, TARGET, topology_spec(modes, weights)), **interface)
+    other, other_encoder = world_and_encoder(scrambled_scenario(player, modes, weights, generator), **interface)
     assert np.abs(other.game.nash_equilibrium - world.game.nash_equilibrium).max() > 1
     assert not np.array_equal(other.mode_weights, world.mode_weights)
 
@@ -121,7 +121,7 @@ def test_scrambling_hidden_information_changes_no_action(player, law, interface,
 @pytest.mark.parametrize(("law", "kind"), KINDS)
 def test_law_acts_the_same_alone_and_in_a_batch(law, kind):
     scenario = energy_scenario(CURVATURE, TARGET, topology_spec([RING], np.ones((5, 5))))
-    world, encoder = make_port(scenario, kind=kind, **PAYOFF[law])
+    world, encoder = world_and_encoder(scenario, kind=kind, **PAYOFF[law])
     generator = np.random.default_rng(0)
     policy = LAWS[law](encoder.layout)
     memory, alone = None, [None] * 5
@@ -163,7 +163,7 @@ def test_environments_refuse_the_full_interface():
 
 
 def test_layouts_of_players_do_not_depend_on_the_game():
-    _, encoder = make_port(energy_scenario(CURVATURE, TARGET, topology_spec([RING], np.ones((5, 5)))))
-    _, other = make_port(energy_scenario(CURVATURE + 1, TARGET * 2, topology_spec([RING], np.ones((5, 5)))))
+    _, encoder = world_and_encoder(energy_scenario(CURVATURE, TARGET, topology_spec([RING], np.ones((5, 5)))))
+    _, other = world_and_encoder(energy_scenario(CURVATURE + 1, TARGET * 2, topology_spec([RING], np.ones((5, 5)))))
     assert encoder.layout == other.layout
     assert encoder.layout.interface == Interface()

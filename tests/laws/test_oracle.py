@@ -1,6 +1,6 @@
 import numpy as np
 import pytest
-from worlds import BLOCKS, make_port
+from worlds import BLOCKS, world_and_encoder
 
 from ptne_env import dynamics, get_scenario, laws
 from ptne_env.random_streams import RandomStreams
@@ -11,20 +11,20 @@ def test_oracle_needs_the_interface_full(kind):
     with pytest.raises(
         ValueError, match=f"CentralisedOracle is an oracle and needs the interface 'full', got '{kind}'"
     ):
-        laws.CentralisedOracle(make_port("energy", kind=kind)[1].layout)
+        laws.CentralisedOracle(world_and_encoder("energy", kind=kind)[1].layout)
 
 
 @pytest.mark.parametrize("gain", [0.0, -1.0])
 def test_oracle_refuses_a_gain_that_is_not_positive(gain):
     with pytest.raises(ValueError, match="gradient_gain must be a finite number above 0"):
-        laws.CentralisedOracle(make_port("energy", kind="full")[1].layout, gradient_gain=gain)
+        laws.CentralisedOracle(world_and_encoder("energy", kind="full")[1].layout, gradient_gain=gain)
 
 
 @pytest.mark.parametrize(
     "scenario", [get_scenario("energy", start="random"), BLOCKS], ids=lambda scenario: scenario.name
 )
 def test_oracle_is_gradient_descent_on_the_shared_strategies(scenario):
-    world, encoder = make_port(scenario, kind="full")
+    world, encoder = world_and_encoder(scenario, kind="full")
     law = laws.CentralisedOracle(encoder.layout)
     state = dynamics.initial_state(world, world.draw_estimates([RandomStreams.from_seed(1)]))
     x = dynamics.strategies(world, state)
@@ -37,15 +37,15 @@ def test_oracle_is_gradient_descent_on_the_shared_strategies(scenario):
 
 
 def test_oracle_obeys_the_input_limit():
-    world, encoder = make_port(get_scenario("energy", input_limit=3.0), kind="full")
+    world, encoder = world_and_encoder(get_scenario("energy", input_limit=3.0), kind="full")
     state = dynamics.initial_state(world, world.draw_estimates([RandomStreams.from_seed(1)]))
     actions, _ = laws.CentralisedOracle(encoder.layout).predict(encoder.observe(state)[0])
     assert np.abs(actions).max() == 3.0
 
 
 def test_laws_of_players_act_alike_through_full_and_physical():
-    world, encoder = make_port("energy", kind="full")
-    _, plain = make_port("energy")
+    world, encoder = world_and_encoder("energy", kind="full")
+    _, plain = world_and_encoder("energy")
     state = dynamics.initial_state(world, world.draw_estimates([RandomStreams.from_seed(1)]))
     full, _ = laws.Static(encoder.layout).predict(encoder.observe(state)[0])
     physical, _ = laws.Static(plain.layout).predict(plain.observe(state)[0])

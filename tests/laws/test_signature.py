@@ -5,7 +5,7 @@ from dataclasses import asdict
 
 import numpy as np
 import pytest
-from worlds import BLOCKS, make_env, make_port, play
+from worlds import BLOCKS, make_env, play, world_and_encoder
 
 from ptne_env import Interface, Policy, dynamics, laws
 from ptne_env.random_streams import RandomStreams
@@ -40,7 +40,7 @@ def observe_for(law, scenario="energy", batch=3):
 
 
 def observe(scenario="energy", batch=3, **interface):
-    world, encoder = make_port(scenario, **interface)
+    world, encoder = world_and_encoder(scenario, **interface)
     state = dynamics.initial_state(
         world, np.stack([world.draw_estimates([RandomStreams.from_seed(b)])[..., 0] for b in range(batch)], -1)
     )
@@ -155,7 +155,7 @@ def test_zero_input_stays_at_the_start():
 
 @pytest.mark.parametrize("interface", [{}, {"kind": "local"}, {"action_mode": "gains"}])
 def test_random_policy_fills_the_action_box_and_repeats_with_its_seed(interface):
-    layout = make_port("energy", **interface)[1].layout
+    layout = world_and_encoder("energy", **interface)[1].layout
     observations = np.zeros((4000, layout.size), dtype=np.float32)
     actions, _ = laws.RandomPolicy(layout, seed=3).predict(observations)
     assert np.array_equal(actions, laws.RandomPolicy(layout, seed=3).predict(observations)[0])
@@ -169,4 +169,4 @@ def test_random_policy_fills_the_action_box_and_repeats_with_its_seed(interface)
 @pytest.mark.parametrize("seed", [-1, 0.5])
 def test_random_policy_refuses_other_seeds(seed):
     with pytest.raises(ValueError, match="seed must be a whole number of at least 0"):
-        laws.RandomPolicy(make_port("energy")[1].layout, seed=seed)
+        laws.RandomPolicy(world_and_encoder("energy")[1].layout, seed=seed)

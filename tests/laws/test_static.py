@@ -1,6 +1,6 @@
 import numpy as np
 import pytest
-from worlds import BLOCKS, BLOCKS_SWITCHING, loop_matrix, make_env, make_port, play
+from worlds import BLOCKS, BLOCKS_SWITCHING, loop_matrix, make_env, play, world_and_encoder
 
 from ptne_env import FactorySpec, Interface, dynamics, get_scenario, laws
 
@@ -65,7 +65,7 @@ def test_static_law_through_gains_is_the_static_law(kappa, gradient_gain):
 
 @pytest.mark.parametrize(("kappa", "gradient_gain"), [(0.2, 1.0), (17.0, 1.0), (2.0, 9.0), (2.0, 0.1), (0.0, 1.0)])
 def test_gains_out_of_reach_are_refused_with_the_reach(kappa, gradient_gain):
-    layout = make_port("energy", action_mode="gains")[1].layout
+    layout = world_and_encoder("energy", action_mode="gains")[1].layout
     with pytest.raises(ValueError, match=r"gradient gains in \[1/8, 8\] and kappa in \[1/4, 16\]"):
         laws.Static(layout, kappa, gradient_gain)
 
@@ -90,7 +90,7 @@ def test_kappa_zero_is_gradient_play_without_consensus():
 @pytest.mark.parametrize("kappa", [-1.0, float("nan"), float("inf")])
 @pytest.mark.parametrize("law", [laws.Static, laws.CorollaryOne, laws.Grounded])
 def test_negative_or_infinite_kappa_is_refused(law, kappa):
-    layout = make_port("energy")[1].layout
+    layout = world_and_encoder("energy")[1].layout
     with pytest.raises(ValueError, match="kappa must be a finite number of at least 0"):
         law(layout, kappa=kappa)
 
@@ -98,19 +98,19 @@ def test_negative_or_infinite_kappa_is_refused(law, kappa):
 @pytest.mark.parametrize("gain", [0.0, -1.0, float("nan")])
 def test_gradient_gain_must_be_positive(gain):
     with pytest.raises(ValueError, match="gradient_gain must be a finite number above 0"):
-        laws.Static(make_port("energy")[1].layout, gradient_gain=gain)
+        laws.Static(world_and_encoder("energy")[1].layout, gradient_gain=gain)
 
 
 @pytest.mark.parametrize("law", [laws.Adaptive, laws.CorollaryOne, laws.Grounded, laws.ZeroInput])
 def test_laws_refuse_the_action_mode_gains(law):
-    layout = make_port("energy", action_mode="gains")[1].layout
+    layout = world_and_encoder("energy", action_mode="gains")[1].layout
     with pytest.raises(ValueError, match=f"{law.__name__} needs action_mode='input', this layout has 'gains'"):
         law(layout)
 
 
 @pytest.mark.parametrize("kind", ["physical", "local"])
 def test_corollary_one_is_the_static_input_over_the_time_gain(kind):
-    world, encoder = make_port("energy", **vars(Interface(kind, action_scale=100.0)))
+    world, encoder = world_and_encoder("energy", **vars(Interface(kind, action_scale=100.0)))
     state = dynamics.initial_state(world, np.random.default_rng(0).uniform(-20, 20, (5, 5, 1)))
     for _ in range(200):
         state = dynamics.step(world, state, np.zeros_like(state.estimates))

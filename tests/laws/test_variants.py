@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from affine_games import SOAK, affine_scenario, loop_start, random_affine, run
 from sample_laws import condition_on
-from worlds import fixed_part, loop_matrix, make_port, stack
+from worlds import fixed_part, loop_matrix, stack, world_and_encoder
 
 from ptne_env import get_scenario, laws, theory
 from ptne_env.theory.conditions import implicit_diagonal
@@ -17,7 +17,7 @@ def radius(matrix, diagonal, theta):
 
 
 def build(scenario, **arguments):
-    world, encoder = make_port(scenario)
+    world, encoder = world_and_encoder(scenario)
     return world, laws.LocallyImplicit(encoder.layout, **arguments)
 
 
@@ -54,7 +54,7 @@ def test_implicit_condition_says_no_where_some_step_is_unstable():
 @pytest.mark.parametrize("steps", [400, 40, 8, 2])
 def test_implicit_law_in_the_environment_is_the_product_of_its_steps(steps):
     scenario = get_scenario("energy", start="random", steps=steps, input_limit=1e6)
-    world, encoder = make_port(scenario)
+    world, encoder = world_and_encoder(scenario)
     law, start = laws.LocallyImplicit(encoder.layout), loop_start(world)
     assert theory.condition(law, theory.problem_constants(world)).holds
     states = run(world, encoder, law, start)
@@ -69,7 +69,7 @@ def test_implicit_law_in_the_environment_is_the_product_of_its_steps(steps):
 
 
 def test_coarse_steps_blow_the_static_law_up_and_not_the_implicit_one():
-    world, encoder = make_port(get_scenario("energy", start="random", steps=40))
+    world, encoder = world_and_encoder(get_scenario("energy", start="random", steps=40))
     start = loop_start(world)
     target = world.game.nash_equilibrium[:, None, None]
     distance = {
@@ -81,7 +81,7 @@ def test_coarse_steps_blow_the_static_law_up_and_not_the_implicit_one():
 
 
 def test_implicit_law_is_the_static_law_for_short_steps():
-    world, encoder = make_port(get_scenario("energy", start="random", steps=100_000))
+    world, encoder = world_and_encoder(get_scenario("energy", start="random", steps=100_000))
     observations = encoder.observe(loop_start(world))[0]
     implicit, _ = laws.LocallyImplicit(encoder.layout).predict(observations)
     static, _ = laws.Static(encoder.layout).predict(observations)
@@ -105,7 +105,7 @@ def test_implicit_consensus_alone_is_stable_for_every_sequence_of_steps():
 @pytest.mark.parametrize("cap", [1.0, 50.0, 1e6])
 def test_capped_gain_is_the_static_law_in_the_time_that_the_cap_leaves(cap):
     scenario = get_scenario("energy", start="random")
-    world, encoder = make_port(scenario)
+    world, encoder = world_and_encoder(scenario)
     start, clock = loop_start(world), world.clock
     states = run(world, encoder, laws.CappedGain(encoder.layout, largest_gain=cap), start)
     loop = loop_matrix(world.game, world.topology.graphs[0].adjacency, 2.0)
@@ -118,7 +118,7 @@ def test_capped_gain_is_the_static_law_in_the_time_that_the_cap_leaves(cap):
 
 
 def test_capped_gain_lies_between_corollary_one_and_the_static_law():
-    world, encoder = make_port("energy")
+    world, encoder = world_and_encoder("energy")
     observations = encoder.observe(loop_start(world))[0]
     for cap, law in {1.0: laws.CorollaryOne(encoder.layout, 2.0), 1e12: laws.Static(encoder.layout, 2.0)}.items():
         actions, _ = laws.CappedGain(encoder.layout, 2.0, cap).predict(observations)
@@ -127,7 +127,7 @@ def test_capped_gain_lies_between_corollary_one_and_the_static_law():
 
 def test_capped_velocity_is_bounded_where_the_static_one_grows():
     """Erratum 3: at r < 1 the velocity g(t) u of the static law is unbounded as t → T."""
-    world, encoder = make_port(get_scenario("energy", start="random", s_end=20.0, steps=1000))
+    world, encoder = world_and_encoder(get_scenario("energy", start="random", s_end=20.0, steps=1000))
     start, dt = loop_start(world), world.clock.dt[:1000, None, None, None]
     static = np.abs(np.diff(run(world, encoder, laws.Static(encoder.layout), start), axis=0) / dt)
     capped = np.abs(np.diff(run(world, encoder, laws.CappedGain(encoder.layout, 2.0, 100.0), start), axis=0) / dt)
@@ -152,9 +152,9 @@ def test_capped_gain_asks_for_a_cap_above_c():
 )
 def test_variants_refuse_parameters_out_of_range(law, arguments, message):
     with pytest.raises(ValueError, match=message):
-        law(make_port("energy")[1].layout, **arguments)
+        law(world_and_encoder("energy")[1].layout, **arguments)
 
 
 def test_capped_gain_does_not_act_through_gains():
     with pytest.raises(ValueError, match="CappedGain needs action_mode='input'"):
-        laws.CappedGain(make_port("energy", action_mode="gains")[1].layout)
+        laws.CappedGain(world_and_encoder("energy", action_mode="gains")[1].layout)
