@@ -16,6 +16,7 @@ from ptne_env.experiments.policy_specs import ARCHIVE, PolicySpec
 from ptne_env.experiments.results import read_results
 from ptne_env.experiments.store import Store
 from ptne_env.experiments.suite import PAPER_START, Suite, comparison, get_suite
+from ptne_env.factory import FactorySpec
 
 
 @dataclass(frozen=True)
@@ -66,6 +67,9 @@ def check(
     sources = [source for policy in _policies(data) for source in policy["training_seeds"]]
     if not trust and any(source["target"] == ARCHIVE for source in sources):
         raise ValueError(f"{path} has policies from .zip files, which execute code: say that you trust them (--trust)")
+    for source in sources:
+        if "arguments" in source:  # its module may register a metric, which the jobs of all policies have
+            FactorySpec.of(source["target"]).resolve()
     stored = [job for job in data["jobs"] if job["key"] is not None]
     if not stored:
         raise ValueError(f"{path} has no job that can be run again: its policies were objects of another process")

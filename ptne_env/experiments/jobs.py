@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import platform
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass
 from functools import cached_property, lru_cache
 from typing import Any
@@ -14,9 +14,9 @@ from ptne_env.arrays import FloatArray
 from ptne_env.dynamics import State
 from ptne_env.encoder import make_encoder
 from ptne_env.experiments.episodes import EpisodeSet
-from ptne_env.experiments.metrics import METRICS, measure
+from ptne_env.experiments.metrics import METRICS, Metric, adopt, measure, own_metrics
 from ptne_env.experiments.policy_specs import PolicySpec
-from ptne_env.experiments.provenance import content_hash, versions
+from ptne_env.experiments.provenance import content_hash, source_hashes, versions
 from ptne_env.experiments.rollout import rollout
 from ptne_env.experiments.suite import Track
 
@@ -44,7 +44,8 @@ class Job:
             "track": {**self.track.to_dict(), "files": self.track.files()},
             "policy": {"interface": policy["interface"], **policy["training_seeds"][self.training_seed]},
             "episodes": asdict(self.episodes),
-            "metrics": [name for name, metric in METRICS.items() if metric.value is not None],
+            "metrics": sorted(name for name, metric in METRICS.items() if metric.value is not None),
+            "metric_files": source_hashes(metric.value for metric in own_metrics()),
             "versions": versions(),
         }
 
@@ -122,16 +123,18 @@ class JobResult:
         return largest
 
 
-def run_job(job: Job, key: str | None) -> JobResult:
+def run_job(job: Job, key: str | None, metrics: Iterable[Metric] = ()) -> JobResult:
     """Run a job on a worker, after making sure that the worker has the same library and files.
 
     Args:
         job: to be run.
         key: of the job, as the machine that asks computed it.
+        metrics: :func:`~ptne_env.experiments.metrics.own_metrics` of the machine that asks.
 
     Raises:
         ValueError: when the worker's library, dependencies or files differ.
     """
+    adopt(metrics)
     if key is not None and content_hash(job.to_dict()) != key:
         raise ValueError(
             f"a worker on {platform.node()} has another version of the library, its dependencies or the files of "

@@ -5,8 +5,9 @@ Tables, CSV files, pages, ``ptne list`` and docs read :data:`METRICS`. :func:`re
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from importlib import import_module
 from typing import Literal, TypeAlias
 
 import numpy as np
@@ -23,6 +24,9 @@ NUMBER_BITS = 32
 
 CVAR_SHARE = 0.1
 """The share of the worst episodes over which the conditional value at risk (CVaR) is the mean."""
+
+Statistic: TypeAlias = Literal["mean", "cvar"]
+"""Over episodes: the mean, or the mean of the worst tenth."""
 
 Block: TypeAlias = Literal["How close", "At what cost", "Against tuned laws"]
 """The tables in which metrics stand."""
@@ -53,7 +57,7 @@ class Metric:
     value: Callable[[Rollout], FloatArray] | None = None
     unit: str = ""
     source: str = ""
-    statistic: Literal["mean", "cvar"] = "mean"
+    statistic: Statistic = "mean"
     is_timing: bool = False
 
     def __post_init__(self) -> None:
@@ -70,7 +74,7 @@ METRICS: dict[str, Metric] = {}
 
 
 def register(metric: Metric) -> Metric:
-    """Add a metric to :data:`METRICS`; with several processes, in a module that the workers import too.
+    """Add a metric to :data:`METRICS`; workers get it too.
 
     Raises:
         ValueError: when the name is taken.
@@ -79,6 +83,20 @@ def register(metric: Metric) -> Metric:
         raise ValueError(f"there is a metric {metric.name!r} already: choose another name")
     METRICS[metric.name] = metric
     return metric
+
+
+def own_metrics() -> tuple[Metric, ...]:
+    """The registered metrics that follow from a rollout and are defined outside this module, for :func:`adopt`."""
+    measured = (metric for metric in METRICS.values() if metric.value is not None)
+    return tuple(metric for metric in measured if metric.value.__module__ != __name__)
+
+
+def adopt(metrics: Iterable[Metric]) -> None:
+    """Register the metrics of another process, by importing the modules that define them where they can be imported."""
+    for metric in metrics:
+        if metric.value is not None and metric.value.__module__ != "__main__":
+            import_module(metric.value.__module__)
+        METRICS.setdefault(metric.name, metric)
 
 
 def measure(rollout: Rollout) -> dict[str, FloatArray]:

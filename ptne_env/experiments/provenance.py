@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import platform
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from functools import cache
 from hashlib import sha256
 from importlib import metadata
@@ -73,14 +73,24 @@ def file_hashes(value: Any) -> dict[str, str]:
     return {path.name: sha256(path.read_bytes()).hexdigest() for path in _paths(value) if path.is_file()}
 
 
+def source_hashes(definitions: Iterable[Any]) -> dict[str, str]:
+    """SHA-256 of the files outside the library's sources that define classes or functions, by file name."""
+    found = {path for definition in definitions for path in _source(definition)}
+    return {path.name: sha256(path.read_bytes()).hexdigest() for path in sorted(found) if path.is_file()}
+
+
+def _source(definition: Any) -> Iterator[Path]:
+    try:
+        source = getsourcefile(unwrap(definition))  # as it was written, whatever a decorator compiles later
+    except TypeError:  # an object that is no class, function or module
+        source = None
+    if source is not None and not Path(source).is_relative_to(_PACKAGE):
+        yield Path(source)
+
+
 def _paths(value: Any) -> Iterator[Path]:
     if isinstance(value, FactorySpec):
-        try:
-            source = getsourcefile(unwrap(value.resolve()))  # as it was written, whatever a decorator compiles later
-        except TypeError:  # an object that is no class, function or module
-            source = None
-        if source is not None and not Path(source).is_relative_to(_PACKAGE):
-            yield Path(source)
+        yield from _source(value.resolve())
         yield from _paths(tuple(argument for _, argument in value.arguments))
     elif isinstance(value, tuple):
         for item in value:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import json
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from functools import cached_property
 from pathlib import Path
@@ -15,7 +16,7 @@ from ptne_env.arrays import FloatArray
 from ptne_env.experiments.episodes import Split
 from ptne_env.experiments.jobs import Job
 from ptne_env.experiments.leaderboard import Leaderboard, leaderboard
-from ptne_env.experiments.metrics import METRICS
+from ptne_env.experiments.metrics import METRICS, Statistic
 from ptne_env.experiments.policy_specs import PolicySpec
 from ptne_env.experiments.provenance import content_hash, is_hash_of, versions
 from ptne_env.experiments.statistics import Summary, summaries
@@ -159,13 +160,19 @@ class Results:
         return buffer.getvalue()
 
 
-def records(track: str, policy: str, samples: Samples, episodes: int) -> list[Record]:
-    """One record per metric of which there are samples, in the order of :data:`METRICS`."""
-    statistics = {
+def statistics_of(samples: Samples) -> dict[str, tuple[FloatArray, Statistic]]:
+    """The samples and the statistic of each metric of which there are samples, in the order of :data:`METRICS`."""
+    return {
         metric.name: (samples[metric.source], metric.statistic)
         for metric in METRICS.values()
         if metric.source in samples
     }
+
+
+def records(
+    track: str, policy: str, statistics: Mapping[str, tuple[FloatArray, Statistic]], episodes: int
+) -> list[Record]:
+    """One record per metric. Workers call it, so it does not read :data:`METRICS`, which may be shorter there."""
     return [
         {"track": track, "policy": policy, "metric": metric, **asdict(summary), "episodes": episodes}
         for metric, summary in summaries(statistics).items()

@@ -15,7 +15,7 @@ from ptne_env.experiments.episodes import Split
 from ptne_env.experiments.jobs import Job, JobResult
 from ptne_env.experiments.metrics import METRICS, against_law
 from ptne_env.experiments.policy_specs import PolicySpec, get_policy_spec
-from ptne_env.experiments.results import Results, records
+from ptne_env.experiments.results import Results, records, statistics_of
 from ptne_env.experiments.store import Store, run_jobs
 from ptne_env.experiments.suite import LEADERBOARD_SEED, SUITES, Suite, Track, comparison, get_suite
 from ptne_env.experiments.workers import Workers
@@ -150,7 +150,8 @@ def run_suite(
         for name in [*specs, *(law.name for law in tuned.get(track.name, {}).values())]
         if (track.name, name) in samples
     }
-    tables = workers.gather(records, [(*place, found, sets[place[0]].count) for place, found in ordered.items()])
+    summarised = [(*place, statistics_of(found), sets[place[0]].count) for place, found in ordered.items()]
+    tables = workers.gather(records, summarised)
     return Results(
         suite=suite,
         target=target,

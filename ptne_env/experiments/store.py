@@ -7,6 +7,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from ptne_env.experiments.jobs import Job, JobResult, run_job
+from ptne_env.experiments.metrics import own_metrics
 from ptne_env.experiments.provenance import content_hash, is_hash_of
 from ptne_env.experiments.workers import Workers
 from ptne_env.files import read_json, write_atomically
@@ -42,7 +43,8 @@ class Store:
         path = self.path(key)
         data = read_json(path, "the result of a job")
         checked = {name: data.get(name) for name in _CHECKED}
-        if not (is_hash_of(data.get("checksum"), checked) and is_hash_of(key, data.get("job"))):
+        is_whole = is_hash_of(data.get("checksum"), checked) and is_hash_of(key, data.get("job"))
+        if not (is_whole and isinstance(data.get("timings"), dict)):
             raise ValueError(f"the result {path} is damaged, or of another job: remove it and run the suite again")
         return JobResult.from_dict(data)
 
@@ -81,7 +83,8 @@ def run_jobs(jobs: Sequence[Job], store: Store | None, workers: Workers) -> Iter
             missing.append(index)
         else:
             yield index, result
-    for place, result in workers.run(run_job, [(jobs[index], jobs[index].key) for index in missing]):
+    metrics = own_metrics()
+    for place, result in workers.run(run_job, [(jobs[index], jobs[index].key, metrics) for index in missing]):
         if store is not None:
             store.save(jobs[missing[place]], result)
         yield missing[place], result

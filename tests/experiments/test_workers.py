@@ -1,3 +1,5 @@
+import subprocess
+
 """Workers: the same results for any number of them, and clear errors when one is missing or dies."""
 
 import importlib
@@ -145,3 +147,32 @@ def test_an_address_without_a_cluster_is_named():
 def test_an_error_of_a_task_on_a_cluster_is_raised():
     with pytest.raises(ValueError, match="-1 is negative"):
         list(Workers(4, "auto").run(square, [(1,), (-1,), (2,)]))
+
+
+OWN_METRIC = """
+import numpy as np
+from ptne_env import laws
+from ptne_env.experiments import Metric, register
+
+register(Metric("own", "own", "always 7", value=lambda rollout: np.full(len(rollout.diverged), 7.0)))
+make = laws.Static
+"""
+
+
+def test_a_metric_of_a_policys_module_reaches_workers_stored_results_and_checks(tmp_path):
+    def ptne(*arguments):
+        command = [sys.executable, "-m", "ptne_env.cli", *arguments]
+        ended = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)  # noqa: S603 - ours
+        assert ended.returncode == 0, ended.stderr + ended.stdout
+
+    def compare(jobs):
+        wanted = ["--suite=ptne-v1", "--track=nominal", "--policy=static,own_part:make", "--episodes=2"]
+        ptne("compare", *wanted, f"--jobs={jobs}", "--no-report", "--out=out")
+        return (tmp_path / "out" / "results.csv").read_text()
+
+    (tmp_path / "own_part.py").write_text(OWN_METRIC)
+    for _ in range(2):  # the second run finds all jobs stored, and its workers have not imported the module
+        assert compare(jobs=2).count(",own,7.0,") == 4
+    ptne("check", "out", "--sample=99")
+    (tmp_path / "own_part.py").write_text(OWN_METRIC.replace("7.0", "8.0"))
+    assert compare(jobs=1).count(",own,8.0,") == 4
