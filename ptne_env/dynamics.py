@@ -114,7 +114,7 @@ def initial_state(
 
 
 def require_state(world: World, state: State, batch: int) -> None:
-    """Check that a state, such as one that was saved, fits a world.
+    """Check that a state, such as a saved state, fits a world.
 
     The memory of a channel and the numbers of a game are not checked.
 

@@ -40,7 +40,7 @@ DARK: Mapping[str, str] = MappingProxyType(
         "fails": "#ff9d94",
     }
 )
-"""The same roles for readers who ask for a dark page."""
+"""The same roles for a dark page."""
 
 INK, FAINT, LINE, GRID = (LIGHT[role] for role in ("ink", "faint", "line", "grid"))
 

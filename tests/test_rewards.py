@@ -140,7 +140,7 @@ def test_batch_agrees_bit_for_bit_with_batches_of_one(scenario, reward):
 
 
 def returns_of(env, act):
-    """The sum of rewards per agent when ``act(k)`` is everybody's constant action in step k."""
+    """The sum of rewards per agent when ``act(k)`` is the constant action of all players in step k."""
     env.reset()
     total, k, diverged = dict.fromkeys(env.possible_agents, 0.0), 0, False
     for _ in while_running(env):

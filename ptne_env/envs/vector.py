@@ -46,7 +46,7 @@ class VectorStep(NamedTuple):
 class VectorParallelEnv:
     """B environments × N players.
 
-    No environment resets itself: one that is over starts again with ``reset(mask=...)`` before the next step. Each
+    No environment resets itself: an environment that is over starts again with ``reset(mask=...)`` before the next step. Each
     environment equals a :class:`~ptne_env.NashSeekingEnv` of the same seed, bit for bit.
 
     Args:

@@ -75,7 +75,7 @@ class Game(ABC):
 
     @cached_property
     def owners(self) -> IntArray:
-        """The player who owns each component, shape (n,)."""
+        """The player that owns each component, shape (n,)."""
         return np.repeat(np.arange(self.num_players), self.action_dims).astype(np.int64)
 
     @property

@@ -12,7 +12,7 @@ from ptne_env.observation import Observation, ObservationLayout
 def grounded_error(observation: Observation, layout: ObservationLayout) -> FloatArray:
     """−ξ^i_j = Σ_k a_ik (x^k_j − x^i_j) + a_ij (x^j_j − x^i_j): leader–follower consensus, shape (R, n).
 
-    Per component of the joint strategy; player j, who owns the component, is the leader of the estimates of it.
+    Per component of the joint strategy; player j, the owner of the component, leads the estimates of it.
     """
     error = consensus(observation.weights, observation.relative_estimates)
     leaders = layout.neighbour_components[observation.player]

@@ -58,7 +58,7 @@ def loop_matrix(jacobian: FloatArray, owners: IntArray, laplacian: FloatArray, k
 
     Args:
         jacobian: dF, shape (n, n).
-        owners: the player who owns each component, shape (n,).
+        owners: the player that owns each component, shape (n,).
         laplacian: L, shape (N, N).
         kappa: κ.
 

@@ -46,7 +46,7 @@ class ProblemConstants(MonotonicityConstants):
 
     Attributes:
         jacobian: dF, shape (n, n); at x* unless F is affine.
-        owners: the player who owns each component, shape (n,).
+        owners: the player that owns each component, shape (n,).
         graphs: the modes of the topology.
         recurring_connectivity: λ2 of the union of the graphs that act as s → ∞: all modes on the transformed clock, the
             last mode on the physical clock (docs/errata.md, 2).

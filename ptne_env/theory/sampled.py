@@ -165,7 +165,7 @@ def sampled_loop(world: World, law: Law, memory: Any = None) -> SampledLoop:
         return law_loop(law, world.game, graphs[mode], memory, theta=theta, dt=dt)
 
     loops = tuple(loop(mode) for mode in range(len(graphs)))
-    # Beside the steps of the episode, one that is longer in τ and one that is longer in t.
+    # Beside the steps of the episode, a step that is longer in τ and a step that is longer in t.
     thetas, dts = np.append(theta, [2 * theta[0], theta[0]]), np.append(dt, [dt[0], 2 * dt[0]])
     responses = _responses(law, thetas, dts, memory)
     if _is_constant(responses):
