@@ -46,8 +46,8 @@ class VectorStep(NamedTuple):
 class VectorParallelEnv:
     """B environments × N players.
 
-    No environment resets itself: an environment that is over starts again with ``reset(mask=...)`` before the next step. Each
-    environment equals a :class:`~ptne_env.NashSeekingEnv` of the same seed, bit for bit.
+    No environment resets itself: an environment that is over starts again with ``reset(mask=...)`` before the next
+    step. Each environment equals a :class:`~ptne_env.NashSeekingEnv` of the same seed, bit for bit.
 
     Args:
         scenario: a name of the catalogue or a scenario.

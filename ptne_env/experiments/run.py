@@ -173,6 +173,9 @@ def _by_name(suite: Suite, policies: Iterable[str | PolicySpec]) -> dict[str, Po
     specs = {spec.name: spec for spec in listed}
     if len(specs) < len(listed):
         raise ValueError(f"a comparison needs different names, got {', '.join(spec.name for spec in listed)}")
+    for name in tuning.GROUPS.values():
+        if name in specs:
+            raise ValueError(f"{name!r} is the name of a tuned law: give your policy another name")
     for reference in suite.references:
         if specs.setdefault(reference.name, reference) != reference:
             raise ValueError(

@@ -238,7 +238,13 @@ def comparison(scenarios: Iterable[str | Scenario], *, episodes: int = 100, hold
     Raises:
         ValueError: for unknown or repeated names, or none.
     """
+    require_count("episodes", episodes, 1)
     tracks = tuple(track for scenario in scenarios for track in _comparison_tracks(scenario, hold_steps))
+    names = [track.name for track in tracks]
+    if not names:
+        raise ValueError("a comparison needs at least one scenario")
+    if repeated := sorted({name for name in names if names.count(name) > 1}):
+        raise ValueError(f"a comparison needs different scenarios; {', '.join(repeated)} would be run more than once")
     return Suite("comparison", tracks, episodes, is_comparison=True)
 
 

@@ -184,6 +184,17 @@ def test_names_that_clash_are_refused():
         run_suite(SMALL, ["grounded", "grounded"])
     with pytest.raises(ValueError, match="reference policy"):
         run_suite(SMALL, [PolicySpec("static", FactorySpec.of("ptne_env.laws:ZeroInput"))])
+    with pytest.raises(ValueError, match="'best of all laws' is the name of a tuned law"):
+        evaluate([PolicySpec("best of all laws", laws.ZeroInput)], ["energy"], episodes=2)
+
+
+def test_a_comparison_needs_different_scenarios_and_episodes():
+    with pytest.raises(ValueError, match="at least one scenario"):
+        evaluate(["static"], [])
+    with pytest.raises(ValueError, match="different scenarios; energy, .* would be run more than once"):
+        evaluate(["static"], ["energy", "energy"])
+    with pytest.raises(ValueError, match="^episodes must be"):
+        evaluate(["static"], ["energy"], episodes=0)
 
 
 class Wrong:

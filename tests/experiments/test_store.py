@@ -104,6 +104,7 @@ def test_nothing_is_stored_without_a_folder_or_of_an_object(tmp_path, monkeypatc
         lambda text: text.replace('"digits": [', '"digits": [0.5, ', 1),
         lambda text: "[]",
         lambda text: '{"samples": 3}',
+        lambda text: text.replace('"timings"', '"tidings"', 1),
     ],
 )
 def test_a_damaged_job_is_run_again(tmp_path, damage):
