@@ -15,10 +15,10 @@ import pytest
 
 import ptne_env
 from ptne_env import Scenario, evaluate, get_scenario
+from ptne_env.experiments.metrics import number
 from ptne_env.experiments.traces import scenes
 from ptne_env.report import page
 from ptne_env.report.pages import report
-from ptne_env.report.tables import number
 from ptne_env.style import COLOURS, DARK, LIGHT
 
 VOID = {"meta", "link", "input", "br", "img", "hr"}
