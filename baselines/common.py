@@ -7,8 +7,8 @@ from typing import Annotated, TypeAlias
 
 import typer
 
+from ptne_env.experiments.metrics import number
 from ptne_env.experiments.statistics import Summary
-from ptne_env.report.tables import number
 
 Jobs: TypeAlias = Annotated[int, typer.Option(help="Tasks at a time; each takes one core.")]
 Ray: TypeAlias = Annotated[str | None, typer.Option(help="Address of a Ray cluster, such as auto or HOST:6379.")]

@@ -16,9 +16,9 @@ from run import ONE_SEED
 
 from ptne_env.experiments import METRICS, POLICIES, Results, Workers, run_suite
 from ptne_env.experiments.leaderboard import Leaderboard
+from ptne_env.experiments.metrics import number
 from ptne_env.experiments.suite import LAW, ORACLE
 from ptne_env.files import write_atomically
-from ptne_env.report.tables import number
 
 HERE = Path(__file__).parent
 SUITE = "ptne-v1"

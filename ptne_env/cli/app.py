@@ -19,6 +19,7 @@ app = typer.Typer(
     no_args_is_help=True,
     add_completion=True,
     pretty_exceptions_enable=False,
+    rich_markup_mode="markdown",  # so that the paragraphs of docstrings fill the width of the terminal
     help="Prescribed-time Nash-equilibrium seeking: compare policies with the analytical laws of Feng and Hu's paper, "
     "reproduce the paper, and certify scenarios beforehand.",
 )

@@ -1,10 +1,11 @@
-"""Metrics: each declared once, with its name, meaning, unit, direction, and how it follows from a rollout.
+"""Metrics: each declared once, with its name, meaning, unit, direction, format, and how it follows from a rollout.
 
 Tables, CSV files, pages, ``ptne list`` and docs read :data:`METRICS`. :func:`register` adds a metric.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from importlib import import_module
@@ -32,6 +33,25 @@ Block: TypeAlias = Literal["How close", "At what cost", "Against tuned laws"]
 """The tables in which metrics stand."""
 
 
+def number(value: float | None) -> str:
+    """A number with three significant digits, or a dash where there is none."""
+    if value is None:
+        return "–"
+    if not math.isfinite(value):
+        return {math.inf: "∞", -math.inf: "−∞"}.get(value, "–")
+    if value == 0:
+        return "0"
+    if 1e-2 <= abs(value) < 999.5:
+        return f"{value:#.3g}".rstrip(".")
+    mantissa, exponent = f"{value:.2e}".split("e")
+    return f"{mantissa}e{int(exponent)}"
+
+
+def share(value: float | None) -> str:
+    """A score or a probability, whose zero is a matter of rounding, with three decimals; a dash where there is none."""
+    return "–" if value is None else f"{value + 0.0:.3f}".replace("-0.000", "0.000")
+
+
 @dataclass(frozen=True)
 class Metric:
     """A number per episode, or a statistic of such numbers.
@@ -46,6 +66,7 @@ class Metric:
         unit: empty for a pure number.
         source: the metric whose episodes it summarises; its own where left out.
         statistic: over episodes: the mean, or the mean of the worst tenth ("cvar").
+        format: makes the text of a value, a dash where there is none.
         is_timing: whether it is a measured time, which another run does not repeat; such metrics are kept apart.
     """
 
@@ -58,6 +79,7 @@ class Metric:
     unit: str = ""
     source: str = ""
     statistic: Statistic = "mean"
+    format: Callable[[float | None], str] = number
     is_timing: bool = False
 
     def __post_init__(self) -> None:
@@ -216,11 +238,13 @@ for _metric in (
     Metric("digits_over_paper_laws", "digits over the best paper law",
            "digits beyond the best of the paper's laws, paired by episode", "higher", "Against tuned laws"),
     Metric("probability_of_beating_paper_laws", "P(beats the best paper law)",
-           "share of episodes with more digits than that law; a tie counts half", "higher", "Against tuned laws"),
+           "share of episodes with more digits than that law; a tie counts half", "higher", "Against tuned laws",
+           format=share),
     Metric("digits_over_all_laws", "digits over the best law", "digits beyond the best of all laws, paired by episode",
            "higher", "Against tuned laws"),
     Metric("probability_of_beating_all_laws", "P(beats the best law)",
-           "share of episodes with more digits than that law; a tie counts half", "higher", "Against tuned laws"),
+           "share of episodes with more digits than that law; a tie counts half", "higher", "Against tuned laws",
+           format=share),
 ):
     register(_metric)
 # fmt: on

@@ -8,7 +8,7 @@ from typing import Any
 from rich.console import Group
 from rich.text import Text
 
-from ptne_env.report.tables import number
+from ptne_env.experiments.metrics import number
 from ptne_env.report.terminal import empty_table
 from ptne_env.theory import Certificate
 from ptne_env.theory.certificate import DelayPrediction

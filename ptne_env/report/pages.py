@@ -201,14 +201,23 @@ def _answer(results: Results, table: Table) -> str:
     best, *others = ranked
     values = {column.label: str(column[best]) for column in table.columns if column[best].value is not None}
     count = len(results.tracks)
-    answer = (
-        f"{best} is the closest to the equilibrium, or within {FIRST_MARGIN:g} digits of the closest, on "
-        f"{len(firsts[best])} of {count} track{'s' * (count > 1)}, with {values.get('mean digits', 'no')} digits at "
-        "the deadline on average"
+    tied = (
+        [policy for policy in ranked if len(firsts[policy]) == len(firsts[best])] if "score" not in values else [best]
     )
+    answer = (
+        f"{_listed(tied)} {'is' if len(tied) == 1 else 'are each'} the closest to the equilibrium, or within "
+        f"{FIRST_MARGIN:g} digits of the closest, on {len(firsts[best])} of {count} track{'s' * (count > 1)}, with "
+        f"{values.get('mean digits', 'no')} digits at the deadline on average"
+    )
+    if len(tied) > 1:
+        answer += f" ({best})"
     if "score" in values:
         answer += f" and a score of {values['score']}, where 0 is zero input and 1 the paper's law"
     return f"{answer}. {_comparison(results, best, others, values.get(f'P(better than {LAW})'))}"
+
+
+def _listed(names: Sequence[str]) -> str:
+    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
 
 
 def _comparison(results: Results, best: str, others: Sequence[str], improvement: str | None) -> str:

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import TypeVar
 
 from ptne_env.experiments.leaderboard import THRESHOLDS, Leaderboard, TrackRow
-from ptne_env.experiments.metrics import METRICS
+from ptne_env.experiments.metrics import METRICS, number, share
 from ptne_env.experiments.policy_specs import PolicySpec
 from ptne_env.experiments.results import Results
 from ptne_env.experiments.statistics import Summary, estimate, mean
@@ -24,25 +23,6 @@ _PERCENT = "\N{NO-BREAK SPACE}%"
 
 ORACLE_NOTE = "* an oracle: it uses information that players lack, and has no rank"
 """The meaning of the mark of oracles."""
-
-
-def number(value: float | None) -> str:
-    """A number with three significant digits, or a dash where there is none."""
-    if value is None:
-        return "–"
-    if not math.isfinite(value):
-        return {math.inf: "∞", -math.inf: "−∞"}.get(value, "–")
-    if value == 0:
-        return "0"
-    if 1e-2 <= abs(value) < 999.5:
-        return f"{value:#.3g}".rstrip(".")
-    mantissa, exponent = f"{value:.2e}".split("e")
-    return f"{mantissa}e{int(exponent)}"
-
-
-def share(value: float | None) -> str:
-    """A score or a probability, whose zero is a matter of rounding, with three decimals; a dash where there is none."""
-    return "–" if value is None else f"{value + 0.0:.3f}".replace("-0.000", "0.000")
 
 
 @dataclass(frozen=True)
@@ -138,7 +118,7 @@ def track_tables(results: Results, track: Track) -> list[Table]:
     order = sorted(specs, key=lambda policy: ((rows[policy].rank or 0) if policy in rows else 0, -means[policy]))
     blocks = {"How close": [] if board is None else _ranking_columns(rows)}
     for metric in sorted(METRICS.values(), key=lambda metric: metric.name != track.metric):
-        values = {policy: Value.of(results.summary(name, policy, metric.name)) for policy in order}
+        values = {policy: Value.of(results.summary(name, policy, metric.name), metric.format) for policy in order}
         label, descending = metric.label.replace(" %", _PERCENT), metric.direction == "higher"
         blocks.setdefault(metric.block, []).append(Column(label, metric.meaning, values, descending))
     notes = {

@@ -15,9 +15,10 @@ from ptne_env import policies
 from ptne_env.catalogue import CATALOGUE
 from ptne_env.experiments import METRICS, POLICIES, Results, get_suite
 from ptne_env.experiments.check import Repetition
+from ptne_env.experiments.metrics import number
 from ptne_env.experiments.policy_specs import learned_policy
 from ptne_env.experiments.suite import SUITES
-from ptne_env.report.tables import ORACLE_NOTE, Column, Table, call, number, overview, track_rules, track_tables
+from ptne_env.report.tables import ORACLE_NOTE, Column, Table, call, overview, track_rules, track_tables
 from ptne_env.switching import SwitchingTopology
 from ptne_env.world import World
 

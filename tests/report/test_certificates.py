@@ -7,8 +7,8 @@ import pytest
 from rich.console import Console
 
 from ptne_env import FactorySpec, get_scenario
+from ptne_env.experiments.metrics import number
 from ptne_env.report import certificate_tables
-from ptne_env.report.tables import number
 from ptne_env.theory import certify
 
 

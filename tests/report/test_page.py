@@ -15,10 +15,11 @@ import pytest
 
 import ptne_env
 from ptne_env import Scenario, evaluate, get_scenario
+from ptne_env.experiments import get_policy_spec
+from ptne_env.experiments.metrics import number
 from ptne_env.experiments.traces import scenes
 from ptne_env.report import page
 from ptne_env.report.pages import report
-from ptne_env.report.tables import number
 from ptne_env.style import COLOURS, DARK, LIGHT
 
 VOID = {"meta", "link", "input", "br", "img", "hr"}
@@ -132,6 +133,13 @@ def test_answer_follows_from_the_results(comparison, comparison_report):
 def test_answer_of_other_results(names, part):
     results = evaluate(names, ["energy"], episodes=3)
     assert part in report(results, scenes(results, episodes=1)).answer
+
+
+def test_answer_names_every_policy_that_shares_the_first_place():
+    grounded = get_policy_spec("grounded")
+    results = evaluate([grounded, replace(grounded, name="again"), "static"], ["energy"], episodes=2)
+    answer = report(results, scenes(results, episodes=1)).answer
+    assert answer.startswith("grounded and again are each the closest to the equilibrium, or within 0.1 digits of ")
 
 
 def test_answer_of_a_suite_names_the_highest_score(suite, suite_report):

@@ -10,9 +10,10 @@ from rich.console import Console
 
 from ptne_env import evaluate
 from ptne_env.experiments import METRICS, Metric, register
+from ptne_env.experiments.metrics import number, share
 from ptne_env.experiments.traces import scenes
 from ptne_env.report import catalogue_tables, page, result_tables
-from ptne_env.report.tables import number, overview, share, track_tables
+from ptne_env.report.tables import overview, track_tables
 
 
 def written(tables, width=172):
