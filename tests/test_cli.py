@@ -166,6 +166,12 @@ def test_the_completion_script_works_in_a_real_bash(tmp_path):
     assert outcome.stdout.split() == ["energy-switching", "energy-switching-transformed"]
 
 
+def test_list_writes_json_of_all_kinds():
+    listed = json.loads(ptne("list", "--json", "-").stdout)
+    assert set(listed) == {"scenarios", "policies", "metrics", "suites"}
+    assert listed["metrics"]["settling_time"]["unit"] == "s"
+
+
 def test_list_shows_scenarios_policies_and_metrics():
     outcome = ptne("list")
     assert outcome.returncode == 0

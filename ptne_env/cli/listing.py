@@ -13,7 +13,7 @@ from ptne_env.experiments import METRICS, suite_policies
 from ptne_env.experiments.metrics import Metric
 from ptne_env.experiments.suite import SUITES, get_suite
 
-_METRIC_FIELDS = [field.name for field in fields(Metric) if field.name != "value"]
+_METRIC_FIELDS = [field.name for field in fields(Metric) if field.name not in ("value", "format")]
 
 
 @app.command("list")
