@@ -20,6 +20,7 @@ from ptne_env.observation import (
     OBSERVATION_BOUND,
     SMALLEST_SCALE,
     Interface,
+    LayoutError,
     ObservationLayout,
 )
 from ptne_env.world import World
@@ -87,7 +88,7 @@ class Encoder(ABC):
         self.interface = interface
         game, clock = world.game, world.clock
         if interface.best_response and not game.has_best_response:
-            raise ValueError(f"best_response cannot be observed: {type(game).__name__} has none everywhere")
+            raise LayoutError(f"best_response cannot be observed: {type(game).__name__} has none everywhere")
         # All observations of an instant share the clock and the age of the graph; (5, 1 or N, K+H+1).
         t, s, theta = world.local_clocks
         shared = [np.broadcast_to(row, t.shape) for row in (clock.dt / clock.deadline, world.time_since_switch)]

@@ -31,6 +31,13 @@ CONSENSUS_GAIN = 2.0
 """In action mode ``gains`` the action 0 means gradient gain 1 and this consensus gain, the paper's κ."""
 
 
+class LayoutError(ValueError):
+    """A policy cannot act with a layout: it needs other observations, other actions or another game.
+
+    In a comparison such a policy is not applicable to the scenario. Any other error of a policy ends the comparison.
+    """
+
+
 @dataclass(frozen=True)
 class Interface:
     """Units and order of observations, and the meaning of actions. Every policy has one; the physics depends on none.

@@ -111,7 +111,7 @@ def compare(
     files = {} if folder is None else {name: folder / f"results.{name}" for name in ("json", "csv")}
     page = None if folder is None or not with_report else folder / "report.html"
     check_writable(json, page, *files.values())
-    names = [name for given in policy or () for name in given.split(",")]
+    names = [name for given in policy or () for name in given.split(",") if name]
     policies = _policies(names, trust=trust) if names else suite_policies() if suite else default_policies()
     workers = options.make_workers(jobs, ray)
     with progress(chosen.name) as advance:
@@ -170,7 +170,9 @@ def check(
     trust: options.Trust = False,
     json: options.Json = None,
 ) -> None:
-    """Run a random sample of the jobs of published results again, and compare every number.
+    """Run a random sample of the jobs of published results again, and compare every number of these jobs.
+
+    The tables and records in the file are not computed again.
 
     The exit code is 0 when all of them reproduce, else 1.
     """

@@ -24,7 +24,7 @@ def train(
         ),
     ],
     out: Annotated[Path, typer.Option(help="Folder for the policy, logs and checkpoints; made if missing.")],
-    seed: options.Seed = 0,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the network, the sampling and the training games.")] = 0,
     steps: Annotated[int | None, typer.Option(min=1, help="Agent-steps; the configuration's own if left out.")] = None,
     json: options.Json = None,
 ) -> None:

@@ -19,6 +19,7 @@ from ptne_env.experiments.policy_specs import PolicySpec
 from ptne_env.experiments.provenance import content_hash, source_hashes, versions
 from ptne_env.experiments.rollout import rollout
 from ptne_env.experiments.suite import Track
+from ptne_env.observation import LayoutError
 
 
 @dataclass(frozen=True)
@@ -60,7 +61,7 @@ class Job:
         try:
             encoder = make_encoder(world, self.policy.interface)
             policy = self.policy.build(encoder.layout, self.training_seed)
-        except ValueError as error:  # made for another layout, or for other games
+        except LayoutError as error:
             return JobResult({}, {}, str(error))
         teammates = None if self.track.teammates is None else self.track.teammates.join(world)
         samples = measure(rollout(policy, encoder, start, teammates))

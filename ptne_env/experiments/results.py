@@ -188,7 +188,7 @@ def read_results(path: Path) -> dict[str, Any]:
     """
     kind = "a file of results"
     data = read_json(path, kind)
-    if missing := sorted({"format", "suite", "jobs"} - data.keys()):
+    if missing := sorted({"format", "suite", "jobs", "policies", "episodes", "seed", "split"} - data.keys()):
         raise ValueError(f"{path} is not {kind}: it has no {', '.join(missing)}")
     if data["format"] != FORMAT:
         raise ValueError(

@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ptne_env.arrays import BoolArray, Float32Array, FloatArray, require_non_negative
-from ptne_env.observation import Interface, Observation, ObservationLayout
+from ptne_env.observation import Interface, LayoutError, Observation, ObservationLayout
 
 
 class Law(ABC):
@@ -45,12 +45,12 @@ class Law(ABC):
     def __init__(self, layout: ObservationLayout) -> None:
         name = type(self).__name__
         if layout.interface.action_mode != "input" and not self.acts_through_gains:
-            raise ValueError(f"{name} needs action_mode='input', this layout has {layout.interface.action_mode!r}")
+            raise LayoutError(f"{name} needs action_mode='input', this layout has {layout.interface.action_mode!r}")
         if self.needs_full_information and layout.interface.kind != "full":
-            raise ValueError(f"{name} is an oracle and needs the interface 'full', got {layout.interface.kind!r}")
+            raise LayoutError(f"{name} is an oracle and needs the interface 'full', got {layout.interface.kind!r}")
         missing = [need for need in self.needs if need not in layout.slices]
         if missing:
-            raise ValueError(
+            raise LayoutError(
                 f"{name} reads {', '.join(missing)}, which the layout of {layout.interface} lacks; build the "
                 f"environment with {self.interface}"
             )

@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 from ptne_env.arrays import FloatArray, frozen, require_count, require_positive
 from ptne_env.laws.base import Law, consensus, per_step
-from ptne_env.observation import Observation, ObservationLayout
+from ptne_env.observation import LayoutError, Observation, ObservationLayout
 
 
 def projected_gradient_inputs(
@@ -118,7 +118,7 @@ class ProjectedGradient(Law):
             raise ValueError("ProjectedGradient needs lower < upper for every component")
         self._is_bounded = bool(np.isfinite(self.lower).any() or np.isfinite(self.upper).any())
         if self._is_bounded and "own_estimate" not in layout.slices:
-            raise ValueError("bounds need the own strategy, which 'local' does not show; use the interface 'physical'")
+            raise LayoutError("bounds need the own strategy, which 'local' does not show; use the interface 'physical'")
 
     def initial_memory(self, rows: int) -> FloatArray:
         """Number of steps done: 0, shape (R, 1)."""
@@ -152,7 +152,7 @@ class AggregateTracking(Law):
     ) -> None:
         super().__init__(layout)
         if len(set(layout.action_dims)) != 1:
-            raise ValueError(f"AggregateTracking adds strategies up: equal dimensions, got {layout.action_dims}")
+            raise LayoutError(f"AggregateTracking adds strategies up: equal dimensions, got {layout.action_dims}")
         self.step = require_positive("step", step)
         self.mixing = require_positive("mixing", mixing)
         self.warm_up = require_count("warm_up", warm_up, 0)

@@ -3,6 +3,7 @@
 from ptne_env.policies.learned import LearnedPolicy as LearnedPolicy
 from ptne_env.policies.learned import Metadata as Metadata
 from ptne_env.policies.learned import PolicyFileError as PolicyFileError
+from ptne_env.policies.learned import PolicyLayoutError as PolicyLayoutError
 from ptne_env.policies.learned import load as load
 from ptne_env.policies.learned import shipped as shipped
 from ptne_env.policies.learned import shipped_path as shipped_path

@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from ptne_env.arrays import BoolArray, Float32Array
 from ptne_env.observation import SMALLEST_SCALE, Interface, ObservationLayout
-from ptne_env.policies.learned import PolicyFileError
+from ptne_env.policies.learned import PolicyFileError, PolicyLayoutError
 
 
 class ArchivePolicy:
@@ -39,12 +39,12 @@ class ArchivePolicy:
         """Check that the policy can act in an environment of this layout.
 
         Raises:
-            PolicyFileError: naming the differences.
+            PolicyLayoutError: naming the differences.
         """
         mine = (self._network.observation_space.shape[0], self._network.action_space.shape[0])
         theirs = (layout.size, layout.action_size)
         if mine != theirs:
-            raise PolicyFileError(
+            raise PolicyLayoutError(
                 f"{self.path.name} has observations of length {mine[0]} and actions of length {mine[1]}, the "
                 f"environment's are of {theirs[0]} and {theirs[1]}"
             )

@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ptne_env.arrays import BoolArray, Float32Array
-from ptne_env.observation import Interface, ObservationLayout
+from ptne_env.observation import Interface, LayoutError, ObservationLayout
 
 LAYOUT_VERSION = 1
 """Version of the meaning of observations and actions; :func:`load` refuses files of another version."""
@@ -27,6 +27,10 @@ _FOLDER = Path(__file__).parent
 
 class PolicyFileError(ValueError):
     """A file is not a policy of this library, is damaged, or was made for other observations."""
+
+
+class PolicyLayoutError(PolicyFileError, LayoutError):
+    """A policy file was made for another layout."""
 
 
 @dataclass(frozen=True)
@@ -84,7 +88,7 @@ class Metadata:
         """Check that the policy can act in an environment of this layout.
 
         Raises:
-            PolicyFileError: naming the differences.
+            PolicyLayoutError: naming the differences.
         """
         mine = {"interface": self.interface, "action_dims": self.action_dims, "neighbour slots": self.slots}
         theirs = {
@@ -96,7 +100,7 @@ class Metadata:
             f"{name}: policy {mine[name]}, environment {theirs[name]}" for name in mine if mine[name] != theirs[name]
         ]
         if differences:
-            raise PolicyFileError(f"the policy was made for another layout; {'; '.join(differences)}")
+            raise PolicyLayoutError(f"the policy was made for another layout; {'; '.join(differences)}")
 
 
 class LearnedPolicy:

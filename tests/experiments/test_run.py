@@ -126,9 +126,9 @@ def test_results_do_not_depend_on_the_number_of_processes(monkeypatch):
         (["statics"], ["energy"], "unknown policy 'statics'; choose from static"),
         (["static"], ["energie"], "unknown scenario 'energie'; the catalogue has energy"),
         (["static", "static"], ["energy"], "different names"),
-        (["static"], ["energy", "energy"], "different names"),
+        (["static"], ["energy", "energy"], "needs different scenarios; energy would be run more than once"),
         ([], ["energy"], "at least one policy"),
-        (["static"], [], "needs tracks"),
+        (["static"], [], "needs at least one scenario"),
         (["no.such.module:thing"], ["energy"], "cannot import"),
         (["ptne_env.laws:NoSuchLaw"], ["energy"], "has no 'NoSuchLaw'"),
         ([PolicySpec("blind", laws.CentralisedOracle, ptne_env.Interface())], ["energy"], "interface 'full'"),
@@ -254,3 +254,16 @@ def test_every_policy_runs_on_every_track_of_ptne_v1_or_has_a_reason():
 def test_one_track_of_a_suite_may_be_a_scenario_with_an_episode_of_its_own():
     suite = Suite("mixed", (Track("ring", BASE, "The base."), Track("once", BASE, "Once.", episodes=1)), episodes=3)
     assert run_suite(suite, [], episodes=2).episodes == {"ring": 2, "once": 1}
+
+
+class Broken(laws.Static):
+    """A law with a mistake of its own."""
+
+    def __init__(self, layout):
+        raise ValueError("a mistake of my own")
+
+
+def test_a_mistake_in_a_policy_ends_the_comparison():
+    """Only a layout error makes a policy not applicable."""
+    with pytest.raises(ValueError, match="a mistake of my own"):
+        evaluate(["static", PolicySpec("broken", Broken)], ["energy"], episodes=1, against_laws=False)
