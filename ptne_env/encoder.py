@@ -107,6 +107,7 @@ class Encoder(ABC):
         own = layout.own_components.T
         self._gradient_rows = np.minimum(own, game.dimension - 1)
         self._gradient_mask = (own < game.dimension)[:, :, None] if (own == game.dimension).any() else None
+        self._slot_shape = (layout.slots, layout.dimension, layout.num_players)
         self._workspaces: dict[int, _Workspace] = {}
 
     def __getstate__(self) -> dict[str, Any]:
@@ -221,7 +222,7 @@ class Encoder(ABC):
     def _prepare(self, batch: int) -> _Workspace:
         """The workspace of a batch size. Slices that never change are written here."""
         layout, world = self.layout, self.world
-        slots, n, players = layout.slots, layout.dimension, layout.num_players
+        slots, n, players = self._slot_shape
         # Rows of a power-of-two length fall on the same cache lines when they are transposed; padding parts them.
         row = batch + _PADDING if batch > _PADDING else batch
         buffer = np.zeros((players, layout.size, row), dtype=np.float32)
@@ -314,11 +315,11 @@ class LocalEncoder(Encoder):
 
     def _differences(self, state: State, link_weights: FloatArray | None = None) -> tuple[FloatArray, FloatArray]:
         """Own gradients, then x^j − x^i in ego order, (m + D n, N, B), and the scale σ_i, (N, B)."""
-        gradients, layout = self._own_gradients(state), self.layout
+        gradients, (slots, n, players) = self._own_gradients(state), self._slot_shape
         own, batch = len(gradients), dynamics.batch_size(state)
-        differences = np.empty((own + layout.slots * layout.dimension, layout.num_players, batch))
+        differences = np.empty((own + slots * n, players, batch))
         differences[:own] = gradients
-        relative = differences[own:].reshape(layout.slots, layout.dimension, layout.num_players, batch)
+        relative = differences[own:].reshape(slots, n, players, batch)
         dynamics.relative_estimates(self.world, state, link_weights, order=self._order, out=relative)
         scale = np.maximum.reduce(np.abs(differences), axis=0)
         return differences, np.maximum(scale, SMALLEST_SCALE, out=scale)
