@@ -68,7 +68,8 @@ def test_results_are_data_until_they_are_checked(tmp_path):
     (tmp_path / "results.json").write_text(json.dumps(data), encoding="utf-8")
     run_suite(suite, ["static"], folder=tmp_path)  # finds its stored jobs and does nothing else
     assert not CALLED
-    check(tmp_path, suite=suite)
+    with pytest.raises(ValueError, match=r"policy 'static': dict has no predict"):
+        check(tmp_path, suite=suite)
     assert [call["word"] for call in CALLED] == ["called"]
 
 

@@ -270,3 +270,11 @@ def test_a_folder_in_the_way_is_named(tmp_path):
     (tmp_path / "results.json").mkdir()
     with pytest.raises(IsADirectoryError, match="results.json"):
         write_atomically(tmp_path / "results.json", "x")
+
+
+def test_signed_results_without_a_key_are_refused_by_its_name(tmp_path):
+    content = {"format": FORMAT, "suite": {}, "jobs": [], "policies": [], "seed": 0, "split": "test"}
+    path = tmp_path / "results.json"
+    path.write_text(json.dumps({**content, "checksum": content_hash(content)}), encoding="utf-8")
+    with pytest.raises(ValueError, match="it has no episodes"):
+        read_results(path)

@@ -188,8 +188,12 @@ def read_results(path: Path) -> dict[str, Any]:
     """
     kind = "a file of results"
     data = read_json(path, kind)
-    if missing := sorted({"format", "suite", "jobs", "policies", "episodes", "seed", "split"} - data.keys()):
-        raise ValueError(f"{path} is not {kind}: it has no {', '.join(missing)}")
+
+    def require(*keys: str) -> None:
+        if missing := sorted(set(keys) - data.keys()):
+            raise ValueError(f"{path} is not {kind}: it has no {', '.join(missing)}")
+
+    require("format", "suite", "jobs")
     if data["format"] != FORMAT:
         raise ValueError(
             f"{path} is of format {data['format']!r}, this library reads {FORMAT}: use the version of ptne_env that "
@@ -198,4 +202,5 @@ def read_results(path: Path) -> dict[str, Any]:
     content = {key: value for key, value in data.items() if key not in ("checksum", "timings")}
     if not is_hash_of(data.get("checksum"), content):
         raise ValueError(f"{path} was damaged or changed after it was written: run the suite again, results are stored")
+    require("policies", "episodes", "seed", "split")
     return data
