@@ -22,6 +22,7 @@ from ptne_env.experiments.results import FORMAT, read_results
 from ptne_env.experiments.store import Store
 from ptne_env.files import read_json, write_atomically
 from ptne_env.policies import Metadata, PolicyFileError
+from ptne_env.world import World
 
 WORLD = ptne_env.get_scenario("random-energy", steps=120, deadline=0.2)
 SMALL = Suite("small-v1", (Track("ring", WORLD, "The base."),), episodes=4)
@@ -135,6 +136,7 @@ def test_a_changed_scenario_is_another_one_or_refused(data):
     altered = changed(ptne_env.CATALOGUE[name].to_dict(), data)
     try:
         scenario = Scenario.from_json(json.dumps(altered))
+        World(scenario)  # which refuses numbers out of range
     except ValueError as error:
         assert str(error)  # noqa: PT017 - it has to say something
     else:
