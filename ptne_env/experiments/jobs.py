@@ -57,13 +57,14 @@ class Job:
 
     def compute(self) -> JobResult:
         """Run the episodes."""
-        world, start = self.track.world, _initial_state(self.track, self.episodes)
+        world = self.track.world
         try:
             encoder = make_encoder(world, self.policy.interface)
             policy = self.policy.build(encoder.layout, self.training_seed)
         except LayoutError as error:
             return JobResult({}, {}, str(error))
         teammates = None if self.track.teammates is None else self.track.teammates.join(world)
+        start = _initial_state(self.track, self.episodes)
         samples = measure(rollout(policy, encoder, start, teammates))
         timings = {name: float(samples.pop(name)[0]) for name in METRICS if METRICS[name].is_timing}
         return JobResult(samples, timings, None)

@@ -79,7 +79,8 @@ class PolicySpec:
         """The policy of a training seed for a layout.
 
         Raises:
-            ValueError: when it cannot be built, was made for another layout, or the result has no ``predict``.
+            LayoutError: when it was made for another layout.
+            ValueError: when it cannot be built, or the result has no ``predict``.
         """
         built: Any = self.training_seeds[training_seed]
         if isinstance(built, FactorySpec):

@@ -35,7 +35,6 @@ from ptne_env.report.tables import (
 )
 from ptne_env.scenario import Scenario
 from ptne_env.style import COLOURS
-from ptne_env.world import World
 
 SHOWN = 5
 """Policies that figures show before the reader chooses: the best, and the paper's law."""
@@ -237,7 +236,7 @@ def _comparison(results: Results, best: str, others: Sequence[str], improvement:
 
 def _section(results: Results, track: Track, scene: Scene) -> Section:
     tables = tuple(track_tables(results, track))
-    world, scenario = World(track.scenario), track.scenario
+    world, scenario = track.world, track.scenario
     keys: dict[str, list[str]] = {}
     for job in results.jobs:
         if job.track.name == track.name and job.key is not None:
