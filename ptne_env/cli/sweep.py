@@ -12,6 +12,7 @@ from ptne_env.cli import options
 from ptne_env.cli.app import app
 from ptne_env.cli.console import check_writable, progress, say, write_json
 from ptne_env.experiments.sweep import SWEEPS, run_sweep
+from ptne_env.experiments.workers import Workers
 
 
 @app.command()
@@ -35,7 +36,7 @@ def sweep(
     gain-step is over κ and the step Θ, noise-horizon over noise and s_end, dwell-gain over dwell time and c. Every
     point is a batch of episodes of the static law in the environment; docs/theory.md explains the lines.
     """
-    workers = options.make_workers(jobs, ray)
+    workers = Workers(jobs, ray)
     chosen = diagram or list(SWEEPS)
     check_writable(json, *(out / f"{name}.png" for name in chosen))
     diagrams = []
