@@ -23,7 +23,10 @@ def sweep(
             help=f"The diagrams: {', '.join(SWEEPS)}. All if left out.", autocompletion=lambda: list(SWEEPS)
         ),
     ] = None,
-    out: Annotated[Path, typer.Option(help="Folder for the pictures; made if missing.")] = Path("results/sweep"),
+    out: Annotated[
+        Path,
+        typer.Option(help="Folder of the pictures and of the finished points, from which an interrupted run goes on."),
+    ] = Path("results/sweep"),
     points: Annotated[int, typer.Option(min=2, help="Points along each axis.")] = 14,
     episodes: Annotated[int, typer.Option(min=1, help="Episodes per point, from random starts.")] = 8,
     seed: options.Seed = 0,
@@ -43,7 +46,9 @@ def sweep(
     for name in chosen:
         with progress(name) as advance:
             diagrams.append(
-                run_sweep(name, points=points, episodes=episodes, seed=seed, workers=workers, progress=advance)
+                run_sweep(
+                    name, points=points, episodes=episodes, seed=seed, folder=out, workers=workers, progress=advance
+                )
             )
     for each in diagrams:
         report.save_diagram(each, out / f"{each.name}.png")
