@@ -122,7 +122,7 @@ def track_tables(results: Results, track: Track) -> list[Table]:
         label, descending = metric.label.replace(" %", _PERCENT), metric.direction == "higher"
         blocks.setdefault(metric.block, []).append(Column(label, metric.meaning, values, descending))
     notes = {
-        "How close": _not_applicable(results, name),
+        "How close": _without_values(results, name),
         "Against tuned laws": [f"{law.name}: {call(law)}" for law in results.tuned.get(name, {}).values()],
     }
     return [
@@ -174,13 +174,14 @@ def _column(
     return Column(label, meaning, {policy: read(row) for policy, row in rows.items()}, descending)
 
 
-def _not_applicable(results: Results, track: str) -> list[str]:
-    """The policies that cannot act on a track, by reason."""
-    reasons: dict[str, list[str]] = {}
-    for (place, policy), reason in results.not_applicable.items():
-        if place == track:
-            reasons.setdefault(reason, []).append(policy)
-    return [f"n/a: {', '.join(policies)}: {reason}" for reason, policies in reasons.items()]
+def _without_values(results: Results, track: str) -> list[str]:
+    """The policies without values on a track, by reason."""
+    reasons: dict[tuple[str, str], list[str]] = {}
+    for verdict, found in (("n/a", results.not_applicable), ("failed", results.failures)):
+        for (place, policy), reason in found.items():
+            if place == track:
+                reasons.setdefault((verdict, reason), []).append(policy)
+    return [f"{verdict}: {', '.join(policies)}: {reason}" for (verdict, reason), policies in reasons.items()]
 
 
 def call(spec: PolicySpec) -> str:
