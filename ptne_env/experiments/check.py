@@ -303,7 +303,8 @@ class _Stored:
                 "process, or jobs are missing from their list; run the suite again with policies named 'module:object'"
             )
         result = self._store.load(key)
-        mine, theirs = job.to_dict(), read_json(self._store.path(key), "the result of a job")["job"]
+        mine = json.loads(json.dumps(job.to_dict()))
+        theirs = read_json(self._store.path(key), "the result of a job")["job"]
         if different := sorted(name for name in mine if name != "versions" and mine[name] != theirs.get(name)):
             raise ValueError(
                 f"the stored job of policy {policy!r} on track {track!r} is of another {', '.join(different)}: run "
@@ -358,9 +359,16 @@ def _differences(place: str, found: Any, rebuilt: Any, tolerance: float) -> Iter
             yield from _differences(f"{place}.{key}", value, rebuilt[key], tolerance)
     elif isinstance(found, list) and isinstance(rebuilt, list) and len(found) == len(rebuilt):
         for index, value in enumerate(found):
-            yield from _differences(f"{place}[{index}]", value, rebuilt[index], tolerance)
+            names = [value[key] for key in ("track", "policy", "metric") if key in value] if _is_row(value) else [index]
+            label = ", ".join(map(str, names))
+            yield from _differences(f"{place}[{label}]", value, rebuilt[index], tolerance)
     elif not _is_same(found, rebuilt, tolerance):
         yield f"{place} is {found!r:.60}, the jobs give {rebuilt!r:.60}"
+
+
+def _is_row(value: Any) -> bool:
+    """Whether a JSON value is a row of a table, which has the name of its policy."""
+    return isinstance(value, dict) and "policy" in value
 
 
 def _is_same(found: Any, rebuilt: Any, tolerance: float) -> bool:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import TypeVar
 
 from ptne_env.experiments.leaderboard import THRESHOLDS, Leaderboard, TrackRow
@@ -251,8 +251,8 @@ def overview(results: Results) -> Table:
             _column(
                 track.name,
                 f"{METRICS[track.metric].heading} on {track.name}",
-                {policy: results.summary(track.name, policy, track.metric) for policy in policies},
-                lambda summary: Value("n/a") if summary is None else Value.of(summary),
+                {policy: policy for policy in policies},
+                partial(_score, results, track),
             )
             for track in results.tracks
         ),
@@ -265,18 +265,30 @@ def overview(results: Results) -> Table:
     )
 
 
+def _score(results: Results, track: Track, policy: str) -> Value:
+    """The digits of a policy on a track, or the reason in a word why there are none."""
+    summary = results.summary(track.name, policy, track.metric)
+    if summary is None:
+        return Value("failed" if (track.name, policy) in results.failures else "n/a")
+    return Value.of(summary)
+
+
 def _scope(results: Results, board: Leaderboard) -> Iterator[str]:
     """Which tracks and policies the overall scores leave out."""
     if not board.common:
         yield "No track has scores: no track fits all policies and gives the paper's law a gain."
         return
     without = [track.name for track in results.tracks if track.name not in board.common]
-    unscored = [policy for policy in results.policies if policy not in {row.policy for row in board.overall}]
+    failing = list(dict.fromkeys(policy for _, policy in results.failures))
+    scored = {row.policy for row in board.overall}
+    unscored = [policy for policy in results.policies if policy not in scored and policy not in failing]
     yield f"Scores are over the tracks that fit all policies and give the law a gain: {', '.join(board.common)}."
     if without:
         yield f"Scores are not over {', '.join(without)}."
     if unscored:
         yield f"Without a score: {', '.join(unscored)}, which fit fewer than half of the tracks."
+    if failing:
+        yield f"Without a score: {', '.join(failing)}, which failed on a track."
 
 
 def first_places(results: Results) -> dict[str, list[str]]:
