@@ -47,12 +47,14 @@ class Program:
     Attributes:
         process: the first process.
         mark: in the environment of all its processes.
-        output: stdout and stderr.
+        output: file of stdout and stderr.
+        printed: text of that file, once the program has ended.
     """
 
     process: subprocess.Popen
     mark: str
     output: IO
+    printed: str = ""
 
     def alive(self):
         """Command lines of all processes of this program, by process id; zombies have ended."""
@@ -65,11 +67,6 @@ class Program:
                 continue
         return found
 
-    def printed(self):
-        """The output so far."""
-        self.output.seek(0)
-        return self.output.read().decode(errors="replace")
-
     def kill(self, number, *, of_group):
         """Send a signal, and assert that no process is left after :data:`PATIENCE`."""
         (os.killpg if of_group else os.kill)(self.process.pid, number)
@@ -77,11 +74,18 @@ class Program:
         while self.process.poll() is None or self.alive():
             assert time.monotonic() < deadline, f"left {PATIENCE:g} s after {number!r} {of_group=}: {self.alive()}"
             time.sleep(0.02)
+        self._read()
 
     def finish(self):
         """Wait for the end; the exit code must be 0."""
-        assert self.process.wait(timeout=300) == 0, self.printed()
-        return self.printed()
+        self.process.wait(timeout=300)
+        self._read()
+        assert self.process.returncode == 0, self.printed
+
+    def _read(self):
+        with self.output as file:
+            file.seek(0)
+            self.printed = file.read().decode(errors="replace")
 
 
 def start_python(*arguments, folder=None, modules=()):
