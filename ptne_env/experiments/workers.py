@@ -5,9 +5,10 @@ from __future__ import annotations
 import os
 import signal
 import tempfile
-from collections.abc import Callable, Iterator, Sequence
+import warnings
+from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import AbstractContextManager, contextmanager, nullcontext
+from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext
 from dataclasses import dataclass
 from multiprocessing.resource_tracker import ensure_running
 from typing import Any, TypeVar
@@ -74,9 +75,12 @@ class Workers:
             options |= {"backend": RayTasks(self.ray), "pre_dispatch": "n_jobs"}
         calls = (delayed(_numbered)(index, function, task) for index, task in enumerate(tasks))
         try:
-            with start:
-                results = Parallel(self.jobs, **options)(calls)
-            yield from results
+            with ExitStack() as stack:
+                with start:
+                    results = Parallel(self.jobs, **options)(calls)
+                    stack.callback(_end, results)
+                for result in results:  # noqa: UP028 - yield from would close them before _end does
+                    yield result
         except BrokenProcessPool as error:
             raise ChildProcessError(_LOST) from error
 
@@ -104,6 +108,13 @@ def _ctrl_c_waits() -> Iterator[None]:
         yield
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+def _end(results: Generator[Any, None, None]) -> None:
+    """End the tasks that are unfinished after an error, Ctrl-C, or a caller that wants no more results."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # joblib counts the results that are lost
+        results.close()
 
 
 def _numbered(index: int, function: Callable[..., Result], task: tuple[Any, ...]) -> tuple[int, Result]:

@@ -1,19 +1,22 @@
-import subprocess
-
 """Workers: the same results for any number of them, and clear errors when one is missing or dies."""
 
 import importlib
 import os
+import signal
+import subprocess
 import sys
+import tempfile
+import time
 from pathlib import Path
 
 import pytest
-from small_suite import untimed
+from processes import start_python
+from small_suite import SMALL, stored, untimed
 
 import ptne_env
-from ptne_env import FactorySpec
 from ptne_env.experiments import Suite, Track, Workers, get_policy_spec, run_suite
 from ptne_env.experiments.jobs import Job, run_job
+from ptne_env.experiments.suite import REFERENCES
 
 
 def square(number):
@@ -49,34 +52,68 @@ def test_an_error_of_a_task_is_raised(jobs):
         list(Workers(jobs).run(square, [(1,), (-1,), (2,)]))
 
 
+def test_a_caller_that_needs_no_more_results_ends_the_tasks():
+    results = Workers(2).run(time.sleep, [(0,), (60,), (60,)])
+    began = time.monotonic()
+    assert next(results) == (0, None)
+    results.close()
+    assert dict(Workers(2).run(square, [(2,), (3,)])) == {0: 4, 1: 9}
+    assert time.monotonic() - began < 50
+
+
 def test_a_dead_process_is_an_error():
     with pytest.raises(ChildProcessError, match="a worker process died.*stored results are kept"):
         list(Workers(2).run(die, [(0,), (1,), (2,)]))
     assert dict(Workers(2).run(square, [(2,), (3,)])) == {0: 4, 1: 9}  # and the next run has new ones
 
 
-class Fatal:
-    """The zero input; its process dies when it is built for the first time."""
+def test_a_suite_that_lost_a_process_goes_on_with_the_same_results(tmp_path):
+    def kill_one(*_):
+        children = Path(f"/proc/self/task/{os.getpid()}/children").read_text(encoding="utf-8").split()
+        worker = next(child for child in children if b"popen_loky" in Path(f"/proc/{child}/cmdline").read_bytes())
+        os.kill(int(worker), signal.SIGKILL)
 
-    def __init__(self, layout, mark):
-        if not Path(mark).exists():
-            Path(mark).touch()
-            os._exit(1)
-        self.law = FactorySpec.of("ptne_env.laws:ZeroInput").build(layout=layout)
-
-    def predict(self, observation, state=None, episode_start=None, deterministic=False):
-        return self.law.predict(observation, state, episode_start, deterministic)
-
-
-def test_a_suite_that_lost_a_process_goes_on_with_the_same_results(tmp_path, monkeypatch):
-    monkeypatch.syspath_prepend(Path(__file__).parent)
-    scenario = ptne_env.get_scenario("random-energy", steps=40)
-    suite = Suite("small", (Track("ring", scenario, "The base."),), episodes=3)
-    fatal = ptne_env.PolicySpec("fatal", FactorySpec.of("test_workers:Fatal", mark=str(tmp_path / "mark")))
     with pytest.raises(ChildProcessError, match="died"):
-        run_suite(suite, [fatal], folder=tmp_path / "killed", workers=Workers(2))
-    again = run_suite(suite, [fatal], folder=tmp_path / "killed", workers=Workers(2))
-    assert untimed(again) == untimed(run_suite(suite, [fatal]))
+        run_suite(SMALL, ["grounded", "adaptive"], folder=tmp_path, workers=Workers(2), progress=kill_one)
+    assert 0 < len(stored(tmp_path)) < len(SMALL.tracks) * (2 + len(REFERENCES))
+    again = run_suite(SMALL, ["grounded", "adaptive"], folder=tmp_path, workers=Workers(2))
+    assert untimed(again) == untimed(run_suite(SMALL, ["grounded", "adaptive"]))
+
+
+SLEEPER = """
+import time
+from ptne_env.experiments import Workers
+list(Workers(2).run(time.sleep, [(60,), (60,)]))
+"""
+
+
+def working(program):
+    """Wait until the workers of a program are there."""
+    while not any("popen_loky" in command for command in program.alive().values()):
+        assert program.process.poll() is None
+        time.sleep(0.01)
+
+
+@pytest.mark.parametrize(
+    ("number", "of_group"), [(signal.SIGKILL, False), (signal.SIGTERM, False), (signal.SIGKILL, True)]
+)
+@pytest.mark.parametrize("delay", [0, 1])  # the workers are starting, or at work
+def test_workers_end_with_a_program_that_is_killed_and_leave_no_folders(number, of_group, delay):
+    program = start_python("-c", SLEEPER)
+    working(program)
+    time.sleep(delay)
+    program.kill(number, of_group=of_group)
+    for folder in ("/dev/shm", tempfile.gettempdir()):  # noqa: S108 - where joblib has its folders
+        assert not list(Path(folder).glob(f"joblib_memmapping_folder_{program.process.pid}_*"))
+
+
+@pytest.mark.parametrize("delay", [0, 1])
+def test_workers_print_nothing_after_ctrl_c(delay):
+    program = start_python("-c", SLEEPER)
+    working(program)
+    time.sleep(delay)
+    program.kill(signal.SIGINT, of_group=True)
+    assert program.printed.count("Traceback") == 1  # of the program itself
 
 
 def test_a_worker_with_other_files_is_refused():
