@@ -14,10 +14,11 @@ _PERIOD = 0.5
 def end_with_parent(parent: int | None = None) -> None:
     """End this process soon after its parent is gone, and leave Ctrl-C to the parent. Call it first in a new process.
 
-    A parent that is killed cannot end its processes itself.
+    A parent that is killed cannot end its processes itself. On Windows the id of the parent stays, and so does this
+    process.
 
     Args:
-        parent: process id of the process that started this one; without it, a parent that is gone already is not
+        parent: process id of the process that started this one; if left out, a parent that is gone already is not
             noticed.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)

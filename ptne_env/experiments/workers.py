@@ -102,6 +102,9 @@ class Workers:
 @contextmanager
 def _ctrl_c_waits() -> Iterator[None]:
     """Delay Ctrl-C to the end of the block; processes that start in it never see it, not even while they import."""
+    if not hasattr(signal, "pthread_sigmask"):  # on Windows
+        yield
+        return
     ensure_running()  # it unblocks Ctrl-C when joblib starts it, in Python 3.11
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:

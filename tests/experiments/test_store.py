@@ -37,6 +37,12 @@ def test_nothing_is_stored_without_a_folder_or_of_an_object(tmp_path, monkeypatc
     assert {job.policy.name: job.key is None for job in results.jobs}["mine"]
 
 
+def test_a_failed_job_is_not_stored(tmp_path):
+    job = jobs.Job(SMALL.tracks[0], get_policy_spec("static"), 0, SMALL.episode_set("ring", 1))
+    Store(tmp_path).save(job, jobs.JobResult({}, {}, None, "step 3: no number"))
+    assert not any(tmp_path.iterdir())
+
+
 STRANGE = (True, 3, "1.5", [], {}, [1.5], {"a": 1.5}, "")
 """JSON values that stand nowhere in a stored result."""
 

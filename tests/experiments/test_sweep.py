@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from matplotlib import image
 
+from ptne_env.experiments import sweep
 from ptne_env.experiments.sweep import CEILING, FLOOR, SWEEPS, run_sweep
 from ptne_env.experiments.workers import Workers
 from ptne_env.report import save_diagram
@@ -68,6 +69,54 @@ def test_point_without_a_scenario_has_no_number(diagrams):
 def test_results_do_not_depend_on_the_number_of_processes():
     one, two = (run_sweep("noise-horizon", points=2, episodes=2, seed=1, workers=Workers(jobs)) for jobs in (1, 2))
     assert one == two
+
+
+class Counted(sweep._Point):
+    """Points that note when they are measured."""
+
+    measured = 0
+
+    def measure(self):
+        Counted.measured += 1
+        return super().measure()
+
+
+@pytest.fixture
+def counted(monkeypatch):
+    monkeypatch.setattr(Counted, "measured", 0)
+    monkeypatch.setattr(sweep, "_Point", Counted)
+    return Counted
+
+
+def test_an_interrupted_sweep_goes_on_where_it_was(tmp_path, counted):
+    def stop(done, total):
+        if done == 3:
+            raise KeyboardInterrupt
+
+    arguments = {"name": "dwell-gain", "points": 2, "episodes": 2, "folder": tmp_path}
+    with pytest.raises(KeyboardInterrupt):
+        run_sweep(**arguments, progress=stop)
+    assert counted.measured == 3
+    done = run_sweep(**arguments)
+    assert counted.measured == 4
+    assert done == run_sweep(**arguments | {"folder": None})
+
+
+def test_a_point_is_measured_again_after_damage_and_after_any_change(tmp_path, counted, monkeypatch):
+    arguments = {"name": "noise-horizon", "points": 2, "episodes": 2, "folder": tmp_path}
+    run_sweep(**arguments)
+    path = next((tmp_path / "points").iterdir())
+    path.write_bytes(path.read_bytes()[:-2])
+    run_sweep(**arguments)
+    assert counted.measured == 5
+    for change in ({"seed": 1}, {"episodes": 1}, {"name": "gain-step"}):
+        before = counted.measured
+        run_sweep(**arguments | change)
+        assert counted.measured == before + 4
+    monkeypatch.setattr(sweep, "versions", lambda: {"ptne_env": "another"})
+    before = counted.measured
+    run_sweep(**arguments)
+    assert counted.measured == before + 4
 
 
 def test_numbers_and_picture_are_written(diagrams, tmp_path):
