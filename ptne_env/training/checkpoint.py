@@ -53,7 +53,7 @@ def save(path: Path, model: PPO, record: Record) -> None:
     """
     arrays = {name: tensor.numpy() for name, tensor in _tensors(model)}
     content = io.BytesIO()
-    np.savez(content, allow_pickle=False, **arrays, **{_RECORD: np.array(json.dumps(asdict(record)))})
+    np.savez(content, **arrays, **{_RECORD: np.array(json.dumps(asdict(record)))})
     write_atomically(path, content.getvalue())
 
 
@@ -82,7 +82,7 @@ def restore(model: PPO, arrays: dict[str, np.ndarray]) -> None:
     tensors = dict(_tensors(model))
     expected = {name: (tuple(tensor.shape), tensor.numpy().dtype) for name, tensor in tensors.items()}
     if {name: (array.shape, array.dtype) for name, array in arrays.items()} != expected:
-        raise ValueError("the arrays of the checkpoint do not fit the network: remove it to train afresh")
+        raise ValueError("the checkpoint does not fit the network: remove it to train afresh")
     for name, tensor in tensors.items():
         tensor.copy_(torch.from_numpy(arrays[name]))
 

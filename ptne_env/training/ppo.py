@@ -60,6 +60,7 @@ def train(arguments: Arguments, out: Path, progress: Progress | None = None) -> 
     """Train, validate and export; resume where an interrupted run with the same arguments stopped.
 
     A resumed run ends with the same policy as an undisturbed one, bit for bit. A finished run is not repeated.
+    The global generators of Python, NumPy and PyTorch are seeded.
 
     Args:
         arguments: of the run.
@@ -175,12 +176,12 @@ def settings(arguments: Arguments, layout: ObservationLayout) -> dict[str, Any]:
     """The keyword arguments of PPO.
 
     Raises:
-        ValueError: when minibatches would hold fewer than two samples.
+        ValueError: when a minibatch would hold one sample.
     """
     samples = arguments.rollout * arguments.envs * layout.num_players
-    if 2 * arguments.minibatches > samples:
+    if arguments.minibatches >= samples:
         raise ValueError(
-            f"minibatches must be at most half of the {samples} samples of a rollout, got {arguments.minibatches}"
+            f"minibatches must be fewer than the {samples} samples of a rollout, got {arguments.minibatches}"
         )
     network: dict[str, Any] = {
         "net_arch": list(arguments.hidden),
@@ -221,11 +222,11 @@ def _validate(exported: bytes, arguments: Arguments) -> float:
 
 
 class _Segments(BaseCallback):
-    """A run as a chain of segments; the end of a segment is all that the next one depends on.
+    """A run as a chain of segments, and a report of digits after every rollout.
 
     A segment begins every few rollouts: all generators are seeded by the seed and the agent-steps of the run, the
-    environments start new episodes, and a checkpoint is written. So a run that starts at a checkpoint is an
-    undisturbed one from there on. Digits are reported after every rollout.
+    environments start new episodes, and a checkpoint is written. So a segment depends on nothing but the network and
+    its optimiser, and a run that is resumed at a checkpoint continues as an undisturbed one.
 
     Args:
         arguments: of the run.

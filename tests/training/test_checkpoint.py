@@ -133,7 +133,7 @@ def test_arrays_for_another_network_are_refused_and_change_nothing(path):
     model, untouched = new_model(seed=1), new_model(seed=1)
     checkpoint.save(path, untouched, RECORD)  # both have the state before the first step
     for others in wrong:
-        with pytest.raises(ValueError, match="do not fit the network"):
+        with pytest.raises(ValueError, match="does not fit the network"):
             checkpoint.restore(model, others)
     assert same(model, untouched)
 

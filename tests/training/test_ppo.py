@@ -107,7 +107,7 @@ def test_a_finished_run_is_not_repeated_and_loses_a_checkpoint_left_over(run):
         ({"scenarios": "ptne-v1/mixed-team"}, "more than its scenario"),
         ({"scenarios": ("random-energy", "robots"), "envs": 2}, "no policy can act in both"),
         ({"interface": "full"}, "choose 'physical' or 'local'"),
-        ({"envs": 1, "minibatches": 126}, "minibatches must be at most half of the 250 samples of a rollout, got 126"),
+        ({"envs": 1, "minibatches": 250}, "minibatches must be fewer than the 250 samples of a rollout, got 250"),
     ],
 )
 def test_a_start_that_fails_leaves_no_files(change, message, tmp_path):
