@@ -51,9 +51,10 @@ def save(path: Path, model: PPO, record: Record) -> None:
     Raises:
         OSError: when the file cannot be written; the old one is untouched then.
     """
-    arrays = {name: tensor.numpy() for name, tensor in _tensors(model)}
+    arrays: dict[str, Any] = {name: tensor.numpy() for name, tensor in _tensors(model)}
+    arrays[_RECORD] = np.array(json.dumps(asdict(record)))
     content = io.BytesIO()
-    np.savez(content, **arrays, **{_RECORD: np.array(json.dumps(asdict(record)))})
+    np.savez(content, **arrays)
     write_atomically(path, content.getvalue())
 
 

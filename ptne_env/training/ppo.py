@@ -206,7 +206,11 @@ def settings(arguments: Arguments, layout: ObservationLayout) -> dict[str, Any]:
 
 
 def _validate(exported: bytes, arguments: Arguments) -> float:
-    """The mean digits of an exported policy on the validation episodes."""
+    """The mean digits of an exported policy on the validation episodes.
+
+    Raises:
+        ValueError: when it fails there, with the reason.
+    """
     with TemporaryDirectory() as folder:
         file = Path(folder) / _POLICY
         file.write_bytes(exported)
@@ -218,6 +222,8 @@ def _validate(exported: bytes, arguments: Arguments) -> float:
         split="validation",
         against_laws=False,
     )
+    for (name, _), reason in results.failures.items():
+        raise ValueError(f"the trained policy fails on {name!r}: {reason}")
     return float(np.mean([samples["digits"].mean() for samples in results.samples.values()]))
 
 

@@ -199,6 +199,20 @@ def test_a_run_that_fails_in_its_validation_resumes_there(tmp_path, monkeypatch)
     assert summary == dataclasses.replace(ppo.train(SHORT, tmp_path / "whole"), seconds=summary.seconds, parts=2)
 
 
+def test_a_policy_that_fails_in_its_validation_is_not_kept(tmp_path, monkeypatch):
+    export = ppo.to_onnx
+
+    def broken(model, *arguments, **named):
+        with torch.no_grad():
+            model.policy.action_net.bias.fill_(float("nan"))
+        return export(model, *arguments, **named)
+
+    monkeypatch.setattr(ppo, "to_onnx", broken)
+    with pytest.raises(ValueError, match="the trained policy fails on 'random-energy': .*finite"):
+        ppo.train(SHORT, tmp_path)
+    assert not (tmp_path / "policy.onnx").exists()
+
+
 def test_an_interrupted_run_with_other_arguments_is_refused(tmp_path):
     interrupted(SHORT, tmp_path, after=1)
     before = times(tmp_path)
