@@ -487,7 +487,7 @@ def forge(folder):
     jobs = {path: json.loads(path.read_text(encoding="utf-8")) for path in sorted((folder / "jobs").iterdir())}
     path, data = next((path, data) for path, data in jobs.items() if data["samples"])  # a policy that fits has some
     next(iter(data["samples"].values()))[0] += 1
-    data["checksum"] = content_hash({key: data[key] for key in ("samples", "not_applicable")})
+    data["checksum"] = content_hash({key: value for key, value in data.items() if key != "checksum"})
     path.write_text(json.dumps(data), encoding="utf-8")
 
 
