@@ -9,7 +9,6 @@ import numpy.typing as npt
 
 from ptne_env.arrays import BoolArray
 
-
 _LONGEST_DESCRIPTION = 500
 
 

@@ -5,8 +5,9 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
-from ptne_env.arrays import Float32Array, FloatArray, IntArray
+from ptne_env.arrays import Float32Array, IntArray
 from ptne_env.policy import Policy, PolicyError
 
 EPISODES = 16
@@ -32,7 +33,7 @@ class Witness:
         self._memory: Any = None
         self._starts = np.ones(len(rows), dtype=np.bool_)
 
-    def compare(self, observations: Float32Array, actions: FloatArray) -> None:
+    def compare(self, observations: Float32Array, actions: npt.NDArray[Any]) -> None:
         """Let the witness decide, and compare.
 
         Args:

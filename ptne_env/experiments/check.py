@@ -19,8 +19,8 @@ from ptne_env.experiments.policy_specs import PolicySpec
 from ptne_env.experiments.results import read_results
 from ptne_env.experiments.run import assemble
 from ptne_env.experiments.store import Store
+from ptne_env.experiments.suite import PAPER_START, SUITES, Suite, comparison, get_suite
 from ptne_env.experiments.tuning import CANDIDATE
-from ptne_env.experiments.suite import PAPER_START, Suite, comparison, get_suite
 from ptne_env.files import read_json
 
 SIGNIFICANCE = 1e-3
@@ -203,11 +203,7 @@ class _Listing:
         try:
             suite, is_comparison = data["suite"], data["suite"]["rules"]["is_comparison"]
             jobs = [(job["track"], job["policy"], job["training_seed"], job["key"]) for job in data["jobs"]]
-            if len({job[:3] for job in jobs}) < len(jobs):
-                raise ValueError("a job is listed twice")
-            if missing := [key for key in _REBUILT if key not in data]:
-                raise ValueError(f"it has no {', '.join(missing)}")
-            return cls(
+            listing = cls(
                 path=path,
                 target=suite["target"],
                 content_hash=suite["content_hash"],
@@ -225,6 +221,9 @@ class _Listing:
             )
         except (KeyError, IndexError, TypeError, AttributeError, ValueError) as error:
             raise ValueError(f"{path} is not a file of results: {error!r}") from error
+        if len(listing.keys) < len(jobs):
+            raise ValueError(f"{path} is not a file of results: a job is listed twice")
+        return listing
 
     def require_trust(self, *, trust: bool) -> None:
         """Check that code of others may be executed, or that none is named.
@@ -232,7 +231,7 @@ class _Listing:
         Raises:
             ValueError: naming the targets.
         """
-        foreign = sorted({target for target in _targets([self.target, *self.specs, *self.tuned])})
+        foreign = sorted(set(_targets([{"target": self.target}, *self.specs, *self.tuned])) - {*SUITES, None})
         if foreign and not trust:
             raise ValueError(
                 f"{self.path} names code outside this library, which a check executes: {', '.join(foreign)}. Say that "
@@ -304,7 +303,8 @@ class _Stored:
                 "process, or jobs are missing from their list; run the suite again with policies named 'module:object'"
             )
         result = self._store.load(key)
-        mine, theirs = job.to_dict(), read_json(self._store.path(key), "the result of a job")["job"]
+        mine = json.loads(json.dumps(job.to_dict()))
+        theirs = read_json(self._store.path(key), "the result of a job")["job"]
         if different := sorted(name for name in mine if name != "versions" and mine[name] != theirs.get(name)):
             raise ValueError(
                 f"the stored job of policy {policy!r} on track {track!r} is of another {', '.join(different)}: run "
@@ -359,9 +359,16 @@ def _differences(place: str, found: Any, rebuilt: Any, tolerance: float) -> Iter
             yield from _differences(f"{place}.{key}", value, rebuilt[key], tolerance)
     elif isinstance(found, list) and isinstance(rebuilt, list) and len(found) == len(rebuilt):
         for index, value in enumerate(found):
-            yield from _differences(f"{place}[{index}]", value, rebuilt[index], tolerance)
+            names = [value[key] for key in ("track", "policy", "metric") if key in value] if _is_row(value) else [index]
+            label = ", ".join(map(str, names))
+            yield from _differences(f"{place}[{label}]", value, rebuilt[index], tolerance)
     elif not _is_same(found, rebuilt, tolerance):
         yield f"{place} is {found!r:.60}, the jobs give {rebuilt!r:.60}"
+
+
+def _is_row(value: Any) -> bool:
+    """Whether a JSON value is a row of a table, which has the name of its policy."""
+    return isinstance(value, dict) and "policy" in value
 
 
 def _is_same(found: Any, rebuilt: Any, tolerance: float) -> bool:
@@ -374,5 +381,11 @@ def _is_same(found: Any, rebuilt: Any, tolerance: float) -> bool:
 def _targets(value: Any) -> Iterator[str]:
     """The targets in JSON values that are not parts of this library."""
     if isinstance(value, dict):
+        target = value.get("target")
+        if isinstance(target, str) and not target.startswith("ptne_env.laws:") and target != "ptne_env.policies:load":
+            yield target
         for item in value.values():
+            yield from _targets(item)
+    elif isinstance(value, list):
+        for item in value:
             yield from _targets(item)

@@ -82,20 +82,28 @@ class PolicySpec:
         """Whether every training seed is a factory spec, so that another process can make it again."""
         return all(isinstance(policy, FactorySpec) for policy in self.training_seeds)
 
-    @contextmanager
-    def deciding(self, layout: ObservationLayout, training_seed: int = 0) -> Iterator[Policy]:
-        """The policy of a training seed for a layout; foreign code decides in a process of its own.
+    def build(self, layout: ObservationLayout, training_seed: int = 0) -> Policy:
+        """The policy of a training seed for a layout, in this process.
 
         Raises:
             LayoutError: when it was made for another layout.
             PolicyError: when it cannot be built, or the result has no ``predict``.
+        """
+        return build(self.training_seeds[training_seed], layout)
+
+    @contextmanager
+    def deciding(self, layout: ObservationLayout, training_seed: int = 0) -> Iterator[Policy]:
+        """The same, ready to decide: foreign code in a process of its own, which ends with the context.
+
+        Raises:
+            LayoutError, PolicyError: as :meth:`build`.
         """
         source = self.training_seeds[training_seed]
         if self.is_foreign and isinstance(source, FactorySpec):
             with separate(source, layout) as policy:
                 yield policy
         else:
-            yield build(source, layout)
+            yield self.build(layout, training_seed)
 
     def to_dict(self) -> dict[str, Any]:
         """A JSON object with the parameters, and the hashes of the files, of every training seed."""

@@ -8,6 +8,7 @@ from time import perf_counter
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from ptne_env import dynamics
 from ptne_env.arrays import BoolArray, Float32Array, FloatArray
@@ -101,7 +102,7 @@ class Member:
         inputs[:, self.players] = self.encoder.decode(actions_of_all, state)[:, self.players]
         return inputs
 
-    def _ask(self, observations: Float32Array) -> FloatArray:
+    def _ask(self, observations: Float32Array) -> npt.NDArray[Any]:
         """The actions for observations of shape (R, size), checked and audited: shape (R, action size)."""
         started = perf_counter()
         actions, self._memory = self.policy.predict(observations, self._memory, self._episode_start, deterministic=True)

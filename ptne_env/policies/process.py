@@ -12,7 +12,7 @@ from dataclasses import asdict
 from math import prod
 from multiprocessing import Pipe
 from multiprocessing.connection import Connection
-from typing import Any, NoReturn, TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
@@ -33,6 +33,7 @@ PATIENCE = 300.0
 
 _MAIN = "import sys; from ptne_env.policies.process import serve; serve(int(sys.argv[1]))"
 _ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
+_OTHER_FORM = "its process answered in another form"
 _LONGEST_HEADER = 1 << 16
 _DTYPES = ("float32", "float64")
 
@@ -53,7 +54,7 @@ def build(source: PolicySource, layout: ObservationLayout) -> Policy:
         if isinstance(source, FactorySpec):
             built = source.build(layout=layout)
         elif isinstance(source, type) or not hasattr(source, "predict"):
-            built = source(layout)  # type: ignore[operator]
+            built = source(layout)
         if isinstance(built, LearnedPolicy):
             built.require(layout)
     except (LayoutError, MemoryError):
@@ -129,20 +130,20 @@ class _Process:
         answer = self.answer()
         dtype, shape = answer.get("dtype"), answer.get("shape")
         if dtype not in _DTYPES or not isinstance(shape, list) or not all(isinstance(n, int) and n >= 0 for n in shape):
-            self._refuse("its process answered in another form")
+            raise PolicyError(_OTHER_FORM)
         size = prod(shape) * np.dtype(dtype).itemsize
         if size > 64 * (rows.nbytes + 1):
-            self._refuse(f"it answered with actions of shape {tuple(shape)}")
+            raise PolicyError(f"it answered with actions of shape {tuple(shape)}")
         return np.frombuffer(self._receive(size), dtype=dtype).reshape(shape), True
 
     def answer(self) -> dict[str, Any]:
         """The next answer, which is an object of numbers and texts."""
         try:
             answer = json.loads(self._receive(_LONGEST_HEADER))
-        except (ValueError, RecursionError):
-            self._refuse("its process answered in another form")
+        except (ValueError, RecursionError) as error:
+            raise PolicyError(_OTHER_FORM) from error
         if not isinstance(answer, dict):
-            self._refuse("its process answered in another form")
+            raise PolicyError(_OTHER_FORM)
         if "layout_error" in answer:
             raise LayoutError(str(answer["layout_error"]))
         if "error" in answer:
@@ -158,19 +159,16 @@ class _Process:
     def _send(self, send: Callable[[], None]) -> None:
         try:
             send()
-        except OSError:
-            self._refuse("its process ended")
+        except OSError as error:
+            raise PolicyError("its process ended") from error
 
     def _receive(self, longest: int) -> bytes:
         try:
-            if self._connection.poll(PATIENCE):
-                return self._connection.recv_bytes(longest)
-        except (OSError, EOFError):
-            self._refuse("its process ended, or answered in another form")
-        self._refuse(f"it took longer than {PATIENCE:g} s")
-
-    def _refuse(self, reason: str) -> NoReturn:
-        raise PolicyError(reason)
+            if not self._connection.poll(PATIENCE):
+                raise PolicyError(f"it took longer than {PATIENCE:g} s")
+            return self._connection.recv_bytes(longest)
+        except (OSError, EOFError) as error:
+            raise PolicyError("its process ended") from error
 
 
 def serve(descriptor: int) -> None:
