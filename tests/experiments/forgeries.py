@@ -11,7 +11,10 @@ from ptne_env.experiments.provenance import content_hash
 from ptne_env.experiments.store import _CHECKED
 
 MARK = "code-of-forged-results-ran"
-"""Folder that the code in forged results makes in the working folder."""
+"""File or folder that the code in forged results makes in the working folder."""
+
+FORGED_MODULE = f"import pathlib; pathlib.Path({MARK!r}).touch(); anything = None"
+"""The code of ``forged_module.py``, which forged results import."""
 
 
 class UnfitError(Exception):
@@ -103,7 +106,7 @@ CHANGES = {
     "the overall policy": (f"{OVERALL}/policy", NAMES),
     "the thresholds of the profile": ("results/leaderboard/thresholds/*", more),
     "the errors of the success": ("results/leaderboard/errors/*", more),
-    "all tracks saturated": ("results/leaderboard/saturated", same(["ring", "complete"])),
+    "all tracks saturated": ("results/leaderboard/saturated", another("results/leaderboard/common")),
     "no common track": ("results/leaderboard/common", same([])),
     "no leaderboard": ("results/leaderboard", same(None)),
     "the name of a policy": (f"{POLICIES}/name", same("entirely new")),
@@ -121,9 +124,11 @@ CHANGES = {
     "the split": ("results/split", same("validation")),
     "an unknown split": ("results/split", same("easy")),
     "the format": ("results/format", more),
-    "the suite by another address": ("results/suite/target", same("ptne-v1")),
+    "the reason for a failure": ("results/failures/*/reason", same("")),
+    "the policy of a failure": ("results/failures/*/policy", NAMES),
+    "the suite by another address": ("results/suite/target", same("small_suite:SMALL")),
     "the hash of the suite": ("results/suite/content_hash", digit),
-    "the name of the suite": ("results/suite/suite", same("ptne-v1")),
+    "the name of the suite": ("results/suite/suite", same("ptne-v2")),
     "the episodes of the suite": ("results/suite/rules/episodes", more),
     "the reference laws of the suite": (
         "results/suite/rules/reference_policies/*/*/target",
@@ -150,7 +155,6 @@ CHANGES = {
     "all numbers of a metric as one": ("jobs/*/samples/*", same(12.0)),
     "all samples of a job": ("jobs/*/samples", same({})),
     "a job as n/a": ("jobs/*/not_applicable", same("it does not fit")),
-    "a job as failed": ("jobs/*/failure", same("it failed")),
     "the measured time of a job": ("jobs/*/timings/*", more),
     "the gain in a job": ("jobs/*/job/policy/arguments/kappa", more),
     "the seed in a job": ("jobs/*/job/episodes/seed", more),
@@ -294,16 +298,30 @@ def raise_everywhere(data, random):
             record["mean"] = record["low"] = record["high"] = 12.0
 
 
-def run_code(data, random):
-    """A policy has an argument that is made by calling a function of the operating system."""
-    seed = some(random, [container[key] for container, key in places(data, f"{POLICIES}/training_seeds/*")])
-    seed["arguments"]["kappa"] = {"target": "os:mkdir", "arguments": {"path": MARK}}
+def call(target, /, **arguments):
+    """A forgery that makes a policy's argument by a call."""
+
+    def forge(data, random):
+        seed = some(random, [container[key] for container, key in places(data, f"{POLICIES}/training_seeds/*")])
+        seed["arguments"]["kappa"] = {"target": target, "arguments": arguments}
+
+    return forge
 
 
-def add_stranger(data, random):
-    """A policy is a function of the operating system."""
-    seed = some(random, [container[key] for container, key in places(data, f"{POLICIES}/training_seeds/*")])
-    seed.update(target="os:mkdir", arguments={"path": MARK}, files={})
+def call_first(target, /, **arguments):
+    """A forgery that makes a policy by a call."""
+
+    def forge(data, random):
+        seed = some(random, [container[key] for container, key in places(data, f"{POLICIES}/training_seeds/*")])
+        seed.update(target=target, arguments=arguments, files={})
+
+    return forge
+
+
+def call_in_track(data, random):
+    """A part of a track is made by a function of the operating system."""
+    track = some(random, data["results"]["suite"]["tracks"])
+    track["scenario"]["game"] = {"target": "os:mkdir", "arguments": {"path": MARK}}
 
 
 STORIES = {
@@ -313,8 +331,18 @@ STORIES = {
     "a weak tuned law": weaken_tuned_law,
     "a job of another law": rename_job,
     "twelve digits in job and record": raise_everywhere,
-    "code in an argument": run_code,
-    "code as a policy": add_stranger,
+    "code in an argument": call("os:mkdir", path=MARK),
+    "code as a policy": call_first("os:mkdir", path=MARK),
+    "code in a part of a track": call_in_track,
+    "code behind a function of the library": call("ptne_env.factory:resolve", target="forged_module:anything"),
+    "code behind a name in the library": call_first("ptne_env.policies.process:load_archive", path="forged.zip"),
+    "an archive that says that it is trusted": call(
+        "ptne_env.experiments.policy_specs:get_policy_spec", policy="forged.zip", trust=True
+    ),
+    "a suite behind a function of the library": call(
+        "ptne_env.experiments.suite:get_suite", suite="forged_module:anything"
+    ),
+    "a file written by a function of the library": call("ptne_env.files:write_atomically", path=MARK, content="written"),
 }
 """Kind: a function of the published object and the generator that changes several places."""
 

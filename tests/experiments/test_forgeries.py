@@ -1,0 +1,74 @@
+"""Forged results: a check refuses or reports each, without a traceback and without running code that they name."""
+
+import os
+
+import numpy as np
+import pytest
+from cheats.archive import write_archive
+from cheats.row_mixing_onnx import row_mixing_file
+from forgeries import FORGED_MODULE, KINDS, MARK, forgeries, read_published, write_published
+from small_suite import written
+
+from ptne_env.encoder import make_encoder
+from ptne_env.experiments import get_suite, run_suite
+from ptne_env.experiments.check import check
+from ptne_env.observation import Interface
+
+TRACKS = ("coarse-step", "unseen-graphs")
+FORGED = 500 if os.environ.get("PTNE_SOAK") else 200
+
+
+@pytest.fixture(scope="module")
+def published(tmp_path_factory, build_once):
+    """Results of two tracks with numbers, n/a and a failure, and a copy of them in memory."""
+    folder = tmp_path_factory.getbasetemp().parent / "published"
+
+    def build():
+        policy = folder / "mixed.onnx"
+        folder.mkdir(parents=True)
+        layout = make_encoder(get_suite("ptne-v1").track("coarse-step").world, Interface()).layout
+        policy.write_bytes(row_mixing_file(layout))
+        policies = ["grounded", "ppo-random-energy", str(policy)]
+        written(run_suite("ptne-v1", policies, tracks=TRACKS, episodes=2, folder=folder), folder)
+        return folder
+
+    return read_published(build_once("published", build))
+
+
+@pytest.fixture
+def working_folder(tmp_path, monkeypatch):
+    """A working folder with the module and the archive that forged results load."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(tmp_path)
+    (tmp_path / "forged_module.py").write_text(FORGED_MODULE, encoding="utf-8")
+    write_archive("forged.zip", MARK)
+    return tmp_path
+
+
+def verdict(folder):
+    """How a check of all jobs ends: "passes", "refused" or "reported"."""
+    try:
+        return "passes" if check(folder, sample=100).passes() else "reported"
+    except (ValueError, FileNotFoundError):
+        return "refused"
+
+
+def test_the_true_results_pass(published, working_folder):
+    assert {"failures", "not_applicable"} <= {key for key, value in published["results"].items() if value}
+    write_published(published, working_folder / "true")
+    assert verdict(working_folder / "true") == "passes"
+
+
+def test_every_kind_of_forgery_fits(published):
+    alone = (kinds for kinds, _ in forgeries(published, np.random.default_rng(0), len(KINDS)) if len(kinds) == 1)
+    assert {kind for (kind,) in alone} == set(KINDS)
+
+
+@pytest.mark.parametrize("part", range(4))
+def test_forged_results_are_refused_or_reported(published, working_folder, part):
+    found = list(forgeries(published, np.random.default_rng(1), FORGED))[part::4]
+    for index, (kinds, forged) in enumerate(found):
+        folder = working_folder / str(index)
+        write_published(forged, folder)
+        assert verdict(folder) != "passes", kinds
+        assert not (working_folder / MARK).exists(), f"{kinds}: code ran"
