@@ -121,6 +121,7 @@ def check(
     require_count("sample", sample, 1)
     data = read_results(path)
     listing = _Listing.of(path, data)
+    policies = listing.policies()
     listing.require_trust(trust=trust)
     suite = listing.suite() if suite is None else suite
     if suite.content_hash != listing.content_hash:
@@ -132,7 +133,7 @@ def check(
     rebuilt = assemble(
         suite,
         listing.target,
-        listing.policies(),
+        policies,
         {
             name: suite.episode_set(name, count, seed=listing.seed, split=listing.split)
             for name, count in listing.episodes.items()
