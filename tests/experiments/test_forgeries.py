@@ -1,5 +1,6 @@
 """Forged results: a check refuses or reports each, without a traceback and without running code that they name."""
 
+import copy
 import os
 
 import numpy as np
@@ -45,10 +46,10 @@ def working_folder(tmp_path, monkeypatch):
     return tmp_path
 
 
-def verdict(folder):
-    """How a check of all jobs ends: "passes", "refused" or "reported"."""
+def verdict(folder, sample=1):
+    """How a check ends: "passes", "refused" or "reported"."""
     try:
-        return "passes" if check(folder, sample=100).passes() else "reported"
+        return "passes" if check(folder, sample=sample).passes() else "reported"
     except (ValueError, FileNotFoundError):
         return "refused"
 
@@ -72,3 +73,16 @@ def test_forged_results_are_refused_or_reported(published, working_folder, part)
         write_published(forged, folder)
         assert verdict(folder) != "passes", kinds
         assert not (working_folder / MARK).exists(), f"{kinds}: code ran"
+
+
+def test_tables_that_follow_from_forged_jobs_are_reported(published, working_folder):
+    folder = working_folder / "forged"
+    forged = copy.deepcopy(published)
+    for job in forged["jobs"].values():
+        if job["job"]["policy"]["target"] == "ptne_env.laws:Grounded":
+            job["samples"]["digits"] = [digits + 1 for digits in job["samples"]["digits"]]
+    write_published(forged, folder)
+    written(run_suite("ptne-v1", ["grounded", "ppo-random-energy"], tracks=TRACKS, episodes=2, folder=folder), folder)
+    rebuilt = check(folder, sample=100)
+    assert rebuilt.differences == ()
+    assert {one.job.policy.name for one in rebuilt.repetitions if one.difference > 0} == {"grounded"}

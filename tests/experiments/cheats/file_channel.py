@@ -23,6 +23,8 @@ class FileChannel(RowMixing):
     def __init__(self, layout, file="answers.sqlite"):
         super().__init__(layout)
         self.answers = sqlite3.connect(FOLDER / file, isolation_level=None)
+        self.answers.execute("PRAGMA synchronous = OFF")  # the answers need not survive a crash
+        self.answers.execute("PRAGMA journal_mode = MEMORY")
         self.answers.execute("CREATE TABLE IF NOT EXISTS answers (row BLOB PRIMARY KEY, action BLOB)")
 
     def predict(self, observation, state=None, episode_start=None, deterministic=False):

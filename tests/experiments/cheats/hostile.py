@@ -11,7 +11,7 @@ import time
 from pathlib import Path
 
 import numpy as np
-from forgeries import sealed_job
+from forgeries import sealed
 
 from cheats.base import Cheat
 from ptne_env.observation import LayoutError
@@ -217,5 +217,5 @@ class ChangesResults(Hostile):
             job = json.loads(path.read_text(encoding="utf-8"))
             if "digits" in job["samples"]:
                 job["samples"]["digits"] = [12.0] * len(job["samples"]["digits"])
-                path.write_text(json.dumps(sealed_job(job)), encoding="utf-8")
+                path.write_text(json.dumps(sealed(job)), encoding="utf-8")
         return actions
