@@ -20,6 +20,7 @@ from ptne_env.experiments.check import check as run_check
 from ptne_env.experiments.policy_specs import stores_code
 from ptne_env.experiments.suite import SUITES, comparison
 from ptne_env.experiments.traces import scenes
+from ptne_env.experiments.workers import Workers
 from ptne_env.files import write_atomically
 
 _HOLD_STEPS = 50
@@ -113,7 +114,7 @@ def compare(
     check_writable(json, page, *files.values())
     names = [name for given in policy or () for name in given.split(",") if name]
     policies = _policies(names, trust=trust) if names else suite_policies() if suite else default_policies()
-    workers = options.make_workers(jobs, ray)
+    workers = Workers(jobs, ray)
     with progress(chosen.name) as advance:
         results = run_suite(
             suite or chosen,
