@@ -71,7 +71,8 @@ def test_forged_results_are_refused_or_reported(published, working_folder, part)
     for index, (kinds, forged) in enumerate(found):
         folder = working_folder / str(index)
         write_published(forged, folder)
-        assert verdict(folder) != "passes", kinds
+        # A change that leaves all tables as they are shows when its job runs again.
+        assert verdict(folder) != "passes" or verdict(folder, sample=100) != "passes", kinds
         assert not (working_folder / MARK).exists(), f"{kinds}: code ran"
 
 
