@@ -68,13 +68,17 @@ class Program:
         return found
 
     def kill(self, number, *, of_group):
-        """Send a signal, and assert that no process is left after :data:`PATIENCE`."""
+        """Send a signal, and assert that no process is left after :data:`PATIENCE`.
+
+        A program that treats Ctrl-C, and ends with exit code 130, must print no traceback.
+        """
         (os.killpg if of_group else os.kill)(self.process.pid, number)
         deadline = time.monotonic() + PATIENCE
         while self.process.poll() is None or self.alive():
             assert time.monotonic() < deadline, f"left {PATIENCE:g} s after {number!r} {of_group=}: {self.alive()}"
             time.sleep(0.02)
         self._read()
+        assert self.process.returncode != 130 or "Traceback" not in self.printed, self.printed
 
     def finish(self):
         """Wait for the end; the exit code must be 0."""
