@@ -1,5 +1,6 @@
 """Programs in fresh interpreters, and kills of programs with all their processes."""
 
+import contextlib
 import os
 import random
 import signal
@@ -74,10 +75,15 @@ class Program:
         """
         (os.killpg if of_group else os.kill)(self.process.pid, number)
         deadline = time.monotonic() + PATIENCE
-        while self.process.poll() is None or self.alive():
-            assert time.monotonic() < deadline, f"left {PATIENCE:g} s after {number!r} {of_group=}: {self.alive()}"
+        while (self.process.poll() is None or self.alive()) and time.monotonic() < deadline:
             time.sleep(0.02)
+        left = self.alive()
+        for process in left:
+            with contextlib.suppress(ProcessLookupError):
+                os.kill(process, signal.SIGKILL)
+        self.process.wait(timeout=PATIENCE)
         self._read()
+        assert not left, f"left {PATIENCE:g} s after {number!r} {of_group=}: {left}"
         assert self.process.returncode != 130 or "Traceback" not in self.printed, self.printed
 
     def finish(self):
