@@ -9,6 +9,18 @@ import numpy.typing as npt
 
 from ptne_env.arrays import BoolArray
 
+_LONGEST_DESCRIPTION = 500
+
+
+class PolicyError(RuntimeError):
+    """A policy failed: it raised an error, answered in another form, or broke a rule of the protocol."""
+
+
+def describe(error: BaseException) -> str:
+    """Class and message of an error of foreign code, in printable characters."""
+    text = f"{type(error).__name__}: {error}"[:_LONGEST_DESCRIPTION]
+    return "".join(character if character.isprintable() else " " for character in text).strip()
+
 
 @runtime_checkable
 class Policy(Protocol):

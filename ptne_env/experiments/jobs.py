@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import platform
 from collections.abc import Iterable, Mapping
+from contextlib import ExitStack
 from dataclasses import asdict, dataclass
 from functools import cached_property, lru_cache
 from typing import Any
@@ -13,6 +14,7 @@ import numpy as np
 from ptne_env.arrays import FloatArray
 from ptne_env.dynamics import State
 from ptne_env.encoder import make_encoder
+from ptne_env.experiments.audit import Witness, sample_rows
 from ptne_env.experiments.episodes import EpisodeSet
 from ptne_env.experiments.metrics import METRICS, Metric, adopt, measure, own_metrics
 from ptne_env.experiments.policy_specs import PolicySpec
@@ -20,6 +22,8 @@ from ptne_env.experiments.provenance import content_hash, source_hashes, version
 from ptne_env.experiments.rollout import rollout
 from ptne_env.experiments.suite import Track
 from ptne_env.observation import LayoutError
+from ptne_env.policy import Policy, PolicyError
+from ptne_env.world import World
 
 
 @dataclass(frozen=True)
@@ -55,24 +59,38 @@ class Job:
         """The hash of :meth:`to_dict`, by which the result is stored; ``None`` where the policy is an object."""
         return content_hash(self.to_dict()) if self.policy.is_repeatable else None
 
-    def compute(self) -> JobResult:
-        """Run the episodes."""
+    def compute(self, *, thorough: bool = False) -> JobResult:
+        """Run the episodes, and audit the decisions.
+
+        Args:
+            thorough: whether a witness per player audits, and not one for all.
+        """
         world = self.track.world
+        teammates = None if self.track.teammates is None else self.track.teammates.join(world)
+        players = world.game.num_players - (0 if teammates is None else len(teammates.players))
         try:
             encoder = make_encoder(world, self.policy.interface)
-            policy = self.policy.build(encoder.layout, self.training_seed)
+            with ExitStack() as processes:
+
+                def fresh() -> Policy:
+                    return processes.enter_context(self.policy.deciding(encoder.layout, self.training_seed))
+
+                policy = fresh()
+                rows = sample_rows(self.episodes.count, players, thorough=thorough)
+                witnesses = [Witness(fresh(), chosen) for chosen in rows]
+                start = _initial_state(world, self.episodes)
+                samples = measure(rollout(policy, encoder, start, teammates, witnesses=witnesses))
         except LayoutError as error:
             return JobResult({}, {}, str(error))
-        teammates = None if self.track.teammates is None else self.track.teammates.join(world)
-        start = _initial_state(self.track, self.episodes)
-        samples = measure(rollout(policy, encoder, start, teammates))
+        except PolicyError as error:
+            return JobResult({}, {}, None, str(error))
         timings = {name: float(samples.pop(name)[0]) for name in METRICS if METRICS[name].is_timing}
         return JobResult(samples, timings, None)
 
 
 @lru_cache(maxsize=2)  # jobs with the same episodes follow each other
-def _initial_state(track: Track, episodes: EpisodeSet) -> State:
-    return episodes.initial_state(track.world)
+def _initial_state(world: World, episodes: EpisodeSet) -> State:
+    return episodes.initial_state(world)
 
 
 @dataclass(frozen=True)
@@ -83,11 +101,13 @@ class JobResult:
         samples: per metric, one value per episode, NaN where there is none; shape (B,).
         timings: per metric that is a timing, its value.
         not_applicable: why the policy cannot act on this track; ``None`` where it can.
+        failure: the error of the policy, with the step; ``None`` where it acted. A failed job is never stored.
     """
 
     samples: dict[str, FloatArray]
     timings: dict[str, float]
     not_applicable: str | None
+    failure: str | None = None
 
     def to_dict(self) -> dict[str, Any]:
         """A JSON object; numbers keep every bit, NaN is ``null``."""
@@ -115,6 +135,8 @@ class JobResult:
         It is infinite where one has a value and the other has none.
         """
         if self.samples.keys() != other.samples.keys() or self.not_applicable != other.not_applicable:
+            return float("inf")
+        if (self.failure is None) != (other.failure is None):
             return float("inf")
         largest = 0.0
         for name, values in self.samples.items():
@@ -147,3 +169,11 @@ def run_job(job: Job, key: str | None, metrics: Iterable[Metric] = ()) -> JobRes
     except Exception as error:
         error.add_note(f"in track {job.track.name!r}, policy {job.policy.name!r}")
         raise
+
+
+def require_hashed(jobs: Iterable[Job]) -> None:
+    """Check that a change of the sources of jobs would be seen, so that no stored result is stale.
+
+    Raises:
+        ValueError: naming the policy or the track, and what cannot be hashed.
+    """

@@ -68,23 +68,26 @@ class Store:
             return None
 
 
-def run_jobs(jobs: Sequence[Job], store: Store | None, workers: Workers) -> Iterator[tuple[int, JobResult]]:
+def run_jobs(
+    jobs: Sequence[Job], store: Store | None, workers: Workers, *, rerun: bool = False
+) -> Iterator[tuple[int, JobResult]]:
     """The index and the result of each job: stored ones first, then those of workers, which are stored.
 
     Args:
         jobs: to be run.
         store: of results; ``None`` stores nothing.
         workers: run the jobs.
+        rerun: whether stored jobs are run again.
     """
     missing = []
     for index, job in enumerate(jobs):
-        result = None if store is None else store.find(job)
+        result = None if store is None or rerun else store.find(job)
         if result is None:
             missing.append(index)
         else:
             yield index, result
     metrics = own_metrics()
     for place, result in workers.run(run_job, [(jobs[index], jobs[index].key, metrics) for index in missing]):
-        if store is not None:
+        if store is not None and result.failure is None:
             store.save(jobs[missing[place]], result)
         yield missing[place], result
