@@ -92,12 +92,6 @@ class PolicySpec:
         return self.interface.kind == "full"
 
     @property
-    def is_foreign(self) -> bool:
-        """Whether a factory spec names code that is not a part of this library."""
-        targets = [source.target for source in self.training_seeds if isinstance(source, FactorySpec)]
-        return any(target == ARCHIVE or not target.startswith("ptne_env.") for target in targets)
-
-    @property
     def is_repeatable(self) -> bool:
         """Whether every training seed is a factory spec, so that another process can make it again."""
         return all(isinstance(policy, FactorySpec) for policy in self.training_seeds)
