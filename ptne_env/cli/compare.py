@@ -114,8 +114,8 @@ def compare(
     if suite is None:
         if unknown := [name for name in track or () if name not in CATALOGUE]:
             raise ValueError(
-                f"unknown scenario {', '.join(map(repr, unknown))}; choose from {', '.join(CATALOGUE)}. A track needs "
-                "its suite too, such as --suite ptne-v1"
+                f"unknown scenario {', '.join(map(repr, unknown))}: a track needs its suite, such as --suite ptne-v1; "
+                f"the scenarios are {', '.join(CATALOGUE)}"
             )
         chosen = comparison(
             track or CATALOGUE, episodes=episodes or 1000, hold_steps=50 if hold_steps is None else hold_steps

@@ -12,6 +12,7 @@ from ptne_env import training
 from ptne_env.cli import options
 from ptne_env.cli.app import app
 from ptne_env.cli.console import check_writable, json_text, progress, say, write_json
+from ptne_env.experiments.suite import foreign_suites
 
 
 @app.command()
@@ -27,6 +28,8 @@ def train(
     seed: Annotated[int, typer.Option(min=0, help="Seed of the network, the sampling and the training games.")] = 0,
     steps: Annotated[int | None, typer.Option(min=1, help="Agent-steps; the configuration's own if left out.")] = None,
     json: options.Json = None,
+    *,
+    trust: options.Trust = False,
 ) -> None:
     """Train a policy with PPO and export it as policy.onnx.
 
@@ -40,6 +43,7 @@ def train(
     check_writable(json, out / "policy.onnx")
     changes = {"seed": seed} if steps is None else {"seed": seed, "steps": steps}
     arguments = ppo.Arguments.from_toml(configuration, **changes)
+    options.trusted(foreign_suites(*arguments.scenarios), trust=trust)
     with progress("training", arguments.steps) as advance:
 
         def show(done: int, total: int, digits: float) -> None:
