@@ -247,7 +247,7 @@ def own_module(tmp_path):
     "command",
     [
         "compare --scenario energy --policy talkative:make --episodes 1 --trust",
-        "compare --suite ptne-v1 --track hold --policy talkative:make --trust --episodes 2 --jobs 2 --no-report --out o",
+        "compare --suite ptne-v1 --track nominal --policy talkative:make --trust --episodes 2 --jobs 2 --no-report",
         "certify energy",
         "sweep dwell-gain --points 2 --episodes 1 --jobs 2 --out out",
         "train random-energy --steps 1 --out out",
