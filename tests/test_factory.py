@@ -1,12 +1,11 @@
 import dataclasses
 import json
-import subprocess
-import sys
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from processes import run_python
 
 from ptne_env import FactorySpec
 from ptne_env.catalogue import CATALOGUE
@@ -171,8 +170,7 @@ def test_nested_foreign_targets_are_found_in_json_without_an_import(tmp_path):
     )
     call = {"target": "evil:run", "arguments": {"word": {"target": "os:system", "arguments": {"command": "ls"}}}}
     data = {"target": "ptne_env.laws:Static", "arguments": {"kappa": [2.0, [call]], "again": call}}
-    command = [sys.executable, "-c", program, json.dumps(data)]
-    found = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=True)  # noqa: S603 - of this test
+    found = run_python("-c", program, json.dumps(data), folder=tmp_path)
     assert found.stdout.strip() == "['evil:run', 'os:system', 'evil:run', 'os:system'] False"
     assert foreign_targets(FactorySpec.of("ptne_env.laws:Static", kappa=2.0)) == []
 

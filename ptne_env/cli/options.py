@@ -5,6 +5,7 @@ from __future__ import annotations
 import signal
 import sys
 from collections.abc import Iterable
+from pathlib import Path
 from typing import Annotated, TypeAlias
 
 import typer
@@ -73,6 +74,8 @@ Json: TypeAlias = Annotated[
 def trusted(foreign: Iterable[str], *, trust: bool) -> bool:
     """Whether code from outside the library may run; without ``--trust``, a terminal is asked.
 
+    If it may, ``module:object`` also finds files of the current folder, after all others.
+
     Args:
         foreign: the ``module:object`` and the files that hold such code.
         trust: the value of ``--trust``.
@@ -82,11 +85,13 @@ def trusted(foreign: Iterable[str], *, trust: bool) -> bool:
         typer.Abort: when the answer is no.
     """
     named = ", ".join(dict.fromkeys(map(repr, foreign)))  # repr shows control characters as text
-    if trust or not named:
+    if not named:
         return trust
-    if not sys.stdin.isatty():
-        raise ValueError(f"{named} would run code from outside the library: say --trust if you trust it")
-    typer.confirm(f"{named} will run code from outside the library. Do you trust it?", abort=True, err=True)
+    if not trust:
+        if not sys.stdin.isatty():
+            raise ValueError(f"{named} would run code from outside the library: say --trust if you trust it")
+        typer.confirm(f"{named} will run code from outside the library. Do you trust it?", abort=True, err=True)
+    sys.path.append(str(Path.cwd()))
     return True
 
 

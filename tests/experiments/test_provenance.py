@@ -2,11 +2,10 @@
 
 import functools
 import importlib
-import os
-import subprocess
 import sys
 
 import pytest
+from processes import run_python
 from small_suite import BASE, stored
 
 from ptne_env import FactorySpec, PolicySpec
@@ -162,15 +161,7 @@ def test_hashes_do_not_depend_on_the_place_of_the_project(tmp_path):
         (tmp_path / folder / "mine.py").write_text("import parts\nPATH = 'weights.bin'\n", encoding="utf-8")
         (tmp_path / folder / "parts.py").write_text(LAW, encoding="utf-8")
         (tmp_path / folder / "weights.bin").write_bytes(b"1")
-        path = os.pathsep.join([str(tmp_path / folder), *sys.path])
-        run = subprocess.run(  # noqa: S603 - a program of this test
-            [sys.executable, "-P", "-c", program],
-            cwd=tmp_path / current,
-            env={**os.environ, "PYTHONPATH": path},
-            capture_output=True,
-            text=True,
-            check=True,
-        )
+        run = run_python("-P", "-c", program, folder=tmp_path / current, modules=[tmp_path / folder])
         printed.append(run.stdout)
     assert printed[0] == printed[1]
     assert "mine/weights.bin" in printed[0]
@@ -226,15 +217,7 @@ def test_main_has_a_source_in_a_script_and_none_in_a_notebook(tmp_path):
     )
     (tmp_path / "script.py").write_text(program, encoding="utf-8")
     for arguments, printed in ((["script.py"], "['__main__'] []"), (["-c", program], "['__main__'] ['__main__']")):
-        run = subprocess.run(  # noqa: S603 - a program of this test
-            [sys.executable, *arguments],
-            cwd=tmp_path,
-            env={**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)},
-            capture_output=True,
-            text=True,
-            check=True,
-        )
-        assert run.stdout.strip() == printed
+        assert run_python(*arguments, folder=tmp_path).stdout.strip() == printed
 
 
 def test_jobs_that_cannot_be_hashed_are_not_stored_unless_they_are_run_again(write, tmp_path):
