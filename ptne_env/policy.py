@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+from traceback import extract_tb
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
@@ -17,8 +19,10 @@ class PolicyError(RuntimeError):
 
 
 def describe(error: BaseException) -> str:
-    """Class and message of an error of foreign code, in printable characters."""
+    """Class, message and place of an error of foreign code, in printable characters."""
     text = f"{type(error).__name__}: {error}"[:_LONGEST_DESCRIPTION]
+    if frames := extract_tb(error.__traceback__):
+        text += f" ({Path(frames[-1].filename).name}, line {frames[-1].lineno})"
     return "".join(character if character.isprintable() else " " for character in text).strip()
 
 

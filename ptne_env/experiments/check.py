@@ -124,6 +124,7 @@ def check(
             f"{path} names code outside this library, which a check executes: {', '.join(foreign)}. Say that you trust "
             "it (--trust)"
         )
+    policies = listing.policies()
     suite = listing.suite() if suite is None else suite
     if suite.content_hash != listing.content_hash:
         raise ValueError(
@@ -134,7 +135,7 @@ def check(
     rebuilt = assemble(
         suite,
         listing.target,
-        listing.policies(),
+        policies,
         {
             name: suite.episode_set(name, count, seed=listing.seed, split=listing.split)
             for name, count in listing.episodes.items()

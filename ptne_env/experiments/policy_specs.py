@@ -17,7 +17,7 @@ from ptne_env.experiments.sources import is_file
 from ptne_env.factory import FactorySpec, is_part
 from ptne_env.observation import Interface, ObservationLayout
 from ptne_env.policies.process import PolicySource, build, declared_interface, separate
-from ptne_env.policy import Policy
+from ptne_env.policy import Policy, PolicyError
 
 _LAWS = "ptne_env.laws:"
 ARCHIVE = "ptne_env.policies.archive:load_archive"
@@ -49,7 +49,10 @@ class PolicySpec:
         if self.interface is None:
             first = self.training_seeds[0]
             if self.is_foreign and isinstance(first, FactorySpec):
-                interface = declared_interface(first)
+                try:
+                    interface = declared_interface(first)
+                except PolicyError as error:
+                    raise ValueError(f"policy {self.name!r}: {error}") from error
             else:
                 target = first.resolve() if isinstance(first, FactorySpec) else first
                 interface = getattr(target, "interface", Interface())

@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ptne_env.arrays import BoolArray, Float32Array, FloatArray, require_count
+from ptne_env.counter_random import uniforms
 from ptne_env.laws.base import Law
 from ptne_env.observation import Observation, ObservationLayout
 
@@ -20,11 +21,15 @@ class ZeroInput(Law):
 
 
 class RandomPolicy:
-    """Actions drawn uniformly from the action box.
+    """Actions drawn uniformly from the action box: a hash of the seed and of the player's own observation.
+
+    So an observation gets the same action in every batch and place. The hash is the multiply-add of M. Dietzfelbinger,
+    "Universal hashing and k-wise independent random variables via integer arithmetic without primes" (STACS 1996), of
+    the observation's bits, and keys a stream of :mod:`ptne_env.counter_random`.
 
     Args:
         layout: of the environment; any interface and action mode.
-        seed: of the policy's own generator.
+        seed: of the policy's own draws.
 
     Raises:
         ValueError: for a negative seed.
@@ -32,7 +37,9 @@ class RandomPolicy:
 
     def __init__(self, layout: ObservationLayout, seed: int = 0) -> None:
         self.layout = layout
-        self._generator = np.random.default_rng(require_count("seed", seed, 0))
+        generator = np.random.default_rng(require_count("seed", seed, 0))
+        self._factors = generator.integers(2**64, size=layout.size, dtype=np.uint64)
+        self._offset = generator.integers(2**64, size=1, dtype=np.uint64)
 
     def predict(
         self,
@@ -41,6 +48,12 @@ class RandomPolicy:
         episode_start: BoolArray | None = None,  # noqa: ARG002 - Stable-Baselines3's signature
         deterministic: bool = False,  # noqa: ARG002, FBT001, FBT002 - Stable-Baselines3's signature
     ) -> tuple[Float32Array, Any]:
-        """Random actions; see :meth:`ptne_env.policy.Policy.predict`."""
-        bound, shape = self.layout.action_bound, (*np.shape(observation)[:-1], self.layout.action_size)
-        return self._generator.uniform(-bound, bound, shape).astype(np.float32), state
+        """Random actions; see :meth:`ptne_env.policy.Policy.predict`.
+
+        Raises:
+            ValueError: when observations have another length than the layout's.
+        """
+        words = np.ascontiguousarray(observation, dtype=np.float32).view(np.uint32)
+        keys = (words @ self._factors)[..., None] + self._offset
+        numbers = uniforms(keys, np.arange(self.layout.action_size, dtype=np.uint64))
+        return (self.layout.action_bound * (2 * numbers - 1)).astype(np.float32), state

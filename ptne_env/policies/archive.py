@@ -11,6 +11,7 @@ import numpy.typing as npt
 
 from ptne_env.arrays import BoolArray, Float32Array
 from ptne_env.observation import SMALLEST_SCALE, Interface, ObservationLayout
+from ptne_env.policies.blocks import in_blocks
 from ptne_env.policies.learned import PolicyFileError, PolicyLayoutError
 
 
@@ -57,8 +58,16 @@ class ArchivePolicy:
         deterministic: bool = False,  # noqa: FBT001, FBT002 - Stable-Baselines3's signature
     ) -> tuple[Float32Array, Any]:
         """The network's actions; see :meth:`ptne_env.policy.Policy.predict`."""
-        actions, state = self._network.predict(observation, state, episode_start, deterministic)
-        return actions, state
+        rows = np.atleast_2d(observation)
+        actions, state = self._network.predict(
+            in_blocks(rows),
+            None if state is None else tuple(in_blocks(part, axis=1) for part in state),
+            None if episode_start is None else in_blocks(np.atleast_1d(episode_start)),
+            deterministic,
+        )
+        if state is not None:  # of a recurrent network: arrays of shape (layers, rows, units)
+            state = tuple(part[:, : len(rows)] for part in state)
+        return (actions[0] if np.ndim(observation) == 1 else actions[: len(rows)]), state
 
 
 def load_archive(path: str, layout: ObservationLayout | None = None) -> ArchivePolicy:

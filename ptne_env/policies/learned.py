@@ -14,6 +14,7 @@ import numpy.typing as npt
 
 from ptne_env.arrays import BoolArray, Float32Array
 from ptne_env.observation import Interface, LayoutError, ObservationLayout
+from ptne_env.policies.blocks import in_blocks
 
 LAYOUT_VERSION = 1
 """Version of the meaning of observations and actions; :func:`load` refuses files of another version."""
@@ -141,8 +142,8 @@ class LearnedPolicy:
         expected = self._session.get_inputs()[0].shape[1]
         if rows.ndim != 2 or rows.shape[1] != expected:
             raise PolicyFileError(f"policy {self.name!r} takes observations of length {expected}, got {rows.shape}")
-        (actions,) = self._session.run(None, {self._input: rows})
-        return (actions[0] if np.ndim(observation) == 1 else actions), state
+        (actions,) = self._session.run(None, {self._input: in_blocks(rows)})
+        return (actions[0] if np.ndim(observation) == 1 else actions[: len(rows)]), state
 
 
 def shipped() -> list[str]:

@@ -157,6 +157,7 @@ def test_zero_input_stays_at_the_start():
 def test_random_policy_fills_the_action_box_and_repeats_with_its_seed(interface):
     layout = world_and_encoder("energy", **interface)[1].layout
     observations = np.zeros((4000, layout.size), dtype=np.float32)
+    observations[:, layout.slices["clock"].start] = np.arange(4000)
     actions, _ = laws.RandomPolicy(layout, seed=3).predict(observations)
     assert np.array_equal(actions, laws.RandomPolicy(layout, seed=3).predict(observations)[0])
     assert not np.array_equal(actions, laws.RandomPolicy(layout, seed=4).predict(observations)[0])
