@@ -77,7 +77,7 @@ def declared_interface(source: FactorySpec) -> Interface:
     try:
         return Interface(**process.answer()["interface"])
     except (KeyError, TypeError, ValueError) as error:
-        raise PolicyError(f"{source.target} declares no interface of ptne_env: {describe(error)}") from error
+        raise PolicyError(_OTHER_FORM) from error
     finally:
         process.close()
 
@@ -217,5 +217,7 @@ def _answer(connection: Connection, **answer: Any) -> None:
 def _interface(source: FactorySpec) -> Interface:
     target = source.resolve()
     described = source.build() if target is load_archive else target
-    interface: Interface = getattr(described, "interface", Interface())
+    interface = getattr(described, "interface", Interface())
+    if not isinstance(interface, Interface):
+        raise PolicyError(f"the interface of {source.target} is an Interface of ptne_env, got {interface!r}")
     return interface
