@@ -106,7 +106,7 @@ def test_interrupted_work_showed_the_time_left_and_leaves_complete_files(name, t
     files = [path for path in tmp_path.rglob("*") if path.is_file() and "tensorboard" not in path.parts]
     assert [path for path in files if path.name.startswith(".")] == []
     for path in files:
-        assert path.suffix in (".json", ".png", ".svg")
+        assert path.suffix in (".json", ".npz", ".png", ".svg")
         if path.suffix == ".json":
             json.loads(path.read_text(encoding="utf-8"))
 
