@@ -332,7 +332,10 @@ def test_compare_takes_a_policy_by_module_and_object():
         (("compare", "--suite", "ptne-v1", "--track", "nominl"), "has no track 'nominl'"),
         (("compare", "--suite", "ptne-v1", "--hold-steps", "3"), "leave out --hold-steps"),
         (("compare", "--suite", "ptne-v1", "--policy", "model.zip"), "say --trust"),
-        (("compare", "--track", "nominal"), "unknown scenario 'nominal'"),
+        (
+            ("compare", "--track", "nominal"),
+            "unknown scenario 'nominal': a track needs its suite, such as --suite ptne-v1",
+        ),
         (("compare", "--scenario", "robots", "--policy", "ppo-random-energy", "--json", "-"), "fits no track"),
         (("compare", "--jobs", "0"), "0 jobs"),
         (("train", "random-enery", "--out", "out"), "unknown configuration 'random-enery'"),

@@ -17,7 +17,6 @@ from ptne_env.experiments import default_policies, get_policy_spec, get_suite, r
 from ptne_env.experiments.check import check as run_check
 from ptne_env.experiments.check import foreign_code as foreign_code_of_results
 from ptne_env.experiments.policy_specs import foreign_code
-from ptne_env.experiments.sources import is_file
 from ptne_env.experiments.suite import SUITES, comparison, foreign_suites
 from ptne_env.experiments.traces import scenes
 from ptne_env.files import write_atomically
@@ -107,7 +106,7 @@ def compare(
 
     With --suite, run the tracks of a frozen benchmark, with scores and ranks; see docs/protocol.md.
     """
-    names = [name for given in policy or () for name in _split(given)]
+    names = [name for given in policy or () for name in given.split(",") if name]
     trust = options.trusted(
         [*foreign_suites(suite), *(code for name in names for code in foreign_code(name))], trust=trust
     )
@@ -168,11 +167,6 @@ def compare(
         say(f"Failed: {name} on {place}: {reason}")
     if results.failures:
         raise typer.Exit(1)
-
-
-def _split(given: str) -> list[str]:
-    """The policies that one option names; a file may have commas in its path."""
-    return [given] if is_file(given) else [name for name in given.split(",") if name]
 
 
 @app.command()

@@ -149,6 +149,12 @@ def test_files_and_folders_in_arguments_are_hashed(write, tmp_path):
     assert file_hashes(part) == {}  # parts of the library read no folders
 
 
+def test_texts_that_are_no_names_of_files_do_no_harm(write):
+    texts = ["", ".", "..", "/", "a\0b", "a\nb", "x" * 300, "x" * 100_000, "~", "*", "\ud800"]
+    write({"mine": f"TEXTS = {texts!r}\n"})
+    assert set(file_hashes(FactorySpec.of("mine:make", texts=texts))) == {"mine"}
+
+
 def test_hashes_do_not_depend_on_the_place_of_the_project(tmp_path):
     program = (
         "from ptne_env import FactorySpec\n"
