@@ -27,6 +27,7 @@ _STANDARD = {Path(sysconfig.get_path(name)) for name in ("stdlib", "platstdlib")
 """The folders of Python's standard library."""
 
 _TARGET = re.compile(r"(?a:([A-Za-z_][\w.]*):[A-Za-z_]\w*)")
+_NO_SCRIPT = "a notebook or an interactive session has no source file; define it in a module"
 _LONGEST_NAME = 4096
 """Characters of the longest path on Linux."""
 
@@ -73,22 +74,17 @@ def module_hashes(names: Iterable[str]) -> dict[str, str]:
         found = _find(name)
         if found is None:
             if is_needed:
-                hashes[name] = f"{UNHASHED}{_MISSING.get(name, 'no such module is found')}"
-        elif _is_versioned(name, found):
+                hashes[name] = f"{UNHASHED}{_NO_SCRIPT if name == '__main__' else 'no such module is found'}"
+        elif _is_versioned(name, found) or (_is_installed(found) and name not in asked):
             continue
-        elif found.origin is None or not found.origin.endswith(tuple(SOURCE_SUFFIXES)) or _is_installed(found):
-            if name in asked or not _is_installed(found):
-                hashes[name] = _hash_alone(found)
+        elif _is_installed(found) or not str(found.origin).endswith(tuple(SOURCE_SUFFIXES)):
+            hashes[name] = _hash_alone(found)
         else:
-            module, digest = _read(name, found)
-            hashes[name] = digest
-            hashes |= _data_hashes(name, Path(found.origin).parent, module.texts)
+            module, hashes[name] = _read(name, found)
+            hashes |= _data_hashes(name, Path(str(found.origin)).parent, module.texts)
             waiting += [(each, True) for imported in module.needed for each in _with_packages(imported)]
             waiting += [(each, False) for imported in module.possible for each in _with_packages(imported)]
     return hashes
-
-
-_MISSING = {"__main__": "a notebook or an interactive session has no source file; define it in a module"}
 
 
 @dataclass(frozen=True)
