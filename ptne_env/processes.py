@@ -11,13 +11,17 @@ _PERIOD = 0.5
 """Seconds between two looks at the parent."""
 
 
-def end_with_parent() -> None:
+def end_with_parent(parent: int | None = None) -> None:
     """End this process soon after its parent is gone, and leave Ctrl-C to the parent. Call it first in a new process.
 
     A parent that is killed cannot end its processes itself.
+
+    Args:
+        parent: process id of the process that started this one; without it, a parent that is gone already is not
+            noticed.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    threading.Thread(target=_watch, args=(os.getppid(),), daemon=True).start()
+    threading.Thread(target=_watch, args=(parent or os.getppid(),), daemon=True).start()
 
 
 def _watch(parent: int) -> None:

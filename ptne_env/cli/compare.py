@@ -19,6 +19,7 @@ from ptne_env.experiments.check import foreign_code as foreign_code_of_results
 from ptne_env.experiments.policy_specs import foreign_code
 from ptne_env.experiments.suite import SUITES, comparison, foreign_suites
 from ptne_env.experiments.traces import scenes
+from ptne_env.experiments.workers import Workers
 from ptne_env.files import write_atomically
 
 _HOLD_STEPS = 50
@@ -130,7 +131,7 @@ def compare(
     check_writable(json, page, *files.values())
     named = [get_policy_spec(name, trust=trust) for name in names]
     policies = named or (suite_policies() if suite else default_policies())
-    workers = options.make_workers(jobs, ray)
+    workers = Workers(jobs, ray)
     with progress(chosen.name) as advance:
         results = run_suite(
             suite or chosen,

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import signal
 import sys
 from collections.abc import Iterable
 from pathlib import Path
@@ -15,7 +14,6 @@ from ptne_env.catalogue import CATALOGUE
 from ptne_env.cli.console import keep_stdout
 from ptne_env.experiments import POLICIES
 from ptne_env.experiments.suite import SUITES, get_suite
-from ptne_env.experiments.workers import Workers
 
 
 def complete_world() -> list[str]:
@@ -93,15 +91,3 @@ def trusted(foreign: Iterable[str], *, trust: bool) -> bool:
         typer.confirm(f"{named} will run code from outside the library. Do you trust it?", abort=True, err=True)
     sys.path.append(str(Path.cwd()))
     return True
-
-
-def make_workers(jobs: int, ray: str | None) -> Workers:
-    """Workers that leave Ctrl-C to this process, which ends them, so that they print no traceback.
-
-    Raises:
-        ValueError: as :class:`~ptne_env.experiments.workers.Workers`.
-    """
-    from joblib import parallel_config
-
-    parallel_config(backend="loky", initializer=signal.signal, initargs=(signal.SIGINT, signal.SIG_IGN))
-    return Workers(jobs, ray)

@@ -132,17 +132,21 @@ def check(
             f"{suite.content_hash}"
         )
     stored = _Stored(listing)
-    rebuilt = assemble(
-        suite,
-        listing.target,
-        policies,
-        {
-            name: suite.episode_set(name, count, seed=listing.seed, split=listing.split)
-            for name, count in listing.episodes.items()
-        },
-        against_laws=bool(listing.trials),
-        run=stored,
-    )
+    try:
+        with np.errstate(over="ignore", invalid="ignore"):  # forged numbers may overflow
+            rebuilt = assemble(
+                suite,
+                listing.target,
+                policies,
+                {
+                    name: suite.episode_set(name, count, seed=listing.seed, split=listing.split)
+                    for name, count in listing.episodes.items()
+                },
+                against_laws=bool(listing.trials),
+                run=stored,
+            )
+    except RuntimeError as error:
+        raise ValueError(f"{path} cannot be the results of a run: {error}") from error
     tables = json.loads(rebuilt.to_json())
     differences = [
         *(text for key in _REBUILT for text in _differences(key, data[key], tables[key], tolerance)),
@@ -199,6 +203,7 @@ class _Listing:
         keys: of the stored jobs, by track, policy and training seed.
         trials: keys of the stored trials, by track.
         failures: reasons, by track and policy.
+        versions: of the libraries that computed the jobs.
     """
 
     path: Path
@@ -214,6 +219,7 @@ class _Listing:
     keys: dict[tuple[str, str, int], str | None]
     trials: dict[str, list[str]]
     failures: dict[tuple[str, str], str]
+    versions: dict[str, str]
 
     @classmethod
     def of(cls, path: Path, data: Mapping[str, Any]) -> _Listing:
@@ -239,6 +245,7 @@ class _Listing:
                 keys={job[:3]: job[3] for job in jobs},
                 trials={track: list(keys) for track, keys in data["trials"].items()},
                 failures={(item["track"], item["policy"]): str(item["reason"]) for item in data["failures"]},
+                versions=dict(data["versions"]),
             )
         except (KeyError, IndexError, TypeError, AttributeError, ValueError) as error:
             raise ValueError(f"{path} is not a file of results: {error!r}") from error
@@ -291,7 +298,7 @@ class _Stored:
         self._store = Store(listing.path.parent)
         self._keys = dict(listing.keys)
         self._trials = {track: iter(keys) for track, keys in listing.trials.items()}
-        self._failures = listing.failures
+        self._failures, self._versions = listing.failures, listing.versions
         self._found: dict[Job, JobResult] = {}
 
     def __call__(self, jobs: Sequence[Job]) -> list[JobResult]:
@@ -318,9 +325,9 @@ class _Stored:
                 "process, or jobs are missing from their list; run the suite again with policies named 'module:object'"
             )
         result = self._store.load(key)
-        mine = json.loads(json.dumps(job.to_dict()))
+        mine = {**json.loads(json.dumps(job.to_dict())), "versions": self._versions}
         theirs = read_json(self._store.path(key), "the result of a job")["job"]
-        if different := sorted(name for name in mine if name != "versions" and mine[name] != theirs.get(name)):
+        if different := sorted(name for name in mine if mine[name] != theirs.get(name)):
             raise ValueError(
                 f"the stored job of policy {policy!r} on track {track!r} is of another {', '.join(different)}: run "
                 "the suite again"

@@ -7,6 +7,7 @@ from collections.abc import Iterable, Mapping
 from contextlib import ExitStack
 from dataclasses import asdict, dataclass
 from functools import cached_property, lru_cache
+from math import isfinite
 from typing import Any
 
 import numpy as np
@@ -118,10 +119,40 @@ class JobResult:
         return {"samples": lists, "not_applicable": self.not_applicable, "timings": self.timings}
 
     @classmethod
-    def from_dict(cls, data: Mapping[str, Any]) -> JobResult:
-        """The inverse of :meth:`to_dict`."""
-        samples = {name: np.array(values, dtype=np.float64) for name, values in data["samples"].items()}
-        return cls(samples, dict(data["timings"]), data["not_applicable"])
+    def from_dict(cls, data: Mapping[str, Any], job: Any) -> JobResult:
+        """The inverse of :meth:`to_dict`, for a job that did not fail.
+
+        Args:
+            data: the JSON object.
+            job: :meth:`Job.to_dict` of the job.
+
+        Raises:
+            ValueError: when no run of the job gives ``data``: on other keys, metrics, types or numbers of values.
+        """
+        try:
+            metrics, count = set(job["metrics"]), job["episodes"]["count"]
+        except (KeyError, TypeError) as error:
+            raise ValueError("the job names no metrics or no number of episodes") from error
+        keys = ("samples", "timings", "not_applicable")
+        samples, timings, not_applicable = (data.get(key, {}) for key in keys)
+        if not_applicable is not None:
+            metrics = set()
+        timed = {name for name in metrics if name in METRICS and METRICS[name].is_timing}
+        is_whole = (
+            data.keys() == set(keys)
+            and isinstance(not_applicable, str | None)
+            and isinstance(samples, dict)
+            and isinstance(timings, dict)
+            and samples.keys() == metrics - timed
+            and timings.keys() == timed
+            and all(isinstance(values, list) and len(values) == count for values in samples.values())
+            and all(value is None or _is_number(value) for values in samples.values() for value in values)
+            and all(map(_is_number, timings.values()))
+        )
+        if not is_whole:
+            raise ValueError(f"expected {count} numbers of each metric of the job, or the reason why there are none")
+        arrays = {name: np.array(values, dtype=np.float64) for name, values in samples.items()}
+        return cls(arrays, timings, not_applicable)
 
     def of_metric(self, name: str) -> FloatArray:
         """The samples of a metric, or its timing for every episode; shape (B,)."""
@@ -145,6 +176,10 @@ class JobResult:
             difference = np.abs(other.samples[name] - values) / (1 + np.abs(values))
             largest = max(largest, float(np.nanmax(difference, initial=0.0)))
         return largest
+
+
+def _is_number(value: Any) -> bool:
+    return type(value) is float and isfinite(value)  # an integer or a boolean was not written by to_dict
 
 
 def run_job(job: Job, key: str | None, metrics: Iterable[Metric] = ()) -> JobResult:

@@ -90,6 +90,10 @@ class Member:
             chosen = self._ask(observations.reshape(rows, -1)).reshape(shape)
         except PolicyError as error:
             raise PolicyError(f"step {int(state.step[0])}: {error}") from error
+        except MemoryError:
+            raise
+        except Exception as error:  # of the policy or of a witness
+            raise PolicyError(f"step {int(state.step[0])}: {describe(error)}") from error
         if is_alone:
             return self.encoder.decode(chosen, state)
         actions_of_all = np.zeros((batch, layout.num_players, layout.action_size), dtype=chosen.dtype)
@@ -101,14 +105,7 @@ class Member:
     def _ask(self, observations: Float32Array) -> npt.NDArray[Any]:
         """The actions for observations of shape (R, size), checked and audited: shape (R, action size)."""
         started = perf_counter()
-        try:
-            actions, self._memory = self.policy.predict(
-                observations, self._memory, self._episode_start, deterministic=True
-            )
-        except (PolicyError, MemoryError):
-            raise
-        except Exception as error:
-            raise PolicyError(describe(error)) from error
+        actions, self._memory = self.policy.predict(observations, self._memory, self._episode_start, deterministic=True)
         self.seconds += perf_counter() - started
         self._episode_start = np.zeros_like(self._episode_start)
         chosen, expected = np.asarray(actions), (len(observations), self.encoder.layout.action_size)

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import json
 import os
+import socket
+import struct
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import asdict
 from math import prod
-from multiprocessing import Pipe
 from multiprocessing.connection import Connection
 from typing import Any, TypeAlias
 
@@ -106,12 +107,17 @@ class _Process:
     """The side of the caller; a :class:`~ptne_env.policy.Policy`."""
 
     def __init__(self, source: FactorySpec, layout: ObservationLayout | None) -> None:
-        self._connection, theirs = Pipe()
+        mine, theirs = socket.socketpair()
+        for option in (socket.SO_RCVTIMEO, socket.SO_SNDTIMEO):  # it may answer in part, or stop reading
+            mine.setsockopt(socket.SOL_SOCKET, option, struct.pack("ll", int(PATIENCE), 0))
+        self._connection = Connection(mine.detach())
         with theirs:
             self._process = subprocess.Popen(  # noqa: S603 - our own command
                 [sys.executable, "-c", _MAIN, str(theirs.fileno())],
                 pass_fds=[theirs.fileno()],
                 stdin=subprocess.DEVNULL,
+                stdout=subprocess.DEVNULL,  # its output may hold escape sequences
+                stderr=subprocess.DEVNULL,
                 env=os.environ | _ONE_THREAD,
             )
         self._send(lambda: self._connection.send((sys.path, source, layout)))
