@@ -10,7 +10,7 @@ from processes import KILLS, kill_at_random_moments, start_python
 from small_suite import without_timings
 
 COMMANDS = {
-    "compare": "compare --suite small_suite:SMALL --policy grounded,adaptive --episodes 200 --no-report",
+    "compare": "compare --suite small_suite:SMALL --trust --policy grounded,adaptive --episodes 200 --no-report",
     "sweep": "sweep gain-step --points 4 --episodes 4",
 }
 ROUNDS = [KILLS[1::2], KILLS[::2]]

@@ -200,7 +200,8 @@ def test_a_metric_of_a_suites_module_reaches_workers_stored_results_and_checks(t
         return run_python("-m", "ptne_env.cli", *arguments, folder=tmp_path)
 
     def compare(jobs):
-        ptne("compare", "--suite=own_part:SUITE", "--policy=grounded", f"--jobs={jobs}", "--no-report", "--out=out")
+        wanted = ["--suite=own_part:SUITE", "--policy=grounded", "--trust"]
+        ptne("compare", *wanted, f"--jobs={jobs}", "--no-report", "--out=out")
         return (tmp_path / "out" / "results.csv").read_text(encoding="utf-8")
 
     (tmp_path / "own_part.py").write_text(OWN_SUITE, encoding="utf-8")
