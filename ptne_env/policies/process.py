@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import json
 import os
+import signal
 import socket
 import struct
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import asdict
 from math import prod
 from multiprocessing.connection import Connection
@@ -32,7 +33,7 @@ PolicySource: TypeAlias = FactorySpec | Policy | Callable[[ObservationLayout], P
 PATIENCE = 300.0
 """Seconds that a process may take to answer."""
 
-_MAIN = "import sys; from ptne_env.policies.process import serve; serve(int(sys.argv[1]))"
+_MAIN = "import sys; from ptne_env.policies.process import serve; serve(*map(int, sys.argv[1:]))"
 _ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 _OTHER_FORM = "its process answered in another form"
 _LONGEST_HEADER = 1 << 16
@@ -113,12 +114,13 @@ class _Process:
         self._connection = Connection(mine.detach())
         with theirs:
             self._process = subprocess.Popen(  # noqa: S603 - our own command
-                [sys.executable, "-c", _MAIN, str(theirs.fileno())],
+                [sys.executable, "-c", _MAIN, str(theirs.fileno()), str(os.getpid())],
                 pass_fds=[theirs.fileno()],
                 stdin=subprocess.DEVNULL,
                 stdout=subprocess.DEVNULL,  # its output may hold escape sequences
                 stderr=subprocess.DEVNULL,
                 env=os.environ | _ONE_THREAD,
+                process_group=0,  # Ctrl-C does not reach it, and processes that it starts end with it
             )
         self._send(lambda: self._connection.send((sys.path, source, layout)))
 
@@ -157,9 +159,10 @@ class _Process:
         return answer
 
     def close(self) -> None:
-        """End the process."""
+        """End the process, and those that it started in its group."""
         self._connection.close()
-        self._process.kill()
+        with suppress(ProcessLookupError):
+            os.killpg(self._process.pid, signal.SIGKILL)
         self._process.wait()
 
     def _send(self, send: Callable[[], None]) -> None:
@@ -177,14 +180,15 @@ class _Process:
             raise PolicyError("its process ended") from error
 
 
-def serve(descriptor: int) -> None:
+def serve(descriptor: int, caller: int) -> None:
     """The side of the policy: build it, and answer observations with actions until the caller is gone.
 
     Args:
         descriptor: of the connection to the caller, whose first message is the import path, the source and the layout;
             without a layout the answer is the interface of the policy.
+        caller: number of its process.
     """
-    end_with_parent()
+    end_with_parent(caller)
     connection = Connection(descriptor)
     path, source, layout = connection.recv()
     sys.path[:] = path
