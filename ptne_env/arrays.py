@@ -59,6 +59,13 @@ def require_count(name: str, value: int, minimum: int) -> int:
     return int(value)
 
 
+def require_printable(name: str, value: str) -> str:
+    """Return ``value``, or raise ``ValueError`` when it is no text of printable characters, as escape sequences are."""
+    if not (isinstance(value, str) and value.isprintable()):  # type: ignore[redundant-expr]  # callers may pass any type
+        raise ValueError(f"{name} must be a text of printable characters, got {value!r}")
+    return value
+
+
 def frozen(array: npt.ArrayLike) -> FloatArray:
     """A read-only float64 copy, safe to share."""
     result = np.array(array, dtype=np.float64)
