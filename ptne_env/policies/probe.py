@@ -63,7 +63,7 @@ def open_session(content: bytes) -> Any:
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = 1  # the networks are small, and one thread gives the same bits everywhere
     options.log_severity_level = 4
-    # Weights in other files are looked for below a file, so none is found. Versions before 1.24 ignore this.
+    # Weights in other files are looked for below a file, so none is found; old versions ignore this.
     options.add_session_config_entry("session.model_external_initializers_file_folder_path", __file__)
     return onnxruntime.InferenceSession(content, options, providers=["CPUExecutionProvider"], enable_fallback=0)
 

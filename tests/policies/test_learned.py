@@ -243,9 +243,6 @@ def test_a_file_that_refers_to_another_file_is_refused(tmp_path, monkeypatch, pl
     path = write_graph(tmp_path / "mine.onnx", PLACES[place](external(location.format(folder=tmp_path))))
     with pytest.raises(PolicyFileError, match="mine.onnx is not a readable ONNX file"):
         policies.load(path)
-    monkeypatch.setattr(probe, "refusal", lambda *_: None)  # nor does this process read it
-    with pytest.raises(PolicyFileError, match="mine.onnx is not a readable ONNX file"):
-        policies.load(path)
 
 
 @pytest.mark.parametrize("place", PLACES)
@@ -321,9 +318,8 @@ def test_the_trial_of_a_file_ends_with_its_process(tmp_path):
     assert parent.stdout.readline() == b"loading\n"
     assert wait_until(lambda: children.read_text(encoding="ascii").strip())
     child = Path("/proc", children.read_text(encoding="ascii").strip())
-    assert wait_until(
-        lambda: 0.3 * os.sysconf("SC_CLK_TCK") < int((child / "stat").read_text(encoding="ascii").split()[13])
-    )
+    ticks = 0.3 * os.sysconf("SC_CLK_TCK")  # of processor time: it has started to load the file
+    assert wait_until(lambda: int((child / "stat").read_text(encoding="ascii").split()[13]) > ticks)
     parent.kill()
     parent.communicate()
     assert wait_until(lambda: not child.exists())
