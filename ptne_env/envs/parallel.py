@@ -79,6 +79,11 @@ class NashSeekingEnv(ParallelEnv[str, Float32Array, Float32Array]):
             -OBSERVATION_BOUND, OBSERVATION_BOUND, (players * (n + players) + 4,), dtype=np.float32
         )
         self._renderer = Renderer(self.world, render_mode) if render_mode else None
+        self._table: tuple[Float32Array, list[Float32Array]] | None = None
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Copies and pickles have no table of observations, whose rows would come apart."""
+        return {**self.__dict__, "_table": None}
 
     @property
     def layout(self) -> ObservationLayout:
@@ -262,8 +267,13 @@ class NashSeekingEnv(ParallelEnv[str, Float32Array, Float32Array]):
             self._renderer.draw()
 
     def _observations(self, agents: list[str]) -> dict[str, Float32Array]:
-        """Copies, because every row of one array would lead to all others by its attribute ``base``."""
-        return dict(zip(agents, map(np.ndarray.copy, self._simulation.observe()[0]), strict=True))
+        """Copies of rows, because a row leads to all others of its array by the attribute ``base``."""
+        if self._table is None:
+            table = self._simulation.observe()
+            self._table = table, list(table[0])  # views cost as much as copies, so they are made once
+        table, rows = self._table
+        self._simulation.observe(table)
+        return dict(zip(agents, map(np.ndarray.copy, rows), strict=True))
 
     def _stack(self, actions: Mapping[str, Any]) -> npt.NDArray[np.floating]:
         """All actions in the order of the agents, shape (1, N, action size)."""
