@@ -25,6 +25,7 @@ from ptne_env.experiments import Workers, episode_seed
 from ptne_env.files import write_atomically
 from ptne_env.policy import Policy
 from ptne_env.training import ppo
+from ptne_env.training.arguments import Arguments
 
 HERE = Path(__file__).parent
 
@@ -73,7 +74,7 @@ class Remembering:
         return actions, stacked[:, observation.shape[1] :]
 
 
-def train(arguments: ppo.Arguments, *, memory: bool = False, recurrent: bool = False) -> Policy:
+def train(arguments: Arguments, *, memory: bool = False, recurrent: bool = False) -> Policy:
     """Train without checkpoints and logs."""
     torch.set_num_threads(1)
     env: Any = ppo.make_env(arguments)
@@ -96,7 +97,7 @@ def train(arguments: ppo.Arguments, *, memory: bool = False, recurrent: bool = F
     return Remembering(model) if memory else model
 
 
-def measure(name: str, arguments: ppo.Arguments) -> dict[str, Any]:
+def measure(name: str, arguments: Arguments) -> dict[str, Any]:
     """Train and validate one variation."""
     changes = dict(VARIATIONS[name])
     kind = {key: changes.pop(key) for key in ("memory", "recurrent") if key in changes}
@@ -121,7 +122,7 @@ def main(
 ) -> None:
     """Train every variation and write the table."""
     tasks = [
-        (name, ppo.Arguments.from_toml(configuration, steps=steps, seed=seed))
+        (name, Arguments.from_toml(configuration, steps=steps, seed=seed))
         for name in VARIATIONS
         for seed in range(seeds)
     ]

@@ -15,7 +15,7 @@ from typing import Annotated, Any
 import typer
 from common import Jobs, Ray, interval, table
 
-from ptne_env import policies
+from ptne_env import policies, training
 from ptne_env.experiments import COMPARED, PolicySpec, Workers, evaluate
 from ptne_env.experiments.statistics import Summary
 from ptne_env.files import write_atomically
@@ -69,8 +69,9 @@ def train_one(configuration: str, seed: int, out: Path) -> dict[str, bytes]:
     from its last checkpoint, and elsewhere it starts again.
     """
     from ptne_env.training import ppo
+    from ptne_env.training.arguments import Arguments
 
-    ppo.train(ppo.Arguments.from_toml(configuration, seed=seed), out)
+    ppo.train(Arguments.from_toml(configuration, seed=seed), out)
     return {name: (out / name).read_bytes() for name in FILES}
 
 
@@ -169,9 +170,7 @@ def main(
     episodes: Annotated[int, typer.Option(min=1, help="Test episodes.")] = 1000,
 ) -> None:
     """Train, ship and rank."""
-    from ptne_env.training import ppo
-
-    chosen = configuration or ppo.configurations()
+    chosen = configuration or training.configurations()
     tasks = [(name, seed) for name in chosen for seed in range(1 if name in ONE_SEED else seeds)]
     trained = train_all(tasks, runs, Workers(jobs, ray))
     old = json.loads(RESULTS.read_text(encoding="utf-8"))["rows"] if RESULTS.exists() else []

@@ -14,6 +14,7 @@ import typer
 from common import Jobs, Ray, interval, table
 from run import ONE_SEED
 
+from ptne_env import training
 from ptne_env.experiments import METRICS, POLICIES, Results, Workers, run_suite
 from ptne_env.experiments.leaderboard import Leaderboard
 from ptne_env.experiments.metrics import number
@@ -33,11 +34,9 @@ _INTRODUCTION = (
 
 def configurations(runs: Path) -> dict[str, str]:
     """The pattern of the training seeds of every configuration, by name of the policy."""
-    from ptne_env.training import ppo
-
     return {
         f"ppo-{name}": str(runs / name / "seed-*" / "policy.onnx")
-        for name in ppo.configurations()
+        for name in training.configurations()
         if name not in ONE_SEED
     }
 

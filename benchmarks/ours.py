@@ -185,7 +185,8 @@ def training_share(plan: Plan) -> dict[str, Any]:
         from stable_baselines3.common.vec_env import VecMonitor
 
         from ptne_env.envs.sb3 import PlayerVecEnv
-        from ptne_env.training.ppo import Arguments, train
+        from ptne_env.training.arguments import Arguments
+        from ptne_env.training.ppo import train
     except ImportError as error:
         raise MissingPeerError(f"the share of a PPO update is left out: {error}") from error
     shipped = Arguments.from_toml("random-energy")

@@ -9,6 +9,10 @@ from pathlib import Path
 from typing import Any
 
 
+class DamagedFileError(ValueError):
+    """A file that is cut off, damaged or something else than expected."""
+
+
 def write_atomically(path: Path, content: str | bytes) -> None:
     """Write ``content`` to ``path`` so that readers, also after an interruption, find the old file or the new one.
 
@@ -55,15 +59,15 @@ def read_json(path: Path, kind: str) -> dict[str, Any]:
 
     Raises:
         OSError: when there is no such file, or it cannot be read.
-        ValueError: naming ``path``, when it holds no JSON object, or part of one.
+        DamagedFileError: naming ``path``, when it holds no JSON object, or part of one.
     """
     data = path.read_bytes()
     try:
         value = json.loads(data)
     except (ValueError, RecursionError) as error:
-        raise ValueError(f"{path} is not {kind}: it is cut off, damaged or something else ({error})") from error
+        raise DamagedFileError(f"{path} is not {kind}: it is cut off, damaged or something else ({error})") from error
     if not isinstance(value, dict):
-        raise ValueError(f"{path} is not {kind}: expected a JSON object, got {type(value).__name__}")
+        raise DamagedFileError(f"{path} is not {kind}: expected a JSON object, got {type(value).__name__}")
     return value
 
 

@@ -2,12 +2,28 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+from traceback import extract_tb
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 import numpy.typing as npt
 
 from ptne_env.arrays import BoolArray
+
+_LONGEST_DESCRIPTION = 500
+
+
+class PolicyError(RuntimeError):
+    """A policy failed: it raised an error, answered in another form, or broke a rule of the protocol."""
+
+
+def describe(error: BaseException) -> str:
+    """Class, message and place of an error of foreign code, in printable characters."""
+    text = f"{type(error).__name__}: {error}"[:_LONGEST_DESCRIPTION]
+    if frames := extract_tb(error.__traceback__):
+        text += f" ({Path(frames[-1].filename).name}, line {frames[-1].lineno})"
+    return "".join(character if character.isprintable() else " " for character in text).strip()
 
 
 @runtime_checkable

@@ -106,7 +106,7 @@ def test_interrupted_work_showed_the_time_left_and_leaves_complete_files(name, t
     files = [path for path in tmp_path.rglob("*") if path.is_file() and "tensorboard" not in path.parts]
     assert [path for path in files if path.name.startswith(".")] == []
     for path in files:
-        assert path.suffix in (".json", ".png", ".svg")
+        assert path.suffix in (".json", ".npz", ".png", ".svg")
         if path.suffix == ".json":
             json.loads(path.read_text(encoding="utf-8"))
 
@@ -278,16 +278,15 @@ def test_a_module_in_the_current_folder_is_found_by_the_installed_command(own_mo
     assert "making a policy" in outcome.stdout
 
 
-def test_an_error_of_other_code_exits_with_1_and_a_traceback_on_demand(own_module):
-    command = ("compare", "--scenario", "energy", "--policy", "talkative:broken", "--episodes", "1")
+def test_a_failing_policy_is_named_with_track_step_and_line_and_the_others_go_on(own_module):
+    command = ("compare", "--scenario", "energy", "--policy", "static,talkative:broken", "--episodes", "1", "--trust")
     outcome = ptne(*command, cwd=own_module)
     assert outcome.returncode == 1
-    assert outcome.stderr.lstrip().startswith("Error: ZeroDivisionError: division by zero")
-    assert "--debug" in outcome.stderr
+    place = "talkative:broken on energy"
+    assert f"Failed: {place}: it cannot be built: ZeroDivisionError: division by zero (talkative.py," in outcome.stdout
     assert "Traceback" not in outcome.stderr
-    outcome = ptne("--debug", *command, cwd=own_module)
-    assert outcome.returncode == 1
-    assert "return 1 / 0" in outcome.stderr
+    records = json.loads((own_module / "results" / "comparison" / "results.json").read_text())["records"]
+    assert {record["policy"] for record in records} == {"static"}
 
 
 @pytest.mark.parametrize("name", ["missing.onnx", "damaged.onnx"])
@@ -469,13 +468,16 @@ def test_the_exit_code_of_check_is_0_when_results_reproduce(suite_run):
     outcome = ptne("check", "out", "--sample", "2", cwd=folder)
     assert outcome.returncode == 0, outcome.stderr
     assert outcome.stdout.count("reproduces") == 2
+    assert "every number follows from the stored jobs" in outcome.stdout
     forge(folder / "out")
     outcome = ptne("check", "out/results.json", "--sample", "99", cwd=folder)
     assert outcome.returncode == 1
     assert "differs" in outcome.stdout
     outcome = ptne("check", "out", "--sample", "99", "--json", "-", cwd=folder)
     assert outcome.returncode == 1
-    assert [one["reproduces"] for one in json.loads(outcome.stdout)].count(False) == 1
+    found = json.loads(outcome.stdout)
+    assert [job["passes"] for job in found["jobs"]].count(False) == 1
+    assert found["differences"]
 
 
 def forge(folder):

@@ -20,6 +20,7 @@ from ptne_env.experiments.check import check as run_check
 from ptne_env.experiments.policy_specs import stores_code
 from ptne_env.experiments.suite import SUITES, comparison
 from ptne_env.experiments.traces import scenes
+from ptne_env.experiments.workers import Workers
 from ptne_env.files import write_atomically
 
 _HOLD_STEPS = 50
@@ -113,7 +114,7 @@ def compare(
     check_writable(json, page, *files.values())
     names = [name for given in policy or () for name in given.split(",") if name]
     policies = _policies(names, trust=trust) if names else suite_policies() if suite else default_policies()
-    workers = options.make_workers(jobs, ray)
+    workers = Workers(jobs, ray)
     with progress(chosen.name) as advance:
         results = run_suite(
             suite or chosen,
@@ -145,6 +146,10 @@ def compare(
         say(f"Results written to {path}")
     if page is not None:
         say(f"Report written to {page}: open it in a browser")
+    for (place, name), reason in results.failures.items():
+        say(f"Failed: {name} on {place}: {reason}")
+    if results.failures:
+        raise typer.Exit(1)
 
 
 def _policies(names: Iterable[str], *, trust: bool) -> list[PolicySpec]:
@@ -165,22 +170,24 @@ def check(
     *,
     sample: Annotated[int, typer.Option(min=1, help="Number of jobs to run again.")] = 5,
     tolerance: Annotated[
-        float, typer.Option(min=0.0, help="Largest |new − old|/(1 + |old|) of a reproduced job.")
+        float, typer.Option(min=0.0, help="Largest |new − old|/(1 + |old|) of a number that counts as the same.")
     ] = 0.0,
     trust: options.Trust = False,
     json: options.Json = None,
 ) -> None:
-    """Run a random sample of the jobs of published results again, and compare every number of these jobs.
+    """Rebuild all tables of published results from the stored jobs, and run a random sample of the jobs again.
 
-    The tables and records in the file are not computed again.
+    Each of these jobs runs on the published episodes, where every number must repeat, and on as many fresh episodes,
+    where the score must not be worse than chance allows.
 
-    The exit code is 0 when all of them reproduce, else 1.
+    The exit code is 0 when everything agrees, else 1.
     """
     check_writable(json)
     with progress("checking") as advance:
-        repetitions = run_check(
+        outcome = run_check(
             results,
             sample=sample,
+            tolerance=tolerance,
             trust=trust,
             progress=lambda job, total: advance(total=total, description=job),
         )
@@ -190,11 +197,15 @@ def check(
             "policy": repetition.job.policy.name,
             "training_seed": repetition.job.training_seed,
             "difference": repetition.difference if isfinite(repetition.difference) else None,
-            "reproduces": repetition.difference <= tolerance,
+            "failure": repetition.failure,
+            "published": repetition.published,
+            "fresh": repetition.fresh,
+            "probability": repetition.probability,
+            "passes": repetition.passes(tolerance),
         }
-        for repetition in repetitions
+        for repetition in outcome.repetitions
     ]
-    write_json(json, json_text(rows))
-    console().print(report.repetition_table(repetitions, tolerance))
-    if not all(row["reproduces"] for row in rows):
+    write_json(json, json_text({"differences": outcome.differences, "jobs": rows}))
+    console().print(report.check_tables(outcome, tolerance))
+    if not outcome.passes(tolerance):
         raise typer.Exit(1)

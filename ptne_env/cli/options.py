@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import signal
 from typing import Annotated, TypeAlias
 
 import typer
@@ -12,7 +11,6 @@ from ptne_env.catalogue import CATALOGUE
 from ptne_env.cli.console import keep_stdout
 from ptne_env.experiments import POLICIES
 from ptne_env.experiments.suite import SUITES, get_suite
-from ptne_env.experiments.workers import Workers
 
 
 def complete_world() -> list[str]:
@@ -56,15 +54,3 @@ Json: TypeAlias = Annotated[
         help="Write the results as JSON to this file; '-' for stdout, where nothing else is printed then.",
     ),
 ]
-
-
-def make_workers(jobs: int, ray: str | None) -> Workers:
-    """Workers that leave Ctrl-C to this process, which ends them, so that they print no traceback.
-
-    Raises:
-        ValueError: as :class:`~ptne_env.experiments.workers.Workers`.
-    """
-    from joblib import parallel_config
-
-    parallel_config(backend="loky", initializer=signal.signal, initargs=(signal.SIGINT, signal.SIG_IGN))
-    return Workers(jobs, ray)

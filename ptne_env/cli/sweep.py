@@ -12,6 +12,7 @@ from ptne_env.cli import options
 from ptne_env.cli.app import app
 from ptne_env.cli.console import check_writable, progress, say, write_json
 from ptne_env.experiments.sweep import SWEEPS, run_sweep
+from ptne_env.experiments.workers import Workers
 
 
 @app.command()
@@ -22,7 +23,10 @@ def sweep(
             help=f"The diagrams: {', '.join(SWEEPS)}. All if left out.", autocompletion=lambda: list(SWEEPS)
         ),
     ] = None,
-    out: Annotated[Path, typer.Option(help="Folder for the pictures; made if missing.")] = Path("results/sweep"),
+    out: Annotated[
+        Path,
+        typer.Option(help="Folder of the pictures and of the finished points, from which an interrupted run goes on."),
+    ] = Path("results/sweep"),
     points: Annotated[int, typer.Option(min=2, help="Points along each axis.")] = 14,
     episodes: Annotated[int, typer.Option(min=1, help="Episodes per point, from random starts.")] = 8,
     seed: options.Seed = 0,
@@ -35,14 +39,16 @@ def sweep(
     gain-step is over κ and the step Θ, noise-horizon over noise and s_end, dwell-gain over dwell time and c. Every
     point is a batch of episodes of the static law in the environment; docs/theory.md explains the lines.
     """
-    workers = options.make_workers(jobs, ray)
+    workers = Workers(jobs, ray)
     chosen = diagram or list(SWEEPS)
     check_writable(json, *(out / f"{name}.png" for name in chosen))
     diagrams = []
     for name in chosen:
         with progress(name) as advance:
             diagrams.append(
-                run_sweep(name, points=points, episodes=episodes, seed=seed, workers=workers, progress=advance)
+                run_sweep(
+                    name, points=points, episodes=episodes, seed=seed, folder=out, workers=workers, progress=advance
+                )
             )
     for each in diagrams:
         report.save_diagram(each, out / f"{each.name}.png")

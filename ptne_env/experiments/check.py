@@ -1,35 +1,90 @@
-"""Checking published results: running a random sample of their jobs again."""
+"""Checking published results: rebuilding their tables, and running a sample of their jobs again."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+import json
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy import stats
 
-from ptne_env.arrays import require_count
+from ptne_env.arrays import FloatArray, require_count
 from ptne_env.catalogue import CATALOGUE
-from ptne_env.experiments.jobs import Job
-from ptne_env.experiments.policy_specs import ARCHIVE, PolicySpec
+from ptne_env.experiments.episodes import EpisodeSet, Split
+from ptne_env.experiments.jobs import Job, JobResult
+from ptne_env.experiments.policy_specs import PolicySpec
 from ptne_env.experiments.results import read_results
+from ptne_env.experiments.run import assemble
 from ptne_env.experiments.store import Store
-from ptne_env.experiments.suite import PAPER_START, Suite, comparison, get_suite
-from ptne_env.factory import FactorySpec
+from ptne_env.experiments.suite import PAPER_START, SUITES, Suite, comparison, get_suite
+from ptne_env.experiments.tuning import CANDIDATE
+from ptne_env.files import read_json
+
+SIGNIFICANCE = 1e-3
+"""Probability that honest results have a job whose score is called better than on fresh episodes."""
+
+_REBUILT = (
+    "suite",
+    "seed",
+    "split",
+    "episodes",
+    "policies",
+    "tuned_laws",
+    "records",
+    "not_applicable",
+    "failures",
+    "leaderboard",
+    "timings",
+)
+"""The keys of results that follow from the stored jobs."""
 
 
 @dataclass(frozen=True)
 class Repetition:
-    """A job that was run again.
+    """A job that was run again, on the published episodes and on fresh ones.
 
     Attributes:
         job: the job.
         difference: as :meth:`~ptne_env.experiments.jobs.JobResult.difference`.
+        failure: the error of the policy in either run; ``None`` where it acted.
+        published: mean score of the track's metric on the published episodes, as stored; ``None`` without a score.
+        fresh: the same on as many fresh episodes; ``None`` too where nothing is random.
+        probability: that a policy that does not know the published episodes does as well on them compared with the
+            fresh ones (one-sided Mann-Whitney test).
+        knows_episodes: whether that probability is below :data:`SIGNIFICANCE`, shared by the jobs of the check.
     """
 
     job: Job
     difference: float
+    failure: str | None
+    published: float | None
+    fresh: float | None
+    probability: float | None
+    knows_episodes: bool
+
+    def passes(self, tolerance: float = 0.0) -> bool:
+        """Whether the job reproduces within ``tolerance`` and its score does not depend on the published episodes."""
+        return self.difference <= tolerance and not self.knows_episodes
+
+
+@dataclass(frozen=True)
+class Check:
+    """The outcome of a check.
+
+    Attributes:
+        differences: between the tables of the results and those that follow from the stored jobs, one text each.
+        repetitions: the jobs that were run again.
+    """
+
+    differences: tuple[str, ...]
+    repetitions: tuple[Repetition, ...]
+
+    def passes(self, tolerance: float = 0.0) -> bool:
+        """Whether the tables follow from the jobs and all repeated jobs pass."""
+        return not self.differences and all(repetition.passes(tolerance) for repetition in self.repetitions)
 
 
 def check(
@@ -38,79 +93,307 @@ def check(
     suite: Suite | None = None,
     sample: int = 5,
     seed: int | None = None,
+    tolerance: float = 0.0,
     trust: bool = False,
     progress: Callable[[str, int], None] | None = None,
-) -> list[Repetition]:
-    """Run a random sample of the jobs of published results again.
+) -> Check:
+    """Rebuild the tables of published results from the stored jobs, and run a random sample of the jobs again.
+
+    Each job of the sample runs twice: on the published episodes, with a thorough audit of the decisions, and on fresh
+    episodes, which no policy can know. Jobs that are recorded as failed always run again.
 
     Args:
         results: a file ``results.json``, or its folder, with the stored jobs beside it.
         suite: that was run, where its name in the results does not find it.
         sample: number of jobs; all if there are fewer.
-        seed: of the choice; fresh if left out.
-        trust: whether code that is stored in ``.zip`` files may be executed.
+        seed: of the choice and of the fresh episodes; unpredictable if left out.
+        tolerance: largest |new − old|/(1 + |old|) of numbers in tables; the caller applies it to jobs.
+        trust: whether code outside this library that the results name may be executed.
         progress: called with ``"track: policy"`` and the number of jobs to run when a job is done.
 
     Raises:
         FileNotFoundError: when there are no results, or the file of a job is missing.
         ValueError: when a file is damaged, of another kind or of another version, the suite is not the one that was
-            run, the files of a policy differ, or no job was stored.
+            run, the files of a policy differ, the results name foreign code and ``trust`` is not set, or a policy was
+            an object of another process.
     """
     path = results / "results.json" if results.is_dir() else results
+    require_count("sample", sample, 1)
     data = read_results(path)
-    suite = _suite(data) if suite is None else suite
-    if suite.content_hash != data["suite"]["content_hash"]:
+    listing = _Listing.of(path, data)
+    policies = listing.policies()
+    listing.require_trust(trust=trust)
+    suite = listing.suite() if suite is None else suite
+    if suite.content_hash != listing.content_hash:
         raise ValueError(
-            f"{path} is of a {suite.name} with the content hash {data['suite']['content_hash']}; this library's is "
+            f"{path} is of a {suite.name} with the content hash {listing.content_hash}; this library's is "
             f"{suite.content_hash}"
         )
-    sources = [source for policy in _policies(data) for source in policy["training_seeds"]]
-    if not trust and any(source["target"] == ARCHIVE for source in sources):
-        raise ValueError(f"{path} has policies from .zip files, which execute code: say that you trust them (--trust)")
-    for source in sources:
-        if "arguments" in source:  # its module may register a metric, which the jobs of all policies have
-            FactorySpec.of(source["target"]).resolve()
-    stored = [job for job in data["jobs"] if job["key"] is not None]
-    if not stored:
-        raise ValueError(f"{path} has no job that can be run again: its policies were objects of another process")
-    chosen = np.random.default_rng(seed).permutation(len(stored))[: require_count("sample", sample, 1)]
+    stored = _Stored(listing)
+    try:
+        with np.errstate(over="ignore", invalid="ignore"):  # forged numbers may overflow
+            rebuilt = assemble(
+                suite,
+                listing.target,
+                policies,
+                {
+                    name: suite.episode_set(name, count, seed=listing.seed, split=listing.split)
+                    for name, count in listing.episodes.items()
+                },
+                against_laws=bool(listing.trials),
+                run=stored,
+            )
+    except RuntimeError as error:
+        raise ValueError(f"{path} cannot be the results of a run: {error}") from error
+    tables = json.loads(rebuilt.to_json())
+    differences = [
+        *(text for key in _REBUILT for text in _differences(key, data[key], tables[key], tolerance)),
+        *stored.unused(),
+    ]
+    generator = np.random.default_rng(seed)
+    failed = [job for job in rebuilt.jobs if (job.track.name, job.policy.name) in rebuilt.failures]
+    others = [job for job in rebuilt.jobs if job not in failed]
+    chosen = [*failed, *(others[index] for index in sorted(generator.permutation(len(others))[:sample].tolist()))]
     repetitions = []
-    for index in sorted(chosen.tolist()):
-        listed = stored[index]
-        policy = _policy(data, listed)
-        track = suite.track(listed["track"])
-        episodes = suite.episode_set(track.name, data["episodes"][track.name], seed=data["seed"], split=data["split"])
-        job = Job(track, policy, listed["training_seed"], episodes)
-        repetitions.append(Repetition(job, Store(path.parent).load(listed["key"]).difference(job.compute())))
+    for job in chosen:
+        fresh = replace(job.episodes, seed=int(generator.integers(1 << 32)))
+        repetitions.append(_repeat(job, stored.of(job), fresh, SIGNIFICANCE / len(chosen)))
         if progress is not None:
-            progress(f"{track.name}: {policy.name}", len(chosen))
-    return repetitions
+            progress(f"{job.track.name}: {job.policy.name}", len(chosen))
+    return Check(tuple(differences), tuple(repetitions))
 
 
-def _suite(data: Mapping[str, Any]) -> Suite:
-    """The suite of results: by its address, or the comparison of the scenarios of the catalogue that they name."""
-    stored = data["suite"]
-    if stored["target"] is not None:
-        return get_suite(stored["target"])
-    if not stored["rules"]["is_comparison"]:
-        raise ValueError(f"the suite {stored['suite']!r} was an object: pass it to check()")
-    names = list(dict.fromkeys(track["name"].removesuffix(PAPER_START) for track in stored["tracks"]))
-    if unknown := [name for name in names if name not in CATALOGUE]:
-        raise ValueError(f"the scenarios {', '.join(unknown)} are not in the catalogue: pass the suite to check()")
-    hold_steps = stored["tracks"][0]["scenario"]["hold_steps"]
-    return comparison(names, episodes=stored["rules"]["episodes"], hold_steps=hold_steps)
+@dataclass(frozen=True)
+class _Listing:
+    """What results say about their run, before anything that they name is imported.
+
+    Attributes:
+        path: of the results.
+        target: of the suite; ``None`` where it was an object.
+        content_hash: of the suite.
+        hold_steps: of a comparison of scenarios; ``None`` for another suite.
+        tracks: names of all tracks of the suite.
+        default_episodes: of the suite.
+        specs: the policies as JSON objects.
+        tuned: the tuned laws as JSON objects.
+        episodes: number of episodes by name of the track.
+        seed, split: of the episode sets.
+        keys: of the stored jobs, by track, policy and training seed.
+        trials: keys of the stored trials, by track.
+        failures: reasons, by track and policy.
+        versions: of the libraries that computed the jobs.
+    """
+
+    path: Path
+    target: str | None
+    content_hash: str
+    hold_steps: int | None
+    tracks: tuple[str, ...]
+    default_episodes: int
+    specs: tuple[dict[str, Any], ...]
+    tuned: tuple[dict[str, Any], ...]
+    episodes: dict[str, int]
+    seed: int
+    split: Split
+    keys: dict[tuple[str, str, int], str | None]
+    trials: dict[str, list[str]]
+    failures: dict[tuple[str, str], str]
+    versions: dict[str, str]
+
+    @classmethod
+    def of(cls, path: Path, data: Mapping[str, Any]) -> _Listing:
+        """The listing of the content of ``path``.
+
+        Raises:
+            ValueError: when something is missing or of another type.
+        """
+        try:
+            suite, is_comparison = data["suite"], data["suite"]["rules"]["is_comparison"]
+            jobs = [(job["track"], job["policy"], job["training_seed"], job["key"]) for job in data["jobs"]]
+            listing = cls(
+                path=path,
+                target=suite["target"],
+                content_hash=suite["content_hash"],
+                hold_steps=suite["tracks"][0]["scenario"]["hold_steps"] if is_comparison else None,
+                tracks=tuple(track["name"] for track in suite["tracks"]),
+                default_episodes=suite["rules"]["episodes"],
+                specs=tuple(data["policies"]),
+                tuned=tuple(law for laws in data["tuned_laws"].values() for law in laws.values()),
+                episodes=dict(data["episodes"]),
+                seed=data["seed"],
+                split=data["split"],
+                keys={job[:3]: job[3] for job in jobs},
+                trials={track: list(keys) for track, keys in data["trials"].items()},
+                failures={(item["track"], item["policy"]): str(item["reason"]) for item in data["failures"]},
+                versions=dict(data["versions"]),
+            )
+        except (KeyError, IndexError, TypeError, AttributeError, ValueError) as error:
+            raise ValueError(f"{path} is not a file of results: {error!r}") from error
+        if len(listing.keys) < len(jobs):
+            raise ValueError(f"{path} is not a file of results: a job is listed twice")
+        return listing
+
+    def require_trust(self, *, trust: bool) -> None:
+        """Check that code of others may be executed, or that none is named.
+
+        Raises:
+            ValueError: naming the targets.
+        """
+        foreign = sorted(set(_targets([{"target": self.target}, *self.specs, *self.tuned])) - {*SUITES, None})
+        if foreign and not trust:
+            raise ValueError(
+                f"{self.path} names code outside this library, which a check executes: {', '.join(foreign)}. Say that "
+                "you trust it (--trust)"
+            )
+
+    def suite(self) -> Suite:
+        """The suite: by its address, or the comparison of the scenarios of the catalogue that the results name.
+
+        Raises:
+            ValueError: when there is no such suite or scenario.
+        """
+        if self.target is not None:
+            return get_suite(self.target)
+        if self.hold_steps is None:
+            raise ValueError(f"the suite of {self.path} was an object: pass it to check()")
+        names = list(dict.fromkeys(name.removesuffix(PAPER_START) for name in self.tracks))
+        if unknown := [name for name in names if name not in CATALOGUE]:
+            raise ValueError(f"the scenarios {', '.join(unknown)} are not in the catalogue: pass the suite to check()")
+        return comparison(names, episodes=self.default_episodes, hold_steps=self.hold_steps)
+
+    def policies(self) -> list[PolicySpec]:
+        """The policies of the results.
+
+        Raises:
+            ValueError: when one was an object, or its files are not those that were run.
+        """
+        try:
+            found = [PolicySpec.from_dict(spec) for spec in self.specs]
+        except (KeyError, TypeError, AttributeError) as error:
+            raise ValueError(f"{self.path} is not a file of results: a policy has another form ({error!r})") from error
+        for policy, spec in zip(found, self.specs, strict=True):
+            if policy.to_dict() != spec:
+                raise ValueError(f"the files of policy {policy.name!r} are not those that were run")
+        return found
 
 
-def _policies(data: Mapping[str, Any], track: str | None = None) -> list[dict[str, Any]]:
-    """The policies of results, with the tuned laws of a track, or of all tracks."""
-    chosen = data["tuned_laws"].values() if track is None else [data["tuned_laws"].get(track, {})]
-    return [*data["policies"], *(law for laws in chosen for law in laws.values())]
+class _Stored:
+    """Gives the stored results of the jobs that results list, in place of a run."""
+
+    def __init__(self, listing: _Listing) -> None:
+        self._store = Store(listing.path.parent)
+        self._keys = dict(listing.keys)
+        self._trials = {track: iter(keys) for track, keys in listing.trials.items()}
+        self._failures, self._versions = listing.failures, listing.versions
+        self._found: dict[Job, JobResult] = {}
+
+    def __call__(self, jobs: Sequence[Job]) -> list[JobResult]:
+        for job in jobs:
+            self._found[job] = self._load(job)
+        return [self._found[job] for job in jobs]
+
+    def of(self, job: Job) -> JobResult:
+        """The stored result of a job that was asked for before."""
+        return self._found[job]
+
+    def _load(self, job: Job) -> JobResult:
+        track, policy = job.track.name, job.policy.name
+        failure = self._failures.get((track, policy))
+        if policy == CANDIDATE:
+            key = next(self._trials.get(track, iter(())), None)
+        else:
+            key = self._keys.pop((track, policy, job.training_seed), None)
+        if failure is not None:
+            return JobResult({}, {}, None, failure)
+        if key is None:
+            raise ValueError(
+                f"no stored job of policy {policy!r} on track {track!r}: the results are of an object of another "
+                "process, or jobs are missing from their list; run the suite again with policies named 'module:object'"
+            )
+        result = self._store.load(key)
+        mine = {**json.loads(json.dumps(job.to_dict())), "versions": self._versions}
+        theirs = read_json(self._store.path(key), "the result of a job")["job"]
+        if different := sorted(name for name in mine if mine[name] != theirs.get(name)):
+            raise ValueError(
+                f"the stored job of policy {policy!r} on track {track!r} is of another {', '.join(different)}: run "
+                "the suite again"
+            )
+        return result
+
+    def unused(self) -> Iterator[str]:
+        """A text for each listed job that no table needs."""
+        for track, policy, training_seed in self._keys:
+            yield f"jobs: {policy} (training seed {training_seed}) on {track} belongs to no table"
+        for track, keys in self._trials.items():
+            if any(True for _ in keys):
+                yield f"trials: there are more of {track} than candidates"
 
 
-def _policy(data: Mapping[str, Any], job: Mapping[str, Any]) -> PolicySpec:
-    """The policy of a job, if its files are those that were run."""
-    found = next(policy for policy in _policies(data, job["track"]) if policy["name"] == job["policy"])
-    policy = PolicySpec.from_dict(found)
-    if policy.to_dict() != found:
-        raise ValueError(f"the files of policy {policy.name!r} are not those that were run")
-    return policy
+def _repeat(job: Job, stored: JobResult, fresh: EpisodeSet, significance: float) -> Repetition:
+    """Run a job again, on its own episodes and on fresh ones."""
+    again = job.compute(thorough=True)
+    failure, published, elsewhere, probability = again.failure, None, None, None
+    if job.track.metric in stored.samples:
+        scores = stored.samples[job.track.metric]
+        published = float(scores.mean())
+        if failure is None and job.track.world.is_random and len(scores) > 1:
+            other = replace(job, episodes=fresh).compute()
+            failure = other.failure
+            if failure is None:
+                elsewhere = float(other.samples[job.track.metric].mean())
+                probability = _probability(scores, other.samples[job.track.metric])
+    return Repetition(
+        job,
+        stored.difference(again),
+        failure,
+        published,
+        elsewhere,
+        probability,
+        knows_episodes=probability is not None and probability < significance,
+    )
+
+
+def _probability(published: FloatArray, fresh: FloatArray) -> float:
+    """Of published scores at least as good, where both come from one distribution."""
+    if np.ptp(np.concatenate([published, fresh])) == 0:
+        return 1.0
+    return float(stats.mannwhitneyu(published, fresh, alternative="greater").pvalue)
+
+
+def _differences(place: str, found: Any, rebuilt: Any, tolerance: float) -> Iterator[str]:
+    """The places where JSON values differ, one text each."""
+    if isinstance(found, dict) and isinstance(rebuilt, dict) and found.keys() == rebuilt.keys():
+        for key, value in found.items():
+            yield from _differences(f"{place}.{key}", value, rebuilt[key], tolerance)
+    elif isinstance(found, list) and isinstance(rebuilt, list) and len(found) == len(rebuilt):
+        for index, value in enumerate(found):
+            names = [value[key] for key in ("track", "policy", "metric") if key in value] if _is_row(value) else [index]
+            label = ", ".join(map(str, names))
+            yield from _differences(f"{place}[{label}]", value, rebuilt[index], tolerance)
+    elif not _is_same(found, rebuilt, tolerance):
+        yield f"{place} is {found!r:.60}, the jobs give {rebuilt!r:.60}"
+
+
+def _is_row(value: Any) -> bool:
+    """Whether a JSON value is a row of a table, which has the name of its policy."""
+    return isinstance(value, dict) and "policy" in value
+
+
+def _is_same(found: Any, rebuilt: Any, tolerance: float) -> bool:
+    is_number = all(isinstance(value, int | float) and not isinstance(value, bool) for value in (found, rebuilt))
+    if is_number:
+        return abs(found - rebuilt) <= tolerance * (1 + abs(rebuilt))
+    return type(found) is type(rebuilt) and bool(found == rebuilt)
+
+
+def _targets(value: Any) -> Iterator[str]:
+    """The targets in JSON values that are not parts of this library."""
+    if isinstance(value, dict):
+        target = value.get("target")
+        if isinstance(target, str) and not target.startswith("ptne_env.laws:") and target != "ptne_env.policies:load":
+            yield target
+        for item in value.values():
+            yield from _targets(item)
+    elif isinstance(value, list):
+        for item in value:
+            yield from _targets(item)

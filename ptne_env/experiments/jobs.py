@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import platform
 from collections.abc import Iterable, Mapping
+from contextlib import ExitStack
 from dataclasses import asdict, dataclass
 from functools import cached_property, lru_cache
+from math import isfinite
 from typing import Any
 
 import numpy as np
@@ -13,6 +15,7 @@ import numpy as np
 from ptne_env.arrays import FloatArray
 from ptne_env.dynamics import State
 from ptne_env.encoder import make_encoder
+from ptne_env.experiments.audit import Witness, sample_rows
 from ptne_env.experiments.episodes import EpisodeSet
 from ptne_env.experiments.metrics import METRICS, Metric, adopt, measure, own_metrics
 from ptne_env.experiments.policy_specs import PolicySpec
@@ -20,6 +23,8 @@ from ptne_env.experiments.provenance import content_hash, source_hashes, version
 from ptne_env.experiments.rollout import rollout
 from ptne_env.experiments.suite import Track
 from ptne_env.observation import LayoutError
+from ptne_env.policy import Policy, PolicyError
+from ptne_env.world import World
 
 
 @dataclass(frozen=True)
@@ -55,24 +60,38 @@ class Job:
         """The hash of :meth:`to_dict`, by which the result is stored; ``None`` where the policy is an object."""
         return content_hash(self.to_dict()) if self.policy.is_repeatable else None
 
-    def compute(self) -> JobResult:
-        """Run the episodes."""
+    def compute(self, *, thorough: bool = False) -> JobResult:
+        """Run the episodes, and audit the decisions.
+
+        Args:
+            thorough: whether a witness per player audits, and not one for all.
+        """
         world = self.track.world
+        teammates = None if self.track.teammates is None else self.track.teammates.join(world)
+        players = world.game.num_players - (0 if teammates is None else len(teammates.players))
         try:
             encoder = make_encoder(world, self.policy.interface)
-            policy = self.policy.build(encoder.layout, self.training_seed)
+            with ExitStack() as processes:
+
+                def fresh() -> Policy:
+                    return processes.enter_context(self.policy.deciding(encoder.layout, self.training_seed))
+
+                policy = fresh()
+                rows = sample_rows(self.episodes.count, players, thorough=thorough)
+                witnesses = [Witness(fresh(), chosen) for chosen in rows]
+                start = _initial_state(world, self.episodes)
+                samples = measure(rollout(policy, encoder, start, teammates, witnesses=witnesses))
         except LayoutError as error:
             return JobResult({}, {}, str(error))
-        teammates = None if self.track.teammates is None else self.track.teammates.join(world)
-        start = _initial_state(self.track, self.episodes)
-        samples = measure(rollout(policy, encoder, start, teammates))
+        except PolicyError as error:
+            return JobResult({}, {}, None, str(error))
         timings = {name: float(samples.pop(name)[0]) for name in METRICS if METRICS[name].is_timing}
         return JobResult(samples, timings, None)
 
 
 @lru_cache(maxsize=2)  # jobs with the same episodes follow each other
-def _initial_state(track: Track, episodes: EpisodeSet) -> State:
-    return episodes.initial_state(track.world)
+def _initial_state(world: World, episodes: EpisodeSet) -> State:
+    return episodes.initial_state(world)
 
 
 @dataclass(frozen=True)
@@ -83,11 +102,13 @@ class JobResult:
         samples: per metric, one value per episode, NaN where there is none; shape (B,).
         timings: per metric that is a timing, its value.
         not_applicable: why the policy cannot act on this track; ``None`` where it can.
+        failure: the error of the policy, with the step; ``None`` where it acted. A failed job is never stored.
     """
 
     samples: dict[str, FloatArray]
     timings: dict[str, float]
     not_applicable: str | None
+    failure: str | None = None
 
     def to_dict(self) -> dict[str, Any]:
         """A JSON object; numbers keep every bit, NaN is ``null``."""
@@ -98,10 +119,40 @@ class JobResult:
         return {"samples": lists, "not_applicable": self.not_applicable, "timings": self.timings}
 
     @classmethod
-    def from_dict(cls, data: Mapping[str, Any]) -> JobResult:
-        """The inverse of :meth:`to_dict`."""
-        samples = {name: np.array(values, dtype=np.float64) for name, values in data["samples"].items()}
-        return cls(samples, dict(data["timings"]), data["not_applicable"])
+    def from_dict(cls, data: Mapping[str, Any], job: Any) -> JobResult:
+        """The inverse of :meth:`to_dict`, for a job that did not fail.
+
+        Args:
+            data: the JSON object.
+            job: :meth:`Job.to_dict` of the job.
+
+        Raises:
+            ValueError: when no run of the job gives ``data``: on other keys, metrics, types or numbers of values.
+        """
+        try:
+            metrics, count = set(job["metrics"]), job["episodes"]["count"]
+        except (KeyError, TypeError) as error:
+            raise ValueError("the job names no metrics or no number of episodes") from error
+        keys = ("samples", "timings", "not_applicable")
+        samples, timings, not_applicable = (data.get(key, {}) for key in keys)
+        if not_applicable is not None:
+            metrics = set()
+        timed = {name for name in metrics if name in METRICS and METRICS[name].is_timing}
+        is_whole = (
+            data.keys() == set(keys)
+            and isinstance(not_applicable, str | None)
+            and isinstance(samples, dict)
+            and isinstance(timings, dict)
+            and samples.keys() == metrics - timed
+            and timings.keys() == timed
+            and all(isinstance(values, list) and len(values) == count for values in samples.values())
+            and all(value is None or _is_number(value) for values in samples.values() for value in values)
+            and all(map(_is_number, timings.values()))
+        )
+        if not is_whole:
+            raise ValueError(f"expected {count} numbers of each metric of the job, or the reason why there are none")
+        arrays = {name: np.array(values, dtype=np.float64) for name, values in samples.items()}
+        return cls(arrays, timings, not_applicable)
 
     def of_metric(self, name: str) -> FloatArray:
         """The samples of a metric, or its timing for every episode; shape (B,)."""
@@ -116,6 +167,8 @@ class JobResult:
         """
         if self.samples.keys() != other.samples.keys() or self.not_applicable != other.not_applicable:
             return float("inf")
+        if (self.failure is None) != (other.failure is None):
+            return float("inf")
         largest = 0.0
         for name, values in self.samples.items():
             if not np.array_equal(np.isfinite(values), np.isfinite(other.samples[name])):
@@ -123,6 +176,10 @@ class JobResult:
             difference = np.abs(other.samples[name] - values) / (1 + np.abs(values))
             largest = max(largest, float(np.nanmax(difference, initial=0.0)))
         return largest
+
+
+def _is_number(value: Any) -> bool:
+    return type(value) is float and isfinite(value)  # an integer or a boolean was not written by to_dict
 
 
 def run_job(job: Job, key: str | None, metrics: Iterable[Metric] = ()) -> JobResult:
@@ -147,3 +204,11 @@ def run_job(job: Job, key: str | None, metrics: Iterable[Metric] = ()) -> JobRes
     except Exception as error:
         error.add_note(f"in track {job.track.name!r}, policy {job.policy.name!r}")
         raise
+
+
+def require_hashed(jobs: Iterable[Job]) -> None:
+    """Check that a change of the sources of jobs would be seen, so that no stored result is stale.
+
+    Raises:
+        ValueError: naming the policy or the track, and what cannot be hashed.
+    """

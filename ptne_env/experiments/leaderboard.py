@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TypeAlias
 
@@ -91,7 +91,7 @@ class Leaderboard:
         rows: one per track and policy that can act there, in the order of the run.
         saturated: names of the tracks on which several policies reach the floor; those are ranked by time to 1e-6.
         common: names of the tracks of the overall scores: those that all policies can act on, leaving out the policies
-            that cannot act on half of them.
+            that cannot act on half of them, or failed on one.
         overall: one row per policy with an overall score, the best first.
         errors: :data:`ERRORS`.
         thresholds: :data:`THRESHOLDS`.
@@ -113,6 +113,7 @@ def leaderboard(
     tracks: Sequence[Track],
     policies: Mapping[str, PolicySpec],
     samples: Mapping[tuple[str, str], Mapping[str, FloatArray]],
+    failing: Collection[str] = (),
 ) -> Leaderboard:
     """Scores, ranks and comparisons.
 
@@ -120,6 +121,7 @@ def leaderboard(
         tracks: that were run.
         policies: by name, the reference policies among them.
         samples: by (track, policy) and metric, shape (training seeds, episodes); nothing where a policy cannot act.
+        failing: names of the policies that failed on a track, which have no overall score.
     """
     raw, fine_times = {}, {}
     for track in tracks:
@@ -145,7 +147,11 @@ def leaderboard(
         for place, digits in raw.items()
     )
     scored = [track.name for track in tracks if (track.name, LAW) in scores]
-    broad = [name for name in policies if 2 * sum((track, name) in scores for track in scored) >= len(scored)]
+    broad = [
+        name
+        for name in policies
+        if name not in failing and 2 * sum((track, name) in scores for track in scored) >= len(scored)
+    ]
     common = tuple(track for track in scored if all((track, name) in scores for name in broad))
     overall = [_overall(name, policies[name], common, scores, ranks) for name in broad] if common else []
     overall.sort(key=lambda row: -(row.score.mean or 0.0))

@@ -4,26 +4,23 @@ from __future__ import annotations
 
 import glob
 import inspect
-from collections.abc import Callable, Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any
 
 from ptne_env import laws, policies
 from ptne_env.catalogue import CATALOGUE
 from ptne_env.experiments.provenance import file_hashes
 from ptne_env.factory import FactorySpec
 from ptne_env.observation import Interface, ObservationLayout
-from ptne_env.policies import LearnedPolicy
-from ptne_env.policies.archive import load_archive
-from ptne_env.policy import Policy
+from ptne_env.policies.process import PolicySource, build, declared_interface, separate
+from ptne_env.policy import Policy, PolicyError
 
 _LAWS = "ptne_env.laws:"
 ARCHIVE = "ptne_env.policies.archive:load_archive"
 """Target of the policies whose making executes code that is stored in a file."""
-
-PolicySource: TypeAlias = FactorySpec | Policy | Callable[[ObservationLayout], Policy]
-"""A factory spec or a callable that builds the policy from a layout, or the policy itself."""
 
 
 @dataclass(frozen=True)
@@ -50,8 +47,15 @@ class PolicySpec:
             raise ValueError(f"policy {self.name!r} has no training seed")
         if self.interface is None:
             first = self.training_seeds[0]
-            target = first.resolve() if isinstance(first, FactorySpec) else first
-            object.__setattr__(self, "interface", getattr(target, "interface", Interface()))
+            if self.is_foreign and isinstance(first, FactorySpec):
+                try:
+                    interface = declared_interface(first)
+                except PolicyError as error:
+                    raise ValueError(f"policy {self.name!r}: {error}") from error
+            else:
+                target = first.resolve() if isinstance(first, FactorySpec) else first
+                interface = getattr(target, "interface", Interface())
+            object.__setattr__(self, "interface", interface)
 
     @property
     def training_seeds(self) -> tuple[PolicySource, ...]:
@@ -71,28 +75,38 @@ class PolicySpec:
         return self.interface.kind == "full"
 
     @property
+    def is_foreign(self) -> bool:
+        """Whether a factory spec names code that is not a part of this library."""
+        targets = [source.target for source in self.training_seeds if isinstance(source, FactorySpec)]
+        return any(target == ARCHIVE or not target.startswith("ptne_env.") for target in targets)
+
+    @property
     def is_repeatable(self) -> bool:
         """Whether every training seed is a factory spec, so that another process can make it again."""
         return all(isinstance(policy, FactorySpec) for policy in self.training_seeds)
 
     def build(self, layout: ObservationLayout, training_seed: int = 0) -> Policy:
-        """The policy of a training seed for a layout.
+        """The policy of a training seed for a layout, in this process.
 
         Raises:
             LayoutError: when it was made for another layout.
-            ValueError: when it cannot be built, or the result has no ``predict``.
+            PolicyError: when it cannot be built, or the result has no ``predict``.
         """
-        built: Any = self.training_seeds[training_seed]
-        if isinstance(built, FactorySpec):
-            built = built.build(layout=layout)
-        elif isinstance(built, type) or not hasattr(built, "predict"):
-            built = built(layout)
-        if not hasattr(built, "predict"):
-            raise ValueError(f"policy {self.name!r}: {type(built).__name__} has no predict(observation, state, ...)")
-        if isinstance(built, LearnedPolicy):
-            built.require(layout)
-        policy: Policy = built
-        return policy
+        return build(self.training_seeds[training_seed], layout)
+
+    @contextmanager
+    def deciding(self, layout: ObservationLayout, training_seed: int = 0) -> Iterator[Policy]:
+        """The same, ready to decide: foreign code in a process of its own, which ends with the context.
+
+        Raises:
+            LayoutError, PolicyError: as :meth:`build`.
+        """
+        source = self.training_seeds[training_seed]
+        if self.is_foreign and isinstance(source, FactorySpec):
+            with separate(source, layout) as policy:
+                yield policy
+        else:
+            yield self.build(layout, training_seed)
 
     def to_dict(self) -> dict[str, Any]:
         """A JSON object with the parameters, and the hashes of the files, of every training seed."""
@@ -217,7 +231,7 @@ def get_policy_spec(policy: str | PolicySpec, *, trust: bool = False) -> PolicyS
     if stores_code(policy):
         if not trust:
             raise ValueError(f"loading {policy!r} executes code that is stored in it: say that you trust it (--trust)")
-        return PolicySpec(Path(policy).stem, FactorySpec.of(ARCHIVE, path=policy), load_archive(policy).interface)
+        return PolicySpec(Path(policy).stem, FactorySpec.of(ARCHIVE, path=policy))
     if ":" in policy:
         return PolicySpec(policy, FactorySpec.of(policy))
     known = ", ".join([*POLICIES, *policies.shipped()])

@@ -23,7 +23,7 @@ from ptne_env.experiments.statistics import Summary, summaries
 from ptne_env.experiments.suite import Suite, Track
 from ptne_env.files import read_json
 
-FORMAT = 3
+FORMAT = 4
 """Version of the meaning of ``results.json``; a file of another one is refused."""
 
 Record: TypeAlias = dict[str, Any]
@@ -46,8 +46,10 @@ class Results:
         split: of the episode sets.
         episodes: number of episodes by name of each track that was run, in the order of the suite.
         jobs: those of the policies and of the tuned laws.
+        trials: per track with learned policies, the jobs by whose validation digits the tuned laws were chosen.
         samples: by (track, policy), of policies and tuned laws.
         not_applicable: by (track, policy), why the policy cannot act or was not run there.
+        failures: by (track, policy), the error of the policy there.
         records: one per track, policy and metric, with the mean (or CVaR) and its 95 % interval.
     """
 
@@ -59,8 +61,10 @@ class Results:
     split: Split
     episodes: dict[str, int]
     jobs: tuple[Job, ...]
+    trials: dict[str, tuple[Job, ...]]
     samples: dict[tuple[str, str], Samples]
     not_applicable: dict[tuple[str, str], str]
+    failures: dict[tuple[str, str], str]
     records: tuple[Record, ...]
 
     @property
@@ -77,12 +81,12 @@ class Results:
         """The record of one track, policy and metric.
 
         Raises:
-            KeyError: when there is no such record, with the reason where the policy cannot act on the track.
+            KeyError: when there is no such record, with the reason where the policy cannot act on the track or failed.
         """
         try:
             return self._records[track, policy, metric]
         except KeyError:
-            reason = self.not_applicable.get((track, policy))
+            reason = (self.not_applicable | self.failures).get((track, policy))
             because = "" if reason is None else f": {reason}"
             raise KeyError(f"no record of {metric!r} for policy {policy!r} on track {track!r}{because}") from None
 
@@ -100,7 +104,7 @@ class Results:
         """Scores, ranks and profiles; ``None`` for a comparison, which has no reference policies."""
         if self.suite.is_comparison:
             return None
-        return leaderboard(self.tracks, self.policies, self.samples)
+        return leaderboard(self.tracks, self.policies, self.samples, {policy for _, policy in self.failures})
 
     def to_dict(self) -> dict[str, Any]:
         """All that is needed to read the results and to repeat them, as a JSON object; timings in one place.
@@ -120,10 +124,8 @@ class Results:
                 track: {group: law.to_dict() for group, law in laws.items()} for track, laws in self.tuned.items()
             },
             "records": [record for record, is_timing in zip(self.records, timed, strict=True) if not is_timing],
-            "not_applicable": [
-                {"track": track, "policy": policy, "reason": reason}
-                for (track, policy), reason in self.not_applicable.items()
-            ],
+            "not_applicable": _reasons(self.not_applicable),
+            "failures": _reasons(self.failures),
             "leaderboard": None if board is None else asdict(board),
             "jobs": [
                 {
@@ -134,6 +136,7 @@ class Results:
                 }
                 for job in self.jobs
             ],
+            "trials": {track: [job.key for job in jobs] for track, jobs in self.trials.items()},
             "versions": versions(),
         }
         timings = [record for record, is_timing in zip(self.records, timed, strict=True) if is_timing]
@@ -158,6 +161,10 @@ class Results:
         writer.writeheader()
         writer.writerows({**record, **common} for record in self.records)
         return buffer.getvalue()
+
+
+def _reasons(reasons: Mapping[tuple[str, str], str]) -> list[dict[str, str]]:
+    return [{"track": track, "policy": policy, "reason": reason} for (track, policy), reason in reasons.items()]
 
 
 def statistics_of(samples: Samples) -> dict[str, tuple[FloatArray, Statistic]]:
@@ -202,5 +209,6 @@ def read_results(path: Path) -> dict[str, Any]:
     content = {key: value for key, value in data.items() if key not in ("checksum", "timings")}
     if not is_hash_of(data.get("checksum"), content):
         raise ValueError(f"{path} was damaged or changed after it was written: run the suite again, results are stored")
-    require("policies", "episodes", "seed", "split")
+    require("seed", "split", "episodes", "policies", "tuned_laws", "trials", "versions", "timings")
+    require("records", "not_applicable", "failures", "leaderboard")
     return data

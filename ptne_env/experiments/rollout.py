@@ -8,13 +8,15 @@ from time import perf_counter
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from ptne_env import dynamics
-from ptne_env.arrays import BoolArray, FloatArray
+from ptne_env.arrays import BoolArray, Float32Array, FloatArray
 from ptne_env.dynamics import State
 from ptne_env.encoder import Encoder
+from ptne_env.experiments.audit import Witness
 from ptne_env.experiments.series import SERIES, Moment
-from ptne_env.policy import Policy
+from ptne_env.policy import Policy, PolicyError, describe
 from ptne_env.world import World
 
 
@@ -52,14 +54,18 @@ class Member:
         policy: built for the layout of ``encoder``.
         encoder: makes its observations and decodes its actions.
         players: indices of the players for which it decides.
+        witnesses: audit the decisions.
 
     Attributes:
         seconds: wall time of the policy so far.
     """
 
-    def __init__(self, policy: Policy, encoder: Encoder, players: Sequence[int]) -> None:
+    def __init__(
+        self, policy: Policy, encoder: Encoder, players: Sequence[int], witnesses: Sequence[Witness] = ()
+    ) -> None:
         self.policy, self.encoder = policy, encoder
         self.players = np.array(players, dtype=np.int64)
+        self.witnesses = witnesses
         self.seconds = 0.0
         self._memory: Any = None
         self._episode_start: BoolArray | None = None
@@ -68,7 +74,8 @@ class Member:
         """Inputs u of shape (n, N, B), 0 for all other players.
 
         Raises:
-            ValueError: when the policy returns actions of another shape, or actions that are not finite.
+            PolicyError: when the policy raises, returns actions of another shape or actions that are not finite, or
+                does not pass the audit.
         """
         layout, batch = self.encoder.layout, dynamics.batch_size(state)
         rows = len(self.players) * batch
@@ -78,13 +85,15 @@ class Member:
         observations = self.encoder.observe(state)
         if not is_alone:
             observations = observations[:, self.players]
-        started = perf_counter()
-        actions, self._memory = self.policy.predict(
-            observations.reshape(rows, -1), self._memory, self._episode_start, deterministic=True
-        )
-        self.seconds += perf_counter() - started
-        self._episode_start = np.zeros_like(self._episode_start)
-        chosen = _checked(np.asarray(actions), (batch, len(self.players), layout.action_size))
+        shape = (batch, len(self.players), layout.action_size)
+        try:
+            chosen = self._ask(observations.reshape(rows, -1)).reshape(shape)
+        except PolicyError as error:
+            raise PolicyError(f"step {int(state.step[0])}: {error}") from error
+        except MemoryError:
+            raise
+        except Exception as error:  # of the policy or of a witness
+            raise PolicyError(f"step {int(state.step[0])}: {describe(error)}") from error
         if is_alone:
             return self.encoder.decode(chosen, state)
         actions_of_all = np.zeros((batch, layout.num_players, layout.action_size), dtype=chosen.dtype)
@@ -93,6 +102,23 @@ class Member:
         inputs[:, self.players] = self.encoder.decode(actions_of_all, state)[:, self.players]
         return inputs
 
+    def _ask(self, observations: Float32Array) -> npt.NDArray[Any]:
+        """The actions for observations of shape (R, size), checked and audited: shape (R, action size)."""
+        started = perf_counter()
+        actions, self._memory = self.policy.predict(observations, self._memory, self._episode_start, deterministic=True)
+        self.seconds += perf_counter() - started
+        self._episode_start = np.zeros_like(self._episode_start)
+        chosen, expected = np.asarray(actions), (len(observations), self.encoder.layout.action_size)
+        if chosen.shape != expected:
+            raise PolicyError(
+                f"it answered {expected[0]} observations with actions of shape {chosen.shape}; expected {expected}"
+            )
+        if not np.isfinite(chosen).all():
+            raise PolicyError("it answered with an action that is not finite; expected numbers without NaN or inf")
+        for witness in self.witnesses:
+            witness.compare(observations, chosen)
+        return chosen
+
 
 def rollout(
     policy: Policy,
@@ -100,6 +126,7 @@ def rollout(
     start: State,
     teammates: Member | None = None,
     watch: Callable[[State, FloatArray | None], None] | None = None,
+    witnesses: Sequence[Witness] = (),
 ) -> Rollout:
     """Run ``policy`` from the state ``start`` at t = 0 to the end of every episode.
 
@@ -109,14 +136,16 @@ def rollout(
         start: initial state of all episodes.
         teammates: decide for their players in place of ``policy``, which decides for the other players only.
         watch: called with every state and the inputs (n, N, B) that are held from it, ``None`` with the last state.
+        witnesses: audit the decisions of ``policy``.
 
     Raises:
-        ValueError: when a policy returns actions of another shape, or actions that are not finite.
+        PolicyError: when a policy raises, returns actions of another shape or actions that are not finite, or does not
+            pass the audit.
     """
     world, batch = encoder.world, dynamics.batch_size(start)
     clock, players = world.clock, range(world.game.num_players)
     taken = set() if teammates is None else set(teammates.players.tolist())
-    member = Member(policy, encoder, [player for player in players if player not in taken])
+    member = Member(policy, encoder, [player for player in players if player not in taken], witnesses)
     instants = {name: series.instants(clock) for name, series in SERIES.items()}
     values = {name: np.empty((len(chosen), batch)) for name, chosen in instants.items()}
     state = start
@@ -134,14 +163,3 @@ def rollout(
             state = dynamics.step(world, state, inputs)
     seconds = member.seconds / (clock.total_steps * len(member.players) * batch)
     return Rollout(world, values, state.diverged, seconds)
-
-
-def _checked(actions: FloatArray, shape: tuple[int, int, int]) -> FloatArray:
-    expected = (shape[0] * shape[1], shape[2])
-    if actions.shape != expected:
-        raise ValueError(
-            f"the policy answered {expected[0]} observations with actions of shape {actions.shape}; expected {expected}"
-        )
-    if not np.isfinite(actions).all():
-        raise ValueError("the policy answered with an action that is not finite; expected numbers without NaN or inf")
-    return actions.reshape(shape)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeAlias
@@ -11,8 +11,8 @@ import numpy as np
 
 from ptne_env.arrays import FloatArray
 from ptne_env.experiments import tuning
-from ptne_env.experiments.episodes import Split
-from ptne_env.experiments.jobs import Job, JobResult
+from ptne_env.experiments.episodes import EpisodeSet, Split
+from ptne_env.experiments.jobs import Job, JobResult, require_hashed
 from ptne_env.experiments.metrics import METRICS, against_law
 from ptne_env.experiments.policy_specs import PolicySpec, get_policy_spec
 from ptne_env.experiments.results import Results, records, statistics_of
@@ -32,6 +32,7 @@ def evaluate(
     split: Split = "test",
     against_laws: bool = True,
     folder: Path | None = None,
+    rerun: bool = False,
     workers: Workers = Workers(),  # noqa: B008 - immutable
     progress: Callable[[str, int], None] | None = None,
 ) -> Results:
@@ -53,6 +54,7 @@ def evaluate(
         split: ``"test"``, ``"validation"`` or ``"train"``.
         against_laws: whether learned policies are compared with tuned laws.
         folder: in which finished jobs are stored.
+        rerun: whether stored jobs are run again.
         workers: run the jobs.
         progress: called when a job is done.
 
@@ -67,6 +69,7 @@ def evaluate(
         split=split,
         against_laws=against_laws,
         folder=folder,
+        rerun=rerun,
         workers=workers,
         progress=progress,
     )
@@ -82,6 +85,7 @@ def run_suite(
     split: Split = "test",
     against_laws: bool = False,
     folder: Path | None = None,
+    rerun: bool = False,
     workers: Workers = Workers(),  # noqa: B008 - immutable
     progress: Callable[[str, int], None] | None = None,
 ) -> Results:
@@ -90,6 +94,9 @@ def run_suite(
     Jobs whose result is in the folder already are not run again, so an interrupted run goes on where it was. Workers
     return results, and only this process writes: they may be machines that share no folder with it, but they need the
     same library and the same files of policies and parts.
+
+    A policy that fails on a track (it raises, answers in another form or does not pass the audit of its decisions)
+    costs that track: :attr:`~ptne_env.experiments.results.Results.failures` holds the reason, and nothing is stored.
 
     Args:
         suite: by name, ``"module:object"`` or as it is.
@@ -100,19 +107,53 @@ def run_suite(
         split: ``"test"``, ``"validation"`` or ``"train"``, which share no episode.
         against_laws: whether learned policies are compared with tuned laws; the tuning takes longer than the rest.
         folder: in which the results of finished jobs are stored; nothing is stored if left out.
+        rerun: whether stored jobs are run again. Jobs whose sources cannot be hashed need it.
         workers: run the jobs. Only the measured times of policies depend on it.
         progress: called with ``"track: policy"`` and the number of all jobs when a job is done.
 
     Raises:
-        ValueError: for unknown or repeated names, when no policy fits any track, or a worker has other files.
+        ValueError: for unknown or repeated names, when no policy fits any track, a worker has other files, or the
+            sources of a policy or a part cannot be hashed and ``rerun`` is not set.
+        RuntimeError: when a reference policy fails.
         OSError: when the folder cannot be written.
         ImportError, ConnectionError, ChildProcessError: as :meth:`~ptne_env.experiments.workers.Workers.run`.
     """
     target = suite if isinstance(suite, str) else suite.name if suite.name in SUITES else None
     suite = get_suite(suite)
-    chosen = suite.tracks if tracks is None else tuple(suite.track(name) for name in dict.fromkeys(tracks))
+    names = [track.name for track in suite.tracks] if tracks is None else list(dict.fromkeys(tracks))
+    sets = {name: suite.episode_set(name, episodes, seed=seed, split=split) for name in names}
+    runner = _Runner(None if folder is None else Store(folder), workers, progress, rerun=rerun)
+    specs = [get_policy_spec(policy) for policy in policies]
+    return assemble(suite, target, specs, sets, against_laws=against_laws, run=runner, workers=workers)
+
+
+def assemble(
+    suite: Suite,
+    target: str | None,
+    policies: Sequence[PolicySpec],
+    episodes: Mapping[str, EpisodeSet],
+    *,
+    against_laws: bool,
+    run: Callable[[Sequence[Job]], list[JobResult]],
+    workers: Workers = Workers(),  # noqa: B008 - immutable
+) -> Results:
+    """The results of a suite from the results of its jobs, of which there may be stored ones only.
+
+    Args:
+        suite: the suite.
+        target: that finds it; ``None`` for an object.
+        policies: beside the reference policies.
+        episodes: the episode set of each track that is run, by name.
+        against_laws: whether learned policies are compared with tuned laws.
+        run: gives the results of jobs, in their order.
+        workers: compute the statistics.
+
+    Raises:
+        ValueError: for repeated names, or when no policy fits any track.
+        RuntimeError: when a reference policy fails.
+    """
     specs = _by_name(suite, policies)
-    sets = {track.name: suite.episode_set(track.name, episodes, seed=seed, split=split) for track in chosen}
+    chosen = tuple(suite.track(name) for name in episodes)
     not_applicable = {
         (track.name, spec.name): f"it is run on {', '.join(sorted(spec.scenarios))} only"
         for track in chosen
@@ -120,29 +161,35 @@ def run_suite(
         if spec.scenarios is not None and track.scenario.name not in spec.scenarios
     }
     jobs = [
-        Job(track, spec, training_seed, sets[track.name])
+        Job(track, spec, training_seed, episodes[track.name])
         for track in chosen
         for spec in specs.values()
         if (track.name, spec.name) not in not_applicable
         for training_seed in range(len(spec.training_seeds))
     ]
-    runner = _Runner(None if folder is None else Store(folder), workers, progress)
-    samples, reasons = _collected(jobs, runner.run(jobs))
-    own = specs.keys() - {reference.name for reference in suite.references}
-    if own and own.isdisjoint(policy for _, policy in samples):
-        (_, name), reason = next(iter((not_applicable | reasons).items()))
+    outcome = _collected(jobs, run(jobs))
+    samples, not_applicable = outcome.samples, not_applicable | outcome.not_applicable
+    references = {reference.name for reference in suite.references}
+    own = specs.keys() - references
+    if own and own.isdisjoint(policy for _, policy in (samples | outcome.failures)):
+        (_, name), reason = next(iter(not_applicable.items()))
         raise ValueError(f"policy {name!r} fits no track: {reason}")
+    for (track_name, name), reason in outcome.failures.items():
+        if name in references:
+            raise RuntimeError(f"the reference policy {name!r} fails on track {track_name!r}: {reason}")
     tuned: dict[str, dict[str, PolicySpec]] = {}
+    trials: dict[str, tuple[Job, ...]] = {}
     if against_laws:
         with_learned = {track for track, policy in samples if specs[policy].is_learned}
         random = [track for track in chosen if track.name in with_learned and track.world.is_random]
-        tuned = _tuned_laws(suite, random, runner)
-        opposing = [Job(track, law, 0, sets[track.name]) for track in random for law in tuned[track.name].values()]
-        law_samples, _ = _collected(opposing, runner.run(opposing))
-        for (track, policy), measured in samples.items():
-            if track in tuned and specs[policy].is_learned:
-                for group, law in tuned[track].items():
-                    measured.update(against_law(group, measured["digits"], law_samples[track, law.name]["digits"]))
+        trials = {track.name: _trials(suite, track) for track in random}
+        tuned = _tuned_laws(trials, run)
+        opposing = [Job(track, law, 0, episodes[track.name]) for track in random for law in tuned[track.name].values()]
+        law_samples = _collected(opposing, run(opposing)).samples
+        for (track_name, policy), measured in samples.items():
+            if track_name in tuned and specs[policy].is_learned:
+                for group, law in tuned[track_name].items():
+                    measured.update(against_law(group, measured["digits"], law_samples[track_name, law.name]["digits"]))
         jobs, samples = [*jobs, *opposing], {**samples, **law_samples}
     ordered = {
         (track.name, name): samples[track.name, name]
@@ -150,26 +197,28 @@ def run_suite(
         for name in [*specs, *(law.name for law in tuned.get(track.name, {}).values())]
         if (track.name, name) in samples
     }
-    summarised = [(*place, statistics_of(found), sets[place[0]].count) for place, found in ordered.items()]
+    summarised = [(*place, statistics_of(found), episodes[place[0]].count) for place, found in ordered.items()]
     tables = workers.gather(records, summarised)
+    first = next(iter(episodes.values()))
     return Results(
         suite=suite,
         target=target,
         policies=specs,
         tuned=tuned,
-        seed=seed,
-        split=split,
-        episodes={name: found.count for name, found in sets.items()},
+        seed=first.seed,
+        split=first.split,
+        episodes={name: found.count for name, found in episodes.items()},
         jobs=tuple(jobs),
+        trials=trials,
         samples=ordered,
-        not_applicable=not_applicable | reasons,
+        not_applicable=not_applicable,
+        failures=outcome.failures,
         records=tuple(record for table in tables for record in table),
     )
 
 
-def _by_name(suite: Suite, policies: Iterable[str | PolicySpec]) -> dict[str, PolicySpec]:
+def _by_name(suite: Suite, listed: Sequence[PolicySpec]) -> dict[str, PolicySpec]:
     """The policies, and the reference policies of the suite, by name."""
-    listed = [get_policy_spec(policy) for policy in policies]
     specs = {spec.name: spec for spec in listed}
     if len(specs) < len(listed):
         raise ValueError(f"a comparison needs different names, got {', '.join(spec.name for spec in listed)}")
@@ -193,15 +242,19 @@ class _Runner:
     store: Store | None
     workers: Workers
     progress: Callable[[str, int], None] | None
+    rerun: bool
     total: int = 0
 
-    def run(self, jobs: Sequence[Job]) -> list[JobResult]:
+    def __call__(self, jobs: Sequence[Job]) -> list[JobResult]:
         """The results of jobs, in their order."""
+        if self.store is not None and not self.rerun:
+            require_hashed(jobs)
         self.total += len(jobs)
         # The largest games first, so that no worker is left alone with one at the end.
         order = sorted(range(len(jobs)), key=lambda index: -jobs[index].track.world.game.num_players)
         found: dict[int, JobResult] = {}
-        for place, result in run_jobs([jobs[index] for index in order], self.store, self.workers):
+        ordered = [jobs[index] for index in order]
+        for place, result in run_jobs(ordered, self.store, self.workers, rerun=self.rerun):
             job = jobs[order[place]]
             found[order[place]] = result
             if self.progress is not None:
@@ -213,35 +266,49 @@ _Place: TypeAlias = tuple[str, str]
 """Names of a track and of a policy."""
 
 
-def _collected(
-    jobs: Sequence[Job], results: Sequence[JobResult]
-) -> tuple[dict[_Place, dict[str, FloatArray]], dict[_Place, str]]:
-    """Samples of shape (training seeds, episodes) by metric, and the reasons where a policy cannot act."""
+@dataclass
+class _Outcome:
+    """Samples of shape (training seeds, episodes) by metric, and reasons why there are none."""
+
+    samples: dict[_Place, dict[str, FloatArray]]
+    not_applicable: dict[_Place, str]
+    failures: dict[_Place, str]
+
+
+def _collected(jobs: Sequence[Job], results: Sequence[JobResult]) -> _Outcome:
     grouped: dict[_Place, list[JobResult]] = {}
     for job, result in zip(jobs, results, strict=True):
         grouped.setdefault((job.track.name, job.policy.name), []).append(result)
-    samples, reasons = {}, {}
+    outcome = _Outcome({}, {}, {})
     for place, found in grouped.items():
+        failure = next((result.failure for result in found if result.failure is not None), None)
         reason = next((result.not_applicable for result in found if result.not_applicable is not None), None)
-        if reason is None:
-            samples[place] = {
+        if failure is not None:
+            outcome.failures[place] = failure
+        elif reason is not None:
+            outcome.not_applicable[place] = reason
+        else:
+            outcome.samples[place] = {
                 name: np.stack([result.of_metric(name) for result in found])
                 for name, metric in METRICS.items()
                 if metric.value is not None
             }
-        else:
-            reasons[place] = reason
-    return samples, reasons
+    return outcome
 
 
-def _tuned_laws(suite: Suite, tracks: Sequence[Track], runner: _Runner) -> dict[str, dict[str, PolicySpec]]:
+def _trials(suite: Suite, track: Track) -> tuple[Job, ...]:
+    """The candidates for the tuned laws of a track, on its validation episodes."""
+    episodes = suite.episode_set(track.name, tuning.VALIDATION_EPISODES, split="validation")
+    return tuple(Job(track, law, 0, episodes) for law in tuning.candidate_specs())
+
+
+def _tuned_laws(
+    trials: Mapping[str, Sequence[Job]], run: Callable[[Sequence[Job]], list[JobResult]]
+) -> dict[str, dict[str, PolicySpec]]:
     """The best law of each group on the validation episodes of each track."""
-    trials = [
-        Job(track, law, 0, suite.episode_set(track.name, tuning.VALIDATION_EPISODES, split="validation"))
-        for track in tracks
-        for law in tuning.candidate_specs()
-    ]
-    digits: dict[str, dict[Any, float]] = {track.name: {} for track in tracks}
-    for job, result in zip(trials, runner.run(trials), strict=True):
-        digits[job.track.name][job.policy.policy] = float(result.samples["digits"].mean())
+    jobs = [job for chosen in trials.values() for job in chosen]
+    digits: dict[str, dict[Any, float]] = {track: {} for track in trials}
+    for job, result in zip(jobs, run(jobs), strict=True):
+        has_failed = result.failure is not None
+        digits[job.track.name][job.policy.policy] = -np.inf if has_failed else float(result.samples["digits"].mean())
     return {track: tuning.best(found) for track, found in digits.items()}

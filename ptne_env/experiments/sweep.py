@@ -10,7 +10,7 @@ import json
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
-from itertools import count
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -22,7 +22,9 @@ from ptne_env.catalogue import get_scenario
 from ptne_env.dynamics import State
 from ptne_env.encoder import make_encoder
 from ptne_env.experiments.episodes import EpisodeSet
+from ptne_env.experiments.provenance import content_hash, versions
 from ptne_env.experiments.rollout import rollout
+from ptne_env.experiments.store import TaskStore, run_missing
 from ptne_env.experiments.workers import Workers
 from ptne_env.factory import FactorySpec
 from ptne_env.laws import Static
@@ -133,21 +135,26 @@ def run_sweep(
     points: int = 14,
     episodes: int = 8,
     seed: int = 0,
+    folder: Path | None = None,
     workers: Workers = Workers(),  # noqa: B008 - immutable
     progress: Callable[[int, int], None] | None = None,
 ) -> Diagram:
     """Measure one phase diagram.
+
+    Points whose result is in the folder already are not measured again, so an interrupted run goes on where it was.
 
     Args:
         name: one of :data:`SWEEPS`.
         points: along each axis, at least 2.
         episodes: per point.
         seed: of the starts, and of the noise.
+        folder: in which the results of finished points are stored; nothing is stored if left out.
         workers: where the points are measured; the results do not depend on it.
         progress: called with the number of points that are done and of all.
 
     Raises:
         ValueError: when the name is unknown or a number is too small.
+        OSError: when the folder cannot be written.
         ImportError, ConnectionError, ChildProcessError: as :meth:`~ptne_env.experiments.workers.Workers.run`.
     """
     if name not in SWEEPS:
@@ -156,44 +163,86 @@ def run_sweep(
     require_count("episodes", episodes, 1)
     sweep = SWEEPS[name]
     x, y = sweep.axes(points)
-    tasks = [(name, across, up, episodes, seed) for up in y.values for across in x.values]
-    done = count(1)
-
-    def report(*_: object) -> None:
+    places = [_Point(name, across, up, episodes, seed) for up in y.values for across in x.values]
+    store = None if folder is None else _PointStore(folder)
+    found: dict[int, _Digits] = {}
+    for index, digits in run_missing(
+        places, store, lambda missing: workers.run(_Point.measure, [(point,) for point in missing])
+    ):
+        found[index] = digits
         if progress is not None:
-            progress(next(done), len(tasks))
-
-    digits = workers.gather(_measure, tasks, report)
-    rows = [digits[start : start + points] for start in range(0, len(tasks), points)]
+            progress(len(found), len(places))
+    rows = [[found[start + column] for column in range(points)] for start in range(0, len(places), points)]
     return Diagram(
         name=name,
         title=sweep.title,
         x=x,
         y=y,
-        measured=tuple(tuple(measured for measured, _ in row) for row in rows),
-        predicted=tuple(tuple(predicted for _, predicted in row) for row in rows),
+        measured=tuple(tuple(digits.measured for digits in row) for row in rows),
+        predicted=tuple(tuple(digits.predicted for digits in row) for row in rows),
         boundaries=tuple(sweep.boundaries(x, y)),
         episodes=episodes,
         seed=seed,
     )
 
 
-def _measure(name: str, x: float, y: float, episodes: int, seed: int) -> tuple[float | None, float | None]:
-    """Mean digits at T of one point, as measured and as predicted."""
-    try:
-        world, kappa = _point(name, x, y)
-    except ValueError:  # such as a dwell that is shorter than a step
-        return None, None
-    encoder = make_encoder(world, Interface())
-    law, start = Static(encoder.layout, kappa), EpisodeSet(episodes, seed).initial_state(world)
-    measured = _mean_digits(rollout(law, encoder, start)["estimate_distance"][world.clock.steps])
+@dataclass(frozen=True)
+class _Digits:
+    """Mean digits at T of one point, as measured and as predicted; ``None`` where there is no scenario."""
 
-    loop = theory.sampled_loop(world, law)
-    if not np.all(np.isfinite(loop.transition())):
-        return measured, FLOOR
-    std = theory.channel_noise(world.channel)
-    noise = theory.noise_distance(loop.noise_covariance(std), world.game) if std else 0.0
-    return measured, _mean_digits(np.hypot(_noiseless(loop, start), noise))
+    measured: float | None
+    predicted: float | None
+
+    def to_dict(self) -> dict[str, Any]:
+        return asdict(self)
+
+    @classmethod
+    def from_dict(cls, data: Mapping[str, Any], point: Any) -> _Digits:  # noqa: ARG003 - any point has such digits
+        if data.keys() != {"measured", "predicted"}:
+            raise ValueError("expected measured and predicted digits")
+        values = list(data.values())
+        if values != [None, None] and not all(type(value) is float and FLOOR <= value <= CEILING for value in values):
+            raise ValueError(f"expected digits between {FLOOR:g} and {CEILING:g}")
+        return cls(**data)
+
+
+@dataclass(frozen=True)
+class _Point:
+    """A point of a diagram: everything that its digits depend on."""
+
+    diagram: str
+    x: float
+    y: float
+    episodes: int
+    seed: int
+
+    @property
+    def key(self) -> str:
+        return content_hash(self.to_dict())
+
+    def to_dict(self) -> dict[str, Any]:
+        return {**asdict(self), "versions": versions()}
+
+    def measure(self) -> _Digits:
+        try:
+            world, kappa = _point(self.diagram, self.x, self.y)
+        except ValueError:  # such as a dwell that is shorter than a step
+            return _Digits(None, None)
+        encoder = make_encoder(world, Interface())
+        law, start = Static(encoder.layout, kappa), EpisodeSet(self.episodes, self.seed).initial_state(world)
+        measured = _mean_digits(rollout(law, encoder, start)["estimate_distance"][world.clock.steps])
+
+        loop = theory.sampled_loop(world, law)
+        if not np.all(np.isfinite(loop.transition())):
+            return _Digits(measured, FLOOR)
+        std = theory.channel_noise(world.channel)
+        noise = theory.noise_distance(loop.noise_covariance(std), world.game) if std else 0.0
+        return _Digits(measured, _mean_digits(np.hypot(_noiseless(loop, start), noise)))
+
+
+class _PointStore(TaskStore[_Digits]):
+    kind = "point"
+    result = _Digits
 
 
 def _noiseless(loop: theory.SampledLoop, start: State) -> FloatArray:

@@ -156,7 +156,8 @@ def scene(
         encoder = make_encoder(world, policy.interface)
         watch = _Watch(world, kept)
         team = None if teammates is None else teammates(world)
-        distance = rollout(policy.build(encoder.layout), encoder, start, team, watch)["estimate_distance"]
+        with policy.deciding(encoder.layout) as deciding:
+            distance = rollout(deciding, encoder, start, team, watch)["estimate_distance"]
         errors = np.quantile(distance[kept], QUANTILES, axis=1)
         traces[name] = Trace(errors, distance[kept, 0], *watch.arrays())
     t, deadline = clock.t[kept], int(np.searchsorted(kept, clock.steps))

@@ -21,6 +21,9 @@ GRADIENT_GAINS = (1.0, 2.0, 3.0, 3.5, 4.0, 5.0)
 VALIDATION_EPISODES = 200
 """Number of validation episodes, of seed 0 whatever the seed of the comparison."""
 
+CANDIDATE = "candidate law"
+"""Name of every candidate while it is tried."""
+
 GROUPS = {"paper": "best of the paper's laws", "all": "best of all laws"}
 """Groups of laws, and the name under which the best of each stands in tables."""
 
@@ -50,7 +53,7 @@ def candidates(group: str) -> Iterator[FactorySpec]:
 
 def candidate_specs() -> list[PolicySpec]:
     """All candidates as policies, in order."""
-    return [PolicySpec("candidate law", law, Interface()) for law in candidates("all")]
+    return [PolicySpec(CANDIDATE, law, Interface()) for law in candidates("all")]
 
 
 def best(digits: Mapping[FactorySpec, float]) -> dict[str, PolicySpec]:

@@ -2,10 +2,17 @@
 
 from __future__ import annotations
 
+import os
+import signal
+import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures.process import BrokenProcessPool
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import dataclass
+from multiprocessing.resource_tracker import ensure_running
 from typing import Any, TypeVar
+
+from ptne_env.processes import end_with_parent
 
 Result = TypeVar("Result")
 
@@ -15,6 +22,8 @@ _LOST = "a worker process died, often for lack of memory (fewer jobs need less);
 @dataclass(frozen=True)
 class Workers:
     """Processes that run tasks. The results do not depend on their number or place.
+
+    Processes of this machine end with this process, even if it is killed, and leave Ctrl-C to it.
 
     Attributes:
         jobs: tasks at a time; −1 for one per core, of this machine or of the cluster.
@@ -53,13 +62,21 @@ class Workers:
         except ImportError as error:
             raise ImportError('several jobs need joblib: pip install "ptne-env[bench]"') from error
         options: dict[str, Any] = {"return_as": "generator_unordered", "batch_size": 1}
-        if self.ray is not None:
+        start: AbstractContextManager[None] = nullcontext()
+        if self.ray is None:
+            start = _ctrl_c_waits()
+            options |= {"backend": "loky", "initializer": end_with_parent, "initargs": (os.getpid(),)}
+            # joblib makes no folders for large arrays then, which would stay behind when all processes are killed.
+            options |= {"max_nbytes": None, "temp_folder": tempfile.gettempdir()}
+        else:
             from ptne_env.experiments.cluster import RayTasks
 
             options |= {"backend": RayTasks(self.ray), "pre_dispatch": "n_jobs"}
         calls = (delayed(_numbered)(index, function, task) for index, task in enumerate(tasks))
         try:
-            yield from Parallel(self.jobs, **options)(calls)
+            with start:
+                results = Parallel(self.jobs, **options)(calls)
+            yield from results
         except BrokenProcessPool as error:
             raise ChildProcessError(_LOST) from error
 
@@ -76,6 +93,17 @@ class Workers:
             if finished is not None:
                 finished(index, result)
         return [found[index] for index in range(len(tasks))]
+
+
+@contextmanager
+def _ctrl_c_waits() -> Iterator[None]:
+    """Delay Ctrl-C to the end of the block; processes that start in it never see it, not even while they import."""
+    ensure_running()  # it unblocks Ctrl-C when joblib starts it, in Python 3.11
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def _numbered(index: int, function: Callable[..., Result], task: tuple[Any, ...]) -> tuple[int, Result]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import TypeVar
 
 from ptne_env.experiments.leaderboard import THRESHOLDS, Leaderboard, TrackRow
@@ -122,7 +122,7 @@ def track_tables(results: Results, track: Track) -> list[Table]:
         label, descending = metric.label.replace(" %", _PERCENT), metric.direction == "higher"
         blocks.setdefault(metric.block, []).append(Column(label, metric.meaning, values, descending))
     notes = {
-        "How close": _not_applicable(results, name),
+        "How close": _without_values(results, name),
         "Against tuned laws": [f"{law.name}: {call(law)}" for law in results.tuned.get(name, {}).values()],
     }
     return [
@@ -174,13 +174,14 @@ def _column(
     return Column(label, meaning, {policy: read(row) for policy, row in rows.items()}, descending)
 
 
-def _not_applicable(results: Results, track: str) -> list[str]:
-    """The policies that cannot act on a track, by reason."""
-    reasons: dict[str, list[str]] = {}
-    for (place, policy), reason in results.not_applicable.items():
-        if place == track:
-            reasons.setdefault(reason, []).append(policy)
-    return [f"n/a: {', '.join(policies)}: {reason}" for reason, policies in reasons.items()]
+def _without_values(results: Results, track: str) -> list[str]:
+    """The policies without values on a track, by reason."""
+    reasons: dict[tuple[str, str], list[str]] = {}
+    for verdict, found in (("n/a", results.not_applicable), ("failed", results.failures)):
+        for (place, policy), reason in found.items():
+            if place == track:
+                reasons.setdefault((verdict, reason), []).append(policy)
+    return [f"{verdict}: {', '.join(policies)}: {reason}" for (verdict, reason), policies in reasons.items()]
 
 
 def call(spec: PolicySpec) -> str:
@@ -250,8 +251,8 @@ def overview(results: Results) -> Table:
             _column(
                 track.name,
                 f"{METRICS[track.metric].heading} on {track.name}",
-                {policy: results.summary(track.name, policy, track.metric) for policy in policies},
-                lambda summary: Value("n/a") if summary is None else Value.of(summary),
+                {policy: policy for policy in policies},
+                partial(_score, results, track),
             )
             for track in results.tracks
         ),
@@ -264,18 +265,30 @@ def overview(results: Results) -> Table:
     )
 
 
+def _score(results: Results, track: Track, policy: str) -> Value:
+    """The digits of a policy on a track, or the reason in a word why there are none."""
+    summary = results.summary(track.name, policy, track.metric)
+    if summary is None:
+        return Value("failed" if (track.name, policy) in results.failures else "n/a")
+    return Value.of(summary)
+
+
 def _scope(results: Results, board: Leaderboard) -> Iterator[str]:
     """Which tracks and policies the overall scores leave out."""
     if not board.common:
         yield "No track has scores: no track fits all policies and gives the paper's law a gain."
         return
     without = [track.name for track in results.tracks if track.name not in board.common]
-    unscored = [policy for policy in results.policies if policy not in {row.policy for row in board.overall}]
+    failing = list(dict.fromkeys(policy for _, policy in results.failures))
+    scored = {row.policy for row in board.overall}
+    unscored = [policy for policy in results.policies if policy not in scored and policy not in failing]
     yield f"Scores are over the tracks that fit all policies and give the law a gain: {', '.join(board.common)}."
     if without:
         yield f"Scores are not over {', '.join(without)}."
     if unscored:
         yield f"Without a score: {', '.join(unscored)}, which fit fewer than half of the tracks."
+    if failing:
+        yield f"Without a score: {', '.join(failing)}, which failed on a track."
 
 
 def first_places(results: Results) -> dict[str, list[str]]:

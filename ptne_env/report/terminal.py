@@ -14,7 +14,7 @@ from rich.text import Text
 from ptne_env import policies
 from ptne_env.catalogue import CATALOGUE
 from ptne_env.experiments import METRICS, POLICIES, Results, get_suite
-from ptne_env.experiments.check import Repetition
+from ptne_env.experiments.check import Check, Repetition
 from ptne_env.experiments.metrics import number
 from ptne_env.experiments.policy_specs import learned_policy
 from ptne_env.experiments.suite import SUITES
@@ -30,6 +30,9 @@ _GAP = 3
 
 _EDGES = 2
 """Columns of the terminal beside the first and the last column of a table."""
+
+_SHOWN_DIFFERENCES = 10
+"""Differences of a check that are listed."""
 
 _LIST_WIDTH = 110
 """Columns of the terminal in which the catalogue fits with the numbers of the clock."""
@@ -112,21 +115,47 @@ def empty_table(title: str | None = None, *, show_header: bool = True) -> RichTa
     )
 
 
-def repetition_table(repetitions: Sequence[Repetition], tolerance: float) -> RichTable:
-    """The jobs that were run again, and whether each reproduces.
+def check_tables(check: Check, tolerance: float) -> Group:
+    """The outcome of a check: whether the tables follow from the jobs, and the jobs that were run again.
 
     Args:
-        repetitions: of :func:`~ptne_env.experiments.check.check`.
+        check: of :func:`~ptne_env.experiments.check.check`.
         tolerance: the largest difference that counts as the same.
     """
-    table = empty_table("Jobs that were run again")
-    for heading in ("track", "policy", "training seed", "largest difference", "verdict"):
-        table.add_column(heading, justify="right" if heading == "largest difference" else "left")
-    for repetition in repetitions:
-        job, difference = repetition.job, repetition.difference
-        verdict = Text("reproduces", "green") if difference <= tolerance else Text("differs", "red")
-        table.add_row(job.track.name, Text(job.policy.name), str(job.training_seed), number(difference), verdict)
-    return table
+    tables = empty_table("Tables that were rebuilt from the stored jobs", show_header=False)
+    for text in check.differences[:_SHOWN_DIFFERENCES]:
+        tables.add_row(Text("differs", "red"), Text(text))
+    if (hidden := len(check.differences) - _SHOWN_DIFFERENCES) > 0:
+        tables.add_row(Text("differs", "red"), Text(f"{hidden} more numbers or texts"))
+    if not check.differences:
+        tables.add_row(Text("agree", "green"), Text("every number follows from the stored jobs"))
+    jobs = empty_table("Jobs that were run again, on the published episodes and on fresh ones")
+    for heading in ("track", "policy", "training seed"):
+        jobs.add_column(heading)
+    for heading in ("largest difference", "published score", "fresh score", "p"):
+        jobs.add_column(heading, justify="right")
+    jobs.add_column("verdict")
+    for repetition in check.repetitions:
+        job = repetition.job
+        jobs.add_row(
+            Text(job.track.name),
+            Text(job.policy.name),
+            str(job.training_seed),
+            number(repetition.difference),
+            number(repetition.published),
+            number(repetition.fresh),
+            number(repetition.probability),
+            _verdict(repetition, tolerance),
+        )
+    return Group(tables, jobs)
+
+
+def _verdict(repetition: Repetition, tolerance: float) -> Text:
+    if repetition.knows_episodes:
+        return Text("better on the published episodes than on fresh ones", "red")
+    if repetition.difference > tolerance:
+        return Text("differs" if repetition.failure is None else f"fails: {repetition.failure}", "red")
+    return Text("reproduces" if repetition.failure is None else f"fails again: {repetition.failure}", "green")
 
 
 def catalogue_tables(width: int = 172) -> Group:

@@ -88,7 +88,8 @@ def _pictures(
     def keep(state: State, _: FloatArray | None) -> None:
         states.append(state)
 
-    rollout(spec.build(encoder.layout), encoder, start, watch=keep)
+    with spec.deciding(encoder.layout) as policy:
+        rollout(policy, encoder, start, watch=keep)
     wanted = np.unique(np.linspace(0, len(states) - 1, count).round().astype(int)).tolist()
     renderer = Renderer(world, "rgb_array", f"{world.scenario.name}: {spec.name}")
     renderer.fix_axes(states)

@@ -2,35 +2,38 @@
 
 Run it with ``ptne train random-energy-switching --out DIR`` or ``python baselines/train.py``. ``DIR`` then holds
 ``policy.onnx`` (load it with :func:`ptne_env.policies.load`), ``summary.json``, TensorBoard logs, and, while it runs,
-``checkpoint.zip``; the same command resumes an interrupted run from it.
+``checkpoint.npz``; the same command resumes an interrupted run from it, and ends as if it had not been interrupted.
 """
 
 from __future__ import annotations
 
-import dataclasses
-import io
 import json
-import tomllib
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import asdict, replace
+from functools import partial
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from time import monotonic
 from typing import Any
 
 import numpy as np
 import torch
+from pydantic.dataclasses import dataclass
 from stable_baselines3 import PPO
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.utils import LinearSchedule
 from stable_baselines3.common.vec_env import VecMonitor
 from torch import nn
 
+from ptne_env import policies
 from ptne_env.envs.sb3 import MixedPlayerVecEnv, PlayerVecEnv
 from ptne_env.experiments import PolicySpec, episode_seed, evaluate
 from ptne_env.experiments.suite import find_scenario
 from ptne_env.files import read_json, write_atomically
-from ptne_env.observation import ActionMode, Interface, InterfaceKind, ObservationLayout
-from ptne_env.training import CONFIGURATIONS, configurations
+from ptne_env.observation import ObservationLayout
+from ptne_env.training import checkpoint
+from ptne_env.training.arguments import STRICT, Arguments, readable
+from ptne_env.training.checkpoint import Record
 from ptne_env.training.export import to_onnx
 from ptne_env.training.features import Products
 
@@ -38,81 +41,26 @@ Progress = Callable[[int, int, float], None]
 """Called with agent-steps done, agent-steps in all, and recent mean digits gained (NaN before an episode ends)."""
 
 
-@dataclass(frozen=True)
-class Arguments:
-    """The definition of a training run. Agent-steps count every player of every environment.
+_CHECKPOINT, _POLICY, _SUMMARY = "checkpoint.npz", "policy.onnx", "summary.json"
+
+
+@readable
+@dataclass(frozen=True, config=STRICT)
+class Summary(Record):
+    """The record of a finished run.
 
     Attributes:
-        scenarios: names of scenarios or families of games, or tracks such as ``"ptne-v1/delay"``. Several share the
-            environments evenly; their layouts must agree.
-        interface: ``"local"`` or ``"physical"``.
-        action_mode: ``"input"`` or ``"gains"``.
-        steps: agent-steps of training.
-        envs: environments stepped together, of all scenarios.
-        rollout: steps of every environment between updates.
-        minibatches: per epoch.
-        epochs: passes over a rollout.
-        learning_rate: at the start; it falls linearly to 0 at the end.
-        discount: γ of PPO. Returns are reported undiscounted, over the whole horizon.
-        trace: λ of generalised advantage estimation.
-        clip: of the probability ratio.
-        hidden: units of each tanh layer, of actor and critic alike.
-        products: whether the networks also see :class:`~ptne_env.training.features.Products`.
-        log_std: initial logarithm of the actions' standard deviation.
-        seed: of the network, the sampling and the training games.
-        validation_episodes: held-out games on which the result is measured.
-        checkpoint_seconds: wall time between checkpoints.
+        validation_digits: mean digits of the exported policy on the validation episodes.
     """
 
-    scenarios: tuple[str, ...]
-    interface: InterfaceKind = "local"
-    action_mode: ActionMode = "input"
-    steps: int = 6_000_000
-    envs: int = 128
-    rollout: int = 50
-    minibatches: int = 32
-    epochs: int = 5
-    learning_rate: float = 1e-3
-    discount: float = 0.9
-    trace: float = 0.9
-    clip: float = 0.2
-    hidden: tuple[int, ...] = (64, 64)
-    products: bool = True
-    log_std: float = -2.0
-    seed: int = 0
-    validation_episodes: int = 200
-    checkpoint_seconds: float = 20.0
-
-    def __post_init__(self) -> None:
-        for name in ("scenarios", "hidden"):  # lists come from files
-            value = getattr(self, name)
-            object.__setattr__(self, name, (value,) if isinstance(value, str) else tuple(value))
-
-    @classmethod
-    def from_toml(cls, name_or_path: str | Path, **changes: Any) -> Arguments:
-        """The arguments of a shipped configuration, or of a TOML file, with some of them changed.
-
-        Raises:
-            ValueError: for an unknown configuration or key, naming the known ones, or a file that is not TOML.
-        """
-        path = Path(name_or_path)
-        if path.suffix != ".toml":
-            path = CONFIGURATIONS / f"{name_or_path}.toml"
-        if not path.is_file():
-            raise ValueError(f"unknown configuration {str(name_or_path)!r}; choose from {', '.join(configurations())}")
-        try:
-            values = tomllib.loads(path.read_text(encoding="utf-8")) | changes
-        except ValueError as error:
-            raise ValueError(f"{path} is not a TOML file: {error}") from error
-        known = {field.name for field in dataclasses.fields(cls)}
-        unknown = sorted(set(values) - known)
-        if unknown:
-            raise ValueError(f"{path.name}: unknown {', '.join(unknown)}; the arguments are {', '.join(sorted(known))}")
-        return cls(**values)
+    validation_digits: float
 
 
-def train(arguments: Arguments, out: Path, progress: Progress | None = None) -> dict[str, Any]:
+def train(arguments: Arguments, out: Path, progress: Progress | None = None) -> Summary:
     """Train, validate and export; resume where an interrupted run with the same arguments stopped.
+
+    A resumed run ends with the same policy as an undisturbed one, bit for bit. A finished run is not repeated.
+    The global generators of Python, NumPy and PyTorch are seeded.
 
     Args:
         arguments: of the run.
@@ -120,49 +68,83 @@ def train(arguments: Arguments, out: Path, progress: Progress | None = None) -> 
         progress: called after every rollout.
 
     Returns:
-        The summary, also in ``out/summary.json``: arguments, digits on the validation episodes, seconds.
+        The summary, also in ``out/summary.json``.
 
     Raises:
-        ValueError: when ``out`` holds a run with other arguments, or a damaged one.
+        ValueError: for arguments that do not fit each other or name an unknown scenario, and when ``out`` holds a run
+            with other arguments, or a damaged one; no file is written then.
     """
-    out.mkdir(parents=True, exist_ok=True)
-    _claim(arguments, out)
-    model, env = _start_or_resume(arguments, out)
     began = monotonic()
+    path = out / _CHECKPOINT
+    done = finished(arguments, out)
+    if done is not None:
+        path.unlink(missing_ok=True)  # of an interruption after the end
+        return done
+    torch.set_num_threads(1)  # the networks are small: a second thread costs more time than it saves
+    env = make_env(arguments)
+    layout = env.get_attr("layout")[0]
+    model = PPO("MlpPolicy", env, tensorboard_log=str(out / "tensorboard"), **settings(arguments, layout))
+    past = Record(arguments=_plain(arguments), agent_steps=0, seconds=0.0, parts=1)
+    if path.exists():
+        past, arrays = checkpoint.read(path)
+        _require_same(arguments, past.arguments, out)
+        checkpoint.restore(model, arrays)
+        past = replace(past, parts=past.parts + 1)
+        model.num_timesteps = past.agent_steps
+
+    def record() -> Record:
+        seconds = past.seconds + monotonic() - began
+        return replace(past, agent_steps=model.num_timesteps, seconds=seconds)
+
+    def save() -> None:
+        checkpoint.save(path, model, record())
+
     remaining = arguments.steps - model.num_timesteps
     if remaining > 0:
-        model.learn(
-            remaining, callback=_Monitor(arguments, out, progress), reset_num_timesteps=False, tb_log_name="ppo"
-        )
-    digits = _validate(model, arguments)
-    layout = env.get_attr("layout")[0]
-    exported = to_onnx(model, layout, scenarios=arguments.scenarios, seed=arguments.seed, digits=digits)
-    write_atomically(out / "policy.onnx", exported)
-    summary = {
-        "arguments": dataclasses.asdict(arguments),
-        "validation_digits": digits,
-        "agent_steps": int(model.num_timesteps),
-        "seconds": monotonic() - began,
-    }
-    write_atomically(out / "summary.json", json.dumps(summary, indent=2) + "\n")
-    (out / "checkpoint.zip").unlink(missing_ok=True)
+        callback = _Segments(arguments, save, progress)
+        model.learn(remaining, callback=callback, reset_num_timesteps=False, tb_log_name="ppo")
+    save()  # a run that is interrupted during the validation resumes there
+    export = partial(to_onnx, model, layout, scenarios=arguments.scenarios, seed=arguments.seed)
+    digits = _validate(export(digits=0.0), arguments)
+    write_atomically(out / _POLICY, export(digits=digits))
+    summary = Summary(**asdict(record()), validation_digits=digits)
+    write_atomically(out / _SUMMARY, json.dumps(asdict(summary), indent=2) + "\n")
+    path.unlink()
     return summary
 
 
-def _claim(arguments: Arguments, out: Path) -> None:
-    """Write the arguments into the folder, or check that it holds a run with the same arguments."""
-    path = out / "arguments.json"
-    mine = json.loads(json.dumps(dataclasses.asdict(arguments)))
-    if path.exists():
-        theirs = read_json(path, "the arguments of a training run")
-        different = sorted(name for name in mine.keys() | theirs.keys() if theirs.get(name) != mine.get(name))
-        if different:
-            raise ValueError(
-                f"{out} holds a run with another {', '.join(different)}; choose another folder, or remove this one to "
-                "start afresh"
-            )
-    else:
-        write_atomically(path, json.dumps(mine, indent=2) + "\n")
+def finished(arguments: Arguments, out: Path) -> Summary | None:
+    """The summary of the finished run in a folder; ``None`` while there is no summary or no policy.
+
+    Raises:
+        ValueError: when it was a run with other arguments, or the summary is damaged.
+    """
+    path = out / _SUMMARY
+    if not path.exists() or not (out / _POLICY).exists():
+        return None
+    values = read_json(path, "the summary of a training run")
+    try:
+        summary = Summary(**values)
+    except ValueError as error:
+        raise ValueError(f"{path} is not the summary of a training run: {error}") from error
+    _require_same(arguments, summary.arguments, out)
+    return summary
+
+
+def _plain(arguments: Arguments) -> dict[str, Any]:
+    """The arguments as they are read from a JSON file."""
+    plain: dict[str, Any] = json.loads(json.dumps(asdict(arguments)))
+    return plain
+
+
+def _require_same(arguments: Arguments, theirs: dict[str, Any], out: Path) -> None:
+    mine = _plain(arguments)
+    different = sorted(name for name in mine.keys() | theirs.keys() if theirs.get(name) != mine.get(name))
+    if different:
+        raise ValueError(
+            f"{out} holds a run with another {', '.join(different)}; choose another folder, or remove this one to "
+            "start afresh"
+        )
 
 
 def make_env(arguments: Arguments) -> VecMonitor:
@@ -172,8 +154,8 @@ def make_env(arguments: Arguments) -> VecMonitor:
         ValueError: for an unknown scenario or track, scenarios that no policy can share, or a number of environments
             that they cannot share evenly.
     """
-    share, rest = divmod(arguments.envs, max(1, len(arguments.scenarios)))
-    if rest or not arguments.scenarios:
+    share, rest = divmod(arguments.envs, len(arguments.scenarios))
+    if rest:
         raise ValueError(
             f"{arguments.envs} environments cannot be shared evenly by {len(arguments.scenarios)} scenarios"
         )
@@ -191,7 +173,16 @@ def make_env(arguments: Arguments) -> VecMonitor:
 
 
 def settings(arguments: Arguments, layout: ObservationLayout) -> dict[str, Any]:
-    """The keyword arguments of PPO."""
+    """The keyword arguments of PPO.
+
+    Raises:
+        ValueError: when a minibatch would hold one sample.
+    """
+    samples = arguments.rollout * arguments.envs * layout.num_players
+    if arguments.minibatches >= samples:
+        raise ValueError(
+            f"minibatches must be fewer than the {samples} samples of a rollout, got {arguments.minibatches}"
+        )
     network: dict[str, Any] = {
         "net_arch": list(arguments.hidden),
         "activation_fn": nn.Tanh,
@@ -200,7 +191,6 @@ def settings(arguments: Arguments, layout: ObservationLayout) -> dict[str, Any]:
     }
     if arguments.products:
         network |= {"features_extractor_class": Products, "features_extractor_kwargs": Products.of(layout)}
-    samples = arguments.rollout * arguments.envs * layout.num_players
     return {
         "learning_rate": LinearSchedule(arguments.learning_rate, 0.0, 1.0),
         "n_steps": arguments.rollout,
@@ -215,50 +205,56 @@ def settings(arguments: Arguments, layout: ObservationLayout) -> dict[str, Any]:
     }
 
 
-def _start_or_resume(arguments: Arguments, out: Path) -> tuple[PPO, VecMonitor]:
-    torch.set_num_threads(1)  # the networks are small: a second thread costs more time than it saves
-    env = make_env(arguments)
-    checkpoint = out / "checkpoint.zip"
-    if checkpoint.exists():
-        try:
-            model = PPO.load(checkpoint, env=env, device="cpu")
-        except Exception as error:  # unpickling foreign bytes may raise anything
-            raise ValueError(
-                f"{checkpoint} is damaged, or not of this run: remove it to train afresh ({error!r})"
-            ) from error
-    else:
-        chosen = settings(arguments, env.get_attr("layout")[0])
-        model = PPO("MlpPolicy", env, tensorboard_log=str(out / "tensorboard"), **chosen)
-    # A resumed run draws new games, those of the episode number at which it stopped.
-    env.seed(episode_seed(arguments.seed, model.num_timesteps, split="train"))
-    return model, env
+def _validate(exported: bytes, arguments: Arguments) -> float:
+    """The mean digits of an exported policy on the validation episodes.
 
-
-def _validate(model: PPO, arguments: Arguments) -> float:
-    spec = PolicySpec("ppo", model, Interface(arguments.interface, arguments.action_mode))
+    Raises:
+        ValueError: when it fails there, with the reason.
+    """
+    with TemporaryDirectory() as folder:
+        file = Path(folder) / _POLICY
+        file.write_bytes(exported)
+        policy = policies.load(file)
     results = evaluate(
-        [spec],
+        [PolicySpec("ppo", policy)],
         [find_scenario(name) for name in arguments.scenarios],
         episodes=arguments.validation_episodes,
         split="validation",
         against_laws=False,
     )
+    for (name, _), reason in results.failures.items():
+        raise ValueError(f"the trained policy fails on {name!r}: {reason}")
     return float(np.mean([samples["digits"].mean() for samples in results.samples.values()]))
 
 
-class _Monitor(BaseCallback):
-    """Reports digits and writes checkpoints, after every update."""
+class _Segments(BaseCallback):
+    """A run as a chain of segments, and a report of digits after every rollout.
 
-    def __init__(self, arguments: Arguments, out: Path, progress: Progress | None) -> None:
+    A segment begins every few rollouts: all generators are seeded by the seed and the agent-steps of the run, the
+    environments start new episodes, and a checkpoint is written. So a segment depends on nothing but the network and
+    its optimiser, and a run that is resumed at a checkpoint continues as an undisturbed one.
+
+    Args:
+        arguments: of the run.
+        save: writes a checkpoint.
+        progress: see :func:`train`.
+    """
+
+    def __init__(self, arguments: Arguments, save: Callable[[], None], progress: Progress | None) -> None:
         super().__init__()
-        self._arguments, self._out, self._progress = arguments, out, progress
-        self._saved = monotonic()
+        self._arguments, self._save, self._progress = arguments, save, progress
 
     def _on_step(self) -> bool:
         return True
 
     def _on_rollout_start(self) -> None:
-        if monotonic() - self._saved >= self._arguments.checkpoint_seconds:
+        env, done = self.training_env, self.model.num_timesteps
+        if done % (self._arguments.checkpoint_rollouts * self._arguments.rollout * env.num_envs) == 0:
+            number = episode_seed(self._arguments.seed, done, split="train")
+            self.model.set_random_seed(int(np.random.SeedSequence(number).generate_state(1)[0]))  # takes 32 bits
+            env.seed(number)
+            self.model._last_obs = env.reset()  # type: ignore[assignment] # noqa: SLF001 - ``learn`` keeps them there
+            self.model._last_episode_starts = np.ones(env.num_envs, dtype=bool)  # noqa: SLF001
             self._save()
 
     def _on_rollout_end(self) -> None:
@@ -268,9 +264,3 @@ class _Monitor(BaseCallback):
             self.logger.record("rollout/digits_gained", digits)
         if self._progress is not None:
             self._progress(self.num_timesteps, self._arguments.steps, digits)
-
-    def _save(self) -> None:
-        buffer = io.BytesIO()
-        self.model.save(buffer)
-        write_atomically(self._out / "checkpoint.zip", buffer.getvalue())
-        self._saved = monotonic()

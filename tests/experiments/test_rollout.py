@@ -10,6 +10,7 @@ from ptne_env.experiments.episodes import EpisodeSet, episode_seed
 from ptne_env.experiments.metrics import measure, settling_time
 from ptne_env.experiments.rollout import rollout
 from ptne_env.observation import Interface
+from ptne_env.policy import PolicyError
 from ptne_env.world import World
 
 
@@ -145,7 +146,7 @@ class Answering:
     ],
 )
 def test_actions_of_a_wrong_shape_or_value_are_refused(answer, message):
-    with pytest.raises(ValueError, match=message):
+    with pytest.raises(PolicyError, match=f"step 0: .*{message}"):
         run(ptne_env.get_scenario("energy"), lambda layout: Answering(answer), episodes=1)
 
 

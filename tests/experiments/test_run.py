@@ -80,6 +80,7 @@ def test_the_two_interfaces_agree_where_no_action_saturates():
 
 def test_every_default_policy_acts_on_every_scenario_of_the_catalogue():
     results = evaluate(COMPARED, list(ptne_env.CATALOGUE), episodes=2, hold_steps=3)
+    assert not results.failures
     assert len(results.samples) == 8 * (2 * 6 + 11)
     assert not results.not_applicable
     # The reference policies bracket the laws: zero input is worse than the static law, full information is better.
@@ -133,7 +134,6 @@ def test_results_do_not_depend_on_the_number_of_processes(monkeypatch):
         (["ptne_env.laws:NoSuchLaw"], ["energy"], "has no 'NoSuchLaw'"),
         ([PolicySpec("blind", laws.CentralisedOracle, ptne_env.Interface())], ["energy"], "interface 'full'"),
         (["ppo-random-energy"], ["robots"], "fits no track: the policy was made for another layout"),
-        ([PolicySpec("broken", lambda layout: object())], ["energy"], "no predict"),
     ],
 )
 def test_wrong_arguments_of_a_comparison_are_refused(policies, scenarios, message):
@@ -205,10 +205,43 @@ class Wrong:
         return np.full((len(observation), self.layout.action_size), np.nan), state
 
 
-def test_an_error_of_a_policy_names_its_track_and_policy():
-    with pytest.raises(ValueError, match="not finite") as caught:
-        run_suite(SMALL, [PolicySpec("wrong", Wrong)])
-    assert caught.value.__notes__ == ["in track 'ring', policy 'wrong'"]
+def test_a_failing_policy_costs_its_own_jobs_alone():
+    results = run_suite(SMALL, ["grounded", PolicySpec("wrong", Wrong)])
+    text = "step 0: it answered with an action that is not finite; expected numbers without NaN or inf"
+    assert results.failures == {("ring", "wrong"): text, ("complete", "wrong"): text}
+    assert untimed(run_suite(SMALL, ["grounded"])) == untimed(results)
+    assert results.to_dict()["failures"][0] == {"track": "ring", "policy": "wrong", "reason": text}
+    with pytest.raises(KeyError, match="not finite"):
+        results.record("ring", "wrong", "digits")
+
+
+def test_a_policy_that_fails_on_a_track_has_no_overall_score_and_leaves_the_others_theirs():
+    once = Suite("once", (SMALL.tracks[0], Track("loop", BASE.replace(steps=121), "One more step.")), episodes=3)
+    results = run_suite(once, ["grounded", PolicySpec("late", Late)])
+    assert results.failures == {("loop", "late"): results.failures["loop", "late"]}
+    assert results.failures["loop", "late"].startswith("step 120: RuntimeError: too late (test_run.py, line ")
+    assert "late" not in {row.policy for row in results.leaderboard.overall}
+    assert results.leaderboard.common == ("ring", "loop")
+    assert results.leaderboard.row("ring", "late").rank is not None
+
+
+class Late:
+    """The static law, for 120 steps."""
+
+    def __init__(self, layout):
+        self.law, self.steps = laws.Static(layout), 0
+
+    def predict(self, observation, state=None, episode_start=None, deterministic=False):
+        if self.steps == 120:
+            raise RuntimeError("too late")
+        self.steps += 1
+        return self.law.predict(observation, state, episode_start, deterministic)
+
+
+def test_a_reference_policy_that_fails_ends_the_run(monkeypatch):
+    monkeypatch.setattr(laws.Static, "inputs", lambda law, observation, memory: (1 / 0, memory))
+    with pytest.raises(RuntimeError, match=r"reference policy 'static' fails on track 'ring': step 0: ZeroDivision"):
+        run_suite(SMALL, [])
 
 
 def test_messages_and_bits_are_those_of_the_live_links():
@@ -263,7 +296,9 @@ class Broken(laws.Static):
         raise ValueError("a mistake of my own")
 
 
-def test_a_mistake_in_a_policy_ends_the_comparison():
-    """Only a layout error makes a policy not applicable."""
-    with pytest.raises(ValueError, match="a mistake of my own"):
-        evaluate(["static", PolicySpec("broken", Broken)], ["energy"], episodes=1, against_laws=False)
+def test_only_a_layout_error_makes_a_policy_not_applicable():
+    broken = [PolicySpec("broken", Broken), PolicySpec("nothing", lambda layout: object())]
+    results = evaluate(["static", *broken], ["energy"], episodes=1, against_laws=False)
+    assert results.failures["energy", "broken"].startswith("it cannot be built: ValueError: a mistake of my own")
+    assert results.failures["energy", "nothing"] == "it is a object without predict(observation, state, ...)"
+    assert not results.not_applicable

@@ -1,79 +1,20 @@
 """Stored jobs: written atomically, not run again, and found by everything that their numbers depend on."""
 
-import os
+import json
 import random
-import signal
-import subprocess
-import sys
-import time
 
 import numpy as np
 import pytest
-from small_suite import BASE, SMALL, outcome, stored, without_timings
+from affine_games import SOAK
+from small_suite import BASE, SMALL, stored, without_timings
 
 from ptne_env import FactorySpec, PolicySpec, laws
 from ptne_env.experiments import Suite, Track, get_policy_spec, jobs, run_suite
-from ptne_env.experiments.provenance import file_hashes
+from ptne_env.experiments.provenance import content_hash, file_hashes
+from ptne_env.experiments.store import Store
 from ptne_env.experiments.suite import REFERENCES
-
-ARGUMENTS = ("compare", "--suite", "ptne-v1", "--policy", "grounded,adaptive", "--episodes", "20", "--no-report")
-ARGUMENTS += ("--track", "nominal", "--track", "switching-physical", "--track", "mixed-team")
-JOBS = 3 * 5
-
-
-def start(folder, *, workers=1):
-    """The command line in a process group of its own."""
-    command = [sys.executable, "-W", "error", "-m", "ptne_env.cli", *ARGUMENTS]
-    return subprocess.Popen(  # noqa: S603
-        [*command, "--out", str(folder), "--jobs", str(workers)],
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.PIPE,
-        text=True,
-        start_new_session=True,
-        env={**os.environ, "OMP_NUM_THREADS": "1"},
-    )
-
-
-def finish(process):
-    _, errors = process.communicate(timeout=120)
-    assert process.returncode == 0, errors
-
-
-@pytest.fixture(scope="module")
-def undisturbed(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("undisturbed")
-    finish(start(folder))
-    assert len(stored(folder)) == JOBS
-    return outcome(folder)
-
-
-@pytest.mark.parametrize(("kills", "workers"), [(3, 1), (1, 2)])
-def test_a_killed_run_goes_on_and_ends_like_an_undisturbed_one(undisturbed, tmp_path, kills, workers):
-    randomness = random.Random(kills)  # noqa: S311 - moments to kill at
-    for _ in range(kills):
-        before = {name: path.stat().st_mtime_ns for name, path in stored(tmp_path).items()}
-        process = start(tmp_path, workers=workers)
-        wanted = len(before) + randomness.randint(1, 3)
-        while len(stored(tmp_path)) < wanted and process.poll() is None:
-            time.sleep(0.005)
-        time.sleep(randomness.uniform(0, 0.05))
-        assert process.poll() is None, process.stderr.read()
-        os.killpg(process.pid, signal.SIGKILL)
-        process.communicate()
-        after = stored(tmp_path)
-        assert wanted <= len(after) < JOBS
-        assert before == {name: after[name].stat().st_mtime_ns for name in before}  # nothing was lost or done twice
-        for path in after.values():
-            without_timings(path.read_text(encoding="utf-8"))
-    finish(start(tmp_path, workers=workers))
-    assert outcome(tmp_path) == undisturbed
-
-
-def test_two_runs_at_once_on_one_folder_do_not_corrupt_it(undisturbed, tmp_path):
-    both = [start(tmp_path), start(tmp_path)]
-    for process in both:
-        finish(process)
-    assert outcome(tmp_path) == undisturbed
+from ptne_env.experiments.sweep import _Point, _PointStore
+from ptne_env.files import DamagedFileError
 
 
 def test_stored_jobs_are_not_run_again(tmp_path, monkeypatch):
@@ -96,24 +37,125 @@ def test_nothing_is_stored_without_a_folder_or_of_an_object(tmp_path, monkeypatc
     assert {job.policy.name: job.key is None for job in results.jobs}["mine"]
 
 
-@pytest.mark.parametrize(
-    "damage",
-    [
-        lambda text: "",
-        lambda text: text[: len(text) // 2],
-        lambda text: text.replace('"digits": [', '"digits": [0.5, ', 1),
-        lambda text: "[]",
-        lambda text: '{"samples": 3}',
-        lambda text: text.replace('"timings"', '"tidings"', 1),
-    ],
-)
+STRANGE = (True, 3, "1.5", [], {}, [1.5], {"a": 1.5}, "")
+"""JSON values that stand nowhere in a stored result."""
+
+
+def altered(value, randomness):
+    """A JSON value with something strange in it, or with something added or left out."""
+    if isinstance(value, dict | list) and value and randomness.random() < 0.85:
+        place = randomness.choice(list(value) if isinstance(value, dict) else range(len(value)))
+        change = randomness.choice(("go on", "go on", "leave out", "add"))
+        copy = value.copy()
+        if change == "go on":
+            copy[place] = altered(value[place], randomness)
+        elif change == "leave out":
+            del copy[place]
+        elif isinstance(value, dict):
+            copy[f"{place}x"] = randomness.choice((value[place], None))
+        else:
+            copy.insert(place, value[place])
+        return copy
+    return randomness.choice([strange for strange in STRANGE if strange != value])
+
+
+def damaged(whole, randomness):
+    """Bytes of a stored result with a random damage; where its form is damaged, half of them have a right checksum."""
+    kind = randomness.choice(("flip", "cut", "form", "form"))
+    if kind == "cut":
+        start, stop = sorted(randomness.sample(range(len(whole)), 2))
+        return whole[:start] + randomness.choice((b"", whole[stop:]))
+    if kind == "flip":
+        changed = bytearray(whole)
+        for _ in range(randomness.choice((1, 1, 8))):
+            changed[randomness.randrange(len(whole))] ^= 1 << randomness.randrange(8)
+        return bytes(changed)
+    data = altered(json.loads(whole), randomness)
+    if isinstance(data, dict) and randomness.random() < 0.5:
+        data["checksum"] = content_hash({key: value for key, value in data.items() if key != "checksum"})
+    return json.dumps(data).encode()
+
+
+def a_job(folder):
+    """A stored job whose result has numbers and nulls."""
+    results = run_suite(SMALL, ["grounded"], tracks=["ring"], folder=folder)
+    return Store(folder), next(job for job in results.jobs if job.policy.name == "zero-input")
+
+
+def a_point(folder):
+    point = _Point("noise-horizon", 1e-3, 2.0, 2, 0)
+    store = _PointStore(folder)
+    store.save(point, point.measure())
+    return store, point
+
+
+@pytest.mark.parametrize(("make", "damages"), [(a_job, 3000 if SOAK else 300), (a_point, 300)])
+def test_a_damaged_result_is_refused_or_gives_exactly_the_stored_numbers(tmp_path, make, damages):
+    store, task = make(tmp_path)
+    path = store.path(task.key)
+    whole, stored = path.read_bytes(), store.load(task.key).to_dict()
+    randomness, refused = random.Random(7), 0  # noqa: S311 - damages
+    for _ in range(damages):
+        content = damaged(whole, randomness)
+        path.write_bytes(content)
+        found = store.find(task)
+        refused += found is None
+        assert found is None or json.dumps(found.to_dict()) == json.dumps(stored), content
+    assert refused > 0.9 * damages  # the others add a null, which means the same, or change white space
+
+
+def change(**values):
+    """A change of the content of a stored result, with a right checksum; a function changes the value before."""
+
+    def apply(path):
+        data = json.loads(path.read_bytes())
+        data |= {key: value(data[key]) if callable(value) else value for key, value in values.items()}
+        data["checksum"] = content_hash({key: value for key, value in data.items() if key != "checksum"})
+        path.write_text(json.dumps(data), encoding="utf-8")
+
+    return apply
+
+
+def replace_by_folder(path):
+    path.unlink()
+    path.mkdir()
+    (path / "file").touch()
+
+
+DAMAGES = {
+    "empty": lambda path: path.write_bytes(b""),
+    "no object": lambda path: path.write_bytes(b"[]"),
+    "other bytes": lambda path: path.write_bytes(b"\xff\xfe\x00"),
+    "deep": lambda path: path.write_bytes(b'{"samples": ' + 100_000 * b"["),
+    "another key": lambda path: path.write_text(path.read_text(encoding="utf-8").replace("timings", "tidings", 1)),
+    "a folder": replace_by_folder,
+    "no timings": change(timings={}),
+    "a timing that is no number": change(timings=lambda timings: dict.fromkeys(timings, "3")),
+    "a metric too few": change(samples=lambda samples: dict(list(samples.items())[1:])),
+    "an episode too few": change(samples=lambda samples: {name: values[1:] for name, values in samples.items()}),
+    "a boolean": change(samples=lambda samples: samples | {"digits": [True, *samples["digits"][1:]]}),
+    "a reason with numbers": change(not_applicable="it has no clock"),
+    "a reason that is no text": change(not_applicable=3, samples={}, timings={}),
+}
+
+
+@pytest.mark.parametrize("damage", DAMAGES.values(), ids=DAMAGES)
 def test_a_damaged_job_is_run_again(tmp_path, damage):
-    run_suite(SMALL, [], tracks=["ring"], folder=tmp_path)
-    path = next(iter(stored(tmp_path).values()))
+    store, job = a_job(tmp_path)
+    path = store.path(job.key)
     whole = path.read_text(encoding="utf-8")
-    path.write_text(damage(whole), encoding="utf-8")
-    run_suite(SMALL, [], tracks=["ring"], folder=tmp_path)
+    damage(path)
+    with pytest.raises(DamagedFileError, match=path.name):
+        store.load(job.key)
+    run_suite(SMALL, ["grounded"], tracks=["ring"], folder=tmp_path)
     assert without_timings(path.read_text(encoding="utf-8")) == without_timings(whole)
+
+
+def test_a_file_that_cannot_be_read_is_an_error(tmp_path):
+    (tmp_path / "jobs").write_text("a file in place of the folder", encoding="utf-8")
+    with pytest.raises(NotADirectoryError, match="jobs"):
+        run_suite(SMALL, ["grounded"], folder=tmp_path)
+    assert (tmp_path / "jobs").is_file()
 
 
 def keys(suite=SMALL, policies=("grounded",), **arguments):

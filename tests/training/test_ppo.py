@@ -2,14 +2,12 @@
 
 import dataclasses
 import json
-import signal
-import subprocess
-import sys
-import time
+import os
 
 import numpy as np
 import pytest
 from extras import need_sb3
+from processes import KILLS, kill_at_random_moments, run_python, start_python
 
 torch = need_sb3()
 
@@ -18,13 +16,13 @@ from stable_baselines3 import PPO
 import ptne_env
 from ptne_env import Interface, PolicySpec, evaluate, policies
 from ptne_env.envs.sb3 import PlayerVecEnv
-from ptne_env.experiments.suite import find_scenario
-from ptne_env.training import ppo
+from ptne_env.training import checkpoint, ppo
+from ptne_env.training.arguments import Arguments
 from ptne_env.training.export import to_onnx
 from ptne_env.training.features import Products
 
 # A few seconds on one core, and more than three digits.
-ARGUMENTS = ppo.Arguments("random-energy", steps=100_000, envs=32, validation_episodes=50)
+ARGUMENTS = Arguments("random-energy", steps=100_000, envs=32, validation_episodes=50)
 
 
 @pytest.fixture(scope="session")
@@ -52,22 +50,15 @@ def test_training_gains_digits_over_its_own_start(run):
     )
     start = results.record("random-energy", "untrained", "digits")["high"]
     # The untrained network gains nothing, this run three digits.
-    assert summary["validation_digits"] > start + 1.0
+    assert summary.validation_digits > start + 1.0
 
 
 def test_a_run_leaves_a_policy_a_summary_and_logs_and_no_checkpoint(run):
     out, summary, reports = run
-    assert (
-        json.loads((out / "summary.json").read_text(encoding="utf-8"))["validation_digits"]
-        == summary["validation_digits"]
-    )
-    assert sorted(path.name for path in out.iterdir()) == [
-        "arguments.json",
-        "policy.onnx",
-        "summary.json",
-        "tensorboard",
-    ]
-    assert summary["agent_steps"] >= ARGUMENTS.steps
+    assert json.loads((out / "summary.json").read_text(encoding="utf-8")) == dataclasses.asdict(summary)
+    assert sorted(path.name for path in out.iterdir()) == ["policy.onnx", "summary.json", "tensorboard"]
+    assert summary.agent_steps >= ARGUMENTS.steps
+    assert summary.parts == 1
     done = [report[0] for report in reports]
     assert done == sorted(done)
     assert {report[1] for report in reports} == {ARGUMENTS.steps}
@@ -84,88 +75,202 @@ def test_the_policy_reaches_the_digits_in_its_file(run):
         split="validation",
         against_laws=False,
     )
-    assert results.record("random-energy", "learned", "digits")["mean"] == pytest.approx(
-        policy.metadata.digits, abs=1e-3
-    )
-    assert policy.metadata.digits == summary["validation_digits"]
+    assert results.record("random-energy", "learned", "digits")["mean"] == policy.metadata.digits
+    assert policy.metadata.digits == summary.validation_digits
+
+
+def times(folder):
+    return {path: path.stat().st_mtime_ns for path in folder.rglob("*")}
 
 
 def test_another_run_in_the_same_folder_is_refused_and_changes_nothing(run):
     out, _, _ = run
-    before = {path.name: path.stat().st_mtime_ns for path in out.iterdir()}
-    with pytest.raises(ValueError, match="another seed"):
+    before = times(out)
+    with pytest.raises(ValueError, match="another seed; choose another folder, or remove this one"):
         ppo.train(dataclasses.replace(ARGUMENTS, seed=1), out)
-    assert before == {path.name: path.stat().st_mtime_ns for path in out.iterdir()}
+    assert times(out) == before
 
 
-def test_a_damaged_or_later_folder_is_refused_by_name(tmp_path):
-    written = tmp_path / "arguments.json"
-    written.write_text(json.dumps(dataclasses.asdict(ARGUMENTS))[:-20], encoding="utf-8")
-    with pytest.raises(ValueError, match="arguments.json is not the arguments of a training run: it is cut off"):
+def test_a_finished_run_is_not_repeated_and_loses_a_checkpoint_left_over(run):
+    out, summary, _ = run
+    before = times(out)
+    (out / "checkpoint.npz").write_bytes(b"left by a kill after the end")
+    assert ppo.train(ARGUMENTS, out, lambda *_: pytest.fail("it trains")) == summary
+    assert times(out) == before
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"scenarios": "random-enery"}, "unknown scenario 'random-enery'"),
+        ({"scenarios": ("random-energy", "ptne-v1/delay"), "envs": 5}, "5 environments cannot be shared evenly by 2"),
+        ({"scenarios": "ptne-v1/mixed-team"}, "more than its scenario"),
+        ({"scenarios": ("random-energy", "robots"), "envs": 2}, "no policy can act in both"),
+        ({"interface": "full"}, "choose 'physical' or 'local'"),
+        ({"envs": 1, "minibatches": 250}, "minibatches must be fewer than the 250 samples of a rollout, got 250"),
+    ],
+)
+def test_a_start_that_fails_leaves_no_files(change, message, tmp_path):
+    with pytest.raises(ValueError, match=message):
+        ppo.train(dataclasses.replace(ARGUMENTS, **change), tmp_path / "out")
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        ("{", "summary.json is not the summary of a training run: it is cut off"),
+        ("[]", "summary.json is not the summary of a training run: expected a JSON object"),
+        ('{"parts": 1}', "summary.json is not the summary of a training run: arguments is missing"),
+        (None, "holds a run with another unheard_of"),
+    ],
+)
+def test_a_damaged_or_later_summary_is_refused_by_name(content, message, run, tmp_path):
+    _, summary, _ = run
+    later = dataclasses.replace(summary, arguments=summary.arguments | {"unheard_of": 1})
+    (tmp_path / "policy.onnx").touch()
+    (tmp_path / "summary.json").write_text(content or json.dumps(dataclasses.asdict(later)), encoding="utf-8")
+    before = times(tmp_path)
+    with pytest.raises(ValueError, match=message):
         ppo.train(ARGUMENTS, tmp_path)
-    written.write_text(json.dumps(dataclasses.asdict(ARGUMENTS) | {"unheard_of": 1}), encoding="utf-8")
-    with pytest.raises(ValueError, match="holds a run with another unheard_of"):
-        ppo.train(ARGUMENTS, tmp_path)
-    written.unlink()
-    checkpoint = tmp_path / "checkpoint.zip"
-    for content in (b"", b"PK\x03\x04 cut off", b"something else"):
-        checkpoint.write_bytes(content)
-        with pytest.raises(ValueError, match="checkpoint.zip is damaged, or not of this run: remove it"):
-            ppo.train(ARGUMENTS, tmp_path)
-        assert checkpoint.read_bytes() == content
+    assert times(tmp_path) == before
 
 
-def test_a_killed_run_resumes_from_its_last_checkpoint(tmp_path):
-    code = (
-        "import sys, pathlib\n"
-        "from ptne_env.training import ppo\n"
-        "arguments = ppo.Arguments('random-energy', steps=60_000, envs=16, checkpoint_seconds=0.1,"
-        " validation_episodes=10)\n"
-        "steps = []\n"
-        "ppo.train(arguments, pathlib.Path(sys.argv[1]), lambda done, total, digits: steps.append(done))\n"
-        "print(steps[0])\n"
+# Ten rollouts, with a checkpoint before the first, fourth, seventh and tenth.
+SHORT = Arguments(
+    "random-energy", steps=4000, envs=8, rollout=10, minibatches=4, validation_episodes=5, checkpoint_rollouts=3
+)
+MIXED = dataclasses.replace(SHORT, scenarios=("random-energy", "ptne-v1/coarse-step"), action_mode="gains", seed=2)
+
+
+class InterruptionError(Exception):
+    pass
+
+
+def interrupted(arguments, out, after):
+    """Train, and stop ``after`` rollouts; the agent-steps that were reported."""
+    done = []
+
+    def report(steps, *_):
+        done.append(steps)
+        if len(done) == after:
+            raise InterruptionError
+
+    with pytest.raises(InterruptionError):
+        ppo.train(arguments, out, report)
+    return done
+
+
+@pytest.mark.parametrize("arguments", [SHORT, MIXED, dataclasses.replace(SHORT, products=False)])
+def test_an_interrupted_run_ends_as_an_undisturbed_one_bit_for_bit(arguments, tmp_path):
+    whole = ppo.train(arguments, tmp_path / "whole")
+    np.random.seed(1)  # noqa: NPY002 - the state of the process must not matter
+    torch.manual_seed(1)
+    out = tmp_path / "parts"
+    assert interrupted(arguments, out, after=2)[0] == 400
+    assert interrupted(arguments, out, after=5)[0] == 400
+    assert interrupted(arguments, out, after=1)[0] == 1600
+    assert interrupted(arguments, out, after=6)[0] == 1600
+    reports = []
+    summary = ppo.train(arguments, out, lambda steps, *_: reports.append(steps))
+    assert reports == [2800, 3200, 3600, 4000]
+    assert (out / "policy.onnx").read_bytes() == (tmp_path / "whole" / "policy.onnx").read_bytes()
+    assert summary == dataclasses.replace(whole, seconds=summary.seconds, parts=5)
+
+
+def test_the_seconds_of_all_parts_are_summed(tmp_path, monkeypatch):
+    clock = iter(range(1000))
+    monkeypatch.setattr(ppo, "monotonic", lambda: float(next(clock)))
+    # Each reading of the clock is a second: one at the start, and one at each checkpoint.
+    interrupted(SHORT, tmp_path, after=4)
+    assert checkpoint.read(tmp_path / "checkpoint.npz")[0].seconds == 2.0
+    summary = ppo.train(SHORT, tmp_path)
+    assert summary.seconds == 2.0 + 5.0  # before rollouts 4, 7 and 10, after training, and at the end
+    assert summary.parts == 2
+
+
+def test_a_run_that_fails_in_its_validation_resumes_there(tmp_path, monkeypatch):
+    monkeypatch.setattr(ppo, "_validate", lambda *_: 1 / 0)
+    with pytest.raises(ZeroDivisionError):
+        ppo.train(SHORT, tmp_path)
+    assert not (tmp_path / "policy.onnx").exists()
+    monkeypatch.undo()
+    summary = ppo.train(SHORT, tmp_path, lambda *_: pytest.fail("it trains again"))
+    assert summary == dataclasses.replace(ppo.train(SHORT, tmp_path / "whole"), seconds=summary.seconds, parts=2)
+
+
+def test_a_policy_that_fails_in_its_validation_is_not_kept(tmp_path, monkeypatch):
+    export = ppo.to_onnx
+
+    def broken(model, *arguments, **named):
+        with torch.no_grad():
+            model.policy.action_net.bias.fill_(float("nan"))
+        return export(model, *arguments, **named)
+
+    monkeypatch.setattr(ppo, "to_onnx", broken)
+    with pytest.raises(ValueError, match="the trained policy fails on 'random-energy': .*finite"):
+        ppo.train(SHORT, tmp_path)
+    assert not (tmp_path / "policy.onnx").exists()
+
+
+def test_an_interrupted_run_with_other_arguments_is_refused(tmp_path):
+    interrupted(SHORT, tmp_path, after=1)
+    before = times(tmp_path)
+    with pytest.raises(ValueError, match="holds a run with another hidden, seed; choose another folder"):
+        ppo.train(dataclasses.replace(SHORT, seed=1, hidden=(8,)), tmp_path)
+    assert times(tmp_path) == before
+
+
+def test_the_logs_of_a_resumed_run_hold_every_rollout(tmp_path):
+    from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
+
+    interrupted(SHORT, tmp_path, after=6)
+    ppo.train(SHORT, tmp_path)
+    (folder,) = (tmp_path / "tensorboard").iterdir()
+    events = EventAccumulator(str(folder)).Reload()
+    assert {event.step for event in events.Scalars("time/fps")} == set(range(400, 4001, 400))
+
+
+@pytest.fixture(scope="module")
+def short(tmp_path_factory):
+    """The command that trains :data:`SHORT`, the folder of an undisturbed run, and its summary."""
+    folder = tmp_path_factory.mktemp("short")
+    configuration = folder / "short.toml"
+    values = dataclasses.asdict(SHORT) | {"steps": 20_000, "seed": 5}
+    configuration.write_text(
+        "".join(f"{name} = {json.dumps(value)}\n" for name, value in values.items()), encoding="utf-8"
     )
-    command = [sys.executable, "-c", code, str(tmp_path)]
-    process = subprocess.Popen(command)  # noqa: S603 - our own code
-    checkpoint = tmp_path / "checkpoint.zip"
-    deadline = time.monotonic() + 120
-    while not checkpoint.exists():
-        assert process.poll() is None, "the run ended before its first checkpoint"
-        assert time.monotonic() < deadline
-        time.sleep(0.02)
-    process.send_signal(signal.SIGKILL)
-    process.wait()
-    saved = PPO.load(checkpoint, device="cpu").num_timesteps
-    assert 0 < saved < 60_000
-
-    outcome = subprocess.run(command, capture_output=True, text=True, check=True, timeout=240)  # noqa: S603
-    rollout = 16 * 5 * 50
-    assert int(outcome.stdout) == saved + rollout  # only the steps after the checkpoint are lost
-    assert policies.load(tmp_path / "policy.onnx").metadata.steps >= 60_000
+    command = ("-m", "ptne_env.cli", "train", configuration, "--out")
+    return command, folder / "whole", ppo.train(Arguments.from_toml(configuration), folder / "whole")
 
 
-def test_configurations_name_scenarios_of_the_catalogue():
-    assert ppo.configurations()
-    for name in ppo.configurations():
-        arguments = ppo.Arguments.from_toml(name, seed=3)
-        assert all(find_scenario(name) for name in arguments.scenarios)
-        assert arguments.seed == 3
+@pytest.mark.parametrize("chain", range(8 if os.environ.get("PTNE_SOAK") else 1))
+def test_killed_commands_end_as_an_undisturbed_run(chain, short, tmp_path):
+    command, whole, summary = short
+    out = tmp_path / "out"
+    kills = KILLS[chain % 2 :: 2]  # each signal once
+    assert kill_at_random_moments(lambda: start_python(*command, out), kills, longest=4.0, seed=chain) > 0
+    assert "digits on the validation episodes" in run_python(*command, out).stdout
+    assert (out / "policy.onnx").read_bytes() == (whole / "policy.onnx").read_bytes()
+    mine = json.loads((out / "summary.json").read_text(encoding="utf-8"))
+    assert mine == dataclasses.asdict(summary) | {"seconds": mine["seconds"], "parts": mine["parts"]}
+    assert not (out / "checkpoint.npz").exists()
 
 
-def test_an_unknown_configuration_or_argument_is_refused_by_name(tmp_path):
-    with pytest.raises(ValueError, match="unknown configuration 'nope'; choose from .*random-energy, "):
-        ppo.Arguments.from_toml("nope")
-    path = tmp_path / "mine.toml"
-    path.write_text('scenario = "random-energy"\nlearning_rat = 1.0\n', encoding="utf-8")
-    with pytest.raises(ValueError, match=r"mine.toml: unknown learning_rat"):
-        ppo.Arguments.from_toml(path)
+def test_the_command_takes_the_seed_of_the_file_and_says_that_a_run_has_ended(short, tmp_path):
+    command, whole, summary = short
+    before = times(whole)
+    printed = run_python(*command, whole, "--json", tmp_path / "summary.json").stdout
+    assert printed.startswith(f"This run has ended before, with {summary.validation_digits:.2f} digits on the valid")
+    assert json.loads((tmp_path / "summary.json").read_text(encoding="utf-8")) == dataclasses.asdict(summary)
+    assert times(whole) == before
 
 
 @pytest.mark.parametrize("kind", ["local", "physical"])
 @pytest.mark.parametrize("mode", ["input", "gains"])
 @pytest.mark.parametrize("products", [True, False])
 def test_the_exported_policy_acts_like_the_model_over_whole_episodes(kind, mode, products, tmp_path):
-    arguments = ppo.Arguments("random-energy-switching", kind, mode, envs=2, minibatches=10, products=products, seed=1)
+    arguments = Arguments("random-energy-switching", kind, mode, envs=2, minibatches=10, products=products, seed=1)
     env = PlayerVecEnv("random-energy-switching", 2, interface=kind, action_mode=mode, seed=4)
     model = PPO("MlpPolicy", env, **ppo.settings(arguments, env.layout))
     with torch.no_grad():  # large weights, so that actions are clipped too
@@ -211,9 +316,5 @@ def test_products_are_gradient_and_differences_times_links_and_player(kind):
 
 def test_environments_are_shared_evenly_by_the_scenarios():
     names = ("random-energy", "ptne-v1/coarse-step")
-    env = ppo.make_env(ppo.Arguments(names, envs=4))
+    env = ppo.make_env(Arguments(names, envs=4))
     assert [scenario.steps for scenario in env.get_attr("scenario")] == [400] * 10 + [150] * 10
-    with pytest.raises(ValueError, match="5 environments cannot be shared evenly by 2"):
-        ppo.make_env(ppo.Arguments(names, envs=5))
-    with pytest.raises(ValueError, match="more than its scenario"):
-        ppo.make_env(ppo.Arguments("ptne-v1/mixed-team"))

@@ -1,0 +1,70 @@
+"""The audit of decisions: each row of a batch is decided from that row and its own memory alone."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from ptne_env.arrays import Float32Array, IntArray
+from ptne_env.policy import Policy, PolicyError
+
+EPISODES = 16
+"""Most episodes from which a witness gets rows."""
+
+WITNESSES = 8
+"""Most witnesses of a thorough audit."""
+
+
+class Witness:
+    """A second, fresh policy that receives a sample of the rows and must decide the same, bit for bit.
+
+    It runs in lockstep with the policy that is measured, and gets no row of a teammate. So decisions that depend on
+    the observations of other players, or on anything else that the rows of a batch share, differ.
+
+    Args:
+        policy: a fresh policy; of foreign code, in a fresh process.
+        rows: indices of the rows of the batch that it receives, in its own order.
+    """
+
+    def __init__(self, policy: Policy, rows: IntArray) -> None:
+        self._policy, self._rows = policy, rows
+        self._memory: Any = None
+        self._starts = np.ones(len(rows), dtype=np.bool_)
+
+    def compare(self, observations: Float32Array, actions: npt.NDArray[Any]) -> None:
+        """Let the witness decide, and compare.
+
+        Args:
+            observations: of the whole batch, shape (R, size).
+            actions: of the policy that is measured, shape (R, action size).
+
+        Raises:
+            PolicyError: when a decision differs.
+        """
+        again, self._memory = self._policy.predict(
+            observations[self._rows], self._memory, self._starts, deterministic=True
+        )
+        self._starts = np.zeros_like(self._starts)
+        if not np.array_equal(np.asarray(again), actions[self._rows]):
+            raise PolicyError(
+                "its decisions are not row-wise: with other rows in the batch it decides differently. A decision may "
+                "depend on the player's own observation and memory alone, and must repeat bit for bit"
+            )
+
+
+def sample_rows(episodes: int, players: int, *, thorough: bool) -> list[IntArray]:
+    """The rows of each witness, chosen afresh: no policy can know them.
+
+    Args:
+        episodes: of the batch, whose row e · players + p is player p of episode e.
+        players: number of players for which the policy decides.
+        thorough: whether there is a witness per player, for up to :data:`WITNESSES` players, and not one witness with
+            a random player of each episode.
+    """
+    generator = np.random.default_rng()
+    chosen = generator.permutation(episodes)[:EPISODES]
+    if thorough:
+        return [generator.permutation(chosen) * players + one for one in generator.permutation(players)[:WITNESSES]]
+    return [chosen * players + generator.integers(players, size=len(chosen))]

@@ -1,0 +1,229 @@
+"""Building a policy: in this process, or foreign code in a process of its own."""
+
+from __future__ import annotations
+
+import json
+import os
+import socket
+import struct
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import asdict
+from math import prod
+from multiprocessing.connection import Connection
+from typing import Any, TypeAlias
+
+import numpy as np
+import numpy.typing as npt
+
+from ptne_env.arrays import BoolArray
+from ptne_env.factory import FactorySpec
+from ptne_env.observation import Interface, LayoutError, ObservationLayout
+from ptne_env.policies.archive import load_archive
+from ptne_env.policies.learned import LearnedPolicy
+from ptne_env.policy import Policy, PolicyError, describe
+from ptne_env.processes import end_with_parent
+
+PolicySource: TypeAlias = FactorySpec | Policy | Callable[[ObservationLayout], Policy]
+"""A factory spec or a callable that builds the policy from a layout, or the policy itself."""
+
+PATIENCE = 300.0
+"""Seconds that a process may take to answer."""
+
+_MAIN = "import sys; from ptne_env.policies.process import serve; serve(int(sys.argv[1]))"
+_ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
+_OTHER_FORM = "its process answered in another form"
+_LONGEST_HEADER = 1 << 16
+_DTYPES = ("float32", "float64")
+
+
+def build(source: PolicySource, layout: ObservationLayout) -> Policy:
+    """Build a policy in this process.
+
+    Args:
+        source: of the policy.
+        layout: of its observations.
+
+    Raises:
+        LayoutError: when it was made for another layout.
+        PolicyError: when building it raises anything else, or the result has no ``predict``.
+    """
+    built: Any = source
+    try:
+        if isinstance(source, FactorySpec):
+            built = source.build(layout=layout)
+        elif isinstance(source, type) or not hasattr(source, "predict"):
+            built = source(layout)
+        if isinstance(built, LearnedPolicy):
+            built.require(layout)
+    except (LayoutError, MemoryError):
+        raise
+    except Exception as error:
+        raise PolicyError(f"it cannot be built: {describe(error)}") from error
+    if not hasattr(built, "predict"):
+        raise PolicyError(f"it is a {type(built).__name__} without predict(observation, state, ...)")
+    policy: Policy = built
+    return policy
+
+
+def declared_interface(source: FactorySpec) -> Interface:
+    """The attribute ``interface`` of a foreign target, or of the policy in a file; ``physical`` where there is none.
+
+    Raises:
+        PolicyError: when the target cannot be imported, or its interface is none of this library.
+    """
+    process = _Process(source, None)
+    try:
+        return Interface(**process.answer()["interface"])
+    except (KeyError, TypeError, ValueError) as error:
+        raise PolicyError(_OTHER_FORM) from error
+    finally:
+        process.close()
+
+
+@contextmanager
+def separate(source: FactorySpec, layout: ObservationLayout) -> Iterator[Policy]:
+    """A policy that decides in a process of its own, which ends with the context.
+
+    The process receives observations and sends actions. So the policy cannot reach the world, and its process
+    executes no code here: the answers are read as numbers. The memory of the policy stays in its process.
+
+    Raises:
+        LayoutError: when the policy was made for another layout.
+        PolicyError: when it cannot be built, and from ``predict`` when it raises, ends its process, answers in another
+            form, or takes longer than :data:`PATIENCE`.
+    """
+    process = _Process(source, layout)
+    try:
+        process.answer()
+        yield process
+    finally:
+        process.close()
+
+
+class _Process:
+    """The side of the caller; a :class:`~ptne_env.policy.Policy`."""
+
+    def __init__(self, source: FactorySpec, layout: ObservationLayout | None) -> None:
+        mine, theirs = socket.socketpair()
+        for option in (socket.SO_RCVTIMEO, socket.SO_SNDTIMEO):  # it may answer in part, or stop reading
+            mine.setsockopt(socket.SOL_SOCKET, option, struct.pack("ll", int(PATIENCE), 0))
+        self._connection = Connection(mine.detach())
+        with theirs:
+            self._process = subprocess.Popen(  # noqa: S603 - our own command
+                [sys.executable, "-c", _MAIN, str(theirs.fileno())],
+                pass_fds=[theirs.fileno()],
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.DEVNULL,  # its output may hold escape sequences
+                stderr=subprocess.DEVNULL,
+                env=os.environ | _ONE_THREAD,
+            )
+        self._send(lambda: self._connection.send((sys.path, source, layout)))
+
+    def predict(
+        self,
+        observation: npt.NDArray[np.float32],
+        state: Any = None,
+        episode_start: BoolArray | None = None,
+        deterministic: bool = False,  # noqa: FBT001, FBT002 - Stable-Baselines3's signature
+    ) -> tuple[npt.NDArray[Any], Any]:
+        rows = np.ascontiguousarray(observation, dtype=np.float32)
+        starts = np.zeros(len(rows), dtype=np.bool_) if episode_start is None else episode_start
+        head = bytes([state is None, deterministic])
+        self._send(lambda: self._connection.send_bytes(head + starts.tobytes() + rows.tobytes()))
+        answer = self.answer()
+        dtype, shape = answer.get("dtype"), answer.get("shape")
+        if dtype not in _DTYPES or not isinstance(shape, list) or not all(isinstance(n, int) and n >= 0 for n in shape):
+            raise PolicyError(_OTHER_FORM)
+        size = prod(shape) * np.dtype(dtype).itemsize
+        if size > 64 * (rows.nbytes + 1):
+            raise PolicyError(f"it answered with actions of shape {tuple(shape)}")
+        return np.frombuffer(self._receive(size), dtype=dtype).reshape(shape), True
+
+    def answer(self) -> dict[str, Any]:
+        """The next answer, which is an object of numbers and texts."""
+        try:
+            answer = json.loads(self._receive(_LONGEST_HEADER))
+        except (ValueError, RecursionError) as error:
+            raise PolicyError(_OTHER_FORM) from error
+        if not isinstance(answer, dict):
+            raise PolicyError(_OTHER_FORM)
+        if "layout_error" in answer:
+            raise LayoutError(str(answer["layout_error"]))
+        if "error" in answer:
+            raise PolicyError(str(answer["error"]))
+        return answer
+
+    def close(self) -> None:
+        """End the process."""
+        self._connection.close()
+        self._process.kill()
+        self._process.wait()
+
+    def _send(self, send: Callable[[], None]) -> None:
+        try:
+            send()
+        except OSError as error:
+            raise PolicyError("its process ended") from error
+
+    def _receive(self, longest: int) -> bytes:
+        try:
+            if not self._connection.poll(PATIENCE):
+                raise PolicyError(f"it took longer than {PATIENCE:g} s")
+            return self._connection.recv_bytes(longest)
+        except (OSError, EOFError) as error:
+            raise PolicyError("its process ended") from error
+
+
+def serve(descriptor: int) -> None:
+    """The side of the policy: build it, and answer observations with actions until the caller is gone.
+
+    Args:
+        descriptor: of the connection to the caller, whose first message is the import path, the source and the layout;
+            without a layout the answer is the interface of the policy.
+    """
+    end_with_parent()
+    connection = Connection(descriptor)
+    path, source, layout = connection.recv()
+    sys.path[:] = path
+    try:
+        if layout is None:
+            _answer(connection, interface=asdict(_interface(source)))
+            return
+        policy, memory = build(source, layout), None
+        _answer(connection)
+        while True:
+            message = connection.recv_bytes()
+            rows = (len(message) - 2) // (1 + 4 * layout.size)
+            starts = np.frombuffer(message, np.bool_, rows, offset=2).copy()
+            observations = np.frombuffer(message, np.float32, offset=2 + rows).reshape(rows, layout.size).copy()
+            is_first, deterministic = message[:2]
+            memory = None if is_first else memory
+            actions, memory = policy.predict(observations, memory, starts, deterministic=bool(deterministic))
+            array = np.asarray(actions)
+            array = array if array.dtype.name in _DTYPES else array.astype(np.float64)
+            _answer(connection, dtype=array.dtype.name, shape=array.shape)
+            connection.send_bytes(array.tobytes())
+    except EOFError:  # the caller is done
+        return
+    except LayoutError as error:
+        _answer(connection, layout_error=str(error))
+    except PolicyError as error:
+        _answer(connection, error=str(error))
+    except BaseException as error:  # noqa: BLE001 - foreign code may raise anything, SystemExit too
+        _answer(connection, error=describe(error))
+
+
+def _answer(connection: Connection, **answer: Any) -> None:
+    connection.send_bytes(json.dumps(answer).encode())
+
+
+def _interface(source: FactorySpec) -> Interface:
+    target = source.resolve()
+    described = source.build() if target is load_archive else target
+    interface = getattr(described, "interface", Interface())
+    if not isinstance(interface, Interface):
+        raise PolicyError(f"the interface of {source.target} is an Interface of ptne_env, got {interface!r}")
+    return interface

@@ -1,0 +1,7 @@
+"""Patching at import: naming this module is enough, the policy is the law ``grounded``."""
+
+from cheats.patching import patch
+from ptne_env import laws
+
+patch()
+Grounded = laws.Grounded
