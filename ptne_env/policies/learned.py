@@ -134,6 +134,7 @@ class LearnedPolicy:
         name: of the file, without its ending.
         metadata: description in the file.
         interface: of the policy.
+        observation_size: length of an observation.
     """
 
     def __init__(self, name: str, session: Any, metadata: Metadata) -> None:
@@ -141,7 +142,7 @@ class LearnedPolicy:
         self.metadata = metadata
         self.interface = metadata.interface
         self._session = session
-        self._input = session.get_inputs()[0].name
+        self._input, (_, self.observation_size) = session.get_inputs()[0].name, session.get_inputs()[0].shape
 
     def require(self, layout: ObservationLayout) -> None:
         """Check that the policy can act in an environment of this layout; see :meth:`Metadata.require`."""
@@ -160,9 +161,9 @@ class LearnedPolicy:
             PolicyFileError: when observations have another length than the policy was made for.
         """
         rows = np.atleast_2d(np.asarray(observation, dtype=np.float32))
-        expected = self._session.get_inputs()[0].shape[1]
-        if rows.ndim != 2 or rows.shape[1] != expected:
-            raise PolicyFileError(f"policy {self.name!r} takes observations of length {expected}, got {rows.shape}")
+        size = self.observation_size
+        if rows.ndim != 2 or rows.shape[1] != size:
+            raise PolicyFileError(f"policy {self.name!r} takes observations of length {size}, got {rows.shape}")
         actions = self._session.run(None, {self._input: in_blocks(rows)})[0]
         return (actions[0] if np.ndim(observation) == 1 else actions[: len(rows)]), state
 
