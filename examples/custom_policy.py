@@ -4,7 +4,7 @@ Prints, for five tracks of the benchmark and 20 episodes each, the digits and th
 reference policies of every suite, and of two laws; and the scores over all five tracks, in which 1 is the paper's law.
 
 Run it with: python examples/custom_policy.py
-or, for the whole benchmark, from the folder of this file: ptne compare --suite ptne-v1 --policy custom_policy:make
+or, for the whole benchmark, from its folder: ptne compare --suite ptne-v1 --policy custom_policy:make --trust
 """
 
 import numpy as np

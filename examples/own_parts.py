@@ -3,7 +3,7 @@
 Nothing is registered: scenarios, suites and policies name the parts as "own_parts:Name".
 
 Run it with: python examples/own_parts.py
-or, in the folder of this file: ptne compare --suite own_parts:suite --policy own_parts:HeavyBall
+or, in the folder of this file: ptne compare --suite own_parts:suite --policy own_parts:HeavyBall --trust
 """
 
 from dataclasses import replace

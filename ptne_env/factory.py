@@ -3,9 +3,17 @@
 from __future__ import annotations
 
 import importlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache
+from types import FunctionType
 from typing import Any
+
+_PARTS = ("games", "graphs", "switching", "clock", "starts", "channel", "disturbances", "laws")
+"""Modules and packages of the library in which parts are defined."""
+
+_LOADER = "ptne_env.policies:load"
+"""The other part: it reads an ``.onnx`` file, which is data."""
 
 
 def resolve(target: str) -> Any:
@@ -27,6 +35,34 @@ def resolve(target: str) -> Any:
         raise ValueError(f"module {module_name!r} has no {attribute!r}; part {target!r} cannot be built") from error
 
 
+@cache
+def is_part(target: str) -> bool:
+    """Whether a target is a part of this library; it imports modules of the library alone.
+
+    Parts are the public classes and functions that are defined in, not only imported into, the modules of games,
+    graphs, switching topologies, clocks, starts, channels, disturbances and laws, and the loader of ``.onnx`` files.
+    Every other target may run any code.
+    """
+    module, _, name = target.partition(":")
+    if not _defines_parts(module) or name.startswith("_"):
+        return target == _LOADER
+    try:
+        found = resolve(target)
+    except ValueError:
+        return False
+    return isinstance(found, type | FunctionType) and _defines_parts(found.__module__)
+
+
+def _defines_parts(module: str) -> bool:
+    library, _, name = module.partition(".")
+    return library == "ptne_env" and name.partition(".")[0] in _PARTS
+
+
+def foreign_targets(spec: FactorySpec) -> list[str]:
+    """The targets of a spec, nested ones too, that are no part of this library; nothing foreign is imported."""
+    return [part.target for part in spec.nested() if not is_part(part.target)]
+
+
 def _freeze(value: Any) -> Any:
     if isinstance(value, Mapping):
         return FactorySpec.from_dict(value)
@@ -45,6 +81,14 @@ def _build(value: Any) -> Any:
     if isinstance(value, tuple):
         return tuple(_build(item) for item in value)
     return value
+
+
+def _specs(value: Any) -> Iterator[FactorySpec]:
+    if isinstance(value, FactorySpec):
+        yield from value.nested()
+    elif isinstance(value, tuple):
+        for item in value:
+            yield from _specs(item)
 
 
 def _to_json(value: Any) -> Any:
@@ -69,6 +113,12 @@ class FactorySpec:
     def of(cls, target: str, /, **arguments: Any) -> FactorySpec:
         """The spec of ``target`` with keyword ``arguments``; lists and arrays become tuples."""
         return cls(target, tuple((name, _freeze(value)) for name, value in sorted(arguments.items())))
+
+    def nested(self) -> Iterator[FactorySpec]:
+        """This spec, and the specs among its arguments at any depth."""
+        yield self
+        for _, value in self.arguments:
+            yield from _specs(value)
 
     def resolve(self) -> Any:
         """Import the target without calling it.
@@ -102,11 +152,15 @@ class FactorySpec:
         """The inverse of :meth:`to_dict`.
 
         Raises:
-            ValueError: unless the keys are ``target``, a string, and optionally ``arguments``, an object.
+            ValueError: unless the keys are ``target``, a string, and optionally ``arguments``, an object, or when
+                parts are nested too deeply.
         """
         if not {"target"} <= set(data) <= {"target", "arguments"}:
             raise ValueError(f"a part is an object with 'target' and 'arguments', got the keys {sorted(data)}")
         target, arguments = data["target"], data.get("arguments", {})
         if not (isinstance(target, str) and isinstance(arguments, Mapping)):
             raise ValueError(f"a part has a string 'target' and an object 'arguments', got {dict(data)!r}")
-        return cls.of(target, **arguments)
+        try:
+            return cls.of(target, **arguments)
+        except RecursionError:
+            raise ValueError(f"the arguments of part {target!r} are nested too deeply") from None

@@ -248,8 +248,8 @@ def own_module(tmp_path):
 @pytest.mark.parametrize(
     "command",
     [
-        "compare --scenario energy --policy talkative:make --episodes 1",
-        "compare --suite ptne-v1 --track nominal --policy talkative:make --episodes 2 --jobs 2 --no-report --out out",
+        "compare --scenario energy --policy talkative:make --episodes 1 --trust",
+        "compare --suite ptne-v1 --track nominal --policy talkative:make --trust --episodes 2 --jobs 2 --no-report",
         "certify energy",
         "sweep dwell-gain --points 2 --episodes 1 --jobs 2 --out out",
         "train random-energy --steps 1 --out out",
@@ -265,7 +265,7 @@ def test_json_on_stdout_is_json_alone_when_other_code_prints(command, own_module
 
 def test_a_module_in_the_current_folder_is_found_by_the_installed_command(own_module):
     code = "import sys; sys.argv[0] = 'ptne'; from ptne_env.cli import main; main()"
-    arguments = ("render", "energy", "talkative:make", "--out", "run.html")
+    arguments = ("render", "energy", "talkative:make", "--trust", "--out", "run.html")
     paths = os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")])
     outcome = subprocess.run(  # noqa: S603 - our own command line, with -P as console scripts have their path
         [sys.executable, "-P", "-c", code, *arguments],
@@ -334,7 +334,10 @@ def test_compare_takes_a_policy_by_module_and_object():
         (("compare", "--suite", "ptne-v1", "--track", "nominl"), "has no track 'nominl'"),
         (("compare", "--suite", "ptne-v1", "--hold-steps", "3"), "leave out --hold-steps"),
         (("compare", "--suite", "ptne-v1", "--policy", "model.zip"), "say --trust"),
-        (("compare", "--track", "nominal"), "unknown scenario 'nominal'"),
+        (
+            ("compare", "--track", "nominal"),
+            "unknown scenario 'nominal': a track needs its suite, such as --suite ptne-v1",
+        ),
         (("compare", "--scenario", "robots", "--policy", "ppo-random-energy", "--json", "-"), "fits no track"),
         (("compare", "--jobs", "0"), "0 jobs"),
         (("train", "random-enery", "--out", "out"), "unknown configuration 'random-enery'"),

@@ -314,7 +314,7 @@ def functions_by_file():
     return result
 
 
-@pytest.mark.parametrize("document", DOCUMENTS, ids=lambda document: document.stem)
+@pytest.mark.parametrize("document", PAGES, ids=by_path)
 def test_named_tests_exist(document):
     everything = set().union(*functions_by_file().values())
     text = prose(document)

@@ -54,7 +54,7 @@ def test_example_prints_the_line_that_the_readme_quotes(example, tmp_path):
 def test_own_parts_are_imported_by_module_and_object_in_worker_processes(tmp_path):
     """A game, a graph, a channel, a law and a track outside the library."""
     command = ["-m", "ptne_env.cli", "compare", "--suite", "own_parts:suite", "--policy", "own_parts:HeavyBall"]
-    settings = ["--episodes", "3", "--jobs", "2", "--out", "out"]
+    settings = ["--trust", "--episodes", "3", "--jobs", "2", "--out", "out"]
     run_python("-W", "error", *command, *settings, folder=tmp_path, modules=[FOLDER])
     data = json.loads((tmp_path / "out" / "results.json").read_text(encoding="utf-8"))
     contest, clipped = (track["scenario"] for track in data["suite"]["tracks"])

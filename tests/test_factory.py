@@ -1,12 +1,16 @@
+import dataclasses
 import json
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from processes import run_python
 
 from ptne_env import FactorySpec
-from ptne_env.factory import resolve
+from ptne_env.catalogue import CATALOGUE
+from ptne_env.experiments import get_suite, suite_policies
+from ptne_env.factory import foreign_targets, is_part, resolve
 from ptne_env.games import EnergyGame
 from ptne_env.switching import SwitchingTopology
 
@@ -116,3 +120,64 @@ def test_any_error_from_wrong_arguments_is_a_refusal():
     ):
         with pytest.raises(ValueError, match=f"part '{part.target}' refuses its arguments"):
             part.build()
+
+
+def test_every_part_that_the_library_names_is_one():
+    suite = get_suite("ptne-v1")
+    scenarios = [*CATALOGUE.values(), *(track.scenario for track in suite.tracks)]
+    values = [getattr(scenario, field.name) for scenario in scenarios for field in dataclasses.fields(scenario)]
+    specs = [value for value in values if isinstance(value, FactorySpec)]
+    specs += [seed for policy in suite_policies() for seed in policy.training_seeds]
+    targets = {part.target for spec in specs for part in spec.nested()}
+    assert len(targets) > 40
+    assert [target for target in targets if not is_part(target)] == ["networkx:circulant_graph"]
+
+
+@pytest.mark.parametrize(
+    "target",
+    [
+        "os:system",
+        "builtins:eval",
+        "ptne_env.files:write_atomically",
+        "ptne_env.factory:resolve",
+        "ptne_env.policies.archive:load_archive",
+        "ptne_env.policies.learned:load",
+        "ptne_env.policies:shipped",
+        "ptne_env.experiments.ptne_v1:ptne_v1",
+        "ptne_env.channel:replace",  # imported there from dataclasses
+        "ptne_env.graphs:require_count",  # imported there from ptne_env.arrays
+        "ptne_env.channel:counter_random",  # a module
+        "ptne_env.channel:_Noise",
+        "ptne_env.laws:NoSuchLaw",
+        "ptne_env.laws.no_such_module:Law",
+        "ptne_env.laws./tmp/evil:Law",
+        "ptne_env.lawsuit:Law",
+        "ptne_env.laws",
+        "laws:Static",
+        "",
+    ],
+)
+def test_other_targets_are_foreign(target):
+    assert not is_part(target)
+
+
+def test_nested_foreign_targets_are_found_in_json_without_an_import(tmp_path):
+    (tmp_path / "evil.py").write_text("raise SystemExit('imported')", encoding="utf-8")
+    program = (
+        "import json, sys\n"
+        "from ptne_env.factory import FactorySpec, foreign_targets\n"
+        "print(foreign_targets(FactorySpec.from_dict(json.loads(sys.argv[1]))), 'evil' in sys.modules)"
+    )
+    call = {"target": "evil:run", "arguments": {"word": {"target": "os:system", "arguments": {"command": "ls"}}}}
+    data = {"target": "ptne_env.laws:Static", "arguments": {"kappa": [2.0, [call]], "again": call}}
+    found = run_python("-c", program, json.dumps(data), folder=tmp_path)
+    assert found.stdout.strip() == "['evil:run', 'os:system', 'evil:run', 'os:system'] False"
+    assert foreign_targets(FactorySpec.of("ptne_env.laws:Static", kappa=2.0)) == []
+
+
+def test_parts_that_are_nested_too_deeply_are_refused():
+    data = {"target": "a:b"}
+    for _ in range(3000):
+        data = {"target": "a:b", "arguments": {"inner": data}}
+    with pytest.raises(ValueError, match="nested too deeply"):
+        FactorySpec.from_dict(data)

@@ -1,19 +1,32 @@
-"""The effects of loading a file that SECURITY.md names."""
+"""The promises of SECURITY.md about code of strangers, and the effects that it warns of."""
 
+import base64
 import json
-import pickle
+import re
+import shlex
+import sys
+import zipfile
+from contextlib import nullcontext
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
+import typer
+from extras import need_sb3
+from processes import run_python
+from typer.testing import CliRunner
 
 from ptne_env import FactorySpec, PolicySpec, Scenario, get_scenario
+from ptne_env.cli import app, options
 from ptne_env.experiments import Suite, Track, get_policy_spec, run_suite
-from ptne_env.experiments.check import check
+from ptne_env.experiments.check import check, foreign_code
 from ptne_env.experiments.provenance import content_hash
-from ptne_env.experiments.suite import find_scenario
+from ptne_env.factory import foreign_targets
+from ptne_env.observation import Interface
 from ptne_env.world import World
 
 TEXT = (Path(__file__).parents[1] / "SECURITY.md").read_text(encoding="utf-8")
+SMALL = Suite("small", (Track("ring", get_scenario("energy", steps=60, deadline=0.1), "The base."),), episodes=1)
 CALLED = []
 
 
@@ -23,59 +36,168 @@ def mark(**arguments):
     return arguments
 
 
-class Mark:
-    """An object that a stranger's pickle might make."""
-
-    def __reduce__(self):
-        return mark_pickle, ()
-
-
-def mark_pickle():
-    CALLED.append("unpickled")
-
-
 @pytest.fixture(autouse=True)
 def nothing_called():
     CALLED.clear()
 
 
+@pytest.fixture
+def evil(tmp_path, monkeypatch):
+    """A folder with files of a stranger as the current folder; their code makes the folder ``ran`` in it."""
+    ran = str(tmp_path / "ran")
+    (tmp_path / "evil.py").write_text(f"import os\n\nos.mkdir({ran!r})\n", encoding="utf-8")
+    (tmp_path / "evil.toml").write_text("scenarios = ['evil:suite/track']\n", encoding="utf-8")
+    serialised = base64.b64encode(f"cos\nmkdir\n(V{ran}\ntR.".encode()).decode()  # a pickle that calls os.mkdir
+    with zipfile.ZipFile(tmp_path / "evil.zip", "w") as archive:
+        archive.writestr("data", json.dumps({"policy_class": {":type:": "type", ":serialized:": serialised}}))
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "path", [path for path in sys.path if path])  # commands add the current folder
+    yield tmp_path
+    sys.modules.pop("evil", None)
+
+
+def ran(words):
+    """Whether code of the stranger ran in a command, and the error of the command."""
+    error = CliRunner().invoke(app, shlex.split(words)).exception
+    return Path("ran").exists(), error
+
+
+COMMANDS = {
+    "policy": "compare --scenario energy --policy static,evil:make",
+    "archive": "compare --scenario energy --policy evil.zip",
+    "pattern": "compare --scenario energy --policy mine=ev*.zip",
+    "suite": "compare --suite evil:suite",
+    "law": "certify energy --law evil:Law",
+    "scenario of certify": "certify evil:suite/track",
+    "scenario of render": "render evil:suite/track static --out run.html",
+    "policy of render": "render energy evil:make --out run.html",
+    "archive of render": "render energy evil.zip --out run.html",
+    "training": "train evil.toml --out out",
+}
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_commands_ask_before_they_run_code_from_outside_the_library(command, evil):
+    if command in ("training", "archive", "pattern", "archive of render"):
+        need_sb3()
+    happened, error = ran(COMMANDS[command])
+    assert not happened
+    assert re.search(r"'evil(\.zip|:\w+)' would run code from outside the library: say --trust", str(error))
+    happened, _ = ran(f"{COMMANDS[command]} --trust")
+    assert happened
+
+
+@pytest.mark.parametrize("answer", [True, False])
+def test_a_terminal_is_asked_before_code_runs(answer, monkeypatch):
+    asked = []
+
+    def confirm(text, *, abort, err):
+        asked.append(text)
+        if abort and not answer:
+            raise typer.Abort
+
+    monkeypatch.setattr(sys, "stdin", SimpleNamespace(isatty=lambda: True))
+    monkeypatch.setattr(sys, "path", list(sys.path))
+    monkeypatch.setattr(typer, "confirm", confirm)
+    assert options.trusted([], trust=False) is False
+    assert options.trusted(["evil:make"], trust=True) is True
+    assert asked == []
+    with nullcontext() if answer else pytest.raises(typer.Abort):
+        assert options.trusted(["evil:make", "\x1b[2Kfine.zip"], trust=False) is True
+    assert asked == [r"'evil:make', '\x1b[2Kfine.zip' will run code from outside the library. Do you trust it?"]
+
+
+def test_modules_of_the_current_folder_are_found_after_trust_alone(evil):
+    program = (
+        "import os, sys\n"
+        "from ptne_env.cli import main\n"
+        "try:\n    main()\nexcept SystemExit:\n    print(os.getcwd() in sys.path)\n"
+    )
+    printed = [
+        run_python("-P", "-c", program, "-q", *command, folder=evil).stdout.strip()
+        for command in (["certify", "energy"], ["certify", "energy", "--law", "evil:Law", "--trust"])
+    ]
+    assert printed == ["False", "True"]
+
+
+@pytest.fixture
+def results(tmp_path):
+    """Changes the results of a run of the static law, with a checksum that fits."""
+    data = run_suite(SMALL, ["static"], tracks=["ring"], episodes=1, folder=tmp_path).to_dict()
+
+    def changed(**changes):
+        content = {key: value for key, value in (data | changes).items() if key not in ("checksum", "timings")}
+        signed = content | {"checksum": content_hash(content), "timings": data["timings"]}  # which needs no secret
+        (tmp_path / "results.json").write_text(json.dumps(signed), encoding="utf-8")
+        return tmp_path
+
+    return changed, data
+
+
+CALL = {"target": "test_security:mark", "arguments": {"word": "called"}}
+
+
+@pytest.mark.parametrize(
+    "source",
+    [
+        CALL,
+        {"target": "ptne_env.laws:Static", "arguments": {"kappa": CALL}},
+        {
+            "target": "ptne_env.laws:Static",
+            "arguments": {"kappa": [1.0, [{"target": "os:getcwd", "arguments": {"of": CALL}}]]},
+        },
+        {"target": "ptne_env.factory:resolve", "arguments": {"target": "test_security:mark"}},
+        {"target": "ptne_env.policies.archive:load_archive", "arguments": {"path": "model.zip"}},
+    ],
+)
+def test_a_check_runs_nothing_of_results_without_trust(source, results):
+    change, _ = results
+    policy = PolicySpec("static", FactorySpec.of("ptne_env.laws:Static"), Interface()).to_dict()
+    folder = change(policies=[policy | {"training_seeds": [source | {"files": {}}]}])
+    assert foreign_code(folder)
+    with pytest.raises(ValueError, match=r"names code outside this library.*--trust"):
+        check(folder, suite=SMALL)
+    error = CliRunner().invoke(app, ["check", str(folder)]).exception
+    assert "would run code from outside the library: say --trust" in str(error)
+    assert CALLED == []
+
+
+def test_a_check_makes_no_suite_without_trust(results):
+    change, data = results
+    folder = change(suite=data["suite"] | {"target": "test_security:mark"})
+    assert foreign_code(folder) == ["test_security:mark"]
+    with pytest.raises(ValueError, match=r"names code outside this library.*test_security:mark.*--trust"):
+        check(folder)
+    assert CALLED == []
+    with pytest.raises(ValueError, match="is a dict, not a Suite"):
+        check(folder, trust=True)
+    assert CALLED == [{}]
+
+
+def test_results_of_the_library_need_no_trust(results):
+    change, _ = results
+    assert foreign_code(change()) == []
+
+
 def test_a_world_calls_the_addresses_of_its_scenario_with_their_arguments():
     data = get_scenario("energy").to_dict()
-    data["game"] = {"target": "test_security:mark", "arguments": {"word": "called"}}
+    data["game"] = CALL
     scenario = Scenario.from_dict(data)
     assert not CALLED
+    assert foreign_targets(scenario.game) == ["test_security:mark"]
     with pytest.raises(ValueError, match="built a dict where a Game or GameFamily is needed"):
         World(scenario)
     assert CALLED == [{"word": "called"}]
-    assert "**calls the addresses in it**" in TEXT
 
 
-def test_a_configuration_may_name_a_suite_which_is_imported_and_called():
-    with pytest.raises(ValueError, match="is a dict, not a Suite"):
-        find_scenario("test_security:mark/track")
-    assert CALLED == [{}]
-    assert "a training configuration, `.toml`" in TEXT
+def test_an_archive_is_not_opened_unless_it_is_trusted(evil):
+    for policy in ("evil.zip", "mine=ev*.zip"):
+        with pytest.raises(ValueError, match="executes code that is stored in it"):
+            get_policy_spec(policy)
+    assert not (evil / "ran").exists()
 
 
-def test_results_are_data_until_they_are_checked(tmp_path):
-    suite = Suite("small", (Track("ring", get_scenario("energy", steps=60, deadline=0.1), "The base."),), episodes=1)
-    data = run_suite(suite, ["static"], folder=tmp_path).to_dict()
-    stranger = PolicySpec("static", FactorySpec.of("test_security:mark", word="called"))
-    data["policies"] = [stranger.to_dict()]
-    data["jobs"] = [job for job in data["jobs"] if job["policy"] == "static"]
-    signed = {key: value for key, value in data.items() if key not in ("checksum", "timings")}
-    data["checksum"] = content_hash(signed)  # which needs no secret
-    (tmp_path / "results.json").write_text(json.dumps(data), encoding="utf-8")
-    run_suite(suite, ["static"], folder=tmp_path)  # finds its stored jobs and does nothing else
-    assert not CALLED
-    with pytest.raises(ValueError, match=r"policy 'static': dict has no predict"):
-        check(tmp_path, suite=suite)
-    assert [call["word"] for call in CALLED] == ["called"]
-
-
-def test_an_archive_is_not_opened_unless_it_is_trusted(tmp_path):
-    path = tmp_path / "model.zip"
-    path.write_bytes(pickle.dumps(Mark()))
-    with pytest.raises(ValueError, match="executes code that is stored in it"):
-        get_policy_spec(str(path))
-    assert not CALLED
+def test_every_promise_names_its_tests():
+    rows = [line for line in TEXT.splitlines() if line.startswith("| ")][1:]
+    assert len(rows) >= 10
+    assert [row for row in rows[1:] if not re.search(r"`test_\w+`[^|]*\|$", row)] == []

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import sys
-from pathlib import Path
 from typing import Annotated
 
 import typer
@@ -47,7 +45,6 @@ def _root(
 
 def main() -> None:
     """Run the command line; exit codes are 0 done, 1 failed, 2 wrong usage, 130 interrupted."""
-    sys.path.append(str(Path.cwd()))  # so that 'module:object' finds a file of the current folder, after all others
     try:
         app(prog_name="ptne")
     except SystemExit as ended:

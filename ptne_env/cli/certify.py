@@ -11,18 +11,20 @@ from ptne_env import report, theory
 from ptne_env.cli import options
 from ptne_env.cli.app import app
 from ptne_env.cli.console import check_writable, console, json_text, say, write_json
-from ptne_env.experiments.policy_specs import law_factory, law_names
-from ptne_env.experiments.suite import find_scenario
+from ptne_env.experiments.policy_specs import foreign_code, law_factory, law_names
+from ptne_env.experiments.suite import find_scenario, foreign_suites
 
 
 @app.command()
 def certify(
     scenario: options.World,
+    *,
     law: Annotated[
         str,
         typer.Option(
             help="A law by name (static, adaptive, corollary-one, gadjov-pavel, grounded), by its class in "
-            "ptne_env.laws (FixedGain, LocallyImplicit, …), or as 'module:object' that is called with the layout.",
+            "ptne_env.laws (FixedGain, LocallyImplicit, …), or as 'module:object', which is called with the layout and "
+            "runs its own code.",
             autocompletion=law_names,
         ),
     ] = "static",
@@ -43,6 +45,7 @@ def certify(
     ] = None,
     hold_steps: Annotated[int, typer.Option(min=0, help="Steps after the deadline, for the digits there.")] = 50,
     json: options.Json = None,
+    trust: options.Trust = False,
 ) -> None:
     """Predict the result of a law on a scenario before anything runs.
 
@@ -51,6 +54,7 @@ def certify(
     explains which of them are exact and which are bounds.
     """
     check_writable(json)
+    options.trusted([*foreign_suites(scenario), *foreign_code(law)], trust=trust)
     chosen = find_scenario(scenario)
     if hold_steps and chosen.gain > 0:
         chosen = chosen.replace(hold_steps=hold_steps)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import sys
-from collections.abc import Iterable
 from math import isfinite
 from pathlib import Path
 from typing import Annotated
@@ -15,10 +13,11 @@ from ptne_env.catalogue import CATALOGUE
 from ptne_env.cli import options
 from ptne_env.cli.app import app
 from ptne_env.cli.console import STDOUT, check_writable, console, json_text, progress, say, write_json
-from ptne_env.experiments import PolicySpec, default_policies, get_policy_spec, get_suite, run_suite, suite_policies
+from ptne_env.experiments import default_policies, get_policy_spec, get_suite, run_suite, suite_policies
 from ptne_env.experiments.check import check as run_check
-from ptne_env.experiments.policy_specs import stores_code
-from ptne_env.experiments.suite import SUITES, comparison
+from ptne_env.experiments.check import foreign_code as foreign_code_of_results
+from ptne_env.experiments.policy_specs import foreign_code
+from ptne_env.experiments.suite import SUITES, comparison, foreign_suites
 from ptne_env.experiments.traces import scenes
 from ptne_env.experiments.workers import Workers
 from ptne_env.files import write_atomically
@@ -37,7 +36,8 @@ def compare(
     suite: Annotated[
         str | None,
         typer.Option(
-            help="Run the tracks of a suite, such as ptne-v1 or 'module:object', instead of scenarios.",
+            help="Run the tracks of a suite, such as ptne-v1, instead of scenarios; 'module:object' runs code of that "
+            "module.",
             autocompletion=lambda: list(SUITES),
         ),
     ] = None,
@@ -55,8 +55,9 @@ def compare(
         typer.Option(
             help="A policy by name, an .onnx file, a Stable-Baselines3 .zip, 'module:object' that is called with the "
             "layout and returns something with predict(), or 'name=pattern' for the files of several training seeds; "
-            "separate several by commas, or repeat. If left out: the paper's laws, and the learned policies on the "
-            "scenarios they were trained on; with --suite, all laws and all learned policies.",
+            "separate several by commas, or repeat. A .zip and a 'module:object' run their own code. If left out: the "
+            "paper's laws, and the learned policies on the scenarios they were trained on; with --suite, all laws and "
+            "all learned policies.",
             autocompletion=options.complete_policy,
         ),
     ] = None,
@@ -86,6 +87,13 @@ def compare(
         ),
     ] = None,
     with_report: Annotated[bool, typer.Option("--report/--no-report", help="Write the page report.html.")] = True,
+    rerun: Annotated[
+        bool,
+        typer.Option(
+            "--rerun",
+            help="Compute every job again, also stored ones. Needed for policies whose sources cannot be hashed.",
+        ),
+    ] = False,
     jobs: options.Jobs = -1,
     ray: options.Ray = None,
     json: options.Json = None,
@@ -99,7 +107,16 @@ def compare(
 
     With --suite, run the tracks of a frozen benchmark, with scores and ranks; see docs/protocol.md.
     """
+    names = [name for given in policy or () for name in given.split(",") if name]
+    trust = options.trusted(
+        [*foreign_suites(suite), *(code for name in names for code in foreign_code(name))], trust=trust
+    )
     if suite is None:
+        if unknown := [name for name in track or () if name not in CATALOGUE]:
+            raise ValueError(
+                f"unknown scenario {', '.join(map(repr, unknown))}: a track needs its suite, such as --suite ptne-v1; "
+                f"the scenarios are {', '.join(CATALOGUE)}"
+            )
         chosen = comparison(
             track or CATALOGUE, episodes=episodes or 1000, hold_steps=50 if hold_steps is None else hold_steps
         )
@@ -112,8 +129,8 @@ def compare(
     files = {} if folder is None else {name: folder / f"results.{name}" for name in ("json", "csv")}
     page = None if folder is None or not with_report else folder / "report.html"
     check_writable(json, page, *files.values())
-    names = [name for given in policy or () for name in given.split(",") if name]
-    policies = _policies(names, trust=trust) if names else suite_policies() if suite else default_policies()
+    named = [get_policy_spec(name, trust=trust) for name in names]
+    policies = named or (suite_policies() if suite else default_policies())
     workers = Workers(jobs, ray)
     with progress(chosen.name) as advance:
         results = run_suite(
@@ -124,6 +141,7 @@ def compare(
             seed=seed,
             against_laws=suite is None,
             folder=folder,
+            rerun=rerun,
             workers=workers,
             progress=lambda job, total: advance(total=total, description=job),
         )
@@ -152,18 +170,6 @@ def compare(
         raise typer.Exit(1)
 
 
-def _policies(names: Iterable[str], *, trust: bool) -> list[PolicySpec]:
-    """The named policies, once the user trusts the code that files among them store."""
-    archives = [name for name in names if stores_code(name)]
-    if archives and not trust:
-        if not sys.stdin.isatty():
-            raise ValueError(
-                f"loading {', '.join(archives)} executes code that is stored there: say --trust if you trust it"
-            )
-        typer.confirm(f"Loading {', '.join(archives)} executes code that is stored there. Do you trust it?", abort=True)
-    return [get_policy_spec(name, trust=True) for name in names]
-
-
 @app.command()
 def check(
     results: Annotated[Path, typer.Argument(help="The file results.json of a comparison or suite, or its folder.")],
@@ -183,6 +189,7 @@ def check(
     The exit code is 0 when everything agrees, else 1.
     """
     check_writable(json)
+    trust = options.trusted(foreign_code_of_results(results), trust=trust)
     with progress("checking") as advance:
         outcome = run_check(
             results,

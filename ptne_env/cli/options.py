@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import sys
+from collections.abc import Iterable
+from pathlib import Path
 from typing import Annotated, TypeAlias
 
 import typer
@@ -28,13 +31,18 @@ World: TypeAlias = Annotated[
     str,
     typer.Argument(
         metavar="SCENARIO",
-        help="A scenario by name, or a track such as ptne-v1/delay; see 'ptne list'.",
+        help="A scenario by name, or a track such as ptne-v1/delay; see 'ptne list'. A track 'module:object/track' "
+        "runs code of that module.",
         autocompletion=complete_world,
     ),
 ]
 Policy: TypeAlias = Annotated[
     str,
-    typer.Argument(help="A policy by name, an .onnx file, or 'module:object'.", autocompletion=complete_policy),
+    typer.Argument(
+        help="A policy by name, an .onnx file, or a Stable-Baselines3 .zip or a 'module:object', which run their own "
+        "code.",
+        autocompletion=complete_policy,
+    ),
 ]
 Seed: TypeAlias = Annotated[int, typer.Option(min=0, help="Seed of the random starts, games and noise.")]
 Jobs: TypeAlias = Annotated[int, typer.Option(help="Tasks at a time; -1 for one per core.")]
@@ -43,7 +51,12 @@ Ray: TypeAlias = Annotated[
     typer.Option(metavar="ADDRESS", help="Run the tasks on a Ray cluster: auto, local, or HOST:6379."),
 ]
 Trust: TypeAlias = Annotated[
-    bool, typer.Option("--trust", help="Load .zip files without asking, which executes code in them.")
+    bool,
+    typer.Option(
+        "--trust",
+        help="Run code from outside the library without asking: each 'module:object' and each .zip that is named. It "
+        "runs with your rights.",
+    ),
 ]
 Json: TypeAlias = Annotated[
     str | None,
@@ -54,3 +67,27 @@ Json: TypeAlias = Annotated[
         help="Write the results as JSON to this file; '-' for stdout, where nothing else is printed then.",
     ),
 ]
+
+
+def trusted(foreign: Iterable[str], *, trust: bool) -> bool:
+    """Whether code from outside the library may run; without ``--trust``, a terminal is asked.
+
+    If it may, ``module:object`` also finds files of the current folder, after all others.
+
+    Args:
+        foreign: the ``module:object`` and the files that hold such code.
+        trust: the value of ``--trust``.
+
+    Raises:
+        ValueError: when there is such code, no trust and no terminal.
+        typer.Abort: when the answer is no.
+    """
+    named = ", ".join(dict.fromkeys(map(repr, foreign)))  # repr shows control characters as text
+    if not named:
+        return trust
+    if not trust:
+        if not sys.stdin.isatty():
+            raise ValueError(f"{named} would run code from outside the library: say --trust if you trust it")
+        typer.confirm(f"{named} will run code from outside the library. Do you trust it?", abort=True, err=True)
+    sys.path.append(str(Path.cwd()))
+    return True

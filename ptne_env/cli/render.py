@@ -12,7 +12,8 @@ from ptne_env.cli import options
 from ptne_env.cli.app import app
 from ptne_env.cli.console import check_writable, progress, say
 from ptne_env.experiments import get_policy_spec
-from ptne_env.experiments.suite import find_scenario
+from ptne_env.experiments.policy_specs import foreign_code
+from ptne_env.experiments.suite import find_scenario, foreign_suites
 
 
 @app.command()
@@ -29,10 +30,12 @@ def render(
         int | None, typer.Option(min=0, help="Steps after the deadline.", show_default="the scenario's own")
     ] = None,
     pictures: Annotated[int, typer.Option(min=2, help="Pictures of a video, or instants of a page.")] = 100,
+    trust: options.Trust = False,
 ) -> None:
     """Write an episode as a video: strategies, estimates, distances and live links over time."""
     check_writable(out)
-    chosen, spec = find_scenario(scenario), get_policy_spec(policy)
+    trust = options.trusted([*foreign_suites(scenario), *foreign_code(policy)], trust=trust)
+    chosen, spec = find_scenario(scenario), get_policy_spec(policy, trust=trust)
     if hold_steps is not None:
         chosen = chosen.replace(hold_steps=hold_steps)
     with progress(f"{scenario}: {policy}") as advance:

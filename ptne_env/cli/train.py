@@ -13,6 +13,7 @@ from ptne_env import training
 from ptne_env.cli import options
 from ptne_env.cli.app import app
 from ptne_env.cli.console import check_writable, json_text, progress, say, write_json
+from ptne_env.experiments.suite import foreign_suites
 
 
 @app.command()
@@ -31,6 +32,8 @@ def train(
     ] = None,
     steps: Annotated[int | None, typer.Option(min=1, help="Agent-steps; the configuration's own if left out.")] = None,
     json: options.Json = None,
+    *,
+    trust: options.Trust = False,
 ) -> None:
     """Train a policy with PPO and export it as policy.onnx.
 
@@ -47,6 +50,7 @@ def train(
     given = {"seed": seed, "steps": steps}
     changes = {name: value for name, value in given.items() if value is not None}
     arguments = Arguments.from_toml(configuration, **changes)
+    options.trusted(foreign_suites(*arguments.scenarios), trust=trust)
     finished = ppo.finished(arguments, out) is not None
     with progress("training", arguments.steps) as advance:
 

@@ -19,7 +19,7 @@ from ptne_env.experiments.policy_specs import PolicySpec
 from ptne_env.experiments.results import read_results
 from ptne_env.experiments.run import assemble
 from ptne_env.experiments.store import Store
-from ptne_env.experiments.suite import PAPER_START, SUITES, Suite, comparison, get_suite
+from ptne_env.experiments.suite import PAPER_START, Suite, comparison, foreign_suites, get_suite
 from ptne_env.experiments.tuning import CANDIDATE
 from ptne_env.files import read_json
 
@@ -117,12 +117,14 @@ def check(
             run, the files of a policy differ, the results name foreign code and ``trust`` is not set, or a policy was
             an object of another process.
     """
-    path = results / "results.json" if results.is_dir() else results
     require_count("sample", sample, 1)
-    data = read_results(path)
-    listing = _Listing.of(path, data)
+    path, data, listing = _read(results)
+    if not trust and (foreign := listing.foreign_code(suite)):
+        raise ValueError(
+            f"{path} names code outside this library, which a check executes: {', '.join(foreign)}. Say that you trust "
+            "it (--trust)"
+        )
     policies = listing.policies()
-    listing.require_trust(trust=trust)
     suite = listing.suite() if suite is None else suite
     if suite.content_hash != listing.content_hash:
         raise ValueError(
@@ -163,6 +165,27 @@ def check(
     return Check(tuple(differences), tuple(repetitions))
 
 
+def foreign_code(results: Path) -> list[str]:
+    """What a check of results executes that is not of this library: targets, nested ones too, and paths of archives.
+
+    Nothing is imported.
+
+    Args:
+        results: a file ``results.json``, or its folder.
+
+    Raises:
+        FileNotFoundError: when there are no results.
+        ValueError: when the file is damaged, of another kind or of another version, or a policy was an object.
+    """
+    return _read(results)[2].foreign_code(None)
+
+
+def _read(results: Path) -> tuple[Path, dict[str, Any], _Listing]:
+    path = results / "results.json" if results.is_dir() else results
+    data = read_results(path)
+    return path, data, _Listing.of(path, data)
+
+
 @dataclass(frozen=True)
 class _Listing:
     """What results say about their run, before anything that they name is imported.
@@ -175,7 +198,6 @@ class _Listing:
         tracks: names of all tracks of the suite.
         default_episodes: of the suite.
         specs: the policies as JSON objects.
-        tuned: the tuned laws as JSON objects.
         episodes: number of episodes by name of the track.
         seed, split: of the episode sets.
         keys: of the stored jobs, by track, policy and training seed.
@@ -191,7 +213,6 @@ class _Listing:
     tracks: tuple[str, ...]
     default_episodes: int
     specs: tuple[dict[str, Any], ...]
-    tuned: tuple[dict[str, Any], ...]
     episodes: dict[str, int]
     seed: int
     split: Split
@@ -218,7 +239,6 @@ class _Listing:
                 tracks=tuple(track["name"] for track in suite["tracks"]),
                 default_episodes=suite["rules"]["episodes"],
                 specs=tuple(data["policies"]),
-                tuned=tuple(law for laws in data["tuned_laws"].values() for law in laws.values()),
                 episodes=dict(data["episodes"]),
                 seed=data["seed"],
                 split=data["split"],
@@ -233,18 +253,15 @@ class _Listing:
             raise ValueError(f"{path} is not a file of results: a job is listed twice")
         return listing
 
-    def require_trust(self, *, trust: bool) -> None:
-        """Check that code of others may be executed, or that none is named.
+    def foreign_code(self, suite: Suite | None) -> list[str]:
+        """What a check executes that is not of this library; the target of the suite only where none is given.
 
         Raises:
-            ValueError: naming the targets.
+            ValueError: when a policy was an object, or something else stands in its place.
         """
-        foreign = sorted(set(_targets([{"target": self.target}, *self.specs, *self.tuned])) - {*SUITES, None})
-        if foreign and not trust:
-            raise ValueError(
-                f"{self.path} names code outside this library, which a check executes: {', '.join(foreign)}. Say that "
-                "you trust it (--trust)"
-            )
+        suites = foreign_suites(self.target) if suite is None else []
+        found = [code for spec in self.specs for code in PolicySpec.from_dict(spec).foreign_code]
+        return list(dict.fromkeys([*suites, *found]))
 
     def suite(self) -> Suite:
         """The suite: by its address, or the comparison of the scenarios of the catalogue that the results name.
@@ -267,10 +284,7 @@ class _Listing:
         Raises:
             ValueError: when one was an object, or its files are not those that were run.
         """
-        try:
-            found = [PolicySpec.from_dict(spec) for spec in self.specs]
-        except (KeyError, TypeError, AttributeError) as error:
-            raise ValueError(f"{self.path} is not a file of results: a policy has another form ({error!r})") from error
+        found = [PolicySpec.from_dict(spec) for spec in self.specs]
         for policy, spec in zip(found, self.specs, strict=True):
             if policy.to_dict() != spec:
                 raise ValueError(f"the files of policy {policy.name!r} are not those that were run")
@@ -384,16 +398,3 @@ def _is_same(found: Any, rebuilt: Any, tolerance: float) -> bool:
     if is_number:
         return abs(found - rebuilt) <= tolerance * (1 + abs(rebuilt))
     return type(found) is type(rebuilt) and bool(found == rebuilt)
-
-
-def _targets(value: Any) -> Iterator[str]:
-    """The targets in JSON values that are not parts of this library."""
-    if isinstance(value, dict):
-        target = value.get("target")
-        if isinstance(target, str) and not target.startswith("ptne_env.laws:") and target != "ptne_env.policies:load":
-            yield target
-        for item in value.values():
-            yield from _targets(item)
-    elif isinstance(value, list):
-        for item in value:
-            yield from _targets(item)

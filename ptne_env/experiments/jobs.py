@@ -19,7 +19,7 @@ from ptne_env.experiments.audit import Witness, sample_rows
 from ptne_env.experiments.episodes import EpisodeSet
 from ptne_env.experiments.metrics import METRICS, Metric, adopt, measure, own_metrics
 from ptne_env.experiments.policy_specs import PolicySpec
-from ptne_env.experiments.provenance import content_hash, source_hashes, versions
+from ptne_env.experiments.provenance import content_hash, source_hashes, unhashed, versions
 from ptne_env.experiments.rollout import rollout
 from ptne_env.experiments.suite import Track
 from ptne_env.observation import LayoutError
@@ -210,5 +210,16 @@ def require_hashed(jobs: Iterable[Job]) -> None:
     """Check that a change of the sources of jobs would be seen, so that no stored result is stale.
 
     Raises:
-        ValueError: naming the policy or the track, and what cannot be hashed.
+        ValueError: naming the policy and the track, and what cannot be hashed.
     """
+    for job in jobs:
+        if job.key is None:
+            continue
+        content = job.to_dict()
+        files = content["policy"]["files"] | content["track"]["files"] | content["metric_files"]
+        if missing := unhashed(files):
+            reasons = "; ".join(f"{name} cannot be hashed: {reason}" for name, reason in missing.items())
+            raise ValueError(
+                f"a change of policy {job.policy.name!r} or of track {job.track.name!r} would not be seen, so its "
+                f"stored results may be stale ({reasons}); --rerun (rerun=True) computes it again each time"
+            )

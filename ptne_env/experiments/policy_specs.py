@@ -14,7 +14,8 @@ from ptne_env import laws, policies
 from ptne_env.arrays import require_printable
 from ptne_env.catalogue import CATALOGUE
 from ptne_env.experiments.provenance import file_hashes
-from ptne_env.factory import FactorySpec
+from ptne_env.experiments.sources import is_file
+from ptne_env.factory import FactorySpec, is_part
 from ptne_env.observation import Interface, ObservationLayout
 from ptne_env.policies.process import PolicySource, build, declared_interface, separate
 from ptne_env.policy import Policy, PolicyError
@@ -72,15 +73,28 @@ class PolicySpec:
         return not target.startswith((_LAWS, "ptne_env.laws."))
 
     @property
-    def is_oracle(self) -> bool:
-        """Whether it uses information that players lack."""
-        return self.interface.kind == "full"
+    def foreign_code(self) -> list[str]:
+        """What is not of this library in its factory specs: targets, nested ones too, and archives by their path.
+
+        Nothing foreign is imported. Policies that were given as objects are not in it.
+        """
+        specs = (source for source in self.training_seeds if isinstance(source, FactorySpec))
+        return [
+            str(dict(part.arguments).get("path", part.target)) if part.target == ARCHIVE else part.target
+            for spec in specs
+            for part in spec.nested()
+            if not is_part(part.target)
+        ]
 
     @property
     def is_foreign(self) -> bool:
-        """Whether a factory spec names code that is not a part of this library."""
-        targets = [source.target for source in self.training_seeds if isinstance(source, FactorySpec)]
-        return any(target == ARCHIVE or not target.startswith("ptne_env.") for target in targets)
+        """Whether making it runs code that is not of this library."""
+        return bool(self.foreign_code)
+
+    @property
+    def is_oracle(self) -> bool:
+        """Whether it uses information that players lack."""
+        return self.interface.kind == "full"
 
     @property
     def is_repeatable(self) -> bool:
@@ -121,16 +135,25 @@ class PolicySpec:
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any]) -> PolicySpec:
-        """The inverse of :meth:`to_dict` for a repeatable policy; it imports the modules that the policies name.
+        """The inverse of :meth:`to_dict` for a repeatable policy; nothing is imported.
 
         Raises:
-            ValueError: when a policy was an object of another process.
+            ValueError: when a policy was an object of another process, or the data are no policy.
         """
-        if any("arguments" not in policy for policy in data["training_seeds"]):
-            raise ValueError(f"policy {data['name']!r} was an object, not a factory spec: nothing can make it again")
-        seeds = tuple(FactorySpec.of(policy["target"], **policy["arguments"]) for policy in data["training_seeds"])
-        scenarios = None if data["scenarios"] is None else frozenset(data["scenarios"])
-        return cls(data["name"], seeds if len(seeds) > 1 else seeds[0], Interface(**data["interface"]), scenarios)
+        try:
+            if any("arguments" not in policy for policy in data["training_seeds"]):
+                raise ValueError(
+                    f"policy {data['name']!r} was an object, not a factory spec: nothing can make it again"
+                )
+            seeds = tuple(
+                FactorySpec.from_dict({key: policy[key] for key in ("target", "arguments")})
+                for policy in data["training_seeds"]
+            )
+            scenarios = None if data["scenarios"] is None else frozenset(data["scenarios"])
+            name, interface = str(data["name"]), Interface(**data["interface"])
+        except (KeyError, TypeError, AttributeError) as error:
+            raise ValueError(f"not a policy: {type(error).__name__}: {error}") from None
+        return cls(name, seeds if len(seeds) != 1 else seeds[0], interface, scenarios)
 
 
 def _source_to_dict(policy: PolicySource) -> dict[str, Any]:
@@ -209,22 +232,31 @@ def suite_policies() -> list[PolicySpec]:
 def get_policy_spec(policy: str | PolicySpec, *, trust: bool = False) -> PolicySpec:
     """A policy by name, file, ``"module:object"`` or ``"name=pattern"``, or as it is.
 
+    A string of the caller is code of the caller: a ``"module:object"`` is imported without a question. The command
+    line, whose strings may be copied from elsewhere, asks for all that :func:`foreign_code` finds.
+
     Args:
         policy: a name of :data:`POLICIES` or of a shipped policy, an ``.onnx`` file, a Stable-Baselines3 ``.zip``, a
             ``"module:object"`` that is called with the layout, or ``"name=pattern"`` (such as
-            ``"mine=runs/seed-*/policy.onnx"``), whose files are the training seeds of one policy.
-        trust: whether code that is stored in a ``.zip`` may be executed.
+            ``"mine=runs/seed-*/policy.onnx"``), whose files are the training seeds of one policy. A string with ``=``
+            that is the path of a file, or has a folder before ``=``, is no pattern.
+        trust: whether code that is stored in a ``.zip`` may be executed, also in one that a pattern finds.
 
     Raises:
-        ValueError: for an unknown name, an object that cannot be imported, a pattern without files, training seeds
-            with different interfaces, or a ``.zip`` that is not trusted.
+        ValueError: for an unknown name, an object that is no string and no spec, an object that cannot be imported, a
+            pattern without files or with files of another kind, training seeds with different interfaces, or a
+            ``.zip`` that is not trusted.
         FileNotFoundError, PolicyFileError, ImportError: as :func:`ptne_env.policies.load`.
     """
     if isinstance(policy, PolicySpec):
         return policy
-    name, separator, pattern = policy.partition("=")
-    if separator:
-        return _training_seeds(name, pattern, trust=trust)
+    if not isinstance(policy, str):
+        raise ValueError(
+            f"a policy is a string or a PolicySpec, got {policy!r}: wrap a class, function or model as "
+            "PolicySpec(name, policy)"
+        )
+    if (pattern := _pattern(policy)) is not None:
+        return _training_seeds(*pattern, trust=trust)
     if policy in POLICIES:
         return POLICIES[policy]
     if policy in policies.shipped() or Path(policy).suffix == ".onnx":
@@ -240,17 +272,46 @@ def get_policy_spec(policy: str | PolicySpec, *, trust: bool = False) -> PolicyS
     raise ValueError(f"unknown policy {policy!r}; choose from {known}, or name an .onnx file or a 'module:object'")
 
 
+def foreign_code(policy: str) -> list[str]:
+    """The archives, and the ``"module:object"`` that is no part of the library, that a string names as a policy.
+
+    Nothing is imported or loaded.
+
+    Args:
+        policy: as for :func:`get_policy_spec`; patterns are expanded.
+
+    Raises:
+        ValueError: for a pattern without files or with files of another kind.
+    """
+    pattern = _pattern(policy)
+    if pattern is not None:
+        return list(filter(stores_code, pattern[1]))
+    is_target = ":" in policy and Path(policy).suffix != ".onnx" and not is_part(policy)
+    return [policy] if is_target or stores_code(policy) else []
+
+
 def stores_code(policy: str) -> bool:
     """Whether loading the policy that a string names executes code that is stored in a file."""
     return policy.endswith(".zip")
 
 
-def _training_seeds(name: str, pattern: str, *, trust: bool) -> PolicySpec:
-    found = [get_policy_spec(path, trust=trust) for path in sorted(glob.glob(pattern))]  # noqa: PTH207 - may be absolute
+def _pattern(policy: str) -> tuple[str, list[str]] | None:
+    """The name and the files of ``"name=pattern"``; ``None`` for a string of another kind."""
+    name, separator, pattern = policy.partition("=")
+    if not separator or Path(name).name != name or is_file(policy):
+        return None
+    found = sorted(glob.glob(pattern))  # noqa: PTH207 - it may be absolute
     if not (name and found):
         raise ValueError(f"'{name}={pattern}' is not 'name=pattern' with a pattern that matches files")
+    if others := [path for path in found if not path.endswith((".onnx", ".zip"))]:
+        raise ValueError(f"'{name}={pattern}' matches {others[0]!r}: policy files end in .onnx or .zip")
+    return name, found
+
+
+def _training_seeds(name: str, paths: list[str], *, trust: bool) -> PolicySpec:
+    found = [get_policy_spec(path, trust=trust) for path in paths]
     if len({policy.interface for policy in found}) > 1:
-        raise ValueError(f"the files of '{name}={pattern}' have different interfaces: they are not one policy")
+        raise ValueError(f"the files of policy {name!r} have different interfaces: they are not one policy")
     return PolicySpec(name, tuple(policy.training_seeds[0] for policy in found), found[0].interface)
 
 

@@ -3,24 +3,26 @@
 from __future__ import annotations
 
 import json
+import os
 import platform
 from collections.abc import Iterable, Iterator, Mapping
 from functools import cache
 from hashlib import sha256
 from importlib import metadata
-from inspect import getsourcefile, unwrap
 from pathlib import Path
+from types import FunctionType
 from typing import Any
 
 from ptne_env._version import __version__
-from ptne_env.factory import FactorySpec
+from ptne_env.experiments.sources import UNHASHED, file_hash, is_file, module_hashes
+from ptne_env.factory import FactorySpec, is_part
 from ptne_env.policies import shipped_path
 
 _PACKAGE = Path(__file__).parents[1]
 _NOT_COMPUTING = ("cli", "paper", "report", "training")
 """Parts of the library on which no result of a job depends."""
 
-_LIBRARIES = ("numpy", "scipy", "onnxruntime", "torch")
+_LIBRARIES = ("numpy", "scipy", "networkx", "onnxruntime", "stable_baselines3", "torch")
 
 
 def canonical_json(value: Any) -> str:
@@ -64,36 +66,58 @@ def versions() -> dict[str, str]:
     return found
 
 
-def file_hashes(value: Any) -> dict[str, str]:
-    """SHA-256 of the files outside the library's sources that factory specs need, by file name.
+def file_hashes(value: FactorySpec | tuple[FactorySpec, ...]) -> dict[str, str]:
+    """SHA-256 of the modules and files that factory specs need; nothing is imported.
+
+    The modules of all targets, nested ones too, are hashed by :func:`~ptne_env.experiments.sources.module_hashes`. A
+    string argument that names a file is hashed with the file; where the target is no part of the library, one that
+    names a folder is hashed with all files in it. Names that a program computes are not seen.
 
     Args:
-        value: a factory spec, or a tuple of them; other values need no files.
+        value: a factory spec, or a tuple of them.
+
+    Returns:
+        By the name of a module, by ``"module/path"`` of a file that a module names, and by the path of another file as
+        it was written. A text with the reason stands for what cannot be hashed: see :func:`unhashed`.
     """
-    return {path.name: sha256(path.read_bytes()).hexdigest() for path in _paths(value) if path.is_file()}
+    specs = [part for spec in (value if isinstance(value, tuple) else (value,)) for part in spec.nested()]
+    found = module_hashes(part.target.partition(":")[0] for part in specs)
+    for part in specs:
+        for text in _texts(tuple(argument for _, argument in part.arguments)):
+            found |= _argument_hashes(text, with_folders=not is_part(part.target))
+    return found
 
 
 def source_hashes(definitions: Iterable[Any]) -> dict[str, str]:
-    """SHA-256 of the files outside the library's sources that define classes or functions, by file name."""
-    found = {path for definition in definitions for path in _source(definition)}
-    return {path.name: sha256(path.read_bytes()).hexdigest() for path in sorted(found) if path.is_file()}
+    """SHA-256 of the modules and files that functions and classes need, as those of :func:`file_hashes`."""
+    found, modules = {}, []
+    for definition in definitions:
+        if isinstance(definition, type | FunctionType):
+            modules.append(definition.__module__)
+        else:
+            found[f"a {type(definition).__name__}"] = f"{UNHASHED}it is neither a function nor a class"
+    return found | module_hashes(modules)
 
 
-def _source(definition: Any) -> Iterator[Path]:
-    try:
-        source = getsourcefile(unwrap(definition))  # as it was written, whatever a decorator compiles later
-    except TypeError:  # an object that is no class, function or module
-        source = None
-    if source is not None and not Path(source).is_relative_to(_PACKAGE):
-        yield Path(source)
+def unhashed(hashes: Mapping[str, str]) -> dict[str, str]:
+    """The names in hashes of files of which nothing could be hashed, each with the reason."""
+    return {name: value.removeprefix(UNHASHED) for name, value in hashes.items() if value.startswith(UNHASHED)}
 
 
-def _paths(value: Any) -> Iterator[Path]:
-    if isinstance(value, FactorySpec):
-        yield from _source(value.resolve())
-        yield from _paths(tuple(argument for _, argument in value.arguments))
+def _texts(value: Any) -> Iterator[str]:
+    """The strings in arguments; those of specs among the arguments are not in it."""
+    if isinstance(value, str):
+        yield value
     elif isinstance(value, tuple):
         for item in value:
-            yield from _paths(item)
-    elif isinstance(value, str):
-        yield shipped_path(value) or Path(value)
+            yield from _texts(item)
+
+
+def _argument_hashes(text: str, *, with_folders: bool) -> dict[str, str]:
+    path = shipped_path(text) or Path(text)
+    if is_file(path):
+        return {text: file_hash(path)}
+    if with_folders and path.name not in ("", "..") and os.path.isdir(path):  # noqa: PTH112 - as is_file
+        inside = (each for each in path.rglob("*") if each.is_file() and "__pycache__" not in each.parts)
+        return {f"{text}/{each.relative_to(path).as_posix()}": file_hash(each) for each in sorted(inside)}
+    return {}

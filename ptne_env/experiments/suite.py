@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, fields
 from functools import cache, cached_property, lru_cache
 from typing import Any
@@ -119,15 +119,29 @@ class Track:
         }
 
     def files(self) -> dict[str, str]:
-        """SHA-256 of each file outside the library that its parts need, by file name."""
-        values = (getattr(self.scenario, field.name) for field in fields(self.scenario))
-        parts = tuple(value for value in values if isinstance(value, FactorySpec))
+        """The hashes of what its parts need, as :func:`~ptne_env.experiments.provenance.file_hashes`."""
+        parts = _parts(self.scenario)
         return file_hashes(parts if self.teammates is None else (*parts, self.teammates.policy))
 
 
-@lru_cache(maxsize=100)
+def _parts(scenario: Scenario) -> tuple[FactorySpec, ...]:
+    values = (getattr(scenario, field.name) for field in fields(scenario))
+    return tuple(value for value in values if isinstance(value, FactorySpec))
+
+
 def _world(scenario: Scenario) -> World:
-    return World(scenario)
+    return _built(scenario, tuple(map(id, _definitions(scenario))))[0]
+
+
+@lru_cache(maxsize=100)
+def _built(scenario: Scenario, identities: tuple[int, ...]) -> tuple[World, list[Any]]:  # noqa: ARG001 - a key
+    """The world, and the objects that it is made of, so that no other object gets one of these identities."""
+    return World(scenario), _definitions(scenario)
+
+
+def _definitions(scenario: Scenario) -> list[Any]:
+    """What the targets of a scenario name at present: a notebook may define a class again."""
+    return [nested.resolve() for part in _parts(scenario) for nested in part.nested()]
 
 
 @dataclass(frozen=True)
@@ -281,16 +295,27 @@ def get_suite(suite: str | Suite) -> Suite:
         return suite
     if suite not in SUITES and ":" not in suite:
         raise ValueError(f"unknown suite {suite!r}; choose from {', '.join(SUITES)}, or name a 'module:object'")
-    return _made(SUITES.get(suite, suite))
+    target = SUITES.get(suite, suite)
+    found = resolve(target)
+    made = _made(found) if callable(found) else found
+    if not isinstance(made, Suite):
+        raise ValueError(f"{target!r} is a {type(made).__name__}, not a Suite")
+    return made
 
 
 @cache
-def _made(target: str) -> Suite:
-    found = resolve(target)
-    found = found if isinstance(found, Suite) else found()
-    if not isinstance(found, Suite):
-        raise ValueError(f"{target!r} is a {type(found).__name__}, not a Suite")
-    return found
+def _made(make: Callable[[], Any]) -> Any:
+    return make()
+
+
+def foreign_suites(*names: str | None) -> list[str]:
+    """The ``"module:object"`` of the suites that are not published; nothing is imported.
+
+    Args:
+        names: of suites, scenarios or tracks, as :func:`get_suite` and :func:`find_scenario` take them.
+    """
+    suites = [name.partition("/")[0] for name in names if name is not None]
+    return [suite for suite in suites if ":" in suite and suite not in SUITES.values()]
 
 
 def find_scenario(name: str) -> Scenario:

@@ -81,7 +81,7 @@ def swap_keys(data):
         (lambda data: data["jobs"].append(data["jobs"][0]), "a job is listed twice"),
         (lambda data: data["policies"][0]["training_seeds"][0]["arguments"].update(kappa=3.0), "of another policy"),
         (lambda data: data.update(policies=3), "not a file of results"),
-        (lambda data: data["policies"][0].pop("interface"), "not a file of results"),
+        (lambda data: data["policies"][0].pop("interface"), "not a policy: KeyError: 'interface'"),
         (lambda data: data["jobs"].__setitem__(0, 3), "not a file of results"),
         (lambda data: data.pop("leaderboard"), "it has no leaderboard"),
         (lambda data: data.update(failures=[{"track": "ring", "policy": "static", "reason": ""}]), "reference policy"),

@@ -6,9 +6,12 @@ from extras import need_sb3
 from small_suite import BASE, SMALL
 
 import ptne_env
-from ptne_env import FactorySpec, PolicySpec, laws
+from ptne_env import FactorySpec, PolicySpec, evaluate, laws
 from ptne_env.experiments import COMPARED, default_policies, get_policy_spec, run_suite, suite_policies
-from ptne_env.policies import PolicyFileError
+from ptne_env.experiments.policy_specs import ARCHIVE, foreign_code
+from ptne_env.experiments.suite import REFERENCES
+from ptne_env.observation import Interface
+from ptne_env.policies import shipped_path
 
 
 def test_the_default_policies_leave_out_those_trained_on_no_scenario_of_the_catalogue():
@@ -29,9 +32,82 @@ def test_a_spec_is_its_own_dict_and_back():
         PolicySpec("none", ())
 
 
-def test_a_pattern_without_files_is_refused(tmp_path):
+def test_patterns_match_policy_files_and_nothing_else(tmp_path):
     with pytest.raises(ValueError, match="pattern that matches files"):
         get_policy_spec(f"mine={tmp_path}/none-*.onnx")
+    (tmp_path / "evil:make").touch()
+    for read in (get_policy_spec, foreign_code):
+        with pytest.raises(ValueError, match="policy files end in .onnx or .zip"):
+            read(f"mine={tmp_path}/*")
+
+
+def test_a_path_with_an_equals_sign_is_a_file(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    shipped = shipped_path("ppo-random-energy").read_bytes()
+    for folder in ("lr=0.1", "runs/lr=0.1", "runs/lr=0.2"):
+        (tmp_path / folder).mkdir(parents=True)
+        (tmp_path / folder / "policy.onnx").write_bytes(shipped)
+    for path in ("lr=0.1/policy.onnx", "runs/lr=0.1/policy.onnx"):
+        assert get_policy_spec(path).policy == FactorySpec.of("ptne_env.policies:load", path_or_name=path)
+    assert len(get_policy_spec("mine=runs/lr=*/policy.onnx").training_seeds) == 2
+    with pytest.raises(FileNotFoundError, match="runs/lr=0.3/policy.onnx"):
+        get_policy_spec("runs/lr=0.3/policy.onnx")
+
+
+@pytest.mark.parametrize("policy", [laws.Static, 5, None, FactorySpec.of("ptne_env.laws:Static")])
+def test_an_object_that_is_no_spec_is_refused_with_the_way_to_wrap_it(policy):
+    with pytest.raises(ValueError, match=r"a policy is a string or a PolicySpec, got .*PolicySpec\(name, policy\)"):
+        evaluate([policy], ["energy"], episodes=1)
+
+
+def test_foreign_code_of_a_string_is_listed_without_an_import(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(tmp_path)
+    for name in ("evil-1.zip", "evil-2.zip", "fine.onnx", "lr=1.zip"):
+        (tmp_path / name).touch()
+    (tmp_path / "evil.py").write_text("raise SystemExit('imported')", encoding="utf-8")
+    expected = {
+        "evil:make": ["evil:make"],
+        "ptne_env.files:write_atomically": ["ptne_env.files:write_atomically"],
+        "mine=*.zip": ["evil-1.zip", "evil-2.zip", "lr=1.zip"],
+        "mine=*.onnx": [],
+        "evil-1.zip": ["evil-1.zip"],
+        "lr=1.zip": ["lr=1.zip"],
+        "static": [],
+        "ppo-random-energy": [],
+        "fine.onnx": [],
+        "ptne_env.laws:Static": [],
+        "no-such-policy": [],
+    }
+    assert {policy: foreign_code(policy) for policy in expected} == expected
+
+
+def test_a_spec_lists_its_foreign_code():
+    bad = FactorySpec.of("os:system", command="ls")
+    archive = FactorySpec.of(ARCHIVE, path="model.zip")
+    law = FactorySpec.of("ptne_env.laws:Static", kappa=bad)
+    spec = PolicySpec("several", (REFERENCES[1].policy, archive, law), Interface())
+    assert spec.foreign_code == ["model.zip", "os:system"]
+    assert spec.is_foreign
+    assert not any(policy.is_foreign for policy in suite_policies())
+    assert not PolicySpec("mine", laws.Static).is_foreign
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"training_seeds": 3},
+        {"training_seeds": [{"target": 3, "arguments": {}}]},
+        {"training_seeds": [3]},
+        {"training_seeds": []},
+        {"interface": {"kind": "local", "colour": "red"}},
+        {"interface": None},
+        {"scenarios": 7},
+    ],
+)
+def test_data_of_another_form_are_no_policy(change):
+    with pytest.raises(ValueError, match="policy|part|training seed"):
+        PolicySpec.from_dict(PolicySpec("mine", FactorySpec.of("ptne_env.laws:Static")).to_dict() | change)
 
 
 @pytest.fixture(scope="module")
@@ -73,7 +149,7 @@ def test_an_archive_acts_as_its_model_does(archive):
 def test_files_that_are_no_archives_are_refused(tmp_path):
     need_sb3()
     (tmp_path / "bad.zip").write_bytes(b"no archive")
-    with pytest.raises(PolicyFileError, match="not an archive"):
+    with pytest.raises(ValueError, match="not an archive"):
         get_policy_spec(str(tmp_path / "bad.zip"), trust=True)
-    with pytest.raises(FileNotFoundError, match="no file"):
+    with pytest.raises(ValueError, match="no file"):
         get_policy_spec(str(tmp_path / "none.zip"), trust=True)

@@ -6,11 +6,11 @@ import random
 import numpy as np
 import pytest
 from affine_games import SOAK
-from small_suite import BASE, SMALL, stored, without_timings
+from small_suite import SMALL, stored, without_timings
 
 from ptne_env import FactorySpec, PolicySpec, laws
 from ptne_env.experiments import Suite, Track, get_policy_spec, jobs, run_suite
-from ptne_env.experiments.provenance import content_hash, file_hashes
+from ptne_env.experiments.provenance import content_hash
 from ptne_env.experiments.store import Store
 from ptne_env.experiments.suite import REFERENCES
 from ptne_env.experiments.sweep import _Point, _PointStore
@@ -180,34 +180,3 @@ def test_a_job_depends_on_everything_that_its_numbers_depend_on(monkeypatch):
     assert len(usual & keys(policies=[other])) == 2 * len(REFERENCES)
     monkeypatch.setattr(jobs, "versions", lambda: {"ptne_env": "another"})
     assert not usual & keys()
-
-
-def test_a_job_depends_on_the_sources_of_its_policy_and_of_its_world(tmp_path, monkeypatch):
-    monkeypatch.syspath_prepend(tmp_path)
-    module = tmp_path / "my_own_parts.py"
-    module.write_text(
-        "from ptne_env import graphs, laws\n\n"
-        "def make(layout):\n    return laws.Static(layout)\n\n"
-        "def ring():\n    return graphs.cycle(5)\n"
-    )
-    mine = BASE.replace(topology=FactorySpec.of("ptne_env.switching:fixed", graph=FactorySpec.of("my_own_parts:ring")))
-    suite = Suite("mine", (Track("mine", mine, "Own graph."), Track("ring", BASE, "The base.")))
-    specs = [get_policy_spec("my_own_parts:make"), get_policy_spec("static")]
-
-    def found():
-        sets = {track.name: suite.episode_set(track.name) for track in suite.tracks}
-        return {(t.name, p.name): jobs.Job(t, p, 0, sets[t.name]).key for t in suite.tracks for p in specs}
-
-    before = found()
-    assert set(specs[0].to_dict()["training_seeds"][0]["files"]) == {"my_own_parts.py"}
-    module.write_text(module.read_text() + "\n# changed\n")
-    same = {place for place, key in found().items() if key == before[place]}
-    assert same == {("ring", "static")}
-
-
-def test_the_files_of_a_factory_are_the_same_before_and_after_it_ran():
-    """networkx compiles its decorated functions when they are first called; workers may not have called them yet."""
-    factory = FactorySpec.of("networkx:dense_gnm_random_graph", n=4, m=3, seed=0)
-    before = file_hashes(factory)
-    factory.build()
-    assert file_hashes(factory) == before != {}

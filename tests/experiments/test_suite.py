@@ -1,17 +1,19 @@
 """Suites: frozen content, seeded episodes that an environment can replay, and team rules."""
 
+import sys
 from hashlib import sha256
+from types import ModuleType
 
 import numpy as np
 import pytest
 
 import ptne_env
-from ptne_env import FactorySpec, laws
+from ptne_env import FactorySpec, graphs, laws
 from ptne_env.encoder import make_encoder
 from ptne_env.experiments.episodes import track_seed
 from ptne_env.experiments.provenance import canonical_json
 from ptne_env.experiments.rollout import Member, rollout
-from ptne_env.experiments.suite import SUITES, Suite, Teammates, Track, get_suite
+from ptne_env.experiments.suite import SUITES, Suite, Teammates, Track, foreign_suites, get_suite
 from ptne_env.observation import Interface
 from ptne_env.world import World
 
@@ -176,3 +178,33 @@ def test_wrong_suites_are_refused():
         small(tracks=())
     with pytest.raises(ValueError, match="is scored by digits, got 'digits_after_hold'"):
         Track("nominal", BASE, "The base.", "digits_after_hold")
+
+
+def test_a_class_that_a_notebook_defines_again_makes_another_world(monkeypatch):
+    notebook = ModuleType("notebook")
+    monkeypatch.setitem(sys.modules, "notebook", notebook)
+    notebook.ring = lambda: graphs.cycle(5)
+    ring = FactorySpec.of("ptne_env.switching:fixed", graph=FactorySpec.of("notebook:ring"))
+    track = Track("own", BASE.replace(topology=ring), "Own graph.")
+    before = track.world
+    assert track.world is before
+    notebook.ring = lambda: graphs.complete(5)
+    assert track.world is not before
+    assert len(track.world.topology.graphs[0].edges) == 10
+    notebook.suite = lambda: small(name="first")
+    assert get_suite("notebook:suite") is get_suite("notebook:suite")
+    notebook.suite = lambda: small(name="second")
+    assert get_suite("notebook:suite").name == "second"
+
+
+def test_suites_that_are_not_published_are_foreign():
+    names = (
+        "ptne-v1",
+        "ptne_env.experiments.ptne_v1:ptne_v1",
+        "energy",
+        "ptne-v1/delay",
+        None,
+        "mine:suite",
+        "evil:s/t",
+    )
+    assert foreign_suites(*names) == ["mine:suite", "evil:s"]

@@ -166,13 +166,13 @@ def test_a_metric_of_a_policys_module_reaches_workers_stored_results_and_checks(
         assert ended.returncode == 0, ended.stderr + ended.stdout
 
     def compare(jobs):
-        wanted = ["--suite=ptne-v1", "--track=nominal", "--policy=static,own_part:make", "--episodes=2"]
+        wanted = ["--suite=ptne-v1", "--track=nominal", "--policy=static,own_part:make", "--trust", "--episodes=2"]
         ptne("compare", *wanted, f"--jobs={jobs}", "--no-report", "--out=out")
         return (tmp_path / "out" / "results.csv").read_text()
 
     (tmp_path / "own_part.py").write_text(OWN_METRIC)
     for _ in range(2):  # the second run finds all jobs stored, and its workers have not imported the module
         assert compare(jobs=2).count(",own,7.0,") == 4
-    ptne("check", "out", "--sample=99")
+    ptne("check", "out", "--sample=99", "--trust")
     (tmp_path / "own_part.py").write_text(OWN_METRIC.replace("7.0", "8.0"))
     assert compare(jobs=1).count(",own,8.0,") == 4
