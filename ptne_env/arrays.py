@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import math
 from numbers import Real
-from typing import TypeAlias, TypeVar
+from typing import Any, TypeAlias, TypeVar
 
 import numpy as np
 import numpy.typing as npt
+from numpy.ma import MaskedArray
 
 FloatArray: TypeAlias = npt.NDArray[np.float64]
 Float32Array: TypeAlias = npt.NDArray[np.float32]
@@ -57,6 +58,28 @@ def require_count(name: str, value: int, minimum: int) -> int:
     if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < minimum:  # type: ignore[redundant-expr]  # callers may pass any type
         raise ValueError(f"{name} must be a whole number of at least {minimum}, got {value!r}")
     return int(value)
+
+
+def require_printable(name: str, value: str) -> str:
+    """Return ``value``, or raise ``ValueError`` when it is no text of printable characters, as escape sequences are."""
+    if not (isinstance(value, str) and value.isprintable()):  # type: ignore[redundant-expr]  # callers may pass any type
+        raise ValueError(f"{name} must be a text of printable characters, got {value!r}")
+    return value
+
+
+def as_plain(name: str, value: npt.ArrayLike) -> npt.NDArray[Any]:
+    """``value`` as an array, or ``ValueError`` when it is a masked array, whose mask would be lost."""
+    if isinstance(value, MaskedArray):
+        raise ValueError(f"{name} must be a plain array, got a masked array: fill its masked entries")
+    return np.asarray(value)
+
+
+def require_mask(name: str, value: npt.ArrayLike, size: int) -> BoolArray:
+    """``value`` as an array, or ``ValueError`` when it is not ``size`` booleans, shape (size,)."""
+    mask = as_plain(name, value)
+    if mask.shape != (size,) or mask.dtype != np.bool_:
+        raise ValueError(f"{name} is {size} booleans, got {mask.dtype} of shape {mask.shape}")
+    return mask
 
 
 def frozen(array: npt.ArrayLike) -> FloatArray:

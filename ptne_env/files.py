@@ -16,7 +16,8 @@ class DamagedFileError(ValueError):
 def write_atomically(path: Path, content: str | bytes) -> None:
     """Write ``content`` to ``path`` so that readers, also after an interruption, find the old file or the new one.
 
-    Missing folders are created. A device or a pipe, such as ``/dev/null``, is written to directly.
+    Missing folders are created. A link stays, and its target is written. A device or a pipe, such as ``/dev/null``, is
+    written to directly.
 
     Raises:
         OSError: naming ``path``, when it cannot be written, as on a full or read-only disk; the old file is untouched
@@ -27,7 +28,7 @@ def write_atomically(path: Path, content: str | bytes) -> None:
         if path.exists() and not path.is_file():
             path.write_bytes(data)
         else:
-            _replace(path, data)
+            _replace(Path(os.path.realpath(path)), data)
     except OSError as error:  # which may name a temporary file, or none
         raise OSError(error.errno, error.strerror or str(error), str(path)) from error
 
@@ -78,7 +79,7 @@ def require_writable(path: Path) -> None:
     """
     if path.is_dir():
         raise IsADirectoryError(f"cannot write {path}: it is a folder")
-    folder = path.parent
+    folder = Path(os.path.realpath(path)).parent
     while not folder.exists():
         folder = folder.parent
     if not folder.is_dir():

@@ -8,6 +8,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+from ptne_env.arrays import require_printable
 from ptne_env.factory import FactorySpec
 
 if TYPE_CHECKING:  # so that the registries can read the catalogue without importing what builds a world
@@ -98,8 +99,7 @@ class Scenario:
     slots: int | None = None
 
     def __post_init__(self) -> None:
-        if not isinstance(self.name, str):
-            raise ValueError(f"the name of a scenario is a string, got {self.name!r}")
+        require_printable("the name of a scenario", self.name)
         for field in SHORT_NAMES:
             object.__setattr__(self, field, _as_factory(field, getattr(self, field)))
         if not isinstance(self.clock_shifts, (tuple, list)):

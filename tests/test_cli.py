@@ -16,6 +16,8 @@ from pathlib import Path
 import pytest
 from extras import need_sb3
 
+from ptne_env.cli import console
+
 ROOT = Path(__file__).parents[1]
 COMMANDS = ("compare", "check", "render", "certify", "sweep", "reproduce", "train", "list")
 LONG = {
@@ -498,3 +500,24 @@ def test_list_shows_the_tracks_of_suites():
     printed = ptne("list").stdout
     assert "Suite ptne-v1" in printed
     assert "mixed-team" in printed
+
+
+ESCAPES = "\x1b[31mred\x1b]0;title\x9b2J"
+SPELLED_OUT = r"\x1b[31mred\x1b]0;title\x9b2J"
+
+
+def test_escape_sequences_of_names_and_errors_are_spelled_out(tmp_path):
+    (tmp_path / "broken.py").write_text(f"def policy(layout):\n    raise RuntimeError({ESCAPES!r})\n", encoding="utf-8")
+    (tmp_path / f"{ESCAPES}.onnx").write_bytes(b"not a network")
+    for policy in (f"{ESCAPES}.onnx", "static,broken:policy"):
+        done = ptne("--debug", "compare", "--trust", "--policy", policy, "--episodes", "1", "--no-report", cwd=tmp_path)
+        assert done.returncode
+        printed = done.stdout + done.stderr
+        assert not [char for char in printed if not (char.isprintable() or char == "\n")]
+        assert "[31mred" in printed
+
+
+@pytest.mark.parametrize("show", [console.say, lambda text: console.console().print(text, markup=False)])
+def test_escape_sequences_in_printed_texts_are_spelled_out(show, capsys):
+    show(f"before {ESCAPES}\nafter é")
+    assert capsys.readouterr().out == f"before {SPELLED_OUT}\nafter é\n"

@@ -49,3 +49,19 @@ def test_a_read_only_folder_is_found_beforehand(tmp_path, monkeypatch):
     monkeypatch.setattr(os, "access", lambda *_: False)  # tests may run as root, which may write everywhere
     with pytest.raises(PermissionError, match="read-only"):
         require_writable(tmp_path / "new")
+
+
+def test_a_link_stays_and_its_target_is_written(tmp_path):
+    (tmp_path / "elsewhere").mkdir()
+    target, link = tmp_path / "elsewhere" / "file", tmp_path / "link"
+    link.symlink_to("elsewhere/file")
+    for text in ("new", "newer"):  # at first, the target does not exist
+        require_writable(link)
+        write_atomically(link, text)
+        assert link.is_symlink()
+        assert target.read_text(encoding="utf-8") == text
+    assert [found.name for found in target.parent.iterdir()] == ["file"]
+    link.unlink()
+    link.symlink_to(target / "below")
+    with pytest.raises(NotADirectoryError, match="file is not a folder"):
+        require_writable(link)

@@ -26,7 +26,7 @@ def scenarios(draw):
     target = draw(st.lists(finite, min_size=players, max_size=players))
     spacing = draw(st.sampled_from(["effective", "transformed", "physical"]))
     return Scenario(
-        name=draw(st.text(max_size=10)),
+        name=draw(st.text(max_size=10).filter(str.isprintable)),
         game=FactorySpec.of("ptne_env.games:EnergyGame", target=target, coupling=draw(finite)),
         topology=FactorySpec.of(
             "ptne_env.switching:fixed", graph=FactorySpec.of("ptne_env.graphs:complete", players=players)
@@ -203,7 +203,8 @@ REFUSED = {
     "deadline in words": (lambda: get_scenario("energy", deadline="1.2"), "deadline must be a finite number"),
     "no gain at all": (lambda: get_scenario("energy", gain=None), r"gain \(c\) must be a finite number"),
     "limit that is a switch": (lambda: get_scenario("energy", input_limit=True), "input_limit must be a finite number"),
-    "number for a name": (lambda: get_scenario("energy", name=5), "name of a scenario is a string, got 5"),
+    "number for a name": (lambda: get_scenario("energy", name=5), "name of a scenario must be a text of printable"),
+    "escape for a name": (lambda: get_scenario("energy", name="\x1b[31m"), "of printable characters, got '.x1b.31m'"),
     "no steps": (lambda: get_scenario("energy", steps=0), r"steps \(K\) must be a whole number of at least 1"),
     "half a step": (lambda: get_scenario("energy", steps=1.5), r"steps \(K\) must be a whole number"),
     "negative gain": (lambda: get_scenario("energy", gain=-1.0), r"gain \(c\) must be"),

@@ -11,8 +11,9 @@ from json import dumps
 from pathlib import Path
 
 import typer
-from rich.console import Console
+from rich.console import Console, ConsoleOptions, RenderableType
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.segment import Segment
 from rich.table import Column
 from rich.text import Text
 
@@ -43,10 +44,27 @@ class Output:
 output = Output()
 
 
+class _PrintableConsole(Console):
+    """A console whose texts cannot steer the terminal: escape sequences of names, paths and errors are spelled out."""
+
+    def render(self, renderable: RenderableType, options: ConsoleOptions | None = None) -> Iterator[Segment]:
+        for segment in super().render(renderable, options):
+            yield segment if segment.control else Segment(_printable(segment.text), segment.style)
+
+
+def _printable(text: str) -> str:
+    """``text`` with every character that is neither printable nor the end of a line written as in Python's source."""
+    if text.isprintable():
+        return text
+    return "".join(
+        char if char.isprintable() or char == "\n" else char.encode("unicode_escape").decode("ascii") for char in text
+    )
+
+
 def console(*, stderr: bool = False) -> Console:
     """A console on stdout or stderr."""
     stream = sys.stderr if stderr else sys.stdout
-    return Console(
+    return _PrintableConsole(
         stderr=stderr,
         width=None if stream.isatty() else _PIPE_WIDTH,
         quiet=not stderr and (output.quiet or output.stdout is not None),

@@ -19,7 +19,7 @@ from gymnasium import spaces
 from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 
-from ptne_env.arrays import BoolArray, Float32Array, FloatArray, ordered_sum
+from ptne_env.arrays import BoolArray, Float32Array, FloatArray, as_plain, ordered_sum
 from ptne_env.envs.parallel import NashSeekingEnv, parallel_env
 from ptne_env.envs.vector import VectorParallelEnv, VectorStep
 from ptne_env.observation import ObservationLayout
@@ -79,7 +79,7 @@ class JointEnv(gymnasium.Env[Float32Array, Float32Array]):
             RuntimeError: before the first reset and after the end of an episode.
             ValueError: when the action has a wrong shape or dtype, or is not finite; the state stays as it was.
         """
-        joint = np.asarray(action)
+        joint = as_plain("a joint action", action)
         if joint.shape != self.action_space.shape:
             raise ValueError(f"a joint action has the shape {self.action_space.shape}, got {joint.shape}")
         agents = self.parallel.agents
@@ -187,7 +187,7 @@ class JointVectorEnv(gymnasium.vector.VectorEnv[Float32Array, Float32Array, npt.
             RuntimeError: before the first reset, or in mode ``DISABLED`` when an environment that ended was not reset.
             ValueError: when the actions have another shape or dtype, or are not finite.
         """
-        actions = np.asarray(actions)
+        actions = as_plain("joint actions", actions)
         if actions.shape != self.action_space.shape:
             raise ValueError(f"joint actions have the shape {self.action_space.shape}, got {actions.shape}")
         actions = actions.reshape(self.num_envs, self.vector.num_players, -1)

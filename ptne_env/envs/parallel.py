@@ -8,10 +8,11 @@ from typing import Any, ClassVar
 import numpy as np
 import numpy.typing as npt
 from gymnasium import spaces
+from numpy.ma import MaskedArray
 from pettingzoo import ParallelEnv
 
 from ptne_env import dynamics
-from ptne_env.arrays import Float32Array, FloatArray
+from ptne_env.arrays import Float32Array, FloatArray, as_plain
 from ptne_env.catalogue import get_scenario
 from ptne_env.dynamics import State
 from ptne_env.encoder import NonFiniteActionError
@@ -78,6 +79,11 @@ class NashSeekingEnv(ParallelEnv[str, Float32Array, Float32Array]):
             -OBSERVATION_BOUND, OBSERVATION_BOUND, (players * (n + players) + 4,), dtype=np.float32
         )
         self._renderer = Renderer(self.world, render_mode) if render_mode else None
+        self._table: tuple[Float32Array, list[Float32Array]] | None = None
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Copies and pickles have no table of observations, whose rows would come apart."""
+        return {**self.__dict__, "_table": None}
 
     @property
     def layout(self) -> ObservationLayout:
@@ -142,7 +148,7 @@ class NashSeekingEnv(ParallelEnv[str, Float32Array, Float32Array]):
         estimates = None
         if options and options.get("estimates") is not None:
             try:
-                table = np.array(options["estimates"], dtype=np.float64)
+                table = as_plain("initial estimates", options["estimates"]).astype(np.float64)
             except (TypeError, ValueError) as error:
                 raise ValueError(f"options['estimates'] must be an (N, n) table of numbers: {error}") from error
             expected = (self.world.game.num_players, self.world.game.dimension)
@@ -154,8 +160,7 @@ class NashSeekingEnv(ParallelEnv[str, Float32Array, Float32Array]):
         if self._renderer is not None:
             self._renderer.reset(state)
             self._render_human()
-        observations = self._simulation.observe()[0]
-        return dict(zip(self.agents, observations, strict=True)), {agent: {} for agent in self.agents}
+        return self._observations(self.agents), {agent: {} for agent in self.agents}
 
     def step(
         self, actions: dict[str, Float32Array]
@@ -168,8 +173,8 @@ class NashSeekingEnv(ParallelEnv[str, Float32Array, Float32Array]):
 
         Raises:
             RuntimeError: before the first reset and after the end of an episode.
-            ValueError: when an agent is missing or unknown, or an action has a wrong shape, dtype or is not finite; the
-                state stays as it was.
+            ValueError: when an agent is missing or unknown, or an action has a wrong shape, dtype, a mask or is not
+                finite; the state stays as it was.
         """
         agents = self.agents
         if not agents:
@@ -200,7 +205,7 @@ class NashSeekingEnv(ParallelEnv[str, Float32Array, Float32Array]):
             self._renderer.record(self._simulation.current)
             self._render_human()
         return (
-            dict(zip(agents, self._simulation.observe()[0], strict=True)),
+            self._observations(agents),
             dict(zip(agents, outcome.rewards[:, 0].tolist(), strict=True)),
             dict.fromkeys(agents, terminated),
             dict.fromkeys(agents, truncated),
@@ -261,15 +266,24 @@ class NashSeekingEnv(ParallelEnv[str, Float32Array, Float32Array]):
         if self.render_mode == "human" and self._renderer is not None:
             self._renderer.draw()
 
+    def _observations(self, agents: list[str]) -> dict[str, Float32Array]:
+        """Copies of rows, because a row leads to all others of its array by the attribute ``base``."""
+        if self._table is None:
+            table = self._simulation.observe()
+            self._table = table, list(table[0])  # views cost as much as copies, so they are made once
+        table, rows = self._table
+        self._simulation.observe(table)
+        return dict(zip(agents, map(np.ndarray.copy, rows), strict=True))
+
     def _stack(self, actions: Mapping[str, Any]) -> npt.NDArray[np.floating]:
         """All actions in the order of the agents, shape (1, N, action size)."""
         try:
-            rows = [np.asarray(actions[agent]) for agent in self.agents]
+            rows = list(map(np.asanyarray, [actions[agent] for agent in self.agents]))
             stacked = np.array(rows)
         except (KeyError, IndexError, TypeError, ValueError):
             raise self._complaint(actions) from None
         shape = (len(actions), self.layout.action_size)
-        if stacked.shape != shape or not all(row.dtype.kind == "f" for row in rows):
+        if stacked.shape != shape or {row.dtype.kind for row in rows} != {"f"} or MaskedArray in map(type, rows):
             raise self._complaint(actions)
         return stacked[None]
 
@@ -290,6 +304,8 @@ class NashSeekingEnv(ParallelEnv[str, Float32Array, Float32Array]):
 
 def _fault(action: Any, shape: tuple[int, ...]) -> str | None:
     """The fault of an action, or ``None``."""
+    if isinstance(action, MaskedArray):
+        return "is a masked array; expected a plain one"
     try:
         row = np.asarray(action)
     except ValueError:

@@ -17,7 +17,7 @@ try:
 except ImportError as error:  # pragma: no cover - exercised in an environment without the extra
     raise ImportError('the Stable-Baselines3 adapter needs an extra: pip install "ptne-env[sb3]"') from error
 
-from ptne_env.arrays import BoolArray, Float32Array
+from ptne_env.arrays import BoolArray, Float32Array, as_plain
 from ptne_env.envs.vector import VectorParallelEnv, VectorStep
 from ptne_env.observation import ObservationLayout
 from ptne_env.scenario import Scenario
@@ -94,7 +94,7 @@ class PlayerVecEnv(VecEnv):
             RuntimeError: before the first reset.
             ValueError: when the actions have another shape or dtype, or are not finite; no environment is stepped.
         """
-        actions = np.asarray(self._actions)
+        actions = as_plain("actions", self._actions)
         shape = (self.num_envs, self.vector.layout.action_size)
         if actions.shape != shape:
             raise ValueError(f"actions of {self.num_envs} members have the shape {shape}, got {actions.shape}")

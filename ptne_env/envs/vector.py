@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 from gymnasium import spaces
 
-from ptne_env.arrays import BoolArray, Float32Array, FloatArray, IntArray, require_count
+from ptne_env.arrays import BoolArray, Float32Array, FloatArray, IntArray, as_plain, require_count, require_mask
 from ptne_env.catalogue import get_scenario
 from ptne_env.envs.core import ResetResult, Simulation, StepResult, player_encoder
 from ptne_env.observation import ActionMode, Interface, InterfaceKind, ObservationLayout
@@ -134,9 +134,8 @@ class VectorParallelEnv:
                 touched.
         """
         seeds = self._seeds(seed)
-        chosen = np.ones(self.num_envs, dtype=np.bool_) if mask is None else np.asarray(mask)
-        if chosen.shape != (self.num_envs,) or chosen.dtype != np.bool_:
-            raise ValueError(f"a reset mask is {self.num_envs} booleans, got {chosen.dtype} of shape {chosen.shape}")
+        everyone = np.ones(self.num_envs, dtype=np.bool_)
+        chosen = everyone if mask is None else require_mask("a reset mask", mask, self.num_envs)
         if self._blocks[0].state is None and not chosen.all():
             raise ValueError("the first reset() starts every environment: leave out the mask")
         given = None if estimates is None else self._estimates(estimates)
@@ -159,8 +158,11 @@ class VectorParallelEnv:
 
         Raises:
             RuntimeError: when an environment is over, or was never reset.
-            ValueError: when the actions have another shape or dtype, or are not finite; no environment is stepped.
+            ValueError: when the actions have another shape or dtype, or are masked or not finite, or ``restart`` is no
+                mask; no environment is stepped.
         """
+        if restart is not None:
+            restart = require_mask("a restart mask", restart, self.num_envs)
         halted = self._over if restart is None else self._over & ~restart
         if halted.any():
             over = np.flatnonzero(halted)
@@ -168,7 +170,7 @@ class VectorParallelEnv:
                 f"{over.size} of {self.num_envs} environments are over or not started (the first is {over[0]}): call "
                 "reset(mask=...) before step()"
             )
-        actions = np.asarray(actions)
+        actions = as_plain("actions", actions)
         shape = (self.num_envs, self.num_players, self.layout.action_size)
         if actions.shape != shape or actions.dtype.kind != "f":
             raise ValueError(f"actions are floats of shape {shape}, got {actions.dtype} of shape {actions.shape}")
@@ -235,7 +237,7 @@ class VectorParallelEnv:
     def _estimates(self, estimates: npt.ArrayLike) -> FloatArray:
         """Initial estimates with environments last, (n, N, B)."""
         try:
-            table = np.asarray(estimates, dtype=np.float64)
+            table = as_plain("initial estimates", estimates).astype(np.float64)
         except (TypeError, ValueError) as error:
             raise ValueError(f"initial estimates are an (N, n) or (B, N, n) table of numbers: {error}") from error
         shape = (self.num_envs, self.num_players, self.layout.dimension)
@@ -248,6 +250,8 @@ class VectorParallelEnv:
     def _seeds(self, seed: int | Sequence[int | None] | None) -> list[int | None]:
         if seed is None:
             return [None] * self.num_envs
+        if isinstance(seed, (str, bytes, bytearray, memoryview)):
+            raise ValueError(f"seeds are a whole number or {self.num_envs} of them, got {type(seed).__name__} {seed!r}")
         if not isinstance(seed, (Sequence, np.ndarray)):
             first = require_seed(seed)
             return [first + index for index in range(self.num_envs)]

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from ptne_env import laws, policies
+from ptne_env.arrays import require_printable
 from ptne_env.catalogue import CATALOGUE
 from ptne_env.experiments.provenance import file_hashes
 from ptne_env.experiments.sources import is_file
@@ -44,6 +45,7 @@ class PolicySpec:
     scenarios: frozenset[str] | None = None
 
     def __post_init__(self) -> None:
+        require_printable("the name of a policy", self.name)
         if not self.training_seeds:
             raise ValueError(f"policy {self.name!r} has no training seed")
         if self.interface is None:

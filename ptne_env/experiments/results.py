@@ -147,7 +147,10 @@ class Results:
         return json.dumps(self.to_dict(), indent=2, allow_nan=False, ensure_ascii=False)
 
     def to_csv(self) -> str:
-        """The records as CSV, each with the version, the suite's content hash, seed and split."""
+        """The records as CSV, each with the version, the suite's content hash, seed and split.
+
+        A text that a spreadsheet would read as a formula is preceded by ``'``.
+        """
         buffer = io.StringIO()
         fields = ["track", "policy", "metric", "mean", "low", "high", "episodes"]
         common = {
@@ -159,8 +162,14 @@ class Results:
         }
         writer = csv.DictWriter(buffer, [*fields, *common], lineterminator="\n")
         writer.writeheader()
-        writer.writerows({**record, **common} for record in self.records)
+        for record in self.records:
+            writer.writerow({key: _cell(value) for key, value in {**record, **common}.items()})
         return buffer.getvalue()
+
+
+def _cell(value: Any) -> Any:
+    """A cell of a CSV file, after OWASP's "CSV Injection"; numbers stay as they are."""
+    return f"'{value}" if isinstance(value, str) and value.startswith(("=", "+", "-", "@", "\t", "\r")) else value
 
 
 def _reasons(reasons: Mapping[tuple[str, str], str]) -> list[dict[str, str]]:

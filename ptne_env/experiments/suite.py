@@ -7,7 +7,7 @@ from dataclasses import dataclass, fields
 from functools import cache, cached_property, lru_cache
 from typing import Any
 
-from ptne_env.arrays import require_count
+from ptne_env.arrays import require_count, require_printable
 from ptne_env.catalogue import get_scenario
 from ptne_env.distances import FLOOR
 from ptne_env.encoder import make_encoder
@@ -88,6 +88,7 @@ class Track:
     episodes: int | None = None
 
     def __post_init__(self) -> None:
+        require_printable("the name of a track", self.name)
         choices = ("digits", "digits_after_hold") if self.scenario.hold_steps else ("digits",)
         if self.metric not in choices:
             raise ValueError(f"track {self.name!r} is scored by {' or '.join(choices)}, got {self.metric!r}")
@@ -167,6 +168,7 @@ class Suite:
 
     def __post_init__(self) -> None:
         require_count("a suite's number of episodes", self.episodes, 1)
+        require_printable("the name of a suite", self.name)
         names = [track.name for track in self.tracks]
         if not names or len(set(names)) < len(names):
             raise ValueError(f"a suite needs tracks with different names, got {names}")

@@ -107,6 +107,7 @@ def test_the_end_is_termination_and_a_cut_is_truncation(max_cycles, length, ende
     [
         (np.zeros(24, dtype=np.float32), r"a joint action has the shape \(25,\), got \(24,\)"),
         (np.zeros((5, 5), dtype=np.float32), r"shape \(25,\), got \(5, 5\)"),
+        (np.ma.zeros(25), "a joint action must be a plain array, got a masked array"),
         (np.zeros(25, dtype=np.int64), "player_0 has the dtype int64; expected float32"),
         (np.array([0.0] * 13 + [np.nan] + [0.0] * 11), "action of player_2 is not finite"),
     ],
@@ -352,6 +353,7 @@ def test_gymnasiums_statistics_give_the_digits_gained(mode):
         (np.zeros(50), r"shape \(2, 25\), got \(50,\)"),
         (np.zeros((2, 25), dtype=np.int64), "got int64"),
         (np.full((2, 25), np.nan), "without NaN or infinity"),
+        (np.ma.zeros((2, 25)), "joint actions must be a plain array, got a masked array"),
     ],
 )
 def test_bad_actions_of_a_vector_are_refused_and_change_nothing(actions, message):

@@ -7,6 +7,7 @@ from worlds import BLOCKS, PAPER_START, constant_actions, make_env, play, while_
 
 import ptne_env
 from ptne_env import CATALOGUE, dynamics, get_scenario, laws
+from ptne_env.envs.turn_based import aec_env
 from ptne_env.experiments.suite import get_suite
 
 INTERFACES = [
@@ -399,6 +400,10 @@ BAD_ACTIONS = {
     ),
     "too deep": (changed("player_1", np.zeros((1, 5), dtype=np.float32)), r"shape \(1, 5\); expected \(5,\)"),
     "scalar": (changed("player_1", np.float32(0)), r"shape \(\); expected \(5,\)"),
+    "masked": (
+        changed("player_3", np.ma.masked_array(np.zeros(5, dtype=np.float32), mask=[1, 0, 0, 0, 0])),
+        "player_3 is a masked array; expected a plain one",
+    ),
     "integers": (changed("player_3", np.zeros(5, dtype=np.int64)), "player_3 has the dtype int64; expected float32"),
     "strings": (changed("player_3", np.array(["a"] * 5)), "player_3 has the dtype <U1; expected float32"),
     "objects": (changed("player_3", np.array([None] * 5)), "player_3 has the dtype object; expected float32"),
@@ -646,3 +651,44 @@ def test_a_damaged_state_is_refused_and_the_state_stays(changes, message):
     with pytest.raises(ValueError, match="got NoneType"):
         env.set_state(None)
     assert env.get_state() is before
+
+
+def reachable(array):
+    """The array and all arrays that it is a view of."""
+    while isinstance(array, np.ndarray):
+        yield array
+        array = array.base
+
+
+@pytest.mark.parametrize("make", [ptne_env.parallel_env, aec_env])
+def test_an_agents_observation_leads_to_no_other_array(make):
+    env, action = make("energy"), np.zeros(5, dtype=np.float32)
+    started = env.reset(seed=0)
+    for _ in range(3):
+        if make is aec_env:
+            observations = [env.observe(agent) for agent in env.agents]
+            for _ in env.agents:
+                env.step(action)
+        else:
+            observations = list(started[0].values())
+            started = env.step(dict.fromkeys(env.agents, action))
+        for observation in observations:
+            assert all(array.size == observation.size for array in reachable(observation))
+
+
+def pickled(env):
+    return pickle.loads(pickle.dumps(env))  # noqa: S301 - our own bytes
+
+
+@pytest.mark.parametrize("copied", [copy.copy, copy.deepcopy, pickled])
+def test_a_copy_in_mid_episode_observes_on_its_own(copied):
+    env, undisturbed = (ptne_env.parallel_env("energy") for _ in range(2))
+    for each in (env, undisturbed):
+        each.reset(seed=0)
+    twin = copied(env)
+    actions = {agent: np.ones(5, dtype=np.float32) for agent in env.agents}
+    expected = [undisturbed.step(actions)[0] for _ in range(2)]
+    for each in (env, twin) if copied is not copy.copy else (twin,):
+        for observations in expected:
+            mine = each.step(actions)[0]
+            assert all(np.array_equal(mine[agent], observations[agent]) for agent in mine)

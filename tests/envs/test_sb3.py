@@ -165,6 +165,7 @@ def test_attributes_and_methods_are_those_of_the_environments():
         (np.zeros(50), r"have the shape \(10, 5\), got \(50,\)"),
         (np.zeros((10, 5), dtype=np.int64), "got int64"),
         (np.full((10, 5), np.nan), "without NaN or infinity"),
+        (np.ma.zeros((10, 5)), "actions must be a plain array, got a masked array"),
     ],
 )
 def test_bad_actions_are_refused_and_change_nothing(actions, message):

@@ -308,6 +308,7 @@ BAD_ACTIONS = {
     "NaN": (spoiled(np.nan), "without NaN or infinity"),
     "NaN in the first environment": (spoiled(np.nan, 0), "without NaN or infinity"),
     "infinite": (spoiled(np.inf, 4), "without NaN or infinity"),
+    "masked": (np.ma.masked_array(spoiled(0.0), mask=True), "actions must be a plain array, got a masked array"),
     "one environment too few": (
         np.zeros((4, 5, 5)),
         r"actions are floats of shape \(5, 5, 5\), got float64 of shape \(4",
@@ -339,6 +340,13 @@ BAD_RESETS = {
     "a negative first seed": ({"seed": -3}, "a seed is a whole number of at least 0 or None, got -3"),
     "a fractional seed": ({"seed": 1.5}, "a seed is a whole number of at least 0 or None, got 1.5"),
     "a fractional seed among others": ({"seed": [1, 2, 3, 4.5, 5]}, "a seed is a whole number.*got 4.5"),
+    "bytes as seeds": ({"seed": b"12345"}, "seeds are a whole number or 5 of them, got bytes"),
+    "a text as seeds": ({"seed": "12345"}, "seeds are a whole number or 5 of them, got str"),
+    "a masked mask": (
+        {"mask": np.ma.masked_array([True] * 5)},
+        "a reset mask must be a plain array, got a masked array",
+    ),
+    "masked estimates": ({"estimates": np.ma.zeros((5, 5))}, "initial estimates must be a plain array"),
     "a short mask": ({"mask": np.ones(4, dtype=np.bool_)}, r"a reset mask is 5 booleans, got bool of shape \(4,\)"),
     "a mask of numbers": ({"mask": [0, 1, 0, 1, 1]}, r"a reset mask is 5 booleans, got int64 of shape \(5,\)"),
     "a mask of indices": ({"mask": np.array([1, 3])}, r"got int64 of shape \(2,\)"),
@@ -418,3 +426,21 @@ def test_blocks_are_filled_in_order(monkeypatch):
 
 def test_player_vec_env_is_a_public_name():
     assert ptne_env.VectorParallelEnv is VectorParallelEnv
+
+
+@pytest.mark.parametrize(
+    ("restart", "message"),
+    [
+        (np.ones(5, dtype=np.int64), "a restart mask is 5 booleans, got int64"),
+        (np.ma.masked_array([True] * 5), "a restart mask must be a plain array, got a masked array"),
+        (np.ones(4, dtype=np.bool_), r"a restart mask is 5 booleans, got bool of shape \(4,\)"),
+    ],
+)
+def test_a_bad_restart_mask_is_refused_and_no_environment_moves(restart, message):
+    env, undisturbed = make(steps=20), make(steps=20)
+    for each in (env, undisturbed):
+        each.reset(seed=0)
+    actions = np.zeros((5, 5, 5))
+    with pytest.raises(ValueError, match=message):
+        env.step(actions, restart)
+    assert np.array_equal(env.step(actions).observations, undisturbed.step(actions).observations)

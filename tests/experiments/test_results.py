@@ -10,7 +10,7 @@ from rich.console import Console
 from small_suite import BASE, SMALL
 
 import ptne_env
-from ptne_env import evaluate
+from ptne_env import PolicySpec, evaluate, laws
 from ptne_env.experiments import METRICS, Metric, Results, register, run_suite
 from ptne_env.experiments.traces import scenes
 from ptne_env.report import catalogue_tables, page, result_tables
@@ -83,6 +83,15 @@ def test_csv_repeats_the_records(results):
         assert row["metric"] == record["metric"]
         assert row["mean"] == ("" if record["mean"] is None else str(record["mean"]))
         assert row["content_hash"] == results.suite.content_hash
+
+
+@pytest.mark.parametrize("name", ["=1+1", "+1", "-1", "@SUM(A1)"])
+def test_csv_holds_no_formulas(name):
+    results = evaluate([PolicySpec(name, laws.Static)], [BASE], episodes=1)
+    rows = [row for row in csv.DictReader(io.StringIO(results.to_csv())) if row["policy"].endswith(name)]
+    assert {row["policy"] for row in rows} == {f"'{name}"}
+    digits = results.record(BASE.name, name, "digits")["mean"]
+    assert [row["mean"] for row in rows if row["metric"] == "digits"] == [str(digits)]
 
 
 @pytest.fixture

@@ -1,6 +1,11 @@
 """Loading of policy files: valid files, and every kind of invalid file."""
 
 import json
+import os
+import subprocess
+import sys
+import time
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,7 +19,7 @@ from onnx import helper
 import ptne_env
 from ptne_env import Interface, policies
 from ptne_env.experiments.suite import find_scenario
-from ptne_env.policies import Metadata, PolicyFileError
+from ptne_env.policies import Metadata, PolicyFileError, probe
 
 
 def metadata(**changes):
@@ -82,7 +87,8 @@ def test_metadata_survive_the_round_trip():
 )
 def test_another_layout_is_refused_and_named(tmp_path, layout, changes, named):
     properties = {"ptne_env": metadata(**changes).to_json()}
-    policy = policies.load(write(tmp_path / "mine.onnx", size=layout.size, properties=properties))
+    actions = sum(changes.get("action_dims", (1,) * 5))
+    policy = policies.load(write(tmp_path / "mine.onnx", layout.size, actions, properties))
     with pytest.raises(PolicyFileError, match=named):
         policies.load(tmp_path / "mine.onnx", layout)
     with pytest.raises(PolicyFileError, match="another layout"):
@@ -121,6 +127,23 @@ def test_a_foreign_file_is_refused(tmp_path, content):
         ({"ptne_env": "{}"}, "damaged"),
         ({"ptne_env": metadata(layout_version=99).to_json()}, "layout version 99"),
         ({"ptne_env": json.dumps(json.loads(metadata().to_json()) | {"unheard_of": 1})}, "later version"),
+        *(
+            ({"ptne_env": json.dumps(json.loads(metadata().to_json()) | changes)}, "damaged")
+            for changes in (
+                {"action_dims": ["a"]},
+                {"action_dims": [0]},
+                {"slots": "2"},
+                {"digits": "many"},
+                {"versions": []},
+                {"versions": {"torch": 2}},
+                {"scenarios": [3]},
+                {"scenarios": ["\x1b[31mred"]},
+                {"interface": {"kind": "local", "own_payoff": [1]}},
+                {"interface": {"kind": ["local"]}},
+            )
+        ),
+        ({"ptne_env": "[" * 100_000}, "damaged"),
+        ({"ptne_env": '{"interface":' * 100_000}, "damaged"),
     ],
 )
 def test_bad_metadata_are_refused(tmp_path, properties, message):
@@ -162,15 +185,166 @@ def test_shipped_policies_beat_tuned_laws_on_unseen_games(name, metric, digits, 
     assert results.record(scenario, name, metric)["low"] >= digits
 
 
-def test_a_file_that_refers_to_another_file_is_refused(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "secret.bin").write_bytes(np.arange(140, dtype=np.float32).tobytes())
-    model = onnx.load(write(tmp_path / "mine.onnx"))
+def external(location):
     weights = onnx.TensorProto(name="w", data_type=1, dims=[28, 5], data_location=onnx.TensorProto.EXTERNAL)
-    weights.external_data.add(key="location", value="secret.bin")
-    del model.graph.initializer[:], model.graph.node[:]
-    model.graph.initializer.append(weights)
-    model.graph.node.append(helper.make_node("MatMul", ["observation", "w"], ["action"]))
-    (tmp_path / "mine.onnx").write_bytes(model.SerializeToString())
-    with pytest.raises(PolicyFileError, match="mine.onnx keeps weights in another file"):
-        policies.load(tmp_path / "mine.onnx")
+    weights.external_data.add(key="location", value=location)
+    return weights
+
+
+def graph_of(nodes, initializers=(), inputs=("observation",), output="action"):
+    return helper.make_graph(
+        nodes,
+        "policy",
+        [helper.make_tensor_value_info(name, onnx.TensorProto.FLOAT, ["rows", 28]) for name in inputs],
+        [helper.make_tensor_value_info(output, onnx.TensorProto.FLOAT, ["rows", 5])],
+        list(initializers),
+    )
+
+
+def write_graph(path, graph):
+    model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=8)
+    helper.set_model_props(model, {"ptne_env": metadata().to_json()})
+    path.write_bytes(model.SerializeToString())
+    return path
+
+
+PRODUCT = helper.make_node("MatMul", ["observation", "w"], ["action"])
+
+
+def branches(nodes, initializers):
+    """A graph whose weights are in both branches of an ``If``."""
+    branch = graph_of(nodes, initializers, inputs=())
+    condition = onnx.numpy_helper.from_array(np.array(True), "condition")
+    choice = helper.make_node("If", ["condition"], ["action"], then_branch=branch, else_branch=branch)
+    return graph_of([choice], [condition])
+
+
+def constant(weights):
+    return helper.make_node("Constant", [], ["w"], value=weights)
+
+
+PLACES = {
+    "initializer": lambda weights: graph_of([PRODUCT], [weights]),
+    "constant": lambda weights: graph_of([constant(weights), PRODUCT]),
+    "initializer of a branch": lambda weights: branches([PRODUCT], [weights]),
+    "constant of a branch": lambda weights: branches(
+        [helper.make_node("Constant", [], ["w"], value=weights), PRODUCT], []
+    ),
+}
+
+
+@pytest.mark.parametrize("place", PLACES)
+@pytest.mark.parametrize("location", ["secret.bin", "below/../secret.bin", "../secret.bin", "{folder}/secret.bin"])
+def test_a_file_that_refers_to_another_file_is_refused(tmp_path, monkeypatch, place, location):
+    (tmp_path / "here" / "below").mkdir(parents=True)
+    for folder in (tmp_path, tmp_path / "here"):
+        np.arange(140, dtype=np.float32).tofile(folder / "secret.bin")
+    monkeypatch.chdir(tmp_path / "here")
+    path = write_graph(tmp_path / "mine.onnx", PLACES[place](external(location.format(folder=tmp_path))))
+    with pytest.raises(PolicyFileError, match="mine.onnx is not a readable ONNX file"):
+        policies.load(path)
+
+
+@pytest.mark.parametrize("place", PLACES)
+def test_the_weights_of_the_other_tests_load_from_the_file_itself(tmp_path, place):
+    weights = onnx.numpy_helper.from_array(np.ones((28, 5), dtype=np.float32), "w")
+    policy = policies.load(write_graph(tmp_path / "mine.onnx", PLACES[place](weights)))
+    np.testing.assert_array_equal(policy.predict(np.ones(28))[0], np.full(5, 28.0))
+
+
+def test_a_tensor_named_location_is_no_reference(tmp_path):
+    weights = onnx.numpy_helper.from_array(np.ones((28, 5), dtype=np.float32), "location")
+    product = helper.make_node("MatMul", ["observation", "location"], ["action"], name="location")
+    policies.load(write_graph(tmp_path / "mine.onnx", graph_of([product], [weights])))
+
+
+def with_loop(repetitions):
+    """A graph that computes its weights in a loop of that many repetitions, from constants alone."""
+    scalar = [(name, kind, []) for name, kind in (("index", onnx.TensorProto.INT64), ("go_on", onnx.TensorProto.BOOL))]
+    state = ("before", onnx.TensorProto.FLOAT, [28, 5])
+    body = helper.make_graph(
+        [helper.make_node("Identity", ["go_on"], ["still"]), helper.make_node("Identity", ["before"], ["after"])],
+        "body",
+        [helper.make_tensor_value_info(*value) for value in (*scalar, state)],
+        [
+            helper.make_tensor_value_info("still", onnx.TensorProto.BOOL, []),
+            helper.make_tensor_value_info("after", onnx.TensorProto.FLOAT, [28, 5]),
+        ],
+    )
+    constants = {"count": np.array(repetitions), "yes": np.array(True), "start": np.ones((28, 5), dtype=np.float32)}
+    loop = helper.make_node("Loop", ["count", "yes", "start"], ["w"], body=body)
+    return graph_of([loop, PRODUCT], [onnx.numpy_helper.from_array(value, name) for name, value in constants.items()])
+
+
+def with_constants(size):
+    """A graph with the sum of that many constants, which are not in the file."""
+    ones = helper.make_node("ConstantOfShape", ["shape"], ["ones"], value=helper.make_tensor("v", 1, [1], [1.0]))
+    total = helper.make_node("ReduceSum", ["ones"], ["total"], keepdims=0)
+    product = helper.make_node("MatMul", ["observation", "weights"], ["product"])
+    sum_of_both = helper.make_node("Add", ["product", "total"], ["action"])
+    constants = {"shape": np.array([size]), "weights": np.ones((28, 5), dtype=np.float32)}
+    return graph_of(
+        [ones, total, product, sum_of_both],
+        [onnx.numpy_helper.from_array(value, name) for name, value in constants.items()],
+    )
+
+
+def test_a_file_that_never_ends_or_takes_all_memory_is_refused(tmp_path, monkeypatch):
+    monkeypatch.setattr(probe, "SECONDS", 1)
+    policies.load(write_graph(tmp_path / "small.onnx", with_loop(3)))
+    with pytest.raises(PolicyFileError, match=r"large.onnx .* needs more than 1 s of processor time or 2048 MiB"):
+        policies.load(write_graph(tmp_path / "large.onnx", with_loop(2**62)))
+    policies.load(write_graph(tmp_path / "small.onnx", with_constants(3)))
+    with pytest.raises(PolicyFileError, match=r"large.onnx is not a readable .*(bad_alloc|allocate memory|MiB)"):
+        policies.load(write_graph(tmp_path / "large.onnx", with_constants(2**31)))
+    monkeypatch.setattr(probe, "WAIT", 0.01)
+    with pytest.raises(PolicyFileError, match=r"new.onnx .* needs more than 0.01 s to load"):
+        policies.load(write_graph(tmp_path / "new.onnx", with_loop(4)))
+    policies.load(write_graph(tmp_path / "small.onnx", with_loop(3)))  # the same content is not tried again
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="ends with its parent on Linux; elsewhere within its limits")
+def test_the_trial_of_a_file_ends_with_its_process(tmp_path):
+    path = write_graph(tmp_path / "large.onnx", with_loop(2**62))
+    code = (
+        "import sys\n"
+        "from ptne_env import policies\n"
+        "policies.probe.SECONDS = 60\n"
+        "print('loading', flush=True)\n"
+        "policies.load(sys.argv[1])\n"
+    )
+    parent = subprocess.Popen([sys.executable, "-c", code, str(path)], stdout=subprocess.PIPE)  # noqa: S603 - our own code
+    children = Path(f"/proc/{parent.pid}/task/{parent.pid}/children")
+    assert parent.stdout.readline() == b"loading\n"
+    assert wait_until(lambda: children.read_text(encoding="ascii").strip())
+    child = Path("/proc", children.read_text(encoding="ascii").strip())
+    ticks = 0.3 * os.sysconf("SC_CLK_TCK")  # of processor time: it has started to load the file
+    assert wait_until(lambda: int((child / "stat").read_text(encoding="ascii").split()[13]) > ticks)
+    parent.kill()
+    parent.communicate()
+    assert wait_until(lambda: not child.exists())
+
+
+def wait_until(condition, seconds=20):
+    """Whether the condition becomes true in time."""
+    deadline = time.monotonic() + seconds
+    while time.monotonic() < deadline:
+        if condition():
+            return True
+        time.sleep(0.02)
+    return False
+
+
+@pytest.mark.parametrize("rows", [1, 5])
+def test_a_file_for_a_fixed_number_of_rows_is_refused(tmp_path, rows):
+    path = write(tmp_path / "mine.onnx")
+    model = onnx.load(path)
+    model.graph.input[0].type.tensor_type.shape.dim[0].dim_value = rows
+    path.write_bytes(model.SerializeToString())
+    with pytest.raises(PolicyFileError, match=r"mine.onnx"):
+        policies.load(path)
+
+
+def test_a_file_whose_actions_have_another_length_is_refused(tmp_path):
+    with pytest.raises(PolicyFileError, match=r"mine.onnx does not answer with actions of 5 float32 numbers"):
+        policies.load(write(tmp_path / "mine.onnx", actions=4))
