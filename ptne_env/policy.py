@@ -20,10 +20,16 @@ class PolicyError(RuntimeError):
 
 def describe(error: BaseException) -> str:
     """Class, message and place of an error of foreign code, in printable characters."""
-    text = f"{type(error).__name__}: {error}"[:_LONGEST_DESCRIPTION]
+    text = printable(f"{type(error).__name__}: {error}")
     if frames := extract_tb(error.__traceback__):
-        text += f" ({Path(frames[-1].filename).name}, line {frames[-1].lineno})"
-    return "".join(character if character.isprintable() else " " for character in text).strip()
+        text += printable(f" ({Path(frames[-1].filename).name}, line {frames[-1].lineno})")
+    return text
+
+
+def printable(text: str) -> str:
+    """The beginning of a text of foreign code, with blanks for all characters that are not printable."""
+    beginning = text[:_LONGEST_DESCRIPTION]
+    return "".join(character if character.isprintable() else " " for character in beginning)
 
 
 @runtime_checkable

@@ -22,6 +22,9 @@ from ptne_env.files import require_writable, write_atomically
 _PIPE_WIDTH = 172
 """Width of tables where the output is no terminal; rich would cut them to 80 columns."""
 
+_BLANKS = "\n\N{NO-BREAK SPACE}"
+"""Characters that are written as they are, although Python does not call them printable."""
+
 STDOUT = "-"
 """The value of ``--json`` for stdout."""
 
@@ -53,11 +56,12 @@ class _PrintableConsole(Console):
 
 
 def _printable(text: str) -> str:
-    """``text`` with every character that is neither printable nor the end of a line written as in Python's source."""
+    """``text`` with every character that is neither printable, a blank nor the end of a line as in Python's source."""
     if text.isprintable():
         return text
     return "".join(
-        char if char.isprintable() or char == "\n" else char.encode("unicode_escape").decode("ascii") for char in text
+        char if char.isprintable() or char in _BLANKS else char.encode("unicode_escape").decode("ascii")
+        for char in text
     )
 
 

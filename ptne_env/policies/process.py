@@ -24,7 +24,7 @@ from ptne_env.factory import FactorySpec
 from ptne_env.observation import Interface, LayoutError, ObservationLayout
 from ptne_env.policies.archive import load_archive
 from ptne_env.policies.learned import LearnedPolicy
-from ptne_env.policy import Policy, PolicyError, describe
+from ptne_env.policy import Policy, PolicyError, describe, printable
 from ptne_env.processes import end_with_parent
 
 PolicySource: TypeAlias = FactorySpec | Policy | Callable[[ObservationLayout], Policy]
@@ -89,7 +89,8 @@ def separate(source: FactorySpec, layout: ObservationLayout) -> Iterator[Policy]
     """A policy that decides in a process of its own, which ends with the context.
 
     The process receives observations and sends actions. So the policy cannot reach the world, and its process
-    executes no code here: the answers are read as numbers. The memory of the policy stays in its process.
+    executes no code here: the answers are read as numbers. The memory of the policy stays in its process. Output of the
+    policy is not shown.
 
     Raises:
         LayoutError: when the policy was made for another layout.
@@ -153,9 +154,9 @@ class _Process:
         if not isinstance(answer, dict):
             raise PolicyError(_OTHER_FORM)
         if "layout_error" in answer:
-            raise LayoutError(str(answer["layout_error"]))
+            raise LayoutError(printable(str(answer["layout_error"])))
         if "error" in answer:
-            raise PolicyError(str(answer["error"]))
+            raise PolicyError(printable(str(answer["error"])))
         return answer
 
     def close(self) -> None:

@@ -193,8 +193,10 @@ def report(results: Results, scenes: Mapping[str, Scene]) -> Report:
 
 def _answer(results: Results, table: Table) -> str:
     """The best policy, and its distance from the paper's law or from the next policy."""
-    firsts = first_places(results)
-    ranked = [policy for policy in table.rows if policy in firsts]
+    firsts, failing = first_places(results), {policy for _, policy in results.failures}
+    ranked = [policy for policy in table.rows if policy in firsts and policy not in failing]
+    if not ranked and failing:
+        return f"{_listed(sorted(failing))} failed; the tables below name the steps and the errors."
     if not ranked:
         return "Only oracles were run, which use information that players lack: no policy can be compared with them."
     best, *others = ranked

@@ -125,7 +125,7 @@ def track_tables(results: Results, track: Track) -> list[Table]:
         "How close": _without_values(results, name),
         "Against tuned laws": [f"{law.name}: {call(law)}" for law in results.tuned.get(name, {}).values()],
     }
-    return [
+    tables = [
         Table(
             f"{name}: {block.lower()}",
             tuple(column for column in columns if column.is_filled),
@@ -135,6 +135,7 @@ def track_tables(results: Results, track: Track) -> list[Table]:
         for block, columns in blocks.items()
         if any(column.is_filled for column in columns)
     ]
+    return tables or [Table(f"{name}: no policy has values", (), {}, tuple(notes["How close"]))]
 
 
 def _is_filled(policy: str, columns: Iterable[Column]) -> bool:

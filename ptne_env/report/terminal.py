@@ -61,7 +61,7 @@ def result_tables(results: Results, width: int = 172) -> Group:
 def _drawn(table: Table, width: int, *, intervals: bool) -> list[RichTable | Text]:
     """A table in as many pieces as the width asks for, and its notes."""
     names = {policy: policy + " *" * is_oracle for policy, is_oracle in table.rows.items()}
-    room = width - max(map(cell_len, names.values())) - _EDGES
+    room = width - max(map(cell_len, names.values()), default=0) - _EDGES
     return [
         Text(table.caption, style="italic"),
         *(_piece(names, columns, intervals=intervals) for columns in _split(table, room, intervals=intervals)),
@@ -84,7 +84,8 @@ def _split(table: Table, room: int, *, intervals: bool) -> Iterator[list[Column]
             group, left = [], room
         group.append(column)
         left -= needed
-    yield group
+    if group:
+        yield group
 
 
 def _piece(names: dict[str, str], columns: Sequence[Column], *, intervals: bool) -> RichTable:

@@ -92,9 +92,8 @@ def test_cheats_that_look_for_the_world_find_nothing(honest, monkeypatch):
 def test_cheats_that_mix_rows_fail_the_audit(honest, tmp_path):
     specs = [spec(name, target, **arguments) for name, (target, arguments) in MIXING.items()]
     results = run_suite(RING, [*specs, str(mixing_file(tmp_path))], folder=tmp_path)
-    for name in MIXING:
+    for name in (*MIXING, "mixing"):
         assert "not row-wise" in results.failures["ring", name]
-    assert ("ring", "mixing") in results.failures
     assert digits(results, "static") == digits(honest, "static")
     assert len(stored(tmp_path)) == 3  # the reference policies: nothing is kept of a cheat
 

@@ -69,7 +69,7 @@ def test_results_of_a_suite_have_the_same_keys_and_all_that_repeats_them(results
     assert ptne_env.Scenario.from_dict(data["suite"]["tracks"][0]["scenario"]) == BASE
     assert {"ptne_env", "sources", "numpy", "scipy", "python"} <= set(data["versions"])
     policies = {policy["name"]: policy["training_seeds"][0] for policy in data["policies"]}
-    assert set(policies["ppo-random-energy"]["files"]) == {"ppo-random-energy.onnx"}
+    assert set(policies["ppo-random-energy"]["files"]) == {"ppo-random-energy"}
     assert (data["seed"], data["split"], data["episodes"]) == (0, "test", {"ring": 5, "complete": 5})
     assert {f"{job['key']}.json" for job in data["jobs"]} == {path.name for path in (tmp_path / "jobs").iterdir()}
     assert data["not_applicable"][0]["policy"] == "ppo-random-energy"

@@ -27,6 +27,9 @@ def row_mixing_file(layout):
         "by_player": np.array([-1, 1, players]),
         "by_row": np.array([-1, players]),
         "last": np.array([2]),
+        "players": np.array([players]),
+        "no_pads": np.array([0, 0]),
+        "no_pad": np.array([0]),
         "eye": eye,
         "rate": STEP * eye,
         "smallest": np.float32(1e-9),
@@ -34,7 +37,13 @@ def row_mixing_file(layout):
         "high": np.float32(high),
     }
     nodes = [
-        *(helper.make_node("Gather", ["observation", name], [f"{name}_seen"], axis=1) for name in columns),
+        # zeros at the end, up to a whole number of episodes
+        helper.make_node("Shape", ["observation"], ["rows"], start=0, end=1),
+        helper.make_node("Neg", ["rows"], ["negative"]),
+        helper.make_node("Mod", ["negative", "players"], ["missing"]),
+        helper.make_node("Concat", ["no_pads", "missing", "no_pad"], ["pads"], axis=0),
+        helper.make_node("Pad", ["observation", "pads"], ["padded"]),
+        *(helper.make_node("Gather", ["padded", name], [f"{name}_seen"], axis=1) for name in columns),
         helper.make_node("Reshape", ["estimates_seen", "by_episode"], ["of_players"]),
         helper.make_node("Mul", ["of_players", "eye"], ["own"]),
         helper.make_node("ReduceSum", ["own", "last"], ["strategies"], keepdims=0),
@@ -46,7 +55,8 @@ def row_mixing_file(layout):
         helper.make_node("Reshape", ["moves", "by_row"], ["displacement"]),
         helper.make_node("Max", ["theta_seen", "smallest"], ["step"]),
         helper.make_node("Div", ["displacement", "step"], ["input"]),
-        helper.make_node("Clip", ["input", "low", "high"], ["action"]),
+        helper.make_node("Clip", ["input", "low", "high"], ["clipped"]),
+        helper.make_node("Slice", ["clipped", "no_pad", "rows", "no_pad"], ["action"]),
     ]
     constants["column"] = np.array([-1, players, 1])
     graph = helper.make_graph(
