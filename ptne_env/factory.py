@@ -27,7 +27,7 @@ def resolve(target: str) -> Any:
         raise ValueError(f"a part is named as 'module:object', got {target!r}")
     try:
         module = importlib.import_module(module_name)
-    except ImportError as error:
+    except (ImportError, TypeError) as error:  # a relative name is a TypeError
         raise ValueError(f"cannot import the module of part {target!r}: {error}") from error
     try:
         return getattr(module, attribute)

@@ -120,6 +120,20 @@ def test_modules_of_the_current_folder_are_found_after_trust_alone(evil):
     assert printed == ["False", "True"]
 
 
+def test_no_process_of_a_command_imports_modules_of_the_current_folder(tmp_path):
+    here, elsewhere = tmp_path / "here", tmp_path / "elsewhere"
+    here.mkdir()
+    elsewhere.mkdir()
+    (elsewhere / "trusted.py").write_text("from ptne_env.laws import Grounded\n", encoding="utf-8")
+    for name in ("joblib", "multiprocessing", "numpy", "ptne_env"):
+        text = f"import os\n\nos.mkdir({str(tmp_path / name)!r})\n"
+        (here / f"{name}.py").write_text(text, encoding="utf-8")
+    command = "compare --scenario energy --episodes 1 --no-report --jobs 2 --policy static,trusted:Grounded --trust"
+    program = "import sys; del sys.path[0]; from ptne_env.cli import main; main()"
+    run_python("-c", program, "-q", *command.split(), folder=here, modules=[elsewhere])
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["elsewhere", "here"]
+
+
 @pytest.fixture
 def results(tmp_path):
     """Changes the results of a run of the static law, with a checksum that fits."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from typing import Annotated
 
 import typer
@@ -45,6 +46,7 @@ def _root(
 
 def main() -> None:
     """Run the command line; exit codes are 0 done, 1 failed, 2 wrong usage, 130 interrupted."""
+    os.environ["PYTHONSAFEPATH"] = "1"  # processes that it starts do not import modules of the current folder either
     try:
         app(prog_name="ptne")
     except SystemExit as ended:

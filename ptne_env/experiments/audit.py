@@ -11,7 +11,7 @@ from ptne_env.arrays import Float32Array, IntArray
 from ptne_env.policy import Policy, PolicyError
 
 EPISODES = 16
-"""Most episodes from which a witness gets rows."""
+"""Most episodes from which a witness gets rows, unless the audit is thorough."""
 
 WITNESSES = 8
 """Most witnesses of a thorough audit."""
@@ -60,11 +60,14 @@ def sample_rows(episodes: int, players: int, *, thorough: bool) -> list[IntArray
     Args:
         episodes: of the batch, whose row e · players + p is player p of episode e.
         players: number of players for which the policy decides.
-        thorough: whether there is a witness per player, for up to :data:`WITNESSES` players, and not one witness with
-            a random player of each episode.
+        thorough: whether there are as many witnesses as players, up to :data:`WITNESSES`, which get different players
+            of every episode, and not one witness with a random player of each of some episodes.
     """
     generator = np.random.default_rng()
-    chosen = generator.permutation(episodes)[:EPISODES]
-    if thorough:
-        return [generator.permutation(chosen) * players + one for one in generator.permutation(players)[:WITNESSES]]
-    return [chosen * players + generator.integers(players, size=len(chosen))]
+    chosen = generator.permutation(episodes)
+    if not thorough:
+        chosen = chosen[:EPISODES]
+        return [chosen * players + generator.integers(players, size=len(chosen))]
+    order = generator.permutation(players)  # consecutive episodes go on where the one before ends
+    first = np.arange(episodes) * min(players, WITNESSES)
+    return [chosen * players + order[(first + witness) % players] for witness in range(min(players, WITNESSES))]

@@ -85,8 +85,6 @@ class TaskStore(Generic[Result]):
             DamagedFileError: when the file is damaged, or of another task.
         """
         path = self.path(key)
-        if path.exists() and not path.is_file():
-            raise DamagedFileError(f"{path} is no file: remove it and run the same command again")
         content = read_json(path, f"the result of a {self.kind}")
         checksum = content.pop("checksum", None)
         is_whole = is_hash_of(checksum, content)

@@ -33,7 +33,11 @@ PolicySource: TypeAlias = FactorySpec | Policy | Callable[[ObservationLayout], P
 PATIENCE = 300.0
 """Seconds that a process may take to answer."""
 
-_MAIN = "import sys; from ptne_env.policies.process import serve; serve(*map(int, sys.argv[1:]))"
+# The paths are those of this process, so that nothing is imported from the current folder before other folders.
+_MAIN = (
+    "import sys; sys.path[:] = sys.argv[3:]; "
+    "from ptne_env.policies.process import serve; serve(*map(int, sys.argv[1:3]))"
+)
 _ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 _OTHER_FORM = "its process answered in another form"
 _LONGEST_HEADER = 1 << 16
@@ -115,7 +119,7 @@ class _Process:
         self._connection = Connection(mine.detach())
         with theirs:
             self._process = subprocess.Popen(  # noqa: S603 - our own command
-                [sys.executable, "-c", _MAIN, str(theirs.fileno()), str(os.getpid())],
+                [sys.executable, "-P", "-c", _MAIN, str(theirs.fileno()), str(os.getpid()), *sys.path],
                 pass_fds=[theirs.fileno()],
                 stdin=subprocess.DEVNULL,
                 stdout=subprocess.DEVNULL,  # its output may hold escape sequences
@@ -123,7 +127,7 @@ class _Process:
                 env=os.environ | _ONE_THREAD,
                 process_group=0,  # Ctrl-C does not reach it, and processes that it starts end with it
             )
-        self._send(lambda: self._connection.send((sys.path, source, layout)))
+        self._send(lambda: self._connection.send((source, layout)))
 
     def predict(
         self,
@@ -185,14 +189,13 @@ def serve(descriptor: int, caller: int) -> None:
     """The side of the policy: build it, and answer observations with actions until the caller is gone.
 
     Args:
-        descriptor: of the connection to the caller, whose first message is the import path, the source and the layout;
-            without a layout the answer is the interface of the policy.
+        descriptor: of the connection to the caller, whose first message is the source and the layout; without a
+            layout the answer is the interface of the policy.
         caller: number of its process.
     """
     end_with_parent(caller)
     connection = Connection(descriptor)
-    path, source, layout = connection.recv()
-    sys.path[:] = path
+    source, layout = connection.recv()
     try:
         if layout is None:
             _answer(connection, interface=asdict(_interface(source)))

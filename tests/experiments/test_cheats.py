@@ -109,6 +109,14 @@ def test_a_cheat_that_rebuilds_games_from_seeds_is_found_by_a_check(tmp_path):
     assert not found.passes()
 
 
+def test_a_cheat_that_fails_on_fresh_episodes_is_found_by_a_check(tmp_path):
+    suite = dataclasses.replace(RING, episodes=20)
+    results = run_suite(suite, [spec("cheat", "seed_rebuilding:PublishedAlone", episodes=20)], folder=tmp_path)
+    assert min(digits(results, "cheat")[0]) > 7
+    found = check(written(results, tmp_path), suite=suite, sample=100, trust=True)
+    assert {one.job.policy.name for one in found.repetitions if not one.passes()} == {"cheat"}
+
+
 def test_decisions_that_pass_through_a_file_are_not_enforceable(tmp_path, monkeypatch):
     name = f"{tmp_path.parent.name}-{tmp_path.name}.sqlite"
     try:

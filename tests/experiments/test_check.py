@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+import os
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ from small_suite import SMALL, stored, written
 from ptne_env import FactorySpec, PolicySpec, evaluate, laws
 from ptne_env.experiments import Suite, run_suite, tuning
 from ptne_env.experiments.check import check
+from ptne_env.experiments.jobs import JobResult
 from ptne_env.experiments.provenance import content_hash
 from ptne_env.experiments.store import Store
 from ptne_env.experiments.suite import comparison
@@ -37,7 +39,7 @@ def test_a_check_repeats_jobs_bit_for_bit(results, tmp_path):
     chosen = [
         [one.job.key for one in check(tmp_path, suite=SMALL, sample=2, seed=seed).repetitions] for seed in range(6)
     ]
-    assert all(len(some) == 2 for some in chosen)
+    assert all(len(some) == 2 + len(results.not_applicable) for some in chosen)  # n/a always runs again
     assert len({tuple(some) for some in chosen}) > 1
 
 
@@ -52,6 +54,8 @@ def test_a_check_repeats_jobs_bit_for_bit(results, tmp_path):
         (lambda data: data["not_applicable"].clear(), "not_applicable is "),
         (lambda data: data["not_applicable"][0].update(reason="it is too good"), "not_applicable[complete, "),
         (lambda data: data["jobs"].append(data["jobs"][0] | {"training_seed": 7}), "jobs: "),
+        (lambda data: data["records"][0].update(mean=10**400), "records[ring, "),
+        (lambda data: data.update(awards=["grounded"]), "awards is no part"),
     ],
 )
 @pytest.mark.usefixtures("results")
@@ -158,6 +162,53 @@ def test_a_policy_that_does_better_on_the_published_episodes_is_reported(results
     assert found[job.key].published > found[job.key].fresh + 1
     assert [one.knows_episodes for one in found.values()].count(True) == 1
     assert data["seed"] == 0
+
+
+def test_a_policy_that_is_faster_on_the_published_episodes_is_reported(tmp_path):
+    suite = Suite("small-v1", SMALL.tracks[:1], episodes=20)
+    results = run_suite(suite, ["grounded"], folder=tmp_path)
+    written(results, tmp_path)
+    store = Store(tmp_path)
+    job = next(job for job in results.jobs if job.policy.name == "grounded")
+    result = store.load(job.key)
+    result.samples["settling_time_1e_6"][:] = 0.01  # by which policies that saturate a track are ranked
+    store.save(job, result)
+    found = {one.job.key: one.knows_episodes for one in check(tmp_path, suite=suite, sample=9).repetitions}
+    assert [key for key, knows in found.items() if knows] == [job.key]
+
+
+def test_numbers_of_n_a_are_always_run_again(tmp_path):
+    results = run_suite(SMALL, ["grounded"], folder=tmp_path)
+    store = Store(tmp_path)
+    job = next(job for job in results.jobs if job.policy.name == "grounded")
+    store.save(job, JobResult({}, {}, "it does not fit"))
+    written(run_suite(SMALL, ["grounded"], folder=tmp_path), tmp_path)
+    for seed in range(5):
+        outcome = check(tmp_path, suite=SMALL, sample=1, seed=seed)
+        assert outcome.differences == ()
+        assert not outcome.passes()
+
+
+@pytest.mark.usefixtures("results")
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda text: text.replace('"format"', '"seed": 1, "format"', 1),
+        lambda text: text.replace('"seed": 0', '"seed": NaN'),
+    ],
+)
+def test_a_text_that_readers_take_differently_is_refused(tmp_path, change):
+    path = tmp_path / "results.json"
+    path.write_text(change(path.read_text(encoding="utf-8")), encoding="utf-8")
+    with pytest.raises(ValueError, match="an object has a key twice|NaN is not JSON"):
+        check(path, suite=SMALL)
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="Windows has no such files")
+def test_results_that_are_a_pipe_are_refused_at_once(tmp_path):
+    os.mkfifo(tmp_path / "results.json")
+    with pytest.raises(ValueError, match="it is no file"):
+        check(tmp_path)
 
 
 def test_a_check_refuses_results_that_it_cannot_repeat(results, tmp_path):
