@@ -113,11 +113,16 @@ def _texts(value: Any) -> Iterator[str]:
             yield from _texts(item)
 
 
+def _is_content(path: Path) -> bool:
+    """Whether a path in a folder is hashed; a link to another folder is, as one of which nothing can be hashed."""
+    return path.is_file() or (path.is_symlink() and path.is_dir())
+
+
 def _argument_hashes(text: str, *, with_folders: bool) -> dict[str, str]:
     path = shipped_path(text) or Path(text)
     if is_file(path):
         return {text: file_hash(path)}
     if with_folders and path.name not in ("", "..") and os.path.isdir(path):  # noqa: PTH112 - as is_file
-        inside = (each for each in path.rglob("*") if each.is_file() and "__pycache__" not in each.parts)
+        inside = (each for each in path.rglob("*") if _is_content(each) and "__pycache__" not in each.parts)
         return {f"{text}/{each.relative_to(path).as_posix()}": file_hash(each) for each in sorted(inside)}
     return {}

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import json
+import re
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from functools import cached_property
@@ -25,6 +26,9 @@ from ptne_env.files import read_json
 
 FORMAT = 4
 """Version of the meaning of ``results.json``; a file of another one is refused."""
+
+_FORMULA = re.compile(r"(^|[,;\t]\s*)([=+\-@\t\r])")
+"""The beginning of a text, or of a part of it, that a spreadsheet reads as a formula."""
 
 Record: TypeAlias = dict[str, Any]
 """Keys: track, policy, metric, mean, low, high, episodes; the numbers are ``None`` where no episode has a value."""
@@ -168,8 +172,11 @@ class Results:
 
 
 def _cell(value: Any) -> Any:
-    """A cell of a CSV file, after OWASP's "CSV Injection"; numbers stay as they are."""
-    return f"'{value}" if isinstance(value, str) and value.startswith(("=", "+", "-", "@", "\t", "\r")) else value
+    """A cell of a CSV file, after OWASP's "CSV Injection"; numbers stay as they are.
+
+    Some spreadsheets end a cell at a semicolon or a tabulator.
+    """
+    return _FORMULA.sub(r"\1'\2", value) if isinstance(value, str) else value
 
 
 def _reasons(reasons: Mapping[tuple[str, str], str]) -> list[dict[str, str]]:

@@ -125,6 +125,8 @@ def _parsed(source: bytes, package: str) -> _Module:
         possible.update(_imported(node, package))
         if isinstance(node, ast.ImportFrom):
             possible.update(f"{base}.{alias.name}" for base in _imported(node, package) for alias in node.names)
+        elif isinstance(node, ast.Call):
+            possible.update(_imported_by_call(node, package))
         elif isinstance(node, ast.Constant) and isinstance(node.value, str) and 0 < len(node.value) < _LONGEST_NAME:
             texts.add(node.value)
             if target := _TARGET.fullmatch(node.value):
@@ -142,6 +144,18 @@ def _imported(node: ast.AST, package: str) -> list[str]:
         except ImportError:  # beyond the outermost package: the statement fails
             return []
     return []
+
+
+def _imported_by_call(node: ast.Call, package: str) -> list[str]:
+    """The module of ``importlib.import_module("name")`` or ``__import__("name")``."""
+    function = node.func.attr if isinstance(node.func, ast.Attribute) else getattr(node.func, "id", None)
+    name = node.args[0].value if node.args and isinstance(node.args[0], ast.Constant) else None
+    if function not in ("import_module", "__import__") or not (isinstance(name, str) and name.strip(".")):
+        return []
+    try:
+        return [resolve_name(name, package)]
+    except ImportError:  # beyond the outermost package: the call fails
+        return []
 
 
 def _with_packages(name: str) -> Iterator[str]:

@@ -90,6 +90,20 @@ PROJECTS = {
         "own.laws:make",
         {"own/gains": "KAPPA = 2\n"},
     ),
+    "import by a call": (
+        {"mine": "import importlib\ngains = importlib.import_module('gains')\n", "gains": "KAPPA = 1\n"},
+        "mine:make",
+        {"gains": "KAPPA = 2\n"},
+    ),
+    "relative import by a call": (
+        {
+            "own/__init__": "",
+            "own/laws": "from importlib import import_module\ngains = import_module('.gains', __package__)\n",
+            "own/gains": "KAPPA = 1\n",
+        },
+        "own.laws:make",
+        {"own/gains": "KAPPA = 2\n"},
+    ),
     "part that is named": (
         {"mine": "TARGET = 'gains:Gain'\n", "gains": "KAPPA = 1\n"},
         "mine:make",
@@ -147,6 +161,15 @@ def test_files_and_folders_in_arguments_are_hashed(write, tmp_path):
     assert len(keys | {key("mine:make", files=[str(tmp_path / "weights")])}) == 6
     part = FactorySpec.of("ptne_env.graphs:cycle", players=str(tmp_path / "weights"))
     assert file_hashes(part) == {}  # parts of the library read no folders
+
+
+def test_a_link_to_another_folder_in_a_folder_cannot_be_hashed(write, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    write({"mine": ""})
+    for name in ("weights", "elsewhere"):
+        (tmp_path / name).mkdir()
+    (tmp_path / "weights" / "more").symlink_to("../elsewhere")
+    assert list(unhashed(file_hashes(FactorySpec.of("mine:make", folder="weights")))) == ["weights/more"]
 
 
 def test_texts_that_are_no_names_of_files_do_no_harm(write):

@@ -94,6 +94,13 @@ def test_csv_holds_no_formulas(name):
     assert [row["mean"] for row in rows if row["metric"] == "digits"] == [str(digits)]
 
 
+@pytest.mark.parametrize("end", [";", ", ", "; "])
+def test_a_name_holds_no_formula_where_a_spreadsheet_ends_a_cell(end):
+    text = evaluate([PolicySpec(f"fine{end}=1+1", laws.Static)], [BASE], episodes=1).to_csv()
+    assert f"fine{end}'=1+1" in text
+    assert f"{end}=" not in text
+
+
 @pytest.fixture
 def half_way():
     """A metric of one's own, declared in one statement."""
