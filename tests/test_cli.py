@@ -351,6 +351,7 @@ def test_compare_takes_a_policy_by_module_and_object():
         (("compare", "--scenario", "robots", "--policy", "ppo-random-energy", "--json", "-"), "fits no track"),
         (("compare", "--jobs", "0"), "0 jobs"),
         (("train", "random-enery", "--out", "out"), "unknown configuration 'random-enery'"),
+        (("train", "none.toml", "--out", "out"), "no file 'none.toml'; name a .toml file"),
         (("reproduce", "--points", "3"), "No such option"),
         (("list", "everything"), "unexpected extra argument"),
         (("no-such-command",), "No such command"),

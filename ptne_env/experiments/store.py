@@ -86,7 +86,7 @@ class TaskStore(Generic[Result]):
         """
         path = self.path(key)
         if path.exists() and not path.is_file():
-            raise DamagedFileError(f"{path} is no file: remove it and run the same command again")
+            raise DamagedFileError(f"{path} is no file: run the suite again, which replaces it")
         content = read_json(path, f"the result of a {self.kind}")
         checksum = content.pop("checksum", None)
         is_whole = is_hash_of(checksum, content)
@@ -98,8 +98,8 @@ class TaskStore(Generic[Result]):
             except ValueError as error:
                 reason = str(error)
         raise DamagedFileError(
-            f"the result {path} is damaged, or of another {self.kind} ({reason}): remove it and run the same command "
-            "again"
+            f"the result {path} is damaged, or of another {self.kind} ({reason}): run the suite again, which "
+            "replaces it"
         )
 
     def save(self, task: Task, result: Result) -> None:
