@@ -163,7 +163,7 @@ def test_a_job_under_the_name_of_another_is_run_again(results):
     kept = first.read_bytes()
     first.write_bytes(second.read_bytes())
     assert store.find(jobs[0]) is None
-    with pytest.raises(ValueError, match="is damaged, or of another job .*: remove it and run the same command again"):
+    with pytest.raises(ValueError, match="is damaged, or of another job .*: run the suite again, which replaces it"):
         check(results, suite=SMALL, sample=100)
     run_suite(SMALL, ["grounded"], folder=results.parent)
     assert json.loads(first.read_bytes())["samples"] == json.loads(kept)["samples"]

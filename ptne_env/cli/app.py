@@ -51,7 +51,7 @@ def main() -> None:
         app(prog_name="ptne")
     except SystemExit as ended:
         if ended.code == _INTERRUPTED:
-            console(stderr=True).print("Interrupted: all files are complete, and the same command goes on from here")
+            console(stderr=True).print("Interrupted: all files are complete; the same command keeps what they hold")
         raise
     except ValueError as error:
         _fail(str(error), 2)

@@ -184,6 +184,8 @@ def foreign_code(results: Path) -> list[str]:
 
 def _read(results: Path) -> tuple[Path, dict[str, Any], _Listing]:
     path = results / "results.json" if results.is_dir() else results
+    if not path.exists():
+        raise FileNotFoundError(f"no results in {results}: name a file results.json, or the folder that holds it")
     data = read_results(path)
     return path, data, _Listing.of(path, data)
 
@@ -289,7 +291,10 @@ class _Listing:
         found = [PolicySpec.from_dict(spec) for spec in self.specs]
         for policy, spec in zip(found, self.specs, strict=True):
             if policy.to_dict() != spec:
-                raise ValueError(f"the files of policy {policy.name!r} are not those that were run")
+                raise ValueError(
+                    f"the files of policy {policy.name!r} are not those that were run: bring those back, "
+                    "or run the suite again"
+                )
         return found
 
 
@@ -326,7 +331,13 @@ class _Stored:
                 f"no stored job of policy {policy!r} on track {track!r}: the results are of an object of another "
                 "process, or jobs are missing from their list; run the suite again with policies named 'module:object'"
             )
-        result = self._store.load(key)
+        try:
+            result = self._store.load(key)
+        except FileNotFoundError as error:
+            raise FileNotFoundError(
+                f"no stored job of policy {policy!r} on track {track!r}: {error.filename} is missing; copy the folder "
+                "jobs/ together with results.json, or run the suite again"
+            ) from error
         mine = {**json.loads(json.dumps(job.to_dict())), "versions": self._versions}
         theirs = read_json(self._store.path(key), "the result of a job")["job"]
         if different := sorted(name for name in mine if mine[name] != theirs.get(name)):

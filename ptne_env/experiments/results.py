@@ -224,7 +224,10 @@ def read_results(path: Path) -> dict[str, Any]:
         )
     content = {key: value for key, value in data.items() if key not in ("checksum", "timings")}
     if not is_hash_of(data.get("checksum"), content):
-        raise ValueError(f"{path} was damaged or changed after it was written: run the suite again, results are stored")
+        raise ValueError(
+            f"{path} was damaged or changed after it was written: run the suite again, which writes it anew from the "
+            "stored jobs"
+        )
     require("seed", "split", "episodes", "policies", "tuned_laws", "trials", "versions", "timings")
     require("records", "not_applicable", "failures", "leaderboard")
     return data

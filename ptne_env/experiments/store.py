@@ -96,8 +96,8 @@ class TaskStore(Generic[Result]):
             except ValueError as error:
                 reason = str(error)
         raise DamagedFileError(
-            f"the result {path} is damaged, or of another {self.kind} ({reason}): remove it and run the same command "
-            "again"
+            f"the result {path} is damaged, or of another {self.kind} ({reason}): run the suite again, which "
+            "replaces it"
         )
 
     def save(self, task: Task, result: Result) -> None:

@@ -170,11 +170,19 @@ class _Process:
             os.killpg(self._process.pid, signal.SIGKILL)
         self._process.wait()
 
+    def _ended(self) -> PolicyError:
+        try:
+            status = self._process.wait(timeout=1.0)
+        except subprocess.TimeoutExpired:
+            return PolicyError("its process ended the connection, or reads nothing")
+        how = f"with signal {-status}" if status < 0 else f"with exit status {status}"
+        return PolicyError(f"its process ended {how}")
+
     def _send(self, send: Callable[[], None]) -> None:
         try:
             send()
         except OSError as error:
-            raise PolicyError("its process ended") from error
+            raise self._ended() from error
 
     def _receive(self, longest: int) -> bytes:
         try:
@@ -182,7 +190,7 @@ class _Process:
                 raise PolicyError(f"it took longer than {PATIENCE:g} s")
             return self._connection.recv_bytes(longest)
         except (OSError, EOFError) as error:
-            raise PolicyError("its process ended") from error
+            raise self._ended() from error
 
 
 def serve(descriptor: int, caller: int) -> None:

@@ -131,32 +131,36 @@ def check_tables(check: Check, tolerance: float) -> Group:
     if not check.differences:
         tables.add_row(Text("agree", "green"), Text("every number follows from the stored jobs"))
     jobs = empty_table("Jobs that were run again, on the published episodes and on fresh ones")
-    for heading in ("track", "policy", "training seed"):
-        jobs.add_column(heading)
-    for heading in ("largest difference", "published score", "fresh score", "p"):
-        jobs.add_column(heading, justify="right")
-    jobs.add_column("verdict")
+    jobs.add_column("job", overflow="fold")
+    for heading in ("largest\ndifference", "published\nscore", "fresh\nscore", "p"):
+        jobs.add_column(heading, justify="right", no_wrap=True)
+    jobs.add_column("verdict", no_wrap=True)
+    reasons = []
     for repetition in check.repetitions:
         job = repetition.job
+        seed = f"\ntraining seed {job.training_seed}" * (job.training_seed > 0)
         jobs.add_row(
-            Text(job.track.name),
-            Text(job.policy.name),
-            str(job.training_seed),
+            Text(f"{job.track.name}\n{job.policy.name}{seed}"),
             number(repetition.difference),
             number(repetition.published),
             number(repetition.fresh),
             number(repetition.probability),
             _verdict(repetition, tolerance),
         )
-    return Group(tables, jobs)
+        place = f"{job.policy.name} on {job.track.name}"
+        if repetition.knows_episodes:
+            reasons.append(Text(f"too good: {place} is better on the published episodes than on fresh ones"))
+        elif repetition.failure is not None:
+            reasons.append(Text(f"failed: {place}: {repetition.failure}"))
+    return Group(tables, jobs, *reasons)
 
 
 def _verdict(repetition: Repetition, tolerance: float) -> Text:
     if repetition.knows_episodes:
-        return Text("better on the published episodes than on fresh ones", "red")
+        return Text("too good", "red")
     if repetition.difference > tolerance:
-        return Text("differs" if repetition.failure is None else f"fails: {repetition.failure}", "red")
-    return Text("reproduces" if repetition.failure is None else f"fails again: {repetition.failure}", "green")
+        return Text("differs" if repetition.failure is None else "fails", "red")
+    return Text("reproduces" if repetition.failure is None else "fails again", "green")
 
 
 def catalogue_tables(width: int = 172) -> Group:

@@ -130,7 +130,10 @@ class Arguments:
         if path.suffix != ".toml":
             path = CONFIGURATIONS / f"{name_or_path}.toml"
         if not path.is_file():
-            raise ValueError(f"unknown configuration {str(name_or_path)!r}; choose from {', '.join(configurations())}")
+            unknown = "no file" if path == Path(name_or_path) else "unknown configuration"
+            raise ValueError(
+                f"{unknown} {str(name_or_path)!r}; name a .toml file, or choose from {', '.join(configurations())}"
+            )
         try:
             values = tomllib.loads(path.read_text(encoding="utf-8"))
         except ValueError as error:

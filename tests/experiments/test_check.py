@@ -233,3 +233,14 @@ def test_results_of_objects_cannot_be_checked(tmp_path):
     path = written(run_suite(suite, [PolicySpec("mine", laws.Static)]), tmp_path)
     with pytest.raises(ValueError, match="policy 'mine' was an object"):
         check(path, suite=suite)
+
+
+def test_files_that_a_check_misses_are_named_with_advice(results, tmp_path):
+    with pytest.raises(FileNotFoundError, match=r"no results in .*none: name a file results\.json, or the folder"):
+        check(tmp_path / "none")
+    path = next(iter(stored(tmp_path).values()))
+    path.unlink()
+    with pytest.raises(
+        FileNotFoundError, match=f"no stored job of policy .*{path.name} is missing; copy the folder jobs/"
+    ):
+        check(tmp_path, suite=SMALL)

@@ -90,8 +90,8 @@ def test_the_interface_of_a_foreign_policy_is_read_without_importing_it_here(lay
         ("sys.exit(3)", "SystemExit: 3"),
         ("(_ for _ in ()).throw(KeyboardInterrupt)", "KeyboardInterrupt"),
         ("(_ for _ in ()).throw(ValueError('\\x1b[31m' + 2000 * 'x'))", r"ValueError:  \[31mx{400}"),
-        ("os._exit(3)", "its process ended"),
-        ("os.kill(os.getpid(), 9)", "its process ended"),
+        ("os._exit(3)", "its process ended with exit status 3"),
+        ("os.kill(os.getpid(), 9)", "its process ended with signal 9"),
         ("np.zeros((10_000_000, 5))", "actions of shape"),
         ("'text'", "ValueError: could not convert string to float"),
         (

@@ -10,9 +10,10 @@ from rich.console import Console
 
 from ptne_env import evaluate
 from ptne_env.experiments import METRICS, Metric, register
+from ptne_env.experiments.check import Check, Repetition
 from ptne_env.experiments.metrics import number, share
 from ptne_env.experiments.traces import scenes
-from ptne_env.report import catalogue_tables, page, result_tables
+from ptne_env.report import catalogue_tables, check_tables, page, result_tables
 from ptne_env.report.tables import overview, track_tables
 
 
@@ -32,6 +33,27 @@ def test_result_tables_fit_the_terminal_and_lose_nothing(comparison, suite, widt
         for record in results.records:
             if record["mean"] is not None:
                 assert number(record["mean"]) in words
+
+
+@pytest.mark.parametrize("width", [80, 120])
+def test_tables_of_a_check_fit_the_terminal_and_lose_nothing(suite, width):
+    job = replace(suite.jobs[0], policy=replace(suite.jobs[0].policy, name="ppo-random-energy-switching-transformed"))
+    reason = f"step 0: {60 * 'long '}reason"
+    repetitions = [
+        Repetition(job, 0.0, None, -1.23, -0.0996, 0.0571, knows_episodes=False),
+        Repetition(
+            replace(job, policy=replace(job.policy, name="zero-input")), 0.0, None, 1.2, 1.2, 0.5, knows_episodes=False
+        ),
+        Repetition(job, 1.23e-10, None, 11.23, -0.0996, 1.23e-5, knows_episodes=True),
+        Repetition(job, 0.0, reason, None, None, None, knows_episodes=False),
+        Repetition(job, np.inf, reason, 3.21, None, None, knows_episodes=False),
+    ]
+    text = written(check_tables(Check((), tuple(repetitions)), 0.0), width)
+    assert "…" not in text
+    assert max(map(cell_len, text.splitlines())) <= width
+    assert {"reproduces", "better", "fails", "again"} <= set(text.split())
+    assert text.count("long") == 2 * 60
+    assert "zero-input" in text.split()  # a short name stays whole
 
 
 def test_blocks_hold_the_metrics_of_the_registry(comparison):
