@@ -197,7 +197,7 @@ def inputs_of(law: Law, observation: Observation, memory: Any = None) -> FloatAr
 def spectral_abscissa(matrix: FloatArray) -> float:
     """Min Re μ over the eigenvalues μ of M, the rate of e^{−Mτ}; exactly 0 when that is rounding."""
     smallest = float(np.linalg.eigvals(matrix).real.min())
-    return 0.0 if abs(smallest) <= ZERO * np.linalg.norm(matrix, 2) else smallest
+    return 0.0 if abs(smallest) <= ZERO * np.linalg.norm(matrix) else smallest
 
 
 def decay_rate(matrices: Sequence[FloatArray], topology: SwitchingTopology, deadline: float) -> float:
@@ -314,7 +314,7 @@ def _restricted(matrix: FloatArray, free: BoolArray) -> FloatArray:
 def _moving(matrix: FloatArray) -> Any:
     """The eigenvalues that are not zero."""
     eigenvalues = np.linalg.eigvals(matrix)
-    return eigenvalues[np.abs(eigenvalues) > ZERO * np.linalg.norm(matrix, 2)]
+    return eigenvalues[np.abs(eigenvalues) > ZERO * np.linalg.norm(matrix)]
 
 
 def _require_players(game: Game, graph: Graph) -> None:
