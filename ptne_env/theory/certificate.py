@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import math
 import sys
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -138,8 +138,8 @@ class Certificate:
             on the physical clock).
         digits_sampled: digits that the sampled loop, the product of (I − Θ_k M_k), has from the scenario's start over
             perfect links: −log10 ‖**x** − 1⊗x*‖/(√N ‖x*‖); ``None`` when the loop is not linear.
-        digits_are_exact: whether an episode has these digits, up to 12 of them: ``step_margin`` is above 1, and the
-            start asks for no input above the limit. Otherwise they are those of exact arithmetic without limits, and
+        digits_are_exact: whether an episode has these digits, up to 12 of them: ``step_margin``, with the hold phase, is
+            above 1, and the start asks for no input above the limit. Otherwise they are those of exact arithmetic without limits, and
             ``notes`` gives the reason. The same holds of ``digits_after_hold`` and ``worst_digits_gained``.
         digits_after_hold: the same after the hold phase; ``None`` also where there is none.
         worst_digits_gained: −log10 ‖Π (I − Θ_k M_k)‖₂, the digits gained by T from the worst start; ``None`` when the
@@ -361,16 +361,22 @@ class _Prediction:
 
     @cached_property
     def margin(self) -> float | None:
-        """The smallest step margin over the instants at which gains are frozen."""
-        margins = [loop.step_margin() for loop in self.loops.values()]
-        return None if None in margins else min(margin for margin in margins if margin is not None)
+        """The smallest step margin to T over the instants at which gains are frozen."""
+        return _smallest(loop.step_margin() for loop in self.loops.values())
+
+    @cached_property
+    def margin_to_the_end(self) -> float | None:
+        """The same with the hold phase."""
+        if not self.world.clock.hold_steps:
+            return self.margin
+        return _smallest(loop.step_margin(hold=True) for loop in self.loops.values())
 
     @property
     def amplifies(self) -> bool:
         """Whether some step is so long that it amplifies an error, and with it what float32 rounds."""
-        if self.margin is None:
+        if self.margin_to_the_end is None:
             return any(loop.matrix.any() for loop in self.loop.loops)  # a law that never moves amplifies nothing
-        return self.margin <= 1
+        return self.margin_to_the_end <= 1
 
     @property
     def saturates(self) -> bool:
@@ -473,9 +479,11 @@ class _Prediction:
         if path is not None and not np.isfinite(path[world.clock.steps]).all():
             yield "the sampled loop diverges from this start before T: the steps are too long for the law"
         if path is not None and self.amplifies:
-            beyond = "no step is stable" if self.margin is None else f"{1 / self.margin:.3g} times the largest stable step"
+            longest = self.margin_to_the_end
+            size = "no step is stable" if longest is None else f"{1 / longest:.3g} times the largest stable step"
+            phase = " of the hold phase" if self.margin is not None and self.margin > 1 else ""
             yield (
-                f"the largest step amplifies errors ({beyond}), also those of the rounding to float32: digits and "
+                f"the largest step{phase} amplifies errors ({size}), also those of the rounding to float32: digits and "
                 "noise are those of exact arithmetic, and an episode may have others"
             )
         if self.loop.is_large:
@@ -563,6 +571,12 @@ def _scenario_notes(world: World, faults: _ChannelFaults) -> Iterator[str]:
         yield "the players' clocks disagree; the predictions are for clocks that are right"
     if world.clock.shortfall > SHORTFALL_WARNING:
         yield f"the last step ends {world.clock.shortfall:.2%} of T short of the deadline; raise s_end to come closer"
+
+
+def _smallest(margins: Iterable[float | None]) -> float | None:
+    """The smallest; ``None`` when one of them is ``None``."""
+    found = list(margins)
+    return None if None in found else min(margin for margin in found if margin is not None)
 
 
 def _describe(spec: FactorySpec) -> str:

@@ -70,18 +70,22 @@ class SampledLoop:
         """Whether the law reads the length of its step, so that every step has a loop of its own."""
         return len(self.loops) > len(self.per_mode)
 
-    def step_margin(self) -> float | None:
+    def step_margin(self, *, hold: bool = False) -> float | None:
         """Factor by which the steps to T may grow, at constant M, until they amplify some error.
 
         The smallest over the modes against the longest step; for a law that reads its step, the smallest over the
         steps. ``None`` when some M amplifies errors in every step.
+
+        Args:
+            hold: count the steps of the hold phase too.
         """
         stable = [largest_stable_step(loop.matrix) for loop in self.loops]
         if any(step is None for step in stable):
             return None
-        limits, steps = np.array(stable, dtype=np.float64), self.steps[: self.deadline_step]
+        last = len(self.steps) if hold else self.deadline_step
+        limits, steps = np.array(stable, dtype=np.float64), self.steps[:last]
         if self.reads_step:
-            return float((limits[self.index[: self.deadline_step]] / steps).min())
+            return float((limits[self.index[:last]] / steps).min())
         return float(limits.min() / steps.max())
 
     def rate(self, world: World) -> float:
@@ -121,10 +125,10 @@ class SampledLoop:
         return result
 
     def transition(self) -> FloatArray:
-        """Φ = Π (I − h_k M_k) over all K+H steps, shape (Nn, Nn); not finite where it overflows."""
-        matrices = [loop.matrix for loop in self.loops]
+        """Φ = Π (I − h_k M_k) over the K steps to T, shape (Nn, Nn); not finite where it overflows."""
+        matrices, steps = [loop.matrix for loop in self.loops], self.deadline_step
         result = np.eye(len(matrices[0]))
-        for mode, step in zip(self.index, self.steps, strict=True):
+        for mode, step in zip(self.index[:steps], self.steps[:steps], strict=True):
             result = result - step * (matrices[mode] @ result)
             if not np.all(np.abs(result) < _OVERFLOW):
                 return np.full_like(result, np.inf)
