@@ -141,9 +141,9 @@ def check_time_transformation(transformation: TimeTransformation) -> float:
     """Check the conditions of Lemma 1 (eq. TFcondition), and that λ, λ' and λ^{-1} are consistent.
 
     (7a), (7b) and the inverse are checked on a grid that ends where λ is within 1e-7 T of T, or at s = 6. The limits
-    (7c) are extrapolated from s = e^u − 1 with u = ½, 1, 2, …, 512 by Aitken's Δ² process, which suffices for a λ as slow
-    as T (1 − 1/(1 + ln(1 + s))^p). Values that overflow has spoiled do not count, such as those of s/√(1 + s²) from
-    where s² overflows.
+    (7c) are extrapolated from s = e^u − 1 with u = ½, 1, 2, …, 512 by Aitken's Δ² process, which suffices for a λ as
+    slow as T (1 − 1/(1 + ln(1 + s))^p). Values that overflow has spoiled do not count, such as those of s/√(1 + s²)
+    from where s² overflows.
 
     Returns:
         The extrapolated limit of 1 − λ(s)/T as s → ∞, 0 up to rounding and extrapolation.

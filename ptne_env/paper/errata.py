@@ -303,7 +303,7 @@ def _spurious_deadline(experiments: Experiments) -> Claim:
         "both bounds carry a factor T, which does not belong there; without it they hold",
         "states reach more than 0.5 of both bounds without T, so for T = 0.5 s the printed ones fail, and none exceeds "
         "them",
-        0.5 < min(first, second) and max(first, second) <= 1 + 1e-9,
+        min(first, second) > 0.5 and max(first, second) <= 1 + 1e-9,
         f"the largest ratios of the left side to the bound without T are {first:.3f} and {second:.3f}",
         largest_ratio_20=first,
         largest_ratio_21=second,
@@ -325,7 +325,7 @@ def _missing_minus(experiments: Experiments) -> Claim:
     return decided(
         "Erratum 5g, (43)",
         "the first line lacks the minus before θ(s) Σ (ψ^i − x*)ᵀ R_iᵀ [∇_i J_i(ψ^i) − ∇_i J_i(x*)]; the next has it",
-        "along the adaptive run dW/dτ is the line with the minus to 2 %, and differs from the printed line by over 10 %",
+        "along the adaptive run dW/dτ is the line with the minus to 2 %, and is off the printed line by over 10 %",
         abs(measured / right - 1) <= 0.02 and abs(measured / printed - 1) > 0.1,
         f"at τ = {tau[at]:.2f} dW/dτ = {measured:.4g}; with the minus {right:.4g}, as printed {printed:.4g}",
         measured=measured,

@@ -118,8 +118,8 @@ class Certificate:
         algebraic_connectivity: smallest λ2 over the modes of the topology.
         condition: the condition of the law's own theorem on the scenario (sufficient for convergence, not necessary);
             ``None`` for a law without a theorem.
-        guaranteed_rate: λ_min(O/2) of the proof of Theorem 1, a lower bound of the rate; ``None`` unless the paper's gain
-            condition holds for the static law or Corollary 1, on a fixed graph, in a linear loop.
+        guaranteed_rate: λ_min(O/2) of the proof of Theorem 1, a lower bound of the rate; ``None`` unless the paper's
+            gain condition holds for the static law or Corollary 1, on a fixed graph, in a linear loop.
         guaranteed_digits: a lower bound of ``digits_sampled``, from the same constants and the distance of the start
             alone; ``None`` likewise.
         clock: ``"effective"``, or ``"physical"`` for a law that undoes the time gain.
@@ -138,9 +138,10 @@ class Certificate:
             on the physical clock).
         digits_sampled: digits that the sampled loop, the product of (I − Θ_k M_k), has from the scenario's start over
             perfect links: −log10 ‖**x** − 1⊗x*‖/(√N ‖x*‖); ``None`` when the loop is not linear.
-        digits_are_exact: whether an episode has these digits, up to 12 of them: ``step_margin``, with the hold phase, is
-            above 1, and the start asks for no input above the limit. Otherwise they are those of exact arithmetic without limits, and
-            ``notes`` gives the reason. The same holds of ``digits_after_hold`` and ``worst_digits_gained``.
+        digits_are_exact: whether an episode has these digits, up to 12 of them: ``step_margin``, with the hold phase,
+            is above 1, and the start asks for no input above the limit. Otherwise they are those of exact arithmetic
+            without limits, and ``notes`` gives the reason. The same holds of ``digits_after_hold`` and
+            ``worst_digits_gained``.
         digits_after_hold: the same after the hold phase; ``None`` also where there is none.
         worst_digits_gained: −log10 ‖Π (I − Θ_k M_k)‖₂, the digits gained by T from the worst start; ``None`` when the
             loop is not linear, gains adapt, or there are more than 600 estimates.
@@ -478,20 +479,7 @@ class _Prediction:
             )
         if path is not None and not np.isfinite(path[world.clock.steps]).all():
             yield "the sampled loop diverges from this start before T: the steps are too long for the law"
-        if path is not None and self.amplifies:
-            longest = self.margin_to_the_end
-            size = "no step is stable" if longest is None else f"{1 / longest:.3g} times the largest stable step"
-            phase = " of the hold phase" if self.margin is not None and self.margin > 1 else ""
-            yield (
-                f"the largest step{phase} amplifies errors ({size}), also those of the rounding to float32: digits and "
-                "noise are those of exact arithmetic, and an episode may have others"
-            )
-        if self.loop.is_large:
-            yield (
-                f"{len(self.start)} estimates are too many for products of all steps: the rate of the sampled loop, the "
-                "worst start and noise are left out, and delays are tried up to "
-                f"{delays_tried(self.loop.per_mode[0], sys.maxsize)} steps"
-            )
+        yield from self._size_notes()
         if self.loop.reads_step:
             yield (
                 "the law reads the length of its step: the rate is that of its last step, the margin that of the worst "
@@ -504,6 +492,23 @@ class _Prediction:
             )
         if world.start.is_random and path is not None:
             yield "the start is random: the sampled digits are those of one draw, with seed 0"
+
+    def _size_notes(self) -> Iterator[str]:
+        """Limits that follow from the length of the steps and the number of estimates."""
+        if self.path is not None and self.amplifies:
+            longest = self.margin_to_the_end
+            size = "no step is stable" if longest is None else f"{1 / longest:.3g} times the largest stable step"
+            phase = " of the hold phase" if self.margin is not None and self.margin > 1 else ""
+            yield (
+                f"the largest step{phase} amplifies errors ({size}), also those of the rounding to float32: digits and "
+                "noise are those of exact arithmetic, and an episode may have others"
+            )
+        if self.loop.is_large:
+            tried = delays_tried(self.loop.per_mode[0], sys.maxsize)
+            yield (
+                f"{len(self.start)} estimates are too many for products of all steps: the rate of the sampled loop, "
+                f"the worst start and noise are left out, and delays are tried up to {tried} steps"
+            )
 
     def _frozen_gains(self) -> Iterator[FrozenGains]:
         for instant, loop in self.loops.items():

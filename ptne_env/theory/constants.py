@@ -11,7 +11,7 @@ from ptne_env.arrays import FloatArray, require_count, require_positive
 from ptne_env.games import Game
 
 ZERO = 1e-10
-"""Below this fraction of a matrix's Frobenius norm a number counts as zero: kernels of disconnected graphs are rounding."""
+"""Below this fraction of a matrix's norm a number counts as zero: kernels of disconnected graphs are rounding."""
 
 
 @dataclass(frozen=True)

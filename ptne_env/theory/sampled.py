@@ -137,10 +137,10 @@ class SampledLoop:
     def noise_covariance(self, noise_std: float = 1.0) -> FloatArray:
         """Covariance of the error at T that additive noise on every message causes; the mean follows :meth:`errors`.
 
-        P = Σ h_k² σ² Ψ_k W_k Ψ_kᵀ with Ψ_k the product of the steps after k to T, and W_k the covariance of u for noise of
-        variance 1: exact for affine F and a law at constant gains. A sum of squares, from the last step backwards: the
-        recursion P_{k+1} = (I − h_k M_k) P_k (I − h_k M_k)ᵀ + h_k² σ² W_k is the same, but where early steps amplify
-        an error, and later steps damp it, rounding makes its variances negative.
+        P = Σ h_k² σ² Ψ_k W_k Ψ_kᵀ with Ψ_k the product of the steps after k to T, and W_k the covariance of u for noise
+        of variance 1: exact for affine F and a law at constant gains. The sum runs from the last step backwards. The
+        recursion P_{k+1} = (I − h_k M_k) P_k (I − h_k M_k)ᵀ + h_k² σ² W_k has the same result, but rounding makes its
+        variances negative where early steps amplify an error and later steps damp it.
 
         Args:
             noise_std: σ of the noise on each component of each message, independent per directed link and step.
@@ -197,8 +197,8 @@ def sampled_loop(world: World, law: Law, memory: Any = None) -> SampledLoop:
     kinds, index = np.unique(np.stack([modes, theta, dt]), axis=1, return_inverse=True)
     if kinds.shape[1] * loops[0].matrix.size > _LARGEST_LOOPS:
         raise NoClosedLoopError(
-            f"{type(law).__name__} reads its step, so it has {kinds.shape[1]} loops of {len(loops[0].matrix)} estimates, "
-            "which are too many"
+            f"{type(law).__name__} reads its step and so has {kinds.shape[1]} loops, too many for "
+            f"{len(loops[0].matrix)} estimates"
         )
     loops = tuple(loop(int(mode), float(theta), float(dt)) for mode, theta, dt in kinds.T)
     last = clock.steps - 1

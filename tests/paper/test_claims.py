@@ -162,7 +162,7 @@ def test_erratum_5_misprints(claims):
 
 def test_erratum_5_misprints_of_the_proofs(claims):
     deadline = claims["Erratum 5f, (20) and (21)"].measured
-    assert deadline["largest_ratio_20"] == pytest.approx(math.sqrt(1 - 1 / 5))  # an own estimate lacks its share of the mean
+    assert deadline["largest_ratio_20"] == pytest.approx(math.sqrt(0.8))  # a strategy less its mean share
     assert deadline["largest_ratio_21"] == pytest.approx(0.905, abs=1e-3)
     minus = claims["Erratum 5g, (43)"].measured
     assert minus["measured"] == pytest.approx(minus["with_minus"], rel=1e-3)

@@ -53,7 +53,8 @@ def random_scenario(seed):
     law = FactorySpec.of(f"ptne_env.laws:{name}", **arguments)
     kind = str(generator.choice(["exponential", "rational", "tanh"]))
     spacing = str(generator.choice(["effective", "transformed", "physical"]))
-    gain = float(generator.choice([0.0, generator.uniform(0.0, 3.0), generator.uniform(3.0, 25.0)], p=[0.1, 0.45, 0.45]))
+    gains = [0.0, generator.uniform(0.0, 3.0), generator.uniform(3.0, 25.0)]
+    gain = float(generator.choice(gains, p=[0.1, 0.45, 0.45]))
     scenario = Scenario(
         name=f"random-{seed}",
         game=random_game(generator, players, skew=3.0, epsilon=(0.1, 2.0), spread=(0.3, 4.0)),

@@ -1,4 +1,4 @@
-"""Inequality (24) of the proof of Theorem 1, eᵀ M e ≥ (a, b) O/2 (a, b)ᵀ with a and b the mean part and the rest of e."""
+"""Inequality (24) of the proof of Theorem 1: eᵀ M e ≥ (a, b) O/2 (a, b)ᵀ, a and b the norms of two parts of e."""
 
 import numpy as np
 import pytest
