@@ -88,8 +88,8 @@ class DelayPrediction:
         bound: a sufficient bound in steps, of first order; ``None`` as the margin.
         steps: the delay of the prediction.
         digits: ``digits_sampled`` under that delay; ``None`` when F is not affine or gains adapt.
-        digits_are_exact: whether an episode under that delay has these digits: ``digits_are_exact`` of the certificate
-            holds, and the loop is shown to be stable under it.
+        digits_are_exact: whether an episode under that delay has these digits: all that ``digits_are_exact`` of the
+            certificate asks for holds, apart from the delay, and the loop is shown to be stable under it.
     """
 
     margin: int | None
@@ -139,9 +139,9 @@ class Certificate:
         digits_sampled: digits that the sampled loop, the product of (I − Θ_k M_k), has from the scenario's start over
             perfect links: −log10 ‖**x** − 1⊗x*‖/(√N ‖x*‖); ``None`` when the loop is not linear.
         digits_are_exact: whether an episode has these digits, up to 12 of them: ``step_margin``, with the hold phase,
-            is above 1, and the start asks for no input above the limit. Otherwise they are those of exact arithmetic
-            without limits, and ``notes`` gives the reason. The same holds of ``digits_after_hold`` and
-            ``worst_digits_gained``.
+            is above 1, the start asks for no input above the limit, and the scenario has no faulty links, disturbance
+            or clocks that disagree. Otherwise they are those of exact arithmetic without limits and faults, and
+            ``notes`` gives the reason. The same holds of ``digits_after_hold`` and ``worst_digits_gained``.
         digits_after_hold: the same after the hold phase; ``None`` also where there is none.
         worst_digits_gained: −log10 ‖Π (I − Θ_k M_k)‖₂, the digits gained by T from the worst start; ``None`` when the
             loop is not linear, gains adapt, or there are more than 600 estimates.
@@ -385,9 +385,17 @@ class _Prediction:
         return self.peak_input > self.world.scenario.input_limit
 
     @property
+    def would_be_exact(self) -> bool:
+        """Whether an episode has the digits of the path, if no message were late."""
+        world, faults = self.world, _ChannelFaults.of(self.world.channel)
+        disturbed = not world.disturbance.is_absent or any(world.scenario.clock_shifts)
+        faulty = disturbed or faults.noise_std > 0 or bool(faults.others)
+        return self.path is not None and not (self.amplifies or self.saturates or faulty)
+
+    @property
     def digits_are_exact(self) -> bool:
         """Whether an episode has the digits of the path."""
-        return self.path is not None and not self.amplifies and not self.saturates
+        return self.would_be_exact and _ChannelFaults.of(self.world.channel).delay_steps == 0
 
     def digits(self, errors: FloatArray) -> float:
         return _digits(distance(errors, self.world.game))
@@ -443,7 +451,7 @@ class _Prediction:
         if self.has_one_recursion:
             digits = self.digits(loop.errors(self.start, steps)[loop.deadline_step])
         if not self.world.topology.is_fixed:
-            exact = steps == 0 and self.digits_are_exact
+            exact = steps == 0 and self.would_be_exact
             return DelayPrediction(None, 0, False, None, steps, digits, exact)  # noqa: FBT003 - in order
         longest = int(loop.steps[: loop.deadline_step].argmax())
         step, slowest = float(loop.steps[longest]), loop.loops[int(loop.index[longest])]
@@ -456,7 +464,7 @@ class _Prediction:
             bound=None if bound is None else bound / step,
             steps=steps,
             digits=digits,
-            digits_are_exact=self.digits_are_exact and (always or (margin is not None and steps <= margin)),
+            digits_are_exact=self.would_be_exact and (always or (margin is not None and steps <= margin)),
         )
 
     def notes(self) -> Iterator[str]:
@@ -485,7 +493,7 @@ class _Prediction:
                 "the law reads the length of its step: the rate is that of its last step, the margin that of the worst "
                 "of its steps, with the law as it acts there; whether g(t) u stays bounded is not decided"
             )
-        yield from _topology_notes(world.topology)
+        yield from _topology_notes(world.topology, self.loop.clock)
         if self.saturates:
             yield (
                 f"the start asks for |u| = {self.peak_input:.4g}, above the input limit, which the prediction ignores"
@@ -542,17 +550,25 @@ def _guarantee(certificate: Certificate, prediction: _Prediction) -> dict[str, A
     return {"guaranteed_rate": rate, "guaranteed_digits": prediction.digits(prediction.start) + float(gained)}
 
 
-def _topology_notes(topology: SwitchingTopology) -> Iterator[str]:
+def _topology_notes(topology: SwitchingTopology, clock: LoopClock) -> Iterator[str]:
+    if topology.is_fixed:
+        return
+    switches = math.isfinite(topology.mean_dwell)
+    loop_follows = (clock == "effective") == (topology.clock == "transformed")
     if topology.is_random:
         yield "the topology is random: the sampled digits are those of one draw, with seed 0"
-        if topology.clock == "physical":
-            yield "the rate is the smallest over the modes, as any of them may be the last before T"
-        else:
+        if not switches:
+            yield "the rate is the smallest over the modes, of which an episode draws one"
+        elif loop_follows:
             yield "the rate is estimated from one draw of 2000 dwells"
-    if not topology.is_fixed:
+        elif clock == "effective":
+            yield "the rate is the smallest over the modes, as any of them may be the last before T"
+    if switches and clock == "effective":
+        yield "the topology switches: the rate is that of the limit t → T and says little about the time before"
+    if switches:
         yield (
-            "the topology switches: the rate is that of the limit t → T and says little about the time before, and the "
-            "largest stable step is the smallest over the modes, which does not prove that their products are stable"
+            "the topology switches: the largest stable step is the smallest over the modes, which does not prove that "
+            "their products are stable"
         )
 
 

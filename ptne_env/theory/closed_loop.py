@@ -222,12 +222,12 @@ def decay_rate(matrices: Sequence[FloatArray], topology: SwitchingTopology, dead
 def decay_rate_in_time(matrices: Sequence[FloatArray], topology: SwitchingTopology) -> float:
     """The rate r with which the error of dx/dt = −M x, a law without the time gain, decays like e^{−r t}.
 
-    A fixed graph gives the spectral abscissa, a topology on the physical clock the Floquet rate (a random one its
-    Lyapunov exponent), and one on the transformed clock, which switches ever faster in t, the spectral abscissa of the
-    mean of M.
+    A fixed graph gives the spectral abscissa, and a graph that an episode draws the smallest over the modes. A topology
+    on the physical clock gives the Floquet rate (a random one its Lyapunov exponent), and one on the transformed clock,
+    which switches ever faster in t, the spectral abscissa of the mean of M.
     """
-    if topology.is_fixed:
-        return spectral_abscissa(matrices[0])
+    if math.isinf(topology.mean_dwell):
+        return min(map(spectral_abscissa, matrices))
     if topology.clock == "physical":
         return _switching_rate(matrices, topology)
     return spectral_abscissa(np.average(matrices, axis=0, weights=_shares(topology)))
