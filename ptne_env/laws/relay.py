@@ -26,11 +26,17 @@ _RESTLESS = 30
 _SIGNAL = 8.0
 """A difference to the neighbours above this many times their smallest change is no noise."""
 
-_FORGETTING = 3.0
+_FORGETTING = 2.0
 """p ≥ 1 of the weights p/(p + k) of an average over k steps: larger numbers forget the first ones faster."""
 
 _SHORTEST = 1e-3
 """Smallest radius of the trust region, relative to the largest own estimate."""
+
+_HELD = 0.1
+"""A component that moved less than this share of the displacement that it was asked for is held by a bound."""
+
+_RESOLVED = 1e-6
+"""Smallest displacement, relative to the largest own estimates, at which that is judged."""
 
 _UNLIMITED = 1e6
 """A distance beyond all estimates."""
@@ -76,22 +82,23 @@ def copies(
     change = np.abs(np.where(both[:, :, None], messages - memory["messages"], 0.0)).max(axis=(1, 2))[:, None]
     change = np.where(both.any(axis=1, keepdims=True), change, np.inf)
     least, mark, restless = np.minimum(memory["least"], change), memory["mark"], memory["restless"]
-    halved = least <= mark / 2
+    is_noise = restless > _RESTLESS
+    calmer = least <= mark / np.where(is_noise, _SIGNAL, 2.0)
     is_signal = np.abs(mean).max(axis=1, keepdims=True) > _SIGNAL * least
-    restless = np.where(halved | is_signal, 0.0, restless + 1)
-    weight = _FORGETTING / (_FORGETTING + np.maximum(restless - _RESTLESS, 0.0))
+    restless = np.where(calmer | is_signal, 0.0, restless + 1)
+    weight = np.where(restless > _RESTLESS, _FORGETTING / (_FORGETTING + restless), 1.0)
     return weight * mean, {
         "heard": heard,
         "live": live.astype(np.float64),
         "messages": messages,
         "least": least,
-        "mark": np.where(halved, least, mark),
+        "mark": np.where(calmer, least, mark),
         "restless": restless,
     }
 
 
 def best_response(
-    model: Model, gradient: FloatArray, drift: FloatArray, blocks: IntArray, radius: FloatArray
+    model: Model, gradient: FloatArray, drift: FloatArray, blocks: IntArray, held: BoolArray, radius: FloatArray
 ) -> FloatArray:
     """Δx_i = −D⁻¹ (∂J_i/∂x_i + G_{i,−i} Δx_{−i}) from the identified row G, shape (R, m).
 
@@ -105,6 +112,7 @@ def best_response(
         gradient: ∂J_i/∂x_i(x^i), 0 where padded, shape (R, m).
         drift: Δx_{−i}, 0 for own components, shape (R, n).
         blocks: own components, padded with n, shape (R, m).
+        held: whether a bound holds an own component, which then moves alone, shape (R, m).
         radius: largest |Δx_i|, shape (R, 1).
     """
     rows, outputs, regressors = model.rows.shape
@@ -121,9 +129,8 @@ def best_response(
         beside = np.abs(model.rows)
         coupling = np.add.reduce(beside, axis=2) - np.add.reduce(np.abs(own) * ~padded[:, None, :], axis=2)
     own = np.where(padded[:, :, None] | padded[:, None, :], np.eye(outputs), (own + own.swapaxes(1, 2)) / 2)
-    variance = np.where(padded, 0.0, np.einsum("rmm->rm", covariance)).max(axis=1, keepdims=True)
-    doubt = _MARGIN * np.sqrt(np.maximum(variance, 0.0))
-    curvature, vectors = np.linalg.eigh(own)
+    curvature, vectors = np.linalg.eigh(np.where(held[:, :, None] | held[:, None, :], own * np.eye(outputs), own))
+    doubt = _MARGIN * np.sqrt(np.maximum(np.einsum("rba,rbc,rca->ra", vectors, covariance, vectors), 0.0))
     curvature = np.maximum(curvature, np.where(curvature > doubt, 0.0, np.maximum(np.abs(curvature) + doubt, 1.0)))
     curvature = np.maximum(curvature, coupling.max(axis=1, keepdims=True))
     step = -np.einsum("rab,rb->ra", vectors, np.einsum("rba,rb->ra", vectors, wanted) / curvature)
@@ -179,12 +186,16 @@ def relay_displacement(
     radius = np.where(is_bad, length / 2, np.maximum(memory["radius"], 2 * length))
     radius = np.maximum(radius, _SHORTEST * _largest(estimate))
 
+    asked = memory["asked"]
+    held = (np.abs(own_moved) < _HELD * np.abs(asked)) & (np.abs(asked) > _RESOLVED * scale)
+
     step, outputs = memory["steps"], blocks.shape[1]
     is_probe = step < outputs
     drift, heard = copies(observation, memory, nearer)
     drift = np.where(is_probe | is_own, 0.0, drift)
-    own_step = best_response(model, gradient, drift, blocks, np.where(is_probe, _UNLIMITED, radius))
+    own_step = best_response(model, gradient, drift, blocks, held, np.where(is_probe, _UNLIMITED, radius))
     own_step = np.where(is_probe & (np.arange(outputs) != step), 0.0, own_step)
+    reach = layout.action_bound * observation.theta
     targets = np.concatenate([drift, np.zeros((len(drift), 1))], axis=1)  # one column more, into which padding falls
     np.put_along_axis(targets, blocks, own_step, axis=1)
     return targets[:, :-1], {
@@ -192,6 +203,7 @@ def relay_displacement(
         "covariance": model.covariance,
         "estimate": estimate,
         "gradient": gradient,
+        "asked": np.clip(own_step, -reach, reach),
         "radius": radius,
         "steps": step + 1,
         **heard,
@@ -229,6 +241,7 @@ class Relay(Law):
                 "covariance": (regressors, regressors),
                 "estimate": (dimension,),
                 "gradient": (outputs,),
+                "asked": (outputs,),
                 "radius": (1,),
                 "steps": (1,),
                 "heard": (slots,),
