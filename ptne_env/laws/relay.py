@@ -38,7 +38,7 @@ _HELD = 0.1
 _RESOLVED = 1e-6
 """Smallest displacement, relative to the largest own estimates, at which that is judged."""
 
-_UNLIMITED = 1e6
+UNLIMITED = 1e6
 """A distance beyond all estimates."""
 
 LARGEST_ROW = 64
@@ -193,7 +193,7 @@ def relay_displacement(
     is_probe = step < outputs
     drift, heard = copies(observation, memory, nearer)
     drift = np.where(is_probe | is_own, 0.0, drift)
-    own_step = best_response(model, gradient, drift, blocks, held, np.where(is_probe, _UNLIMITED, radius))
+    own_step = best_response(model, gradient, drift, blocks, held, np.where(is_probe, UNLIMITED, radius))
     own_step = np.where(is_probe & (np.arange(outputs) != step), 0.0, own_step)
     reach = layout.action_bound * observation.theta
     targets = np.concatenate([drift, np.zeros((len(drift), 1))], axis=1)  # one column more, into which padding falls
@@ -205,6 +205,7 @@ def relay_displacement(
         "gradient": gradient,
         "asked": np.clip(own_step, -reach, reach),
         "radius": radius,
+        "failed": failed.astype(np.float64),
         "steps": step + 1,
         **heard,
     }
@@ -233,32 +234,35 @@ class Relay(Law):
         super().__init__(layout)
         self.spread = require_positive("spread", spread)
         self.nearer = nearer_slots(layout)
-        outputs, dimension, slots = max(layout.action_dims), layout.dimension, layout.slots
+        self.parts = Parts(self._shapes())
+
+    def _shapes(self) -> dict[str, tuple[int, ...]]:
+        """Shapes of the parts of the memory."""
+        outputs, dimension, slots = max(self.layout.action_dims), self.layout.dimension, self.layout.slots
         regressors = dimension if dimension <= LARGEST_ROW else outputs
-        self.parts = Parts(
-            {
-                "rows": (outputs, regressors),
-                "covariance": (regressors, regressors),
-                "estimate": (dimension,),
-                "gradient": (outputs,),
-                "asked": (outputs,),
-                "radius": (1,),
-                "steps": (1,),
-                "heard": (slots,),
-                "live": (slots,),
-                "messages": (slots, dimension),
-                "least": (1,),
-                "mark": (1,),
-                "restless": (1,),
-            }
-        )
+        return {
+            "rows": (outputs, regressors),
+            "covariance": (regressors, regressors),
+            "estimate": (dimension,),
+            "gradient": (outputs,),
+            "asked": (outputs,),
+            "radius": (1,),
+            "failed": (1,),
+            "steps": (1,),
+            "heard": (slots,),
+            "live": (slots,),
+            "messages": (slots, dimension),
+            "least": (1,),
+            "mark": (1,),
+            "restless": (1,),
+        }
 
     def initial_memory(self, rows: int) -> FloatArray:
         """A model of zeros with the standard deviation ``spread``, and nothing heard; shape (R, size)."""
         parts = self.parts.zeros(rows)
         parts["covariance"] += self.spread**2 * np.eye(parts["covariance"].shape[1])
-        parts["least"] += _UNLIMITED
-        parts["mark"] += _UNLIMITED
+        parts["least"] += UNLIMITED
+        parts["mark"] += UNLIMITED
         return self.parts.join(parts)
 
     def inputs(self, observation: Observation, memory: FloatArray) -> tuple[FloatArray, FloatArray]:
