@@ -214,6 +214,9 @@ POLICIES: Mapping[str, PolicySpec] = {
         PolicySpec("extremum-seeking", FactorySpec.of(f"{_LAWS}ExtremumSeeking", amplitude=1.0, gain=0.2)),
         PolicySpec("locally-implicit", FactorySpec.of(f"{_LAWS}LocallyImplicit", kappa=2.0, curvature=5.0)),
         PolicySpec("capped-gain", FactorySpec.of(f"{_LAWS}CappedGain", kappa=2.0, largest_gain=200.0)),
+        PolicySpec("routed", FactorySpec.of(f"{_LAWS}Routed", step=0.3)),
+        PolicySpec("routed-unknown", FactorySpec.of(f"{_LAWS}RoutedUnknown", step=0.3)),
+        PolicySpec("freshest", FactorySpec.of(f"{_LAWS}Freshest", step=0.3)),
         PolicySpec("best-response-oracle", FactorySpec.of(f"{_LAWS}BestResponseOracle", relaxation=1.0)),
         PolicySpec("fixed-time-oracle", FactorySpec.of(f"{_LAWS}FixedTimeOracle", gain=1.0, largest_step=0.3)),
         PolicySpec(
