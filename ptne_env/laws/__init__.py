@@ -15,6 +15,9 @@ from ptne_env.laws.oracles import BestResponseOracle as BestResponseOracle
 from ptne_env.laws.oracles import CentralisedOracle as CentralisedOracle
 from ptne_env.laws.oracles import FixedTimeOracle as FixedTimeOracle
 from ptne_env.laws.oracles import NodeAdaptiveOracle as NodeAdaptiveOracle
+from ptne_env.laws.routed import Freshest as Freshest
+from ptne_env.laws.routed import Routed as Routed
+from ptne_env.laws.routed import RoutedUnknown as RoutedUnknown
 from ptne_env.laws.static import CorollaryOne as CorollaryOne
 from ptne_env.laws.static import FixedGain as FixedGain
 from ptne_env.laws.static import Static as Static
