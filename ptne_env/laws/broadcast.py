@@ -135,8 +135,8 @@ class IdentifyAndBroadcast(Relay):
         }
 
     def inputs(self, observation: Observation, memory: FloatArray) -> tuple[FloatArray, FloatArray]:
-        parts = self.parts.split(memory)
-        displacement, fresh = relay_displacement(observation, parts, self.layout, self.nearer, self.spread)
+        parts = self._parts.split(memory)
+        displacement, fresh = relay_displacement(observation, parts, self.layout, self._nearer, self.spread)
         if self.is_coded:
             coded, own_parts = self._coded(observation, parts, fresh)
             fresh |= own_parts
@@ -148,7 +148,7 @@ class IdentifyAndBroadcast(Relay):
             fresh["asked"] = np.take_along_axis(asked, blocks, axis=1)
             calm = {"least": UNLIMITED, "mark": UNLIMITED, "restless": 0.0}  # codes are no noise
             fresh |= {name: np.where(is_relay, fresh[name], value) for name, value in calm.items()}
-        return per_step(displacement, observation), self.parts.join(fresh)
+        return per_step(displacement, observation), self._parts.join(fresh)
 
     def _coded(
         self, observation: Observation, parts: Mapping[str, FloatArray], relay: Mapping[str, FloatArray]
@@ -262,7 +262,7 @@ class IdentifyAndBroadcast(Relay):
         offered = is_flag & speaks[:, :, None]
         drift = np.einsum("rcm,rdm->rdc", equations[:, :, :n], parts["at_rest"])
         offers = sent - limit - drift
-        nearer = self.nearer[observation.player]
+        nearer = self._nearer[observation.player]
         wanted = offered & (nearer | (has == 0)[:, None]) & ~is_own[:, None]
         rank = np.where(wanted, 1 + nearer, 0)
         chosen = rank.argmax(axis=1)[:, None]

@@ -6,13 +6,13 @@ from collections.abc import Mapping
 from typing import ClassVar
 
 import numpy as np
-from scipy.sparse.csgraph import shortest_path
 
 from ptne_env.arrays import BoolArray, FloatArray, IntArray, require_positive
 from ptne_env.laws.base import Law, per_step
 from ptne_env.laws.identification import RESOLUTION, Model, blank, identify
 from ptne_env.laws.memory import Parts
-from ptne_env.observation import Observation, ObservationLayout
+from ptne_env.laws.routed import nearer_slots
+from ptne_env.observation import Interface, Observation, ObservationLayout
 
 _MARGIN = 3.0
 """Standard deviations by which a curvature exceeds 0 where it is certain."""
@@ -45,47 +45,65 @@ LARGEST_ROW = 64
 """Largest n for which whole rows of dF are identified, which takes n² numbers per player; else own blocks alone."""
 
 
-def nearer_slots(layout: ObservationLayout) -> BoolArray:
-    """Whether the neighbour in slot d of player i is nearer than i to the owner of component c, shape (N, D, n).
+def own_entries(array: FloatArray, places: IntArray) -> FloatArray:
+    """The entries of own components, (R, q) to (R, m), 0 where ``places`` (R, m) is padded with q."""
+    return np.where(places == array.shape[1], 0.0, np.take_along_axis(array, _inside(places, array), axis=1))
 
-    Distances are hop counts on the graph of all neighbours that the layout names.
-    """
-    neighbours, players = np.array(layout.neighbours), np.arange(layout.num_players)
-    adjacency = np.zeros((len(players), len(players)))
-    adjacency[players[:, None], neighbours] = 1.0
-    hops = shortest_path(adjacency * (1 - np.eye(len(players))), unweighted=True)
-    owners = np.repeat(players, layout.action_dims)
-    return hops[neighbours][:, :, owners] < hops[:, None, owners]
+
+def own_block(rows: FloatArray, places: IntArray) -> FloatArray:
+    """G_ii of rows (R, m, q), with 1 on the diagonal where ``places`` (R, m) is padded with q: (R, m, m)."""
+    padded = places == rows.shape[2]
+    own = np.take_along_axis(rows, _inside(places, rows)[:, None, :], axis=2)
+    return np.where(padded[:, :, None] | padded[:, None, :], np.eye(places.shape[1]), own)
+
+
+def with_own(array: FloatArray, own: FloatArray, blocks: IntArray) -> FloatArray:
+    """``array`` (R, n, ...) with ``own`` (R, m, ...) in the places ``blocks`` (R, m) of the own components."""
+    wider = np.concatenate([array, np.zeros_like(array[:, :1])], axis=1)  # one place more, into which padding falls
+    np.put_along_axis(wider, blocks.reshape(*blocks.shape, *(1,) * (own.ndim - 2)), own, axis=1)
+    return wider[:, :-1]
+
+
+def _inside(places: IntArray, array: FloatArray) -> IntArray:
+    """``places`` with padding replaced by the last place of the last axis."""
+    return np.minimum(places, array.shape[-1] - 1)
+
+
+def _largest(array: FloatArray) -> FloatArray:
+    """The largest |entry| of each row, (R, k) to (R, 1)."""
+    return np.abs(array).max(axis=1, keepdims=True)
 
 
 def copies(
-    observation: Observation, memory: Mapping[str, FloatArray], nearer: BoolArray
+    observation: Observation, memory: Mapping[str, FloatArray], sources: BoolArray
 ) -> tuple[FloatArray, dict[str, FloatArray]]:
-    """w_k × mean over the live nearer neighbours j of (x^j_c − x^i_c): the displacements (R, n), and memory.
+    """w_k × mean of (x^j_c − x^i_c) over the live sources j of component c: the displacements (R, n), and the memory.
 
-    A component of whose nearer neighbours none was ever heard of takes the mean over all live neighbours.
+    A component of which no source was ever heard takes the mean over all live neighbours.
 
-    The weight w_k is 1 until messages show noise: they never come to rest. Where the smallest change of messages from
-    step to step, σ, has not halved for 30 steps, w_k = p/(p + k) averages over the k steps since, until a difference
-    of more than 8 σ starts it again.
+    The weight w_k is 1 until messages show noise, which never comes to rest. Where the smallest change of messages
+    from step to step, σ, has not halved for 30 steps, w_k = p/(p + k) averages over the k steps since. A difference
+    above 8 σ is no noise, and starts the count again; so does an eighth of the σ at which it began.
+
+    Args:
+        observation: of R players.
+        memory: the parts ``heard`` to ``restless`` of :class:`Relay`.
+        sources: from which neighbours each component is copied where they are live, shape (R, D, n).
     """
     live = observation.weights > 0
     heard = np.maximum(memory["heard"], live)
-    towards = nearer[observation.player]
-    lost = ~(towards & (heard > 0)[:, :, None]).any(axis=1, keepdims=True)
-    used = (towards | lost) & live[:, :, None]
-    relative = np.where(used, observation.relative_estimates, 0.0)
-    mean = np.add.reduce(relative, axis=1) / np.maximum(used.sum(axis=1), 1)
+    lost = ~(sources & (heard > 0)[:, :, None]).any(axis=1, keepdims=True)
+    used = (sources | lost) & live[:, :, None]
+    total = np.add.reduce(np.where(used, observation.relative_estimates, 0.0), axis=1)
+    mean = total / np.maximum(np.add.reduce(used, axis=1), 1)
 
     messages = observation.own_estimate[:, None] + observation.relative_estimates
-    both = live & (memory["live"] > 0)
-    change = np.abs(np.where(both[:, :, None], messages - memory["messages"], 0.0)).max(axis=(1, 2))[:, None]
-    change = np.where(both.any(axis=1, keepdims=True), change, np.inf)
+    lasts = live & (memory["live"] > 0)
+    change = np.where(lasts[:, :, None], np.abs(messages - memory["messages"]), 0.0).max(axis=2)
+    change = np.where(lasts.any(axis=1, keepdims=True), _largest(change), np.inf)
     least, mark, restless = np.minimum(memory["least"], change), memory["mark"], memory["restless"]
-    is_noise = restless > _RESTLESS
-    calmer = least <= mark / np.where(is_noise, _SIGNAL, 2.0)
-    is_signal = np.abs(mean).max(axis=1, keepdims=True) > _SIGNAL * least
-    restless = np.where(calmer | is_signal, 0.0, restless + 1)
+    calmer = least <= mark / np.where(restless > _RESTLESS, _SIGNAL, 2.0)
+    restless = np.where(calmer | (_largest(mean) > _SIGNAL * least), 0.0, restless + 1)
     weight = np.where(restless > _RESTLESS, _FORGETTING / (_FORGETTING + restless), 1.0)
     return weight * mean, {
         "heard": heard,
@@ -98,53 +116,44 @@ def copies(
 
 
 def best_response(
-    model: Model, gradient: FloatArray, drift: FloatArray, blocks: IntArray, held: BoolArray, radius: FloatArray
+    model: Model, gradient: FloatArray, drift: FloatArray, places: IntArray, held: BoolArray, radius: FloatArray
 ) -> FloatArray:
-    """Δx_i = −D⁻¹ (∂J_i/∂x_i + G_{i,−i} Δx_{−i}) from the identified row G, shape (R, m).
+    """Δx_i = −D⁻¹ (∂J_i/∂x_i + G_{i,−i} Δx_{−i}) with the identified rows G, shape (R, m).
 
-    D has the eigenvectors of the own block G_ii, and as eigenvalues those of G_ii, but at least the largest row sum
-    of |G_{i,−i}|: where the game is diagonally dominant, this is the best response to the estimates of the next
-    step, and elsewhere it is damped as far as needed for best responses of all players at once to converge. Where a
-    curvature is not certainly positive, D is at least 1 and three standard deviations: a gradient step.
+    D has the eigenvectors of the own block G_ii, and its eigenvalues or the largest row sum of |G_{i,−i}|, whichever is
+    larger. In a game that is diagonally dominant this is the best response to the estimates of the next step; in others
+    it is damped, because best responses of all players at once need not converge there. Where a curvature is not
+    certainly positive, it counts as the sum of its size and three standard deviations, at least 1: a gradient step.
 
     Args:
-        model: of whole rows (q = n), or own blocks (q = m).
+        model: the identified rows, with q regressors.
         gradient: ∂J_i/∂x_i(x^i), 0 where padded, shape (R, m).
-        drift: Δx_{−i}, 0 for own components, shape (R, n).
-        blocks: own components, padded with n, shape (R, m).
-        held: whether a bound holds an own component, which then moves alone, shape (R, m).
+        drift: Δx_{−i} of the regressors, 0 for own components, shape (R, q).
+        places: of own components among the regressors, padded with q, shape (R, m).
+        held: whether a bound holds an own component; the others then move as if it stayed, shape (R, m).
         radius: largest |Δx_i|, shape (R, 1).
     """
-    rows, outputs, regressors = model.rows.shape
-    padded = blocks == drift.shape[1]
-    wanted = gradient
-    if regressors == outputs:
-        own, covariance, coupling = model.rows, model.covariance, np.zeros((rows, outputs))
-    else:
-        safe = np.minimum(blocks, regressors - 1)
-        own = np.take_along_axis(model.rows, safe[:, None, :], axis=2)
-        covariance = np.take_along_axis(model.covariance, safe[:, :, None], axis=1)
-        covariance = np.take_along_axis(covariance, safe[:, None, :], axis=2)
-        wanted = gradient + np.einsum("rmq,rq->rm", model.rows, drift)
-        beside = np.abs(model.rows)
-        coupling = np.add.reduce(beside, axis=2) - np.add.reduce(np.abs(own) * ~padded[:, None, :], axis=2)
-    own = np.where(padded[:, :, None] | padded[:, None, :], np.eye(outputs), (own + own.swapaxes(1, 2)) / 2)
-    curvature, vectors = np.linalg.eigh(np.where(held[:, :, None] | held[:, None, :], own * np.eye(outputs), own))
-    doubt = _MARGIN * np.sqrt(np.maximum(np.einsum("rba,rbc,rca->ra", vectors, covariance, vectors), 0.0))
-    curvature = np.maximum(curvature, np.where(curvature > doubt, 0.0, np.maximum(np.abs(curvature) + doubt, 1.0)))
-    curvature = np.maximum(curvature, coupling.max(axis=1, keepdims=True))
+    rows, covariance = model
+    wanted = gradient + np.einsum("rmq,rq->rm", rows, drift)
+    own = own_block(rows, places)
+    beside = with_own(np.abs(rows).swapaxes(1, 2), np.zeros_like(own), places)
+    own = np.where(held[:, :, None] | held[:, None, :], own * np.eye(own.shape[1]), (own + own.swapaxes(1, 2)) / 2)
+    curvature, vectors = np.linalg.eigh(own)
+    directions = with_own(np.zeros_like(rows).swapaxes(1, 2), vectors, places)
+    doubt = _MARGIN * np.sqrt(np.maximum(np.einsum("rpa,rpq,rqa->ra", directions, covariance, directions), 0.0))
+    gradient_step = np.maximum(np.abs(curvature) + doubt, 1.0)
+    curvature = np.where(curvature > doubt, curvature, gradient_step)
+    curvature = np.maximum(curvature, np.add.reduce(beside, axis=1).max(axis=1, keepdims=True))
     step = -np.einsum("rab,rb->ra", vectors, np.einsum("rba,rb->ra", vectors, wanted) / curvature)
-    return _within(step, radius)
-
-
-def _within(step: FloatArray, radius: FloatArray) -> FloatArray:
-    """Steps (R, m), shortened to ``radius`` (R, 1) in their largest component."""
-    size = np.abs(step).max(axis=1, keepdims=True)
-    return step * (radius / np.maximum(size, radius))
+    return step * (radius / np.maximum(_largest(step), radius))
 
 
 def relay_displacement(
-    observation: Observation, memory: Mapping[str, FloatArray], layout: ObservationLayout, nearer: BoolArray, spread: float
+    observation: Observation,
+    memory: Mapping[str, FloatArray],
+    layout: ObservationLayout,
+    sources: BoolArray,
+    spread: float,
 ) -> tuple[FloatArray, dict[str, FloatArray]]:
     """Copies of the others' estimates, :func:`copies`, and the best response to them, :func:`best_response`.
 
@@ -152,58 +161,54 @@ def relay_displacement(
     of dF is known at once; the rest of the rows follows from the displacements that the copies cause,
     :func:`~ptne_env.laws.identification.identify`.
 
-    The trust region: after a good prediction of the own gradient the largest own displacement is at least twice the
-    last one, and half of the last one after a bad one. A prediction is bad where it contradicts the model and its
-    error is above half of the gradient before.
+    The trust region: the largest own displacement is twice the largest one so far, until a prediction of the own
+    gradient fails by more than half of the gradient before; then it is half of the last one.
 
     Args:
         observation: of R players.
-        memory: parts by name, of :meth:`Relay.parts`.
+        memory: the parts of :class:`Relay` by name.
         layout: of the observations.
-        nearer: of :func:`nearer_slots`.
+        sources: from which neighbours each component is copied where they are live, shape (R, D, n).
+        spread: standard deviation of the rows before anything is identified, in units of gradient per strategy.
 
     Returns:
         The displacements Δx^i, shape (R, n), and the memory for the next step.
     """
-    dimension, blocks = layout.dimension, layout.own_components[observation.player]
-    padded, safe = blocks == dimension, np.minimum(blocks, dimension - 1)
-    estimate, before = observation.own_estimate, memory["estimate"]
-    gradient = np.where(padded, 0.0, np.take_along_axis(observation.gradient, safe, axis=1))
-    moved = np.where(memory["steps"] == 0, 0.0, estimate - before)
-    own_moved = np.where(padded, 0.0, np.take_along_axis(moved, safe, axis=1))
-    is_own = layout.own_mask[observation.player]
-
     model = Model(memory["rows"], memory["covariance"])
-    scale = _largest(estimate) + _largest(before)
-    deviation = RESOLUTION * (_largest(gradient) + _largest(memory["gradient"]) + spread * scale)
-    displacement = moved
-    if model.rows.shape[2] != dimension:
-        displacement, deviation = own_moved, deviation + spread * _largest(np.where(is_own, 0.0, moved))
-    change = gradient - memory["gradient"]
-    model, error, failed = identify(model, displacement, change, deviation**2)
-    is_bad = failed & (error > _ACCURACY * _largest(memory["gradient"]))
+    estimate, step = observation.own_estimate, memory["steps"]
+    blocks, is_own = layout.own_components[observation.player], layout.own_mask[observation.player]
+    outputs, is_whole = blocks.shape[1], model.rows.shape[2] == layout.dimension
+    gradient, last_gradient = own_entries(observation.gradient, blocks), memory["gradient"]
+    moved = np.where(step == 0, 0.0, estimate - memory["estimate"])
+    own_moved = own_entries(moved, blocks)
+
+    scale = _largest(estimate) + _largest(memory["estimate"])
+    deviation = RESOLUTION * (_largest(gradient) + _largest(last_gradient) + spread * scale)
+    if not is_whole:
+        deviation = deviation + spread * _largest(np.where(is_own, 0.0, moved))
+    shift = moved if is_whole else own_moved
+    model, error, failed = identify(model, shift, gradient - last_gradient, deviation**2)
+
     length = _largest(own_moved)
+    is_bad = failed & (error > _ACCURACY * _largest(last_gradient))
     radius = np.where(is_bad, length / 2, np.maximum(memory["radius"], 2 * length))
     radius = np.maximum(radius, _SHORTEST * _largest(estimate))
+    asked = np.abs(memory["asked"])
+    held = (np.abs(own_moved) < _HELD * asked) & (asked > _RESOLVED * scale)
 
-    asked = memory["asked"]
-    held = (np.abs(own_moved) < _HELD * np.abs(asked)) & (np.abs(asked) > _RESOLVED * scale)
-
-    step, outputs = memory["steps"], blocks.shape[1]
     is_probe = step < outputs
-    drift, heard = copies(observation, memory, nearer)
+    drift, heard = copies(observation, memory, sources)
     drift = np.where(is_probe | is_own, 0.0, drift)
-    own_step = best_response(model, gradient, drift, blocks, held, np.where(is_probe, UNLIMITED, radius))
+    places = blocks if is_whole else np.where(blocks == layout.dimension, outputs, np.arange(outputs))
+    shift = drift if is_whole else np.zeros_like(own_moved)
+    own_step = best_response(model, gradient, shift, places, held, np.where(is_probe, UNLIMITED, radius))
     own_step = np.where(is_probe & (np.arange(outputs) != step), 0.0, own_step)
-    reach = layout.action_bound * observation.theta
-    targets = np.concatenate([drift, np.zeros((len(drift), 1))], axis=1)  # one column more, into which padding falls
-    np.put_along_axis(targets, blocks, own_step, axis=1)
-    return targets[:, :-1], {
+    return with_own(drift, own_step, blocks), {
         "rows": model.rows,
         "covariance": model.covariance,
         "estimate": estimate,
         "gradient": gradient,
-        "asked": np.clip(own_step, -reach, reach),
+        "asked": within_reach(own_step, observation, layout),
         "radius": radius,
         "failed": failed.astype(np.float64),
         "steps": step + 1,
@@ -211,9 +216,10 @@ def relay_displacement(
     }
 
 
-def _largest(array: FloatArray) -> FloatArray:
-    """The largest |entry| of each row, (R, k) to (R, 1)."""
-    return np.abs(array).max(axis=1, keepdims=True)
+def within_reach(displacement: FloatArray, observation: Observation, layout: ObservationLayout) -> FloatArray:
+    """Displacements (R, k), clipped to those that the input limit allows in the coming step."""
+    reach = layout.action_bound * observation.theta
+    return np.clip(displacement, -reach, reach)
 
 
 class Relay(Law):
@@ -229,12 +235,13 @@ class Relay(Law):
     """
 
     needs: ClassVar[tuple[str, ...]] = ("own_estimate",)
+    interface: ClassVar[Interface] = Interface(graph_knowledge="union")
 
     def __init__(self, layout: ObservationLayout, spread: float = 10.0) -> None:
         super().__init__(layout)
         self.spread = require_positive("spread", spread)
-        self.nearer = nearer_slots(layout)
-        self.parts = Parts(self._shapes())
+        self._nearer = nearer_slots(layout)
+        self._parts = Parts(self._shapes())
 
     def _shapes(self) -> dict[str, tuple[int, ...]]:
         """Shapes of the parts of the memory."""
@@ -259,13 +266,14 @@ class Relay(Law):
 
     def initial_memory(self, rows: int) -> FloatArray:
         """A model of zeros with the standard deviation ``spread``, and nothing heard; shape (R, size)."""
-        parts = self.parts.zeros(rows)
+        parts = self._parts.zeros(rows)
         parts["covariance"] += self.spread**2 * np.eye(parts["covariance"].shape[1])
         parts["least"] += UNLIMITED
         parts["mark"] += UNLIMITED
-        return self.parts.join(parts)
+        return self._parts.join(parts)
 
     def inputs(self, observation: Observation, memory: FloatArray) -> tuple[FloatArray, FloatArray]:
-        parts = self.parts.split(memory)
-        displacement, parts = relay_displacement(observation, parts, self.layout, self.nearer, self.spread)
-        return per_step(displacement, observation), self.parts.join(parts)
+        parts = self._parts.split(memory)
+        sources = self._nearer[observation.player]
+        displacement, parts = relay_displacement(observation, parts, self.layout, sources, self.spread)
+        return per_step(displacement, observation), self._parts.join(parts)
