@@ -217,6 +217,8 @@ POLICIES: Mapping[str, PolicySpec] = {
         PolicySpec("routed", FactorySpec.of(f"{_LAWS}Routed", step=0.3)),
         PolicySpec("routed-unknown", FactorySpec.of(f"{_LAWS}RoutedUnknown", step=0.3)),
         PolicySpec("freshest", FactorySpec.of(f"{_LAWS}Freshest", step=0.3)),
+        PolicySpec("relay", FactorySpec.of(f"{_LAWS}Relay", spread=10.0)),
+        PolicySpec("identify-and-broadcast", FactorySpec.of(f"{_LAWS}IdentifyAndBroadcast", spread=10.0, switch=0.65)),
         PolicySpec("best-response-oracle", FactorySpec.of(f"{_LAWS}BestResponseOracle", relaxation=1.0)),
         PolicySpec("fixed-time-oracle", FactorySpec.of(f"{_LAWS}FixedTimeOracle", gain=1.0, largest_step=0.3)),
         PolicySpec(

@@ -267,7 +267,8 @@ class Relay(Law):
     def initial_memory(self, rows: int) -> FloatArray:
         """A model of zeros with the standard deviation ``spread``, and nothing heard; shape (R, size)."""
         parts = self._parts.zeros(rows)
-        parts["covariance"] += self.spread**2 * np.eye(parts["covariance"].shape[1])
+        model = blank(rows, *parts["rows"].shape[1:], self.spread)
+        parts |= {"rows": model.rows, "covariance": model.covariance}
         parts["least"] += UNLIMITED
         parts["mark"] += UNLIMITED
         return self._parts.join(parts)
