@@ -79,7 +79,7 @@ def copies(
 ) -> tuple[FloatArray, dict[str, FloatArray]]:
     """w_k × mean of (x^j_c − x^i_c) over the live sources j of component c: the displacements (R, n), and the memory.
 
-    A component of which no source was ever heard takes the mean over all live neighbours.
+    A component of which no source was ever heard moves to the mean of all live neighbours and the player itself.
 
     The weight w_k is 1 until messages show noise, which never comes to rest. Where the smallest change of messages
     from step to step, σ, has not halved for 30 steps, w_k = p/(p + k) averages over the k steps since. A difference
@@ -95,7 +95,7 @@ def copies(
     lost = ~(sources & (heard > 0)[:, :, None]).any(axis=1, keepdims=True)
     used = (sources | lost) & live[:, :, None]
     total = np.add.reduce(np.where(used, observation.relative_estimates, 0.0), axis=1)
-    mean = total / np.maximum(np.add.reduce(used, axis=1), 1)
+    mean = total / np.maximum(np.add.reduce(used, axis=1) + lost[:, 0], 1)
 
     messages = observation.own_estimate[:, None] + observation.relative_estimates
     lasts = live & (memory["live"] > 0)
