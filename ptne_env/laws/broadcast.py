@@ -55,9 +55,12 @@ LARGEST_CODE = 24
 
 
 def with_checksums(equations: FloatArray) -> FloatArray:
-    """Equations (..., n + 1) with two checksums, Σ_l e_l and Σ_l (l + 1)/(n + 1) e_l: shape (..., n + 3)."""
-    places = np.arange(1.0, equations.shape[-1] + 1) / equations.shape[-1]
-    sums = [np.add.reduce(equations, axis=-1), np.add.reduce(equations * places, axis=-1)]
+    """Equations (..., n + 1) with two checksums, Σ_l cos(l) e_l and Σ_l sin(l) e_l, l from 1: shape (..., n + 3).
+
+    The weights are irrational, so rounded entries do not have rounded checksums.
+    """
+    angles = np.arange(1.0, equations.shape[-1] + 1)
+    sums = [np.add.reduce(equations * weights, axis=-1) for weights in (np.cos(angles), np.sin(angles))]
     return np.concatenate([equations, np.stack(sums, axis=-1)], axis=-1)
 
 

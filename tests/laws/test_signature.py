@@ -27,6 +27,8 @@ LAWS = [
 SPECIAL = [
     laws.AggregateTracking,
     laws.ExtremumSeeking,
+    laws.Relay,
+    laws.IdentifyAndBroadcast,
     laws.CentralisedOracle,
     laws.BestResponseOracle,
     laws.FixedTimeOracle,
