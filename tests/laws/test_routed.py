@@ -205,6 +205,32 @@ def test_freshest_is_not_applicable_where_episodes_draw_their_schedules():
     assert results.samples["markov", "routed"]["digits"].min() > 3
 
 
+def test_learned_sources_are_those_of_the_graph_that_the_episode_drew():
+    """The union of all graphs that may be drawn says nothing about the graph of an episode."""
+    results = run_suite("ptne-v1", ["routed-unknown", "routed"], tracks=["unseen-graphs"], episodes=20)
+    assert results.samples["unseen-graphs", "routed-unknown"]["digits"].min() > 11.9
+    assert results.samples["unseen-graphs", "routed"]["digits"].max() < 1
+
+
+def test_owner_is_the_only_source_from_the_first_meeting_on():
+    """Player 0 first hears of component 1 through player 2, then meets player 1 itself, and then player 2 alone."""
+    modes = [[(1, 2)], [(0, 2)], [(1, 2), (0, 2)], [(0, 1)], [(0, 2)], [(1, 2)]]
+    graphs = tuple(FactorySpec.of("ptne_env.graphs:from_edges", players=3, edges=tuple(mode)) for mode in modes)
+    topology = FactorySpec.of("ptne_env.switching:periodic", graphs=graphs, dwells=(0.1,) * 6, clock="transformed")
+    scenario = affine_scenario(
+        np.eye(3) + 0.1, np.ones(3), topology, spacing="transformed", s_end=20.0, input_limit=1e5
+    )
+    world, states = episode(laws.RoutedUnknown, scenario)
+    for k, (before, after) in enumerate(zip(states[:, 1, :, 0], states[1:, 1, :, 0], strict=False)):
+        links, met = modes[world.modes[k]], 3 in world.modes[: k + 1]
+        if (0, 1) in links:
+            assert after[0] == pytest.approx(before[1], abs=1e-5)
+        elif met:
+            assert after[0] == before[0]
+        elif k > np.flatnonzero(world.modes == 2)[1]:
+            assert after[0] == pytest.approx(before[2], abs=1e-5)
+
+
 def test_digits_on_switching_graphs_grow_with_knowledge():
     tracks = ["random-energy-switching", "random-energy-switching-transformed"]
     results = evaluate(["routed-unknown", "routed", "freshest"], tracks, episodes=300 if SOAK else 60, seed=87235)
