@@ -11,6 +11,7 @@ from ptne_env import FactorySpec, evaluate, get_scenario, laws, theory
 from ptne_env.experiments import run_suite
 from ptne_env.laws.routed import nearer_slots, stamps
 from ptne_env.observation import LayoutError
+from ptne_env.theory.delayed_play import delayed_play_matrix
 
 SEEDS = range(100 if SOAK else 12)
 PATH = FactorySpec.of("ptne_env.switching:fixed", graph=FactorySpec.of("ptne_env.graphs:path", players=4))
@@ -99,6 +100,15 @@ def test_largest_step_is_where_the_loop_of_the_law_itself_becomes_unstable(seed)
         found = condition_on(scenario, laws.Routed, step=step)
         assert found.holds is (step < largest)
         assert found.value == pytest.approx(theory.delayed_play_radius(matrix, hops, step))
+
+
+def test_delayed_play_takes_the_steps_of_its_recursion():
+    generator = np.random.default_rng(0)
+    matrix, errors = generator.normal(size=(4, 4)), list(generator.normal(size=(4, 4)))
+    hops = hops_of(np.eye(4, k=1) + np.eye(4, k=-1))
+    moved = delayed_play_matrix(matrix, hops, 0.3) @ np.concatenate(errors)
+    expected = [errors[0][c] - 0.3 * sum(matrix[c, b] * errors[hops[c, b]][b] for b in range(4)) for c in range(4)]
+    np.testing.assert_allclose(moved, [*expected, *np.concatenate(errors[:3])])
 
 
 def test_certificate_follows_the_law_from_step_to_step():
