@@ -54,12 +54,13 @@ def routed_inputs(observation: Observation, sources: BoolArray, step: float) -> 
 def waves(
     observation: Observation, memory: FloatArray, leaders: BoolArray, own: BoolArray
 ) -> tuple[BoolArray, FloatArray]:
-    """The sources that players learn from their own links: the neighbours from which a component moved first.
+    """The sources that players learn from their own links: the owner of a component, or where it moved first.
 
-    At first each player copies the strategies of its neighbours, and holds all other estimates. So x^j_c moves for the
-    first time after news of the owner of c have reached j, and the neighbours where this is seen first are the sources
-    of c from then on. They heard of c earlier than the player itself, so copies never go round in circles. On a fixed
-    graph with perfect messages these are all neighbours that are nearer to the owner of c.
+    A player holds an estimate until it has met its owner, or sees the component move in a message. So x^j_c moves for
+    the first time after news of the owner of c have reached j, and the neighbours where this is seen first are the
+    sources of c. They heard of c earlier than the player itself, so copies never go round in circles. As soon as the
+    player meets the owner of c, the owner is the only source. On a fixed graph with perfect messages the sources are
+    all neighbours that are nearer to the owner of c.
 
     Args:
         observation: of R players.
@@ -76,8 +77,9 @@ def waves(
     live = (observation.weights > 0)[:, :, None]
     # Estimates that are not copied yet are at rest, so a difference moves as its sender does.
     moved = live & (np.abs(now - seen) > _RESOLUTION * (np.abs(now) + np.abs(seen)))
-    unknown = ~(known.any(axis=1) | leaders.any(axis=1) | own)[:, None]
-    sources = leaders | known | (unknown & moved)
+    unknown = ~(known.any(axis=1) | own)[:, None]
+    met = leaders & (known | live)
+    sources = np.where(met.any(axis=1, keepdims=True), met, known | (unknown & moved))
     return sources, np.stack([np.where(live, now, seen), sources], axis=1)
 
 

@@ -26,6 +26,7 @@ LAWS = {
     "extremum-seeking": laws.ExtremumSeeking,
     "locally-implicit": laws.LocallyImplicit,
     "capped-gain": laws.CappedGain,
+    "routed-unknown": laws.RoutedUnknown,
     "zero-input": laws.ZeroInput,
 }
 INTERFACES = {

@@ -21,6 +21,7 @@ LAWS = [
     laws.ProjectedGradient,
     laws.LocallyImplicit,
     laws.CappedGain,
+    laws.RoutedUnknown,
     laws.ZeroInput,
     laws.RandomPolicy,
 ]
@@ -33,6 +34,8 @@ SPECIAL = [
     laws.BestResponseOracle,
     laws.FixedTimeOracle,
     laws.NodeAdaptiveOracle,
+    laws.Routed,
+    laws.Freshest,
 ]
 """Laws that need an interface of their own."""
 

@@ -19,8 +19,10 @@ WITHOUT_LOOP = {
     "CentralisedOracle",
     "ExtremumSeeking",
     "FixedTimeOracle",
+    "Freshest",
     "NodeAdaptiveOracle",
     "ProjectedGradient",
+    "RoutedUnknown",
 }
 """Laws that are not linear in gradient and differences, or read or remember more than these and gains."""
 
