@@ -92,10 +92,10 @@ def copies(
     """
     live = observation.weights > 0
     heard = np.maximum(memory["heard"], live)
-    lost = ~(sources & (heard > 0)[:, :, None]).any(axis=1, keepdims=True)
-    used = (sources | lost) & live[:, :, None]
+    lost = ~np.logical_or.reduce(sources & (heard > 0)[:, :, None], axis=1)
+    used = (sources | lost[:, None]) & live[:, :, None]
     total = np.add.reduce(np.where(used, observation.relative_estimates, 0.0), axis=1)
-    mean = total / np.maximum(np.add.reduce(used, axis=1) + lost[:, 0], 1)
+    mean = total / np.maximum(np.add.reduce(used, axis=1) + lost, 1)
 
     messages = observation.own_estimate[:, None] + observation.relative_estimates
     lasts = live & (memory["live"] > 0)
@@ -267,8 +267,8 @@ class Relay(Law):
     def initial_memory(self, rows: int) -> FloatArray:
         """A model of zeros with the standard deviation ``spread``, and nothing heard; shape (R, size)."""
         parts = self._parts.zeros(rows)
-        model = blank(rows, *parts["rows"].shape[1:], self.spread)
-        parts |= {"rows": model.rows, "covariance": model.covariance}
+        _, outputs, regressors = parts["rows"].shape
+        parts |= blank(rows, outputs, regressors, self.spread)._asdict()
         parts["least"] += UNLIMITED
         parts["mark"] += UNLIMITED
         return self._parts.join(parts)

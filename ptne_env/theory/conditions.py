@@ -34,6 +34,7 @@ from ptne_env.laws import (
     LocallyImplicit,
     NodeAdaptiveOracle,
     ProjectedGradient,
+    Relay,
     Static,
 )
 from ptne_env.laws.routed import RoutedLaw
@@ -329,19 +330,41 @@ def routed_condition(law: RoutedLaw, constants: ProblemConstants) -> Condition:
         radius = delayed_play_radius(constants.jacobian, delays, law.step)
         name = "gradient play with delays settles: ρ < 1"
         return decisive(monotone, Condition.below(name, radius, 1.0, exact=constants.exact))
-    links = len(union(constants.graphs).edges)
     return decisive(
         monotone,
-        Condition.above(
-            "all links recur as s → ∞: smallest number of recurring links > all links − 1",
-            min(len(graph.edges) for graph in constants.recurring),
-            links - 1,
-        ),
+        _all_links_recur(constants),
         Condition.below("η max dF_cc ≤ 1", law.step * curvature, np.nextafter(1.0, 2.0), exact=constants.exact),
         Condition.below(
             "ρ(D⁻¹ |dF − D|) < 1, with D the diagonal", coupling_radius(constants.jacobian), 1.0, exact=constants.exact
         ),
     )
+
+
+@condition.register
+def relay_condition(law: Relay, constants: ProblemConstants) -> Condition:  # noqa: ARG001 - it has no gain
+    """ε > 0, ρ(B) < 1 with B_ij = ‖G_ii⁻¹ G_ij‖ for i ≠ j and G = dF, and all links act again and again.
+
+    Then best responses contract in a weighted maximum norm, with copies of any age (D. P. Bertsekas and J. N.
+    Tsitsiklis, "Parallel and distributed computation", 1989, section 6.2), so also along paths that switch.
+    """
+    blocks = [np.flatnonzero(constants.owners == player) for player in range(constants.num_players)]
+    coupling = np.zeros((len(blocks), len(blocks)))
+    for i, own in enumerate(blocks):
+        response = np.linalg.solve(constants.jacobian[np.ix_(own, own)], constants.jacobian[own])
+        for j, other in enumerate(blocks):
+            coupling[i, j] = 0.0 if i == j else np.linalg.norm(response[:, other], 2)
+    radius = float(np.abs(np.linalg.eigvals(coupling)).max())
+    return decisive(
+        _strongly_monotone(constants),
+        _all_links_recur(constants),
+        Condition.below("ρ(B) < 1, B_ij = ‖G_ii⁻¹ G_ij‖", radius, 1.0, exact=constants.exact),
+    )
+
+
+def _all_links_recur(constants: ProblemConstants) -> Condition:
+    name = "all links recur as s → ∞: smallest number of recurring links > all links − 1"
+    recurring = min(len(graph.edges) for graph in constants.recurring)
+    return Condition.above(name, recurring, len(union(constants.graphs).edges) - 1)
 
 
 @condition.register

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from affine_games import SOAK, affine_scenario, loop_start, random_affine, run
+from sample_laws import condition_on
 from worlds import BLOCKS, BLOCKS_SWITCHING, channel_part, fixed_part
 
 from ptne_env import CATALOGUE, Interface, dynamics, evaluate, get_scenario, laws
@@ -134,6 +135,15 @@ def test_no_episode_diverges_where_grounded_does_not(law):
         for track in results.tracks:
             shares = [results.record(track.name, name, "diverged_share")["mean"] for name in (law, "grounded")]
             assert shares[0] <= shares[1], track.name
+
+
+def test_condition_is_the_contraction_of_best_responses():
+    matrix = np.array([[2.0, 1.0, 0.0], [0.5, 1.0, -0.25], [0.0, 0.0, 1.0]])
+    found = condition_on(affine_scenario(matrix, np.ones(3), fixed_part(1 - np.eye(3))), laws.Relay)
+    assert found.value == pytest.approx(0.5)  # the root of the product of 1/2 and 1/2
+    assert found.holds
+    assert not condition_on("ev-charging", laws.Relay).holds
+    assert "links recur" in condition_on("energy-switching", laws.Relay).name
 
 
 def test_relay_needs_own_estimates_and_hop_counts():

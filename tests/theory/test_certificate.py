@@ -20,8 +20,10 @@ WITHOUT_LOOP = {
     "ExtremumSeeking",
     "FixedTimeOracle",
     "Freshest",
+    "IdentifyAndBroadcast",
     "NodeAdaptiveOracle",
     "ProjectedGradient",
+    "Relay",
     "RoutedUnknown",
 }
 """Laws that are not linear in gradient and differences, or read or remember more than these and gains."""
