@@ -22,7 +22,7 @@ class Parts:
         self._cuts = ends[:-1]
 
     def split(self, memory: FloatArray) -> dict[str, FloatArray]:
-        """The parts of a memory of R players, (R, size) to (R, *shape) each."""
+        """The parts of a memory of R players, each of shape (R, ...)."""
         pieces = np.split(memory, self._cuts, axis=1)
         return {
             name: piece.reshape(len(memory), *shape)

@@ -41,7 +41,7 @@ _RESOLVED = 1e-6
 UNLIMITED = 1e6
 """A distance beyond all estimates."""
 
-LARGEST_ROW = 64
+LARGEST_ROW = 32
 """Largest n for which whole rows of dF are identified, which takes n² numbers per player; else own blocks alone."""
 
 
