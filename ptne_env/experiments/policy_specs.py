@@ -21,8 +21,12 @@ from ptne_env.policies.process import PolicySource, build, declared_interface, s
 from ptne_env.policy import Policy, PolicyError
 
 _LAWS = "ptne_env.laws:"
+_LEARNED = "ptne_env.policies:load"
 ARCHIVE = "ptne_env.policies.archive:load_archive"
 """Target of the policies whose making executes code that is stored in a file."""
+
+GRAPH_KNOWLEDGE = {"links": "own links", "union": "union graph", "schedule": "schedule"}
+"""The knowledge of graphs that an interface declares, in words; more knowledge comes later."""
 
 
 @dataclass(frozen=True)
@@ -95,6 +99,28 @@ class PolicySpec:
     def is_oracle(self) -> bool:
         """Whether it uses information that players lack."""
         return self.interface.kind == "full"
+
+    @property
+    def has_memory(self) -> bool | None:
+        """Whether it keeps numbers from step to step; ``None`` for code and files that do not say so."""
+        made: Any = self.training_seeds[0]
+        if isinstance(made, FactorySpec):
+            if made.target == _LEARNED:
+                return False  # feed-forward
+            made = None if self.is_foreign else made.resolve()
+        law = _named(made)
+        if issubclass(law, laws.Law):
+            return law.initial_memory is not laws.Law.initial_memory
+        return None if self.is_learned else False
+
+    @property
+    def knowledge(self) -> str:
+        """What its players know of the graphs, whether it remembers, and whether its estimates are coded, in words."""
+        if self.is_oracle:
+            return "everything"
+        memory = {True: ", memory", False: "", None: ", memory unknown"}[self.has_memory]
+        coded = ", coded estimates" if self.interface.estimates == "coded" else ""
+        return GRAPH_KNOWLEDGE[self.interface.graph_knowledge] + memory + coded
 
     @property
     def is_repeatable(self) -> bool:
@@ -188,6 +214,11 @@ POLICIES: Mapping[str, PolicySpec] = {
         PolicySpec("extremum-seeking", FactorySpec.of(f"{_LAWS}ExtremumSeeking", amplitude=1.0, gain=0.2)),
         PolicySpec("locally-implicit", FactorySpec.of(f"{_LAWS}LocallyImplicit", kappa=2.0, curvature=5.0)),
         PolicySpec("capped-gain", FactorySpec.of(f"{_LAWS}CappedGain", kappa=2.0, largest_gain=200.0)),
+        PolicySpec("routed", FactorySpec.of(f"{_LAWS}Routed", step=0.3)),
+        PolicySpec("routed-unknown", FactorySpec.of(f"{_LAWS}RoutedUnknown", step=0.3)),
+        PolicySpec("freshest", FactorySpec.of(f"{_LAWS}Freshest", step=0.3)),
+        PolicySpec("relay", FactorySpec.of(f"{_LAWS}Relay", spread=10.0)),
+        PolicySpec("identify-and-broadcast", FactorySpec.of(f"{_LAWS}IdentifyAndBroadcast", spread=10.0, switch=0.65)),
         PolicySpec("best-response-oracle", FactorySpec.of(f"{_LAWS}BestResponseOracle", relaxation=1.0)),
         PolicySpec("fixed-time-oracle", FactorySpec.of(f"{_LAWS}FixedTimeOracle", gain=1.0, largest_step=0.3)),
         PolicySpec(
@@ -208,7 +239,7 @@ def learned_policy(path_or_name: str) -> PolicySpec:
         FileNotFoundError, PolicyFileError, ImportError: as :func:`ptne_env.policies.load`.
     """
     policy = policies.load(path_or_name)
-    source = FactorySpec.of("ptne_env.policies:load", path_or_name=path_or_name)
+    source = FactorySpec.of(_LEARNED, path_or_name=path_or_name)
     return PolicySpec(policy.name, source, policy.interface, frozenset(policy.metadata.scenarios))
 
 

@@ -24,8 +24,12 @@ WITHOUT_LOOP = {
     "CentralisedOracle",
     "ExtremumSeeking",
     "FixedTimeOracle",
+    "Freshest",
+    "IdentifyAndBroadcast",
     "NodeAdaptiveOracle",
     "ProjectedGradient",
+    "Relay",
+    "RoutedUnknown",
 }
 """Laws that are not linear in gradient and differences, or read or remember more than these and gains."""
 
