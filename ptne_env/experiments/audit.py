@@ -26,10 +26,11 @@ class Witness:
     Args:
         policy: a fresh policy; of foreign code, in a fresh process.
         rows: indices of the rows of the batch that it receives, in its own order.
+        player: to which all rows belong, if ``policy`` was built from what this player knows alone.
     """
 
-    def __init__(self, policy: Policy, rows: IntArray) -> None:
-        self._policy, self._rows = policy, rows
+    def __init__(self, policy: Policy, rows: IntArray, player: int | None = None) -> None:
+        self._policy, self._rows, self._player = policy, rows, player
         self._memory: Any = None
         self._starts = np.ones(len(rows), dtype=np.bool_)
 
@@ -51,10 +52,15 @@ class Witness:
             raise PolicyError(
                 "its decisions are not row-wise: with other rows in the batch it decides differently. A decision may "
                 "depend on the player's own observation and memory alone, and must repeat bit for bit"
+                if self._player is None
+                else f"its decisions for player {self._player} are not row-wise, or use links of other players: with "
+                "the rows and the neighbours of this player alone it decides differently. A decision may depend on "
+                "the player's own observation, memory and row of layout.neighbours alone, and must repeat bit for "
+                "bit; a policy that uses other links declares graph_knowledge='union'"
             )
 
 
-def sample_rows(episodes: int, players: int, *, thorough: bool) -> list[IntArray]:
+def sample_rows(episodes: int, players: int, *, thorough: bool, by_player: bool = False) -> list[IntArray]:
     """The rows of each witness, chosen afresh: no policy can know them.
 
     Args:
@@ -62,12 +68,13 @@ def sample_rows(episodes: int, players: int, *, thorough: bool) -> list[IntArray
         players: number of players for which the policy decides.
         thorough: whether there are as many witnesses as players, up to :data:`WITNESSES`, which get different players
             of every episode, and not one witness with a random player of each of some episodes.
+        by_player: whether all rows of a witness belong to the same player.
     """
     generator = np.random.default_rng()
     chosen = generator.permutation(episodes)
     if not thorough:
         chosen = chosen[:EPISODES]
-        return [chosen * players + generator.integers(players, size=len(chosen))]
+        return [chosen * players + generator.integers(players, size=1 if by_player else len(chosen))]
     order = generator.permutation(players)  # consecutive episodes go on where the one before ends
-    first = np.arange(episodes) * min(players, WITNESSES)
+    first = np.arange(episodes) * (0 if by_player else min(players, WITNESSES))
     return [chosen * players + order[(first + witness) % players] for witness in range(min(players, WITNESSES))]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import platform
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from contextlib import ExitStack
 from dataclasses import asdict, dataclass
 from functools import cached_property, lru_cache
@@ -22,7 +22,7 @@ from ptne_env.experiments.policy_specs import PolicySpec
 from ptne_env.experiments.provenance import content_hash, source_hashes, unhashed, versions
 from ptne_env.experiments.rollout import rollout
 from ptne_env.experiments.suite import Track
-from ptne_env.observation import LayoutError
+from ptne_env.observation import LayoutError, ObservationLayout
 from ptne_env.policy import Policy, PolicyError
 from ptne_env.world import World
 
@@ -68,17 +68,22 @@ class Job:
         """
         world = self.track.world
         teammates = None if self.track.teammates is None else self.track.teammates.join(world)
-        players = world.game.num_players - (0 if teammates is None else len(teammates.players))
+        taken = () if teammates is None else teammates.players
+        deciding = [player for player in range(world.game.num_players) if player not in taken]
         try:
             encoder = make_encoder(world, self.policy.interface)
             with ExitStack() as processes:
 
-                def fresh() -> Policy:
-                    return processes.enter_context(self.policy.deciding(encoder.layout, self.training_seed))
+                def fresh(layout: ObservationLayout) -> Policy:
+                    return processes.enter_context(self.policy.deciding(layout, self.training_seed))
 
-                policy = fresh()
-                rows = sample_rows(self.episodes.count, players, thorough=thorough)
-                witnesses = [Witness(fresh(), chosen) for chosen in rows]
+                policy = fresh(encoder.layout)
+                alone = self.policy.interface.graph_knowledge == "links"
+                rows = sample_rows(self.episodes.count, len(deciding), thorough=thorough, by_player=alone)
+                witnesses = []
+                for chosen in rows:
+                    player = deciding[chosen[0] % len(deciding)] if alone else None
+                    witnesses.append(Witness(_informed(fresh, encoder.layout, player), chosen, player))
                 start = _initial_state(world, self.episodes)
                 samples = measure(rollout(policy, encoder, start, teammates, witnesses=witnesses))
         except LayoutError as error:
@@ -87,6 +92,19 @@ class Job:
             return JobResult({}, {}, None, str(error))
         timings = {name: float(samples.pop(name)[0]) for name in METRICS if METRICS[name].is_timing}
         return JobResult(samples, timings, None)
+
+
+def _informed(make: Callable[[ObservationLayout], Policy], layout: ObservationLayout, player: int | None) -> Policy:
+    """A policy that is built from what one player knows of the layout, or from all of it."""
+    if player is None:
+        return make(layout)
+    try:
+        return make(layout.known_to(player))
+    except LayoutError as error:  # the policy was built from the whole layout before
+        raise PolicyError(
+            f"it uses links of other players: with the neighbours of player {player} alone it cannot be built "
+            f"({error}); a policy that uses other links declares graph_knowledge='union'"
+        ) from None
 
 
 @lru_cache(maxsize=2)  # jobs with the same episodes follow each other

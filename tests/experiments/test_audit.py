@@ -15,6 +15,16 @@ def test_a_thorough_audit_sees_every_player_and_no_teammates_together(episodes, 
     assert len(np.unique(rows % players)) == players
 
 
+@pytest.mark.parametrize("thorough", [False, True])
+@pytest.mark.parametrize("players", [1, 5, 20])
+def test_all_rows_of_a_witness_of_own_links_belong_to_one_player(players, thorough):
+    rows = sample_rows(40, players, thorough=thorough, by_player=True)
+    owners = [np.unique(of_one % players) for of_one in rows]
+    assert all(len(player) == 1 for player in owners)
+    assert len(np.unique(owners)) == len(rows) == (min(players, WITNESSES) if thorough else 1)
+    assert all(len(np.unique(of_one)) == (40 if thorough else EPISODES) for of_one in rows)
+
+
 def test_an_audit_sees_one_player_of_some_episodes():
     (rows,) = sample_rows(200, 5, thorough=False)
     assert len(np.unique(rows // 5)) == len(rows) == EPISODES
