@@ -39,14 +39,14 @@ def contacts(
     If one of them has moved alone, it is the fresher one, and the neighbour gets a vote for or against it. If both have
     moved, the votes decide; with equal votes, the copy that has moved further. If no contact was before and the player
     has no news of c, it takes the neighbour's copy. During a contact, the neighbour becomes the source when its copy
-    moves while the own copy rests. A live owner is the only source.
+    moves while the own copy rests. An owner is the only source as soon as the player has met it.
 
     On a fixed graph with perfect messages the sources are the neighbours that are nearer to the owner, as in
     :class:`~ptne_env.laws.relay.Relay`.
 
     Args:
         observation: of R players.
-        memory: the parts ``live``, ``steps``, ``seen``, ``moved``, ``source``, ``votes``, ``news`` and ``drift`` of
+        memory: the parts ``live``, ``heard``, ``steps``, ``seen``, ``moved``, ``source``, ``votes``, ``news`` and ``drift`` of
             :class:`ContactRelay`.
         leaders: whether j owns c, shape (R, D, n).
 
@@ -67,8 +67,8 @@ def contacts(
     fresher = np.where(met, np.where(i_moved & j_moved, both, j_moved & ~i_moved), is_newcomer)
     wakes = live & np.where(starts, fresher, j_moved & (np.abs(drift) <= floor))
     source = np.where(wakes.any(axis=1, keepdims=True), wakes, live & (memory["source"] > 0))
-    owners = leaders & live
-    source = np.where(owners.any(axis=1, keepdims=True), owners, source)
+    owners = leaders & (live | (memory["heard"][:, :, None] > 0))
+    source = np.where(owners.any(axis=1, keepdims=True), owners & live, source)
     return mean_over(source, observation.relative_estimates), {
         "moved": np.where(live, 0.0, mine),
         "seen": np.where(live, relative, memory["seen"]),
