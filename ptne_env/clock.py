@@ -141,8 +141,9 @@ def check_time_transformation(transformation: TimeTransformation) -> float:
     """Check the conditions of Lemma 1 (eq. TFcondition), and that λ, λ' and λ^{-1} are consistent.
 
     (7a), (7b) and the inverse are checked on a grid that ends where λ is within 1e-7 T of T, or at s = 6. The limits
-    (7c) are extrapolated from s = e^u − 1 with u = 2, 4, …, 512 by Aitken's Δ² process, which suffices for a λ as slow
-    as T (1 − 1/(1 + ln(1 + s))^p).
+    (7c) are extrapolated from s = e^u − 1 with u = ½, 1, 2, …, 512 by Aitken's Δ² process, which suffices for a λ as
+    slow as T (1 − 1/(1 + ln(1 + s))^p). Values that overflow has spoiled do not count, such as those of s/√(1 + s²)
+    from where s² overflows.
 
     Returns:
         The extrapolated limit of 1 − λ(s)/T as s → ∞, 0 up to rounding and extrapolation.
@@ -173,13 +174,14 @@ def check_time_transformation(transformation: TimeTransformation) -> float:
         holds=mismatch <= 1e-5 * deadline,
         found=f"off by {mismatch:.3g} s",
     )
-    far = np.expm1(2.0 ** np.arange(1, 10))
+    far = np.expm1(2.0 ** np.arange(-1, 10))
     with np.errstate(all="ignore"):  # formulas may overflow far out; values that are not finite do not enter the limit
-        remaining, slopes = 1 - transformation.time(far) / deadline, transformation.derivative(far) / deadline
+        slopes = transformation.derivative(far) / deadline
+    remaining = 1 - _far_times(transformation, far) / deadline
     require(
         "(7b) λ is strictly increasing",
         holds=bool(
-            np.all(np.diff(time) > 0) and np.all(transformation.derivative(_GRID) > 0) and np.nanmin(slopes) >= 0
+            np.all(np.diff(time) > 0) and np.all(transformation.derivative(_GRID) > 0) and not np.any(slopes < 0)
         ),
         found="λ decreases or stalls on [0, 6], or λ' is negative further out",
     )
@@ -202,13 +204,32 @@ def _resolved_grid(transformation: TimeTransformation) -> FloatArray:
     return np.linspace(0.0, float(_GRID[max(int(reached.argmax()), 1)]), _GRID.size) if reached.any() else _GRID
 
 
+def _far_times(transformation: TimeTransformation, far: FloatArray) -> FloatArray:
+    """λ at increasing s far out; NaN from where its formula overflows and λ would fall, as s/√(1 + s²) does with s²."""
+    with np.errstate(all="ignore"):
+        times = np.array(transformation.time(far), dtype=np.float64)
+    for fall in np.flatnonzero(times[1:] < times[:-1] - _LIMIT_TOLERANCE * transformation.deadline) + 1:
+        try:
+            with np.errstate(over="raise"):
+                transformation.time(far[fall])
+        except FloatingPointError:
+            times[fall:] = np.nan
+            break
+    return times
+
+
 def _limit(values: FloatArray) -> float:
     """The limit of a sequence by Aitken's Δ² process on its last three finite terms; the last one if they are equal.
+
+    NaN with fewer than three finite terms.
 
     On s = e^u − 1 with u doubling, powers of ln s decrease geometrically, for which the process is exact; powers and
     exponentials of s decrease faster.
     """
-    first, second, last = values[np.isfinite(values)][-3:]
+    finite = values[np.isfinite(values)]
+    if finite.size < 3:
+        return np.nan
+    first, second, last = finite[-3:]
     bend = (last - second) - (second - first)
     extrapolated = last - (last - second) ** 2 / bend if bend else last
     # A sequence that does not settle is not extrapolated; its last term is the result.

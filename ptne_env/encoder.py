@@ -21,6 +21,7 @@ from ptne_env.observation import (
     SMALLEST_SCALE,
     Interface,
     LayoutError,
+    LinkSchedule,
     ObservationLayout,
 )
 from ptne_env.world import World
@@ -80,7 +81,8 @@ class Encoder(ABC):
         layout: of observations and actions; policies are built from it.
 
     Raises:
-        ValueError: when the interface shows best responses and the game has none.
+        LayoutError: when the interface shows best responses and the game has none, or declares that the schedule is
+            known and every episode draws its own.
     """
 
     def __init__(self, world: World, interface: Interface) -> None:
@@ -89,6 +91,10 @@ class Encoder(ABC):
         game, clock = world.game, world.clock
         if interface.best_response and not game.has_best_response:
             raise LayoutError(f"best_response cannot be observed: {type(game).__name__} has none everywhere")
+        if interface.graph_knowledge == "schedule" and world.topology.is_random:
+            raise LayoutError(
+                "the schedule cannot be known: every episode draws its own; declare graph_knowledge='union'"
+            )
         # All observations of an instant share the clock and the age of the graph; (5, 1 or N, K+H+1).
         t, s, theta = world.local_clocks
         shared = [np.broadcast_to(row, t.shape) for row in (clock.dt / clock.deadline, world.time_since_switch)]
@@ -102,6 +108,7 @@ class Encoder(ABC):
             deadline=clock.deadline,
             largest_weight=float(world.mode_weights.max() * world.channel.largest_weight_factor),
             largest_clock=(largest_t, largest_s, largest_theta, largest_dt),
+            schedule=_link_schedule(world) if interface.graph_knowledge == "schedule" else None,
         )
         # Row of own_gradients in each place of a player's own block, shape (m, N); padding is masked out.
         own = layout.own_components.T
@@ -328,10 +335,14 @@ class LocalEncoder(Encoder):
 _ENCODERS: Mapping[str, type[Encoder]] = {"physical": PhysicalEncoder, "local": LocalEncoder, "full": FullEncoder}
 
 
+def _link_schedule(world: World) -> LinkSchedule:
+    return LinkSchedule(tuple(tuple(graph.edges) for graph in world.topology.graphs), tuple(world.modes.tolist()))
+
+
 def make_encoder(world: World, interface: Interface) -> Encoder:
     """The encoder of an interface's kind.
 
     Raises:
-        ValueError: as :class:`Encoder`.
+        LayoutError: as :class:`Encoder`.
     """
     return _ENCODERS[interface.kind](world, interface)

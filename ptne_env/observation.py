@@ -5,18 +5,21 @@ A layout is all that a policy knows about the world. An :class:`~ptne_env.encode
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Literal, NamedTuple, TypeAlias, get_args
 
 import numpy as np
 import numpy.typing as npt
 from gymnasium import spaces
+from scipy.sparse.csgraph import shortest_path
 
 from ptne_env.arrays import BoolArray, Float32Array, FloatArray, IntArray, require_positive
 
 InterfaceKind: TypeAlias = Literal["physical", "local", "full"]
 ActionMode: TypeAlias = Literal["input", "gains"]
+GraphKnowledge: TypeAlias = Literal["links", "union", "schedule"]
+Estimates: TypeAlias = Literal["honest", "coded"]
 
 OBSERVATION_BOUND = 1e6
 """Box bound of every observed entry that carries units."""
@@ -40,7 +43,7 @@ class LayoutError(ValueError):
 
 @dataclass(frozen=True)
 class Interface:
-    """Units and order of observations, and the meaning of actions. Every policy has one; the physics depends on none.
+    """Units and order of observations, the meaning of actions, and knowledge. Every policy has one, the physics none.
 
     Attributes:
         kind: ``"physical"`` (natural units, player order), ``"local"`` (scale-free, ego order) or ``"full"``
@@ -50,10 +53,14 @@ class Interface:
         own_payoff: whether a player sees its own cost J_i at the real strategies.
         neighbour_errors: whether it sees its neighbours' consensus errors, which are two links away; oracles only.
         best_response: whether it sees all players' best responses to the real strategies; oracles only.
+        graph_knowledge: of the communication graphs, each player knows its own neighbours (``"links"``), also the union
+            of all graphs (``"union"``), or also the graph of every step (``"schedule"``).
+        estimates: the content of estimates, which the neighbours receive: the present belief about the strategies
+            (``"honest"``), or other numbers too (``"coded"``).
 
     Raises:
-        ValueError: for an unknown kind or action mode, a scale that is not positive, or an oracle's slice in an
-            interface that is not ``full``.
+        ValueError: for an unknown word, a scale that is not positive, or an oracle's slice in an interface that is not
+            ``full``.
     """
 
     kind: InterfaceKind = "physical"
@@ -62,12 +69,18 @@ class Interface:
     own_payoff: bool = False
     neighbour_errors: bool = False
     best_response: bool = False
+    graph_knowledge: GraphKnowledge = "links"
+    estimates: Estimates = "honest"
 
     def __post_init__(self) -> None:
-        if self.kind not in get_args(InterfaceKind):
-            raise ValueError(f"unknown interface {self.kind!r}; choose from {', '.join(get_args(InterfaceKind))}")
-        if self.action_mode not in get_args(ActionMode):
-            raise ValueError(f"unknown action mode {self.action_mode!r}; choose from {', '.join(get_args(ActionMode))}")
+        for name, value, choices in (
+            ("interface", self.kind, InterfaceKind),
+            ("action mode", self.action_mode, ActionMode),
+            ("knowledge of graphs", self.graph_knowledge, GraphKnowledge),
+            ("content of estimates", self.estimates, Estimates),
+        ):
+            if value not in get_args(choices):
+                raise ValueError(f"unknown {name} {value!r}; choose from {', '.join(get_args(choices))}")
         require_positive("action_scale", self.action_scale)
         for name in ("neighbour_errors", "best_response"):
             if getattr(self, name) and self.kind != "full":
@@ -111,6 +124,18 @@ class Observation(NamedTuple):
     best_response: FloatArray
 
 
+class LinkSchedule(NamedTuple):
+    """The links of every step.
+
+    Attributes:
+        graphs: the links (i, j) with i < j of each graph.
+        modes: index of the graph at each instant, K+H+1 numbers.
+    """
+
+    graphs: tuple[tuple[tuple[int, int], ...], ...]
+    modes: tuple[int, ...]
+
+
 @dataclass(frozen=True)
 class ObservationLayout:
     """The layout of observations and actions that a policy is built for.
@@ -142,11 +167,13 @@ class ObservationLayout:
     Attributes:
         interface: units, order and action mode.
         action_dims: n_i of each player.
-        neighbours: per player, the player in each of its D slots; a padded slot holds the player itself.
+        neighbours: per player, the player in each of its D slots; a padded slot holds the player itself. A player knows
+            its own row: decisions that depend on other rows need :attr:`hops`.
         input_limit: largest |u|.
         deadline: T in seconds.
         largest_weight: largest a_ij that a player can observe.
         largest_clock: largest t/T, s, Θ_k and Δt_k/T.
+        schedule: the links of every step, where the interface declares that they are known; else ``None``.
     """
 
     interface: Interface
@@ -156,6 +183,7 @@ class ObservationLayout:
     deadline: float
     largest_weight: float
     largest_clock: tuple[float, float, float, float]
+    schedule: LinkSchedule | None = None
 
     @property
     def num_players(self) -> int:
@@ -171,6 +199,53 @@ class ObservationLayout:
     def slots(self) -> int:
         """D, neighbour slots per player."""
         return len(self.neighbours[0])
+
+    def known_to(self, player: int) -> ObservationLayout:
+        """This layout with the row of ``player`` alone in :attr:`neighbours`: the slots of all others are padded.
+
+        With graph knowledge ``"links"``, a policy that is built from it decides the same for that player.
+        """
+        rows = ((index,) * self.slots for index in range(self.num_players))
+        return replace(self, neighbours=tuple(self.neighbours[i] if i == player else row for i, row in enumerate(rows)))
+
+    @cached_property
+    def hops(self) -> IntArray:
+        """The least number of links between each two players in the union of all graphs, shape (N, N), read-only.
+
+        Raises:
+            LayoutError: when the interface declares the knowledge ``"links"``.
+        """
+        if self.interface.graph_knowledge == "links":
+            raise LayoutError(self._unknown("hop counts", "union"))
+        players, slots = np.arange(self.num_players), np.array(self.neighbours)
+        adjacency = np.zeros((self.num_players, self.num_players))
+        adjacency[players[:, None], slots] = 1  # a padded slot adds a loop, which shortens no path
+        result = shortest_path(adjacency, unweighted=True).astype(np.int64)
+        result.flags.writeable = False
+        return result
+
+    @cached_property
+    def live_links(self) -> BoolArray:
+        """Whether two players are linked at each instant, shape (K+H+1, N, N), read-only.
+
+        Raises:
+            LayoutError: when the interface does not declare the knowledge ``"schedule"``.
+        """
+        if self.schedule is None:
+            raise LayoutError(self._unknown("links of every step", "schedule"))
+        live = np.zeros((len(self.schedule.graphs), self.num_players, self.num_players), dtype=np.bool_)
+        for graph, links in zip(live, self.schedule.graphs, strict=True):
+            for i, j in links:
+                graph[i, j] = graph[j, i] = True
+        result = live[list(self.schedule.modes)]
+        result.flags.writeable = False
+        return result
+
+    def _unknown(self, name: str, needed: GraphKnowledge) -> str:
+        return (
+            f"this layout does not hold the {name}: its interface declares graph_knowledge="
+            f"{self.interface.graph_knowledge!r}; declare graph_knowledge={needed!r}"
+        )
 
     @cached_property
     def slices(self) -> dict[str, slice]:

@@ -110,8 +110,44 @@ BROKEN = {
         r"\(7c\) λ'\(s\) → 0",
     ),
     "is not a number": (Broken(time=lambda s: np.asarray(s) * np.nan), r"\(7a\) λ\(0\) = 0"),
+    "is not a number far out": (
+        Broken(time=lambda s: np.where(np.asarray(s) > 6, np.nan, Exponential(2.0).time(s))),
+        r"\(7c\) λ\(s\) → T",
+    ),
     "has another inverse": (Broken(inverse=lambda t: np.asarray(t) / (2 - np.asarray(t))), r"λ\^\{-1\}\(λ\(s\)\) = s"),
 }
+
+
+NAIVE = {
+    "s/√(1 + s²)": {
+        "time": lambda s: 2 * np.asarray(s) / np.sqrt(1 + np.asarray(s) ** 2),
+        "derivative": lambda s: 2 / (1 + np.asarray(s) ** 2) ** 1.5,
+        "inverse": lambda t: np.asarray(t) / np.sqrt(4 - np.asarray(t) ** 2),
+    },
+    "s/(1 + s³)^(1/3)": {
+        "time": lambda s: 2 * np.asarray(s) / np.cbrt(1 + np.asarray(s) ** 3),
+        "derivative": lambda s: 2 / (1 + np.asarray(s) ** 3) ** (4 / 3),
+        "inverse": lambda t: np.asarray(t) / np.cbrt(8 - np.asarray(t) ** 3),
+    },
+    "sinh s/cosh s": {
+        "time": lambda s: 2 * np.sinh(s) / np.cosh(s),
+        "derivative": lambda s: 2 / np.cosh(s) ** 2,
+        "inverse": lambda t: np.arctanh(np.asarray(t) / 2),
+    },
+}
+"""Transformations whose formulas overflow far out."""
+
+
+@pytest.mark.parametrize("name", NAIVE)
+def test_formula_that_overflows_far_out_satisfies_the_lemma(name):
+    assert abs(check_time_transformation(Broken(**NAIVE[name]))) < 1e-4
+
+
+def test_transformation_that_falls_far_out_without_overflow_is_refused():
+    exponential = Exponential(2.0)
+    falling = Broken(time=lambda s: np.where(np.asarray(s) < 1e100, exponential.time(s), 1.0))
+    with pytest.raises(LemmaViolationError, match="λ\\(s\\) → T"):
+        check_time_transformation(falling)
 
 
 @pytest.mark.parametrize("name", BROKEN)

@@ -18,7 +18,14 @@ from ptne_env.dynamics import State
 from ptne_env.encoder import NonFiniteActionError
 from ptne_env.envs.core import Simulation, player_encoder
 from ptne_env.envs.rendering import Renderer
-from ptne_env.observation import OBSERVATION_BOUND, ActionMode, Interface, InterfaceKind, ObservationLayout
+from ptne_env.observation import (
+    OBSERVATION_BOUND,
+    ActionMode,
+    GraphKnowledge,
+    Interface,
+    InterfaceKind,
+    ObservationLayout,
+)
 from ptne_env.scenario import Scenario
 from ptne_env.world import World
 
@@ -324,6 +331,7 @@ def parallel_env(
     action_mode: ActionMode = "input",
     action_scale: float = 5.0,
     own_payoff: bool = False,
+    graph_knowledge: GraphKnowledge = "links",
     reward: str | Mapping[str, float] = "digits",
     max_cycles: int | None = None,
     render_mode: str | None = None,
@@ -337,6 +345,7 @@ def parallel_env(
         action_mode: ``"input"`` or ``"gains"``.
         action_scale: under ``local``, an action of 1 is this many times σ_i.
         own_payoff: whether players observe their own costs J_i at the real strategies.
+        graph_knowledge: ``"links"``, ``"union"`` or ``"schedule"``; see :class:`ptne_env.observation.Interface`.
         reward: a term's name (``digits``, ``tracking``, ``payoff``, ``regret``) or weights by name.
         max_cycles: steps after which the episode is truncated.
         render_mode: ``None``, ``"human"`` or ``"rgb_array"``.
@@ -347,7 +356,7 @@ def parallel_env(
     """
     return NashSeekingEnv(
         get_scenario(scenario, **overrides),
-        interface=Interface(interface, action_mode, action_scale, own_payoff),
+        interface=Interface(interface, action_mode, action_scale, own_payoff, graph_knowledge=graph_knowledge),
         reward=reward,
         max_cycles=max_cycles,
         render_mode=render_mode,

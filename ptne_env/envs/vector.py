@@ -12,7 +12,7 @@ from gymnasium import spaces
 from ptne_env.arrays import BoolArray, Float32Array, FloatArray, IntArray, as_plain, require_count, require_mask
 from ptne_env.catalogue import get_scenario
 from ptne_env.envs.core import ResetResult, Simulation, StepResult, player_encoder
-from ptne_env.observation import ActionMode, Interface, InterfaceKind, ObservationLayout
+from ptne_env.observation import ActionMode, GraphKnowledge, Interface, InterfaceKind, ObservationLayout
 from ptne_env.random_streams import require_seed
 from ptne_env.scenario import Scenario
 from ptne_env.world import RANGE_LIMIT, World
@@ -52,7 +52,8 @@ class VectorParallelEnv:
     Args:
         scenario: a name of the catalogue or a scenario.
         num_envs: B.
-        interface, action_mode, action_scale, own_payoff, reward, max_cycles: as in :func:`ptne_env.parallel_env`.
+        interface, action_mode, action_scale, own_payoff, graph_knowledge, reward, max_cycles: as in
+            :func:`ptne_env.parallel_env`.
         **overrides: fields of the scenario to change.
 
     Attributes:
@@ -75,6 +76,7 @@ class VectorParallelEnv:
         action_mode: ActionMode = "input",
         action_scale: float = 5.0,
         own_payoff: bool = False,
+        graph_knowledge: GraphKnowledge = "links",
         reward: str | Mapping[str, float] = "digits",
         max_cycles: int | None = None,
         **overrides: Any,
@@ -82,7 +84,8 @@ class VectorParallelEnv:
         self.scenario = get_scenario(scenario, **overrides)
         self.num_envs = require_count("num_envs", num_envs, 1)
 
-        encoder = player_encoder(World(self.scenario), Interface(interface, action_mode, action_scale, own_payoff))
+        seen = Interface(interface, action_mode, action_scale, own_payoff, graph_knowledge=graph_knowledge)
+        encoder = player_encoder(World(self.scenario), seen)
         self.layout: ObservationLayout = encoder.layout
         self.num_players = self.layout.num_players
         largest = max(1, min(BLOCK_SIZE, BLOCK_ENTRIES // (self.num_players * self.layout.size)))

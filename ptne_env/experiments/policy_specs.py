@@ -24,6 +24,9 @@ _LAWS = "ptne_env.laws:"
 ARCHIVE = "ptne_env.policies.archive:load_archive"
 """Target of the policies whose making executes code that is stored in a file."""
 
+GRAPH_KNOWLEDGE = {"links": "own links", "union": "union graph", "schedule": "schedule"}
+"""The knowledge of graphs that an interface declares, in words; more knowledge comes later."""
+
 
 @dataclass(frozen=True)
 class PolicySpec:
@@ -95,6 +98,28 @@ class PolicySpec:
     def is_oracle(self) -> bool:
         """Whether it uses information that players lack."""
         return self.interface.kind == "full"
+
+    @property
+    def has_memory(self) -> bool | None:
+        """Whether it keeps numbers from step to step; ``None`` for code and files that do not say so."""
+        made: Any = self.training_seeds[0]
+        if isinstance(made, FactorySpec):
+            if made.target == LOADER:
+                return False  # feed-forward
+            made = None if self.is_foreign else made.resolve()
+        law = _named(made)
+        if issubclass(law, laws.Law):
+            return law.initial_memory is not laws.Law.initial_memory
+        return None if self.is_learned else False
+
+    @property
+    def knowledge(self) -> str:
+        """What its players know of the graphs, whether it remembers, and whether its estimates are coded, in words."""
+        if self.is_oracle:
+            return "everything"
+        memory = {True: ", memory", False: "", None: ", memory unknown"}[self.has_memory]
+        coded = ", coded estimates" if self.interface.estimates == "coded" else ""
+        return GRAPH_KNOWLEDGE[self.interface.graph_knowledge] + memory + coded
 
     @property
     def is_repeatable(self) -> bool:
@@ -195,6 +220,11 @@ POLICIES: Mapping[str, PolicySpec] = {
         PolicySpec("extremum-seeking", FactorySpec.of(f"{_LAWS}ExtremumSeeking", amplitude=1.0, gain=0.2)),
         PolicySpec("locally-implicit", FactorySpec.of(f"{_LAWS}LocallyImplicit", kappa=2.0, curvature=5.0)),
         PolicySpec("capped-gain", FactorySpec.of(f"{_LAWS}CappedGain", kappa=2.0, largest_gain=200.0)),
+        PolicySpec("routed", FactorySpec.of(f"{_LAWS}Routed", step=0.3)),
+        PolicySpec("routed-unknown", FactorySpec.of(f"{_LAWS}RoutedUnknown", step=0.3)),
+        PolicySpec("freshest", FactorySpec.of(f"{_LAWS}Freshest", step=0.3)),
+        PolicySpec("relay", FactorySpec.of(f"{_LAWS}Relay", spread=10.0)),
+        PolicySpec("identify-and-broadcast", FactorySpec.of(f"{_LAWS}IdentifyAndBroadcast", spread=10.0, switch=0.65)),
         PolicySpec("best-response-oracle", FactorySpec.of(f"{_LAWS}BestResponseOracle", relaxation=1.0)),
         PolicySpec("fixed-time-oracle", FactorySpec.of(f"{_LAWS}FixedTimeOracle", gain=1.0, largest_step=0.3)),
         PolicySpec(

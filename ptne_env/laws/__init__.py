@@ -6,6 +6,7 @@ All of them act through the interfaces that learned policies use.
 from ptne_env.laws.adaptive import Adaptive as Adaptive
 from ptne_env.laws.adaptive import AveragingIntegral as AveragingIntegral
 from ptne_env.laws.base import Law as Law
+from ptne_env.laws.broadcast import IdentifyAndBroadcast as IdentifyAndBroadcast
 from ptne_env.laws.discrete import AggregateTracking as AggregateTracking
 from ptne_env.laws.discrete import ProjectedGradient as ProjectedGradient
 from ptne_env.laws.extremum_seeking import ExtremumSeeking as ExtremumSeeking
@@ -15,6 +16,10 @@ from ptne_env.laws.oracles import BestResponseOracle as BestResponseOracle
 from ptne_env.laws.oracles import CentralisedOracle as CentralisedOracle
 from ptne_env.laws.oracles import FixedTimeOracle as FixedTimeOracle
 from ptne_env.laws.oracles import NodeAdaptiveOracle as NodeAdaptiveOracle
+from ptne_env.laws.relay import Relay as Relay
+from ptne_env.laws.routed import Freshest as Freshest
+from ptne_env.laws.routed import Routed as Routed
+from ptne_env.laws.routed import RoutedUnknown as RoutedUnknown
 from ptne_env.laws.static import CorollaryOne as CorollaryOne
 from ptne_env.laws.static import FixedGain as FixedGain
 from ptne_env.laws.static import Static as Static

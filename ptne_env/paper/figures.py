@@ -291,7 +291,7 @@ FIGURES: tuple[FigureSpec, ...] = (
         _graph,
         "Fig. 2",
         "The communication network for a group of five players in the game: (a) fixed graph G; (b) Laplacian matrix L.",
-        ("Proposition 1", "Erratum 4, the paper's own gain"),
+        ("Proposition 1", "Erratum 4, the gain of the simulations"),
     ),
     FigureSpec(
         "static",

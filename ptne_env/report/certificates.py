@@ -37,9 +37,9 @@ _PROMISES = (
     ),
     (
         ("predicted digits at T, from the rate", "{digits_from_rate} (first order)"),
-        ("predicted digits at T, sampled loop from this start", "{digits_sampled} (exact)"),
-        ("  after the hold phase", "{digits_after_hold} (exact)"),
-        ("digits gained by T from the worst start", "{worst_digits_gained} (exact)"),
+        ("predicted digits at T, sampled loop from this start", "{digits_sampled} ({digits_kind})"),
+        ("  after the hold phase", "{digits_after_hold} ({digits_kind})"),
+        ("digits gained by T from the worst start", "{worst_digits_gained} ({digits_kind})"),
         ("digits at T guaranteed by ε, ι, λ2, κ and Θ alone", "≥ {guaranteed_digits} (bound)"),
         ("effective time to the deadline", "{effective_time}"),
         ("short of the deadline, 1 − t_K/T", "{shortfall:.3%}"),
@@ -57,7 +57,7 @@ _PROMISES = (
     (
         ("messages d steps late", "{delay_reach}"),
         ("  small-gain bound, of first order", "stable for d < {delay_bound} (bound)"),
-        ("  digits at T with d = {delay_steps:g}", "{delay_digits} (exact)"),
+        ("  digits at T with d = {delay_steps:g}", "{delay_digits} ({delay_kind})"),
     ),
 )
 """Rows in groups: a statement and its value, made from :func:`_values`; a row without a value is left out."""
@@ -126,7 +126,8 @@ def _values(certificate: Certificate) -> dict[str, Any]:
         "condition_verdict": "holds" if found.get("condition_holds") else "fails (sufficient, not necessary)",
         "time": "s" if certificate.clock == "effective" else "t",
         "step": "Θ" if certificate.clock == "effective" else "Δt",
-        "rate_kind": "exact" if certificate.rate_is_exact else "see the notes",
+        "rate_kind": _kind(exact=certificate.rate_is_exact),
+        "digits_kind": _kind(exact=certificate.digits_are_exact),
         "velocity": {True: "bounded", False: "unbounded", None: None}[certificate.velocity_bounded],
         "energy": {True: "finite", False: "infinite", None: None}[certificate.energy_finite],
         "no_stable_step": "none" if certificate.largest_step and certificate.largest_stable_step is None else None,
@@ -134,7 +135,12 @@ def _values(certificate: Certificate) -> dict[str, Any]:
         "noise_digits": noise.digits if noise and noise.std else None,
         "delay_reach": None if delay is None else _delay_reach(delay),
         "delay_digits": delay.digits if delay and delay.steps else None,
+        "delay_kind": _kind(exact=delay is not None and delay.digits_are_exact),
     }
+
+
+def _kind(*, exact: bool) -> str:
+    return "exact" if exact else "see the notes"
 
 
 def _delay_reach(delay: DelayPrediction) -> str:

@@ -9,7 +9,7 @@ from typing import TypeVar
 
 from ptne_env.experiments.leaderboard import THRESHOLDS, Leaderboard, TrackRow
 from ptne_env.experiments.metrics import METRICS, number, share
-from ptne_env.experiments.policy_specs import PolicySpec
+from ptne_env.experiments.policy_specs import GRAPH_KNOWLEDGE, PolicySpec
 from ptne_env.experiments.results import Results
 from ptne_env.experiments.statistics import Summary, estimate, mean
 from ptne_env.experiments.suite import LAW, Track
@@ -246,6 +246,11 @@ def overview(results: Results) -> Table:
             firsts,
             lambda tracks: Value.count(len(tracks)),
         ),
+        Column(
+            "knows",
+            "communication graphs that players know, whether they remember, and estimates that are more than beliefs",
+            {policy: _knowledge(spec) for policy, spec in policies.items()},
+        ),
         _column("tracks", "tracks on which the policy was run", counts, Value.count),
         _column("mean digits", "over the tracks on which the policy was run", means, Value.of),
         *(
@@ -264,6 +269,12 @@ def overview(results: Results) -> Table:
         {policy: policies[policy].is_oracle for policy in order},
         () if board is None else tuple(_scope(results, board)),
     )
+
+
+def _knowledge(spec: PolicySpec) -> Value:
+    """What a policy knows, sorted from little to much."""
+    known = list(GRAPH_KNOWLEDGE).index(spec.interface.graph_knowledge)
+    return Value(spec.knowledge, len(GRAPH_KNOWLEDGE) if spec.is_oracle else known)
 
 
 def _score(results: Results, track: Track, policy: str) -> Value:

@@ -212,8 +212,8 @@ def _policy_table() -> RichTable:
     for spec in [*POLICIES.values(), *map(learned_policy, policies.shipped())]:
         mode = "" if spec.interface.action_mode == "input" else f", {spec.interface.action_mode}"
         policy = f"learned on {', '.join(sorted(spec.scenarios))}" if spec.scenarios else call(spec)
-        rows.append([spec.name, f"{spec.interface.kind}{mode}", policy])
-    return _listing("Policies", ["name", "interface", "policy"], rows)
+        rows.append([spec.name, f"{spec.interface.kind}{mode}", spec.knowledge, policy])
+    return _listing("Policies", ["name", "interface", "knows", "policy"], rows)
 
 
 def _metric_table() -> RichTable:

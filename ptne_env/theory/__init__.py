@@ -24,6 +24,10 @@ from ptne_env.theory.constants import MonotonicityConstants as MonotonicityConst
 from ptne_env.theory.constants import gain_bound as gain_bound
 from ptne_env.theory.constants import guaranteed_rate as guaranteed_rate
 from ptne_env.theory.constants import monotonicity_constants as monotonicity_constants
+from ptne_env.theory.constants import proof_matrix as proof_matrix
+from ptne_env.theory.delayed_play import coupling_radius as coupling_radius
+from ptne_env.theory.delayed_play import delayed_play_radius as delayed_play_radius
+from ptne_env.theory.delayed_play import largest_delayed_step as largest_delayed_step
 from ptne_env.theory.sampled import SampledLoop as SampledLoop
 from ptne_env.theory.sampled import distance as distance
 from ptne_env.theory.sampled import noise_distance as noise_distance

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Callable, Iterator, Mapping
+import sys
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -86,6 +88,8 @@ class DelayPrediction:
         bound: a sufficient bound in steps, of first order; ``None`` as the margin.
         steps: the delay of the prediction.
         digits: ``digits_sampled`` under that delay; ``None`` when F is not affine or gains adapt.
+        digits_are_exact: whether an episode under that delay has these digits: all that ``digits_are_exact`` of the
+            certificate asks for holds, apart from the delay, and the loop is shown to be stable under it.
     """
 
     margin: int | None
@@ -94,6 +98,7 @@ class DelayPrediction:
     bound: float | None
     steps: int
     digits: float | None
+    digits_are_exact: bool
 
 
 @dataclass(frozen=True)
@@ -113,8 +118,8 @@ class Certificate:
         algebraic_connectivity: smallest λ2 over the modes of the topology.
         condition: the condition of the law's own theorem on the scenario (sufficient for convergence, not necessary);
             ``None`` for a law without a theorem.
-        guaranteed_rate: λ_min(O) of the proof of Theorem 1, a lower bound of the rate; ``None`` unless the paper's gain
-            condition holds for the static law or Corollary 1, on a fixed graph, in a linear loop.
+        guaranteed_rate: λ_min(O/2) of the proof of Theorem 1, a lower bound of the rate; ``None`` unless the paper's
+            gain condition holds for the static law or Corollary 1, on a fixed graph, in a linear loop.
         guaranteed_digits: a lower bound of ``digits_sampled``, from the same constants and the distance of the start
             alone; ``None`` likewise.
         clock: ``"effective"``, or ``"physical"`` for a law that undoes the time gain.
@@ -125,16 +130,21 @@ class Certificate:
         frozen_gains: of a law whose gains adapt, at t = 0 and, where the loop is linear, at T; ``rate``, noise and
             delay use the last.
         sampled_rate: rate of the slowest mode of the sampled loop over the second half of the steps to T, per unit of
-            the loop's own time; ``None`` where the graph switches, gains adapt, or the loop is not linear.
+            the loop's own time; ``None`` where the graph switches, gains adapt, the loop is not linear, or there are
+            more than 600 estimates.
         dominant_share: share of that mode when this half begins; from 0.95 on, a real one dominates. ``None`` likewise.
         effective_time: τ_K = s_end + c t_K, the sum of the steps Θ_k.
         digits_from_rate: r (cT + s_end)/ln 10, the digits of the estimate error that the rate alone promises (r T/ln 10
             on the physical clock).
         digits_sampled: digits that the sampled loop, the product of (I − Θ_k M_k), has from the scenario's start over
             perfect links: −log10 ‖**x** − 1⊗x*‖/(√N ‖x*‖); ``None`` when the loop is not linear.
+        digits_are_exact: whether an episode has these digits, up to 12 of them: ``step_margin``, with the hold phase,
+            is above 1, the start asks for no input above the limit, and the scenario has no faulty links, disturbance
+            or clocks that disagree. Otherwise they are those of exact arithmetic without limits and faults, and
+            ``notes`` gives the reason. The same holds of ``digits_after_hold`` and ``worst_digits_gained``.
         digits_after_hold: the same after the hold phase; ``None`` also where there is none.
         worst_digits_gained: −log10 ‖Π (I − Θ_k M_k)‖₂, the digits gained by T from the worst start; ``None`` when the
-            loop is not linear, or gains adapt.
+            loop is not linear, gains adapt, or there are more than 600 estimates.
         largest_step: the largest step of the scenario to T, Θ_k (Δt_k on the physical clock).
         largest_stable_step: the step beyond which explicit steps on some mode's M amplify an error; ``None`` when no
             step is stable. For a law that reads its step: ``step_margin`` times the largest.
@@ -144,7 +154,7 @@ class Certificate:
         velocity_bounded: whether g(t) u stays bounded as t → T: ``input_rate`` ≥ 1 for the paper's λ. ``None`` where
             it is not decided, for a law that reads its step.
         energy_finite: whether ∫‖g u‖² dt is finite: ``input_rate`` > 1/2 for the paper's λ. ``None`` likewise.
-        noise: effect of noise on messages.
+        noise: effect of noise on messages; ``None`` with more than 600 estimates.
         delay: effect of late messages.
         shortfall: 1 − t_K/T, how far short of the deadline the last step ends, as a fraction of T.
         notes: limits of these numbers, in sentences.
@@ -171,6 +181,7 @@ class Certificate:
     dominant_share: float | None = None
     digits_from_rate: float | None = None
     digits_sampled: float | None = None
+    digits_are_exact: bool = False
     digits_after_hold: float | None = None
     worst_digits_gained: float | None = None
     largest_step: float | None = None
@@ -215,8 +226,14 @@ def certify(
         delay_limit: largest delay that is tried for the margin.
 
     Raises:
+        TypeError: when ``scenario`` is no :class:`~ptne_env.scenario.Scenario`, such as its name.
         ValueError: when a number is negative, or the spec does not build a law that can act on the scenario.
     """
+    if not isinstance(scenario, Scenario):
+        raise TypeError(
+            f"certify needs a Scenario, got the {type(scenario).__name__} {scenario!r}; "
+            "ptne_env.get_scenario returns the scenario of a name"
+        )
     world = World(scenario)
     faults = _ChannelFaults.of(world.channel)
     std = require_non_negative("noise_std", faults.noise_std if noise_std is None else noise_std)
@@ -343,6 +360,43 @@ class _Prediction:
         """Whether the path is that of ``loop``: linear, and no gain adapts."""
         return self.path is not None and not self.law.has_memory
 
+    @cached_property
+    def margin(self) -> float | None:
+        """The smallest step margin to T over the instants at which gains are frozen."""
+        return _smallest(loop.step_margin() for loop in self.loops.values())
+
+    @cached_property
+    def margin_to_the_end(self) -> float | None:
+        """The same with the hold phase."""
+        if not self.world.clock.hold_steps:
+            return self.margin
+        return _smallest(loop.step_margin(hold=True) for loop in self.loops.values())
+
+    @property
+    def amplifies(self) -> bool:
+        """Whether some step is so long that it amplifies an error, and with it what float32 rounds."""
+        if self.margin_to_the_end is None:
+            return any(loop.matrix.any() for loop in self.loop.loops)  # a law that never moves amplifies nothing
+        return self.margin_to_the_end <= 1
+
+    @property
+    def saturates(self) -> bool:
+        """Whether the start asks for an input above the limit."""
+        return self.peak_input > self.world.scenario.input_limit
+
+    @property
+    def would_be_exact(self) -> bool:
+        """Whether an episode has the digits of the path, if no message were late."""
+        world, faults = self.world, _ChannelFaults.of(self.world.channel)
+        disturbed = not world.disturbance.is_absent or any(world.scenario.clock_shifts)
+        faulty = disturbed or faults.noise_std > 0 or bool(faults.others)
+        return self.path is not None and not (self.amplifies or self.saturates or faulty)
+
+    @property
+    def digits_are_exact(self) -> bool:
+        """Whether an episode has the digits of the path."""
+        return self.would_be_exact and _ChannelFaults.of(self.world.channel).delay_steps == 0
+
     def digits(self, errors: FloatArray) -> float:
         return _digits(distance(errors, self.world.game))
 
@@ -352,13 +406,14 @@ class _Prediction:
         topology, clock = self.world.topology, self.world.clock
         rate, effective = loop.rate(self.world), loop.clock == "effective"
         matrices = [each.matrix for each in loop.per_mode]
-        input_rate = input_decay_rate(matrices, topology, scenario.deadline) if effective else rate
+        is_rate_of_input = topology.is_fixed or not effective
+        input_rate = rate if is_rate_of_input else input_decay_rate(matrices, topology, scenario.deadline)
         growth = gain_growth(clock.transformation)
         time_left = scenario.deadline * scenario.gain + scenario.s_end if effective else scenario.deadline
         largest_step = float(loop.steps[: clock.steps].max())
-        margins = [each.step_margin() for each in self.loops.values()]
-        margin = None if None in margins else min(each for each in margins if each is not None)
-        mode = dominant_mode(loop, self.start, clock.steps // 2, clock.steps) if self.has_one_recursion else None
+        margin = self.margin
+        products = self.has_one_recursion and not loop.is_large
+        mode = dominant_mode(loop, self.start, clock.steps // 2, clock.steps) if products else None
         return {
             "clock": loop.clock,
             "rate": rate,
@@ -368,8 +423,9 @@ class _Prediction:
             "dominant_share": None if mode is None else mode.share,
             "digits_from_rate": rate * time_left / math.log(10),
             "digits_sampled": None if path is None else self.digits(path[clock.steps]),
+            "digits_are_exact": self.digits_are_exact,
             "digits_after_hold": self.digits(path[-1]) if path is not None and clock.hold_steps else None,
-            "worst_digits_gained": _worst_digits(loop) if self.has_one_recursion else None,
+            "worst_digits_gained": _worst_digits(loop) if products else None,
             "largest_step": largest_step,
             "largest_stable_step": None if margin is None else margin * largest_step,
             "step_margin": margin,
@@ -378,7 +434,9 @@ class _Prediction:
             "energy_finite": None if loop.reads_step else not effective or input_rate > growth / 2,
         }
 
-    def noise(self, std: float) -> NoisePrediction:
+    def noise(self, std: float) -> NoisePrediction | None:
+        if self.loop.is_large:
+            return None
         game = self.world.game
         spread = noise_distance(self.loop.noise_covariance(), game)
         gain = spread if math.isfinite(spread) else None
@@ -393,17 +451,20 @@ class _Prediction:
         if self.has_one_recursion:
             digits = self.digits(loop.errors(self.start, steps)[loop.deadline_step])
         if not self.world.topology.is_fixed:
-            return DelayPrediction(None, 0, for_every_delay=False, bound=None, steps=steps, digits=digits)
+            exact = steps == 0 and self.would_be_exact
+            return DelayPrediction(None, 0, False, None, steps, digits, exact)  # noqa: FBT003 - in order
         longest = int(loop.steps[: loop.deadline_step].argmax())
         step, slowest = float(loop.steps[longest]), loop.loops[int(loop.index[longest])]
-        bound = delay_bound(slowest, step)
+        bound, margin = delay_bound(slowest, step), delay_margin(slowest, step, limit)
+        always = is_stable_for_every_delay(slowest, step)
         return DelayPrediction(
-            margin=delay_margin(slowest, step, limit),
+            margin=margin,
             tried=delays_tried(slowest, limit),
-            for_every_delay=is_stable_for_every_delay(slowest, step),
+            for_every_delay=always,
             bound=None if bound is None else bound / step,
             steps=steps,
             digits=digits,
+            digits_are_exact=self.would_be_exact and (always or (margin is not None and steps <= margin)),
         )
 
     def notes(self) -> Iterator[str]:
@@ -426,18 +487,36 @@ class _Prediction:
             )
         if path is not None and not np.isfinite(path[world.clock.steps]).all():
             yield "the sampled loop diverges from this start before T: the steps are too long for the law"
+        yield from self._size_notes()
         if self.loop.reads_step:
             yield (
                 "the law reads the length of its step: the rate is that of its last step, the margin that of the worst "
                 "of its steps, with the law as it acts there; whether g(t) u stays bounded is not decided"
             )
-        yield from _topology_notes(world.topology)
-        if self.peak_input > world.scenario.input_limit:
+        yield from _topology_notes(world.topology, self.loop.clock)
+        if self.saturates:
             yield (
                 f"the start asks for |u| = {self.peak_input:.4g}, above the input limit, which the prediction ignores"
             )
         if world.start.is_random and path is not None:
             yield "the start is random: the sampled digits are those of one draw, with seed 0"
+
+    def _size_notes(self) -> Iterator[str]:
+        """Limits that follow from the length of the steps and the number of estimates."""
+        if self.path is not None and self.amplifies:
+            longest = self.margin_to_the_end
+            size = "no step is stable" if longest is None else f"{1 / longest:.3g} times the largest stable step"
+            phase = " of the hold phase" if self.margin is not None and self.margin > 1 else ""
+            yield (
+                f"the largest step{phase} amplifies errors ({size}), also those of the rounding to float32: digits and "
+                "noise are those of exact arithmetic, and an episode may have others"
+            )
+        if self.loop.is_large:
+            tried = delays_tried(self.loop.per_mode[0], sys.maxsize)
+            yield (
+                f"{len(self.start)} estimates are too many for products of all steps: the rate of the sampled loop, "
+                f"the worst start and noise are left out, and delays are tried up to {tried} steps"
+            )
 
     def _frozen_gains(self) -> Iterator[FrozenGains]:
         for instant, loop in self.loops.items():
@@ -454,7 +533,7 @@ class _Prediction:
 
 
 def _guarantee(certificate: Certificate, prediction: _Prediction) -> dict[str, Any]:
-    """The bounds of the proof of Theorem 1: ‖I − hM‖² ≤ 1 − 2 h λ_min(O) + h² ‖M‖² in every step."""
+    """The bounds of the proof of Theorem 1: ‖I − hM‖² ≤ 1 − 2 h λ_min(O/2) + h² ‖M‖² in every step."""
     law, topology, constants = prediction.law, prediction.world.topology, certificate.constants
     is_static = type(law) in (Static, FixedGain, CorollaryOne)
     if not (is_static and topology.is_fixed and prediction.path is not None):
@@ -471,17 +550,25 @@ def _guarantee(certificate: Certificate, prediction: _Prediction) -> dict[str, A
     return {"guaranteed_rate": rate, "guaranteed_digits": prediction.digits(prediction.start) + float(gained)}
 
 
-def _topology_notes(topology: SwitchingTopology) -> Iterator[str]:
+def _topology_notes(topology: SwitchingTopology, clock: LoopClock) -> Iterator[str]:
+    if topology.is_fixed:
+        return
+    switches = math.isfinite(topology.mean_dwell)
+    loop_follows = (clock == "effective") == (topology.clock == "transformed")
     if topology.is_random:
         yield "the topology is random: the sampled digits are those of one draw, with seed 0"
-        if topology.clock == "physical":
-            yield "the rate is the smallest over the modes, as any of them may be the last before T"
-        else:
+        if not switches:
+            yield "the rate is the smallest over the modes, of which an episode draws one"
+        elif loop_follows:
             yield "the rate is estimated from one draw of 2000 dwells"
-    if not topology.is_fixed:
+        elif clock == "effective":
+            yield "the rate is the smallest over the modes, as any of them may be the last before T"
+    if switches and clock == "effective":
+        yield "the topology switches: the rate is that of the limit t → T and says little about the time before"
+    if switches:
         yield (
-            "the topology switches: the rate is that of the limit t → T and says little about the time before, and the "
-            "largest stable step is the smallest over the modes, which does not prove that their products are stable"
+            "the topology switches: the largest stable step is the smallest over the modes, which does not prove that "
+            "their products are stable"
         )
 
 
@@ -505,6 +592,12 @@ def _scenario_notes(world: World, faults: _ChannelFaults) -> Iterator[str]:
         yield "the players' clocks disagree; the predictions are for clocks that are right"
     if world.clock.shortfall > SHORTFALL_WARNING:
         yield f"the last step ends {world.clock.shortfall:.2%} of T short of the deadline; raise s_end to come closer"
+
+
+def _smallest(margins: Iterable[float | None]) -> float | None:
+    """The smallest; ``None`` when one of them is ``None``."""
+    found = list(margins)
+    return None if None in found else min(margin for margin in found if margin is not None)
 
 
 def _describe(spec: FactorySpec) -> str:

@@ -197,7 +197,7 @@ def inputs_of(law: Law, observation: Observation, memory: Any = None) -> FloatAr
 def spectral_abscissa(matrix: FloatArray) -> float:
     """Min Re μ over the eigenvalues μ of M, the rate of e^{−Mτ}; exactly 0 when that is rounding."""
     smallest = float(np.linalg.eigvals(matrix).real.min())
-    return 0.0 if abs(smallest) <= ZERO * np.linalg.norm(matrix, 2) else smallest
+    return 0.0 if abs(smallest) <= ZERO * np.linalg.norm(matrix) else smallest
 
 
 def decay_rate(matrices: Sequence[FloatArray], topology: SwitchingTopology, deadline: float) -> float:
@@ -222,12 +222,12 @@ def decay_rate(matrices: Sequence[FloatArray], topology: SwitchingTopology, dead
 def decay_rate_in_time(matrices: Sequence[FloatArray], topology: SwitchingTopology) -> float:
     """The rate r with which the error of dx/dt = −M x, a law without the time gain, decays like e^{−r t}.
 
-    A fixed graph gives the spectral abscissa, a topology on the physical clock the Floquet rate (a random one its
-    Lyapunov exponent), and one on the transformed clock, which switches ever faster in t, the spectral abscissa of the
-    mean of M.
+    A fixed graph gives the spectral abscissa, and a graph that an episode draws the smallest over the modes. A topology
+    on the physical clock gives the Floquet rate (a random one its Lyapunov exponent), and one on the transformed clock,
+    which switches ever faster in t, the spectral abscissa of the mean of M.
     """
-    if topology.is_fixed:
-        return spectral_abscissa(matrices[0])
+    if math.isinf(topology.mean_dwell):
+        return min(map(spectral_abscissa, matrices))
     if topology.clock == "physical":
         return _switching_rate(matrices, topology)
     return spectral_abscissa(np.average(matrices, axis=0, weights=_shares(topology)))
@@ -314,7 +314,7 @@ def _restricted(matrix: FloatArray, free: BoolArray) -> FloatArray:
 def _moving(matrix: FloatArray) -> Any:
     """The eigenvalues that are not zero."""
     eigenvalues = np.linalg.eigvals(matrix)
-    return eigenvalues[np.abs(eigenvalues) > ZERO * np.linalg.norm(matrix, 2)]
+    return eigenvalues[np.abs(eigenvalues) > ZERO * np.linalg.norm(matrix)]
 
 
 def _require_players(game: Game, graph: Graph) -> None:

@@ -15,9 +15,10 @@ from functools import singledispatch
 
 import numpy as np
 from scipy import linalg
+from scipy.sparse.csgraph import shortest_path
 
 from ptne_env.arrays import FloatArray, IntArray
-from ptne_env.graphs import Graph
+from ptne_env.graphs import Graph, union
 from ptne_env.laws import (
     Adaptive,
     AdaptiveGrounded,
@@ -33,11 +34,17 @@ from ptne_env.laws import (
     LocallyImplicit,
     NodeAdaptiveOracle,
     ProjectedGradient,
+    Relay,
     Static,
 )
+from ptne_env.laws.routed import RoutedLaw
 from ptne_env.theory.closed_loop import last_modes, loop_matrix
 from ptne_env.theory.constants import MonotonicityConstants, gain_bound, jacobians, monotonicity_constants
+from ptne_env.theory.delayed_play import coupling_radius, delayed_play_radius
 from ptne_env.world import World
+
+_LARGEST_SYSTEM = 1200
+"""Delayed play is decided exactly while its matrix has no more rows than this: its eigenvalues take seconds beyond."""
 
 
 @dataclass(frozen=True)
@@ -48,8 +55,8 @@ class ProblemConstants(MonotonicityConstants):
         jacobian: dF, shape (n, n); at x* unless F is affine.
         owners: the player that owns each component, shape (n,).
         graphs: the modes of the topology.
-        recurring_connectivity: λ2 of the union of the graphs that act as s → ∞: all modes on the transformed clock, the
-            last mode on the physical clock (docs/errata.md, 2).
+        recurring: the graphs whose links act again and again as s → ∞: the union of all modes on the transformed clock,
+            each mode that may be the last on the physical clock (docs/errata.md, 2).
         largest_step: largest Θ_k.
         effective_time: τ_K, the sum of the steps.
         gain: c in 1/s.
@@ -58,7 +65,7 @@ class ProblemConstants(MonotonicityConstants):
     jacobian: FloatArray
     owners: IntArray
     graphs: tuple[Graph, ...]
-    recurring_connectivity: float
+    recurring: tuple[Graph, ...]
     largest_step: float
     effective_time: float
     gain: float
@@ -72,6 +79,11 @@ class ProblemConstants(MonotonicityConstants):
     def connectivity(self) -> float:
         """The smallest λ2 over the modes; exactly 0 where a mode is disconnected."""
         return min(graph.algebraic_connectivity for graph in self.graphs)
+
+    @property
+    def recurring_connectivity(self) -> float:
+        """The smallest λ2 of the recurring graphs."""
+        return min(graph.algebraic_connectivity for graph in self.recurring)
 
     @property
     def largest_degree(self) -> float:
@@ -95,7 +107,7 @@ def problem_constants(world: World, constants: MonotonicityConstants | None = No
         jacobian=jacobians(game, game.nash_equilibrium[:, None])[:, :, 0],
         owners=game.owners,
         graphs=tuple(topology.graphs),
-        recurring_connectivity=min(graph.algebraic_connectivity for graph in recurring),
+        recurring=tuple(recurring),
         largest_step=float(np.max(clock.theta[: clock.steps])),
         effective_time=clock.effective_time,
         gain=clock.gain,
@@ -302,6 +314,57 @@ def projected_gradient_condition(law: ProjectedGradient, constants: ProblemConst
     cross = alpha * sigma * (iota + iota_strategies + alpha * iota * iota_strategies) / np.sqrt(players)
     contraction = np.array([[mean, cross], [cross, sigma**2 * (1 + alpha * iota) ** 2]])
     return Condition.below("λ_max(M_α) < 1", float(np.linalg.eigvalsh(contraction)[-1]), 1.0, exact=constants.exact)
+
+
+@condition.register
+def routed_condition(law: RoutedLaw, constants: ProblemConstants) -> Condition:
+    """On a fixed graph ρ < 1 of gradient play with delays equal to hop counts, exactly where it converges.
+
+    Where the graph switches, η max_c dF_cc ≤ 1 and ρ(D⁻¹ |dF − D|) < 1, which suffice for every delay
+    (:func:`~ptne_env.theory.delayed_play.coupling_radius`), and all links act again and again.
+    """
+    hops = shortest_path(union(constants.graphs).adjacency, unweighted=True)
+    delays = hops[np.ix_(constants.owners, constants.owners)].astype(np.int64)
+    monotone, curvature = _strongly_monotone(constants), float(constants.jacobian.diagonal().max())
+    if len(constants.graphs) == 1 and len(delays) * (delays.max() + 1) <= _LARGEST_SYSTEM:
+        radius = delayed_play_radius(constants.jacobian, delays, law.step)
+        name = "gradient play with delays settles: ρ < 1"
+        return decisive(monotone, Condition.below(name, radius, 1.0, exact=constants.exact))
+    return decisive(
+        monotone,
+        _all_links_recur(constants),
+        Condition.below("η max dF_cc ≤ 1", law.step * curvature, np.nextafter(1.0, 2.0), exact=constants.exact),
+        Condition.below(
+            "ρ(D⁻¹ |dF − D|) < 1, with D the diagonal", coupling_radius(constants.jacobian), 1.0, exact=constants.exact
+        ),
+    )
+
+
+@condition.register
+def relay_condition(law: Relay, constants: ProblemConstants) -> Condition:  # noqa: ARG001 - it has no gain
+    """ε > 0, ρ(B) < 1 with B_ij = ‖G_ii⁻¹ G_ij‖ for i ≠ j and G = dF, and all links act again and again.
+
+    Then best responses contract in a weighted maximum norm, with copies of any age (D. P. Bertsekas and J. N.
+    Tsitsiklis, "Parallel and distributed computation", 1989, section 6.2), so also along paths that switch.
+    """
+    blocks = [np.flatnonzero(constants.owners == player) for player in range(constants.num_players)]
+    coupling = np.zeros((len(blocks), len(blocks)))
+    for i, own in enumerate(blocks):
+        response = np.linalg.solve(constants.jacobian[np.ix_(own, own)], constants.jacobian[own])
+        for j, other in enumerate(blocks):
+            coupling[i, j] = 0.0 if i == j else np.linalg.norm(response[:, other], 2)
+    radius = float(np.abs(np.linalg.eigvals(coupling)).max())
+    return decisive(
+        _strongly_monotone(constants),
+        _all_links_recur(constants),
+        Condition.below("ρ(B) < 1, B_ij = ‖G_ii⁻¹ G_ij‖", radius, 1.0, exact=constants.exact),
+    )
+
+
+def _all_links_recur(constants: ProblemConstants) -> Condition:
+    name = "all links recur as s → ∞: smallest number of recurring links > all links − 1"
+    recurring = min(len(graph.edges) for graph in constants.recurring)
+    return Condition.above(name, recurring, len(union(constants.graphs).edges) - 1)
 
 
 @condition.register

@@ -89,17 +89,16 @@ def gain_bound(constants: MonotonicityConstants, algebraic_connectivity: float) 
     return (iota**2 / epsilon + iota) / algebraic_connectivity
 
 
-def guaranteed_rate(
+def proof_matrix(
     constants: MonotonicityConstants,
     algebraic_connectivity: float,
     players: int,
     kappa: float,
     gradient_gain: float = 1.0,
-) -> float:
-    """λ_min(O) of the proof of Theorem 1: ‖**x** − 1⊗x*‖ falls at least like e^{−λ_min(O) τ} from every start.
+) -> FloatArray:
+    """O/2 = [[ε/N, −ι/√N], [−ι/√N, κ λ2 − ι]] with the matrix O of the proof of Theorem 1 (eq. L8).
 
-    O = [[ε/N, −ι/√N], [−ι/√N, κ λ2 − ι]] (before eq. L8), and it bounds λ_min of the symmetric part of M from below.
-    It is positive exactly when the gain condition holds, and a bound: the rate itself is the spectral abscissa.
+    With a the norm of the mean part 1⊗ē of an error e, and b that of the rest, eᵀ M e ≥ (a, b) O/2 (a, b)ᵀ.
 
     Args:
         constants: ε and ι.
@@ -107,10 +106,29 @@ def guaranteed_rate(
         players: N.
         kappa: κ.
         gradient_gain: scales ε and ι.
+
+    Returns:
+        Shape (2, 2), symmetric.
     """
     epsilon, iota = gradient_gain * constants.epsilon, gradient_gain * constants.iota
     coupling = iota / np.sqrt(players)
-    matrix = np.array([[epsilon / players, -coupling], [-coupling, kappa * algebraic_connectivity - iota]])
+    return np.array([[epsilon / players, -coupling], [-coupling, kappa * algebraic_connectivity - iota]])
+
+
+def guaranteed_rate(
+    constants: MonotonicityConstants,
+    algebraic_connectivity: float,
+    players: int,
+    kappa: float,
+    gradient_gain: float = 1.0,
+) -> float:
+    """λ_min(O/2) of the proof of Theorem 1: ‖**x** − 1⊗x*‖ falls at least like e^{−λ_min(O/2) τ} from every start.
+
+    It is the smallest eigenvalue of :func:`proof_matrix`, which has the same arguments, and bounds λ_min of the
+    symmetric part of M from below. It is positive exactly when the gain condition holds, and a bound: the rate itself
+    is the spectral abscissa.
+    """
+    matrix = proof_matrix(constants, algebraic_connectivity, players, kappa, gradient_gain)
     return float(np.linalg.eigvalsh(matrix)[0])
 
 

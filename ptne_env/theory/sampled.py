@@ -17,6 +17,7 @@ from ptne_env.games import Game
 from ptne_env.laws import Law
 from ptne_env.theory.closed_loop import (
     Loop,
+    NoClosedLoopError,
     blank_observation,
     decay_rate,
     decay_rate_in_time,
@@ -30,6 +31,12 @@ LoopClock: TypeAlias = Literal["effective", "physical"]
 
 _OVERFLOW = 1e150
 """A loop whose error exceeds this has diverged; its squares would overflow."""
+
+LARGEST_PRODUCT = 600
+"""Products of matrices over all steps are for at most this many estimates: they take minutes beyond."""
+
+_LARGEST_LOOPS = 70_000_000
+"""Number of entries that the loops of a law that reads its step may have together: about 2 GB."""
 
 
 @dataclass(frozen=True)
@@ -54,22 +61,31 @@ class SampledLoop:
     deadline_step: int
 
     @property
+    def is_large(self) -> bool:
+        """Whether products of matrices over all steps would take minutes, so that certificates leave them out."""
+        return len(self.loops[0].matrix) > LARGEST_PRODUCT
+
+    @property
     def reads_step(self) -> bool:
         """Whether the law reads the length of its step, so that every step has a loop of its own."""
         return len(self.loops) > len(self.per_mode)
 
-    def step_margin(self) -> float | None:
+    def step_margin(self, *, hold: bool = False) -> float | None:
         """Factor by which the steps to T may grow, at constant M, until they amplify some error.
 
         The smallest over the modes against the longest step; for a law that reads its step, the smallest over the
         steps. ``None`` when some M amplifies errors in every step.
+
+        Args:
+            hold: count the steps of the hold phase too.
         """
         stable = [largest_stable_step(loop.matrix) for loop in self.loops]
         if any(step is None for step in stable):
             return None
-        limits, steps = np.array(stable, dtype=np.float64), self.steps[: self.deadline_step]
+        last = len(self.steps) if hold else self.deadline_step
+        limits, steps = np.array(stable, dtype=np.float64), self.steps[:last]
         if self.reads_step:
-            return float((limits[self.index[: self.deadline_step]] / steps).min())
+            return float((limits[self.index[:last]] / steps).min())
         return float(limits.min() / steps.max())
 
     def rate(self, world: World) -> float:
@@ -109,10 +125,10 @@ class SampledLoop:
         return result
 
     def transition(self) -> FloatArray:
-        """Φ = Π (I − h_k M_k) over all K+H steps, shape (Nn, Nn); not finite where it overflows."""
-        matrices = [loop.matrix for loop in self.loops]
+        """Φ = Π (I − h_k M_k) over the K steps to T, shape (Nn, Nn); not finite where it overflows."""
+        matrices, steps = [loop.matrix for loop in self.loops], self.deadline_step
         result = np.eye(len(matrices[0]))
-        for mode, step in zip(self.index, self.steps, strict=True):
+        for mode, step in zip(self.index[:steps], self.steps[:steps], strict=True):
             result = result - step * (matrices[mode] @ result)
             if not np.all(np.abs(result) < _OVERFLOW):
                 return np.full_like(result, np.inf)
@@ -121,8 +137,10 @@ class SampledLoop:
     def noise_covariance(self, noise_std: float = 1.0) -> FloatArray:
         """Covariance of the error at T that additive noise on every message causes; the mean follows :meth:`errors`.
 
-        P_{k+1} = (I − h_k M_k) P_k (I − h_k M_k)ᵀ + h_k² σ² W_k from P_0 = 0, with W_k the covariance of u for noise of
-        variance 1: exact for affine F and a law at constant gains.
+        P = Σ h_k² σ² Ψ_k W_k Ψ_kᵀ with Ψ_k the product of the steps after k to T, and W_k the covariance of u for noise
+        of variance 1: exact for affine F and a law at constant gains. The sum runs from the last step backwards. The
+        recursion P_{k+1} = (I − h_k M_k) P_k (I − h_k M_k)ᵀ + h_k² σ² W_k has the same result, but rounding makes its
+        variances negative where early steps amplify an error and later steps damp it.
 
         Args:
             noise_std: σ of the noise on each component of each message, independent per directed link and step.
@@ -136,11 +154,12 @@ class SampledLoop:
         variance = require_non_negative("noise_std", noise_std) ** 2
         steps = self.deadline_step
         matrices = [loop.matrix for loop in self.loops]
-        result = np.zeros_like(matrices[0])
-        for mode, step in zip(self.index[:steps], self.steps[:steps], strict=True):
-            half = result - step * (matrices[mode] @ result)
-            result = half - step * (half @ matrices[mode].T) + step**2 * variance * self.loops[mode].noise
-            if not np.all(np.abs(result) < _OVERFLOW):
+        after = np.eye(len(matrices[0]))
+        result = np.zeros_like(after)
+        for mode, step in zip(self.index[:steps][::-1], self.steps[:steps][::-1], strict=True):
+            result += step**2 * variance * (after @ self.loops[mode].noise) @ after.T
+            after = after - step * (after @ matrices[mode])
+            if not (np.all(np.abs(result) < _OVERFLOW) and np.all(np.abs(after) < _OVERFLOW)):
                 return np.full_like(result, np.inf)
         return result
 
@@ -155,6 +174,8 @@ def sampled_loop(world: World, law: Law, memory: Any = None) -> SampledLoop:
         memory: the law's, frozen; one row per player.
 
     Raises:
+        NoClosedLoopError: as :func:`~ptne_env.theory.closed_loop.law_loop`, and for a law that reads its step, so that
+            every step has a loop of its own, when these would take more than about 2 GB.
         ValueError: as :func:`~ptne_env.theory.closed_loop.law_loop`.
     """
     clock, graphs = world.clock, world.topology.graphs
@@ -174,6 +195,11 @@ def sampled_loop(world: World, law: Law, memory: Any = None) -> SampledLoop:
         return SampledLoop(loops, loops, modes, dt, "physical", clock.steps)
     # A law that reads its step in another way has a loop of its own in every step.
     kinds, index = np.unique(np.stack([modes, theta, dt]), axis=1, return_inverse=True)
+    if kinds.shape[1] * loops[0].matrix.size > _LARGEST_LOOPS:
+        raise NoClosedLoopError(
+            f"{type(law).__name__} reads its step and so has {kinds.shape[1]} loops, too many for "
+            f"{len(loops[0].matrix)} estimates"
+        )
     loops = tuple(loop(int(mode), float(theta), float(dt)) for mode, theta, dt in kinds.T)
     last = clock.steps - 1
     per_mode = tuple(loop(mode, float(theta[last]), float(dt[last])) for mode in range(len(graphs)))

@@ -153,3 +153,30 @@ def test_files_that_are_no_archives_are_refused(tmp_path):
         get_policy_spec(str(tmp_path / "bad.zip"), trust=True)
     with pytest.raises(ValueError, match="no file"):
         get_policy_spec(str(tmp_path / "none.zip"), trust=True)
+
+
+def test_data_from_before_the_declaration_of_knowledge_are_read():
+    data = get_policy_spec("static").to_dict()
+    for name in ("graph_knowledge", "estimates"):
+        del data["interface"][name]
+    assert PolicySpec.from_dict(data) == get_policy_spec("static")
+
+
+@pytest.mark.parametrize(
+    ("spec", "knowledge"),
+    [
+        (get_policy_spec("static"), "own links"),
+        (get_policy_spec("adaptive"), "own links, memory"),
+        (get_policy_spec("oracle"), "everything"),
+        (
+            PolicySpec("mine", "object", ptne_env.Interface(estimates="coded")),
+            "own links, memory unknown, coded estimates",
+        ),
+        (
+            PolicySpec("mine", FactorySpec.of("sample_laws:Any"), ptne_env.Interface(graph_knowledge="schedule")),
+            "schedule, memory unknown",
+        ),
+    ],
+)
+def test_the_knowledge_of_a_policy_is_told_in_words(spec, knowledge):
+    assert spec.knowledge == knowledge

@@ -3,12 +3,15 @@
 And relabelling the players permutes the results: no law prefers a player for its number.
 """
 
+from dataclasses import asdict
+
 import numpy as np
 import pytest
 from affine_games import SOAK
 from worlds import energy_scenario, fixed_part, make_env, play, world_and_encoder
 
 from ptne_env import FactorySpec, Interface, dynamics, laws
+from ptne_env.experiments import POLICIES
 
 LAWS = {
     "static": laws.Static,
@@ -23,6 +26,7 @@ LAWS = {
     "extremum-seeking": laws.ExtremumSeeking,
     "locally-implicit": laws.LocallyImplicit,
     "capped-gain": laws.CappedGain,
+    "routed-unknown": laws.RoutedUnknown,
     "zero-input": laws.ZeroInput,
 }
 INTERFACES = {
@@ -116,6 +120,27 @@ def test_scrambling_hidden_information_changes_no_action(player, law, interface,
         compared += not np.array_equal(observations[strangers], other_observations[strangers])
         state = dynamics.step(world, state, encoder.decode(actions[None], state))
     assert compared == STEPS  # the worlds did look different to others
+
+
+LINKS = [name for name, spec in POLICIES.items() if spec.interface.graph_knowledge == "links"]
+
+
+@pytest.mark.parametrize("name", LINKS)
+def test_policies_of_own_links_decide_without_the_links_of_others(name):
+    scenario = energy_scenario(CURVATURE, TARGET, topology_spec(MODES, np.ones((5, 5))))
+    spec = POLICIES[name]
+    world, encoder = world_and_encoder(scenario, **asdict(spec.interface))
+    layout = encoder.layout
+    policy, memory = spec.build(layout), None
+    alone, memories = [spec.build(layout.known_to(player)) for player in range(5)], [None] * 5
+    state = dynamics.initial_state(world, np.random.default_rng(0).uniform(-20, 20, (5, 5, 1)))
+    for _ in range(STEPS):
+        observations = encoder.observe(state)[0]
+        actions, memory = policy.predict(observations, state=memory)
+        for i in range(5):
+            action, memories[i] = alone[i].predict(observations[i : i + 1], state=memories[i])
+            assert name == "random" or np.array_equal(action[0], actions[i])
+        state = dynamics.step(world, state, encoder.decode(actions[None], state))
 
 
 @pytest.mark.parametrize(("law", "kind"), KINDS)

@@ -21,16 +21,21 @@ LAWS = [
     laws.ProjectedGradient,
     laws.LocallyImplicit,
     laws.CappedGain,
+    laws.RoutedUnknown,
     laws.ZeroInput,
     laws.RandomPolicy,
 ]
 SPECIAL = [
     laws.AggregateTracking,
     laws.ExtremumSeeking,
+    laws.Relay,
+    laws.IdentifyAndBroadcast,
     laws.CentralisedOracle,
     laws.BestResponseOracle,
     laws.FixedTimeOracle,
     laws.NodeAdaptiveOracle,
+    laws.Routed,
+    laws.Freshest,
 ]
 """Laws that need an interface of their own."""
 

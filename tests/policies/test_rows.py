@@ -68,12 +68,12 @@ def test_every_policy_of_the_library_decides_rows_alike(name):
     fitting = 0
     for world in WORLDS:
         spec = get_policy_spec(name)
-        encoder = make_encoder(world, spec.interface)
-        layout, rows = encoder.layout, EPISODES * encoder.layout.num_players
         try:
-            spec.build(layout)
+            encoder = make_encoder(world, spec.interface)
+            spec.build(encoder.layout)
         except LayoutError:
             continue
+        layout, rows = encoder.layout, EPISODES * encoder.layout.num_players
         fitting += 1
         state = dynamics.draw_initial_state(world, [RandomStreams.from_seed(seed) for seed in range(EPISODES)])
 

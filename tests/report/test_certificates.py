@@ -42,6 +42,15 @@ def test_static_law_has_every_promise(static):
     assert "guaranteed by ε, ι, λ2 and κ alone" not in table
 
 
+def test_digits_of_steps_that_amplify_errors_refer_to_the_notes():
+    certificate = certify(get_scenario("energy", steps=130, hold_steps=5), delay_steps=2)
+    table = rows(certificate)
+    digits = number(certificate.digits_sampled)
+    assert table["predicted digits at T, sampled loop from this start"] == f"{digits} (see the notes)"
+    for statement in ("after the hold phase", "digits gained by T from the worst start", "digits at T with d = 2"):
+        assert table[statement].endswith("(see the notes)")
+
+
 def test_larger_gain_has_guarantees():
     certificate = certify(get_scenario("energy"), 5.0)
     table = rows(certificate)
