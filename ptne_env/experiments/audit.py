@@ -10,11 +10,25 @@ import numpy.typing as npt
 from ptne_env.arrays import Float32Array, IntArray
 from ptne_env.policy import Policy, PolicyError
 
-EPISODES = 16
-"""Most episodes from which a witness gets rows, unless the audit is thorough."""
-
 WITNESSES = 8
 """Most witnesses of a thorough audit."""
+
+
+NOT_ROW_WISE = (
+    "its decisions are not row-wise: with other rows in the batch it decides differently. A decision may depend on the "
+    "player's own observation and memory alone, and must repeat bit for bit"
+)
+"""Why a policy fails whose witness got other rows."""
+
+USES_OTHER_LINKS = (
+    "it uses links of other players: with the neighbours of one player alone it decides differently for that player. "
+    "A decision may depend on the player's own row of layout.neighbours alone; a policy that uses others declares "
+    "graph_knowledge='union'"
+)
+"""Why a policy fails whose witness was built from what one player knows, after its other witness agreed."""
+
+OWN_LINKS_EPISODES = 16
+"""Most episodes of a witness that was built from what one player knows."""
 
 
 class Witness:
@@ -26,11 +40,11 @@ class Witness:
     Args:
         policy: a fresh policy; of foreign code, in a fresh process.
         rows: indices of the rows of the batch that it receives, in its own order.
-        player: to which all rows belong, if ``policy`` was built from what this player knows alone.
+        reason: of the failure when a decision differs.
     """
 
-    def __init__(self, policy: Policy, rows: IntArray, player: int | None = None) -> None:
-        self._policy, self._rows, self._player = policy, rows, player
+    def __init__(self, policy: Policy, rows: IntArray, reason: str = NOT_ROW_WISE) -> None:
+        self._policy, self._rows, self._reason = policy, rows, reason
         self._memory: Any = None
         self._starts = np.ones(len(rows), dtype=np.bool_)
 
@@ -49,32 +63,34 @@ class Witness:
         )
         self._starts = np.zeros_like(self._starts)
         if not np.array_equal(np.asarray(again), actions[self._rows]):
-            raise PolicyError(
-                "its decisions are not row-wise: with other rows in the batch it decides differently. A decision may "
-                "depend on the player's own observation and memory alone, and must repeat bit for bit"
-                if self._player is None
-                else f"its decisions for player {self._player} are not row-wise, or use links of other players: with "
-                "the rows and the neighbours of this player alone it decides differently. A decision may depend on "
-                "the player's own observation, memory and row of layout.neighbours alone, and must repeat bit for "
-                "bit; a policy that uses other links declares graph_knowledge='union'"
-            )
+            raise PolicyError(self._reason)
 
 
-def sample_rows(episodes: int, players: int, *, thorough: bool, by_player: bool = False) -> list[IntArray]:
+def sample_rows(episodes: int, players: int, *, thorough: bool) -> list[IntArray]:
     """The rows of each witness, chosen afresh: no policy can know them.
+
+    Every witness gets one player of every episode, and over the episodes one player after the other. So with as many
+    episodes as players, every player has a witness in some episode.
 
     Args:
         episodes: of the batch, whose row e · players + p is player p of episode e.
         players: number of players for which the policy decides.
-        thorough: whether there are as many witnesses as players, up to :data:`WITNESSES`, which get different players
-            of every episode, and not one witness with a random player of each of some episodes.
-        by_player: whether all rows of a witness belong to the same player.
+        thorough: whether there are as many witnesses as players, up to :data:`WITNESSES`, and not one.
     """
     generator = np.random.default_rng()
-    chosen = generator.permutation(episodes)
-    if not thorough:
-        chosen = chosen[:EPISODES]
-        return [chosen * players + generator.integers(players, size=1 if by_player else len(chosen))]
-    order = generator.permutation(players)  # consecutive episodes go on where the one before ends
-    first = np.arange(episodes) * (0 if by_player else min(players, WITNESSES))
-    return [chosen * players + order[(first + witness) % players] for witness in range(min(players, WITNESSES))]
+    witnesses = min(players, WITNESSES) if thorough else 1
+    chosen, order = generator.permutation(episodes), generator.permutation(players)
+    first = np.arange(episodes) * witnesses  # an episode goes on where the one before ends
+    return [chosen * players + order[(first + witness) % players] for witness in range(witnesses)]
+
+
+def rows_of_one(episodes: int, players: int) -> tuple[int, IntArray]:
+    """The place of one player among those for which the policy decides, chosen afresh, and some of its rows.
+
+    Args:
+        episodes: of the batch, as for :func:`sample_rows`.
+        players: number of players for which the policy decides.
+    """
+    generator = np.random.default_rng()
+    place = int(generator.integers(players))
+    return place, generator.permutation(episodes)[:OWN_LINKS_EPISODES] * players + place

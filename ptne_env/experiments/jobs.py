@@ -15,7 +15,7 @@ import numpy as np
 from ptne_env.arrays import FloatArray
 from ptne_env.dynamics import State
 from ptne_env.encoder import make_encoder
-from ptne_env.experiments.audit import Witness, sample_rows
+from ptne_env.experiments.audit import USES_OTHER_LINKS, Witness, rows_of_one, sample_rows
 from ptne_env.experiments.episodes import EpisodeSet
 from ptne_env.experiments.metrics import METRICS, Metric, adopt, measure, own_metrics
 from ptne_env.experiments.policy_specs import PolicySpec
@@ -78,12 +78,12 @@ class Job:
                     return processes.enter_context(self.policy.deciding(layout, self.training_seed))
 
                 policy = fresh(encoder.layout)
-                alone = self.policy.interface.graph_knowledge == "links"
-                rows = sample_rows(self.episodes.count, len(deciding), thorough=thorough, by_player=alone)
-                witnesses = []
-                for chosen in rows:
-                    player = deciding[chosen[0] % len(deciding)] if alone else None
-                    witnesses.append(Witness(_informed(fresh, encoder.layout, player), chosen, player))
+                rows = sample_rows(self.episodes.count, len(deciding), thorough=thorough)
+                witnesses = [Witness(fresh(encoder.layout), chosen) for chosen in rows]
+                if self.policy.interface.graph_knowledge == "links":
+                    place, chosen = rows_of_one(self.episodes.count, len(deciding))
+                    alone = _of_own_links(fresh, encoder.layout.known_to(deciding[place]))
+                    witnesses.append(Witness(alone, chosen, USES_OTHER_LINKS))
                 start = _initial_state(world, self.episodes)
                 samples = measure(rollout(policy, encoder, start, teammates, witnesses=witnesses))
         except LayoutError as error:
@@ -94,17 +94,12 @@ class Job:
         return JobResult(samples, timings, None)
 
 
-def _informed(make: Callable[[ObservationLayout], Policy], layout: ObservationLayout, player: int | None) -> Policy:
-    """A policy that is built from what one player knows of the layout, or from all of it."""
-    if player is None:
-        return make(layout)
+def _of_own_links(make: Callable[[ObservationLayout], Policy], layout: ObservationLayout) -> Policy:
+    """A policy for the layout that one player knows, after one was made for the whole layout."""
     try:
-        return make(layout.known_to(player))
-    except LayoutError as error:  # the policy was built from the whole layout before
-        raise PolicyError(
-            f"it uses links of other players: with the neighbours of player {player} alone it cannot be built "
-            f"({error}); a policy that uses other links declares graph_knowledge='union'"
-        ) from None
+        return make(layout)
+    except LayoutError as error:
+        raise PolicyError(f"{USES_OTHER_LINKS}. It cannot be built from them: {error}") from None
 
 
 @lru_cache(maxsize=2)  # jobs with the same episodes follow each other

@@ -46,8 +46,7 @@ def contacts(
 
     Args:
         observation: of R players.
-        memory: the parts ``live``, ``heard``, ``steps``, ``seen``, ``moved``, ``source``, ``votes``, ``news`` and ``drift`` of
-            :class:`ContactRelay`.
+        memory: the parts of :class:`ContactRelay` by name.
         leaders: whether j owns c, shape (R, D, n).
 
     Returns:
