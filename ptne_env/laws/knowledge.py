@@ -24,15 +24,10 @@ _RESOLUTION = 1e-5
 """Relative change of a float32 message above which it has moved, and is not only rounded otherwise."""
 
 
-def mean_over(chosen: BoolArray, relative: FloatArray) -> FloatArray:
-    """The mean of x^j_c − x^i_c over the chosen slots, 0 where there is none: (R, D, n) to (R, n)."""
-    return np.add.reduce(np.where(chosen, relative, 0.0), axis=1) / np.maximum(np.add.reduce(chosen, axis=1), 1)
-
-
 def contacts(
     observation: Observation, memory: Mapping[str, FloatArray], leaders: BoolArray
-) -> tuple[FloatArray, dict[str, FloatArray]]:
-    """The moves of estimates of others to the fresher copies, as far as own links and memory show which they are.
+) -> tuple[BoolArray, dict[str, FloatArray]]:
+    """The neighbours that have fresher copies, as far as own links and memory show which they are.
 
     A *contact* is a time in which a link is live without a break. At its start, player i compares how far its own copy
     of component c and the neighbour's copy have moved since the last contact, at the end of which they knew each other.
@@ -50,7 +45,7 @@ def contacts(
         leaders: whether j owns c, shape (R, D, n).
 
     Returns:
-        The moves, shape (R, n), and the changed parts of the memory.
+        The sources, shape (R, D, n), and the changed parts of the memory.
     """
     live, before = (observation.weights > 0)[:, :, None], memory["live"][:, :, None] > 0
     relative, drift = observation.relative_estimates * observation.unit[:, :, None], memory["drift"][:, None]
@@ -68,7 +63,7 @@ def contacts(
     source = np.where(wakes.any(axis=1, keepdims=True), wakes, live & (memory["source"] > 0))
     owners = leaders & (live | (memory["heard"][:, :, None] > 0))
     source = np.where(owners.any(axis=1, keepdims=True), owners & live, source)
-    return mean_over(source, observation.relative_estimates), {
+    return source, {
         "moved": np.where(live, 0.0, mine),
         "seen": np.where(live, relative, memory["seen"]),
         "source": source.astype(np.float64),
@@ -103,19 +98,15 @@ class ChoosingRelay(LinkRelay):
     """The base class of relays that choose the sources anew in every step."""
 
     @abstractmethod
-    def moves(
+    def chosen(
         self, observation: Observation, memory: Mapping[str, FloatArray]
-    ) -> tuple[FloatArray, dict[str, FloatArray]]:
-        """Δx^i_c of the estimates of others, shape (R, n), and the changed parts of the memory."""
+    ) -> tuple[BoolArray, dict[str, FloatArray]]:
+        """The sources of each component, shape (R, D, n), and the changed parts of the memory."""
 
     def inputs(self, observation: Observation, memory: FloatArray) -> tuple[FloatArray, FloatArray]:
         parts = self._parts.split(memory)
-        moves, fresh = self.moves(observation, parts)
-        live = (observation.weights > 0)[:, :, None]
-        # To move by Δ is to copy from live neighbours that all send x^i + Δ.
-        heard = observation._replace(relative_estimates=np.where(live, moves[:, None], 0.0))
-        everyone = np.ones(heard.relative_estimates.shape, dtype=np.bool_)
-        displacement, parts = relay_displacement(heard, parts, self.layout, everyone, self.spread)
+        sources, fresh = self.chosen(observation, parts)
+        displacement, parts = relay_displacement(observation, parts, self.layout, sources, self.spread, mixes=False)
         parts["drift"] = np.where(self.layout.own_mask[observation.player], 0.0, displacement)
         return per_step(displacement, observation), self._parts.join(parts | fresh)
 
@@ -142,9 +133,9 @@ class ContactRelay(ChoosingRelay):
         parts["seen"] = np.full_like(parts["seen"], np.inf)
         return self._parts.join(parts)
 
-    def moves(
+    def chosen(
         self, observation: Observation, memory: Mapping[str, FloatArray]
-    ) -> tuple[FloatArray, dict[str, FloatArray]]:
+    ) -> tuple[BoolArray, dict[str, FloatArray]]:
         return contacts(observation, memory, self.layout.neighbour_components[observation.player])
 
 
@@ -161,8 +152,8 @@ class FreshestRelay(ChoosingRelay):
         super().__init__(layout, spread)
         self._freshest = Freshest(layout)
 
-    def moves(
+    def chosen(
         self, observation: Observation, memory: Mapping[str, FloatArray]
-    ) -> tuple[FloatArray, dict[str, FloatArray]]:
+    ) -> tuple[BoolArray, dict[str, FloatArray]]:
         sources, _ = self._freshest.sources(observation, memory["steps"])
-        return mean_over(sources, observation.relative_estimates), {}
+        return sources, {}
