@@ -25,7 +25,7 @@ _RESOLUTION = 1e-5
 
 
 def contacts(
-    observation: Observation, memory: Mapping[str, FloatArray], leaders: BoolArray
+    observation: Observation, memory: Mapping[str, FloatArray], leaders: BoolArray, nearer: FloatArray
 ) -> tuple[BoolArray, dict[str, FloatArray]]:
     """The neighbours that have fresher copies, as far as own links and memory show which they are.
 
@@ -43,6 +43,8 @@ def contacts(
         observation: of R players.
         memory: the parts of :class:`ContactRelay` by name.
         leaders: whether j owns c, shape (R, D, n).
+        nearer: by how many links j is nearer to the owner of c than i, NaN where that is unknown, shape (R, D, n). It
+            counts more than all votes, and during a contact only nearer neighbours become sources.
 
     Returns:
         The sources, shape (R, D, n), and the changed parts of the memory.
@@ -56,10 +58,11 @@ def contacts(
     i_moved, j_moved = np.abs(mine) > floor, np.abs(theirs) > floor
     starts, votes = live & ~before, memory["votes"]
     votes = votes + np.where(starts & met, j_moved.astype(np.int64) - i_moved, 0)
-    both = np.where(votes == 0, np.abs(theirs) > np.abs(mine), votes > 0)
+    judgement = np.where(np.isnan(nearer) | (nearer == 0), votes, nearer)
+    both = np.where(judgement == 0, np.abs(theirs) > np.abs(mine), judgement > 0)
     is_newcomer = (memory["steps"][:, :, None] > 0) & (memory["news"] == 0)[:, None]
     fresher = np.where(met, np.where(i_moved & j_moved, both, j_moved & ~i_moved), is_newcomer)
-    wakes = live & np.where(starts, fresher, j_moved & (np.abs(drift) <= floor))
+    wakes = live & np.where(starts, fresher, j_moved & (np.abs(drift) <= floor) & ~(nearer <= 0))
     source = np.where(wakes.any(axis=1, keepdims=True), wakes, live & (memory["source"] > 0))
     owners = leaders & (live | (memory["heard"][:, :, None] > 0))
     source = np.where(owners.any(axis=1, keepdims=True), owners & live, source)
@@ -117,6 +120,14 @@ class ChoosingRelay(LinkRelay):
 class ContactRelay(ChoosingRelay):
     """:class:`~ptne_env.laws.relay.Relay` of players that know their own links, and remember them, :func:`contacts`."""
 
+    def __init__(self, layout: ObservationLayout, spread: float = 10.0) -> None:
+        super().__init__(layout, spread)
+        self._nearness = self._distances()
+
+    def _distances(self) -> FloatArray:
+        """By how many links the neighbour in slot d of player i is nearer to the owner of c than i, shape (N, D, n)."""
+        return np.full((self.layout.num_players, self.layout.slots, self.layout.dimension), np.nan)
+
     def _shapes(self) -> dict[str, tuple[int, ...]]:
         n, slots = self.layout.dimension, self.layout.slots
         own = {
@@ -136,7 +147,22 @@ class ContactRelay(ChoosingRelay):
     def chosen(
         self, observation: Observation, memory: Mapping[str, FloatArray]
     ) -> tuple[BoolArray, dict[str, FloatArray]]:
-        return contacts(observation, memory, self.layout.neighbour_components[observation.player])
+        player = observation.player
+        return contacts(observation, memory, self.layout.neighbour_components[player], self._nearness[player])
+
+
+class RouteRelay(ContactRelay):
+    """:class:`ContactRelay` of players that know hop counts on the union graph too.
+
+    Raises:
+        LayoutError: for a layout without hop counts.
+    """
+
+    interface: ClassVar[Interface] = Interface(graph_knowledge="union")
+
+    def _distances(self) -> FloatArray:
+        hops = np.repeat(self.layout.hops, self.layout.action_dims, axis=1).astype(np.float64)
+        return np.asarray(hops[:, None] - hops[np.array(self.layout.neighbours)])
 
 
 class FreshestRelay(ChoosingRelay):
