@@ -43,8 +43,9 @@ def contacts(
         observation: of R players.
         memory: the parts of :class:`ContactRelay` by name.
         leaders: whether j owns c, shape (R, D, n).
-        nearer: by how many links j is nearer to the owner of c than i, NaN where that is unknown, shape (R, D, n). It
-            counts more than all votes, and during a contact only nearer neighbours become sources.
+        nearer: by how many links j is nearer to the owner of c than i, NaN where that is unknown, shape (R, D, n). Once
+            a nearer neighbour was heard, this counts more than all votes, and during a contact only nearer neighbours
+            become sources.
 
     Returns:
         The sources, shape (R, D, n), and the changed parts of the memory.
@@ -58,13 +59,15 @@ def contacts(
     i_moved, j_moved = np.abs(mine) > floor, np.abs(theirs) > floor
     starts, votes = live & ~before, memory["votes"]
     votes = votes + np.where(starts & met, j_moved.astype(np.int64) - i_moved, 0)
+    heard = memory["heard"][:, :, None] > 0
+    nearer = np.where((heard & (nearer > 0)).any(axis=1, keepdims=True), nearer, np.nan)
     judgement = np.where(np.isnan(nearer) | (nearer == 0), votes, nearer)
     both = np.where(judgement == 0, np.abs(theirs) > np.abs(mine), judgement > 0)
     is_newcomer = (memory["steps"][:, :, None] > 0) & (memory["news"] == 0)[:, None]
     fresher = np.where(met, np.where(i_moved & j_moved, both, j_moved & ~i_moved), is_newcomer)
     wakes = live & np.where(starts, fresher, j_moved & (np.abs(drift) <= floor) & ~(nearer <= 0))
     source = np.where(wakes.any(axis=1, keepdims=True), wakes, live & (memory["source"] > 0))
-    owners = leaders & (live | (memory["heard"][:, :, None] > 0))
+    owners = leaders & (live | heard)
     source = np.where(owners.any(axis=1, keepdims=True), owners & live, source)
     return source, {
         "moved": np.where(live, 0.0, mine),
