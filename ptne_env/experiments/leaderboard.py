@@ -136,7 +136,8 @@ def leaderboard(
         samples: by (track, policy) and metric, shape (training seeds, episodes); nothing where a policy cannot act or
             failed, which counts as zero input.
     """
-    digits, times = {}, {}
+    digits: dict[tuple[str, str], FloatArray] = {}
+    times: dict[tuple[str, str], FloatArray] = {}
     for track in tracks:
         whole = float(track.world.clock.t[-1])
         for name, policy in policies.items():
@@ -152,10 +153,11 @@ def leaderboard(
         if scale.has_scores
         for name in policies
     }
-    ranks, saturated = {}, []
+    ranks: dict[tuple[str, str], int] = {}
+    saturated = []
     for track in tracks:
-        found, is_saturated = _ranks(track.name, policies, digits, times)
-        ranks.update(found)
+        ranked, is_saturated = _ranks(track.name, policies, digits, times)
+        ranks.update(ranked)
         saturated += [track.name] * is_saturated
     better = {place: improvements(values, digits[place[0], LAW]) for place, values in digits.items()}
     rows = tuple(
@@ -225,7 +227,7 @@ def _scale(
         best=best,
         best_digits=honest[best],
         highest=track.highest,
-        room=track.highest - known,
+        room=round(track.highest - known, 9),  # digits of the floor are 12 up to rounding
     )
 
 

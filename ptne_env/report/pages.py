@@ -196,10 +196,8 @@ def report(results: Results, scenes: Mapping[str, Scene]) -> Report:
 def _answer(results: Results, table: Table) -> str:
     """The best policy, and its distance from the paper's law or from the next policy."""
     firsts, acting = first_places(results), {policy for _, policy in results.samples}
-    ranked = [
-        policy for section in table.sections.values() for policy in section if policy in firsts and policy in acting
-    ]
-    ranked = [policy for policy in ranked if table.rows[policy] == table.rows[ranked[0]]]
+    sections = (names for division, names in table.sections.items() if division != "oracle")
+    ranked = next(filter(None, ([name for name in names if name in acting] for names in sections)), [])
     if not ranked and results.failures:
         failing = sorted({policy for _, policy in results.failures})
         return f"{_listed(failing)} failed; the tables below name the steps and the errors."

@@ -40,7 +40,7 @@ class Value:
     Attributes:
         text: as it is shown.
         value: by which the column is sorted; a cell without one comes last.
-        interval: the 95 % interval, as it is shown; empty where there is none.
+        interval: the 95 % interval, as it is shown; empty where both ends look the same.
     """
 
     text: str = "–"
@@ -58,8 +58,8 @@ class Value:
         summary = quantity if isinstance(quantity, Summary) else Summary(quantity, quantity, quantity)
         if summary.mean is None:
             return cls()
-        interval = "" if summary.low == summary.high else f"[{write(summary.low)}, {write(summary.high)}]"
-        return cls(write(summary.mean), summary.mean, interval)
+        low, high = write(summary.low), write(summary.high)
+        return cls(write(summary.mean), summary.mean, "" if low == high else f"[{low}, {high}]")
 
     @classmethod
     def count(cls, number: int | None) -> Value:
@@ -299,7 +299,7 @@ def overview(results: Results) -> Table:
         f"{results.suite.name}, seed {results.seed}: overall",
         tuple(column for column in columns if column.values),
         {policy: policies[policy].division for policy in order},
-        () if board is None else tuple(_scope(results, board)),
+        () if board is None else tuple(_scope(board)),
     )
 
 
@@ -321,13 +321,8 @@ def _room_table(results: Results, board: Leaderboard) -> Table:
         ("at most", "digits above which nobody can get", lambda scale: Value.of(scale.highest)),
         (
             "room",
-            "digits from the best known honest entry, here or when the suite was frozen, to what can be reached at most",
+            "digits from the best honest entry, in this run or when the suite was frozen, to what can be reached",
             lambda scale: Value.of(scale.room),
-        ),
-        (
-            f"≥ {ROOM:g} digit",
-            "whether the room is that large",
-            lambda scale: Value("yes" if scale.room >= ROOM else "no"),
         ),
     ]
     saturated = [scale.track for scale in board.scales if scale.room < ROOM]
@@ -349,8 +344,8 @@ def _score(results: Results, track: Track, policy: str) -> Value:
     return Value.of(summary)
 
 
-def _scope(results: Results, board: Leaderboard) -> Iterator[str]:
-    """The tracks that the scores leave out, and the policies that count as zero input somewhere."""
+def _scope(board: Leaderboard) -> Iterator[str]:
+    """The tracks of the scores."""
     scored = [scale.track for scale in board.scales if scale.has_scores]
     without = [scale.track for scale in board.scales if not scale.has_scores]
     if not scored:
