@@ -95,6 +95,10 @@ class Scale:
     highest: float
     room: float
 
+    def scores(self, digits: FloatArray) -> FloatArray:
+        """Normalised scores (digits − zero)/(full marks − zero), any shape."""
+        return (digits - self.zero) / (self.full_marks - self.zero)
+
 
 @dataclass(frozen=True)
 class Leaderboard:
@@ -200,9 +204,8 @@ class _Scores:
     """
 
     def __init__(self, digits: FloatArray, zero: FloatArray, scale: Scale) -> None:
-        unit = scale.full_marks - scale.zero
-        self.plain = (digits - scale.zero) / unit
-        self.for_mean = (digits - zero + self.plain.mean() * (zero - scale.zero)) / unit
+        self.plain = scale.scores(digits)
+        self.for_mean = self.plain + (self.plain.mean() - 1) * scale.scores(zero)
 
 
 def _scale(
