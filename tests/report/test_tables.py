@@ -14,7 +14,7 @@ from ptne_env.experiments.check import Check, Repetition
 from ptne_env.experiments.metrics import number, share
 from ptne_env.experiments.traces import scenes
 from ptne_env.report import catalogue_tables, check_tables, page, result_tables
-from ptne_env.report.tables import overview, track_tables
+from ptne_env.report.tables import overview, summary_tables, track_tables
 
 
 def written(tables, width=172):
@@ -77,10 +77,11 @@ def test_best_policy_comes_first_and_oracles_are_marked(comparison, suite):
     for results in (comparison, suite):
         for track in results.tracks:
             table = track_tables(results, track)[0]
-            ranked = [policy for policy, is_oracle in table.rows.items() if not is_oracle]
+            ranked = [policy for policy, division in table.rows.items() if division == "honest"]
             means = [results.record(track.name, policy, "digits")["mean"] for policy in ranked]
             assert means == sorted(means, reverse=True)
-            assert [policy for policy, is_oracle in table.rows.items() if is_oracle] == ["oracle"]
+            assert table.sections["oracle"] == ["oracle"]
+            assert list(table.rows)[-1] == "oracle"
         assert "oracle *" in written(result_tables(results))
 
 
@@ -89,7 +90,7 @@ def test_policy_that_cannot_act_is_listed_with_the_reason(suite):
     assert "ppo-random-energy" in plain.rows
     assert "ppo-random-energy" not in robots.rows
     assert robots.notes[0].startswith("n/a: ppo-random-energy: the policy was made for another layout")
-    column = next(column for column in overview(suite).columns if column.label == "robots")
+    column = next(column for column in summary_tables(suite)[1].columns if column.label == "robots")
     assert column["ppo-random-energy"].text == "n/a"
 
 
@@ -98,9 +99,11 @@ def test_overview_shows_the_scores_of_the_leaderboard(suite, comparison):
     columns = {column.label: column for column in table.columns}
     for row in suite.leaderboard.overall:
         assert columns["score"][row.policy].value == row.score.mean
-        assert columns["P(score > 1)"][row.policy].value == row.profile[suite.leaderboard.thresholds.index(1.0)]
+        assert columns["graphs"][row.policy].text == ("all" if row.policy == "oracle" else "own links")
+        assert columns["memory"][row.policy].text == ("yes" if row.policy == "adaptive" else "no")
+        assert columns["estimates"][row.policy].text == "honest"
     assert list(table.rows)[: len(suite.leaderboard.overall)] == [row.policy for row in suite.leaderboard.overall]
-    assert any("not over robots" in note for note in table.notes)
+    assert table.notes == ("Scores are means over 2 tracks; n/a and failed count as zero input.",)
     assert "score" not in {column.label for column in overview(comparison).columns}
 
 
@@ -127,7 +130,8 @@ def test_learned_policy_stands_beside_the_tuned_laws():
 
 def test_suite_without_scores_has_a_table_over_all_tracks(suite):
     unscored = replace(suite)
-    unscored.__dict__["leaderboard"] = replace(suite.leaderboard, overall=(), common=())
+    scales = tuple(replace(scale, has_scores=False) for scale in suite.leaderboard.scales)
+    unscored.__dict__["leaderboard"] = replace(suite.leaderboard, overall=(), scales=scales)
     table = overview(unscored)
     assert table.notes[0].startswith("No track has scores")
     assert set(table.rows) == set(suite.policies)
