@@ -7,6 +7,7 @@ episode, and ``ptne check results/ptne-v1`` runs some of them again.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated
 
@@ -18,8 +19,10 @@ from ptne_env import training
 from ptne_env.experiments import METRICS, POLICIES, Results, Workers, run_suite
 from ptne_env.experiments.leaderboard import Leaderboard
 from ptne_env.experiments.metrics import number
+from ptne_env.experiments.policy_specs import DIVISIONS, KNOWLEDGE, PolicySpec
 from ptne_env.experiments.suite import LAW, ORACLE
 from ptne_env.files import write_atomically
+from ptne_env.report.tables import MARK_NOTES, MARKS
 
 HERE = Path(__file__).parent
 SUITE = "ptne-v1"
@@ -28,7 +31,9 @@ _INTRODUCTION = (
     "Written by `python baselines/suite.py`; do not edit. Suite `{suite}` (content hash `{hash}`), {episodes} test "
     "episodes per track from seed {seed}, learned policies with every training seed; intervals of 95 % as "
     "`docs/protocol.md` explains. Learned policies are `ppo-<configuration>`, configurations in "
-    "`ptne_env/training/configurations`."
+    "`ptne_env/training/configurations`. Below the honest entries stand coded ones and oracles. "
+    + ". ".join(MARK_NOTES.values())
+    + "."
 )
 
 
@@ -90,7 +95,7 @@ def overall_table(board: Leaderboard, policies: Mapping[str, PolicySpec]) -> lis
     """Scores, and the knowledge of every policy."""
     rows = [
         [
-            row.policy,
+            f"{row.policy} {MARKS[policies[row.policy].division]}".rstrip(),
             *policies[row.policy].knowledge.values(),
             interval(row.score),
             interval(row.improvement),
