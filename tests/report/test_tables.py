@@ -8,11 +8,12 @@ import pytest
 from rich.cells import cell_len
 from rich.console import Console
 
-from ptne_env import evaluate
+from ptne_env import FactorySpec, PolicySpec, evaluate
 from ptne_env.experiments import METRICS, Metric, register
 from ptne_env.experiments.check import Check, Repetition
 from ptne_env.experiments.metrics import number, share
 from ptne_env.experiments.traces import scenes
+from ptne_env.observation import Interface
 from ptne_env.report import catalogue_tables, check_tables, page, result_tables
 from ptne_env.report.tables import overview, summary_tables, track_tables
 
@@ -23,7 +24,7 @@ def written(tables, width=172):
     return stream.getvalue()
 
 
-@pytest.mark.parametrize("width", [80, 120, 172])
+@pytest.mark.parametrize("width", [80, 100, 172])
 def test_result_tables_fit_the_terminal_and_lose_nothing(comparison, suite, width):
     for results in (comparison, suite):
         text = written(result_tables(results, width), width)
@@ -112,6 +113,30 @@ def test_first_place_is_shared_within_a_tenth_of_a_digit(comparison):
     assert column["grounded"].value == len(comparison.tracks)
     assert column["zero-input"].value == 0
     assert column["oracle"].value is None
+
+
+def test_coded_entries_stand_apart_from_honest_ones_and_oracles():
+    coded = PolicySpec("code", FactorySpec.of("ptne_env.laws:Grounded"), Interface(estimates="coded"))
+    results = evaluate([coded, "static", "oracle", "grounded"], ["energy"], episodes=2, against_laws=False)
+    for table in [*summary_tables(results), track_tables(results, results.tracks[0])[0]]:
+        assert table.sections == {"honest": ["grounded", "static"], "coded": ["code"], "oracle": ["oracle"]}
+    estimates = next(column for column in overview(results).columns if column.label == "estimates")
+    assert [estimates[name].text for name in ("grounded", "code")] == ["honest", "coded"]
+    firsts = next(column for column in overview(results).columns if column.label == "first")
+    assert [firsts[name].value for name in ("grounded", "code")] == [2, 2]
+    text = written(result_tables(results))
+    assert "code †" in text
+    assert "† coded: " in text
+
+
+def test_room_table_names_the_tracks_on_which_little_is_left(suite):
+    room = summary_tables(suite)[2]
+    assert list(room.rows) == [track.name for track in suite.tracks]
+    columns = {column.label: column for column in room.columns}
+    for scale in suite.leaderboard.scales:
+        assert columns["best honest"][scale.track].value == scale.best_digits
+        assert columns["room"][scale.track].value == scale.room == pytest.approx(12 - scale.best_digits)
+        assert (scale.track in room.notes[0]) == (scale.room < 1)
 
 
 def test_learned_policy_stands_beside_the_tuned_laws():
