@@ -361,7 +361,7 @@ def transmit(channel, steps, messages=None, batch=400, seed=0):
     memory, results = None, []
     for k in range(steps):
         sent = constant_messages(batch) if messages is None else messages(k)
-        randomness = LinkRandomness(keys, np.full(batch, k), SENDERS, 5)
+        randomness = LinkRandomness(keys, np.full(batch, k), SENDERS, np.arange(5))
         out, memory = channel.transmit(sent, memory, randomness)
         results.append(out)
     return results
