@@ -477,7 +477,7 @@ class OneWayLinks(Channel):
     def _closed(self, up: BoolArray, randomness: LinkRandomness) -> BoolArray:
         """Whether each direction of each link is closed, from the links ``up`` at the start; both (D, N, B)."""
         senders, draws, closed = randomness.senders, randomness.uniforms(), np.zeros_like(up)
-        slots = {(j, i): (slot, i) for (slot, i), j in np.ndenumerate(senders) if i != j}
+        slots = {(j, i): (slot, i) for slot, row in enumerate(senders.tolist()) for i, j in enumerate(row) if i != j}
         for episode in range(up.shape[2]):
             present = [arc for arc, place in slots.items() if up[*place, episode]]
             unit = {arc: float(draws[*place, episode]) for arc, place in slots.items()}

@@ -106,8 +106,8 @@ def initial_state(
         raise ValueError(f"{batch} environments need one game or {batch}, got {game.batch_size}")
     if world.has_episode_randomness and (randomness is None or randomness.channel_keys.shape != (batch,)):
         raise ValueError(
-            f"scenario {name!r} draws a topology, a channel, a disturbance, a sensor or a drift: pass the draws of "
-            f"{batch} environments, see World.draw_randomness()"
+            f"scenario {name!r} draws more than games and starts: pass the draws of {batch} environments, see "
+            "World.draw_randomness()"
         )
     estimates = np.array(estimates, dtype=np.float64)  # a copy: the state is not the caller's
     _project_strategies(estimates, game)
@@ -300,7 +300,7 @@ def relative_estimates(
 
 
 def distance_limit(game: Game) -> FloatArray:
-    """The relative distance charged to a diverged environment, no less than any in range; shape (G,), (B,) in a drift."""
+    """The relative distance charged to a diverged environment, no less than any in range; shape (G,)."""
     norms = np.sqrt(ordered_sum(game.nash_equilibria**2))  # not the scale where the game has drifted
     farthest = np.maximum(norms, game.equilibrium_scale)
     return np.asarray((RANGE_LIMIT * np.sqrt(game.dimension) + farthest) / game.equilibrium_scale)

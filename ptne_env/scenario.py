@@ -55,8 +55,9 @@ class Scenario:
     """The physics of an experiment. Two scenarios are equal when every field is, and can be dictionary keys.
 
     A scenario only names its parts; :class:`~ptne_env.world.World` builds and checks them. ``game``, ``topology``,
-    ``start``, ``transformation``, ``channel``, ``disturbance``, ``sensor`` and ``drift`` accept a :class:`~ptne_env.factory.FactorySpec`, a
-    ``"module:object"`` string or the short names below, and hold a FactorySpec afterwards.
+    ``start``, ``transformation``, ``channel``, ``disturbance``, ``sensor`` and ``drift`` accept a
+    :class:`~ptne_env.factory.FactorySpec`, a ``"module:object"`` string or the short names below, and hold a
+    FactorySpec afterwards.
 
     Attributes:
         name: for tables and files.

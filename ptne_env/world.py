@@ -125,8 +125,8 @@ class World:
         self.start: Start = self._build(scenario.start, Start)
         self.channel: Channel = self._build(scenario.channel, Channel)
         self.disturbance: Disturbance = self._build(scenario.disturbance, Disturbance)
-        self.sensor: Sensor | None = scenario.sensor and self._build(scenario.sensor, Sensor)
-        self.drift: Drift | None = scenario.drift and self._build(scenario.drift, Drift)
+        self.sensor: Sensor | None = None if scenario.sensor is None else self._build(scenario.sensor, Sensor)
+        self.drift: Drift | None = None if scenario.drift is None else self._build(scenario.drift, Drift)
         self._check_topology()
         self._check_drift()
         # A fixed start whose table has the wrong shape fails here and not at the first reset.

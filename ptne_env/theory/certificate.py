@@ -140,8 +140,9 @@ class Certificate:
             perfect links: −log10 ‖**x** − 1⊗x*‖/(√N ‖x*‖); ``None`` when the loop is not linear.
         digits_are_exact: whether an episode has these digits, up to 12 of them: ``step_margin``, with the hold phase,
             is above 1, the start asks for no input above the limit, and the scenario has no faulty links, disturbance,
-            sensor, drift or clocks that disagree. Otherwise they are those of exact arithmetic without limits and faults, and
-            ``notes`` gives the reason. The same holds of ``digits_after_hold`` and ``worst_digits_gained``.
+            sensor, drift or clocks that disagree. Otherwise they are those of exact arithmetic without limits and
+            faults, and ``notes`` gives the reason. The same holds of ``digits_after_hold`` and
+            ``worst_digits_gained``.
         digits_after_hold: the same after the hold phase; ``None`` also where there is none.
         worst_digits_gained: −log10 ‖Π (I − Θ_k M_k)‖₂, the digits gained by T from the worst start; ``None`` when the
             loop is not linear, gains adapt, or there are more than 600 estimates.
@@ -587,9 +588,9 @@ def _scenario_notes(world: World, faults: _ChannelFaults) -> Iterator[str]:
         yield f"no prediction includes the channel's {', '.join(faults.others)}"
     if faults.noise_std or faults.delay_steps:
         yield "only the rows of noise and delay include the channel's noise and constant delay, each on its own"
-    if not world.disturbance.is_absent:
-        yield f"no prediction includes the disturbance {scenario.disturbance.target.rpartition(':')[2]}"
-    for name, part in (("sensor", scenario.sensor), ("drift", scenario.drift)):
+    disturbance = None if world.disturbance.is_absent else scenario.disturbance
+    parts = {"disturbance": disturbance, "sensor": scenario.sensor, "drift": scenario.drift}
+    for name, part in parts.items():
         if part is not None:
             yield f"no prediction includes the {name} {part.target.rpartition(':')[2]}"
     if scenario.drift is not None:
