@@ -17,6 +17,7 @@ from ptne_env.laws.oracles import BestResponseOracle as BestResponseOracle
 from ptne_env.laws.oracles import CentralisedOracle as CentralisedOracle
 from ptne_env.laws.oracles import FixedTimeOracle as FixedTimeOracle
 from ptne_env.laws.oracles import NodeAdaptiveOracle as NodeAdaptiveOracle
+from ptne_env.laws.proximal import ProximalBestResponse as ProximalBestResponse
 from ptne_env.laws.relay import Relay as Relay
 from ptne_env.laws.routed import Freshest as Freshest
 from ptne_env.laws.routed import Routed as Routed

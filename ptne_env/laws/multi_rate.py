@@ -2,85 +2,110 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping
 from typing import ClassVar
 
 import numpy as np
 
 from ptne_env.arrays import BoolArray, FloatArray, require_non_negative, require_positive
-from ptne_env.laws.base import Law
+from ptne_env.laws.base import Law, per_step
+from ptne_env.laws.memory import Parts
 from ptne_env.laws.routed import nearer_slots, routed_inputs
-from ptne_env.observation import Interface, LayoutError, Observation, ObservationLayout
+from ptne_env.observation import Interface, Observation, ObservationLayout
+
+_PROBES = 2
+"""Steps in which a player learns its role: one along its gradient, and one back."""
+
+_FLAT = 0.1
+"""A gradient that answers to an own move with less than this curvature, in units of gradient per strategy, is flat."""
 
 
 def multi_rate_inputs(
-    observation: Observation, memory: FloatArray, sources: BoolArray, step: FloatArray, lead: float
-) -> tuple[FloatArray, FloatArray]:
-    """x^i_c ← mean of x^j_c over the live sources j of c, and x^i_i ← x^i_i − η_i (g_i + ℓ (g_i − g_i⁻)).
+    observation: Observation,
+    memory: Mapping[str, FloatArray],
+    sources: BoolArray,
+    step: float,
+    price_step: float,
+    lead: float,
+) -> tuple[FloatArray, dict[str, FloatArray]]:
+    """x^i_c ← mean of x^j_c over the live sources j; x_i ← x_i − η g_i, and μ ← μ − η_μ (g_μ + ℓ (g_μ − g_μ⁻)).
 
-    g_i = ∂J_i/∂x_i(x^i) now and g_i⁻ a step before, with η_i = ``step`` and ℓ = ``lead``. Three layers run at once and
-    at their own rates: copies of all strategies and prices, one link per step (:func:`routed_inputs`); descent of the
-    players; and ascent of the prices, which the environment keeps at 0 at least. ℓ = 1 is the optimistic gradient of
-    L. D. Popov, "A modification of the Arrow–Hurwicz method for search of saddle points", Mathematical Notes 28, 1980:
-    it contracts where F rotates without pull, as between strategies and prices, and offsets a delay.
+    With g_i = ∂J_i/∂x_i(x^i) now and g_i⁻ a step before, η = ``step``, η_μ = ``price_step`` and ℓ = ``lead``. Three
+    layers run at once and at their own rates: copies of strategies and prices, one link per step
+    (:func:`~ptne_env.laws.routed.routed_inputs`); descent of the players, −g_i = −∂J_i/∂x_i − C_iᵀ μ; and ascent of the
+    prices, −g_μ = C x − b, which the environment keeps at 0 at least. With the lead, a price is a proportional and
+    integral feedback of the violation, which damps its oscillation with the strategies and makes up for delays.
 
-    The memory is g_i⁻, shape (R, n), NaN before the first step.
+    A player learns its role in the first two steps, in which copies rest and it moves by −η g_i and back: the cost of
+    an operator is linear, so its gradient does not answer. One of the two moves at least is not held by a bound.
+
+    Args:
+        observation: of R players.
+        memory: the parts of :class:`MultiRate` by name.
+        sources: from which neighbours each component is copied where they are live, shape (R, D, n).
+        step: η.
+        price_step: η_μ.
+        lead: ℓ.
+
+    Returns:
+        Inputs, shape (R, n), and the memory for the next step.
     """
-    gradient = observation.gradient * observation.unit
-    before = np.where(np.isnan(memory), gradient, memory)
-    ahead = (gradient + lead * (gradient - before)) / observation.unit
-    return routed_inputs(observation._replace(gradient=ahead), sources, step), gradient
+    gradient, before, count = observation.gradient * observation.unit, memory["gradient"], memory["steps"]
+    change, size = (np.abs(part).max(axis=1, keepdims=True) for part in (gradient - before, before))
+    is_probed = (count > 0) & (count <= _PROBES)
+    answers = np.where(is_probed & (change > _FLAT * step * size), 1.0, memory["answers"])
+    ahead = np.where(answers > 0, gradient, gradient + lead * (gradient - before)) / observation.unit
+    steps = np.where(answers > 0, step, price_step)
+    inputs = routed_inputs(observation._replace(gradient=ahead), sources, steps)
+    probe = np.where(count == 0, -gradient, before) * step / observation.unit
+    inputs = np.where(count < _PROBES, per_step(probe, observation), inputs)
+    return inputs, {"gradient": gradient, "answers": answers, "steps": count + 1}
 
 
 class MultiRate(Law):
     """Primal-dual gradient play with copies along shortest paths, :func:`multi_rate_inputs`.
 
-    For a coupled constraint C x ≤ b with prices μ ≥ 0, :func:`ptne_env.games.priced`, it is x_i ← x_i − η (∂J_i/∂x_i +
-    C_iᵀ μ) and μ ← max(0, μ + η_μ (C x − b)), each on its player's estimates and with the lead ℓ. In the spirit of L.
-    Mudrik, I. Kaminer, S. Kragelund and A. H. Clark, "Prescribed-time distributed generalized Nash equilibrium seeking",
-    arXiv:2603.16865, 2026, where a state observer and the multipliers contract faster than the strategies. It is not
-    their law: they descend along Hessian-gradient products of a Fischer–Burmeister function, in continuous time and
-    with a copy of the multipliers per player, and their theorem is not claimed here.
+    For games with a coupled constraint C x ≤ b and prices μ ≥ 0, :func:`ptne_env.games.priced`, in the spirit of L.
+    Mudrik, I. Kaminer, S. Kragelund and A. H. Clark, "Prescribed-time distributed generalized Nash equilibrium
+    seeking", arXiv:2603.16865, 2026, where the observer of the strategies and the multipliers contract faster than the
+    strategies. The construction is ours: they descend along Hessian-gradient products of a Fischer–Burmeister function
+    in continuous time, with a copy of the multipliers per player, and their theorem is not claimed for this law.
 
-    A player knows whether it is an operator. On a fixed graph it is gradient play with delays equal to hop counts.
-    Where no bound becomes or ceases to be active any more, the loop is linear, and
-    :func:`~ptne_env.theory.delayed_play.multi_rate_radius` is its spectral radius.
+    In games without operator it is :class:`~ptne_env.laws.Routed` after its two probing steps.
 
     Args:
         layout: of the environment, with the knowledge of the law's interface.
         step: η > 0 of the players.
         price_step: η_μ > 0 of the operators.
-        lead: ℓ ≥ 0.
-        operators: players that price a constraint; negative numbers count from the last.
+        lead: ℓ ≥ 0 of the operators.
 
     Raises:
-        LayoutError: for a layout without hop counts, or an operator that is no player.
+        LayoutError: for a layout without hop counts.
         ValueError: for a number out of range.
     """
 
     interface: ClassVar[Interface] = Interface(graph_knowledge="union")
 
     def __init__(
-        self,
-        layout: ObservationLayout,
-        step: float = 0.2,
-        price_step: float = 0.3,
-        lead: float = 1.0,
-        operators: Sequence[int] = (-1,),
+        self, layout: ObservationLayout, step: float = 0.2, price_step: float = 0.2, lead: float = 2.0
     ) -> None:
         super().__init__(layout)
-        players = layout.num_players
-        if not all(-players <= operator < players for operator in operators):
-            raise LayoutError(f"operators are players, {-players} to {players - 1}, got {tuple(operators)}")
-        self.steps = np.full((players, 1), require_positive("step", step))
-        self.steps[list(operators)] = require_positive("price_step", price_step)
+        self.step, self.price_step = require_positive("step", step), require_positive("price_step", price_step)
         self.lead = require_non_negative("lead", lead)
         self._nearer = nearer_slots(layout)
+        self._parts = Parts({"gradient": (layout.dimension,), "answers": (1,), "steps": (1,)})
 
     def initial_memory(self, rows: int) -> FloatArray:
-        """No gradient yet, shape (R, n)."""
-        return np.full((rows, self.layout.dimension), np.nan)
+        """Nothing seen, shape (R, n + 2)."""
+        return self._parts.join(self._parts.zeros(rows))
 
     def inputs(self, observation: Observation, memory: FloatArray) -> tuple[FloatArray, FloatArray]:
-        player = observation.player
-        return multi_rate_inputs(observation, memory, self._nearer[player], self.steps[player], self.lead)
+        inputs, parts = multi_rate_inputs(
+            observation,
+            self._parts.split(memory),
+            self._nearer[observation.player],
+            self.step,
+            self.price_step,
+            self.lead,
+        )
+        return inputs, self._parts.join(parts)
