@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 import scipy
 
-from ptne_env.arrays import BoolArray, FloatArray, IntArray, frozen, ordered_sum, require_count
+from ptne_env.arrays import BoolArray, FloatArray, IntArray, frozen, ordered_sum, replaced, require_count
 from ptne_env.games.variational import natural_map, solve_box
 
 RESIDUAL_TOLERANCE = 1e-10
@@ -270,6 +271,22 @@ class Game(ABC):
                 "was found"
             )
         return point[:, None]
+
+
+def merged_parameters(
+    kind: type[Game], old: Game, fresh: Game, mask: BoolArray, names: tuple[str, ...]
+) -> dict[str, npt.NDArray[Any]]:
+    """The parameters of ``old`` with the games in ``mask`` (G,) replaced by those of ``fresh``, in order, by name.
+
+    Raises:
+        TypeError: when a game is not exactly of the class ``kind``, or the players differ.
+    """
+    if not (type(old) is type(fresh) is kind) or old.action_dims != fresh.action_dims:
+        raise TypeError(
+            f"{kind.__name__}.merged() needs games of that class and of the same players, got {type(old).__name__} and "
+            f"{type(fresh).__name__}; a subclass defines its own"
+        )
+    return {name: replaced(getattr(old, name), getattr(fresh, name), mask) for name in names}
 
 
 def _box(

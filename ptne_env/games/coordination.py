@@ -7,8 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
-from ptne_env.arrays import BoolArray, FloatArray, frozen, ordered_sum, replaced, require_count, require_positive
-from ptne_env.games.base import Game
+from ptne_env.arrays import BoolArray, FloatArray, frozen, ordered_sum, require_count, require_positive
+from ptne_env.games.base import Game, merged_parameters
 from ptne_env.games.family import GameFamily
 
 SIDES = (1.0, 0.0, -1.0)
@@ -98,12 +98,8 @@ class CoordinationGame(Game):
         """The batch of games with those in ``mask`` (G,) replaced by those of ``fresh``, in order."""
         if fresh is self:
             return self
-        if type(fresh) is not CoordinationGame or self.steepness != fresh.steepness:
-            raise TypeError(
-                f"CoordinationGame.merged() needs games of the same steepness, got {type(fresh).__name__}"
-            )
-        parts = (replaced(getattr(self, name), getattr(fresh, name), mask) for name in ("middle", "size"))
-        return CoordinationGame(*parts, self.steepness)
+        parameters = merged_parameters(CoordinationGame, self, fresh, mask, ("middle", "size"))
+        return CoordinationGame(steepness=self.steepness, **parameters)
 
     def _solve_nash_equilibria(self) -> FloatArray:
         return self.middle + SIDES[0] * self.size

@@ -64,7 +64,7 @@ def priced(game: Game, constraint: npt.ArrayLike, limit: npt.ArrayLike) -> Affin
 
 
 class CoupledConstraint(GameFamily):
-    """The games of another family with m random shared constraints C x ≤ b that a market operator prices; :func:`priced`.
+    """The games of another family with m random shared constraints C x ≤ b, priced by an operator (:func:`priced`).
 
     C_lk ~ U(0, 1) is the load of strategy k on line l, and b_l = C_l x° − t_l ‖C_l‖ ‖x°‖ with x° the equilibrium
     without constraints and t_l ~ U(tightness): the distance of x° from the half-space, relative to ‖x°‖. So line l
@@ -81,9 +81,7 @@ class CoupledConstraint(GameFamily):
 
     is_strongly_monotone = False
 
-    def __init__(
-        self, game: Game | GameFamily, lines: int = 2, tightness: tuple[float, float] = (-0.1, 0.3)
-    ) -> None:
+    def __init__(self, game: Game | GameFamily, lines: int = 2, tightness: tuple[float, float] = (-0.1, 0.3)) -> None:
         self._family = SingleGame(game) if isinstance(game, Game) else game
         if self._family.representative.has_bounds:
             raise ValueError("CoupledConstraint needs a game without bounds, which need not agree with the constraint")

@@ -8,9 +8,9 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 
-from ptne_env.arrays import BoolArray, FloatArray, frozen, ordered_sum, replaced, require_non_negative
+from ptne_env.arrays import BoolArray, FloatArray, frozen, ordered_sum, require_non_negative
 from ptne_env.games.affine import AffineGame, RandomAffine, times
-from ptne_env.games.base import Game
+from ptne_env.games.base import Game, merged_parameters
 from ptne_env.games.family import GameFamily
 from ptne_env.games.variational import solve_box
 
@@ -106,11 +106,9 @@ class SaturatingGame(AffineGame):
         """The batch of games with those in ``mask`` (G,) replaced by those of ``fresh``, in order."""
         if fresh is self:
             return self
-        if type(fresh) is not SaturatingGame or self.action_dims != fresh.action_dims:
-            raise TypeError(f"SaturatingGame.merged() needs games of the same players, got {type(fresh).__name__}")
         names = ("matrix", "prices", "shift", "equilibrium")
-        parts = (replaced(getattr(self, name), getattr(fresh, name), mask) for name in names)
-        return SaturatingGame(*parts, action_dims=self.action_dims)
+        parameters = merged_parameters(SaturatingGame, self, fresh, mask, names)
+        return SaturatingGame(action_dims=self.action_dims, **parameters)
 
     def _solve_nash_equilibria(self) -> FloatArray:
         return self.equilibrium

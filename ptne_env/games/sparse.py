@@ -7,8 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
-from ptne_env.arrays import BoolArray, FloatArray, IntArray, frozen, replaced, require_count, require_positive
-from ptne_env.games.base import Game
+from ptne_env.arrays import BoolArray, FloatArray, IntArray, frozen, require_count, require_positive
+from ptne_env.games.base import Game, merged_parameters
 from ptne_env.games.family import GameFamily
 
 
@@ -100,10 +100,8 @@ class SparseGame(Game):
         """The batch of games with those in ``mask`` (G,) replaced by those of ``fresh``, in order."""
         if fresh is self:
             return self
-        if type(fresh) is not SparseGame or self.partners.shape[:2] != fresh.partners.shape[:2]:
-            raise TypeError(f"SparseGame.merged() needs games of the same players, got {type(fresh).__name__}")
         names = ("curvature", "partners", "coupling", "equilibrium")
-        return SparseGame(*(replaced(getattr(self, name), getattr(fresh, name), mask) for name in names))
+        return SparseGame(**merged_parameters(SparseGame, self, fresh, mask, names))
 
     def _solve_nash_equilibria(self) -> FloatArray:
         return self.equilibrium

@@ -28,9 +28,9 @@ def multi_rate_inputs(
     price_step: float,
     lead: float,
 ) -> tuple[FloatArray, dict[str, FloatArray]]:
-    """x^i_c ← mean of x^j_c over the live sources j; x_i ← x_i − η g_i, and μ ← μ − η_μ (g_μ + ℓ (g_μ − g_μ⁻)).
+    """x^i_c ← mean of x^j_c over the live sources j; x_i ← x_i − η g_i, and μ ← μ − η_μ (g_μ + δ (g_μ − g_μ⁻)).
 
-    With g_i = ∂J_i/∂x_i(x^i) now and g_i⁻ a step before, η = ``step``, η_μ = ``price_step`` and ℓ = ``lead``. Three
+    With g_i = ∂J_i/∂x_i(x^i) now and g_i⁻ a step before, η = ``step``, η_μ = ``price_step`` and δ = ``lead``. Three
     layers run at once and at their own rates: copies of strategies and prices, one link per step
     (:func:`~ptne_env.laws.routed.routed_inputs`); descent of the players, −g_i = −∂J_i/∂x_i − C_iᵀ μ; and ascent of the
     prices, −g_μ = C x − b, which the environment keeps at 0 at least. With the lead, a price is a proportional and
@@ -45,7 +45,7 @@ def multi_rate_inputs(
         sources: from which neighbours each component is copied where they are live, shape (R, D, n).
         step: η.
         price_step: η_μ.
-        lead: ℓ.
+        lead: δ.
 
     Returns:
         Inputs, shape (R, n), and the memory for the next step.
@@ -77,7 +77,7 @@ class MultiRate(Law):
         layout: of the environment, with the knowledge of the law's interface.
         step: η > 0 of the players.
         price_step: η_μ > 0 of the operators.
-        lead: ℓ ≥ 0 of the operators.
+        lead: δ ≥ 0 of the operators.
 
     Raises:
         LayoutError: for a layout without hop counts.

@@ -28,13 +28,13 @@ def proximal_displacement(
 ) -> tuple[FloatArray, dict[str, FloatArray]]:
     """x^i_j ← ½ (x^i_j + x̂^i_j), x^i_i ← argmin_y J_i(y, new x^i_{-i}) + (‖y − x^i_i‖² + ‖y − x̂^i_i‖²)/(2α).
 
-    With x̂^i = Σ_j w_ij x^j, W = I − h L, α = ``step`` and h = ``mixing``. M. Bianchi, G. Belgioioso and S. Grammatico, "A
-    fully-distributed proximal-point algorithm for Nash equilibrium seeking with linear convergence rate",
+    With x̂^i = Σ_j w_ij x^j, W = I − h L, α = ``step`` and h = ``mixing``. M. Bianchi, G. Belgioioso and S. Grammatico,
+    "A fully-distributed proximal-point algorithm for Nash equilibrium seeking with linear convergence rate",
     arXiv:1910.11613, 2019.
 
     A player sees its own gradient only, so the argmin is that of the quadratic model with the identified own row G of
-    dF, :func:`~ptne_env.laws.identification.identify`: (2 I + α G_ii) Δx_i = h Σ_j a_ij (x^j_i − x^i_i) − α (∂J_i/∂x_i +
-    G_{i,−i} Δx_{−i}). It is exact for affine F as soon as the row is known. Until then three standard deviations are
+    dF, :func:`~ptne_env.laws.identification.identify`: (2 I + α G_ii) Δx_i = h Σ_j a_ij (x^j_i − x^i_i) − α (∂J_i/∂x_i
+    + G_{i,−i} Δx_{−i}). It is exact for affine F as soon as the row is known. Until then three standard deviations are
     added to each curvature of G_ii, and a curvature below 0 counts as 0. In games with more than 32 components the own
     block alone is identified, and G_{i,−i} counts as 0.
 
