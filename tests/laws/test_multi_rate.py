@@ -61,7 +61,7 @@ def memories(scenario, steps=3, **arguments):
 
 def test_players_learn_who_prices_the_constraint():
     found, states = memories(SHARED)
-    assert found[2]["answers"][:, 0].tolist() == [1, 1, 1, 1, 1, 0]
+    assert found[2]["is_price"][:, 0].tolist() == [0, 0, 0, 0, 0, 1]
     others = ~np.eye(6, dtype=bool)
     assert np.array_equal(states[0][others], states[2][others])  # copies rest during the probes
 
@@ -69,7 +69,12 @@ def test_players_learn_who_prices_the_constraint():
 @pytest.mark.parametrize("name", ["cournot", "ev-charging", "robots", "energy", "rate-control"])
 def test_games_without_operator_have_players_only(name):
     found, _ = memories(get_scenario(name, start="random"))
-    assert found[2]["answers"].all()
+    assert not found[2]["is_price"].any()
+
+
+def test_a_small_input_limit_hides_no_role():
+    found, _ = memories(SHARED.replace(input_limit=5.0))
+    assert found[2]["is_price"][:, 0].tolist() == [0, 0, 0, 0, 0, 1]
 
 
 def test_after_its_probes_it_plays_as_routed_where_nobody_prices():
