@@ -8,6 +8,10 @@ from ptne_env.games.base import NoBestResponseError as NoBestResponseError
 from ptne_env.games.charging import ElectricVehicleCharging as ElectricVehicleCharging
 from ptne_env.games.check import GameReport as GameReport
 from ptne_env.games.check import check_game as check_game
+from ptne_env.games.coordination import CoordinationGame as CoordinationGame
+from ptne_env.games.coordination import RandomCoordination as RandomCoordination
+from ptne_env.games.coupled import CoupledConstraint as CoupledConstraint
+from ptne_env.games.coupled import priced as priced
 from ptne_env.games.energy import EnergyGame as EnergyGame
 from ptne_env.games.family import GameFamily as GameFamily
 from ptne_env.games.family import RandomEnergy as RandomEnergy
@@ -15,6 +19,11 @@ from ptne_env.games.family import SingleGame as SingleGame
 from ptne_env.games.family import require_strong_monotonicity as require_strong_monotonicity
 from ptne_env.games.markets import NetworkedCournot as NetworkedCournot
 from ptne_env.games.markets import Oligopoly as Oligopoly
+from ptne_env.games.moved import MovedGame as MovedGame
 from ptne_env.games.non_quadratic import NonQuadraticGame as NonQuadraticGame
 from ptne_env.games.rates import RateControl as RateControl
 from ptne_env.games.robots import ConnectivityControl as ConnectivityControl
+from ptne_env.games.saturating import RandomSaturating as RandomSaturating
+from ptne_env.games.saturating import SaturatingGame as SaturatingGame
+from ptne_env.games.sparse import RandomSparse as RandomSparse
+from ptne_env.games.sparse import SparseGame as SparseGame
