@@ -293,10 +293,13 @@ class IdentifyAndBroadcast(Relay):
 
         alone = (own | ~known).all(axis=1, keepdims=True)
         memory["silence"] = np.where(alone, before["silence"] + (listens & live.any(axis=1, keepdims=True)), 0.0)
-        moved = np.abs(memory["messages"] - before["messages"]).max(axis=2)
-        repeats = (live & (before["live"] > 0) & (moved <= _STILL * scale)).any(axis=1, keepdims=True)
+        heard, moves = live & (before["live"] > 0), np.abs(memory["messages"] - before["messages"])
+        repeats = (heard & (moves.max(axis=2) <= _STILL * scale)).any(axis=1, keepdims=True)
+        others = np.where(np.arange(n) == step[:, :, None] - 1, 0.0, moves)
+        strangers = (heard & (others.max(axis=2) > _STILL * scale)).any(axis=1, keepdims=True)
         is_relay = (
             (before["is_relay"] > 0)
+            | ((step <= n) & strangers)  # in phase 1 a player that follows this law moves one component after the other
             | ((step > n) & (step <= first) & (memory["failed"] > 0))
             | ((step == first) & ~exist)
             | (memory["silence"] > _PATIENCE * width)
