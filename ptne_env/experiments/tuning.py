@@ -16,15 +16,15 @@ from scipy.stats.qmc import LatinHypercube
 
 from ptne_env import distances, dynamics
 from ptne_env.arrays import BoolArray, FloatArray
-from ptne_env.encoder import make_encoder
+from ptne_env.encoder import Encoder, make_encoder
 from ptne_env.experiments.episodes import EpisodeSet
 from ptne_env.experiments.policy_specs import POLICIES, PolicySpec
 from ptne_env.experiments.provenance import content_hash, versions
 from ptne_env.experiments.rollout import Member
 from ptne_env.experiments.store import TaskStore
 from ptne_env.experiments.suite import Track
-from ptne_env.factory import FactorySpec
-from ptne_env.observation import LayoutError
+from ptne_env.factory import FactorySpec, resolve
+from ptne_env.observation import Interface, LayoutError
 from ptne_env.policy import Policy, PolicyError
 from ptne_env.random_streams import RandomStreams
 
@@ -221,8 +221,7 @@ class Tuning:
         """
         budget, member = self.budget, self.member
         try:
-            make_policy = PolicySpec(CANDIDATE, member.at(np.full(len(member.ranges), 0.5)))
-            make_policy.build(make_encoder(self.track.world, make_policy.interface).layout)
+            member.at(np.full(len(member.ranges), 0.5)).build(layout=self._encoder().layout)
         except LayoutError:
             return Tuned(None)
         seen, unseen = range(budget.episodes), range(budget.episodes, budget.episodes + budget.final_episodes)
@@ -244,10 +243,9 @@ class Tuning:
     def digits(self, laws: Sequence[FactorySpec], episodes: range) -> FloatArray:
         """The mean digits of laws over the same episodes, by their numbers; −∞ where a law fails. Shape (L,).
 
-        The laws act through the same interface, in one batch.
+        The laws are those of the member, with other parameters; they run in one batch.
         """
-        world = self.track.world
-        encoder = make_encoder(world, PolicySpec(CANDIDATE, laws[0]).interface)
+        world, encoder = self.track.world, self._encoder()
         teammates = [] if self.track.teammates is None else [self.track.teammates.join(world)]
         taken = {player for mate in teammates for player in mate.players.tolist()}
         others = [player for player in range(world.game.num_players) if player not in taken]
@@ -266,6 +264,10 @@ class Tuning:
         distance = distances.estimate_distance(state.estimates, state.game)
         distance = np.where(state.diverged, dynamics.distance_limit(state.game), distance)
         return np.mean(distances.digits(distance).reshape(len(laws), -1), axis=1)
+
+    def _encoder(self) -> Encoder:
+        law = resolve(self.member.law)
+        return make_encoder(self.track.world, getattr(law, "interface", Interface()))
 
 
 @cache
