@@ -45,7 +45,8 @@ def evaluate(
     :class:`~ptne_env.scenario.Scenario` is run as it is: ``episodes`` times when something in it is random, else once.
 
     A learned policy is also compared, paired by episode, with the best of the paper's laws and the best of all laws,
-    both chosen by mean digits on validation episodes (:mod:`ptne_env.experiments.tuning`), where something is random.
+    both tuned and chosen by mean digits on validation episodes (:mod:`ptne_env.experiments.tuning`), where something is
+    random. The coded law is run beside them.
 
     Args:
         policies: specs, or strings as :func:`~ptne_env.experiments.policy_specs.get_policy_spec` takes them.

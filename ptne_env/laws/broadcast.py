@@ -212,7 +212,8 @@ class IdentifyAndBroadcast(Relay):
     4. From 0.99 T on, all players act as :class:`~ptne_env.laws.relay.Relay`.
 
     Noisy, rounded or late messages, and those of players that follow another law, fail the checksums. A player acts as
-    :class:`~ptne_env.laws.relay.Relay` for the rest of the episode if its game is not affine, if it has received no
+    :class:`~ptne_env.laws.relay.Relay` for the rest of the episode if a neighbour moves in phase 1 as this law does
+    not (which the neighbours of the player see in turn), if its game is not affine, if it has received no
     equation in the time of four, if a message repeats where every code differs from the one before (so the channel
     holds old messages), or if ``switch`` T passes and it lacks an equation. In games of more than 24 components this
     law is :class:`~ptne_env.laws.relay.Relay` from the start.

@@ -15,7 +15,6 @@ from functools import singledispatch
 
 import numpy as np
 from scipy import linalg
-from scipy.sparse.csgraph import shortest_path
 
 from ptne_env.arrays import FloatArray, IntArray
 from ptne_env.graphs import Graph, union
@@ -40,7 +39,7 @@ from ptne_env.laws import (
 from ptne_env.laws.routed import RoutedLaw
 from ptne_env.theory.closed_loop import last_modes, loop_matrix
 from ptne_env.theory.constants import MonotonicityConstants, gain_bound, jacobians, monotonicity_constants
-from ptne_env.theory.delayed_play import coupling_radius, delayed_play_radius
+from ptne_env.theory.delayed_play import coupling_radius, delayed_play_radius, hop_delays, largest_delayed_step
 from ptne_env.world import World
 
 _LARGEST_SYSTEM = 1200
@@ -323,12 +322,13 @@ def routed_condition(law: RoutedLaw, constants: ProblemConstants) -> Condition:
     Where the graph switches, η max_c dF_cc ≤ 1 and ρ(D⁻¹ |dF − D|) < 1, which suffice for every delay
     (:func:`~ptne_env.theory.delayed_play.coupling_radius`), and all links act again and again.
     """
-    hops = shortest_path(union(constants.graphs).adjacency, unweighted=True)
-    delays = hops[np.ix_(constants.owners, constants.owners)].astype(np.int64)
+    delays = hop_delays(union(constants.graphs), constants.owners)
     monotone, curvature = _strongly_monotone(constants), float(constants.jacobian.diagonal().max())
     if len(constants.graphs) == 1 and len(delays) * (delays.max() + 1) <= _LARGEST_SYSTEM:
         radius = delayed_play_radius(constants.jacobian, delays, law.step)
-        name = "gradient play with delays settles: ρ < 1"
+        largest = largest_delayed_step(constants.jacobian, delays)
+        limit = "for no η" if largest is None else f"up to η = {largest:.3g}"
+        name = f"gradient play with delays settles ({limit}): ρ < 1"
         return decisive(monotone, Condition.below(name, radius, 1.0, exact=constants.exact))
     return decisive(
         monotone,
