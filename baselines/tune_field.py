@@ -50,7 +50,9 @@ def main(
     for search in wanted:
         law = laws[search.name]
         if law is not None and (edges := search.member.edges(law["arguments"])):
-            Console(soft_wrap=True).print(f"{search.track.name}: {law['target']} {law['arguments']}: at an edge: {', '.join(edges)}")
+            Console(soft_wrap=True).print(
+                f"{search.track.name}: {law['target']} {law['arguments']}: at an edge: {', '.join(edges)}"
+            )
 
 
 if __name__ == "__main__":

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from affine_games import SOAK
 
 import ptne_env
 from ptne_env import FactorySpec, PolicySpec, evaluate, laws
@@ -125,6 +126,24 @@ def test_published_laws_are_found_without_a_search(monkeypatch):
     monkeypatch.setattr(tuning, "published_laws", lambda: {found.name: law.to_dict() | {"arguments": {"kappa": 70.0}}})
     with pytest.raises(ValueError, match="not in its range"):
         found.find()
+
+
+@pytest.mark.skipif(not SOAK, reason="a whole search takes a few seconds: set PTNE_SOAK=1")
+@pytest.mark.parametrize("member", FIELD, ids=lambda member: member.law)
+def test_published_laws_are_those_of_a_new_search(member):
+    found = search(member)
+    assert found.compute() == found.find()
+
+
+def test_no_winner_of_the_catalogue_is_at_the_edge_of_its_range():
+    tuned = [law for law in tuning.published_laws().values() if law is not None]
+    members = {(member.law, frozenset(dict(member.ranges))): member for member in FIELD}
+    edges = {
+        law["target"].split(":")[1]
+        for law in tuned
+        if members[law["target"], frozenset(law["arguments"])].edges(law["arguments"])
+    }
+    assert edges <= {"LocallyImplicit", "AggregateTracking"}  # which win nowhere
 
 
 @pytest.mark.parametrize("scenario", list(CATALOGUE))

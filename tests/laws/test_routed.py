@@ -252,6 +252,11 @@ def test_news_that_never_move_reach_players_that_stop_waiting():
         assert (abs(states[-1, 2, 0, 0] - states[-1, 2, 2, 0]) < 1e-4) == reached
 
 
+def test_certificates_name_the_largest_stable_step():
+    scenario, matrix, hops = random_fixed(0)
+    assert f"up to η = {theory.largest_delayed_step(matrix, hops):.3g}" in condition_on(scenario, laws.Routed).name
+
+
 def test_digits_on_switching_graphs_grow_with_knowledge():
     tracks = ["random-energy-switching", "random-energy-switching-transformed"]
     results = evaluate(["routed-unknown", "routed", "freshest"], tracks, episodes=300 if SOAK else 60, seed=87235)
