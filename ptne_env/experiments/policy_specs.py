@@ -8,7 +8,7 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal, TypeAlias, get_args
 
 from ptne_env import laws, policies
 from ptne_env.arrays import require_printable
@@ -26,6 +26,20 @@ ARCHIVE = "ptne_env.policies.archive:load_archive"
 
 GRAPH_KNOWLEDGE = {"links": "own links", "union": "union graph", "schedule": "schedule"}
 """The knowledge of graphs that an interface declares, in words; more knowledge comes later."""
+
+
+KNOWLEDGE = {
+    "graphs": "graphs that its players know: their own links, the union of all graphs, or the graph of every step",
+    "memory": "whether it keeps numbers from step to step",
+    "estimates": "honest: present beliefs about strategies; coded: anything else",
+}
+"""What an entry declares: name and meaning."""
+
+Division: TypeAlias = Literal["honest", "coded", "oracle"]
+"""Honest entries, whose estimates are beliefs about strategies; coded ones; oracles, which have no rank."""
+
+DIVISIONS: tuple[Division, ...] = get_args(Division)
+"""All of them, in the order of tables."""
 
 
 @dataclass(frozen=True)
@@ -100,6 +114,11 @@ class PolicySpec:
         return self.interface.kind == "full"
 
     @property
+    def division(self) -> Division:
+        """The entries among which it is ranked."""
+        return "oracle" if self.is_oracle else self.interface.estimates
+
+    @property
     def has_memory(self) -> bool | None:
         """Whether it keeps numbers from step to step; ``None`` for code and files that do not say so."""
         made: Any = self.training_seeds[0]
@@ -113,13 +132,13 @@ class PolicySpec:
         return None if self.is_learned else False
 
     @property
-    def knowledge(self) -> str:
-        """What its players know of the graphs, whether it remembers, and whether its estimates are coded, in words."""
-        if self.is_oracle:
-            return "everything"
-        memory = {True: ", memory", False: "", None: ", memory unknown"}[self.has_memory]
-        coded = ", coded estimates" if self.interface.estimates == "coded" else ""
-        return GRAPH_KNOWLEDGE[self.interface.graph_knowledge] + memory + coded
+    def knowledge(self) -> dict[str, str]:
+        """What it declares, in words: a value for each of :data:`KNOWLEDGE`."""
+        return {  # the keys of KNOWLEDGE
+            "graphs": "all" if self.is_oracle else GRAPH_KNOWLEDGE[self.interface.graph_knowledge],
+            "memory": {True: "yes", False: "no", None: "unknown"}[self.has_memory],
+            "estimates": self.interface.estimates,
+        }
 
     @property
     def is_repeatable(self) -> bool:
@@ -156,6 +175,7 @@ class PolicySpec:
         return {
             "name": self.name,
             "interface": asdict(self.interface),
+            "knowledge": self.knowledge,
             "scenarios": None if self.scenarios is None else sorted(self.scenarios),
             "training_seeds": [_source_to_dict(policy) for policy in self.training_seeds],
         }
@@ -224,6 +244,8 @@ POLICIES: Mapping[str, PolicySpec] = {
         PolicySpec("routed-unknown", FactorySpec.of(f"{_LAWS}RoutedUnknown", step=0.3)),
         PolicySpec("freshest", FactorySpec.of(f"{_LAWS}Freshest", step=0.3)),
         PolicySpec("relay", FactorySpec.of(f"{_LAWS}Relay", spread=10.0)),
+        PolicySpec("multi-rate", FactorySpec.of(f"{_LAWS}MultiRate", step=0.2, price_step=0.2, lead=2.0)),
+        PolicySpec("proximal-best-response", FactorySpec.of(f"{_LAWS}ProximalBestResponse", step=4.0, mixing=0.45)),
         PolicySpec("identify-and-broadcast", FactorySpec.of(f"{_LAWS}IdentifyAndBroadcast", spread=10.0, switch=0.65)),
         PolicySpec("best-response-oracle", FactorySpec.of(f"{_LAWS}BestResponseOracle", relaxation=1.0)),
         PolicySpec("fixed-time-oracle", FactorySpec.of(f"{_LAWS}FixedTimeOracle", gain=1.0, largest_step=0.3)),

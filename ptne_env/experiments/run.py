@@ -127,9 +127,8 @@ def run_suite(
     sets = {name: suite.episode_set(name, episodes, seed=seed, split=split) for name in names}
     runner = _Runner(None if folder is None else Store(folder), workers, progress, rerun=rerun)
     specs = [get_policy_spec(policy) for policy in policies]
-    return assemble(
-        suite, target, specs, sets, against_laws=against_laws, run=runner, tune=runner.tune, workers=workers
-    )
+    tune = runner.tune
+    return assemble(suite, target, specs, sets, against_laws=against_laws, run=runner, tune=tune)
 
 
 def assemble(
@@ -141,7 +140,6 @@ def assemble(
     against_laws: bool,
     run: Callable[[Sequence[Job]], list[JobResult]],
     tune: Callable[[Sequence[Tuning]], list[Tuned]],
-    workers: Workers = Workers(),  # noqa: B008 - immutable
 ) -> Results:
     """The results of a suite from the results of its jobs, of which there may be stored ones only.
 
@@ -153,7 +151,6 @@ def assemble(
         against_laws: whether learned policies are compared with tuned laws.
         run: gives the results of jobs, in their order.
         tune: gives the results of searches for tuned laws, in their order.
-        workers: compute the statistics.
 
     Raises:
         ValueError: for repeated names, or when no policy fits any track.
@@ -203,8 +200,6 @@ def assemble(
         for name in [*specs, *(law.name for law in tuned.get(track.name, {}).values())]
         if (track.name, name) in samples
     }
-    summarised = [(*place, statistics_of(found), episodes[place[0]].count) for place, found in ordered.items()]
-    tables = workers.gather(records, summarised)
     first = next(iter(episodes.values()))
     return Results(
         suite=suite,
@@ -219,7 +214,11 @@ def assemble(
         samples=ordered,
         not_applicable=not_applicable,
         failures=outcome.failures,
-        records=tuple(record for table in tables for record in table),
+        records=tuple(
+            record
+            for place, found in ordered.items()
+            for record in records(*place, statistics_of(found), episodes[place[0]].count)
+        ),
     )
 
 
