@@ -1,4 +1,9 @@
-"""Relay: best response from an identified model of the own gradient, and copies of estimates hop by hop."""
+"""Relays: best responses from an identified model of the own gradient, and copies of estimates, one link per step.
+
+What players know of the communication graphs decides from whom they copy: hop counts on the union graph in
+:class:`Relay`, their own links without memory in :class:`LinkRelay`, their own links and all that they saw on them in
+:class:`ContactRelay`, both in :class:`RouteRelay`, the links of every step in :class:`FreshestRelay`.
+"""
 
 from __future__ import annotations
 
@@ -7,15 +12,13 @@ from typing import ClassVar
 
 import numpy as np
 
-from ptne_env.arrays import BoolArray, FloatArray, IntArray, require_positive
+from ptne_env.arrays import BoolArray, FloatArray, require_positive
 from ptne_env.laws.base import Law, per_step
+from ptne_env.laws.best_response import LARGEST_ROW, best_response, largest, own_entries, with_own, within_reach
 from ptne_env.laws.identification import RESOLUTION, Model, blank, identify
 from ptne_env.laws.memory import Parts
-from ptne_env.laws.routed import nearer_slots
+from ptne_env.laws.routed import MOVED, Freshest, nearer_slots
 from ptne_env.observation import Interface, Observation, ObservationLayout
-
-_MARGIN = 3.0
-"""Standard deviations by which a curvature exceeds 0 where it is certain."""
 
 _ACCURACY = 0.5
 """Largest error of a good prediction, relative to the gradient before."""
@@ -40,38 +43,6 @@ _RESOLVED = 1e-6
 
 UNLIMITED = 1e6
 """A distance beyond all estimates."""
-
-LARGEST_ROW = 32
-"""Largest n for which whole rows of dF are identified, which takes n² numbers per player; else own blocks alone."""
-
-
-def own_entries(array: FloatArray, places: IntArray) -> FloatArray:
-    """The entries of own components, (R, q) to (R, m), 0 where ``places`` (R, m) is padded with q."""
-    return np.where(places == array.shape[1], 0.0, np.take_along_axis(array, _inside(places, array), axis=1))
-
-
-def own_block(rows: FloatArray, places: IntArray) -> FloatArray:
-    """G_ii of rows (R, m, q), with 1 on the diagonal where ``places`` (R, m) is padded with q: (R, m, m)."""
-    padded = places == rows.shape[2]
-    own = np.take_along_axis(rows, _inside(places, rows)[:, None, :], axis=2)
-    return np.where(padded[:, :, None] | padded[:, None, :], np.eye(places.shape[1]), own)
-
-
-def with_own(array: FloatArray, own: FloatArray, blocks: IntArray) -> FloatArray:
-    """``array`` (R, n, ...) with ``own`` (R, m, ...) in the places ``blocks`` (R, m) of the own components."""
-    wider = np.concatenate([array, np.zeros_like(array[:, :1])], axis=1)  # one place more, into which padding falls
-    np.put_along_axis(wider, blocks.reshape(*blocks.shape, *(1,) * (own.ndim - 2)), own, axis=1)
-    return wider[:, :-1]
-
-
-def _inside(places: IntArray, array: FloatArray) -> IntArray:
-    """``places`` with padding replaced by the last place of the last axis."""
-    return np.minimum(places, array.shape[-1] - 1)
-
-
-def _largest(array: FloatArray) -> FloatArray:
-    """The largest |entry| of each row, (R, k) to (R, 1)."""
-    return np.abs(array).max(axis=1, keepdims=True)
 
 
 def copies(
@@ -102,10 +73,10 @@ def copies(
     messages = observation.own_estimate[:, None] + observation.relative_estimates
     lasts = live & (memory["live"] > 0)
     change = np.where(lasts[:, :, None], np.abs(messages - memory["messages"]), 0.0).max(axis=2)
-    change = np.where(lasts.any(axis=1, keepdims=True), _largest(change), np.inf)
+    change = np.where(lasts.any(axis=1, keepdims=True), largest(change), np.inf)
     least, mark, restless = np.minimum(memory["least"], change), memory["mark"], memory["restless"]
     calmer = least <= mark / np.where(restless > _RESTLESS, _SIGNAL, 2.0)
-    restless = np.where(calmer | (_largest(mean) > _SIGNAL * least), 0.0, restless + 1)
+    restless = np.where(calmer | (largest(mean) > _SIGNAL * least), 0.0, restless + 1)
     weight = np.where(restless > _RESTLESS, _FORGETTING / (_FORGETTING + restless), 1.0)
     return weight * mean, {
         "heard": heard,
@@ -117,37 +88,63 @@ def copies(
     }
 
 
-def best_response(
-    model: Model, gradient: FloatArray, drift: FloatArray, places: IntArray, held: BoolArray, radius: FloatArray
-) -> FloatArray:
-    """Δx_i = −D⁻¹ (∂J_i/∂x_i + G_{i,−i} Δx_{−i}) with the identified rows G, shape (R, m).
+def contacts(
+    observation: Observation,
+    memory: Mapping[str, FloatArray],
+    drift: FloatArray,
+    leaders: BoolArray,
+    nearer: FloatArray,
+) -> tuple[BoolArray, dict[str, FloatArray]]:
+    """The neighbours that have fresher copies, as far as own links and memory show which they are.
 
-    D has the eigenvectors of the own block G_ii, and its eigenvalues or the largest row sum of |G_{i,−i}|, whichever is
-    larger. In a game that is diagonally dominant this is the best response to the estimates of the next step; in others
-    it is damped, because best responses of all players at once need not converge there. Where a curvature is not
-    certainly positive, it counts as the sum of its size and three standard deviations, at least 1: a gradient step.
+    A *contact* is a time in which a link is live without a break. At its start, player i compares how far its own copy
+    of component c and the neighbour's copy have moved since the last contact, at the end of which they knew each other.
+    If one of them has moved alone, it is the fresher one, and the neighbour gets a vote for or against it. If both have
+    moved, the votes decide; with equal votes, the copy that has moved further. If no contact was before and the player
+    has no news of c, it takes the neighbour's copy. During a contact, the neighbour becomes the source when its copy
+    moves while the own copy rests. An owner is the only source as soon as the player has met it.
+
+    On a fixed graph with perfect messages the sources are the neighbours that are nearer to the owner, as in
+    :class:`Relay`.
 
     Args:
-        model: the identified rows, with q regressors.
-        gradient: ∂J_i/∂x_i(x^i), 0 where padded, shape (R, m).
-        drift: Δx_{−i} of the regressors, 0 for own components, shape (R, q).
-        places: of own components among the regressors, padded with q, shape (R, m).
-        held: whether a bound holds an own component; the others then move as if it stayed, shape (R, m).
-        radius: largest |Δx_i|, shape (R, 1).
+        observation: of R players.
+        memory: the parts of :class:`ContactRelay` by name.
+        drift: the last moves of the estimates of others, 0 for own components, shape (R, n).
+        leaders: whether j owns c, shape (R, D, n).
+        nearer: by how many links j is nearer to the owner of c than i, NaN where that is unknown, shape (R, D, n). Once
+            a nearer neighbour was heard, this counts more than all votes, and during a contact only nearer neighbours
+            become sources.
+
+    Returns:
+        The sources, shape (R, D, n), and the changed parts of the memory.
     """
-    rows, covariance = model
-    wanted = gradient + np.einsum("rmq,rq->rm", rows, drift)
-    own = own_block(rows, places)
-    beside = with_own(np.abs(rows).swapaxes(1, 2), np.zeros_like(own), places)
-    own = np.where(held[:, :, None] | held[:, None, :], own * np.eye(own.shape[1]), (own + own.swapaxes(1, 2)) / 2)
-    curvature, vectors = np.linalg.eigh(own)
-    directions = with_own(np.zeros_like(rows).swapaxes(1, 2), vectors, places)
-    doubt = _MARGIN * np.sqrt(np.maximum(np.einsum("rpa,rpq,rqa->ra", directions, covariance, directions), 0.0))
-    gradient_step = np.maximum(np.abs(curvature) + doubt, 1.0)
-    curvature = np.where(curvature > doubt, curvature, gradient_step)
-    curvature = np.maximum(curvature, np.add.reduce(beside, axis=1).max(axis=1, keepdims=True))
-    step = -np.einsum("rab,rb->ra", vectors, np.einsum("rba,rb->ra", vectors, wanted) / curvature)
-    return step * (radius / np.maximum(_largest(step), radius))
+    live, before = (observation.weights > 0)[:, :, None], memory["live"][:, :, None] > 0
+    relative = observation.relative_estimates * observation.unit[:, :, None]
+    mine, met = memory["moved"] + drift[:, None], np.isfinite(memory["seen"])
+    seen = np.where(met, memory["seen"], relative)
+    theirs = np.where(met, relative + mine - seen, 0.0)
+    floor = MOVED * (np.abs(relative) + np.abs(mine) + np.abs(seen))
+    i_moved, j_moved = np.abs(mine) > floor, np.abs(theirs) > floor
+    starts, votes = live & ~before, memory["votes"]
+    votes = votes + np.where(starts & met, j_moved.astype(np.int64) - i_moved, 0)
+    heard = memory["heard"][:, :, None] > 0
+    nearer = np.where((heard & (nearer > 0)).any(axis=1, keepdims=True), nearer, np.nan)
+    judgement = np.where(np.isnan(nearer) | (nearer == 0), votes, nearer)
+    both = np.where(judgement == 0, np.abs(theirs) > np.abs(mine), judgement > 0)
+    is_newcomer = (memory["steps"][:, :, None] > 0) & (memory["news"] == 0)[:, None]
+    fresher = np.where(met, np.where(i_moved & j_moved, both, j_moved & ~i_moved), is_newcomer)
+    wakes = live & np.where(starts, fresher, j_moved & (np.abs(drift[:, None]) <= floor) & ~(nearer <= 0))
+    source = np.where(wakes.any(axis=1, keepdims=True), wakes, live & (memory["source"] > 0))
+    owners = leaders & (live | heard)
+    source = np.where(owners.any(axis=1, keepdims=True), owners & live, source)
+    return source, {
+        "moved": np.where(live, 0.0, mine),
+        "seen": np.where(live, relative, memory["seen"]),
+        "source": source.astype(np.float64),
+        "votes": votes,
+        "news": np.maximum(memory["news"], source.any(axis=1)),
+    }
 
 
 def relay_displacement(
@@ -187,18 +184,18 @@ def relay_displacement(
     moved = np.where(step == 0, 0.0, estimate - memory["estimate"])
     own_moved = own_entries(moved, blocks)
 
-    scale = _largest(estimate) + _largest(memory["estimate"])
-    deviation = RESOLUTION * (_largest(gradient) + _largest(last_gradient) + spread * scale)
+    scale = largest(estimate) + largest(memory["estimate"])
+    deviation = RESOLUTION * (largest(gradient) + largest(last_gradient) + spread * scale)
     if not is_whole:
-        deviation = deviation + spread * _largest(np.where(is_own, 0.0, moved))
+        deviation = deviation + spread * largest(np.where(is_own, 0.0, moved))
     shift = moved if is_whole else own_moved
     model, error, failed = identify(model, shift, gradient - last_gradient, deviation**2)
 
-    length = _largest(own_moved)
-    is_bad = failed & (error > _ACCURACY * _largest(last_gradient))
+    length = largest(own_moved)
+    is_bad = failed & (error > _ACCURACY * largest(last_gradient))
     radius = np.where(is_bad, length / 2, np.maximum(memory["radius"], 2 * length))
-    radius = np.maximum(radius, _SHORTEST * _largest(estimate))
-    asked = np.abs(memory["asked"])
+    radius = np.maximum(radius, _SHORTEST * largest(estimate))
+    asked = np.abs(own_entries(memory["asked"], blocks))
     held = (np.abs(own_moved) < _HELD * asked) & (asked > _RESOLVED * scale)
 
     is_probe = step < outputs
@@ -208,23 +205,18 @@ def relay_displacement(
     shift = drift if is_whole else np.zeros_like(own_moved)
     own_step = best_response(model, gradient, shift, places, held, np.where(is_probe, UNLIMITED, radius))
     own_step = np.where(is_probe & (np.arange(outputs) != step), 0.0, own_step)
-    return with_own(drift, own_step, blocks), {
+    displacement = with_own(drift, own_step, blocks)
+    return displacement, {
         "rows": model.rows,
         "covariance": model.covariance,
         "estimate": estimate,
         "gradient": gradient,
-        "asked": within_reach(own_step, observation, layout),
+        "asked": within_reach(displacement, observation, layout),
         "radius": radius,
         "failed": failed.astype(np.float64),
         "steps": step + 1,
         **heard,
     }
-
-
-def within_reach(displacement: FloatArray, observation: Observation, layout: ObservationLayout) -> FloatArray:
-    """Displacements (R, k), clipped to those that the input limit allows in the coming step."""
-    reach = layout.action_bound * observation.theta
-    return np.clip(displacement, -reach, reach)
 
 
 class Relay(Law):
@@ -242,15 +234,34 @@ class Relay(Law):
     needs: ClassVar[tuple[str, ...]] = ("own_estimate",)
     interface: ClassVar[Interface] = Interface(graph_knowledge="union")
 
+    mixes: ClassVar[bool] = True
+    """Whether a component of which no source was ever heard moves to the mean of all neighbours and the player."""
+
     def __init__(self, layout: ObservationLayout, spread: float = 10.0) -> None:
         super().__init__(layout)
         self.spread = require_positive("spread", spread)
-        self._nearer = self._sources()
+        self._fixed_sources = self._known_sources()
         self._parts = Parts(self._shapes())
 
-    def _sources(self) -> BoolArray:
-        """From which neighbours each component is copied where they are live, shape (N, D, n)."""
+    def _known_sources(self) -> BoolArray:
+        """From which neighbours each component is copied where they are live, by the layout; shape (N, D, n)."""
         return nearer_slots(self.layout)
+
+    def sources(
+        self,
+        observation: Observation,
+        memory: Mapping[str, FloatArray],  # noqa: ARG002 - subclasses read it
+    ) -> tuple[BoolArray, dict[str, FloatArray]]:
+        """From which neighbours each component is copied where they are live, and the changed parts of the memory.
+
+        Args:
+            observation: of R players.
+            memory: the parts of the law's memory by name.
+
+        Returns:
+            The sources, shape (R, D, n), and changed parts of the memory that :func:`relay_displacement` leaves alone.
+        """
+        return self._fixed_sources[observation.player], {}
 
     def _shapes(self) -> dict[str, tuple[int, ...]]:
         """Shapes of the parts of the memory."""
@@ -261,7 +272,7 @@ class Relay(Law):
             "covariance": (regressors, regressors),
             "estimate": (dimension,),
             "gradient": (outputs,),
-            "asked": (outputs,),
+            "asked": (dimension,),
             "radius": (1,),
             "failed": (1,),
             "steps": (1,),
@@ -284,6 +295,94 @@ class Relay(Law):
 
     def inputs(self, observation: Observation, memory: FloatArray) -> tuple[FloatArray, FloatArray]:
         parts = self._parts.split(memory)
-        sources = self._nearer[observation.player]
-        displacement, parts = relay_displacement(observation, parts, self.layout, sources, self.spread)
-        return per_step(displacement, observation), self._parts.join(parts)
+        sources, news = self.sources(observation, parts)
+        displacement, fresh = relay_displacement(
+            observation, parts, self.layout, sources, self.spread, mixes=self.mixes
+        )
+        return per_step(displacement, observation), self._parts.join(fresh | news)
+
+
+class LinkRelay(Relay):
+    """:class:`Relay` of players that know their own links alone.
+
+    A component is copied from its owner, where this is a neighbour; else it moves to the mean of the own estimate and
+    the estimates of all live neighbours.
+    """
+
+    interface: ClassVar[Interface] = Interface()
+
+    def _known_sources(self) -> BoolArray:
+        return self.layout.neighbour_components
+
+
+class ContactRelay(LinkRelay):
+    """:class:`Relay` of players that know their own links, and remember what they saw on them, :func:`contacts`."""
+
+    mixes: ClassVar[bool] = False
+
+    def __init__(self, layout: ObservationLayout, spread: float = 10.0) -> None:
+        super().__init__(layout, spread)
+        self._nearness = self._distances()
+
+    def _distances(self) -> FloatArray:
+        """By how many links the neighbour in slot d of player i is nearer to the owner of c than i, shape (N, D, n)."""
+        return np.full((self.layout.num_players, self.layout.slots, self.layout.dimension), np.nan)
+
+    def _shapes(self) -> dict[str, tuple[int, ...]]:
+        n, slots = self.layout.dimension, self.layout.slots
+        own = {
+            "moved": (slots, n),  # own moves since the last contact
+            "seen": (slots, n),  # relative estimates at its end, infinite before the first
+            "source": (slots, n),
+            "votes": (slots, n),
+            "news": (n,),  # of which components
+        }
+        return super()._shapes() | own
+
+    def initial_memory(self, rows: int) -> FloatArray:
+        """As that of :class:`Relay`, and no contact; shape (R, size)."""
+        parts = self._parts.split(super().initial_memory(rows))
+        parts["seen"] = np.full_like(parts["seen"], np.inf)
+        return self._parts.join(parts)
+
+    def sources(
+        self, observation: Observation, memory: Mapping[str, FloatArray]
+    ) -> tuple[BoolArray, dict[str, FloatArray]]:
+        player = observation.player
+        drift = np.where(self.layout.own_mask[player], 0.0, memory["asked"])
+        return contacts(observation, memory, drift, self._fixed_sources[player], self._nearness[player])
+
+
+class RouteRelay(ContactRelay):
+    """:class:`ContactRelay` of players that know hop counts on the union graph too.
+
+    Raises:
+        LayoutError: for a layout without hop counts.
+    """
+
+    interface: ClassVar[Interface] = Interface(graph_knowledge="union")
+
+    def _distances(self) -> FloatArray:
+        hops = np.repeat(self.layout.hops, self.layout.action_dims, axis=1).astype(np.float64)
+        return np.asarray(hops[:, None] - hops[np.array(self.layout.neighbours)])
+
+
+class FreshestRelay(LinkRelay):
+    """:class:`Relay` of players that know the schedule: copies as in :class:`~ptne_env.laws.routed.Freshest`.
+
+    Raises:
+        LayoutError: for a layout without the schedule.
+    """
+
+    interface: ClassVar[Interface] = Interface(graph_knowledge="schedule")
+    mixes: ClassVar[bool] = False
+
+    def __init__(self, layout: ObservationLayout, spread: float = 10.0) -> None:
+        super().__init__(layout, spread)
+        self._freshest = Freshest(layout)
+
+    def sources(
+        self, observation: Observation, memory: Mapping[str, FloatArray]
+    ) -> tuple[BoolArray, dict[str, FloatArray]]:
+        sources, _ = self._freshest.sources(observation, memory["steps"])
+        return sources, {}

@@ -17,7 +17,7 @@ from ptne_env.laws.base import Law, per_step
 from ptne_env.laws.memory import Parts
 from ptne_env.observation import Interface, Observation, ObservationLayout
 
-_RESOLUTION = 1e-5
+MOVED = 1e-5
 """Relative change of a float32 message above which it has moved, and is not only rounded otherwise."""
 
 
@@ -77,7 +77,7 @@ def waves(
     now = observation.relative_estimates * observation.unit[:, :, None]
     live = (observation.weights > 0)[:, :, None]
     # Estimates that are not copied yet are at rest, so a difference moves as its sender does.
-    moved = live & (np.abs(now - seen) > _RESOLUTION * (np.abs(now) + np.abs(seen)))
+    moved = live & (np.abs(now - seen) > MOVED * (np.abs(now) + np.abs(seen)))
     unknown = ~(known.any(axis=1) | own)[:, None]
     met = leaders & (known | live)
     sources = np.where(met.any(axis=1, keepdims=True), met, known | (unknown & moved))
