@@ -112,8 +112,6 @@ FIELD: tuple[Tunable, ...] = (
     Tunable.of("Relay", spread=(0.01, 1e4)),
     Tunable.of("LinkRelay", spread=(0.01, 1e4)),
     Tunable.of("ContactRelay", spread=(0.01, 1e4)),
-    Tunable.of("RouteRelay", spread=(0.01, 1e4)),
-    Tunable.of("FreshestRelay", spread=(0.01, 1e4)),
 )
 """The honest laws that are tuned. A new member is a new line."""
 
