@@ -242,7 +242,7 @@ POLICIES: Mapping[str, PolicySpec] = {
         PolicySpec("capped-gain", FactorySpec.of(f"{_LAWS}CappedGain", kappa=2.0, largest_gain=200.0)),
         PolicySpec("routed", FactorySpec.of(f"{_LAWS}Routed", step=0.3)),
         PolicySpec("routed-unknown", FactorySpec.of(f"{_LAWS}RoutedUnknown", step=0.3)),
-        PolicySpec("freshest", FactorySpec.of(f"{_LAWS}Freshest", step=0.3)),
+        PolicySpec("freshest", FactorySpec.of(f"{_LAWS}Freshest", step=0.32)),
         PolicySpec("relay", FactorySpec.of(f"{_LAWS}Relay", spread=10.0)),
         PolicySpec("link-relay", FactorySpec.of(f"{_LAWS}LinkRelay", spread=10.0)),
         PolicySpec("contact-relay", FactorySpec.of(f"{_LAWS}ContactRelay", spread=10.0)),

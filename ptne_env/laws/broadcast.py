@@ -40,8 +40,8 @@ _STILL = 1e-5
 _IN_PLACE = 1e-5
 """Distance from the solution, relative to its largest component, within which a player has arrived there."""
 
-_FINISH = 0.99
-"""Share of the deadline at which the code ends."""
+_FINISH = 0.9
+"""Share of the deadline at which the code ends, early enough for a relay to average noise and to bring late news."""
 
 LARGEST_CODE = 24
 """Largest n for which equations are sent: a neighbour needs n + 3 steps for them, a player n² numbers."""
@@ -202,7 +202,7 @@ class IdentifyAndBroadcast(Relay):
        components c of which it knows the residual ρ_c at its own place by κ + ρ_c for one step. A neighbour at
        the distance δ reads ρ_c − E_c δ from that, the residual at its own place. A player that knows all residuals
        moves by the solution of E Δ = −ρ.
-    4. From 0.99 T on, all players act as :class:`~ptne_env.laws.relay.Relay`.
+    4. From 0.9 T on, all players act as :class:`~ptne_env.laws.relay.Relay`.
 
     Noisy, rounded or late messages, and those of players that follow another law, fail the checksums. A player acts as
     :class:`~ptne_env.laws.relay.Relay` for the rest of the episode if a neighbour moves in phase 1 as this law does

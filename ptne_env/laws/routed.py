@@ -155,7 +155,7 @@ class Freshest(RoutedLaw):
 
     interface: ClassVar[Interface] = Interface(graph_knowledge="schedule")
 
-    def __init__(self, layout: ObservationLayout, step: float = 0.3) -> None:
+    def __init__(self, layout: ObservationLayout, step: float = 0.32) -> None:
         super().__init__(layout, step)
         self._stamps = stamps(layout.live_links)
         self._neighbours, self._owners = np.array(layout.neighbours), _owners(layout)
