@@ -9,7 +9,7 @@ from ptne_env.experiments.suite import Suite, Teammates, Track
 from ptne_env.factory import FactorySpec
 from ptne_env.scenario import Scenario
 
-NOISE = 0.01
+NOISE = 0.001
 """Standard deviation of the link noise of the base, in the units of the strategies."""
 
 
@@ -48,6 +48,14 @@ def _game(name: str, **arguments: Any) -> FactorySpec:
 def _energy(players: int) -> FactorySpec:
     """Random energy games whose total coupling is that of five players."""
     return _game("RandomEnergy", players=players, coupling=(0.25 / players, 1.5 / players))
+
+
+def _many(players: int, steps: int) -> dict[str, Any]:
+    """Many players on one random graph of degree 3, with the time for 10 units of effective time."""
+    graph = FactorySpec.of("networkx:random_regular_graph", d=3, n=players, seed=2)
+    graph = FactorySpec.of("ptne_env.graphs:from_networkx", graph=graph)
+    topology = FactorySpec.of("ptne_env.switching:fixed", graph=graph)
+    return {"game": _energy(players), "topology": topology, "slots": 3, "gain": 5.0, "s_end": 5.0, "steps": steps}
 
 
 def base() -> Scenario:
@@ -96,22 +104,8 @@ def ptne_v2() -> Suite:
         track("tight-input", "Inputs are limited to 2.", input_limit=2.0),
         track("short-deadline", "A tenth of the time: T = 0.12, and 30 steps.", deadline=0.12, steps=30),
         track("weakly-monotone", "A monotone game that is not strongly monotone.", game=_game("WeaklyMonotoneGame")),
-        track(
-            "sparse-50",
-            "50 players on sparse random graphs.",
-            game=_energy(50),
-            topology=_graphs(50, 0.09, 10),
-            slots=None,
-            episodes=20,
-        ),
-        track(
-            "sparse-200",
-            "200 players on sparse random graphs.",
-            game=_energy(200),
-            topology=_graphs(200, 0.03, 4),
-            slots=None,
-            episodes=4,
-        ),
+        track("sparse-50", "50 players on a random graph of degree 3; 200 steps.", **_many(50, steps=200), episodes=20),
+        track("sparse-200", "200 players on a random graph of degree 3; 100 steps.", **_many(200, steps=100), episodes=2),
         track(
             "unseen",
             "A size and graphs that no policy was made for: 9 players, 100 random graphs.",
