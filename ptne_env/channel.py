@@ -1,4 +1,4 @@
-"""Communication channels: noise, delay, loss, quantisation and asymmetry of messages, link by link.
+"""Communication channels: noise, delay, loss, quantisation, asymmetry and falsehood of messages, link by link.
 
 In every step sender j puts its estimate x^j on each of its live links. From the sequence of these messages a channel
 determines, for receiver i in every step, a received value per component, whether a message is present at all, and its
@@ -18,10 +18,11 @@ on the policy or on the number of environments.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal, TypeAlias, get_args
 
+import networkx as nx
 import numpy as np
 
 from ptne_env import counter_random
@@ -71,18 +72,21 @@ class LinkRandomness:
         keys: one per environment, shape (B,).
         step: index of the step, shape (B,).
         senders: player in each neighbour slot, shape (D, N).
-        dimension: n.
+        owners: player that owns each component, shape (n,).
+
+    Attributes:
+        senders, owners: as given.
     """
 
-    def __init__(self, keys: CounterArray, step: IntArray, senders: IntArray, dimension: int) -> None:
+    def __init__(self, keys: CounterArray, step: IntArray, senders: IntArray, owners: IntArray) -> None:
         self._keys = keys
         self._step = step
-        self._senders = senders
-        self._dimension = dimension
+        self.senders = senders
+        self.owners = owners
 
     def stage(self, index: int) -> LinkRandomness:
         """The random numbers of stage ``index`` of a chain, independent of all others."""
-        return LinkRandomness(counter_random.child_keys(self._keys, index), self._step, self._senders, self._dimension)
+        return LinkRandomness(counter_random.child_keys(self._keys, index), self._step, self.senders, self.owners)
 
     def uniforms(self, purpose: int = 0) -> FloatArray:
         """U(0, 1) per directed link, shape (D, N, B); another ``purpose`` gives other numbers."""
@@ -90,14 +94,19 @@ class LinkRandomness:
 
     def normals(self, purpose: int = 0) -> FloatArray:
         """N(0, 1) per component and directed link, shape (D, n, N, B); another ``purpose`` gives other numbers."""
-        components = np.arange(self._dimension, dtype=np.uint64)
-        numbers = self._links()[:, None, :] * np.uint64(self._dimension) + components[:, None]
+        components = np.arange(self.owners.size, dtype=np.uint64)
+        numbers = self._links()[:, None, :] * np.uint64(self.owners.size) + components[:, None]
         return counter_random.normals(self._base(purpose), numbers[..., None])
+
+    def episode_uniforms(self, count: int, purpose: int = 0) -> FloatArray:
+        """U(0, 1), the same in every step of an episode, shape (count, B); another ``purpose`` gives other numbers."""
+        counters = np.arange(count, dtype=np.uint64)[:, None]
+        return counter_random.uniforms(counter_random.child_keys(self._keys, purpose), counters)
 
     def _links(self) -> CounterArray:
         """The number i N + j of each link, which is the same in every slot; shape (D, N)."""
-        players = self._senders.shape[1]
-        return (np.arange(players) * players + self._senders).astype(np.uint64)
+        players = self.senders.shape[1]
+        return (np.arange(players) * players + self.senders).astype(np.uint64)
 
     def _base(self, purpose: int) -> CounterArray:
         """A key per environment for this purpose and step, shape (B,)."""
@@ -438,6 +447,100 @@ class AsymmetricLinks(Channel):
         """Messages with weights multiplied by w_ij."""
         factors = self.low + (self.high - self.low) * randomness.uniforms() if memory is None else memory[0]
         return replace(messages, weights=messages.weights * factors), (factors,)
+
+
+class OneWayLinks(Channel):
+    """Links that carry messages in one direction only, drawn per episode; all others carry them in both.
+
+    Each link is chosen with probability ``share``. In random order, each chosen link loses one direction, at random, or
+    the other one, unless the players would no longer all reach each other over directed links. So the directed graph
+    stays strongly connected: that of the links at the start where these connect all players, else the union graph, as
+    in switching topologies. A closed direction has weight 0.
+
+    Args:
+        share: in [0, 1].
+
+    Raises:
+        ValueError: when the share is not in [0, 1].
+    """
+
+    def __init__(self, share: float) -> None:
+        self.share = require_probability("share", share)
+
+    def transmit(
+        self, messages: Messages, memory: Memory | None, randomness: LinkRandomness
+    ) -> tuple[Messages, Memory]:
+        """Messages with weight 0 in closed directions."""
+        closed = self._closed(messages.weights > 0, randomness) if memory is None else memory[0]
+        return replace(messages, weights=messages.weights * ~closed), (closed,)
+
+    def _closed(self, up: BoolArray, randomness: LinkRandomness) -> BoolArray:
+        """Whether each direction of each link is closed, from the links ``up`` at the start; both (D, N, B)."""
+        senders, draws, closed = randomness.senders, randomness.uniforms(), np.zeros_like(up)
+        slots = {(j, i): (slot, i) for slot, row in enumerate(senders.tolist()) for i, j in enumerate(row) if i != j}
+        for episode in range(up.shape[2]):
+            present = [arc for arc, place in slots.items() if up[*place, episode]]
+            unit = {arc: float(draws[*place, episode]) for arc, place in slots.items()}
+            for arc in self._closed_arcs(senders.shape[1], present, unit):
+                closed[*slots[arc], episode] = True
+        return closed
+
+    def _closed_arcs(
+        self, players: int, present: list[tuple[int, int]], unit: dict[tuple[int, int], float]
+    ) -> Iterator[tuple[int, int]]:
+        """The closed arcs (sender, receiver) of one episode: arcs present at the start, a draw for every arc."""
+        arcs: nx.DiGraph[int] = nx.DiGraph(present)
+        arcs.add_nodes_from(range(players))
+        if not nx.is_strongly_connected(arcs):
+            arcs.add_edges_from(unit)
+        chosen = [(unit[arc], arc) for arc in unit if arc[0] < arc[1] and unit[arc] < self.share]
+        for _, (i, j) in sorted(chosen):
+            for arc in ((i, j), (j, i)) if unit[j, i] < 0.5 else ((j, i), (i, j)):
+                needed = arcs.has_edge(*arc)
+                if needed:
+                    arcs.remove_edge(*arc)
+                if not needed or nx.has_path(arcs, *arc):
+                    yield arc
+                    break
+                arcs.add_edge(*arc)
+
+
+class Lying(Channel):
+    """One player lies: on components that are not its own, it adds a constant offset to the estimates that it sends.
+
+    The offset is U(−size, size) per component, drawn per episode and the same for every neighbour. The liar's own
+    strategy is sent as it is, so the others reach the equilibrium where they do not rely on what the liar says of
+    third players.
+
+    Args:
+        size: > 0, in the units of the strategies.
+        player: the liar; drawn per episode if ``None``.
+
+    Raises:
+        ValueError: when the size is not positive or the player no whole number; in the first step, when there is no
+            such player.
+    """
+
+    def __init__(self, size: float, player: int | None = None) -> None:
+        self.size = require_positive("size", size)
+        self.player = None if player is None else require_count("player", player, 0)
+
+    def transmit(
+        self, messages: Messages, memory: Memory | None, randomness: LinkRandomness
+    ) -> tuple[Messages, Memory]:
+        """Messages, those of the liar with its offset."""
+        senders, owners = randomness.senders, randomness.owners
+        players = senders.shape[1]
+        if self.player is not None and self.player >= players:
+            raise ValueError(f"the lying player is 0..{players - 1} in a game of {players} players, got {self.player}")
+        if self.player is None:
+            liar = (randomness.episode_uniforms(1) * players).astype(np.int64)[0]
+        else:
+            liar = np.full(messages.own.shape[2], self.player)
+        offset = self.size * (2 * randomness.episode_uniforms(owners.size, purpose=1) - 1)
+        foreign = owners[:, None] != senders[:, None, :]
+        lies = foreign[..., None] & (senders[..., None] == liar)[:, None]
+        return replace(messages, values=messages.values + lies * offset[:, None]), ()
 
 
 def merged(old: Memory, fresh: Memory, mask: BoolArray) -> Memory:

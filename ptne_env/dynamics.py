@@ -14,10 +14,12 @@ from typing import NamedTuple
 import numpy as np
 
 from ptne_env import channel as channels
-from ptne_env.arrays import Array, BoolArray, FloatArray, IntArray, replaced
+from ptne_env.arrays import Array, BoolArray, FloatArray, IntArray, ordered_sum, replaced
 from ptne_env.channel import LinkRandomness, Memory, Messages
-from ptne_env.games import Game
+from ptne_env.drift import Drift
+from ptne_env.games import Game, MovedGame
 from ptne_env.random_streams import RandomStreams
+from ptne_env.sensor import Sensor
 from ptne_env.world import RANGE_LIMIT, ComponentOrder, EpisodeRandomness, World
 
 
@@ -40,9 +42,9 @@ class State(NamedTuple):
 
     Attributes:
         step: index of the coming step, 0..K+H, shape (B,), int64.
-        game: the games being played, one for all or one per environment.
+        game: the games being played at this instant, one for all or one per environment.
         estimates: x^i in column i, shape (n, N, B); the diagonal blocks are the strategies.
-        own_gradients: ∂J_i/∂x_i(x^i), blocks stacked, shape (n, B).
+        own_gradients: ∂J_i/∂x_i(x^i) as the sensor reads them, blocks stacked, shape (n, B).
         diverged: whether the environment has left the range; it stays where it is from then on. Shape (B,).
         any_diverged: whether any environment has.
         randomness: draws of the episodes besides game and start; ``None`` where a scenario draws nothing else.
@@ -104,8 +106,8 @@ def initial_state(
         raise ValueError(f"{batch} environments need one game or {batch}, got {game.batch_size}")
     if world.has_episode_randomness and (randomness is None or randomness.channel_keys.shape != (batch,)):
         raise ValueError(
-            f"scenario {name!r} draws a topology, a channel or a disturbance: pass the draws of {batch} environments, "
-            "see World.draw_randomness()"
+            f"scenario {name!r} draws more than games and starts: pass the draws of {batch} environments, see "
+            "World.draw_randomness()"
         )
     estimates = np.array(estimates, dtype=np.float64)  # a copy: the state is not the caller's
     _project_strategies(estimates, game)
@@ -138,6 +140,7 @@ def require_state(world: World, state: State, batch: int) -> None:
         raise ValueError(f"the estimates of a state must be finite and within ±{RANGE_LIMIT:g}")
     needed = {
         "players and dimensions": state.game.action_dims == game.action_dims and state.game.batch_size in (1, batch),
+        "drift": isinstance(state.game, MovedGame) == (world.drift is not None),
         "random draws": (state.randomness is not None) == world.has_episode_randomness,
         "active graphs": _fits_topology(world, state, batch),
         "received messages": _fits_channel(world, state, batch),
@@ -150,7 +153,7 @@ def require_state(world: World, state: State, batch: int) -> None:
 
 
 def step(world: World, state: State, inputs: FloatArray) -> State:
-    """x_{k+1} = x_k + Θ_k u_k, with switching graph, clock, channel and disturbance; exact for the held input.
+    """x_{k+1} = x_k + Θ_k u_k, with all parts of the world; exact for the held input.
 
     Where a box confines the strategies, the players' own blocks of x_k + Θ_k u_k are projected into it.
 
@@ -298,7 +301,9 @@ def relative_estimates(
 
 def distance_limit(game: Game) -> FloatArray:
     """The relative distance charged to a diverged environment, no less than any in range; shape (G,)."""
-    return (RANGE_LIMIT * np.sqrt(game.dimension) + game.equilibrium_scale) / game.equilibrium_scale
+    norms = np.sqrt(ordered_sum(game.nash_equilibria**2))  # not the scale where the game has drifted
+    farthest = np.maximum(norms, game.equilibrium_scale)
+    return np.asarray((RANGE_LIMIT * np.sqrt(game.dimension) + farthest) / game.equilibrium_scale)
 
 
 def _complete(
@@ -313,6 +318,8 @@ def _complete(
     any_diverged: bool = False,
 ) -> State:
     """The state with these estimates: own gradients, divergence and received messages follow from them."""
+    if world.drift is not None:
+        game = _moved(world.drift, world, game, step, randomness)
     if game.is_affine:
         gradients = game.own_gradients(estimates)
     else:
@@ -324,8 +331,23 @@ def _complete(
         any_diverged = bool(diverged.any())
         estimates = np.clip(np.nan_to_num(estimates, nan=RANGE_LIMIT), -RANGE_LIMIT, RANGE_LIMIT)
         gradients = np.clip(np.nan_to_num(gradients, nan=RANGE_LIMIT), -RANGE_LIMIT, RANGE_LIMIT)
+    if world.sensor is not None:
+        gradients = _sensed(world.sensor, gradients, step, randomness)
     state = State(step, game, estimates, gradients, diverged, any_diverged, randomness)
     return state if world.channel.is_perfect else state._replace(received=_transmit(world, state, memory))
+
+
+def _moved(drift: Drift, world: World, game: Game, step: IntArray, randomness: EpisodeRandomness | None) -> MovedGame:
+    """The game at the instants ``step`` (B,) of its drift."""
+    keys = np.zeros(step.size, dtype=np.uint64) if randomness is None else randomness.drift_keys
+    offset = drift.offset(keys, world.clock.t[step], game.dimension)
+    return MovedGame(game.game if isinstance(game, MovedGame) else game, offset)
+
+
+def _sensed(sensor: Sensor, gradients: FloatArray, step: IntArray, randomness: EpisodeRandomness | None) -> FloatArray:
+    """The own gradients (n, B) as players observe them, within the range that observations are bounded by."""
+    keys = np.zeros(step.size, dtype=np.uint64) if randomness is None else randomness.sensor_keys
+    return np.clip(sensor.read(gradients, keys, step), -RANGE_LIMIT, RANGE_LIMIT)
 
 
 def _fits_topology(world: World, state: State, batch: int) -> bool:
@@ -349,7 +371,7 @@ def _transmit(world: World, state: State, memory: Memory | None) -> Received:
     keys = np.zeros(batch, dtype=np.uint64) if state.randomness is None else state.randomness.channel_keys
     link_weights = graph_weights(world, state)
     link_weights = np.broadcast_to(link_weights, (*link_weights.shape[:2], batch))
-    randomness = LinkRandomness(keys, state.step, world.neighbours, world.game.dimension)
+    randomness = LinkRandomness(keys, state.step, world.neighbours, world.game.owners)
     sent = Messages(sent_messages(world, state.estimates), link_weights > 0, link_weights, state.estimates)
     received, memory = world.channel.transmit(sent, memory, randomness)
     values = received.values

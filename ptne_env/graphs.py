@@ -8,6 +8,7 @@ from functools import cached_property
 import networkx as nx
 import numpy as np
 import numpy.typing as npt
+from scipy.sparse.csgraph import connected_components
 
 from ptne_env.arrays import FloatArray, frozen, require_count
 
@@ -53,7 +54,7 @@ class Graph:
     @cached_property
     def is_connected(self) -> bool:
         """Assumption 1 of the paper."""
-        return bool(nx.is_connected(self.to_networkx()))
+        return int(connected_components(self.adjacency, directed=False, return_labels=False)) == 1
 
     @property
     def largest_degree(self) -> int:
@@ -97,6 +98,31 @@ def star(players: int) -> Graph:
 def complete(players: int) -> Graph:
     """All pairs of players linked, N ≥ 2."""
     return from_networkx(nx.complete_graph(require_count("players", players, 2)))
+
+
+def random_regular(players: int, degree: int, seed: int = 0) -> Graph:
+    """A connected graph, drawn uniformly among those in which every player has ``degree`` neighbours.
+
+    Args:
+        players: N > degree.
+        degree: at least 2, and even where N is odd.
+        seed: of the draw.
+
+    Raises:
+        ValueError: when there is no such graph.
+    """
+    count, wanted = require_count("players", players, 3), require_count("degree", degree, 2)
+    if wanted >= count or count * wanted % 2:
+        raise ValueError(
+            f"no graph of {players} players has {degree} neighbours for each: the degree is below {players} and the "
+            "product of the two is even"
+        )
+    generator = np.random.default_rng(require_count("seed", seed, 0))
+    while True:
+        drawn = nx.random_regular_graph(wanted, count, seed=int(generator.integers(2**32)))
+        graph = from_edges(count, drawn.edges)
+        if graph.is_connected:
+            return graph
 
 
 def from_edges(players: int, edges: Iterable[Sequence[int]]) -> Graph:

@@ -28,6 +28,8 @@ SHORT_NAMES: Mapping[str, Mapping[str, FactorySpec]] = {
     },
     "channel": {"perfect": FactorySpec.of("ptne_env.channel:perfect")},
     "disturbance": {"none": FactorySpec.of("ptne_env.disturbances:Undisturbed")},
+    "sensor": {},
+    "drift": {},
 }
 """The fields of a scenario that name a part, and the short names that each accepts."""
 
@@ -53,8 +55,9 @@ class Scenario:
     """The physics of an experiment. Two scenarios are equal when every field is, and can be dictionary keys.
 
     A scenario only names its parts; :class:`~ptne_env.world.World` builds and checks them. ``game``, ``topology``,
-    ``start``, ``transformation``, ``channel`` and ``disturbance`` accept a :class:`~ptne_env.factory.FactorySpec`, a
-    ``"module:object"`` string or the short names below, and hold a FactorySpec afterwards.
+    ``start``, ``transformation``, ``channel``, ``disturbance``, ``sensor`` and ``drift`` accept a
+    :class:`~ptne_env.factory.FactorySpec`, a ``"module:object"`` string or the short names below, and hold a
+    FactorySpec afterwards.
 
     Attributes:
         name: for tables and files.
@@ -76,6 +79,8 @@ class Scenario:
             where all clocks are right.
         slots: neighbour slots per player, unused ones being padded, so that graphs of different degrees have one
             layout; the largest degree in the union graph if ``None``.
+        sensor: builds a :class:`~ptne_env.sensor.Sensor` of the own gradients; exact if ``None``.
+        drift: builds a :class:`~ptne_env.drift.Drift` of the game's origin; at rest if ``None``.
 
     Raises:
         ValueError: when the name is no string, or a part is named in none of the ways above.
@@ -97,11 +102,15 @@ class Scenario:
     disturbance: FactorySpec = SHORT_NAMES["disturbance"]["none"]
     clock_shifts: tuple[float, ...] = ()
     slots: int | None = None
+    sensor: FactorySpec | None = None
+    drift: FactorySpec | None = None
 
     def __post_init__(self) -> None:
         require_printable("the name of a scenario", self.name)
         for field in SHORT_NAMES:
-            object.__setattr__(self, field, _as_factory(field, getattr(self, field)))
+            value = getattr(self, field)
+            if value is not None or field not in ("sensor", "drift"):
+                object.__setattr__(self, field, _as_factory(field, value))
         if not isinstance(self.clock_shifts, (tuple, list)):
             raise ValueError(f"clock_shifts is one number of seconds per player, or empty, got {self.clock_shifts!r}")
         object.__setattr__(self, "clock_shifts", tuple(self.clock_shifts))

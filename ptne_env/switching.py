@@ -10,6 +10,7 @@ from typing import Literal, TypeAlias
 import networkx as nx
 import numpy as np
 import numpy.typing as npt
+from scipy.sparse.csgraph import minimum_spanning_tree
 
 from ptne_env.arrays import FloatArray, IntArray, frozen, require_count, require_positive, require_probability
 from ptne_env.graphs import Graph, from_edges, union
@@ -404,6 +405,49 @@ def random_graphs(players: int, probability: float, modes: int = 100, seed: int 
         if len(pool) == count:
             return EpisodeTopology(pool)
     raise ValueError(f"hardly any graph of {players} players is connected with probability {probability}; raise it")
+
+
+def random_subgraphs(
+    graph: Graph,
+    probability: float,
+    dwells: Dwells | None = None,
+    modes: int = 100,
+    seed: int = 0,
+    clock: TopologyClock = "physical",
+) -> SwitchingTopology:
+    """The topology that draws connected subgraphs of ``graph``, one for every episode or one for every dwell.
+
+    Each subgraph has a random spanning tree of ``graph``, and every other link with ``probability``. They come from a
+    pool, which is a function of the arguments, so it belongs to the scenario and is the same in every episode. Players
+    have no more neighbours than in ``graph``: with a sparse one, such as :func:`~ptne_env.graphs.random_regular`, games
+    of hundreds of players stay fast.
+
+    Args:
+        graph: all possible links; connected.
+        probability: of a link outside the tree, in [0, 1].
+        dwells: a dwell time or a range (shortest, longest); ``None`` keeps the drawn graph for the whole episode.
+        modes: graphs in the pool, at least 2.
+        seed: of the pool.
+        clock: of the dwells, ``"physical"`` or ``"transformed"``.
+
+    Raises:
+        ValueError: when the graph is disconnected, a number is out of range, or as :class:`MarkovTopology`.
+    """
+    require_probability("probability", probability)
+    count = require_count("modes", modes, 2)
+    if not graph.is_connected:
+        raise ValueError("a disconnected graph has no connected subgraph; add links between its components")
+    i, j = np.nonzero(np.triu(graph.adjacency))
+    generator = np.random.default_rng(require_count("seed", seed, 0))
+    pool = []
+    for _ in range(count):
+        up = np.zeros_like(graph.adjacency)
+        up[i, j] = 1 + generator.random(i.size)  # the spanning tree of least random weights
+        up = (minimum_spanning_tree(up).toarray() > 0) | ((up > 0) & (generator.random(up.shape) < probability))
+        pool.append(Graph(graph.adjacency * (up | up.T)))
+    if dwells is None:
+        return EpisodeTopology(pool)
+    return MarkovTopology(pool, np.full((count, count), 1 / count), dwells, clock)
 
 
 def paper_topology(dwell: float = 0.1, clock: TopologyClock = "physical") -> SwitchingTopology:

@@ -16,10 +16,12 @@ from ptne_env.channel import Channel
 from ptne_env.clock import StepClock, TimeTransformation
 from ptne_env.counter_random import CounterArray
 from ptne_env.disturbances import Disturbance
+from ptne_env.drift import Drift
 from ptne_env.factory import FactorySpec
 from ptne_env.games import Game, GameFamily, SingleGame, require_strong_monotonicity
 from ptne_env.random_streams import RandomStreams
 from ptne_env.scenario import Scenario
+from ptne_env.sensor import Sensor
 from ptne_env.starts import Start
 from ptne_env.switching import Schedule, SwitchingTopology
 
@@ -28,6 +30,9 @@ RANGE_LIMIT = 5e5
 
 SHORTFALL_WARNING = 0.01
 """A scenario whose last step ends more than this fraction of T short of the deadline gets a warning."""
+
+_SENSOR, _DRIFT = int.from_bytes(b"sensor"), int.from_bytes(b"drift")
+"""Child streams of sensor and drift: drawing keys of their own would change the draws of existing scenarios."""
 
 
 @dataclass(frozen=True)
@@ -38,13 +43,23 @@ class EpisodeRandomness:
         modes: active graph at each instant, shape (K+H+1, B), int16.
         time_since_switch: over the mean dwell, clipped to 1, shape (K+H+1, B), float32.
         channel_keys: keys of the channel's random numbers, shape (B,).
-        disturbance_keys: keys of the disturbance's random numbers, shape (B,).
+        disturbance_keys: keys of the disturbance's random numbers, shape (B,); sensor and drift have children of them.
     """
 
     modes: npt.NDArray[np.int16] | None
     time_since_switch: npt.NDArray[np.float32] | None
     channel_keys: CounterArray
     disturbance_keys: CounterArray
+
+    @property
+    def sensor_keys(self) -> CounterArray:
+        """Keys of the sensor's random numbers, shape (B,)."""
+        return counter_random.child_keys(self.disturbance_keys, _SENSOR)
+
+    @property
+    def drift_keys(self) -> CounterArray:
+        """Keys of the drift's random numbers, shape (B,)."""
+        return counter_random.child_keys(self.disturbance_keys, _DRIFT)
 
 
 class ComponentOrder(NamedTuple):
@@ -70,6 +85,8 @@ class World:
         game_family: draws the game of an episode; a :class:`~ptne_env.games.SingleGame` where all episodes play one.
         game: the game, or a typical member of the family; states hold the games that are played.
         topology, start, clock, channel, disturbance: the other parts.
+        sensor: of the own gradients; ``None`` where they are exact.
+        drift: of the game's origin; ``None`` where it rests.
         neighbours: player in each slot, shape (D, N); D is the largest degree in the union graph unless the scenario
             gives it, and a padded slot holds the player itself with weight 0.
         mode_weights: a_ij per slot and mode, shape (D, N, modes).
@@ -85,7 +102,7 @@ class World:
     Raises:
         ValueError: when a part cannot be built, a number is out of range, the game and the graphs disagree on the
             number of players, the graphs can never be (jointly) connected, a dwell is shorter than the longest step,
-            there are too few slots, or not as many clock shifts as players.
+            there are too few slots, not as many clock shifts as players, or a game with a box drifts.
     """
 
     def __init__(self, scenario: Scenario) -> None:
@@ -108,7 +125,10 @@ class World:
         self.start: Start = self._build(scenario.start, Start)
         self.channel: Channel = self._build(scenario.channel, Channel)
         self.disturbance: Disturbance = self._build(scenario.disturbance, Disturbance)
+        self.sensor: Sensor | None = None if scenario.sensor is None else self._build(scenario.sensor, Sensor)
+        self.drift: Drift | None = None if scenario.drift is None else self._build(scenario.drift, Drift)
         self._check_topology()
+        self._check_drift()
         # A fixed start whose table has the wrong shape fails here and not at the first reset.
         self.start.draw(self.game.num_players, self.game.dimension, np.random.default_rng(0))
         self._tabulate_neighbours()
@@ -139,7 +159,8 @@ class World:
     @property
     def has_episode_randomness(self) -> bool:
         """Whether an episode draws anything besides its game and its start."""
-        return self.topology.is_random or self.channel.is_random or self.disturbance.is_random
+        parts = (self.topology, self.channel, self.disturbance, self.sensor, self.drift)
+        return any(part.is_random for part in parts if part is not None)
 
     @property
     def is_random(self) -> bool:
@@ -215,6 +236,13 @@ class World:
                 f"scenario {name!r}: the shortest dwell, {topology.shortest_dwell:.4g} on the {topology.clock} clock, "
                 f"is shorter than the longest step, {longest:.4g}, so graphs would be skipped; use more steps, another "
                 "spacing or longer dwells"
+            )
+
+    def _check_drift(self) -> None:
+        if self.drift is not None and self.game.has_bounds:
+            raise ValueError(
+                f"scenario {self.scenario.name!r}: {type(self.game).__name__} has a box, and only games without bounds "
+                "can drift; choose such a game or leave out the drift"
             )
 
     def _tabulate_neighbours(self) -> None:

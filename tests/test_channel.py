@@ -361,7 +361,7 @@ def transmit(channel, steps, messages=None, batch=400, seed=0):
     memory, results = None, []
     for k in range(steps):
         sent = constant_messages(batch) if messages is None else messages(k)
-        randomness = LinkRandomness(keys, np.full(batch, k), SENDERS, 5)
+        randomness = LinkRandomness(keys, np.full(batch, k), SENDERS, np.arange(5))
         out, memory = channel.transmit(sent, memory, randomness)
         results.append(out)
     return results
@@ -595,7 +595,7 @@ def test_invalid_channels_are_refused(name):
 def test_start_without_the_draws_is_refused():
     world = World(FAULTY)
     streams = [RandomStreams.from_seed(0)]
-    with pytest.raises(ValueError, match="'faulty' draws a topology, a channel or a disturbance: pass the draws of 1"):
+    with pytest.raises(ValueError, match="'faulty' draws more than games and starts: pass the draws of 1"):
         dynamics.initial_state(world, world.draw_estimates(streams), world.draw_game(streams))
 
 

@@ -97,6 +97,8 @@ FAULTY = CATALOGUE["random-energy"].replace(
     disturbance=FactorySpec.of("ptne_env.disturbances:UniformDisturbance", bound=3.0, dwell=2),
     clock_shifts=(0.0, 0.01, -0.01, 0.0, 0.02),
     slots=4,
+    sensor=FactorySpec.of("ptne_env.sensor:GradientNoise", std=0.1, relative=0.05, width=0.001),
+    drift=FactorySpec.of("ptne_env.drift:ConstantVelocity", speed=3.0, start=0.2),
 )
 """Everything that can go wrong."""
 

@@ -50,6 +50,7 @@ class Renderer:
         self.mode = mode
         self._estimates: list[FloatArray] = []
         self._estimate_distances: list[float] = []
+        self._equilibria: list[FloatArray] = []
         self._game = world.game
         self._mode = 0
         self._limits: tuple[tuple[float, float], tuple[float, float]] | None = None
@@ -61,6 +62,7 @@ class Renderer:
         self._game = states[0].game
         self._limits = self._needed(
             np.array([state.estimates[:, :, 0] for state in states]),
+            [state.game.nash_equilibria[:, 0] for state in states],
             [float(distances.estimate_distance(state.estimates, state.game)[0]) for state in states],
         )
 
@@ -68,6 +70,7 @@ class Renderer:
         """Forget the last episode and start with ``state``."""
         self._estimates.clear()
         self._estimate_distances.clear()
+        self._equilibria.clear()
         self._game = state.game
         self._artists = None
         self.record(state)
@@ -75,7 +78,8 @@ class Renderer:
     def record(self, state: State) -> None:
         """Add an instant."""
         self._estimates.append(state.estimates[:, :, 0])
-        self._estimate_distances.append(float(distances.estimate_distance(state.estimates, self._game)[0]))
+        self._estimate_distances.append(float(distances.estimate_distance(state.estimates, state.game)[0]))
+        self._equilibria.append(state.game.nash_equilibria[:, 0])
         self._mode = int(dynamics.active_mode(self.world, state)[0])
 
     def draw(self) -> npt.NDArray[np.uint8] | None:
@@ -127,9 +131,11 @@ class Renderer:
         FigureCanvasAgg(figure)
         return figure
 
-    def _needed(self, estimates: FloatArray, far: Sequence[float]) -> tuple[tuple[float, float], tuple[float, float]]:
-        """Limits of the two vertical axes: room for estimates and equilibrium, and a decade of distances at least."""
-        values = np.concatenate([estimates.ravel(), self._game.nash_equilibria[:, 0]])
+    def _needed(
+        self, estimates: FloatArray, equilibria: Sequence[FloatArray], far: Sequence[float]
+    ) -> tuple[tuple[float, float], tuple[float, float]]:
+        """Limits of the two vertical axes: room for estimates and equilibria, and a decade of distances at least."""
+        values = np.concatenate([estimates.ravel(), *equilibria])
         values = values[np.isfinite(values)]
         margin = 0.05 * (values.max() - values.min()) or 1.0
         shown = np.array(far)[np.isfinite(far)]
@@ -147,11 +153,11 @@ class Renderer:
             gridspec_kw={"left": 0.07, "right": 0.975, "top": 0.86, "bottom": 0.17, "wspace": 0.24, "hspace": 0.5},
         )
         game, clock = self._game, self.world.clock
-        own, others = [], []
+        own, others, targets = [], [], []
         crowded = game.dimension * game.num_players > _MOST_LINES
         for component, owner in enumerate(game.owners):
             colour = COLOURS[owner % len(COLOURS)]
-            axes["estimates"].axhline(game.nash_equilibria[component, 0], color=colour, linestyle=":", linewidth=1)
+            targets.append(axes["estimates"].plot([], [], color=colour, linestyle=":", linewidth=1)[0])
             if not crowded:
                 thin: dict[str, Any] = {"color": colour, "linewidth": 0.7, "alpha": 0.5}
                 others.append([axes["estimates"].plot([], [], **thin)[0] for _ in range(game.num_players - 1)])
@@ -175,7 +181,7 @@ class Renderer:
             )
         links = self._build_graph(axes["graph"])
         title = figure.text(0.07, 0.945, "", fontsize=13, fontweight="bold")
-        return _Artists(axes["estimates"], axes["distance"], title, own, others, distance, links)
+        return _Artists(axes["estimates"], axes["distance"], title, own, others, targets, distance, links)
 
     def _build_graph(self, axes: Any) -> dict[tuple[int, int], Any]:
         players = self.world.game.num_players
@@ -204,8 +210,12 @@ class Renderer:
                 rest = np.delete(estimates[:, component], owner, axis=1)
                 for other, values in zip(artists.others[component], rest.T, strict=True):
                     other.set_data(times, values)
+        at_rest = self.world.drift is None
+        shown = self._equilibria[:1] * 2 if at_rest else self._equilibria
+        for target, values in zip(artists.targets, np.transpose(shown), strict=True):
+            target.set_data(self.world.clock.t[[0, -1]] if at_rest else times, values)
         artists.distance.set_data(times, np.maximum(far, distances.FLOOR))
-        values_limits, distance_limits = self._limits or self._needed(estimates, far)
+        values_limits, distance_limits = self._limits or self._needed(estimates, self._equilibria, far)
         artists.values_axes.set_ylim(values_limits)
         artists.distance_axes.set_ylim(distance_limits)
         live = set(self.world.topology.graphs[self._mode].edges)
@@ -226,5 +236,6 @@ class _Artists:
     title: Any
     own: list[Any]
     others: list[list[Any]]
+    targets: list[Any]
     distance: Any
     links: dict[tuple[int, int], Any]

@@ -15,6 +15,7 @@ from ptne_env.games.family import SingleGame as SingleGame
 from ptne_env.games.family import require_strong_monotonicity as require_strong_monotonicity
 from ptne_env.games.markets import NetworkedCournot as NetworkedCournot
 from ptne_env.games.markets import Oligopoly as Oligopoly
+from ptne_env.games.moved import MovedGame as MovedGame
 from ptne_env.games.non_quadratic import NonQuadraticGame as NonQuadraticGame
 from ptne_env.games.rates import RateControl as RateControl
 from ptne_env.games.robots import ConnectivityControl as ConnectivityControl

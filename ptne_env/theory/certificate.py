@@ -139,9 +139,10 @@ class Certificate:
         digits_sampled: digits that the sampled loop, the product of (I − Θ_k M_k), has from the scenario's start over
             perfect links: −log10 ‖**x** − 1⊗x*‖/(√N ‖x*‖); ``None`` when the loop is not linear.
         digits_are_exact: whether an episode has these digits, up to 12 of them: ``step_margin``, with the hold phase,
-            is above 1, the start asks for no input above the limit, and the scenario has no faulty links, disturbance
-            or clocks that disagree. Otherwise they are those of exact arithmetic without limits and faults, and
-            ``notes`` gives the reason. The same holds of ``digits_after_hold`` and ``worst_digits_gained``.
+            is above 1, the start asks for no input above the limit, and the scenario has no faulty links, disturbance,
+            sensor, drift or clocks that disagree. Otherwise they are those of exact arithmetic without limits and
+            faults, and ``notes`` gives the reason. The same holds of ``digits_after_hold`` and
+            ``worst_digits_gained``.
         digits_after_hold: the same after the hold phase; ``None`` also where there is none.
         worst_digits_gained: −log10 ‖Π (I − Θ_k M_k)‖₂, the digits gained by T from the worst start; ``None`` when the
             loop is not linear, gains adapt, or there are more than 600 estimates.
@@ -388,7 +389,8 @@ class _Prediction:
     def would_be_exact(self) -> bool:
         """Whether an episode has the digits of the path, if no message were late."""
         world, faults = self.world, _ChannelFaults.of(self.world.channel)
-        disturbed = not world.disturbance.is_absent or any(world.scenario.clock_shifts)
+        calm = world.disturbance.is_absent and world.sensor is None and world.drift is None
+        disturbed = not calm or any(world.scenario.clock_shifts)
         faulty = disturbed or faults.noise_std > 0 or bool(faults.others)
         return self.path is not None and not (self.amplifies or self.saturates or faulty)
 
@@ -586,8 +588,13 @@ def _scenario_notes(world: World, faults: _ChannelFaults) -> Iterator[str]:
         yield f"no prediction includes the channel's {', '.join(faults.others)}"
     if faults.noise_std or faults.delay_steps:
         yield "only the rows of noise and delay include the channel's noise and constant delay, each on its own"
-    if not world.disturbance.is_absent:
-        yield f"no prediction includes the disturbance {scenario.disturbance.target.rpartition(':')[2]}"
+    disturbance = None if world.disturbance.is_absent else scenario.disturbance
+    parts = {"disturbance": disturbance, "sensor": scenario.sensor, "drift": scenario.drift}
+    for name, part in parts.items():
+        if part is not None:
+            yield f"no prediction includes the {name} {part.target.rpartition(':')[2]}"
+    if scenario.drift is not None:
+        yield "the theorems are about an equilibrium at rest and promise nothing while the game drifts"
     if any(scenario.clock_shifts):
         yield "the players' clocks disagree; the predictions are for clocks that are right"
     if world.clock.shortfall > SHORTFALL_WARNING:
