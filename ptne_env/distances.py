@@ -1,6 +1,7 @@
 """Relative distances to the equilibrium, shared by rewards, the success criterion and metrics.
 
-Where x* = 0 the scale is 1 instead of ‖x*‖.
+Where x* = 0 the scale is 1 instead of ‖x*‖. In a game with several equilibria, distances are those to the nearest of
+them, relative to the norm of the first.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ SUCCESS_DISTANCE = 5e-3
 
 def player_distances(estimates: FloatArray, game: Game) -> FloatArray:
     """d^i = ‖x^i − x*‖/‖x*‖ of each player's estimate: (n, N, B) to (N, B)."""
-    errors = estimates - game.nash_equilibria[:, None, :]
+    errors = estimates - game.nearest_equilibria(estimates)[:, None, :]
     distances = np.sqrt(np.einsum("cib,cib->ib", errors, errors))
     distances /= game.equilibrium_scale
     return distances
@@ -29,7 +30,7 @@ def player_distances(estimates: FloatArray, game: Game) -> FloatArray:
 
 def strategy_distance(strategies: FloatArray, game: Game) -> FloatArray:
     """‖x − x*‖/‖x*‖, the paper's relative error: (n, B) to (B,)."""
-    return np.sqrt(ordered_sum((strategies - game.nash_equilibria) ** 2)) / game.equilibrium_scale
+    return np.sqrt(ordered_sum((strategies - game.nearest_equilibria(strategies)) ** 2)) / game.equilibrium_scale
 
 
 def estimate_distance(estimates: FloatArray, game: Game) -> FloatArray:

@@ -171,10 +171,10 @@ class World:
         """The games of an episode, one environment per entry of ``streams``.
 
         Raises:
-            ValueError: when a drawn game is not strongly monotone.
+            ValueError: when a drawn game is not strongly monotone, unless the family declares this.
         """
         game = self.game_family.draw([stream.game for stream in streams])
-        if self.has_random_game:
+        if self.has_random_game and self.game_family.is_strongly_monotone is None:
             require_strong_monotonicity(game)
         return game
 

@@ -8,6 +8,10 @@ from ptne_env.games.base import NoBestResponseError as NoBestResponseError
 from ptne_env.games.charging import ElectricVehicleCharging as ElectricVehicleCharging
 from ptne_env.games.check import GameReport as GameReport
 from ptne_env.games.check import check_game as check_game
+from ptne_env.games.coordination import CoordinationGame as CoordinationGame
+from ptne_env.games.coordination import RandomCoordination as RandomCoordination
+from ptne_env.games.coupled import CoupledConstraint as CoupledConstraint
+from ptne_env.games.coupled import priced as priced
 from ptne_env.games.energy import EnergyGame as EnergyGame
 from ptne_env.games.family import GameFamily as GameFamily
 from ptne_env.games.family import RandomEnergy as RandomEnergy
@@ -19,3 +23,7 @@ from ptne_env.games.moved import MovedGame as MovedGame
 from ptne_env.games.non_quadratic import NonQuadraticGame as NonQuadraticGame
 from ptne_env.games.rates import RateControl as RateControl
 from ptne_env.games.robots import ConnectivityControl as ConnectivityControl
+from ptne_env.games.saturating import RandomSaturating as RandomSaturating
+from ptne_env.games.saturating import SaturatingGame as SaturatingGame
+from ptne_env.games.sparse import RandomSparse as RandomSparse
+from ptne_env.games.sparse import SparseGame as SparseGame

@@ -98,6 +98,16 @@ class AffineGame(Game):
         return frozen(np.moveaxis(np.linalg.inv(blocks), 0, 2))
 
     @cached_property
+    def _is_flat_outwards(self) -> bool:
+        """Whether some A_ii is singular and its player's box is not bounded."""
+        if self._own_inverse is not None or self.low is None or self.high is None:
+            return False
+        open_ended = ~(np.isfinite(self.low) & np.isfinite(self.high)).all(axis=1)
+        blocks = np.moveaxis(self.matrix, 2, 0)
+        own = [self.owners == player for player in np.unique(self.owners[open_ended])]
+        return any(np.linalg.cond(blocks[:, mask][:, :, mask]).max() > 1e12 for mask in own)
+
+    @cached_property
     def _is_separable(self) -> bool:
         """Whether every A_ii is diagonal, so that each component has its own best response."""
         return bool(np.all(self._own_blocks[~np.eye(self.dimension, dtype=bool)] == 0))
@@ -141,7 +151,7 @@ class AffineGame(Game):
                 return self.project(response)
         else:
             response = strategies
-        if self.low is None or self.high is None:
+        if self.low is None or self.high is None or self._is_flat_outwards:
             raise NoBestResponseError(f"{type(self).__name__}: some J_i has a flat direction, so no best response")
         blocks = np.broadcast_to(self._own_blocks, (*self._own_blocks.shape[:2], strategies.shape[1]))
         return solve_box(lambda x: times(blocks, x) + pressure, lambda _: blocks, self.low, self.high, response)
@@ -177,15 +187,16 @@ class RandomAffine(GameFamily):
     A = ε I + Q diag(λ) Qᵀ + a K with Q a random orthogonal matrix, λ_k ~ U(0, spread) and one λ_k = 0, and K a random
     skew-symmetric matrix with ‖K‖₂ = 1, so that F is ε-strongly monotone with the largest possible constant ε, and
     potential for a = 0. The skew part is 0 within players' own blocks, which are Hessians. x* ~ U(−scale, scale), and
-    b = −A x*.
+    b = −A x*. For ε = 0 and a > 0, F is monotone and not strongly: it rotates without pull in the direction in which
+    λ_k = 0. x* is unique then too, almost surely.
 
     Args:
         players: N ≥ 2.
-        epsilon: ε > 0.
+        epsilon: ε ≥ 0, and above 0 where the asymmetry is 0.
         asymmetry: a ≥ 0.
         spread: ≥ 0; dF + dFᵀ has eigenvalues in [2ε, 2(ε + spread)].
         scale: half-width of the box of equilibria, above 0.
-        action_dim: n_i, the same for all.
+        action_dim: n_i, one number for all or one per player.
         low: smallest strategy of all players; ``None`` for no bound. In a box x* solves the variational inequality.
         high: largest strategy.
 
@@ -200,13 +211,19 @@ class RandomAffine(GameFamily):
         asymmetry: float = 1.0,
         spread: float = 2.0,
         scale: float = 10.0,
-        action_dim: int = 1,
+        action_dim: int | Sequence[int] = 1,
         low: float | None = None,
         high: float | None = None,
     ) -> None:
-        self.action_dims = (require_count("action_dim", action_dim, 1),) * require_count("players", players, 2)
-        self.epsilon = require_positive("epsilon", epsilon)
+        count = require_count("players", players, 2)
+        dims = tuple(action_dim) if isinstance(action_dim, Sequence) else (action_dim,) * count
+        if len(dims) != count:
+            raise ValueError(f"action_dim is one number for all, or one per player ({count}), got {action_dim!r}")
+        self.action_dims = tuple(require_count("action_dim", dim, 1) for dim in dims)
         self.asymmetry = require_non_negative("asymmetry", asymmetry)
+        self.epsilon = (require_non_negative if self.asymmetry else require_positive)("epsilon", epsilon)
+        if self.epsilon == 0:
+            self.is_strongly_monotone = False
         self.spread = require_non_negative("spread", spread)
         self.scale = require_positive("scale", scale)
         self.bounds = low, high

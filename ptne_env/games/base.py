@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 import scipy
 
-from ptne_env.arrays import BoolArray, FloatArray, IntArray, frozen, ordered_sum, require_count
+from ptne_env.arrays import BoolArray, FloatArray, IntArray, frozen, ordered_sum, replaced, require_count
 from ptne_env.games.variational import natural_map, solve_box
 
 RESIDUAL_TOLERANCE = 1e-10
@@ -167,18 +168,40 @@ class Game(ABC):
     def nash_equilibria(self) -> FloatArray:
         """x* with F(x*) = 0, or x* = Π(x* − F(x*)) in a box, of every game; verified. Shape (n, G), read-only.
 
+        In a game with several equilibria, the first of them; see :attr:`other_equilibria`.
+
         Raises:
             ArithmeticError: when the solver's point is not an equilibrium to 1e-10.
         """
-        points = np.asarray(self._solve_nash_equilibria(), dtype=np.float64)
-        residuals = np.linalg.norm(self.natural_residual(points), axis=0)
-        if not np.all(residuals <= RESIDUAL_TOLERANCE * (1 + np.linalg.norm(points, axis=0))):
-            raise ArithmeticError(
-                f"{type(self).__name__}: the point found has "
-                f"{'‖x − Π(x − F(x))‖' if self.has_bounds else '‖F(x)‖'} = {residuals.max():.3g}; no Nash equilibrium "
-                "was found"
-            )
-        return frozen(points)
+        return self._verified(self._solve_nash_equilibria())
+
+    @cached_property
+    def other_equilibria(self) -> FloatArray | None:
+        """The equilibria besides x*, likewise verified, where a game has E > 1; shape (E − 1, n, G). Else ``None``.
+
+        Raises:
+            ArithmeticError: when a point is not an equilibrium to 1e-10.
+        """
+        points = self._solve_other_equilibria()
+        return None if points is None else frozen([self._verified(point) for point in points])
+
+    def nearest_equilibria(self, points: FloatArray) -> FloatArray:
+        """The equilibrium that is nearest to the points of each environment, from which distances are measured.
+
+        Args:
+            points: joint strategies, (n, B), or the estimates of all players, (n, N, B), which share one equilibrium.
+
+        Returns:
+            Shape (n, B); for a game with one equilibrium ``nash_equilibria``, (n, G).
+        """
+        if self.other_equilibria is None:
+            return self.nash_equilibria
+        candidates = np.concatenate([self.nash_equilibria[None], self.other_equilibria])
+        stacked = points.reshape(len(points), -1, points.shape[-1])
+        errors = stacked - candidates[:, :, None]
+        nearest = np.argmin(ordered_sum(ordered_sum(errors**2, axis=2), axis=1), axis=0)
+        candidates = np.broadcast_to(candidates, (*candidates.shape[:2], nearest.size))
+        return np.asarray(candidates[nearest, :, np.arange(nearest.size)].T)
 
     @cached_property
     def held_at_equilibrium(self) -> BoolArray:
@@ -208,13 +231,30 @@ class Game(ABC):
             raise ValueError(f"a batch of {self.batch_size} games has nash_equilibria, one column each")
         return self.nash_equilibria[:, 0]
 
+    def _verified(self, solution: FloatArray) -> FloatArray:
+        """Equilibria (n, G), read-only, or an error where a point is none."""
+        points = np.asarray(solution, dtype=np.float64)
+        residuals = np.linalg.norm(self.natural_residual(points), axis=0)
+        if not np.all(residuals <= RESIDUAL_TOLERANCE * (1 + np.linalg.norm(points, axis=0))):
+            raise ArithmeticError(
+                f"{type(self).__name__}: the point found has "
+                f"{'‖x − Π(x − F(x))‖' if self.has_bounds else '‖F(x)‖'} = {residuals.max():.3g}; no Nash equilibrium "
+                "was found"
+            )
+        return frozen(points)
+
+    def _solve_other_equilibria(self) -> FloatArray | None:
+        """The equilibria besides x*, (E − 1, n, G); ``None`` for a game with one equilibrium."""
+        return None
+
     def _solve_nash_equilibria(self) -> FloatArray:
         """A zero of F by ``scipy.optimize.root``, (n, 1), or the solution of the variational inequality on the box.
 
         Games with a closed form, and batches without a box, override this.
         """
         if self.low is not None and self.high is not None:
-            middle = np.where(np.isfinite(self.low + self.high), (self.low + self.high) / 2, 0.0)
+            is_bounded = np.isfinite(self.low) & np.isfinite(self.high)
+            middle = (np.where(is_bounded, self.low, 0.0) + np.where(is_bounded, self.high, 0.0)) / 2
             start = np.repeat(middle, self.batch_size // middle.shape[1], axis=1)
             return solve_box(self.pseudo_gradient, self.jacobian, self.low, self.high, start)
 
@@ -231,6 +271,22 @@ class Game(ABC):
                 "was found"
             )
         return point[:, None]
+
+
+def merged_parameters(
+    kind: type[Game], old: Game, fresh: Game, mask: BoolArray, names: tuple[str, ...]
+) -> dict[str, npt.NDArray[Any]]:
+    """The parameters of ``old`` with the games in ``mask`` (G,) replaced by those of ``fresh``, in order, by name.
+
+    Raises:
+        TypeError: when a game is not exactly of the class ``kind``, or the players differ.
+    """
+    if not (type(old) is type(fresh) is kind) or old.action_dims != fresh.action_dims:
+        raise TypeError(
+            f"{kind.__name__}.merged() needs games of that class and of the same players, got {type(old).__name__} and "
+            f"{type(fresh).__name__}; a subclass defines its own"
+        )
+    return {name: replaced(getattr(old, name), getattr(fresh, name), mask) for name in names}
 
 
 def _box(

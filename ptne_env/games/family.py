@@ -17,9 +17,12 @@ class GameFamily(ABC):
 
     Attributes:
         representative: a typical member, with the players, dimensions and parameters of all.
+        is_strongly_monotone: whether Assumption 4 holds for all members by construction, or is given up; ``None`` where
+            a world checks it for every draw, which must then be affine.
     """
 
     representative: Game
+    is_strongly_monotone: bool | None = None
 
     @abstractmethod
     def draw(self, generators: Sequence[np.random.Generator]) -> Game:
@@ -90,12 +93,16 @@ def require_strong_monotonicity(game: Game) -> None:
     """
     known = game.jacobian(np.zeros((game.dimension, game.batch_size))) if game.is_affine else None
     if known is None:
-        raise ValueError(f"strong monotonicity of {type(game).__name__} cannot be decided: F is not affine")
+        raise ValueError(
+            f"strong monotonicity of {type(game).__name__} cannot be decided: F is not affine; a family of such games "
+            "declares is_strongly_monotone"
+        )
     symmetric = np.moveaxis(known + known.transpose(1, 0, 2), 2, 0) / 2
     try:
         np.linalg.cholesky(symmetric)
     except np.linalg.LinAlgError:
         smallest = np.linalg.eigvalsh(symmetric)[:, 0]
         raise ValueError(
-            f"game {int(smallest.argmin())} of the batch is not strongly monotone: ε = {smallest.min():.3g}"
+            f"game {int(smallest.argmin())} of the batch is not strongly monotone: ε = {smallest.min():.3g}; a family "
+            "of such games declares is_strongly_monotone = False"
         ) from None

@@ -12,10 +12,12 @@ from ptne_env.laws.discrete import ProjectedGradient as ProjectedGradient
 from ptne_env.laws.extremum_seeking import ExtremumSeeking as ExtremumSeeking
 from ptne_env.laws.grounded import AdaptiveGrounded as AdaptiveGrounded
 from ptne_env.laws.grounded import Grounded as Grounded
+from ptne_env.laws.multi_rate import MultiRate as MultiRate
 from ptne_env.laws.oracles import BestResponseOracle as BestResponseOracle
 from ptne_env.laws.oracles import CentralisedOracle as CentralisedOracle
 from ptne_env.laws.oracles import FixedTimeOracle as FixedTimeOracle
 from ptne_env.laws.oracles import NodeAdaptiveOracle as NodeAdaptiveOracle
+from ptne_env.laws.proximal import ProximalBestResponse as ProximalBestResponse
 from ptne_env.laws.relay import Relay as Relay
 from ptne_env.laws.routed import Freshest as Freshest
 from ptne_env.laws.routed import Routed as Routed

@@ -30,7 +30,7 @@ def nearer_slots(layout: ObservationLayout) -> BoolArray:
     return np.asarray(hops[np.array(layout.neighbours)] < hops[:, None])
 
 
-def routed_inputs(observation: Observation, sources: BoolArray, step: float) -> FloatArray:
+def routed_inputs(observation: Observation, sources: BoolArray, step: float | FloatArray) -> FloatArray:
     """x^i_c ← mean of x^j_c over the live sources j of c, else x^i_c; and x^i_i ← x^i_i − η ∂J_i/∂x_i(x^i).
 
     The whole law, with η = ``step``. A player has no source of its own components. Where the sources are the neighbours
@@ -40,7 +40,7 @@ def routed_inputs(observation: Observation, sources: BoolArray, step: float) -> 
     Args:
         observation: of R players.
         sources: from which neighbours each component is copied where they are live, shape (R, D, n).
-        step: η.
+        step: η, one number for all or one per player, shape (R, 1).
 
     Returns:
         Inputs, shape (R, n).

@@ -32,15 +32,17 @@ from ptne_env.laws import (
     Grounded,
     Law,
     LocallyImplicit,
+    MultiRate,
     NodeAdaptiveOracle,
     ProjectedGradient,
+    ProximalBestResponse,
     Relay,
     Static,
 )
 from ptne_env.laws.routed import RoutedLaw
 from ptne_env.theory.closed_loop import last_modes, loop_matrix
-from ptne_env.theory.constants import MonotonicityConstants, gain_bound, jacobians, monotonicity_constants
-from ptne_env.theory.delayed_play import coupling_radius, delayed_play_radius
+from ptne_env.theory.constants import ZERO, MonotonicityConstants, gain_bound, jacobians, monotonicity_constants
+from ptne_env.theory.delayed_play import coupling_radius, delayed_play_radius, multi_rate_radius
 from ptne_env.world import World
 
 _LARGEST_SYSTEM = 1200
@@ -323,8 +325,7 @@ def routed_condition(law: RoutedLaw, constants: ProblemConstants) -> Condition:
     Where the graph switches, η max_c dF_cc ≤ 1 and ρ(D⁻¹ |dF − D|) < 1, which suffice for every delay
     (:func:`~ptne_env.theory.delayed_play.coupling_radius`), and all links act again and again.
     """
-    hops = shortest_path(union(constants.graphs).adjacency, unweighted=True)
-    delays = hops[np.ix_(constants.owners, constants.owners)].astype(np.int64)
+    delays = _hop_counts(constants)
     monotone, curvature = _strongly_monotone(constants), float(constants.jacobian.diagonal().max())
     if len(constants.graphs) == 1 and len(delays) * (delays.max() + 1) <= _LARGEST_SYSTEM:
         radius = delayed_play_radius(constants.jacobian, delays, law.step)
@@ -340,6 +341,49 @@ def routed_condition(law: RoutedLaw, constants: ProblemConstants) -> Condition:
     )
 
 
+def _hop_counts(constants: ProblemConstants) -> IntArray:
+    """Hop counts between the owners of components in the union graph, shape (n, n)."""
+    hops = shortest_path(union(constants.graphs).adjacency, unweighted=True)
+    return np.asarray(hops[np.ix_(constants.owners, constants.owners)].astype(np.int64))
+
+
+@condition.register
+def multi_rate_condition(law: MultiRate, constants: ProblemConstants) -> Condition:
+    """A fixed graph, and ρ < 1 of primal-dual play with delays equal to hop counts, as if no bound were active.
+
+    Operators are the players whose own block of dF is 0. The loop is exact where all prices of x* are positive and no
+    other bound is active.
+    """
+    delays = _hop_counts(constants)
+    is_fixed = _fixed_graph(constants)
+    if not is_fixed.holds or len(delays) * (delays.max() + 2) > _LARGEST_SYSTEM:
+        return is_fixed
+    own = constants.owners[:, None] == constants.owners
+    is_price = ~np.any(np.where(own, constants.jacobian, 0.0), axis=1)
+    steps, leads = np.where(is_price, law.price_step, law.step), np.where(is_price, law.lead, 0.0)
+    radius = multi_rate_radius(constants.jacobian, delays, steps, leads)
+    return Condition.below("primal-dual play with delays settles: ρ < 1", radius, 1.0, exact=constants.exact)
+
+
+def _fixed_graph(constants: ProblemConstants) -> Condition:
+    return Condition.below("the graph is fixed: number of graphs < 2", len(constants.graphs), 2)
+
+
+@condition.register
+def proximal_condition(law: ProximalBestResponse, constants: ProblemConstants) -> Condition:
+    """h/α > (ι²/ε + ι)/λ2 on a fixed graph, and h Σ_j a_ij < 1, once the rows of dF are identified.
+
+    The law is the proximal-point method with the preconditioner I + W for the inclusion 0 ∈ α Rᵀ**F**(𝐱) + (I − W) 𝐱,
+    W = I − h L. That operator is α times the one of Theorem 1 with κ = h/α, so the gain condition makes it restricted
+    strongly monotone, and 𝐱 converges linearly where I + W is positive definite.
+    """
+    return decisive(
+        _fixed_graph(constants),
+        Condition.below("W is stochastic: h max Σ_j a_ij < 1", law.mixing * constants.largest_degree, 1.0),
+        _gain_condition(law.mixing / law.step, constants),
+    )
+
+
 @condition.register
 def relay_condition(law: Relay, constants: ProblemConstants) -> Condition:  # noqa: ARG001 - it has no gain
     """ε > 0, ρ(B) < 1 with B_ij = ‖G_ii⁻¹ G_ij‖ for i ≠ j and G = dF, and all links act again and again.
@@ -347,6 +391,9 @@ def relay_condition(law: Relay, constants: ProblemConstants) -> Condition:  # no
     Then best responses contract in a weighted maximum norm, with copies of any age (D. P. Bertsekas and J. N.
     Tsitsiklis, "Parallel and distributed computation", 1989, section 6.2), so also along paths that switch.
     """
+    curved = _own_curvature(constants)
+    if not curved.holds:
+        return curved
     blocks = [np.flatnonzero(constants.owners == player) for player in range(constants.num_players)]
     coupling = np.zeros((len(blocks), len(blocks)))
     for i, own in enumerate(blocks):
@@ -359,6 +406,14 @@ def relay_condition(law: Relay, constants: ProblemConstants) -> Condition:  # no
         _all_links_recur(constants),
         Condition.below("ρ(B) < 1, B_ij = ‖G_ii⁻¹ G_ij‖", radius, 1.0, exact=constants.exact),
     )
+
+
+def _own_curvature(constants: ProblemConstants) -> Condition:
+    """Whether best responses exist: no own block of dF is singular."""
+    own = constants.owners[:, None] == constants.owners
+    smallest = float(np.linalg.svd(np.where(own, constants.jacobian, 0.0), compute_uv=False)[-1])
+    name = "each J_i is curved in x_i: smallest singular value of G_ii > 0"
+    return Condition.above(name, smallest, ZERO * constants.iota_strategies, exact=constants.exact)
 
 
 def _all_links_recur(constants: ProblemConstants) -> Condition:
@@ -408,6 +463,9 @@ def extremum_seeking_condition(law: ExtremumSeeking, constants: ProblemConstants
 @condition.register
 def best_response_condition(law: BestResponseOracle, constants: ProblemConstants) -> Condition:
     """ρ(I − ω D⁻¹ dF) < 1 with D the own blocks of dF: for affine games, exactly where it converges."""
+    curved = _own_curvature(constants)
+    if not curved.holds:
+        return curved
     own = constants.owners[:, None] == constants.owners
     matrix = np.linalg.solve(np.where(own, constants.jacobian, 0.0), constants.jacobian)
     radius = np.abs(np.linalg.eigvals(np.eye(len(own)) - law.relaxation * matrix)).max()

@@ -38,6 +38,26 @@ def delayed_play_radius(jacobian: FloatArray, delays: IntArray, step: float) -> 
     return float(np.abs(np.linalg.eigvals(delayed_play_matrix(jacobian, delays, step))).max())
 
 
+def multi_rate_radius(jacobian: FloatArray, delays: IntArray, steps: FloatArray, leads: FloatArray) -> float:
+    """Spectral radius of e_c(k+1) = e_c(k) − η_c [(1 + δ_c) (dF e)_c(k) − δ_c (dF e)_c(k−1)], with delays in dF e.
+
+    The loop of :class:`~ptne_env.laws.MultiRate` on a fixed graph after its first steps, where no bound becomes or
+    ceases to be active: there, (dF e)_c(k) = Σ_b dF_cb e_b(k − d_cb).
+
+    Args:
+        jacobian: dF, shape (n, n).
+        delays: d_cb, shape (n, n).
+        steps: η_c, shape (n,).
+        leads: δ_c, shape (n,).
+    """
+    n = len(jacobian)
+    matrix = delayed_play_matrix((-steps * leads)[:, None] * jacobian, delays + 1, 1.0)
+    ahead = delayed_play_matrix((steps * (1 + leads))[:, None] * jacobian, delays, 1.0)[:n]
+    ahead[:, :n] -= np.eye(n)
+    matrix[:n, : ahead.shape[1]] += ahead
+    return float(np.abs(np.linalg.eigvals(matrix)).max())
+
+
 def largest_delayed_step(jacobian: FloatArray, delays: IntArray) -> float | None:
     """The step η up to which gradient play with delays settles, by bisection.
 

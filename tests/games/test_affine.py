@@ -87,7 +87,7 @@ def test_best_response_of_a_flat_cost_needs_a_box():
         (lambda: AffineGame([[1.0, 1.0, 0], [0.0, 1.0, 0], [0, 0, 1]], np.ones(3), (2, 1)), "A_ii is not symmetric"),
         (lambda: AffineGame(-np.eye(2), [1.0, 2.0]), "not convex in x_i"),
         (lambda: AffineGame(np.eye(2), [1.0, 2.0], low=np.zeros((2, 3)), high=1.0), "3 games do not fit 1"),
-        (lambda: RandomAffine(epsilon=0.0), "epsilon must be a finite number above 0"),
+        (lambda: RandomAffine(epsilon=0.0, asymmetry=0.0), "epsilon must be a finite number above 0"),
         (lambda: RandomAffine(asymmetry=-1.0), "asymmetry must be a finite number of at least 0"),
         (lambda: RandomAffine(players=1), "players must be a whole number of at least 2"),
         (lambda: RandomAffine(low=1.0, high=0.0), "low < high"),

@@ -6,17 +6,34 @@ from worlds import make_env
 
 from ptne_env import FactorySpec, get_scenario
 from ptne_env.games import (
+    AffineGame,
+    CoordinationGame,
+    CoupledConstraint,
     EnergyGame,
     NonQuadraticGame,
     RandomAffine,
+    RandomCoordination,
     RandomEnergy,
+    RandomSaturating,
+    RandomSparse,
+    SaturatingGame,
     SingleGame,
+    SparseGame,
+    check_game,
     require_strong_monotonicity,
 )
 from ptne_env.random_streams import RandomStreams
 from ptne_env.world import World
 
 PARAMETERS = ("curvature", "target", "coupling")
+NAMES = {
+    EnergyGame: PARAMETERS,
+    AffineGame: ("matrix", "offset"),
+    SaturatingGame: ("matrix", "prices", "shift", "equilibrium"),
+    SparseGame: ("curvature", "partners", "coupling", "equilibrium"),
+    CoordinationGame: ("middle", "size"),
+}
+"""Parameters of a game of each class."""
 
 
 DRAWN = {
@@ -26,12 +43,20 @@ DRAWN = {
     "affine, planar": RandomAffine(players=3, action_dim=2),
     "affine in a box": RandomAffine(low=-5.0, high=5.0),
     "affine, planar, in a box": RandomAffine(players=3, action_dim=2, low=-5.0, high=5.0),
+    "affine, players of different dimensions": RandomAffine(action_dim=(1, 2, 3, 1, 2)),
+    "merely monotone": RandomAffine(epsilon=0.0),
+    "coupled constraint on energy": CoupledConstraint(RandomEnergy()),
+    "coupled constraint on one game": CoupledConstraint(EnergyGame(), lines=1),
+    "saturating": RandomSaturating(players=4),
+    "saturating, players of different dimensions": RandomSaturating(players=3, action_dim=(2, 1, 3)),
+    "sparse": RandomSparse(players=12, reach=2),
+    "several equilibria": RandomCoordination(),
 }
 each_family = pytest.mark.parametrize("family", DRAWN.values(), ids=DRAWN.keys())
 
 
 def parameters(game):
-    names = PARAMETERS if isinstance(game, EnergyGame) else ("matrix", "offset")
+    names = PARAMETERS if isinstance(game, EnergyGame) else NAMES[type(game)]
     return [getattr(game, name) for name in names]
 
 
@@ -84,7 +109,10 @@ def test_batch_of_games_equals_single_draws_bit_for_bit(family):
         )
         assert np.array_equal(alone.nash_equilibrium, games.nash_equilibria[:, b])
         assert alone.equilibrium_scale[0] == games.equilibrium_scale[b]
-        for of in ("costs", "regrets", "best_response", "pseudo_gradient", "natural_residual", "jacobian"):
+        responses = ("regrets", "best_response") if games.has_best_response else ()
+        for of in ("costs", "pseudo_gradient", "natural_residual", "jacobian", "nearest_equilibria", *responses):
+            if of == "nearest_equilibria" and games.other_equilibria is None:
+                continue
             together = getattr(games, of)(strategies)[..., b]
             assert np.array_equal(getattr(alone, of)(strategies[:, own].copy())[..., 0], together), of
         gradients = alone.own_gradients(np.ascontiguousarray(estimates[..., own]))
@@ -126,6 +154,70 @@ def test_merged_replaces_the_masked_games_in_a_copy(family):
     assert np.array_equal(merged.nash_equilibria, expected.nash_equilibria)
     assert all(map(np.array_equal, kept, (*parameters(old), *parameters(fresh))))
     assert old.merged(old, np.ones(5, dtype=bool)) is old
+
+
+@each_family
+def test_own_gradients_are_the_derivatives_of_the_costs(family):
+    assert check_game(family.representative, samples=16).gradients_agree
+
+
+@each_family
+def test_declared_monotonicity_agrees_with_sampled_slopes(family):
+    slopes = [check_game(family.draw(generators([seed])), samples=32).epsilon for seed in range(10)]
+    if family.is_strongly_monotone is not False:
+        assert min(slopes) > 0.15
+        if family.is_strongly_monotone is None:
+            require_strong_monotonicity(family.draw(generators(range(10))))
+    elif isinstance(family, RandomCoordination):
+        game = family.representative
+        slopes = game.jacobian(game.middle)[..., 0]
+        assert np.linalg.eigvalsh(slopes + slopes.T)[0] < -0.1
+    else:
+        smallest = np.linalg.eigvalsh(symmetric_parts(family.draw(generators(range(10)))))[:, 0]
+        assert np.abs(smallest).max() < 1e-12
+        assert min(slopes) > 0
+
+
+def symmetric_parts(games):
+    """(dF + dFᵀ)/2 of affine games, shape (G, n, n)."""
+    jacobians = np.moveaxis(games.jacobian(np.zeros((games.dimension, games.batch_size))), 2, 0)
+    return (jacobians + jacobians.transpose(0, 2, 1)) / 2
+
+
+@pytest.mark.parametrize("first", [RandomSparse(players=12), RandomSaturating(), RandomCoordination()])
+def test_games_of_other_families_do_not_merge(first):
+    games, mask = first.draw(generators(range(2))), np.array([True, False])
+    with pytest.raises(TypeError, match=r"needs games of that class and of the same players, got \w+ and EnergyGame"):
+        games.merged(RandomEnergy().draw(generators([9])), mask)
+
+
+def test_worlds_play_families_that_declare_that_they_are_not_strongly_monotone():
+    for name in ("RandomCoordination", "RandomSaturating"):
+        env = make_env("random-energy", game=FactorySpec.of(f"ptne_env.games:{name}"))
+        env.reset(seed=0)
+        assert np.isfinite(env.nash_equilibrium).all()
+    env = make_env("random-energy", game=FactorySpec.of("ptne_env.games:RandomAffine", epsilon=0.0))
+    env.reset(seed=0)
+    assert np.isfinite(env.nash_equilibrium).all()
+
+
+@pytest.mark.parametrize(
+    ("family", "arguments", "message"),
+    [
+        (RandomAffine, {"action_dim": (1, 2)}, r"one number for all, or one per player \(5\), got \(1, 2\)"),
+        (RandomAffine, {"epsilon": -1.0}, "epsilon must be a finite number of at least 0"),
+        (RandomSaturating, {"epsilon": 0.0}, "needs epsilon > 0"),
+        (RandomSaturating, {"bend": -1.0}, "bend must be"),
+        (RandomSparse, {"players": 4}, "players must be a whole number of at least 5"),
+        (RandomSparse, {"coupling": 1.0}, "coupling must be below 1"),
+        (RandomCoordination, {"size": (0.0, 1.0)}, "size > 0"),
+        (RandomCoordination, {"middle": (1.0, 1.0)}, "finite ranges low < high"),
+        (RandomCoordination, {"steepness": 0.0}, "steepness must be"),
+    ],
+)
+def test_families_name_wrong_numbers(family, arguments, message):
+    with pytest.raises(ValueError, match=message):
+        family(**arguments)
 
 
 def test_merging_keeps_the_price_and_refuses_other_games():

@@ -29,6 +29,8 @@ SPECIAL = [
     laws.AggregateTracking,
     laws.ExtremumSeeking,
     laws.Relay,
+    laws.MultiRate,
+    laws.ProximalBestResponse,
     laws.IdentifyAndBroadcast,
     laws.CentralisedOracle,
     laws.BestResponseOracle,

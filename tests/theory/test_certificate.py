@@ -26,8 +26,10 @@ WITHOUT_LOOP = {
     "FixedTimeOracle",
     "Freshest",
     "IdentifyAndBroadcast",
+    "MultiRate",
     "NodeAdaptiveOracle",
     "ProjectedGradient",
+    "ProximalBestResponse",
     "Relay",
     "RoutedUnknown",
 }

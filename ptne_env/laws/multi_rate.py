@@ -1,0 +1,111 @@
+"""Primal-dual gradient play at several rates, for games whose shared constraint a market operator prices."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import ClassVar
+
+import numpy as np
+
+from ptne_env.arrays import BoolArray, FloatArray, require_non_negative, require_positive
+from ptne_env.laws.base import Law, per_step
+from ptne_env.laws.memory import Parts
+from ptne_env.laws.routed import nearer_slots, routed_inputs
+from ptne_env.observation import Interface, Observation, ObservationLayout
+
+_PROBES = 2
+"""Steps in which a player learns its role: one along its gradient, and one back."""
+
+_FLAT = 0.1
+"""A gradient that answers to an own move with less than this curvature, in units of gradient per strategy, is flat."""
+
+
+def multi_rate_inputs(
+    observation: Observation,
+    memory: Mapping[str, FloatArray],
+    sources: BoolArray,
+    step: float,
+    price_step: float,
+    lead: float,
+) -> tuple[FloatArray, dict[str, FloatArray]]:
+    """x^i_c ← mean of x^j_c over the live sources j; x_i ← x_i − η g_i, and μ ← μ − η_μ (g_μ + δ (g_μ − g_μ⁻)).
+
+    With g_i = ∂J_i/∂x_i(x^i) now and g_i⁻ a step before, η = ``step``, η_μ = ``price_step`` and δ = ``lead``. Three
+    layers run at once and at their own rates: copies of strategies and prices, one link per step
+    (:func:`~ptne_env.laws.routed.routed_inputs`); descent of the players, −g_i = −∂J_i/∂x_i − C_iᵀ μ; and ascent of the
+    prices, −g_μ = C x − b, which the environment keeps at 0 at least. With the lead, a price is a proportional and
+    integral feedback of the violation, which damps its oscillation with the strategies and makes up for delays.
+
+    A player learns its role in the first two steps, in which copies rest and it moves by −η g_i and back: the cost of
+    an operator is linear, so its gradient does not answer. One of the two moves at least is not held by a bound.
+
+    Args:
+        observation: of R players.
+        memory: the parts of :class:`MultiRate` by name.
+        sources: from which neighbours each component is copied where they are live, shape (R, D, n).
+        step: η.
+        price_step: η_μ.
+        lead: δ.
+
+    Returns:
+        Inputs, shape (R, n), and the memory for the next step.
+    """
+    gradient, before, count = observation.gradient * observation.unit, memory["gradient"], memory["steps"]
+    change, size = (np.abs(part).max(axis=1, keepdims=True) for part in (gradient - before, before))
+    is_probed = (count > 0) & (count <= _PROBES)
+    answers = np.where(is_probed & (change > _FLAT * step * size), 1.0, memory["answers"])
+    ahead = np.where(answers > 0, gradient, gradient + lead * (gradient - before)) / observation.unit
+    steps = np.where(answers > 0, step, price_step)
+    inputs = routed_inputs(observation._replace(gradient=ahead), sources, steps)
+    probe = np.where(count == 0, -gradient, before) * step / observation.unit
+    inputs = np.where(count < _PROBES, per_step(probe, observation), inputs)
+    return inputs, {"gradient": gradient, "answers": answers, "steps": count + 1}
+
+
+class MultiRate(Law):
+    """Primal-dual gradient play with copies along shortest paths, :func:`multi_rate_inputs`.
+
+    For games with a coupled constraint C x ≤ b and prices μ ≥ 0, :func:`ptne_env.games.priced`, in the spirit of L.
+    Mudrik, I. Kaminer, S. Kragelund and A. H. Clark, "Prescribed-time distributed generalized Nash equilibrium
+    seeking", arXiv:2603.16865, 2026, where the observer of the strategies and the multipliers contract faster than the
+    strategies. The construction is ours: they descend along Hessian-gradient products of a Fischer–Burmeister function
+    in continuous time, with a copy of the multipliers per player, and their theorem is not claimed for this law.
+
+    In games without operator it is :class:`~ptne_env.laws.Routed` after its two probing steps.
+
+    Args:
+        layout: of the environment, with the knowledge of the law's interface.
+        step: η > 0 of the players.
+        price_step: η_μ > 0 of the operators.
+        lead: δ ≥ 0 of the operators.
+
+    Raises:
+        LayoutError: for a layout without hop counts.
+        ValueError: for a number out of range.
+    """
+
+    interface: ClassVar[Interface] = Interface(graph_knowledge="union")
+
+    def __init__(
+        self, layout: ObservationLayout, step: float = 0.2, price_step: float = 0.2, lead: float = 2.0
+    ) -> None:
+        super().__init__(layout)
+        self.step, self.price_step = require_positive("step", step), require_positive("price_step", price_step)
+        self.lead = require_non_negative("lead", lead)
+        self._nearer = nearer_slots(layout)
+        self._parts = Parts({"gradient": (layout.dimension,), "answers": (1,), "steps": (1,)})
+
+    def initial_memory(self, rows: int) -> FloatArray:
+        """Nothing seen, shape (R, n + 2)."""
+        return self._parts.join(self._parts.zeros(rows))
+
+    def inputs(self, observation: Observation, memory: FloatArray) -> tuple[FloatArray, FloatArray]:
+        inputs, parts = multi_rate_inputs(
+            observation,
+            self._parts.split(memory),
+            self._nearer[observation.player],
+            self.step,
+            self.price_step,
+            self.lead,
+        )
+        return inputs, self._parts.join(parts)
