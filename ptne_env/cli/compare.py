@@ -16,12 +16,14 @@ from ptne_env.cli.console import STDOUT, check_writable, console, json_text, pro
 from ptne_env.experiments import default_policies, get_policy_spec, get_suite, run_suite, suite_policies
 from ptne_env.experiments.check import check as run_check
 from ptne_env.experiments.check import foreign_code as foreign_code_of_results
+from ptne_env.experiments.marl_eval import marl_eval_json
 from ptne_env.experiments.policy_specs import foreign_code
 from ptne_env.experiments.suite import SUITES, comparison, foreign_suites
 from ptne_env.experiments.traces import scenes
 from ptne_env.experiments.workers import Workers
 from ptne_env.files import write_atomically
 
+_FILES = ("results.json", "results.csv", "marl-eval.json")
 _HOLD_STEPS = 50
 
 
@@ -81,8 +83,8 @@ def compare(
     out: Annotated[
         Path | None,
         typer.Option(
-            help="Folder of results.json, results.csv, report.html and the finished jobs, from which an interrupted "
-            "run goes on. With '--json -' nothing is written unless it is given.",
+            help="Folder of results.json, results.csv, marl-eval.json (the format of marl-eval), report.html and the "
+            "finished jobs, from which an interrupted run goes on. With '--json -' nothing is written unless it is given.",
             show_default="results/comparison, or results/SUITE",
         ),
     ] = None,
@@ -126,7 +128,7 @@ def compare(
             raise ValueError("a suite fixes the steps after the deadline: leave out --hold-steps")
         chosen, tracks = get_suite(suite), track
     folder = out or (None if json == STDOUT else Path("results") / chosen.name)
-    files = {} if folder is None else {name: folder / f"results.{name}" for name in ("json", "csv")}
+    files = {} if folder is None else {name: folder / name for name in _FILES}
     page = None if folder is None or not with_report else folder / "report.html"
     check_writable(json, page, *files.values())
     named = [get_policy_spec(name, trust=trust) for name in names]
@@ -149,8 +151,9 @@ def compare(
         text = results.to_json()
         write_json(json, text)
         if folder is not None:
-            write_atomically(files["json"], text + "\n")
-            write_atomically(files["csv"], results.to_csv())
+            write_atomically(files["results.json"], text + "\n")
+            write_atomically(files["results.csv"], results.to_csv())
+            write_atomically(files["marl-eval.json"], marl_eval_json(results) + "\n")
         if page is not None:
             drawn = scenes(
                 results,

@@ -2,36 +2,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TypeAlias
 
 import numpy as np
 
-from ptne_env import distances
 from ptne_env.arrays import FloatArray
-from ptne_env.experiments.policy_specs import PolicySpec
-from ptne_env.experiments.statistics import (
-    Summary,
-    estimate,
-    interquartile_mean,
-    mean,
-    performance_profile,
-    probability_of_improvement,
-    unpaired_probability_of_improvement,
-)
-from ptne_env.experiments.suite import LAW, SATURATION_MARGIN, ZERO, Track
+from ptne_env.experiments.policy_specs import DIVISIONS, PolicySpec
+from ptne_env.experiments.statistics import Summary, estimate, improvements, performance_profile
+from ptne_env.experiments.suite import LAW, MOST_DIGITS, SATURATION_MARGIN, ZERO, Track
 
 SMALLEST_GAIN = 0.1
-"""Digits that the law must gain over zero input for a track's scores to be normalised by them."""
+"""Digits between zero input and full marks, below which a track has no scores."""
+
+ROOM = 1.0
+"""Digits that the best known honest entry should leave to what can be reached at most."""
 
 ERRORS = tuple(10.0**-digits for digits in range(1, 13))
 """ε for which the deadline success P(error ≤ ε) is given."""
 
-THRESHOLDS = tuple(round(0.25 * step, 2) for step in range(21))
+THRESHOLDS = tuple(round(0.05 * step, 2) for step in range(25))
 """Normalised scores for which performance profiles are given."""
-
-_MOST_DIGITS = float(distances.digits(np.array(0.0)))
 
 _ByTrack: TypeAlias = Mapping[tuple[str, str], FloatArray]
 """By track and policy, shape (training seeds, episodes)."""
@@ -44,10 +36,9 @@ class TrackRow:
     Attributes:
         track: name.
         policy: name.
-        rank: 1 is best; ``None`` for oracles.
-        score: 0 is zero input, 1 the paper's law; ``None`` where the law does not gain a tenth of a digit.
+        rank: among the entries of its division, 1 is best; ``None`` for oracles.
+        score: 0 is zero input, 1 full marks; ``None`` where these differ by less than a tenth of a digit.
         improvement: probability of improvement over the paper's law, paired by episode.
-        unpaired_improvement: the same over any two episodes.
         fine_time: mean time to 1e-6 in seconds; an episode that never settles counts as its whole length.
         success: P(error ≤ ε) of the estimates at the deadline, for each of :data:`ERRORS`.
     """
@@ -57,30 +48,56 @@ class TrackRow:
     rank: int | None
     score: Summary | None
     improvement: Summary
-    unpaired_improvement: float
     fine_time: float
     success: tuple[float, ...]
 
 
 @dataclass(frozen=True)
 class OverallRow:
-    """One policy over the common tracks.
+    """One policy over all tracks; where it cannot act or failed, it counts as zero input.
 
     Attributes:
         policy: name.
-        score: interquartile mean of the normalised scores.
+        score: mean over the tracks with scores.
         improvement: probability of improvement over the paper's law, paired by episode, mean over tracks.
-        unpaired_improvement: the same over any two episodes.
-        mean_rank: over the tracks; ``None`` for oracles.
-        profile: share of normalised scores above each of :data:`THRESHOLDS`.
+        mean_rank: over the tracks, among the entries of its division; ``None`` for oracles.
+        profile: share of normalised scores above each of :data:`THRESHOLDS`, mean over tracks.
     """
 
     policy: str
     score: Summary
     improvement: Summary
-    unpaired_improvement: float
     mean_rank: float | None
     profile: tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class Scale:
+    """The digits that the scores of a track mean, and the room above the best entry.
+
+    Attributes:
+        track: name.
+        zero: mean digits of zero input: score 0.
+        full_marks: digits of the best known honest entry when the suite was frozen, or of the floor: score 1.
+        has_scores: whether these differ by a tenth of a digit at least.
+        best: honest policy with the most digits in this run.
+        best_digits: its mean digits.
+        highest: digits above which nobody can get: the ceiling, or the floor.
+        room: digits from the best known honest entry, in this run or when the suite was frozen, to ``highest``.
+    """
+
+    track: str
+    zero: float
+    full_marks: float
+    has_scores: bool
+    best: str
+    best_digits: float
+    highest: float
+    room: float
+
+    def scores(self, digits: FloatArray) -> FloatArray:
+        """Normalised scores (digits − zero)/(full marks − zero), any shape."""
+        return (digits - self.zero) / (self.full_marks - self.zero)
 
 
 @dataclass(frozen=True)
@@ -89,17 +106,18 @@ class Leaderboard:
 
     Attributes:
         rows: one per track and policy that can act there, in the order of the run.
-        saturated: names of the tracks on which several policies reach the floor; those are ranked by time to 1e-6.
-        common: names of the tracks of the overall scores: those that all policies can act on, leaving out the policies
-            that cannot act on half of them, or failed on one.
-        overall: one row per policy with an overall score, the best first.
+        saturated: names of the tracks on which several policies of a division reach the floor; those are ranked by time
+            to 1e-6.
+        scales: one per track.
+        overall: one row per policy, honest entries first, then coded ones, then oracles, the best of each first; empty
+            where no track has scores.
         errors: :data:`ERRORS`.
         thresholds: :data:`THRESHOLDS`.
     """
 
     rows: tuple[TrackRow, ...]
     saturated: tuple[str, ...]
-    common: tuple[str, ...]
+    scales: tuple[Scale, ...]
     overall: tuple[OverallRow, ...]
     errors: tuple[float, ...] = ERRORS
     thresholds: tuple[float, ...] = THRESHOLDS
@@ -113,99 +131,124 @@ def leaderboard(
     tracks: Sequence[Track],
     policies: Mapping[str, PolicySpec],
     samples: Mapping[tuple[str, str], Mapping[str, FloatArray]],
-    failing: Collection[str] = (),
 ) -> Leaderboard:
     """Scores, ranks and comparisons.
 
     Args:
         tracks: that were run.
         policies: by name, the reference policies among them.
-        samples: by (track, policy) and metric, shape (training seeds, episodes); nothing where a policy cannot act.
-        failing: names of the policies that failed on a track, which have no overall score.
+        samples: by (track, policy) and metric, shape (training seeds, episodes); nothing where a policy cannot act or
+            failed, which counts as zero input.
     """
-    raw, fine_times = {}, {}
+    digits: dict[tuple[str, str], FloatArray] = {}
+    times: dict[tuple[str, str], FloatArray] = {}
     for track in tracks:
         whole = float(track.world.clock.t[-1])
-        for name in policies:
-            if (track.name, name) in samples:
-                found = samples[track.name, name]
-                times = found["settling_time_1e_6"]
-                raw[track.name, name] = found[track.metric]
-                fine_times[track.name, name] = np.where(np.isfinite(times), times, whole)
-    scores = _scores(tracks, policies, raw)
-    ranks, saturated = _ranks(tracks, policies, raw, fine_times)
+        for name, policy in policies.items():
+            acting = samples.get((track.name, name), samples[track.name, ZERO])
+            shape = (len(policy.training_seeds), acting[track.metric].shape[1])
+            digits[track.name, name] = np.broadcast_to(acting[track.metric], shape)
+            found = np.broadcast_to(acting["settling_time_1e_6"], shape)
+            times[track.name, name] = np.where(np.isfinite(found), found, whole)
+    scales = tuple(_scale(track, policies, digits, samples) for track in tracks)
+    scores = {
+        (scale.track, name): _Scores(digits[scale.track, name], digits[scale.track, ZERO], scale)
+        for scale in scales
+        if scale.has_scores
+        for name in policies
+    }
+    ranks: dict[tuple[str, str], int] = {}
+    saturated = []
+    for track in tracks:
+        ranked, is_saturated = _ranks(track.name, policies, digits, times)
+        ranks.update(ranked)
+        saturated += [track.name] * is_saturated
+    better = {place: improvements(values, digits[place[0], LAW]) for place, values in digits.items()}
     rows = tuple(
         TrackRow(
             *place,
             rank=ranks.get(place),
-            score=estimate(mean, [scores[place]]) if place in scores else None,
-            improvement=estimate(probability_of_improvement, [digits], [raw[place[0], LAW]]).within(0, 1),
-            unpaired_improvement=unpaired_probability_of_improvement([digits], [raw[place[0], LAW]]),
-            fine_time=float(fine_times[place].mean()),
+            score=estimate([scores[place].for_mean]) if place in scores else None,
+            improvement=estimate([better[place]]).within(0, 1),
+            fine_time=float(times[place].mean()),
             success=tuple(float((samples[place]["estimate_distance"] <= error).mean()) for error in ERRORS),
         )
-        for place, digits in raw.items()
+        for place in digits
+        if place in samples
     )
-    scored = [track.name for track in tracks if (track.name, LAW) in scores]
-    broad = [
-        name
-        for name in policies
-        if name not in failing and 2 * sum((track, name) in scores for track in scored) >= len(scored)
+    scored = [scale.track for scale in scales if scale.has_scores]
+    overall = [
+        OverallRow(
+            name,
+            score=estimate([scores[track, name].for_mean for track in scored]),
+            improvement=estimate([better[track.name, name] for track in tracks]).within(0, 1),
+            mean_rank=None if policy.is_oracle else float(np.mean([ranks[track.name, name] for track in tracks])),
+            profile=tuple(
+                performance_profile([scores[track, name].plain for track in scored], np.array(THRESHOLDS)).tolist()
+            ),
+        )
+        for name, policy in policies.items()
+        if scored
     ]
-    common = tuple(track for track in scored if all((track, name) in scores for name in broad))
-    overall = [_overall(name, policies[name], common, scores, ranks) for name in broad] if common else []
-    overall.sort(key=lambda row: -(row.score.mean or 0.0))
-    return Leaderboard(rows, saturated, common, tuple(overall))
+    overall.sort(key=lambda row: (DIVISIONS.index(policies[row.policy].division), -(row.score.mean or 0.0)))
+    return Leaderboard(rows, tuple(saturated), scales, tuple(overall))
 
 
-def _scores(
-    tracks: Sequence[Track], policies: Mapping[str, PolicySpec], raw: _ByTrack
-) -> dict[tuple[str, str], FloatArray]:
-    """Normalised scores on the tracks on which the law gains enough."""
-    scores = {}
-    for track in tracks:
-        zero, law = (float(raw[track.name, reference].mean()) for reference in (ZERO, LAW))
-        if law - zero >= SMALLEST_GAIN:
-            for name in policies:
-                if (track.name, name) in raw:
-                    scores[track.name, name] = (raw[track.name, name] - zero) / (law - zero)
-    return scores
+class _Scores:
+    """The normalised scores of one policy on one track, shape (training seeds, episodes).
+
+    Attributes:
+        plain: (digits − mean of zero input)/(full marks − mean of zero input).
+        for_mean: numbers with the same mean s, whose spread is also that of zero input: the mean of zero input depends
+            on the episodes too, by (s − 1)/(full marks − mean of zero input) in first order.
+    """
+
+    def __init__(self, digits: FloatArray, zero: FloatArray, scale: Scale) -> None:
+        self.plain = scale.scores(digits)
+        self.for_mean = self.plain + (self.plain.mean() - 1) * scale.scores(zero)
+
+
+def _scale(
+    track: Track,
+    policies: Mapping[str, PolicySpec],
+    digits: _ByTrack,
+    samples: Mapping[tuple[str, str], object],
+) -> Scale:
+    zero = float(digits[track.name, ZERO].mean())
+    honest = {
+        name: float(digits[track.name, name].mean())
+        for name, policy in policies.items()
+        if policy.division == "honest" and (track.name, name) in samples
+    }
+    best = max(honest, key=honest.__getitem__)
+    known = honest[best] if track.best_known is None else max(track.best_known, honest[best])
+    return Scale(
+        track.name,
+        zero,
+        track.full_marks,
+        has_scores=track.full_marks - zero >= SMALLEST_GAIN,
+        best=best,
+        best_digits=honest[best],
+        highest=track.highest,
+        room=round(track.highest - known, 9),  # digits of the floor are 12 up to rounding
+    )
 
 
 def _ranks(
-    tracks: Sequence[Track], policies: Mapping[str, PolicySpec], raw: _ByTrack, fine_times: _ByTrack
-) -> tuple[dict[tuple[str, str], int], tuple[str, ...]]:
-    """Ranks by track and policy, and the names of the tracks that are saturated."""
-    ranks, saturated = {}, []
-    for track in tracks:
-        ranked = [name for name, policy in policies.items() if not policy.is_oracle and (track.name, name) in raw]
-        at_floor = {
-            name for name in ranked if interquartile_mean([raw[track.name, name]]) >= _MOST_DIGITS - SATURATION_MARGIN
-        }
-        if len(at_floor) > 1:
-            saturated.append(track.name)
+    track: str, policies: Mapping[str, PolicySpec], digits: _ByTrack, times: _ByTrack
+) -> tuple[dict[tuple[str, str], int], bool]:
+    """Ranks within each division by track and policy, and whether several policies of a division are at the floor."""
+    ranks, is_saturated = {}, False
+    for division in DIVISIONS[:-1]:  # all but oracles
+        names = [name for name, policy in policies.items() if policy.division == division]
+        means = {name: float(digits[track, name].mean()) for name in names}
+        at_floor = {name for name, mean in means.items() if mean >= MOST_DIGITS - SATURATION_MARGIN}
+        by_time = at_floor if len(at_floor) > 1 else set()
+        # The policies at the floor, which digits do not separate, come first and are ranked by time.
         keys = {
-            name: (
-                # The policies at the floor, which digits do not separate, come first and are ranked by time.
-                float(fine_times[track.name, name].mean()) if len(at_floor) > 1 and name in at_floor else float("inf"),
-                -float(raw[track.name, name].mean()),
-            )
-            for name in ranked
+            name: (float(times[track, name].mean()) if name in by_time else float("inf"), -mean)
+            for name, mean in means.items()
         }
-        for name, key in keys.items():
-            ranks[track.name, name] = 1 + sum(other < key for other in keys.values())
-    return ranks, tuple(saturated)
-
-
-def _overall(
-    name: str, policy: PolicySpec, common: tuple[str, ...], scores: _ByTrack, ranks: Mapping[tuple[str, str], int]
-) -> OverallRow:
-    own, law = ([scores[track, policy_name] for track in common] for policy_name in (name, LAW))
-    return OverallRow(
-        name,
-        score=estimate(interquartile_mean, own),
-        improvement=estimate(probability_of_improvement, own, law).within(0, 1),
-        unpaired_improvement=unpaired_probability_of_improvement(own, law),
-        mean_rank=None if policy.is_oracle else float(np.mean([ranks[track, name] for track in common])),
-        profile=tuple(map(float, performance_profile(own, np.array(THRESHOLDS)))),
-    )
+        ranks.update({(track, name): 1 + sum(other < key for other in keys.values()) for name, key in keys.items()})
+        is_saturated |= bool(by_time)
+    return ranks, is_saturated

@@ -8,7 +8,7 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal, TypeAlias, get_args
 
 from ptne_env import laws, policies
 from ptne_env.arrays import require_printable
@@ -27,6 +27,20 @@ ARCHIVE = "ptne_env.policies.archive:load_archive"
 
 GRAPH_KNOWLEDGE = {"links": "own links", "union": "union graph", "schedule": "schedule"}
 """The knowledge of graphs that an interface declares, in words; more knowledge comes later."""
+
+
+KNOWLEDGE = {
+    "graphs": "graphs that its players know: their own links, the union of all graphs, or the graph of every step",
+    "memory": "whether it keeps numbers from step to step",
+    "estimates": "honest: present beliefs about strategies; coded: anything else",
+}
+"""What an entry declares: name and meaning."""
+
+Division: TypeAlias = Literal["honest", "coded", "oracle"]
+"""Honest entries, whose estimates are beliefs about strategies; coded ones; oracles, which have no rank."""
+
+DIVISIONS: tuple[Division, ...] = get_args(Division)
+"""All of them, in the order of tables."""
 
 
 @dataclass(frozen=True)
@@ -101,6 +115,11 @@ class PolicySpec:
         return self.interface.kind == "full"
 
     @property
+    def division(self) -> Division:
+        """The entries among which it is ranked."""
+        return "oracle" if self.is_oracle else self.interface.estimates
+
+    @property
     def has_memory(self) -> bool | None:
         """Whether it keeps numbers from step to step; ``None`` for code and files that do not say so."""
         made: Any = self.training_seeds[0]
@@ -114,13 +133,13 @@ class PolicySpec:
         return None if self.is_learned else False
 
     @property
-    def knowledge(self) -> str:
-        """What its players know of the graphs, whether it remembers, and whether its estimates are coded, in words."""
-        if self.is_oracle:
-            return "everything"
-        memory = {True: ", memory", False: "", None: ", memory unknown"}[self.has_memory]
-        coded = ", coded estimates" if self.interface.estimates == "coded" else ""
-        return GRAPH_KNOWLEDGE[self.interface.graph_knowledge] + memory + coded
+    def knowledge(self) -> dict[str, str]:
+        """What it declares, in words: a value for each of :data:`KNOWLEDGE`."""
+        return {  # the keys of KNOWLEDGE
+            "graphs": "all" if self.is_oracle else GRAPH_KNOWLEDGE[self.interface.graph_knowledge],
+            "memory": {True: "yes", False: "no", None: "unknown"}[self.has_memory],
+            "estimates": self.interface.estimates,
+        }
 
     @property
     def is_repeatable(self) -> bool:
@@ -155,6 +174,7 @@ class PolicySpec:
         return {
             "name": self.name,
             "interface": asdict(self.interface),
+            "knowledge": self.knowledge,
             "scenarios": None if self.scenarios is None else sorted(self.scenarios),
             "training_seeds": [_source_to_dict(policy) for policy in self.training_seeds],
         }

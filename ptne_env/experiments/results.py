@@ -18,13 +18,13 @@ from ptne_env.experiments.episodes import Split
 from ptne_env.experiments.jobs import Job
 from ptne_env.experiments.leaderboard import Leaderboard, leaderboard
 from ptne_env.experiments.metrics import METRICS, Statistic
-from ptne_env.experiments.policy_specs import PolicySpec
+from ptne_env.experiments.policy_specs import KNOWLEDGE, PolicySpec
 from ptne_env.experiments.provenance import content_hash, is_hash_of, versions
 from ptne_env.experiments.statistics import Summary, summaries
 from ptne_env.experiments.suite import Suite, Track
 from ptne_env.files import read_json
 
-FORMAT = 4
+FORMAT = 5
 """Version of the meaning of ``results.json``; a file of another one is refused."""
 
 _FORMULA = re.compile(r"(^|[,;\t]\s*)([=+\-@\t\r])")
@@ -76,6 +76,11 @@ class Results:
         """The tracks that were run, in the order of the suite."""
         return tuple(track for track in self.suite.tracks if track.name in self.episodes)
 
+    @property
+    def every_policy(self) -> dict[str, PolicySpec]:
+        """The policies and the tuned laws by name."""
+        return self.policies | {law.name: law for laws in self.tuned.values() for law in laws.values()}
+
     def policies_on(self, track: str) -> dict[str, PolicySpec]:
         """The policies and tuned laws that were run on a track, by name, in the order of tables."""
         chosen = self.policies | {law.name: law for law in self.tuned.get(track, {}).values()}
@@ -108,7 +113,7 @@ class Results:
         """Scores, ranks and profiles; ``None`` for a comparison, which has no reference policies."""
         if self.suite.is_comparison:
             return None
-        return leaderboard(self.tracks, self.policies, self.samples, {policy for _, policy in self.failures})
+        return leaderboard(self.tracks, self.policies, self.samples)
 
     def to_dict(self) -> dict[str, Any]:
         """All that is needed to read the results and to repeat them, as a JSON object; timings in one place.
@@ -151,7 +156,7 @@ class Results:
         return json.dumps(self.to_dict(), indent=2, allow_nan=False, ensure_ascii=False)
 
     def to_csv(self) -> str:
-        """The records as CSV, each with the version, the suite's content hash, seed and split.
+        """The records as CSV, each with the policy's knowledge, the version, the suite's content hash, seed and split.
 
         A text that a spreadsheet would read as a formula is preceded by ``'``.
         """
@@ -164,10 +169,12 @@ class Results:
             "suite": self.suite.name,
             "content_hash": self.suite.content_hash,
         }
-        writer = csv.DictWriter(buffer, [*fields, *common], lineterminator="\n")
+        known = {name: spec.knowledge for name, spec in self.every_policy.items()}
+        writer = csv.DictWriter(buffer, [*fields, *KNOWLEDGE, *common], lineterminator="\n")
         writer.writeheader()
         for record in self.records:
-            writer.writerow({key: _cell(value) for key, value in {**record, **common}.items()})
+            row = {**record, **known[record["policy"]], **common}
+            writer.writerow({key: _cell(value) for key, value in row.items()})
         return buffer.getvalue()
 
 

@@ -1,20 +1,21 @@
-"""Means, robust aggregates and comparisons with bootstrap intervals over training seeds and episodes."""
+"""Means over training seeds, episodes and tracks, with intervals."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal, TypeAlias
 
 import numpy as np
-import scipy
+from scipy import special
 
 from ptne_env.arrays import FloatArray
 
 CONFIDENCE = 0.95
-RESAMPLES = 2000
-_BATCH = 100
-"""Resamples held in memory at a time."""
+"""Probability with which an interval is meant to cover the mean."""
+
+Scores: TypeAlias = Sequence[FloatArray]
+"""Numbers of one policy, an array of shape (training seeds, episodes) per track."""
 
 
 @dataclass(frozen=True)
@@ -32,206 +33,100 @@ class Summary:
         return Summary(self.mean, max(self.low, lowest), min(self.high, highest))
 
 
-def summarise(samples: FloatArray, *, seed: int = 0) -> list[Summary]:
-    """Summaries of several metrics over the same episodes.
+def estimate(scores: Scores) -> Summary:
+    """The mean over tracks of the means of a policy, with its two-level interval.
 
-    The interval is the percentile bootstrap of the mean over the episodes that have a value (``scipy.stats.bootstrap``,
-    vectorised over metrics). A constant sample has low = high = mean.
+    Training seeds are drawn once for all tracks, because the quality of a network affects all of them; the episodes of
+    a track are drawn once for all training seeds, because all play the same ones. The variance of the mean is therefore
+    the sum of two parts: V_s = var(means of the S training seeds)/S, and V_e = Σ var(means of the E episodes)/E over
+    tracks, over the square of their number. The interval is mean ± t_ν √(V_s + V_e) with the degrees of freedom of
+    Welch and Satterthwaite, ν = V²/Σ V_p²/ν_p. One training seed has no V_s, and one episode no V_e.
+
+    It covers the mean as often as studentised and stretched bootstraps over both levels do, which need a thousand times
+    as long: in 93 to 97 % of repeated experiments where training seeds differ normally. No interval from five training
+    seeds can know a skew of theirs: with exponential differences, all of these cover 88 to 91 %.
 
     Args:
-        samples: shape (metrics, episodes); NaN where an episode has no value.
-        seed: of the resampling.
+        scores: per track, with the same training seeds in all tracks; NaN where an episode of the only track has no
+            value.
+
+    Returns:
+        A constant has low = high = mean; all are ``None`` where no episode has a value.
     """
-    complete = np.isfinite(samples).all(axis=1)
-    varying = complete & (np.ptp(samples, axis=1) > 0)
-    intervals = dict(zip(np.flatnonzero(varying).tolist(), _bootstrap(samples[varying], seed), strict=True))
-    summaries = []
-    for index, row in enumerate(samples):
-        if index in intervals:
-            summaries.append(intervals[index])
-            continue
-        values = row[np.isfinite(row)]
-        if values.size == 0:
-            summaries.append(Summary(None, None, None))
-        elif np.ptp(values) == 0:
-            summaries.append(Summary(*[float(values[0])] * 3))
-        else:
-            summaries.extend(_bootstrap(values[None], seed))
-    return summaries
+    found = [np.where(np.isfinite(track), track, np.nan)[np.isfinite(track).any(axis=1)] for track in scores]
+    if not all(track.size for track in found):
+        return Summary(None, None, None)
+    lowest, highest = (float(pick([pick(track) for track in found])) for pick in (np.nanmin, np.nanmax))
+    if lowest == highest:
+        return Summary(lowest, lowest, lowest)
+    by_seed = np.mean([np.nanmean(track, axis=1) for track in found], axis=0)
+    by_episode = [np.nanmean(track[:, np.isfinite(track).any(axis=0)], axis=0) for track in found]
+    middle = float(np.mean([np.nanmean(track) for track in found]))
+    parts = [_variance_of_mean(by_seed), *(_variance_of_mean(values / len(found)) for values in by_episode)]
+    variance = sum(part for part, _ in parts)
+    if variance == 0:
+        return Summary(middle, middle, middle)
+    freedom = variance**2 / sum(part**2 / count for part, count in parts if count)
+    half = float(special.stdtrit(freedom, (1 + CONFIDENCE) / 2) * np.sqrt(variance))
+    return Summary(middle, middle - half, middle + half)
 
 
-def cvar(samples: FloatArray, axis: int = -1) -> FloatArray:
-    """The conditional value at risk: the mean of the worst tenth (at least one) along ``axis``; low values are bad."""
-    count = max(1, samples.shape[axis] // 10)
-    lowest = np.partition(samples, count - 1, axis=axis)
-    return np.take(lowest, np.arange(count), axis=axis).mean(axis=axis)
+def _variance_of_mean(values: FloatArray) -> tuple[float, int]:
+    """The variance of the mean of independent values, and its degrees of freedom; 0 for one value."""
+    count = len(values)
+    return (float(values.var(ddof=1)) / count, count - 1) if count > 1 else (0.0, 0)
 
 
 def summaries(statistics: Mapping[str, tuple[FloatArray, Literal["mean", "cvar"]]]) -> dict[str, Summary]:
     """A summary of each metric of one policy on one track.
 
-    With one training seed the interval is that of :func:`summarise` over episodes; with several, and a value in every
-    episode, that of :func:`estimate`; with several and missing values, that of :func:`summarise` over all episodes.
-
     Args:
         statistics: by metric, its samples of shape (training seeds, episodes), NaN where an episode has no value, and
-            the statistic over episodes.
+            the statistic over episodes. A CVaR with missing values has none.
     """
-    flat = summarise(np.array([samples.ravel() for samples, _ in statistics.values()]))
-    found = dict(zip(statistics, flat, strict=True))
-    for metric, (samples, statistic) in statistics.items():
-        if len(samples) > 1 and np.isfinite(samples).all():
-            found[metric] = estimate(mean if statistic == "mean" else mean_cvar, [samples])
-        elif statistic == "cvar":
-            found[metric] = _cvar_summary(samples.ravel())
-    return found
+    return {
+        metric: estimate([samples if statistic == "mean" else tail_values(samples)])
+        for metric, (samples, statistic) in statistics.items()
+    }
 
 
-def _cvar_summary(samples: FloatArray, *, seed: int = 0) -> Summary:
+def tail_values(samples: FloatArray) -> FloatArray:
+    """Values whose mean is the conditional value at risk: the mean of the worst tenth (at least one) of the episodes.
+
+    With q the best of the worst k of E episodes, x becomes q + min(x − q, 0) E/k (Rockafellar and Uryasev 2000). The
+    interval of their mean is that of the CVaR, because q moves it in second order only.
+
+    Args:
+        samples: shape (training seeds, episodes); low values are bad.
+
+    Returns:
+        The same shape; NaN everywhere if a sample is NaN.
+    """
+    episodes = samples.shape[-1]
+    count = max(1, episodes // 10)
+    quantile = np.partition(samples, count - 1, axis=-1)[..., count - 1 : count]
     if not np.isfinite(samples).all():
-        return Summary(None, None, None)
-    if np.ptp(samples) == 0:
-        return Summary(*[float(samples[0])] * 3)
-    return _bootstrap(samples[None], seed, cvar)[0]
+        return np.full_like(samples, np.nan)
+    return quantile + np.minimum(samples - quantile, 0) * (episodes / count)
 
 
-def _bootstrap(samples: FloatArray, seed: int, statistic: Callable[..., FloatArray] = np.mean) -> list[Summary]:
-    if not samples.size:
-        return []
-    interval = scipy.stats.bootstrap(
-        (samples,),
-        statistic,
-        axis=1,
-        vectorized=True,
-        n_resamples=RESAMPLES,
-        batch=_BATCH,
-        confidence_level=CONFIDENCE,
-        method="percentile",
-        rng=np.random.default_rng(seed),
-    ).confidence_interval
-    means = statistic(samples, axis=1)
-    return [Summary(*map(float, row)) for row in zip(means, interval.low, interval.high, strict=True)]
+def improvements(scores: FloatArray, others: FloatArray) -> FloatArray:
+    """1 where a score is better than the other policy's on the same episode, 1/2 where both are equal, else 0.
 
+    Args:
+        scores: shape (training seeds, episodes).
+        others: of a policy with one training seed, shape (1, episodes).
 
-Scores: TypeAlias = Sequence[FloatArray]
-"""Scores of one policy, an array per track, each of shape (..., training seeds, episodes)."""
-
-
-def mean(scores: Scores) -> FloatArray:
-    """The mean over tracks of the mean over seeds and episodes; shape (...)."""
-    return np.mean([track.mean(axis=(-2, -1)) for track in scores], axis=0)
-
-
-def mean_cvar(scores: Scores) -> FloatArray:
-    """The mean over tracks and training seeds of the :func:`cvar` over episodes; shape (...)."""
-    return np.mean([cvar(track).mean(axis=-1) for track in scores], axis=0)
-
-
-def interquartile_mean(scores: Scores) -> FloatArray:
-    """The mean of the middle half of all scores, all tracks, seeds and episodes together; shape (...).
-
-    A 25 % trimmed mean, less swayed by outliers than the mean and less wasteful than the median: R. Agarwal et al.,
-    "Deep reinforcement learning at the edge of the statistical precipice", NeurIPS 2021. Rows being runs and tracks
-    being tasks, it is rliable's ``aggregate_iqm``.
+    Returns:
+        Shape (training seeds, episodes); the mean is the probability of improvement P(x > y) + P(x = y)/2.
     """
-    return np.asarray(scipy.stats.trim_mean(_flattened(scores), 0.25, axis=-1))
+    return (np.sign(scores - others) + 1) / 2
 
 
 def performance_profile(scores: Scores, thresholds: FloatArray) -> FloatArray:
-    """The share of scores above each threshold, all tracks, seeds and episodes together: (..., thresholds).
+    """The share of scores above each threshold, the mean over tracks: (thresholds,).
 
-    rliable's score distribution, P(score > τ) over τ.
+    rliable's score distribution, P(score > τ) over τ (R. Agarwal et al., "Deep reinforcement learning at the edge of
+    the statistical precipice", NeurIPS 2021), rows being runs and tracks being tasks.
     """
-    return (_flattened(scores)[..., None] > thresholds).mean(axis=-2)
-
-
-def probability_of_improvement(scores: Scores, others: Scores) -> FloatArray:
-    """P(x > y) + P(x = y)/2 on the same episode, over pairs of training seeds, averaged over tracks; shape (...)."""
-    shares = [
-        (np.sign(x[..., :, None, :] - y[..., None, :, :]) + 1).mean(axis=(-3, -2, -1)) / 2
-        for x, y in zip(scores, others, strict=True)
-    ]
-    return np.mean(shares, axis=0)
-
-
-def unpaired_probability_of_improvement(scores: Scores, others: Scores) -> float:
-    """P(x > y) + P(x = y)/2 on any two episodes, averaged over tracks: rliable's ``probability_of_improvement``.
-
-    The Mann–Whitney statistic over the number of pairs. It does not know that both met the same episodes, and is here
-    to be compared with the figures of others.
-    """
-    shares = [
-        scipy.stats.mannwhitneyu(x.ravel(), y.ravel()).statistic / (x.size * y.size)
-        for x, y in zip(scores, others, strict=True)
-    ]
-    return float(np.mean(shares))
-
-
-def _flattened(scores: Scores) -> FloatArray:
-    return np.concatenate([track.reshape(*track.shape[:-2], -1) for track in scores], axis=-1)
-
-
-def estimate(
-    statistic: Callable[..., FloatArray], *policies: Scores, seed: int = 0, resamples: int = RESAMPLES
-) -> Summary:
-    """A statistic of one or several policies on the same tracks, with its two-level bootstrap interval.
-
-    Every resample draws each policy's training seeds, the same for all tracks, and every track's episodes, the same
-    for all policies and seeds, since all met the same ones. The percentile interval is then stretched about the
-    statistic by t_ν/z · √(V/V*): V* is the variance over the resamples, which has too little of the seeds' by a factor
-    (S − 1)/S; V puts it right, with the seeds' share V_s from the jackknife; ν = V²/(Σ V_s²/(S − 1) + V_e²/(E − 1)) are
-    Satterthwaite's degrees of freedom. With five seeds the percentile interval alone would cover 85 % instead of 95 %.
-
-    Args:
-        statistic: of the policies' scores, vectorised over a leading axis: arrays (R, seeds, episodes) to (R,).
-        policies: scores per track, each of shape (seeds, episodes); a policy's seeds are the same in all tracks.
-        seed: of the resampling.
-        resamples: how many.
-    """
-    point = float(statistic(*([track[None] for track in scores] for scores in policies))[0])
-    generator = np.random.default_rng(seed)
-    values = np.concatenate(
-        [
-            statistic(*_resampled(policies, min(_BATCH, resamples - done), generator))
-            for done in range(0, resamples, _BATCH)
-        ]
-    )
-    variance = float(values.var())
-    if variance == 0:
-        return Summary(point, point, point)
-    parts = [(_jackknife(statistic, policies, index), len(scores[0])) for index, scores in enumerate(policies)]
-    episodes = min(track.shape[-1] for scores in policies for track in scores)
-    of_episodes = max(variance - sum(part * (count - 1) / count for part, count in parts), 0.0)
-    parts = [(part, count) for part, count in parts if count > 1] + [
-        (of_episodes * episodes / max(episodes - 1, 1), episodes)
-    ]
-    total = sum(part for part, _ in parts)
-    freedom = total**2 / sum(part**2 / max(count - 1, 1) for part, count in parts)
-    tail = (1 - CONFIDENCE) / 2
-    stretch = scipy.stats.t.isf(tail, freedom) / scipy.stats.norm.isf(tail) * np.sqrt(total / variance)
-    low, high = np.quantile(values, [tail, 1 - tail])
-    return Summary(point, point + float(stretch * (low - point)), point + float(stretch * (high - point)))
-
-
-def _resampled(policies: Sequence[Scores], count: int, generator: np.random.Generator) -> list[list[FloatArray]]:
-    sizes = [track.shape[-1] for track in policies[0]]
-    episodes = [generator.integers(size, size=(count, 1, size)) for size in sizes]
-    drawn = []
-    for scores in policies:
-        runs = len(scores[0])
-        seeds = generator.integers(runs, size=(count, runs, 1))
-        drawn.append([track[seeds, chosen] for track, chosen in zip(scores, episodes, strict=True)])
-    return drawn
-
-
-def _jackknife(statistic: Callable[..., FloatArray], policies: Sequence[Scores], index: int) -> float:
-    """The variance that the training seeds of one policy bring to the statistic; 0 where there is one seed."""
-    runs = len(policies[index][0])
-    if runs == 1:
-        return 0.0
-    left_out = []
-    for run in range(runs):
-        scores = [*policies]
-        scores[index] = [np.delete(track, run, axis=0) for track in policies[index]]
-        left_out.append(float(statistic(*([track[None] for track in other] for other in scores))[0]))
-    return (runs - 1) * float(np.var(left_out))
+    return np.mean([(track.ravel()[:, None] > thresholds).mean(axis=0) for track in scores], axis=0)

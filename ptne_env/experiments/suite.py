@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, fields
 from functools import cache, cached_property, lru_cache
 from typing import Any
 
+from ptne_env import distances
 from ptne_env.arrays import require_count, require_printable
 from ptne_env.catalogue import get_scenario
-from ptne_env.distances import FLOOR
 from ptne_env.encoder import make_encoder
 from ptne_env.experiments.episodes import EpisodeSet, Split
 from ptne_env.experiments.metrics import FINE_DISTANCE
@@ -21,13 +22,16 @@ from ptne_env.scenario import Scenario
 from ptne_env.world import World
 
 ZERO, LAW, ORACLE = "zero-input", "static", "oracle"
-"""The reference policies of published suites: score 0, score 1 (the paper's law), and an oracle beside them."""
+"""The reference policies of published suites: score 0, the paper's law, and an oracle."""
 
 REFERENCES = tuple(POLICIES[name] for name in (ZERO, LAW, ORACLE))
 """These policies."""
 
+MOST_DIGITS = -math.log10(distances.FLOOR)
+"""The digits of a distance at the floor: no more are counted."""
+
 SATURATION_MARGIN = 0.1
-"""A policy has saturated a track when its interquartile mean is within this many digits of the floor."""
+"""A policy has saturated a track when its mean digits are within this many digits of :data:`MOST_DIGITS`."""
 
 LEADERBOARD_SEED = 0
 """Seed of the episode sets of published results."""
@@ -74,10 +78,13 @@ class Track:
         metric: by which policies are scored, higher being better: ``"digits"`` or ``"digits_after_hold"``.
         teammates: players that follow a fixed policy; ``None`` where every player follows the policy that is run.
         episodes: its own number of episodes; the suite's if ``None``.
+        best_known: digits of the best known honest entry when the suite was frozen, by which score 1 is given;
+            :data:`MOST_DIGITS` if ``None``.
+        ceiling: digits above which nobody can get; :data:`MOST_DIGITS` if ``None``.
 
     Raises:
-        ValueError: for another metric, a metric that the scenario does not have, or teammates that are not some of
-            the players.
+        ValueError: for another metric, a metric that the scenario does not have, teammates that are not some of the
+            players, or digits above :data:`MOST_DIGITS` or the ceiling.
     """
 
     name: str
@@ -86,6 +93,8 @@ class Track:
     metric: str = "digits"
     teammates: Teammates | None = None
     episodes: int | None = None
+    best_known: float | None = None
+    ceiling: float | None = None
 
     def __post_init__(self) -> None:
         require_printable("the name of a track", self.name)
@@ -94,6 +103,14 @@ class Track:
             raise ValueError(f"track {self.name!r} is scored by {' or '.join(choices)}, got {self.metric!r}")
         if self.episodes is not None:
             require_count(f"episodes of track {self.name!r}", self.episodes, 1)
+        limits = {"ceiling": MOST_DIGITS, "best_known": self.highest}
+        for name, limit in limits.items():
+            digits = getattr(self, name)
+            if digits is not None and not -MOST_DIGITS <= digits <= limit:
+                raise ValueError(
+                    f"{name} of track {self.name!r} is a number of digits from {-MOST_DIGITS:g} to {limit:g}, "
+                    f"got {digits!r}"
+                )
         if self.teammates is not None:
             chosen, players = set(self.teammates.players), set(range(self.world.game.num_players))
             if not (chosen < players and 0 < len(chosen) == len(self.teammates.players)):
@@ -116,7 +133,19 @@ class Track:
             "metric": self.metric,
             "teammates": None if self.teammates is None else self.teammates.to_dict(),
             "episodes": self.episodes,
+            "best_known": self.best_known,
+            "ceiling": self.ceiling,
         }
+
+    @property
+    def full_marks(self) -> float:
+        """The digits that are worth the score 1."""
+        return MOST_DIGITS if self.best_known is None else self.best_known
+
+    @property
+    def highest(self) -> float:
+        """The digits above which nobody can get."""
+        return MOST_DIGITS if self.ceiling is None else self.ceiling
 
     def files(self) -> dict[str, str]:
         """The hashes of what its parts need, as :func:`~ptne_env.experiments.provenance.file_hashes`."""
@@ -224,7 +253,7 @@ class Suite:
                 "is_comparison": self.is_comparison,
                 "leaderboard_seed": LEADERBOARD_SEED,
                 "reference_policies": {spec.name: spec.to_dict()["training_seeds"] for spec in self.references},
-                "distance_floor": FLOOR,
+                "distance_floor": distances.FLOOR,
                 "fine_distance": FINE_DISTANCE,
                 "saturation_margin": SATURATION_MARGIN,
             },

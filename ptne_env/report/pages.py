@@ -24,12 +24,13 @@ from ptne_env.experiments.traces import Scene
 from ptne_env.report.html import render_template
 from ptne_env.report.tables import (
     FIRST_MARGIN,
-    ORACLE_NOTE,
+    MARK_NOTES,
+    MARKS,
     Table,
     Value,
     first_places,
     mean_digits,
-    overview,
+    summary_tables,
     track_rules,
     track_tables,
 )
@@ -76,7 +77,7 @@ class Report:
     Attributes:
         title: of the page.
         answer: to the question of the page, in two sentences.
-        overview: the table over all tracks.
+        overview: the tables over all tracks, the scores first.
         sections: one per track.
         policies: names, in the order of their colours.
         profiles: share of scores above each threshold, by policy; empty where there are no scores.
@@ -89,7 +90,7 @@ class Report:
 
     title: str
     answer: str
-    overview: Table
+    overview: tuple[Table, ...]
     sections: tuple[Section, ...]
     policies: tuple[str, ...]
     profiles: Mapping[str, Sequence[float]]
@@ -130,7 +131,9 @@ def render_report(content: Report) -> str:
     }
     plotly = resources.files("ptne_env.report") / "plotly" / "plotly-basic.min.js"
     packed = _packed(scenes) | {"plotly": _pack(plotly.read_text(encoding="utf-8"))}
-    return render_template("page.html", report=content, figures=figures, packed=packed, oracle_note=ORACLE_NOTE)
+    return render_template(
+        "page.html", report=content, figures=figures, packed=packed, marks=MARKS, mark_notes=MARK_NOTES
+    )
 
 
 def render_episode(name: str, scene: Scene) -> str:
@@ -167,14 +170,13 @@ def _pack(text: str) -> str:
 def report(results: Results, scenes: Mapping[str, Scene]) -> Report:
     """The content of the page of results; arguments as :func:`page`."""
     suite, board = results.suite, results.leaderboard
-    table = overview(results)
-    tuned = (law.name for laws in results.tuned.values() for law in laws.values())
+    tables = summary_tables(results)
     return Report(
         title=f"{suite.name}, seed {results.seed}",
-        answer=_answer(results, table),
-        overview=table,
+        answer=_answer(results, tables[0]),
+        overview=tuple(tables),
         sections=tuple(_section(results, track, scenes[track.name]) for track in results.tracks),
-        policies=tuple(dict.fromkeys([*results.policies, *tuned])),
+        policies=tuple(results.every_policy),
         profiles={} if board is None else {row.policy: row.profile for row in board.overall},
         thresholds=() if board is None else board.thresholds,
         scenes=dict(scenes),
@@ -193,10 +195,12 @@ def report(results: Results, scenes: Mapping[str, Scene]) -> Report:
 
 def _answer(results: Results, table: Table) -> str:
     """The best policy, and its distance from the paper's law or from the next policy."""
-    firsts, failing = first_places(results), {policy for _, policy in results.failures}
-    ranked = [policy for policy in table.rows if policy in firsts and policy not in failing]
-    if not ranked and failing:
-        return f"{_listed(sorted(failing))} failed; the tables below name the steps and the errors."
+    firsts, acting = first_places(results), {policy for _, policy in results.samples}
+    sections = (names for division, names in table.sections.items() if division != "oracle")
+    ranked = next(filter(None, ([name for name in names if name in acting] for names in sections)), [])
+    if not ranked and results.failures:
+        failing = sorted({policy for _, policy in results.failures})
+        return f"{_listed(failing)} failed; the tables below name the steps and the errors."
     if not ranked:
         return "Only oracles were run, which use information that players lack: no policy can be compared with them."
     best, *others = ranked
@@ -213,7 +217,7 @@ def _answer(results: Results, table: Table) -> str:
     if len(tied) > 1:
         answer += f" ({best})"
     if "score" in values:
-        answer += f" and a score of {values['score']}, where 0 is zero input and 1 the paper's law"
+        answer += f" and a score of {values['score']}, where 0 is zero input and 1 full marks"
     return f"{answer}. {_comparison(results, best, others, values.get(f'P(better than {LAW})'))}"
 
 
@@ -249,7 +253,7 @@ def _section(results: Results, track: Track, scene: Scene) -> Section:
         f"T = {scenario.deadline:g} s, c = {scenario.gain:g} per second, {scenario.steps} steps to the deadline, "
         f"{scenario.hold_steps} after it.",
         tables=tables,
-        shown=_shown([policy for policy, is_oracle in tables[0].rows.items() if not is_oracle]),
+        shown=_shown([policy for policy, division in tables[0].rows.items() if division != "oracle"]),
         command=_command(results, [track]),
         facts=(
             ("track, SHA-256", content_hash(track.to_dict())),

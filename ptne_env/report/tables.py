@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
-from functools import lru_cache, partial
+from functools import partial
 from typing import TypeVar
 
-from ptne_env.experiments.leaderboard import THRESHOLDS, Leaderboard, TrackRow
+from ptne_env.experiments.leaderboard import ROOM, Leaderboard, Scale, TrackRow
 from ptne_env.experiments.metrics import METRICS, number, share
-from ptne_env.experiments.policy_specs import GRAPH_KNOWLEDGE, PolicySpec
+from ptne_env.experiments.policy_specs import DIVISIONS, KNOWLEDGE, Division, PolicySpec
 from ptne_env.experiments.results import Results
-from ptne_env.experiments.statistics import Summary, estimate, mean
+from ptne_env.experiments.statistics import Summary, estimate
 from ptne_env.experiments.suite import LAW, Track
 
 Row = TypeVar("Row")
@@ -21,8 +21,16 @@ FIRST_MARGIN = 0.1
 
 _PERCENT = "\N{NO-BREAK SPACE}%"
 
-ORACLE_NOTE = "* an oracle: it uses information that players lack, and has no rank"
-"""The meaning of the mark of oracles."""
+MARKS = {"honest": "", "coded": "†", "oracle": "*"}
+"""The marks of policies by division."""
+
+MARK_NOTES = {
+    "coded": "† coded: its estimates are more than present beliefs about strategies; ranked apart",
+    "oracle": "* an oracle: it uses information that players lack, and has no rank",
+}
+"""The meaning of the marks by division."""
+
+_SCORE = "0 is zero input; 1 is the best known when the suite was frozen, or 12 digits where none was recorded"
 
 
 @dataclass(frozen=True)
@@ -32,7 +40,7 @@ class Value:
     Attributes:
         text: as it is shown.
         value: by which the column is sorted; a cell without one comes last.
-        interval: the 95 % interval, as it is shown; empty where there is none.
+        interval: the 95 % interval, as it is shown; empty where both ends look the same.
     """
 
     text: str = "–"
@@ -50,8 +58,8 @@ class Value:
         summary = quantity if isinstance(quantity, Summary) else Summary(quantity, quantity, quantity)
         if summary.mean is None:
             return cls()
-        interval = "" if summary.low == summary.high else f"[{write(summary.low)}, {write(summary.high)}]"
-        return cls(write(summary.mean), summary.mean, interval)
+        low, high = write(summary.low), write(summary.high)
+        return cls(write(summary.mean), summary.mean, "" if low == high else f"[{low}, {high}]")
 
     @classmethod
     def count(cls, number: int | None) -> Value:
@@ -69,7 +77,7 @@ class Column:
     Attributes:
         label: the heading.
         meaning: of the values, in a phrase.
-        values: by name of the policy.
+        values: by name of the row.
         descending: whether large values are good, so that the first click on the heading puts them first.
     """
 
@@ -78,31 +86,41 @@ class Column:
     values: Mapping[str, Value]
     descending: bool = False
 
-    def __getitem__(self, policy: str) -> Value:
-        """The value of a policy; a dash where it has none."""
-        return self.values.get(policy, Value())
+    def __getitem__(self, name: str) -> Value:
+        """The value of a row; a dash where it has none."""
+        return self.values.get(name, Value())
 
     @property
     def is_filled(self) -> bool:
-        """Whether any policy has a value."""
+        """Whether any row has a value."""
         return any(value.value is not None for value in self.values.values())
 
 
 @dataclass(frozen=True)
 class Table:
-    """A table with a row per policy, the best first.
+    """A table with a row per policy, honest entries first, then coded ones, then oracles; or a row per track.
 
     Attributes:
         caption: the title.
-        columns: the columns beside the policies' names.
-        rows: the policies, and whether each is an oracle.
+        columns: the columns beside the names.
+        rows: the names of policies with their divisions; of tracks, with the division of honest entries.
         notes: sentences below the table.
+        subject: heading of the names: "policy" or "track".
     """
 
     caption: str
     columns: tuple[Column, ...]
-    rows: Mapping[str, bool]
+    rows: Mapping[str, Division]
     notes: tuple[str, ...] = ()
+    subject: str = "policy"
+
+    @property
+    def sections(self) -> dict[Division, list[str]]:
+        """The names by division, in order."""
+        found: dict[Division, list[str]] = {}
+        for name, division in self.rows.items():
+            found.setdefault(division, []).append(name)
+        return found
 
 
 def track_tables(results: Results, track: Track) -> list[Table]:
@@ -115,7 +133,14 @@ def track_tables(results: Results, track: Track) -> list[Table]:
     name, specs, board = track.name, results.policies_on(track.name), results.leaderboard
     rows = {} if board is None else {row.policy: row for row in board.rows if row.track == name}
     means = {policy: results.record(name, policy, track.metric)["mean"] or 0.0 for policy in specs}
-    order = sorted(specs, key=lambda policy: ((rows[policy].rank or 0) if policy in rows else 0, -means[policy]))
+    order = sorted(
+        specs,
+        key=lambda policy: (
+            DIVISIONS.index(specs[policy].division),
+            (rows[policy].rank or 0) if policy in rows else 0,
+            -means[policy],
+        ),
+    )
     blocks = {"How close": [] if board is None else _ranking_columns(rows)}
     for metric in sorted(METRICS.values(), key=lambda metric: metric.name != track.metric):
         values = {policy: Value.of(results.summary(name, policy, metric.name), metric.format) for policy in order}
@@ -129,7 +154,7 @@ def track_tables(results: Results, track: Track) -> list[Table]:
         Table(
             f"{name}: {block.lower()}",
             tuple(column for column in columns if column.is_filled),
-            {policy: specs[policy].is_oracle for policy in order if _is_filled(policy, columns)},
+            {policy: specs[policy].division for policy in order if _is_filled(policy, columns)},
             tuple(notes.get(block, ())),
         )
         for block, columns in blocks.items()
@@ -151,8 +176,14 @@ def track_rules(results: Results, track: Track) -> str:
 
 def _ranking_columns(rows: Mapping[str, TrackRow]) -> list[Column]:
     return [
-        _column("rank", "1 is best", rows, lambda row: Value.count(row.rank), descending=False),
-        _column("score", "0 is zero input, 1 the paper's law", rows, lambda row: Value.of(row.score, share)),
+        _column(
+            "rank",
+            "1 is best; honest and coded entries apart",
+            rows,
+            lambda row: Value.count(row.rank),
+            descending=False,
+        ),
+        _column("score", _SCORE, rows, lambda row: Value.of(row.score, share)),
         _column(
             f"P(better than {LAW})",
             "probability of improvement, paired by episode",
@@ -195,9 +226,28 @@ def call(spec: PolicySpec) -> str:
     return f"{source['target'].partition(':')[2]} ({arguments})".removesuffix(" ()")
 
 
-@lru_cache(maxsize=1)  # page and terminal show it, and its intervals take seconds
+def summary_tables(results: Results) -> list[Table]:
+    """All tracks: the overview, the metric that scores each track, and the room that each track leaves.
+
+    Args:
+        results: of a comparison or of another suite; a comparison has no full marks, and so no third table.
+    """
+    table, board = overview(results), results.leaderboard
+    digits = [
+        _column(
+            track.name,
+            f"{METRICS[track.metric].heading} on {track.name}",
+            {policy: policy for policy in table.rows},
+            partial(_score, results, track),
+        )
+        for track in results.tracks
+    ]
+    by_track = Table(f"{results.suite.name}, seed {results.seed}: digits on each track", tuple(digits), table.rows)
+    return [table, by_track, *([] if board is None else [_room_table(results, board)])]
+
+
 def overview(results: Results) -> Table:
-    """All tracks: the overall scores, if there are any, the first places, and the metric that scores each track.
+    """All tracks: the overall scores, if there are any, the knowledge of each policy, and the first places.
 
     Args:
         results: of a comparison or of another suite.
@@ -207,17 +257,28 @@ def overview(results: Results) -> Table:
     firsts = first_places(results)
     means = {policy: mean_digits(results, policy) for policy in policies}
     counts = {policy: sum(name == policy for _, name in results.samples) for policy in policies}
-    best = sorted(policies, key=lambda policy: (-len(firsts.get(policy, ())), -(means[policy].mean or 0.0)))
+    best = sorted(
+        policies,
+        key=lambda policy: (
+            DIVISIONS.index(policies[policy].division),
+            -len(firsts.get(policy, ())),
+            -(means[policy].mean or 0.0),
+        ),
+    )
     order = dict.fromkeys([*scores, *best])
+    known = {policy: _knowledge(spec) for policy, spec in policies.items()}
     columns = [
-        _column(
-            "score",
-            "interquartile mean of the normalised scores: 0 is zero input, 1 the paper's law",
-            scores,
-            lambda row: Value.of(row.score, share),
+        _column("score", f"mean over tracks: {_SCORE}", scores, lambda row: Value.of(row.score, share)),
+        *(
+            Column(name, meaning, {policy: values[name] for policy, values in known.items()})
+            for name, meaning in KNOWLEDGE.items()
         ),
         _column(
-            "mean rank", "over the tracks of the scores", scores, lambda row: Value.of(row.mean_rank), descending=False
+            "mean rank",
+            "over all tracks; honest and coded entries apart",
+            scores,
+            lambda row: Value.of(row.mean_rank),
+            descending=False,
         ),
         _column(
             f"P(better than {LAW})",
@@ -225,56 +286,54 @@ def overview(results: Results) -> Table:
             scores,
             lambda row: Value.of(row.improvement, share),
         ),
-        *(
-            _column(
-                f"P(score > {level:g})",
-                f"share of normalised scores above {level:g}",
-                {policy: row.profile[THRESHOLDS.index(level)] for policy, row in scores.items()},
-                lambda found: Value.of(found, share),
-            )
-            for level in (1.0, 2.0)
-        ),
-        _column(
-            f"unpaired P(better than {LAW})",
-            "probability of improvement over any two episodes",
-            scores,
-            lambda row: Value.of(row.unpaired_improvement, share),
-        ),
         _column(
             "first",
-            f"tracks on which no policy is more than {FIRST_MARGIN:g} digits better, with certainty",
+            f"tracks on which no entry of its kind is more than {FIRST_MARGIN:g} digits better, with certainty",
             firsts,
             lambda tracks: Value.count(len(tracks)),
         ),
-        Column(
-            "knows",
-            "communication graphs that players know, whether they remember, and estimates that are more than beliefs",
-            {policy: _knowledge(spec) for policy, spec in policies.items()},
-        ),
         _column("tracks", "tracks on which the policy was run", counts, Value.count),
         _column("mean digits", "over the tracks on which the policy was run", means, Value.of),
-        *(
-            _column(
-                track.name,
-                f"{METRICS[track.metric].heading} on {track.name}",
-                {policy: policy for policy in policies},
-                partial(_score, results, track),
-            )
-            for track in results.tracks
-        ),
     ]
     return Table(
         f"{results.suite.name}, seed {results.seed}: overall",
         tuple(column for column in columns if column.values),
-        {policy: policies[policy].is_oracle for policy in order},
-        () if board is None else tuple(_scope(results, board)),
+        {policy: policies[policy].division for policy in order},
+        () if board is None else tuple(_scope(board)),
     )
 
 
-def _knowledge(spec: PolicySpec) -> Value:
-    """What a policy knows, sorted from little to much."""
-    known = list(GRAPH_KNOWLEDGE).index(spec.interface.graph_knowledge)
-    return Value(spec.knowledge, len(GRAPH_KNOWLEDGE) if spec.is_oracle else known)
+def _knowledge(spec: PolicySpec) -> dict[str, Value]:
+    """What a policy knows, in words, sorted from little to much."""
+    orders = {"graphs": ["own links", "union graph", "schedule", "all"], "memory": ["no", "yes", "unknown"]}
+    orders["estimates"] = list(DIVISIONS)
+    return {name: Value(word, orders[name].index(word)) for name, word in spec.knowledge.items()}
+
+
+def _room_table(results: Results, board: Leaderboard) -> Table:
+    """The digits that scores mean on each track, and whether the track can still tell good from better."""
+    rows = {scale.track: scale for scale in board.scales}
+    columns: list[tuple[str, str, Callable[[Scale], Value]]] = [
+        ("zero input", "mean digits, score 0", lambda scale: Value.of(scale.zero)),
+        ("full marks", "digits of score 1", lambda scale: Value.of(scale.full_marks)),
+        ("best honest", "most mean digits of an honest entry in this run", lambda scale: Value.of(scale.best_digits)),
+        ("by", "this entry", lambda scale: Value(scale.best)),
+        ("at most", "digits above which nobody can get", lambda scale: Value.of(scale.highest)),
+        (
+            "room",
+            "digits from the best honest entry, in this run or when the suite was frozen, to what can be reached",
+            lambda scale: Value.of(scale.room),
+        ),
+    ]
+    saturated = [scale.track for scale in board.scales if scale.room < ROOM]
+    note = f"Less than {ROOM:g} digit is left on: {', '.join(saturated)}." if saturated else "Every track leaves room."
+    return Table(
+        f"{results.suite.name}: room for better policies",
+        tuple(_column(label, meaning, rows, read) for label, meaning, read in columns),
+        dict.fromkeys(rows, "honest"),
+        (note,),
+        subject="track",
+    )
 
 
 def _score(results: Results, track: Track, policy: str) -> Value:
@@ -285,33 +344,33 @@ def _score(results: Results, track: Track, policy: str) -> Value:
     return Value.of(summary)
 
 
-def _scope(results: Results, board: Leaderboard) -> Iterator[str]:
-    """Which tracks and policies the overall scores leave out."""
-    if not board.common:
-        yield "No track has scores: no track fits all policies and gives the paper's law a gain."
+def _scope(board: Leaderboard) -> Iterator[str]:
+    """The tracks of the scores."""
+    scored = [scale.track for scale in board.scales if scale.has_scores]
+    without = [scale.track for scale in board.scales if not scale.has_scores]
+    if not scored:
+        yield "No track has scores: zero input has full marks on all of them."
         return
-    without = [track.name for track in results.tracks if track.name not in board.common]
-    failing = list(dict.fromkeys(policy for _, policy in results.failures))
-    scored = {row.policy for row in board.overall}
-    unscored = [policy for policy in results.policies if policy not in scored and policy not in failing]
-    yield f"Scores are over the tracks that fit all policies and give the law a gain: {', '.join(board.common)}."
+    yield f"Scores are means over {len(scored)} track{'s' * (len(scored) > 1)}; n/a and failed count as zero input."
     if without:
-        yield f"Scores are not over {', '.join(without)}."
-    if unscored:
-        yield f"Without a score: {', '.join(unscored)}, which fit fewer than half of the tracks."
-    if failing:
-        yield f"Without a score: {', '.join(failing)}, which failed on a track."
+        yield f"Without scores, because zero input has full marks: {', '.join(without)}."
 
 
 def first_places(results: Results) -> dict[str, list[str]]:
-    """The tracks on which each policy, oracles apart, is the best or within :data:`FIRST_MARGIN` of the best."""
+    """The tracks on which each policy, oracles apart, is the best of its division or within :data:`FIRST_MARGIN`."""
     firsts: dict[str, list[str]] = {name: [] for name, spec in results.policies.items() if not spec.is_oracle}
     for track in results.tracks:
-        found = {policy: results.summary(track.name, policy, track.metric) for policy in firsts}
-        best = max((summary.mean or 0.0 for summary in found.values() if summary), default=0.0)
-        for policy, summary in found.items():
-            if summary and (summary.high or 0.0) >= best - FIRST_MARGIN:
-                firsts[policy].append(track.name)
+        for division in DIVISIONS:
+            found = {
+                policy: summary
+                for policy in firsts
+                if results.policies[policy].division == division
+                and (summary := results.summary(track.name, policy, track.metric))
+            }
+            best = max((summary.mean or 0.0 for summary in found.values()), default=0.0)
+            for policy, summary in found.items():
+                if (summary.high or 0.0) >= best - FIRST_MARGIN:
+                    firsts[policy].append(track.name)
     return firsts
 
 
@@ -331,4 +390,4 @@ def mean_digits(results: Results, policy: str, *, minus: str | None = None, on: 
         for track in results.tracks
         if all((track.name, name) in results.samples for name in needed)
     ]
-    return estimate(mean, scores) if scores else Summary(None, None, None)
+    return estimate(scores) if scores else Summary(None, None, None)

@@ -16,9 +16,9 @@ from ptne_env.catalogue import CATALOGUE
 from ptne_env.experiments import METRICS, POLICIES, Results, get_suite
 from ptne_env.experiments.check import Check, Repetition
 from ptne_env.experiments.metrics import number
-from ptne_env.experiments.policy_specs import learned_policy
+from ptne_env.experiments.policy_specs import PolicySpec, learned_policy
 from ptne_env.experiments.suite import SUITES
-from ptne_env.report.tables import ORACLE_NOTE, Column, Table, call, overview, track_rules, track_tables
+from ptne_env.report.tables import MARK_NOTES, MARKS, Column, Table, call, summary_tables, track_rules, track_tables
 from ptne_env.switching import SwitchingTopology
 from ptne_env.world import World
 
@@ -52,19 +52,21 @@ def result_tables(results: Results, width: int = 172) -> Group:
         drawn.append(Text.assemble((track.name, "bold"), f": {track_rules(results, track)}\n"))
         for table in track_tables(results, track):
             drawn += _drawn(table, width, intervals=results.leaderboard is None)
-    drawn += _drawn(overview(results), width, intervals=True)
-    if any(spec.is_oracle for spec in results.policies.values()):
-        drawn.append(Text(ORACLE_NOTE, style="dim"))
+    total, *others = summary_tables(results)
+    for table in others:
+        drawn += _drawn(table, width, intervals=results.leaderboard is None)
+    drawn += _drawn(total, width, intervals=True)
+    drawn += [Text(note, style="dim") for division, note in MARK_NOTES.items() if division in total.sections]
     return Group(*drawn)
 
 
 def _drawn(table: Table, width: int, *, intervals: bool) -> list[RichTable | Text]:
     """A table in as many pieces as the width asks for, and its notes."""
-    names = {policy: policy + " *" * is_oracle for policy, is_oracle in table.rows.items()}
+    names = {name: f"{name} {MARKS[division]}".rstrip() for name, division in table.rows.items()}
     room = width - max(map(cell_len, names.values()), default=0) - _EDGES
     return [
         Text(table.caption, style="italic"),
-        *(_piece(names, columns, intervals=intervals) for columns in _split(table, room, intervals=intervals)),
+        *(_piece(table, names, columns, intervals=intervals) for columns in _split(table, room, intervals=intervals)),
         *(Text(note, style="dim") for note in table.notes),
         Text(),
     ]
@@ -76,8 +78,8 @@ def _split(table: Table, room: int, *, intervals: bool) -> Iterator[list[Column]
     left = room
     for column in table.columns:
         lines = [*_heading(column).splitlines()]
-        for policy in table.rows:
-            lines += [column[policy].text, column[policy].interval * intervals]
+        for name in table.rows:
+            lines += [column[name].text, column[name].interval * intervals]
         needed = _GAP + max(map(cell_len, lines))
         if group and needed > left:
             yield group
@@ -88,19 +90,20 @@ def _split(table: Table, room: int, *, intervals: bool) -> Iterator[list[Column]
         yield group
 
 
-def _piece(names: dict[str, str], columns: Sequence[Column], *, intervals: bool) -> RichTable:
+def _piece(table: Table, names: dict[str, str], columns: Sequence[Column], *, intervals: bool) -> RichTable:
     piece = empty_table()
-    piece.add_column("policy", no_wrap=True)
+    piece.add_column(table.subject, no_wrap=True)
     for column in columns:
         piece.add_column(Text(_heading(column)), justify="right", no_wrap=True)  # Text, because brackets are no markup
-    for policy, name in names.items():
-        cells = []
-        for column in columns:
-            cell = Text(column[policy].text, justify="right")
-            if intervals and column[policy].interval:
-                cell.append(f"\n{column[policy].interval}", style="dim")
-            cells.append(cell)
-        piece.add_row(Text(name), *cells)
+    for section in table.sections.values():
+        for name in section:
+            cells = []
+            for column in columns:
+                cell = Text(column[name].text, justify="right")
+                if intervals and column[name].interval:
+                    cell.append(f"\n{column[name].interval}", style="dim")
+                cells.append(cell)
+            piece.add_row(Text(names[name]), *cells, end_section=name == section[-1])
     return piece
 
 
@@ -212,8 +215,15 @@ def _policy_table() -> RichTable:
     for spec in [*POLICIES.values(), *map(learned_policy, policies.shipped())]:
         mode = "" if spec.interface.action_mode == "input" else f", {spec.interface.action_mode}"
         policy = f"learned on {', '.join(sorted(spec.scenarios))}" if spec.scenarios else call(spec)
-        rows.append([spec.name, f"{spec.interface.kind}{mode}", spec.knowledge, policy])
+        rows.append([spec.name, f"{spec.interface.kind}{mode}", _knows(spec), policy])
     return _listing("Policies", ["name", "interface", "knows", "policy"], rows)
+
+
+def _knows(spec: PolicySpec) -> str:
+    """The graphs that a policy knows, with all that other policies do not have."""
+    known = spec.knowledge
+    memory = {"yes": ", memory", "no": "", "unknown": ", memory unknown"}[known["memory"]]
+    return known["graphs"] + memory + ", coded estimates" * (known["estimates"] == "coded")
 
 
 def _metric_table() -> RichTable:

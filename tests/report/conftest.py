@@ -85,7 +85,7 @@ def _enlarged(content, tracks, policies):
     tables = tuple(
         replace(
             table,
-            rows=dict.fromkeys(names, False),
+            rows=dict.fromkeys(names, "honest"),
             columns=tuple(
                 replace(column, values={name: column[original] for name, original in originals.items()})
                 for column in table.columns

@@ -1,7 +1,7 @@
-// Sorting of tables by a click on a heading.
+// Sorting of tables by a click on a heading; honest entries, coded ones and oracles stay apart.
 
 function sortBy(button) {
-  const heading = button.closest("th"), table = heading.closest("table"), body = table.tBodies[0];
+  const heading = button.closest("th"), table = heading.closest("table");
   const column = heading.cellIndex;
   const first = button.hasAttribute("data-descending") ? "descending" : "ascending";
   const other = first === "ascending" ? "descending" : "ascending";
@@ -18,7 +18,7 @@ function sortBy(button) {
     if (x === null || y === null) return (x === null) - (y === null);  // cells without a value come last
     return sign * (typeof x === "number" ? x - y : x.localeCompare(y));
   };
-  body.append(...[...body.rows].sort(compare));
+  for (const body of table.tBodies) body.append(...[...body.rows].sort(compare));
   const status = `${table.caption.textContent}: sorted by ${button.textContent}, ${order}`;
   document.getElementById("status").textContent = status;
 }
