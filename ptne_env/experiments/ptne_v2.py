@@ -1,4 +1,4 @@
-"""The suite ptne-v2, whose tracks the best known policies do not saturate. It is not frozen yet."""
+"""The suite ptne-v2, which the best known policies do not saturate. Its content is to be frozen."""
 
 from __future__ import annotations
 
@@ -8,37 +8,6 @@ from ptne_env.catalogue import get_scenario
 from ptne_env.experiments.suite import Suite, Teammates, Track
 from ptne_env.factory import FactorySpec
 from ptne_env.scenario import Scenario
-
-NOISE = 0.001
-"""Standard deviation of the link noise of the base, in the units of the strategies."""
-
-
-def _graphs(players: int, probability: float, modes: int = 100) -> FactorySpec:
-    """Every episode draws a connected random graph from a pool."""
-    return FactorySpec.of(
-        "ptne_env.switching:random_graphs", players=players, probability=probability, modes=modes, seed=2
-    )
-
-
-def _drawn_switching(dwells: tuple[float, float], clock: str) -> FactorySpec:
-    """After every dwell, links of the 5-cycle with both diagonals of player 0 are up with probability 0.4."""
-    edges = [(0, 1), (1, 2), (2, 3), (3, 4), (4, 0), (0, 2), (0, 3)]
-    graph = FactorySpec.of("ptne_env.graphs:from_edges", players=5, edges=edges)
-    return FactorySpec.of(
-        "ptne_env.switching:random_edges", graph=graph, probability=0.4, dwells=dwells, modes=64, seed=2, clock=clock
-    )
-
-
-def _channel(name: str, **arguments: Any) -> FactorySpec:
-    return FactorySpec.of(f"ptne_env.channel:{name}", **arguments)
-
-
-def _noise(std: float) -> FactorySpec:
-    return _channel("AdditiveNoise", std=std)
-
-
-def _chain(*stages: FactorySpec) -> FactorySpec:
-    return _channel("Chain", stages=list(stages))
 
 
 def _game(name: str, **arguments: Any) -> FactorySpec:
@@ -50,86 +19,182 @@ def _energy(players: int) -> FactorySpec:
     return _game("RandomEnergy", players=players, coupling=(0.25 / players, 1.5 / players))
 
 
-def _many(players: int, steps: int) -> dict[str, Any]:
-    """Many players on one random graph of degree 3, with the time for 10 units of effective time."""
-    graph = FactorySpec.of("networkx:random_regular_graph", d=3, n=players, seed=2)
-    graph = FactorySpec.of("ptne_env.graphs:from_networkx", graph=graph)
-    topology = FactorySpec.of("ptne_env.switching:fixed", graph=graph)
-    return {"game": _energy(players), "topology": topology, "slots": 3, "gain": 5.0, "s_end": 5.0, "steps": steps}
+def _graphs(players: int, probability: float) -> FactorySpec:
+    """Every episode draws one of 100 connected random graphs, in which each pair is linked with a probability."""
+    return FactorySpec.of("ptne_env.switching:random_graphs", players=players, probability=probability, seed=2)
 
 
-def base() -> Scenario:
-    """Random energy games of five players; every episode draws its graph; messages carry noise."""
-    return get_scenario("random-energy").replace(
-        name="base", topology=_graphs(5, 0.4), channel=_noise(NOISE), slots=4, steps=300
+def _switching(shortest: float, longest: float, clock: str) -> FactorySpec:
+    """Every link of a graph of seven links is up with probability 0.4, drawn again after every dwell."""
+    edges = [(0, 1), (1, 2), (2, 3), (3, 4), (4, 0), (0, 2), (0, 3)]
+    graph = FactorySpec.of("ptne_env.graphs:from_edges", players=5, edges=edges)
+    drawn = {"probability": 0.4, "modes": 64, "seed": 2}
+    return FactorySpec.of(
+        "ptne_env.switching:random_edges", graph=graph, dwells=(shortest, longest), clock=clock, **drawn
     )
 
 
-def ptne_v2() -> Suite:
-    """The suite ``ptne-v2``: tracks that each change one thing of a base with drawn graphs and noise on its links."""
-    nominal = base()
+def _channel(name: str, **arguments: Any) -> FactorySpec:
+    return FactorySpec.of(f"ptne_env.channel:{name}", **arguments)
 
-    def track(name: str, change: str, *, metric: str = "digits", episodes: int | None = None, **changes: Any) -> Track:
-        return Track(name, nominal.replace(name=name, **changes), change, metric, episodes=episodes)
 
-    pushes = FactorySpec.of("ptne_env.disturbances:UniformDisturbance", bound=1.0, dwell=1, after_deadline_only=True)
-    law = FactorySpec.of("ptne_env.laws:Static", kappa=2.0)
-    tracks = (
-        track(
+def _noisy(std: float, *stages: FactorySpec) -> FactorySpec:
+    """A channel of stages, the last of which is noise."""
+    noise = _channel("AdditiveNoise", std=std)
+    return _channel("Chain", stages=[*stages, noise]) if stages else noise
+
+
+NOISE = _noisy(0.001)
+"""The channel of the base."""
+
+BASE = get_scenario("random-energy").replace(name="base", topology=_graphs(5, 0.4), slots=4, channel=NOISE, steps=300)
+"""Random energy games of five players, each on a graph of its own; messages carry noise."""
+
+
+def _track(name: str, change: str, *, metric: str = "digits", episodes: int | None = None, **changes: Any) -> Track:
+    return Track(name, BASE.replace(name=name, **changes), change, metric, episodes=episodes)
+
+
+def _fixed(graph: str, **arguments: Any) -> FactorySpec:
+    """One graph, which policies may know."""
+    graph_spec = FactorySpec.of(f"ptne_env.graphs:{graph}", **arguments)
+    return FactorySpec.of("ptne_env.switching:fixed", graph=graph_spec)
+
+
+def _crowd(players: int, steps: int, episodes: int) -> dict[str, Any]:
+    """Many players on one random graph of degree 3, in few episodes and steps."""
+    topology = _fixed("random_regular", players=players, degree=3, seed=2)
+    time = {"gain": 5.0, "s_end": 5.0, "steps": steps}
+    return {"game": _energy(players), "topology": topology, "slots": None, "episodes": episodes, **time}
+
+
+def _links() -> tuple[Track, ...]:
+    """Tracks with other links."""
+    return (
+        _track(
             "clean",
-            "The sanity track, ranked by time: the 5-cycle and messages without noise.",
+            "The sanity track, ranked by time: the 5-cycle, and messages without noise.",
             topology=get_scenario("random-energy").topology,
+            slots=None,
             channel="perfect",
         ),
-        track("noise", "Five times the noise: standard deviation 0.05.", channel=_noise(0.05)),
-        track(
+        _track(
             "switching-physical",
-            "Links go up and down at random, for 0.05 to 0.15 s of physical time.",
-            topology=_drawn_switching((0.05, 0.15), "physical"),
+            "Links go up and down at random, every 0.05 to 0.15 s of physical time.",
+            topology=_switching(0.05, 0.15, "physical"),
         ),
-        track(
+        _track(
             "switching-noise",
-            "Links go up and down at random, for 0.1 to 0.4 of transformed time, and messages carry noise 0.05.",
-            topology=_drawn_switching((0.1, 0.4), "transformed"),
-            channel=_noise(0.05),
+            "Links go up and down at random, every 0.1 to 0.4 of transformed time, and messages carry noise 0.05.",
+            topology=_switching(0.1, 0.4, "transformed"),
+            channel=_noisy(0.05),
         ),
-        track(
+        _track(
             "rough-links",
             "Messages travel for 1 to 7 steps, a third of them is lost in bursts, and the rest carries noise 0.05.",
-            channel=_chain(
-                _channel("Delay", steps=1, longest=7), _channel("BurstLoss", to_bad=0.05, to_good=0.1), _noise(0.05)
+            channel=_noisy(
+                0.05, _channel("Delay", steps=1, longest=7), _channel("BurstLoss", to_bad=0.05, to_good=0.1)
             ),
         ),
-        track("quantised", "Messages are rounded to multiples of 0.5.", channel=_channel("UniformQuantiser", width=0.5)),
-        track("tight-input", "Inputs are limited to 2.", input_limit=2.0),
-        track("short-deadline", "A tenth of the time: T = 0.12, and 30 steps.", deadline=0.12, steps=30),
-        track("weakly-monotone", "A monotone game that is not strongly monotone.", game=_game("WeaklyMonotoneGame")),
-        track("sparse-50", "50 players on a random graph of degree 3; 200 steps.", **_many(50, steps=200), episodes=20),
-        track("sparse-200", "200 players on a random graph of degree 3; 100 steps.", **_many(200, steps=100), episodes=2),
-        track(
+        _track(
+            "quantised", "Messages are rounded to multiples of 0.5.", channel=_channel("UniformQuantiser", width=0.5)
+        ),
+        _track(
+            "one-way",
+            "Half of the links carry messages in one direction only, as far as news still reach all players.",
+            channel=_noisy(0.001, _channel("OneWayLinks", share=0.5)),
+        ),
+        _track(
+            "liar",
+            "One player adds a constant of up to 1 to all that it says of other players.",
+            channel=_noisy(0.001, _channel("Lying", size=1.0)),
+        ),
+        _track(
             "unseen",
-            "A size and graphs that no policy was made for: 9 players, 100 random graphs.",
+            "Nine players on sparser graphs, a size without a policy of its own.",
             game=_energy(9),
             topology=_graphs(9, 0.25),
             slots=8,
         ),
-        track(
+    )
+
+
+def _limits() -> tuple[Track, ...]:
+    """Tracks with less time, smaller inputs, worse sensors, or unrest."""
+    pushes = FactorySpec.of("ptne_env.disturbances:UniformDisturbance", bound=5.0, dwell=10, after_deadline_only=True)
+    return (
+        _track(
+            "sensor",
+            "Own gradients are measured with noise of standard deviation 0.1, and messages carry noise 0.05.",
+            sensor=FactorySpec.of("ptne_env.sensor:GradientNoise", std=0.1),
+            channel=_noisy(0.05),
+        ),
+        _track("tight-input", "Inputs are limited to 2.", input_limit=2.0),
+        _track(
+            "short-deadline",
+            "A tenth of the time in a tenth of the steps: T = 0.12, 30 steps.",
+            deadline=0.12,
+            steps=30,
+        ),
+        _track(
+            "drift",
+            "The equilibrium swings by up to 5 with a period of 1 s; the mean distance over the second half counts.",
+            metric="tracking_digits",
+            drift=FactorySpec.of("ptne_env.drift:Sinusoid", amplitude=5.0, period=1.0),
+        ),
+        _track(
             "pushes",
-            "50 steps follow the deadline, in which every step pushes the strategies by U(−1, 1) per second.",
+            "50 steps follow the deadline, in which the strategies are pushed by U(−5, 5) per second, redrawn every 10 steps.",
             metric="digits_after_hold",
             hold_steps=50,
             disturbance=pushes,
         ),
         Track(
             "strangers",
-            nominal.replace(name="strangers"),
-            "Players 2 and 4 of 5 follow the paper's static law, beside every policy.",
-            teammates=Teammates(law, (1, 3)),
+            BASE.replace(name="strangers", channel=_noisy(1e-6)),
+            "Messages carry noise 0.000001, and players 2 and 4 of 5 follow the paper's static law, beside every policy.",
+            teammates=Teammates(FactorySpec.of("ptne_env.laws:Static", kappa=2.0), (1, 3)),
         ),
-        track(
+    )
+
+
+def _games() -> tuple[Track, ...]:
+    """Tracks with other games."""
+    uneven = (1, 2, 3, 1, 2)
+    return (
+        _track("non-affine", "Random games with saturating prices, strongly monotone.", game=_game("RandomSaturating")),
+        _track(
+            "weakly-monotone",
+            "Random affine games that are monotone and not strongly monotone.",
+            game=_game("RandomAffine", epsilon=0.0),
+        ),
+        _track(
+            "several-equilibria",
+            "Random games of coordination with three equilibria; the nearest one counts.",
+            game=_game("RandomCoordination"),
+        ),
+        _track(
+            "uneven",
+            "Random affine games of players with 1, 2, 3, 1 and 2 components.",
+            game=_game("RandomAffine", action_dim=uneven),
+        ),
+        _track(
             "robots",
             "Five robots in the plane keep posts and connectivity: two components per player.",
             game=_game("ConnectivityControl"),
         ),
+        _track(
+            "coupled",
+            "Two shared constraints, priced by a sixth player: a variational generalised Nash equilibrium.",
+            game=_game("CoupledConstraint", game=_game("RandomEnergy", players=5), lines=2),
+            topology=_fixed("cycle", players=6),
+            slots=None,
+        ),
+        _track("crowd-50", "50 players on a sparse graph: 10 episodes of 200 steps.", **_crowd(50, 200, 10)),
+        _track("crowd-200", "200 players on a sparse graph: 2 episodes of 100 steps.", **_crowd(200, 100, 2)),
     )
-    return Suite("ptne-v2", tracks)
+
+
+def ptne_v2() -> Suite:
+    """The suite ``ptne-v2``: tracks that each change one thing of :data:`BASE`."""
+    return Suite("ptne-v2", (*_links(), *_limits(), *_games()))
