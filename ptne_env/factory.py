@@ -12,7 +12,7 @@ from typing import Any
 _PARTS = ("games", "graphs", "switching", "clock", "starts", "channel", "disturbances", "laws")
 """Modules and packages of the library in which parts are defined."""
 
-_LOADER = "ptne_env.policies:load"
+LOADER = "ptne_env.policies:load"
 """The other part: it reads an ``.onnx`` file, which is data."""
 
 
@@ -45,7 +45,7 @@ def is_part(target: str) -> bool:
     """
     module, _, name = target.partition(":")
     if not _defines_parts(module) or name.startswith("_"):
-        return target == _LOADER
+        return target == LOADER
     try:
         found = resolve(target)
     except ValueError:

@@ -10,9 +10,6 @@ import numpy.typing as npt
 from ptne_env.arrays import Float32Array, IntArray
 from ptne_env.policy import Policy, PolicyError
 
-EPISODES = 16
-"""Most episodes from which a witness gets rows, unless the audit is thorough."""
-
 WITNESSES = 8
 """Most witnesses of a thorough audit."""
 
@@ -57,17 +54,16 @@ class Witness:
 def sample_rows(episodes: int, players: int, *, thorough: bool) -> list[IntArray]:
     """The rows of each witness, chosen afresh: no policy can know them.
 
+    Every witness gets one player of every episode, and over the episodes one player after the other. So with as many
+    episodes as players, every player has a witness in some episode.
+
     Args:
         episodes: of the batch, whose row e · players + p is player p of episode e.
         players: number of players for which the policy decides.
-        thorough: whether there are as many witnesses as players, up to :data:`WITNESSES`, which get different players
-            of every episode, and not one witness with a random player of each of some episodes.
+        thorough: whether there are as many witnesses as players, up to :data:`WITNESSES`, and not one.
     """
     generator = np.random.default_rng()
-    chosen = generator.permutation(episodes)
-    if not thorough:
-        chosen = chosen[:EPISODES]
-        return [chosen * players + generator.integers(players, size=len(chosen))]
-    order = generator.permutation(players)  # consecutive episodes go on where the one before ends
-    first = np.arange(episodes) * min(players, WITNESSES)
-    return [chosen * players + order[(first + witness) % players] for witness in range(min(players, WITNESSES))]
+    witnesses = min(players, WITNESSES) if thorough else 1
+    chosen, order = generator.permutation(episodes), generator.permutation(players)
+    first = np.arange(episodes) * witnesses  # an episode goes on where the one before ends
+    return [chosen * players + order[(first + witness) % players] for witness in range(witnesses)]

@@ -26,6 +26,9 @@ from ptne_env.files import read_json
 SIGNIFICANCE = 1e-3
 """Probability that honest results have a job whose score is called better than on fresh episodes."""
 
+LARGEST = 10_000
+"""Most episodes of a track, and most steps after the deadline, that a check runs: others chose these numbers."""
+
 _REBUILT = (
     "suite",
     "seed",
@@ -114,9 +117,9 @@ def check(
 
     Raises:
         FileNotFoundError: when there are no results, or the file of a job is missing.
-        ValueError: when a file is damaged, of another kind or of another version, the suite is not the one that was
-            run, the files of a policy differ, the results name foreign code and ``trust`` is not set, or a policy was
-            an object of another process.
+        ValueError: when a file is damaged, of another kind or of another version, or names more than :data:`LARGEST`
+            episodes or steps after the deadline, the suite is not the one that was run, the files of a policy differ,
+            the results name foreign code and ``trust`` is not set, or a policy was an object of another process.
     """
     require_count("sample", sample, 1)
     path, data, listing = _read(results)
@@ -230,7 +233,7 @@ class _Listing:
         """The listing of the content of ``path``.
 
         Raises:
-            ValueError: when something is missing or of another type.
+            ValueError: when something is missing, of another type, or larger than :data:`LARGEST`.
         """
         try:
             suite, is_comparison = data["suite"], data["suite"]["rules"]["is_comparison"]
@@ -255,6 +258,10 @@ class _Listing:
             raise ValueError(f"{path} is not a file of results: {error!r}") from error
         if len(listing.keys) < len(jobs):
             raise ValueError(f"{path} is not a file of results: a job is listed twice")
+        sizes = {f"episodes of track {track!r}": count for track, count in listing.episodes.items()}
+        for name, size in (sizes | {"hold_steps": listing.hold_steps or 0}).items():
+            if require_count(name, size, 0) > LARGEST:
+                raise ValueError(f"{path} names {size} {name}; a check runs at most {LARGEST}: publish a smaller run")
         return listing
 
     def foreign_code(self, suite: Suite | None) -> list[str]:

@@ -15,13 +15,12 @@ from ptne_env.arrays import require_printable
 from ptne_env.catalogue import CATALOGUE
 from ptne_env.experiments.provenance import file_hashes
 from ptne_env.experiments.sources import is_file
-from ptne_env.factory import FactorySpec, is_part
+from ptne_env.factory import LOADER, FactorySpec, is_part
 from ptne_env.observation import Interface, ObservationLayout
 from ptne_env.policies.process import PolicySource, build, declared_interface, separate
 from ptne_env.policy import Policy, PolicyError
 
 _LAWS = "ptne_env.laws:"
-_LEARNED = "ptne_env.policies:load"
 ARCHIVE = "ptne_env.policies.archive:load_archive"
 """Target of the policies whose making executes code that is stored in a file."""
 
@@ -124,7 +123,7 @@ class PolicySpec:
         """Whether it keeps numbers from step to step; ``None`` for code and files that do not say so."""
         made: Any = self.training_seeds[0]
         if isinstance(made, FactorySpec):
-            if made.target == _LEARNED:
+            if made.target == LOADER:
                 return False  # feed-forward
             made = None if self.is_foreign else made.resolve()
         law = _named(made)
@@ -159,11 +158,13 @@ class PolicySpec:
     def deciding(self, layout: ObservationLayout, training_seed: int = 0) -> Iterator[Policy]:
         """The same, ready to decide: foreign code in a process of its own, which ends with the context.
 
+        So does an ``.onnx`` file that is not shipped: it is data, but its decisions may take any time and memory.
+
         Raises:
             LayoutError, PolicyError: as :meth:`build`.
         """
         source = self.training_seeds[training_seed]
-        if self.is_foreign and isinstance(source, FactorySpec):
+        if isinstance(source, FactorySpec) and (self.is_foreign or _is_own_file(source)):
             with separate(source, layout) as policy:
                 yield policy
         else:
@@ -207,6 +208,11 @@ def _source_to_dict(policy: PolicySource) -> dict[str, Any]:
         return {**policy.to_dict(), "files": file_hashes(policy)}
     named = _named(policy)
     return {"target": f"{named.__module__}:{named.__qualname__}"}
+
+
+def _is_own_file(source: FactorySpec) -> bool:
+    """Whether a factory spec loads an ``.onnx`` file that is not shipped."""
+    return source.target == LOADER and policies.shipped_path(str(dict(source.arguments).get("path_or_name"))) is None
 
 
 def _named(policy: Any) -> type:
@@ -261,7 +267,7 @@ def learned_policy(path_or_name: str) -> PolicySpec:
         FileNotFoundError, PolicyFileError, ImportError: as :func:`ptne_env.policies.load`.
     """
     policy = policies.load(path_or_name)
-    source = FactorySpec.of(_LEARNED, path_or_name=path_or_name)
+    source = FactorySpec.of(LOADER, path_or_name=path_or_name)
     return PolicySpec(policy.name, source, policy.interface, frozenset(policy.metadata.scenarios))
 
 

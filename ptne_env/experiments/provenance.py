@@ -14,7 +14,7 @@ from types import FunctionType
 from typing import Any
 
 from ptne_env._version import __version__
-from ptne_env.experiments.sources import UNHASHED, file_hash, is_file, module_hashes
+from ptne_env.experiments.sources import UNHASHED, file_hash, is_file, module_hashes, pickled_names
 from ptne_env.factory import FactorySpec, is_part
 from ptne_env.policies import shipped_path
 
@@ -71,7 +71,8 @@ def file_hashes(value: FactorySpec | tuple[FactorySpec, ...]) -> dict[str, str]:
 
     The modules of all targets, nested ones too, are hashed by :func:`~ptne_env.experiments.sources.module_hashes`. A
     string argument that names a file is hashed with the file; where the target is no part of the library, one that
-    names a folder is hashed with all files in it. Names that a program computes are not seen.
+    names a folder is hashed with all files in it. An archive of Stable-Baselines3 is hashed with the modules of the
+    user that its pickles name. Names that a program computes are not seen.
 
     Args:
         value: a factory spec, or a tuple of them.
@@ -81,10 +82,13 @@ def file_hashes(value: FactorySpec | tuple[FactorySpec, ...]) -> dict[str, str]:
         it was written. A text with the reason stands for what cannot be hashed: see :func:`unhashed`.
     """
     specs = [part for spec in (value if isinstance(value, tuple) else (value,)) for part in spec.nested()]
-    found = module_hashes(part.target.partition(":")[0] for part in specs)
-    for part in specs:
-        for text in _texts(tuple(argument for _, argument in part.arguments)):
-            found |= _argument_hashes(text, with_folders=not is_part(part.target))
+    texts = [(part, text) for part in specs for text in _texts(tuple(argument for _, argument in part.arguments))]
+    archives = {text for _, text in texts if text.endswith(".zip")}
+    found = module_hashes(
+        (part.target.partition(":")[0] for part in specs), (name for path in archives for name in pickled_names(path))
+    )
+    for part, text in texts:
+        found |= _argument_hashes(text, with_folders=not is_part(part.target))
     return found
 
 

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import ast
+import json
 import os
 import re
 import sys
 import sysconfig
 import warnings
+from base64 import b64decode
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from functools import cache, lru_cache
@@ -16,6 +18,8 @@ from importlib.machinery import EXTENSION_SUFFIXES, SOURCE_SUFFIXES, ModuleSpec,
 from importlib.util import resolve_name, spec_from_file_location
 from itertools import accumulate
 from pathlib import Path
+from pickletools import genops
+from zipfile import ZipFile
 
 UNHASHED = "cannot be hashed: "
 """Beginning of the text that stands in place of a hash; the reason follows."""
@@ -46,7 +50,27 @@ def is_file(path: str | Path) -> bool:
     return os.path.isfile(path)  # noqa: PTH113 - Path.is_file raises where a name is too long
 
 
-def module_hashes(names: Iterable[str]) -> dict[str, str]:
+def pickled_names(archive: str | Path) -> set[str]:
+    """The strings in the pickles of a Stable-Baselines3 archive that may be names of modules; nothing is unpickled.
+
+    An archive that cannot be read has none: loading it fails.
+    """
+    try:
+        with ZipFile(archive) as file:
+            data = json.loads(file.read("data"))
+        pickles = [
+            b64decode(item[":serialized:"])
+            for item in data.values()
+            if isinstance(item, dict) and ":serialized:" in item
+        ]
+        arguments = [argument for content in pickles for _, argument, _ in genops(content)]
+    except Exception:  # noqa: BLE001 - foreign bytes may raise anything
+        return set()
+    words = {argument.partition(" ")[0] for argument in arguments if isinstance(argument, str)}  # "module name", or one
+    return {word for word in words - {"__main__"} if all(part.isidentifier() for part in word.split("."))}
+
+
+def module_hashes(names: Iterable[str], possible: Iterable[str] = ()) -> dict[str, str]:
     """SHA-256 of modules, of the modules of the user that they import, and of the files that their sources name.
 
     Modules of Python and of this library are left out, because their versions are known. An installed module is hashed
@@ -56,6 +80,7 @@ def module_hashes(names: Iterable[str]) -> dict[str, str]:
 
     Args:
         names: of the modules, with dots.
+        possible: names that may be modules of the user, or anything else.
 
     Returns:
         By the name of a module, by ``"module/path"`` of a file relative to its folder, and by the path of another file.
@@ -65,6 +90,7 @@ def module_hashes(names: Iterable[str]) -> dict[str, str]:
     hashes: dict[str, str] = {}
     seen: set[tuple[str, bool]] = set()
     waiting = [(each, True) for name in asked for each in _with_packages(name)]
+    waiting += [(each, False) for name in possible for each in _with_packages(name)]
     _find.cache_clear()  # files may have changed
     while waiting:
         name, is_needed = waiting.pop()

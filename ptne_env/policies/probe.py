@@ -2,7 +2,7 @@
 
 Folding the constants of a file and running it take the time and memory that the file asks for, before its content can
 be seen. :func:`refusal` lets another process find out. That process runs this file as a script, so it imports
-onnxruntime and numpy alone.
+onnxruntime and numpy alone. A process that is made for one file alone limits itself: :func:`stay`.
 """
 
 from __future__ import annotations
@@ -25,6 +25,18 @@ WAIT = 30.0
 _passed: set[bytes] = set()
 """Hashes of the contents that this process has tried with success."""
 
+_stays = False
+"""Whether this process limits itself."""
+
+
+def stay() -> None:
+    """Let :func:`refusal` limit this process for the rest of its time, instead of a trial in another process.
+
+    Its processor time is not limited: the process that made it sees to that.
+    """
+    global _stays  # noqa: PLW0603 - limits are of a process
+    _stays = True
+
 
 def refusal(content: bytes, rows: int) -> str | None:
     """Load the content of an ONNX file and run it on ``rows`` rows of zeros, in a process of its own.
@@ -35,6 +47,11 @@ def refusal(content: bytes, rows: int) -> str | None:
     Returns:
         ``None`` when the file works, and at once for content that worked before; else the reason.
     """
+    if _stays:
+        import onnxruntime  # noqa: F401 - before files are out of reach
+
+        _limit(MEMORY)
+        return None
     digest = hashlib.sha256(content).digest()
     if digest in _passed:
         return None
@@ -68,12 +85,13 @@ def open_session(content: bytes) -> Any:
     return onnxruntime.InferenceSession(content, options, providers=["CPUExecutionProvider"], enable_fallback=0)
 
 
-def _limit(memory: int, seconds: int) -> None:
-    """Limit this process as far as the system can, and let it end with its parent."""
+def _limit(memory: int, seconds: int | None = None) -> None:
+    """Limit this process as far as the system can."""
     with contextlib.suppress(ImportError):
         import resource
 
-        resource.setrlimit(resource.RLIMIT_CPU, (seconds, seconds))
+        if seconds is not None:
+            resource.setrlimit(resource.RLIMIT_CPU, (seconds, seconds))
         resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
         resource.setrlimit(resource.RLIMIT_NOFILE, (0, 0))
         resource.setrlimit(resource.RLIMIT_AS, (memory, memory))

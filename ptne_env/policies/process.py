@@ -1,9 +1,10 @@
-"""Building a policy: in this process, or foreign code in a process of its own."""
+"""Building a policy: in this process, or in a process of its own."""
 
 from __future__ import annotations
 
 import json
 import os
+import pickle
 import signal
 import socket
 import struct
@@ -13,15 +14,16 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import asdict
 from math import prod
-from multiprocessing.connection import Connection
+from time import monotonic
 from typing import Any, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
 
 from ptne_env.arrays import BoolArray
-from ptne_env.factory import FactorySpec
+from ptne_env.factory import LOADER, FactorySpec
 from ptne_env.observation import Interface, LayoutError, ObservationLayout
+from ptne_env.policies import probe
 from ptne_env.policies.archive import load_archive
 from ptne_env.policies.learned import LearnedPolicy
 from ptne_env.policy import Policy, PolicyError, describe, printable
@@ -31,7 +33,7 @@ PolicySource: TypeAlias = FactorySpec | Policy | Callable[[ObservationLayout], P
 """A factory spec or a callable that builds the policy from a layout, or the policy itself."""
 
 PATIENCE = 300.0
-"""Seconds that a process may take to answer."""
+"""Seconds that a process may take to start, and to read observations and answer them, from first to last byte."""
 
 # The paths are those of this process, so that nothing is imported from the current folder before other folders.
 _MAIN = (
@@ -40,7 +42,8 @@ _MAIN = (
 )
 _ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 _OTHER_FORM = "its process answered in another form"
-_LONGEST_HEADER = 1 << 16
+_LENGTH = struct.Struct("!Q")
+_LONGEST_ANSWER = 1 << 16
 _DTYPES = ("float32", "float64")
 
 
@@ -94,7 +97,8 @@ def separate(source: FactorySpec, layout: ObservationLayout) -> Iterator[Policy]
 
     The process receives observations and sends actions. So the policy cannot reach the world, and its process
     executes no code here: the answers are read as numbers. The memory of the policy stays in its process. Output of the
-    policy is not shown.
+    policy is not shown. The process of an ``.onnx`` file cannot open files, and its memory is limited
+    (:data:`ptne_env.policies.probe.MEMORY`).
 
     Raises:
         LayoutError: when the policy was made for another layout.
@@ -114,9 +118,7 @@ class _Process:
 
     def __init__(self, source: FactorySpec, layout: ObservationLayout | None) -> None:
         mine, theirs = socket.socketpair()
-        for option in (socket.SO_RCVTIMEO, socket.SO_SNDTIMEO):  # it may answer in part, or stop reading
-            mine.setsockopt(socket.SOL_SOCKET, option, struct.pack("ll", int(PATIENCE), 0))
-        self._connection = Connection(mine.detach())
+        self._connection, self._deadline = mine, 0.0
         with theirs:
             self._process = subprocess.Popen(  # noqa: S603 - our own command
                 [sys.executable, "-P", "-c", _MAIN, str(theirs.fileno()), str(os.getpid()), *sys.path],
@@ -127,7 +129,7 @@ class _Process:
                 env=os.environ | _ONE_THREAD,
                 process_group=0,  # Ctrl-C does not reach it, and processes that it starts end with it
             )
-        self._send(lambda: self._connection.send((source, layout)))
+        self._ask(pickle.dumps((source, layout)))
 
     def predict(
         self,
@@ -139,7 +141,7 @@ class _Process:
         rows = np.ascontiguousarray(observation, dtype=np.float32)
         starts = np.zeros(len(rows), dtype=np.bool_) if episode_start is None else episode_start
         head = bytes([state is None, deterministic])
-        self._send(lambda: self._connection.send_bytes(head + starts.tobytes() + rows.tobytes()))
+        self._ask(head + starts.tobytes() + rows.tobytes())
         answer = self.answer()
         dtype, shape = answer.get("dtype"), answer.get("shape")
         if dtype not in _DTYPES or not isinstance(shape, list) or not all(isinstance(n, int) and n >= 0 for n in shape):
@@ -147,14 +149,14 @@ class _Process:
         size = prod(shape) * np.dtype(dtype).itemsize
         if size > 64 * (rows.nbytes + 1):
             raise PolicyError(f"it answered with actions of shape {tuple(shape)}")
-        return np.frombuffer(self._receive(size), dtype=dtype).reshape(shape), True
+        with self._errors():
+            actions = _read(self._connection, size, self._deadline)
+        return np.frombuffer(actions, dtype=dtype).reshape(shape), True
 
     def answer(self) -> dict[str, Any]:
         """The next answer, which is an object of numbers and texts."""
-        try:
-            answer = json.loads(self._receive(_LONGEST_HEADER))
-        except (ValueError, RecursionError) as error:
-            raise PolicyError(_OTHER_FORM) from error
+        with self._errors():
+            answer = json.loads(_receive(self._connection, _LONGEST_ANSWER, self._deadline))
         if not isinstance(answer, dict):
             raise PolicyError(_OTHER_FORM)
         if "layout_error" in answer:
@@ -174,23 +176,53 @@ class _Process:
         try:
             status = self._process.wait(timeout=1.0)
         except subprocess.TimeoutExpired:
-            return PolicyError("its process ended the connection, or reads nothing")
+            return PolicyError("its process ended the connection")
         how = f"with signal {-status}" if status < 0 else f"with exit status {status}"
         return PolicyError(f"its process ended {how}")
 
-    def _send(self, send: Callable[[], None]) -> None:
-        try:
-            send()
-        except OSError as error:
-            raise self._ended() from error
+    def _ask(self, content: bytes) -> None:
+        """Send a message, whose answer is due within :data:`PATIENCE` from now."""
+        self._deadline = monotonic() + PATIENCE
+        self._connection.settimeout(PATIENCE)  # of all bytes together
+        with self._errors():
+            _send(self._connection, content)
 
-    def _receive(self, longest: int) -> bytes:
+    @contextmanager
+    def _errors(self) -> Iterator[None]:
         try:
-            if not self._connection.poll(PATIENCE):
-                raise PolicyError(f"it took longer than {PATIENCE:g} s")
-            return self._connection.recv_bytes(longest)
+            yield
+        except TimeoutError as error:
+            raise PolicyError(f"it took longer than {PATIENCE:g} s") from error
         except (OSError, EOFError) as error:
             raise self._ended() from error
+        except (ValueError, RecursionError) as error:
+            raise PolicyError(_OTHER_FORM) from error
+
+
+def _send(connection: socket.socket, content: bytes) -> None:
+    connection.sendall(_LENGTH.pack(len(content)) + content)
+
+
+def _receive(connection: socket.socket, longest: int, deadline: float | None = None) -> bytes:
+    """The next message, of at most ``longest`` bytes; see :func:`_read`."""
+    (size,) = _LENGTH.unpack(_read(connection, _LENGTH.size, deadline))
+    if size > longest:
+        raise ValueError(f"a message of {size} bytes, expected at most {longest}")
+    return _read(connection, size, deadline)
+
+
+def _read(connection: socket.socket, size: int, deadline: float | None) -> bytes:
+    """The next ``size`` bytes; ``TimeoutError`` when the last one is not there at the deadline."""
+    content = bytearray(size)
+    missing = memoryview(content)
+    while missing:
+        if deadline is not None:  # a limit for each call would start again with every byte
+            connection.settimeout(max(deadline - monotonic(), 1e-6))
+        count = connection.recv_into(missing)
+        if not count:
+            raise EOFError
+        missing = missing[count:]
+    return bytes(content)
 
 
 def serve(descriptor: int, caller: int) -> None:
@@ -202,16 +234,18 @@ def serve(descriptor: int, caller: int) -> None:
         caller: number of its process.
     """
     end_with_parent(caller)
-    connection = Connection(descriptor)
-    source, layout = connection.recv()
+    connection = socket.socket(fileno=descriptor)
+    source, layout = pickle.loads(_receive(connection, sys.maxsize))  # noqa: S301 - of the caller, which trusts itself
     try:
         if layout is None:
             _answer(connection, interface=asdict(_interface(source)))
             return
+        if source.target == LOADER:
+            probe.stay()
         policy, memory = build(source, layout), None
         _answer(connection)
         while True:
-            message = connection.recv_bytes()
+            message = _receive(connection, sys.maxsize)
             rows = (len(message) - 2) // (1 + 4 * layout.size)
             starts = np.frombuffer(message, np.bool_, rows, offset=2).copy()
             observations = np.frombuffer(message, np.float32, offset=2 + rows).reshape(rows, layout.size).copy()
@@ -221,7 +255,7 @@ def serve(descriptor: int, caller: int) -> None:
             array = np.asarray(actions)
             array = array if array.dtype.name in _DTYPES else array.astype(np.float64)
             _answer(connection, dtype=array.dtype.name, shape=array.shape)
-            connection.send_bytes(array.tobytes())
+            connection.sendall(array.tobytes())
     except EOFError:  # the caller is done
         return
     except LayoutError as error:
@@ -232,8 +266,8 @@ def serve(descriptor: int, caller: int) -> None:
         _answer(connection, error=describe(error))
 
 
-def _answer(connection: Connection, **answer: Any) -> None:
-    connection.send_bytes(json.dumps(answer).encode())
+def _answer(connection: socket.socket, **answer: Any) -> None:
+    _send(connection, json.dumps(answer).encode())
 
 
 def _interface(source: FactorySpec) -> Interface:

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from ptne_env.experiments.audit import EPISODES, WITNESSES, sample_rows
+from ptne_env.experiments.audit import WITNESSES, sample_rows
 
 
 @pytest.mark.parametrize(("episodes", "players"), [(1, 5), (200, 1), (40, 5), (40, 20), (40, 50)])
@@ -15,7 +15,13 @@ def test_a_thorough_audit_sees_every_player_and_no_teammates_together(episodes, 
     assert len(np.unique(rows % players)) == players
 
 
-def test_an_audit_sees_one_player_of_some_episodes():
-    (rows,) = sample_rows(200, 5, thorough=False)
-    assert len(np.unique(rows // 5)) == len(rows) == EPISODES
-    assert rows.max() < 1000
+@pytest.mark.parametrize(("episodes", "players"), [(1, 5), (200, 1), (200, 50), (200, 3)])
+def test_an_audit_sees_one_player_of_every_episode_and_all_players_equally(episodes, players):
+    (rows,) = sample_rows(episodes, players, thorough=False)
+    assert sorted(rows // players) == list(range(episodes))
+    seen = np.bincount(rows % players, minlength=players)
+    assert seen.max() - seen.min() <= 1
+
+
+def test_rows_are_chosen_afresh():
+    assert len({tuple(sample_rows(20, 5, thorough=False)[0]) for _ in range(10)}) == 10

@@ -128,6 +128,30 @@ def test_a_check_finds_stored_numbers_and_reasons_that_do_not_reproduce(results,
     assert set(differences.values()) == {0.0}
 
 
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (
+            lambda data: data["episodes"].update(energy=10_001),
+            "names 10001 episodes of track 'energy'; .* at most 10000",
+        ),
+        (lambda data: data["episodes"].update(energy=2.5), "episodes of track 'energy' must be a whole number"),
+        (
+            lambda data: data["suite"]["tracks"][0]["scenario"].update(hold_steps=10**15),
+            "names 1000000000000000 hold_steps; a check runs at most 10000",
+        ),
+    ],
+)
+def test_results_that_ask_for_too_much_work_are_refused(tmp_path, change, message):
+    path = written(evaluate(["zero-input"], ["energy"], episodes=2, folder=tmp_path), tmp_path)
+    data = json.loads(path.read_text(encoding="utf-8"))
+    data["failures"] = [{"track": "energy", "policy": "zero-input", "reason": "a failure runs again"}]
+    change(data)
+    sign(path, data)
+    with pytest.raises(ValueError, match=message):
+        check(path)
+
+
 def test_a_check_finds_the_suite_of_a_comparison_and_of_a_name_by_itself(tmp_path):
     results = evaluate(["static"], ["energy"], episodes=2, hold_steps=3, folder=tmp_path)
     assert len(check(written(results, tmp_path)).repetitions) == 2

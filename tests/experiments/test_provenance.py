@@ -2,7 +2,11 @@
 
 import functools
 import importlib
+import json
+import pickle
 import sys
+from base64 import b64encode
+from zipfile import ZipFile
 
 import pytest
 from processes import run_python
@@ -10,6 +14,7 @@ from small_suite import BASE, stored
 
 from ptne_env import FactorySpec, PolicySpec
 from ptne_env.experiments import Suite, Track, get_policy_spec, jobs, run_suite
+from ptne_env.experiments.policy_specs import ARCHIVE
 from ptne_env.experiments.provenance import file_hashes, source_hashes, unhashed, versions
 from ptne_env.observation import Interface
 
@@ -161,6 +166,23 @@ def test_files_and_folders_in_arguments_are_hashed(write, tmp_path):
     assert len(keys | {key("mine:make", files=[str(tmp_path / "weights")])}) == 6
     part = FactorySpec.of("ptne_env.graphs:cycle", players=str(tmp_path / "weights"))
     assert file_hashes(part) == {}  # parts of the library read no folders
+
+
+@pytest.mark.parametrize("content", [b"cmy_net\nNet\n.", pickle.PROTO + b"\x04\x8c\x06my_net\x8c\x03Net\x93."])
+def test_modules_that_an_archive_names_are_hashed(write, tmp_path, content):
+    path = tmp_path / "model.zip"
+    with ZipFile(path, "w") as archive:
+        item = {":type:": "a class", ":serialized:": b64encode(content).decode()}
+        archive.writestr("data", json.dumps({"policy_class": item, "seed": 3}))
+    make = functools.partial(key, ARCHIVE, path=str(path))
+    write({"my_net": "import my_layers\n", "my_layers": "WIDTH = 3\n"})
+    before = make()
+    assert make() == before
+    write({"my_layers": "WIDTH = 4\n"})
+    assert make() != before
+    assert "my_net" not in sys.modules
+    path.write_bytes(path.read_bytes()[:-9])  # loading it names the damage
+    assert set(file_hashes(FactorySpec.of(ARCHIVE, path=str(path)))) == {str(path)}
 
 
 def test_a_link_to_another_folder_in_a_folder_cannot_be_hashed(write, tmp_path, monkeypatch):

@@ -18,8 +18,12 @@ from onnx import helper
 
 import ptne_env
 from ptne_env import Interface, policies
+from ptne_env.encoder import make_encoder
+from ptne_env.experiments.policy_specs import get_policy_spec
 from ptne_env.experiments.suite import find_scenario
-from ptne_env.policies import Metadata, PolicyFileError, probe
+from ptne_env.policies import Metadata, PolicyFileError, probe, process
+from ptne_env.policy import PolicyError
+from ptne_env.world import World
 
 
 def metadata(**changes):
@@ -209,9 +213,9 @@ def graph_of(nodes, initializers=(), inputs=("observation",), output="action"):
     )
 
 
-def write_graph(path, graph):
+def write_graph(path, graph, **changes):
     model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=8)
-    helper.set_model_props(model, {"ptne_env": metadata().to_json()})
+    helper.set_model_props(model, {"ptne_env": metadata(**changes).to_json()})
     path.write_bytes(model.SerializeToString())
     return path
 
@@ -309,6 +313,55 @@ def test_a_file_that_never_ends_or_takes_all_memory_is_refused(tmp_path, monkeyp
     with pytest.raises(PolicyFileError, match=r"new.onnx .* needs more than 0.01 s to load"):
         policies.load(write_graph(tmp_path / "new.onnx", with_loop(4)))
     policies.load(write_graph(tmp_path / "small.onnx", with_loop(3)))  # the same content is not tried again
+
+
+def layout_of(spec):
+    return make_encoder(World(find_scenario("random-energy")), spec.interface).layout
+
+
+def multiplied_by_observations(graph, name):
+    """The graph with a constant times the largest observation, so that nothing is to be done for zeros."""
+    next(constant for constant in graph.initializer if constant.name == name).name = "factor"
+    nodes = [
+        helper.make_node("ReduceMax", ["observation"], ["largest"], keepdims=0),
+        helper.make_node("Cast", ["largest"], ["whole"], to=onnx.TensorProto.INT64),
+        helper.make_node("Mul", ["whole", "factor"], [name]),
+        *graph.node,
+    ]
+    del graph.node[:]
+    graph.node.extend(nodes)
+    return graph
+
+
+@pytest.mark.parametrize(
+    ("graph", "reason"),
+    [
+        (multiplied_by_observations(with_loop(2**25), "count"), "longer than 2 s"),
+        (multiplied_by_observations(with_constants(2**29), "shape"), "bad_alloc|allocate memory"),
+    ],
+)
+def test_a_file_that_needs_much_for_a_decision_alone_fails(tmp_path, monkeypatch, graph, reason):
+    spec = get_policy_spec(str(write_graph(tmp_path / "mine.onnx", graph, interface=Interface("physical"))))
+    assert not spec.is_foreign
+    layout = layout_of(spec)
+    with spec.deciding(layout) as policy:
+        zeros, starts = np.zeros((3, 28), dtype=np.float32), np.ones(3, dtype=bool)
+        assert policy.predict(zeros, None, starts, deterministic=True)[0].shape == (3, 5)
+        monkeypatch.setattr(process, "PATIENCE", 2.0)  # after a slow start
+        with pytest.raises(PolicyError, match=reason):
+            policy.predict(zeros + 1, None, starts, deterministic=True)
+
+
+def test_a_file_decides_the_same_in_its_own_process(tmp_path):
+    path = tmp_path / "mine.onnx"
+    path.write_bytes(policies.shipped_path("ppo-random-energy").read_bytes())
+    spec, shipped = get_policy_spec(str(path)), get_policy_spec("ppo-random-energy")
+    layout = layout_of(spec)
+    rows = np.random.default_rng(0).normal(size=(40, layout.size)).astype(np.float32)
+    with spec.deciding(layout) as policy, shipped.deciding(layout) as here:
+        assert isinstance(here, policies.LearnedPolicy)
+        assert not isinstance(policy, policies.LearnedPolicy)
+        np.testing.assert_array_equal(policy.predict(rows)[0], here.predict(rows)[0])
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="ends with its parent on Linux; elsewhere within its limits")

@@ -112,6 +112,18 @@ def test_a_policy_that_never_answers_is_an_error(layout, monkeypatch):
         answer(layout, "time.sleep(60)")
 
 
+def test_an_answer_byte_by_byte_is_an_error_in_time(layout, monkeypatch):
+    monkeypatch.setattr(process, "PATIENCE", 2.0)
+    text = (
+        "[(os.write(fd, bytes([byte])), time.sleep(0.2)) for byte in bytes([0, 0, 0, 0, 0, 0, 1, 0]) + 256 * b' '"
+        " for fd in range(3, 30) if os.path.exists(f'/proc/self/fd/{fd}')]"
+    )
+    started = time.monotonic()
+    with pytest.raises(PolicyError, match="it took longer than 2 s"):
+        answer(layout, text)
+    assert time.monotonic() - started < 6
+
+
 @pytest.mark.parametrize(
     ("target", "error", "message"),
     [
