@@ -7,6 +7,7 @@ episode, and ``ptne check results/ptne-v1`` runs some of them again.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated
 
@@ -18,8 +19,10 @@ from ptne_env import training
 from ptne_env.experiments import METRICS, POLICIES, Results, Workers, run_suite
 from ptne_env.experiments.leaderboard import Leaderboard
 from ptne_env.experiments.metrics import number
+from ptne_env.experiments.policy_specs import DIVISIONS, KNOWLEDGE, PolicySpec
 from ptne_env.experiments.suite import LAW, ORACLE
 from ptne_env.files import write_atomically
+from ptne_env.report.tables import MARK_NOTES, MARKS
 
 HERE = Path(__file__).parent
 SUITE = "ptne-v1"
@@ -28,7 +31,9 @@ _INTRODUCTION = (
     "Written by `python baselines/suite.py`; do not edit. Suite `{suite}` (content hash `{hash}`), {episodes} test "
     "episodes per track from seed {seed}, learned policies with every training seed; intervals of 95 % as "
     "`docs/protocol.md` explains. Learned policies are `ppo-<configuration>`, configurations in "
-    "`ptne_env/training/configurations`."
+    "`ptne_env/training/configurations`. Below the honest entries stand coded ones and oracles. "
+    + ". ".join(MARK_NOTES.values())
+    + "."
 )
 
 
@@ -42,16 +47,16 @@ def configurations(runs: Path) -> dict[str, str]:
 
 
 def overview(results: Results, learned: set[str]) -> list[str]:
-    """A row per track: the paper's law, the best law, the best learned policy and the oracle."""
+    """A row per track: the paper's law, the best honest law, the best learned policy and the oracle."""
     headings = ["track", "the paper's law", "best law", "best learned policy", "learned over best law", "oracle"]
-    oracles = {name for name, policy in results.policies.items() if policy.is_oracle}
+    apart = {name for name, policy in results.policies.items() if policy.division != "honest"}
     rows = []
     for track in results.tracks:
         means = {
             name: float(results.record(track.name, name, track.metric)["mean"])
             for name in results.policies_on(track.name)
         }
-        law = max(means.keys() - learned - oracles, key=means.__getitem__)
+        law = max(means.keys() - learned - apart, key=means.__getitem__)
         policy = max(means.keys() & learned, key=means.__getitem__, default=None)
         trained = ["n/a", ""]
         if policy is not None:
@@ -65,11 +70,14 @@ def track_table(results: Results, board: Leaderboard, name: str) -> list[str]:
     track = results.suite.track(name)
     heading = METRICS[track.metric].heading
     ranked_by = "time to 1e-6" if name in board.saturated else heading
-    found = sorted((row for row in board.rows if row.track == name), key=lambda row: row.rank or 0)
+    found = sorted(
+        (row for row in board.rows if row.track == name),
+        key=lambda row: (DIVISIONS.index(results.policies[row.policy].division), row.rank or 0),
+    )
     rows = [
         [
             "" if row.rank is None else str(row.rank),
-            row.policy,
+            f"{row.policy} {MARKS[results.policies[row.policy].division]}".rstrip(),
             interval(results.summary(name, row.policy, track.metric)),
             interval(row.score),
             interval(row.improvement),
@@ -83,19 +91,20 @@ def track_table(results: Results, board: Leaderboard, name: str) -> list[str]:
     return [f"## {name}", "", f"{track.change} Ranked by {ranked_by}.", "", *table(headings, rows), ""]
 
 
-def overall_table(board: Leaderboard) -> list[str]:
-    """Scores over the common tracks."""
+def overall_table(board: Leaderboard, policies: Mapping[str, PolicySpec]) -> list[str]:
+    """Scores, and the knowledge of every policy."""
     rows = [
         [
-            row.policy,
+            f"{row.policy} {MARKS[policies[row.policy].division]}".rstrip(),
+            *policies[row.policy].knowledge.values(),
             interval(row.score),
             interval(row.improvement),
             "" if row.mean_rank is None else number(row.mean_rank),
         ]
         for row in board.overall
     ]
-    headings = ["policy", "score, interquartile mean", f"P(better than {LAW})", "mean rank"]
-    return [*table(headings, rows), "", f"Over {len(board.common)} tracks: {', '.join(board.common)}.", ""]
+    headings = ["policy", *KNOWLEDGE, "score", f"P(better than {LAW})", "mean rank"]
+    return [*table(headings, rows, texts=("policy", *KNOWLEDGE)), ""]
 
 
 def main(
@@ -123,7 +132,7 @@ def main(
         suite=SUITE, hash=results.suite.content_hash[:12], episodes=results.suite.episodes, seed=results.seed
     )
     lines = ["# Leaderboard of ptne-v1", "", introduction, "", *overview(results, set(learned)), ""]
-    lines += ["## Overall", "", *overall_table(board)]
+    lines += ["## Overall", "", *overall_table(board, results.policies)]
     for track in results.tracks:
         lines += track_table(results, board, track.name)
     write_atomically(HERE / f"{SUITE}.md", "\n".join(lines))

@@ -80,9 +80,9 @@ def test_results_that_are_cut_off_at_any_length_are_refused(results):
         (b"[]", "expected a JSON object, got list"),
         (b"{}", "it has no format, jobs, suite"),
         (b"[" * 100_000, "cut off, damaged or something else"),
-        (b'{"format": 5, "suite": {}, "jobs": []}', "is of format 5, this library reads 4: use the version"),
-        (b'{"format": 4, "suite": {}, "jobs": []}', "was damaged or changed after it was written"),
-        (b'{"format": 4, "suite": NaN, "jobs": [], "checksum": ""}', "NaN is not JSON"),
+        (b'{"format": 4, "suite": {}, "jobs": []}', "is of format 4, this library reads 5: use the version"),
+        (b'{"format": 5, "suite": {}, "jobs": []}', "was damaged or changed after it was written"),
+        (b'{"format": 5, "suite": NaN, "jobs": [], "checksum": ""}', "NaN is not JSON"),
     ],
 )
 def test_foreign_and_future_results_are_refused(tmp_path, content, message):
@@ -114,7 +114,7 @@ def test_a_change_anywhere_in_results_is_noticed(tmp_path_factory, data):
     keys = ["split", "episodes", "policies", "tuned_laws", "trials", "versions"]
     keys += ["records", "not_applicable", "failures", "leaderboard"]
     suite = {"target": "a", "list": [1.5, {"b": 2}]}
-    content = {"format": 4, "suite": suite, "jobs": [{"key": "x"}], "seed": 0, **dict.fromkeys(keys, 1)}
+    content = {"format": FORMAT, "suite": suite, "jobs": [{"key": "x"}], "seed": 0, **dict.fromkeys(keys, 1)}
     whole = {**content, "checksum": content_hash(content)}
     altered = changed(whole, data)
     if isinstance(altered, dict):

@@ -83,8 +83,9 @@ def compare(
     out: Annotated[
         Path | None,
         typer.Option(
-            help="Folder of results.json, results.csv, marl-eval.json (the format of marl-eval), report.html and the "
-            "finished jobs, from which an interrupted run goes on. With '--json -' nothing is written unless it is given.",
+            help="Folder of results.json, results.csv, marl-eval.json (the format of these tools), report.html and the "
+            "finished jobs, from which an interrupted run goes on. With '--json -' nothing is written unless it is "
+            "given.",
             show_default="results/comparison, or results/SUITE",
         ),
     ] = None,

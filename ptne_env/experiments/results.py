@@ -202,7 +202,7 @@ def statistics_of(samples: Samples) -> dict[str, tuple[FloatArray, Statistic]]:
 def records(
     track: str, policy: str, statistics: Mapping[str, tuple[FloatArray, Statistic]], episodes: int
 ) -> list[Record]:
-    """One record per metric. Workers call it, so it does not read :data:`METRICS`, which may be shorter there."""
+    """One record per metric."""
     return [
         {"track": track, "policy": policy, "metric": metric, **asdict(summary), "episodes": episodes}
         for metric, summary in summaries(statistics).items()

@@ -124,7 +124,7 @@ def run_suite(
     sets = {name: suite.episode_set(name, episodes, seed=seed, split=split) for name in names}
     runner = _Runner(None if folder is None else Store(folder), workers, progress, rerun=rerun)
     specs = [get_policy_spec(policy) for policy in policies]
-    return assemble(suite, target, specs, sets, against_laws=against_laws, run=runner, workers=workers)
+    return assemble(suite, target, specs, sets, against_laws=against_laws, run=runner)
 
 
 def assemble(
@@ -135,7 +135,6 @@ def assemble(
     *,
     against_laws: bool,
     run: Callable[[Sequence[Job]], list[JobResult]],
-    workers: Workers = Workers(),  # noqa: B008 - immutable
 ) -> Results:
     """The results of a suite from the results of its jobs, of which there may be stored ones only.
 
@@ -146,7 +145,6 @@ def assemble(
         episodes: the episode set of each track that is run, by name.
         against_laws: whether learned policies are compared with tuned laws.
         run: gives the results of jobs, in their order.
-        workers: compute the statistics.
 
     Raises:
         ValueError: for repeated names, or when no policy fits any track.
@@ -197,8 +195,6 @@ def assemble(
         for name in [*specs, *(law.name for law in tuned.get(track.name, {}).values())]
         if (track.name, name) in samples
     }
-    summarised = [(*place, statistics_of(found), episodes[place[0]].count) for place, found in ordered.items()]
-    tables = workers.gather(records, summarised)
     first = next(iter(episodes.values()))
     return Results(
         suite=suite,
@@ -213,7 +209,11 @@ def assemble(
         samples=ordered,
         not_applicable=not_applicable,
         failures=outcome.failures,
-        records=tuple(record for table in tables for record in table),
+        records=tuple(
+            record
+            for place, found in ordered.items()
+            for record in records(*place, statistics_of(found), episodes[place[0]].count)
+        ),
     )
 
 

@@ -74,6 +74,7 @@ def digit(value, data, random):
     return ("0" if value[0] != "0" else "1") + value[1:]
 
 
+SCALES = "results/leaderboard/scales/*"
 ROWS, OVERALL = "results/leaderboard/rows/*", "results/leaderboard/overall/*"
 POLICIES, RECORDS, LISTED = "results/policies/*", "results/records/*", "results/jobs/*"
 NAMES, TRACKS = another(f"{POLICIES}/name"), another("results/suite/tracks/*/name")
@@ -94,7 +95,6 @@ CHANGES = {
     "the score of a row": (f"{ROWS}/score/mean", more),
     "the interval of a score": (f"{ROWS}/score/low", more),
     "the improvement of a row": (f"{ROWS}/improvement/mean", more),
-    "the unpaired improvement of a row": (f"{ROWS}/unpaired_improvement", more),
     "the fine time of a row": (f"{ROWS}/fine_time", more),
     "the success of a row": (f"{ROWS}/success/*", more),
     "the policy of a row": (f"{ROWS}/policy", NAMES),
@@ -107,12 +107,16 @@ CHANGES = {
     "the thresholds of the profile": ("results/leaderboard/thresholds/*", more),
     "the errors of the success": ("results/leaderboard/errors/*", more),
     "a saturated track": ("results/leaderboard/saturated", same(["unseen-graphs"])),
-    "no common track": ("results/leaderboard/common", same([])),
+    "the full marks of a track": (f"{SCALES}/full_marks", more),
+    "the room of a track": (f"{SCALES}/room", more),
+    "a track without scores": (f"{SCALES}/has_scores", same(None)),
+    "the best known digits of a track": ("results/suite/tracks/*/best_known", same(3.0)),
     "no leaderboard": ("results/leaderboard", same(None)),
     "the name of a policy": (f"{POLICIES}/name", same("entirely new")),
     "the gain of a law": (f"{POLICIES}/training_seeds/*/arguments/kappa", more),
     "the class of a law": (f"{POLICIES}/training_seeds/*/target", another(f"{POLICIES}/training_seeds/*/target")),
     "the hash of a policy's file": (f"{POLICIES}/training_seeds/*/files/*", digit),
+    "the memory of a policy": (f"{POLICIES}/knowledge/memory", same("none")),
     "the interface of a policy": (f"{POLICIES}/interface/kind", same("local")),
     "the unit of a policy": (f"{POLICIES}/interface/action_scale", more),
     "a policy for other scenarios only": (f"{POLICIES}/scenarios", same(["elsewhere"])),

@@ -8,7 +8,7 @@ from small_suite import BASE, SMALL
 import ptne_env
 from ptne_env import FactorySpec, PolicySpec, evaluate, laws
 from ptne_env.experiments import COMPARED, default_policies, get_policy_spec, run_suite, suite_policies
-from ptne_env.experiments.policy_specs import ARCHIVE, foreign_code
+from ptne_env.experiments.policy_specs import ARCHIVE, KNOWLEDGE, foreign_code
 from ptne_env.experiments.suite import REFERENCES
 from ptne_env.observation import Interface
 from ptne_env.policies import shipped_path
@@ -165,18 +165,15 @@ def test_data_from_before_the_declaration_of_knowledge_are_read():
 @pytest.mark.parametrize(
     ("spec", "knowledge"),
     [
-        (get_policy_spec("static"), "own links"),
-        (get_policy_spec("adaptive"), "own links, memory"),
-        (get_policy_spec("oracle"), "everything"),
-        (
-            PolicySpec("mine", "object", ptne_env.Interface(estimates="coded")),
-            "own links, memory unknown, coded estimates",
-        ),
+        (get_policy_spec("static"), ("own links", "no", "honest")),
+        (get_policy_spec("adaptive"), ("own links", "yes", "honest")),
+        (get_policy_spec("oracle"), ("all", "no", "honest")),
+        (PolicySpec("mine", "object", ptne_env.Interface(estimates="coded")), ("own links", "unknown", "coded")),
         (
             PolicySpec("mine", FactorySpec.of("sample_laws:Any"), ptne_env.Interface(graph_knowledge="schedule")),
-            "schedule, memory unknown",
+            ("schedule", "unknown", "honest"),
         ),
     ],
 )
 def test_the_knowledge_of_a_policy_is_told_in_words(spec, knowledge):
-    assert spec.knowledge == knowledge
+    assert spec.knowledge == dict(zip(KNOWLEDGE, knowledge, strict=True))

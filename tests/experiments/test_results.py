@@ -83,6 +83,8 @@ def test_csv_repeats_the_records(results):
         assert row["metric"] == record["metric"]
         assert row["mean"] == ("" if record["mean"] is None else str(record["mean"]))
         assert row["content_hash"] == results.suite.content_hash
+        known = {"graphs": "all" if row["policy"] == "oracle" else "own links", "memory": "no", "estimates": "honest"}
+        assert {name: row[name] for name in known} == known
 
 
 @pytest.mark.parametrize("name", ["=1+1", "+1", "-1", "@SUM(A1)"])

@@ -215,14 +215,15 @@ def test_a_failing_policy_costs_its_own_jobs_alone():
         results.record("ring", "wrong", "digits")
 
 
-def test_a_policy_that_fails_on_a_track_has_no_overall_score_and_leaves_the_others_theirs():
+def test_a_policy_that_fails_on_a_track_counts_as_zero_input_there():
     once = Suite("once", (SMALL.tracks[0], Track("loop", BASE.replace(steps=121), "One more step.")), episodes=3)
     results = run_suite(once, ["grounded", PolicySpec("late", Late)])
     assert results.failures == {("loop", "late"): results.failures["loop", "late"]}
     assert results.failures["loop", "late"].startswith("step 120: RuntimeError: too late (test_run.py, line ")
-    assert "late" not in {row.policy for row in results.leaderboard.overall}
-    assert results.leaderboard.common == ("ring", "loop")
-    assert results.leaderboard.row("ring", "late").rank is not None
+    board = results.leaderboard
+    (late,) = (row for row in board.overall if row.policy == "late")
+    assert late.score.mean == pytest.approx(board.row("ring", "late").score.mean / 2)
+    assert board.row("loop", "late") is None
 
 
 class Late:

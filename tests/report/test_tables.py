@@ -8,13 +8,14 @@ import pytest
 from rich.cells import cell_len
 from rich.console import Console
 
-from ptne_env import evaluate
+from ptne_env import FactorySpec, PolicySpec, evaluate
 from ptne_env.experiments import METRICS, Metric, register
 from ptne_env.experiments.check import Check, Repetition
 from ptne_env.experiments.metrics import number, share
 from ptne_env.experiments.traces import scenes
+from ptne_env.observation import Interface
 from ptne_env.report import catalogue_tables, check_tables, page, result_tables
-from ptne_env.report.tables import overview, track_tables
+from ptne_env.report.tables import overview, summary_tables, track_tables
 
 
 def written(tables, width=172):
@@ -23,7 +24,7 @@ def written(tables, width=172):
     return stream.getvalue()
 
 
-@pytest.mark.parametrize("width", [80, 120, 172])
+@pytest.mark.parametrize("width", [80, 100, 172])
 def test_result_tables_fit_the_terminal_and_lose_nothing(comparison, suite, width):
     for results in (comparison, suite):
         text = written(result_tables(results, width), width)
@@ -77,10 +78,11 @@ def test_best_policy_comes_first_and_oracles_are_marked(comparison, suite):
     for results in (comparison, suite):
         for track in results.tracks:
             table = track_tables(results, track)[0]
-            ranked = [policy for policy, is_oracle in table.rows.items() if not is_oracle]
+            ranked = [policy for policy, division in table.rows.items() if division == "honest"]
             means = [results.record(track.name, policy, "digits")["mean"] for policy in ranked]
             assert means == sorted(means, reverse=True)
-            assert [policy for policy, is_oracle in table.rows.items() if is_oracle] == ["oracle"]
+            assert table.sections["oracle"] == ["oracle"]
+            assert list(table.rows)[-1] == "oracle"
         assert "oracle *" in written(result_tables(results))
 
 
@@ -89,7 +91,7 @@ def test_policy_that_cannot_act_is_listed_with_the_reason(suite):
     assert "ppo-random-energy" in plain.rows
     assert "ppo-random-energy" not in robots.rows
     assert robots.notes[0].startswith("n/a: ppo-random-energy: the policy was made for another layout")
-    column = next(column for column in overview(suite).columns if column.label == "robots")
+    column = next(column for column in summary_tables(suite)[1].columns if column.label == "robots")
     assert column["ppo-random-energy"].text == "n/a"
 
 
@@ -98,9 +100,11 @@ def test_overview_shows_the_scores_of_the_leaderboard(suite, comparison):
     columns = {column.label: column for column in table.columns}
     for row in suite.leaderboard.overall:
         assert columns["score"][row.policy].value == row.score.mean
-        assert columns["P(score > 1)"][row.policy].value == row.profile[suite.leaderboard.thresholds.index(1.0)]
+        assert columns["graphs"][row.policy].text == ("all" if row.policy == "oracle" else "own links")
+        assert columns["memory"][row.policy].text == ("yes" if row.policy == "adaptive" else "no")
+        assert columns["estimates"][row.policy].text == "honest"
     assert list(table.rows)[: len(suite.leaderboard.overall)] == [row.policy for row in suite.leaderboard.overall]
-    assert any("not over robots" in note for note in table.notes)
+    assert table.notes == ("Scores are means over 2 tracks; n/a and failed count as zero input.",)
     assert "score" not in {column.label for column in overview(comparison).columns}
 
 
@@ -109,6 +113,30 @@ def test_first_place_is_shared_within_a_tenth_of_a_digit(comparison):
     assert column["grounded"].value == len(comparison.tracks)
     assert column["zero-input"].value == 0
     assert column["oracle"].value is None
+
+
+def test_coded_entries_stand_apart_from_honest_ones_and_oracles():
+    coded = PolicySpec("code", FactorySpec.of("ptne_env.laws:Grounded"), Interface(estimates="coded"))
+    results = evaluate([coded, "static", "oracle", "grounded"], ["energy"], episodes=2, against_laws=False)
+    for table in [*summary_tables(results), track_tables(results, results.tracks[0])[0]]:
+        assert table.sections == {"honest": ["grounded", "static"], "coded": ["code"], "oracle": ["oracle"]}
+    estimates = next(column for column in overview(results).columns if column.label == "estimates")
+    assert [estimates[name].text for name in ("grounded", "code")] == ["honest", "coded"]
+    firsts = next(column for column in overview(results).columns if column.label == "first")
+    assert [firsts[name].value for name in ("grounded", "code")] == [2, 2]
+    text = written(result_tables(results))
+    assert "code †" in text
+    assert "† coded: " in text
+
+
+def test_room_table_names_the_tracks_on_which_little_is_left(suite):
+    room = summary_tables(suite)[2]
+    assert list(room.rows) == [track.name for track in suite.tracks]
+    columns = {column.label: column for column in room.columns}
+    for scale in suite.leaderboard.scales:
+        assert columns["best honest"][scale.track].value == scale.best_digits
+        assert columns["room"][scale.track].value == scale.room == pytest.approx(12 - scale.best_digits)
+        assert (scale.track in room.notes[0]) == (scale.room < 1)
 
 
 def test_learned_policy_stands_beside_the_tuned_laws():
@@ -127,7 +155,8 @@ def test_learned_policy_stands_beside_the_tuned_laws():
 
 def test_suite_without_scores_has_a_table_over_all_tracks(suite):
     unscored = replace(suite)
-    unscored.__dict__["leaderboard"] = replace(suite.leaderboard, overall=(), common=())
+    scales = tuple(replace(scale, has_scores=False) for scale in suite.leaderboard.scales)
+    unscored.__dict__["leaderboard"] = replace(suite.leaderboard, overall=(), scales=scales)
     table = overview(unscored)
     assert table.notes[0].startswith("No track has scores")
     assert set(table.rows) == set(suite.policies)
