@@ -11,7 +11,7 @@ import numpy.typing as npt
 from ptne_env.arrays import BoolArray, FloatArray, frozen, ordered_sum, require_non_negative
 from ptne_env.games.affine import AffineGame, RandomAffine, times
 from ptne_env.games.base import Game, merged_parameters
-from ptne_env.games.family import GameFamily
+from ptne_env.games.family import GameFamily, require_strong_monotonicity
 from ptne_env.games.variational import solve_box
 
 
@@ -115,50 +115,40 @@ class SaturatingGame(AffineGame):
 
 
 class RandomSaturating(GameFamily):
-    """Games that are not affine: :class:`SaturatingGame` with A and x* of :class:`RandomAffine`.
+    """Games that are not affine: :class:`SaturatingGame` with A and x* of a strongly monotone affine family.
 
-    M has m rows with independent normal entries of variance c/n, so that saturated prices take up to c m/n off the
-    slope of F; r = M x* + U(−2, 2), so that prices near x* are neither linear nor constant. ε ≥ ``epsilon``.
+    M has n rows with independent normal entries of variance c/n, so the slope of F in each direction falls by about c
+    where all prices are saturated; r = M x* + U(−2, 2), so prices near x* are neither linear nor constant. F is
+    strongly monotone with the ε of the affine game.
 
     Args:
-        players: N ≥ 2.
-        epsilon: ε > 0 of A.
-        asymmetry: of A, ≥ 0.
-        spread: of A, ≥ 0.
-        scale: half-width of the box of equilibria, above 0.
-        action_dim: n_i, one number for all or one per player.
+        affine: the family, without bounds; ``RandomAffine()`` if left out.
         bend: c ≥ 0; 0 gives affine games.
 
     Raises:
-        ValueError: for a number out of range.
+        ValueError: when the family is not affine, not strongly monotone or has bounds, or c is negative.
     """
 
     is_strongly_monotone = True
 
-    def __init__(
-        self,
-        players: int = 5,
-        epsilon: float = 1.0,
-        asymmetry: float = 1.0,
-        spread: float = 2.0,
-        scale: float = 10.0,
-        action_dim: int | Sequence[int] = 1,
-        bend: float = 3.0,
-    ) -> None:
-        self.bend = require_non_negative("bend", bend)
-        self._affine = RandomAffine(players, epsilon, asymmetry, spread, scale, action_dim)
-        if self._affine.epsilon == 0:
-            raise ValueError("RandomSaturating needs epsilon > 0")
+    def __init__(self, affine: GameFamily | None = None, bend: float = 3.0) -> None:
+        self._affine, self.bend = affine or RandomAffine(), require_non_negative("bend", bend)
+        typical = self._affine.representative
+        if not typical.is_affine or typical.has_bounds or self._affine.is_strongly_monotone is False:
+            raise ValueError(
+                "RandomSaturating needs a family of affine games without bounds that are strongly monotone, such as "
+                f"RandomAffine(), got {type(self._affine).__name__}"
+            )
         self.representative = self.draw([np.random.default_rng(0)])
 
     def draw(self, generators: Sequence[np.random.Generator]) -> Game:
         """One game per generator."""
         affine = self._affine.draw(generators)
-        if not isinstance(affine, AffineGame):
-            raise TypeError(f"RandomAffine draws affine games, got {type(affine).__name__}")
+        require_strong_monotonicity(affine)
         n, equilibria = affine.dimension, affine.nash_equilibria
         prices = np.stack([generator.normal(size=(n, n)) for generator in generators], axis=-1)
         prices = prices * np.sqrt(self.bend / n)
         offset = np.stack([generator.uniform(-2, 2, n) for generator in generators], axis=-1)
         shift = times(prices, equilibria) + offset
-        return SaturatingGame(affine.matrix, prices, shift, equilibria, affine.action_dims)
+        matrix = np.asarray(affine.jacobian(equilibria), dtype=np.float64)
+        return SaturatingGame(matrix, prices, shift, equilibria, affine.action_dims)

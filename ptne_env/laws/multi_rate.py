@@ -9,6 +9,7 @@ import numpy as np
 
 from ptne_env.arrays import BoolArray, FloatArray, require_non_negative, require_positive
 from ptne_env.laws.base import Law, per_step
+from ptne_env.laws.identification import RESOLUTION
 from ptne_env.laws.memory import Parts
 from ptne_env.laws.routed import nearer_slots, routed_inputs
 from ptne_env.observation import Interface, Observation, ObservationLayout
@@ -18,6 +19,9 @@ _PROBES = 2
 
 _FLAT = 0.1
 """A gradient that answers to an own move with less than this curvature, in units of gradient per strategy, is flat."""
+
+_VISIBLE = 8.0
+"""Resolutions of observations that an answer must exceed to be seen."""
 
 
 def multi_rate_inputs(
@@ -37,7 +41,8 @@ def multi_rate_inputs(
     integral feedback of the violation, which damps its oscillation with the strategies and makes up for delays.
 
     A player learns its role in the first two steps, in which copies rest and it moves by −η g_i and back: the cost of
-    an operator is linear, so its gradient does not answer. One of the two moves at least is not held by a bound.
+    an operator is linear, so its gradient does not answer. One of the two moves at least is not held by a bound. A
+    player that cannot move is none.
 
     Args:
         observation: of R players.
@@ -50,16 +55,26 @@ def multi_rate_inputs(
     Returns:
         Inputs, shape (R, n), and the memory for the next step.
     """
-    gradient, before, count = observation.gradient * observation.unit, memory["gradient"], memory["steps"]
-    change, size = (np.abs(part).max(axis=1, keepdims=True) for part in (gradient - before, before))
-    is_probed = (count > 0) & (count <= _PROBES)
-    answers = np.where(is_probed & (change > _FLAT * step * size), 1.0, memory["answers"])
-    ahead = np.where(answers > 0, gradient, gradient + lead * (gradient - before)) / observation.unit
-    steps = np.where(answers > 0, step, price_step)
-    inputs = routed_inputs(observation._replace(gradient=ahead), sources, steps)
-    probe = np.where(count == 0, -gradient, before) * step / observation.unit
-    inputs = np.where(count < _PROBES, per_step(probe, observation), inputs)
-    return inputs, {"gradient": gradient, "answers": answers, "steps": count + 1}
+    gradient, estimate, count = observation.gradient, observation.own_estimate, memory["steps"]
+    before = memory["gradient"]
+    change, moved = (_largest(part) for part in (gradient - before, estimate - memory["estimate"]))
+    resolution = RESOLUTION * (_largest(gradient) + _largest(before) + _largest(estimate))
+    is_informative = (count > 0) & (count <= _PROBES) & (_FLAT * moved > _VISIBLE * resolution)
+    is_price = np.where(is_informative, change <= _FLAT * moved, memory["is_price"] > 0)
+    ahead = np.where(is_price, gradient + lead * (gradient - before), gradient)
+    inputs = routed_inputs(observation._replace(gradient=ahead), sources, np.where(is_price, price_step, step))
+    probe = per_step(np.where(count == 0, -gradient, before) * step, observation)
+    return np.where(count < _PROBES, probe, inputs), {
+        "gradient": gradient,
+        "estimate": estimate,
+        "is_price": is_price.astype(np.float64),
+        "steps": count + 1,
+    }
+
+
+def _largest(array: FloatArray) -> FloatArray:
+    """The largest |entry| of each row, (R, n) to (R, 1)."""
+    return np.abs(array).max(axis=1, keepdims=True)
 
 
 class MultiRate(Law):
@@ -74,16 +89,17 @@ class MultiRate(Law):
     In games without operator it is :class:`~ptne_env.laws.Routed` after its two probing steps.
 
     Args:
-        layout: of the environment, with the knowledge of the law's interface.
+        layout: of the environment, interface ``physical``, with hop counts.
         step: η > 0 of the players.
         price_step: η_μ > 0 of the operators.
         lead: δ ≥ 0 of the operators.
 
     Raises:
-        LayoutError: for a layout without hop counts.
+        LayoutError: for a layout without hop counts or own estimates.
         ValueError: for a number out of range.
     """
 
+    needs: ClassVar[tuple[str, ...]] = ("own_estimate",)
     interface: ClassVar[Interface] = Interface(graph_knowledge="union")
 
     def __init__(
@@ -93,10 +109,11 @@ class MultiRate(Law):
         self.step, self.price_step = require_positive("step", step), require_positive("price_step", price_step)
         self.lead = require_non_negative("lead", lead)
         self._nearer = nearer_slots(layout)
-        self._parts = Parts({"gradient": (layout.dimension,), "answers": (1,), "steps": (1,)})
+        n = layout.dimension
+        self._parts = Parts({"gradient": (n,), "estimate": (n,), "is_price": (1,), "steps": (1,)})
 
     def initial_memory(self, rows: int) -> FloatArray:
-        """Nothing seen, shape (R, n + 2)."""
+        """Nothing seen, shape (R, 2 n + 2)."""
         return self._parts.join(self._parts.zeros(rows))
 
     def inputs(self, observation: Observation, memory: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -349,15 +349,18 @@ def _hop_counts(constants: ProblemConstants) -> IntArray:
 
 @condition.register
 def multi_rate_condition(law: MultiRate, constants: ProblemConstants) -> Condition:
-    """A fixed graph, and ρ < 1 of primal-dual play with delays equal to hop counts, as if no bound were active.
+    """F monotone, a fixed graph, and ρ < 1 of primal-dual play with delays, the hop counts, as if no bound were active.
 
     Operators are the players whose own block of dF is 0. The loop is exact where all prices of x* are positive and no
     other bound is active.
     """
     delays = _hop_counts(constants)
-    is_fixed = _fixed_graph(constants)
-    if not is_fixed.holds or len(delays) * (delays.max() + 2) > _LARGEST_SYSTEM:
-        return is_fixed
+    monotone = Condition.above(
+        "F is monotone: ε ≥ 0", constants.epsilon, np.nextafter(0.0, -1.0), exact=constants.exact
+    )
+    needed = decisive(monotone, _fixed_graph(constants))
+    if not needed.holds or len(delays) * (delays.max() + 2) > _LARGEST_SYSTEM:
+        return needed
     own = constants.owners[:, None] == constants.owners
     is_price = ~np.any(np.where(own, constants.jacobian, 0.0), axis=1)
     steps, leads = np.where(is_price, law.price_step, law.step), np.where(is_price, law.lead, 0.0)

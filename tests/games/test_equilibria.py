@@ -21,7 +21,10 @@ from ptne_env.games import (
     SparseGame,
 )
 
-FAMILIES = {"sparse": RandomSparse(players=20), "saturating": RandomSaturating(action_dim=(1, 2, 3, 1, 2))}
+FAMILIES = {
+    "sparse": RandomSparse(players=20),
+    "saturating": RandomSaturating(RandomAffine(action_dim=(1, 2, 3, 1, 2))),
+}
 
 
 @pytest.mark.parametrize("family", FAMILIES.values(), ids=FAMILIES.keys())
@@ -73,7 +76,7 @@ def test_saturating_game_without_bend_is_affine():
 
 
 def test_saturating_games_have_the_sampled_constants_that_are_promised():
-    game = RandomSaturating(epsilon=0.7).representative
+    game = RandomSaturating(RandomAffine(epsilon=0.7)).representative
     constants = theory.monotonicity_constants(game)
     assert constants.epsilon >= 0.7
     assert (

@@ -47,8 +47,8 @@ DRAWN = {
     "merely monotone": RandomAffine(epsilon=0.0),
     "coupled constraint on energy": CoupledConstraint(RandomEnergy()),
     "coupled constraint on one game": CoupledConstraint(EnergyGame(), lines=1),
-    "saturating": RandomSaturating(players=4),
-    "saturating, players of different dimensions": RandomSaturating(players=3, action_dim=(2, 1, 3)),
+    "saturating": RandomSaturating(RandomEnergy(4)),
+    "saturating, players of different dimensions": RandomSaturating(RandomAffine(players=3, action_dim=(2, 1, 3))),
     "sparse": RandomSparse(players=12, reach=2),
     "several equilibria": RandomCoordination(),
 }
@@ -206,7 +206,13 @@ def test_worlds_play_families_that_declare_that_they_are_not_strongly_monotone()
     [
         (RandomAffine, {"action_dim": (1, 2)}, r"one number for all, or one per player \(5\), got \(1, 2\)"),
         (RandomAffine, {"epsilon": -1.0}, "epsilon must be a finite number of at least 0"),
-        (RandomSaturating, {"epsilon": 0.0}, "needs epsilon > 0"),
+        (
+            RandomSaturating,
+            {"affine": RandomAffine(epsilon=0.0)},
+            "affine games without bounds that are strongly monotone",
+        ),
+        (RandomSaturating, {"affine": RandomAffine(low=0.0)}, "affine games without bounds"),
+        (RandomSaturating, {"affine": RandomCoordination()}, "affine games without bounds"),
         (RandomSaturating, {"bend": -1.0}, "bend must be"),
         (RandomSparse, {"players": 4}, "players must be a whole number of at least 5"),
         (RandomSparse, {"coupling": 1.0}, "coupling must be below 1"),

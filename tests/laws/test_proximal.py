@@ -1,5 +1,7 @@
 """Proximal best response: its iteration, its condition, and the digits that it reaches."""
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 from affine_games import affine_scenario, loop_start, random_affine, run
@@ -42,7 +44,7 @@ def test_iteration_is_the_proximal_point_once_rows_are_identified(seed):
     gaps = [
         np.linalg.norm(proximal_point(matrix, offset, np.arange(4), adjacency, now, 1.0, mixing) - following)
         / np.linalg.norm(following - now)
-        for now, following in zip(states[25:40], states[26:41], strict=True)
+        for now, following in pairwise(states[25:41])
     ]
     assert max(gaps) < 1e-2
     fixed = proximal_point(
