@@ -8,6 +8,7 @@ import re
 from dataclasses import replace
 from statistics import NormalDist
 
+import networkx as nx
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -341,6 +342,133 @@ def test_zero_faults_are_the_perfect_channel():
             actions = np.random.default_rng(0).uniform(-1, 1, (3, 5, 5)).astype(np.float32)
             inputs = [encoder.decode(actions, state) for encoder, state in zip(encoders, states, strict=True)]
             states = [dynamics.step(plain, states[0], inputs[0]), dynamics.step(faulty, states[1], inputs[1])]
+
+
+# --- one-way links and lies -------------------------------------------------------------------------------------------
+
+
+def open_arcs(world, state, b):
+    """The directed graph of the arcs (sender, receiver) with positive weight in environment b."""
+    arcs = nx.DiGraph()
+    arcs.add_nodes_from(range(world.game.num_players))
+    weights = dynamics.weights(world, state)[:, :, b]
+    arcs.add_edges_from((int(world.neighbours[d, i]), i) for d, i in np.argwhere(weights > 0).tolist())
+    return arcs
+
+
+POOL = FactorySpec.of("ptne_env.switching:random_graphs", players=5, probability=0.5)
+
+
+@pytest.mark.parametrize("share", [0.0, 0.5, 1.0])
+@pytest.mark.parametrize("topology", [None, POOL])
+def test_one_way_links_leave_a_strongly_connected_graph(topology, share):
+    part = channel_part("OneWayLinks", share=share)
+    world = World(FIXED.replace(channel=part, **({} if topology is None else {"topology": topology})))
+    state = begin(world, range(40))
+    one_way = total = 0
+    for b in range(40):
+        arcs = open_arcs(world, state, b)
+        assert nx.is_strongly_connected(arcs)
+        links = arcs.to_undirected()
+        assert links.size() == len(world.topology.graphs[int(dynamics.active_mode(world, state)[b])].edges)
+        one_way, total = one_way + sum(not arcs.has_edge(j, i) for i, j in arcs.edges), total + links.size()
+    if topology is None:  # in a cycle all links can be one-way
+        assert stats.binomtest(one_way, total, share).pvalue > FALSE_ALARM
+    assert (one_way == 0) == (share == 0)
+    later = dynamics.step(world, state, np.zeros_like(state.estimates))
+    np.testing.assert_array_equal(dynamics.weights(world, later), dynamics.weights(world, state))
+
+
+def test_every_arc_that_may_close_is_closed_when_all_links_are_chosen():
+    world = World(FIXED.replace(topology=POOL, channel=channel_part("OneWayLinks", share=1.0)))
+    state = begin(world, range(20))
+    for b in range(20):
+        arcs = open_arcs(world, state, b)
+        for i, j in [(i, j) for i, j in arcs.edges if arcs.has_edge(j, i)]:
+            less = arcs.copy()
+            less.remove_edge(i, j)
+            assert not nx.is_strongly_connected(less)
+
+
+def test_one_way_links_of_a_switching_topology_connect_over_time():
+    world = World(SWITCHING.replace(channel=channel_part("OneWayLinks", share=1.0)))
+    state = begin(world, range(10))
+    seen = [open_arcs(world, state, b) for b in range(10)]
+    for _ in range(world.clock.total_steps):
+        state = dynamics.step(world, state, np.zeros_like(state.estimates))
+        seen = [nx.compose(arcs, open_arcs(world, state, b)) for b, arcs in enumerate(seen)]
+    assert all(nx.is_strongly_connected(arcs) for arcs in seen)
+    assert all(not arcs.has_edge(j, i) for arcs in seen for i, j in arcs.edges)
+
+
+def test_a_closed_arc_delivers_nothing():
+    world = World(FIXED.replace(channel=channel_part("OneWayLinks", share=1.0)))
+    state = begin(world, range(5))
+    closed = dynamics.weights(world, state) == 0
+    assert closed.sum() == 25  # one of the two directions of each of the five links, in each of five episodes
+    relative = dynamics.relative_estimates(world, state)
+    assert not relative.swapaxes(0, 1)[:, closed].any()
+    assert relative.swapaxes(0, 1)[:, ~closed].all()
+
+
+@pytest.mark.parametrize("scenario", [FIXED, BLOCKS_SWITCHING])
+def test_one_player_lies_about_components_of_others_alone(scenario):
+    world = World(scenario.replace(channel=channel_part("Lying", size=3.0)))
+    states = [begin(world, range(30))]
+    for _ in range(4):
+        states.append(dynamics.step(world, states[-1], np.ones_like(states[-1].estimates)))
+    liars, told = set(), []
+    for b in range(30):
+        found = {}
+        for state in states:
+            lies = state.received.messages[..., b] - dynamics.sent_messages(world, state.estimates)[..., b]
+            for slot, component, receiver in np.argwhere(np.abs(lies) > 1e-9).tolist():
+                sender = int(world.neighbours[slot, receiver])
+                assert world.game.owners[component] != sender
+                found.setdefault((sender, component), []).append(lies[slot, component, receiver])
+        assert len({sender for sender, _ in found}) == 1
+        liars |= {sender for sender, _ in found}
+        (liar,) = {sender for sender, _ in found}
+        assert len(found) == world.game.dimension - world.game.action_dims[liar]
+        for values in found.values():  # the same for every neighbour and in every step
+            assert np.ptp(values) < 1e-9
+            told.append(values[0])
+    assert liars == set(range(world.game.num_players))
+    assert 2.5 < np.abs(told).max() < 3
+    assert stats.kstest(told, stats.uniform(-3, 6).cdf).pvalue > FALSE_ALARM
+
+
+def test_the_lying_player_can_be_given():
+    world = World(FIXED.replace(channel=channel_part("Lying", size=3.0, player=2)))
+    state = begin(world, range(10))
+    lies = state.received.messages != dynamics.sent_messages(world, state.estimates)
+    assert set(world.neighbours[np.nonzero(lies.any(axis=(1, 3)))].tolist()) == {2}
+    with pytest.raises(ValueError, match=r"the lying player is 0\.\.4 in a game of 5 players, got 5"):
+        begin(World(FIXED.replace(channel=channel_part("Lying", size=3.0, player=5))), [0])
+
+
+@pytest.mark.parametrize(
+    ("kind", "arguments"),
+    [("OneWayLinks", {"share": 1.1}), ("Lying", {"size": 0.0}), ("Lying", {"size": 1, "player": -1})],
+)
+def test_invalid_shares_and_lies_are_refused(kind, arguments):
+    with pytest.raises(ValueError, match=list(arguments)[-1]):
+        channel_part(kind, **arguments).build()
+
+
+def test_new_stages_combine_with_others_through_json_and_merge():
+    stages = [channel_part("Lying", size=3.0), EVERY_FAULT, channel_part("OneWayLinks", share=0.7)]
+    scenario = FAULTY.replace(channel=channel_part("Chain", stages=stages))
+    world = World(Scenario.from_json(scenario.to_json()))
+    first, second = begin(world, [1, 2, 3]), begin(world, [4])
+    mask = np.array([False, True, False])
+    mixed, expected = dynamics.merge(first, second, mask), begin(world, [1, 4, 3])
+    inputs = np.ones_like(mixed.estimates)
+    for _ in range(6):
+        mixed, expected = dynamics.step(world, mixed, inputs), dynamics.step(world, expected, inputs)
+        np.testing.assert_array_equal(mixed.received.messages, expected.received.messages)
+        np.testing.assert_array_equal(mixed.received.weights, expected.received.weights)
+        np.testing.assert_array_equal(mixed.own_gradients, expected.own_gradients)
 
 
 # --- statistics of draws ----------------------------------------------------------------------------------------------

@@ -311,6 +311,52 @@ def test_invalid_link_probabilities_are_refused(probability):
         switching.random_edges(graphs.cycle(4), probability, 1.0)
 
 
+@pytest.mark.parametrize("clock", ["physical", "transformed"])
+def test_random_subgraphs_are_connected_and_switch_on_either_clock(clock):
+    host = graphs.random_regular(50, 6, seed=1)
+    kept = switching.random_subgraphs(host, 0.3, modes=20, seed=2)
+    switching_ones = switching.random_subgraphs(host, 0.3, dwells=(0.1, 0.2), modes=20, seed=2, clock=clock)
+    assert kept.graphs == switching_ones.graphs
+    assert kept.joint_connectivity == switching_ones.joint_connectivity == "always"
+    assert len(set(kept.graphs)) == 20
+    assert (kept.union.adjacency <= host.adjacency).all()
+    assert kept.union.largest_degree <= 6
+    assert switching_ones.clock == clock
+    schedules = switching_ones.draw(np.linspace(0, 2, 50), generators(2)).modes.T
+    assert not np.array_equal(*schedules)
+    assert len(set(schedules[0].tolist())) > 5
+    links = np.mean([len(graph.edges) for graph in kept.graphs])
+    tree, others = 49, 150 - 49
+    assert abs(links - (tree + 0.3 * others)) < 6 * np.sqrt(others * 0.21 / 20)
+
+
+def test_random_subgraphs_keep_weights_and_end_in_trees():
+    weighted = graphs.Graph([[0, 2.0, 3.0], [2.0, 0, 5.0], [3.0, 5.0, 0]])
+    trees = switching.random_subgraphs(weighted, 0.0, modes=30)
+    assert {len(graph.edges) for graph in trees.graphs} == {2}
+    assert len(set(trees.graphs)) == 3
+    assert trees.union == weighted
+    assert set(switching.random_subgraphs(weighted, 1.0, modes=2).graphs) == {weighted}
+
+
+def test_random_subgraphs_of_a_disconnected_graph_are_refused():
+    with pytest.raises(ValueError, match="add links between its components"):
+        switching.random_subgraphs(graphs.from_edges(4, [(0, 1), (2, 3)]), 0.5)
+
+
+def test_a_game_of_200_players_on_random_sparse_graphs_is_small():
+    host = FactorySpec.of("ptne_env.graphs:random_regular", players=200, degree=4)
+    world = World(
+        get_scenario(
+            "random-energy",
+            topology=FactorySpec.of("ptne_env.switching:random_subgraphs", graph=host, probability=0.5, modes=10),
+            game=FactorySpec.of("ptne_env.games:RandomEnergy", players=200),
+        )
+    )
+    assert world.slots <= 4
+    assert world.topology.is_random
+
+
 def random_scenario(**arguments):
     part = FactorySpec.of(
         "ptne_env.switching:random_edges", graph=FactorySpec.of("ptne_env.graphs:cycle", players=5), **arguments

@@ -225,8 +225,8 @@ for _metric in (
     Metric("digits_after_hold", "digits after hold", "−log10 of the estimate distance after the hold phase, at most 12",
            "higher", value=_digits_after_hold),
     Metric("tracking_digits", "tracking digits",
-           "−log10 of the mean over time of the estimate distance from a drifting equilibrium, after the deadline, or in "
-           "the second half of [0, T] where no hold phase follows", "higher", value=_tracking_digits),
+           "−log10 of the mean over time of the estimate distance from a drifting equilibrium, after the deadline or, "
+           "without a hold phase, in the second half of [0, T]", "higher", value=_tracking_digits),
     Metric("digits_gained", "digits gained",
            "mean over players of the summed digits reward, to the end of the episode", "higher",
            value=lambda rollout: rollout["mean_digits"][1] - rollout["mean_digits"][0]),

@@ -125,11 +125,11 @@ def _limits() -> tuple[Track, ...]:
     return (
         _track(
             "sensor",
-            "Own gradients are measured with noise of standard deviation 0.1, and messages carry noise 0.05.",
-            sensor=FactorySpec.of("ptne_env.sensor:GradientNoise", std=0.1),
+            "Own gradients are measured with noise of standard deviation 0.08, and messages carry noise 0.05.",
+            sensor=FactorySpec.of("ptne_env.sensor:GradientNoise", std=0.08),
             channel=_noisy(0.05),
         ),
-        _track("tight-input", "Inputs are limited to 2.", input_limit=2.0),
+        _track("tight-input", "Inputs are limited to 1.8, which leaves little time to spare.", input_limit=1.8),
         _track(
             "short-deadline",
             "A tenth of the time in a tenth of the steps: T = 0.12, 30 steps.",
@@ -190,8 +190,8 @@ def _games() -> tuple[Track, ...]:
             topology=_fixed("cycle", players=6),
             slots=None,
         ),
-        _track("crowd-50", "50 players on a sparse graph: 10 episodes of 200 steps.", **_crowd(50, 200, 10)),
-        _track("crowd-200", "200 players on a sparse graph: 2 episodes of 100 steps.", **_crowd(200, 100, 2)),
+        _track("crowd-50", "50 players on a sparse graph: 20 episodes of 200 steps.", **_crowd(50, 200, 20)),
+        _track("crowd-200", "200 players on a sparse graph: 4 episodes of 100 steps.", **_crowd(200, 100, 4)),
     )
 
 

@@ -59,7 +59,7 @@ class Scene:
         gain: g(t) in 1/s, shape (F,).
         deadline_frame: index of the instant T.
         owners: the player that owns each component, shape (n,).
-        equilibrium: x* of the first episode, shape (n,).
+        equilibrium: x* of the first episode, which moves where the game drifts, shape (n, F).
         links: pairs of players that are ever neighbours, shape (L, 2).
         live: whether each link is up in the first episode, shape (L, F).
         episodes: number of episodes behind the errors.
@@ -170,7 +170,7 @@ def scene(
         gain=clock.transformation.gain(t, clock.gain),
         deadline_frame=deadline,
         owners=world.game.owners,
-        equilibrium=start.game.nash_equilibria[:, 0],
+        equilibrium=np.stack(watch.equilibria, axis=-1),
         links=links,
         live=live.T,
         episodes=dynamics.batch_size(start),
@@ -179,12 +179,17 @@ def scene(
 
 
 class _Watch:
-    """Keeps some instants of the first episode of a rollout."""
+    """Keeps some instants of the first episode of a rollout.
+
+    Attributes:
+        equilibria: x* at each of them, shape (n,) each.
+    """
 
     def __init__(self, world: World, frames: IntArray) -> None:
         self._world = world
         self._owners = world.game.owners
         self._frames = frozenset(frames.tolist())
+        self.equilibria: list[FloatArray] = []
         self._estimates: list[FloatArray] = []
         self._inputs: list[FloatArray] = []
         self._gains: list[FloatArray] = []
@@ -192,6 +197,7 @@ class _Watch:
     def __call__(self, state: State, inputs: FloatArray | None) -> None:
         if int(state.step[0]) not in self._frames:
             return
+        self.equilibria.append(state.game.nash_equilibria[:, 0])
         self._estimates.append(state.estimates[:, :, 0].copy())
         components, players = np.arange(len(self._owners)), np.arange(state.estimates.shape[1])
         if inputs is None:

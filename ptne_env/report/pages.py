@@ -325,7 +325,7 @@ def scene_data(scene: Scene, shown: Sequence[str]) -> dict[str, Any]:
     changes = np.flatnonzero(np.r_[True, (np.diff(scene.live.astype(np.int8), axis=1) != 0).any(axis=0)])
     components = np.arange(len(scene.owners))
     offsets = {
-        name: trace.estimates - scene.equilibrium[:, None, None] for name, trace in scene.traces.items()
+        name: trace.estimates - scene.equilibrium[:, None] for name, trace in scene.traces.items()
     }  # from x*, so that float32 keeps the last digits of small distances
     return {
         "shown": list(shown),
@@ -335,7 +335,7 @@ def scene_data(scene: Scene, shown: Sequence[str]) -> dict[str, Any]:
         "deadline": scene.deadline_frame,
         "players": scene.num_players,
         "owners": scene.owners.tolist(),
-        "equilibrium": _rounded(scene.equilibrium, 6),
+        "equilibrium": _rounded(scene.equilibrium[:, 0], 6),
         "links": scene.links.tolist(),
         "live": [[int(frame), np.flatnonzero(scene.live[:, frame]).tolist()] for frame in changes],
         "episodes": scene.episodes,

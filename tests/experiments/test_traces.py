@@ -29,7 +29,17 @@ def test_the_first_episode_is_the_environments_own():
     assert instants[-1] == clock.total_steps
     for frame, instant in enumerate(instants):
         np.testing.assert_array_equal(trace.estimates[..., frame], kept[instant].T)
-    np.testing.assert_array_equal(scene.equilibrium, env.nash_equilibrium)
+    np.testing.assert_array_equal(scene.equilibrium, np.tile(env.nash_equilibrium[:, None], scene.t.size))
+
+
+def test_the_equilibrium_of_a_scene_drifts_with_the_game():
+    drift = FactorySpec.of("ptne_env.drift:ConstantVelocity", speed=2.0)
+    results = evaluate(["static"], [get_scenario("energy", name="drifting", drift=drift)], episodes=2)
+    (scene,) = scenes(results).values()
+    errors = scene.traces["static"].estimates - scene.equilibrium[:, None]
+    found = np.sqrt((errors**2).sum(axis=(0, 1)) / 5) / np.linalg.norm(scene.equilibrium[:, 0])
+    np.testing.assert_allclose(found, scene.traces["static"].error, rtol=1e-9)
+    assert np.abs(np.diff(scene.equilibrium)).max() > 0
 
 
 def test_errors_are_quantiles_of_the_samples():

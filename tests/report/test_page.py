@@ -221,7 +221,7 @@ def test_figures_hold_the_first_episode(comparison_report, pages):
         scene = comparison_report.scenes[section.name]
         frames = len(scene.t)
         offsets = np.frombuffer(b64decode(drawn["traces"]["static"]["estimates"]), "<f4").reshape(5, 5, frames)
-        expected = scene.traces["static"].estimates - scene.equilibrium[:, None, None]
+        expected = scene.traces["static"].estimates - scene.equilibrium[:, None]
         np.testing.assert_allclose(offsets, expected, rtol=1e-6)
         for frame in range(frames):
             live = [links for start, links in drawn["live"] if start <= frame][-1]
