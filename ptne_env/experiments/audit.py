@@ -14,6 +14,23 @@ WITNESSES = 8
 """Most witnesses of a thorough audit."""
 
 
+NOT_ROW_WISE = (
+    "its decisions are not row-wise: with other rows in the batch it decides differently. A decision may depend on the "
+    "player's own observation and memory alone, and must repeat bit for bit"
+)
+"""Why a policy fails whose witness got other rows."""
+
+USES_OTHER_LINKS = (
+    "it uses links of other players: with the neighbours of one player alone it decides differently for that player. "
+    "A decision may depend on the player's own row of layout.neighbours alone; a policy that uses others declares "
+    "graph_knowledge='union'"
+)
+"""Why a policy fails whose witness was built from what one player knows, after its other witness agreed."""
+
+OWN_LINKS_EPISODES = 16
+"""Most episodes of a witness that was built from what one player knows."""
+
+
 class Witness:
     """A second, fresh policy that receives a sample of the rows and must decide the same, bit for bit.
 
@@ -23,10 +40,11 @@ class Witness:
     Args:
         policy: a fresh policy; of foreign code, in a fresh process.
         rows: indices of the rows of the batch that it receives, in its own order.
+        reason: of the failure when a decision differs.
     """
 
-    def __init__(self, policy: Policy, rows: IntArray) -> None:
-        self._policy, self._rows = policy, rows
+    def __init__(self, policy: Policy, rows: IntArray, reason: str = NOT_ROW_WISE) -> None:
+        self._policy, self._rows, self._reason = policy, rows, reason
         self._memory: Any = None
         self._starts = np.ones(len(rows), dtype=np.bool_)
 
@@ -45,10 +63,7 @@ class Witness:
         )
         self._starts = np.zeros_like(self._starts)
         if not np.array_equal(np.asarray(again), actions[self._rows]):
-            raise PolicyError(
-                "its decisions are not row-wise: with other rows in the batch it decides differently. A decision may "
-                "depend on the player's own observation and memory alone, and must repeat bit for bit"
-            )
+            raise PolicyError(self._reason)
 
 
 def sample_rows(episodes: int, players: int, *, thorough: bool) -> list[IntArray]:
@@ -67,3 +82,15 @@ def sample_rows(episodes: int, players: int, *, thorough: bool) -> list[IntArray
     chosen, order = generator.permutation(episodes), generator.permutation(players)
     first = np.arange(episodes) * witnesses  # an episode goes on where the one before ends
     return [chosen * players + order[(first + witness) % players] for witness in range(witnesses)]
+
+
+def rows_of_one(episodes: int, players: int) -> tuple[int, IntArray]:
+    """The place of one player among those for which the policy decides, chosen afresh, and some of its rows.
+
+    Args:
+        episodes: of the batch, as for :func:`sample_rows`.
+        players: number of players for which the policy decides.
+    """
+    generator = np.random.default_rng()
+    place = int(generator.integers(players))
+    return place, generator.permutation(episodes)[:OWN_LINKS_EPISODES] * players + place

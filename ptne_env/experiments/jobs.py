@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import platform
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from contextlib import ExitStack
 from dataclasses import asdict, dataclass
 from functools import cached_property, lru_cache
@@ -15,14 +15,14 @@ import numpy as np
 from ptne_env.arrays import FloatArray
 from ptne_env.dynamics import State
 from ptne_env.encoder import make_encoder
-from ptne_env.experiments.audit import Witness, sample_rows
+from ptne_env.experiments.audit import USES_OTHER_LINKS, Witness, rows_of_one, sample_rows
 from ptne_env.experiments.episodes import EpisodeSet
 from ptne_env.experiments.metrics import METRICS, Metric, adopt, measure, own_metrics
 from ptne_env.experiments.policy_specs import PolicySpec
 from ptne_env.experiments.provenance import content_hash, source_hashes, unhashed, versions
 from ptne_env.experiments.rollout import rollout
 from ptne_env.experiments.suite import Track
-from ptne_env.observation import LayoutError
+from ptne_env.observation import LayoutError, ObservationLayout
 from ptne_env.policy import Policy, PolicyError
 from ptne_env.world import World
 
@@ -68,17 +68,22 @@ class Job:
         """
         world = self.track.world
         teammates = None if self.track.teammates is None else self.track.teammates.join(world)
-        players = world.game.num_players - (0 if teammates is None else len(teammates.players))
+        taken = () if teammates is None else teammates.players
+        deciding = [player for player in range(world.game.num_players) if player not in taken]
         try:
             encoder = make_encoder(world, self.policy.interface)
             with ExitStack() as processes:
 
-                def fresh() -> Policy:
-                    return processes.enter_context(self.policy.deciding(encoder.layout, self.training_seed))
+                def fresh(layout: ObservationLayout) -> Policy:
+                    return processes.enter_context(self.policy.deciding(layout, self.training_seed))
 
-                policy = fresh()
-                rows = sample_rows(self.episodes.count, players, thorough=thorough)
-                witnesses = [Witness(fresh(), chosen) for chosen in rows]
+                policy = fresh(encoder.layout)
+                rows = sample_rows(self.episodes.count, len(deciding), thorough=thorough)
+                witnesses = [Witness(fresh(encoder.layout), chosen) for chosen in rows]
+                if self.policy.interface.graph_knowledge == "links":
+                    place, chosen = rows_of_one(self.episodes.count, len(deciding))
+                    alone = _of_own_links(fresh, encoder.layout.known_to(deciding[place]))
+                    witnesses.append(Witness(alone, chosen, USES_OTHER_LINKS))
                 start = _initial_state(world, self.episodes)
                 samples = measure(rollout(policy, encoder, start, teammates, witnesses=witnesses))
         except LayoutError as error:
@@ -87,6 +92,14 @@ class Job:
             return JobResult({}, {}, None, str(error))
         timings = {name: float(samples.pop(name)[0]) for name in METRICS if METRICS[name].is_timing}
         return JobResult(samples, timings, None)
+
+
+def _of_own_links(make: Callable[[ObservationLayout], Policy], layout: ObservationLayout) -> Policy:
+    """A policy for the layout that one player knows, after one was made for the whole layout."""
+    try:
+        return make(layout)
+    except LayoutError as error:
+        raise PolicyError(f"{USES_OTHER_LINKS}. It cannot be built from them: {error}") from None
 
 
 @lru_cache(maxsize=2)  # jobs with the same episodes follow each other

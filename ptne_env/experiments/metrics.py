@@ -184,6 +184,13 @@ def _tracking_digits(rollout: Rollout) -> FloatArray:
     return distances.digits(_area(times, rollout["estimate_distance"][first:]) / (times[-1] - times[0]))
 
 
+def _unexplained_share(rollout: Rollout) -> FloatArray:
+    shares = rollout["unexplained"]
+    found = np.isfinite(shares)
+    count = ordered_sum(found)
+    return np.where(count > 0, ordered_sum(np.where(found, shares, 0.0)) / np.maximum(count, 1), np.nan)
+
+
 def _saturated_share(rollout: Rollout) -> FloatArray:
     return ordered_sum(rollout["saturated"]) / np.maximum(ordered_sum(rollout["components"]), 1)
 
@@ -232,6 +239,9 @@ for _metric in (
            value=lambda rollout: rollout["mean_digits"][1] - rollout["mean_digits"][0]),
     Metric("log_error_area", "mean log10 error", "mean of log10 of the estimate distance over [0, T]", "lower",
            value=_log_error_area),
+    Metric("unexplained_share", "unexplained moves",
+           "share of the moves of estimates of others beyond the own and all received estimates (of every fifth step)",
+           "lower", value=_unexplained_share, format=share),
     Metric("input_energy", "input energy", "Σ Δt ‖u‖² to the deadline", "lower", "At what cost",
            lambda rollout: ordered_sum(rollout["input_energy"])),
     Metric("velocity_energy", "velocity energy", "Σ Θ² ‖u‖²/Δt to the deadline", "lower", "At what cost",

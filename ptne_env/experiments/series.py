@@ -15,8 +15,11 @@ from ptne_env.dynamics import State
 from ptne_env.rewards import REWARD_LIMIT
 from ptne_env.world import World
 
-When: TypeAlias = Literal["instants", "steps", "deadline", "ends"]
-"""Every instant, every step to the deadline, the instant T, or the first and the last instant."""
+When: TypeAlias = Literal["instants", "steps", "samples", "deadline", "ends"]
+"""Every instant, every step to the deadline, every fifth of them, the instant T, or the first and the last instant."""
+
+SAMPLING = 5
+"""Steps from one sample to the next. It has no factor in common with short periods of 2, 3, 4, 6 or 8 steps."""
 
 
 class Moment:
@@ -27,8 +30,9 @@ class Moment:
         state: at the instant.
         step: index of the instant.
         player_distances: ‖x^i − x*‖/‖x*‖, at the range limit in a diverged episode; shape (N, B).
-        magnitudes: |u| of the inputs that are held from the instant on, 0 in a diverged episode; shape (n, N, B). These
-            three exist before the deadline only.
+        inputs: u that are held from the instant on, shape (n, N, B). They and the next three exist before the deadline
+            only.
+        magnitudes: |u|, 0 in a diverged episode; shape (n, N, B).
         squared_input: ‖u‖², shape (B,).
         largest_input: the largest |u| of any component, shape (B,).
     """
@@ -38,6 +42,7 @@ class Moment:
         self._has_diverged = state.any_diverged
         self.player_distances = self.limited(distances.player_distances(state.estimates, state.game))
         if inputs is not None and step < world.clock.steps:
+            self.inputs = inputs
             self.magnitudes = np.abs(inputs)
             if self._has_diverged:
                 self.magnitudes *= ~state.diverged
@@ -83,6 +88,7 @@ class Series:
         return {
             "instants": range(clock.total_steps + 1),
             "steps": range(clock.steps),
+            "samples": range(0, clock.steps, SAMPLING),
             "deadline": range(clock.steps, clock.steps + 1),
             "ends": (0, clock.total_steps),
         }[self.when]
@@ -157,6 +163,21 @@ def _messages(moment: Moment) -> IntArray:
     return ~moment.state.diverged * links
 
 
+def _unexplained(moment: Moment) -> FloatArray:
+    """Of the moves of estimates of others' strategies, the share beyond all estimates at hand; NaN where none moves.
+
+    A belief may move to anywhere between x^i_c and the x^j_c that player i receives, for every component c.
+    """
+    world, state = moment.world, moment.state
+    moves = moment.inputs * (world.theta[moment.step] if world.theta.ndim == 1 else world.theta[:, [moment.step]])
+    moves[np.arange(len(moves)), state.game.owners] = 0.0  # own strategies may move anywhere
+    received = dynamics.relative_estimates(world, state)
+    beyond = np.maximum(moves - np.maximum(received.max(axis=0), 0.0), np.minimum(received.min(axis=0), 0.0) - moves)
+    total = ordered_sum(ordered_sum(np.abs(moves)))
+    share = ordered_sum(ordered_sum(np.maximum(beyond, 0.0))) / np.where(total > 0, total, np.nan)
+    return np.where(state.diverged, np.nan, share)
+
+
 SERIES: dict[str, Series] = {
     series.name: series
     for series in [
@@ -172,6 +193,7 @@ SERIES: dict[str, Series] = {
         Series("saturated", _saturated),
         Series("components", _components),
         Series("messages", _messages),
+        Series("unexplained", _unexplained, "samples"),
     ]
 }
 """The recorded series by name. Efforts are those of the episodes in range."""

@@ -240,8 +240,12 @@ class Relay(Law):
     def __init__(self, layout: ObservationLayout, spread: float = 10.0) -> None:
         super().__init__(layout)
         self.spread = require_positive("spread", spread)
-        self._nearer = nearer_slots(layout)
+        self._nearer = self._sources()
         self._parts = Parts(self._shapes())
+
+    def _sources(self) -> BoolArray:
+        """From which neighbours each component is copied where they are live, shape (N, D, n)."""
+        return nearer_slots(self.layout)
 
     def _shapes(self) -> dict[str, tuple[int, ...]]:
         """Shapes of the parts of the memory."""

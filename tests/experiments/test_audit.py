@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from ptne_env.experiments.audit import WITNESSES, sample_rows
+from ptne_env.experiments.audit import OWN_LINKS_EPISODES, WITNESSES, rows_of_one, sample_rows
 
 
 @pytest.mark.parametrize(("episodes", "players"), [(1, 5), (200, 1), (40, 5), (40, 20), (40, 50)])
@@ -25,3 +25,12 @@ def test_an_audit_sees_one_player_of_every_episode_and_all_players_equally(episo
 
 def test_rows_are_chosen_afresh():
     assert len({tuple(sample_rows(20, 5, thorough=False)[0]) for _ in range(10)}) == 10
+
+
+@pytest.mark.parametrize("episodes", [3, 200])
+def test_a_witness_of_own_links_gets_rows_of_one_player(episodes):
+    place, rows = rows_of_one(episodes, 5)
+    assert set(rows % 5) == {place}
+    assert len(np.unique(rows)) == len(rows) == min(episodes, OWN_LINKS_EPISODES)
+    assert rows.max() < 5 * episodes
+    assert {rows_of_one(episodes, 5)[0] for _ in range(200)} == set(range(5))

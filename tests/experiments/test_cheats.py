@@ -4,6 +4,7 @@ import dataclasses
 import inspect
 import json
 import os
+import re
 import sys
 import time
 
@@ -96,6 +97,19 @@ def test_cheats_that_mix_rows_fail_the_audit(honest, tmp_path):
         assert "not row-wise" in results.failures["ring", name]
     assert digits(results, "static") == digits(honest, "static")
     assert len(stored(tmp_path)) == 3  # the reference policies: nothing is kept of a cheat
+
+
+@pytest.mark.parametrize(
+    ("target", "reason"),
+    [("CountsLinks", "decides differently"), ("NeedsLinks", "cannot be built from them: a player has no neighbours")],
+)
+def test_policies_that_use_links_of_others_fail_unless_they_declare_it(target, reason):
+    declared = dataclasses.replace(
+        spec("declared", f"other_links:{target}"), interface=Interface(graph_knowledge="union")
+    )
+    results = run_suite(RING, [spec("hidden", f"other_links:{target}"), declared])
+    assert list(results.failures) == [("ring", "hidden")]
+    assert re.search(f"it uses links of other players.*{reason}", results.failures["ring", "hidden"])
 
 
 def test_a_cheat_that_rebuilds_games_from_seeds_is_found_by_a_check(tmp_path):
