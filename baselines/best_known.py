@@ -1,0 +1,96 @@
+"""Measure the best known digits of every track of a suite, and whether it can still tell good policies from better.
+
+Run it with ``python baselines/best_known.py``. It plays all laws and the shipped learned policies on the suite with two
+seeds, and prints the table of tracks, the numbers that the suite stores when it is frozen, the agreement of the two
+rankings, and the time. Jobs that are stored already are not run again.
+"""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import scipy
+import typer
+from common import Jobs, Ray, table
+
+from ptne_env.experiments import Results, Workers, run_suite
+from ptne_env.experiments.leaderboard import Leaderboard
+from ptne_env.experiments.metrics import number
+from ptne_env.experiments.policy_specs import suite_policies
+from ptne_env.experiments.suite import Suite, get_suite
+
+
+def board_of(results: Results) -> Leaderboard:
+    """The leaderboard of a suite.
+
+    Raises:
+        ValueError: for a comparison, which has none.
+    """
+    if results.leaderboard is None:
+        raise ValueError(f"{results.suite.name} is a comparison: it has no scores")
+    return results.leaderboard
+
+
+def seconds(results: Results, track: str) -> float:
+    """The time that the policies took to decide on a track; the simulation comes on top."""
+    world, count = results.suite.track(track).world, results.episodes[track]
+    decisions = world.game.num_players * world.clock.total_steps * count
+    return sum(
+        float(values["microseconds_per_decision"].mean(axis=1).sum()) * decisions / 1e6
+        for (name, _), values in results.samples.items()
+        if name == track
+    )
+
+
+def saturation_table(results: Results) -> list[str]:
+    """A row per track: zero input, the three best honest entries, the best coded one, the ceiling and the room."""
+    board = board_of(results)
+    rows = []
+    for scale in board.scales:
+        means = {
+            name: float(values[results.suite.track(track).metric].mean())
+            for (track, name), values in results.samples.items()
+            if track == scale.track
+        }
+        best = [
+            sorted((name for name in means if results.policies[name].division == division), key=lambda n: -means[n])
+            for division in ("honest", "coded")
+        ]
+        shown = [f"{number(means[name])} {name}" for names, most in zip(best, (3, 1), strict=True) for name in names[:most]]
+        rows.append([scale.track, number(scale.zero), *shown, number(scale.highest), number(scale.room)])
+    headings = ["track", "zero input", "best honest", "second", "third", "best coded", "ceiling", "room"]
+    return table(headings, rows, texts=("track", "best honest", "second", "third", "best coded"))
+
+
+def agreement(first: Results, second: Results) -> float:
+    """Kendall's τ between the overall rankings of the entries, oracles apart, of two runs."""
+    scores = []
+    for results in (first, second):
+        overall = {row.policy: row.score.mean for row in board_of(results).overall}
+        scores.append([overall[name] for name, policy in first.policies.items() if not policy.is_oracle])
+    return float(scipy.stats.kendalltau(*scores).statistic)
+
+
+def main(
+    suite: str = "ptne-v2",
+    out: Annotated[Path, typer.Option(help="Folder of the results.")] = Path("results") / "best-known",
+    episodes: Annotated[int | None, typer.Option(help="Per track; the suite's own number if left out.")] = None,
+    jobs: Jobs = 2,
+    ray: Ray = None,
+) -> None:
+    """Run and print."""
+    found: Suite = get_suite(suite)
+    runs = [
+        run_suite(found, suite_policies(), episodes=episodes, seed=seed, folder=out, workers=Workers(jobs, ray))
+        for seed in (0, 1)
+    ]
+    typer.echo("\n".join(saturation_table(runs[0])))
+    typer.echo("\nBEST_KNOWN = {")
+    for scale in board_of(runs[0]).scales:
+        typer.echo(f'    "{scale.track}": {scale.best_digits:.2f},  # {scale.best}')
+    typer.echo("}\n")
+    for first, second in pairwise(runs):
+        typer.echo(f"Kendall's τ between the rankings of the two seeds: {agreement(first, second):.3f}")
