@@ -7,12 +7,10 @@ rankings, and the time. Jobs that are stored already are not run again.
 
 from __future__ import annotations
 
-from itertools import pairwise
+import time
 from pathlib import Path
 from typing import Annotated
 
-import numpy as np
-import scipy
 import typer
 from common import Jobs, Ray, table
 
@@ -20,7 +18,7 @@ from ptne_env.experiments import Results, Workers, run_suite
 from ptne_env.experiments.leaderboard import Leaderboard
 from ptne_env.experiments.metrics import number
 from ptne_env.experiments.policy_specs import suite_policies
-from ptne_env.experiments.suite import Suite, get_suite
+from ptne_env.experiments.saturation import agreement, closed_tracks
 
 
 def board_of(results: Results) -> Leaderboard:
@@ -32,17 +30,6 @@ def board_of(results: Results) -> Leaderboard:
     if results.leaderboard is None:
         raise ValueError(f"{results.suite.name} is a comparison: it has no scores")
     return results.leaderboard
-
-
-def seconds(results: Results, track: str) -> float:
-    """The time that the policies took to decide on a track; the simulation comes on top."""
-    world, count = results.suite.track(track).world, results.episodes[track]
-    decisions = world.game.num_players * world.clock.total_steps * count
-    return sum(
-        float(values["microseconds_per_decision"].mean(axis=1).sum()) * decisions / 1e6
-        for (name, _), values in results.samples.items()
-        if name == track
-    )
 
 
 def saturation_table(results: Results) -> list[str]:
@@ -59,19 +46,12 @@ def saturation_table(results: Results) -> list[str]:
             sorted((name for name in means if results.policies[name].division == division), key=lambda n: -means[n])
             for division in ("honest", "coded")
         ]
-        shown = [f"{number(means[name])} {name}" for names, most in zip(best, (3, 1), strict=True) for name in names[:most]]
+        shown = [
+            f"{number(means[name])} {name}" for names, most in zip(best, (3, 1), strict=True) for name in names[:most]
+        ]
         rows.append([scale.track, number(scale.zero), *shown, number(scale.highest), number(scale.room)])
     headings = ["track", "zero input", "best honest", "second", "third", "best coded", "ceiling", "room"]
     return table(headings, rows, texts=("track", "best honest", "second", "third", "best coded"))
-
-
-def agreement(first: Results, second: Results) -> float:
-    """Kendall's τ between the overall rankings of the entries, oracles apart, of two runs."""
-    scores = []
-    for results in (first, second):
-        overall = {row.policy: row.score.mean for row in board_of(results).overall}
-        scores.append([overall[name] for name, policy in first.policies.items() if not policy.is_oracle])
-    return float(scipy.stats.kendalltau(*scores).statistic)
 
 
 def main(
@@ -82,15 +62,24 @@ def main(
     ray: Ray = None,
 ) -> None:
     """Run and print."""
-    found: Suite = get_suite(suite)
-    runs = [
-        run_suite(found, suite_policies(), episodes=episodes, seed=seed, folder=out, workers=Workers(jobs, ray))
-        for seed in (0, 1)
-    ]
-    typer.echo("\n".join(saturation_table(runs[0])))
-    typer.echo("\nBEST_KNOWN = {")
-    for scale in board_of(runs[0]).scales:
+    start = time.monotonic()
+    boards, tables = [], []
+    for seed in (0, 1):
+        results = run_suite(
+            suite, suite_policies(), episodes=episodes, seed=seed, folder=out, workers=Workers(jobs, ray)
+        )
+        boards.append(board_of(results))
+        tables.append(saturation_table(results))
+    typer.echo("\n".join(tables[0]))
+    typer.echo("\n_BEST_KNOWN = {")
+    for scale in boards[0].scales:
         typer.echo(f'    "{scale.track}": {scale.best_digits:.2f},  # {scale.best}')
     typer.echo("}\n")
-    for first, second in pairwise(runs):
-        typer.echo(f"Kendall's τ between the rankings of the two seeds: {agreement(first, second):.3f}")
+    for track, reason in closed_tracks(boards[0].scales).items():
+        typer.echo(f"Track {track} is closed: {reason}.")
+    typer.echo(f"Kendall's τ between the rankings of the two seeds: {agreement(*boards):.3f}")
+    typer.echo(f"{time.monotonic() - start:.0f} s with {jobs} workers, stored jobs included.")
+
+
+if __name__ == "__main__":
+    typer.run(main)

@@ -7,7 +7,6 @@ from typing import Any
 from ptne_env.catalogue import get_scenario
 from ptne_env.experiments.suite import Suite, Teammates, Track
 from ptne_env.factory import FactorySpec
-from ptne_env.scenario import Scenario
 
 
 def _game(name: str, **arguments: Any) -> FactorySpec:
@@ -144,7 +143,7 @@ def _limits() -> tuple[Track, ...]:
         ),
         _track(
             "pushes",
-            "50 steps follow the deadline, in which the strategies are pushed by U(−5, 5) per second, redrawn every 10 steps.",
+            "In 50 steps after the deadline, strategies are pushed by U(−5, 5) per second, redrawn every 10 steps.",
             metric="digits_after_hold",
             hold_steps=50,
             disturbance=pushes,
@@ -152,7 +151,7 @@ def _limits() -> tuple[Track, ...]:
         Track(
             "strangers",
             BASE.replace(name="strangers", channel=_noisy(1e-6)),
-            "Messages carry noise 0.000001, and players 2 and 4 of 5 follow the paper's static law, beside every policy.",
+            "Players 2 and 4 of 5 follow the paper's static law; messages carry noise 0.000001 only.",
             teammates=Teammates(FactorySpec.of("ptne_env.laws:Static", kappa=2.0), (1, 3)),
         ),
     )
