@@ -13,6 +13,7 @@ from ptne_env.games import (
     AffineGame,
     CoordinationGame,
     EnergyGame,
+    MovedGame,
     RandomAffine,
     RandomCoordination,
     RandomSaturating,
@@ -130,6 +131,14 @@ def test_games_with_one_equilibrium_measure_from_it_as_before():
     game = EnergyGame()
     assert game.other_equilibria is None
     assert game.nearest_equilibria(np.zeros((5, 7))) is game.nash_equilibria
+
+
+def test_a_moved_game_moves_all_its_equilibria():
+    game, offset = CoordinationGame(), np.arange(10.0).reshape(5, 2)
+    moved = MovedGame(game, offset)
+    for point in (game.nash_equilibria, *game.other_equilibria):
+        assert moved.nearest_equilibria(point + offset + 0.1) == pytest.approx(point + offset)
+    assert MovedGame(EnergyGame(), offset).other_equilibria is None
 
 
 class WrongPoints(CoordinationGame):
