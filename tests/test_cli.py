@@ -463,7 +463,7 @@ def test_a_suite_prints_a_table_per_track_and_an_overall_one(suite_run):
     folder, printed = suite_run
     for text in (
         "out/report.html",
-        "nominal: 6 episodes, ranked by time to 1e-6",
+        "nominal: 6 episodes, ranked by digits",
         "large-20: 6 episodes, ranked by digits",
         "overall",
     ):

@@ -44,7 +44,7 @@ def estimate(scores: Scores) -> Summary:
 
     It covers the mean as often as studentised and stretched bootstraps over both levels do, which need a thousand times
     as long: in 93 to 97 % of repeated experiments where training seeds differ normally. No interval from five training
-    seeds can know a skew of theirs: with exponential differences, all of these cover 88 to 91 %.
+    seeds can know a skew of theirs: with exponential differences, all of these cover 87 to 90 %.
 
     Args:
         scores: per track, with the same training seeds in all tracks; NaN where an episode of the only track has no
