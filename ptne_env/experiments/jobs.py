@@ -44,7 +44,7 @@ class Job:
     episodes: EpisodeSet
 
     def to_dict(self) -> dict[str, Any]:
-        """Everything the numbers depend on, as a JSON object. The policy's name and the scale of scores are not in it."""
+        """Everything the numbers depend on, as a JSON object. Names of policies and scales of scores do not count."""
         policy = self.policy.to_dict()
         track = {name: value for name, value in self.track.to_dict().items() if name not in ("best_known", "ceiling")}
         return {

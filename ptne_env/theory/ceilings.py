@@ -73,9 +73,9 @@ def push_digits(world: World, state: State, instant: int) -> FloatArray:
         instant: of the measurement, in steps.
     """
     pushes, last = world.disturbance, instant - 1
-    acts = isinstance(pushes, UniformDisturbance) and last % pushes.dwell == 0
-    acts = acts and not (pushes.after_deadline_only and last < world.clock.steps)
-    if not acts or world.game.has_bounds:
+    if not isinstance(pushes, UniformDisturbance) or last % pushes.dwell or world.game.has_bounds:
+        return np.full(state.step.size, np.inf)
+    if pushes.after_deadline_only and last < world.clock.steps:
         return np.full(state.step.size, np.inf)
     largest = pushes.bound * world.clock.dt[last]
     cube = np.random.default_rng(0).uniform(-largest, largest, (_SAMPLES, world.game.dimension))
