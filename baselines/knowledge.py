@@ -22,9 +22,16 @@ from ptne_env.laws import knowledge
 
 HERE = Path(__file__).parent
 
-LINKS, REMEMBERED, UNION, SCHEDULE = "own links", "own links, memory", "union", "schedule"
+LINKS, REMEMBERED = "own links", "own links, memory"
+UNION, UNION_REMEMBERED, SCHEDULE = "union", "union, memory", "schedule"
 CODED_LINKS, CODED = "own links, coded", "union, coded"
 GRADIENT_REMEMBERED, GRADIENT_UNION, GRADIENT_SCHEDULE = "own links, memory ", "union ", "schedule "
+
+
+_INTRODUCTION = (
+    "Written by `python baselines/knowledge.py`; do not edit. {episodes} test episodes per track and seed, {seeds} "
+    "seeds; means with 95 % intervals over the episodes of all seeds. `docs/knowledge.md` says what the entries are."
+)
 
 
 def _entry(name: str, law: type) -> PolicySpec:
@@ -40,6 +47,7 @@ BEST_RESPONSE = {
     LINKS: _entry(LINKS, knowledge.LinkRelay),
     REMEMBERED: _entry(REMEMBERED, knowledge.ContactRelay),
     UNION: _known(UNION, "relay"),
+    UNION_REMEMBERED: _entry(UNION_REMEMBERED, knowledge.RouteRelay),
     SCHEDULE: _entry(SCHEDULE, knowledge.FreshestRelay),
     CODED_LINKS: _entry(CODED_LINKS, knowledge.LinkBroadcast),
     CODED: _known(CODED, "identify-and-broadcast"),
@@ -54,10 +62,10 @@ GRADIENT = {
 """Entries with the gradient step of ``routed``. They need no model of the game."""
 
 GAINS = {
-    "memory of own links": (REMEMBERED, LINKS),
-    "union, without memory": (UNION, LINKS),
-    "union, over memory": (UNION, REMEMBERED),
-    "schedule, over union": (SCHEDULE, UNION),
+    "memory, of own links": (REMEMBERED, LINKS),
+    "union, no memory": (UNION, LINKS),
+    "union, with memory": (UNION_REMEMBERED, REMEMBERED),
+    "schedule, over union with memory": (SCHEDULE, UNION_REMEMBERED),
     "code, own links": (CODED_LINKS, LINKS),
     "code, union": (CODED, UNION),
 }
@@ -156,8 +164,7 @@ def main(
     lines = [
         "# Tables of knowledge",
         "",
-        f"Written by `python baselines/knowledge.py`; do not edit. {episodes} test episodes per track and seed, {seeds} "
-        "seeds; means with 95 % intervals over the episodes of all seeds.",
+        _INTRODUCTION.format(episodes=episodes, seeds=seeds),
         "",
         *table(["track", "scenario"], [[track.name, track.change] for track in tracks()], texts=("track", "scenario")),
         "",

@@ -241,7 +241,7 @@ for _metric in (
            value=_log_error_area),
     Metric("unexplained_share", "unexplained moves",
            "share of the moves of estimates of others beyond the own and all received estimates (of every fifth step)",
-           "lower", value=_unexplained_share, format=share),
+           "lower", value=_unexplained_share),
     Metric("input_energy", "input energy", "Σ Δt ‖u‖² to the deadline", "lower", "At what cost",
            lambda rollout: ordered_sum(rollout["input_energy"])),
     Metric("velocity_energy", "velocity energy", "Σ Θ² ‖u‖²/Δt to the deadline", "lower", "At what cost",

@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 from ptne_env.arrays import FloatArray, frozen, require_count, require_positive
 from ptne_env.laws.base import Law, consensus, per_step
-from ptne_env.observation import LayoutError, Observation, ObservationLayout
+from ptne_env.observation import Interface, LayoutError, Observation, ObservationLayout
 
 
 def projected_gradient_inputs(
@@ -146,6 +146,7 @@ class AggregateTracking(Law):
     """
 
     needs: ClassVar[tuple[str, ...]] = ("own_estimate",)
+    interface: ClassVar[Interface] = Interface(estimates="coded")
 
     def __init__(
         self, layout: ObservationLayout, step: float = 0.5, power: float = 0.6, mixing: float = 0.3, warm_up: int = 4

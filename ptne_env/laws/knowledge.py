@@ -24,15 +24,10 @@ _RESOLUTION = 1e-5
 """Relative change of a float32 message above which it has moved, and is not only rounded otherwise."""
 
 
-def mean_over(chosen: BoolArray, relative: FloatArray) -> FloatArray:
-    """The mean of x^j_c − x^i_c over the chosen slots, 0 where there is none: (R, D, n) to (R, n)."""
-    return np.add.reduce(np.where(chosen, relative, 0.0), axis=1) / np.maximum(np.add.reduce(chosen, axis=1), 1)
-
-
 def contacts(
-    observation: Observation, memory: Mapping[str, FloatArray], leaders: BoolArray
-) -> tuple[FloatArray, dict[str, FloatArray]]:
-    """The moves of estimates of others to the fresher copies, as far as own links and memory show which they are.
+    observation: Observation, memory: Mapping[str, FloatArray], leaders: BoolArray, nearer: FloatArray
+) -> tuple[BoolArray, dict[str, FloatArray]]:
+    """The neighbours that have fresher copies, as far as own links and memory show which they are.
 
     A *contact* is a time in which a link is live without a break. At its start, player i compares how far its own copy
     of component c and the neighbour's copy have moved since the last contact, at the end of which they knew each other.
@@ -48,9 +43,12 @@ def contacts(
         observation: of R players.
         memory: the parts of :class:`ContactRelay` by name.
         leaders: whether j owns c, shape (R, D, n).
+        nearer: by how many links j is nearer to the owner of c than i, NaN where that is unknown, shape (R, D, n). Once
+            a nearer neighbour was heard, this counts more than all votes, and during a contact only nearer neighbours
+            become sources.
 
     Returns:
-        The moves, shape (R, n), and the changed parts of the memory.
+        The sources, shape (R, D, n), and the changed parts of the memory.
     """
     live, before = (observation.weights > 0)[:, :, None], memory["live"][:, :, None] > 0
     relative, drift = observation.relative_estimates * observation.unit[:, :, None], memory["drift"][:, None]
@@ -61,14 +59,17 @@ def contacts(
     i_moved, j_moved = np.abs(mine) > floor, np.abs(theirs) > floor
     starts, votes = live & ~before, memory["votes"]
     votes = votes + np.where(starts & met, j_moved.astype(np.int64) - i_moved, 0)
-    both = np.where(votes == 0, np.abs(theirs) > np.abs(mine), votes > 0)
+    heard = memory["heard"][:, :, None] > 0
+    nearer = np.where((heard & (nearer > 0)).any(axis=1, keepdims=True), nearer, np.nan)
+    judgement = np.where(np.isnan(nearer) | (nearer == 0), votes, nearer)
+    both = np.where(judgement == 0, np.abs(theirs) > np.abs(mine), judgement > 0)
     is_newcomer = (memory["steps"][:, :, None] > 0) & (memory["news"] == 0)[:, None]
     fresher = np.where(met, np.where(i_moved & j_moved, both, j_moved & ~i_moved), is_newcomer)
-    wakes = live & np.where(starts, fresher, j_moved & (np.abs(drift) <= floor))
+    wakes = live & np.where(starts, fresher, j_moved & (np.abs(drift) <= floor) & ~(nearer <= 0))
     source = np.where(wakes.any(axis=1, keepdims=True), wakes, live & (memory["source"] > 0))
-    owners = leaders & (live | (memory["heard"][:, :, None] > 0))
+    owners = leaders & (live | heard)
     source = np.where(owners.any(axis=1, keepdims=True), owners & live, source)
-    return mean_over(source, observation.relative_estimates), {
+    return source, {
         "moved": np.where(live, 0.0, mine),
         "seen": np.where(live, relative, memory["seen"]),
         "source": source.astype(np.float64),
@@ -103,19 +104,15 @@ class ChoosingRelay(LinkRelay):
     """The base class of relays that choose the sources anew in every step."""
 
     @abstractmethod
-    def moves(
+    def chosen(
         self, observation: Observation, memory: Mapping[str, FloatArray]
-    ) -> tuple[FloatArray, dict[str, FloatArray]]:
-        """Δx^i_c of the estimates of others, shape (R, n), and the changed parts of the memory."""
+    ) -> tuple[BoolArray, dict[str, FloatArray]]:
+        """The sources of each component, shape (R, D, n), and the changed parts of the memory."""
 
     def inputs(self, observation: Observation, memory: FloatArray) -> tuple[FloatArray, FloatArray]:
         parts = self._parts.split(memory)
-        moves, fresh = self.moves(observation, parts)
-        live = (observation.weights > 0)[:, :, None]
-        # To move by Δ is to copy from live neighbours that all send x^i + Δ.
-        heard = observation._replace(relative_estimates=np.where(live, moves[:, None], 0.0))
-        everyone = np.ones(heard.relative_estimates.shape, dtype=np.bool_)
-        displacement, parts = relay_displacement(heard, parts, self.layout, everyone, self.spread)
+        sources, fresh = self.chosen(observation, parts)
+        displacement, parts = relay_displacement(observation, parts, self.layout, sources, self.spread, mixes=False)
         parts["drift"] = np.where(self.layout.own_mask[observation.player], 0.0, displacement)
         return per_step(displacement, observation), self._parts.join(parts | fresh)
 
@@ -125,6 +122,14 @@ class ChoosingRelay(LinkRelay):
 
 class ContactRelay(ChoosingRelay):
     """:class:`~ptne_env.laws.relay.Relay` of players that know their own links, and remember them, :func:`contacts`."""
+
+    def __init__(self, layout: ObservationLayout, spread: float = 10.0) -> None:
+        super().__init__(layout, spread)
+        self._nearness = self._distances()
+
+    def _distances(self) -> FloatArray:
+        """By how many links the neighbour in slot d of player i is nearer to the owner of c than i, shape (N, D, n)."""
+        return np.full((self.layout.num_players, self.layout.slots, self.layout.dimension), np.nan)
 
     def _shapes(self) -> dict[str, tuple[int, ...]]:
         n, slots = self.layout.dimension, self.layout.slots
@@ -142,10 +147,25 @@ class ContactRelay(ChoosingRelay):
         parts["seen"] = np.full_like(parts["seen"], np.inf)
         return self._parts.join(parts)
 
-    def moves(
+    def chosen(
         self, observation: Observation, memory: Mapping[str, FloatArray]
-    ) -> tuple[FloatArray, dict[str, FloatArray]]:
-        return contacts(observation, memory, self.layout.neighbour_components[observation.player])
+    ) -> tuple[BoolArray, dict[str, FloatArray]]:
+        player = observation.player
+        return contacts(observation, memory, self.layout.neighbour_components[player], self._nearness[player])
+
+
+class RouteRelay(ContactRelay):
+    """:class:`ContactRelay` of players that know hop counts on the union graph too.
+
+    Raises:
+        LayoutError: for a layout without hop counts.
+    """
+
+    interface: ClassVar[Interface] = Interface(graph_knowledge="union")
+
+    def _distances(self) -> FloatArray:
+        hops = np.repeat(self.layout.hops, self.layout.action_dims, axis=1).astype(np.float64)
+        return np.asarray(hops[:, None] - hops[np.array(self.layout.neighbours)])
 
 
 class FreshestRelay(ChoosingRelay):
@@ -161,8 +181,8 @@ class FreshestRelay(ChoosingRelay):
         super().__init__(layout, spread)
         self._freshest = Freshest(layout)
 
-    def moves(
+    def chosen(
         self, observation: Observation, memory: Mapping[str, FloatArray]
-    ) -> tuple[FloatArray, dict[str, FloatArray]]:
+    ) -> tuple[BoolArray, dict[str, FloatArray]]:
         sources, _ = self._freshest.sources(observation, memory["steps"])
-        return mean_over(sources, observation.relative_estimates), {}
+        return sources, {}

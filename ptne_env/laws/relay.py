@@ -75,11 +75,12 @@ def _largest(array: FloatArray) -> FloatArray:
 
 
 def copies(
-    observation: Observation, memory: Mapping[str, FloatArray], sources: BoolArray
+    observation: Observation, memory: Mapping[str, FloatArray], sources: BoolArray, *, mixes: bool = True
 ) -> tuple[FloatArray, dict[str, FloatArray]]:
     """w_k × mean of (x^j_c − x^i_c) over the live sources j of component c: the displacements (R, n), and the memory.
 
-    A component of which no source was ever heard moves to the mean of all live neighbours and the player itself.
+    A component of which no source was ever heard moves to the mean of all live neighbours and the player itself, if
+    ``mixes``; else it rests.
 
     The weight w_k is 1 until messages show noise, which never comes to rest. Where the smallest change of messages
     from step to step, σ, has not halved for 30 steps, w_k = p/(p + k) averages over the k steps since. A difference
@@ -89,10 +90,11 @@ def copies(
         observation: of R players.
         memory: the parts ``heard`` to ``restless`` of :class:`Relay`.
         sources: from which neighbours each component is copied where they are live, shape (R, D, n).
+        mixes: whether a component without sources moves.
     """
     live = observation.weights > 0
     heard = np.maximum(memory["heard"], live)
-    lost = ~np.logical_or.reduce(sources & (heard > 0)[:, :, None], axis=1)
+    lost = mixes & ~np.logical_or.reduce(sources & (heard > 0)[:, :, None], axis=1)
     used = (sources | lost[:, None]) & live[:, :, None]
     total = np.add.reduce(np.where(used, observation.relative_estimates, 0.0), axis=1)
     mean = total / np.maximum(np.add.reduce(used, axis=1) + lost, 1)
@@ -154,6 +156,8 @@ def relay_displacement(
     layout: ObservationLayout,
     sources: BoolArray,
     spread: float,
+    *,
+    mixes: bool = True,
 ) -> tuple[FloatArray, dict[str, FloatArray]]:
     """Copies of the others' estimates, :func:`copies`, and the best response to them, :func:`best_response`.
 
@@ -170,6 +174,7 @@ def relay_displacement(
         layout: of the observations.
         sources: from which neighbours each component is copied where they are live, shape (R, D, n).
         spread: standard deviation of the rows before anything is identified, in units of gradient per strategy.
+        mixes: as for :func:`copies`.
 
     Returns:
         The displacements Δx^i, shape (R, n), and the memory for the next step.
@@ -197,7 +202,7 @@ def relay_displacement(
     held = (np.abs(own_moved) < _HELD * asked) & (asked > _RESOLVED * scale)
 
     is_probe = step < outputs
-    drift, heard = copies(observation, memory, sources)
+    drift, heard = copies(observation, memory, sources, mixes=mixes)
     drift = np.where(is_probe | is_own, 0.0, drift)
     places = blocks if is_whole else np.where(blocks == layout.dimension, outputs, np.arange(outputs))
     shift = drift if is_whole else np.zeros_like(own_moved)

@@ -1,0 +1,150 @@
+"""Relays with less and with more knowledge, and the indicator of honest estimates."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from worlds import world_and_encoder
+
+from ptne_env import FactorySpec, PolicySpec, dynamics
+from ptne_env.experiments import POLICIES, Suite, get_suite, run_suite
+from ptne_env.laws import knowledge
+from ptne_env.laws.routed import nearer_slots
+from ptne_env.observation import Interface, LayoutError
+from ptne_env.random_streams import RandomStreams
+
+LAWS = ("LinkRelay", "ContactRelay", "RouteRelay", "FreshestRelay", "LinkBroadcast")
+V1 = get_suite("ptne-v1")
+
+
+def spec(name):
+    target = FactorySpec.of(f"ptne_env.laws.knowledge:{name}")
+    return PolicySpec(name, target, getattr(knowledge, name).interface)
+
+
+def results(policies, *tracks, episodes=6, **changes):
+    """Of policies on tracks of ptne-v1 with changed scenarios; every decision is audited."""
+    chosen = [V1.track(name) for name in tracks]
+    changed = tuple(dataclasses.replace(track, scenario=track.scenario.replace(**changes)) for track in chosen)
+    found = run_suite(Suite("knowledge", changed, episodes, is_comparison=True), policies)
+    assert not found.failures
+    metrics = ("digits", "unexplained_share", "diverged_share")
+    return {place: {name: float(np.mean(of[name])) for name in metrics} for place, of in found.samples.items()}
+
+
+def one_contact(mine, theirs, votes=0.0, nearer=np.nan, seen=0.0, news=1.0):
+    """Whether the neighbour becomes the source at the start of a contact; moves since the last one."""
+    observation = Sight(
+        np.array([[[theirs - mine + (seen if np.isfinite(seen) else 0.0)]]]), np.ones((1, 1)), np.ones((1, 1))
+    )
+    memory = {name: np.zeros((1, 1)) for name in ("live", "drift")} | {"heard": np.ones((1, 1))}
+    memory |= {"steps": np.ones((1, 1)), "news": np.full((1, 1), news), "source": np.zeros((1, 1, 1))}
+    memory |= {"moved": np.full((1, 1, 1), mine), "seen": np.full((1, 1, 1), seen), "votes": np.full((1, 1, 1), votes)}
+    no_owner, known = np.zeros((1, 1, 1), dtype=bool), np.full((1, 1, 1), nearer)
+    sources, fresh = knowledge.contacts(observation, memory, no_owner, known)
+    return sources.item(), fresh["votes"].item()
+
+
+@dataclasses.dataclass
+class Sight:
+    relative_estimates: np.ndarray
+    weights: np.ndarray
+    unit: np.ndarray
+
+
+def test_a_copy_that_moved_alone_is_the_fresher_one_and_gets_a_vote():
+    assert one_contact(0.0, 1.0) == (True, 1)
+    assert one_contact(1.0, 0.0) == (False, -1)
+    assert one_contact(0.0, 0.0, seen=2.0) == (False, 0)
+
+
+def test_votes_decide_between_two_copies_that_moved_and_then_the_longer_move():
+    assert one_contact(1.0, 2.0) == (True, 0)
+    assert one_contact(2.0, 1.0) == (False, 0)
+    assert one_contact(1.0, 2.0, votes=-1) == (False, -1)
+    assert one_contact(2.0, 1.0, votes=1) == (True, 1)
+
+
+def test_known_hop_counts_overrule_votes():
+    assert one_contact(2.0, 1.0, votes=-3, nearer=1) == (True, -3)
+    assert one_contact(2.0, 1.0, votes=3, nearer=-1) == (True, 3)  # no nearer neighbour was heard
+
+
+def test_a_player_without_news_takes_the_copy_of_a_new_neighbour():
+    assert one_contact(0.0, 0.0, seen=np.inf, news=0.0) == (True, 0)
+    assert one_contact(0.0, 0.0, seen=np.inf, news=1.0) == (False, 0)
+
+
+def test_players_of_own_links_find_the_nearer_neighbours_of_a_fixed_graph():
+    scenario = V1.track("large-20").scenario
+    nearer = nearer_slots(world_and_encoder(scenario, graph_knowledge="union")[1].layout)
+    world, encoder = world_and_encoder(scenario)
+    law, memory = knowledge.ContactRelay(encoder.layout), None
+    state = dynamics.draw_initial_state(world, [RandomStreams.from_seed(0)])
+    for _ in range(12):
+        actions, memory = law.predict(encoder.observe(state)[0], state=memory)
+        state = dynamics.step(world, state, encoder.decode(actions[None], state))
+    of_others = ~encoder.layout.own_mask[:, None]
+    np.testing.assert_array_equal((law._parts.split(memory)["source"] > 0) & of_others, nearer)
+
+
+@pytest.mark.parametrize("track", ["switching-physical", "robots", "mixed-team"])
+def test_every_law_decides_row_by_row_from_what_its_players_know(track):
+    found = results(map(spec, LAWS), track, episodes=3, steps=120)
+    assert len(found) == len(LAWS)
+    assert max(metrics["diverged_share"] for metrics in found.values()) == 0
+
+
+def test_digits_by_knowledge_on_switching_graphs():
+    found = results(map(spec, LAWS), "switching-physical", episodes=10)
+    digits = {name: metrics["digits"] for (_, name), metrics in found.items()}
+    assert digits["LinkBroadcast"] > 11.9
+    assert digits["FreshestRelay"] > 4.4 > digits["LinkRelay"] > 3.8
+    assert digits["ContactRelay"] > 3.2
+
+
+def test_memory_of_own_links_is_worth_more_than_the_union_of_drawn_graphs():
+    found = results([spec("ContactRelay"), POLICIES["relay"]], "unseen-graphs", episodes=20, steps=40)
+    assert found["unseen-graphs", "ContactRelay"]["digits"] > found["unseen-graphs", "relay"]["digits"] + 5
+
+
+def test_relays_of_chosen_sources_average_noise_like_relay():
+    found = results([spec("FreshestRelay"), POLICIES["relay"]], "noise", episodes=10)
+    assert found["noise", "FreshestRelay"]["digits"] == pytest.approx(found["noise", "relay"]["digits"], abs=0.01)
+
+
+def test_hop_counts_are_worth_nothing_where_every_episode_draws_its_graph():
+    found = results([spec("ContactRelay"), spec("RouteRelay")], "unseen-graphs", episodes=6, steps=40)
+    digits = [metrics["digits"] for metrics in found.values()]
+    assert digits == pytest.approx([digits[0]] * 2, abs=1.0)
+
+
+@pytest.mark.parametrize(("name", "knowledge_of"), [("RouteRelay", "union"), ("FreshestRelay", "schedule")])
+def test_knowledge_that_a_layout_lacks_is_refused(name, knowledge_of):
+    layout = world_and_encoder("energy-switching")[1].layout
+    with pytest.raises(LayoutError, match=f"declare graph_knowledge='{knowledge_of}'"):
+        getattr(knowledge, name)(layout)
+
+
+HONEST = ("static", "grounded", "routed", "routed-unknown", "relay", "freshest")
+
+
+@pytest.mark.parametrize("track", ["switching-physical", "noise", "delay"])
+def test_estimates_of_honest_laws_move_between_estimates_at_hand(track):
+    found = results([POLICIES[name] for name in HONEST], track, episodes=3)
+    assert max(metrics["unexplained_share"] for metrics in found.values()) < 1e-4
+
+
+def test_estimates_of_coded_laws_move_beyond_all_estimates_at_hand():
+    coded = [policy for policy in POLICIES.values() if policy.interface.estimates == "coded"]
+    assert {policy.name for policy in coded} == {"identify-and-broadcast", "aggregate-tracking"}
+    found = results([*coded, spec("LinkBroadcast")], "switching-physical", episodes=3)
+    assert found["switching-physical", "identify-and-broadcast"]["unexplained_share"] > 0.9
+    assert found["switching-physical", "LinkBroadcast"]["unexplained_share"] > 0.9
+    assert found["switching-physical", "aggregate-tracking"]["unexplained_share"] > 0.3
+    assert Interface().estimates == "honest"
+
+
+def test_unexplained_share_of_an_episode_without_moves_has_no_value():
+    found = run_suite(Suite("rest", (V1.track("nominal"),), 2, is_comparison=True), ["zero-input"])
+    assert np.isnan(found.samples["nominal", "zero-input"]["unexplained_share"]).all()
