@@ -1,5 +1,5 @@
 # ruff: noqa: INP001, T201 - a script, and it prints
-"""Draw the picture of the README: the last frame of an episode, rendered by the environment.
+"""Draw the pictures of the README (the last frame of an episode) and of the routed laws in docs/theory.md.
 
 Run it from the project's folder with: python docs/make_pictures.py
 """
@@ -8,9 +8,15 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib import image
+from matplotlib.figure import Figure
 
 import ptne_env
-from ptne_env import laws
+from ptne_env import laws, theory
+from ptne_env.experiments import POLICIES
+from ptne_env.experiments.episodes import EpisodeSet
+from ptne_env.experiments.traces import scene
+from ptne_env.style import COLOURS, FAINT, drawing
+from ptne_env.world import World
 
 IMAGES = Path(__file__).parent / "images"
 
@@ -31,6 +37,40 @@ def draw_run(path: Path) -> None:
     image.imsave(path, frame, metadata={"Software": None})
 
 
+def draw_routed(path: Path, episodes: int = 100) -> None:
+    """Save the errors of laws over a switching graph, and the radius of gradient play with delays over its step η."""
+    with drawing("pictures"):
+        figure = Figure(figsize=(9, 3.4), layout="constrained")
+        errors, radii = figure.subplots(1, 2)
+        world = World(ptne_env.get_scenario("random-energy-switching-transformed"))
+        start = EpisodeSet(episodes).initial_state(world)
+        chosen = {name: POLICIES[name] for name in ("static", "grounded", "routed", "freshest")}
+        traces = scene(world, start, chosen, frames=world.clock.steps).traces
+        for colour, (name, trace) in zip(COLOURS, traces.items(), strict=False):
+            errors.fill_between(range(len(trace.errors[0])), trace.errors[0], trace.errors[2], color=colour, alpha=0.15)
+            errors.semilogy(trace.errors[1], color=colour, label=name)
+        errors.set(xlabel="step k", ylabel="estimate distance: median, 10 % to 90 %", ylim=(1e-12, 10))
+        errors.set_title("random-energy-switching-transformed", loc="left")
+        errors.legend()
+
+        tracks = {"nominal, 5-cycle": "nominal", "non-quadratic, 5-cycle": "non-quadratic", "large-20": "large-20"}
+        for colour, (label, name) in zip(COLOURS[4:], tracks.items(), strict=False):
+            world = World(ptne_env.experiments.get_suite("ptne-v1").track(name).scenario)
+            constants = theory.problem_constants(world)
+            jacobian, delays = constants.jacobian, theory.hop_delays(world.topology.graphs[0], world.game.owners)
+            steps = np.linspace(0.005, 1.2, 200)
+            radius = [theory.delayed_play_radius(jacobian, delays, step) for step in steps]
+            radii.plot(steps, radius, label=label, color=colour)
+            radii.plot(theory.largest_delayed_step(jacobian, delays), 1, "o", color=colour)
+        radii.axhline(1, color=FAINT, linewidth=0.8)
+        radii.set(xlabel="step η of the own gradient", ylabel="spectral radius per step", ylim=(0, 1.6))
+        radii.set_title("Gradient play with delays equal to hop counts", loc="left")
+        radii.legend()
+        path.parent.mkdir(parents=True, exist_ok=True)
+        figure.savefig(path, dpi=150, metadata={"Software": None})
+
+
 if __name__ == "__main__":
     draw_run(IMAGES / "run.png")
-    print(f"written: {IMAGES / 'run.png'}")
+    draw_routed(IMAGES / "routed.png")
+    print(f"written: {IMAGES / 'run.png'}, {IMAGES / 'routed.png'}")

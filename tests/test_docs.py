@@ -261,10 +261,11 @@ def test_readme_table_is_that_of_the_leaderboard():
     assert [row for row in rows if row[1:] != leaderboard[row[0]]] == []
 
 
-def test_picture_of_a_run_can_be_drawn_again(tmp_path):
+@pytest.mark.parametrize("name", ["run", "routed"])
+def test_pictures_can_be_drawn_again(tmp_path, name):
     script = runpy.run_path(str(ROOT / "docs" / "make_pictures.py"))
-    script["draw_run"](tmp_path / "run.png")
-    ours, shipped_image = image.imread(tmp_path / "run.png"), image.imread(ROOT / "docs" / "images" / "run.png")
+    script[f"draw_{name}"](tmp_path / f"{name}.png")
+    ours, shipped_image = (image.imread(folder / f"{name}.png") for folder in (tmp_path, ROOT / "docs" / "images"))
     assert ours.shape == shipped_image.shape
     assert np.abs(ours - shipped_image).mean() < 0.05  # fonts differ between machines, curves do not
 

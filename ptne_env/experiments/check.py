@@ -148,6 +148,7 @@ def check(
                 },
                 against_laws=bool(listing.trials),
                 run=stored,
+                tune=lambda searches: [search.find() for search in searches],
             )
     except RuntimeError as error:
         raise ValueError(f"{path} cannot be the results of a run: {error}") from error

@@ -153,8 +153,8 @@ def _limits() -> tuple[Track, ...]:
     return (
         _track(
             "sensor",
-            "Own gradients are measured with noise of standard deviation 0.06, and messages carry noise 0.05.",
-            sensor=FactorySpec.of("ptne_env.sensor:GradientNoise", std=0.06),
+            "Own gradients are measured, and messages received, with noise of standard deviation 0.05.",
+            sensor=FactorySpec.of("ptne_env.sensor:GradientNoise", std=0.05),
             channel=_noisy(0.05),
         ),
         _track("tight-input", "Inputs are limited to 1.8, which leaves little time to spare.", input_limit=1.8),

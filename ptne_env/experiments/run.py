@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import TypeAlias
 
 import numpy as np
 
@@ -16,9 +16,11 @@ from ptne_env.experiments.jobs import Job, JobResult, require_hashed
 from ptne_env.experiments.metrics import METRICS, against_law
 from ptne_env.experiments.policy_specs import PolicySpec, get_policy_spec
 from ptne_env.experiments.results import Results, records, statistics_of
-from ptne_env.experiments.store import Store, run_jobs
+from ptne_env.experiments.store import Store, run_jobs, run_missing
 from ptne_env.experiments.suite import LEADERBOARD_SEED, SUITES, Suite, Track, comparison, get_suite
+from ptne_env.experiments.tuning import Tunable, Tuned, Tuning, Tunings
 from ptne_env.experiments.workers import Workers
+from ptne_env.factory import FactorySpec
 from ptne_env.scenario import Scenario
 
 
@@ -43,7 +45,8 @@ def evaluate(
     :class:`~ptne_env.scenario.Scenario` is run as it is: ``episodes`` times when something in it is random, else once.
 
     A learned policy is also compared, paired by episode, with the best of the paper's laws and the best of all laws,
-    both chosen by mean digits on validation episodes (:mod:`ptne_env.experiments.tuning`), where something is random.
+    both tuned and chosen by mean digits on validation episodes (:mod:`ptne_env.experiments.tuning`), where something is
+    random. The coded law is run beside them.
 
     Args:
         policies: specs, or strings as :func:`~ptne_env.experiments.policy_specs.get_policy_spec` takes them.
@@ -124,7 +127,8 @@ def run_suite(
     sets = {name: suite.episode_set(name, episodes, seed=seed, split=split) for name in names}
     runner = _Runner(None if folder is None else Store(folder), workers, progress, rerun=rerun)
     specs = [get_policy_spec(policy) for policy in policies]
-    return assemble(suite, target, specs, sets, against_laws=against_laws, run=runner)
+    tune = runner.tune
+    return assemble(suite, target, specs, sets, against_laws=against_laws, run=runner, tune=tune)
 
 
 def assemble(
@@ -135,6 +139,7 @@ def assemble(
     *,
     against_laws: bool,
     run: Callable[[Sequence[Job]], list[JobResult]],
+    tune: Callable[[Sequence[Tuning]], list[Tuned]],
 ) -> Results:
     """The results of a suite from the results of its jobs, of which there may be stored ones only.
 
@@ -145,6 +150,7 @@ def assemble(
         episodes: the episode set of each track that is run, by name.
         against_laws: whether learned policies are compared with tuned laws.
         run: gives the results of jobs, in their order.
+        tune: gives the results of searches for tuned laws, in their order.
 
     Raises:
         ValueError: for repeated names, or when no policy fits any track.
@@ -180,14 +186,13 @@ def assemble(
     if against_laws:
         with_learned = {track for track, policy in samples if specs[policy].is_learned}
         random = [track for track in chosen if track.name in with_learned and track.world.is_random]
-        trials = {track.name: _trials(suite, track) for track in random}
-        tuned = _tuned_laws(trials, run)
+        tuned, trials = _tuned_laws(suite, random, run, tune)
         opposing = [Job(track, law, 0, episodes[track.name]) for track in random for law in tuned[track.name].values()]
         law_samples = _collected(opposing, run(opposing)).samples
         for (track_name, policy), measured in samples.items():
             if track_name in tuned and specs[policy].is_learned:
-                for group, law in tuned[track_name].items():
-                    measured.update(against_law(group, measured["digits"], law_samples[track_name, law.name]["digits"]))
+                for group, name in tuning.GROUPS.items():
+                    measured.update(against_law(group, measured["digits"], law_samples[track_name, name]["digits"]))
         jobs, samples = [*jobs, *opposing], {**samples, **law_samples}
     ordered = {
         (track.name, name): samples[track.name, name]
@@ -222,7 +227,7 @@ def _by_name(suite: Suite, listed: Sequence[PolicySpec]) -> dict[str, PolicySpec
     specs = {spec.name: spec for spec in listed}
     if len(specs) < len(listed):
         raise ValueError(f"a comparison needs different names, got {', '.join(spec.name for spec in listed)}")
-    for name in tuning.GROUPS.values():
+    for name in tuning.NAMES:
         if name in specs:
             raise ValueError(f"{name!r} is the name of a tuned law: give your policy another name")
     for reference in suite.references:
@@ -261,6 +266,19 @@ class _Runner:
                 self.progress(f"{job.track.name}: {job.policy.name}", self.total)
         return [found[index] for index in range(len(jobs))]
 
+    def tune(self, searches: Sequence[Tuning]) -> list[Tuned]:
+        """The results of searches, in their order; none of them counts as a job."""
+        store = None if self.store is None else Tunings(self.store.folder)
+        found = dict(
+            run_missing(
+                searches,
+                store,
+                lambda missing: self.workers.run(Tuning.find, [(search,) for search in missing]),
+                rerun=self.rerun,
+            )
+        )
+        return [found[index] for index in range(len(searches))]
+
 
 _Place: TypeAlias = tuple[str, str]
 """Names of a track and of a policy."""
@@ -296,19 +314,30 @@ def _collected(jobs: Sequence[Job], results: Sequence[JobResult]) -> _Outcome:
     return outcome
 
 
-def _trials(suite: Suite, track: Track) -> tuple[Job, ...]:
-    """The candidates for the tuned laws of a track, on its validation episodes."""
-    episodes = suite.episode_set(track.name, tuning.VALIDATION_EPISODES, split="validation")
-    return tuple(Job(track, law, 0, episodes) for law in tuning.candidate_specs())
+def validation_set(suite: Suite, track: Track) -> EpisodeSet:
+    """The validation episodes on which laws are tuned for a track."""
+    return suite.episode_set(track.name, tuning.VALIDATION_EPISODES, split="validation")
 
 
 def _tuned_laws(
-    trials: Mapping[str, Sequence[Job]], run: Callable[[Sequence[Job]], list[JobResult]]
-) -> dict[str, dict[str, PolicySpec]]:
-    """The best law of each group on the validation episodes of each track."""
-    jobs = [job for chosen in trials.values() for job in chosen]
-    digits: dict[str, dict[Any, float]] = {track: {} for track in trials}
-    for job, result in zip(jobs, run(jobs), strict=True):
-        has_failed = result.failure is not None
-        digits[job.track.name][job.policy.policy] = -np.inf if has_failed else float(result.samples["digits"].mean())
-    return {track: tuning.best(found) for track, found in digits.items()}
+    suite: Suite,
+    tracks: Sequence[Track],
+    run: Callable[[Sequence[Job]], list[JobResult]],
+    tune: Callable[[Sequence[Tuning]], list[Tuned]],
+) -> tuple[dict[str, dict[str, PolicySpec]], dict[str, tuple[Job, ...]]]:
+    """The best law of each group on the validation episodes of each track, and the jobs that show it."""
+    episodes = {track.name: validation_set(suite, track) for track in tracks}
+    searches = [Tuning(track, member, episodes[track.name]) for track in tracks for member in tuning.FIELD]
+    tried = [
+        (search, found.law, Job(search.track, PolicySpec(tuning.CANDIDATE, found.law), 0, search.episodes))
+        for search, found in zip(searches, tune(searches), strict=True)
+        if found.law is not None
+    ]
+    digits: dict[str, dict[Tunable, tuple[FactorySpec, float]]] = {track.name: {} for track in tracks}
+    trials: dict[str, list[Job]] = {track.name: [] for track in tracks}
+    for (search, law, job), result in zip(tried, run([job for _, _, job in tried]), strict=True):
+        trials[search.track.name].append(job)
+        reached = -np.inf if result.failure is not None else float(result.samples["digits"].mean())
+        digits[search.track.name][search.member] = law, reached
+    chosen = {name: {**tuning.best(found), "coded": tuning.CODED} for name, found in digits.items()}
+    return chosen, {name: tuple(jobs) for name, jobs in trials.items()}

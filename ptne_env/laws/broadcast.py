@@ -212,7 +212,8 @@ class IdentifyAndBroadcast(Relay):
     4. From 0.99 T on, all players act as :class:`~ptne_env.laws.relay.Relay`.
 
     Noisy, rounded or late messages, and those of players that follow another law, fail the checksums. A player acts as
-    :class:`~ptne_env.laws.relay.Relay` for the rest of the episode if its game is not affine, if it has received no
+    :class:`~ptne_env.laws.relay.Relay` for the rest of the episode if a neighbour moves in phase 1 as this law does
+    not (which the neighbours of the player see in turn), if its game is not affine, if it has received no
     equation in the time of four, if a message repeats where every code differs from the one before (so the channel
     holds old messages), or if ``switch`` T passes and it lacks an equation. In games of more than 24 components this
     law is :class:`~ptne_env.laws.relay.Relay` from the start.
@@ -293,10 +294,13 @@ class IdentifyAndBroadcast(Relay):
 
         alone = (own | ~known).all(axis=1, keepdims=True)
         memory["silence"] = np.where(alone, before["silence"] + (listens & live.any(axis=1, keepdims=True)), 0.0)
-        moved = np.abs(memory["messages"] - before["messages"]).max(axis=2)
-        repeats = (live & (before["live"] > 0) & (moved <= _STILL * scale)).any(axis=1, keepdims=True)
+        heard, moves = live & (before["live"] > 0), np.abs(memory["messages"] - before["messages"])
+        repeats = (heard & (moves.max(axis=2) <= _STILL * scale)).any(axis=1, keepdims=True)
+        others = np.where(np.arange(n) == step[:, :, None] - 1, 0.0, moves)
+        strangers = (heard & (others.max(axis=2) > _STILL * scale)).any(axis=1, keepdims=True)
         is_relay = (
             (before["is_relay"] > 0)
+            | ((step <= n) & strangers)  # in phase 1 a player that follows this law moves one component after the other
             | ((step > n) & (step <= first) & (memory["failed"] > 0))
             | ((step == first) & ~exist)
             | (memory["silence"] > _PATIENCE * width)

@@ -12,8 +12,9 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from ptne_env.arrays import BoolArray, FloatArray, IntArray, require_positive
+from ptne_env.arrays import BoolArray, FloatArray, IntArray, require_count, require_positive
 from ptne_env.laws.base import Law, per_step
+from ptne_env.laws.memory import Parts
 from ptne_env.observation import Interface, Observation, ObservationLayout
 
 _RESOLUTION = 1e-5
@@ -145,17 +146,41 @@ class Routed(RoutedLaw):
 
 
 class RoutedUnknown(RoutedLaw):
-    """:class:`Routed` without hop counts: players learn their sources from their own links, :func:`waves`."""
+    """:class:`Routed` without hop counts: players learn their sources from their own links, :func:`waves`.
+
+    A strategy that comes to rest before its news have reached a player never moves again, so the player waits in vain.
+    After ``patience`` steps, all players stop learning, and copy each component without a source from all neighbours.
+
+    Args:
+        layout: of the environment.
+        step: η > 0.
+        patience: number of steps, at least 1.
+
+    Raises:
+        ValueError: for a step that is not positive, or no patience.
+    """
+
+    def __init__(self, layout: ObservationLayout, step: float = 0.3, patience: int = 150) -> None:
+        super().__init__(layout, step)
+        self.patience = require_count("patience", patience, 1)
+        self._parts = Parts({"waves": (2, layout.slots, layout.dimension), "steps": (1,)})
 
     def initial_memory(self, rows: int) -> FloatArray:
-        """No meeting and no source, shape (R, 2, D, n)."""
-        blank = np.zeros((rows, 2, self.layout.slots, self.layout.dimension))
-        blank[:, 0] = np.inf
-        return blank
+        """No meeting, no source and no step done, shape (R, size)."""
+        parts = self._parts.zeros(rows)
+        parts["waves"][:, 0] = np.inf
+        return self._parts.join(parts)
 
     def sources(self, observation: Observation, memory: FloatArray) -> tuple[BoolArray, FloatArray]:
-        player = observation.player
-        return waves(observation, memory, self.layout.neighbour_components[player], self.layout.own_mask[player])
+        player, parts = observation.player, self._parts.split(memory)
+        own = self.layout.own_mask[player]
+        sources, learnt = waves(observation, parts["waves"], self.layout.neighbour_components[player], own)
+        steps, before = parts["steps"], parts["waves"][:, 1] > 0
+        gives_up = (steps >= self.patience)[:, :, None]
+        sources = np.where(gives_up, before, sources)
+        learnt[:, 1] = sources
+        lost = gives_up & ~(sources.any(axis=1) | own)[:, None]
+        return sources | lost, self._parts.join({"waves": learnt, "steps": steps + 1})
 
 
 class Freshest(RoutedLaw):

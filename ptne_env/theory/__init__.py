@@ -27,6 +27,7 @@ from ptne_env.theory.constants import monotonicity_constants as monotonicity_con
 from ptne_env.theory.constants import proof_matrix as proof_matrix
 from ptne_env.theory.delayed_play import coupling_radius as coupling_radius
 from ptne_env.theory.delayed_play import delayed_play_radius as delayed_play_radius
+from ptne_env.theory.delayed_play import hop_delays as hop_delays
 from ptne_env.theory.delayed_play import largest_delayed_step as largest_delayed_step
 from ptne_env.theory.delayed_play import multi_rate_radius as multi_rate_radius
 from ptne_env.theory.sampled import SampledLoop as SampledLoop

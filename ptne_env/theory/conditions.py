@@ -15,7 +15,6 @@ from functools import singledispatch
 
 import numpy as np
 from scipy import linalg
-from scipy.sparse.csgraph import shortest_path
 
 from ptne_env.arrays import FloatArray, IntArray
 from ptne_env.graphs import Graph, union
@@ -42,7 +41,13 @@ from ptne_env.laws import (
 from ptne_env.laws.routed import RoutedLaw
 from ptne_env.theory.closed_loop import last_modes, loop_matrix
 from ptne_env.theory.constants import ZERO, MonotonicityConstants, gain_bound, jacobians, monotonicity_constants
-from ptne_env.theory.delayed_play import coupling_radius, delayed_play_radius, multi_rate_radius
+from ptne_env.theory.delayed_play import (
+    coupling_radius,
+    delayed_play_radius,
+    hop_delays,
+    largest_delayed_step,
+    multi_rate_radius,
+)
 from ptne_env.world import World
 
 _LARGEST_SYSTEM = 1200
@@ -325,11 +330,13 @@ def routed_condition(law: RoutedLaw, constants: ProblemConstants) -> Condition:
     Where the graph switches, η max_c dF_cc ≤ 1 and ρ(D⁻¹ |dF − D|) < 1, which suffice for every delay
     (:func:`~ptne_env.theory.delayed_play.coupling_radius`), and all links act again and again.
     """
-    delays = _hop_counts(constants)
+    delays = hop_delays(union(constants.graphs), constants.owners)
     monotone, curvature = _strongly_monotone(constants), float(constants.jacobian.diagonal().max())
     if len(constants.graphs) == 1 and len(delays) * (delays.max() + 1) <= _LARGEST_SYSTEM:
         radius = delayed_play_radius(constants.jacobian, delays, law.step)
-        name = "gradient play with delays settles: ρ < 1"
+        largest = largest_delayed_step(constants.jacobian, delays)
+        limit = "for no η" if largest is None else f"up to η = {largest:.3g}"
+        name = f"gradient play with delays settles ({limit}): ρ < 1"
         return decisive(monotone, Condition.below(name, radius, 1.0, exact=constants.exact))
     return decisive(
         monotone,
@@ -341,12 +348,6 @@ def routed_condition(law: RoutedLaw, constants: ProblemConstants) -> Condition:
     )
 
 
-def _hop_counts(constants: ProblemConstants) -> IntArray:
-    """Hop counts between the owners of components in the union graph, shape (n, n)."""
-    hops = shortest_path(union(constants.graphs).adjacency, unweighted=True)
-    return np.asarray(hops[np.ix_(constants.owners, constants.owners)].astype(np.int64))
-
-
 @condition.register
 def multi_rate_condition(law: MultiRate, constants: ProblemConstants) -> Condition:
     """F monotone, a fixed graph, and ρ < 1 of primal-dual play with delays, the hop counts, as if no bound were active.
@@ -354,7 +355,7 @@ def multi_rate_condition(law: MultiRate, constants: ProblemConstants) -> Conditi
     Operators are the players whose own block of dF is 0. The loop is exact where all prices of x* are positive and no
     other bound is active.
     """
-    delays = _hop_counts(constants)
+    delays = hop_delays(union(constants.graphs), constants.owners)
     monotone = Condition.above(
         "F is monotone: ε ≥ 0", constants.epsilon, np.nextafter(0.0, -1.0), exact=constants.exact
     )

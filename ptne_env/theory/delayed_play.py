@@ -3,11 +3,24 @@
 from __future__ import annotations
 
 import numpy as np
+from scipy.sparse.csgraph import shortest_path
 
 from ptne_env.arrays import FloatArray, IntArray
+from ptne_env.graphs import Graph
 
 _ACCURACY = 1e-9
 """Relative accuracy of the largest stable step."""
+
+
+def hop_delays(graph: Graph, owners: IntArray) -> IntArray:
+    """d_cb: the hop count between the owners of the components c and b, shape (n, n).
+
+    Args:
+        graph: connected.
+        owners: the player that owns each component, shape (n,).
+    """
+    hops = shortest_path(graph.adjacency, unweighted=True)
+    return hops[np.ix_(owners, owners)].astype(np.int64)
 
 
 def delayed_play_matrix(jacobian: FloatArray, delays: IntArray, step: float) -> FloatArray:

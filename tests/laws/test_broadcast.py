@@ -9,7 +9,7 @@ from worlds import channel_part
 
 from ptne_env import dynamics, evaluate, get_scenario, laws
 from ptne_env.encoder import make_encoder
-from ptne_env.experiments import POLICIES, get_suite
+from ptne_env.experiments import POLICIES, get_suite, run_suite
 from ptne_env.laws import broadcast
 from ptne_env.random_streams import RandomStreams
 from ptne_env.world import World
@@ -130,6 +130,13 @@ def test_damaged_messages_make_every_player_a_relay(damage):
     state = states[-1]
     errors = np.abs(state.estimates - state.game.nash_equilibria[:, None]).max()
     assert errors < (0.5 if damage in ("noise", "rounding") else 1e-9)
+
+
+def test_a_teammate_with_another_law_ends_the_code_at_once():
+    """A player sees the stranger move two components, and its neighbours see that it has given up the code."""
+    results = run_suite("ptne-v1", ["identify-and-broadcast", "relay"], tracks=["mixed-team"], episodes=5)
+    ours, relay = (results.samples["mixed-team", name]["digits"] for name in ("identify-and-broadcast", "relay"))
+    assert np.all(ours > relay - 0.1)
 
 
 def test_games_that_are_not_affine_make_their_players_relays():

@@ -241,6 +241,22 @@ def test_owner_is_the_only_source_from_the_first_meeting_on():
             assert after[0] == pytest.approx(before[2], abs=1e-5)
 
 
+def test_news_that_never_move_reach_players_that_stop_waiting():
+    """Player 2 settles before player 0 meets player 1, whose copy of its strategy never moves again."""
+    modes = [[(1, 2)], [(0, 1)]]
+    graphs = tuple(FactorySpec.of("ptne_env.graphs:from_edges", players=3, edges=tuple(mode)) for mode in modes)
+    topology = FactorySpec.of("ptne_env.switching:periodic", graphs=graphs, dwells=(10.0, 10.0), clock="transformed")
+    scenario = affine_scenario(np.eye(3), np.ones(3), topology, spacing="transformed", s_end=20.0, input_limit=1e5)
+    for patience, reached in ((1000, False), (10, True)):
+        _, states = episode(laws.RoutedUnknown, scenario, step=1.0, patience=patience)
+        assert (abs(states[-1, 2, 0, 0] - states[-1, 2, 2, 0]) < 1e-4) == reached
+
+
+def test_certificates_name_the_largest_stable_step():
+    scenario, matrix, hops = random_fixed(0)
+    assert f"up to η = {theory.largest_delayed_step(matrix, hops):.3g}" in condition_on(scenario, laws.Routed).name
+
+
 def test_digits_on_switching_graphs_grow_with_knowledge():
     tracks = ["random-energy-switching", "random-energy-switching-transformed"]
     results = evaluate(["routed-unknown", "routed", "freshest"], tracks, episodes=300 if SOAK else 60, seed=87235)
