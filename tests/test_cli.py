@@ -511,8 +511,8 @@ def forge(folder):
 
 def test_list_shows_the_tracks_of_suites():
     printed = ptne("list").stdout
-    assert "Suite ptne-v1" in printed
-    assert "mixed-team" in printed
+    for text in ("Suite ptne-v1", "mixed-team", "Suite ptne-v2", "several-equilibria"):
+        assert text in printed
 
 
 ESCAPES = "\x1b[31mred\x1b]0;title\x9b2J"
