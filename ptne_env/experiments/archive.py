@@ -131,8 +131,8 @@ def _files(path: Path) -> dict[str, bytes]:
                     raise DamagedFileError(f"{path} has more than {MEMBERS} files: publish a smaller run")
                 if not _NAME.fullmatch(member.name) or not member.isreg() or member.issparse():
                     raise DamagedFileError(
-                        f"{path} is no archive of results: {member.name!r:.80} in it is neither results.json nor a file "
-                        "of jobs/ or policies/"
+                        f"{path} is no archive of results: {member.name!r:.80} in it is neither results.json nor a "
+                        "file of jobs/ or policies/"
                     )
                 if member.name in found:
                     raise DamagedFileError(f"{path} is no archive of results: {member.name} is in it twice")
