@@ -132,7 +132,7 @@ def test_a_terminal_gets_colours_and_none_with_no_color(tmp_path):
         (["ptne", "compare", "--scenario", "random-energy-"], {"random-energy-switching"}),
         (["ptne", "compare", "--policy", "ppo-random"], {"ppo-random-energy", "ppo-random-energy-gains"}),
         (["ptne", "compare", "--policy", "static,gr"], {"static,grounded"}),
-        (["ptne", "compare", "--suite", ""], {"ptne-v1"}),
+        (["ptne", "compare", "--suite", ""], {"ptne-v1", "ptne-v2"}),
         (["ptne", "compare", "--suite", "ptne-v1", "--track", "large"], {"large-20", "large-50"}),
         (["ptne", "render", "ptne-v1/d"], {"ptne-v1/delay"}),
         (["ptne", "render", "energy", "grou"], {"grounded"}),
@@ -511,8 +511,8 @@ def forge(folder):
 
 def test_list_shows_the_tracks_of_suites():
     printed = ptne("list").stdout
-    assert "Suite ptne-v1" in printed
-    assert "mixed-team" in printed
+    for text in ("Suite ptne-v1", "mixed-team", "Suite ptne-v2", "several-equilibria"):
+        assert text in printed
 
 
 ESCAPES = "\x1b[31mred\x1b]0;title\x9b2J"

@@ -428,6 +428,13 @@ def test_docstrings_describe_every_argument(described):
     assert [name for name in stars if stars[name] + name not in described_names] == []
 
 
+def test_page_of_ptne_v2_has_all_tracks_with_their_numbers():
+    rows = table(ROOT / "docs" / "ptne-v2.md", "Track")
+    assert [(row[0].strip("`"), float(row[2]), float(row[3])) for row in rows] == [
+        (track.name, track.full_marks, track.highest) for track in get_suite("ptne-v2").tracks
+    ]
+
+
 def test_protocol_has_all_tracks_and_laws():
     document = ROOT / "docs" / "protocol.md"
     tracks = [name.strip("` ") for cell in first_cells(document, "Track") for name in cell.split(",")]

@@ -75,7 +75,8 @@ class Track:
         name: unique in the suite; part of the seeds of its episodes in a published suite.
         scenario: the physics.
         change: its difference from the base, in one sentence.
-        metric: by which policies are scored, higher being better: ``"digits"`` or ``"digits_after_hold"``.
+        metric: by which policies are scored, higher being better: ``"digits"``, ``"digits_after_hold"`` or
+            ``"tracking_digits"``.
         teammates: players that follow a fixed policy; ``None`` where every player follows the policy that is run.
         episodes: its own number of episodes; the suite's if ``None``.
         best_known: digits of the best known honest entry when the suite was frozen, by which score 1 is given;
@@ -98,7 +99,8 @@ class Track:
 
     def __post_init__(self) -> None:
         require_printable("the name of a track", self.name)
-        choices = ("digits", "digits_after_hold") if self.scenario.hold_steps else ("digits",)
+        others = {"digits_after_hold": self.scenario.hold_steps, "tracking_digits": self.scenario.drift}
+        choices = ("digits", *(name for name, exists in others.items() if exists))
         if self.metric not in choices:
             raise ValueError(f"track {self.name!r} is scored by {' or '.join(choices)}, got {self.metric!r}")
         if self.episodes is not None:
@@ -310,7 +312,10 @@ def _comparison_track(name: str, scenario: Scenario) -> Track:
     return Track(name, scenario, "The paper's own start, one episode.", episodes=1)
 
 
-SUITES: Mapping[str, str] = {"ptne-v1": "ptne_env.experiments.ptne_v1:ptne_v1"}
+SUITES: Mapping[str, str] = {
+    "ptne-v1": "ptne_env.experiments.ptne_v1:ptne_v1",
+    "ptne-v2": "ptne_env.experiments.ptne_v2:ptne_v2",
+}
 """The published suites: name, and the ``"module:object"`` that makes each."""
 
 

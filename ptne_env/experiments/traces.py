@@ -151,7 +151,7 @@ def scene(
         )
     ).astype(np.int64)
     links = np.array(world.topology.union.edges, dtype=np.int64).reshape(-1, 2)
-    traces = {}
+    traces, equilibria = {}, [start.game.nash_equilibria[:, 0]] * kept.size
     for name, policy in policies.items():
         encoder = make_encoder(world, policy.interface)
         watch = _Watch(world, kept)
@@ -160,6 +160,7 @@ def scene(
             distance = rollout(deciding, encoder, start, team, watch)["estimate_distance"]
         errors = np.quantile(distance[kept], QUANTILES, axis=1)
         traces[name] = Trace(errors, distance[kept, 0], *watch.arrays())
+        equilibria = watch.equilibria
     t, deadline = clock.t[kept], int(np.searchsorted(kept, clock.steps))
     randomness = start.randomness
     modes = world.modes[kept] if randomness is None or randomness.modes is None else randomness.modes[kept, 0]
@@ -170,7 +171,7 @@ def scene(
         gain=clock.transformation.gain(t, clock.gain),
         deadline_frame=deadline,
         owners=world.game.owners,
-        equilibrium=np.stack(watch.equilibria, axis=-1),
+        equilibrium=np.stack(equilibria, axis=-1),
         links=links,
         live=live.T,
         episodes=dynamics.batch_size(start),

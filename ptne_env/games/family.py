@@ -64,7 +64,7 @@ class RandomEnergy(GameFamily):
         coupling: tuple[float, float] = (0.05, 0.3),
         base_price: float = 10.0,
     ) -> None:
-        self.players = require_count("players", players, 2)
+        self.players, self.target = require_count("players", players, 2), target
         for name, (low, high) in {"curvature": curvature, "target": target, "coupling": coupling}.items():
             if not (np.isfinite(low) and np.isfinite(high) and low < high):
                 raise ValueError(f"RandomEnergy needs a finite range low < high for {name}, got {(low, high)!r}")

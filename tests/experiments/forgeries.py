@@ -61,10 +61,11 @@ def same(new):
 
 
 def another(path):
-    """A value of another place."""
+    """Another value, of another place."""
 
     def change(value, data, random):
-        return some(random, [container[key] for container, key in places(data, path)])
+        found = [container[key] for container, key in places(data, path)]
+        return some(random, [other for other in found if other != value])
 
     return change
 

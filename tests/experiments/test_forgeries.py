@@ -24,11 +24,10 @@ EVERY = 1 if os.environ.get("PTNE_SOAK") else 4
 @pytest.fixture(scope="module")
 def published(tmp_path_factory, build_once):
     """Results of two tracks with numbers, n/a and a failure, and a copy of them in memory."""
-    folder = tmp_path_factory.getbasetemp().parent / "published"
 
     def build():
+        folder = tmp_path_factory.mktemp("published")
         policy = folder / "mixed.onnx"
-        folder.mkdir(parents=True)
         layout = make_encoder(get_suite("ptne-v1").track("coarse-step").world, Interface()).layout
         policy.write_bytes(row_mixing_file(layout))
         policies = ["grounded", "ppo-random-energy", str(policy)]

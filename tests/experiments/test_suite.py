@@ -29,7 +29,8 @@ def small(**changes):
 
 
 def test_published_suites_are_what_they_were():
-    assert {name: get_suite(name).content_hash for name in SUITES} == PUBLISHED
+    suites = {name: get_suite(name) for name in SUITES}
+    assert {name: suite.content_hash for name, suite in suites.items() if suite.frozen} == PUBLISHED
 
 
 @pytest.mark.parametrize(
