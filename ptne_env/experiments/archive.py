@@ -81,11 +81,12 @@ def pack(results: Results, folder: Path, path: Path, *, metrics: Collection[str]
             name = str(dict(source.arguments)["path_or_name"])
             content = (policies.shipped_path(name) or Path(name)).read_bytes()
             files[f"policies/{sha256(content).hexdigest()}.onnx"] = content
-    if len(files) > MEMBERS or sum(map(len, files.values())) > LARGEST // 2:  # each file has a header
+    content = _tar(files)
+    if len(files) > MEMBERS or len(content) > LARGEST:
         raise ValueError(
             f"{len(files)} files are more than an archive holds: publish fewer policies, tracks or metrics"
         )
-    write_atomically(path, lzma.compress(_tar(files), preset=9))
+    write_atomically(path, lzma.compress(content, preset=9))
 
 
 def _tar(files: Mapping[str, bytes]) -> bytes:

@@ -6,17 +6,19 @@ import lzma
 import shutil
 import tarfile
 from io import BytesIO
+from pathlib import Path
 
 import pytest
 from small_suite import SMALL, written
 
 from ptne_env import PolicySpec, laws
-from ptne_env.experiments import archive, run_suite
+from ptne_env.experiments import archive, get_suite, run_suite
 from ptne_env.experiments import check as check_module
 from ptne_env.experiments.archive import pack, policy_copy, unpacked
 from ptne_env.experiments.check import Repetition, check
 from ptne_env.experiments.leaderboard import NEEDED
 from ptne_env.experiments.provenance import content_hash
+from ptne_env.experiments.results import read_results
 from ptne_env.experiments.sources import file_hash
 from ptne_env.experiments.store import Store
 from ptne_env.files import DamagedFileError
@@ -328,6 +330,24 @@ def test_a_digest_that_is_no_hash_names_no_file(run, packed):
     write(packed, files.items())
     with pytest.raises(ValueError, match="files of policy 'mine' are not those"):
         check(packed, suite=SMALL, sample=1)
+
+
+def test_more_than_an_archive_holds_is_not_packed(run, tmp_path, monkeypatch):
+    for name in ("MEMBERS", "LARGEST"):
+        with monkeypatch.context() as patch:
+            patch.setattr(archive, name, 5)
+            with pytest.raises(ValueError, match="9 files are more than an archive holds"):
+                pack(run[0], run[1], tmp_path / "large.tar.xz")
+    assert not any(tmp_path.iterdir())
+
+
+def test_archives_in_the_repository_take_at_most_20_mb_and_are_of_its_suites():
+    found = sorted((Path(__file__).parents[2] / "baselines").glob("*.tar.xz"))
+    assert sum(path.stat().st_size for path in found) <= 20e6
+    for path in found:
+        with unpacked(path) as folder:
+            suite = read_results(folder / "results.json")["suite"]
+        assert suite["content_hash"] == get_suite(path.name.removesuffix(".tar.xz")).content_hash
 
 
 def test_failed_jobs_are_not_in_an_archive(run, tmp_path):
