@@ -79,6 +79,9 @@ class Encoder(ABC):
         world: as given.
         interface: as given.
         layout: of observations and actions; policies are built from it.
+        clock_table: t/T, s, Θ_k, Δt_k/T and the age of the graph as observed, shape (5, 1 or N, K+H+1), float32.
+        gradient_rows: row of the own gradients in each place of a player's own block, shape (m, N).
+        gradient_mask: False in padded places, shape (m, N, 1); ``None`` where no place is padded.
 
     Raises:
         LayoutError: when the interface shows best responses and the game has none, or declares that the schedule is
@@ -98,8 +101,8 @@ class Encoder(ABC):
         # All observations of an instant share the clock and the age of the graph; (5, 1 or N, K+H+1).
         t, s, theta = world.local_clocks
         shared = [np.broadcast_to(row, t.shape) for row in (clock.dt / clock.deadline, world.time_since_switch)]
-        self._clock_table = np.stack([t / clock.deadline, s, theta, *shared]).astype(np.float32)
-        largest_t, largest_s, largest_theta, largest_dt = self._clock_table[:4].max(axis=(1, 2)).tolist()
+        self.clock_table = np.stack([t / clock.deadline, s, theta, *shared]).astype(np.float32)
+        largest_t, largest_s, largest_theta, largest_dt = self.clock_table[:4].max(axis=(1, 2)).tolist()
         self.layout = layout = ObservationLayout(
             interface=interface,
             action_dims=game.action_dims,
@@ -110,10 +113,9 @@ class Encoder(ABC):
             largest_clock=(largest_t, largest_s, largest_theta, largest_dt),
             schedule=_link_schedule(world) if interface.graph_knowledge == "schedule" else None,
         )
-        # Row of own_gradients in each place of a player's own block, shape (m, N); padding is masked out.
         own = layout.own_components.T
-        self._gradient_rows = np.minimum(own, game.dimension - 1)
-        self._gradient_mask = (own < game.dimension)[:, :, None] if (own == game.dimension).any() else None
+        self.gradient_rows = np.minimum(own, game.dimension - 1)
+        self.gradient_mask = (own < game.dimension)[:, :, None] if (own == game.dimension).any() else None
         self._slot_shape = (layout.slots, layout.dimension, layout.num_players)
         self._workspaces: dict[int, _Workspace] = {}
 
@@ -143,7 +145,7 @@ class Encoder(ABC):
             fields["weights"][...] = link_weights
         step = steps.item() if steps.size == 1 else None
         if step is None or step != workspace.step:  # blocks of a vector environment are often in lockstep
-            fields["clock_and_age"][...] = self._clock_table.take(steps, axis=2)
+            fields["clock_and_age"][...] = self.clock_table.take(steps, axis=2)
             workspace.step = step
         if world.topology.is_random:
             fields["time_since_switch"][...] = dynamics.time_since_switch(world, state)
@@ -219,11 +221,11 @@ class Encoder(ABC):
 
     def _own_gradients(self, state: State) -> FloatArray:
         """Own gradients per player, padded with 0, shape (m, N, B)."""
-        if self._gradient_mask is None and len(self._gradient_rows) == 1:
+        if self.gradient_mask is None and len(self.gradient_rows) == 1:
             return state.own_gradients[None]
-        gradients = state.own_gradients.take(self._gradient_rows, axis=0)
-        if self._gradient_mask is not None:
-            gradients *= self._gradient_mask
+        gradients = state.own_gradients.take(self.gradient_rows, axis=0)
+        if self.gradient_mask is not None:
+            gradients *= self.gradient_mask
         return gradients
 
     def _prepare(self, batch: int) -> _Workspace:
@@ -309,15 +311,23 @@ class LocalEncoder(Encoder):
 
     def _write_differences(self, workspace: _Workspace, state: State, link_weights: FloatArray | None) -> None:
         differences, scale = self._differences(state, link_weights)
-        self._scaled = (state, scale)
+        self.remember_scale(state, scale)
         differences *= 1 / scale  # in float64, and cast in a second pass: faster than numpy's casting output
         workspace.fields["gradient_and_relative_estimates"][...] = differences
         workspace.fields["log_scale"][...] = np.log10(scale)
 
-    def _inputs_from_actions(self, actions: FloatArray, state: State) -> FloatArray:
+    def scale(self, state: State) -> FloatArray:
+        """σ_i of every player, shape (N, B)."""
         if self._scaled is None or self._scaled[0] is not state:
             self._scaled = (state, self._differences(state)[1])
-        actions *= self.interface.action_scale * self._scaled[1]
+        return self._scaled[1]
+
+    def remember_scale(self, state: State, scale: FloatArray) -> None:
+        """Keep the σ_i of a state that was observed elsewhere, shape (N, B)."""
+        self._scaled = (state, scale)
+
+    def _inputs_from_actions(self, actions: FloatArray, state: State) -> FloatArray:
+        actions *= self.interface.action_scale * self.scale(state)
         return self._limited(actions.reshape(-1, dynamics.batch_size(state)).take(self._player_rows, axis=0))
 
     def _differences(self, state: State, link_weights: FloatArray | None = None) -> tuple[FloatArray, FloatArray]:

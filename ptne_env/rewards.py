@@ -77,10 +77,15 @@ class Reward:
         """Measure the distances of ``state``, from which the next step is rewarded."""
         self._measure(state)
 
-    def step(self, state: State) -> dict[str, FloatArray]:
-        """The value of each term for the step that ended in ``state``, each of shape (N, B)."""
+    def step(self, state: State, distance: FloatArray | None = None) -> dict[str, FloatArray]:
+        """The value of each term for the step that ended in ``state``, each of shape (N, B).
+
+        Args:
+            state: after the step.
+            distance: its d^i, shape (N, B), where they are known already.
+        """
         before = self._digits
-        self._measure(state)
+        self._measure(state, distance)
         terms = {name: self._term(name, state, before) for name in self.weights}
         if state.any_diverged:
             remaining = 1 + self.world.clock.total_steps - state.step
@@ -105,8 +110,9 @@ class Reward:
         limit = dynamics.distance_limit(state.game)
         return {"tracking": -limit, "payoff": -REWARD_LIMIT, "regret": -REWARD_LIMIT}
 
-    def _measure(self, state: State) -> None:
-        distance = distances.player_distances(state.estimates, state.game)
+    def _measure(self, state: State, distance: FloatArray | None = None) -> None:
+        if distance is None:
+            distance = distances.player_distances(state.estimates, state.game)
         if state.any_diverged:
             distance = np.where(state.diverged, dynamics.distance_limit(state.game), distance)
         self._distance = distance

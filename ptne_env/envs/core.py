@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Mapping, Sequence
+from time import perf_counter
 from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from ptne_env import distances, dynamics
+from ptne_env import distances, dynamics, fused
 from ptne_env.arrays import BoolArray, Float32Array, FloatArray, IntArray, require_count
 from ptne_env.dynamics import State
 from ptne_env.encoder import Encoder, make_encoder
@@ -27,12 +28,14 @@ class StepResult(NamedTuple):
         terms: each reward term, unweighted, shape (N, B).
         terminated: shape (B,).
         truncated: shape (B,).
+        observations: of all players, shape (B, N, size), float32, C-contiguous.
     """
 
     rewards: FloatArray
     terms: dict[str, FloatArray]
     terminated: BoolArray
     truncated: BoolArray
+    observations: Float32Array
 
 
 class ResetResult(NamedTuple):
@@ -93,6 +96,7 @@ class Simulation:
         self.num_envs = require_count("num_envs", num_envs, 1)
         self.max_cycles = None if max_cycles is None else require_count("max_cycles", max_cycles, 1)
         self._reward = Reward(self.world, reward)
+        self._fused = fused.FusedStep(encoder) if fused.qualifies(encoder) else None
         self._streams: list[RandomStreams] = []
         self.state: State | None = None
 
@@ -176,19 +180,39 @@ class Simulation:
                 streams[index] = RandomStreams.from_seed(seeds[index])
         return streams
 
-    def step(self, actions: npt.NDArray[np.floating], restart: ResetResult | None = None) -> StepResult:
+    def step(
+        self,
+        actions: npt.NDArray[np.floating],
+        restart: ResetResult | None = None,
+        out: Float32Array | None = None,
+        *,
+        has_constants: bool = False,
+    ) -> StepResult:
         """Hold all players' inputs for one step.
 
         Args:
             actions: finite and within the action box (see :meth:`Encoder.clip`), shape (B, N, action size).
             restart: the start of environments that start afresh instead of moving: their rewards are 0.
+            out: where to write the observations; a new array if left out.
+            has_constants: whether ``out`` has held observations of this simulation before.
 
         Raises:
             RuntimeError: before the first reset.
         """
-        before = self.current
-        state = dynamics.step(self.world, before, self.encoder.inputs(actions, before))
-        terms = self._reward.step(state)
+        before, layout = self.current, self.encoder.layout
+        if out is None:
+            out, has_constants = np.empty((self.num_envs, layout.num_players, layout.size), dtype=np.float32), False
+        moved = None if self._fused is None else self._fused(before, actions, out, has_constants=has_constants)
+        if moved is None:
+            began = perf_counter()
+            state = dynamics.step(self.world, before, self.encoder.inputs(actions, before))
+            terms = self._reward.step(state)
+            self.encoder.observe(state, out)
+            if self._fused is not None:
+                fused.spend(perf_counter() - began)
+        else:
+            state, distance = moved
+            terms = self._reward.step(state, distance)
         self.state = state
         terminated = dynamics.is_over(self.world, state)
         if self.max_cycles is None:
@@ -196,10 +220,10 @@ class Simulation:
         else:
             truncated = ~terminated & (state.step >= self.max_cycles)
         if restart is not None:
-            self.begin(restart)
+            self.encoder.observe(self.begin(restart), out)
             terms = {name: np.where(restart.mask, 0.0, term) for name, term in terms.items()}
             terminated, truncated = terminated & ~restart.mask, truncated & ~restart.mask
-        return StepResult(self._reward.total(terms), terms, terminated, truncated)
+        return StepResult(self._reward.total(terms), terms, terminated, truncated, out)
 
     def observe(self, out: Float32Array | None = None) -> Float32Array:
         """Observations of all players, shape (B, N, size), float32, owned by the caller."""

@@ -190,7 +190,8 @@ class NashSeekingEnv(ParallelEnv[str, Float32Array, Float32Array]):
             inside, clipped = self._simulation.encoder.clip(self._stack(actions))
         except NonFiniteActionError:
             raise self._complaint(actions) from None
-        outcome = self._simulation.step(inside)
+        table, rows = self._observed()
+        outcome = self._simulation.step(inside, out=table, has_constants=True)
         terminated, truncated = bool(outcome.terminated[0]), bool(outcome.truncated[0])
         diverged = bool(self._simulation.current.diverged[0])
         counts = clipped[0].tolist()
@@ -212,7 +213,7 @@ class NashSeekingEnv(ParallelEnv[str, Float32Array, Float32Array]):
             self._renderer.record(self._simulation.current)
             self._render_human()
         return (
-            self._observations(agents),
+            dict(zip(agents, map(np.ndarray.copy, rows), strict=True)),
             dict(zip(agents, outcome.rewards[:, 0].tolist(), strict=True)),
             dict.fromkeys(agents, terminated),
             dict.fromkeys(agents, truncated),
@@ -275,12 +276,16 @@ class NashSeekingEnv(ParallelEnv[str, Float32Array, Float32Array]):
 
     def _observations(self, agents: list[str]) -> dict[str, Float32Array]:
         """Copies of rows, because a row leads to all others of its array by the attribute ``base``."""
-        if self._table is None:
-            table = self._simulation.observe()
-            self._table = table, list(table[0])  # views cost as much as copies, so they are made once
-        table, rows = self._table
+        table, rows = self._observed()
         self._simulation.observe(table)
         return dict(zip(agents, map(np.ndarray.copy, rows), strict=True))
+
+    def _observed(self) -> tuple[Float32Array, list[Float32Array]]:
+        """The table of observations, and its rows: views cost as much as copies, so they are made once."""
+        if self._table is None:
+            table = self._simulation.observe()
+            self._table = table, list(table[0])
+        return self._table
 
     def _stack(self, actions: Mapping[str, Any]) -> npt.NDArray[np.floating]:
         """All actions in the order of the agents, shape (1, N, action size)."""

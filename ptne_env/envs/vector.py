@@ -184,13 +184,11 @@ class VectorParallelEnv:
         if restart is not None:
             clipped[restart] = 0
             drawn = self._draw(restart)
+        observations = self._empty_observations()
         outcomes = [
-            block.step(actions[part], start)
+            block.step(actions[part], start, observations[part])
             for block, part, start in zip(self._blocks, self._slices, drawn, strict=True)
         ]
-        observations = self._empty_observations()
-        for block, part in zip(self._blocks, self._slices, strict=True):
-            block.observe(observations[part])
         return self._assemble(observations, outcomes, clipped)
 
     def _draw(

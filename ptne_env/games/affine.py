@@ -80,7 +80,8 @@ class AffineGame(Game):
         return self.offset.shape[1]
 
     @cached_property
-    def _transposed(self) -> FloatArray:
+    def transposed(self) -> FloatArray:
+        """A with its first two axes swapped, shape (n, n, G), contiguous."""
         return frozen(self.matrix.transpose(1, 0, 2))
 
     @cached_property
@@ -129,7 +130,7 @@ class AffineGame(Game):
         """Block i is Σ_j A_ij x^i_j + b_i: (n, N, B) to (n, B)."""
         # One column per component, that of its owner; already so where all players have one component.
         columns = estimates if self.dimension == self.num_players else estimates[:, self.owners]
-        terms = np.multiply(self._transposed, columns, order="C")  # the order of reduce()'s additions depends on it
+        terms = np.multiply(self.transposed, columns, order="C")  # the order of reduce()'s additions depends on it
         gradients: FloatArray = np.add.reduce(terms, axis=0)
         gradients += self.offset
         return gradients

@@ -71,11 +71,13 @@ class EnergyGame(Game):
         return self.target.shape[1]
 
     @cached_property
-    def _slope(self) -> FloatArray:
+    def slope(self) -> FloatArray:
+        """2 a_i + c, shape (N, G)."""
         return frozen(2 * self.curvature + self.coupling)
 
     @cached_property
-    def _intercept(self) -> FloatArray:
+    def intercept(self) -> FloatArray:
+        """d − 2 a_i b_i, shape (N, G)."""
         return frozen(self.base_price - 2 * self.curvature * self.target)
 
     def costs(self, strategies: FloatArray) -> FloatArray:
@@ -88,21 +90,21 @@ class EnergyGame(Game):
         gradients = np.add.reduce(estimates, axis=0)
         gradients *= self.coupling
         players, batch = self.num_players, estimates.shape[2]
-        gradients += self._slope * estimates.reshape(-1, batch)[:: players + 1]  # the diagonal x^i_i
-        gradients += self._intercept
+        gradients += self.slope * estimates.reshape(-1, batch)[:: players + 1]  # the diagonal x^i_i
+        gradients += self.intercept
         return gradients
 
     def jacobian(self, strategies: FloatArray) -> FloatArray:
         """diag(2 a_i + c) + c 11ᵀ, the same everywhere: (N, B) to (N, N, B)."""
         matrix = np.zeros((self.num_players, *strategies.shape))
         matrix += self.coupling
-        np.einsum("iib->ib", matrix)[...] += self._slope
+        np.einsum("iib->ib", matrix)[...] += self.slope
         return matrix
 
     def best_response(self, strategies: FloatArray) -> FloatArray:
         """(2 a_i b_i − d − c Σ_{j≠i} x_j) / (2 (a_i + c)): (N, B) to (N, B)."""
         others = ordered_sum(strategies) - strategies
-        return -(self._intercept + self.coupling * others) / (2 * (self.curvature + self.coupling))
+        return -(self.intercept + self.coupling * others) / (2 * (self.curvature + self.coupling))
 
     def merged(self, fresh: Game, mask: BoolArray) -> EnergyGame:
         """The batch of games with those in ``mask`` (G,) replaced by those of ``fresh``, in order."""
@@ -122,6 +124,6 @@ class EnergyGame(Game):
 
     def _solve_nash_equilibria(self) -> FloatArray:
         """Sherman–Morrison on (diag(2a + c) + c 11ᵀ) x = 2ab − d."""
-        free = -self._intercept / self._slope
-        total = ordered_sum(free) / (1 + self.coupling * ordered_sum(1 / self._slope))
-        return free - self.coupling * total / self._slope
+        free = -self.intercept / self.slope
+        total = ordered_sum(free) / (1 + self.coupling * ordered_sum(1 / self.slope))
+        return free - self.coupling * total / self.slope

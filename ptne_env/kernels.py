@@ -1,0 +1,272 @@
+"""The compiled step: transition, own gradients, distances and observations in one pass over memory; needs numba.
+
+:mod:`ptne_env.fused` calls it. The equations are those of ``dynamics``, ``games``, ``distances`` and ``encoder``, with
+the same operations in the same order, so that all numbers are the same bit for bit.
+
+Environments are last. The pass works on a tile of them at a time, whose numbers stay in the first cache. A table of
+games has one column per environment, or one tile of columns where all environments play one game.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numba import njit
+
+from ptne_env.observation import SMALLEST_SCALE
+from ptne_env.world import RANGE_LIMIT
+
+
+def _compiled(function: Any) -> Any:
+    """``function``, compiled at its first call and kept on disk, unless there is no folder to write it to.
+
+    Without ``fastmath``: no operation is reordered, and none is contracted.
+    """
+    options: dict[str, Any] = {"nogil": True, "error_model": "numpy"}
+    try:
+        return njit(cache=True, **options)(function)
+    except RuntimeError:  # "cannot cache function …: no locator available for file …"
+        return njit(**options)(function)
+
+
+@_compiled
+def is_inside(actions: Any, bound: float) -> bool:
+    """Whether all actions (B, N, action size) are finite and within ±bound."""
+    flat, inside = actions.reshape(-1), True
+    for k in range(flat.size):
+        inside &= abs(flat[k]) <= bound
+    return inside
+
+
+@_compiled
+def _move(
+    x: Any, estimates: Any, actions: Any, theta: Any, unit: Any, order: Any, limit: float, first: int, stop: int
+) -> None:
+    """x^i + Θ u^i, where u^i is the action, or under ``local`` the action in units of σ_i within the limit."""
+    n, players = x.shape[:2]
+    for i in range(players):
+        held = theta[min(i, len(theta) - 1)]
+        for place in range(n):
+            c = order[i, place]
+            new, old, action = x[c, i], estimates[c, i, first:stop], actions[first:stop, i, place]
+            if len(unit):
+                scale = unit[i]
+                for w in range(stop - first):
+                    u = min(np.float64(action[w]) * scale[w], limit)
+                    new[w] = held[w] * max(u, -limit) + old[w]
+            else:
+                for w in range(stop - first):
+                    new[w] = held[w] * np.float64(action[w]) + old[w]
+
+
+@_compiled
+def _project(x: Any, owners: Any, low: Any, high: Any, at: int, width: int) -> None:
+    """Π(x): the real strategies in the box."""
+    for c in range(len(low)):
+        own, lowest, highest = x[c, owners[c]], low[c, at : at + width], high[c, at : at + width]
+        for w in range(width):
+            above = own[w] if own[w] > lowest[w] else lowest[w]
+            own[w] = above if above < highest[w] else highest[w]
+
+
+@_compiled
+def _affine_gradients(gradients: Any, x: Any, owners: Any, transposed: Any, offset: Any, at: int, width: int) -> None:
+    """Block i is Σ_j A_ij x^i_j + b_i."""
+    n = len(gradients)
+    for k in range(n):
+        total, constant = gradients[k], offset[k, at : at + width]
+        for c in range(n):
+            entry, estimate = transposed[c, k, at : at + width], x[c, owners[k]]
+            if c == 0:
+                for w in range(width):
+                    total[w] = entry[w] * estimate[w]
+            else:
+                for w in range(width):
+                    total[w] += entry[w] * estimate[w]
+        for w in range(width):
+            total[w] += constant[w]
+
+
+@_compiled
+def _energy_gradients(gradients: Any, x: Any, coupling: Any, slope: Any, intercept: Any, at: int, width: int) -> None:
+    """c Σ_j x^i_j + (2 a_i + c) x^i_i + (d − 2 a_i b_i)."""
+    players, price = len(gradients), coupling[0, at : at + width]
+    for i in range(players):
+        total, own = gradients[i], x[i, i]
+        factor, constant = slope[i, at : at + width], intercept[i, at : at + width]
+        for c in range(players):
+            estimate = x[c, i]
+            if c == 0:
+                for w in range(width):
+                    total[w] = estimate[w]
+            else:
+                for w in range(width):
+                    total[w] += estimate[w]
+        for w in range(width):
+            total[w] = total[w] * price[w] + factor[w] * own[w] + constant[w]
+
+
+@_compiled
+def _distances(distances: Any, x: Any, equilibrium: Any, norm: Any, at: int, first: int, stop: int) -> None:
+    """d^i = ‖x^i − x*‖/‖x*‖."""
+    n, players = x.shape[:2]
+    width, scale = stop - first, norm[0, at : at + stop - first]
+    for i in range(players):
+        distance = distances[i, first:stop]
+        for c in range(n):
+            estimate, goal = x[c, i], equilibrium[c, at : at + width]
+            for w in range(width):
+                error = estimate[w] - goal[w]
+                distance[w] = error * error if c == 0 else distance[w] + error * error
+        for w in range(width):
+            distance[w] = np.sqrt(distance[w]) / scale[w]
+
+
+@_compiled
+def _keep(target: Any, rows: Any, first: int, stop: int) -> bool:
+    """Copy rows of a tile to where it belongs; whether every entry is a number within ±RANGE_LIMIT."""
+    inside = True
+    for k in range(len(rows)):
+        row, kept = rows[k], target[k, first:stop]
+        for w in range(stop - first):
+            kept[w] = row[w]
+            inside &= abs(row[w]) <= RANGE_LIMIT
+    return inside
+
+
+@_compiled
+def _show_gradient(shown: Any, i: int, gradients: Any, own: Any, mask: Any, width: int) -> None:
+    """Player i's own gradient, padded with 0."""
+    for place in range(len(own)):
+        entry, gradient, factor = shown[place], gradients[own[place, i]], mask[place, i]
+        for w in range(width):
+            entry[w] = gradient[w] * factor
+
+
+@_compiled
+def _show_relative(shown: Any, row: int, i: int, x: Any, senders: Any, order: Any, live: Any, width: int) -> None:
+    """x^j − x^i of player i's neighbour in each slot, 0 where the link is down; from ``row`` on."""
+    n = len(x)
+    for d in range(len(senders)):
+        alive = live[d, i]
+        for place in range(n):
+            c = order[i, place]
+            entry, theirs, mine = shown[row + d * n + place], x[c, senders[d, i]], x[c, i]
+            for w in range(width):
+                entry[w] = (theirs[w] - mine[w]) * alive[w]
+
+
+@_compiled
+def _show_in_units(shown: Any, differences: Any, sigma: Any, per_sigma: Any) -> None:
+    """Differences over σ_i, the largest size of any; σ_i and 1/σ_i are written too."""
+    width = len(sigma)
+    for w in range(width):
+        sigma[w] = SMALLEST_SCALE
+    for k in range(len(differences)):
+        difference = differences[k]
+        for w in range(width):
+            size = abs(difference[w])
+            sigma[w] = size if size > sigma[w] else sigma[w]
+    for w in range(width):
+        per_sigma[w] = 1 / sigma[w]
+    for k in range(len(differences)):
+        difference, entry = differences[k], shown[k]
+        for w in range(width):
+            entry[w] = difference[w] * per_sigma[w]
+
+
+@_compiled
+def step(
+    # State, actions, and the σ_i in which actions are given: (N, B), or (0, B) under ``physical``.
+    estimates: Any, instants: Any, actions: Any, sigma: Any,
+    # Game: A transposed, or without entries for an energy game, whose c and 2a + c follow; offset, box, x*, ‖x*‖.
+    transposed: Any, coupling: Any, slope: Any, offset: Any, low: Any, high: Any, equilibrium: Any, norm: Any,
+    # World by instant: Θ, clock as observed, active graph, age of the graph; a_ij and neighbour by slot.
+    theta: Any, clock: Any, modes: Any, ages: Any, weights: Any, senders: Any,
+    # Layout: owner of each component, components in each player's order, rows of own gradients and their mask.
+    owners: Any, order: Any, own: Any, mask: Any, limit: float, action_scale: float,
+    # Results.
+    next_instants: Any, next_estimates: Any, gradients: Any, distances: Any, next_sigma: Any, observations: Any,
+    has_constants: bool, tile: int,
+) -> bool:  # fmt: skip
+    """Everything that a step does to B environments; ``False`` if an environment left the range.
+
+    The entry log10 σ_i of an observation is left out; player one-hots are, if ``has_constants`` says that they stand.
+    """
+    n, players, batch = estimates.shape
+    slots, m, size, last = len(senders), len(own), observations.shape[2], theta.shape[1] - 1
+    is_local, is_energy = len(sigma) > 0, transposed.size == 0
+    games_differ, graphs_differ, is_fixed = norm.shape[1] > tile, modes.shape[1] > 1, weights.shape[2] == 1
+    x, gradient = np.empty((n, players, tile)), np.empty((n, tile))
+    held, unit = np.empty((len(theta), tile)), np.empty((len(sigma), tile))
+    weight, live = np.empty((slots, players, tile)), np.empty((slots, players, tile))
+    shown, differences = np.empty((size, tile), np.float32), np.empty((m + slots * n, tile))
+    per_sigma = np.empty(tile)
+    of_weights = m + slots * n + (0 if is_local else n)
+    of_clock = of_weights + slots + is_local
+    of_player = of_clock + 5
+    written = of_player if has_constants else size
+    inside = True
+    for first in range(0, batch, tile):
+        stop = min(first + tile, batch)
+        width = stop - first
+        now, after = instants[first:stop], next_instants[first:stop]
+        for w in range(width):
+            after[w] = min(now[w] + 1, last)
+        for i in range(len(theta)):
+            for w in range(width):
+                held[i, w] = theta[i, now[w]]
+        for i in range(len(sigma)):
+            for w in range(width):
+                unit[i, w] = action_scale * sigma[i, first + w]
+        _move(x, estimates, actions, held, unit, order, limit, first, stop)
+
+        at = first if games_differ else 0
+        _project(x, owners, low, high, at, width)
+        if is_energy:
+            _energy_gradients(gradient, x, coupling, slope, offset, at, width)
+        else:
+            _affine_gradients(gradient, x, owners, transposed, offset, at, width)
+        _distances(distances, x, equilibrium, norm, at, first, stop)
+        inside &= _keep(gradients, gradient, first, stop)
+        for c in range(n):
+            inside &= _keep(next_estimates[c], x[c], first, stop)
+
+        if first == 0 or not is_fixed:
+            for w in range(width if not is_fixed else tile):
+                mode = 0 if is_fixed else modes[after[w], first + w if graphs_differ else 0]
+                for d in range(slots):
+                    for i in range(players):
+                        weight[d, i, w] = weights[d, i, mode]
+                        live[d, i, w] = weight[d, i, w] > 0
+        for i in range(players):
+            if is_local:
+                _show_gradient(differences, i, gradient, own, mask, width)
+                _show_relative(differences, m, i, x, senders, order, live, width)
+                _show_in_units(shown, differences, next_sigma[i, first:stop], per_sigma)
+            else:
+                _show_gradient(shown, i, gradient, own, mask, width)
+                for c in range(n):
+                    entry, estimate = shown[m + c], x[c, i]
+                    for w in range(width):
+                        entry[w] = estimate[w]
+                _show_relative(shown, m + n, i, x, senders, order, live, width)
+            for d in range(slots):
+                entry, worth = shown[of_weights + d], weight[d, i]
+                for w in range(width):
+                    entry[w] = worth[w]
+            if i < len(theta):  # one clock for all, or one for each
+                for w in range(width):
+                    for k in range(4):
+                        shown[of_clock + k, w] = clock[k, i, after[w]]
+                    shown[of_clock + 4, w] = ages[after[w], first + w if graphs_differ else 0]
+            for j in range(players):
+                entry = shown[of_player + j]
+                for w in range(width):
+                    entry[w] = i == j
+            for w in range(width):
+                row = observations[first + w, i]
+                for k in range(written):
+                    row[k] = shown[k, w]
+    return inside
