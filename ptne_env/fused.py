@@ -9,7 +9,6 @@ from __future__ import annotations
 import warnings
 from functools import cache
 from types import ModuleType
-from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -47,9 +46,12 @@ def _load() -> ModuleType | None:
     try:
         from numba import config
     except ModuleNotFoundError as error:
-        return None if error.name == "numba" else _refuse(error)
+        if error.name != "numba":
+            _refuse(error)
+        return None
     except Exception as error:  # noqa: BLE001 - a broken package may raise anything
-        return _refuse(error)
+        _refuse(error)
+        return None
     if config.DISABLE_JIT:  # a switch of numba for debugging: loops of Python would take a thousand times as long
         return None
     try:
@@ -57,7 +59,8 @@ def _load() -> ModuleType | None:
 
         compiled.is_inside(np.zeros((1, 1, 1), dtype=np.float32), 1.0)
     except Exception as error:  # noqa: BLE001
-        return _refuse(error)
+        _refuse(error)
+        return None
     return compiled
 
 
@@ -100,18 +103,6 @@ def _is_known(game: Game) -> bool:
     )
 
 
-class Moved(NamedTuple):
-    """The result of a compiled step.
-
-    Attributes:
-        state: x_{k+1}.
-        distances: d^i of every player, shape (N, B), as :func:`ptne_env.distances.player_distances`.
-    """
-
-    state: State
-    distances: FloatArray
-
-
 class FusedStep:
     """The compiled step of one world and interface: decoding, transition, distances and observation in one pass.
 
@@ -120,30 +111,41 @@ class FusedStep:
     """
 
     def __init__(self, encoder: Encoder) -> None:
-        self.encoder = encoder
+        self._encoder = encoder
+        self._local = encoder if isinstance(encoder, LocalEncoder) else None
         world, layout = encoder.world, encoder.layout
         n, players = layout.dimension, layout.num_players
-        order = layout.ego_order if isinstance(encoder, LocalEncoder) else np.tile(np.arange(n), (players, 1))
-        theta = world.theta.reshape(-1, world.theta.shape[-1])
-        # Copies, because numba compiles a function once more for arrays that are read-only.
-        self._clocks = theta.copy(), encoder.clock_table.copy()
-        self._schedule = world.modes[:, None].astype(np.int16), encoder.clock_table[4, 0][:, None].copy()
-        self._links = world.mode_weights.copy(), world.neighbours.copy()
+        theta, ages = world.theta.reshape(-1, world.theta.shape[-1]), encoder.clock_table[4, 0]
+        self._schedule = world.modes[:, None].astype(np.int16), ages[:, None].copy()
         rows, mask = encoder.gradient_rows, encoder.gradient_mask
-        mask = np.ones(rows.shape) if mask is None else mask[:, :, 0].astype(np.float64)
-        self._order = world.game.owners.copy(), order.copy(), rows.copy(), mask
-        self._limits = layout.input_limit, layout.interface.action_scale
+        # Copies, because numba compiles a function once more for arrays that are read-only.
+        self._tables = (
+            *(table.copy() for table in (theta, encoder.clock_table, world.mode_weights, world.neighbours)),
+            world.game.owners.copy(),
+            np.tile(np.arange(n), (players, 1)) if self._local is None else layout.ego_order.copy(),
+            rows.copy(),
+            np.ones(rows.shape) if mask is None else mask[:, :, 0].astype(np.float64),
+            layout.input_limit,
+            layout.interface.action_scale,
+        )
+        self._bound = layout.action_bound
         self._largest_tile = min(_TILE, max(8, _TILE_ENTRIES // (n * players)))
-        self._log_scale = layout.slices.get("log_scale", slice(0))
+        self._log_scale = layout.slices.get("log_scale", slice(0)).start
         self._none = np.empty((0, 0))
         self._game: Game | None = None
-        self._batch, self._tile = 0, 0
-        self._numbers: tuple[FloatArray, ...] = ()
-        self._knows_game = self._is_checked = False
+        self._numbers: tuple[FloatArray | int, ...] = ()
+        self._is_checked = False
+
+    def accepts(self, actions: npt.NDArray[np.floating]) -> bool:
+        """Whether all actions (B, N, n) are finite and within the box; ``False`` too where only numpy can tell."""
+        compiled = kernels()
+        if compiled is None or actions.dtype != np.float32 or not actions.flags.c_contiguous:
+            return False
+        return compiled.is_inside(actions, self._bound)
 
     def __call__(
         self, state: State, actions: npt.NDArray[np.floating], out: Float32Array, *, has_constants: bool = False
-    ) -> Moved | None:
+    ) -> tuple[State, FloatArray] | None:
         """Make a step, and write the observations of the next state.
 
         Args:
@@ -153,68 +155,72 @@ class FusedStep:
             has_constants: whether ``out`` holds the one-hots already.
 
         Returns:
-            ``None`` where numpy has to make the step: the kernels are not loaded, an environment is out of range, or a
-            drawn game has formulas of its own. Nothing has changed then, except the content of ``out``.
+            x_{k+1}, and d^i of every player, shape (N, B), as :func:`ptne_env.distances.player_distances`. ``None``
+            where numpy has to make the step, because the kernels are not loaded, an environment is out of range, or a
+            drawn game has formulas of its own; nothing has changed then, except the content of ``out``.
         """
         compiled = kernels()
-        if compiled is None or state.any_diverged or not self._read(state.game, state.step.size):
+        if compiled is None or state.any_diverged:
             return None
-        encoder, (n, players, batch), draws = self.encoder, state.estimates.shape, state.randomness
-        is_local = isinstance(encoder, LocalEncoder)
-        schedule = self._schedule
+        if state.game is not self._game and not self._read(state.game, state.step.size):
+            return None
+        local, draws, (modes, ages) = self._local, state.randomness, self._schedule
         if draws is not None and draws.modes is not None and draws.time_since_switch is not None:
-            schedule = draws.modes, draws.time_since_switch
-        old, step, new = np.ascontiguousarray(state.estimates), np.empty(batch, dtype=np.int64), np.empty((n, players, batch))
-        gradients, distance = np.empty((n, batch)), np.empty((players, batch))
-        sigma, next_sigma = (encoder.scale(state), np.empty((players, batch))) if is_local else (self._none, self._none)
+            modes, ages = draws.modes, draws.time_since_switch
+        if actions.dtype != np.float32 or not actions.flags.c_contiguous:
+            actions = np.ascontiguousarray(actions, dtype=np.float32)
+        old = state.estimates if state.estimates.flags.c_contiguous else np.ascontiguousarray(state.estimates)
+        n, players, batch = old.shape
+        new, gradients, distance = np.empty(old.shape), np.empty((n, batch)), np.empty((players, batch))
+        step = np.empty(batch, dtype=np.int64)
+        sigma, next_sigma = (self._none,) * 2 if local is None else (local.scale(state), np.empty_like(distance))
         in_range = compiled.step(
-            old, state.step, np.ascontiguousarray(actions, dtype=np.float32), sigma, *self._numbers, *self._clocks,
-            *schedule, *self._links, *self._order, *self._limits, step, new, gradients, distance, next_sigma, out,
-            has_constants, self._tile,
+            old, state.step, actions, sigma, modes, ages, new, step, gradients, distance, next_sigma, out,
+            has_constants, *self._numbers, *self._tables,
         )  # fmt: skip
         if not in_range:
             return None
-        moved = Moved(State(step, state.game, new, gradients, state.diverged, False, draws), distance)
-        if is_local:
-            out[:, :, self._log_scale] = np.log10(next_sigma).T[:, :, None]
+        moved = State(step, state.game, new, gradients, state.diverged, False, draws)  # noqa: FBT003 - none has
+        if local is not None:
+            out[:, :, self._log_scale] = np.log10(next_sigma).T
         if not self._is_checked:
             self._is_checked = True
             if not self._agrees(moved, state, actions, out):
-                return _refuse("its numbers are not those of numpy")
-        if is_local:
-            encoder.remember_scale(moved.state, next_sigma)
-        return moved
+                _refuse("its numbers are not those of numpy")
+                return None
+        if local is not None:
+            local.remember_scale(moved, next_sigma)
+        return moved, distance
 
     def _read(self, game: Game, batch: int) -> bool:
-        """Read the numbers of a game; whether the kernels hold its formulas."""
-        if game is self._game and batch == self._batch:
-            return self._knows_game
-        self._game, self._batch, self._knows_game = game, batch, _is_known(game)
-        self._tile = tile = min(self._largest_tile, batch)
-        if not self._knows_game:
-            return False
+        """Read the numbers of the games of a batch of environments; whether the kernels hold their formulas."""
+        tile = min(self._largest_tile, batch)
 
         def columns(table: FloatArray) -> FloatArray:
+            """One column per environment, or a tile of the same column."""
             return np.repeat(table, tile if table.shape[-1] == 1 else 1, axis=-1)
 
         nothing = np.empty((0, tile))
+        if not _is_known(game):
+            return False
         if isinstance(game, EnergyGame):
             coupling = np.broadcast_to(game.coupling, (1, game.batch_size))
             formula = np.empty((0, 0, tile)), columns(coupling), columns(game.slope), columns(game.intercept)
-        else:
+        elif isinstance(game, AffineGame):
             formula = columns(game.transposed), nothing, nothing, columns(game.offset)
         box = (nothing, nothing) if game.low is None or game.high is None else (columns(game.low), columns(game.high))
-        self._numbers = *formula, *box, columns(game.nash_equilibria), columns(game.equilibrium_scale[None])
+        self._numbers = *formula, *box, columns(game.nash_equilibria), columns(game.equilibrium_scale[None]), tile
+        self._game = game
         return True
 
-    def _agrees(self, moved: Moved, before: State, actions: npt.NDArray[np.floating], observed: Float32Array) -> bool:
-        """Whether numpy comes to the same bits: the processor and the versions of compilers are not ours."""
-        encoder = self.encoder
+    def _agrees(self, moved: State, before: State, actions: npt.NDArray[np.floating], observed: Float32Array) -> bool:
+        """Whether numpy comes to the same bits here: nothing is assumed of processors and compilers."""
+        encoder = self._encoder
         expected = dynamics.step(encoder.world, before, encoder.inputs(actions, before))
         pairs = (
-            (moved.state.step, expected.step),
-            (moved.state.estimates, expected.estimates),
-            (moved.state.own_gradients, expected.own_gradients),
+            (moved.step, expected.step),
+            (moved.estimates, expected.estimates),
+            (moved.own_gradients, expected.own_gradients),
             (observed, encoder.observe(expected)),
         )
         return all(ours.tobytes() == numpys.tobytes() for ours, numpys in pairs)

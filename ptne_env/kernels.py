@@ -40,6 +40,15 @@ def is_inside(actions: Any, bound: float) -> bool:
 
 
 @_compiled
+def _tick(after: Any, held: Any, now: Any, theta: Any) -> None:
+    """The next instants, and the Θ of this one by each clock."""
+    for w in range(len(now)):
+        after[w] = min(now[w] + 1, theta.shape[1] - 1)
+        for i in range(len(theta)):
+            held[i, w] = theta[i, now[w]]
+
+
+@_compiled
 def _move(
     x: Any, estimates: Any, actions: Any, theta: Any, unit: Any, order: Any, limit: float, first: int, stop: int
 ) -> None:
@@ -66,8 +75,7 @@ def _project(x: Any, owners: Any, low: Any, high: Any, at: int, width: int) -> N
     for c in range(len(low)):
         own, lowest, highest = x[c, owners[c]], low[c, at : at + width], high[c, at : at + width]
         for w in range(width):
-            above = own[w] if own[w] > lowest[w] else lowest[w]
-            own[w] = above if above < highest[w] else highest[w]
+            own[w] = min(max(own[w], lowest[w]), highest[w])
 
 
 @_compiled
@@ -136,6 +144,36 @@ def _keep(target: Any, rows: Any, first: int, stop: int) -> bool:
 
 
 @_compiled
+def _weigh(weight: Any, live: Any, weights: Any, modes: Any, after: Any, first: int) -> None:
+    """a_ij of the active graph, and 1 or 0 for links that are up or down."""
+    slots, players, graphs = weights.shape
+    for w in range(weight.shape[2] if graphs == 1 else len(after)):  # of a fixed graph for every tile
+        mode = 0 if graphs == 1 else modes[after[w], first + w if modes.shape[1] > 1 else 0]
+        for d in range(slots):
+            for i in range(players):
+                weight[d, i, w] = weights[d, i, mode]
+                live[d, i, w] = weight[d, i, w] > 0
+
+
+@_compiled
+def _show_rows(shown: Any, row: int, values: Any, width: int) -> None:
+    """Values in several rows, from ``row`` on."""
+    for k in range(len(values)):
+        entry, value = shown[row + k], values[k]
+        for w in range(width):
+            entry[w] = value[w]
+
+
+@_compiled
+def _show_clock(shown: Any, row: int, clock: Any, ages: Any, after: Any, first: int) -> None:
+    """Clock, then the age of the graph, from ``row`` on."""
+    for w in range(len(after)):
+        for k in range(4):
+            shown[row + k, w] = clock[k, after[w]]
+        shown[row + 4, w] = ages[after[w], first + w if ages.shape[1] > 1 else 0]
+
+
+@_compiled
 def _show_gradient(shown: Any, i: int, gradients: Any, own: Any, mask: Any, width: int) -> None:
     """Player i's own gradient, padded with 0."""
     for place in range(len(own)):
@@ -166,8 +204,7 @@ def _show_in_units(shown: Any, differences: Any, sigma: Any, per_sigma: Any) -> 
     for k in range(len(differences)):
         difference = differences[k]
         for w in range(width):
-            size = abs(difference[w])
-            sigma[w] = size if size > sigma[w] else sigma[w]
+            sigma[w] = max(sigma[w], abs(difference[w]))
     for w in range(width):
         per_sigma[w] = 1 / sigma[w]
     for k in range(len(differences)):
@@ -178,26 +215,25 @@ def _show_in_units(shown: Any, differences: Any, sigma: Any, per_sigma: Any) -> 
 
 @_compiled
 def step(
-    # State, actions, and the σ_i in which actions are given: (N, B), or (0, B) under ``physical``.
-    estimates: Any, instants: Any, actions: Any, sigma: Any,
-    # Game: A transposed, or without entries for an energy game, whose c and 2a + c follow; offset, box, x*, ‖x*‖.
-    transposed: Any, coupling: Any, slope: Any, offset: Any, low: Any, high: Any, equilibrium: Any, norm: Any,
-    # World by instant: Θ, clock as observed, active graph, age of the graph; a_ij and neighbour by slot.
-    theta: Any, clock: Any, modes: Any, ages: Any, weights: Any, senders: Any,
-    # Layout: owner of each component, components in each player's order, rows of own gradients and their mask.
-    owners: Any, order: Any, own: Any, mask: Any, limit: float, action_scale: float,
+    # State, actions, the σ_i in which they are given (N, B), or (0, 0) under ``physical``; graph and its age by instant.
+    estimates: Any, instants: Any, actions: Any, sigma: Any, modes: Any, ages: Any,
     # Results.
-    next_instants: Any, next_estimates: Any, gradients: Any, distances: Any, next_sigma: Any, observations: Any,
-    has_constants: bool, tile: int,
+    next_estimates: Any, next_instants: Any, gradients: Any, distances: Any, next_sigma: Any, observations: Any,
+    has_constants: bool,
+    # Game: A transposed, or without entries for an energy game, whose c and 2a + c follow; offset, box, x*, ‖x*‖.
+    transposed: Any, coupling: Any, slope: Any, offset: Any, low: Any, high: Any, equilibrium: Any, norm: Any, tile: int,
+    # World: Θ and the clock as observed, by instant; a_ij and neighbour by slot; owners of components.
+    theta: Any, clock: Any, weights: Any, senders: Any, owners: Any,
+    # Layout: components in each player's order, rows of own gradients and their mask, units of actions.
+    order: Any, own: Any, mask: Any, limit: float, action_scale: float,
 ) -> bool:  # fmt: skip
     """Everything that a step does to B environments; ``False`` if an environment left the range.
 
     The entry log10 σ_i of an observation is left out; player one-hots are, if ``has_constants`` says that they stand.
     """
     n, players, batch = estimates.shape
-    slots, m, size, last = len(senders), len(own), observations.shape[2], theta.shape[1] - 1
-    is_local, is_energy = len(sigma) > 0, transposed.size == 0
-    games_differ, graphs_differ, is_fixed = norm.shape[1] > tile, modes.shape[1] > 1, weights.shape[2] == 1
+    slots, m, size, is_local = len(senders), len(own), observations.shape[2], len(sigma) > 0
+    games_differ, is_fixed = norm.shape[1] > tile, weights.shape[2] == 1
     x, gradient = np.empty((n, players, tile)), np.empty((n, tile))
     held, unit = np.empty((len(theta), tile)), np.empty((len(sigma), tile))
     weight, live = np.empty((slots, players, tile)), np.empty((slots, players, tile))
@@ -211,35 +247,24 @@ def step(
     for first in range(0, batch, tile):
         stop = min(first + tile, batch)
         width = stop - first
-        now, after = instants[first:stop], next_instants[first:stop]
-        for w in range(width):
-            after[w] = min(now[w] + 1, last)
-        for i in range(len(theta)):
-            for w in range(width):
-                held[i, w] = theta[i, now[w]]
+        at, after = first if games_differ else 0, next_instants[first:stop]
+        _tick(after, held, instants[first:stop], theta)
         for i in range(len(sigma)):
             for w in range(width):
                 unit[i, w] = action_scale * sigma[i, first + w]
         _move(x, estimates, actions, held, unit, order, limit, first, stop)
-
-        at = first if games_differ else 0
         _project(x, owners, low, high, at, width)
-        if is_energy:
-            _energy_gradients(gradient, x, coupling, slope, offset, at, width)
-        else:
+        if transposed.size:
             _affine_gradients(gradient, x, owners, transposed, offset, at, width)
+        else:
+            _energy_gradients(gradient, x, coupling, slope, offset, at, width)
         _distances(distances, x, equilibrium, norm, at, first, stop)
         inside &= _keep(gradients, gradient, first, stop)
         for c in range(n):
             inside &= _keep(next_estimates[c], x[c], first, stop)
 
         if first == 0 or not is_fixed:
-            for w in range(width if not is_fixed else tile):
-                mode = 0 if is_fixed else modes[after[w], first + w if graphs_differ else 0]
-                for d in range(slots):
-                    for i in range(players):
-                        weight[d, i, w] = weights[d, i, mode]
-                        live[d, i, w] = weight[d, i, w] > 0
+            _weigh(weight, live, weights, modes, after, first)
         for i in range(players):
             if is_local:
                 _show_gradient(differences, i, gradient, own, mask, width)
@@ -247,24 +272,13 @@ def step(
                 _show_in_units(shown, differences, next_sigma[i, first:stop], per_sigma)
             else:
                 _show_gradient(shown, i, gradient, own, mask, width)
-                for c in range(n):
-                    entry, estimate = shown[m + c], x[c, i]
-                    for w in range(width):
-                        entry[w] = estimate[w]
+                _show_rows(shown, m, x[:, i], width)
                 _show_relative(shown, m + n, i, x, senders, order, live, width)
-            for d in range(slots):
-                entry, worth = shown[of_weights + d], weight[d, i]
-                for w in range(width):
-                    entry[w] = worth[w]
+            _show_rows(shown, of_weights, weight[:, i], width)
             if i < len(theta):  # one clock for all, or one for each
-                for w in range(width):
-                    for k in range(4):
-                        shown[of_clock + k, w] = clock[k, i, after[w]]
-                    shown[of_clock + 4, w] = ages[after[w], first + w if graphs_differ else 0]
+                _show_clock(shown, of_clock, clock[:, i], ages, after, first)
             for j in range(players):
-                entry = shown[of_player + j]
-                for w in range(width):
-                    entry[w] = i == j
+                shown[of_player + j, :width] = i == j
             for w in range(width):
                 row = observations[first + w, i]
                 for k in range(written):

@@ -13,7 +13,7 @@ import numpy.typing as npt
 from ptne_env import distances, dynamics, fused
 from ptne_env.arrays import BoolArray, Float32Array, FloatArray, IntArray, require_count
 from ptne_env.dynamics import State
-from ptne_env.encoder import Encoder, make_encoder
+from ptne_env.encoder import Clipped, Encoder, make_encoder
 from ptne_env.observation import Interface
 from ptne_env.random_streams import RandomStreams
 from ptne_env.rewards import Reward
@@ -179,6 +179,12 @@ class Simulation:
             if seeds[index] is not None:
                 streams[index] = RandomStreams.from_seed(seeds[index])
         return streams
+
+    def clip(self, actions: npt.NDArray[np.floating]) -> Clipped:
+        """Clip actions; as :meth:`Encoder.clip`, of any number of environments."""
+        if self._fused is not None and self._fused.accepts(actions):
+            return Clipped(actions, np.zeros(actions.shape[:2], dtype=np.int64))
+        return self.encoder.clip(actions)
 
     def step(
         self,

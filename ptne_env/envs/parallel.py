@@ -187,23 +187,20 @@ class NashSeekingEnv(ParallelEnv[str, Float32Array, Float32Array]):
         if not agents:
             raise RuntimeError("no episode is running: call reset() before step()")
         try:
-            inside, clipped = self._simulation.encoder.clip(self._stack(actions))
+            inside, clipped = self._simulation.clip(self._stack(actions))
         except NonFiniteActionError:
             raise self._complaint(actions) from None
         table, rows = self._observed()
         outcome = self._simulation.step(inside, out=table, has_constants=True)
         terminated, truncated = bool(outcome.terminated[0]), bool(outcome.truncated[0])
         diverged = bool(self._simulation.current.diverged[0])
-        counts = clipped[0].tolist()
-        columns = {name: term[:, 0].tolist() for name, term in outcome.terms.items()}
         infos: dict[str, AgentInfo] = {
-            agent: {
-                "diverged": diverged,
-                "clipped": counts[index],
-                "reward_terms": {name: column[index] for name, column in columns.items()},
-            }
-            for index, agent in enumerate(agents)
+            agent: {"diverged": diverged, "clipped": count, "reward_terms": {}}
+            for agent, count in zip(agents, clipped[0].tolist(), strict=True)
         }
+        for name, term in outcome.terms.items():
+            for info, value in zip(infos.values(), term[:, 0].tolist(), strict=True):
+                info["reward_terms"][name] = value
         if terminated or truncated:
             success = bool(self._simulation.succeeded()[0])
             for info in infos.values():

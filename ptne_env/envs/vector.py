@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import os
+import weakref
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from itertools import combinations
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -24,12 +28,33 @@ BLOCK_ENTRIES = 300_000
 """Largest number of observed entries in a block, so that its arrays fit into a core's cache."""
 
 
+_REMEMBERED_BUFFERS = 10_000
+"""Largest number of buffers whose constant slices an environment remembers to have written."""
+
+
+class VectorBuffers(NamedTuple):
+    """Arrays of the caller that a step or reset writes; ``None`` for a new array. C-contiguous and apart in memory.
+
+    Attributes:
+        observations: shape (B, N, size), float32. Slices that never change (``player``) are written once, as long as
+            the array, or the array that it is a view of, exists: do not write into them.
+        rewards: shape (B, N), float64 or float32; a reset leaves them as they are.
+        terminated: shape (B,), bool; likewise.
+        truncated: shape (B,), bool; likewise.
+    """
+
+    observations: Float32Array | None = None
+    rewards: npt.NDArray[np.floating] | None = None
+    terminated: BoolArray | None = None
+    truncated: BoolArray | None = None
+
+
 class VectorStep(NamedTuple):
     """The result of :meth:`VectorParallelEnv.step`. Arrays are C-contiguous and owned by the caller.
 
     Attributes:
         observations: shape (B, N, size), float32.
-        rewards: shape (B, N), float64.
+        rewards: shape (B, N), float64, or as the caller's buffer.
         terminated: shape (B,).
         truncated: shape (B,).
         infos: ``diverged`` (B,), ``clipped`` (B, N), ``reward_terms`` by name (B, N), and ``is_success`` (B,), which is
@@ -37,10 +62,19 @@ class VectorStep(NamedTuple):
     """
 
     observations: Float32Array
-    rewards: FloatArray
+    rewards: npt.NDArray[np.floating]
     terminated: BoolArray
     truncated: BoolArray
     infos: dict[str, Any]
+
+
+class _Buffers(NamedTuple):
+    """The arrays of a step's result."""
+
+    observations: Float32Array
+    rewards: npt.NDArray[np.floating]
+    terminated: BoolArray
+    truncated: BoolArray
 
 
 class VectorParallelEnv:
@@ -54,11 +88,13 @@ class VectorParallelEnv:
         num_envs: B.
         interface, action_mode, action_scale, own_payoff, graph_knowledge, reward, max_cycles: as in
             :func:`ptne_env.parallel_env`.
+        threads: that step blocks of environments side by side; the numbers do not depend on it.
         **overrides: fields of the scenario to change.
 
     Attributes:
         scenario: the physics.
         num_envs: B.
+        threads: as given.
         num_players: N.
         single_observation_space: of one player.
         single_action_space: of one player.
@@ -79,22 +115,26 @@ class VectorParallelEnv:
         graph_knowledge: GraphKnowledge = "links",
         reward: str | Mapping[str, float] = "digits",
         max_cycles: int | None = None,
+        threads: int = 1,
         **overrides: Any,
     ) -> None:
         self.scenario = get_scenario(scenario, **overrides)
         self.num_envs = require_count("num_envs", num_envs, 1)
+        self.threads = require_count("threads", threads, 1)
 
         seen = Interface(interface, action_mode, action_scale, own_payoff, graph_knowledge=graph_knowledge)
         encoder = player_encoder(World(self.scenario), seen)
         self.layout: ObservationLayout = encoder.layout
         self.num_players = self.layout.num_players
         largest = max(1, min(BLOCK_SIZE, BLOCK_ENTRIES // (self.num_players * self.layout.size)))
-        size = -(-self.num_envs // -(-self.num_envs // largest))  # blocks of about the same size
+        count = -(-self.num_envs // largest)
+        count = -(-count // self.threads) * self.threads  # each thread has as many
+        size = -(-self.num_envs // count)  # blocks of about the same size
         starts = range(0, self.num_envs, size)
         self._slices = [slice(start, min(start + size, self.num_envs)) for start in starts]
         self._blocks = [
             Simulation(
-                encoder.with_shared_tables(),
+                encoder.with_shared_tables(own_workspaces=self.threads > 1),
                 reward=reward,
                 max_cycles=max_cycles,
                 num_envs=part.stop - part.start,
@@ -104,6 +144,12 @@ class VectorParallelEnv:
         self.single_observation_space: spaces.Box = self.layout.observation_space()
         self.single_action_space: spaces.Box = self.layout.action_space()
         self._over = np.ones(self.num_envs, dtype=np.bool_)
+        self._pool: tuple[int, ThreadPoolExecutor] | None = None
+        self._written: dict[int, weakref.ref[Float32Array]] = {}
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Copies and pickles have no threads, and have not written into any buffer."""
+        return {**self.__dict__, "_pool": None, "_written": {}}
 
     @property
     def max_cycles(self) -> int | None:
@@ -120,6 +166,7 @@ class VectorParallelEnv:
         seed: int | Sequence[int | None] | None = None,
         mask: npt.ArrayLike | None = None,
         estimates: npt.ArrayLike | None = None,
+        out: VectorBuffers | None = None,
     ) -> Float32Array:
         """Start episodes.
 
@@ -127,14 +174,15 @@ class VectorParallelEnv:
             seed: one per environment, or S for S, S + 1, …; ``None`` continues the present generators.
             mask: whether each environment starts afresh, shape (B,), bool; all if left out.
             estimates: initial estimates instead of drawn ones, shape (N, n) for all or (B, N, n), row i being x^i(0).
+            out: the caller's buffers, of which ``observations`` is written; a new array if left out.
 
         Returns:
             Observations of all environments, shape (B, N, size), float32, owned by the caller.
 
         Raises:
             ValueError: for an invalid seed, a wrong number of seeds, a mask of another shape or dtype, a mask that
-                leaves some out of the first reset, or estimates of another shape or out of range; no environment is
-                touched.
+                leaves some out of the first reset, estimates of another shape or out of range, or buffers that do not
+                fit; no environment is touched.
         """
         seeds = self._seeds(seed)
         everyone = np.ones(self.num_envs, dtype=np.bool_)
@@ -142,7 +190,7 @@ class VectorParallelEnv:
         if self._blocks[0].state is None and not chosen.all():
             raise ValueError("the first reset() starts every environment: leave out the mask")
         given = None if estimates is None else self._estimates(estimates)
-        observations = self._empty_observations()
+        observations = self._buffers(out).observations
         drawn = self._draw(chosen, seeds, given)  # refusals come before any block has started
         for block, part, start in zip(self._blocks, self._slices, drawn, strict=True):
             if start is not None:
@@ -151,21 +199,27 @@ class VectorParallelEnv:
         self._over = self._over & ~chosen
         return observations
 
-    def step(self, actions: npt.NDArray[np.floating], restart: BoolArray | None = None) -> VectorStep:
+    def step(
+        self,
+        actions: npt.NDArray[np.floating],
+        restart: BoolArray | None = None,
+        out: VectorBuffers | None = None,
+    ) -> VectorStep:
         """Hold all players' inputs for one step.
 
         Args:
             actions: finite floats of shape (B, N, action size); entries outside the box are clipped and counted.
             restart: environments that start afresh in this step instead of moving, shape (B,): their actions are
-                ignored, their observations are the first ones and their rewards 0. None if left out.
+                ignored and their rewards are 0; may be over.
+            out: the caller's buffers; new arrays for those that are left out.
 
         Raises:
-            RuntimeError: when an environment is over, or was never reset.
-            ValueError: when the actions have another shape or dtype, or are masked or not finite, or ``restart`` is no
-                mask; no environment is stepped.
+            RuntimeError: while an environment that is over, or has not started, is not in ``restart``.
+            ValueError: for actions of another shape or dtype, a masked array, non-finite actions, or another kind of
+                mask, or buffers of another shape, dtype or order, or that share memory; no environment is stepped.
         """
         if restart is not None:
-            restart = require_mask("a restart mask", restart, self.num_envs)
+            restart = require_mask("a restart mask", restart, self.num_envs).copy()
         halted = self._over if restart is None else self._over & ~restart
         if halted.any():
             over = np.flatnonzero(halted)
@@ -177,19 +231,81 @@ class VectorParallelEnv:
         shape = (self.num_envs, self.num_players, self.layout.action_size)
         if actions.shape != shape or actions.dtype.kind != "f":
             raise ValueError(f"actions are floats of shape {shape}, got {actions.dtype} of shape {actions.shape}")
-        actions, clipped = self._blocks[0].encoder.clip(
-            actions
-        )  # refuses non-finite numbers before any block has moved
+        buffers = self._buffers(out)
+        if out is not None and any(np.may_share_memory(actions, buffer) for buffer in buffers):
+            actions = actions.copy()
+        actions, clipped = self._blocks[0].clip(actions)  # refuses non-finite numbers before any block has moved
         drawn: Sequence[ResetResult | None] = [None] * len(self._blocks)
         if restart is not None:
             clipped[restart] = 0
             drawn = self._draw(restart)
-        observations = self._empty_observations()
-        outcomes = [
-            block.step(actions[part], start, observations[part])
-            for block, part, start in zip(self._blocks, self._slices, drawn, strict=True)
-        ]
-        return self._assemble(observations, outcomes, clipped)
+        has_constants = out is not None and self._holds_constants(buffers.observations)
+
+        def move(index: int) -> StepResult:
+            block, part = self._blocks[index], self._slices[index]
+            outcome = block.step(actions[part], drawn[index], buffers.observations[part], has_constants=has_constants)
+            buffers.rewards[part] = outcome.rewards.T
+            buffers.terminated[part], buffers.truncated[part] = outcome.terminated, outcome.truncated
+            return outcome
+
+        outcomes = self._side_by_side(move)
+        if out is not None and not has_constants:
+            self._remember(buffers.observations)
+        self._over = buffers.terminated | buffers.truncated
+        return VectorStep(*buffers, self._infos(buffers.rewards, outcomes, clipped))
+
+    def _buffers(self, out: VectorBuffers | None) -> _Buffers:
+        """The arrays of a result, the caller's where they are given.
+
+        Raises:
+            ValueError: when one of them does not fit, or two share memory.
+        """
+        batch, players, size = self.num_envs, self.num_players, self.layout.size
+        if out is None:
+            return _Buffers(
+                np.empty((batch, players, size), dtype=np.float32),
+                np.empty((batch, players)),
+                np.empty(batch, dtype=np.bool_),
+                np.empty(batch, dtype=np.bool_),
+            )
+        if not isinstance(out, VectorBuffers):
+            raise ValueError(f"out is a VectorBuffers, got a {type(out).__name__}")
+        flags = (batch,), ("bool",)
+        expected = ((batch, players, size), ("float32",)), ((batch, players), ("float64", "float32")), flags, flags
+        for (name, array), (shape, dtypes) in zip(out._asdict().items(), expected, strict=True):
+            if array is not None:
+                _require_buffer(f"out.{name}", array, shape, dtypes)
+        given = {name: array for name, array in out._asdict().items() if array is not None}
+        for one, other in combinations(given, 2):
+            if np.may_share_memory(given[one], given[other]):  # exact, as both are contiguous
+                raise ValueError(f"out.{one} and out.{other} share memory: each needs its own")
+        return _Buffers(
+            *(
+                np.empty(shape, dtype=dtypes[0]) if array is None else array
+                for array, (shape, dtypes) in zip(out, expected, strict=True)
+            )
+        )
+
+    def _holds_constants(self, observations: Float32Array) -> bool:
+        """Whether a buffer holds the constant slices, because an earlier step wrote them."""
+        root = self._written.get(observations.ctypes.data)
+        return root is not None and root() is _root(observations)
+
+    def _remember(self, observations: Float32Array) -> None:
+        """From here on a buffer holds the constant slices, until its memory is freed."""
+        if len(self._written) >= _REMEMBERED_BUFFERS:
+            self._written.clear()
+        self._written[observations.ctypes.data] = weakref.ref(_root(observations))
+
+    def _side_by_side(self, move: Callable[[int], StepResult]) -> list[StepResult]:
+        """``move`` of the index of every block, on all threads."""
+        indices = range(len(self._blocks))
+        if self.threads == 1:
+            return list(map(move, indices))
+        process = os.getpid()
+        if self._pool is None or self._pool[0] != process:  # a forked process has no threads
+            self._pool = process, ThreadPoolExecutor(self.threads)
+        return list(self._pool[1].map(move, indices))
 
     def _draw(
         self, chosen: BoolArray, seeds: list[int | None] | None = None, estimates: FloatArray | None = None
@@ -206,34 +322,28 @@ class VectorParallelEnv:
             for block, part in zip(self._blocks, self._slices, strict=True)
         ]
 
-    def _assemble(self, observations: Float32Array, outcomes: list[StepResult], clipped: IntArray) -> VectorStep:
-        terminated = np.concatenate([outcome.terminated for outcome in outcomes])
-        truncated = np.concatenate([outcome.truncated for outcome in outcomes])
-        self._over = terminated | truncated
+    def _infos(
+        self, rewards: npt.NDArray[np.floating], outcomes: list[StepResult], clipped: IntArray
+    ) -> dict[str, Any]:
         success = np.zeros(self.num_envs, dtype=np.bool_)
         if self._over.any():
             for block, part in zip(self._blocks, self._slices, strict=True):
                 success[part] = self._over[part] & block.succeeded()
-        terms = {name: self._by_env([outcome.terms[name].T for outcome in outcomes]) for name in outcomes[0].terms}
-        infos = {
+        first = outcomes[0]
+        if first.rewards is next(iter(first.terms.values())) and rewards.dtype == np.float64:
+            terms = {name: rewards.copy() for name in first.terms}  # one term of weight 1, transposed already
+        else:
+            terms = {name: self._by_env([outcome.terms[name].T for outcome in outcomes]) for name in first.terms}
+        return {
             "diverged": np.concatenate([block.current.diverged for block in self._blocks]),
             "clipped": clipped,
             "reward_terms": terms,
             "is_success": success,
         }
-        first = next(iter(terms))
-        if outcomes[0].rewards is outcomes[0].terms[first]:  # one term of weight 1, the usual case: transposed already
-            rewards = terms[first].copy()
-        else:
-            rewards = self._by_env([outcome.rewards.T for outcome in outcomes])
-        return VectorStep(observations, rewards, terminated, truncated, infos)
 
     def _by_env(self, parts: list[FloatArray]) -> FloatArray:
         """The blocks' arrays in one, shape (B, N), C-contiguous whatever the parts are."""
         return np.concatenate(parts, out=np.empty((self.num_envs, self.num_players)))
-
-    def _empty_observations(self) -> Float32Array:
-        return np.empty((self.num_envs, self.num_players, self.layout.size), dtype=np.float32)
 
     def _estimates(self, estimates: npt.ArrayLike) -> FloatArray:
         """Initial estimates with environments last, (n, N, B)."""
@@ -259,3 +369,26 @@ class VectorParallelEnv:
         if len(seed) != self.num_envs:
             raise ValueError(f"{self.num_envs} environments need as many seeds, got {len(seed)}")
         return [None if each is None else require_seed(each) for each in seed]
+
+
+def _root(array: Float32Array) -> Float32Array:
+    """The array whose memory a view shows."""
+    while isinstance(array.base, np.ndarray):
+        array = array.base
+    return array
+
+
+def _require_buffer(name: str, array: Any, shape: tuple[int, ...], dtypes: tuple[str, ...]) -> None:
+    """Check a buffer of the caller.
+
+    Raises:
+        ValueError: when it is no plain array, or its shape, dtype or order is another, or it is read-only.
+    """
+    expected = f"{name} is a C-contiguous array of {' or '.join(dtypes)} of shape {shape} that can be written"
+    if not isinstance(array, np.ndarray) or isinstance(array, np.ma.MaskedArray):
+        raise ValueError(f"{expected}, got a {type(array).__name__}")
+    flags = array.flags
+    if array.shape != shape or array.dtype.name not in dtypes or not (flags.c_contiguous and flags.writeable):
+        order = "contiguous" if flags.c_contiguous else "not contiguous"
+        access = "" if flags.writeable else ", read-only"
+        raise ValueError(f"{expected}, got {array.dtype} of shape {array.shape}, {order}{access}")
