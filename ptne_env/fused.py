@@ -155,7 +155,7 @@ class FusedStep:
             has_constants: whether ``out`` holds the one-hots already.
 
         Returns:
-            x_{k+1}, and d^i of every player, shape (N, B), as :func:`ptne_env.distances.player_distances`. ``None``
+            x_{k+1}, and d^i of every player, shape (N, B) with players next to each other in memory. ``None``
             where numpy has to make the step, because the kernels are not loaded, an environment is out of range, or a
             drawn game has formulas of its own; nothing has changed then, except the content of ``out``.
         """
@@ -171,9 +171,9 @@ class FusedStep:
             actions = np.ascontiguousarray(actions, dtype=np.float32)
         old = state.estimates if state.estimates.flags.c_contiguous else np.ascontiguousarray(state.estimates)
         n, players, batch = old.shape
-        new, gradients, distance = np.empty(old.shape), np.empty((n, batch)), np.empty((players, batch))
+        new, gradients, distance = np.empty(old.shape), np.empty((n, batch)), np.empty((batch, players))
         step = np.empty(batch, dtype=np.int64)
-        sigma, next_sigma = (self._none,) * 2 if local is None else (local.scale(state), np.empty_like(distance))
+        sigma, next_sigma = (self._none,) * 2 if local is None else (local.scale(state), np.empty((players, batch)))
         in_range = compiled.step(
             old, state.step, actions, sigma, modes, ages, new, step, gradients, distance, next_sigma, out,
             has_constants, *self._numbers, *self._tables,
@@ -190,7 +190,7 @@ class FusedStep:
                 return None
         if local is not None:
             local.remember_scale(moved, next_sigma)
-        return moved, distance
+        return moved, distance.T
 
     def _read(self, game: Game, batch: int) -> bool:
         """Read the numbers of the games of a batch of environments; whether the kernels hold their formulas."""

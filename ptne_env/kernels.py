@@ -116,19 +116,22 @@ def _energy_gradients(gradients: Any, x: Any, coupling: Any, slope: Any, interce
 
 
 @_compiled
-def _distances(distances: Any, x: Any, equilibrium: Any, norm: Any, at: int, first: int, stop: int) -> None:
+def _distances(
+    distances: Any, x: Any, equilibrium: Any, norm: Any, total: Any, at: int, first: int, stop: int
+) -> None:
     """d^i = ‖x^i − x*‖/‖x*‖."""
     n, players = x.shape[:2]
     width, scale = stop - first, norm[0, at : at + stop - first]
     for i in range(players):
-        distance = distances[i, first:stop]
         for c in range(n):
             estimate, goal = x[c, i], equilibrium[c, at : at + width]
             for w in range(width):
                 error = estimate[w] - goal[w]
-                distance[w] = error * error if c == 0 else distance[w] + error * error
+                total[w] = error * error if c == 0 else total[w] + error * error
         for w in range(width):
-            distance[w] = np.sqrt(distance[w]) / scale[w]
+            total[w] = np.sqrt(total[w]) / scale[w]
+        for w in range(width):
+            distances[first + w, i] = total[w]
 
 
 @_compiled
@@ -238,7 +241,7 @@ def step(
     held, unit = np.empty((len(theta), tile)), np.empty((len(sigma), tile))
     weight, live = np.empty((slots, players, tile)), np.empty((slots, players, tile))
     shown, differences = np.empty((size, tile), np.float32), np.empty((m + slots * n, tile))
-    per_sigma = np.empty(tile)
+    line = np.empty(tile)
     of_weights = m + slots * n + (0 if is_local else n)
     of_clock = of_weights + slots + is_local
     of_player = of_clock + 5
@@ -258,7 +261,7 @@ def step(
             _affine_gradients(gradient, x, owners, transposed, offset, at, width)
         else:
             _energy_gradients(gradient, x, coupling, slope, offset, at, width)
-        _distances(distances, x, equilibrium, norm, at, first, stop)
+        _distances(distances, x, equilibrium, norm, line, at, first, stop)
         inside &= _keep(gradients, gradient, first, stop)
         for c in range(n):
             inside &= _keep(next_estimates[c], x[c], first, stop)
@@ -269,7 +272,7 @@ def step(
             if is_local:
                 _show_gradient(differences, i, gradient, own, mask, width)
                 _show_relative(differences, m, i, x, senders, order, live, width)
-                _show_in_units(shown, differences, next_sigma[i, first:stop], per_sigma)
+                _show_in_units(shown, differences, next_sigma[i, first:stop], line)
             else:
                 _show_gradient(shown, i, gradient, own, mask, width)
                 _show_rows(shown, m, x[:, i], width)

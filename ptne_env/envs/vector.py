@@ -6,12 +6,13 @@ import os
 import weakref
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from itertools import combinations
+from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 from gymnasium import spaces
+from numpy.ma import MaskedArray
 
 from ptne_env.arrays import BoolArray, Float32Array, FloatArray, IntArray, as_plain, require_count, require_mask
 from ptne_env.catalogue import get_scenario
@@ -144,6 +145,14 @@ class VectorParallelEnv:
         self.single_observation_space: spaces.Box = self.layout.observation_space()
         self.single_action_space: spaces.Box = self.layout.action_space()
         self._over = np.ones(self.num_envs, dtype=np.bool_)
+        single, double, flag = map(np.dtype, (np.float32, np.float64, np.bool_))
+        batch, players = self.num_envs, self.num_players
+        self._results: tuple[tuple[str, tuple[int, ...], tuple[np.dtype[Any], ...]], ...] = (
+            ("out.observations", (batch, players, self.layout.size), (single,)),
+            ("out.rewards", (batch, players), (double, single)),
+            ("out.terminated", (batch,), (flag,)),
+            ("out.truncated", (batch,), (flag,)),
+        )
         self._pool: tuple[int, ThreadPoolExecutor] | None = None
         self._written: dict[int, weakref.ref[Float32Array]] = {}
 
@@ -260,42 +269,33 @@ class VectorParallelEnv:
         Raises:
             ValueError: when one of them does not fit, or two share memory.
         """
-        batch, players, size = self.num_envs, self.num_players, self.layout.size
         if out is None:
-            return _Buffers(
-                np.empty((batch, players, size), dtype=np.float32),
-                np.empty((batch, players)),
-                np.empty(batch, dtype=np.bool_),
-                np.empty(batch, dtype=np.bool_),
-            )
+            return _Buffers(*(np.empty(shape, dtypes[0]) for _, shape, dtypes in self._results))
         if not isinstance(out, VectorBuffers):
             raise ValueError(f"out is a VectorBuffers, got a {type(out).__name__}")
-        flags = (batch,), ("bool",)
-        expected = ((batch, players, size), ("float32",)), ((batch, players), ("float64", "float32")), flags, flags
-        for (name, array), (shape, dtypes) in zip(out._asdict().items(), expected, strict=True):
-            if array is not None:
-                _require_buffer(f"out.{name}", array, shape, dtypes)
-        given = {name: array for name, array in out._asdict().items() if array is not None}
-        for one, other in combinations(given, 2):
-            if np.may_share_memory(given[one], given[other]):  # exact, as both are contiguous
-                raise ValueError(f"out.{one} and out.{other} share memory: each needs its own")
-        return _Buffers(
-            *(
-                np.empty(shape, dtype=dtypes[0]) if array is None else array
-                for array, (shape, dtypes) in zip(out, expected, strict=True)
-            )
-        )
+        arrays, spans = [], []
+        for array, (name, shape, dtypes) in zip(out, self._results, strict=True):
+            if array is None:
+                arrays.append(np.empty(shape, dtypes[0]))
+                continue
+            _require_buffer(name, array, shape, dtypes)
+            arrays.append(array)
+            spans.append((_address(array), array.nbytes, name))
+        for (start, size, name), (following, _, other) in pairwise(sorted(spans)):
+            if start + size > following:
+                raise ValueError(f"{name} and {other} share memory: each needs its own")
+        return _Buffers(*arrays)
 
     def _holds_constants(self, observations: Float32Array) -> bool:
         """Whether a buffer holds the constant slices, because an earlier step wrote them."""
-        root = self._written.get(observations.ctypes.data)
+        root = self._written.get(_address(observations))
         return root is not None and root() is _root(observations)
 
     def _remember(self, observations: Float32Array) -> None:
         """From here on a buffer holds the constant slices, until its memory is freed."""
         if len(self._written) >= _REMEMBERED_BUFFERS:
             self._written.clear()
-        self._written[observations.ctypes.data] = weakref.ref(_root(observations))
+        self._written[_address(observations)] = weakref.ref(_root(observations))
 
     def _side_by_side(self, move: Callable[[int], StepResult]) -> list[StepResult]:
         """``move`` of the index of every block, on all threads."""
@@ -378,17 +378,23 @@ def _root(array: Float32Array) -> Float32Array:
     return array
 
 
-def _require_buffer(name: str, array: Any, shape: tuple[int, ...], dtypes: tuple[str, ...]) -> None:
+def _address(array: npt.NDArray[Any]) -> int:
+    return int(array.__array_interface__["data"][0])
+
+
+def _require_buffer(name: str, array: Any, shape: tuple[int, ...], dtypes: tuple[np.dtype[Any], ...]) -> None:
     """Check a buffer of the caller.
 
     Raises:
         ValueError: when it is no plain array, or its shape, dtype or order is another, or it is read-only.
     """
-    expected = f"{name} is a C-contiguous array of {' or '.join(dtypes)} of shape {shape} that can be written"
-    if not isinstance(array, np.ndarray) or isinstance(array, np.ma.MaskedArray):
-        raise ValueError(f"{expected}, got a {type(array).__name__}")
-    flags = array.flags
-    if array.shape != shape or array.dtype.name not in dtypes or not (flags.c_contiguous and flags.writeable):
-        order = "contiguous" if flags.c_contiguous else "not contiguous"
-        access = "" if flags.writeable else ", read-only"
-        raise ValueError(f"{expected}, got {array.dtype} of shape {array.shape}, {order}{access}")
+    if isinstance(array, np.ndarray) and not isinstance(array, MaskedArray):
+        if array.shape == shape and array.dtype in dtypes and array.flags.carray:
+            return
+        order = "" if array.flags.c_contiguous else ", not contiguous"
+        access = "" if array.flags.writeable else ", read-only"
+        found = f"{array.dtype} of shape {array.shape}{order}{access}"
+    else:
+        found = f"a {type(array).__name__}"
+    kinds = " or ".join(map(str, dtypes))
+    raise ValueError(f"{name} is a C-contiguous array of {kinds} of shape {shape} that can be written, got {found}")
