@@ -116,9 +116,7 @@ def _energy_gradients(gradients: Any, x: Any, coupling: Any, slope: Any, interce
 
 
 @_compiled
-def _distances(
-    distances: Any, x: Any, equilibrium: Any, norm: Any, total: Any, at: int, first: int, stop: int
-) -> None:
+def _distances(distances: Any, x: Any, equilibrium: Any, norm: Any, total: Any, at: int, first: int, stop: int) -> None:
     """d^i = ‖x^i − x*‖/‖x*‖."""
     n, players = x.shape[:2]
     width, scale = stop - first, norm[0, at : at + stop - first]
@@ -217,14 +215,15 @@ def _show_in_units(shown: Any, differences: Any, sigma: Any, per_sigma: Any) -> 
 
 
 @_compiled
-def step(
-    # State, actions, the σ_i in which they are given (N, B), or (0, 0) under ``physical``; graph and its age by instant.
+def step(  # noqa: C901, PLR0912 - one pass over the memory
+    # State; actions, and σ_i as their unit, (N, B), or (0, 0) under ``physical``; graph and its age by instant.
     estimates: Any, instants: Any, actions: Any, sigma: Any, modes: Any, ages: Any,
     # Results.
     next_estimates: Any, next_instants: Any, gradients: Any, distances: Any, next_sigma: Any, observations: Any,
     has_constants: bool,
     # Game: A transposed, or without entries for an energy game, whose c and 2a + c follow; offset, box, x*, ‖x*‖.
-    transposed: Any, coupling: Any, slope: Any, offset: Any, low: Any, high: Any, equilibrium: Any, norm: Any, tile: int,
+    transposed: Any, coupling: Any, slope: Any, offset: Any, low: Any, high: Any, equilibrium: Any, norm: Any,
+    tile: int,
     # World: Θ and the clock as observed, by instant; a_ij and neighbour by slot; owners of components.
     theta: Any, clock: Any, weights: Any, senders: Any, owners: Any,
     # Layout: components in each player's order, rows of own gradients and their mask, units of actions.

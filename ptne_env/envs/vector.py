@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import weakref
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor, wait
 from itertools import pairwise
 from typing import Any, NamedTuple
 
@@ -45,7 +45,7 @@ class VectorBuffers(NamedTuple):
     """
 
     observations: Float32Array | None = None
-    rewards: npt.NDArray[np.floating] | None = None
+    rewards: FloatArray | Float32Array | None = None
     terminated: BoolArray | None = None
     truncated: BoolArray | None = None
 
@@ -63,7 +63,7 @@ class VectorStep(NamedTuple):
     """
 
     observations: Float32Array
-    rewards: npt.NDArray[np.floating]
+    rewards: FloatArray
     terminated: BoolArray
     truncated: BoolArray
     infos: dict[str, Any]
@@ -73,7 +73,7 @@ class _Buffers(NamedTuple):
     """The arrays of a step's result."""
 
     observations: Float32Array
-    rewards: npt.NDArray[np.floating]
+    rewards: FloatArray
     terminated: BoolArray
     truncated: BoolArray
 
@@ -302,10 +302,21 @@ class VectorParallelEnv:
         indices = range(len(self._blocks))
         if self.threads == 1:
             return list(map(move, indices))
-        process = os.getpid()
-        if self._pool is None or self._pool[0] != process:  # a forked process has no threads
-            self._pool = process, ThreadPoolExecutor(self.threads)
-        return list(self._pool[1].map(move, indices))
+        if self._pool is None or self._pool[0] != os.getpid():  # a forked process has no threads
+            self._pool = os.getpid(), ThreadPoolExecutor(self.threads)
+        outcomes: dict[int, StepResult] = {}
+
+        def share(first: int) -> None:
+            outcomes.update((index, move(index)) for index in indices[first :: self.threads])
+
+        others = [self._pool[1].submit(share, first) for first in indices[1 : self.threads]]
+        try:
+            share(0)
+        finally:
+            wait(others)
+        for other in others:
+            other.result()  # raises what its share has raised
+        return [outcomes[index] for index in indices]
 
     def _draw(
         self, chosen: BoolArray, seeds: list[int | None] | None = None, estimates: FloatArray | None = None
@@ -322,9 +333,7 @@ class VectorParallelEnv:
             for block, part in zip(self._blocks, self._slices, strict=True)
         ]
 
-    def _infos(
-        self, rewards: npt.NDArray[np.floating], outcomes: list[StepResult], clipped: IntArray
-    ) -> dict[str, Any]:
+    def _infos(self, rewards: FloatArray, outcomes: list[StepResult], clipped: IntArray) -> dict[str, Any]:
         success = np.zeros(self.num_envs, dtype=np.bool_)
         if self._over.any():
             for block, part in zip(self._blocks, self._slices, strict=True):
