@@ -1,8 +1,9 @@
 """Relays: best responses from an identified model of the own gradient, and copies of estimates, one link per step.
 
-What players know of the communication graphs decides from whom they copy: hop counts on the union graph in
-:class:`Relay`, their own links without memory in :class:`LinkRelay`, their own links and all that they saw on them in
-:class:`ContactRelay`, both in :class:`RouteRelay`, the links of every step in :class:`FreshestRelay`.
+Players choose the neighbours from which they copy by their knowledge of the communication graphs: hop counts on the
+union graph in :class:`Relay`, their own links without memory in :class:`LinkRelay`, memory of their own links in
+:class:`ContactRelay`, hop counts and this memory in :class:`RouteRelay`, the links of every step in
+:class:`FreshestRelay`.
 """
 
 from __future__ import annotations
@@ -104,8 +105,8 @@ def relay_displacement(
     of dF is known at once; the rest of the rows follows from the displacements that the copies cause,
     :func:`~ptne_env.laws.identification.identify`.
 
-    The trust region: the largest own displacement is twice the largest one so far, until a prediction of the own
-    gradient fails by more than half of the gradient before; then it is half of the last one.
+    The trust region: an own displacement is at most twice the largest displacement so far, until a prediction of the
+    own gradient fails by more than half of the gradient before; then it is at most half of the last displacement.
 
     Args:
         observation: of R players.
@@ -247,8 +248,8 @@ class Relay(Law):
 class LinkRelay(Relay):
     """:class:`Relay` of players that know their own links alone.
 
-    A component is copied from its owner, where this is a neighbour; else it moves to the mean of the own estimate and
-    the estimates of all live neighbours.
+    A component is copied from its owner, where this is a neighbour that was heard; else it moves to the mean of the own
+    estimate and the estimates of all live neighbours.
     """
 
     interface: ClassVar[Interface] = Interface()
