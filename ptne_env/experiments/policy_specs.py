@@ -244,6 +244,7 @@ POLICIES: Mapping[str, PolicySpec] = {
         PolicySpec("routed-unknown", FactorySpec.of(f"{_LAWS}RoutedUnknown", step=0.3)),
         PolicySpec("freshest", FactorySpec.of(f"{_LAWS}Freshest", step=0.3)),
         PolicySpec("relay", FactorySpec.of(f"{_LAWS}Relay", spread=10.0)),
+        PolicySpec("wary-relay", FactorySpec.of(f"{_LAWS}WaryRelay", spread=10.0)),
         PolicySpec("multi-rate", FactorySpec.of(f"{_LAWS}MultiRate", step=0.2, price_step=0.2, lead=2.0)),
         PolicySpec("proximal-best-response", FactorySpec.of(f"{_LAWS}ProximalBestResponse", step=4.0, mixing=0.45)),
         PolicySpec("identify-and-broadcast", FactorySpec.of(f"{_LAWS}IdentifyAndBroadcast", spread=10.0, switch=0.65)),

@@ -29,6 +29,7 @@ SPECIAL = [
     laws.AggregateTracking,
     laws.ExtremumSeeking,
     laws.Relay,
+    laws.WaryRelay,
     laws.MultiRate,
     laws.ProximalBestResponse,
     laws.IdentifyAndBroadcast,

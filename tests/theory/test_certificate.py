@@ -32,6 +32,7 @@ WITHOUT_LOOP = {
     "ProximalBestResponse",
     "Relay",
     "RoutedUnknown",
+    "WaryRelay",
 }
 """Laws that are not linear in gradient and differences, or read or remember more than these and gains."""
 
