@@ -18,7 +18,6 @@ from ptne_env.experiments import POLICIES, Suite, Track, Workers, get_suite, run
 from ptne_env.experiments.metrics import share
 from ptne_env.experiments.statistics import summarise
 from ptne_env.files import write_atomically
-from ptne_env.laws import knowledge
 
 HERE = Path(__file__).parent
 
@@ -34,22 +33,17 @@ _INTRODUCTION = (
 )
 
 
-def _entry(name: str, law: type) -> PolicySpec:
-    target = FactorySpec.of(f"ptne_env.laws.knowledge:{law.__name__}", spread=10.0)
-    return PolicySpec(name, target, law.interface)  # type: ignore[attr-defined]
-
-
 def _known(name: str, policy: str) -> PolicySpec:
     return PolicySpec(name, POLICIES[policy].policy, POLICIES[policy].interface)
 
 
 BEST_RESPONSE = {
-    LINKS: _entry(LINKS, knowledge.LinkRelay),
-    REMEMBERED: _entry(REMEMBERED, knowledge.ContactRelay),
+    LINKS: _known(LINKS, "link-relay"),
+    REMEMBERED: _known(REMEMBERED, "contact-relay"),
     UNION: _known(UNION, "relay"),
-    UNION_REMEMBERED: _entry(UNION_REMEMBERED, knowledge.RouteRelay),
-    SCHEDULE: _entry(SCHEDULE, knowledge.FreshestRelay),
-    CODED_LINKS: _entry(CODED_LINKS, knowledge.LinkBroadcast),
+    UNION_REMEMBERED: _known(UNION_REMEMBERED, "route-relay"),
+    SCHEDULE: _known(SCHEDULE, "freshest-relay"),
+    CODED_LINKS: PolicySpec(CODED_LINKS, FactorySpec.of("ptne_env.laws:LinkBroadcast")),
     CODED: _known(CODED, "identify-and-broadcast"),
 }
 """Entries with the best response of ``relay`` to an identified model. They differ in knowledge alone."""

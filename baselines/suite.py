@@ -1,8 +1,9 @@
-"""Run all laws, and every training seed of the learned policies, on a suite, and write its leaderboard.
+"""Run all laws, and every training seed of the learned policies, on a suite; write its leaderboard and raw results.
 
-Run it with ``python baselines/suite.py`` after ``baselines/run.py``, which trains. Jobs that are stored already are not
-run again. ``ptne-v1.md`` beside this file is its output. The folder ``results/ptne-v1`` holds every number of every
-episode, and ``ptne check results/ptne-v1`` runs some of them again.
+Run it with ``python baselines/suite.py SUITE`` after ``baselines/run.py``, which trains. Jobs that are stored already
+are not run again. ``SUITE.md`` and ``SUITE.tar.xz`` beside this file are its output. The archive holds the numbers of
+every episode behind the tables, and the files of all learned policies: ``ptne check baselines/SUITE.tar.xz`` computes
+every table again, and runs some of the jobs again. The folder ``results/SUITE`` holds all metrics.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ from run import ONE_SEED
 
 from ptne_env import training
 from ptne_env.experiments import METRICS, POLICIES, Results, Workers, run_suite
+from ptne_env.experiments.archive import SUFFIX, pack
 from ptne_env.experiments.leaderboard import Leaderboard
 from ptne_env.experiments.metrics import number
 from ptne_env.experiments.policy_specs import DIVISIONS, KNOWLEDGE, PolicySpec
@@ -25,12 +27,32 @@ from ptne_env.files import write_atomically
 from ptne_env.report.tables import MARK_NOTES, MARKS
 
 HERE = Path(__file__).parent
-SUITE = "ptne-v1"
+
+PUBLISHED = (
+    "digits",
+    "estimate_distance",
+    "settling_time",
+    "settled_share",
+    "settling_time_1e_6",
+    "settled_share_1e_6",
+    "digits_after_hold",
+    "tracking_digits",
+    "saturated_share",
+    "diverged_share",
+    "messages",
+    "bits",
+)
+"""The metrics in the archive: those of the leaderboard, and those that take little space.
+
+Both suites take at most 20 MB in the repository. A job takes 4 kB with these metrics and 19 kB with all of them,
+because a number that differs from episode to episode takes eight bytes.
+"""
 
 _INTRODUCTION = (
-    "Written by `python baselines/suite.py`; do not edit. Suite `{suite}` (content hash `{hash}`), {episodes} test "
-    "episodes per track from seed {seed}, learned policies with every training seed; intervals of 95 % as "
-    "`docs/protocol.md` explains. Learned policies are `ppo-<configuration>`, configurations in "
+    "Written by `python baselines/suite.py {suite}`; do not edit. Suite `{suite}` (content hash `{hash}`), {episodes} "
+    "test episodes per track from seed {seed}, learned policies with every training seed; intervals of 95 % as "
+    "`docs/protocol.md` explains. `ptne check baselines/{archive}` computes every number again. Learned policies are "
+    "`ppo-<configuration>`, configurations in "
     "`ptne_env/training/configurations`. Below the honest entries stand coded ones and oracles. "
     + ". ".join(MARK_NOTES.values())
     + "."
@@ -108,12 +130,16 @@ def overall_table(board: Leaderboard, policies: Mapping[str, PolicySpec]) -> lis
 
 
 def main(
+    suite: Annotated[str, typer.Argument(help="Name of the suite.")] = "ptne-v1",
     runs: Annotated[Path, typer.Option(help="Folder of the training runs.")] = Path("runs"),
-    out: Annotated[Path, typer.Option(help="Folder of the results.")] = Path("results") / SUITE,
+    out: Annotated[Path, typer.Option(help="Folder of the results of each suite.")] = Path("results"),
+    to: Annotated[Path, typer.Option(help="Folder of the page and the archive.")] = HERE,
+    track: Annotated[list[str] | None, typer.Option(help="May be repeated; all tracks if left out.")] = None,
     jobs: Jobs = 2,
     ray: Ray = None,
 ) -> None:
     """Run, rank and write."""
+    folder, archive = out / suite, to / f"{suite}{SUFFIX}"
     learned = configurations(runs)
     names = [*POLICIES, *(f"{name}={pattern}" for name, pattern in learned.items())]
     done: list[str] = []
@@ -123,19 +149,25 @@ def main(
         if len(done) % 100 == 0 or len(done) == total:
             typer.echo(f"{len(done)} of {total} jobs")
 
-    results = run_suite(SUITE, names, folder=out, workers=Workers(jobs, ray), progress=advance)
+    results = run_suite(suite, names, tracks=track, folder=folder, workers=Workers(jobs, ray), progress=advance)
     board = results.leaderboard
     if board is None:
-        raise ValueError(f"{SUITE} is a comparison: it has no scores")
-    write_atomically(out / "results.json", results.to_json() + "\n")
+        raise ValueError(f"{suite} is a comparison: it has no scores")
+    write_atomically(folder / "results.json", results.to_json() + "\n")
+    pack(results, folder, archive, metrics=PUBLISHED)
     introduction = _INTRODUCTION.format(
-        suite=SUITE, hash=results.suite.content_hash[:12], episodes=results.suite.episodes, seed=results.seed
+        suite=suite,
+        archive=archive.name,
+        hash=results.suite.content_hash[:12],
+        episodes=results.suite.episodes,
+        seed=results.seed,
     )
-    lines = ["# Leaderboard of ptne-v1", "", introduction, "", *overview(results, set(learned)), ""]
+    lines = [f"# Leaderboard of {suite}", "", introduction, "", *overview(results, set(learned)), ""]
     lines += ["## Overall", "", *overall_table(board, results.policies)]
-    for track in results.tracks:
-        lines += track_table(results, board, track.name)
-    write_atomically(HERE / f"{SUITE}.md", "\n".join(lines))
+    for played in results.tracks:
+        lines += track_table(results, board, played.name)
+    write_atomically(to / f"{suite}.md", "\n".join(lines))
+    typer.echo(f"{archive} takes {archive.stat().st_size / 1e6:.1f} MB")
 
 
 if __name__ == "__main__":

@@ -498,6 +498,32 @@ def test_the_exit_code_of_check_is_0_when_results_reproduce(suite_run):
     assert found["differences"]
 
 
+def test_a_check_of_an_archive_says_which_policy_files_are_missing(tmp_path):
+    from ptne_env.experiments import run_suite
+    from ptne_env.experiments.archive import pack
+    from ptne_env.files import write_atomically
+    from ptne_env.policies import shipped_path
+
+    (tmp_path / "seed-0").mkdir()
+    file = shutil.copy(shipped_path("ppo-random-energy"), tmp_path / "seed-0" / "policy.onnx")
+    policies = ["grounded", f"mine={tmp_path}/seed-*/policy.onnx"]
+    results = run_suite("ptne-v1", policies, tracks=["nominal"], episodes=2, folder=tmp_path / "out")
+    write_atomically(tmp_path / "out" / "results.json", results.to_json())
+    pack(results, tmp_path / "out", tmp_path / "raw.tar.xz")
+    Path(file).unlink()
+    outcome = ptne("check", "raw.tar.xz", "--sample", "1", cwd=tmp_path)
+    assert outcome.returncode == 0, outcome.stderr
+    assert "every number follows from the stored jobs" in outcome.stdout
+    assert outcome.stdout.count("reproduces") == 1
+    outcome = ptne("check", "out", "--sample", "1", "--json", "found.json", cwd=tmp_path)
+    assert outcome.returncode == 3
+    assert "every number follows from the stored jobs" in outcome.stdout
+    assert "not repeated" in outcome.stdout
+    assert outcome.stdout.count("reproduces") == 1
+    (missing,) = json.loads((tmp_path / "found.json").read_text(encoding="utf-8"))["missing"]
+    assert f"{file} is not here (expected SHA-256 " in missing
+
+
 def forge(folder):
     """Improve a published job, with its checksum."""
     from ptne_env.experiments.provenance import content_hash

@@ -176,7 +176,9 @@ def compare(
 
 @app.command()
 def check(
-    results: Annotated[Path, typer.Argument(help="The file results.json of a comparison or suite, or its folder.")],
+    results: Annotated[
+        Path, typer.Argument(help="The file results.json of a comparison or suite, its folder, or an archive .tar.xz.")
+    ],
     *,
     sample: Annotated[int, typer.Option(min=1, help="Number of jobs to run again.")] = 5,
     tolerance: Annotated[
@@ -190,7 +192,8 @@ def check(
     Each of these jobs runs on the published episodes, where every number must repeat, and on as many fresh episodes,
     where the score must not be worse than chance allows.
 
-    The exit code is 0 when everything agrees, else 1.
+    The exit code is 0 when everything agrees, 1 when something differs, and 3 when nothing differs but the files of
+    some policies are missing, so that their jobs cannot run again.
     """
     check_writable(json)
     trust = options.trusted(foreign_code_of_results(results), trust=trust)
@@ -216,7 +219,8 @@ def check(
         }
         for repetition in outcome.repetitions
     ]
-    write_json(json, json_text({"differences": outcome.differences, "jobs": rows}))
+    found = {"differences": outcome.differences, "missing": outcome.missing, "left_out": outcome.left_out, "jobs": rows}
+    write_json(json, json_text(found))
     console().print(report.check_tables(outcome, tolerance))
     if not outcome.passes(tolerance):
-        raise typer.Exit(1)
+        raise typer.Exit(3 if outcome.agrees(tolerance) else 1)

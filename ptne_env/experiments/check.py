@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -13,21 +15,32 @@ from scipy import stats
 
 from ptne_env.arrays import FloatArray, require_count
 from ptne_env.catalogue import CATALOGUE
+from ptne_env.experiments.archive import policy_copy, unpacked
 from ptne_env.experiments.episodes import EpisodeSet, Split
 from ptne_env.experiments.jobs import Job, JobResult
+from ptne_env.experiments.leaderboard import NEEDED
+from ptne_env.experiments.metrics import METRICS, measured
 from ptne_env.experiments.policy_specs import PolicySpec
+from ptne_env.experiments.provenance import file_hashes
 from ptne_env.experiments.results import read_results
 from ptne_env.experiments.run import assemble
-from ptne_env.experiments.store import Store
+from ptne_env.experiments.sources import file_hash
+from ptne_env.experiments.store import PublishedStore
 from ptne_env.experiments.suite import PAPER_START, Suite, comparison, foreign_suites, get_suite
 from ptne_env.experiments.tuning import CANDIDATE
+from ptne_env.factory import LOADER, FactorySpec
 from ptne_env.files import read_json
+from ptne_env.observation import ObservationLayout
+from ptne_env.policies.process import PolicySource
+from ptne_env.policy import Policy, PolicyError
 
 SIGNIFICANCE = 1e-3
 """Probability that honest results have a job whose score is called better than on fresh episodes."""
 
 LARGEST = 10_000
 """Most episodes of a track, and most steps after the deadline, that a check runs: others chose these numbers."""
+
+_DIGEST = re.compile("[0-9a-f]{64}")
 
 _REBUILT = (
     "suite",
@@ -81,14 +94,22 @@ class Check:
     Attributes:
         differences: between the tables of the results and those that follow from the stored jobs, one text each.
         repetitions: the jobs that were run again.
+        missing: policies whose jobs nobody can run again here, one text each, with the files that are missing.
+        left_out: metrics that were measured and not published, so that no table and no repetition shows them.
     """
 
     differences: tuple[str, ...]
     repetitions: tuple[Repetition, ...]
+    missing: tuple[str, ...] = ()
+    left_out: tuple[str, ...] = ()
 
-    def passes(self, tolerance: float = 0.0) -> bool:
+    def agrees(self, tolerance: float = 0.0) -> bool:
         """Whether the tables follow from the jobs and all repeated jobs pass."""
         return not self.differences and all(repetition.passes(tolerance) for repetition in self.repetitions)
+
+    def passes(self, tolerance: float = 0.0) -> bool:
+        """Whether everything agrees, and the jobs of every policy can be run again."""
+        return self.agrees(tolerance) and not self.missing
 
 
 def check(
@@ -107,7 +128,7 @@ def check(
     episodes, which no policy can know. Jobs that are recorded as failed or as n/a always run again.
 
     Args:
-        results: a file ``results.json``, or its folder, with the stored jobs beside it.
+        results: a file ``results.json``, or its folder, with the stored jobs beside it; or an archive of that folder.
         suite: that was run, where its name in the results does not find it.
         sample: number of jobs with numbers; all if there are fewer.
         seed: of the choice and of the fresh episodes; unpredictable if left out.
@@ -116,59 +137,64 @@ def check(
         progress: called with ``"track: policy"`` and the number of jobs to run when a job is done.
 
     Raises:
-        FileNotFoundError: when there are no results, or the file of a job is missing.
+        FileNotFoundError: when there are no results, or the file of a job is missing. A policy whose file is missing
+            is no error: see :attr:`Check.missing`.
         ValueError: when a file is damaged, of another kind or of another version, or names more than :data:`LARGEST`
             episodes or steps after the deadline, the suite is not the one that was run, the files of a policy differ,
             the results name foreign code and ``trust`` is not set, or a policy was an object of another process.
     """
     require_count("sample", sample, 1)
-    path, data, listing = _read(results)
-    if not trust and (foreign := listing.foreign_code(suite)):
-        raise ValueError(
-            f"{path} names code outside this library, which a check executes: {', '.join(foreign)}. Say that you trust "
-            "it (--trust)"
-        )
-    policies = listing.policies()
-    suite = listing.suite() if suite is None else suite
-    if suite.content_hash != listing.content_hash:
-        raise ValueError(
-            f"{path} is of a {suite.name} with the content hash {listing.content_hash}; this library's is "
-            f"{suite.content_hash}"
-        )
-    stored = _Stored(listing)
-    try:
-        with np.errstate(over="ignore", invalid="ignore"):  # forged numbers may overflow
-            rebuilt = assemble(
-                suite,
-                listing.target,
-                policies,
-                {
-                    name: suite.episode_set(name, count, seed=listing.seed, split=listing.split)
-                    for name, count in listing.episodes.items()
-                },
-                against_laws=bool(listing.trials),
-                run=stored,
-                tune=lambda searches: [search.find() for search in searches],
+    with unpacked(results) as place:
+        path, data, listing = _read(place)
+        if not trust and (foreign := listing.foreign_code(suite)):
+            raise ValueError(
+                f"{path} names code outside this library, which a check executes: {', '.join(foreign)}. Say that you "
+                "trust it (--trust)"
             )
-    except RuntimeError as error:
-        raise ValueError(f"{path} cannot be the results of a run: {error}") from error
-    tables = json.loads(rebuilt.to_json())
-    differences = [
-        *(text for key in _REBUILT for text in _differences(key, data[key], tables[key], tolerance)),
-        *(f"{key} is no part of results" for key in sorted(data.keys() - tables.keys())),
-        *stored.unused(),
-    ]
-    generator = np.random.default_rng(seed)
-    without = [job for job in rebuilt.jobs if not stored.of(job).samples]
-    others = [job for job in rebuilt.jobs if stored.of(job).samples]
-    chosen = [*without, *(others[index] for index in sorted(generator.permutation(len(others))[:sample].tolist()))]
-    repetitions = []
-    for job in chosen:
-        fresh = replace(job.episodes, seed=int(generator.integers(1 << 32)))
-        repetitions.append(_repeat(job, stored.of(job), fresh, SIGNIFICANCE / len(chosen)))
-        if progress is not None:
-            progress(f"{job.track.name}: {job.policy.name}", len(chosen))
-    return Check(tuple(differences), tuple(repetitions))
+        policies = listing.policies()
+        suite = listing.suite() if suite is None else suite
+        if suite.content_hash != listing.content_hash:
+            raise ValueError(
+                f"{path} is of a {suite.name} with the content hash {listing.content_hash}; this library's is "
+                f"{suite.content_hash}"
+            )
+        stored = _Stored(listing)
+        try:
+            with np.errstate(over="ignore", invalid="ignore"):  # forged numbers may overflow
+                rebuilt = assemble(
+                    suite,
+                    listing.target,
+                    policies,
+                    {
+                        name: suite.episode_set(name, count, seed=listing.seed, split=listing.split)
+                        for name, count in listing.episodes.items()
+                    },
+                    against_laws=bool(listing.trials),
+                    run=stored,
+                    tune=lambda searches: [search.find() for search in searches],
+                )
+        except RuntimeError as error:
+            raise ValueError(f"{path} cannot be the results of a run: {error}") from error
+        tables = json.loads(rebuilt.to_json())
+        differences = [
+            *(text for key in _REBUILT for text in _differences(key, data[key], tables[key], tolerance)),
+            *(f"{key} is no part of results" for key in sorted(data.keys() - tables.keys())),
+            *stored.unused(),
+        ]
+        generator = np.random.default_rng(seed)
+        present = [job for job in rebuilt.jobs if not _lacks_file(job)]
+        without = [job for job in present if not stored.of(job).samples]
+        others = [job for job in present if stored.of(job).samples]
+        chosen = [*without, *(others[index] for index in sorted(generator.permutation(len(others))[:sample].tolist()))]
+        repetitions = []
+        for job in chosen:
+            fresh = replace(job.episodes, seed=int(generator.integers(1 << 32)))
+            repetitions.append(_repeat(job, stored.of(job), fresh, SIGNIFICANCE / len(chosen)))
+            if progress is not None:
+                progress(f"{job.track.name}: {job.policy.name}", len(chosen))
+        missing = tuple(text for policy in policies if isinstance(policy, _Copied) for text in policy.missing.values())
+        left_out = tuple(name for name in METRICS if name in measured() - listing.metrics)
+        return Check(tuple(differences), tuple(repetitions), missing, left_out)
 
 
 def foreign_code(results: Path) -> list[str]:
@@ -177,19 +203,22 @@ def foreign_code(results: Path) -> list[str]:
     Nothing is imported.
 
     Args:
-        results: a file ``results.json``, or its folder.
+        results: a file ``results.json``, its folder, or an archive.
 
     Raises:
         FileNotFoundError: when there are no results.
         ValueError: when the file is damaged, of another kind or of another version, or a policy was an object.
     """
-    return _read(results)[2].foreign_code(None)
+    with unpacked(results) as place:
+        return _read(place)[2].foreign_code(None)
 
 
 def _read(results: Path) -> tuple[Path, dict[str, Any], _Listing]:
     path = results / "results.json" if results.is_dir() else results
     if not path.exists():
-        raise FileNotFoundError(f"no results in {results}: name a file results.json, or the folder that holds it")
+        raise FileNotFoundError(
+            f"no results in {results}: name a file results.json, the folder that holds it, or an archive of the folder"
+        )
     data = read_results(path)
     return path, data, _Listing.of(path, data)
 
@@ -211,6 +240,7 @@ class _Listing:
         keys: of the stored jobs, by track, policy and training seed.
         trials: keys of the stored trials, by track.
         failures: reasons, by track and policy.
+        metrics: whose samples were published.
         versions: of the libraries that computed the jobs.
     """
 
@@ -227,6 +257,7 @@ class _Listing:
     keys: dict[tuple[str, str, int], str | None]
     trials: dict[str, list[str]]
     failures: dict[tuple[str, str], str]
+    metrics: frozenset[str]
     versions: dict[str, str]
 
     @classmethod
@@ -253,12 +284,15 @@ class _Listing:
                 keys={job[:3]: job[3] for job in jobs},
                 trials={track: list(keys) for track, keys in data["trials"].items()},
                 failures={(item["track"], item["policy"]): str(item["reason"]) for item in data["failures"]},
+                metrics=frozenset(_source(record["metric"]) for record in data["records"]),
                 versions=dict(data["versions"]),
             )
         except (KeyError, IndexError, TypeError, AttributeError, ValueError) as error:
             raise ValueError(f"{path} is not a file of results: {error!r}") from error
         if len(listing.keys) < len(jobs):
             raise ValueError(f"{path} is not a file of results: a job is listed twice")
+        if listing.metrics and (needed := sorted(NEEDED - listing.metrics)):
+            raise ValueError(f"{path} is not a file of results: it has no records of {', '.join(needed)}")
         sizes = {f"episodes of track {track!r}": count for track, count in listing.episodes.items()}
         for name, size in (sizes | {"hold_steps": listing.hold_steps or 0}).items():
             if require_count(name, size, 0) > LARGEST:
@@ -293,24 +327,103 @@ class _Listing:
     def policies(self) -> list[PolicySpec]:
         """The policies of the results.
 
+        A file that was run is looked for at its path, then among the copies beside the results; it may be missing.
+
         Raises:
             ValueError: when one was an object, or its files are not those that were run.
         """
-        found = [PolicySpec.from_dict(spec) for spec in self.specs]
-        for policy, spec in zip(found, self.specs, strict=True):
+        found = []
+        for spec in self.specs:
+            policy = PolicySpec.from_dict(spec)
+            if policy.to_dict() != spec:
+                policy = _Copied.of(policy, spec, self.path.parent)
             if policy.to_dict() != spec:
                 raise ValueError(
                     f"the files of policy {policy.name!r} are not those that were run: bring those back, "
                     "or run the suite again"
                 )
+            found.append(policy)
         return found
+
+
+@dataclass(frozen=True)
+class _Copied(PolicySpec):
+    """A learned policy of which files are not where they were: copies decide, and those without a copy are missing.
+
+    Attributes:
+        sources: the policy of each training seed, as it decides here; ``None`` where its file is missing.
+        files: the hashes of the files of each training seed, as published.
+    """
+
+    sources: tuple[PolicySource | None, ...] = ()
+    files: tuple[tuple[tuple[str, str], ...], ...] = ()
+
+    @classmethod
+    def of(cls, policy: PolicySpec, spec: Mapping[str, Any], folder: Path) -> _Copied:
+        """The policy with copies from a folder of results, where it is described as in ``spec``."""
+        sources: list[PolicySource | None] = []
+        files = []
+        for source, data in zip(policy.training_seeds, spec["training_seeds"], strict=True):
+            found = _file_of(source, data.get("files"))
+            here: PolicySource | None = source
+            hashes = file_hashes(source) if isinstance(source, FactorySpec) else {}
+            if found is not None:
+                path, digest = found
+                copy = policy_copy(folder, digest)
+                if hashes != {path: digest} and file_hash(copy) == digest:
+                    here, hashes = FactorySpec.of(LOADER, path_or_name=str(copy)), {path: digest}
+                elif not hashes:
+                    here, hashes = None, {path: digest}
+            sources.append(here)
+            files.append(tuple(hashes.items()))
+        return cls(policy.name, policy.policy, policy.interface, policy.scenarios, tuple(sources), tuple(files))
+
+    @property
+    def missing(self) -> dict[int, str]:
+        """By training seed, which file is missing."""
+        return {
+            seed: f"policy {self.name!r}: the file {path} is not here (expected SHA-256 {digest})"
+            for seed, (source, ((path, digest), *_)) in enumerate(zip(self.sources, self.files, strict=True))
+            if source is None
+        }
+
+    def to_dict(self) -> dict[str, Any]:
+        data = super().to_dict()
+        seeds = zip(data["training_seeds"], self.files, strict=True)
+        return {**data, "training_seeds": [{**seed, "files": dict(files)} for seed, files in seeds]}
+
+    @contextmanager
+    def deciding(self, layout: ObservationLayout, training_seed: int = 0) -> Iterator[Policy]:
+        source = self.sources[training_seed]
+        if source is None:
+            raise PolicyError(self.missing[training_seed])
+        with PolicySpec(self.name, source, self.interface).deciding(layout) as policy:
+            yield policy
+
+
+def _file_of(source: PolicySource, files: Any) -> tuple[str, str] | None:
+    """The path of the one file of a learned policy, and its published SHA-256; ``None`` for another policy."""
+    if not isinstance(source, FactorySpec) or source.target != LOADER or not isinstance(files, dict):
+        return None
+    path = str(dict(source.arguments).get("path_or_name"))
+    digest = files.get(path)
+    return (path, digest) if isinstance(digest, str) and _DIGEST.fullmatch(digest) else None
+
+
+def _lacks_file(job: Job) -> bool:
+    return isinstance(job.policy, _Copied) and job.training_seed in job.policy.missing
+
+
+def _source(metric: Any) -> str:
+    """The metric whose samples a record summarises."""
+    return METRICS[metric].source if metric in METRICS else str(metric)
 
 
 class _Stored:
     """Gives the stored results of the jobs that results list, in place of a run."""
 
     def __init__(self, listing: _Listing) -> None:
-        self._store = Store(listing.path.parent)
+        self._store = PublishedStore(listing.path.parent, listing.metrics)
         self._keys = dict(listing.keys)
         self._trials = {track: iter(keys) for track, keys in listing.trials.items()}
         self._failures, self._versions = listing.failures, listing.versions

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import platform
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping
 from contextlib import ExitStack
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import cached_property, lru_cache
 from math import isfinite
 from typing import Any
@@ -133,12 +133,13 @@ class JobResult:
         return {"samples": lists, "not_applicable": self.not_applicable, "timings": self.timings}
 
     @classmethod
-    def from_dict(cls, data: Mapping[str, Any], job: Any) -> JobResult:
+    def from_dict(cls, data: Mapping[str, Any], job: Any, published: Collection[str] | None = None) -> JobResult:
         """The inverse of :meth:`to_dict`, for a job that did not fail.
 
         Args:
             data: the JSON object.
             job: :meth:`Job.to_dict` of the job.
+            published: the metrics of which there are samples; all of the job if left out.
 
         Raises:
             ValueError: when no run of the job gives ``data``: on other keys, metrics, types or numbers of values.
@@ -152,12 +153,13 @@ class JobResult:
         if not_applicable is not None:
             metrics = set()
         timed = {name for name in metrics if name in METRICS and METRICS[name].is_timing}
+        measured = metrics - timed if published is None else (metrics - timed).intersection(published)
         is_whole = (
             data.keys() == set(keys)
             and isinstance(not_applicable, str | None)
             and isinstance(samples, dict)
             and isinstance(timings, dict)
-            and samples.keys() == metrics - timed
+            and samples.keys() == measured
             and timings.keys() == timed
             and all(isinstance(values, list) and len(values) == count for values in samples.values())
             and all(value is None or _is_number(value) for values in samples.values() for value in values)
@@ -168,18 +170,22 @@ class JobResult:
         arrays = {name: np.array(values, dtype=np.float64) for name, values in samples.items()}
         return cls(arrays, timings, not_applicable)
 
-    def of_metric(self, name: str) -> FloatArray:
-        """The samples of a metric, or its timing for every episode; shape (B,)."""
-        if name in self.samples:
-            return self.samples[name]
-        return np.full(self.samples["digits"].shape, self.timings[name])
+    def by_metric(self) -> dict[str, FloatArray]:
+        """The samples of every metric, or its timing for every episode, in the order of tables; shape (B,)."""
+        timings = {name: np.full(self.samples["digits"].shape, value) for name, value in self.timings.items()}
+        found = self.samples | timings
+        return {name: found[name] for name in METRICS if name in found}
+
+    def of_metrics(self, names: Collection[str]) -> JobResult:
+        """The same with the samples of some metrics alone, and all timings."""
+        return replace(self, samples={name: values for name, values in self.samples.items() if name in names})
 
     def difference(self, other: JobResult) -> float:
-        """The largest |other − this|/(1 + |this|) of any metric and episode, timings apart.
+        """The largest |other − this|/(1 + |this|) of any episode and metric of this result, timings apart.
 
         It is infinite where one has a value and the other has none.
         """
-        if self.samples.keys() != other.samples.keys() or self.not_applicable != other.not_applicable:
+        if not self.samples.keys() <= other.samples.keys() or self.not_applicable != other.not_applicable:
             return float("inf")
         if (self.failure is None) != (other.failure is None):
             return float("inf")

@@ -25,6 +25,9 @@ ERRORS = tuple(10.0**-digits for digits in range(1, 13))
 THRESHOLDS = tuple(round(0.05 * step, 2) for step in range(25))
 """Normalised scores for which performance profiles are given."""
 
+NEEDED = frozenset({"digits", "digits_after_hold", "estimate_distance", "settling_time_1e_6"})
+"""The metrics from which leaderboards are made."""
+
 _ByTrack: TypeAlias = Mapping[tuple[str, str], FloatArray]
 """By track and policy, shape (training seeds, episodes)."""
 

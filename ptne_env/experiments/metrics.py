@@ -275,6 +275,11 @@ for _metric in (
 # fmt: on
 
 
+def measured() -> frozenset[str]:
+    """The names of the metrics that have a value per episode of their own: no timings, summaries and comparisons."""
+    return frozenset(name for name, metric in METRICS.items() if metric.value is not None and not metric.is_timing)
+
+
 def against_law(group: str, digits: FloatArray, law: FloatArray) -> dict[str, FloatArray]:
     """The metrics of a learned policy against the tuned law of a group, paired by episode.
 

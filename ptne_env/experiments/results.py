@@ -6,8 +6,8 @@ import csv
 import io
 import json
 import re
-from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from collections.abc import Collection, Mapping
+from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any, TypeAlias
@@ -16,8 +16,8 @@ from ptne_env._version import __version__
 from ptne_env.arrays import FloatArray
 from ptne_env.experiments.episodes import Split
 from ptne_env.experiments.jobs import Job
-from ptne_env.experiments.leaderboard import Leaderboard, leaderboard
-from ptne_env.experiments.metrics import METRICS, Statistic
+from ptne_env.experiments.leaderboard import NEEDED, Leaderboard, leaderboard
+from ptne_env.experiments.metrics import METRICS, Statistic, measured
 from ptne_env.experiments.policy_specs import KNOWLEDGE, PolicySpec
 from ptne_env.experiments.provenance import content_hash, is_hash_of, versions
 from ptne_env.experiments.statistics import Summary, summaries
@@ -85,6 +85,30 @@ class Results:
         """The policies and tuned laws that were run on a track, by name, in the order of tables."""
         chosen = self.policies | {law.name: law for law in self.tuned.get(track, {}).values()}
         return {name: policy for name, policy in chosen.items() if (track, name) in self.samples}
+
+    def of_metrics(self, names: Collection[str]) -> Results:
+        """The same results with the samples and records of some metrics alone, and those that follow from them.
+
+        Args:
+            names: of metrics that are measured. Timings, and comparisons with tuned laws, are always kept.
+
+        Raises:
+            ValueError: for a name that is none, or when one is left out that leaderboards need.
+        """
+        known = measured()
+        if unknown := sorted(set(names) - known):
+            raise ValueError(f"no measured metrics: {', '.join(unknown)}; choose from {', '.join(sorted(known))}")
+        if needed := sorted(NEEDED - set(names)):
+            raise ValueError(f"leaderboards need {', '.join(needed)}: keep these metrics too")
+        left_out = known - set(names)
+        return replace(
+            self,
+            samples={
+                place: {name: values for name, values in found.items() if name not in left_out}
+                for place, found in self.samples.items()
+            },
+            records=tuple(record for record in self.records if METRICS[record["metric"]].source not in left_out),
+        )
 
     def record(self, track: str, policy: str, metric: str) -> Record:
         """The record of one track, policy and metric.

@@ -13,7 +13,7 @@ from ptne_env.arrays import FloatArray
 from ptne_env.experiments import tuning
 from ptne_env.experiments.episodes import EpisodeSet, Split
 from ptne_env.experiments.jobs import Job, JobResult, require_hashed
-from ptne_env.experiments.metrics import METRICS, against_law
+from ptne_env.experiments.metrics import against_law
 from ptne_env.experiments.policy_specs import PolicySpec, get_policy_spec
 from ptne_env.experiments.results import Results, records, statistics_of
 from ptne_env.experiments.store import Store, run_jobs, run_missing
@@ -306,11 +306,8 @@ def _collected(jobs: Sequence[Job], results: Sequence[JobResult]) -> _Outcome:
         elif reason is not None:
             outcome.not_applicable[place] = reason
         else:
-            outcome.samples[place] = {
-                name: np.stack([result.of_metric(name) for result in found])
-                for name, metric in METRICS.items()
-                if metric.value is not None
-            }
+            columns = [result.by_metric() for result in found]
+            outcome.samples[place] = {name: np.stack([column[name] for column in columns]) for name in columns[0]}
     return outcome
 
 

@@ -6,7 +6,7 @@ A task is a job, or a point of a diagram.
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, ClassVar, Generic, Protocol, Self, TypeVar
 from uuid import uuid4
@@ -92,13 +92,17 @@ class TaskStore(Generic[Result]):
         reason = "its checksum is another one"
         if is_whole and is_hash_of(key, task):
             try:
-                return self.result.from_dict(content, task)  # type: ignore[return-value]
+                return self.read(content, task)
             except ValueError as error:
                 reason = str(error)
         raise DamagedFileError(
             f"the result {path} is damaged, or of another {self.kind} ({reason}): run the suite again, which "
             "replaces it"
         )
+
+    def read(self, content: Mapping[str, Any], task: Any) -> Result:
+        """The result in the content of a file; see :meth:`TaskResult.from_dict`."""
+        return self.result.from_dict(content, task)  # type: ignore[return-value]
 
     def save(self, task: Task, result: Result) -> None:
         """Write the file of a task; nothing for a task without a key.
@@ -108,12 +112,15 @@ class TaskStore(Generic[Result]):
         """
         if task.key is None:
             return
-        content = {self.kind: task.to_dict(), **result.to_dict()}
         path = self.path(task.key)
         if path.exists() and not path.is_file():  # such as a folder, which no file can replace
             path.rename(path.with_name(f"{path.name}.damaged-{uuid4().hex}"))
-        checked = {**content, "checksum": content_hash(content)}
-        write_atomically(path, json.dumps(checked, allow_nan=False, ensure_ascii=False))
+        write_atomically(path, self.text(task, result))
+
+    def text(self, task: Task, result: Result) -> str:
+        """The content of the file of a task."""
+        content = {self.kind: task.to_dict(), **result.to_dict()}
+        return json.dumps({**content, "checksum": content_hash(content)}, allow_nan=False, ensure_ascii=False)
 
     def find(self, task: Task) -> Result | None:
         """The stored result; ``None`` where there is none, or a damaged file, so that the task has to be run.
@@ -138,6 +145,22 @@ class Store(TaskStore[JobResult]):
     def save(self, task: Task, result: JobResult) -> None:  # noqa: D102 - inherited
         if result.failure is None:
             super().save(task, result)
+
+
+class PublishedStore(Store):
+    """Published results of jobs, which may be of some metrics alone.
+
+    Args:
+        folder: of the results.
+        metrics: that were published.
+    """
+
+    def __init__(self, folder: Path, metrics: Collection[str]) -> None:
+        super().__init__(folder)
+        self._metrics = metrics
+
+    def read(self, content: Mapping[str, Any], task: Any) -> JobResult:  # noqa: D102 - inherited
+        return JobResult.from_dict(content, task, self._metrics)
 
 
 def run_missing(

@@ -104,11 +104,14 @@ FIELD: tuple[Tunable, ...] = (
     Tunable.of("AdaptiveGrounded", initial_gain=(0.05, 50.0), gamma=(1e-6, 1.0)),
     Tunable.of("LocallyImplicit", kappa=(0.05, 500.0), curvature=(0.05, 500.0)),
     Tunable.of("ProjectedGradient", step=(0.003, 3.0), mixing=(0.01, 3.0)),
-    Tunable.of("AggregateTracking", step=(0.003, 3.0), mixing=(0.01, 3.0), power=(0.0, 1.0)),
+    Tunable.of("ProximalBestResponse", step=(0.05, 500.0), mixing=(0.01, 3.0)),
     Tunable.of("Routed", step=(0.003, 3.0)),
     Tunable.of("RoutedUnknown", step=(0.003, 3.0)),
     Tunable.of("Freshest", step=(0.003, 3.0)),
+    Tunable.of("MultiRate", step=(0.003, 3.0), price_step=(0.003, 3.0), lead=(0.05, 50.0)),
     Tunable.of("Relay", spread=(0.01, 1e4)),
+    Tunable.of("LinkRelay", spread=(0.01, 1e4)),
+    Tunable.of("ContactRelay", spread=(0.01, 1e4)),
 )
 """The honest laws that are tuned. A new member is a new line."""
 

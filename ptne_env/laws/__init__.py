@@ -7,6 +7,7 @@ from ptne_env.laws.adaptive import Adaptive as Adaptive
 from ptne_env.laws.adaptive import AveragingIntegral as AveragingIntegral
 from ptne_env.laws.base import Law as Law
 from ptne_env.laws.broadcast import IdentifyAndBroadcast as IdentifyAndBroadcast
+from ptne_env.laws.broadcast import LinkBroadcast as LinkBroadcast
 from ptne_env.laws.discrete import AggregateTracking as AggregateTracking
 from ptne_env.laws.discrete import ProjectedGradient as ProjectedGradient
 from ptne_env.laws.extremum_seeking import ExtremumSeeking as ExtremumSeeking
@@ -18,7 +19,11 @@ from ptne_env.laws.oracles import CentralisedOracle as CentralisedOracle
 from ptne_env.laws.oracles import FixedTimeOracle as FixedTimeOracle
 from ptne_env.laws.oracles import NodeAdaptiveOracle as NodeAdaptiveOracle
 from ptne_env.laws.proximal import ProximalBestResponse as ProximalBestResponse
+from ptne_env.laws.relay import ContactRelay as ContactRelay
+from ptne_env.laws.relay import FreshestRelay as FreshestRelay
+from ptne_env.laws.relay import LinkRelay as LinkRelay
 from ptne_env.laws.relay import Relay as Relay
+from ptne_env.laws.relay import RouteRelay as RouteRelay
 from ptne_env.laws.routed import Freshest as Freshest
 from ptne_env.laws.routed import Routed as Routed
 from ptne_env.laws.routed import RoutedUnknown as RoutedUnknown

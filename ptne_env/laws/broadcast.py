@@ -9,15 +9,8 @@ import numpy as np
 
 from ptne_env.arrays import BoolArray, FloatArray, IntArray, require_probability
 from ptne_env.laws.base import per_step
-from ptne_env.laws.relay import (
-    UNLIMITED,
-    Relay,
-    own_block,
-    own_entries,
-    relay_displacement,
-    with_own,
-    within_reach,
-)
+from ptne_env.laws.best_response import own_block, with_own, within_reach
+from ptne_env.laws.relay import UNLIMITED, Relay, relay_displacement
 from ptne_env.observation import Interface, Observation, ObservationLayout
 
 _CHECKS = 2
@@ -47,8 +40,8 @@ _STILL = 1e-5
 _IN_PLACE = 1e-5
 """Distance from the solution, relative to its largest component, within which a player has arrived there."""
 
-_FINISH = 0.99
-"""Share of the deadline at which the code ends."""
+_FINISH = 0.9
+"""Share of the deadline at which the code ends, early enough for a relay to average noise and to bring late news."""
 
 LARGEST_CODE = 24
 """Largest n for which equations are sent: a neighbour needs n + 3 steps for them, a player n² numbers."""
@@ -209,7 +202,7 @@ class IdentifyAndBroadcast(Relay):
        components c of which it knows the residual ρ_c at its own place by κ + ρ_c for one step. A neighbour at
        the distance δ reads ρ_c − E_c δ from that, the residual at its own place. A player that knows all residuals
        moves by the solution of E Δ = −ρ.
-    4. From 0.99 T on, all players act as :class:`~ptne_env.laws.relay.Relay`.
+    4. From 0.9 T on, all players act as :class:`~ptne_env.laws.relay.Relay`.
 
     Noisy, rounded or late messages, and those of players that follow another law, fail the checksums. A player acts as
     :class:`~ptne_env.laws.relay.Relay` for the rest of the episode if a neighbour moves in phase 1 as this law does
@@ -238,13 +231,12 @@ class IdentifyAndBroadcast(Relay):
     def inputs(self, observation: Observation, memory: FloatArray) -> tuple[FloatArray, FloatArray]:
         if not self._sends_code:
             return super().inputs(observation, memory)
-        parts, sources = self._parts.split(memory), self._nearer[observation.player]
+        parts, sources = self._parts.split(memory), self._fixed_sources[observation.player]
         displacement, fresh = relay_displacement(observation, parts, self.layout, sources, self.spread)
         coded, fresh = self._coded(observation, parts, parts | fresh)
         is_relay = fresh["is_relay"] > 0
         displacement = np.where(is_relay, displacement, coded)
-        asked = own_entries(displacement, self.layout.own_components[observation.player])
-        fresh["asked"] = within_reach(asked, observation, self.layout)
+        fresh["asked"] = within_reach(displacement, observation, self.layout)
         calm = {"least": UNLIMITED, "mark": UNLIMITED, "restless": 0.0}  # code is no noise
         fresh |= {name: np.where(is_relay, fresh[name], value) for name, value in calm.items()}
         return per_step(displacement, observation), self._parts.join(fresh)
@@ -289,7 +281,7 @@ class IdentifyAndBroadcast(Relay):
         gradients = np.einsum("rab,rb->ra", np.linalg.pinv(own_block(memory["rows"], blocks)), memory["gradient"])
         residual = with_own(np.zeros_like(estimate), gradients, blocks)
         move, resolved = resolve(
-            observation, memory | {"steps": step}, residual, own, self._nearer[observation.player], ends
+            observation, memory | {"steps": step}, residual, own, self._fixed_sources[observation.player], ends
         )
 
         alone = (own | ~known).all(axis=1, keepdims=True)
@@ -329,3 +321,12 @@ class IdentifyAndBroadcast(Relay):
             "at_rest_live": (slots,),
         }
         return super()._shapes() | (code if self._sends_code else {})
+
+
+class LinkBroadcast(IdentifyAndBroadcast):
+    """:class:`IdentifyAndBroadcast` of players that know their own links alone."""
+
+    interface: ClassVar[Interface] = Interface(estimates="coded")
+
+    def _known_sources(self) -> BoolArray:
+        return self.layout.neighbour_components

@@ -9,9 +9,9 @@ import numpy as np
 
 from ptne_env.arrays import FloatArray, require_positive
 from ptne_env.laws.base import Law, consensus, per_step
+from ptne_env.laws.best_response import LARGEST_ROW, own_block, own_entries, with_own
 from ptne_env.laws.identification import RESOLUTION, Model, blank, identify
 from ptne_env.laws.memory import Parts
-from ptne_env.laws.relay import LARGEST_ROW, own_block, own_entries, with_own
 from ptne_env.observation import Observation, ObservationLayout
 
 _MARGIN = 3.0

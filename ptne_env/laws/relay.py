@@ -1,4 +1,9 @@
-"""Relay: best response from an identified model of the own gradient, and copies of estimates hop by hop."""
+"""Relays: best responses from an identified model of the own gradient, and copies of estimates, one link per step.
+
+What players know of the communication graphs decides from whom they copy: hop counts on the union graph in
+:class:`Relay`, their own links without memory in :class:`LinkRelay`, their own links and all that they saw on them in
+:class:`ContactRelay`, both in :class:`RouteRelay`, the links of every step in :class:`FreshestRelay`.
+"""
 
 from __future__ import annotations
 
@@ -7,15 +12,14 @@ from typing import ClassVar
 
 import numpy as np
 
-from ptne_env.arrays import BoolArray, FloatArray, IntArray, require_positive
+from ptne_env.arrays import BoolArray, FloatArray, require_positive
 from ptne_env.laws.base import Law, per_step
+from ptne_env.laws.best_response import LARGEST_ROW, best_response, largest, own_entries, with_own, within_reach
+from ptne_env.laws.contacts import contact_parts, contacts, unknown_nearness
 from ptne_env.laws.identification import RESOLUTION, Model, blank, identify
 from ptne_env.laws.memory import Parts
-from ptne_env.laws.routed import nearer_slots
+from ptne_env.laws.routed import Freshest, nearer_slots
 from ptne_env.observation import Interface, Observation, ObservationLayout
-
-_MARGIN = 3.0
-"""Standard deviations by which a curvature exceeds 0 where it is certain."""
 
 _ACCURACY = 0.5
 """Largest error of a good prediction, relative to the gradient before."""
@@ -40,38 +44,6 @@ _RESOLVED = 1e-6
 
 UNLIMITED = 1e6
 """A distance beyond all estimates."""
-
-LARGEST_ROW = 32
-"""Largest n for which whole rows of dF are identified, which takes n² numbers per player; else own blocks alone."""
-
-
-def own_entries(array: FloatArray, places: IntArray) -> FloatArray:
-    """The entries of own components, (R, q) to (R, m), 0 where ``places`` (R, m) is padded with q."""
-    return np.where(places == array.shape[1], 0.0, np.take_along_axis(array, _inside(places, array), axis=1))
-
-
-def own_block(rows: FloatArray, places: IntArray) -> FloatArray:
-    """G_ii of rows (R, m, q), with 1 on the diagonal where ``places`` (R, m) is padded with q: (R, m, m)."""
-    padded = places == rows.shape[2]
-    own = np.take_along_axis(rows, _inside(places, rows)[:, None, :], axis=2)
-    return np.where(padded[:, :, None] | padded[:, None, :], np.eye(places.shape[1]), own)
-
-
-def with_own(array: FloatArray, own: FloatArray, blocks: IntArray) -> FloatArray:
-    """``array`` (R, n, ...) with ``own`` (R, m, ...) in the places ``blocks`` (R, m) of the own components."""
-    wider = np.concatenate([array, np.zeros_like(array[:, :1])], axis=1)  # one place more, into which padding falls
-    np.put_along_axis(wider, blocks.reshape(*blocks.shape, *(1,) * (own.ndim - 2)), own, axis=1)
-    return wider[:, :-1]
-
-
-def _inside(places: IntArray, array: FloatArray) -> IntArray:
-    """``places`` with padding replaced by the last place of the last axis."""
-    return np.minimum(places, array.shape[-1] - 1)
-
-
-def _largest(array: FloatArray) -> FloatArray:
-    """The largest |entry| of each row, (R, k) to (R, 1)."""
-    return np.abs(array).max(axis=1, keepdims=True)
 
 
 def copies(
@@ -102,10 +74,10 @@ def copies(
     messages = observation.own_estimate[:, None] + observation.relative_estimates
     lasts = live & (memory["live"] > 0)
     change = np.where(lasts[:, :, None], np.abs(messages - memory["messages"]), 0.0).max(axis=2)
-    change = np.where(lasts.any(axis=1, keepdims=True), _largest(change), np.inf)
+    change = np.where(lasts.any(axis=1, keepdims=True), largest(change), np.inf)
     least, mark, restless = np.minimum(memory["least"], change), memory["mark"], memory["restless"]
     calmer = least <= mark / np.where(restless > _RESTLESS, _SIGNAL, 2.0)
-    restless = np.where(calmer | (_largest(mean) > _SIGNAL * least), 0.0, restless + 1)
+    restless = np.where(calmer | (largest(mean) > _SIGNAL * least), 0.0, restless + 1)
     weight = np.where(restless > _RESTLESS, _FORGETTING / (_FORGETTING + restless), 1.0)
     return weight * mean, {
         "heard": heard,
@@ -115,39 +87,6 @@ def copies(
         "mark": np.where(calmer, least, mark),
         "restless": restless,
     }
-
-
-def best_response(
-    model: Model, gradient: FloatArray, drift: FloatArray, places: IntArray, held: BoolArray, radius: FloatArray
-) -> FloatArray:
-    """Δx_i = −D⁻¹ (∂J_i/∂x_i + G_{i,−i} Δx_{−i}) with the identified rows G, shape (R, m).
-
-    D has the eigenvectors of the own block G_ii, and its eigenvalues or the largest row sum of |G_{i,−i}|, whichever is
-    larger. In a game that is diagonally dominant this is the best response to the estimates of the next step; in others
-    it is damped, because best responses of all players at once need not converge there. Where a curvature is not
-    certainly positive, it counts as the sum of its size and three standard deviations, at least 1: a gradient step.
-
-    Args:
-        model: the identified rows, with q regressors.
-        gradient: ∂J_i/∂x_i(x^i), 0 where padded, shape (R, m).
-        drift: Δx_{−i} of the regressors, 0 for own components, shape (R, q).
-        places: of own components among the regressors, padded with q, shape (R, m).
-        held: whether a bound holds an own component; the others then move as if it stayed, shape (R, m).
-        radius: largest |Δx_i|, shape (R, 1).
-    """
-    rows, covariance = model
-    wanted = gradient + np.einsum("rmq,rq->rm", rows, drift)
-    own = own_block(rows, places)
-    beside = with_own(np.abs(rows).swapaxes(1, 2), np.zeros_like(own), places)
-    own = np.where(held[:, :, None] | held[:, None, :], own * np.eye(own.shape[1]), (own + own.swapaxes(1, 2)) / 2)
-    curvature, vectors = np.linalg.eigh(own)
-    directions = with_own(np.zeros_like(rows).swapaxes(1, 2), vectors, places)
-    doubt = _MARGIN * np.sqrt(np.maximum(np.einsum("rpa,rpq,rqa->ra", directions, covariance, directions), 0.0))
-    gradient_step = np.maximum(np.abs(curvature) + doubt, 1.0)
-    curvature = np.where(curvature > doubt, curvature, gradient_step)
-    curvature = np.maximum(curvature, np.add.reduce(beside, axis=1).max(axis=1, keepdims=True))
-    step = -np.einsum("rab,rb->ra", vectors, np.einsum("rba,rb->ra", vectors, wanted) / curvature)
-    return step * (radius / np.maximum(_largest(step), radius))
 
 
 def relay_displacement(
@@ -187,18 +126,18 @@ def relay_displacement(
     moved = np.where(step == 0, 0.0, estimate - memory["estimate"])
     own_moved = own_entries(moved, blocks)
 
-    scale = _largest(estimate) + _largest(memory["estimate"])
-    deviation = RESOLUTION * (_largest(gradient) + _largest(last_gradient) + spread * scale)
+    scale = largest(estimate) + largest(memory["estimate"])
+    deviation = RESOLUTION * (largest(gradient) + largest(last_gradient) + spread * scale)
     if not is_whole:
-        deviation = deviation + spread * _largest(np.where(is_own, 0.0, moved))
+        deviation = deviation + spread * largest(np.where(is_own, 0.0, moved))
     shift = moved if is_whole else own_moved
     model, error, failed = identify(model, shift, gradient - last_gradient, deviation**2)
 
-    length = _largest(own_moved)
-    is_bad = failed & (error > _ACCURACY * _largest(last_gradient))
+    length = largest(own_moved)
+    is_bad = failed & (error > _ACCURACY * largest(last_gradient))
     radius = np.where(is_bad, length / 2, np.maximum(memory["radius"], 2 * length))
-    radius = np.maximum(radius, _SHORTEST * _largest(estimate))
-    asked = np.abs(memory["asked"])
+    radius = np.maximum(radius, _SHORTEST * largest(estimate))
+    asked = np.abs(own_entries(memory["asked"], blocks))
     held = (np.abs(own_moved) < _HELD * asked) & (asked > _RESOLVED * scale)
 
     is_probe = step < outputs
@@ -208,23 +147,18 @@ def relay_displacement(
     shift = drift if is_whole else np.zeros_like(own_moved)
     own_step = best_response(model, gradient, shift, places, held, np.where(is_probe, UNLIMITED, radius))
     own_step = np.where(is_probe & (np.arange(outputs) != step), 0.0, own_step)
-    return with_own(drift, own_step, blocks), {
+    displacement = with_own(drift, own_step, blocks)
+    return displacement, {
         "rows": model.rows,
         "covariance": model.covariance,
         "estimate": estimate,
         "gradient": gradient,
-        "asked": within_reach(own_step, observation, layout),
+        "asked": within_reach(displacement, observation, layout),
         "radius": radius,
         "failed": failed.astype(np.float64),
         "steps": step + 1,
         **heard,
     }
-
-
-def within_reach(displacement: FloatArray, observation: Observation, layout: ObservationLayout) -> FloatArray:
-    """Displacements (R, k), clipped to those that the input limit allows in the coming step."""
-    reach = layout.action_bound * observation.theta
-    return np.clip(displacement, -reach, reach)
 
 
 class Relay(Law):
@@ -242,15 +176,34 @@ class Relay(Law):
     needs: ClassVar[tuple[str, ...]] = ("own_estimate",)
     interface: ClassVar[Interface] = Interface(graph_knowledge="union")
 
+    mixes: ClassVar[bool] = True
+    """Whether a component of which no source was ever heard moves to the mean of all neighbours and the player."""
+
     def __init__(self, layout: ObservationLayout, spread: float = 10.0) -> None:
         super().__init__(layout)
         self.spread = require_positive("spread", spread)
-        self._nearer = self._sources()
+        self._fixed_sources = self._known_sources()
         self._parts = Parts(self._shapes())
 
-    def _sources(self) -> BoolArray:
-        """From which neighbours each component is copied where they are live, shape (N, D, n)."""
+    def _known_sources(self) -> BoolArray:
+        """From which neighbours each component is copied where they are live, by the layout; shape (N, D, n)."""
         return nearer_slots(self.layout)
+
+    def sources(
+        self,
+        observation: Observation,
+        memory: Mapping[str, FloatArray],  # noqa: ARG002 - subclasses read it
+    ) -> tuple[BoolArray, dict[str, FloatArray]]:
+        """From which neighbours each component is copied where they are live, and the changed parts of the memory.
+
+        Args:
+            observation: of R players.
+            memory: the parts of the law's memory by name.
+
+        Returns:
+            The sources, shape (R, D, n), and changed parts of the memory that :func:`relay_displacement` leaves alone.
+        """
+        return self._fixed_sources[observation.player], {}
 
     def _shapes(self) -> dict[str, tuple[int, ...]]:
         """Shapes of the parts of the memory."""
@@ -261,7 +214,7 @@ class Relay(Law):
             "covariance": (regressors, regressors),
             "estimate": (dimension,),
             "gradient": (outputs,),
-            "asked": (outputs,),
+            "asked": (dimension,),
             "radius": (1,),
             "failed": (1,),
             "steps": (1,),
@@ -284,6 +237,86 @@ class Relay(Law):
 
     def inputs(self, observation: Observation, memory: FloatArray) -> tuple[FloatArray, FloatArray]:
         parts = self._parts.split(memory)
-        sources = self._nearer[observation.player]
-        displacement, parts = relay_displacement(observation, parts, self.layout, sources, self.spread)
-        return per_step(displacement, observation), self._parts.join(parts)
+        sources, news = self.sources(observation, parts)
+        displacement, fresh = relay_displacement(
+            observation, parts, self.layout, sources, self.spread, mixes=self.mixes
+        )
+        return per_step(displacement, observation), self._parts.join(fresh | news)
+
+
+class LinkRelay(Relay):
+    """:class:`Relay` of players that know their own links alone.
+
+    A component is copied from its owner, where this is a neighbour; else it moves to the mean of the own estimate and
+    the estimates of all live neighbours.
+    """
+
+    interface: ClassVar[Interface] = Interface()
+
+    def _known_sources(self) -> BoolArray:
+        return self.layout.neighbour_components
+
+
+class ContactRelay(LinkRelay):
+    """:class:`Relay` of players that remember their own links, :func:`~ptne_env.laws.contacts.contacts`."""
+
+    mixes: ClassVar[bool] = False
+
+    def __init__(self, layout: ObservationLayout, spread: float = 10.0) -> None:
+        super().__init__(layout, spread)
+        self._nearness = self._distances()
+
+    def _distances(self) -> FloatArray:
+        """By how many links the neighbour in slot d of player i is nearer to the owner of c than i, shape (N, D, n)."""
+        return unknown_nearness(self.layout)
+
+    def _shapes(self) -> dict[str, tuple[int, ...]]:
+        return super()._shapes() | contact_parts(self.layout)
+
+    def initial_memory(self, rows: int) -> FloatArray:
+        """As that of :class:`Relay`, and no contact; shape (R, size)."""
+        parts = self._parts.split(super().initial_memory(rows))
+        parts["seen"] = np.full_like(parts["seen"], np.inf)
+        return self._parts.join(parts)
+
+    def sources(
+        self, observation: Observation, memory: Mapping[str, FloatArray]
+    ) -> tuple[BoolArray, dict[str, FloatArray]]:
+        player = observation.player
+        drift = np.where(self.layout.own_mask[player], 0.0, memory["asked"])
+        return contacts(observation, memory, drift, self._fixed_sources[player], self._nearness[player])
+
+
+class RouteRelay(ContactRelay):
+    """:class:`ContactRelay` of players that know hop counts on the union graph too.
+
+    Raises:
+        LayoutError: for a layout without hop counts.
+    """
+
+    interface: ClassVar[Interface] = Interface(graph_knowledge="union")
+
+    def _distances(self) -> FloatArray:
+        hops = np.repeat(self.layout.hops, self.layout.action_dims, axis=1).astype(np.float64)
+        return np.asarray(hops[:, None] - hops[np.array(self.layout.neighbours)])
+
+
+class FreshestRelay(LinkRelay):
+    """:class:`Relay` of players that know the schedule: copies as in :class:`~ptne_env.laws.routed.Freshest`.
+
+    Raises:
+        LayoutError: for a layout without the schedule.
+    """
+
+    interface: ClassVar[Interface] = Interface(graph_knowledge="schedule")
+    mixes: ClassVar[bool] = False
+
+    def __init__(self, layout: ObservationLayout, spread: float = 10.0) -> None:
+        super().__init__(layout, spread)
+        self._freshest = Freshest(layout)
+
+    def sources(
+        self, observation: Observation, memory: Mapping[str, FloatArray]
+    ) -> tuple[BoolArray, dict[str, FloatArray]]:
+        sources, _ = self._freshest.sources(observation, memory["steps"])
+        return sources, {}

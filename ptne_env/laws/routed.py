@@ -12,13 +12,12 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from ptne_env.arrays import BoolArray, FloatArray, IntArray, require_count, require_positive
+from ptne_env.arrays import BoolArray, FloatArray, IntArray, require_positive
 from ptne_env.laws.base import Law, per_step
+from ptne_env.laws.best_response import within_reach
+from ptne_env.laws.contacts import contact_parts, contacts, unknown_nearness
 from ptne_env.laws.memory import Parts
 from ptne_env.observation import Interface, Observation, ObservationLayout
-
-_RESOLUTION = 1e-5
-"""Relative change of a float32 message above which it has moved, and is not only rounded otherwise."""
 
 
 def nearer_slots(layout: ObservationLayout) -> BoolArray:
@@ -29,6 +28,17 @@ def nearer_slots(layout: ObservationLayout) -> BoolArray:
     """
     hops = layout.hops[:, _owners(layout)]
     return np.asarray(hops[np.array(layout.neighbours)] < hops[:, None])
+
+
+def copies(observation: Observation, sources: BoolArray) -> FloatArray:
+    """Mean of x^j_c − x^i_c over the live sources j of component c, 0 without one; arguments of :func:`routed_inputs`.
+
+    Returns:
+        Displacements, shape (R, n).
+    """
+    live = sources & (observation.weights > 0)[:, :, None]
+    total = np.add.reduce(np.where(live, observation.relative_estimates, 0.0), axis=1)
+    return total / np.maximum(np.add.reduce(live, axis=1), 1)
 
 
 def routed_inputs(observation: Observation, sources: BoolArray, step: float | FloatArray) -> FloatArray:
@@ -46,42 +56,7 @@ def routed_inputs(observation: Observation, sources: BoolArray, step: float | Fl
     Returns:
         Inputs, shape (R, n).
     """
-    live = sources & (observation.weights > 0)[:, :, None]
-    total = np.add.reduce(np.where(live, observation.relative_estimates, 0.0), axis=1)
-    copies = total / np.maximum(np.add.reduce(live, axis=1), 1)
-    return per_step(copies - step * observation.gradient, observation)
-
-
-def waves(
-    observation: Observation, memory: FloatArray, leaders: BoolArray, own: BoolArray
-) -> tuple[BoolArray, FloatArray]:
-    """The sources that players learn from their own links: the owner of a component, or where it moved first.
-
-    A player holds an estimate until it has met its owner, or sees the component move in a message. So x^j_c moves for
-    the first time after news of the owner of c have reached j, and the neighbours where this is seen first are the
-    sources of c. They heard of c earlier than the player itself, so copies never go round in circles. As soon as the
-    player meets the owner of c, the owner is the only source. On a fixed graph with perfect messages the sources are
-    all neighbours that are nearer to the owner of c.
-
-    Args:
-        observation: of R players.
-        memory: x^j − x^i at the last meeting with j, infinite before the first, and whether j is a source; shape
-            (R, 2, D, n).
-        leaders: whether j owns c, shape (R, D, n).
-        own: whether i owns c, shape (R, n).
-
-    Returns:
-        The sources, shape (R, D, n), and the memory.
-    """
-    seen, known = memory[:, 0], memory[:, 1] > 0
-    now = observation.relative_estimates * observation.unit[:, :, None]
-    live = (observation.weights > 0)[:, :, None]
-    # Estimates that are not copied yet are at rest, so a difference moves as its sender does.
-    moved = live & (np.abs(now - seen) > _RESOLUTION * (np.abs(now) + np.abs(seen)))
-    unknown = ~(known.any(axis=1) | own)[:, None]
-    met = leaders & (known | live)
-    sources = np.where(met.any(axis=1, keepdims=True), met, known | (unknown & moved))
-    return sources, np.stack([np.where(live, now, seen), sources], axis=1)
+    return per_step(copies(observation, sources) - step * observation.gradient, observation)
 
 
 def stamps(live_links: BoolArray) -> IntArray:
@@ -146,41 +121,28 @@ class Routed(RoutedLaw):
 
 
 class RoutedUnknown(RoutedLaw):
-    """:class:`Routed` without hop counts: players learn their sources from their own links, :func:`waves`.
+    """:class:`Routed` without hop counts: own links show the sources, :func:`~ptne_env.laws.contacts.contacts`."""
 
-    A strategy that comes to rest before its news have reached a player never moves again, so the player waits in vain.
-    After ``patience`` steps, all players stop learning, and copy each component without a source from all neighbours.
-
-    Args:
-        layout: of the environment.
-        step: η > 0.
-        patience: number of steps, at least 1.
-
-    Raises:
-        ValueError: for a step that is not positive, or no patience.
-    """
-
-    def __init__(self, layout: ObservationLayout, step: float = 0.3, patience: int = 150) -> None:
+    def __init__(self, layout: ObservationLayout, step: float = 0.3) -> None:
         super().__init__(layout, step)
-        self.patience = require_count("patience", patience, 1)
-        self._parts = Parts({"waves": (2, layout.slots, layout.dimension), "steps": (1,)})
+        self._nearness = unknown_nearness(layout)
+        links = dict.fromkeys(("live", "heard"), (layout.slots,))
+        self._parts = Parts(contact_parts(layout) | links | {"drift": (layout.dimension,), "steps": (1,)})
 
     def initial_memory(self, rows: int) -> FloatArray:
-        """No meeting, no source and no step done, shape (R, size)."""
+        """No contact and no step done, shape (R, size)."""
         parts = self._parts.zeros(rows)
-        parts["waves"][:, 0] = np.inf
+        parts["seen"] += np.inf
         return self._parts.join(parts)
 
     def sources(self, observation: Observation, memory: FloatArray) -> tuple[BoolArray, FloatArray]:
         player, parts = observation.player, self._parts.split(memory)
-        own = self.layout.own_mask[player]
-        sources, learnt = waves(observation, parts["waves"], self.layout.neighbour_components[player], own)
-        steps, before = parts["steps"], parts["waves"][:, 1] > 0
-        gives_up = (steps >= self.patience)[:, :, None]
-        sources = np.where(gives_up, before, sources)
-        learnt[:, 1] = sources
-        lost = gives_up & ~(sources.any(axis=1) | own)[:, None]
-        return sources | lost, self._parts.join({"waves": learnt, "steps": steps + 1})
+        leaders, live = self.layout.neighbour_components[player], observation.weights > 0
+        sources, fresh = contacts(observation, parts, parts["drift"], leaders, self._nearness[player])
+        sources &= ~self.layout.own_mask[player][:, None]
+        fresh["drift"] = within_reach(copies(observation, sources), observation, self.layout)
+        fresh |= {"live": live.astype(np.float64), "heard": np.maximum(parts["heard"], live)}
+        return sources, self._parts.join(fresh | {"steps": parts["steps"] + 1})
 
 
 class Freshest(RoutedLaw):
@@ -193,7 +155,7 @@ class Freshest(RoutedLaw):
 
     interface: ClassVar[Interface] = Interface(graph_knowledge="schedule")
 
-    def __init__(self, layout: ObservationLayout, step: float = 0.3) -> None:
+    def __init__(self, layout: ObservationLayout, step: float = 0.32) -> None:
         super().__init__(layout, step)
         self._stamps = stamps(layout.live_links)
         self._neighbours, self._owners = np.array(layout.neighbours), _owners(layout)

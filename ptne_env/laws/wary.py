@@ -7,7 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from ptne_env.arrays import BoolArray, FloatArray
-from ptne_env.laws.knowledge import ChoosingRelay
+from ptne_env.laws.relay import LinkRelay
 from ptne_env.observation import Observation
 
 _RESOLUTION = 1e-5
@@ -23,7 +23,7 @@ _RECENT = 0.95
 """What remains of an own move after each step, in the sum of recent own moves."""
 
 
-class WaryRelay(ChoosingRelay):
+class WaryRelay(LinkRelay):
     """:class:`~ptne_env.laws.relay.Relay` of players that know their own links alone, among noisy and false messages.
 
     *Sources.* In the first step, all estimates of others rest, so the change of messages is noise; σ_i is the largest
@@ -50,7 +50,7 @@ class WaryRelay(ChoosingRelay):
         }
         return super()._shapes() | own
 
-    def chosen(
+    def sources(
         self, observation: Observation, memory: Mapping[str, FloatArray]
     ) -> tuple[BoolArray, dict[str, FloatArray]]:
         player, step = observation.player, memory["steps"][:, :, None]

@@ -110,6 +110,13 @@ class _Writer(Formatter):
 _WRITER = _Writer()
 
 
+def _condition_verdict(certificate: Certificate) -> str:
+    condition = certificate.condition
+    if condition is None or condition.holds:
+        return "holds"
+    return "fails (the law does not settle)" if condition.necessary else "fails (sufficient, not necessary)"
+
+
 def _values(certificate: Certificate) -> dict[str, Any]:
     """The numbers of a certificate and of its parts, and its verdicts in words; ``None`` or absent where missing."""
     found = dict(vars(certificate))
@@ -123,7 +130,7 @@ def _values(certificate: Certificate) -> dict[str, Any]:
         "constants_kind": "exact" if certificate.constants.exact else "sampled bounds",
         "no_condition": None if certificate.condition else "it promises nothing",
         "condition_kind": "" if found.get("condition_exact") else ", from samples",
-        "condition_verdict": "holds" if found.get("condition_holds") else "fails (sufficient, not necessary)",
+        "condition_verdict": _condition_verdict(certificate),
         "time": "s" if certificate.clock == "effective" else "t",
         "step": "Θ" if certificate.clock == "effective" else "Δt",
         "rate_kind": _kind(exact=certificate.rate_is_exact),

@@ -133,6 +133,10 @@ def check_tables(check: Check, tolerance: float) -> Group:
         tables.add_row(Text("differs", "red"), Text(f"{hidden} more numbers or texts"))
     if not check.differences:
         tables.add_row(Text("agree", "green"), Text("every number follows from the stored jobs"))
+    if check.left_out:
+        tables.add_row(Text("left out", "yellow"), Text(", ".join(METRICS[name].heading for name in check.left_out)))
+    for text in check.missing:
+        tables.add_row(Text("not repeated", "yellow"), Text(text))
     jobs = empty_table("Jobs that were run again, on the published episodes and on fresh ones")
     jobs.add_column("job", overflow="fold")
     for heading in ("largest\ndifference", "published\nscore", "fresh\nscore", "p"):

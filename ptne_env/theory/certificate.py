@@ -116,8 +116,8 @@ class Certificate:
         assumptions: the paper's Assumptions 1–4.
         constants: ε and ι.
         algebraic_connectivity: smallest λ2 over the modes of the topology.
-        condition: the condition of the law's own theorem on the scenario (sufficient for convergence, not necessary);
-            ``None`` for a law without a theorem.
+        condition: the condition of the law's own theorem on the scenario, sufficient for convergence and sometimes
+            necessary; ``None`` for a law without a theorem.
         guaranteed_rate: λ_min(O/2) of the proof of Theorem 1, a lower bound of the rate; ``None`` unless the paper's
             gain condition holds for the static law or Corollary 1, on a fixed graph, in a linear loop.
         guaranteed_digits: a lower bound of ``digits_sampled``, from the same constants and the distance of the start

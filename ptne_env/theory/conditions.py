@@ -131,6 +131,7 @@ class Condition:
         bound: the number that it is compared with; infinite or NaN where no number would do.
         holds: whether the scenario meets the condition.
         exact: whether the numbers are exact; otherwise they come from samples or a linearisation and prove nothing.
+        necessary: whether the law does not settle where the condition fails (if no bound is active).
     """
 
     name: str
@@ -138,6 +139,7 @@ class Condition:
     bound: float
     holds: bool
     exact: bool = True
+    necessary: bool = False
 
     @classmethod
     def above(cls, name: str, value: float, bound: float, *, exact: bool = True) -> Condition:
@@ -148,6 +150,11 @@ class Condition:
     def below(cls, name: str, value: float, bound: float, *, exact: bool = True) -> Condition:
         """The condition value < bound."""
         return cls(name, float(value), float(bound), bool(value < bound), exact)
+
+    @classmethod
+    def settles(cls, name: str, radius: float, *, exact: bool) -> Condition:
+        """The condition ρ < 1 on the loop of an affine game, which is necessary too; ``exact``: F is affine."""
+        return cls(name, float(radius), 1.0, bool(radius < 1), exact, necessary=exact)
 
 
 def decisive(*conditions: Condition) -> Condition:
@@ -337,7 +344,7 @@ def routed_condition(law: RoutedLaw, constants: ProblemConstants) -> Condition:
         largest = largest_delayed_step(constants.jacobian, delays)
         limit = "for no η" if largest is None else f"up to η = {largest:.3g}"
         name = f"gradient play with delays settles ({limit}): ρ < 1"
-        return decisive(monotone, Condition.below(name, radius, 1.0, exact=constants.exact))
+        return decisive(monotone, Condition.settles(name, radius, exact=constants.exact))
     return decisive(
         monotone,
         _all_links_recur(constants),
@@ -366,7 +373,7 @@ def multi_rate_condition(law: MultiRate, constants: ProblemConstants) -> Conditi
     is_price = ~np.any(np.where(own, constants.jacobian, 0.0), axis=1)
     steps, leads = np.where(is_price, law.price_step, law.step), np.where(is_price, law.lead, 0.0)
     radius = multi_rate_radius(constants.jacobian, delays, steps, leads)
-    return Condition.below("primal-dual play with delays settles: ρ < 1", radius, 1.0, exact=constants.exact)
+    return Condition.settles("primal-dual play with delays settles: ρ < 1", radius, exact=constants.exact)
 
 
 def _fixed_graph(constants: ProblemConstants) -> Condition:
@@ -473,7 +480,7 @@ def best_response_condition(law: BestResponseOracle, constants: ProblemConstants
     own = constants.owners[:, None] == constants.owners
     matrix = np.linalg.solve(np.where(own, constants.jacobian, 0.0), constants.jacobian)
     radius = np.abs(np.linalg.eigvals(np.eye(len(own)) - law.relaxation * matrix)).max()
-    return Condition.below("ρ(I − ω D⁻¹ dF) < 1", radius, 1.0, exact=constants.exact)
+    return Condition.settles("ρ(I − ω D⁻¹ dF) < 1", radius, exact=constants.exact)
 
 
 @condition.register

@@ -132,6 +132,22 @@ def test_damaged_messages_make_every_player_a_relay(damage):
     assert errors < (0.5 if damage in ("noise", "rounding") else 1e-9)
 
 
+FAINT = {
+    "noise": channel_part("AdditiveNoise", std=1e-7),
+    "rounding": channel_part("UniformQuantiser", width=1e-4),
+    "loss": channel_part("Loss", probability=0.02),
+}
+
+
+@pytest.mark.parametrize("damage", FAINT)
+def test_damage_that_the_code_survives_costs_less_than_a_digit(damage):
+    base = get_scenario("random-energy-switching-transformed") if damage != "noise" else RANDOM
+    scenario = base.replace(name="faint", channel=FAINT[damage])
+    results = evaluate(["identify-and-broadcast", "relay"], [scenario], episodes=12, seed=87235, against_laws=False)
+    ours, relay = (results.samples["faint", name]["digits"].mean() for name in ("identify-and-broadcast", "relay"))
+    assert ours > relay - {"noise": 1.0, "rounding": 0.1, "loss": 0.1}[damage]
+
+
 def test_a_teammate_with_another_law_ends_the_code_at_once():
     """A player sees the stranger move two components, and its neighbours see that it has given up the code."""
     results = run_suite("ptne-v1", ["identify-and-broadcast", "relay"], tracks=["mixed-team"], episodes=5)

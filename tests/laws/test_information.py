@@ -27,6 +27,8 @@ LAWS = {
     "locally-implicit": laws.LocallyImplicit,
     "capped-gain": laws.CappedGain,
     "routed-unknown": laws.RoutedUnknown,
+    "link-relay": laws.LinkRelay,
+    "contact-relay": laws.ContactRelay,
     "zero-input": laws.ZeroInput,
 }
 INTERFACES = {
@@ -39,10 +41,14 @@ PAYOFF = {law: {"own_payoff": True} if law == "extremum-seeking" else {} for law
 """Players of extremum seeking observe their own payoff, to which all real strategies contribute."""
 
 
+ABSOLUTE = ("aggregate-tracking", "link-relay", "contact-relay")
+"""Laws that read absolute strategies."""
+
+
 def acts_through(law, interface):
     if "gains" in interface:
         return law in ("static", "fixed-gain")
-    return not ("local" in interface and law == "aggregate-tracking")  # which needs absolute strategies
+    return not ("local" in interface and law in ABSOLUTE)
 
 
 STEPS = 150 if SOAK else 60

@@ -10,6 +10,7 @@ from ptne_env import CATALOGUE, Interface, dynamics, evaluate, get_scenario, law
 from ptne_env.encoder import make_encoder
 from ptne_env.experiments import POLICIES, get_suite, run_suite
 from ptne_env.laws import relay
+from ptne_env.laws.best_response import best_response
 from ptne_env.laws.identification import Model
 from ptne_env.world import World
 
@@ -34,7 +35,7 @@ def response(rows, gradient, drift, held=False, radius=1e6):
     places, is_held = np.arange(m)[None], np.broadcast_to(held, (1, m))
     radius = np.full((1, 1), radius)
     arrays = np.array(gradient, dtype=float)[None], np.array(drift, dtype=float)[None]
-    return relay.best_response(certain(rows), *arrays, places, is_held, radius)[0]
+    return best_response(certain(rows), *arrays, places, is_held, radius)[0]
 
 
 def test_best_response_zeroes_the_own_gradient_at_the_next_estimates():
@@ -66,7 +67,7 @@ def test_components_beside_a_held_one_move_as_if_it_stayed():
 def test_unknown_curvature_gives_a_short_gradient_step():
     model = Model(np.zeros((1, 1, 2)), 100.0 * np.eye(2)[None])
     places, drift, held = np.zeros((1, 1), dtype=np.int64), np.zeros((1, 2)), np.zeros((1, 1), dtype=bool)
-    step = relay.best_response(model, np.array([[6.0]]), drift, places, held, np.full((1, 1), 1e6))
+    step = best_response(model, np.array([[6.0]]), drift, places, held, np.full((1, 1), 1e6))
     assert step[0] == pytest.approx([-6 / 30])
 
 

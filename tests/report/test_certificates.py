@@ -59,6 +59,14 @@ def test_larger_gain_has_guarantees():
     assert "digits at T with d = 0" not in table
 
 
+def test_conditions_that_are_necessary_say_that_the_law_does_not_settle():
+    name = "gradient play with delays settles (up to η = 0.264): ρ < 1"
+    fails = rows(certify(get_scenario("oligopoly"), law=FactorySpec.of("ptne_env.laws:Routed", step=0.3)))
+    assert fails[name].endswith("against 1.00: fails (the law does not settle)")
+    holds = rows(certify(get_scenario("oligopoly"), law=FactorySpec.of("ptne_env.laws:Routed", step=0.2)))
+    assert holds[name].endswith("against 1.00: holds")
+
+
 def test_zero_input_promises_nothing():
     table = rows(certify(get_scenario("energy"), law=FactorySpec.of("ptne_env.laws:ZeroInput")))
     assert table["the law's own condition"] == "it promises nothing"

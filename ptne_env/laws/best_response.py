@@ -1,0 +1,83 @@
+"""Best responses to the own estimates, from an identified model of the own gradient, and blocks of own components."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ptne_env.arrays import BoolArray, FloatArray, IntArray
+from ptne_env.laws.identification import Model
+from ptne_env.observation import Observation, ObservationLayout
+
+_MARGIN = 3.0
+"""Standard deviations by which a curvature exceeds 0 where it is certain."""
+
+LARGEST_ROW = 32
+"""Largest n for which whole rows of dF are identified, which takes n² numbers per player; else own blocks alone."""
+
+
+def own_entries(array: FloatArray, places: IntArray) -> FloatArray:
+    """The entries of own components, (R, q) to (R, m), 0 where ``places`` (R, m) is padded with q."""
+    return np.where(places == array.shape[1], 0.0, np.take_along_axis(array, _inside(places, array), axis=1))
+
+
+def own_block(rows: FloatArray, places: IntArray) -> FloatArray:
+    """G_ii of rows (R, m, q), with 1 on the diagonal where ``places`` (R, m) is padded with q: (R, m, m)."""
+    padded = places == rows.shape[2]
+    own = np.take_along_axis(rows, _inside(places, rows)[:, None, :], axis=2)
+    return np.where(padded[:, :, None] | padded[:, None, :], np.eye(places.shape[1]), own)
+
+
+def with_own(array: FloatArray, own: FloatArray, blocks: IntArray) -> FloatArray:
+    """``array`` (R, n, ...) with ``own`` (R, m, ...) in the places ``blocks`` (R, m) of the own components."""
+    wider = np.concatenate([array, np.zeros_like(array[:, :1])], axis=1)  # one place more, into which padding falls
+    np.put_along_axis(wider, blocks.reshape(*blocks.shape, *(1,) * (own.ndim - 2)), own, axis=1)
+    return wider[:, :-1]
+
+
+def _inside(places: IntArray, array: FloatArray) -> IntArray:
+    """``places`` with padding replaced by the last place of the last axis."""
+    return np.minimum(places, array.shape[-1] - 1)
+
+
+def largest(array: FloatArray) -> FloatArray:
+    """The largest |entry| of each row, (R, k) to (R, 1)."""
+    return np.abs(array).max(axis=1, keepdims=True)
+
+
+def best_response(
+    model: Model, gradient: FloatArray, drift: FloatArray, places: IntArray, held: BoolArray, radius: FloatArray
+) -> FloatArray:
+    """Δx_i = −D⁻¹ (∂J_i/∂x_i + G_{i,−i} Δx_{−i}) with the identified rows G, shape (R, m).
+
+    D has the eigenvectors of the own block G_ii, and its eigenvalues or the largest row sum of |G_{i,−i}|, whichever is
+    larger. In a game that is diagonally dominant this is the best response to the estimates of the next step; in others
+    it is damped, because best responses of all players at once need not converge there. Where a curvature is not
+    certainly positive, it counts as the sum of its size and three standard deviations, at least 1: a gradient step.
+
+    Args:
+        model: the identified rows, with q regressors.
+        gradient: ∂J_i/∂x_i(x^i), 0 where padded, shape (R, m).
+        drift: Δx_{−i} of the regressors, 0 for own components, shape (R, q).
+        places: of own components among the regressors, padded with q, shape (R, m).
+        held: whether a bound holds an own component; the others then move as if it stayed, shape (R, m).
+        radius: largest |Δx_i|, shape (R, 1).
+    """
+    rows, covariance = model
+    wanted = gradient + np.einsum("rmq,rq->rm", rows, drift)
+    own = own_block(rows, places)
+    beside = with_own(np.abs(rows).swapaxes(1, 2), np.zeros_like(own), places)
+    own = np.where(held[:, :, None] | held[:, None, :], own * np.eye(own.shape[1]), (own + own.swapaxes(1, 2)) / 2)
+    curvature, vectors = np.linalg.eigh(own)
+    directions = with_own(np.zeros_like(rows).swapaxes(1, 2), vectors, places)
+    doubt = _MARGIN * np.sqrt(np.maximum(np.einsum("rpa,rpq,rqa->ra", directions, covariance, directions), 0.0))
+    gradient_step = np.maximum(np.abs(curvature) + doubt, 1.0)
+    curvature = np.where(curvature > doubt, curvature, gradient_step)
+    curvature = np.maximum(curvature, np.add.reduce(beside, axis=1).max(axis=1, keepdims=True))
+    step = -np.einsum("rab,rb->ra", vectors, np.einsum("rba,rb->ra", vectors, wanted) / curvature)
+    return step * (radius / np.maximum(largest(step), radius))
+
+
+def within_reach(displacement: FloatArray, observation: Observation, layout: ObservationLayout) -> FloatArray:
+    """Displacements (R, k), clipped to those that the input limit allows in the coming step."""
+    reach = layout.action_bound * observation.theta
+    return np.clip(displacement, -reach, reach)

@@ -1,0 +1,90 @@
+"""Contacts: what players see on their own links shows them which neighbours have fresher copies of a component."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from ptne_env.arrays import BoolArray, FloatArray
+from ptne_env.observation import Observation, ObservationLayout
+
+_MOVED = 1e-5
+"""Relative change of a float32 message above which it has moved, and is not only rounded otherwise."""
+
+
+def contact_parts(layout: ObservationLayout) -> dict[str, tuple[int, ...]]:
+    """Shapes of the parts of the memory that :func:`contacts` changes; at the start ``seen`` is infinite, others 0."""
+    n, slots = layout.dimension, layout.slots
+    return {
+        "moved": (slots, n),  # own moves since the last contact
+        "seen": (slots, n),  # relative estimates at its end, infinite before the first
+        "source": (slots, n),
+        "votes": (slots, n),
+        "news": (n,),  # of which components
+    }
+
+
+def unknown_nearness(layout: ObservationLayout) -> FloatArray:
+    """NaN by player, neighbour and component, shape (N, D, n): by how many links a neighbour is nearer is unknown."""
+    return np.full((layout.num_players, layout.slots, layout.dimension), np.nan)
+
+
+def contacts(
+    observation: Observation,
+    memory: Mapping[str, FloatArray],
+    drift: FloatArray,
+    leaders: BoolArray,
+    nearer: FloatArray,
+) -> tuple[BoolArray, dict[str, FloatArray]]:
+    """The neighbours that have fresher copies, as far as own links and memory show which they are.
+
+    A *contact* is a time in which a link is live without a break. At its start, player i compares how far its own copy
+    of component c and the neighbour's copy have moved since the last contact, at the end of which they knew each other.
+    If one of them has moved alone, it is the fresher one, and the neighbour gets a vote for or against it. If both have
+    moved, the votes decide; with equal votes, the copy that has moved further. If no contact was before and the player
+    has no news of c, it takes the neighbour's copy. During a contact, the neighbour becomes the source when its copy
+    moves while the own copy rests. An owner is the only source as soon as the player has met it.
+
+    On a fixed graph with perfect messages the sources are the neighbours that are nearer to the owner, as in
+    :class:`~ptne_env.laws.relay.Relay`.
+
+    Args:
+        observation: of R players.
+        memory: the parts of :func:`contact_parts`, and before this step: whether links were ``live`` in the step
+            before and were ever ``heard``, shape (R, D), and the number of ``steps``, shape (R, 1).
+        drift: the last moves of the estimates of others, 0 for own components, shape (R, n).
+        leaders: whether j owns c, shape (R, D, n).
+        nearer: by how many links j is nearer to the owner of c than i, NaN where that is unknown, shape (R, D, n). Once
+            a nearer neighbour was heard, this counts more than all votes, and during a contact only nearer neighbours
+            become sources.
+
+    Returns:
+        The sources, shape (R, D, n), and the changed parts of the memory.
+    """
+    live, before = (observation.weights > 0)[:, :, None], memory["live"][:, :, None] > 0
+    relative = observation.relative_estimates * observation.unit[:, :, None]
+    mine, met = memory["moved"] + drift[:, None], np.isfinite(memory["seen"])
+    seen = np.where(met, memory["seen"], relative)
+    theirs = np.where(met, relative + mine - seen, 0.0)
+    floor = _MOVED * (np.abs(relative) + np.abs(mine) + np.abs(seen))
+    i_moved, j_moved = np.abs(mine) > floor, np.abs(theirs) > floor
+    starts, votes = live & ~before, memory["votes"]
+    votes = votes + np.where(starts & met, j_moved.astype(np.int64) - i_moved, 0)
+    heard = memory["heard"][:, :, None] > 0
+    nearer = np.where((heard & (nearer > 0)).any(axis=1, keepdims=True), nearer, np.nan)
+    judgement = np.where(np.isnan(nearer) | (nearer == 0), votes, nearer)
+    both = np.where(judgement == 0, np.abs(theirs) > np.abs(mine), judgement > 0)
+    is_newcomer = (memory["steps"][:, :, None] > 0) & (memory["news"] == 0)[:, None]
+    fresher = np.where(met, np.where(i_moved & j_moved, both, j_moved & ~i_moved), is_newcomer)
+    wakes = live & np.where(starts, fresher, j_moved & (np.abs(drift[:, None]) <= floor) & ~(nearer <= 0))
+    source = np.where(wakes.any(axis=1, keepdims=True), wakes, live & (memory["source"] > 0))
+    owners = leaders & (live | heard)
+    source = np.where(owners.any(axis=1, keepdims=True), owners & live, source)
+    return source, {
+        "moved": np.where(live, 0.0, mine),
+        "seen": np.where(live, relative, memory["seen"]),
+        "source": source.astype(np.float64),
+        "votes": votes,
+        "news": np.maximum(memory["news"], source.any(axis=1)),
+    }
