@@ -34,4 +34,3 @@ from ptne_env.laws.trivial import RandomPolicy as RandomPolicy
 from ptne_env.laws.trivial import ZeroInput as ZeroInput
 from ptne_env.laws.variants import CappedGain as CappedGain
 from ptne_env.laws.variants import LocallyImplicit as LocallyImplicit
-from ptne_env.laws.wary import WaryRelay as WaryRelay

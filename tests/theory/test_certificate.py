@@ -37,7 +37,6 @@ WITHOUT_LOOP = {
     "Relay",
     "RouteRelay",
     "RoutedUnknown",
-    "WaryRelay",
 }
 """Laws that are not linear in gradient and differences, or read or remember more than these and gains."""
 
