@@ -68,7 +68,8 @@ def contacts(
     If one of them has moved alone, it is the fresher one, and the neighbour gets a vote for or against it. If both have
     moved, the votes decide; with equal votes, the copy that has moved further. If no contact was before and the player
     has no news of c, it takes the neighbour's copy. During a contact, the neighbour becomes the source when its copy
-    moves by more than noise while the own copy rests. An owner is the only source as soon as the player has met it.
+    moves by more than noise while the own copy rests, unless there is a live source and the neighbour's copy moves
+    towards the own one. An owner is the only source as soon as the player has met it.
 
     On a fixed graph with perfect messages the sources are the neighbours that are nearer to the owner, as in
     :class:`~ptne_env.laws.relay.Relay`.
@@ -102,9 +103,11 @@ def contacts(
     both = np.where(judgement == 0, np.abs(theirs) > np.abs(mine), judgement > 0)
     is_newcomer = (memory["steps"][:, :, None] > 0) & (memory["news"] == 0)[:, None]
     fresher = np.where(met, np.where(i_moved & j_moved, both, j_moved & ~i_moved), is_newcomer)
-    wakes_now = (np.abs(theirs) > floor + noise) & (np.abs(drift[:, None]) <= floor) & ~(nearer <= 0)
-    wakes = live & np.where(starts, fresher, wakes_now)
-    source = np.where(wakes.any(axis=1, keepdims=True), wakes, live & (memory["source"] > 0))
+    source = live & (memory["source"] > 0)
+    moves = (np.abs(theirs) > floor + noise) & (np.abs(drift[:, None]) <= floor) & ~(nearer <= 0)
+    moves &= (np.abs(relative) > np.abs(seen)) | ~source.any(axis=1, keepdims=True)
+    wakes = live & np.where(starts, fresher, moves)
+    source = np.where(wakes.any(axis=1, keepdims=True), wakes, source)
     owners = leaders & (live | heard)
     source = np.where(owners.any(axis=1, keepdims=True), owners & live, source)
     return source, {
