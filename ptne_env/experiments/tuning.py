@@ -11,8 +11,8 @@ from typing import Any, ClassVar
 
 import numpy as np
 import numpy.typing as npt
-from scipy.optimize import differential_evolution
-from scipy.stats.qmc import LatinHypercube
+from scipy import optimize
+from scipy.stats import qmc
 
 from ptne_env import distances, dynamics
 from ptne_env.arrays import BoolArray, FloatArray
@@ -228,8 +228,8 @@ class Tuning:
         except LayoutError:
             return Tuned(None)
         seen, unseen = range(budget.episodes), range(budget.episodes, budget.episodes + budget.final_episodes)
-        start = LatinHypercube(len(member.ranges), rng=0).random(budget.population)
-        found = differential_evolution(
+        start = qmc.LatinHypercube(len(member.ranges), rng=0).random(budget.population)
+        found = optimize.differential_evolution(
             lambda places: -self.digits([member.at(place) for place in places.T], seen),
             [(0.0, 1.0)] * len(member.ranges),
             init=start,

@@ -182,19 +182,20 @@ def test_every_shipped_policy_fits_the_scenarios_that_it_names(name):
 
 
 @pytest.mark.parametrize(
-    ("name", "metric", "digits"),
+    ("name", "digits"),
     [
-        ("ppo-random-energy", "digits_over_paper_laws", 5.0),
-        ("ppo-random-energy-switching", "digits_over_all_laws", 2.5),
-        ("ppo-random-energy-switching-transformed", "digits_over_all_laws", 1.0),
+        ("ppo-random-energy", 5.0),
+        ("ppo-random-energy-switching", 2.5),
+        ("ppo-random-energy-switching-transformed", 3.0),
     ],
 )
-def test_shipped_policies_beat_tuned_laws_on_unseen_games(name, metric, digits, monkeypatch):
-    if not SOAK:  # laws tuned on fewer episodes take a tenth of the time
+def test_shipped_policies_beat_the_paper_s_laws_but_not_the_best_of_all_laws(name, digits, monkeypatch):
+    if not SOAK:  # choosing the best laws on fewer episodes takes a tenth of the time
         monkeypatch.setattr("ptne_env.experiments.tuning.VALIDATION_EPISODES", 20)
     scenario = policies.load(name).metadata.scenarios[0]
     results = ptne_env.evaluate([name], [scenario], episodes=100)
-    assert results.record(scenario, name, metric)["low"] >= digits
+    assert results.record(scenario, name, "digits_over_paper_laws")["low"] >= digits
+    assert results.record(scenario, name, "digits_over_all_laws")["mean"] <= 0
 
 
 def external(location):
