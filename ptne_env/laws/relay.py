@@ -16,7 +16,7 @@ import numpy as np
 from ptne_env.arrays import BoolArray, FloatArray, require_positive
 from ptne_env.laws.base import Law, per_step
 from ptne_env.laws.best_response import LARGEST_ROW, best_response, largest, own_entries, with_own, within_reach
-from ptne_env.laws.contacts import contact_parts, contacts, unknown_nearness
+from ptne_env.laws.contacts import contact_parts, contacts, noise_level, unknown_nearness
 from ptne_env.laws.identification import RESOLUTION, Model, blank, identify
 from ptne_env.laws.memory import Parts
 from ptne_env.laws.routed import Freshest, nearer_slots
@@ -42,6 +42,12 @@ _HELD = 0.1
 
 _RESOLVED = 1e-6
 """Smallest displacement, relative to the largest own estimates, at which that is judged."""
+
+_ABOVE_NOISE = 20.0
+"""A change of messages above this many times σ_i is no noise: σ_i is the smallest of many changes."""
+
+_LOUDEST = 0.03
+"""A change of messages above this share of the largest own estimate is no noise."""
 
 UNLIMITED = 1e6
 """A distance beyond all estimates."""
@@ -272,7 +278,7 @@ class ContactRelay(LinkRelay):
         return unknown_nearness(self.layout)
 
     def _shapes(self) -> dict[str, tuple[int, ...]]:
-        return super()._shapes() | contact_parts(self.layout)
+        return super()._shapes() | contact_parts(self.layout) | {"noise": (1,)}
 
     def initial_memory(self, rows: int) -> FloatArray:
         """As that of :class:`Relay`, and no contact; shape (R, size)."""
@@ -284,8 +290,12 @@ class ContactRelay(LinkRelay):
         self, observation: Observation, memory: Mapping[str, FloatArray]
     ) -> tuple[BoolArray, dict[str, FloatArray]]:
         player = observation.player
-        drift = np.where(self.layout.own_mask[player], 0.0, memory["asked"])
-        return contacts(observation, memory, drift, self._fixed_sources[player], self._nearness[player])
+        is_own, leaders = self.layout.own_mask[player], self._fixed_sources[player]
+        noise = noise_level(observation, memory, leaders | is_own[:, None])
+        loudest = np.minimum(_ABOVE_NOISE * noise, _LOUDEST * largest(observation.own_estimate))
+        drift = np.where(is_own, 0.0, memory["asked"])
+        sources, news = contacts(observation, memory, drift, leaders, self._nearness[player], loudest[:, :, None])
+        return sources, news | {"noise": noise}
 
 
 class RouteRelay(ContactRelay):
