@@ -153,8 +153,8 @@ def _limits() -> tuple[Track, ...]:
     return (
         _track(
             "sensor",
-            "Own gradients carry noise of standard deviation 0.02, and messages noise of 0.05.",
-            sensor=FactorySpec.of("ptne_env.sensor:GradientNoise", std=0.02),
+            "Own gradients carry noise of standard deviation 0.01, and messages noise of 0.05.",
+            sensor=FactorySpec.of("ptne_env.sensor:GradientNoise", std=0.01),
             channel=_noisy(0.05),
         ),
         _track("tight-input", "Inputs are limited to 1.8, which leaves little time to spare.", input_limit=1.8),

@@ -213,7 +213,6 @@ class IdentifyAndBroadcast(Relay):
 
     Args:
         layout: of the environment, interface ``physical``.
-        spread: as for :class:`~ptne_env.laws.relay.Relay`.
         switch: share of the deadline from which on residuals are sent and not equations, in [0, 1].
 
     Raises:
@@ -223,16 +222,16 @@ class IdentifyAndBroadcast(Relay):
 
     interface: ClassVar[Interface] = Interface(graph_knowledge="union", estimates="coded")
 
-    def __init__(self, layout: ObservationLayout, spread: float = 10.0, switch: float = 0.65) -> None:
+    def __init__(self, layout: ObservationLayout, switch: float = 0.65) -> None:
         self._sends_code = layout.dimension <= LARGEST_CODE
-        super().__init__(layout, spread)
+        super().__init__(layout)
         self.switch = require_probability("switch", switch)
 
     def inputs(self, observation: Observation, memory: FloatArray) -> tuple[FloatArray, FloatArray]:
         if not self._sends_code:
             return super().inputs(observation, memory)
         parts, sources = self._parts.split(memory), self._fixed_sources[observation.player]
-        displacement, fresh = relay_displacement(observation, parts, self.layout, sources, self.spread)
+        displacement, fresh = relay_displacement(observation, parts, self.layout, sources, self.averaging)
         coded, fresh = self._coded(observation, parts, parts | fresh)
         is_relay = fresh["is_relay"] > 0
         displacement = np.where(is_relay, displacement, coded)
