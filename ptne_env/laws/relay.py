@@ -60,7 +60,7 @@ class Averaging(NamedTuple):
     forgetting: float = 2.0
 
 
-def copies(
+def averaged_copies(
     observation: Observation,
     memory: Mapping[str, FloatArray],
     sources: BoolArray,
@@ -120,7 +120,7 @@ def relay_displacement(
     *,
     mixes: bool = True,
 ) -> tuple[FloatArray, dict[str, FloatArray]]:
-    """Copies of the others' estimates, :func:`copies`, and the best response to them, :func:`best_response`.
+    """Copies of the others' estimates, :func:`averaged_copies`, and the best response to them, :func:`best_response`.
 
     In the first m steps the others' estimates rest, and one own component after the other moves, so that the own block
     of dF is known at once; the rest of the rows follows from the displacements that the copies cause,
@@ -135,7 +135,7 @@ def relay_displacement(
         layout: of the observations.
         sources: from which neighbours each component is copied where they are live, shape (R, D, n).
         averaging: of noisy messages.
-        mixes: as for :func:`copies`.
+        mixes: as for :func:`averaged_copies`.
 
     Returns:
         The displacements Δx^i, shape (R, n), and the memory for the next step.
@@ -163,7 +163,7 @@ def relay_displacement(
     held = (np.abs(own_moved) < _HELD * asked) & (asked > _RESOLVED * scale)
 
     is_probe = step < outputs
-    drift, heard = copies(observation, memory, sources, averaging, mixes=mixes)
+    drift, heard = averaged_copies(observation, memory, sources, averaging, mixes=mixes)
     drift = np.where(is_probe | is_own, 0.0, drift)
     places = blocks if is_whole else np.where(blocks == layout.dimension, outputs, np.arange(outputs))
     shift = drift if is_whole else np.zeros_like(own_moved)
