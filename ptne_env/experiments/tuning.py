@@ -46,7 +46,7 @@ NAMES = (*GROUPS.values(), CODED.name)
 """Names in tables that no other policy may have."""
 
 PUBLISHED = Path(__file__).with_name("tuned_laws.json")
-"""The tuned laws of all scenarios of the catalogue and tracks of suites, written by ``baselines/tune_field.py``."""
+"""The tuned laws of the scenarios of the catalogue, written by ``baselines/tune_field.py --suite catalogue``."""
 
 _DIGITS = 4
 """Significant digits of tuned parameters."""
@@ -85,7 +85,7 @@ class Tunable:
         )
 
     def edges(self, arguments: Mapping[str, float]) -> list[str]:
-        """The parameters that lie within 2 % of an edge of their range, by their values."""
+        """The parameters whose values lie within 2 % of an edge of their range."""
         return [name for name, limits in self.ranges if not _EDGE < _share(*limits, arguments[name]) < 1 - _EDGE]
 
 
@@ -284,7 +284,7 @@ class Tuning:
 
 @cache
 def published_laws() -> dict[str, Any]:
-    """The tuned laws of the published tracks by name of the search, as JSON objects; ``None`` where n/a."""
+    """The tuned laws of :data:`PUBLISHED` by name of the search, as JSON objects; ``None`` where n/a."""
     found: dict[str, Any] = json.loads(PUBLISHED.read_text(encoding="utf-8"))
     return found
 

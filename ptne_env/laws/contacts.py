@@ -1,4 +1,4 @@
-"""Contacts: what players see on their own links shows them which neighbours have fresher copies of a component."""
+"""Contacts: the neighbours that have fresher copies of a component, as far as own links and memory show them."""
 
 from __future__ import annotations
 
@@ -61,15 +61,15 @@ def contacts(
     nearer: FloatArray,
     noise: FloatArray | float = 0.0,
 ) -> tuple[BoolArray, dict[str, FloatArray]]:
-    """The neighbours that have fresher copies, as far as own links and memory show which they are.
+    """The neighbours that have fresher copies of each component.
 
     A *contact* is a time in which a link is live without a break. At its start, player i compares how far its own copy
     of component c and the neighbour's copy have moved since the last contact, at the end of which they knew each other.
-    If one of them has moved alone, it is the fresher one, and the neighbour gets a vote for or against it. If both have
-    moved, the votes decide; with equal votes, the copy that has moved further. If no contact was before and the player
-    has no news of c, it takes the neighbour's copy. During a contact, the neighbour becomes the source when its copy
-    moves by more than noise while the own copy rests, unless there is a live source and the neighbour's copy moves
-    towards the own one. An owner is the only source as soon as the player has met it.
+    If only one copy has moved, it is the fresher copy, and the neighbour gets a vote for it or against it. If both have
+    moved, the votes decide; with equal votes, the copy that has moved further is the fresher copy. In the first contact
+    the player takes the neighbour's copy if it has no news of c. During a contact, the neighbour becomes the source
+    when its copy moves by more than noise while the own copy rests, unless there is a live source and the neighbour's
+    copy moves towards the own copy. An owner is the only source as soon as the player has met it.
 
     On a fixed graph with perfect messages the sources are the neighbours that are nearer to the owner, as in
     :class:`~ptne_env.laws.relay.Relay`.

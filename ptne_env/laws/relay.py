@@ -1,8 +1,9 @@
 """Relays: best responses from an identified model of the own gradient, and copies of estimates, one link per step.
 
-What players know of the communication graphs decides from whom they copy: hop counts on the union graph in
-:class:`Relay`, their own links without memory in :class:`LinkRelay`, their own links and all that they saw on them in
-:class:`ContactRelay`, both in :class:`RouteRelay`, the links of every step in :class:`FreshestRelay`.
+Players choose the neighbours from which they copy by their knowledge of the communication graphs: hop counts on the
+union graph in :class:`Relay`, their own links without memory in :class:`LinkRelay`, memory of their own links in
+:class:`ContactRelay`, hop counts and this memory in :class:`RouteRelay`, the links of every step in
+:class:`FreshestRelay`.
 """
 
 from __future__ import annotations
@@ -59,7 +60,7 @@ class Averaging(NamedTuple):
     forgetting: float = 2.0
 
 
-def copies(
+def averaged_copies(
     observation: Observation,
     memory: Mapping[str, FloatArray],
     sources: BoolArray,
@@ -119,14 +120,14 @@ def relay_displacement(
     *,
     mixes: bool = True,
 ) -> tuple[FloatArray, dict[str, FloatArray]]:
-    """Copies of the others' estimates, :func:`copies`, and the best response to them, :func:`best_response`.
+    """Copies of the others' estimates, :func:`averaged_copies`, and the best response to them, :func:`best_response`.
 
     In the first m steps the others' estimates rest, and one own component after the other moves, so that the own block
     of dF is known at once; the rest of the rows follows from the displacements that the copies cause,
     :func:`~ptne_env.laws.identification.identify`.
 
-    The trust region: the largest own displacement is twice the largest one so far, until a prediction of the own
-    gradient fails by more than half of the gradient before; then it is half of the last one.
+    The trust region: an own displacement is at most twice the largest displacement so far, until a prediction of the
+    own gradient fails by more than half of the gradient before; then it is at most half of the last displacement.
 
     Args:
         observation: of R players.
@@ -134,7 +135,7 @@ def relay_displacement(
         layout: of the observations.
         sources: from which neighbours each component is copied where they are live, shape (R, D, n).
         averaging: of noisy messages.
-        mixes: as for :func:`copies`.
+        mixes: as for :func:`averaged_copies`.
 
     Returns:
         The displacements Δx^i, shape (R, n), and the memory for the next step.
@@ -162,7 +163,7 @@ def relay_displacement(
     held = (np.abs(own_moved) < _HELD * asked) & (asked > _RESOLVED * scale)
 
     is_probe = step < outputs
-    drift, heard = copies(observation, memory, sources, averaging, mixes=mixes)
+    drift, heard = averaged_copies(observation, memory, sources, averaging, mixes=mixes)
     drift = np.where(is_probe | is_own, 0.0, drift)
     places = blocks if is_whole else np.where(blocks == layout.dimension, outputs, np.arange(outputs))
     shift = drift if is_whole else np.zeros_like(own_moved)
@@ -269,8 +270,8 @@ class Relay(Law):
 class LinkRelay(Relay):
     """:class:`Relay` of players that know their own links alone.
 
-    A component is copied from its owner, where this is a neighbour; else it moves to the mean of the own estimate and
-    the estimates of all live neighbours.
+    A component is copied from its owner, where this is a neighbour that was heard; else it moves to the mean of the own
+    estimate and the estimates of all live neighbours.
     """
 
     interface: ClassVar[Interface] = Interface()

@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 
 from ptne_env.experiments import run_suite
+from ptne_env.experiments.leaderboard import ROOM
 from ptne_env.experiments.policy_specs import get_policy_spec
 from ptne_env.experiments.ptne_v2 import BASE, ptne_v2
-from ptne_env.experiments.saturation import ROOM, ceiling_of
+from ptne_env.experiments.saturation import ceiling_of
 from ptne_env.experiments.suite import MOST_DIGITS, SUITES, get_suite
 from ptne_env.theory.ceilings import news_digits, sensor_digits
 
