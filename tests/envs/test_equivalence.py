@@ -246,6 +246,7 @@ def test_compared_scenarios_match_their_names():
         "random games, switching",
         "crashing",
         "faulty",
+        "one player lies",
     }
     assert {name for name, scenario in built.items() if not World(scenario).topology.is_fixed} == {
         "switching",
@@ -254,4 +255,5 @@ def test_compared_scenarios_match_their_names():
         "non-quadratic",
         "blocks",
         "faulty",
+        "one player lies",
     }
