@@ -16,7 +16,7 @@ from ptne_env import FactorySpec, PolicySpec
 from ptne_env.arrays import FloatArray
 from ptne_env.experiments import POLICIES, Suite, Track, Workers, get_suite, run_suite
 from ptne_env.experiments.metrics import share
-from ptne_env.experiments.statistics import summarise
+from ptne_env.experiments.statistics import estimate
 from ptne_env.files import write_atomically
 
 HERE = Path(__file__).parent
@@ -124,7 +124,7 @@ def measured(entries: dict[str, PolicySpec], episodes: int, seeds: int, workers:
 def _cell(samples: FloatArray | None, *, unit: bool = False) -> str:
     if samples is None:
         return "n/a"
-    (summary,) = summarise(samples[None])
+    summary = estimate([samples[None]])
     return share(summary.mean) if unit else interval(summary)
 
 

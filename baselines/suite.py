@@ -69,22 +69,25 @@ def configurations(runs: Path) -> dict[str, str]:
 
 
 def overview(results: Results, learned: set[str]) -> list[str]:
-    """A row per track: the paper's law, the best honest law, the best learned policy and the oracle."""
-    headings = ["track", "the paper's law", "best law", "best learned policy", "learned over best law", "oracle"]
-    apart = {name for name, policy in results.policies.items() if policy.division != "honest"}
+    """A row per track: the paper's law, the best honest laws by knowledge, the best learned policy and the oracle."""
+    headings = ["track", "the paper's law", "best law of own links", "best law", "best learned policy"]
+    headings += ["learned − law of own links", "oracle"]
+    laws = [name for name, policy in results.policies.items() if policy.division == "honest" and name not in learned]
+    local = [name for name in laws if results.policies[name].interface.graph_knowledge == "links"]
     rows = []
     for track in results.tracks:
         means = {
             name: float(results.record(track.name, name, track.metric)["mean"])
             for name in results.policies_on(track.name)
         }
-        law = max(means.keys() - learned - apart, key=means.__getitem__)
-        policy = max(means.keys() & learned, key=means.__getitem__, default=None)
-        trained = ["n/a", ""]
-        if policy is not None:
-            trained = [f"{number(means[policy])} {policy}", number(means[policy] - means[law])]
-        rows.append([track.name, number(means[LAW]), f"{number(means[law])} {law}", *trained, number(means[ORACLE])])
-    return table(headings, rows, texts=("track", "best law", "best learned policy"))
+        places = [
+            max((name for name in group if name in means), key=means.__getitem__, default="")
+            for group in (local, laws, sorted(learned))
+        ]
+        cells = [f"{number(means[name])} {name}" if name else "n/a" for name in places]
+        gained = number(means[places[2]] - means[places[0]]) if places[2] else ""
+        rows.append([track.name, number(means[LAW]), *cells, gained, number(means[ORACLE])])
+    return table(headings, rows, texts=("track", *headings[2:5]))
 
 
 def track_table(results: Results, board: Leaderboard, name: str) -> list[str]:

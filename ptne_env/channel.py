@@ -314,8 +314,7 @@ class BurstLoss(_Losing):
     """Losses in bursts: the chain of Gilbert (1960) and Elliott (1963), one per directed link.
 
     In every step a good link turns bad with probability p, a bad link turns good with probability r; then a message is
-    lost
-    with probability ``loss_bad`` on a bad and ``loss_good`` on a good link. At the start a link is bad with the
+    lost with probability ``loss_bad`` on a bad and ``loss_good`` on a good link. At the start a link is bad with the
     stationary probability p/(p + r). A burst lasts 1/r steps on average.
 
     Args:
@@ -508,9 +507,8 @@ class OneWayLinks(Channel):
 class Lying(Channel):
     """One player lies: on components that are not its own, it adds a constant offset to the estimates that it sends.
 
-    The offset is U(−size, size) per component, drawn per episode and the same for every neighbour. The liar's own
-    strategy is sent as it is, so the others reach the equilibrium where they do not rely on what the liar says of
-    third players.
+    The offset is U(−size, size) per component, drawn per episode and the same for every neighbour. The liar sends its
+    own strategy as it is, so the others reach the equilibrium if they do not use its estimates of third players.
 
     Args:
         size: > 0, in the units of the strategies.

@@ -37,7 +37,7 @@ CONSENSUS_GAIN = 2.0
 class LayoutError(ValueError):
     """A policy cannot act with a layout: it needs other observations, other actions or another game.
 
-    In a comparison such a policy is not applicable to the scenario. Any other error of a policy ends the comparison.
+    In a comparison such a policy is not applicable to the scenario. Any other error is a failure of the policy there.
     """
 
 

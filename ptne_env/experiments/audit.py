@@ -13,22 +13,21 @@ from ptne_env.policy import Policy, PolicyError
 WITNESSES = 8
 """Most witnesses of a thorough audit."""
 
-
 NOT_ROW_WISE = (
     "its decisions are not row-wise: with other rows in the batch it decides differently. A decision may depend on the "
     "player's own observation and memory alone, and must repeat bit for bit"
 )
-"""Why a policy fails whose witness got other rows."""
+"""Reason of a failure: the witness received other rows and decided differently."""
 
 USES_OTHER_LINKS = (
     "it uses links of other players: with the neighbours of one player alone it decides differently for that player. "
     "A decision may depend on the player's own row of layout.neighbours alone; a policy that uses others declares "
     "graph_knowledge='union'"
 )
-"""Why a policy fails whose witness was built from what one player knows, after its other witness agreed."""
+"""Reason of a failure: the witness was built from the knowledge of one player, and the other witnesses agreed."""
 
 OWN_LINKS_EPISODES = 16
-"""Most episodes of a witness that was built from what one player knows."""
+"""Most episodes of a witness that was built from the knowledge of one player."""
 
 
 class Witness:

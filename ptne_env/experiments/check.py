@@ -94,7 +94,7 @@ class Check:
     Attributes:
         differences: between the tables of the results and those that follow from the stored jobs, one text each.
         repetitions: the jobs that were run again.
-        missing: policies whose jobs nobody can run again here, one text each, with the files that are missing.
+        missing: policies whose jobs cannot run again here, one text each, with the files that are missing.
         left_out: metrics that were measured and not published, so that no table and no repetition shows them.
     """
 

@@ -17,7 +17,7 @@ SMALLEST_GAIN = 0.1
 """Digits between zero input and full marks, below which a track has no scores."""
 
 ROOM = 1.0
-"""Digits that the best known honest entry should leave to what can be reached at most."""
+"""Digits that a track should leave between zero input and the best known honest entry, and above that entry."""
 
 ERRORS = tuple(10.0**-digits for digits in range(1, 13))
 """ε for which the deadline success P(error ≤ ε) is given."""
@@ -85,7 +85,7 @@ class Scale:
         has_scores: whether these differ by a tenth of a digit at least.
         best: honest policy with the most digits in this run.
         best_digits: its mean digits.
-        highest: digits above which nobody can get: the ceiling, or the floor.
+        highest: digits that no policy passes: the ceiling, or the floor.
         room: digits from the best known honest entry, in this run or when the suite was frozen, to ``highest``.
     """
 

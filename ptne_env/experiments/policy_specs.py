@@ -21,6 +21,7 @@ from ptne_env.policies.process import PolicySource, build, declared_interface, s
 from ptne_env.policy import Policy, PolicyError
 
 _LAWS = "ptne_env.laws:"
+_AVERAGING = {"patience": 30.0, "forgetting": 2.0}
 ARCHIVE = "ptne_env.policies.archive:load_archive"
 """Target of the policies whose making executes code that is stored in a file."""
 
@@ -243,14 +244,14 @@ POLICIES: Mapping[str, PolicySpec] = {
         PolicySpec("routed", FactorySpec.of(f"{_LAWS}Routed", step=0.3)),
         PolicySpec("routed-unknown", FactorySpec.of(f"{_LAWS}RoutedUnknown", step=0.3)),
         PolicySpec("freshest", FactorySpec.of(f"{_LAWS}Freshest", step=0.32)),
-        PolicySpec("relay", FactorySpec.of(f"{_LAWS}Relay", spread=10.0)),
-        PolicySpec("link-relay", FactorySpec.of(f"{_LAWS}LinkRelay", spread=10.0)),
-        PolicySpec("contact-relay", FactorySpec.of(f"{_LAWS}ContactRelay", spread=10.0)),
-        PolicySpec("route-relay", FactorySpec.of(f"{_LAWS}RouteRelay", spread=10.0)),
-        PolicySpec("freshest-relay", FactorySpec.of(f"{_LAWS}FreshestRelay", spread=10.0)),
+        PolicySpec("relay", FactorySpec.of(f"{_LAWS}Relay", **_AVERAGING)),
+        PolicySpec("link-relay", FactorySpec.of(f"{_LAWS}LinkRelay", **_AVERAGING)),
+        PolicySpec("contact-relay", FactorySpec.of(f"{_LAWS}ContactRelay", **_AVERAGING)),
+        PolicySpec("route-relay", FactorySpec.of(f"{_LAWS}RouteRelay", **_AVERAGING)),
+        PolicySpec("freshest-relay", FactorySpec.of(f"{_LAWS}FreshestRelay", **_AVERAGING)),
         PolicySpec("multi-rate", FactorySpec.of(f"{_LAWS}MultiRate", step=0.2, price_step=0.2, lead=2.0)),
         PolicySpec("proximal-best-response", FactorySpec.of(f"{_LAWS}ProximalBestResponse", step=4.0, mixing=0.45)),
-        PolicySpec("identify-and-broadcast", FactorySpec.of(f"{_LAWS}IdentifyAndBroadcast", spread=10.0, switch=0.65)),
+        PolicySpec("identify-and-broadcast", FactorySpec.of(f"{_LAWS}IdentifyAndBroadcast", switch=0.65)),
         PolicySpec("best-response-oracle", FactorySpec.of(f"{_LAWS}BestResponseOracle", relaxation=1.0)),
         PolicySpec("fixed-time-oracle", FactorySpec.of(f"{_LAWS}FixedTimeOracle", gain=1.0, largest_step=0.3)),
         PolicySpec(

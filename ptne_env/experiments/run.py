@@ -44,9 +44,9 @@ def evaluate(
     once more from the paper's start, on the track ``"NAME (paper start)"``. A
     :class:`~ptne_env.scenario.Scenario` is run as it is: ``episodes`` times when something in it is random, else once.
 
-    A learned policy is also compared, paired by episode, with the best of the paper's laws and the best of all laws,
-    both tuned and chosen by mean digits on validation episodes (:mod:`ptne_env.experiments.tuning`), where something is
-    random. The coded law is run beside them.
+    Where something is random, a learned policy is also compared, paired by episode, with the best of the paper's laws
+    and the best of all laws. Both are tuned and chosen by the mean of the track's metric on validation episodes
+    (:mod:`ptne_env.experiments.tuning`). The coded law is run beside them.
 
     Args:
         policies: specs, or strings as :func:`~ptne_env.experiments.policy_specs.get_policy_spec` takes them.
@@ -191,8 +191,9 @@ def assemble(
         law_samples = _collected(opposing, run(opposing)).samples
         for (track_name, policy), measured in samples.items():
             if track_name in tuned and specs[policy].is_learned:
+                metric = suite.track(track_name).metric
                 for group, name in tuning.GROUPS.items():
-                    measured.update(against_law(group, measured["digits"], law_samples[track_name, name]["digits"]))
+                    measured.update(against_law(group, measured[metric], law_samples[track_name, name][metric]))
         jobs, samples = [*jobs, *opposing], {**samples, **law_samples}
     ordered = {
         (track.name, name): samples[track.name, name]
@@ -334,7 +335,7 @@ def _tuned_laws(
     trials: dict[str, list[Job]] = {track.name: [] for track in tracks}
     for (search, law, job), result in zip(tried, run([job for _, _, job in tried]), strict=True):
         trials[search.track.name].append(job)
-        reached = -np.inf if result.failure is not None else float(result.samples["digits"].mean())
+        reached = -np.inf if result.failure is not None else float(result.samples[search.track.metric].mean())
         digits[search.track.name][search.member] = law, reached
     chosen = {name: {**tuning.best(found), "coded": tuning.CODED} for name, found in digits.items()}
     return chosen, {name: tuple(jobs) for name, jobs in trials.items()}

@@ -7,18 +7,15 @@ from collections.abc import Iterable
 import numpy as np
 import scipy
 
-from ptne_env.experiments.leaderboard import Leaderboard, Scale
+from ptne_env.experiments.leaderboard import ROOM, Leaderboard, Scale
 from ptne_env.experiments.suite import LEADERBOARD_SEED, MOST_DIGITS, Suite
 from ptne_env.theory import ceilings
-
-ROOM = 1.0
-"""Digits that a track leaves between zero input and the best known honest entry, and between that and the ceiling."""
 
 
 def ceiling_of(
     suite: Suite, track: str, episodes: int | None = None, *, seed: int = LEADERBOARD_SEED
 ) -> tuple[float, str]:
-    """The mean digits above which no policy gets on a track, and the reason (:mod:`ptne_env.theory.ceilings`).
+    """The mean digits that no policy passes on a track, and the reason (:mod:`ptne_env.theory.ceilings`).
 
     Args:
         suite: of the track.
@@ -55,7 +52,7 @@ def ceiling_of(
 
 
 def closed_tracks(scales: Iterable[Scale]) -> dict[str, str]:
-    """The tracks that leave less than :data:`ROOM` above or below the best known honest entry: name and reason."""
+    """The tracks that leave less than ``ROOM`` digits above or below the best known honest entry: name and reason."""
     faults = {}
     for scale in scales:
         known = scale.highest - scale.room

@@ -79,9 +79,9 @@ class Track:
             ``"tracking_digits"``.
         teammates: players that follow a fixed policy; ``None`` where every player follows the policy that is run.
         episodes: its own number of episodes; the suite's if ``None``.
-        best_known: digits of the best known honest entry when the suite was frozen, by which score 1 is given;
+        best_known: digits of the best known honest entry when the suite was frozen, which are worth the score 1;
             :data:`MOST_DIGITS` if ``None``.
-        ceiling: digits above which nobody can get; :data:`MOST_DIGITS` if ``None``.
+        ceiling: digits that no policy passes; :data:`MOST_DIGITS` if ``None``.
 
     Raises:
         ValueError: for another metric, a metric that the scenario does not have, teammates that are not some of the
@@ -146,7 +146,7 @@ class Track:
 
     @property
     def highest(self) -> float:
-        """The digits above which nobody can get."""
+        """The digits that no policy passes."""
         return MOST_DIGITS if self.ceiling is None else self.ceiling
 
     def files(self) -> dict[str, str]:

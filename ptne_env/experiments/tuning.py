@@ -14,13 +14,15 @@ import numpy.typing as npt
 from scipy import optimize
 from scipy.stats import qmc
 
-from ptne_env import distances, dynamics
+from ptne_env import dynamics
 from ptne_env.arrays import BoolArray, FloatArray
 from ptne_env.encoder import Encoder, make_encoder
 from ptne_env.experiments.episodes import EpisodeSet
+from ptne_env.experiments.metrics import METRICS
 from ptne_env.experiments.policy_specs import POLICIES, PolicySpec
 from ptne_env.experiments.provenance import content_hash, versions
-from ptne_env.experiments.rollout import Member
+from ptne_env.experiments.rollout import Member, Rollout
+from ptne_env.experiments.series import SERIES, Moment
 from ptne_env.experiments.store import TaskStore
 from ptne_env.experiments.suite import Track
 from ptne_env.factory import FactorySpec, resolve
@@ -44,7 +46,7 @@ NAMES = (*GROUPS.values(), CODED.name)
 """Names in tables that no other policy may have."""
 
 PUBLISHED = Path(__file__).with_name("tuned_laws.json")
-"""The tuned laws of all scenarios of the catalogue and tracks of suites, written by ``baselines/tune_field.py``."""
+"""The tuned laws of the scenarios of the catalogue, written by ``baselines/tune_field.py --suite catalogue``."""
 
 _DIGITS = 4
 """Significant digits of tuned parameters."""
@@ -83,7 +85,7 @@ class Tunable:
         )
 
     def edges(self, arguments: Mapping[str, float]) -> list[str]:
-        """The parameters that lie within 2 % of an edge of their range, by their values."""
+        """The parameters whose values lie within 2 % of an edge of their range."""
         return [name for name, limits in self.ranges if not _EDGE < _share(*limits, arguments[name]) < 1 - _EDGE]
 
 
@@ -109,9 +111,9 @@ FIELD: tuple[Tunable, ...] = (
     Tunable.of("RoutedUnknown", step=(0.003, 3.0)),
     Tunable.of("Freshest", step=(0.003, 3.0)),
     Tunable.of("MultiRate", step=(0.003, 3.0), price_step=(0.003, 3.0), lead=(0.05, 50.0)),
-    Tunable.of("Relay", spread=(0.01, 1e4)),
-    Tunable.of("LinkRelay", spread=(0.01, 1e4)),
-    Tunable.of("ContactRelay", spread=(0.01, 1e4)),
+    Tunable.of("Relay", patience=(2.0, 200.0), forgetting=(0.5, 50.0)),
+    Tunable.of("LinkRelay", patience=(2.0, 200.0), forgetting=(0.5, 50.0)),
+    Tunable.of("ContactRelay", patience=(2.0, 200.0), forgetting=(0.5, 50.0)),
 )
 """The honest laws that are tuned. A new member is a new line."""
 
@@ -217,7 +219,7 @@ class Tuning:
         return Tuned.from_dict({"law": published[self.name]}, self.to_dict())
 
     def compute(self) -> Tuned:
-        """Search by differential evolution, deterministic: maximise the mean digits at the deadline.
+        """Search by differential evolution, deterministic: maximise the mean of the track's metric.
 
         The best of the last population on other episodes wins, so a law at the edge of stability that diverges in a
         few episodes does not. Candidates of a generation run side by side in one batch, on the same episodes.
@@ -244,7 +246,7 @@ class Tuning:
         return Tuned(laws[int(self.digits(laws, unseen).argmax())])
 
     def digits(self, laws: Sequence[FactorySpec], episodes: range) -> FloatArray:
-        """The mean digits of laws over the same episodes, by their numbers; −∞ where a law fails. Shape (L,).
+        """The mean of the track's metric over the same episodes, by their numbers; −∞ where a law fails. Shape (L,).
 
         The laws are those of the member, with other parameters; they run in one batch.
         """
@@ -256,17 +258,24 @@ class Tuning:
         members = [Member(portfolio, encoder, others), *teammates]
         seeds = [self.episodes.episode_seed(episode) for _ in laws for episode in episodes]
         state = dynamics.draw_initial_state(world, [RandomStreams.from_seed(seed) for seed in seeds])
+        clock, metric = world.clock, METRICS[self.track.metric]
+        if metric.value is None:
+            raise ValueError(f"{metric.name} follows from other metrics; expected a metric of a rollout")
+        first, last = (clock.steps, clock.steps) if metric.name == "digits" else (0, clock.total_steps)
+        recorded = np.empty((clock.total_steps + 1, len(seeds)))
         try:
-            for _ in range(world.clock.steps):
-                inputs = np.add.reduce([member.decide(state) for member in members])
-                state = dynamics.step(world, state, inputs)
+            for step in range(last + 1):
+                if step >= first:
+                    recorded[step] = SERIES["estimate_distance"].value(Moment(world, state, None, step))
+                if step < last:
+                    inputs = np.add.reduce([member.decide(state) for member in members])
+                    state = dynamics.step(world, state, inputs)
         except PolicyError:
             if len(laws) == 1:
                 return np.array([-np.inf])
             return np.concatenate([self.digits([law], episodes) for law in laws])
-        distance = distances.estimate_distance(state.estimates, state.game)
-        distance = np.where(state.diverged, dynamics.distance_limit(state.game), distance)
-        return np.mean(distances.digits(distance).reshape(len(laws), -1), axis=1)
+        found = metric.value(Rollout(world, {"estimate_distance": recorded}, state.diverged, 0.0))
+        return np.mean(found.reshape(len(laws), -1), axis=1)
 
     def _encoder(self) -> Encoder:
         law = resolve(self.member.law)
@@ -275,7 +284,7 @@ class Tuning:
 
 @cache
 def published_laws() -> dict[str, Any]:
-    """The tuned laws of the published tracks by name of the search, as JSON objects; ``None`` where n/a."""
+    """The tuned laws of :data:`PUBLISHED` by name of the search, as JSON objects; ``None`` where n/a."""
     found: dict[str, Any] = json.loads(PUBLISHED.read_text(encoding="utf-8"))
     return found
 

@@ -14,7 +14,7 @@ from ptne_env.games.family import GameFamily, SingleGame
 
 
 def priced(game: Game, constraint: npt.ArrayLike, limit: npt.ArrayLike) -> AffineGame:
-    """``game`` with the shared constraint C x ≤ b and one player more: the market operator, who prices it.
+    """``game`` with the shared constraint C x ≤ b and one player more: the market operator, which prices it.
 
     Player i pays for its share of the constraint, J_i(x) + μᵀ C_i x_i. The operator, the last player, chooses the
     prices μ ≥ 0 and minimises μᵀ (b − C x). The Nash equilibria (x*, μ*) of this game are the solutions of
@@ -26,9 +26,9 @@ def priced(game: Game, constraint: npt.ArrayLike, limit: npt.ArrayLike) -> Affin
     "Generalized Nash equilibrium problems", 4OR 5(3), 2007, and, for the operator as a player, K. J. Arrow and G.
     Debreu, "Existence of an equilibrium for a competitive economy", Econometrica 22(3), 1954.
 
-    dF = [[dF, Cᵀ], [−C, 0]] is monotone where dF is, and never strongly monotone. Where F is strongly monotone, x* is
-    unique, and so is μ* where the rows of C of active constraints are independent. The operator has no best response:
-    its cost is linear on [0, ∞).
+    The Jacobian [[dF, Cᵀ], [−C, 0]] is monotone where dF is, and never strongly monotone. Where F is strongly monotone,
+    x* is unique, and so is μ* where the rows of C of active constraints are independent. The operator has no best
+    response: its cost is linear on [0, ∞).
 
     Args:
         game: affine; with bounds, they stay.

@@ -35,7 +35,7 @@ _PATIENCE = 4
 """Equations sent in vain, after which a player that received none gives up the code."""
 
 _STILL = 1e-5
-"""A message that changed by less than this, relative to half the largest own estimate, is the one before."""
+"""A message that changed by less than this, relative to half the largest own estimate or ½, is the message before."""
 
 _IN_PLACE = 1e-5
 """Distance from the solution, relative to its largest component, within which a player has arrived there."""
@@ -187,7 +187,7 @@ def resolve(
 class IdentifyAndBroadcast(Relay):
     """Identification of the own equations, their broadcast through the estimates, and a broadcast of the residuals.
 
-    The estimates are no beliefs but carry code, so tables show this law apart from honest ones. All players count the
+    The estimates are no beliefs but carry code, so tables show this law apart from honest laws. All players count the
     same steps k.
 
     1. For n + 3 steps a player moves its estimates, first one component after the other, and so identifies its own
@@ -197,7 +197,7 @@ class IdentifyAndBroadcast(Relay):
        it: n coefficients, the constant, two checksums, :func:`receive`. All players repeat the equations that they
        know. A received equation is known as soon as its checksums agree.
     3. From ``switch`` T on, a player that knows all equations moves to their solution, which is as exact as float32
-       messages, and from then on alternates rest and payload, :func:`resolve`. At rest its own gradient shows the
+       messages, and then alternates rest and payload, :func:`resolve`. At rest its own gradient shows the
        residuals of its own equations to float32's *relative* accuracy. Then it displaces its estimates of all
        components c of which it knows the residual ρ_c at its own place by κ + ρ_c for one step. A neighbour at
        the distance δ reads ρ_c − E_c δ from that, the residual at its own place. A player that knows all residuals
@@ -213,7 +213,6 @@ class IdentifyAndBroadcast(Relay):
 
     Args:
         layout: of the environment, interface ``physical``.
-        spread: as for :class:`~ptne_env.laws.relay.Relay`.
         switch: share of the deadline from which on residuals are sent and not equations, in [0, 1].
 
     Raises:
@@ -223,16 +222,16 @@ class IdentifyAndBroadcast(Relay):
 
     interface: ClassVar[Interface] = Interface(graph_knowledge="union", estimates="coded")
 
-    def __init__(self, layout: ObservationLayout, spread: float = 10.0, switch: float = 0.65) -> None:
+    def __init__(self, layout: ObservationLayout, switch: float = 0.65) -> None:
         self._sends_code = layout.dimension <= LARGEST_CODE
-        super().__init__(layout, spread)
+        super().__init__(layout)
         self.switch = require_probability("switch", switch)
 
     def inputs(self, observation: Observation, memory: FloatArray) -> tuple[FloatArray, FloatArray]:
         if not self._sends_code:
             return super().inputs(observation, memory)
         parts, sources = self._parts.split(memory), self._fixed_sources[observation.player]
-        displacement, fresh = relay_displacement(observation, parts, self.layout, sources, self.spread)
+        displacement, fresh = relay_displacement(observation, parts, self.layout, sources, self.averaging)
         coded, fresh = self._coded(observation, parts, parts | fresh)
         is_relay = fresh["is_relay"] > 0
         displacement = np.where(is_relay, displacement, coded)

@@ -1,4 +1,4 @@
-"""Contacts: what players see on their own links shows them which neighbours have fresher copies of a component."""
+"""Contacts: the neighbours that have fresher copies of a component, as far as own links and memory show them."""
 
 from __future__ import annotations
 
@@ -25,6 +25,29 @@ def contact_parts(layout: ObservationLayout) -> dict[str, tuple[int, ...]]:
     }
 
 
+def noise_level(observation: Observation, memory: Mapping[str, FloatArray], owned: BoolArray) -> FloatArray:
+    """σ_i, the smallest change of messages from step to step about components that their sender does not own.
+
+    The first one is that of the first step, in which these estimates rest; a player without links then takes messages
+    for perfect. Of several neighbours, the one with the smallest change counts.
+
+    Args:
+        observation: of R players, with own estimates.
+        memory: σ_i as ``noise``, shape (R, 1), and of the step before: whether links were ``live``, shape (R, D), and
+            the ``messages``, shape (R, D, n); the number of ``steps``, shape (R, 1).
+        owned: whether j or i owns c, shape (R, D, n).
+
+    Returns:
+        σ_i in natural units, shape (R, 1).
+    """
+    lasts = (observation.weights > 0) & (memory["live"] > 0)
+    messages = observation.own_estimate[:, None] + observation.relative_estimates
+    change = np.where(owned, 0.0, np.abs(messages - memory["messages"])).max(axis=2)
+    least = np.where(lasts, change, np.inf).min(axis=1, keepdims=True)
+    first = np.where(np.isfinite(least), least, 0.0)
+    return np.where(memory["steps"] <= 1, first, np.minimum(memory["noise"], least))
+
+
 def unknown_nearness(layout: ObservationLayout) -> FloatArray:
     """NaN by player, neighbour and component, shape (N, D, n): by how many links a neighbour is nearer is unknown."""
     return np.full((layout.num_players, layout.slots, layout.dimension), np.nan)
@@ -36,15 +59,17 @@ def contacts(
     drift: FloatArray,
     leaders: BoolArray,
     nearer: FloatArray,
+    noise: FloatArray | float = 0.0,
 ) -> tuple[BoolArray, dict[str, FloatArray]]:
-    """The neighbours that have fresher copies, as far as own links and memory show which they are.
+    """The neighbours that have fresher copies of each component.
 
     A *contact* is a time in which a link is live without a break. At its start, player i compares how far its own copy
     of component c and the neighbour's copy have moved since the last contact, at the end of which they knew each other.
-    If one of them has moved alone, it is the fresher one, and the neighbour gets a vote for or against it. If both have
-    moved, the votes decide; with equal votes, the copy that has moved further. If no contact was before and the player
-    has no news of c, it takes the neighbour's copy. During a contact, the neighbour becomes the source when its copy
-    moves while the own copy rests. An owner is the only source as soon as the player has met it.
+    If only one copy has moved, it is the fresher copy, and the neighbour gets a vote for it or against it. If both have
+    moved, the votes decide; with equal votes, the copy that has moved further is the fresher copy. In the first contact
+    the player takes the neighbour's copy if it has no news of c. During a contact, the neighbour becomes the source
+    when its copy moves by more than noise while the own copy rests, unless there is a live source and the neighbour's
+    copy moves towards the own copy. An owner is the only source as soon as the player has met it.
 
     On a fixed graph with perfect messages the sources are the neighbours that are nearer to the owner, as in
     :class:`~ptne_env.laws.relay.Relay`.
@@ -58,6 +83,7 @@ def contacts(
         nearer: by how many links j is nearer to the owner of c than i, NaN where that is unknown, shape (R, D, n). Once
             a nearer neighbour was heard, this counts more than all votes, and during a contact only nearer neighbours
             become sources.
+        noise: the largest change of messages that may be noise, in natural units, shape (R, 1, 1).
 
     Returns:
         The sources, shape (R, D, n), and the changed parts of the memory.
@@ -77,8 +103,11 @@ def contacts(
     both = np.where(judgement == 0, np.abs(theirs) > np.abs(mine), judgement > 0)
     is_newcomer = (memory["steps"][:, :, None] > 0) & (memory["news"] == 0)[:, None]
     fresher = np.where(met, np.where(i_moved & j_moved, both, j_moved & ~i_moved), is_newcomer)
-    wakes = live & np.where(starts, fresher, j_moved & (np.abs(drift[:, None]) <= floor) & ~(nearer <= 0))
-    source = np.where(wakes.any(axis=1, keepdims=True), wakes, live & (memory["source"] > 0))
+    source = live & (memory["source"] > 0)
+    moves = (np.abs(theirs) > floor + noise) & (np.abs(drift[:, None]) <= floor) & ~(nearer <= 0)
+    moves &= (np.abs(relative) > np.abs(seen)) | ~source.any(axis=1, keepdims=True)
+    wakes = live & np.where(starts, fresher, moves)
+    source = np.where(wakes.any(axis=1, keepdims=True), wakes, source)
     owners = leaders & (live | heard)
     source = np.where(owners.any(axis=1, keepdims=True), owners & live, source)
     return source, {

@@ -1,7 +1,7 @@
 """Identification of the own gradient: rows of dF from displacements of the own estimates, by recursive least squares.
 
-The own gradient ∂J_i/∂x_i(x^i) depends on the own estimates x^i alone, which a player moves as it likes. So what it
-learns here is never disturbed by messages.
+The own gradient ∂J_i/∂x_i(x^i) depends on the own estimates x^i alone, which a player moves as it likes. So messages
+never disturb the identified rows.
 """
 
 from __future__ import annotations

@@ -9,6 +9,7 @@ import numpy as np
 
 from ptne_env.arrays import BoolArray, FloatArray, require_non_negative, require_positive
 from ptne_env.laws.base import Law, per_step
+from ptne_env.laws.best_response import largest
 from ptne_env.laws.identification import RESOLUTION
 from ptne_env.laws.memory import Parts
 from ptne_env.laws.routed import nearer_slots, routed_inputs
@@ -41,8 +42,8 @@ def multi_rate_inputs(
     integral feedback of the violation, which damps its oscillation with the strategies and makes up for delays.
 
     A player learns its role in the first two steps, in which copies rest and it moves by −η g_i and back: the cost of
-    an operator is linear, so its gradient does not answer. One of the two moves at least is not held by a bound. A
-    player that cannot move is none.
+    an operator is linear, so its gradient does not answer. A bound holds at most one of the two moves. A player that
+    cannot move is no operator.
 
     Args:
         observation: of R players.
@@ -57,8 +58,8 @@ def multi_rate_inputs(
     """
     gradient, estimate, count = observation.gradient, observation.own_estimate, memory["steps"]
     before = memory["gradient"]
-    change, moved = (_largest(part) for part in (gradient - before, estimate - memory["estimate"]))
-    resolution = RESOLUTION * (_largest(gradient) + _largest(before) + _largest(estimate))
+    change, moved = (largest(part) for part in (gradient - before, estimate - memory["estimate"]))
+    resolution = RESOLUTION * (largest(gradient) + largest(before) + largest(estimate))
     is_informative = (count > 0) & (count <= _PROBES) & (_FLAT * moved > _VISIBLE * resolution)
     is_price = np.where(is_informative, change <= _FLAT * moved, memory["is_price"] > 0)
     ahead = np.where(is_price, gradient + lead * (gradient - before), gradient)
@@ -70,11 +71,6 @@ def multi_rate_inputs(
         "is_price": is_price.astype(np.float64),
         "steps": count + 1,
     }
-
-
-def _largest(array: FloatArray) -> FloatArray:
-    """The largest |entry| of each row, (R, n) to (R, 1)."""
-    return np.abs(array).max(axis=1, keepdims=True)
 
 
 class MultiRate(Law):

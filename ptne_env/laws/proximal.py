@@ -9,7 +9,7 @@ import numpy as np
 
 from ptne_env.arrays import FloatArray, require_positive
 from ptne_env.laws.base import Law, consensus, per_step
-from ptne_env.laws.best_response import LARGEST_ROW, own_block, own_entries, with_own
+from ptne_env.laws.best_response import LARGEST_ROW, largest, own_block, own_entries, with_own
 from ptne_env.laws.identification import RESOLUTION, Model, blank, identify
 from ptne_env.laws.memory import Parts
 from ptne_env.observation import Observation, ObservationLayout
@@ -55,10 +55,10 @@ def proximal_displacement(
     is_whole = memory["rows"].shape[2] == layout.dimension
 
     moved = np.where(memory["started"] > 0, estimate - memory["estimate"], 0.0)
-    scales = [np.abs(part).max(axis=1, keepdims=True) for part in (estimate, memory["estimate"])]
-    deviation = RESOLUTION * (np.abs(gradient).max(axis=1, keepdims=True) + spread * (scales[0] + scales[1]))
+    scale = largest(estimate) + largest(memory["estimate"])
+    deviation = RESOLUTION * (largest(gradient) + spread * scale)
     if not is_whole:
-        deviation = deviation + spread * np.abs(np.where(is_own, 0.0, moved)).max(axis=1, keepdims=True)
+        deviation = deviation + spread * largest(np.where(is_own, 0.0, moved))
     regressors = moved if is_whole else own_entries(moved, blocks)
     model = Model(memory["rows"], memory["covariance"])
     (rows, covariance), _, _ = identify(model, regressors, gradient - memory["gradient"], deviation**2)

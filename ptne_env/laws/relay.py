@@ -1,21 +1,22 @@
 """Relays: best responses from an identified model of the own gradient, and copies of estimates, one link per step.
 
-What players know of the communication graphs decides from whom they copy: hop counts on the union graph in
-:class:`Relay`, their own links without memory in :class:`LinkRelay`, their own links and all that they saw on them in
-:class:`ContactRelay`, both in :class:`RouteRelay`, the links of every step in :class:`FreshestRelay`.
+Players choose the neighbours from which they copy by their knowledge of the communication graphs: hop counts on the
+union graph in :class:`Relay`, their own links without memory in :class:`LinkRelay`, memory of their own links in
+:class:`ContactRelay`, hop counts and this memory in :class:`RouteRelay`, the links of every step in
+:class:`FreshestRelay`.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import ClassVar
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 
 from ptne_env.arrays import BoolArray, FloatArray, require_positive
 from ptne_env.laws.base import Law, per_step
 from ptne_env.laws.best_response import LARGEST_ROW, best_response, largest, own_entries, with_own, within_reach
-from ptne_env.laws.contacts import contact_parts, contacts, unknown_nearness
+from ptne_env.laws.contacts import contact_parts, contacts, noise_level, unknown_nearness
 from ptne_env.laws.identification import RESOLUTION, Model, blank, identify
 from ptne_env.laws.memory import Parts
 from ptne_env.laws.routed import Freshest, nearer_slots
@@ -24,14 +25,14 @@ from ptne_env.observation import Interface, Observation, ObservationLayout
 _ACCURACY = 0.5
 """Largest error of a good prediction, relative to the gradient before."""
 
-_RESTLESS = 30
-"""Steps in which the smallest change of messages does not halve, after which it is taken for noise."""
+SPREAD = 10.0
+"""Standard deviation of the entries of dF before anything is identified, in units of gradient per strategy.
+
+1/(3 ``SPREAD``) is the step of the first gradient steps. A tenth and ten times as much give the same digits.
+"""
 
 _SIGNAL = 8.0
 """A difference to the neighbours above this many times their smallest change is no noise."""
-
-_FORGETTING = 2.0
-"""p ≥ 1 of the weights p/(p + k) of an average over k steps: larger numbers forget the first ones faster."""
 
 _SHORTEST = 1e-3
 """Smallest radius of the trust region, relative to the largest own estimate."""
@@ -42,12 +43,30 @@ _HELD = 0.1
 _RESOLVED = 1e-6
 """Smallest displacement, relative to the largest own estimates, at which that is judged."""
 
+_ABOVE_NOISE = 20.0
+"""A change of messages above this many times σ_i is no noise: σ_i is the smallest of many changes."""
+
+_LOUDEST = 0.03
+"""A change of messages above this share of the largest own estimate is no noise."""
+
 UNLIMITED = 1e6
 """A distance beyond all estimates."""
 
 
-def copies(
-    observation: Observation, memory: Mapping[str, FloatArray], sources: BoolArray, *, mixes: bool = True
+class Averaging(NamedTuple):
+    """When and how relays average noisy messages; see :class:`Relay`."""
+
+    patience: float = 30.0
+    forgetting: float = 2.0
+
+
+def averaged_copies(
+    observation: Observation,
+    memory: Mapping[str, FloatArray],
+    sources: BoolArray,
+    averaging: Averaging,
+    *,
+    mixes: bool = True,
 ) -> tuple[FloatArray, dict[str, FloatArray]]:
     """w_k × mean of (x^j_c − x^i_c) over the live sources j of component c: the displacements (R, n), and the memory.
 
@@ -55,13 +74,15 @@ def copies(
     ``mixes``; else it rests.
 
     The weight w_k is 1 until messages show noise, which never comes to rest. Where the smallest change of messages
-    from step to step, σ, has not halved for 30 steps, w_k = p/(p + k) averages over the k steps since. A difference
-    above 8 σ is no noise, and starts the count again; so does an eighth of the σ at which it began.
+    from step to step, σ, has not halved for ``averaging.patience`` steps, w_k = p/(p + k) averages over the k steps
+    since, where p is ``averaging.forgetting``. A difference above 8 σ is no noise, and starts the count again; so does
+    an eighth of the σ at which it began.
 
     Args:
         observation: of R players.
         memory: the parts ``heard`` to ``restless`` of :class:`Relay`.
         sources: from which neighbours each component is copied where they are live, shape (R, D, n).
+        averaging: of noisy messages.
         mixes: whether a component without sources moves.
     """
     live = observation.weights > 0
@@ -76,9 +97,10 @@ def copies(
     change = np.where(lasts[:, :, None], np.abs(messages - memory["messages"]), 0.0).max(axis=2)
     change = np.where(lasts.any(axis=1, keepdims=True), largest(change), np.inf)
     least, mark, restless = np.minimum(memory["least"], change), memory["mark"], memory["restless"]
-    calmer = least <= mark / np.where(restless > _RESTLESS, _SIGNAL, 2.0)
+    calmer = least <= mark / np.where(restless > averaging.patience, _SIGNAL, 2.0)
     restless = np.where(calmer | (largest(mean) > _SIGNAL * least), 0.0, restless + 1)
-    weight = np.where(restless > _RESTLESS, _FORGETTING / (_FORGETTING + restless), 1.0)
+    share = averaging.forgetting / (averaging.forgetting + restless)
+    weight = np.where(restless > averaging.patience, share, 1.0)
     return weight * mean, {
         "heard": heard,
         "live": live.astype(np.float64),
@@ -94,26 +116,26 @@ def relay_displacement(
     memory: Mapping[str, FloatArray],
     layout: ObservationLayout,
     sources: BoolArray,
-    spread: float,
+    averaging: Averaging,
     *,
     mixes: bool = True,
 ) -> tuple[FloatArray, dict[str, FloatArray]]:
-    """Copies of the others' estimates, :func:`copies`, and the best response to them, :func:`best_response`.
+    """Copies of the others' estimates, :func:`averaged_copies`, and the best response to them, :func:`best_response`.
 
     In the first m steps the others' estimates rest, and one own component after the other moves, so that the own block
     of dF is known at once; the rest of the rows follows from the displacements that the copies cause,
     :func:`~ptne_env.laws.identification.identify`.
 
-    The trust region: the largest own displacement is twice the largest one so far, until a prediction of the own
-    gradient fails by more than half of the gradient before; then it is half of the last one.
+    The trust region: an own displacement is at most twice the largest displacement so far, until a prediction of the
+    own gradient fails by more than half of the gradient before; then it is at most half of the last displacement.
 
     Args:
         observation: of R players.
         memory: the parts of :class:`Relay` by name.
         layout: of the observations.
         sources: from which neighbours each component is copied where they are live, shape (R, D, n).
-        spread: standard deviation of the rows before anything is identified, in units of gradient per strategy.
-        mixes: as for :func:`copies`.
+        averaging: of noisy messages.
+        mixes: as for :func:`averaged_copies`.
 
     Returns:
         The displacements Δx^i, shape (R, n), and the memory for the next step.
@@ -127,9 +149,9 @@ def relay_displacement(
     own_moved = own_entries(moved, blocks)
 
     scale = largest(estimate) + largest(memory["estimate"])
-    deviation = RESOLUTION * (largest(gradient) + largest(last_gradient) + spread * scale)
+    deviation = RESOLUTION * (largest(gradient) + largest(last_gradient) + SPREAD * scale)
     if not is_whole:
-        deviation = deviation + spread * largest(np.where(is_own, 0.0, moved))
+        deviation = deviation + SPREAD * largest(np.where(is_own, 0.0, moved))
     shift = moved if is_whole else own_moved
     model, error, failed = identify(model, shift, gradient - last_gradient, deviation**2)
 
@@ -141,7 +163,7 @@ def relay_displacement(
     held = (np.abs(own_moved) < _HELD * asked) & (asked > _RESOLVED * scale)
 
     is_probe = step < outputs
-    drift, heard = copies(observation, memory, sources, mixes=mixes)
+    drift, heard = averaged_copies(observation, memory, sources, averaging, mixes=mixes)
     drift = np.where(is_probe | is_own, 0.0, drift)
     places = blocks if is_whole else np.where(blocks == layout.dimension, outputs, np.arange(outputs))
     shift = drift if is_whole else np.zeros_like(own_moved)
@@ -166,11 +188,12 @@ class Relay(Law):
 
     Args:
         layout: of the environment, interface ``physical``.
-        spread: standard deviation of the entries of dF before anything is identified, > 0, in units of gradient per
-            strategy; 1/(3 ``spread``) is the step of the first gradient steps.
+        patience: steps in which the smallest change of messages does not halve, > 0, after which it is taken for noise.
+        forgetting: p of the weights p/(p + k) of an average over k steps of noisy messages, > 0: larger numbers forget
+            the first messages faster. 1 is the mean of all.
 
     Raises:
-        ValueError: for a spread that is not positive, or another interface.
+        ValueError: for a patience or forgetting that is not positive, or another interface.
     """
 
     needs: ClassVar[tuple[str, ...]] = ("own_estimate",)
@@ -179,9 +202,9 @@ class Relay(Law):
     mixes: ClassVar[bool] = True
     """Whether a component of which no source was ever heard moves to the mean of all neighbours and the player."""
 
-    def __init__(self, layout: ObservationLayout, spread: float = 10.0) -> None:
+    def __init__(self, layout: ObservationLayout, patience: float = 30.0, forgetting: float = 2.0) -> None:
         super().__init__(layout)
-        self.spread = require_positive("spread", spread)
+        self.averaging = Averaging(require_positive("patience", patience), require_positive("forgetting", forgetting))
         self._fixed_sources = self._known_sources()
         self._parts = Parts(self._shapes())
 
@@ -227,10 +250,10 @@ class Relay(Law):
         }
 
     def initial_memory(self, rows: int) -> FloatArray:
-        """A model of zeros with the standard deviation ``spread``, and nothing heard; shape (R, size)."""
+        """A model of zeros with the standard deviation :data:`SPREAD`, and nothing heard; shape (R, size)."""
         parts = self._parts.zeros(rows)
         _, outputs, regressors = parts["rows"].shape
-        parts |= blank(rows, outputs, regressors, self.spread)._asdict()
+        parts |= blank(rows, outputs, regressors, SPREAD)._asdict()
         parts["least"] += UNLIMITED
         parts["mark"] += UNLIMITED
         return self._parts.join(parts)
@@ -239,7 +262,7 @@ class Relay(Law):
         parts = self._parts.split(memory)
         sources, news = self.sources(observation, parts)
         displacement, fresh = relay_displacement(
-            observation, parts, self.layout, sources, self.spread, mixes=self.mixes
+            observation, parts, self.layout, sources, self.averaging, mixes=self.mixes
         )
         return per_step(displacement, observation), self._parts.join(fresh | news)
 
@@ -247,8 +270,8 @@ class Relay(Law):
 class LinkRelay(Relay):
     """:class:`Relay` of players that know their own links alone.
 
-    A component is copied from its owner, where this is a neighbour; else it moves to the mean of the own estimate and
-    the estimates of all live neighbours.
+    A component is copied from its owner, where this is a neighbour that was heard; else it moves to the mean of the own
+    estimate and the estimates of all live neighbours.
     """
 
     interface: ClassVar[Interface] = Interface()
@@ -262,8 +285,8 @@ class ContactRelay(LinkRelay):
 
     mixes: ClassVar[bool] = False
 
-    def __init__(self, layout: ObservationLayout, spread: float = 10.0) -> None:
-        super().__init__(layout, spread)
+    def __init__(self, layout: ObservationLayout, patience: float = 30.0, forgetting: float = 2.0) -> None:
+        super().__init__(layout, patience, forgetting)
         self._nearness = self._distances()
 
     def _distances(self) -> FloatArray:
@@ -271,7 +294,7 @@ class ContactRelay(LinkRelay):
         return unknown_nearness(self.layout)
 
     def _shapes(self) -> dict[str, tuple[int, ...]]:
-        return super()._shapes() | contact_parts(self.layout)
+        return super()._shapes() | contact_parts(self.layout) | {"noise": (1,)}
 
     def initial_memory(self, rows: int) -> FloatArray:
         """As that of :class:`Relay`, and no contact; shape (R, size)."""
@@ -283,8 +306,12 @@ class ContactRelay(LinkRelay):
         self, observation: Observation, memory: Mapping[str, FloatArray]
     ) -> tuple[BoolArray, dict[str, FloatArray]]:
         player = observation.player
-        drift = np.where(self.layout.own_mask[player], 0.0, memory["asked"])
-        return contacts(observation, memory, drift, self._fixed_sources[player], self._nearness[player])
+        is_own, leaders = self.layout.own_mask[player], self._fixed_sources[player]
+        noise = noise_level(observation, memory, leaders | is_own[:, None])
+        loudest = np.minimum(_ABOVE_NOISE * noise, _LOUDEST * largest(observation.own_estimate))
+        drift = np.where(is_own, 0.0, memory["asked"])
+        sources, news = contacts(observation, memory, drift, leaders, self._nearness[player], loudest[:, :, None])
+        return sources, news | {"noise": noise}
 
 
 class RouteRelay(ContactRelay):
@@ -311,8 +338,8 @@ class FreshestRelay(LinkRelay):
     interface: ClassVar[Interface] = Interface(graph_knowledge="schedule")
     mixes: ClassVar[bool] = False
 
-    def __init__(self, layout: ObservationLayout, spread: float = 10.0) -> None:
-        super().__init__(layout, spread)
+    def __init__(self, layout: ObservationLayout, patience: float = 30.0, forgetting: float = 2.0) -> None:
+        super().__init__(layout, patience, forgetting)
         self._freshest = Freshest(layout)
 
     def sources(

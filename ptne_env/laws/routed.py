@@ -1,8 +1,8 @@
 """Routed laws: each component of the estimates travels from its owner to all other players, one link per step.
 
 They move estimates to their next value within a step, so they count steps and not time. They differ in the neighbours
-from which a player copies a component, and so in what players must know: hop counts on the union graph
-(:class:`Routed`), their own links (:class:`RoutedUnknown`), or the links of every step (:class:`Freshest`).
+from which a player copies a component, and so in the knowledge that they need: hop counts on the union graph
+(:class:`Routed`), own links (:class:`RoutedUnknown`), or the links of every step (:class:`Freshest`).
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ def routed_inputs(observation: Observation, sources: BoolArray, step: float | Fl
     """x^i_c ← mean of x^j_c over the live sources j of c, else x^i_c; and x^i_i ← x^i_i − η ∂J_i/∂x_i(x^i).
 
     The whole law, with η = ``step``. A player has no source of its own components. Where the sources are the neighbours
-    that are nearer to the owner of c on a fixed graph, x^i_c is what the owner had d_ic steps ago, d_ic being the hop
+    that are nearer to the owner of c on a fixed graph, x^i_c is the owner's strategy d_ic steps ago, d_ic being the hop
     count: gradient play with delays, x_i(k+1) = x_i(k) − η ∂J_i/∂x_i(x_1(k − d_i1), …, x_N(k − d_iN)).
 
     Args:
@@ -60,7 +60,7 @@ def routed_inputs(observation: Observation, sources: BoolArray, step: float | Fl
 
 
 def stamps(live_links: BoolArray) -> IntArray:
-    """The instant from which the freshest copy of each player's strategy stems that a player can have.
+    """The instant of the freshest copy of each player's strategy that a player can have.
 
     Copies travel one live link per instant, t^i_o(k+1) = max over i and its live neighbours j of t^j_o(k), with
     t^o_o(k) = k.
@@ -148,9 +148,9 @@ class RoutedUnknown(RoutedLaw):
 class Freshest(RoutedLaw):
     """Copies of the freshest estimates along time-respecting paths, and a gradient step; the schedule is known.
 
-    The sources of a component are the live neighbours whose copy stems from the latest instant, :func:`stamps`, if that
-    is later than the own copy. No copies along links can be fresher, whatever the schedule. The memory is the number of
-    steps done, shape (R, 1). Where the schedule is unknown, the same idea is :class:`RoutedUnknown`.
+    The sources of a component are the live neighbours with the copy of the latest instant, :func:`stamps`, if that is
+    later than the instant of the own copy. On no schedule can copies along links be fresher. The memory is the number
+    of steps done, shape (R, 1). :class:`RoutedUnknown` has the same idea without the schedule.
     """
 
     interface: ClassVar[Interface] = Interface(graph_knowledge="schedule")

@@ -318,7 +318,7 @@ def _room_table(results: Results, board: Leaderboard) -> Table:
         ("full marks", "digits of score 1", lambda scale: Value.of(scale.full_marks)),
         ("best honest", "most mean digits of an honest entry in this run", lambda scale: Value.of(scale.best_digits)),
         ("by", "this entry", lambda scale: Value(scale.best)),
-        ("at most", "digits above which nobody can get", lambda scale: Value.of(scale.highest)),
+        ("at most", "digits that no policy passes", lambda scale: Value.of(scale.highest)),
         (
             "room",
             "digits from the best honest entry, in this run or when the suite was frozen, to what can be reached",

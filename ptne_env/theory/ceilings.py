@@ -1,4 +1,4 @@
-"""Ceilings: mean digits above which no policy gets, whatever it computes and remembers.
+"""Ceilings: mean digits that no policy passes, whatever it computes and remembers.
 
 A bound is on the mean of the digits −log10 d over episodes, d = ‖𝐱 − 1⊗x*‖/(√N ‖x*‖). Each has a proof of a few
 sentences, and holds up to float32 rounding of observations and actions. Most proofs give the policy everything but one
@@ -166,7 +166,7 @@ def news_digits(world: World, state: State, instant: int) -> FloatArray:
 
 
 def known_players(world: World, state: State, instant: int) -> BoolArray:
-    """Of which players' gradients a player can have heard when it decides for the last time before ``instant``.
+    """The players whose gradients a player can have heard of when it decides for the last time before ``instant``.
 
     Player j reads its gradient at step 0 first, and its estimate of step 1 is the first that can depend on it. News
     travel one live link per step from then on, if the channel neither loses nor delays any.

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from test_dynamics import large_energy_scenario
-from worlds import BLOCKS_SWITCHING, FAULTY, make_env
+from worlds import BLOCKS_SWITCHING, FAULTY, channel_part, make_env
 
 from ptne_env import VectorParallelEnv, get_scenario
 from ptne_env.envs import vector as vector_module
@@ -35,6 +35,14 @@ WORLDS = {
     "blocks": (BLOCKS_SWITCHING, {"spacing": "transformed", "steps": 30, "max_cycles": 8}),
     "large": (large_energy_scenario(), {"steps": 6}),
     "faulty": (FAULTY, {"max_cycles": 8}),
+    "one player lies": (
+        FAULTY.replace(
+            channel=channel_part(
+                "Chain", stages=[channel_part("Lying", size=3.0), channel_part("OneWayLinks", share=0.7)]
+            )
+        ),
+        {"max_cycles": 8},
+    ),
     "crashing": ("random-energy", {"max_cycles": 14, "input_limit": 1e9, "action_scale": 1e9}),
 }
 REWARDS = [*TERMS, {"digits": 1.0, "payoff": 1e-3, "tracking": 0.5}]
@@ -238,6 +246,7 @@ def test_compared_scenarios_match_their_names():
         "random games, switching",
         "crashing",
         "faulty",
+        "one player lies",
     }
     assert {name for name, scenario in built.items() if not World(scenario).topology.is_fixed} == {
         "switching",
@@ -246,4 +255,5 @@ def test_compared_scenarios_match_their_names():
         "non-quadratic",
         "blocks",
         "faulty",
+        "one player lies",
     }

@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 
 from ptne_env.experiments import run_suite
+from ptne_env.experiments.leaderboard import ROOM
 from ptne_env.experiments.policy_specs import get_policy_spec
 from ptne_env.experiments.ptne_v2 import BASE, ptne_v2
-from ptne_env.experiments.saturation import ROOM, ceiling_of
+from ptne_env.experiments.saturation import ceiling_of
 from ptne_env.experiments.suite import MOST_DIGITS, SUITES, get_suite
 from ptne_env.theory.ceilings import news_digits, sensor_digits
 
@@ -71,7 +72,7 @@ def test_news_of_every_player_reach_every_other_in_time(name):
     assert np.isinf(news_digits(world, state, world.clock.steps)).all()
 
 
-@pytest.mark.parametrize(("name", "law"), [("clean", "routed"), ("liar", "routed-unknown"), ("coupled", "multi-rate")])
+@pytest.mark.parametrize(("name", "law"), [("clean", "routed"), ("sensor", "contact-relay"), ("coupled", "multi-rate")])
 def test_best_known_digits_are_those_of_a_law(name, law):
     results = run_suite(SUITE, [get_policy_spec(law)], tracks=[name], episodes=30)
     measured = results.samples[name, law][SUITE.track(name).metric].mean()

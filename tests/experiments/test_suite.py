@@ -17,7 +17,10 @@ from ptne_env.experiments.suite import SUITES, Suite, Teammates, Track, foreign_
 from ptne_env.observation import Interface
 from ptne_env.world import World
 
-PUBLISHED = {"ptne-v1": "3a1aedf15c64c103c6fc7b08aa0faa9ff8fc9939523f2afa94d2ce5075d159f3"}
+PUBLISHED = {
+    "ptne-v1": "3a1aedf15c64c103c6fc7b08aa0faa9ff8fc9939523f2afa94d2ce5075d159f3",
+    "ptne-v2": "595c7d7423ede68977ad0a6b55bb0990555faf284675595d92ce1b464e20369a",
+}
 """The content hashes that results were published with. A new content is a new version, and a new line."""
 
 BASE = ptne_env.get_scenario("random-energy")

@@ -10,7 +10,7 @@ import ptne_env
 from ptne_env import FactorySpec, PolicySpec, evaluate, laws
 from ptne_env.catalogue import CATALOGUE
 from ptne_env.encoder import make_encoder
-from ptne_env.experiments import get_suite, tuning
+from ptne_env.experiments import get_suite, run_suite, tuning
 from ptne_env.experiments.episodes import EpisodeSet
 from ptne_env.experiments.jobs import Job
 from ptne_env.experiments.statistics import summaries
@@ -95,8 +95,17 @@ def test_search_finds_the_gain_of_a_fine_grid():
     assert found.compute() == found.compute()
 
 
+@pytest.mark.parametrize("name", ["drift", "pushes", "sensor"])
+def test_members_are_tuned_for_the_metric_of_the_track(name):
+    suite = get_suite("ptne-v2")
+    track, episodes = suite.track(name), suite.episode_set(name, 4, split="validation")
+    law = FactorySpec.of("ptne_env.laws:Routed", step=0.3)
+    (found,) = Tuning(track, Tunable.of("Routed", step=(0.1, 1.0)), episodes).digits([law], range(4))
+    assert found == Job(track, PolicySpec("law", law), 0, episodes).compute().samples[track.metric].mean()
+
+
 def test_candidates_side_by_side_reach_the_digits_of_their_jobs():
-    member = Tunable.of("Relay", spread=(0.1, 100.0))
+    member = Tunable.of("Relay", patience=(2.0, 200.0))
     found = search(member, "random-energy-switching")
     candidates = [member.at(np.array([share])) for share in (0.0, 0.5, 1.0)]
     together = found.digits(candidates, range(2))
@@ -136,14 +145,17 @@ def test_published_laws_are_those_of_a_new_search(member):
 
 
 def test_no_winner_of_the_catalogue_is_at_the_edge_of_its_range():
-    tuned = [law for law in tuning.published_laws().values() if law is not None]
-    members = {(member.law, frozenset(dict(member.ranges))): member for member in FIELD}
-    edges = {
-        law["target"].split(":")[1]
-        for law in tuned
-        if members[law["target"], frozenset(law["arguments"])].edges(law["arguments"])
-    }
-    assert edges <= {"LocallyImplicit", "ContactRelay"}  # which do not win where their parameter is at an edge
+    published, inner, seen = tuning.published_laws(), {"Routed", "Freshest", "Grounded"}, set()
+    for scenario in CATALOGUE:
+        searches = {member: search(member, scenario) for member in FIELD}
+        laws_found = {member: found.find().law for member, found in searches.items() if found.name in published}
+        at_edge = [member for member, law in laws_found.items() if law and member.edges(dict(law.arguments))]
+        others = [member for member in laws_found if member.law.split(":")[1] in inner and member not in at_edge]
+        for member in at_edge:
+            reached = searches[member].digits([laws_found[member]], range(12))[0]
+            assert any(searches[other].digits([laws_found[other]], range(12))[0] >= reached for other in others)
+            seen.add(member.law)
+    assert "ptne_env.laws:LocallyImplicit" in seen
 
 
 @pytest.mark.parametrize("scenario", list(CATALOGUE))
@@ -198,3 +210,12 @@ def test_cvar_is_the_mean_of_the_lowest_tenth():
     both = cvar(np.stack([values, values + 1]))
     assert both.mean == summary.mean + 0.5
     assert both.low < summary.mean < both.high
+
+
+def test_learned_policies_meet_tuned_laws_in_the_metric_of_the_track(monkeypatch):
+    monkeypatch.setattr(tuning, "VALIDATION_EPISODES", 3)
+    monkeypatch.setattr(tuning, "FIELD", (Tunable.of("Static", is_of_paper=True, kappa=(0.5, 5.0)),))
+    monkeypatch.setattr(tuning, "BUDGET", Budget(population=5, generations=1, episodes=2, final_episodes=2))
+    found = run_suite("ptne-v2", [PolicySpec("copy", Copy)], tracks=["drift"], episodes=4, against_laws=True)
+    copy, law = (found.samples["drift", name]["tracking_digits"] for name in ("copy", tuning.GROUPS["all"]))
+    np.testing.assert_array_equal(found.samples["drift", "copy"]["digits_over_all_laws"], copy - law)

@@ -29,17 +29,28 @@ def results(policies, *tracks, episodes=6, **changes):
     return {place: {name: float(np.mean(of[name])) for name in metrics} for place, of in found.samples.items()}
 
 
-def one_contact(mine, theirs, votes=0.0, nearer=np.nan, seen=0.0, news=1.0):
-    """Whether the neighbour becomes the source at the start of a contact; moves since the last one."""
+def one_contact(mine, theirs, votes=0.0, nearer=np.nan, seen=0.0, news=1.0, noise=0.0, lasts=False):
+    """Whether the neighbour becomes the source at the start of a contact, or later; moves since the last one."""
     observation = Sight(
         np.array([[[theirs - mine + (seen if np.isfinite(seen) else 0.0)]]]), np.ones((1, 1)), np.ones((1, 1))
     )
-    drift, memory = np.zeros((1, 1)), {"live": np.zeros((1, 1)), "heard": np.ones((1, 1))}
+    drift, memory = np.zeros((1, 1)), {"live": np.full((1, 1), float(lasts)), "heard": np.ones((1, 1))}
     memory |= {"steps": np.ones((1, 1)), "news": np.full((1, 1), news), "source": np.zeros((1, 1, 1))}
     memory |= {"moved": np.full((1, 1, 1), mine), "seen": np.full((1, 1, 1), seen), "votes": np.full((1, 1, 1), votes)}
     no_owner, known = np.zeros((1, 1, 1), dtype=bool), np.full((1, 1, 1), nearer)
-    sources, fresh = contacts(observation, memory, drift, no_owner, known)
+    sources, fresh = contacts(observation, memory, drift, no_owner, known, np.full((1, 1, 1), noise))
     return sources.item(), fresh["votes"].item()
+
+
+def second_neighbour_wakes(before, after, source):
+    """Whether a neighbour at two distances becomes the source during a contact, beside another one that rests."""
+    ones, shape = np.ones((1, 2)), (1, 2, 1)
+    memory = {"live": ones, "heard": ones, "steps": np.ones((1, 1)), "news": np.ones((1, 1))}
+    memory |= {"moved": np.zeros(shape), "votes": np.zeros(shape)}
+    memory |= {"seen": np.reshape([0.0, before], shape), "source": np.reshape([source, 0.0], shape)}
+    sight, unknown = Sight(np.reshape([0.0, after], shape), ones, np.ones((1, 1))), np.full(shape, np.nan)
+    found, _ = contacts(sight, memory, np.zeros((1, 1)), np.zeros(shape, dtype=bool), unknown)
+    return bool(found[0, 1, 0])
 
 
 @dataclasses.dataclass
@@ -70,6 +81,25 @@ def test_known_hop_counts_overrule_votes():
 def test_a_player_without_news_takes_the_copy_of_a_new_neighbour():
     assert one_contact(0.0, 0.0, seen=np.inf, news=0.0) == (True, 0)
     assert one_contact(0.0, 0.0, seen=np.inf, news=1.0) == (False, 0)
+
+
+def test_during_a_contact_only_a_move_beyond_noise_is_news():
+    assert one_contact(0.0, 1.0, lasts=True) == (True, 0)
+    assert one_contact(0.0, 1.0, noise=0.9, lasts=True) == (True, 0)
+    assert one_contact(0.0, 1.0, noise=1.1, lasts=True) == (False, 0)
+
+
+def test_a_neighbour_on_its_way_to_the_own_copy_does_not_replace_a_source():
+    assert second_neighbour_wakes(0.0, 1.0, source=1.0)
+    assert not second_neighbour_wakes(1.0, 0.5, source=1.0)
+    assert second_neighbour_wakes(1.0, 0.5, source=0.0)
+
+
+@pytest.mark.parametrize(("name", "digits"), [("one-way", 4.7), ("unseen", 4.8), ("tight-input", 4.4), ("uneven", 4.4)])
+def test_contacts_show_the_sources_in_spite_of_noise(name, digits):
+    track = dataclasses.replace(get_suite("ptne-v2").track(name), best_known=None)
+    found = run_suite(Suite("noisy", (track,), 12, is_comparison=True), ["contact-relay"])
+    assert found.samples[name, "contact-relay"]["digits"].mean() > digits
 
 
 def test_players_of_own_links_find_the_nearer_neighbours_of_a_fixed_graph():

@@ -155,5 +155,7 @@ def test_relay_needs_own_estimates_and_hop_counts():
         laws.Relay(make_encoder(world, Interface("local", graph_knowledge="union")).layout)
     with pytest.raises(ValueError, match="hop counts"):
         laws.Relay(make_encoder(world, laws.Grounded.interface).layout)
-    with pytest.raises(ValueError, match="spread must be a finite number above 0"):
-        laws.Relay(make_encoder(world, laws.Relay.interface).layout, spread=0.0)
+    with pytest.raises(ValueError, match="patience must be a finite number above 0"):
+        laws.Relay(make_encoder(world, laws.Relay.interface).layout, patience=0.0)
+    with pytest.raises(ValueError, match="forgetting must be a finite number above 0"):
+        laws.Relay(make_encoder(world, laws.Relay.interface).layout, forgetting=0.0)
