@@ -7,8 +7,11 @@ where a world :func:`qualifies`. It is loaded after the steps that it could have
 from __future__ import annotations
 
 import warnings
+from collections.abc import Callable
+from contextlib import suppress
 from functools import cache
 from types import ModuleType
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -18,6 +21,8 @@ from ptne_env.arrays import Float32Array, FloatArray
 from ptne_env.dynamics import State
 from ptne_env.encoder import Encoder, LocalEncoder, PhysicalEncoder
 from ptne_env.games import AffineGame, EnergyGame, Game
+from ptne_env.observation import SMALLEST_SCALE
+from ptne_env.world import RANGE_LIMIT
 
 PATIENCE = 0.3
 """Seconds of numpy steps before numba is loaded, which takes about as long, so that a short run never waits for it."""
@@ -45,6 +50,12 @@ def _load() -> ModuleType | None:
     """The compiled functions; ``None`` where numba is not installed, and with a warning where it is broken."""
     try:
         from numba import config
+
+        if config.DISABLE_JIT:  # numba's switch for debugging, with which a step would take a thousand times as long
+            return None
+        from ptne_env import kernels as compiled
+
+        _first_call(compiled.is_inside, np.zeros((1, 1, 1), dtype=np.float32), 1.0)
     except ModuleNotFoundError as error:
         if error.name != "numba":
             _refuse(error)
@@ -52,22 +63,22 @@ def _load() -> ModuleType | None:
     except Exception as error:  # noqa: BLE001 - a broken package may raise anything
         _refuse(error)
         return None
-    if config.DISABLE_JIT:  # a switch of numba for debugging: loops of Python would take a thousand times as long
-        return None
-    try:
-        from ptne_env import kernels as compiled
-
-        compiled.is_inside(np.zeros((1, 1, 1), dtype=np.float32), 1.0)
-    except Exception as error:  # noqa: BLE001
-        _refuse(error)
-        return None
     return compiled
 
 
-def _refuse(reason: object) -> None:
+def _first_call(function: Callable[..., bool], *arguments: Any) -> bool:
+    """The result of a compiled function, although the disk may be full: it is compiled before it is written."""
+    with suppress(OSError):
+        return function(*arguments)
+    return function(*arguments)
+
+
+def _refuse(reason: Exception | str) -> None:
     """Keep numpy for all steps from here on, and warn."""
     global _spent  # noqa: PLW0603
     _spent = -np.inf
+    if isinstance(reason, Exception):
+        reason = f"{type(reason).__name__}: {reason}"
     message = f"the compiled step is left out, and numpy makes all steps, because numba does not work here: {reason}"
     warnings.warn(message, RuntimeWarning, stacklevel=2)
 
@@ -127,6 +138,8 @@ class FusedStep:
             np.ones(rows.shape) if mask is None else mask[:, :, 0].astype(np.float64),
             layout.input_limit,
             layout.interface.action_scale,
+            SMALLEST_SCALE,
+            RANGE_LIMIT,
         )
         self._bound = layout.action_bound
         self._largest_tile = min(_TILE, max(8, _TILE_ENTRIES // (n * players)))
@@ -174,11 +187,11 @@ class FusedStep:
         new, gradients, distance = np.empty(old.shape), np.empty((n, batch)), np.empty((batch, players))
         step = np.empty(batch, dtype=np.int64)
         sigma, next_sigma = (self._none,) * 2 if local is None else (local.scale(state), np.empty((players, batch)))
-        in_range = compiled.step(
+        arguments = (
             old, state.step, actions, sigma, modes, ages, new, step, gradients, distance, next_sigma, out,
             has_constants, *self._numbers, *self._tables,
         )  # fmt: skip
-        if not in_range:
+        if not (compiled.step(*arguments) if self._is_checked else self._try(compiled.step, *arguments)):
             return None
         moved = State(step, state.game, new, gradients, state.diverged, False, draws)  # noqa: FBT003 - none has
         if local is not None:
@@ -191,6 +204,14 @@ class FusedStep:
         if local is not None:
             local.remember_scale(moved, next_sigma)
         return moved, distance.T
+
+    def _try(self, step: Callable[..., bool], *arguments: Any) -> bool:
+        """The first step, or ``False`` and a warning where it cannot be compiled."""
+        try:
+            return _first_call(step, *arguments)
+        except Exception as error:  # noqa: BLE001 - a broken compiler may raise anything
+            _refuse(error)
+            return False
 
     def _read(self, game: Game, batch: int) -> bool:
         """Read the numbers of the games of a batch of environments; whether the kernels hold their formulas."""

@@ -14,23 +14,24 @@ from typing import Any
 import numpy as np
 from numba import njit
 
-from ptne_env.observation import SMALLEST_SCALE
-from ptne_env.world import RANGE_LIMIT
+# Without fastmath: no operation is reordered, and none is contracted.
+_OPTIONS: dict[str, Any] = {"nogil": True, "error_model": "numpy"}
 
 
-def _compiled(function: Any) -> Any:
-    """``function``, compiled at its first call and kept on disk, unless there is no folder to write it to.
+def _part(function: Any) -> Any:
+    """``function`` as a part of another, with which it is compiled and kept."""
+    return njit(**_OPTIONS)(function)
 
-    Without ``fastmath``: no operation is reordered, and none is contracted.
-    """
-    options: dict[str, Any] = {"nogil": True, "error_model": "numpy"}
+
+def kept_on_disk(function: Any) -> Any:
+    """``function``, compiled at its first call, and kept on disk, unless there is no folder to write it to."""
     try:
-        return njit(cache=True, **options)(function)
+        return njit(cache=True, **_OPTIONS)(function)
     except RuntimeError:  # "cannot cache function …: no locator available for file …"
-        return njit(**options)(function)
+        return njit(**_OPTIONS)(function)
 
 
-@_compiled
+@kept_on_disk
 def is_inside(actions: Any, bound: float) -> bool:
     """Whether all actions (B, N, action size) are finite and within ±bound."""
     flat, inside = actions.reshape(-1), True
@@ -39,7 +40,7 @@ def is_inside(actions: Any, bound: float) -> bool:
     return inside
 
 
-@_compiled
+@_part
 def _tick(after: Any, held: Any, now: Any, theta: Any) -> None:
     """The next instants, and the Θ of this one by each clock."""
     for w in range(len(now)):
@@ -48,7 +49,7 @@ def _tick(after: Any, held: Any, now: Any, theta: Any) -> None:
             held[i, w] = theta[i, now[w]]
 
 
-@_compiled
+@_part
 def _move(
     x: Any, estimates: Any, actions: Any, theta: Any, unit: Any, order: Any, limit: float, first: int, stop: int
 ) -> None:
@@ -69,7 +70,7 @@ def _move(
                     new[w] = held[w] * np.float64(action[w]) + old[w]
 
 
-@_compiled
+@_part
 def _project(x: Any, owners: Any, low: Any, high: Any, at: int, width: int) -> None:
     """Π(x): the real strategies in the box."""
     for c in range(len(low)):
@@ -78,7 +79,7 @@ def _project(x: Any, owners: Any, low: Any, high: Any, at: int, width: int) -> N
             own[w] = min(max(own[w], lowest[w]), highest[w])
 
 
-@_compiled
+@_part
 def _affine_gradients(gradients: Any, x: Any, owners: Any, transposed: Any, offset: Any, at: int, width: int) -> None:
     """Block i is Σ_j A_ij x^i_j + b_i."""
     n = len(gradients)
@@ -96,7 +97,7 @@ def _affine_gradients(gradients: Any, x: Any, owners: Any, transposed: Any, offs
             total[w] += constant[w]
 
 
-@_compiled
+@_part
 def _energy_gradients(gradients: Any, x: Any, coupling: Any, slope: Any, intercept: Any, at: int, width: int) -> None:
     """c Σ_j x^i_j + (2 a_i + c) x^i_i + (d − 2 a_i b_i)."""
     players, price = len(gradients), coupling[0, at : at + width]
@@ -115,7 +116,7 @@ def _energy_gradients(gradients: Any, x: Any, coupling: Any, slope: Any, interce
             total[w] = total[w] * price[w] + factor[w] * own[w] + constant[w]
 
 
-@_compiled
+@_part
 def _distances(distances: Any, x: Any, equilibrium: Any, norm: Any, total: Any, at: int, first: int, stop: int) -> None:
     """d^i = ‖x^i − x*‖/‖x*‖."""
     n, players = x.shape[:2]
@@ -132,19 +133,19 @@ def _distances(distances: Any, x: Any, equilibrium: Any, norm: Any, total: Any, 
             distances[first + w, i] = total[w]
 
 
-@_compiled
-def _keep(target: Any, rows: Any, first: int, stop: int) -> bool:
-    """Copy rows of a tile to where it belongs; whether every entry is a number within ±RANGE_LIMIT."""
+@_part
+def _keep(target: Any, rows: Any, largest: float, first: int, stop: int) -> bool:
+    """Copy rows of a tile to where it belongs; whether every entry is a number within ±largest."""
     inside = True
     for k in range(len(rows)):
         row, kept = rows[k], target[k, first:stop]
         for w in range(stop - first):
             kept[w] = row[w]
-            inside &= abs(row[w]) <= RANGE_LIMIT
+            inside &= abs(row[w]) <= largest
     return inside
 
 
-@_compiled
+@_part
 def _weigh(weight: Any, live: Any, weights: Any, modes: Any, after: Any, first: int) -> None:
     """a_ij of the active graph, and 1 or 0 for links that are up or down."""
     slots, players, graphs = weights.shape
@@ -156,7 +157,7 @@ def _weigh(weight: Any, live: Any, weights: Any, modes: Any, after: Any, first: 
                 live[d, i, w] = weight[d, i, w] > 0
 
 
-@_compiled
+@_part
 def _show_rows(shown: Any, row: int, values: Any, width: int) -> None:
     """Values in several rows, from ``row`` on."""
     for k in range(len(values)):
@@ -165,7 +166,7 @@ def _show_rows(shown: Any, row: int, values: Any, width: int) -> None:
             entry[w] = value[w]
 
 
-@_compiled
+@_part
 def _show_clock(shown: Any, row: int, clock: Any, ages: Any, after: Any, first: int) -> None:
     """Clock, then the age of the graph, from ``row`` on."""
     for w in range(len(after)):
@@ -174,7 +175,7 @@ def _show_clock(shown: Any, row: int, clock: Any, ages: Any, after: Any, first: 
         shown[row + 4, w] = ages[after[w], first + w if ages.shape[1] > 1 else 0]
 
 
-@_compiled
+@_part
 def _show_gradient(shown: Any, i: int, gradients: Any, own: Any, mask: Any, width: int) -> None:
     """Player i's own gradient, padded with 0."""
     for place in range(len(own)):
@@ -183,7 +184,7 @@ def _show_gradient(shown: Any, i: int, gradients: Any, own: Any, mask: Any, widt
             entry[w] = gradient[w] * factor
 
 
-@_compiled
+@_part
 def _show_relative(shown: Any, row: int, i: int, x: Any, senders: Any, order: Any, live: Any, width: int) -> None:
     """x^j − x^i of player i's neighbour in each slot, 0 where the link is down; from ``row`` on."""
     n = len(x)
@@ -196,12 +197,12 @@ def _show_relative(shown: Any, row: int, i: int, x: Any, senders: Any, order: An
                 entry[w] = (theirs[w] - mine[w]) * alive[w]
 
 
-@_compiled
-def _show_in_units(shown: Any, differences: Any, sigma: Any, per_sigma: Any) -> None:
+@_part
+def _show_in_units(shown: Any, differences: Any, sigma: Any, per_sigma: Any, smallest: float) -> None:
     """Differences over σ_i, the largest size of any; σ_i and 1/σ_i are written too."""
     width = len(sigma)
     for w in range(width):
-        sigma[w] = SMALLEST_SCALE
+        sigma[w] = smallest
     for k in range(len(differences)):
         difference = differences[k]
         for w in range(width):
@@ -214,7 +215,7 @@ def _show_in_units(shown: Any, differences: Any, sigma: Any, per_sigma: Any) -> 
             entry[w] = difference[w] * per_sigma[w]
 
 
-@_compiled
+@kept_on_disk
 def step(  # noqa: C901, PLR0912 - one pass over the memory
     # State; actions, and σ_i as their unit, (N, B), or (0, 0) under ``physical``; graph and its age by instant.
     estimates: Any, instants: Any, actions: Any, sigma: Any, modes: Any, ages: Any,
@@ -226,8 +227,8 @@ def step(  # noqa: C901, PLR0912 - one pass over the memory
     tile: int,
     # World: Θ and the clock as observed, by instant; a_ij and neighbour by slot; owners of components.
     theta: Any, clock: Any, weights: Any, senders: Any, owners: Any,
-    # Layout: components in each player's order, rows of own gradients and their mask, units of actions.
-    order: Any, own: Any, mask: Any, limit: float, action_scale: float,
+    # Layout: components in each player's order, rows of own gradients and their mask, units of actions; the range.
+    order: Any, own: Any, mask: Any, limit: float, action_scale: float, smallest: float, largest: float,
 ) -> bool:  # fmt: skip
     """Everything that a step does to B environments; ``False`` if an environment left the range.
 
@@ -261,9 +262,9 @@ def step(  # noqa: C901, PLR0912 - one pass over the memory
         else:
             _energy_gradients(gradient, x, coupling, slope, offset, at, width)
         _distances(distances, x, equilibrium, norm, line, at, first, stop)
-        inside &= _keep(gradients, gradient, first, stop)
+        inside &= _keep(gradients, gradient, largest, first, stop)
         for c in range(n):
-            inside &= _keep(next_estimates[c], x[c], first, stop)
+            inside &= _keep(next_estimates[c], x[c], largest, first, stop)
 
         if first == 0 or not is_fixed:
             _weigh(weight, live, weights, modes, after, first)
@@ -271,7 +272,7 @@ def step(  # noqa: C901, PLR0912 - one pass over the memory
             if is_local:
                 _show_gradient(differences, i, gradient, own, mask, width)
                 _show_relative(differences, m, i, x, senders, order, live, width)
-                _show_in_units(shown, differences, next_sigma[i, first:stop], line)
+                _show_in_units(shown, differences, next_sigma[i, first:stop], line, smallest)
             else:
                 _show_gradient(shown, i, gradient, own, mask, width)
                 _show_rows(shown, m, x[:, i], width)

@@ -6,3 +6,8 @@ import pytest
 def need_sb3(module="torch"):
     """Skip what asks, unless the extra ``sb3`` is installed, of which ``module`` is a part."""
     return pytest.importorskip(module, reason="needs the extra 'sb3': pip install 'ptne-env[sb3]'")
+
+
+def need_numba():
+    """Skip what asks, unless the extra ``fast`` is installed."""
+    return pytest.importorskip("numba", reason="needs the extra 'fast': pip install 'ptne-env[fast]'")

@@ -3,12 +3,13 @@ import pickle
 
 import numpy as np
 import pytest
+from extras import need_numba
 from test_parallel import arrays_in, same
 from worlds import BLOCKS_SWITCHING, make_env
 
 import ptne_env
-from ptne_env import FactorySpec, VectorParallelEnv, get_scenario, laws
-from ptne_env.envs import VectorStep
+from ptne_env import FactorySpec, VectorParallelEnv, fused, get_scenario, laws
+from ptne_env.envs import VectorBuffers, VectorStep
 from ptne_env.envs import vector as vector_module
 from ptne_env.world import World
 
@@ -444,3 +445,178 @@ def test_a_bad_restart_mask_is_refused_and_no_environment_moves(restart, message
     with pytest.raises(ValueError, match=message):
         env.step(actions, restart)
     assert np.array_equal(env.step(actions).observations, undisturbed.step(actions).observations)
+
+
+# --- buffers of the caller --------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(params=["numpy", "compiled"])
+def path(request, monkeypatch):
+    """Numpy's steps, or compiled steps from the first on."""
+    if request.param == "compiled":
+        need_numba()
+    monkeypatch.setattr(fused, "_spent", np.inf if request.param == "compiled" else -np.inf)
+
+
+def buffers_of(env, rewards=np.float64, fill=7):
+    batch, players, size = env.num_envs, env.num_players, env.layout.size
+    return VectorBuffers(
+        np.full((batch, players, size), fill, dtype=np.float32),
+        np.full((batch, players), fill, dtype=rewards),
+        np.ones(batch, dtype=np.bool_),
+        np.ones(batch, dtype=np.bool_),
+    )
+
+
+@pytest.mark.parametrize("threads", [1, 2, 3])
+@pytest.mark.parametrize("interface", ["physical", "local"])
+def test_steps_and_resets_write_into_the_buffers_of_the_caller(interface, threads, block_size, path):
+    env, fresh = make(max_cycles=4, interface=interface, threads=threads), make(max_cycles=4, interface=interface)
+    generators, out = [np.random.default_rng(0) for _ in range(2)], buffers_of(env)
+    assert env.reset(seed=0, out=out) is out.observations
+    assert np.array_equal(out.observations, fresh.reset(seed=0))
+    assert out.rewards.min() == 7
+    for _ in range(14):
+        outcome = env.step(random_actions(env, generators[0]), out=out)
+        expected = fresh.step(random_actions(fresh, generators[1]))
+        assert all(found is given for found, given in zip(outcome, out, strict=False))
+        assert same(tuple(outcome), tuple(expected))
+        over = expected.terminated | expected.truncated
+        if over.any():
+            assert np.array_equal(env.reset(mask=out.truncated | out.terminated, out=out), fresh.reset(mask=over))
+
+
+def test_rewards_may_be_single_and_missing_buffers_are_made(path):
+    env, fresh = make(), make()
+    env.reset(seed=0), fresh.reset(seed=0)
+    actions = random_actions(env, np.random.default_rng(0))
+    rewards = np.empty((5, 5), dtype=np.float32)
+    outcome, expected = env.step(actions, out=VectorBuffers(rewards=rewards)), fresh.step(actions)
+    assert outcome.rewards is rewards
+    assert np.array_equal(rewards, expected.rewards.astype(np.float32))
+    assert same(outcome.infos, expected.infos)
+    assert np.array_equal(outcome.observations, expected.observations)
+
+
+def test_rows_of_a_rollout_buffer_are_written_whole_each_time_round(path):
+    env, fresh = make(max_cycles=100, steps=400), make(max_cycles=100, steps=400)
+    env.reset(seed=0), fresh.reset(seed=0)
+    rollout, generators = np.full((3, 5, 5, env.layout.size), np.nan, np.float32), [np.random.default_rng(0), None]
+    for step in range(7):
+        actions = random_actions(env, generators[0])
+        env.step(actions, out=VectorBuffers(rollout[step % 3]))
+        assert np.array_equal(rollout[step % 3], fresh.step(actions).observations)
+    memory = rollout.__array_interface__["data"][0]
+    del rollout
+    for _ in range(50):  # another array, perhaps at the same address, has not been written yet
+        other = np.full((3, 5, 5, env.layout.size), np.nan, np.float32)
+        actions = random_actions(env, generators[0])
+        env.step(actions, out=VectorBuffers(other[0]))
+        assert np.array_equal(other[0], fresh.step(actions).observations)
+        if other.__array_interface__["data"][0] == memory:
+            break
+
+
+def test_restarts_may_be_the_flags_that_the_step_overwrites(path):
+    env, fresh = make(max_cycles=3), make(max_cycles=3)
+    out, over, generator = buffers_of(env), np.zeros(5, dtype=np.bool_), np.random.default_rng(0)
+    env.reset(seed=0), fresh.reset(seed=0)
+    out.truncated[:] = False
+    for _ in range(9):
+        actions = random_actions(env, generator)
+        outcome, expected = env.step(actions, restart=out.truncated, out=out), fresh.step(actions, restart=over)
+        assert same(tuple(outcome), tuple(expected))
+        over = expected.truncated
+
+
+def test_actions_that_lie_in_a_buffer_are_read_before_it_is_written(path):
+    env, fresh = make(), make()
+    env.reset(seed=0), fresh.reset(seed=0)
+    out = buffers_of(env)
+    actions = out.observations.reshape(-1)[:125].reshape(5, 5, 5)
+    actions[...] = random_actions(env, np.random.default_rng(0))
+    expected = fresh.step(actions.copy())
+    assert same(tuple(env.step(actions, out=out)), tuple(expected))
+
+
+SIZE = make().layout.size
+SHARED = np.zeros(5 * 5 * SIZE * 4 + 100, dtype=np.uint8)
+WRONG_BUFFERS = {
+    "a tuple": ((None, None, None, None), "out is a VectorBuffers, got a tuple"),
+    "shape": (
+        VectorBuffers(np.zeros((5, 5, SIZE + 1), np.float32)),
+        r"out.observations is a C-contiguous array of float",
+    ),
+    "dtype": (VectorBuffers(np.zeros((5, 5, SIZE))), r"float32 of shape .* got float64 of shape"),
+    "order": (VectorBuffers(np.zeros((SIZE, 5, 5), np.float32).T), "not contiguous"),
+    "rewards": (
+        VectorBuffers(rewards=np.zeros((5, 5), np.float16)),
+        "out.rewards .* of float64 or float32 .* got float16",
+    ),
+    "flags": (VectorBuffers(truncated=np.zeros(5, np.uint8)), "out.truncated .* of bool .* got uint8"),
+    "list": (VectorBuffers(terminated=[False] * 5), "out.terminated .* got a list"),
+    "masked": (VectorBuffers(rewards=np.ma.zeros((5, 5))), "got a MaskedArray"),
+    "read-only": (VectorBuffers(rewards=np.broadcast_to(np.zeros((5, 5)), (5, 5))), "read-only"),
+    "overlap with itself": (
+        VectorBuffers(rewards=np.lib.stride_tricks.as_strided(np.zeros(9), (5, 5), (8, 8))),
+        "out.rewards .* not contiguous",
+    ),
+    "overlap of two": (
+        VectorBuffers(SHARED[: 100 * SIZE].view(np.float32).reshape(5, 5, SIZE), truncated=SHARED[9:14].view(np.bool_)),
+        "out.observations and out.truncated share memory: each needs its own",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", WRONG_BUFFERS)
+def test_a_wrong_buffer_is_refused_and_nothing_changes(case, path):
+    out, message = WRONG_BUFFERS[case]
+    env, undisturbed = make(), make()
+    env.reset(seed=0), undisturbed.reset(seed=0)
+    with pytest.raises(ValueError, match=message):
+        env.step(random_actions(env, np.random.default_rng(3)), out=out)
+    with pytest.raises(ValueError, match=message):
+        env.reset(seed=5, out=out)
+    assert same(go_on(env, 9), go_on(undisturbed, 9))
+
+
+# --- threads ----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("interface", ["physical", "local"])
+@pytest.mark.parametrize("name", ["random-energy-switching-transformed", "non-quadratic"])
+def test_numbers_do_not_depend_on_the_number_of_threads(name, interface, path):
+    fields = {"interface": interface, "num_envs": 7, "max_cycles": 5, "steps": 400, "start": "random"}
+    one, *others = (make(name, threads=threads, **fields) for threads in (1, 2, 3, 9))
+    first = one.reset(seed=0)
+    record = go_on(one, 12)
+    for env in others:
+        assert np.array_equal(env.reset(seed=0), first)
+        assert same(go_on(env, 12), record)
+
+
+@pytest.mark.parametrize("threads", [0, -1, 1.5, True, "2", None])
+def test_a_wrong_number_of_threads_is_refused(threads):
+    with pytest.raises(ValueError, match="threads must be a whole number of at least 1"):
+        make(threads=threads)
+
+
+def test_copies_and_pickles_of_an_environment_have_threads_of_their_own(path):
+    env = make(threads=2)
+    env.reset(seed=0)
+    go_on(env, 2)
+    twins = copy.deepcopy(env), pickle.loads(pickle.dumps(env))  # noqa: S301
+    expected = go_on(env, 4)
+    assert all(same(go_on(twin, 4), expected) for twin in twins)
+
+
+def test_an_error_on_a_thread_reaches_the_caller(monkeypatch):
+    env = make(threads=2)
+    env.reset(seed=0)
+
+    def fail(*_, **__):
+        raise MemoryError
+
+    monkeypatch.setattr(env._blocks[1], "step", fail)
+    with pytest.raises(MemoryError):
+        env.step(random_actions(env, np.random.default_rng(0)))

@@ -1,0 +1,267 @@
+"""The compiled step and numpy make the same numbers, and nothing but the time depends on numba."""
+
+import math
+import warnings
+
+import numpy as np
+import pytest
+from extras import need_numba
+from processes import run_python
+from worlds import BLOCKS, FAULTY
+
+from ptne_env import CATALOGUE, VectorParallelEnv, fused, parallel_env
+from ptne_env.experiments.ptne_v1 import ptne_v1
+from ptne_env.experiments.ptne_v2 import ptne_v2
+
+WITHOUT_FAULTS = {"channel": "perfect", "disturbance": "none", "sensor": None, "drift": None}
+
+
+def _worlds():
+    """Every scenario and track, and every track with faults once more without them, by name."""
+    worlds = dict(CATALOGUE)
+    for suite in (ptne_v1(), ptne_v2()):
+        for track in suite.tracks:
+            worlds[f"{suite.name} {track.name}"] = track.scenario
+            clean = track.scenario.replace(**WITHOUT_FAULTS)
+            if clean != track.scenario:
+                worlds[f"{suite.name} {track.name} without faults"] = clean
+    return worlds
+
+
+WORLDS = _worlds()
+
+NUMPY_ALONE = {
+    "non-quadratic",
+    "non-quadratic-switching",
+    "non-quadratic-printed",
+    "rate-control",
+    "ptne-v1 non-quadratic",
+    *(f"ptne-v2 {name} without faults" for name in ("non-affine", "several-equilibria")),
+    *(name.removesuffix(" without faults") for name in WORLDS if name.endswith("faults")),
+}
+"""The worlds without a compiled step: games that are not affine, and channels, disturbances, sensors and drifts."""
+
+
+@pytest.fixture
+def compiled(monkeypatch):
+    """Steps are compiled from the first on."""
+    need_numba()
+    monkeypatch.setattr(fused, "_spent", math.inf)
+
+
+def vector_env(scenario, num_envs, *, by_numpy=False, **arguments):
+    env = VectorParallelEnv(scenario, num_envs, **arguments)
+    for block in env._blocks:
+        block._fused = None if by_numpy else block._fused
+    return env
+
+
+def bits(array):
+    return array.dtype, array.shape, np.ascontiguousarray(array).tobytes()
+
+
+def check_equal(envs, steps, seed=0):
+    """Step two environments alike, and compare all that they return and hold; some actions are outside the box."""
+    ours, numpys = envs
+    generator = np.random.default_rng(seed)
+    assert bits(ours.reset(seed=seed)) == bits(numpys.reset(seed=seed))
+    for step in range(steps):
+        shape = (ours.num_envs, ours.num_players, ours.layout.action_size)
+        width = ours.layout.action_bound * (1.2 if step % 3 == 0 else 0.01)
+        actions = generator.uniform(-width, width, shape).astype(np.float32)
+        outcome, expected = ours.step(actions), numpys.step(actions)
+        assert bits(outcome.observations) == bits(expected.observations), step
+        np.testing.assert_allclose(outcome.rewards, expected.rewards, rtol=0, atol=1e-12)
+        assert bits(outcome.terminated) == bits(expected.terminated)
+        for block, other in zip(ours._blocks, numpys._blocks, strict=True):
+            for name in ("step", "estimates", "own_gradients", "diverged"):
+                assert bits(getattr(block.state, name)) == bits(getattr(other.state, name)), (step, name)
+        over = outcome.terminated | (np.arange(ours.num_envs) % 3 == step % 7)
+        if over.any():
+            assert bits(ours.reset(mask=over)) == bits(numpys.reset(mask=over))
+
+
+def kernel_calls(monkeypatch):
+    """A list that grows with every call of the compiled step."""
+    kernels, calls = fused.kernels(), []
+    step = kernels.step
+    monkeypatch.setattr(kernels, "step", lambda *arguments: (calls.append(1), step(*arguments))[1])
+    return calls
+
+
+@pytest.mark.parametrize("interface", ["physical", "local"])
+@pytest.mark.parametrize("name", WORLDS)
+def test_a_world_steps_bit_for_bit_the_same_compiled(name, interface, compiled, monkeypatch):
+    calls, num_envs = kernel_calls(monkeypatch), 2 if "crowd" in name else 4
+    envs = [vector_env(WORLDS[name], num_envs, by_numpy=flag, interface=interface) for flag in (False, True)]
+    steps = 3 if "crowd" in name else 12
+    check_equal(envs, steps)
+    assert len(calls) == (0 if name in NUMPY_ALONE else steps * len(envs[0]._blocks))
+
+
+@pytest.mark.parametrize("interface", ["physical", "local"])
+@pytest.mark.parametrize("num_envs", [1, 63, 64, 65, 130])
+@pytest.mark.parametrize("name", ["energy", "random-energy-switching", "ev-charging", "ptne-v2 uneven without faults"])
+def test_batches_of_any_size_are_the_same_compiled(name, num_envs, interface, compiled):
+    envs = [vector_env(WORLDS[name], num_envs, by_numpy=flag, interface=interface) for flag in (False, True)]
+    check_equal(envs, 4)
+
+
+@pytest.mark.parametrize("interface", ["physical", "local"])
+def test_players_with_clocks_of_their_own_and_random_graphs_are_the_same_compiled(interface, compiled, monkeypatch):
+    calls, scenario = kernel_calls(monkeypatch), FAULTY.replace(**WITHOUT_FAULTS)
+    check_equal([vector_env(scenario, 70, by_numpy=flag, interface=interface) for flag in (False, True)], 20)
+    assert len(calls) == 20
+
+
+def test_a_game_with_formulas_of_its_own_is_stepped_by_numpy(compiled, monkeypatch):
+    calls = kernel_calls(monkeypatch)
+    vector_env(BLOCKS, 2).reset(seed=0)
+    check_equal([vector_env(BLOCKS, 2, by_numpy=flag) for flag in (False, True)], 3)
+    assert calls == []
+
+
+@pytest.mark.parametrize("arguments", [{"action_mode": "gains"}, {"own_payoff": True}])
+def test_other_actions_and_own_payoffs_are_left_to_numpy(arguments, compiled, monkeypatch):
+    calls = kernel_calls(monkeypatch)
+    check_equal([vector_env("random-energy", 2, by_numpy=flag, **arguments) for flag in (False, True)], 3)
+    assert calls == []
+
+
+def test_every_reward_is_the_same_compiled(compiled):
+    reward = {"digits": 1.0, "tracking": 0.1, "payoff": 1e-3, "regret": 1e-3}
+    check_equal([vector_env("random-energy", 5, by_numpy=flag, reward=reward) for flag in (False, True)], 12)
+
+
+@pytest.mark.parametrize("interface", ["physical", "local"])
+def test_environments_that_diverge_are_left_to_numpy(interface, compiled):
+    arguments = {"interface": interface, "input_limit": 1e9, "action_scale": 1e9}
+    envs = [vector_env("random-energy", 5, by_numpy=flag, **arguments) for flag in (False, True)]
+    for env in envs:
+        env.reset(seed=0)
+    actions = np.zeros((5, 5, 5), dtype=np.float32)
+    actions[2] = envs[0].layout.action_bound
+    for step in range(3):
+        ours, expected = (env.step(actions, restart=np.arange(5) == 2 if step else None) for env in envs)
+        assert ours.infos["diverged"].tolist() == expected.infos["diverged"].tolist()
+        assert ours.infos["diverged"][2] == (step == 0)
+        assert bits(ours.observations) == bits(expected.observations)
+        assert bits(ours.rewards) == bits(expected.rewards)
+
+
+@pytest.mark.parametrize("interface", ["physical", "local"])
+def test_numpy_and_the_compiled_step_may_take_turns_in_an_episode(interface, compiled, monkeypatch):
+    mixed, pure = (parallel_env("random-energy", interface=interface) for _ in range(2))
+    pure._simulation._fused = None
+    generator, calls = np.random.default_rng(0), kernel_calls(monkeypatch)
+    mixed.reset(seed=1), pure.reset(seed=1)
+    for step in range(20):
+        monkeypatch.setattr(fused, "_spent", math.inf if step % 3 else 0.0)
+        actions = {agent: generator.uniform(-0.3, 0.3, 5).astype(np.float32) for agent in mixed.agents}
+        (observations, *rest), (expected, *other) = mixed.step(actions), pure.step(actions)
+        assert rest == other
+        assert all(bits(observations[agent]) == bits(expected[agent]) for agent in expected)
+    assert len(calls) == 13
+
+
+@pytest.mark.parametrize("interface", ["physical", "local"])
+def test_a_state_from_outside_in_another_memory_order_is_the_same_compiled(interface, compiled):
+    envs = [vector_env("random-energy", 6, by_numpy=flag, interface=interface) for flag in (False, True)]
+    table = np.random.default_rng(0).uniform(-5, 5, (6, 5, 5))
+    first, second = (env.reset(seed=3, estimates=table) for env in envs)
+    assert bits(first) == bits(second)
+    actions = np.full((5, 5, 6), 0.1, dtype=np.float16).T
+    outcome, expected = (env.step(actions) for env in envs)
+    assert bits(outcome.observations) == bits(expected.observations)
+    assert bits(outcome.rewards) == bits(expected.rewards)
+
+
+# --- the switch -------------------------------------------------------------------------------------------------------
+
+PLAY = """
+import warnings, sys
+warnings.simplefilter("error")
+import numpy as np, ptne_env
+from ptne_env import fused
+env = ptne_env.parallel_env("energy")
+def play(steps):
+    env.reset(seed=0)
+    for _ in range(steps):
+        env.step({agent: np.zeros(5, dtype=np.float32) for agent in env.agents})
+"""
+
+
+def test_numba_is_imported_when_steps_have_taken_long_enough_and_silently():
+    need_numba()
+    program = f"{PLAY}\nplay(3)\nprint('numba' in sys.modules)\nfused.spend(fused.PATIENCE)\nplay(3)\n"
+    run = run_python("-c", f"{program}print('numba' in sys.modules, fused.kernels() is not None)")
+    assert (run.stdout.split(), run.stderr) == (["False", "True", "True"], "")
+
+
+@pytest.mark.parametrize(
+    "content", ["raise RuntimeError('no LLVM')", "import ptne_nothing", "config = None", "raise SystemError('no LLVM')"]
+)
+def test_a_broken_numba_is_one_warning_and_the_numpy_path(content, tmp_path):
+    (tmp_path / "numba").mkdir()
+    (tmp_path / "numba" / "__init__.py").write_text(content, encoding="utf-8")
+    program = f"""
+sys.path.insert(0, {str(tmp_path)!r})
+fused.spend(fused.PATIENCE)
+warnings.simplefilter("always")
+with warnings.catch_warnings(record=True) as caught:
+    play(5)
+print(*[f"{{type(each.message).__name__}}: {{each.message}}" for each in caught], sep="\\n")
+"""
+    lines = run_python("-c", PLAY + program).stdout.splitlines()
+    assert len(lines) == 1
+    assert lines[0].startswith("RuntimeWarning: the compiled step is left out, and numpy makes all steps, because")
+
+
+@pytest.mark.parametrize("why", ["numba is not installed", "its compiler is switched off"])
+def test_without_numba_numpy_makes_all_steps_silently(why, tmp_path):
+    program = "sys.modules['numba'] = None\n"
+    if why != "numba is not installed":
+        need_numba()
+        program = "import os\nos.environ['NUMBA_DISABLE_JIT'] = '1'\n"
+    run = run_python("-c", f"{PLAY}{program}fused.spend(fused.PATIENCE)\nplay(5)\nprint(fused.kernels())")
+    assert (run.stdout.strip(), run.stderr) == ("None", "")
+
+
+def test_a_processor_that_rounds_differently_is_one_warning_and_the_numpy_path(compiled, monkeypatch):
+    kernels = fused.kernels()
+    step = kernels.step
+
+    def inexact(estimates, *arguments):
+        in_range = step(estimates, *arguments)
+        arguments[5][0, 0, 0] = np.nextafter(arguments[5][0, 0, 0], 1)  # the first of the results
+        return in_range
+
+    monkeypatch.setattr(kernels, "step", inexact)
+    ours, expected = vector_env("energy", 3), vector_env("energy", 3, by_numpy=True)
+    ours.reset(seed=0), expected.reset(seed=0)
+    actions = np.zeros((3, 5, 5), dtype=np.float32)
+    with pytest.warns(RuntimeWarning, match="its numbers are not those of numpy") as caught:
+        results = [ours.step(actions) for _ in range(3)]
+    assert len(caught) == 1
+    assert [bits(result.observations) for result in results] == [
+        bits(expected.step(actions).observations) for _ in range(3)
+    ]
+
+
+@pytest.mark.parametrize("folder", ["none can be written", "the disk is full"])
+def test_a_cache_that_cannot_be_written_is_no_error(folder, monkeypatch):
+    need_numba()
+    from numba.core import caching
+
+    from ptne_env.kernels import kept_on_disk
+
+    def refuse(*_):
+        raise OSError(28, "No space left on device")
+
+    if folder == "the disk is full":
+        monkeypatch.setattr(caching.IndexDataCacheFile, "save", refuse)
+    else:
+        monkeypatch.setattr(caching.CacheImpl, "_locator_classes", [])
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert fused._first_call(kept_on_disk(lambda value: value > folder.count("n")), 9)
