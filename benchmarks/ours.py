@@ -2,32 +2,36 @@
 
 from __future__ import annotations
 
+import math
 import tempfile
 import tracemalloc
 import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from time import perf_counter
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
 from benchmarks.peers import MissingPeerError, iter_forever
 from benchmarks.timing import Contender, Plan, Spread, seconds_per_call
-from ptne_env import dynamics, laws, parallel_env
+from ptne_env import dynamics, fused, laws, parallel_env
 from ptne_env.arrays import Float32Array
 from ptne_env.catalogue import get_scenario
 from ptne_env.dynamics import State
 from ptne_env.encoder import Encoder, make_encoder
-from ptne_env.envs.vector import VectorParallelEnv
+from ptne_env.envs.vector import VectorBuffers, VectorParallelEnv
 from ptne_env.experiments.episodes import EpisodeSet
 from ptne_env.experiments.rollout import rollout
 from ptne_env.observation import Interface, InterfaceKind
 from ptne_env.rewards import Reward
 from ptne_env.scenario import Scenario
 from ptne_env.world import World
+
+StepPath = Literal["compiled", "numpy"]
 
 _BATCHES = 16
 """Random joint actions, drawn before the clock runs, and as many of the opposite sign: their mean is 0, so estimates
@@ -40,6 +44,17 @@ def actions(bound: float, shape: tuple[int, ...]) -> Iterator[Float32Array]:
     half = [generator.uniform(-bound, bound, shape).astype(np.float32) for _ in range(_BATCHES)]
     endless: Iterator[Float32Array] = iter_forever([*half, *(-batch for batch in half)])
     return endless
+
+
+def use(path: StepPath) -> None:
+    """Make all steps compiled where that is possible, or all by numpy."""
+    fused.PATIENCE = 0.0 if path == "compiled" else math.inf
+
+
+def by(path: StepPath, contender: Contender) -> Contender:
+    """The contender with compiled steps, or with those of numpy and a name that says so."""
+    name = contender.name if path == "compiled" else f"{contender.name}, numpy"
+    return replace(contender, name=name, prepare=partial(use, path))
 
 
 def single(interface: InterfaceKind) -> Contender:
@@ -80,19 +95,28 @@ def dictionaries() -> Contender:
     return Contender("five dictionaries alone", len(agents), step)
 
 
-def vector(interface: InterfaceKind, num_envs: int, scenario: str | Scenario = "energy") -> Contender:
-    """The vector environment; finished episodes are reset."""
-    env = VectorParallelEnv(scenario, num_envs, interface=interface)
+def vector(
+    interface: InterfaceKind,
+    num_envs: int,
+    scenario: str | Scenario = "energy",
+    *,
+    threads: int = 1,
+    has_buffers: bool = False,
+) -> Contender:
+    """The vector environment; finished episodes are reset. It writes into one set of buffers, or into new arrays."""
+    env = VectorParallelEnv(scenario, num_envs, interface=interface, threads=threads)
     env.reset(seed=0)
     turn = actions(env.layout.action_bound, (num_envs, env.num_players, env.layout.action_size))
+    out = VectorBuffers(*env.step(next(turn))[:4]) if has_buffers else None
+    name = f"ptne_env, {interface}" + f", {threads} threads" * (threads > 1) + ", buffers" * has_buffers
 
     def step() -> None:
-        outcome = env.step(next(turn))
+        outcome = env.step(next(turn), out=out)
         over = outcome.terminated | outcome.truncated
         if over.any():
-            env.reset(mask=over)
+            env.reset(mask=over, out=out)
 
-    return Contender(f"ptne_env, {interface}", num_envs * env.num_players, step)
+    return Contender(name, num_envs * env.num_players, step)
 
 
 def slots(interface: InterfaceKind, num_envs: int) -> Contender:
@@ -126,6 +150,9 @@ def parts(interface: InterfaceKind, num_envs: int, plan: Plan, scenario: str | S
         "reward": lambda: reward.total(reward.step(after)),
         "observe": lambda: encoder.observe(after),
     }
+    if fused.kernels() is not None and fused.qualifies(encoder):
+        compiled, out = fused.FusedStep(encoder), encoder.observe(state)
+        calls["all but the reward, compiled"] = lambda: compiled(state, played, out)
     return {name: 1e6 * seconds_per_call(call, plan) for name, call in calls.items()}
 
 

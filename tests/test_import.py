@@ -12,7 +12,10 @@ from processes import run_python
 import ptne_env
 
 SOURCE = Path(ptne_env.__file__)
-HEAVY = ("torch", "matplotlib", "plotly", "scipy.stats", "stable_baselines3", "pandas", "onnxruntime", "networkx")
+HEAVY = (
+    *("torch", "matplotlib", "plotly", "scipy.stats", "stable_baselines3", "pandas", "onnxruntime", "networkx"),
+    "numba",
+)
 
 PUBLIC = {
     alias.asname: node.module

@@ -154,11 +154,12 @@ class VectorParallelEnv:
             ("out.truncated", (batch,), (flag,)),
         )
         self._pool: tuple[int, ThreadPoolExecutor] | None = None
+        self._apart: VectorBuffers | None = None  # the last buffers, which are known to share no memory
         self._written: dict[int, weakref.ref[Float32Array]] = {}
 
     def __getstate__(self) -> dict[str, Any]:
         """Copies and pickles have no threads, and have not written into any buffer."""
-        return {**self.__dict__, "_pool": None, "_written": {}}
+        return {**self.__dict__, "_pool": None, "_apart": None, "_written": {}}
 
     @property
     def max_cycles(self) -> int | None:
@@ -280,10 +281,12 @@ class VectorParallelEnv:
                 continue
             _require_buffer(name, array, shape, dtypes)
             arrays.append(array)
-            spans.append((_address(array), array.nbytes, name))
+            if out is not self._apart:
+                spans.append((_address(array), array.nbytes, name))
         for (start, size, name), (following, _, other) in pairwise(sorted(spans)):
             if start + size > following:
                 raise ValueError(f"{name} and {other} share memory: each needs its own")
+        self._apart = out
         return _Buffers(*arrays)
 
     def _holds_constants(self, observations: Float32Array) -> bool:
