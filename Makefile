@@ -73,7 +73,7 @@ smoke:
 audit:
 	$(PYTHON) -m venv --clear $(VENV)-audit
 	$(VENV)-audit/bin/pip install --quiet --disable-pip-version-check --constraint constraints.txt \
-		--editable '.[sb3]' pip-audit
+		--editable '.[fast,sb3]' pip-audit
 	$(VENV)-audit/bin/pip freeze --exclude-editable > $(VENV)-audit/requirements.txt
 	$(VENV)-audit/bin/pip-audit --strict --no-deps --disable-pip --requirement $(VENV)-audit/requirements.txt
 
