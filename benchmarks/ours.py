@@ -150,7 +150,7 @@ def parts(interface: InterfaceKind, num_envs: int, plan: Plan, scenario: str | S
         "reward": lambda: reward.total(reward.step(after)),
         "observe": lambda: encoder.observe(after),
     }
-    if fused.kernels() is not None and fused.qualifies(encoder):
+    if fused.kernels() is not None and fused.qualifies(encoder, num_envs):
         compiled, out = fused.FusedStep(encoder), encoder.observe(state)
         calls["all but the reward, compiled"] = lambda: compiled(state, played, out)
     return {name: 1e6 * seconds_per_call(call, plan) for name, call in calls.items()}

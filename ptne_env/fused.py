@@ -27,6 +27,9 @@ from ptne_env.world import RANGE_LIMIT
 PATIENCE = 0.3
 """Seconds of numpy steps before numba is loaded, which takes about as long, so that a short run never waits for it."""
 
+LARGEST_ALONE, LARGEST_TOGETHER = 5_000, 200_000
+"""Most relative estimates D n N with which one environment, or each of several, is stepped faster than by numpy."""
+
 _TILE, _TILE_ENTRIES = 64, 8192
 """Largest number of environments in a tile, and of estimates n N times environments: its numbers stay in a cache."""
 
@@ -34,10 +37,11 @@ _spent = 0.0
 """Seconds so far; minus infinity keeps numpy for good."""
 
 
-def spend(seconds: float) -> None:
-    """Count the time of a step that numpy made in a world that qualifies."""
+def spend(seconds: float) -> bool:
+    """Count the time of a step that numpy made in a world that qualifies; whether later steps may be compiled."""
     global _spent  # noqa: PLW0603 - of the whole process, as a loaded module is
     _spent += seconds
+    return _spent > -np.inf and (_spent < PATIENCE or _load() is not None)
 
 
 def kernels() -> ModuleType | None:
@@ -83,12 +87,12 @@ def _refuse(reason: Exception | str) -> None:
     warnings.warn(message, RuntimeWarning, stacklevel=2)
 
 
-def qualifies(encoder: Encoder) -> bool:
-    """Whether a world and an interface have a compiled step.
+def qualifies(encoder: Encoder, num_envs: int) -> bool:
+    """Whether a number of environments of a world, under an interface, have a compiled step.
 
-    They have one without channel, disturbance, sensor and drift, for games whose own gradients are those of
-    :class:`~ptne_env.games.AffineGame` or :class:`~ptne_env.games.EnergyGame`, under ``physical`` and ``local`` with
-    actions as inputs and without ``own_payoff``.
+    They have one in worlds that are not too large, without channel, disturbance, sensor and drift, for games whose own
+    gradients are those of :class:`~ptne_env.games.AffineGame` or :class:`~ptne_env.games.EnergyGame`, under
+    ``physical`` and ``local`` with actions as inputs and without ``own_payoff``.
     """
     world, interface = encoder.world, encoder.interface
     return (
@@ -99,6 +103,8 @@ def qualifies(encoder: Encoder) -> bool:
         and world.disturbance.is_absent
         and world.sensor is None
         and world.drift is None
+        and world.slots * encoder.layout.dimension * encoder.layout.num_players
+        <= (LARGEST_ALONE if num_envs == 1 else LARGEST_TOGETHER)
         and _is_known(world.game)
     )
 

@@ -44,9 +44,11 @@ NUMPY_ALONE = {
 
 @pytest.fixture
 def compiled(monkeypatch):
-    """Steps are compiled from the first on."""
+    """Steps are compiled from the first on, however large the world."""
     need_numba()
     monkeypatch.setattr(fused, "_spent", math.inf)
+    monkeypatch.setattr(fused, "LARGEST_ALONE", math.inf)
+    monkeypatch.setattr(fused, "LARGEST_TOGETHER", math.inf)
 
 
 def vector_env(scenario, num_envs, *, by_numpy=False, **arguments):
@@ -176,6 +178,11 @@ def test_a_state_from_outside_in_another_memory_order_is_the_same_compiled(inter
     assert bits(outcome.rewards) == bits(expected.rewards)
 
 
+def test_one_environment_of_a_large_world_is_left_to_numpy():
+    crowd, pair = (vector_env(WORLDS["ptne-v1 large-50"], num_envs) for num_envs in (1, 2))
+    assert (crowd._blocks[0]._fused is None, pair._blocks[0]._fused is None) == (True, False)
+
+
 # --- the switch -------------------------------------------------------------------------------------------------------
 
 PLAY = """
@@ -193,7 +200,7 @@ def play(steps):
 
 def test_numba_is_imported_when_steps_have_taken_long_enough_and_silently():
     need_numba()
-    program = f"{PLAY}\nplay(3)\nprint('numba' in sys.modules)\nfused.spend(fused.PATIENCE)\nplay(3)\n"
+    program = f"{PLAY}\nplay(3)\nprint('numba' in sys.modules)\nfused._spent = fused.PATIENCE\nplay(3)\n"
     run = run_python("-c", f"{program}print('numba' in sys.modules, fused.kernels() is not None)")
     assert (run.stdout.split(), run.stderr) == (["False", "True", "True"], "")
 
@@ -206,7 +213,7 @@ def test_a_broken_numba_is_one_warning_and_the_numpy_path(content, tmp_path):
     (tmp_path / "numba" / "__init__.py").write_text(content, encoding="utf-8")
     program = f"""
 sys.path.insert(0, {str(tmp_path)!r})
-fused.spend(fused.PATIENCE)
+fused._spent = fused.PATIENCE
 warnings.simplefilter("always")
 with warnings.catch_warnings(record=True) as caught:
     play(5)
@@ -223,7 +230,7 @@ def test_without_numba_numpy_makes_all_steps_silently(why, tmp_path):
     if why != "numba is not installed":
         need_numba()
         program = "import os\nos.environ['NUMBA_DISABLE_JIT'] = '1'\n"
-    run = run_python("-c", f"{PLAY}{program}fused.spend(fused.PATIENCE)\nplay(5)\nprint(fused.kernels())")
+    run = run_python("-c", f"{PLAY}{program}fused._spent = fused.PATIENCE\nplay(5)\nprint(fused.kernels())")
     assert (run.stdout.strip(), run.stderr) == ("None", "")
 
 

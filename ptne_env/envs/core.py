@@ -96,7 +96,7 @@ class Simulation:
         self.num_envs = require_count("num_envs", num_envs, 1)
         self.max_cycles = None if max_cycles is None else require_count("max_cycles", max_cycles, 1)
         self._reward = Reward(self.world, reward)
-        self._fused = fused.FusedStep(encoder) if fused.qualifies(encoder) else None
+        self._fused = fused.FusedStep(encoder) if fused.qualifies(encoder, self.num_envs) else None
         self._streams: list[RandomStreams] = []
         self.state: State | None = None
 
@@ -214,8 +214,8 @@ class Simulation:
             state = dynamics.step(self.world, before, self.encoder.inputs(actions, before))
             terms = self._reward.step(state)
             self.encoder.observe(state, out)
-            if self._fused is not None:
-                fused.spend(perf_counter() - began)
+            if self._fused is not None and not fused.spend(perf_counter() - began):
+                self._fused = None
         else:
             state, distance = moved
             terms = self._reward.step(state, distance)

@@ -271,7 +271,7 @@ class VectorParallelEnv:
             ValueError: when one of them does not fit, or two share memory.
         """
         if out is None:
-            return _Buffers(*(np.empty(shape, dtypes[0]) for _, shape, dtypes in self._results))
+            return _Buffers(*[np.empty(shape, dtypes[0]) for _, shape, dtypes in self._results])
         if not isinstance(out, VectorBuffers):
             raise ValueError(f"out is a VectorBuffers, got a {type(out).__name__}")
         arrays, spans = [], []
