@@ -135,13 +135,13 @@ class FusedStep:
         theta, ages = world.theta.reshape(-1, world.theta.shape[-1]), encoder.clock_table[4, 0]
         self._schedule = world.modes[:, None].astype(np.int16), ages[:, None].copy()
         rows, mask = encoder.gradient_rows, encoder.gradient_mask
-        # Copies, because numba compiles a function once more for arrays that are read-only.
+        # Copies, because numba compiles a function once more for arrays that are read-only or in another order.
         self._tables = (
             *(table.copy() for table in (theta, encoder.clock_table, world.mode_weights, world.neighbours)),
             world.game.owners.copy(),
             np.tile(np.arange(n), (players, 1)) if self._local is None else layout.ego_order.copy(),
             rows.copy(),
-            np.ones(rows.shape) if mask is None else mask[:, :, 0].astype(np.float64),
+            np.ones(rows.shape) if mask is None else np.array(mask[:, :, 0], dtype=np.float64, order="C"),
             layout.input_limit,
             layout.interface.action_scale,
             SMALLEST_SCALE,

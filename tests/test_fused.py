@@ -178,6 +178,20 @@ def test_a_state_from_outside_in_another_memory_order_is_the_same_compiled(inter
     assert bits(outcome.rewards) == bits(expected.rewards)
 
 
+@pytest.mark.parametrize("interface", ["physical", "local"])
+def test_all_worlds_share_one_compiled_step(interface, compiled):
+    signatures = set()
+    for name in ("energy", "cournot", "ev-charging", "ptne-v1 unseen-graphs", "ptne-v1 markov", "ptne-v1 wrong-clock"):
+        for num_envs in (1, 3):
+            env = vector_env(WORLDS[name], num_envs, interface=interface)
+            known = set(fused.kernels().step.signatures)
+            for estimates in (None, np.zeros((env.num_players, env.layout.dimension))):
+                env.reset(seed=0, estimates=estimates)
+                env.step(np.zeros((num_envs, env.num_players, env.layout.action_size), dtype=np.float32))
+            signatures |= set(fused.kernels().step.signatures) - known
+    assert len(signatures) <= 1
+
+
 def test_one_environment_of_a_large_world_is_left_to_numpy():
     crowd, pair = (vector_env(WORLDS["ptne-v1 large-50"], num_envs) for num_envs in (1, 2))
     assert (crowd._blocks[0]._fused is None, pair._blocks[0]._fused is None) == (True, False)
