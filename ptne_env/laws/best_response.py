@@ -11,6 +11,15 @@ from ptne_env.observation import Observation, ObservationLayout
 _MARGIN = 3.0
 """Standard deviations by which a curvature exceeds 0 where it is certain."""
 
+UNLIMITED = 1e6
+"""A distance beyond all estimates."""
+
+_ACCURACY = 0.5
+"""Largest error of a good prediction, relative to the gradient before."""
+
+_SHORTEST = 1e-3
+"""Smallest radius of the trust region, relative to the largest own estimate."""
+
 LARGEST_ROW = 32
 """Largest n for which whole rows of dF are identified, which takes n² numbers per player; else own blocks alone."""
 
@@ -75,6 +84,31 @@ def best_response(
     curvature = np.maximum(curvature, np.add.reduce(beside, axis=1).max(axis=1, keepdims=True))
     step = -np.einsum("rab,rb->ra", vectors, np.einsum("rba,rb->ra", vectors, wanted) / curvature)
     return step * (radius / np.maximum(largest(step), radius))
+
+
+def trust_radius(
+    radius: FloatArray,
+    own_moved: FloatArray,
+    prediction: tuple[FloatArray, BoolArray],
+    last_gradient: FloatArray,
+    estimate: FloatArray,
+) -> FloatArray:
+    """The radius of the trust region: the largest |Δx_i| of the coming step, shape (R, 1).
+
+    It is twice the largest own displacement so far, until a prediction of the own gradient fails by more than half of
+    the gradient before; then it is half of the last displacement.
+
+    Args:
+        radius: of the last step, shape (R, 1).
+        own_moved: the last own displacement, shape (R, m).
+        prediction: its error and whether it failed, by :func:`~ptne_env.laws.identification.identify`.
+        last_gradient: the own gradient before the displacement, shape (R, m).
+        estimate: own estimates, shape (R, n).
+    """
+    length, (error, failed) = largest(own_moved), prediction
+    is_bad = failed & (error > _ACCURACY * largest(last_gradient))
+    radius = np.where(is_bad, length / 2, np.maximum(radius, 2 * length))
+    return np.maximum(radius, _SHORTEST * largest(estimate))
 
 
 def within_reach(displacement: FloatArray, observation: Observation, layout: ObservationLayout) -> FloatArray:

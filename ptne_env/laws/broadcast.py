@@ -9,8 +9,8 @@ import numpy as np
 
 from ptne_env.arrays import BoolArray, FloatArray, IntArray, require_probability
 from ptne_env.laws.base import per_step
-from ptne_env.laws.best_response import own_block, with_own, within_reach
-from ptne_env.laws.relay import UNLIMITED, Relay, relay_displacement
+from ptne_env.laws.best_response import UNLIMITED, own_block, with_own, within_reach
+from ptne_env.laws.relay import Relay, relay_displacement
 from ptne_env.observation import Interface, Observation, ObservationLayout
 
 _CHECKS = 2

@@ -9,7 +9,15 @@ import numpy as np
 
 from ptne_env.arrays import FloatArray, require_positive
 from ptne_env.laws.base import Law, consensus, per_step
-from ptne_env.laws.best_response import LARGEST_ROW, largest, own_block, own_entries, with_own
+from ptne_env.laws.best_response import (
+    LARGEST_ROW,
+    UNLIMITED,
+    largest,
+    own_block,
+    own_entries,
+    trust_radius,
+    with_own,
+)
 from ptne_env.laws.identification import RESOLUTION, Model, blank, identify
 from ptne_env.laws.memory import Parts
 from ptne_env.observation import Observation, ObservationLayout
@@ -36,7 +44,8 @@ def proximal_displacement(
     dF, :func:`~ptne_env.laws.identification.identify`: (2 I + α G_ii) Δx_i = h Σ_j a_ij (x^j_i − x^i_i) − α (∂J_i/∂x_i
     + G_{i,−i} Δx_{−i}). It is exact for affine F as soon as the row is known. Until then three standard deviations are
     added to each curvature of G_ii, and a curvature below 0 counts as 0. In games with more than 32 components the own
-    block alone is identified, and G_{i,−i} counts as 0.
+    block alone is identified, and G_{i,−i} counts as 0. After the first step, no own displacement is longer than
+    :func:`~ptne_env.laws.best_response.trust_radius`, because F need not be affine.
 
     Args:
         observation: of R players.
@@ -61,7 +70,9 @@ def proximal_displacement(
         deviation = deviation + spread * largest(np.where(is_own, 0.0, moved))
     regressors = moved if is_whole else own_entries(moved, blocks)
     model = Model(memory["rows"], memory["covariance"])
-    (rows, covariance), _, _ = identify(model, regressors, gradient - memory["gradient"], deviation**2)
+    (rows, covariance), error, failed = identify(model, regressors, gradient - memory["gradient"], deviation**2)
+    own_moved = own_entries(moved, blocks)
+    radius = trust_radius(memory["radius"], own_moved, (error, failed), memory["gradient"], estimate)
 
     pull = mixing * consensus(observation.weights, observation.relative_estimates)
     drift = np.where(is_own, 0.0, pull / 2)
@@ -74,11 +85,14 @@ def proximal_displacement(
     curvature = np.maximum(curvature, 0.0) + _MARGIN * doubt
     wanted = own_entries(pull, blocks) - step * (gradient + foreseen)
     own_step = np.einsum("rab,rb->ra", vectors, np.einsum("rba,rb->ra", vectors, wanted) / (2 + step * curvature))
+    longest = np.where(memory["started"] > 0, radius, UNLIMITED)
+    own_step = own_step * (longest / np.maximum(largest(own_step), longest))
     return with_own(drift, own_step, blocks), {
         "rows": rows,
         "covariance": covariance,
         "estimate": estimate,
         "gradient": gradient,
+        "radius": radius,
         "started": np.ones((len(estimate), 1)),
     }
 
@@ -116,6 +130,7 @@ class ProximalBestResponse(Law):
                 "covariance": (regressors, regressors),
                 "estimate": (dimension,),
                 "gradient": (outputs,),
+                "radius": (1,),
                 "started": (1,),
             }
         )

@@ -15,15 +15,21 @@ import numpy as np
 
 from ptne_env.arrays import BoolArray, FloatArray, require_positive
 from ptne_env.laws.base import Law, per_step
-from ptne_env.laws.best_response import LARGEST_ROW, best_response, largest, own_entries, with_own, within_reach
+from ptne_env.laws.best_response import (
+    LARGEST_ROW,
+    UNLIMITED,
+    best_response,
+    largest,
+    own_entries,
+    trust_radius,
+    with_own,
+    within_reach,
+)
 from ptne_env.laws.contacts import contact_parts, contacts, noise_level, unknown_nearness
 from ptne_env.laws.identification import RESOLUTION, Model, blank, identify
 from ptne_env.laws.memory import Parts
 from ptne_env.laws.routed import Freshest, nearer_slots
 from ptne_env.observation import Interface, Observation, ObservationLayout
-
-_ACCURACY = 0.5
-"""Largest error of a good prediction, relative to the gradient before."""
 
 SPREAD = 10.0
 """Standard deviation of the entries of dF before anything is identified, in units of gradient per strategy.
@@ -33,9 +39,6 @@ SPREAD = 10.0
 
 _SIGNAL = 8.0
 """A difference to the neighbours above this many times their smallest change is no noise."""
-
-_SHORTEST = 1e-3
-"""Smallest radius of the trust region, relative to the largest own estimate."""
 
 _HELD = 0.1
 """A component that moved less than this share of the displacement that it was asked for is held by a bound."""
@@ -48,9 +51,6 @@ _ABOVE_NOISE = 20.0
 
 _LOUDEST = 0.03
 """A change of messages above this share of the largest own estimate is no noise."""
-
-UNLIMITED = 1e6
-"""A distance beyond all estimates."""
 
 
 class Averaging(NamedTuple):
@@ -126,8 +126,7 @@ def relay_displacement(
     of dF is known at once; the rest of the rows follows from the displacements that the copies cause,
     :func:`~ptne_env.laws.identification.identify`.
 
-    The trust region: an own displacement is at most twice the largest displacement so far, until a prediction of the
-    own gradient fails by more than half of the gradient before; then it is at most half of the last displacement.
+    After the first m steps, no own displacement is longer than :func:`~ptne_env.laws.best_response.trust_radius`.
 
     Args:
         observation: of R players.
@@ -155,10 +154,7 @@ def relay_displacement(
     shift = moved if is_whole else own_moved
     model, error, failed = identify(model, shift, gradient - last_gradient, deviation**2)
 
-    length = largest(own_moved)
-    is_bad = failed & (error > _ACCURACY * largest(last_gradient))
-    radius = np.where(is_bad, length / 2, np.maximum(memory["radius"], 2 * length))
-    radius = np.maximum(radius, _SHORTEST * largest(estimate))
+    radius = trust_radius(memory["radius"], own_moved, (error, failed), last_gradient, estimate)
     asked = np.abs(own_entries(memory["asked"], blocks))
     held = (np.abs(own_moved) < _HELD * asked) & (asked > _RESOLVED * scale)
 

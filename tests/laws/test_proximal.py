@@ -10,7 +10,7 @@ from worlds import channel_part, fixed_part
 
 from ptne_env import Interface, evaluate, get_scenario, laws
 from ptne_env.encoder import make_encoder
-from ptne_env.experiments import POLICIES
+from ptne_env.experiments import POLICIES, run_suite
 from ptne_env.laws import proximal
 from ptne_env.world import World
 
@@ -67,10 +67,17 @@ def test_large_games_identify_the_own_block_alone(monkeypatch):
     monkeypatch.setattr(proximal, "LARGEST_ROW", 1)
     world = World(get_scenario("energy", start="random"))
     law = laws.ProximalBestResponse(make_encoder(world, Interface()).layout)
-    assert law.initial_memory(2).shape == (2, 1 + 1 + 5 + 1 + 1)
+    assert law.initial_memory(2).shape == (2, 1 + 1 + 5 + 1 + 1 + 1)
     states = played(world)
     errors = np.abs(states - world.game.nash_equilibrium[:, None]).max(axis=(1, 2))
     assert errors[-1] < 1e-6 * errors[0]
+
+
+def test_trust_region_keeps_steps_short_where_gradients_are_not_affine():
+    results = run_suite("ptne-v1", ["proximal-best-response"], tracks=["non-quadratic"], episodes=200)
+    samples = results.samples["non-quadratic", "proximal-best-response"]
+    assert not samples["diverged_share"].any()
+    assert samples["digits"].mean() > 10
 
 
 def test_condition_of_the_proximal_point_method_is_sufficient():

@@ -128,7 +128,14 @@ def test_graph_that_is_a_part_of_the_union_suffices():
 
 
 @pytest.mark.skipif(not SOAK, reason="all tracks and scenarios, 200 episodes each: set PTNE_SOAK=1")
-@pytest.mark.parametrize("law", ["relay", "identify-and-broadcast", "routed", "routed-unknown", "freshest"])
+@pytest.mark.parametrize(
+    "law",
+    [
+        name
+        for name in POLICIES
+        if set(name.split("-")) & {"relay", "routed", "freshest", "broadcast", "proximal", "rate"}
+    ],
+)
 def test_no_episode_diverges_where_grounded_does_not(law):
     suite = run_suite("ptne-v1", [law, "grounded"], episodes=200)
     catalogue = evaluate([law, "grounded"], list(CATALOGUE), episodes=200, against_laws=False)
