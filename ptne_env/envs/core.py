@@ -28,14 +28,14 @@ class StepResult(NamedTuple):
         terms: each reward term, unweighted, shape (N, B).
         terminated: shape (B,).
         truncated: shape (B,).
-        observations: of all players, shape (B, N, size), float32, C-contiguous.
+        is_observed: whether the observations were written too, as a compiled step does.
     """
 
     rewards: FloatArray
     terms: dict[str, FloatArray]
     terminated: BoolArray
     truncated: BoolArray
-    observations: Float32Array
+    is_observed: bool
 
 
 class ResetResult(NamedTuple):
@@ -180,6 +180,11 @@ class Simulation:
                 streams[index] = RandomStreams.from_seed(seeds[index])
         return streams
 
+    @property
+    def is_compiled(self) -> bool:
+        """Whether the next step will be compiled, if all environments are in range."""
+        return self._fused is not None and fused.kernels() is not None
+
     def clip(self, actions: npt.NDArray[np.floating]) -> Clipped:
         """Clip actions; as :meth:`Encoder.clip`, of any number of environments."""
         if self._fused is not None and self._fused.accepts(actions):
@@ -199,21 +204,20 @@ class Simulation:
         Args:
             actions: finite and within the action box (see :meth:`Encoder.clip`), shape (B, N, action size).
             restart: the start of environments that start afresh instead of moving: their rewards are 0.
-            out: where to write the observations; a new array if left out.
+            out: where a compiled step writes the observations, (B, N, size) and C-contiguous; numpy makes the step if
+                it is left out.
             has_constants: whether ``out`` has held observations of this simulation before.
 
         Raises:
             RuntimeError: before the first reset.
         """
-        before, layout = self.current, self.encoder.layout
-        if out is None:
-            out, has_constants = np.empty((self.num_envs, layout.num_players, layout.size), dtype=np.float32), False
-        moved = None if self._fused is None else self._fused(before, actions, out, has_constants=has_constants)
+        before, moved = self.current, None
+        if self._fused is not None and out is not None:
+            moved = self._fused(before, actions, out, has_constants=has_constants)
         if moved is None:
             began = perf_counter()
             state = dynamics.step(self.world, before, self.encoder.inputs(actions, before))
             terms = self._reward.step(state)
-            self.encoder.observe(state, out)
             if self._fused is not None and not fused.spend(perf_counter() - began):
                 self._fused = None
         else:
@@ -226,10 +230,11 @@ class Simulation:
         else:
             truncated = ~terminated & (state.step >= self.max_cycles)
         if restart is not None:
-            self.encoder.observe(self.begin(restart), out)
+            self.begin(restart)
             terms = {name: np.where(restart.mask, 0.0, term) for name, term in terms.items()}
             terminated, truncated = terminated & ~restart.mask, truncated & ~restart.mask
-        return StepResult(self._reward.total(terms), terms, terminated, truncated, out)
+        is_observed = moved is not None and restart is None
+        return StepResult(self._reward.total(terms), terms, terminated, truncated, is_observed)
 
     def observe(self, out: Float32Array | None = None) -> Float32Array:
         """Observations of all players, shape (B, N, size), float32, owned by the caller."""

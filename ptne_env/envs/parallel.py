@@ -192,6 +192,8 @@ class NashSeekingEnv(ParallelEnv[str, Float32Array, Float32Array]):
             raise self._complaint(actions) from None
         table, rows = self._observed()
         outcome = self._simulation.step(inside, out=table, has_constants=True)
+        if not outcome.is_observed:
+            self._simulation.observe(table)
         terminated, truncated = bool(outcome.terminated[0]), bool(outcome.truncated[0])
         diverged = bool(self._simulation.current.diverged[0])
         infos: dict[str, AgentInfo] = {

@@ -7,7 +7,7 @@ import weakref
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor, wait
 from itertools import pairwise
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -31,6 +31,9 @@ BLOCK_ENTRIES = 300_000
 
 _REMEMBERED_BUFFERS = 10_000
 """Largest number of buffers whose constant slices an environment remembers to have written."""
+
+
+Result = TypeVar("Result")
 
 
 class VectorBuffers(NamedTuple):
@@ -200,7 +203,7 @@ class VectorParallelEnv:
         if self._blocks[0].state is None and not chosen.all():
             raise ValueError("the first reset() starts every environment: leave out the mask")
         given = None if estimates is None else self._estimates(estimates)
-        observations = self._buffers(out).observations
+        observations = self._completed(self._checked(out)).observations
         drawn = self._draw(chosen, seeds, given)  # refusals come before any block has started
         for block, part, start in zip(self._blocks, self._slices, drawn, strict=True):
             if start is not None:
@@ -241,53 +244,70 @@ class VectorParallelEnv:
         shape = (self.num_envs, self.num_players, self.layout.action_size)
         if actions.shape != shape or actions.dtype.kind != "f":
             raise ValueError(f"actions are floats of shape {shape}, got {actions.dtype} of shape {actions.shape}")
-        buffers = self._buffers(out)
-        if out is not None and any(np.may_share_memory(actions, buffer) for buffer in buffers):
+        given = self._checked(out)
+        if any(array is not None and np.may_share_memory(actions, array) for array in given):
             actions = actions.copy()
         actions, clipped = self._blocks[0].clip(actions)  # refuses non-finite numbers before any block has moved
         drawn: Sequence[ResetResult | None] = [None] * len(self._blocks)
         if restart is not None:
             clipped[restart] = 0
             drawn = self._draw(restart)
-        has_constants = out is not None and self._holds_constants(buffers.observations)
+        observations = given.observations
+        has_constants = observations is not None and self._holds_constants(observations)
+        if observations is None and self._blocks[0].is_compiled:
+            observations = self._new(0)
 
         def move(index: int) -> StepResult:
-            block, part = self._blocks[index], self._slices[index]
-            outcome = block.step(actions[part], drawn[index], buffers.observations[part], has_constants=has_constants)
-            buffers.rewards[part] = outcome.rewards.T
-            buffers.terminated[part], buffers.truncated[part] = outcome.terminated, outcome.truncated
-            return outcome
+            out = None if observations is None else observations[self._slices[index]]
+            return self._blocks[index].step(actions[self._slices[index]], drawn[index], out, has_constants=has_constants)
 
         outcomes = self._side_by_side(move)
-        if out is not None and not has_constants:
-            self._remember(buffers.observations)
+        # Only here, because arrays below those of the step in memory would cost numpy a twentieth more.
+        buffers = self._completed(given._replace(observations=observations))
+
+        def observe(index: int) -> None:
+            if not outcomes[index].is_observed:
+                self._blocks[index].observe(buffers.observations[self._slices[index]])
+
+        self._side_by_side(observe)
+        if given.observations is not None and not has_constants:
+            self._remember(given.observations)
+        for outcome, part in zip(outcomes, self._slices, strict=True):
+            buffers.rewards[part] = outcome.rewards.T
+            buffers.terminated[part], buffers.truncated[part] = outcome.terminated, outcome.truncated
         self._over = buffers.terminated | buffers.truncated
         return VectorStep(*buffers, self._infos(buffers.rewards, outcomes, clipped))
 
-    def _buffers(self, out: VectorBuffers | None) -> _Buffers:
-        """The arrays of a result, the caller's where they are given.
+    def _checked(self, out: VectorBuffers | None) -> VectorBuffers:
+        """The buffers of the caller, which fit.
 
         Raises:
             ValueError: when one of them does not fit, or two share memory.
         """
         if out is None:
-            return _Buffers(*[np.empty(shape, dtypes[0]) for _, shape, dtypes in self._results])
+            return VectorBuffers()
         if not isinstance(out, VectorBuffers):
             raise ValueError(f"out is a VectorBuffers, got a {type(out).__name__}")
-        arrays, spans = [], []
+        spans = []
         for array, (name, shape, dtypes) in zip(out, self._results, strict=True):
-            if array is None:
-                arrays.append(np.empty(shape, dtypes[0]))
-                continue
-            _require_buffer(name, array, shape, dtypes)
-            arrays.append(array)
-            if out is not self._apart:
-                spans.append((_address(array), array.nbytes, name))
+            if array is not None:
+                _require_buffer(name, array, shape, dtypes)
+                if out is not self._apart:
+                    spans.append((_address(array), array.nbytes, name))
         for (start, size, name), (following, _, other) in pairwise(sorted(spans)):
             if start + size > following:
                 raise ValueError(f"{name} and {other} share memory: each needs its own")
         self._apart = out
-        return _Buffers(*arrays)
+        return out
+
+    def _new(self, index: int) -> npt.NDArray[Any]:
+        """A new array for a part of a result."""
+        _, shape, dtypes = self._results[index]
+        return np.empty(shape, dtypes[0])
+
+    def _completed(self, out: VectorBuffers) -> _Buffers:
+        """The buffers of the caller, and new arrays for those that are left out."""
+        return _Buffers(*[self._new(index) if array is None else array for index, array in enumerate(out)])
 
     def _holds_constants(self, observations: Float32Array) -> bool:
         """Whether a buffer holds the constant slices, because an earlier step wrote them."""
@@ -300,14 +320,14 @@ class VectorParallelEnv:
             self._written.clear()
         self._written[_address(observations)] = weakref.ref(_root(observations))
 
-    def _side_by_side(self, move: Callable[[int], StepResult]) -> list[StepResult]:
+    def _side_by_side(self, move: Callable[[int], Result]) -> list[Result]:
         """``move`` of the index of every block, on all threads."""
         indices = range(len(self._blocks))
         if self.threads == 1:
             return list(map(move, indices))
         if self._pool is None or self._pool[0] != os.getpid():  # a forked process has no threads
             self._pool = os.getpid(), ThreadPoolExecutor(self.threads)
-        outcomes: dict[int, StepResult] = {}
+        outcomes: dict[int, Result] = {}
 
         def share(first: int) -> None:
             outcomes.update((index, move(index)) for index in indices[first :: self.threads])
