@@ -47,8 +47,5 @@ def consensus_error(estimates: FloatArray, game: Game) -> FloatArray:
 
 def digits(distance: FloatArray) -> FloatArray:
     """−log10 of a distance, floored at 1e-12; any shape."""
-    result = np.asarray(np.maximum(distance, FLOOR))
     # The natural logarithm is vectorised in numpy and several times as fast as log10.
-    np.log(result, out=result)
-    result *= _DIGITS_PER_NAT
-    return result
+    return np.log(np.maximum(distance, FLOOR)) * _DIGITS_PER_NAT

@@ -86,6 +86,7 @@ class NashSeekingEnv(ParallelEnv[str, Float32Array, Float32Array]):
             -OBSERVATION_BOUND, OBSERVATION_BOUND, (players * (n + players) + 4,), dtype=np.float32
         )
         self._renderer = Renderer(self.world, render_mode) if render_mode else None
+        self._plain, self._single = [np.ndarray] * players, [np.dtype(np.float32)] * players
         self._table: tuple[Float32Array, list[Float32Array]] | None = None
 
     def __getstate__(self) -> dict[str, Any]:
@@ -289,13 +290,17 @@ class NashSeekingEnv(ParallelEnv[str, Float32Array, Float32Array]):
     def _stack(self, actions: Mapping[str, Any]) -> npt.NDArray[np.floating]:
         """All actions in the order of the agents, shape (1, N, action size)."""
         try:
-            rows = list(map(np.asanyarray, [actions[agent] for agent in self.agents]))
+            rows = [actions[agent] for agent in self.agents]
             stacked = np.array(rows)
         except (KeyError, IndexError, TypeError, ValueError):
             raise self._complaint(actions) from None
-        shape = (len(actions), self.layout.action_size)
-        if stacked.shape != shape or {row.dtype.kind for row in rows} != {"f"} or MaskedArray in map(type, rows):
+        if stacked.shape != (len(actions), self.layout.action_size):
             raise self._complaint(actions)
+        # Nearly all rows are plain arrays of float32: their types are compared at once.
+        if list(map(type, rows)) != self._plain or [row.dtype for row in rows] != self._single:
+            arrays = list(map(np.asanyarray, rows))
+            if {row.dtype.kind for row in arrays} != {"f"} or MaskedArray in map(type, arrays):
+                raise self._complaint(actions)
         return stacked[None]
 
     def _complaint(self, actions: Mapping[str, Any]) -> ValueError:

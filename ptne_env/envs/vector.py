@@ -7,7 +7,7 @@ import weakref
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor, wait
 from itertools import pairwise
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -31,9 +31,6 @@ BLOCK_ENTRIES = 300_000
 
 _REMEMBERED_BUFFERS = 10_000
 """Largest number of buffers whose constant slices an environment remembers to have written."""
-
-
-Result = TypeVar("Result")
 
 
 class VectorBuffers(NamedTuple):
@@ -70,15 +67,6 @@ class VectorStep(NamedTuple):
     terminated: BoolArray
     truncated: BoolArray
     infos: dict[str, Any]
-
-
-class _Buffers(NamedTuple):
-    """The arrays of a step's result."""
-
-    observations: Float32Array
-    rewards: FloatArray
-    terminated: BoolArray
-    truncated: BoolArray
 
 
 class VectorParallelEnv:
@@ -203,7 +191,8 @@ class VectorParallelEnv:
         if self._blocks[0].state is None and not chosen.all():
             raise ValueError("the first reset() starts every environment: leave out the mask")
         given = None if estimates is None else self._estimates(estimates)
-        observations = self._completed(self._checked(out)).observations
+        given_observations = self._checked(out).observations
+        observations = self._new_observations() if given_observations is None else given_observations
         drawn = self._draw(chosen, seeds, given)  # refusals come before any block has started
         for block, part, start in zip(self._blocks, self._slices, drawn, strict=True):
             if start is not None:
@@ -234,7 +223,7 @@ class VectorParallelEnv:
         if restart is not None:
             restart = require_mask("a restart mask", restart, self.num_envs).copy()
         halted = self._over if restart is None else self._over & ~restart
-        if halted.any():
+        if np.count_nonzero(halted):  # which takes a fifth of the time of any()
             over = np.flatnonzero(halted)
             raise RuntimeError(
                 f"{over.size} of {self.num_envs} environments are over or not started (the first is {over[0]}): call "
@@ -245,38 +234,47 @@ class VectorParallelEnv:
         if actions.shape != shape or actions.dtype.kind != "f":
             raise ValueError(f"actions are floats of shape {shape}, got {actions.dtype} of shape {actions.shape}")
         given = self._checked(out)
-        if any(array is not None and np.may_share_memory(actions, array) for array in given):
+        if out is not None and any(array is not None and np.may_share_memory(actions, array) for array in given):
             actions = actions.copy()
         actions, clipped = self._blocks[0].clip(actions)  # refuses non-finite numbers before any block has moved
         drawn: Sequence[ResetResult | None] = [None] * len(self._blocks)
         if restart is not None:
             clipped[restart] = 0
             drawn = self._draw(restart)
-        observations = given.observations
-        has_constants = observations is not None and self._holds_constants(observations)
-        if observations is None and self._blocks[0].is_compiled:
-            observations = self._new(0)
+        outcomes, observations = self._move(actions, drawn, given.observations)
+        rewards = self._by_env([outcome.rewards.T for outcome in outcomes], given.rewards)
+        terminated = np.concatenate([outcome.terminated for outcome in outcomes], out=given.terminated)
+        truncated = np.concatenate([outcome.truncated for outcome in outcomes], out=given.truncated)
+        self._over = terminated | truncated
+        infos = self._infos(rewards, outcomes, clipped)
+        return VectorStep(observations, rewards, terminated, truncated, infos)
+
+    def _move(
+        self, actions: npt.NDArray[np.floating], drawn: Sequence[ResetResult | None], observations: Float32Array | None
+    ) -> tuple[list[StepResult], Float32Array]:
+        """Step every block; the observations are written into the caller's array, if it is given."""
+        given = observations
+        has_constants = given is not None and self._holds_constants(given)
+        if observations is None and (self.threads > 1 or self._blocks[0].is_compiled):
+            observations = self._new_observations()
 
         def move(index: int) -> StepResult:
-            out = None if observations is None else observations[self._slices[index]]
-            return self._blocks[index].step(actions[self._slices[index]], drawn[index], out, has_constants=has_constants)
+            block, part = self._blocks[index], self._slices[index]
+            if observations is None:
+                return block.step(actions[part], drawn[index])
+            outcome = block.step(actions[part], drawn[index], observations[part], has_constants=has_constants)
+            if not outcome.is_observed:
+                block.observe(observations[part])
+            return outcome
 
         outcomes = self._side_by_side(move)
-        # Only here, because arrays below those of the step in memory would cost numpy a twentieth more.
-        buffers = self._completed(given._replace(observations=observations))
-
-        def observe(index: int) -> None:
-            if not outcomes[index].is_observed:
-                self._blocks[index].observe(buffers.observations[self._slices[index]])
-
-        self._side_by_side(observe)
-        if given.observations is not None and not has_constants:
-            self._remember(given.observations)
-        for outcome, part in zip(outcomes, self._slices, strict=True):
-            buffers.rewards[part] = outcome.rewards.T
-            buffers.terminated[part], buffers.truncated[part] = outcome.terminated, outcome.truncated
-        self._over = buffers.terminated | buffers.truncated
-        return VectorStep(*buffers, self._infos(buffers.rewards, outcomes, clipped))
+        if given is not None and not has_constants:
+            self._remember(given)
+        if observations is None:  # only here, because before the step it would cost page faults and cache
+            observations = self._new_observations()
+            for block, part in zip(self._blocks, self._slices, strict=True):
+                block.observe(observations[part])
+        return outcomes, observations
 
     def _checked(self, out: VectorBuffers | None) -> VectorBuffers:
         """The buffers of the caller, which fit.
@@ -300,14 +298,8 @@ class VectorParallelEnv:
         self._apart = out
         return out
 
-    def _new(self, index: int) -> npt.NDArray[Any]:
-        """A new array for a part of a result."""
-        _, shape, dtypes = self._results[index]
-        return np.empty(shape, dtypes[0])
-
-    def _completed(self, out: VectorBuffers) -> _Buffers:
-        """The buffers of the caller, and new arrays for those that are left out."""
-        return _Buffers(*[self._new(index) if array is None else array for index, array in enumerate(out)])
+    def _new_observations(self) -> Float32Array:
+        return np.empty((self.num_envs, self.num_players, self.layout.size), dtype=np.float32)
 
     def _holds_constants(self, observations: Float32Array) -> bool:
         """Whether a buffer holds the constant slices, because an earlier step wrote them."""
@@ -320,14 +312,14 @@ class VectorParallelEnv:
             self._written.clear()
         self._written[_address(observations)] = weakref.ref(_root(observations))
 
-    def _side_by_side(self, move: Callable[[int], Result]) -> list[Result]:
+    def _side_by_side(self, move: Callable[[int], StepResult]) -> list[StepResult]:
         """``move`` of the index of every block, on all threads."""
         indices = range(len(self._blocks))
         if self.threads == 1:
             return list(map(move, indices))
         if self._pool is None or self._pool[0] != os.getpid():  # a forked process has no threads
             self._pool = os.getpid(), ThreadPoolExecutor(self.threads)
-        outcomes: dict[int, Result] = {}
+        outcomes: dict[int, StepResult] = {}
 
         def share(first: int) -> None:
             outcomes.update((index, move(index)) for index in indices[first :: self.threads])
@@ -358,7 +350,7 @@ class VectorParallelEnv:
 
     def _infos(self, rewards: FloatArray, outcomes: list[StepResult], clipped: IntArray) -> dict[str, Any]:
         success = np.zeros(self.num_envs, dtype=np.bool_)
-        if self._over.any():
+        if np.count_nonzero(self._over):
             for block, part in zip(self._blocks, self._slices, strict=True):
                 success[part] = self._over[part] & block.succeeded()
         first = outcomes[0]
@@ -373,9 +365,11 @@ class VectorParallelEnv:
             "is_success": success,
         }
 
-    def _by_env(self, parts: list[FloatArray]) -> FloatArray:
+    def _by_env(self, parts: list[FloatArray], out: npt.NDArray[Any] | None = None) -> FloatArray:
         """The blocks' arrays in one, shape (B, N), C-contiguous whatever the parts are."""
-        return np.concatenate(parts, out=np.empty((self.num_envs, self.num_players)))
+        out = np.empty((self.num_envs, self.num_players)) if out is None else out
+        result: FloatArray = np.concatenate(parts, out=out)
+        return result
 
     def _estimates(self, estimates: npt.ArrayLike) -> FloatArray:
         """Initial estimates with environments last, (n, N, B)."""

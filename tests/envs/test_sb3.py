@@ -104,6 +104,17 @@ def test_the_end_returns_the_last_observation_and_its_kind(arguments, truncated)
     assert len({id(info) for info in infos}) == 10
 
 
+def test_entries_that_a_caller_writes_into_an_info_are_gone_in_the_next_step():
+    env = PlayerVecEnv("energy", 2, seed=0)
+    env.reset()
+    actions = np.zeros((10, 5), dtype=np.float32)
+    written = env.step(actions)[3]
+    written[3]["note"] = 1
+    following = env.step(actions)[3]
+    assert (written[3], following) == ({"note": 1}, [{}] * 10)
+    assert len({id(info) for info in following}) == 10
+
+
 def test_divergence_of_one_environment_ends_only_its_members():
     env = PlayerVecEnv("random-energy", 3, seed=0, input_limit=1e9)
     env.reset()
