@@ -12,24 +12,12 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from common import Jobs, Ray, table
+from common import Jobs, Ray, board_of, table
 
 from ptne_env.experiments import Results, Workers, run_suite
-from ptne_env.experiments.leaderboard import Leaderboard
 from ptne_env.experiments.metrics import number
 from ptne_env.experiments.policy_specs import suite_policies
 from ptne_env.experiments.saturation import agreement, closed_tracks
-
-
-def board_of(results: Results) -> Leaderboard:
-    """The leaderboard of a suite.
-
-    Raises:
-        ValueError: for a comparison, which has none.
-    """
-    if results.leaderboard is None:
-        raise ValueError(f"{results.suite.name} is a comparison: it has no scores")
-    return results.leaderboard
 
 
 def saturation_table(results: Results) -> list[str]:

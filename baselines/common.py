@@ -1,4 +1,4 @@
-"""Tables in Markdown, and the command-line options that the scripts share."""
+"""Leaderboards, tables in Markdown, and the command-line options that the scripts share."""
 
 from __future__ import annotations
 
@@ -7,11 +7,24 @@ from typing import Annotated, TypeAlias
 
 import typer
 
+from ptne_env.experiments import Results
+from ptne_env.experiments.leaderboard import Leaderboard
 from ptne_env.experiments.metrics import number
 from ptne_env.experiments.statistics import Summary
 
 Jobs: TypeAlias = Annotated[int, typer.Option(help="Tasks at a time; each takes one core.")]
 Ray: TypeAlias = Annotated[str | None, typer.Option(help="Address of a Ray cluster, such as auto or HOST:6379.")]
+
+
+def board_of(results: Results) -> Leaderboard:
+    """The leaderboard of a suite.
+
+    Raises:
+        ValueError: for a comparison, which has none.
+    """
+    if results.leaderboard is None:
+        raise ValueError(f"{results.suite.name} is a comparison: it has no scores")
+    return results.leaderboard
 
 
 def table(headings: Sequence[str], rows: Iterable[Sequence[str]], *, texts: Sequence[str] = ("policy",)) -> list[str]:

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from common import Jobs, Ray, interval, table
+from common import Jobs, Ray, board_of, interval, table
 from run import ONE_SEED
 
 from ptne_env import training
@@ -153,9 +153,7 @@ def main(
             typer.echo(f"{len(done)} of {total} jobs")
 
     results = run_suite(suite, names, tracks=track, folder=folder, workers=Workers(jobs, ray), progress=advance)
-    board = results.leaderboard
-    if board is None:
-        raise ValueError(f"{suite} is a comparison: it has no scores")
+    board = board_of(results)
     write_atomically(folder / "results.json", results.to_json() + "\n")
     pack(results, folder, archive, metrics=PUBLISHED)
     introduction = _INTRODUCTION.format(

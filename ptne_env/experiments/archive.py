@@ -17,9 +17,9 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from ptne_env import policies
+from ptne_env.experiments.policy_specs import learned_file
 from ptne_env.experiments.results import Results
 from ptne_env.experiments.store import Store
-from ptne_env.factory import LOADER, FactorySpec
 from ptne_env.files import DamagedFileError, write_atomically
 
 SUFFIX = ".tar.xz"
@@ -77,8 +77,7 @@ def pack(results: Results, folder: Path, path: Path, *, metrics: Collection[str]
         shown = result if metrics is None else result.of_metrics(metrics)
         files[f"jobs/{job.key}.json"] = store.text(job, shown).encode()
     for source in (source for policy in results.policies.values() for source in policy.training_seeds):
-        if isinstance(source, FactorySpec) and source.target == LOADER:
-            name = str(dict(source.arguments)["path_or_name"])
+        if (name := learned_file(source)) is not None:
             content = (policies.shipped_path(name) or Path(name)).read_bytes()
             files[f"policies/{sha256(content).hexdigest()}.onnx"] = content
     content = _tar(files)

@@ -20,7 +20,7 @@ from ptne_env.experiments.episodes import EpisodeSet, Split
 from ptne_env.experiments.jobs import Job, JobResult
 from ptne_env.experiments.leaderboard import NEEDED
 from ptne_env.experiments.metrics import METRICS, measured
-from ptne_env.experiments.policy_specs import PolicySpec
+from ptne_env.experiments.policy_specs import PolicySpec, learned_file
 from ptne_env.experiments.provenance import file_hashes
 from ptne_env.experiments.results import read_results
 from ptne_env.experiments.run import assemble
@@ -403,9 +403,9 @@ class _Copied(PolicySpec):
 
 def _file_of(source: PolicySource, files: Any) -> tuple[str, str] | None:
     """The path of the one file of a learned policy, and its published SHA-256; ``None`` for another policy."""
-    if not isinstance(source, FactorySpec) or source.target != LOADER or not isinstance(files, dict):
+    path = learned_file(source)
+    if path is None or not isinstance(files, dict):
         return None
-    path = str(dict(source.arguments).get("path_or_name"))
     digest = files.get(path)
     return (path, digest) if isinstance(digest, str) and _DIGEST.fullmatch(digest) else None
 

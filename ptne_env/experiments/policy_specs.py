@@ -211,9 +211,17 @@ def _source_to_dict(policy: PolicySource) -> dict[str, Any]:
     return {"target": f"{named.__module__}:{named.__qualname__}"}
 
 
+def learned_file(source: PolicySource) -> str | None:
+    """The path or the shipped name of the ``.onnx`` file that a policy is loaded from; ``None`` for another policy."""
+    if not isinstance(source, FactorySpec) or source.target != LOADER:
+        return None
+    return str(dict(source.arguments).get("path_or_name"))
+
+
 def _is_own_file(source: FactorySpec) -> bool:
     """Whether a factory spec loads an ``.onnx`` file that is not shipped."""
-    return source.target == LOADER and policies.shipped_path(str(dict(source.arguments).get("path_or_name"))) is None
+    file = learned_file(source)
+    return file is not None and policies.shipped_path(file) is None
 
 
 def _named(policy: Any) -> type:

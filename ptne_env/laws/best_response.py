@@ -9,7 +9,7 @@ from ptne_env.laws.identification import Model
 from ptne_env.observation import Observation, ObservationLayout
 
 _MARGIN = 3.0
-"""Standard deviations by which a curvature exceeds 0 where it is certain."""
+"""Standard deviations of a curvature that count as doubt."""
 
 UNLIMITED = 1e6
 """A distance beyond all estimates."""
@@ -53,6 +53,31 @@ def largest(array: FloatArray) -> FloatArray:
     return np.abs(array).max(axis=1, keepdims=True)
 
 
+def own_curvatures(own: FloatArray, model: Model, places: IntArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """The eigenvalues of symmetric own blocks, (R, m), three standard deviations of each, and the eigenvectors.
+
+    Args:
+        own: the blocks, shape (R, m, m).
+        model: with the covariance of the rows, of q regressors.
+        places: of own components among the regressors, padded with q, shape (R, m).
+    """
+    curvature, vectors = np.linalg.eigh(own)
+    directions = with_own(np.zeros_like(model.rows).swapaxes(1, 2), vectors, places)
+    variance = np.einsum("rpa,rpq,rqa->ra", directions, model.covariance, directions)
+    return curvature, _MARGIN * np.sqrt(np.maximum(variance, 0.0)), vectors
+
+
+def own_places(blocks: IntArray, model: Model, dimension: int) -> IntArray:
+    """The places of own components ``blocks`` (R, m) among the regressors: all n, or the own ones alone; (R, m)."""
+    _, outputs, regressors = model.rows.shape
+    return blocks if regressors == dimension else np.where(blocks == dimension, outputs, np.arange(outputs))
+
+
+def shortened(step: FloatArray, radius: FloatArray) -> FloatArray:
+    """Steps (R, m), those with an entry beyond ``radius`` (R, 1) shortened to it."""
+    return step * (radius / np.maximum(largest(step), radius))
+
+
 def best_response(
     model: Model, gradient: FloatArray, drift: FloatArray, places: IntArray, held: BoolArray, radius: FloatArray
 ) -> FloatArray:
@@ -71,19 +96,16 @@ def best_response(
         held: whether a bound holds an own component; the others then move as if it stayed, shape (R, m).
         radius: largest |Δx_i|, shape (R, 1).
     """
-    rows, covariance = model
+    rows = model.rows
     wanted = gradient + np.einsum("rmq,rq->rm", rows, drift)
     own = own_block(rows, places)
     beside = with_own(np.abs(rows).swapaxes(1, 2), np.zeros_like(own), places)
     own = np.where(held[:, :, None] | held[:, None, :], own * np.eye(own.shape[1]), (own + own.swapaxes(1, 2)) / 2)
-    curvature, vectors = np.linalg.eigh(own)
-    directions = with_own(np.zeros_like(rows).swapaxes(1, 2), vectors, places)
-    doubt = _MARGIN * np.sqrt(np.maximum(np.einsum("rpa,rpq,rqa->ra", directions, covariance, directions), 0.0))
+    curvature, doubt, vectors = own_curvatures(own, model, places)
     gradient_step = np.maximum(np.abs(curvature) + doubt, 1.0)
     curvature = np.where(curvature > doubt, curvature, gradient_step)
     curvature = np.maximum(curvature, np.add.reduce(beside, axis=1).max(axis=1, keepdims=True))
-    step = -np.einsum("rab,rb->ra", vectors, np.einsum("rba,rb->ra", vectors, wanted) / curvature)
-    return step * (radius / np.maximum(largest(step), radius))
+    return shortened(-np.einsum("rab,rb->ra", vectors, np.einsum("rba,rb->ra", vectors, wanted) / curvature), radius)
 
 
 def trust_radius(

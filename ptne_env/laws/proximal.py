@@ -14,16 +14,16 @@ from ptne_env.laws.best_response import (
     UNLIMITED,
     largest,
     own_block,
+    own_curvatures,
     own_entries,
+    own_places,
+    shortened,
     trust_radius,
     with_own,
 )
 from ptne_env.laws.identification import RESOLUTION, Model, blank, identify
 from ptne_env.laws.memory import Parts
 from ptne_env.observation import Observation, ObservationLayout
-
-_MARGIN = 3.0
-"""Standard deviations that are added to a curvature, so that a step is short where the curvature is not known."""
 
 
 def proximal_displacement(
@@ -60,7 +60,7 @@ def proximal_displacement(
     """
     estimate, blocks = observation.own_estimate, layout.own_components[observation.player]
     is_own = layout.own_mask[observation.player]
-    gradient, outputs = own_entries(observation.gradient, blocks), blocks.shape[1]
+    gradient = own_entries(observation.gradient, blocks)
     is_whole = memory["rows"].shape[2] == layout.dimension
 
     moved = np.where(memory["started"] > 0, estimate - memory["estimate"], 0.0)
@@ -70,26 +70,23 @@ def proximal_displacement(
         deviation = deviation + spread * largest(np.where(is_own, 0.0, moved))
     regressors = moved if is_whole else own_entries(moved, blocks)
     model = Model(memory["rows"], memory["covariance"])
-    (rows, covariance), error, failed = identify(model, regressors, gradient - memory["gradient"], deviation**2)
+    model, error, failed = identify(model, regressors, gradient - memory["gradient"], deviation**2)
     own_moved = own_entries(moved, blocks)
     radius = trust_radius(memory["radius"], own_moved, (error, failed), memory["gradient"], estimate)
 
     pull = mixing * consensus(observation.weights, observation.relative_estimates)
     drift = np.where(is_own, 0.0, pull / 2)
-    places = blocks if is_whole else np.where(blocks == layout.dimension, outputs, np.arange(outputs))
-    foreseen = np.einsum("rmq,rq->rm", rows, drift if is_whole else np.zeros_like(regressors))
-    own = own_block(rows, places)
-    curvature, vectors = np.linalg.eigh((own + own.swapaxes(1, 2)) / 2)
-    directions = with_own(np.zeros_like(rows).swapaxes(1, 2), vectors, places)
-    doubt = np.sqrt(np.maximum(np.einsum("rpa,rpq,rqa->ra", directions, covariance, directions), 0.0))
-    curvature = np.maximum(curvature, 0.0) + _MARGIN * doubt
+    places = own_places(blocks, model, layout.dimension)
+    foreseen = np.einsum("rmq,rq->rm", model.rows, drift if is_whole else np.zeros_like(regressors))
+    own = own_block(model.rows, places)
+    curvature, doubt, vectors = own_curvatures((own + own.swapaxes(1, 2)) / 2, model, places)
+    curvature = np.maximum(curvature, 0.0) + doubt
     wanted = own_entries(pull, blocks) - step * (gradient + foreseen)
     own_step = np.einsum("rab,rb->ra", vectors, np.einsum("rba,rb->ra", vectors, wanted) / (2 + step * curvature))
     longest = np.where(memory["started"] > 0, radius, UNLIMITED)
-    own_step = own_step * (longest / np.maximum(largest(own_step), longest))
-    return with_own(drift, own_step, blocks), {
-        "rows": rows,
-        "covariance": covariance,
+    return with_own(drift, shortened(own_step, longest), blocks), {
+        "rows": model.rows,
+        "covariance": model.covariance,
         "estimate": estimate,
         "gradient": gradient,
         "radius": radius,

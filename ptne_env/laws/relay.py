@@ -21,6 +21,7 @@ from ptne_env.laws.best_response import (
     best_response,
     largest,
     own_entries,
+    own_places,
     trust_radius,
     with_own,
     within_reach,
@@ -56,8 +57,8 @@ _LOUDEST = 0.03
 class Averaging(NamedTuple):
     """When and how relays average noisy messages; see :class:`Relay`."""
 
-    patience: float = 30.0
-    forgetting: float = 2.0
+    patience: float
+    forgetting: float
 
 
 def averaged_copies(
@@ -161,7 +162,7 @@ def relay_displacement(
     is_probe = step < outputs
     drift, heard = averaged_copies(observation, memory, sources, averaging, mixes=mixes)
     drift = np.where(is_probe | is_own, 0.0, drift)
-    places = blocks if is_whole else np.where(blocks == layout.dimension, outputs, np.arange(outputs))
+    places = own_places(blocks, model, layout.dimension)
     shift = drift if is_whole else np.zeros_like(own_moved)
     own_step = best_response(model, gradient, shift, places, held, np.where(is_probe, UNLIMITED, radius))
     own_step = np.where(is_probe & (np.arange(outputs) != step), 0.0, own_step)

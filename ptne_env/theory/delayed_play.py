@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import scipy
 from scipy.sparse.csgraph import shortest_path
 
 from ptne_env.arrays import FloatArray, IntArray
@@ -72,7 +73,7 @@ def multi_rate_radius(jacobian: FloatArray, delays: IntArray, steps: FloatArray,
 
 
 def largest_delayed_step(jacobian: FloatArray, delays: IntArray) -> float | None:
-    """The step η up to which gradient play with delays settles, by bisection.
+    """The step η up to which gradient play with delays settles.
 
     Args:
         jacobian: dF, shape (n, n), with a positive diagonal.
@@ -90,13 +91,11 @@ def largest_delayed_step(jacobian: FloatArray, delays: IntArray) -> float | None
     unstable = 2 * stable
     while delayed_play_radius(jacobian, delays, unstable) < 1:
         stable, unstable = unstable, 2 * unstable
-    while unstable - stable > _ACCURACY * stable:
-        middle = (stable + unstable) / 2
-        if delayed_play_radius(jacobian, delays, middle) < 1:
-            stable = middle
-        else:
-            unstable = middle
-    return stable
+    return float(
+        scipy.optimize.brentq(
+            lambda step: delayed_play_radius(jacobian, delays, step) - 1, stable, unstable, xtol=_ACCURACY * stable
+        )
+    )
 
 
 def coupling_radius(jacobian: FloatArray) -> float:
