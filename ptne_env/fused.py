@@ -135,13 +135,13 @@ class FusedStep:
         theta, ages = world.theta.reshape(-1, world.theta.shape[-1]), encoder.clock_table[4, 0]
         self._schedule = world.modes[:, None].astype(np.int16), ages[:, None].copy()
         rows, mask = encoder.gradient_rows, encoder.gradient_mask
+        mask = np.ones(rows.shape) if mask is None else mask[:, :, 0]
+        order = np.tile(np.arange(n), (players, 1)) if self._local is None else layout.ego_order
+        places = np.concatenate([world.neighbours, rows, mask, order.T]).astype(np.int64)
         # Copies, because numba compiles a function once more for arrays that are read-only or in another order.
         self._tables = (
-            *(table.copy() for table in (theta, encoder.clock_table, world.mode_weights, world.neighbours)),
-            world.game.owners.copy(),
-            np.tile(np.arange(n), (players, 1)) if self._local is None else layout.ego_order.copy(),
-            rows.copy(),
-            np.ones(rows.shape) if mask is None else np.array(mask[:, :, 0], dtype=np.float64, order="C"),
+            *(table.copy() for table in (theta, encoder.clock_table, world.mode_weights, world.game.owners)),
+            places,
             layout.input_limit,
             layout.interface.action_scale,
             SMALLEST_SCALE,
@@ -152,7 +152,7 @@ class FusedStep:
         self._log_scale = layout.slices.get("log_scale", slice(0)).start
         self._none = np.empty((0, 0))
         self._game: Game | None = None
-        self._numbers: tuple[FloatArray | int, ...] = ()
+        self._games: tuple[FloatArray, bool, bool, int]
         self._is_checked = False
 
     def accepts(self, actions: npt.NDArray[np.floating]) -> bool:
@@ -191,11 +191,11 @@ class FusedStep:
         old = state.estimates if state.estimates.flags.c_contiguous else np.ascontiguousarray(state.estimates)
         n, players, batch = old.shape
         new, gradients, distance = np.empty(old.shape), np.empty((n, batch)), np.empty((batch, players))
-        step = np.empty(batch, dtype=np.int64)
+        step, is_last = np.empty(batch, dtype=np.int64), np.empty(batch, dtype=np.bool_)
         sigma, next_sigma = (self._none,) * 2 if local is None else (local.scale(state), np.empty((players, batch)))
         arguments = (
-            old, state.step, actions, sigma, modes, ages, new, step, gradients, distance, next_sigma, out,
-            has_constants, *self._numbers, *self._tables,
+            old, state.step, actions, sigma, modes, ages, new, step, gradients, distance, next_sigma,
+            is_last, out, has_constants, *self._games, *self._tables,
         )  # fmt: skip
         if not (compiled.step(*arguments) if self._is_checked else self._try(compiled.step, *arguments)):
             return None
@@ -221,22 +221,20 @@ class FusedStep:
 
     def _read(self, game: Game, batch: int) -> bool:
         """Read the numbers of the games of a batch of environments; whether the kernels hold their formulas."""
-        tile = min(self._largest_tile, batch)
-
-        def columns(table: FloatArray) -> FloatArray:
-            """One column per environment, or a tile of the same column."""
-            return np.repeat(table, tile if table.shape[-1] == 1 else 1, axis=-1)
-
-        nothing = np.empty((0, tile))
         if not _is_known(game):
             return False
-        if isinstance(game, EnergyGame):
-            coupling = np.broadcast_to(game.coupling, (1, game.batch_size))
-            formula = np.empty((0, 0, tile)), columns(coupling), columns(game.slope), columns(game.intercept)
-        elif isinstance(game, AffineGame):
-            formula = columns(game.transposed), nothing, nothing, columns(game.offset)
-        box = (nothing, nothing) if game.low is None or game.high is None else (columns(game.low), columns(game.high))
-        self._numbers = *formula, *box, columns(game.nash_equilibria), columns(game.equilibrium_scale[None]), tile
+        has_box, is_affine = game.low is not None and game.high is not None, isinstance(game, AffineGame)
+        tables = [game.nash_equilibria, game.equilibrium_scale[None]]
+        if game.low is not None and game.high is not None:
+            tables += [game.low, game.high]
+        if isinstance(game, AffineGame):
+            tables += [game.transposed.reshape(-1, game.transposed.shape[-1]), game.offset]
+        elif isinstance(game, EnergyGame):
+            tables += [np.broadcast_to(game.coupling, (1, game.batch_size)), game.slope, game.intercept]
+        tile = min(self._largest_tile, batch)
+        columns = tile if game.batch_size == 1 else batch  # one per environment, or a tile of the same
+        table = np.concatenate([np.broadcast_to(rows, (len(rows), columns)) for rows in tables])
+        self._games = table, has_box, is_affine, tile
         self._game = game
         return True
 
