@@ -76,14 +76,6 @@ def test_speeds_are_agent_steps_per_second_of_every_route():
     assert 0 < fast < 10 / 0.001
 
 
-@pytest.mark.parametrize("kind", ["OneAtATime", "PlayerBufferEnv"])
-def test_the_law_gains_its_digits_in_the_arrays_of_pufferlib(kind, monkeypatch):
-    monkeypatch.syspath_prepend(str(FOLDER))
-    example = load("pufferlib_buffers")
-    gained = example.law_digits(getattr(example, kind))
-    assert gained == pytest.approx(_gained(load("yardstick"), len(gained)), abs=1e-6)
-
-
 def test_the_law_gains_its_digits_in_the_batch_of_torchrl(monkeypatch):
     need_torchrl()
     monkeypatch.syspath_prepend(str(FOLDER))

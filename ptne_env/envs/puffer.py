@@ -1,7 +1,6 @@
 """PufferLib: every player of B environments as one agent, in arrays that the trainer owns.
 
-Nothing here needs PufferLib, whose release 3.0.0 admits neither this package's numpy nor its Gymnasium. Where PufferLib
-asks for its own type, a class has both::
+Nothing here needs PufferLib. Where it asks for its own type, a class has both::
 
     class Players(PlayerBufferEnv, pufferlib.PufferEnv): ...
 """
