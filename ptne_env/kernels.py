@@ -33,7 +33,7 @@ def kept_on_disk(function: Any) -> Any:
         return njit(**_OPTIONS)(function)
 
 
-@intrinsic
+@intrinsic  # type: ignore[untyped-decorator]  # numba ships no types
 def _transpose_block(context: Any, target: Any, target_row: Any, source: Any, source_row: Any) -> Any:  # noqa: ARG001
     """Four rows of four float32 as columns, in registers: addresses, and the bytes from row to row.
 
@@ -88,6 +88,14 @@ def is_inside(actions: Any, bound: float) -> bool:
     return inside
 
 
+@kept_on_disk
+def show_entry(observations: Any, place: int, values: Any) -> None:
+    """Values (N, B) as one entry of observations (B, N, size)."""
+    for i in range(len(values)):
+        for b in range(len(observations)):
+            observations[b, i, place] = values[i, b]
+
+
 @_part
 def _tick(after: Any, is_last: Any, held: Any, now: Any, theta: Any) -> None:
     """The next instants, whether they are the last, and the Θ of this one by each clock."""
@@ -96,6 +104,14 @@ def _tick(after: Any, is_last: Any, held: Any, now: Any, theta: Any) -> None:
         is_last[w] = after[w] == theta.shape[1] - 1
         for i in range(len(theta)):
             held[i, w] = theta[i, now[w]]
+
+
+@_part
+def _scale(unit: Any, sigma: Any, action_scale: float, first: int, width: int) -> None:
+    """An action of 1, in units of each player."""
+    for i in range(len(sigma)):
+        for w in range(width):
+            unit[i, w] = action_scale * sigma[i, first + w]
 
 
 @_part
@@ -120,9 +136,9 @@ def _move(
 
 
 @_part
-def _project(x: Any, owners: Any, low: Any, high: Any, at: int, width: int) -> None:
+def _project(x: Any, owners: Any, low: Any, high: Any, boxes: int, at: int, width: int) -> None:
     """Π(x): the real strategies in the box."""
-    for c in range(len(low)):
+    for c in range(boxes):
         own, lowest, highest = x[c, owners[c]], low[c, at : at + width], high[c, at : at + width]
         for w in range(width):
             own[w] = min(max(own[w], lowest[w]), highest[w])
@@ -283,12 +299,12 @@ def _show_in_units(shown: Any, differences: Any, sigma: Any, per_sigma: Any, sma
 @kept_on_disk
 def step(
     # State; actions, and σ_i as their unit, (N, B), or (0, 0) under ``physical``; graph and its age by instant.
-    estimates: Any, instants: Any, actions: Any, sigma: Any, modes: Any, ages: Any,
+    estimates: Any, instants: Any, actions: Any, bound: float, sigma: Any, modes: Any, ages: Any,
     # Results.
     next_estimates: Any, next_instants: Any, gradients: Any, distances: Any, next_sigma: Any, is_last: Any,
     observations: Any, has_constants: bool,
-    # Games, row by row: x*, ‖x*‖, the box if there is one, and A transposed and b, or c, 2a + c and d − 2ab.
-    game: Any, has_box: bool, is_affine: bool, tile: int,
+    # Games, row by row: x*, ‖x*‖, the box in 2 n rows or none, and A transposed and b, or c, 2a + c and d − 2ab.
+    game: Any, boxes: int, is_affine: bool, tile: int,
     # World: Θ and the clock as observed, by instant; a_ij by slot; owners of components. For each player: neighbour by
     # slot, own gradients, 1 or 0 for places that are own or padded, and components in the player's order.
     theta: Any, clock: Any, weights: Any, owners: Any, places: Any,
@@ -297,20 +313,23 @@ def step(
 ) -> bool:  # fmt: skip
     """Everything that a step does to B environments; ``False`` if an environment left the range.
 
+    Actions that are not within ±bound are refused with ``False`` before anything is written.
     The entry log10 σ_i of an observation is left out; player one-hots are, if ``has_constants`` says that they stand.
     """
+    if bound < np.inf and not is_inside(actions, bound):
+        return False
     n, players, batch = estimates.shape
     slots, size, is_local = len(weights), observations.shape[2], len(sigma) > 0
     m = (len(places) - slots - n) // 2
     senders, own, mask, order = places[:slots], places[slots : slots + m], places[-n - m : -n], places[-n:]
-    box = n + 1
-    formula = game[box + 2 * n * has_box :]
+    formula = game[n + 1 + 2 * boxes :]
     games_differ, is_fixed = game.shape[1] > tile, weights.shape[2] == 1
-    x, gradient = np.empty((n, players, tile)), np.empty((n, tile))
-    held, unit = np.empty((len(theta), tile)), np.empty((len(sigma), tile))
-    weight, live = np.empty((slots, players, tile)), np.empty((slots, players, tile))
+    x, links = np.empty((n, players, tile)), np.empty((2 * slots, players, tile))
+    weight, live = links[:slots], links[slots:]
+    rows = np.empty((n + len(theta) + len(sigma) + 1 + m + slots * n, tile))  # allocated at once, and parted
+    gradient, held, rows = rows[:n], rows[n : n + len(theta)], rows[n + len(theta) :]
+    unit, line, differences = rows[: len(sigma)], rows[len(sigma)], rows[len(sigma) + 1 :]
     played, shown = np.empty((players * n, tile), np.float32), np.zeros((size, tile), np.float32)
-    differences, line = np.empty((m + slots * n, tile)), np.empty(tile)
     of_weights = m + slots * n + (0 if is_local else n)
     of_clock = of_weights + slots + is_local
     of_player = of_clock + 5
@@ -322,20 +341,16 @@ def step(
         at, after = first if games_differ else 0, next_instants[first:stop]
         _tick(after, is_last[first:stop], held, instants[first:stop], theta)
         _transpose(played[:, :width], actions[first:stop].reshape(width, -1))
-        for i in range(len(sigma)):
-            for w in range(width):
-                unit[i, w] = action_scale * sigma[i, first + w]
+        _scale(unit, sigma, action_scale, first, width)
         _move(x, estimates, played, held, unit, order, limit, first, width)
-        if has_box:
-            _project(x, owners, game[box : box + n], game[box + n : box + 2 * n], at, width)
+        _project(x, owners, game[n + 1 : n + 1 + boxes], game[n + 1 + boxes :], boxes, at, width)
         if is_affine:
             _affine_gradients(gradient, x, owners, formula, at, width)
         else:
             _energy_gradients(gradient, x, formula, at, width)
         _distances(distances, x, game[:n], game[n], line, at, first, stop)
         inside &= _keep(gradients, gradient, largest, first, stop)
-        for c in range(n):
-            inside &= _keep(next_estimates[c], x[c], largest, first, stop)
+        inside &= _keep(next_estimates.reshape(n * players, -1), x.reshape(n * players, -1), largest, first, stop)
 
         if first == 0 or not is_fixed:
             _weigh(weight, live, weights, modes, after, first)

@@ -167,6 +167,27 @@ def test_numpy_and_the_compiled_step_may_take_turns_in_an_episode(interface, com
 
 
 @pytest.mark.parametrize("interface", ["physical", "local"])
+def test_actions_outside_the_box_are_clipped_and_counted_alike_compiled(interface, compiled, monkeypatch):
+    calls, (ours, numpys) = kernel_calls(monkeypatch), [parallel_env("energy", interface=interface) for _ in range(2)]
+    numpys._simulation._fused = None
+    ours.reset(seed=0), numpys.reset(seed=0)
+    for dtype in (np.float32, np.float64):
+        actions = {agent: np.zeros(5, dtype=dtype) for agent in ours.agents}
+        actions["player_1"][:2] = -3 * ours.layout.action_bound
+        actions["player_3"][4] = np.nextafter(ours.layout.action_bound, np.inf, dtype=dtype)
+        (observations, *rest), (expected, *other) = ours.step(actions), numpys.step(actions)
+        assert rest == other
+        assert [info["clipped"] for info in rest[-1].values()] == [0, 2, 0, 1, 0]
+        assert all(bits(observations[agent]) == bits(expected[agent]) for agent in expected)
+    assert len(calls) >= 2
+    before = ours.get_state()
+    actions["player_2"][3] = np.nan
+    with pytest.raises(ValueError, match="player_2 is not finite"):
+        ours.step(actions)
+    assert ours.get_state() is before
+
+
+@pytest.mark.parametrize("interface", ["physical", "local"])
 def test_a_state_from_outside_in_another_memory_order_is_the_same_compiled(interface, compiled):
     envs = [vector_env("random-energy", 6, by_numpy=flag, interface=interface) for flag in (False, True)]
     table = np.random.default_rng(0).uniform(-5, 5, (6, 5, 5))
@@ -254,7 +275,7 @@ def test_a_processor_that_rounds_differently_is_one_warning_and_the_numpy_path(c
 
     def inexact(estimates, *arguments):
         in_range = step(estimates, *arguments)
-        arguments[5][0, 0, 0] = np.nextafter(arguments[5][0, 0, 0], 1)  # the first of the results
+        arguments[6][0, 0, 0] = np.nextafter(arguments[6][0, 0, 0], 1)  # the first of the results
         return in_range
 
     monkeypatch.setattr(kernels, "step", inexact)
