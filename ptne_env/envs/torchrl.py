@@ -120,8 +120,8 @@ class TorchRLEnv(EnvBase):
             self._set_seed(seed)
         observations = self.vector.reset(self._seeds, mask)
         self._seeds = [None if start else own for own, start in zip(self._seeds, mask, strict=True)]
-        over = np.zeros(self.vector.num_envs, dtype=np.bool_)
-        return self._output({"observation": observations}, over, over)
+        terminated, truncated = np.zeros((2, self.vector.num_envs), dtype=np.bool_)
+        return self._output({"observation": observations}, terminated, truncated)
 
     def _step(self, tensordict: TensorDictBase) -> TensorDict:
         """Step all environments.

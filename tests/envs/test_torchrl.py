@@ -110,6 +110,16 @@ def test_no_later_step_or_reset_changes_a_frame():
         assert (frame == copy).all()
 
 
+def test_no_two_tensors_share_memory():
+    env = make()
+    start = env.reset(seed=0)
+    for tensordict in (start.clone(recurse=False), env.rand_step(start)["next"]):
+        arrays = [tensor.numpy() for tensor in tensordict.values(include_nested=True, leaves_only=True)]
+        assert len(arrays) >= 7
+        for index, array in enumerate(arrays):
+            assert not any(np.shares_memory(array, other) for other in arrays[:index])
+
+
 def test_tensors_show_the_memory_of_the_arrays():
     env, handed_out = make(), []
     step, reset = env.vector.step, env.vector.reset
