@@ -116,6 +116,21 @@ def test_players_with_clocks_of_their_own_and_random_graphs_are_the_same_compile
     assert len(calls) == 20
 
 
+def test_episodes_end_at_the_same_step_compiled(compiled, monkeypatch):
+    calls, envs = kernel_calls(monkeypatch), [vector_env("energy", 3, by_numpy=flag) for flag in (False, True)]
+    for env in envs:
+        env.reset(seed=0)
+        env.step(np.zeros((3, 5, 5), dtype=np.float32))
+        env.reset(mask=[False, True, False])  # ends one step later
+    for step in range(1, 1000):
+        outcome, expected = (env.step(np.zeros((3, 5, 5), dtype=np.float32)) for env in envs)
+        assert bits(outcome.terminated) == bits(expected.terminated), step
+        if outcome.terminated.any():
+            break
+    assert outcome.terminated.tolist() == [True, False, True]
+    assert len(calls) == step + 1
+
+
 def test_a_game_with_formulas_of_its_own_is_stepped_by_numpy(compiled, monkeypatch):
     calls = kernel_calls(monkeypatch)
     vector_env(BLOCKS, 2).reset(seed=0)
@@ -135,14 +150,15 @@ def test_every_reward_is_the_same_compiled(compiled):
     check_equal([vector_env("random-energy", 5, by_numpy=flag, reward=reward) for flag in (False, True)], 12)
 
 
+@pytest.mark.parametrize("sign", [-1, 1])
 @pytest.mark.parametrize("interface", ["physical", "local"])
-def test_environments_that_diverge_are_left_to_numpy(interface, compiled):
+def test_environments_that_diverge_are_left_to_numpy(interface, sign, compiled):
     arguments = {"interface": interface, "input_limit": 1e9, "action_scale": 1e9}
     envs = [vector_env("random-energy", 5, by_numpy=flag, **arguments) for flag in (False, True)]
     for env in envs:
         env.reset(seed=0)
     actions = np.zeros((5, 5, 5), dtype=np.float32)
-    actions[2] = envs[0].layout.action_bound
+    actions[2] = sign * envs[0].layout.action_bound
     for step in range(3):
         ours, expected = (env.step(actions, restart=np.arange(5) == 2 if step else None) for env in envs)
         assert ours.infos["diverged"].tolist() == expected.infos["diverged"].tolist()
