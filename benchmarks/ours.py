@@ -135,6 +135,37 @@ def slots(interface: InterfaceKind, num_envs: int) -> Contender:
     return Contender(f"ptne_env, {interface}", env.num_envs, lambda: env.step(next(turn)))
 
 
+def tensordicts(interface: InterfaceKind, num_envs: int, *, is_wrapped: bool = False) -> Contender:
+    """TorchRL's batched environment, or as many environments in series, each through its wrapper of PettingZoo.
+
+    Raises:
+        MissingPeerError: when TorchRL is not installed.
+    """
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # the wrapper asks for an older PettingZoo
+        try:
+            from torchrl.envs import PettingZooWrapper, SerialEnv
+
+            from ptne_env.envs.torchrl import TorchRLEnv
+        except ImportError as error:
+            raise MissingPeerError(f"TorchRL is left out: {error}; to compare with it: pip install torchrl") from error
+        env = (
+            SerialEnv(num_envs, lambda: PettingZooWrapper(parallel_env("energy", interface=interface)))
+            if is_wrapped
+            else TorchRLEnv("energy", num_envs, interface=interface)
+        )
+        following = env.reset()
+    pool = [env.full_action_spec.rand() for _ in range(_BATCHES)]
+    turn, agents = iter_forever(pool), pool[0]["player", "action"].shape[:-1].numel()
+
+    def step() -> None:
+        nonlocal following
+        _, following = env.step_and_maybe_reset(following.update(next(turn)))
+
+    name = "TorchRL's PettingZooWrapper" if is_wrapped else f"ptne_env, {interface}"
+    return Contender(name, agents, step)
+
+
 def parts(interface: InterfaceKind, num_envs: int, plan: Plan, scenario: str | Scenario = "energy") -> dict[str, float]:
     """Microseconds of each part of a step of ``num_envs`` environments; each part runs alone, in a warm cache."""
     world, encoder, reward, state = _world(interface, num_envs, scenario)

@@ -57,7 +57,8 @@ def test_our_environments_are_measured_without_peers(results):
 
 def test_a_peer_is_compared_or_named_as_missing(results):
     compared = {comparison["peer"] for comparison in results["comparisons"].values()} - {None}
-    for module, peer in (("mpe2", "MPE2 simple_spread"), ("vmas", "VMAS dispersion")):
+    peers = {"mpe2": "MPE2 simple_spread", "vmas": "VMAS dispersion", "torchrl": "TorchRL's PettingZooWrapper"}
+    for module, peer in peers.items():
         named = any(f"pip install {module}" in note for note in results["notes"])
         assert named != any(name.startswith(peer) for name in compared)
 
