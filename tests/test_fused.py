@@ -289,9 +289,9 @@ def test_a_processor_that_rounds_differently_is_one_warning_and_the_numpy_path(c
     kernels = fused.kernels()
     step = kernels.step
 
-    def inexact(estimates, *arguments):
-        in_range = step(estimates, *arguments)
-        arguments[6][0, 0, 0] = np.nextafter(arguments[6][0, 0, 0], 1)  # the first of the results
+    def inexact(actions, *arguments):
+        in_range = step(actions, *arguments)
+        arguments[7][0, 0, 0] = np.nextafter(arguments[7][0, 0, 0], 1)  # the next estimates
         return in_range
 
     monkeypatch.setattr(kernels, "step", inexact)

@@ -198,14 +198,15 @@ class NashSeekingEnv(ParallelEnv[str, Float32Array, Float32Array]):
         if not outcome.is_observed:
             self._simulation.observe(table)
         terminated, truncated = outcome.terminated.item(), outcome.truncated.item()
-        diverged = self._simulation.current.diverged.item()
-        (first, values), *others = [(name, term[:, 0].tolist()) for name, term in outcome.terms.items()]
+        diverged, rewards = outcome.diverged.item(), outcome.rewards[:, 0].tolist()
+        (first, term), *others = outcome.terms.items()
+        values = rewards if term is outcome.rewards else term[:, 0].tolist()
         infos: dict[str, AgentInfo] = {
             agent: {"diverged": diverged, "clipped": count, "reward_terms": {first: value}}
             for agent, count, value in zip(agents, clipped, values, strict=True)
         }
-        for name, values in others:
-            for info, value in zip(infos.values(), values, strict=True):
+        for name, term in others:
+            for info, value in zip(infos.values(), term[:, 0].tolist(), strict=True):
                 info["reward_terms"][name] = value
         if terminated or truncated:
             success = bool(self._simulation.succeeded()[0])
@@ -216,8 +217,8 @@ class NashSeekingEnv(ParallelEnv[str, Float32Array, Float32Array]):
             self._renderer.record(self._simulation.current)
             self._render_human()
         return (
-            dict(zip(agents, map(np.ndarray.copy, rows), strict=True)),
-            dict(zip(agents, outcome.rewards[:, 0].tolist(), strict=True)),
+            {agent: row.copy() for agent, row in zip(agents, rows, strict=True)},
+            dict(zip(agents, rewards, strict=True)),
             dict.fromkeys(agents, terminated),
             dict.fromkeys(agents, truncated),
             infos,
