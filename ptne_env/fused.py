@@ -11,7 +11,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from functools import cache
 from types import ModuleType
-from typing import Any, NamedTuple, TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
@@ -124,20 +124,6 @@ def _is_known(game: Game) -> bool:
     )
 
 
-class Moved(NamedTuple):
-    """The outcome of a compiled step, which the step after the next overwrites.
-
-    Attributes:
-        instants: index of the coming step of each environment, shape (B,).
-        distance: d^i of every player, shape (N, B) with players next to each other in memory.
-        is_last: whether each episode has reached its end, shape (B,).
-    """
-
-    instants: IntArray
-    distance: FloatArray
-    is_last: BoolArray
-
-
 class FusedStep:
     """The compiled step of environments of one world under one interface, and the state that it has reached.
 
@@ -195,7 +181,7 @@ class FusedStep:
         *,
         has_constants: bool = False,
         are_inside: bool = True,
-    ) -> Moved | None:
+    ) -> tuple[IntArray, FloatArray, BoolArray] | None:
         """Make a step, and write the observations of the next state.
 
         Args:
@@ -206,7 +192,9 @@ class FusedStep:
             are_inside: whether the actions are known to be finite and within the action box.
 
         Returns:
-            The outcome. ``None`` where the actions have to be clipped, or numpy has to make the step, because no state
+            For each environment the index of the coming step, shape (B,); d^i of every player, shape (N, B) with players
+            next to each other in memory; and whether the episode has reached its end, shape (B,): the step after the
+            next overwrites them. ``None`` where the actions have to be clipped, or numpy has to make the step, because no state
             is there yet, the kernels are not loaded, an environment is out of range, or a drawn game has formulas of
             its own; nothing has changed then, except the content of ``out``.
         """
@@ -230,7 +218,7 @@ class FusedStep:
             return None
         self._now = after
         self._sets.reverse()
-        return Moved(instants, distance.T, is_last)
+        return instants, distance.T, is_last
 
     def hand_over(self) -> State | None:
         """The state that the last step has reached, whose arrays no step will change; ``None`` before the first."""
