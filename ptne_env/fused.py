@@ -173,7 +173,7 @@ class FusedStep:
             return False
         return compiled.is_inside(actions, self._bound)
 
-    def __call__(
+    def move(
         self,
         state: State | None,
         actions: npt.NDArray[np.floating],

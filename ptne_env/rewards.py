@@ -131,7 +131,7 @@ class Reward:
         if name == "tracking":
             return -distance
         if state is None:
-            raise ValueError(f"the reward {name!r} needs the state")
+            raise ValueError(f"the reward {name!r} needs the state, and not only distances: pass it")
         game, strategies = state.game, dynamics.strategies(self.world, state)
         with np.errstate(over="ignore", invalid="ignore"):  # only a diverged environment overflows
             loss = game.costs(strategies) if name == "payoff" else game.regrets(strategies)

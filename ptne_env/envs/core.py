@@ -230,11 +230,11 @@ class Simulation:
         """
         compiled, moved, clipped = self._fused, None, None
         if compiled is not None and out is not None:
-            moved = compiled(self._state, actions, out, has_constants=has_constants, are_inside=are_inside)
+            moved = compiled.move(self._state, actions, out, has_constants=has_constants, are_inside=are_inside)
         if moved is None and not are_inside:
             actions, clipped = self.encoder.clip(actions)
             if compiled is not None and out is not None:
-                moved = compiled(self._state, actions, out, has_constants=has_constants)
+                moved = compiled.move(self._state, actions, out, has_constants=has_constants)
         if moved is None:
             began, before = perf_counter(), self.current
             self._state = state = dynamics.step(self.world, before, self.encoder.inputs(actions, before))
