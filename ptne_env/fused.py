@@ -22,7 +22,7 @@ from ptne_env.dynamics import State
 from ptne_env.encoder import Encoder, LocalEncoder, PhysicalEncoder
 from ptne_env.games import AffineGame, EnergyGame, Game
 from ptne_env.observation import SMALLEST_SCALE
-from ptne_env.world import RANGE_LIMIT
+from ptne_env.world import RANGE_LIMIT, EpisodeRandomness
 
 PATIENCE = 0.3
 """Seconds of numpy steps before numba is loaded, which takes about as long, so that a short run never waits for it."""
@@ -162,7 +162,9 @@ class FusedStep:
         self._none = np.empty((0, 0))
         self._constants: tuple[Any, ...] = ()
         self._is_checked = False
-        self._loaded: State | None = None
+        self._game: Game | None = None
+        self._draws: EpisodeRandomness | None = None
+        self._diverged = np.zeros(0, dtype=np.bool_)
         self._now: tuple[npt.NDArray[Any], ...] = ()
         self._sets: list[_Arrays] = []
 
@@ -192,11 +194,11 @@ class FusedStep:
             are_inside: whether the actions are known to be finite and within the action box.
 
         Returns:
-            For each environment the index of the coming step, shape (B,); d^i of every player, shape (N, B) with players
-            next to each other in memory; and whether the episode has reached its end, shape (B,): the step after the
-            next overwrites them. ``None`` where the actions have to be clipped, or numpy has to make the step, because no state
-            is there yet, the kernels are not loaded, an environment is out of range, or a drawn game has formulas of
-            its own; nothing has changed then, except the content of ``out``.
+            For each environment the index of the coming step, shape (B,); d^i of every player, shape (N, B) with
+            players next to each other in memory; and whether the episode has reached its end, shape (B,). The step
+            after the next overwrites them. ``None`` where the actions have to be clipped, or numpy has to make the
+            step, because no state is there yet, the kernels are not loaded, an environment is out of range, or a drawn
+            game has formulas of its own; nothing has changed then, except the content of ``out``.
         """
         compiled = kernels()
         if compiled is None or not (self._now if state is None else self._load(state)):
@@ -222,10 +224,10 @@ class FusedStep:
 
     def hand_over(self) -> State | None:
         """The state that the last step has reached, whose arrays no step will change; ``None`` before the first."""
-        if self._loaded is None:
+        if self._game is None:
             return None
-        instants, estimates, sigma = self._now
-        state = self._loaded._replace(step=instants, estimates=estimates, own_gradients=self._sets[1][1][0])
+        (instants, estimates, sigma), (gradients, *_) = self._sets[1]
+        state = State(instants, self._game, estimates, gradients, self._diverged, randomness=self._draws)
         self._sets[1] = self._new_arrays()
         if self._local is not None:
             self._local.remember_scale(state, sigma)
@@ -233,17 +235,18 @@ class FusedStep:
 
     def _load(self, state: State) -> bool:
         """Start from a state; ``False`` where numpy has to make the step."""
-        before, game, draws = self._loaded, state.game, state.randomness
+        game, draws = state.game, state.randomness
         if state.any_diverged:
             return False
-        if before is None or game is not before.game or draws is not before.randomness:
+        if game is not self._game or draws is not self._draws:
             if not _is_known(game):
                 return False
+            self._game, self._draws = game, draws
             graphs = self._schedule
             if draws is not None and draws.modes is not None and draws.time_since_switch is not None:
                 graphs = draws.modes, draws.time_since_switch
             self._constants = *graphs, *self._read(game), *self._tables
-        self._loaded = state
+        self._diverged = state.diverged
         sigma = self._none if self._local is None else self._local.scale(state)
         self._now = state.step, np.ascontiguousarray(state.estimates), sigma
         self._sets = self._sets or [self._new_arrays(), self._new_arrays()]

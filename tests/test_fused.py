@@ -237,7 +237,7 @@ def test_a_state_that_was_handed_out_never_changes_compiled(pause, interface, co
 
 
 @pytest.mark.parametrize("interface", ["physical", "local"])
-@pytest.mark.parametrize("duplicate", [copy.deepcopy, lambda env: pickle.loads(pickle.dumps(env))])
+@pytest.mark.parametrize("duplicate", [copy.deepcopy, lambda env: pickle.loads(pickle.dumps(env))])  # noqa: S301 - our own bytes
 def test_copies_in_the_middle_of_an_episode_go_on_alone_compiled(duplicate, interface, compiled, monkeypatch):
     calls, env = kernel_calls(monkeypatch), parallel_env("random-energy", interface=interface)
     env.reset(seed=0)

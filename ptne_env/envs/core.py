@@ -103,7 +103,7 @@ class Simulation:
         self._never = np.zeros(self.num_envs, dtype=np.bool_)
         self._never.flags.writeable = False
         self._streams: list[RandomStreams] = []
-        self._state: State | None = None  # also where the compiled step has moved on
+        self._state: State | None = None  # and after a compiled step, which keeps the state
 
     @property
     def state(self) -> State | None:
