@@ -7,7 +7,6 @@ import tempfile
 import tracemalloc
 import warnings
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -17,7 +16,7 @@ from typing import Any, Literal
 import numpy as np
 
 from benchmarks.peers import MissingPeerError, iter_forever
-from benchmarks.timing import Contender, Plan, Spread, seconds_per_call
+from benchmarks.timing import Contender, Plan, Spread, seconds_per_call, timed_method
 from ptne_env import dynamics, fused, laws, parallel_env
 from ptne_env.arrays import Float32Array
 from ptne_env.catalogue import get_scenario
@@ -180,27 +179,8 @@ def memory(interface: InterfaceKind, num_envs: int, scenario: str | Scenario = "
     return {"held": held / num_envs, "peak": peak / num_envs}
 
 
-@contextmanager
-def _timed(owner: type, name: str, spent: list[float]) -> Iterator[None]:
-    """Add the seconds in a method to ``spent[0]`` while the context lasts."""
-    method = getattr(owner, name)
-
-    def timed(*arguments: Any, **keywords: Any) -> Any:
-        began = perf_counter()
-        try:
-            return method(*arguments, **keywords)
-        finally:
-            spent[0] += perf_counter() - began
-
-    setattr(owner, name, timed)
-    try:
-        yield
-    finally:
-        setattr(owner, name, method)
-
-
 def training_share(plan: Plan) -> dict[str, Any]:
-    """The share of the environment in the wall time of PPO with the configuration ``random-energy``.
+    """The share of the environment in the wall time of PPO with the settings of the shipped ``ppo-random-energy``.
 
     Each repeat is a new training run. The first update is left out; the following updates cover one whole episode of
     every environment, with its end and the draw of new games.
@@ -211,19 +191,18 @@ def training_share(plan: Plan) -> dict[str, Any]:
     try:
         from stable_baselines3.common.vec_env import VecMonitor
 
+        from benchmarks.training import shipped
         from ptne_env.envs.sb3 import PlayerVecEnv
-        from ptne_env.training.arguments import Arguments
         from ptne_env.training.ppo import train
     except ImportError as error:
         raise MissingPeerError(f"the share of a PPO update is left out: {error}") from error
-    shipped = Arguments.from_toml("random-energy")
-    world = World(get_scenario(shipped.scenarios[0]))
+    arguments = shipped("random-energy", validation_episodes=2)
+    world = World(get_scenario("random-energy"))
     players, episode = world.game.num_players, world.clock.total_steps
-    updates = 2 if plan.quick else -(-episode // shipped.rollout)
-    settings: dict[str, Any] = {"steps": (updates + 1) * shipped.rollout * shipped.envs * players}
+    updates = 2 if plan.quick else -(-episode // arguments.rollout)
     if plan.quick:
-        settings = {"envs": 2, "rollout": 4, "steps": (updates + 1) * 4 * 2 * players}
-    arguments = Arguments.from_toml("random-energy", validation_episodes=2, **settings)
+        arguments = replace(arguments, envs=2, rollout=4)
+    arguments = replace(arguments, steps=(updates + 1) * arguments.rollout * arguments.envs * players)
     shares, monitored, rates = [], [], []
     for _ in range(plan.repeats):
         environment, with_monitor = [0.0], [0.0]
@@ -234,8 +213,8 @@ def training_share(plan: Plan) -> dict[str, Any]:
 
         with (
             tempfile.TemporaryDirectory() as folder,
-            _timed(PlayerVecEnv, "step_wait", environment),
-            _timed(VecMonitor, "step_wait", with_monitor),
+            timed_method(PlayerVecEnv, "step_wait", environment),
+            timed_method(VecMonitor, "step_wait", with_monitor),
             warnings.catch_warnings(),
         ):
             warnings.simplefilter("ignore")  # Stable-Baselines3 comments on batch sizes
