@@ -11,6 +11,7 @@ from collections.abc import Callable
 from contextlib import ExitStack
 from itertools import product
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from time import perf_counter, process_time
 from typing import Annotated, Any
 
@@ -58,22 +59,28 @@ def shipped(configuration: str, **changes: Any) -> Arguments:
 
 
 def measure(arguments: Arguments, out: Path) -> dict[str, float]:
-    """Train, unless that was done in ``out`` before.
+    """Train and keep the policy, the summary and the figures in ``out``, unless they are there already.
 
     Returns:
         Processor seconds of all parts, ``cpu`` and ``wall`` seconds of all, ``digits`` on the validation episodes.
+
+    Raises:
+        ValueError: when ``out`` holds a training with other arguments.
     """
     file = out / "measured.json"
-    if file.exists():
+    if ppo.finished(arguments, out) is not None and file.exists():
         measured: dict[str, float] = json.loads(file.read_text(encoding="utf-8"))
         return measured
     spent = {part: [0.0] for part in PARTS}
-    with ExitStack() as stack:
+    with ExitStack() as stack:  # the run starts afresh: seconds of an interrupted one are not comparable
+        run = Path(stack.enter_context(TemporaryDirectory())) / "run"
         for part, (owner, name) in PARTS.items():
             stack.enter_context(timed_method(owner, name, spent[part], process_time))
         cpu, wall = process_time(), perf_counter()
-        digits = ppo.train(arguments, out).validation_digits
+        digits = ppo.train(arguments, run).validation_digits
         cpu, wall = process_time() - cpu, perf_counter() - wall
+        for kept in ("policy.onnx", "summary.json"):
+            write_atomically(out / kept, (run / kept).read_bytes())
     measured = {part: seconds for part, (seconds,) in spent.items()} | {"cpu": cpu, "wall": wall, "digits": digits}
     write_atomically(file, json.dumps(measured))
     return measured

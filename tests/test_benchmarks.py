@@ -3,6 +3,7 @@
 import importlib
 import json
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -131,6 +132,8 @@ def test_the_parts_of_a_training_add_up_and_it_is_not_repeated(trainings, tmp_pa
     assert measured["rollouts"] > measured["environment"] + measured["policy"]
     monkeypatch.setattr(trainings.ppo, "train", lambda *_: pytest.fail("it trains again"))
     assert trainings.measure(few, tmp_path) == measured
+    with pytest.raises(ValueError, match="holds a run with another seed"):
+        trainings.measure(replace(few, seed=1), tmp_path)
 
 
 def test_every_choice_is_measured_alone_and_leaves_torch_as_it_was(trainings, monkeypatch, capsys):
