@@ -101,7 +101,7 @@ def fold(ufunc: np.ufunc, array: Array, axis: int) -> Array:
     result = first.copy()
     for term in others:
         ufunc(result, term, out=result)
-    return result  # type: ignore[return-value]
+    return result
 
 
 def ordered_sum(array: FloatArray, axis: int = 0) -> FloatArray:

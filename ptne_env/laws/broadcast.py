@@ -276,7 +276,8 @@ class IdentifyAndBroadcast(Relay):
             memory |= receive(observation, memory, place)
         known = memory["knows"] > 0
         complete = known.all(axis=1, keepdims=True)
-        move, resolved = np.zeros_like(estimate), {}
+        move = np.zeros_like(estimate)
+        resolved: dict[str, FloatArray] = {}
         if resolves.any():
             starts = resolves & complete & (before["target"] == 0).all(axis=1, keepdims=True)
             target = solution(memory["equations"], _UNIT * memory["equations"][:, :, -1], starts)
