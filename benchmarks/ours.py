@@ -22,7 +22,7 @@ from ptne_env import dynamics, fused, laws, parallel_env
 from ptne_env.arrays import Float32Array
 from ptne_env.catalogue import get_scenario
 from ptne_env.dynamics import State
-from ptne_env.encoder import Encoder, make_encoder
+from ptne_env.encoder import Encoder, LocalEncoder, make_encoder
 from ptne_env.envs.vector import VectorBuffers, VectorParallelEnv
 from ptne_env.experiments.episodes import EpisodeSet
 from ptne_env.experiments.rollout import rollout
@@ -152,7 +152,14 @@ def parts(interface: InterfaceKind, num_envs: int, plan: Plan, scenario: str | S
     }
     if fused.kernels() is not None and fused.qualifies(encoder, num_envs):
         compiled, out = fused.FusedStep(encoder), encoder.observe(state)
-        calls["all but the reward, compiled"] = lambda: compiled(state, played, out)
+        scale = encoder.scale(state) if isinstance(encoder, LocalEncoder) else None
+
+        def pass_over() -> None:
+            if isinstance(encoder, LocalEncoder) and scale is not None:
+                encoder.remember_scale(state, scale)  # as a running environment has
+            compiled(state, played, out)
+
+        calls["all but the reward, compiled"] = pass_over
     return {name: 1e6 * seconds_per_call(call, plan) for name, call in calls.items()}
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from time import perf_counter
 from typing import Any
 
@@ -55,6 +56,17 @@ def traffic(layout: ObservationLayout) -> int:
     return 4 * layout.action_size + 16 * layout.dimension + 4 * layout.size + 8
 
 
+def copy_of(layout: ObservationLayout, num_envs: int) -> Contender:
+    """A copy by numpy that reads and writes as many bytes as a step of ``num_envs`` environments: see :func:`traffic`.
+
+    No step that touches every array in memory once can be faster.
+    """
+    agents = num_envs * layout.num_players
+    source = np.zeros(agents * traffic(layout) // 2, dtype=np.uint8)
+    target = np.empty_like(source)
+    return Contender("a copy of the bytes of a step", agents, lambda: np.copyto(target, source))
+
+
 def copy_speed(plan: Plan) -> Spread:
     """Bytes per second, read and written, at which numpy copies an array larger than the second cache."""
     source = np.zeros(1 << (20 if plan.quick else 24), dtype=np.float64)
@@ -69,7 +81,7 @@ def copy_speed(plan: Plan) -> Spread:
 
 
 def over_players(plan: Plan) -> list[dict[str, Any]]:
-    """Cost of an agent-step by N and graph, as rows of a table."""
+    """Cost of an agent-step by N and graph, compiled and by numpy, as rows of a table."""
     rows: list[dict[str, Any]] = []
     contenders: list[Contender] = []
     for players in (5, 10) if plan.quick else (5, 10, 20, 50, 100):
@@ -78,8 +90,7 @@ def over_players(plan: Plan) -> list[dict[str, Any]]:
             layout = VectorParallelEnv(world, 1).layout
             batch = min(_ENVIRONMENTS, _ENTRIES // (layout.slots * players * players))
             batch = 4 if plan.quick else max(1, batch)
-            contender = ours.vector("physical", batch, world)
-            contenders.append(Contender(world.name, contender.agent_steps, contender.step))
+            contenders += _both(world.name, ours.vector("physical", batch, world))
             rows.append(
                 {
                     "players": players,
@@ -91,35 +102,52 @@ def over_players(plan: Plan) -> list[dict[str, Any]]:
                     "bytes": traffic(layout),
                 }
             )
-    rates = interleave(contenders, plan)
-    for row, contender in zip(rows, contenders, strict=True):
-        rate = Spread.of(rates[contender.name])
+    rates = interleave(contenders, _shorter(plan))
+    for row in rows:
+        name = f"{row['graph']}-{row['players']}"
+        rate = Spread.of(rates[name])
         row["agent_steps_per_second"] = rate.to_dict()
         row["nanoseconds_per_agent_step"] = 1e9 / rate.median
+        row["nanoseconds_by_numpy"] = 1e9 / Spread.of(rates[f"{name}, numpy"]).median
         row["operations_per_second"] = row["operations"] * rate.median
         row["bytes_per_second"] = row["bytes"] * rate.median
     return rows
 
 
+def _both(name: str, contender: Contender) -> list[Contender]:
+    """The contender under another name, with compiled steps and with numpy's."""
+    named = replace(contender, name=name)
+    return [ours.by("compiled", named), ours.by("numpy", named)]
+
+
+def _shorter(plan: Plan) -> Plan:
+    """Half the time for each turn, because nothing here is compared with a target."""
+    return replace(plan, seconds=plan.seconds / 2)
+
+
 def over_batch(plan: Plan) -> list[dict[str, Any]]:
-    """Cost of an agent-step and memory by B, N = 5, for both interfaces, as rows of a table."""
+    """Cost of an agent-step and memory by B, N = 5, both ways and for both interfaces, as rows of a table."""
     sizes = (1, 16) if plan.quick else (1, 4, 16, 64, 256, 1024, 2048, 4096, 8192, 16384)
     rows: list[dict[str, Any]] = []
     for kind in ("physical", "local"):
-        contenders = []
-        for size in sizes:
-            contender = ours.vector(kind, size)
-            contenders.append(Contender(str(size), contender.agent_steps, contender.step))
-        rates = interleave(contenders, plan)
+        contenders = [each for size in sizes for each in _both(str(size), ours.vector(kind, size))]
+        rates = interleave(contenders, _shorter(plan))
         for size in sizes:
             rate = Spread.of(rates[str(size)])
+            memory = {}
+            paths: tuple[ours.StepPath, ...] = ("numpy", "compiled")
+            for path in paths:
+                ours.use(path)
+                memory[path] = ours.memory(kind, size)
             rows.append(
                 {
                     "interface": kind,
                     "envs": size,
                     "agent_steps_per_second": rate.to_dict(),
                     "nanoseconds_per_agent_step": 1e9 / rate.median,
-                    "bytes_per_env": ours.memory(kind, size),
+                    "nanoseconds_by_numpy": 1e9 / Spread.of(rates[f"{size}, numpy"]).median,
+                    "bytes_per_env": memory["compiled"],
+                    "bytes_per_env_by_numpy": memory["numpy"],
                 }
             )
     return rows

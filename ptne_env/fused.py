@@ -17,12 +17,12 @@ import numpy as np
 import numpy.typing as npt
 
 from ptne_env import dynamics
-from ptne_env.arrays import Float32Array, FloatArray
+from ptne_env.arrays import BoolArray, Float32Array, FloatArray
 from ptne_env.dynamics import State
 from ptne_env.encoder import Encoder, LocalEncoder, PhysicalEncoder
 from ptne_env.games import AffineGame, EnergyGame, Game
 from ptne_env.observation import SMALLEST_SCALE
-from ptne_env.world import RANGE_LIMIT
+from ptne_env.world import RANGE_LIMIT, EpisodeRandomness
 
 PATIENCE = 0.3
 """Seconds of numpy steps before numba is loaded, which takes about as long, so that a short run never waits for it."""
@@ -32,6 +32,8 @@ LARGEST_ALONE, LARGEST_TOGETHER = 5_000, 200_000
 
 _TILE, _TILE_ENTRIES = 64, 8192
 """Largest number of environments in a tile, and of estimates n N times environments: its numbers stay in a cache."""
+
+_SINGLE, _ANY = np.dtype(np.float32), float(np.inf)
 
 _spent = 0.0
 """Seconds so far; minus infinity keeps numpy for good."""
@@ -134,14 +136,14 @@ class FusedStep:
         n, players = layout.dimension, layout.num_players
         theta, ages = world.theta.reshape(-1, world.theta.shape[-1]), encoder.clock_table[4, 0]
         self._schedule = world.modes[:, None].astype(np.int16), ages[:, None].copy()
-        rows, mask = encoder.gradient_rows, encoder.gradient_mask
+        rows, padded = encoder.gradient_rows, encoder.gradient_mask
+        mask = np.ones(rows.shape) if padded is None else padded[:, :, 0]
+        order = np.tile(np.arange(n), (players, 1)) if self._local is None else layout.ego_order
+        places = np.concatenate([world.neighbours, rows, mask, order.T]).astype(np.int64)
         # Copies, because numba compiles a function once more for arrays that are read-only or in another order.
         self._tables = (
-            *(table.copy() for table in (theta, encoder.clock_table, world.mode_weights, world.neighbours)),
-            world.game.owners.copy(),
-            np.tile(np.arange(n), (players, 1)) if self._local is None else layout.ego_order.copy(),
-            rows.copy(),
-            np.ones(rows.shape) if mask is None else np.array(mask[:, :, 0], dtype=np.float64, order="C"),
+            *(table.copy() for table in (theta, encoder.clock_table, world.mode_weights, world.game.owners)),
+            places,
             layout.input_limit,
             layout.interface.action_scale,
             SMALLEST_SCALE,
@@ -152,7 +154,7 @@ class FusedStep:
         self._log_scale = layout.slices.get("log_scale", slice(0)).start
         self._none = np.empty((0, 0))
         self._game: Game | None = None
-        self._numbers: tuple[FloatArray | int, ...] = ()
+        self._constants: tuple[Any, ...] = ()
         self._is_checked = False
 
     def accepts(self, actions: npt.NDArray[np.floating]) -> bool:
@@ -163,53 +165,66 @@ class FusedStep:
         return compiled.is_inside(actions, self._bound)
 
     def __call__(
-        self, state: State, actions: npt.NDArray[np.floating], out: Float32Array, *, has_constants: bool = False
-    ) -> tuple[State, FloatArray] | None:
+        self,
+        state: State,
+        actions: npt.NDArray[np.floating],
+        out: Float32Array,
+        *,
+        has_constants: bool = False,
+        are_inside: bool = True,
+    ) -> tuple[State, FloatArray, BoolArray] | None:
         """Make a step, and write the observations of the next state.
 
         Args:
             state: x_k; left as it is.
-            actions: finite and within the action box, shape (B, N, n).
+            actions: shape (B, N, n).
             out: where to write, shape (B, N, size), C-contiguous.
             has_constants: whether ``out`` holds the one-hots already.
+            are_inside: whether the actions are known to be finite and within the action box.
 
         Returns:
-            x_{k+1}, and d^i of every player, shape (N, B) with players next to each other in memory. ``None``
-            where numpy has to make the step, because the kernels are not loaded, an environment is out of range, or a
-            drawn game has formulas of its own; nothing has changed then, except the content of ``out``.
+            x_{k+1}; d^i of every player, shape (N, B) with players next to each other in memory; and whether each
+            episode has reached its end, shape (B,). ``None`` where the actions have to be clipped, or numpy has to
+            make the step, because the kernels are not loaded, an environment is out of range, or a drawn game has
+            formulas of its own; nothing has changed then, except the content of ``out``.
         """
         compiled = kernels()
-        if compiled is None or state.any_diverged:
+        instants, game, old, _, diverged, any_diverged, draws, _ = state
+        if compiled is None or any_diverged or not (game is self._game or self._read(game, instants.size)):
             return None
-        if state.game is not self._game and not self._read(state.game, state.step.size):
-            return None
-        local, draws, (modes, ages) = self._local, state.randomness, self._schedule
-        if draws is not None and draws.modes is not None and draws.time_since_switch is not None:
-            modes, ages = draws.modes, draws.time_since_switch
-        if actions.dtype != np.float32 or not actions.flags.c_contiguous:
+        local, (modes, ages) = self._local, self._graphs(draws)
+        if actions.dtype is not _SINGLE or not actions.flags.c_contiguous:
+            if not are_inside:
+                return None
             actions = np.ascontiguousarray(actions, dtype=np.float32)
-        old = state.estimates if state.estimates.flags.c_contiguous else np.ascontiguousarray(state.estimates)
+        if not old.flags.c_contiguous:
+            old = np.ascontiguousarray(old)
         n, players, batch = old.shape
         new, gradients, distance = np.empty(old.shape), np.empty((n, batch)), np.empty((batch, players))
-        step = np.empty(batch, dtype=np.int64)
-        sigma, next_sigma = (self._none,) * 2 if local is None else (local.scale(state), np.empty((players, batch)))
+        step, is_last = np.empty(batch, np.int64), np.empty(batch, np.bool_)
+        sigma, next_sigma = self._none, self._none
+        if local is not None:
+            sigma, next_sigma = local.scale(state), np.empty((players, batch))
         arguments = (
-            old, state.step, actions, sigma, modes, ages, new, step, gradients, distance, next_sigma, out,
-            has_constants, *self._numbers, *self._tables,
+            old, instants, actions, _ANY if are_inside else self._bound, sigma, modes, ages,
+            new, step, gradients, distance, next_sigma, is_last, out, has_constants, *self._constants,
         )  # fmt: skip
         if not (compiled.step(*arguments) if self._is_checked else self._try(compiled.step, *arguments)):
             return None
-        moved = State(step, state.game, new, gradients, state.diverged, False, draws)  # noqa: FBT003 - none has
+        moved = State(step, game, new, gradients, diverged, False, draws)  # noqa: FBT003 - none has
         if local is not None:
-            out[:, :, self._log_scale] = np.log10(next_sigma).T
-        if not self._is_checked:
-            self._is_checked = True
-            if not self._agrees(moved, state, actions, out):
-                _refuse("its numbers are not those of numpy")
-                return None
+            compiled.show_entry(out, self._log_scale, np.log10(next_sigma))
+        if not (self._is_checked or self._is_confirmed(moved, state, actions, out)):
+            return None
         if local is not None:
             local.remember_scale(moved, next_sigma)
-        return moved, distance.T
+        return moved, distance.T, is_last
+
+    def _graphs(self, draws: EpisodeRandomness | None) -> tuple[npt.NDArray[np.int16], Float32Array]:
+        """The active graph and its age by instant, (K+H+1, B), or (K+H+1, 1) where episodes do not draw them."""
+        if draws is None or draws.modes is None or draws.time_since_switch is None:
+            return self._schedule
+        return draws.modes, draws.time_since_switch
 
     def _try(self, step: Callable[..., bool], *arguments: Any) -> bool:
         """The first step, or ``False`` and a warning where it cannot be compiled."""
@@ -221,28 +236,26 @@ class FusedStep:
 
     def _read(self, game: Game, batch: int) -> bool:
         """Read the numbers of the games of a batch of environments; whether the kernels hold their formulas."""
-        tile = min(self._largest_tile, batch)
-
-        def columns(table: FloatArray) -> FloatArray:
-            """One column per environment, or a tile of the same column."""
-            return np.repeat(table, tile if table.shape[-1] == 1 else 1, axis=-1)
-
-        nothing = np.empty((0, tile))
         if not _is_known(game):
             return False
-        if isinstance(game, EnergyGame):
-            coupling = np.broadcast_to(game.coupling, (1, game.batch_size))
-            formula = np.empty((0, 0, tile)), columns(coupling), columns(game.slope), columns(game.intercept)
-        elif isinstance(game, AffineGame):
-            formula = columns(game.transposed), nothing, nothing, columns(game.offset)
-        box = (nothing, nothing) if game.low is None or game.high is None else (columns(game.low), columns(game.high))
-        self._numbers = *formula, *box, columns(game.nash_equilibria), columns(game.equilibrium_scale[None]), tile
+        box = [] if game.low is None or game.high is None else [game.low, game.high]
+        tables = [game.nash_equilibria, game.equilibrium_scale[None], *box]
+        if isinstance(game, AffineGame):
+            tables += [game.transposed.reshape(-1, game.transposed.shape[-1]), game.offset]
+        elif isinstance(game, EnergyGame):
+            tables += [np.broadcast_to(game.coupling, (1, game.batch_size)), game.slope, game.intercept]
+        tile = min(self._largest_tile, batch)
+        columns = tile if game.batch_size == 1 else batch  # one per environment, or a tile of the same
+        table = np.concatenate([np.broadcast_to(rows, (len(rows), columns)) for rows in tables])
+        self._constants = table, game.dimension if box else 0, isinstance(game, AffineGame), tile, *self._tables
         self._game = game
         return True
 
-    def _agrees(self, moved: State, before: State, actions: npt.NDArray[np.floating], observed: Float32Array) -> bool:
+    def _is_confirmed(
+        self, moved: State, before: State, actions: npt.NDArray[np.floating], observed: Float32Array
+    ) -> bool:
         """Whether numpy comes to the same bits here: nothing is assumed of processors and compilers."""
-        encoder = self._encoder
+        self._is_checked, encoder = True, self._encoder
         expected = dynamics.step(encoder.world, before, encoder.inputs(actions, before))
         pairs = (
             (moved.step, expected.step),
@@ -250,4 +263,7 @@ class FusedStep:
             (moved.own_gradients, expected.own_gradients),
             (observed, encoder.observe(expected)),
         )
-        return all(ours.tobytes() == numpys.tobytes() for ours, numpys in pairs)
+        agrees = all(ours.tobytes() == numpys.tobytes() for ours, numpys in pairs)
+        if not agrees:
+            _refuse("its numbers are not those of numpy")
+        return agrees

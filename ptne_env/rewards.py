@@ -70,6 +70,8 @@ class Reward:
                 f"reward 'regret' needs a best response, which {type(world.game).__name__} does not have "
                 "everywhere; choose digits, tracking or payoff"
             )
+        (self._first, weight), *others = self.weights.items()
+        self._is_plain = weight == 1 and not others
         self._distance = np.empty((0, 0))
         self._digits = np.empty((0, 0))
 
@@ -86,7 +88,10 @@ class Reward:
         """
         before = self._digits
         self._measure(state, distance)
-        terms = {name: self._term(name, state, before) for name in self.weights}
+        if self._is_plain:  # a comprehension would take longer
+            terms = {self._first: self._term(self._first, state, before)}
+        else:
+            terms = {name: self._term(name, state, before) for name in self.weights}
         if state.any_diverged:
             remaining = 1 + self.world.clock.total_steps - state.step
             worst = self._worst(state)
@@ -97,9 +102,9 @@ class Reward:
 
     def total(self, terms: Mapping[str, FloatArray]) -> FloatArray:
         """The weighted sum of the terms, shape (N, B)."""
+        if self._is_plain:
+            return terms[self._first]
         (first, weight), *others = self.weights.items()
-        if weight == 1 and not others:
-            return terms[first]
         total = weight * terms[first]
         for name, weight in others:
             total += weight * terms[name]

@@ -62,6 +62,22 @@ def test_a_peer_is_compared_or_named_as_missing(results):
         assert named != any(name.startswith(peer) for name in compared)
 
 
+def test_steps_are_judged_beside_a_copy_of_the_bytes_that_they_must_move(results):
+    copy = "a copy of the bytes of a step"
+    judged = [row for row in results["targets"] if copy in row["name"]]
+    assert [row["at_most"] for row in judged] == [True, True]
+    for name in ("vector 8", "vector 16"):
+        assert copy in results["comparisons"][name]["agent_steps_per_second"]
+
+
+def test_growth_is_measured_compiled_and_by_numpy(results):
+    for row in (*results["players"], *results["batch"]):
+        assert min(row["nanoseconds_per_agent_step"], row["nanoseconds_by_numpy"]) > 0
+    for row in results["batch"]:
+        for path in ("bytes_per_env", "bytes_per_env_by_numpy"):
+            assert 0 < row[path]["held"] <= row[path]["peak"]
+
+
 def test_rows_by_players_count_operations_and_bytes(results):
     cycle, complete = (
         next(row for row in results["players"] if row["players"] == 10 and row["graph"] == graph)

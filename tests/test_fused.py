@@ -116,6 +116,21 @@ def test_players_with_clocks_of_their_own_and_random_graphs_are_the_same_compile
     assert len(calls) == 20
 
 
+def test_episodes_end_at_the_same_step_compiled(compiled, monkeypatch):
+    calls, envs = kernel_calls(monkeypatch), [vector_env("energy", 3, by_numpy=flag) for flag in (False, True)]
+    for env in envs:
+        env.reset(seed=0)
+        env.step(np.zeros((3, 5, 5), dtype=np.float32))
+        env.reset(mask=[False, True, False])  # ends one step later
+    for step in range(1, 1000):
+        outcome, expected = (env.step(np.zeros((3, 5, 5), dtype=np.float32)) for env in envs)
+        assert bits(outcome.terminated) == bits(expected.terminated), step
+        if outcome.terminated.any():
+            break
+    assert outcome.terminated.tolist() == [True, False, True]
+    assert len(calls) == step + 1
+
+
 def test_a_game_with_formulas_of_its_own_is_stepped_by_numpy(compiled, monkeypatch):
     calls = kernel_calls(monkeypatch)
     vector_env(BLOCKS, 2).reset(seed=0)
@@ -135,14 +150,15 @@ def test_every_reward_is_the_same_compiled(compiled):
     check_equal([vector_env("random-energy", 5, by_numpy=flag, reward=reward) for flag in (False, True)], 12)
 
 
+@pytest.mark.parametrize("sign", [-1, 1])
 @pytest.mark.parametrize("interface", ["physical", "local"])
-def test_environments_that_diverge_are_left_to_numpy(interface, compiled):
+def test_environments_that_diverge_are_left_to_numpy(interface, sign, compiled):
     arguments = {"interface": interface, "input_limit": 1e9, "action_scale": 1e9}
     envs = [vector_env("random-energy", 5, by_numpy=flag, **arguments) for flag in (False, True)]
     for env in envs:
         env.reset(seed=0)
     actions = np.zeros((5, 5, 5), dtype=np.float32)
-    actions[2] = envs[0].layout.action_bound
+    actions[2] = sign * envs[0].layout.action_bound
     for step in range(3):
         ours, expected = (env.step(actions, restart=np.arange(5) == 2 if step else None) for env in envs)
         assert ours.infos["diverged"].tolist() == expected.infos["diverged"].tolist()
@@ -164,6 +180,27 @@ def test_numpy_and_the_compiled_step_may_take_turns_in_an_episode(interface, com
         assert rest == other
         assert all(bits(observations[agent]) == bits(expected[agent]) for agent in expected)
     assert len(calls) == 13
+
+
+@pytest.mark.parametrize("interface", ["physical", "local"])
+def test_actions_outside_the_box_are_clipped_and_counted_alike_compiled(interface, compiled, monkeypatch):
+    calls, (ours, numpys) = kernel_calls(monkeypatch), [parallel_env("energy", interface=interface) for _ in range(2)]
+    numpys._simulation._fused = None
+    ours.reset(seed=0), numpys.reset(seed=0)
+    for dtype in (np.float32, np.float64):
+        actions = {agent: np.zeros(5, dtype=dtype) for agent in ours.agents}
+        actions["player_1"][:2] = -3 * ours.layout.action_bound
+        actions["player_3"][4] = np.nextafter(ours.layout.action_bound, np.inf, dtype=dtype)
+        (observations, *rest), (expected, *other) = ours.step(actions), numpys.step(actions)
+        assert rest == other
+        assert [info["clipped"] for info in rest[-1].values()] == [0, 2, 0, 1, 0]
+        assert all(bits(observations[agent]) == bits(expected[agent]) for agent in expected)
+    assert len(calls) >= 2
+    before = ours.get_state()
+    actions["player_2"][3] = np.nan
+    with pytest.raises(ValueError, match="player_2 is not finite"):
+        ours.step(actions)
+    assert ours.get_state() is before
 
 
 @pytest.mark.parametrize("interface", ["physical", "local"])
@@ -254,7 +291,7 @@ def test_a_processor_that_rounds_differently_is_one_warning_and_the_numpy_path(c
 
     def inexact(estimates, *arguments):
         in_range = step(estimates, *arguments)
-        arguments[5][0, 0, 0] = np.nextafter(arguments[5][0, 0, 0], 1)  # the first of the results
+        arguments[6][0, 0, 0] = np.nextafter(arguments[6][0, 0, 0], 1)  # the first of the results
         return in_range
 
     monkeypatch.setattr(kernels, "step", inexact)

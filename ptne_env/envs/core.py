@@ -29,6 +29,7 @@ class StepResult(NamedTuple):
         terminated: shape (B,).
         truncated: shape (B,).
         is_observed: whether the observations were written too, as a compiled step does.
+        clipped: entries of each player's action that were outside the box, shape (B, N); ``None`` for none.
     """
 
     rewards: FloatArray
@@ -36,6 +37,7 @@ class StepResult(NamedTuple):
     terminated: BoolArray
     truncated: BoolArray
     is_observed: bool
+    clipped: IntArray | None = None
 
 
 class ResetResult(NamedTuple):
@@ -97,6 +99,8 @@ class Simulation:
         self.max_cycles = None if max_cycles is None else require_count("max_cycles", max_cycles, 1)
         self._reward = Reward(self.world, reward)
         self._fused = fused.FusedStep(encoder) if fused.qualifies(encoder, self.num_envs) else None
+        self._never = np.zeros(self.num_envs, dtype=np.bool_)
+        self._never.flags.writeable = False
         self._streams: list[RandomStreams] = []
         self.state: State | None = None
 
@@ -198,43 +202,49 @@ class Simulation:
         out: Float32Array | None = None,
         *,
         has_constants: bool = False,
+        are_inside: bool = True,
     ) -> StepResult:
         """Hold all players' inputs for one step.
 
         Args:
-            actions: finite and within the action box (see :meth:`Encoder.clip`), shape (B, N, action size).
+            actions: shape (B, N, action size).
             restart: the start of environments that start afresh instead of moving: their rewards are 0.
             out: where a compiled step writes the observations, (B, N, size) and C-contiguous; numpy makes the step if
                 it is left out.
             has_constants: whether ``out`` has held observations of this simulation before.
+            are_inside: whether the actions are known to be finite and within the action box (see :meth:`clip`); they
+                are clipped otherwise.
 
         Raises:
             RuntimeError: before the first reset.
+            NonFiniteActionError: when an action that has to be clipped holds NaN or infinity; nothing is stepped.
         """
-        before, moved = self.current, None
-        if self._fused is not None and out is not None:
-            moved = self._fused(before, actions, out, has_constants=has_constants)
+        before, moved, clipped = self.current, None, None
+        compiled = None if out is None else self._fused
+        if compiled is not None and out is not None:
+            moved = compiled(before, actions, out, has_constants=has_constants, are_inside=are_inside)
+        if moved is None and not are_inside:
+            actions, clipped = self.encoder.clip(actions)
+            if compiled is not None and out is not None:
+                moved = compiled(before, actions, out, has_constants=has_constants)
         if moved is None:
             began = perf_counter()
             state = dynamics.step(self.world, before, self.encoder.inputs(actions, before))
             terms = self._reward.step(state)
+            terminated = dynamics.is_over(self.world, state)
             if self._fused is not None and not fused.spend(perf_counter() - began):
                 self._fused = None
         else:
-            state, distance = moved
+            state, distance, terminated = moved
             terms = self._reward.step(state, distance)
         self.state = state
-        terminated = dynamics.is_over(self.world, state)
-        if self.max_cycles is None:
-            truncated = np.zeros(self.num_envs, dtype=np.bool_)
-        else:
-            truncated = ~terminated & (state.step >= self.max_cycles)
+        truncated = self._never if self.max_cycles is None else ~terminated & (state.step >= self.max_cycles)
         if restart is not None:
             self.begin(restart)
             terms = {name: np.where(restart.mask, 0.0, term) for name, term in terms.items()}
             terminated, truncated = terminated & ~restart.mask, truncated & ~restart.mask
         is_observed = moved is not None and restart is None
-        return StepResult(self._reward.total(terms), terms, terminated, truncated, is_observed)
+        return StepResult(self._reward.total(terms), terms, terminated, truncated, is_observed, clipped)
 
     def observe(self, out: Float32Array | None = None) -> Float32Array:
         """Observations of all players, shape (B, N, size), float32, owned by the caller."""

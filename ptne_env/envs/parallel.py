@@ -31,6 +31,8 @@ from ptne_env.world import World
 
 AgentInfo = dict[str, Any]
 
+_SINGLE = np.dtype(np.float32)
+
 
 class NashSeekingEnv(ParallelEnv[str, Float32Array, Float32Array]):
     """N players of a noncooperative game that must reach its Nash equilibrium by a deadline.
@@ -86,7 +88,7 @@ class NashSeekingEnv(ParallelEnv[str, Float32Array, Float32Array]):
             -OBSERVATION_BOUND, OBSERVATION_BOUND, (players * (n + players) + 4,), dtype=np.float32
         )
         self._renderer = Renderer(self.world, render_mode) if render_mode else None
-        self._plain, self._single = [np.ndarray] * players, [np.dtype(np.float32)] * players
+        self._unclipped = [0] * players
         self._table: tuple[Float32Array, list[Float32Array]] | None = None
 
     def __getstate__(self) -> dict[str, Any]:
@@ -187,22 +189,23 @@ class NashSeekingEnv(ParallelEnv[str, Float32Array, Float32Array]):
         agents = self.agents
         if not agents:
             raise RuntimeError("no episode is running: call reset() before step()")
+        table, rows = self._table or self._observed()
         try:
-            inside, clipped = self._simulation.clip(self._stack(actions))
+            outcome = self._simulation.step(self._stack(actions), out=table, has_constants=True, are_inside=False)
         except NonFiniteActionError:
             raise self._complaint(actions) from None
-        table, rows = self._observed()
-        outcome = self._simulation.step(inside, out=table, has_constants=True)
+        clipped = self._unclipped if outcome.clipped is None else outcome.clipped[0].tolist()
         if not outcome.is_observed:
             self._simulation.observe(table)
-        terminated, truncated = bool(outcome.terminated[0]), bool(outcome.truncated[0])
-        diverged = bool(self._simulation.current.diverged[0])
+        terminated, truncated = outcome.terminated.item(), outcome.truncated.item()
+        diverged = self._simulation.current.diverged.item()
+        (first, values), *others = [(name, term[:, 0].tolist()) for name, term in outcome.terms.items()]
         infos: dict[str, AgentInfo] = {
-            agent: {"diverged": diverged, "clipped": count, "reward_terms": {}}
-            for agent, count in zip(agents, clipped[0].tolist(), strict=True)
+            agent: {"diverged": diverged, "clipped": count, "reward_terms": {first: value}}
+            for agent, count, value in zip(agents, clipped, values, strict=True)
         }
-        for name, term in outcome.terms.items():
-            for info, value in zip(infos.values(), term[:, 0].tolist(), strict=True):
+        for name, values in others:
+            for info, value in zip(infos.values(), values, strict=True):
                 info["reward_terms"][name] = value
         if terminated or truncated:
             success = bool(self._simulation.succeeded()[0])
@@ -296,8 +299,8 @@ class NashSeekingEnv(ParallelEnv[str, Float32Array, Float32Array]):
             raise self._complaint(actions) from None
         if stacked.shape != (len(actions), self.layout.action_size):
             raise self._complaint(actions)
-        # Nearly all rows are plain arrays of float32: their types are compared at once.
-        if list(map(type, rows)) != self._plain or [row.dtype for row in rows] != self._single:
+        # Nearly all rows are plain arrays of float32, whose type is one object.
+        if any([type(row) is not np.ndarray or row.dtype is not _SINGLE for row in rows]):  # noqa: C419 - a list is faster
             arrays = list(map(np.asanyarray, rows))
             if {row.dtype.kind for row in arrays} != {"f"} or MaskedArray in map(type, arrays):
                 raise self._complaint(actions)

@@ -103,6 +103,7 @@ class PlayerVecEnv(VecEnv):
             raise ValueError(f"actions of {self.num_envs} members have the shape {shape}, got {actions.shape}")
         outcome = self.vector.step(actions.reshape(self.vector.num_envs, self._players, -1))
         over = outcome.terminated | outcome.truncated
+        dones = np.zeros(self.num_envs, dtype=np.bool_)
         if any(self._empty):  # the caller wrote into one
             self._empty = self._new_infos()
         infos = self._empty.copy()
@@ -110,8 +111,9 @@ class PlayerVecEnv(VecEnv):
         if np.count_nonzero(over):
             self._finish(outcome, over, infos)
             observations = self.vector.reset(mask=over)
+            dones = np.repeat(over, self._players)
         rewards = outcome.rewards.reshape(-1).astype(np.float32)
-        return self._flat(observations), rewards, np.repeat(over, self._players), infos
+        return self._flat(observations), rewards, dones, infos
 
     def _finish(self, outcome: VectorStep, over: BoolArray, infos: list[dict[str, Any]]) -> None:
         for env in np.flatnonzero(over).tolist():
