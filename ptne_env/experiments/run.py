@@ -256,8 +256,9 @@ class _Runner:
         if self.store is not None and not self.rerun:
             require_hashed(jobs)
         self.total += len(jobs)
-        # The largest games first, so that no worker is left alone with one at the end.
-        order = sorted(range(len(jobs)), key=lambda index: -jobs[index].track.world.game.num_players)
+        # The largest games first, so that no worker is left alone with one at the end; then the last jobs, because
+        # lists of policies begin with the fastest laws, and the coded law is the last of those for learned policies.
+        order = sorted(range(len(jobs)), key=lambda index: (-jobs[index].track.world.game.num_players, -index))
         found: dict[int, JobResult] = {}
         ordered = [jobs[index] for index in order]
         for place, result in run_jobs(ordered, self.store, self.workers, rerun=self.rerun):
