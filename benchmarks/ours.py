@@ -219,18 +219,18 @@ def memory(interface: InterfaceKind, num_envs: int, scenario: str | Scenario = "
 
 
 @contextmanager
-def _timed(owner: type, name: str, spent: list[float]) -> Iterator[None]:
-    """Add the seconds in a method to ``spent[0]`` while the context lasts."""
+def timed(owner: Any, name: str, spent: list[float], clock: Callable[[], float] = perf_counter) -> Iterator[None]:
+    """Add the seconds in a method, or in a function of a module, to ``spent[0]`` while the context lasts."""
     method = getattr(owner, name)
 
-    def timed(*arguments: Any, **keywords: Any) -> Any:
-        began = perf_counter()
+    def measured(*arguments: Any, **keywords: Any) -> Any:
+        began = clock()
         try:
             return method(*arguments, **keywords)
         finally:
-            spent[0] += perf_counter() - began
+            spent[0] += clock() - began
 
-    setattr(owner, name, timed)
+    setattr(owner, name, measured)
     try:
         yield
     finally:
@@ -272,8 +272,8 @@ def training_share(plan: Plan) -> dict[str, Any]:
 
         with (
             tempfile.TemporaryDirectory() as folder,
-            _timed(PlayerVecEnv, "step_wait", environment),
-            _timed(VecMonitor, "step_wait", with_monitor),
+            timed(PlayerVecEnv, "step_wait", environment),
+            timed(VecMonitor, "step_wait", with_monitor),
             warnings.catch_warnings(),
         ):
             warnings.simplefilter("ignore")  # Stable-Baselines3 comments on batch sizes
