@@ -7,6 +7,7 @@ import tempfile
 import tracemalloc
 import warnings
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -16,7 +17,7 @@ from typing import Any, Literal
 import numpy as np
 
 from benchmarks.peers import MissingPeerError, iter_forever
-from benchmarks.timing import Contender, Plan, Spread, seconds_per_call, timed_method
+from benchmarks.timing import Contender, Plan, Spread, seconds_per_call
 from ptne_env import dynamics, fused, laws, parallel_env
 from ptne_env.arrays import Float32Array
 from ptne_env.catalogue import get_scenario
@@ -134,6 +135,37 @@ def slots(interface: InterfaceKind, num_envs: int) -> Contender:
     return Contender(f"ptne_env, {interface}", env.num_envs, lambda: env.step(next(turn)))
 
 
+def tensordicts(interface: InterfaceKind, num_envs: int, *, is_wrapped: bool = False) -> Contender:
+    """TorchRL's batched environment, or as many environments in series, each through its wrapper of PettingZoo.
+
+    Raises:
+        MissingPeerError: when TorchRL is not installed.
+    """
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # the wrapper asks for an older PettingZoo
+        try:
+            from torchrl.envs import PettingZooWrapper, SerialEnv
+
+            from ptne_env.envs.torchrl import TorchRLEnv
+        except ImportError as error:
+            raise MissingPeerError(f"TorchRL is left out: {error}; to compare with it: pip install torchrl") from error
+        env = (
+            SerialEnv(num_envs, lambda: PettingZooWrapper(parallel_env("energy", interface=interface)))
+            if is_wrapped
+            else TorchRLEnv("energy", num_envs, interface=interface)
+        )
+        following = env.reset()
+    pool = [env.full_action_spec.rand() for _ in range(_BATCHES)]
+    turn, agents = iter_forever(pool), pool[0]["player", "action"].shape[:-1].numel()
+
+    def step() -> None:
+        nonlocal following
+        _, following = env.step_and_maybe_reset(following.update(next(turn)))
+
+    name = "TorchRL's PettingZooWrapper" if is_wrapped else f"ptne_env, {interface}"
+    return Contender(name, agents, step)
+
+
 def parts(interface: InterfaceKind, num_envs: int, plan: Plan, scenario: str | Scenario = "energy") -> dict[str, float]:
     """Microseconds of each part of a step of ``num_envs`` environments; each part runs alone, in a warm cache."""
     world, encoder, reward, state = _world(interface, num_envs, scenario)
@@ -186,6 +218,25 @@ def memory(interface: InterfaceKind, num_envs: int, scenario: str | Scenario = "
     return {"held": held / num_envs, "peak": peak / num_envs}
 
 
+@contextmanager
+def timed(owner: Any, name: str, spent: list[float], clock: Callable[[], float] = perf_counter) -> Iterator[None]:
+    """Add the seconds in a method, or in a function of a module, to ``spent[0]`` while the context lasts."""
+    method = getattr(owner, name)
+
+    def measured(*arguments: Any, **keywords: Any) -> Any:
+        began = clock()
+        try:
+            return method(*arguments, **keywords)
+        finally:
+            spent[0] += clock() - began
+
+    setattr(owner, name, measured)
+    try:
+        yield
+    finally:
+        setattr(owner, name, method)
+
+
 def training_share(plan: Plan) -> dict[str, Any]:
     """The share of the environment in the wall time of PPO with the settings of the shipped ``ppo-random-energy``.
 
@@ -220,8 +271,8 @@ def training_share(plan: Plan) -> dict[str, Any]:
 
         with (
             tempfile.TemporaryDirectory() as folder,
-            timed_method(PlayerVecEnv, "step_wait", environment),
-            timed_method(VecMonitor, "step_wait", with_monitor),
+            timed(PlayerVecEnv, "step_wait", environment),
+            timed(VecMonitor, "step_wait", with_monitor),
             warnings.catch_warnings(),
         ):
             warnings.simplefilter("ignore")  # Stable-Baselines3 comments on batch sizes

@@ -35,6 +35,9 @@ BATCHES = (1024, 8192)
 SLOT_ENVIRONMENTS = 64
 """Environments of the Stable-Baselines3 adapter."""
 
+TENSORDICT_ENVIRONMENTS = 256
+"""Environments of the TorchRL adapter."""
+
 TARGETS: dict[tuple[str, str], float] = {
     ("single", "physical"): 40.0,
     ("single", "local"): 30.0,
@@ -44,6 +47,8 @@ TARGETS: dict[tuple[str, str], float] = {
     ("vector 8192", "local"): 7.0,
     ("slots", "physical"): 900.0,
     ("slots", "local"): 900.0,
+    ("TorchRL", "physical"): 100.0,
+    ("TorchRL", "local"): 100.0,
 }
 """Wanted speed as a multiple of the peer's."""
 
@@ -53,7 +58,10 @@ SHARE_TARGET = 0.008
 ROOFLINE_TARGET = 2.5
 """Largest time of a step as a multiple of the time of a copy of the bytes that it must move."""
 
-_PACKAGES = ("numpy", "pettingzoo", "gymnasium", "numba", "mpe2", "supersuit", "vmas", "stable-baselines3", "torch")
+_PACKAGES = (
+    *("numpy", "pettingzoo", "gymnasium", "numba", "mpe2", "supersuit", "vmas", "stable-baselines3"),
+    *("torch", "torchrl"),
+)
 
 
 class _Report:
@@ -133,6 +141,12 @@ def measure(plan: Plan, console: Console) -> dict[str, Any]:
     if own:
         peer = report.available(lambda: peers.supersuit(count))
         report.compare("slots", own, [peer] if peer else [])
+
+    count = 2 if plan.quick else TENSORDICT_ENVIRONMENTS
+    peer = report.available(lambda: ours.tensordicts("physical", count, is_wrapped=True))
+    if peer:
+        own = _both(lambda kind: ours.tensordicts(kind, count))
+        report.compare("TorchRL", own, [ours.by("compiled", peer)])
 
     ours.use("compiled")
     console.print("measuring: law rollouts", style="dim")

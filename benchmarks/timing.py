@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from time import perf_counter
-from typing import Any
 
 import numpy as np
 
@@ -112,24 +110,3 @@ def seconds_per_call(call: Callable[[], object], plan: Plan, slices: int = 20) -
             call()
         times.append((perf_counter() - began) / per_slice)
     return float(np.median(times))
-
-
-@contextmanager
-def timed_method(
-    owner: Any, name: str, spent: list[float], clock: Callable[[], float] = perf_counter
-) -> Iterator[None]:
-    """Add the seconds in a method of a class, or in a function of a module, to ``spent[0]`` while the context lasts."""
-    method = getattr(owner, name)
-
-    def timed(*arguments: Any, **keywords: Any) -> Any:
-        began = clock()
-        try:
-            return method(*arguments, **keywords)
-        finally:
-            spent[0] += clock() - began
-
-    setattr(owner, name, timed)
-    try:
-        yield
-    finally:
-        setattr(owner, name, method)

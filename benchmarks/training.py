@@ -22,7 +22,7 @@ from stable_baselines3 import PPO
 from stable_baselines3.common.policies import ActorCriticPolicy
 from torch.distributions import Distribution
 
-from benchmarks.timing import timed_method
+from benchmarks.ours import timed
 from ptne_env import PolicySpec, evaluate, policies
 from ptne_env.envs.sb3 import PlayerVecEnv
 from ptne_env.experiments import Workers
@@ -75,7 +75,7 @@ def measure(arguments: Arguments, out: Path) -> dict[str, float]:
     with ExitStack() as stack:  # the run starts afresh: seconds of an interrupted one are not comparable
         run = Path(stack.enter_context(TemporaryDirectory())) / "run"
         for part, (owner, name) in PARTS.items():
-            stack.enter_context(timed_method(owner, name, spent[part], process_time))
+            stack.enter_context(timed(owner, name, spent[part], process_time))
         cpu, wall = process_time(), perf_counter()
         digits = ppo.train(arguments, run).validation_digits
         cpu, wall = process_time() - cpu, perf_counter() - wall
@@ -142,7 +142,7 @@ def cost(changes: dict[str, Any], prepare: Callable[[PPO], object]) -> tuple[flo
         prepare(model)
         with ExitStack() as stack:
             for part, seconds in spent.items():
-                stack.enter_context(timed_method(*PARTS[part], seconds))
+                stack.enter_context(timed(*PARTS[part], seconds))
             model.learn(1)
     finally:
         torch.set_num_threads(1)

@@ -37,7 +37,7 @@ myst_fence_as_directive = ["math"]  # GitHub's syntax for displayed formulas
 myst_heading_anchors = 4
 
 autodoc_default_options = {"members": True, "member-order": "bysource"}
-autodoc_mock_imports = ["llvmlite", "numba", "ray"]  # extras that the documents do not need
+autodoc_mock_imports = ["llvmlite", "numba", "ray", "torchrl", "tensordict", "benchmarl"]  # extras not needed here
 autodoc_preserve_defaults = True
 autodoc_type_aliases = {
     name: name for name in ("Array", "BoolArray", "CounterArray", "Float32Array", "FloatArray", "IntArray", "Memory")

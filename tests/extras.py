@@ -11,3 +11,8 @@ def need_sb3(module="torch"):
 def need_numba():
     """Skip what asks, unless the extra ``fast`` is installed."""
     return pytest.importorskip("numba", reason="needs the extra 'fast': pip install 'ptne-env[fast]'")
+
+
+def need_torchrl():
+    """Skip what asks, unless the extra ``torchrl`` is installed."""
+    return pytest.importorskip("torchrl", reason="needs the extra 'torchrl': pip install 'ptne-env[torchrl]'")

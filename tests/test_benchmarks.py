@@ -61,7 +61,8 @@ def test_our_environments_are_measured_without_peers(results):
 
 def test_a_peer_is_compared_or_named_as_missing(results):
     compared = {comparison["peer"] for comparison in results["comparisons"].values()} - {None}
-    for module, peer in (("mpe2", "MPE2 simple_spread"), ("vmas", "VMAS dispersion")):
+    peers = {"mpe2": "MPE2 simple_spread", "vmas": "VMAS dispersion", "torchrl": "TorchRL's PettingZooWrapper"}
+    for module, peer in peers.items():
         named = any(f"pip install {module}" in note for note in results["notes"])
         assert named != any(name.startswith(peer) for name in compared)
 
@@ -115,6 +116,17 @@ def test_import_times_are_printed_for_every_statement(capsys, monkeypatch):
     elapsed = {row[1].strip(): float(row[2]) for row in rows}
     assert elapsed["a pause"] >= 0.3
     assert elapsed["nothing"] >= 0
+
+
+def test_shares_of_rollouts_are_printed_for_every_law(capsys, monkeypatch):
+    monkeypatch.syspath_prepend(str(ROOT))
+    rollouts = importlib.import_module("benchmarks.rollouts")
+    monkeypatch.setattr(rollouts, "POLICIES", ("static", "adaptive"))
+    rollouts.main(["--episodes", "4", "--repeats", "1", "--track", "coarse-step"])
+    rows = [line.split("│") for line in capsys.readouterr().out.splitlines() if "│" in line]
+    assert [row[1].strip() for row in rows] == ["static", "adaptive"]
+    figures = [float(cell) for cell in rows[0][2:-1]]
+    assert sum(figures[:-1]) - figures[5] == pytest.approx(figures[-1], abs=len(figures))
 
 
 @pytest.fixture

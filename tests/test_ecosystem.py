@@ -5,9 +5,12 @@ import importlib.util
 import json
 import re
 import sys
+import time
 from pathlib import Path
 
+import numpy as np
 import pytest
+from extras import need_torchrl
 from processes import run_python
 
 ROOT = Path(__file__).parents[1]
@@ -46,13 +49,41 @@ def test_a_wrapper_that_changes_the_digits_is_an_error(capsys):
         yardstick.report(gained[::-1])  # the seeds did not reach the environment
     yardstick.report(gained)
     row = json.loads(capsys.readouterr().out)
-    assert row == {"what": "", "law": gained.mean(), "difference": 0.0, "before": None, "after": None}
+    nothing = dict.fromkeys(("before", "after", "speed"))
+    assert row == {"what": "", "law": gained.mean(), "difference": 0.0, **nothing}
 
 
 def test_a_training_without_gain_is_an_error():
     yardstick = load("yardstick")
     with pytest.raises(SystemExit, match="training gained no digits: 4.0 before, 4.0 after"):
         yardstick.report(_gained(yardstick, 1), before=4.0, after=4.0)
+
+
+def test_a_trained_function_gets_whole_blocks_of_rows():
+    seen = []
+    policy = load("yardstick").Acting(lambda rows: seen.append(rows) or 2 * rows)
+    actions, _ = policy.predict(np.ones((40, 3), dtype=np.float32))
+    assert [rows.shape for rows in seen] == [(64, 3)]
+    assert np.array_equal(actions, np.full((40, 3), 2))
+
+
+def test_speeds_are_agent_steps_per_second_of_every_route():
+    def route(pause):
+        return lambda: time.sleep(pause) or 10
+
+    slow, fast = load("yardstick").speeds(route(0.01), route(0.001), seconds=0.02, turns=1)
+    assert 0 < slow < 10 / 0.01
+    assert 0 < fast < 10 / 0.001
+
+
+def test_the_law_gains_its_digits_in_the_batch_of_torchrl(monkeypatch):
+    need_torchrl()
+    monkeypatch.syspath_prepend(str(FOLDER))
+    from ptne_env.envs.torchrl import TorchRLEnv
+
+    yardstick = load("yardstick")
+    gained = load("tensordicts").law_digits(TorchRLEnv(yardstick.SCENARIO, yardstick.EPISODES))
+    assert gained == pytest.approx(_gained(yardstick, len(gained)), abs=1e-6)
 
 
 def _gained(yardstick, episodes):
@@ -67,7 +98,8 @@ def _gained(yardstick, episodes):
 GOOD = """
 import json
 print("some talk")
-print(json.dumps({"what": "a network", "law": 3.5, "difference": 2e-16, "before": 1.0, "after": 2.25}))
+row = {"what": "a network", "law": 3.5, "difference": 2e-16, "before": 1.0, "after": 2.25, "speed": 123456.0}
+print(json.dumps(row))
 """
 BAD = """
 import sys
@@ -102,7 +134,9 @@ def test_a_complete_run_writes_the_table_between_the_marks(runner):
     assert "old" not in text
     for framework in ("alpha", "beta"):
         assert f"| `{framework}` | {framework} 1.2 |" in text
-        row = rf"\| \[{framework}_example\]\(.*\), a network \| 3\.500000 \| 2e-16 \| 1\.00 \| 2\.25 \| \d+ \|"
+        row = (
+            rf"\| \[{framework}_example\]\(.*\), a network \| 3\.500000 \| 2e-16 \| 1\.00 \| 2\.25 \| 120,000 \| \d+ \|"
+        )
         assert len(re.findall(row, text)) == 1
     assert runner.main([]) == 0
     assert runner.PAGE.read_text(encoding="utf-8").count(runner.BEGIN) == 1
@@ -179,7 +213,9 @@ def test_an_installation_that_failed_is_tried_again(tmp_path, monkeypatch):
 def test_versions_are_those_of_the_installed_packages():
     module = load("run")
     found = module.versions("sb3", Path(sys.executable))
-    assert list(found) == ["stable-baselines3", "sb3-contrib", "torch", "gymnasium", "pettingzoo", "numpy"]
+    batched = [name for name in ("tensordict", "torchrl") if importlib.util.find_spec(name)]
+    named = ["stable-baselines3", "sb3-contrib", "torch", "gymnasium", "pettingzoo"]
+    assert list(found) == [*named, *batched, "numpy"]
     for name, version in found.items():
         assert version == importlib.metadata.version(name).partition("+")[0]
 

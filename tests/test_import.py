@@ -2,6 +2,7 @@
 
 import ast
 import importlib
+import sys
 from pathlib import Path
 
 import gymnasium
@@ -14,7 +15,7 @@ import ptne_env
 SOURCE = Path(ptne_env.__file__)
 HEAVY = (
     *("torch", "matplotlib", "plotly", "scipy.stats", "stable_baselines3", "pandas", "onnxruntime", "networkx"),
-    "numba",
+    *("numba", "torchrl", "tensordict", "benchmarl", "pufferlib"),
 )
 
 PUBLIC = {
@@ -42,6 +43,23 @@ def test_making_an_environment_imports_no_extra():
     loaded = modules_after("import ptne_env\nptne_env.parallel_env('energy').reset(seed=1)")
     assert "ptne_env.envs.parallel" in loaded
     assert not loaded & (set(HEAVY) - {"networkx"})
+
+
+@pytest.mark.parametrize(
+    ("framework", "module", "advice"),
+    [
+        ("torchrl", "torchrl", r'pip install "ptne-env\[torchrl\]"'),
+        ("benchmarl", "benchmarl", "pip install benchmarl"),
+        ("stable_baselines3", "sb3", r'pip install "ptne-env\[sb3\]"'),
+    ],
+)
+def test_an_adapter_without_its_framework_says_how_to_install_it(framework, module, advice, monkeypatch):
+    for name in [name for name in sys.modules if name.split(".")[0] == framework]:
+        monkeypatch.delitem(sys.modules, name)
+    monkeypatch.setitem(sys.modules, framework, None)
+    monkeypatch.delitem(sys.modules, f"ptne_env.envs.{module}", raising=False)
+    with pytest.raises(ImportError, match=advice):
+        importlib.import_module(f"ptne_env.envs.{module}")
 
 
 @pytest.mark.parametrize("name", sorted(PUBLIC))

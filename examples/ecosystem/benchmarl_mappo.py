@@ -1,4 +1,4 @@
-"""BenchMARL: a task class for any scenario, and MAPPO on it.
+"""BenchMARL: MAPPO on ``NashSeekingTask``, whose environments are stepped together, and on a task with one at a time.
 
 Run it with: python examples/ecosystem/benchmarl_mappo.py
 """
@@ -9,104 +9,59 @@ from tempfile import TemporaryDirectory
 import numpy as np
 import torch
 from benchmarl.algorithms import MappoConfig
-from benchmarl.environments import PettingZooClass, Task
 from benchmarl.experiment import Experiment, ExperimentConfig
 from benchmarl.models.mlp import MlpConfig
 from tensordict import TensorDict
-from tensordict.nn import TensorDictModule
-from torchrl.envs import EnvBase, PettingZooWrapper, check_env_specs
+from tensordicts import ACTION, law_digits, stepping
+from torchrl.envs import EnvBase, PettingZooWrapper, SerialEnv, check_env_specs
 from torchrl.envs.utils import ExplorationType, set_exploration_type
-from yardstick import EPISODES, SCENARIO, TASK, Acting, digits, law, report
+from yardstick import ENVIRONMENTS, EPISODES, SCENARIO, TASK, Acting, digits, report, speeds
 
 import ptne_env
+from ptne_env.envs.benchmarl import NashSeekingTask
 
-OBSERVATION, ACTION = ("player", "observation"), ("player", "action")
 
-
-class NashSeekingTask(PettingZooClass):
-    """The adapter by which BenchMARL builds and reads our environments.
-
-    The configuration holds the arguments of ``ptne_env.parallel_env``.
-    """
+class OneAtATime(NashSeekingTask):
+    """The same task through TorchRL's wrapper of PettingZoo; BenchMARL puts such environments in series."""
 
     def get_env_fun(
         self,
-        num_envs: int,  # noqa: ARG002 - BenchMARL itself puts several environments in series
-        continuous_actions: bool,  # noqa: ARG002, FBT001 - all actions are continuous
+        num_envs: int,  # noqa: ARG002
+        continuous_actions: bool,  # noqa: ARG002, FBT001
         seed: int | None,
         device: str,
     ) -> Callable[[], EnvBase]:
         """A function that makes one environment."""
-        return lambda: PettingZooWrapper(
-            ptne_env.parallel_env(**self.config), return_state=self.has_state(), seed=seed, device=device
-        )
-
-    def supports_continuous_actions(self) -> bool:
-        """Always."""
-        return True
-
-    def has_state(self) -> bool:
-        """Whether MAPPO's critic receives the global state; otherwise it receives all observations."""
-        return False
-
-    def has_render(self, env: EnvBase) -> bool:  # noqa: ARG002
-        """Only with a render mode."""
-        return False
+        return lambda: PettingZooWrapper(ptne_env.parallel_env(self.name, **self.config), seed=seed, device=device)
 
     def max_steps(self, env: EnvBase) -> int:
         """The number of steps of an episode, with the hold phase."""
         return env.world.clock.total_steps
 
-    @staticmethod
-    def env_name() -> str:
-        """The name of the family of tasks."""
-        return "ptne"
-
-
-class NashSeeking(Task):
-    """The tasks, which differ in their configuration."""
-
-    RANDOM_ENERGY = None
-
-    @staticmethod
-    def associated_class() -> type[NashSeekingTask]:
-        """The class of every task."""
-        return NashSeekingTask
-
-
-def law_digits() -> list[float]:
-    """The digits that the law gains in the task's environment."""
-    env = NashSeeking.RANDOM_ENERGY.get_task({"scenario": SCENARIO}).get_env_fun(1, True, None, "cpu")()  # noqa: FBT003
-    policy = law(env.layout)
-    act = TensorDictModule(lambda o: torch.from_numpy(policy.predict(o.numpy())[0]), [OBSERVATION], [ACTION])
-    gained = []
-    for seed in range(EPISODES):
-        episode = env.rollout(10_000, act, auto_reset=False, tensordict=env.reset(seed=seed))
-        gained.append(episode["next", "player", "reward"].double().sum(dim=0).mean().item())
-    return gained
-
 
 def acting(experiment: Experiment) -> Acting:
-    """The trained policy without its sampling; it takes the observations of all players together."""
+    """The trained policy without its sampling, which decides every row from that row alone.
+
+    It takes the observations of all players together, so each row takes the places of them all.
+    """
 
     def act(observations: np.ndarray) -> np.ndarray:
-        together = torch.from_numpy(observations).unflatten(0, (-1, 5))
+        together = torch.from_numpy(observations)[:, None].expand(-1, 5, -1)
         with torch.no_grad(), set_exploration_type(ExplorationType.DETERMINISTIC):
             batch = TensorDict(
                 {"player": TensorDict({"observation": together}, together.shape[:2])}, together.shape[:1]
             )
-            return experiment.policy(batch)[ACTION].flatten(0, 1).numpy()
+            return experiment.policy(batch)[ACTION][:, 0].numpy()
 
     return Acting(act)
 
 
-def main() -> None:
-    """TorchRL's check of the task, the law's digits, and a short training."""
-    task = NashSeeking.RANDOM_ENERGY.get_task({"scenario": SCENARIO, **TASK})
-    check_env_specs(task.get_env_fun(1, True, 0, "cpu")())  # noqa: FBT003
+def train(task: NashSeekingTask, num_envs: int) -> tuple[float, float]:
+    """Digits before and after a short training."""
+    check_env_specs(make(task, 2))
     config = ExperimentConfig.get_from_yaml()
     config.gamma, config.lr = 0.9, 1e-3
-    config.on_policy_n_envs_per_worker = 2
+    config.on_policy_n_envs_per_worker = num_envs
     config.on_policy_collected_frames_per_batch = 800
     config.on_policy_n_minibatch_iters, config.on_policy_minibatch_size = 5, 100
     config.max_n_frames = 6400
@@ -119,7 +74,25 @@ def main() -> None:
         experiment = Experiment(task, algorithm, model, seed=0, config=config)
         before = digits(acting(experiment))
         experiment.run()
-        report(law_digits(), before, digits(acting(experiment)))
+        return before, digits(acting(experiment))
+
+
+def make(task: NashSeekingTask, num_envs: int) -> EnvBase:
+    """The environment, or the first of those that BenchMARL would put in series."""
+    return task.get_env_fun(num_envs, True, 0, "cpu")()  # noqa: FBT003
+
+
+def main() -> None:
+    """TorchRL's check, the law's digits, a short training, and the speed, of each of the two tasks."""
+    slow, fast = speeds(
+        stepping(SerialEnv(ENVIRONMENTS, lambda: make(OneAtATime(SCENARIO, TASK), 1))),
+        stepping(make(NashSeekingTask(SCENARIO, TASK), ENVIRONMENTS)),
+    )
+    for task, num_envs, what, speed in (
+        (OneAtATime, 2, "one at a time", slow),
+        (NashSeekingTask, 8, "stepped together", fast),
+    ):
+        report(law_digits(make(task(SCENARIO), EPISODES)), *train(task(SCENARIO, TASK), num_envs), what, speed)
 
 
 if __name__ == "__main__":

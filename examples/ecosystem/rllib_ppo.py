@@ -1,15 +1,21 @@
-"""Ray RLlib: PPO with one policy for all players, and with one policy per player.
+"""Ray RLlib: PPO with one policy for all players, with one policy per player, and with environments stepped together.
+
+RLlib's multi-agent runner steps one environment at a time. Its single-agent runner takes a vector of Gymnasium, whose
+members are here the players of all environments, so one policy acts for all.
 
 Run it with: python examples/ecosystem/rllib_ppo.py
 """
 
 import logging
+from collections.abc import Callable
 
+import gymnasium
 import numpy as np
 import torch
 from ray.rllib.algorithms.algorithm import Algorithm
 from ray.rllib.algorithms.ppo import PPOConfig
 from ray.rllib.algorithms.ppo.torch.default_ppo_torch_rl_module import DefaultPPOTorchRLModule
+from ray.rllib.core import DEFAULT_MODULE_ID
 from ray.rllib.core.columns import Columns
 from ray.rllib.core.rl_module.default_model_config import DefaultModelConfig
 from ray.rllib.core.rl_module.multi_rl_module import MultiRLModuleSpec
@@ -17,9 +23,10 @@ from ray.rllib.core.rl_module.rl_module import RLModuleSpec
 from ray.rllib.env.wrappers.pettingzoo_env import ParallelPettingZooEnv
 from ray.rllib.utils.pre_checks.env import check_multiagent_environments
 from ray.tune.registry import register_env
-from yardstick import EPISODES, SCENARIO, TASK, Acting, digits, law, report
+from yardstick import ENVIRONMENTS, EPISODES, SCENARIO, TASK, Acting, digits, law, report, speeds
 
 import ptne_env
+from ptne_env.envs.gymnasium import PlayerVectorEnv
 
 PLAYERS = [f"player_{index}" for index in range(5)]
 
@@ -27,6 +34,25 @@ PLAYERS = [f"player_{index}" for index in range(5)]
 def make_env(arguments: dict) -> ParallelPettingZooEnv:
     """The environment of RLlib's runners; their processes import ``ptne_env`` through it."""
     return ParallelPettingZooEnv(ptne_env.parallel_env(SCENARIO, **arguments))
+
+
+def make_players(arguments: dict) -> PlayerVectorEnv:
+    """The members of RLlib's single-agent runner, of which it counts ``num_envs``: every player is one."""
+    others = {name: value for name, value in arguments.items() if name != "num_envs"}
+    return PlayerVectorEnv(SCENARIO, arguments["num_envs"] // len(PLAYERS), **others)
+
+
+def law_digits_of_players() -> list[float]:
+    """The digits that the law gains where all players of all episodes are members of one vector."""
+    env = PlayerVectorEnv(SCENARIO, EPISODES)
+    policy = law(env.layout)
+    observations, _ = env.reset(seed=0)
+    total, over = np.zeros(env.num_envs), np.zeros(env.num_envs, dtype=bool)
+    while not over.all():
+        observations, rewards, terminated, truncated, _ = env.step(policy.predict(observations)[0])
+        total += rewards
+        over = terminated | truncated
+    return total.reshape(EPISODES, -1).mean(axis=1).tolist()
 
 
 def law_digits() -> list[float]:
@@ -55,56 +81,93 @@ class Network(DefaultPPOTorchRLModule):
         torch.nn.init.constant_(self.pi.log_std, -1.0)
 
 
-def build(policies: list[str]) -> Algorithm:
-    """PPO with one policy per player, named like the player, or with one policy for all, ``shared``."""
-    model = DefaultModelConfig(fcnet_hiddens=[64, 64], vf_share_layers=False, free_log_std=True)
-    specs = {policy: RLModuleSpec(module_class=Network, model_config=model) for policy in policies}
+MODEL = DefaultModelConfig(fcnet_hiddens=[64, 64], vf_share_layers=False, free_log_std=True)
+SPEC = RLModuleSpec(module_class=Network, model_config=MODEL)
+
+
+def settings(env: str, frames: int) -> PPOConfig:
+    """PPO that trains on a number of frames at a time."""
     return (
         PPOConfig()
-        .environment("ptne", env_config=TASK)
+        .environment(env, env_config=TASK)
         .env_runners(num_env_runners=0)
         .learners(num_learners=0)
+        .training(
+            train_batch_size_per_learner=frames, minibatch_size=500, num_epochs=5, lr=1e-3, gamma=0.9, lambda_=0.9
+        )
+        .debugging(seed=0, log_level="ERROR")
+    )
+
+
+def one_at_a_time(policies: list[str], num_envs: int = 1) -> Algorithm:
+    """One policy per player, named like the player, or one policy for all, ``shared``; frames have five players."""
+    return (
+        settings("ptne", 800)
+        .env_runners(num_envs_per_env_runner=num_envs)
         .multi_agent(
             policies=policies,
             policy_mapping_fn=lambda agent, *_, **__: agent if agent in policies else "shared",
         )
-        .rl_module(rl_module_spec=MultiRLModuleSpec(rl_module_specs=specs))
-        .training(train_batch_size_per_learner=800, minibatch_size=500, num_epochs=5, lr=1e-3, gamma=0.9, lambda_=0.9)
-        .debugging(seed=0, log_level="ERROR")
+        .rl_module(rl_module_spec=MultiRLModuleSpec(rl_module_specs=dict.fromkeys(policies, SPEC)))
         .build_algo()
     )
+
+
+def stepped_together(num_envs: int) -> Algorithm:
+    """One policy for all; a frame has one player."""
+    mode = gymnasium.VectorizeMode.VECTOR_ENTRY_POINT
+    return (
+        settings("ptne-players", 800 * len(PLAYERS))
+        .env_runners(num_envs_per_env_runner=num_envs * len(PLAYERS), gym_env_vectorize_mode=mode)
+        .rl_module(rl_module_spec=SPEC)
+        .build_algo()
+    )
+
+
+def sampling(algorithm: Algorithm, players: int) -> Callable[[], int]:
+    """A function that lets the runner sample, and returns the number of agent-steps."""
+    runner = algorithm.env_runner
+
+    def sample() -> int:
+        return players * sum(len(episode) for episode in runner.sample(num_timesteps=runner.num_envs))
+
+    return sample
 
 
 def acting(algorithm: Algorithm) -> Acting:
     """The means of the policies' actions; the one-hot in the observation selects the player."""
     layout = ptne_env.parallel_env(SCENARIO, **TASK).layout
-    modules = [algorithm.get_module(player) or algorithm.get_module("shared") for player in PLAYERS]
+    shared = algorithm.get_module("shared" if algorithm.config.is_multi_agent else DEFAULT_MODULE_ID)
+    modules = [shared or algorithm.get_module(player) for player in PLAYERS]
 
+    @torch.no_grad()
     def act(observations: np.ndarray) -> np.ndarray:
+        rows = {Columns.OBS: torch.from_numpy(observations)}
+        outputs = torch.stack([module.forward_inference(rows)[Columns.ACTION_DIST_INPUTS] for module in modules])
         players = layout.select(observations, "player").argmax(axis=1)
-        actions = np.empty((len(observations), layout.action_size), dtype=np.float32)
-        for index, module in enumerate(modules):
-            own = torch.from_numpy(observations[players == index])
-            with torch.no_grad():
-                output = module.forward_inference({Columns.OBS: own})[Columns.ACTION_DIST_INPUTS]
-            actions[players == index] = output[:, : layout.action_size].numpy()  # means first, then log deviations
-        return actions
+        own = outputs[players, np.arange(len(observations))]
+        return own[:, : layout.action_size].numpy()  # means first, then log deviations
 
     return Acting(act)
 
 
 def main() -> None:
-    """RLlib's own check, the law's digits, and two short trainings."""
+    """RLlib's own check, the law's digits, three short trainings, and the speed of both runners."""
     logging.getLogger("ray").setLevel(logging.ERROR)
     check_multiagent_environments(make_env(TASK))
     register_env("ptne", make_env)
-    gained = law_digits()
-    for what, policies in {"one policy for all": ["shared"], "one policy per player": PLAYERS}.items():
-        algorithm = build(policies)
+    register_env("ptne-players", make_players)
+    pair = one_at_a_time(["shared"], ENVIRONMENTS), stepped_together(ENVIRONMENTS)
+    slow, fast = speeds(sampling(pair[0], len(PLAYERS)), sampling(pair[1], 1))
+    for what, algorithm, gained, speed in (
+        ("one policy for all", one_at_a_time(["shared"]), law_digits(), slow),
+        ("one policy per player", one_at_a_time(PLAYERS), law_digits(), None),
+        ("one policy for all, stepped together", stepped_together(8), law_digits_of_players(), fast),
+    ):
         before = digits(acting(algorithm))
         for _ in range(8):
             algorithm.train()
-        report(gained, before, digits(acting(algorithm)), what)
+        report(gained, before, digits(acting(algorithm)), what, speed)
         algorithm.stop()
 
 

@@ -113,6 +113,9 @@ def table(rows: Sequence[Row], found_versions: dict[str, dict[str, str]]) -> str
     def number(value: float | None) -> str:
         return "–" if value is None else f"{value:.2f}"
 
+    def rate(value: float | None) -> str:
+        return "–" if value is None else f"{float(f'{value:.2g}'):,.0f}"
+
     lines = [
         f"Python {platform.python_version()} on {os.cpu_count()} cores of {platform.machine()}.",
         "",
@@ -123,15 +126,16 @@ def table(rows: Sequence[Row], found_versions: dict[str, dict[str, str]]) -> str
             for framework, found in found_versions.items()
         ),
         "",
-        "| Example | The law's digits | Largest difference | Digits before training | and after | Seconds |",
-        "| --- | --- | --- | --- | --- | --- |",
+        "| Example | The law's digits | Largest difference | Digits before | and after training | Steps/s | Seconds |",
+        "| --- | --- | --- | --- | --- | ---: | --- |",
     ]
     for row in rows:
         link = f"[{row['example']}](../examples/ecosystem/{row['example']}.py)" + (
             f", {row['what']}" if row["what"] else ""
         )
         training = f"{number(row['before'])} | {number(row['after'])}"
-        lines.append(f"| {link} | {row['law']:.6f} | {row['difference']:.0e} | {training} | {row['seconds']:.0f} |")
+        measured = f"{training} | {rate(row['speed'])} | {row['seconds']:.0f}"
+        lines.append(f"| {link} | {row['law']:.6f} | {row['difference']:.0e} | {measured} |")
     return "\n".join(lines)
 
 

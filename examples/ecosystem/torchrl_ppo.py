@@ -1,50 +1,39 @@
 """TorchRL: PPO on tensordicts, with the players stacked in the group "player" and one network for all of them.
 
+Two environments with the same keys: ``PettingZooWrapper``, one at a time, and ``TorchRLEnv``, stepped together.
+
 Run it with: python examples/ecosystem/torchrl_ppo.py
 """
 
 import numpy as np
 import torch
 from tensordict.nn import NormalParamExtractor, TensorDictModule
+from tensordicts import ACTION, OBSERVATION, law_digits, stepping
 from torch import nn
 from torchrl.collectors import Collector
-from torchrl.envs import PettingZooWrapper, check_env_specs
+from torchrl.envs import EnvBase, PettingZooWrapper, SerialEnv, check_env_specs
 from torchrl.modules import ProbabilisticActor, TanhNormal, ValueOperator
 from torchrl.objectives import ClipPPOLoss
-from yardstick import EPISODES, SCENARIO, TASK, Acting, digits, law, report
+from yardstick import ENVIRONMENTS, EPISODES, SCENARIO, TASK, Acting, digits, report, speeds
 
 import ptne_env
-
-OBSERVATION, ACTION = ("player", "observation"), ("player", "action")
-
-
-def law_digits() -> list[float]:
-    """The digits that the law gains through the wrapper; each episode starts with ``reset(seed=...)``."""
-    env = PettingZooWrapper(ptne_env.parallel_env(SCENARIO))
-    policy = law(env.layout)
-    act = TensorDictModule(lambda o: torch.from_numpy(policy.predict(o.numpy())[0]), [OBSERVATION], [ACTION])
-    gained = []
-    for seed in range(EPISODES):
-        episode = env.rollout(10_000, act, auto_reset=False, tensordict=env.reset(seed=seed))
-        gained.append(episode["next", "player", "reward"].double().sum(dim=0).mean().item())
-    return gained
+from ptne_env.envs.torchrl import TorchRLEnv
 
 
 def network(inputs: int, outputs: int) -> nn.Sequential:
-    """Two layers of 64, applied to the last axis; players and time are batch dimensions."""
+    """Two layers of 64, applied to the last axis; players, environments and time are batch dimensions."""
     return nn.Sequential(nn.Linear(inputs, 64), nn.Tanh(), nn.Linear(64, 64), nn.Tanh(), nn.Linear(64, outputs))
 
 
-def main() -> None:
-    """TorchRL's own check, the law's digits, and a short training."""
+def train(env: EnvBase) -> tuple[float, float]:
+    """Digits before and after a short training."""
     torch.manual_seed(0)
-    env = PettingZooWrapper(ptne_env.parallel_env(SCENARIO, **TASK), seed=0)
     check_env_specs(env)
     size, actions = env.layout.size, env.layout.action_size
     mean = nn.Sequential(network(size, 2 * actions), NormalParamExtractor(scale_mapping="biased_softplus_0.4"))
     actor = ProbabilisticActor(
         TensorDictModule(mean, [OBSERVATION], [("player", "loc"), ("player", "scale")]),
-        spec=env.full_action_spec,
+        spec=env.full_action_spec_unbatched,
         in_keys=[("player", "loc"), ("player", "scale")],
         out_keys=[ACTION],
         distribution_class=TanhNormal,
@@ -69,12 +58,29 @@ def main() -> None:
         for _ in range(5):
             with torch.no_grad():
                 loss.value_estimator(batch)
-            for rows in torch.randperm(len(batch)).split(100):
-                losses = loss(batch[rows])
+            frames = batch.reshape(-1)
+            for rows in torch.randperm(len(frames)).split(100):
+                losses = loss(frames[rows])
                 optimiser.zero_grad()
                 (losses["loss_objective"] + losses["loss_critic"]).backward()
                 optimiser.step()
-    report(law_digits(), before, digits(Acting(act)))
+    return before, digits(Acting(act))
+
+
+def one_at_a_time(**arguments: str) -> EnvBase:
+    """One environment, whose dictionaries become a tensordict."""
+    return PettingZooWrapper(ptne_env.parallel_env(SCENARIO, **arguments), seed=0)
+
+
+def main() -> None:
+    """TorchRL's own check, the law's digits, a short training, and the speed, of each of the two."""
+    slow, fast = speeds(
+        stepping(SerialEnv(ENVIRONMENTS, lambda: one_at_a_time(**TASK))),
+        stepping(TorchRLEnv(SCENARIO, ENVIRONMENTS, seed=0, **TASK)),
+    )
+    report(law_digits(one_at_a_time()), *train(one_at_a_time(**TASK)), "one at a time", slow)
+    together = TorchRLEnv(SCENARIO, 8, seed=0, **TASK)
+    report(law_digits(TorchRLEnv(SCENARIO, EPISODES)), *train(together), "stepped together", fast)
 
 
 if __name__ == "__main__":

@@ -1,20 +1,25 @@
-"""Shared by the examples of this folder: the task, the digits that they must reproduce, and the report.
+"""Shared by the examples of this folder: the task, the digits that they must reproduce, the speed, and the report.
 
 An episode that starts with ``reset(seed=k)`` is episode k of ``ptne_env.evaluate(..., seed=0, split="train")``. So a
 law that acts through a framework's wrapper must gain the digits of ``evaluate``, episode by episode.
 """
 
 import json
+import statistics
 from collections.abc import Callable, Sequence
+from time import perf_counter
 
 import numpy as np
 
 import ptne_env
 from ptne_env import Interface, PolicySpec, laws
+from ptne_env.policies.blocks import in_blocks
 from ptne_env.policy import Policy
 
 SCENARIO = "random-energy"
 EPISODES = 4
+ENVIRONMENTS = 64
+"""Environments of which the speed is measured."""
 TASK = {"interface": "local", "action_mode": "gains"}
 """The interface of the trained policies: two gains per player in [−1, 1], where 0 is the paper's law."""
 
@@ -25,7 +30,11 @@ def law(layout: ptne_env.ObservationLayout) -> Policy:
 
 
 class Acting:
-    """A policy for ``ptne_env.evaluate``, from a function of observations (R, size) to actions (R, action size)."""
+    """A policy for ``ptne_env.evaluate``, from a function of observations (R, size) to actions (R, action size).
+
+    The function gets whole blocks of rows, the last of them filled with zeros: linear algebra takes other code for
+    small batches, and ``evaluate`` requires the same bits for a row in every batch.
+    """
 
     def __init__(self, act: Callable[[np.ndarray], np.ndarray]) -> None:
         """The function from a batch of observations to actions."""
@@ -39,7 +48,7 @@ class Acting:
         deterministic: bool = False,  # noqa: ARG002, FBT001, FBT002
     ) -> tuple[np.ndarray, object]:
         """The actions, and the memory unchanged."""
-        return self.act(observation), state
+        return self.act(in_blocks(observation))[: len(observation)], state
 
 
 def digits(policy: Policy, interface: Interface = Interface("local", "gains")) -> float:  # noqa: B008 - it is frozen
@@ -50,7 +59,32 @@ def digits(policy: Policy, interface: Interface = Interface("local", "gains")) -
     return float(results.record(SCENARIO, "policy", "digits")["mean"])
 
 
-def report(gained: Sequence[float], before: float | None = None, after: float | None = None, what: str = "") -> None:
+def speeds(*routes: Callable[[], int], seconds: float = 1.0, turns: int = 3) -> list[float]:
+    """Agent-steps per second of each route, the median of several turns.
+
+    Args:
+        routes: each makes some steps and returns their number, summed over players and environments.
+        seconds: of a turn.
+        turns: of each route, one after the other, so that a busy machine slows them all.
+    """
+    rates: list[list[float]] = [[] for _ in routes]
+    for turn in range(turns + 1):
+        for own, route in zip(rates, routes, strict=True):
+            began, steps = perf_counter(), 0
+            while perf_counter() - began < seconds:
+                steps += route()
+            if turn:  # the first turn loads and compiles
+                own.append(steps / (perf_counter() - began))
+    return [statistics.median(own) for own in rates]
+
+
+def report(
+    gained: Sequence[float],
+    before: float | None = None,
+    after: float | None = None,
+    what: str = "",
+    speed: float | None = None,
+) -> None:
     """Print one line of JSON, which ``run.py`` collects.
 
     Args:
@@ -58,7 +92,8 @@ def report(gained: Sequence[float], before: float | None = None, after: float | 
             episodes that ``reset(seed=0)``, ``reset(seed=1)``, … started.
         before: :func:`digits` of the untrained policy.
         after: of the trained one.
-        what: the trained policy, where an example trains several.
+        what: the route or the trained policy, where an example has several.
+        speed: agent-steps per second, where an example measures them.
 
     Raises:
         SystemExit: when the law gained other digits than in ``ptne_env.evaluate``, or the training gained none.
@@ -73,6 +108,5 @@ def report(gained: Sequence[float], before: float | None = None, after: float | 
         raise SystemExit(f"through the wrapper the law gained {gained} digits, in ptne_env.evaluate {expected}")
     if before is not None and after is not None and not after > before:
         raise SystemExit(f"training gained no digits: {before} before, {after} after")
-    print(
-        json.dumps({"what": what, "law": np.mean(gained), "difference": difference, "before": before, "after": after})
-    )
+    row = {"what": what, "law": np.mean(gained), "difference": difference, "before": before, "after": after}
+    print(json.dumps({**row, "speed": speed}))

@@ -1,4 +1,4 @@
-"""Adapters, without physics, to PettingZoo, Gymnasium and Stable-Baselines3."""
+"""Adapters, without physics, to PettingZoo, Gymnasium, Stable-Baselines3, TorchRL, BenchMARL and PufferLib."""
 
 from ptne_env.envs.parallel import NashSeekingEnv as NashSeekingEnv
 from ptne_env.envs.parallel import parallel_env as parallel_env

@@ -230,3 +230,81 @@ class JointVectorEnv(gymnasium.vector.VectorEnv[Float32Array, Float32Array, npt.
             "is_success": outcome.infos["is_success"] & over,
             "_is_success": over,
         }
+
+
+class PlayerVectorEnv(gymnasium.vector.VectorEnv[Float32Array, Float32Array, npt.NDArray[Any]]):
+    """Every player of B environments as one of B·N environments, all with one policy; RLlib's single-agent runner.
+
+    Member b·N + i is player i of environment b, and the observation holds the player's one-hot. Members of an
+    environment end together and start again in the next step, which ignores their actions and has the reward 0
+    (``NEXT_STEP``). Infos of members that end: ``diverged`` and ``is_success``; there are no others.
+
+    Args:
+        scenario: a name of the catalogue or a scenario.
+        num_envs: B, environments; the ``num_envs`` of the vector is B·N.
+        **arguments: of :class:`~ptne_env.envs.vector.VectorParallelEnv`: interface, action_mode, action_scale, reward,
+            max_cycles, threads and fields of the scenario.
+
+    Attributes:
+        vector: the wrapped environments.
+
+    Raises:
+        ValueError: for an unknown name or field, or an invalid value.
+    """
+
+    def __init__(self, scenario: str | Scenario = "energy", num_envs: int = 1, **arguments: Any) -> None:
+        self.metadata = {"render_modes": [], "autoreset_mode": AutoresetMode.NEXT_STEP}
+        self.vector = VectorParallelEnv(scenario, num_envs, **arguments)
+        self.num_envs = self.vector.num_envs * self.vector.num_players
+        self.single_observation_space = self.vector.single_observation_space
+        self.single_action_space = self.vector.single_action_space
+        self.observation_space = batch_space(self.single_observation_space, self.num_envs)
+        self.action_space = batch_space(self.single_action_space, self.num_envs)
+        self._over = np.zeros(self.vector.num_envs, dtype=np.bool_)
+
+    @property
+    def layout(self) -> ObservationLayout:
+        """The layout of observations and actions."""
+        return self.vector.layout
+
+    def reset(
+        self,
+        *,
+        seed: int | Sequence[int | None] | None = None,
+        options: dict[str, Any] | None = None,  # noqa: ARG002 - Gymnasium's signature
+    ) -> tuple[Float32Array, dict[str, Any]]:
+        """Start all episodes; ``seed`` is S for S, S + 1, …, or one per environment.
+
+        Raises:
+            ValueError: for an invalid seed or a wrong number of seeds.
+        """
+        observations = self.vector.reset(seed)
+        self._over = np.zeros_like(self._over)
+        return observations.reshape(self.num_envs, -1), {}
+
+    def step(self, actions: Float32Array) -> tuple[Float32Array, FloatArray, BoolArray, BoolArray, dict[str, Any]]:
+        """Step all environments, and start those again that ended in the step before.
+
+        Raises:
+            RuntimeError: before the first reset.
+            ValueError: when the actions have another shape or dtype, or are not finite; no environment is stepped.
+        """
+        actions = as_plain("actions", actions)
+        if actions.shape != self.action_space.shape:
+            raise ValueError(
+                f"actions of {self.num_envs} members have the shape {self.action_space.shape}, got {actions.shape}"
+            )
+        players = self.vector.num_players
+        outcome = self.vector.step(actions.reshape(self.vector.num_envs, players, -1), self._over)
+        self._over = outcome.terminated | outcome.truncated
+        infos: dict[str, Any] = {}
+        if self._over.any():
+            for name in ("diverged", "is_success"):
+                infos |= {name: outcome.infos[name].repeat(players), f"_{name}": self._over.repeat(players)}
+        return (
+            outcome.observations.reshape(self.num_envs, -1),
+            outcome.rewards.reshape(self.num_envs),
+            outcome.terminated.repeat(players),
+            outcome.truncated.repeat(players),
+            infos,
+        )

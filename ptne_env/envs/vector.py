@@ -289,7 +289,7 @@ class VectorParallelEnv:
         spans = []
         for array, (name, shape, dtypes) in zip(out, self._results, strict=True):
             if array is not None:
-                _require_buffer(name, array, shape, dtypes)
+                require_buffer(name, array, shape, dtypes)
                 if out is not self._apart:
                     spans.append((_address(array), array.nbytes, name))
         for (start, size, name), (following, _, other) in pairwise(sorted(spans)):
@@ -408,7 +408,7 @@ def _address(array: npt.NDArray[Any]) -> int:
     return int(array.__array_interface__["data"][0])
 
 
-def _require_buffer(name: str, array: Any, shape: tuple[int, ...], dtypes: tuple[np.dtype[Any], ...]) -> None:
+def require_buffer(name: str, array: Any, shape: tuple[int, ...], dtypes: tuple[np.dtype[Any], ...]) -> None:
     """Check a buffer of the caller.
 
     Raises:

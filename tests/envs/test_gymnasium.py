@@ -15,7 +15,7 @@ from worlds import BLOCKS, make_env
 
 import ptne_env
 from ptne_env import CATALOGUE, laws
-from ptne_env.envs.gymnasium import JointEnv, JointVectorEnv
+from ptne_env.envs.gymnasium import JointEnv, JointVectorEnv, PlayerVectorEnv
 from ptne_env.registration import register_environments
 from ptne_env.world import World
 
@@ -411,3 +411,64 @@ def test_wrong_estimates_are_refused_before_anything_starts(table):
     twin.reset(seed=0)
     assert np.array_equal(env.step(actions)[0], twin.step(actions)[0])
     assert observations.shape == env.observation_space.shape
+
+
+# --- players as members -----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_members_are_the_players_of_the_joint_vector(case):
+    members = PlayerVectorEnv("random-energy", BATCH, **CASES[case])
+    joint = JointVectorEnv("random-energy", BATCH, **CASES[case])
+    count = 5 * BATCH
+    assert members.num_envs == count
+    assert members.observation_space.shape == (count, members.layout.size)
+    assert members.single_action_space == joint.vector.single_action_space
+    assert members.metadata["autoreset_mode"] is AutoresetMode.NEXT_STEP
+    observations, infos = members.reset(seed=5)
+    np.testing.assert_array_equal(observations, joint.reset(seed=5)[0].reshape(count, -1), strict=True)
+    assert infos == {}
+    ends = 0
+    for actions in scripted_actions(joint, case, 40):
+        observations, rewards, *flags, infos = members.step(actions.reshape(count, -1))
+        expected, means, *expected_flags, expected_infos = joint.step(actions)
+        np.testing.assert_array_equal(observations, expected.reshape(count, -1), strict=True)
+        np.testing.assert_allclose(rewards.reshape(BATCH, 5).mean(axis=1), means, rtol=1e-12, atol=1e-300)
+        for flag, expected_flag in zip(flags, expected_flags, strict=True):
+            np.testing.assert_array_equal(flag, np.repeat(expected_flag, 5), strict=True)
+        over = flags[0] | flags[1]
+        ends += over.any()
+        assert set(infos) == ({"diverged", "_diverged", "is_success", "_is_success"} if over.any() else set())
+        for name in set(infos) & {"diverged", "is_success"}:
+            np.testing.assert_array_equal(infos[f"_{name}"], over, strict=True)
+            np.testing.assert_array_equal(infos[name], np.repeat(expected_infos[name], 5), strict=True)
+    assert ends > 1
+
+
+def test_a_second_reset_of_members_starts_all_episodes():
+    members = PlayerVectorEnv("random-energy", 2, steps=5)
+    actions = np.zeros(members.action_space.shape, dtype=np.float32)
+    first, _ = members.reset(seed=[3, 8])
+    for _ in range(5):
+        members.step(actions)
+    np.testing.assert_array_equal(members.reset(seed=[3, 8])[0], first)
+    assert not np.array_equal(members.step(actions)[0], first)  # it moves, although episodes had ended before
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda good: good[:9], r"actions of 10 members have the shape \(10, 5\), got \(9, 5\)"),
+        (lambda good: good.astype(int), "actions are floats of shape"),
+        (lambda good: good * np.nan, "without NaN or infinity"),
+        (np.ma.masked_array, "actions must be a plain array"),
+    ],
+)
+def test_bad_actions_of_members_are_refused_and_change_nothing(change, message):
+    members, undisturbed = (PlayerVectorEnv("random-energy", 2) for _ in range(2))
+    good = np.ones((10, 5), dtype=np.float32)
+    for each in (members, undisturbed):
+        each.reset(seed=0)
+    with pytest.raises(ValueError, match=message):
+        members.step(change(good))
+    assert same(members.step(good), undisturbed.step(good))

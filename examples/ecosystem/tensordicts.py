@@ -1,0 +1,41 @@
+"""Shared by the examples for TorchRL and BenchMARL: the law and random actions in an environment of tensordicts."""
+
+from collections.abc import Callable
+
+import torch
+from tensordict.nn import TensorDictModule
+from torchrl.envs import EnvBase
+from yardstick import EPISODES, law
+
+OBSERVATION, ACTION = ("player", "observation"), ("player", "action")
+
+
+def law_digits(env: EnvBase) -> list[float]:
+    """The digits that the law gains; ``reset(seed=k)`` starts episode k, and k + b in environment b of a batch."""
+    policy = law(env.layout)
+
+    def act(observations: torch.Tensor) -> torch.Tensor:
+        actions, _ = policy.predict(observations.flatten(0, -2).numpy())
+        return torch.from_numpy(actions).unflatten(0, observations.shape[:-1])
+
+    gained: list[float] = []
+    for seed in range(0, EPISODES, env.numel()):
+        start = env.reset(seed=seed)
+        episode = env.rollout(
+            10_000, TensorDictModule(act, [OBSERVATION], [ACTION]), auto_reset=False, tensordict=start
+        )
+        rewards = episode["next", "player", "reward"].double()  # (steps, players, 1), or (environments, steps, ...)
+        gained += rewards.sum(dim=-3).mean(dim=(-2, -1)).reshape(-1).tolist()
+    return gained
+
+
+def stepping(env: EnvBase) -> Callable[[], int]:
+    """A function that steps all environments by random actions and returns the number of agent-steps."""
+    following, actions = env.reset(), env.full_action_spec.rand()
+
+    def step() -> int:
+        nonlocal following
+        _, following = env.step_and_maybe_reset(following.update(actions))
+        return actions[ACTION].shape[:-1].numel()
+
+    return step

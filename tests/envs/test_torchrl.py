@@ -1,0 +1,246 @@
+"""The batched environment of TorchRL: keys, equality with arrays, memory, partial resets, and bad input."""
+
+import numpy as np
+import pytest
+from extras import need_torchrl
+
+need_torchrl()
+
+import torch
+from tensordict import TensorDict
+from test_vector import SHORT, random_actions
+from torchrl.envs import PettingZooWrapper, check_env_specs
+
+import ptne_env
+from ptne_env import VectorParallelEnv
+from ptne_env.envs.torchrl import TorchRLEnv
+
+OBSERVATION, ACTION, REWARD = ("player", "observation"), ("player", "action"), ("player", "reward")
+
+
+def make(name="random-energy", num_envs=3, **arguments):
+    return TorchRLEnv(name, num_envs, **{**SHORT, **arguments})
+
+
+def acting(env, tensordict, generator):
+    """The tensordict with random actions, and these."""
+    actions = random_actions(env.vector, generator)
+    tensordict[ACTION] = torch.from_numpy(actions)
+    return tensordict, actions
+
+
+# --- what is returned -------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("arguments", [{}, {"interface": "local", "action_mode": "gains"}, {"max_cycles": 2}], ids=str)
+@pytest.mark.parametrize("name", ["energy", "random-energy"])
+def test_torchrl_finds_no_fault_in_the_specifications(name, arguments):
+    check_env_specs(make(name, **arguments), seed=0)
+
+
+def test_keys_shapes_and_dtypes_are_those_of_the_wrapper_of_pettingzoo():
+    env = make(num_envs=4)
+    with pytest.warns(UserWarning, match="PettingZoo in TorchRL is tested"):
+        single = PettingZooWrapper(ptne_env.parallel_env("random-energy", **SHORT))
+    assert env.batch_size == (4,)
+    assert env.group_map == single.group_map == {"player": [f"player_{index}" for index in range(5)]}
+    batched, alone = env.rollout(3), single.rollout(3)
+    keys = set(alone.keys(include_nested=True, leaves_only=True))
+    assert set(batched.keys(include_nested=True, leaves_only=True)) == keys
+    for key in keys:
+        assert batched[key].dtype == alone[key].dtype, key
+        assert batched[key].shape == (4, *alone[key].shape), key
+    for spec in ("observation", "action", "reward", "done"):
+        unbatched, expected = getattr(env, f"full_{spec}_spec_unbatched"), getattr(single, f"full_{spec}_spec")
+        assert unbatched.to("cpu") == expected.to("cpu"), spec
+
+
+@pytest.mark.parametrize("max_cycles", [None, 4])
+def test_episodes_and_partial_resets_equal_those_of_arrays_bit_for_bit(max_cycles):
+    env, vector = make(max_cycles=max_cycles), VectorParallelEnv("random-energy", 3, **SHORT, max_cycles=max_cycles)
+    generator, ends = np.random.default_rng(0), 0
+    following = env.reset(seed=5)
+    assert np.array_equal(following[OBSERVATION].numpy(), vector.reset(seed=5))
+    for step in range(15):
+        if step == 2:
+            following = env.reset(following.update(named([False, True, False])))
+            assert np.array_equal(following[OBSERVATION].numpy(), vector.reset(mask=[False, True, False]))
+        present, actions = acting(env, following, generator)
+        present, following = env.step_and_maybe_reset(present)
+        outcome, moved = vector.step(actions), present["next"]
+        assert np.array_equal(moved[OBSERVATION].numpy(), outcome.observations)
+        assert np.array_equal(moved[REWARD].numpy()[:, :, 0], outcome.rewards.astype(np.float32))
+        over = outcome.terminated | outcome.truncated
+        for name, flag in {"done": over, "terminated": outcome.terminated, "truncated": outcome.truncated}.items():
+            assert np.array_equal(moved[name].numpy()[:, 0], flag), name
+            assert np.array_equal(moved["player", name].numpy()[:, :, 0], np.repeat(flag[:, None], 5, axis=1)), name
+        expected = outcome.observations
+        if over.any():
+            ends += 1
+            expected = vector.reset(mask=over)
+        assert np.array_equal(following[OBSERVATION].numpy(), expected)
+        assert not following["done"].any()
+    assert ends > 2
+
+
+def named(mask):
+    """A tensordict that names the environments to reset."""
+    return TensorDict({"_reset": torch.tensor(mask)[:, None]}, (len(mask),))
+
+
+def test_the_deadline_terminates_and_a_limit_of_steps_truncates():
+    flags = ("terminated", "truncated")
+    last = make().rollout(6, break_when_any_done=False)["next"][:, -1]
+    assert [bool(last[name].all()) for name in flags] == [True, False]
+    last = make(max_cycles=3).rollout(3, break_when_any_done=False)["next"][:, -1]
+    assert [bool(last[name].all()) for name in flags] == [False, True]
+
+
+# --- memory -----------------------------------------------------------------------------------------------------------
+
+
+def test_no_later_step_or_reset_changes_a_frame():
+    env, generator = make(), np.random.default_rng(0)
+    following, frames = env.reset(seed=0), []
+    for _ in range(20):
+        present, following = env.step_and_maybe_reset(acting(env, following, generator)[0])
+        frames.append((present, present.clone()))
+    assert sum(bool(frame["next", "done"].any()) for frame, _ in frames) > 2
+    for frame, copy in frames:
+        assert (frame == copy).all()
+
+
+def test_no_two_tensors_share_memory():
+    env = make()
+    start = env.reset(seed=0)
+    for tensordict in (start.clone(recurse=False), env.rand_step(start)["next"]):
+        arrays = [tensor.numpy() for tensor in tensordict.values(include_nested=True, leaves_only=True)]
+        assert len(arrays) >= 7
+        for index, array in enumerate(arrays):
+            assert not any(np.shares_memory(array, other) for other in arrays[:index])
+
+
+def test_tensors_show_the_memory_of_the_arrays():
+    env, handed_out = make(), []
+    step, reset = env.vector.step, env.vector.reset
+    env.vector.step = lambda *arguments, **named: handed_out.append(step(*arguments, **named)) or handed_out[-1]
+    env.vector.reset = lambda *arguments: handed_out.append(reset(*arguments)) or handed_out[-1]
+    present = env.rand_step(env.reset(seed=0))
+    first, outcome = handed_out
+    assert np.shares_memory(present[OBSERVATION].numpy(), first)
+    assert np.shares_memory(present["next", "player", "observation"].numpy(), outcome.observations)
+    assert np.shares_memory(present["next", "player", "reward"].numpy(), outcome.rewards)
+
+
+@pytest.mark.filterwarnings("ignore:Creating .*WeightUpdater:DeprecationWarning")  # TorchRL warns about itself
+def test_frames_of_a_collector_follow_each_other():
+    from torchrl.collectors import Collector
+
+    for batch in Collector(make(seed=3), None, frames_per_batch=24, total_frames=48):
+        before, after = batch[OBSERVATION], batch["next"][OBSERVATION]
+        goes_on = ~batch["next", "done"][:, :-1, 0]
+        assert torch.equal(after[:, :-1][goes_on], before[:, 1:][goes_on])
+        assert not (after[:, :-1] == after[:, 1:]).flatten(2).all(dim=2).any()
+
+
+# --- seeds ------------------------------------------------------------------------------------------------------------
+
+
+def test_a_seed_counts_up_by_environment_and_holds_for_one_start_of_each():
+    by_reset, by_argument, by_method = make(), make(seed=7), make()
+    by_method.set_seed(7)
+    starts = [env.reset()[OBSERVATION] for env in (by_argument, by_method)]
+    starts.append(by_reset.reset(seed=7)[OBSERVATION])
+    assert torch.equal(starts[0], starts[1])
+    assert torch.equal(starts[0], starts[2])
+    assert not torch.equal(by_reset.reset()[OBSERVATION], starts[0])
+    alone = ptne_env.parallel_env("random-energy", **SHORT)
+    assert np.array_equal(alone.reset(seed=8)[0]["player_2"], starts[0][1, 2])
+    by_reset.set_seed(7)
+    first = by_reset.reset(named([True, False, False]))[OBSERVATION]
+    then = by_reset.reset(named([True, True, True]))[OBSERVATION]
+    assert torch.equal(first[0], starts[0][0])
+    assert torch.equal(then[1:], starts[0][1:])
+    assert not torch.equal(then[0], starts[0][0])
+
+
+# --- devices ----------------------------------------------------------------------------------------------------------
+
+
+def test_another_device_than_the_cpu_is_refused():
+    env = make(seed=0)
+    for device in ("meta", torch.device("cuda:0")):
+        with pytest.raises(ValueError, match=f"compute on the CPU, got the device {device}: leave them there"):
+            make(device=device)
+        with pytest.raises(ValueError, match="compute on the CPU"):
+            env.to(device)
+    assert env.to("cpu").reset()[OBSERVATION].device.type == env.device.type == "cpu"
+
+
+def test_actions_of_a_network_that_is_trained_are_taken():
+    env = make()
+    start = env.reset(seed=0)
+    start[ACTION] = torch.zeros(3, 5, env.layout.action_size, requires_grad=True)
+    assert env.step(start)["next", "player", "reward"].requires_grad is False
+
+
+# --- bad input --------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("arguments", "complaint"),
+    [
+        ({"name": "nothing"}, "nothing"),
+        ({"num_envs": 0}, "num_envs must be a whole number of at least 1, got 0"),
+        ({"interface": "full"}, "'full' shows information that players lack"),
+        ({"seed": -1}, "seed"),
+        ({"seed": 0.5}, "seed"),
+    ],
+    ids=str,
+)
+def test_arguments_without_sense_are_refused(arguments, complaint):
+    with pytest.raises(ValueError, match=complaint):
+        make(**arguments)
+
+
+@pytest.mark.parametrize(
+    ("change", "complaint"),
+    [
+        (lambda actions: actions[:, :4], "actions are floats of shape"),
+        (lambda actions: actions.int(), "actions are floats of shape"),
+        (lambda actions: actions * torch.nan, "without NaN or infinity"),
+    ],
+    ids=["shape", "integers", "no numbers"],
+)
+def test_actions_that_are_refused_leave_the_state_as_it_was(change, complaint):
+    env, untouched = make(), make()
+    start, expected = env.reset(seed=1), untouched.reset(seed=1)
+    good = torch.from_numpy(random_actions(env.vector, np.random.default_rng(0)))
+    start["player"] = TensorDict({"action": change(good)}, (3,))
+    with pytest.raises(ValueError, match=complaint):
+        env.step(start)
+    for each in (start, expected):
+        each["player"] = TensorDict({"action": good}, (3,))
+    assert torch.equal(env.step(start)["next"][OBSERVATION], untouched.step(expected)["next"][OBSERVATION])
+
+
+def test_a_seed_that_is_refused_leaves_the_state_as_it_was():
+    env, untouched = make(seed=2), make(seed=2)
+    for seed in (-1, 0.5, "one"):
+        with pytest.raises(ValueError, match="seed"):
+            env.reset(seed=seed)
+        with pytest.raises(ValueError, match="seed"):
+            env.set_seed(seed)
+    assert torch.equal(env.reset()[OBSERVATION], untouched.reset()[OBSERVATION])
+
+
+def test_the_first_reset_starts_every_environment():
+    with pytest.raises(ValueError, match="the first reset"):
+        make().reset(named([True, False, True]))
+
+
+def test_a_step_after_the_end_is_refused():
+    env = make()
+    over = env.rollout(6)[:, -1]["next"]
+    with pytest.raises(RuntimeError, match="3 of 3 environments are over or not started"):
+        env.rand_step(over.exclude(REWARD))
