@@ -214,18 +214,18 @@ def memory(interface: InterfaceKind, num_envs: int, scenario: str | Scenario = "
 
 
 @contextmanager
-def _timed(owner: type, name: str, spent: list[float]) -> Iterator[None]:
-    """Add the seconds in a method to ``spent[0]`` while the context lasts."""
+def timed(owner: Any, name: str, spent: list[float], clock: Callable[[], float] = perf_counter) -> Iterator[None]:
+    """Add the seconds in a method, or in a function of a module, to ``spent[0]`` while the context lasts."""
     method = getattr(owner, name)
 
-    def timed(*arguments: Any, **keywords: Any) -> Any:
-        began = perf_counter()
+    def measured(*arguments: Any, **keywords: Any) -> Any:
+        began = clock()
         try:
             return method(*arguments, **keywords)
         finally:
-            spent[0] += perf_counter() - began
+            spent[0] += clock() - began
 
-    setattr(owner, name, timed)
+    setattr(owner, name, measured)
     try:
         yield
     finally:
@@ -233,7 +233,7 @@ def _timed(owner: type, name: str, spent: list[float]) -> Iterator[None]:
 
 
 def training_share(plan: Plan) -> dict[str, Any]:
-    """The share of the environment in the wall time of PPO with the configuration ``random-energy``.
+    """The share of the environment in the wall time of PPO with the settings of the shipped ``ppo-random-energy``.
 
     Each repeat is a new training run. The first update is left out; the following updates cover one whole episode of
     every environment, with its end and the draw of new games.
@@ -244,19 +244,18 @@ def training_share(plan: Plan) -> dict[str, Any]:
     try:
         from stable_baselines3.common.vec_env import VecMonitor
 
+        from benchmarks.training import shipped
         from ptne_env.envs.sb3 import PlayerVecEnv
-        from ptne_env.training.arguments import Arguments
         from ptne_env.training.ppo import train
     except ImportError as error:
         raise MissingPeerError(f"the share of a PPO update is left out: {error}") from error
-    shipped = Arguments.from_toml("random-energy")
-    world = World(get_scenario(shipped.scenarios[0]))
+    arguments = shipped("random-energy", validation_episodes=2)
+    world = World(get_scenario("random-energy"))
     players, episode = world.game.num_players, world.clock.total_steps
-    updates = 2 if plan.quick else -(-episode // shipped.rollout)
-    settings: dict[str, Any] = {"steps": (updates + 1) * shipped.rollout * shipped.envs * players}
+    updates = 2 if plan.quick else -(-episode // arguments.rollout)
     if plan.quick:
-        settings = {"envs": 2, "rollout": 4, "steps": (updates + 1) * 4 * 2 * players}
-    arguments = Arguments.from_toml("random-energy", validation_episodes=2, **settings)
+        arguments = replace(arguments, envs=2, rollout=4)
+    arguments = replace(arguments, steps=(updates + 1) * arguments.rollout * arguments.envs * players)
     shares, monitored, rates = [], [], []
     for _ in range(plan.repeats):
         environment, with_monitor = [0.0], [0.0]
@@ -267,8 +266,8 @@ def training_share(plan: Plan) -> dict[str, Any]:
 
         with (
             tempfile.TemporaryDirectory() as folder,
-            _timed(PlayerVecEnv, "step_wait", environment),
-            _timed(VecMonitor, "step_wait", with_monitor),
+            timed(PlayerVecEnv, "step_wait", environment),
+            timed(VecMonitor, "step_wait", with_monitor),
             warnings.catch_warnings(),
         ):
             warnings.simplefilter("ignore")  # Stable-Baselines3 comments on batch sizes

@@ -17,6 +17,12 @@ BoolArray: TypeAlias = npt.NDArray[np.bool_]
 
 Array = TypeVar("Array", bound=npt.NDArray[np.generic])
 
+_MANY = 64
+"""Entries of a term from which on a sum is made term by term."""
+
+_SHORT = 16
+"""Longest row of which the maximum is found column by column."""
+
 
 def _is_finite(value: object) -> bool:
     """Whether ``value`` is a finite number; callers may pass any type."""
@@ -89,9 +95,25 @@ def frozen(array: npt.ArrayLike) -> FloatArray:
     return result
 
 
+def fold(ufunc: np.ufunc, array: Array, axis: int) -> Array:
+    """``ufunc.reduce`` along a short axis, term by term, in order: faster than numpy's own where the terms are long."""
+    first, *others = np.moveaxis(array, axis, 0)
+    result = first.copy()
+    for term in others:
+        ufunc(result, term, out=result)
+    return result
+
+
 def ordered_sum(array: FloatArray, axis: int = 0) -> FloatArray:
     """The sum along ``axis`` in order. Numpy's own order depends on the memory layout, so on the size of the batch."""
+    if array.dtype == np.float64 and array.size >= _MANY * array.shape[axis] > 0:
+        return fold(np.add, array, axis)
     return np.add.accumulate(array, axis=axis).take(-1, axis=axis)
+
+
+def row_maxima(array: FloatArray) -> FloatArray:
+    """The largest entry along the last axis, (..., k) to (...)."""
+    return fold(np.maximum, array, -1) if array.shape[-1] <= _SHORT else np.maximum.reduce(array, axis=-1)
 
 
 def replaced(old: Array, fresh: Array, mask: BoolArray) -> Array:

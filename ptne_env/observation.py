@@ -27,6 +27,9 @@ OBSERVATION_BOUND = 1e6
 SMALLEST_SCALE = 1e-30
 """Under ``local`` the scale σ_i is at least this, so that a player at rest divides by a positive number."""
 
+_READ_APART = frozenset(("clock", "player", "time_since_switch"))
+"""Slices of which :meth:`ObservationLayout.read` makes no float64 copy of their own."""
+
 GAIN_OCTAVES = 3.0
 """In action mode ``gains`` an action of ±1 multiplies or divides a gain by 2^3."""
 
@@ -373,10 +376,16 @@ class ObservationLayout:
                 f"{self.num_players} players, {self.slots} neighbour slots), got the shape {observation.shape}"
             )
         rows = observation.shape[0]
-        values = {name: np.asarray(observation[:, part], dtype=np.float64) for name, part in self.slices.items()}
-        player = values["player"].argmax(axis=1)
-        own = np.zeros((rows, self.dimension + 1))  # one column more, into which padding falls
-        np.put_along_axis(own, self.own_components[player], values["own_gradient"], axis=1)
+        clock, is_player = (observation[:, self.slices[name]] for name in ("clock", "player"))
+        values = {
+            name: np.asarray(observation[:, part], dtype=np.float64)
+            for name, part in self.slices.items()
+            if name not in _READ_APART
+        }
+        player = is_player.argmax(axis=1)
+        width = self.dimension + 1  # one column more, into which padding falls
+        own = np.zeros(rows * width)
+        own[self.own_components[player] + np.arange(0, rows * width, width)[:, None]] = values["own_gradient"]
         relative = values["relative_estimates"].reshape(rows, self.slots, self.dimension)
         unit = np.ones((rows, 1))
         if self.interface.kind == "local":
@@ -385,12 +394,12 @@ class ObservationLayout:
         unseen = np.empty((rows, 0))
         return Observation(
             player=player,
-            gradient=own[:, :-1],
+            gradient=own.reshape(rows, width)[:, :-1],
             relative_estimates=relative,
             weights=values["weights"],
             unit=unit,
-            theta=values["clock"][:, 2:3],
-            dt=values["clock"][:, 3:4] * self.deadline,
+            theta=np.asarray(clock[:, 2:3], dtype=np.float64),
+            dt=np.asarray(clock[:, 3:4], dtype=np.float64) * self.deadline,
             relative_strategies=values.get("relative_strategies", unseen),
             pseudo_gradient=values.get("pseudo_gradient", unseen),
             own_estimate=values.get("own_estimate", unseen),

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from time import perf_counter
 from typing import Any
@@ -127,6 +127,7 @@ def rollout(
     teammates: Member | None = None,
     watch: Callable[[State, FloatArray | None], None] | None = None,
     witnesses: Sequence[Witness] = (),
+    series: Iterable[str] | None = None,
 ) -> Rollout:
     """Run ``policy`` from the state ``start`` at t = 0 to the end of every episode.
 
@@ -137,6 +138,7 @@ def rollout(
         teammates: decide for their players in place of ``policy``, which decides for the other players only.
         watch: called with every state and the inputs (n, N, B) that are held from it, ``None`` with the last state.
         witnesses: audit the decisions of ``policy``.
+        series: names of those that are recorded; all if left out.
 
     Raises:
         PolicyError: when a policy raises, returns actions of another shape or actions that are not finite, or does not
@@ -146,7 +148,7 @@ def rollout(
     clock, players = world.clock, range(world.game.num_players)
     taken = set() if teammates is None else set(teammates.players.tolist())
     member = Member(policy, encoder, [player for player in players if player not in taken], witnesses)
-    instants = {name: series.instants(clock) for name, series in SERIES.items()}
+    instants = {name: SERIES[name].instants(clock) for name in (SERIES if series is None else series)}
     values = {name: np.empty((len(chosen), batch)) for name, chosen in instants.items()}
     state = start
     for step in range(clock.total_steps + 1):

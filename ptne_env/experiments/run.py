@@ -256,8 +256,9 @@ class _Runner:
         if self.store is not None and not self.rerun:
             require_hashed(jobs)
         self.total += len(jobs)
-        # The largest games first, so that no worker is left alone with one at the end.
-        order = sorted(range(len(jobs)), key=lambda index: -jobs[index].track.world.game.num_players)
+        # The largest games first, so that no worker is left alone with one at the end; then the last jobs, because
+        # lists of policies begin with the fastest laws, and the coded law is the last of those for learned policies.
+        order = sorted(range(len(jobs)), key=lambda index: (-jobs[index].track.world.game.num_players, -index))
         found: dict[int, JobResult] = {}
         ordered = [jobs[index] for index in order]
         for place, result in run_jobs(ordered, self.store, self.workers, rerun=self.rerun):
@@ -323,19 +324,20 @@ def _tuned_laws(
     run: Callable[[Sequence[Job]], list[JobResult]],
     tune: Callable[[Sequence[Tuning]], list[Tuned]],
 ) -> tuple[dict[str, dict[str, PolicySpec]], dict[str, tuple[Job, ...]]]:
-    """The best law of each group on the validation episodes of each track, and the jobs that show it."""
-    episodes = {track.name: validation_set(suite, track) for track in tracks}
-    searches = [Tuning(track, member, episodes[track.name]) for track in tracks for member in tuning.FIELD]
-    tried = [
-        (search, found.law, Job(search.track, PolicySpec(tuning.CANDIDATE, found.law), 0, search.episodes))
-        for search, found in zip(searches, tune(searches), strict=True)
-        if found.law is not None
+    """The best law of each group on the validation episodes of each track, and the jobs that show it.
+
+    A trial that is published is not run.
+    """
+    searches = [Tuning(track, member, validation_set(suite, track)) for track in tracks for member in tuning.FIELD]
+    laws = [
+        (search, tuned.law) for search, tuned in zip(searches, tune(searches), strict=True) if tuned.law is not None
     ]
+    trials = [search.trial(law) for search, law in laws if search.reached(law) is None]
+    played = zip(trials, run(trials), strict=True)
     digits: dict[str, dict[Tunable, tuple[FactorySpec, float]]] = {track.name: {} for track in tracks}
-    trials: dict[str, list[Job]] = {track.name: [] for track in tracks}
-    for (search, law, job), result in zip(tried, run([job for _, _, job in tried]), strict=True):
-        trials[search.track.name].append(job)
-        reached = -np.inf if result.failure is not None else float(result.samples[search.track.metric].mean())
+    for search, law in laws:
+        mean = search.reached(law)
+        reached = tuning.mean_of(*next(played)) if mean is None else mean
         digits[search.track.name][search.member] = law, reached
     chosen = {name: {**tuning.best(found), "coded": tuning.CODED} for name, found in digits.items()}
-    return chosen, {name: tuple(jobs) for name, jobs in trials.items()}
+    return chosen, {name: tuple(trial for trial in trials if trial.track.name == name) for name in digits}

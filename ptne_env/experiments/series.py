@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Literal, TypeAlias
 
 import numpy as np
@@ -30,11 +31,8 @@ class Moment:
         state: at the instant.
         step: index of the instant.
         player_distances: ‖x^i − x*‖/‖x*‖, at the range limit in a diverged episode; shape (N, B).
-        inputs: u that are held from the instant on, shape (n, N, B). They and the next three exist before the deadline
-            only.
-        magnitudes: |u|, 0 in a diverged episode; shape (n, N, B).
-        squared_input: ‖u‖², shape (B,).
-        largest_input: the largest |u| of any component, shape (B,).
+        inputs: u that are held from the instant on, shape (n, N, B). They, and what follows from them, exist before
+            the deadline only.
     """
 
     def __init__(self, world: World, state: State, inputs: FloatArray | None, step: int) -> None:
@@ -43,11 +41,25 @@ class Moment:
         self.player_distances = self.limited(distances.player_distances(state.estimates, state.game))
         if inputs is not None and step < world.clock.steps:
             self.inputs = inputs
-            self.magnitudes = np.abs(inputs)
-            if self._has_diverged:
-                self.magnitudes *= ~state.diverged
-            self.squared_input = _squared(self.magnitudes)
-            self.largest_input = self.magnitudes.max(axis=(0, 1))
+
+    @cached_property
+    def magnitudes(self) -> FloatArray:
+        """|u|, 0 in a diverged episode; shape (n, N, B)."""
+        magnitudes = np.abs(self.inputs)
+        if self._has_diverged:
+            magnitudes *= ~self.state.diverged
+        return magnitudes
+
+    @cached_property
+    def squared_input(self) -> FloatArray:
+        """‖u‖², shape (B,)."""
+        return _squared(self.magnitudes)
+
+    @cached_property
+    def largest_input(self) -> FloatArray:
+        """The largest |u| of any component, shape (B,)."""
+        largest: FloatArray = self.magnitudes.max(axis=(0, 1))
+        return largest
 
     @property
     def strategies(self) -> FloatArray:
@@ -149,6 +161,8 @@ def _peak_velocity(moment: Moment) -> FloatArray:
 def _saturated(moment: Moment) -> IntArray:
     # The action box is float32, so an input at the limit may be the float32 just below it.
     limit = np.nextafter(np.float32(moment.world.input_limit), np.float32(0))
+    if not (moment.largest_input >= limit).any():
+        return np.zeros(moment.largest_input.shape, dtype=np.int64)
     count: IntArray = (moment.magnitudes >= limit).sum(axis=(0, 1))
     return count
 

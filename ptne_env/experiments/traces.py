@@ -157,7 +157,7 @@ def scene(
         watch = _Watch(world, kept)
         team = None if teammates is None else teammates(world)
         with policy.deciding(encoder.layout) as deciding:
-            distance = rollout(deciding, encoder, start, team, watch)["estimate_distance"]
+            distance = rollout(deciding, encoder, start, team, watch, series=["estimate_distance"])["estimate_distance"]
         errors = np.quantile(distance[kept], QUANTILES, axis=1)
         traces[name] = Trace(errors, distance[kept, 0], *watch.arrays())
         equilibria = watch.equilibria

@@ -18,6 +18,7 @@ from ptne_env import dynamics
 from ptne_env.arrays import BoolArray, FloatArray
 from ptne_env.encoder import Encoder, make_encoder
 from ptne_env.experiments.episodes import EpisodeSet
+from ptne_env.experiments.jobs import Job, JobResult
 from ptne_env.experiments.metrics import METRICS
 from ptne_env.experiments.policy_specs import POLICIES, PolicySpec
 from ptne_env.experiments.provenance import content_hash, versions
@@ -46,7 +47,7 @@ NAMES = (*GROUPS.values(), CODED.name)
 """Names in tables that no other policy may have."""
 
 PUBLISHED = Path(__file__).with_name("tuned_laws.json")
-"""The tuned laws of the scenarios of the catalogue, written by ``baselines/tune_field.py --suite catalogue``."""
+"""The tuned laws of the catalogue and their trials, written by ``baselines/tune_field.py --suite catalogue``."""
 
 _DIGITS = 4
 """Significant digits of tuned parameters."""
@@ -208,15 +209,38 @@ class Tuning:
     @cached_property
     def name(self) -> str:
         """The hash of everything but files and versions, by which a published law is found."""
-        parts = (self.track.scenario.to_dict(), self.track.teammates and self.track.teammates.to_dict())
-        return content_hash([*parts, asdict(self.member), asdict(self.budget)])
+        return content_hash([*self._parts, asdict(self.member), asdict(self.budget)])
+
+    @cached_property
+    def _parts(self) -> tuple[Any, ...]:
+        """The content of the track on which its metric depends. Digits at the deadline need no steps after it."""
+        track, hold_steps = self.track, 0 if self.track.metric == "digits" else self.track.scenario.hold_steps
+        scenario = track.scenario.to_dict() | {"hold_steps": hold_steps}
+        return scenario, track.teammates and track.teammates.to_dict(), track.metric
+
+    def trial(self, law: FactorySpec) -> Job:
+        """The job that plays a tuned law on the validation episodes."""
+        return Job(self.track, PolicySpec(CANDIDATE, law), 0, self.episodes)
+
+    def trial_name(self, law: FactorySpec) -> str:
+        """The hash of everything but files and versions on which the mean of a trial depends."""
+        return content_hash([*self._parts, law.to_dict(), asdict(self.episodes)])
+
+    def reached(self, law: FactorySpec) -> float | None:
+        """The published mean of the track's metric over the validation episodes; ``None`` where the trial has to run.
+
+        Args:
+            law: the tuned one.
+        """
+        mean: float | None = published()["trials"].get(self.trial_name(law))
+        return mean
 
     def find(self) -> Tuned:
         """The published result of the search, else a new one."""
-        published = published_laws()
-        if self.name not in published:
+        laws = published()["laws"]
+        if self.name not in laws:
             return self.compute()
-        return Tuned.from_dict({"law": published[self.name]}, self.to_dict())
+        return Tuned.from_dict({"law": laws[self.name]}, self.to_dict())
 
     def compute(self) -> Tuned:
         """Search by differential evolution, deterministic: maximise the mean of the track's metric.
@@ -283,10 +307,19 @@ class Tuning:
 
 
 @cache
-def published_laws() -> dict[str, Any]:
-    """The tuned laws of :data:`PUBLISHED` by name of the search, as JSON objects; ``None`` where n/a."""
-    found: dict[str, Any] = json.loads(PUBLISHED.read_text(encoding="utf-8"))
+def published() -> dict[str, dict[str, Any]]:
+    """The content of :data:`PUBLISHED`.
+
+    Under ``"laws"``, the tuned laws by :attr:`Tuning.name` as JSON objects, ``None`` where n/a; under ``"trials"``, the
+    mean of the track's metric over the validation episodes by :meth:`Tuning.trial_name`.
+    """
+    found: dict[str, dict[str, Any]] = json.loads(PUBLISHED.read_text(encoding="utf-8"))
     return found
+
+
+def mean_of(trial: Job, result: JobResult) -> float:
+    """The mean of the track's metric over the episodes of a trial; −∞ where the law failed."""
+    return -np.inf if result.failure is not None else float(result.samples[trial.track.metric].mean())
 
 
 class Portfolio:

@@ -8,6 +8,7 @@ memory for the next step. Classes check parameters and adapt the function to ``p
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from functools import cached_property
 from typing import Any, ClassVar
 
 import numpy as np
@@ -70,11 +71,31 @@ class Law(ABC):
         """
         array = np.asarray(observation)
         parsed = self.layout.read(np.atleast_2d(array))
-        fresh = self.initial_memory(len(parsed.player))
-        memory = fresh if state is None or fresh is None else _restart(state, fresh, episode_start)
+        memory = self._continued(state, len(parsed.player), episode_start)
         inputs, memory = self.inputs(parsed, memory)
         actions = self._actions(inputs, parsed)
         return (actions[0] if array.ndim == 1 else actions), memory
+
+    def _continued(self, memory: Any, rows: int, episode_start: BoolArray | None) -> Any:
+        """``memory`` with a fresh row wherever an episode starts, for R = ``rows`` players."""
+        if memory is None or self._row_shape is None:
+            return self.initial_memory(rows)
+        needed = (rows, *self._row_shape)
+        if np.shape(memory) != needed:
+            raise ValueError(
+                f"the memory has the shape {np.shape(memory)} and these observations need {needed}; pass "
+                "state=None to start afresh"
+            )
+        if episode_start is None or not np.any(episode_start):
+            return np.asarray(memory)
+        starts = np.reshape(episode_start, (rows, *(1,) * len(self._row_shape)))
+        return np.where(starts, self.initial_memory(rows), memory)
+
+    @cached_property
+    def _row_shape(self) -> tuple[int, ...] | None:
+        """The shape of a player's row of the memory; ``None`` for a law without memory."""
+        memory = self.initial_memory(1)
+        return None if memory is None else memory.shape[1:]
 
     @abstractmethod
     def inputs(self, observation: Observation, memory: Any) -> tuple[FloatArray, Any]:
@@ -95,7 +116,7 @@ class Law(ABC):
     @property
     def has_memory(self) -> bool:
         """Whether the law keeps numbers from step to step."""
-        return self.initial_memory(1) is not None
+        return self._row_shape is not None
 
     def gains(self, memory: Any) -> FloatArray | None:  # noqa: ARG002 - laws whose gains adapt use it
         """The gains that act, from a memory with one row per player; ``None`` for a law without adaptive gains.
@@ -124,18 +145,6 @@ class AdaptiveLaw(Law):
         super().__init__(layout)
         self.gamma = require_non_negative("gamma", gamma)
         self.initial_gain = require_non_negative("initial_gain", initial_gain)
-
-
-def _restart(memory: Any, fresh: FloatArray, episode_start: BoolArray | None) -> FloatArray:
-    """``memory`` with a fresh row wherever an episode starts."""
-    if np.shape(memory) != fresh.shape:
-        raise ValueError(
-            f"the memory has the shape {np.shape(memory)} and these observations need {fresh.shape}; pass "
-            "state=None to start afresh"
-        )
-    if episode_start is None:
-        return np.asarray(memory)
-    return np.where(np.reshape(episode_start, (len(fresh), *(1,) * (fresh.ndim - 1))), fresh, memory)
 
 
 def consensus(weights: FloatArray, relative_estimates: FloatArray) -> FloatArray:

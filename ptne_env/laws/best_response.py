@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ptne_env.arrays import BoolArray, FloatArray, IntArray
+from ptne_env.arrays import BoolArray, FloatArray, IntArray, row_maxima
 from ptne_env.laws.identification import Model
 from ptne_env.observation import Observation, ObservationLayout
 
@@ -50,7 +50,7 @@ def _inside(places: IntArray, array: FloatArray) -> IntArray:
 
 def largest(array: FloatArray) -> FloatArray:
     """The largest |entry| of each row, (R, k) to (R, 1)."""
-    return np.abs(array).max(axis=1, keepdims=True)
+    return row_maxima(np.abs(array))[:, None]
 
 
 def own_curvatures(own: FloatArray, model: Model, places: IntArray) -> tuple[FloatArray, FloatArray, FloatArray]:

@@ -118,7 +118,9 @@ def receive(observation: Observation, memory: Mapping[str, FloatArray], place: F
     entries = np.take_along_axis(messages, loudest, axis=1)[:, 0]
     codes = memory["codes"]
     codes = np.where(np.arange(codes.shape[2]) == place[:, :, None], entries[:, :, None], codes)
-    learns = is_intact(codes) & (memory["knows"] == 0) & (place >= 0)
+    unknown = (memory["knows"] == 0) & (place >= 0)
+    learns, rows = np.zeros_like(unknown), np.flatnonzero(unknown.any(axis=1))
+    learns[rows] = is_intact(codes[rows]) & unknown[rows]
     equations = np.where(learns[:, :, None], codes[:, :, :-_CHECKS], memory["equations"])
     return {"codes": codes, "equations": equations, "knows": np.where(learns, 1.0, memory["knows"])}
 
@@ -262,26 +264,33 @@ class IdentifyAndBroadcast(Relay):
         all_at_once = np.where((parity + step) % 2 == 0, inwards, -inwards / 2)
         probe = np.where(step < n, np.where(np.arange(n) == step, inwards, 0.0), all_at_once)
 
-        equations, exist = own_equations(memory["rows"], memory["gradient"], estimate, blocks)
-        is_ready = (step == first) & own
-        memory["equations"] = np.where(is_ready[:, :, None], equations, before["equations"])
-        memory["knows"] = np.where(is_ready, 1.0, before["knows"])
+        # Each part of the law is computed while some player needs it, and changes nothing for the others.
+        is_ready = step == first
+        exist = np.ones_like(is_ready)
+        if is_ready.any():
+            equations, exist = own_equations(memory["rows"], memory["gradient"], estimate, blocks)
+            memory["equations"] = np.where((is_ready & own)[:, :, None], equations, before["equations"])
+            memory["knows"] = np.where(is_ready & own, 1.0, before["knows"])
         place = np.where(listens, (step - 1 - first) % width, -1.0)
-        memory |= receive(observation, memory, place)
+        if listens.any():
+            memory |= receive(observation, memory, place)
         known = memory["knows"] > 0
-        entry = ((step - first) % width).astype(np.int64)[:, :, None]
-        entries = np.take_along_axis(with_checksums(memory["equations"]), entry, axis=2)[:, :, 0]
-        code = np.where(known, entries, 0.0) - estimate
-
         complete = known.all(axis=1, keepdims=True)
-        starts = resolves & complete & (before["target"] == 0).all(axis=1, keepdims=True)
-        target = solution(memory["equations"], _UNIT * memory["equations"][:, :, -1], starts)
-        memory["target"] = np.where(starts, target, before["target"])
-        gradients = np.einsum("rab,rb->ra", np.linalg.pinv(own_block(memory["rows"], blocks)), memory["gradient"])
-        residual = with_own(np.zeros_like(estimate), gradients, blocks)
-        move, resolved = resolve(
-            observation, memory | {"steps": step}, residual, own, self._fixed_sources[observation.player], ends
-        )
+        move = np.zeros_like(estimate)
+        resolved: dict[str, FloatArray] = {}
+        if resolves.any():
+            starts = resolves & complete & (before["target"] == 0).all(axis=1, keepdims=True)
+            target = solution(memory["equations"], _UNIT * memory["equations"][:, :, -1], starts)
+            memory["target"] = np.where(starts, target, before["target"])
+            gradients = np.einsum("rab,rb->ra", np.linalg.pinv(own_block(memory["rows"], blocks)), memory["gradient"])
+            residual = with_own(np.zeros_like(estimate), gradients, blocks)
+            move, resolved = resolve(
+                observation, memory | {"steps": step}, residual, own, self._fixed_sources[observation.player], ends
+            )
+        if not resolves.all():
+            entry = ((step - first) % width).astype(np.int64)[:, :, None]
+            entries = np.take_along_axis(with_checksums(memory["equations"]), entry, axis=2)[:, :, 0]
+            move = np.where(resolves, move, np.where(known, entries, 0.0) - estimate)
 
         alone = (own | ~known).all(axis=1, keepdims=True)
         memory["silence"] = np.where(alone, before["silence"] + (listens & live.any(axis=1, keepdims=True)), 0.0)
@@ -300,7 +309,7 @@ class IdentifyAndBroadcast(Relay):
             | (ends & (before["payload"] == 0).all(axis=1, keepdims=True))
         )
         memory |= resolved | {"is_relay": is_relay.astype(np.float64), "time": before["time"] + observation.dt}
-        return np.where(step < first, probe, np.where(resolves, move, code)), memory
+        return np.where(step < first, probe, move), memory
 
     def _shapes(self) -> dict[str, tuple[int, ...]]:
         n, slots = self.layout.dimension, self.layout.slots

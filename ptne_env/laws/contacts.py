@@ -6,7 +6,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from ptne_env.arrays import BoolArray, FloatArray
+from ptne_env.arrays import BoolArray, FloatArray, fold, row_maxima
 from ptne_env.observation import Observation, ObservationLayout
 
 _MOVED = 1e-5
@@ -42,7 +42,7 @@ def noise_level(observation: Observation, memory: Mapping[str, FloatArray], owne
     """
     lasts = (observation.weights > 0) & (memory["live"] > 0)
     messages = observation.own_estimate[:, None] + observation.relative_estimates
-    change = np.where(owned, 0.0, np.abs(messages - memory["messages"])).max(axis=2)
+    change = row_maxima(np.where(owned, 0.0, np.abs(messages - memory["messages"])))
     least = np.where(lasts, change, np.inf).min(axis=1, keepdims=True)
     first = np.where(np.isfinite(least), least, 0.0)
     return np.where(memory["steps"] <= 1, first, np.minimum(memory["noise"], least))
@@ -98,22 +98,27 @@ def contacts(
     starts, votes = live & ~before, memory["votes"]
     votes = votes + np.where(starts & met, j_moved.astype(np.int64) - i_moved, 0)
     heard = memory["heard"][:, :, None] > 0
-    nearer = np.where((heard & (nearer > 0)).any(axis=1, keepdims=True), nearer, np.nan)
+    nearer = np.where(_any_slot(heard & (nearer > 0)), nearer, np.nan)
     judgement = np.where(np.isnan(nearer) | (nearer == 0), votes, nearer)
     both = np.where(judgement == 0, np.abs(theirs) > np.abs(mine), judgement > 0)
     is_newcomer = (memory["steps"][:, :, None] > 0) & (memory["news"] == 0)[:, None]
     fresher = np.where(met, np.where(i_moved & j_moved, both, j_moved & ~i_moved), is_newcomer)
     source = live & (memory["source"] > 0)
     moves = (np.abs(theirs) > floor + noise) & (np.abs(drift[:, None]) <= floor) & ~(nearer <= 0)
-    moves &= (np.abs(relative) > np.abs(seen)) | ~source.any(axis=1, keepdims=True)
+    moves &= (np.abs(relative) > np.abs(seen)) | ~_any_slot(source)
     wakes = live & np.where(starts, fresher, moves)
-    source = np.where(wakes.any(axis=1, keepdims=True), wakes, source)
+    source = np.where(_any_slot(wakes), wakes, source)
     owners = leaders & (live | heard)
-    source = np.where(owners.any(axis=1, keepdims=True), owners & live, source)
+    source = np.where(_any_slot(owners), owners & live, source)
     return source, {
         "moved": np.where(live, 0.0, mine),
         "seen": np.where(live, relative, memory["seen"]),
         "source": source.astype(np.float64),
         "votes": votes,
-        "news": np.maximum(memory["news"], source.any(axis=1)),
+        "news": np.maximum(memory["news"], _any_slot(source)[:, 0]),
     }
+
+
+def _any_slot(array: BoolArray) -> BoolArray:
+    """Whether any neighbour slot is True, (R, D, n) to (R, 1, n)."""
+    return fold(np.logical_or, array, axis=1)[:, None]

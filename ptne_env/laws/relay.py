@@ -13,7 +13,7 @@ from typing import ClassVar, NamedTuple
 
 import numpy as np
 
-from ptne_env.arrays import BoolArray, FloatArray, require_positive
+from ptne_env.arrays import BoolArray, FloatArray, fold, ordered_sum, require_positive, row_maxima
 from ptne_env.laws.base import Law, per_step
 from ptne_env.laws.best_response import (
     LARGEST_ROW,
@@ -88,14 +88,14 @@ def averaged_copies(
     """
     live = observation.weights > 0
     heard = np.maximum(memory["heard"], live)
-    lost = mixes & ~np.logical_or.reduce(sources & (heard > 0)[:, :, None], axis=1)
+    lost = mixes & ~fold(np.logical_or, sources & (heard > 0)[:, :, None], axis=1)
     used = (sources | lost[:, None]) & live[:, :, None]
-    total = np.add.reduce(np.where(used, observation.relative_estimates, 0.0), axis=1)
-    mean = total / np.maximum(np.add.reduce(used, axis=1) + lost, 1)
+    total = ordered_sum(np.where(used, observation.relative_estimates, 0.0), axis=1)
+    mean = total / np.maximum(ordered_sum(used.astype(np.float64), axis=1) + lost, 1)
 
     messages = observation.own_estimate[:, None] + observation.relative_estimates
     lasts = live & (memory["live"] > 0)
-    change = np.where(lasts[:, :, None], np.abs(messages - memory["messages"]), 0.0).max(axis=2)
+    change = row_maxima(np.where(lasts[:, :, None], np.abs(messages - memory["messages"]), 0.0))
     change = np.where(lasts.any(axis=1, keepdims=True), largest(change), np.inf)
     least, mark, restless = np.minimum(memory["least"], change), memory["mark"], memory["restless"]
     calmer = least <= mark / np.where(restless > averaging.patience, _SIGNAL, 2.0)

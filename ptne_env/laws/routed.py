@@ -12,7 +12,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from ptne_env.arrays import BoolArray, FloatArray, IntArray, require_positive
+from ptne_env.arrays import BoolArray, FloatArray, IntArray, fold, ordered_sum, require_positive
 from ptne_env.laws.base import Law, per_step
 from ptne_env.laws.best_response import within_reach
 from ptne_env.laws.contacts import contact_parts, contacts, unknown_nearness
@@ -37,8 +37,8 @@ def copies(observation: Observation, sources: BoolArray) -> FloatArray:
         Displacements, shape (R, n).
     """
     live = sources & (observation.weights > 0)[:, :, None]
-    total = np.add.reduce(np.where(live, observation.relative_estimates, 0.0), axis=1)
-    return total / np.maximum(np.add.reduce(live, axis=1), 1)
+    total = ordered_sum(np.where(live, observation.relative_estimates, 0.0), axis=1)
+    return total / np.maximum(ordered_sum(live.astype(np.float64), axis=1), 1)
 
 
 def routed_inputs(observation: Observation, sources: BoolArray, step: float | FloatArray) -> FloatArray:
@@ -75,9 +75,12 @@ def stamps(live_links: BoolArray) -> IntArray:
     result = np.full(live_links.shape, -1, dtype=np.int64)
     result[0, players, players] = 0
     for k in range(1, instants):
-        before = result[k - 1]
-        heard = np.where(live_links[k - 1][:, :, None], before, -1).max(axis=1)
-        result[k] = np.maximum(before, heard)
+        before, (holders, neighbours) = result[k - 1], np.nonzero(live_links[k - 1])
+        result[k] = before
+        if holders.size:  # they are sorted
+            linked, first = np.unique(holders, return_index=True)
+            heard = np.maximum.reduceat(before[neighbours], first)
+            result[k, linked] = np.maximum(before[linked], heard)
         result[k, players, players] = k
     return result
 
@@ -169,7 +172,7 @@ class Freshest(RoutedLaw):
         own = self._stamps[instant, player][:, None, self._owners]
         theirs = self._stamps[instant[:, None], self._neighbours[player]][:, :, self._owners]
         theirs = np.where((observation.weights > 0)[:, :, None], theirs, -1)
-        return (theirs > own) & (theirs == theirs.max(axis=1, keepdims=True)), memory + 1
+        return (theirs > own) & (theirs == fold(np.maximum, theirs, axis=1)[:, None]), memory + 1
 
 
 def _owners(layout: ObservationLayout) -> IntArray:

@@ -171,6 +171,18 @@ def test_the_choice_of_tuned_laws_is_rebuilt_from_their_trials(tmp_path, monkeyp
     assert check(path, sample=1).differences[0].startswith("tuned_laws.random-energy.all")
 
 
+def test_trials_that_older_results_list_beside_a_published_choice_are_no_fault(tmp_path, monkeypatch):
+    paper = tuning.Tunable.of("Static", is_of_paper=True, kappa=(0.05, 50.0))
+    monkeypatch.setattr(tuning, "FIELD", (paper, tuning.Tunable.of("Routed", step=(0.003, 3.0))))
+    monkeypatch.setattr(tuning, "BUDGET", tuning.Budget())
+    path = written(evaluate(["ppo-random-energy"], ["random-energy"], episodes=3, folder=tmp_path), tmp_path)
+    data = json.loads(path.read_text(encoding="utf-8"))
+    assert data["trials"] == {"random-energy": []}
+    data["trials"]["random-energy"] = ["0" * 64]
+    sign(path, data)
+    assert check(path, sample=1).passes()
+
+
 def test_a_policy_that_does_better_on_the_published_episodes_is_reported(results, tmp_path):
     store = Store(tmp_path)
     data = json.loads((tmp_path / "results.json").read_text(encoding="utf-8"))

@@ -163,3 +163,22 @@ def test_settling_time_is_the_first_instant_after_which_the_distance_stays_insid
         ]
     )
     np.testing.assert_array_equal(settling_time(times, distance), [0.0, 3.0, np.nan, 3.0])
+
+
+def test_a_rollout_records_the_series_that_are_named():
+    world = World(ptne_env.get_scenario("energy", start="random"))
+    encoder = make_encoder(world, Interface())
+    start, law = EpisodeSet(3).initial_state(world), laws.Static(encoder.layout)
+    some = rollout(law, encoder, start, series=["estimate_distance"]).series
+    assert list(some) == ["estimate_distance"]
+    np.testing.assert_array_equal(some["estimate_distance"], rollout(law, encoder, start)["estimate_distance"])
+
+
+def test_saturated_components_are_counted_at_the_limit_alone():
+    scenario = ptne_env.get_scenario("energy", start="random", input_limit=20.0)
+    world, found = run(scenario, lambda layout: laws.Static(layout, kappa=4.0))
+    total = found["saturated"].sum(axis=0)
+    assert (total > 0).all()
+    assert (found["saturated"] <= world.game.num_players * world.game.dimension).all()
+    assert (found["saturated"][found["peak_input"] < np.float32(19.9)] == 0).all()
+    assert (found["saturated"][found["peak_input"] >= np.float32(20.0)] > 0).all()

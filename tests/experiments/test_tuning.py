@@ -13,8 +13,9 @@ from ptne_env.encoder import make_encoder
 from ptne_env.experiments import get_suite, run_suite, tuning
 from ptne_env.experiments.episodes import EpisodeSet
 from ptne_env.experiments.jobs import Job
+from ptne_env.experiments.run import _tuned_laws as tuned_laws
 from ptne_env.experiments.statistics import summaries
-from ptne_env.experiments.suite import comparison
+from ptne_env.experiments.suite import Teammates, comparison
 from ptne_env.experiments.tuning import Budget, Tunable, Tuned, Tuning
 from ptne_env.world import World
 
@@ -49,8 +50,8 @@ def results():
         return evaluate(["static", "oracle", PolicySpec("copy", Copy)], [scenario], episodes=40, seed=1)
 
 
-def search(member, scenario="random-energy", **budget):
-    suite = comparison([scenario])
+def search(member, scenario="random-energy", hold_steps=0, **budget):
+    suite = comparison([scenario], hold_steps=hold_steps)
     episodes = suite.episode_set(scenario, 200, split="validation")
     return Tuning(suite.tracks[0], member, episodes, Budget(**budget))
 
@@ -130,9 +131,10 @@ def test_a_law_that_fails_does_not_win():
 def test_published_laws_are_found_without_a_search(monkeypatch):
     found = search(Tunable.of("Grounded", kappa=(0.05, 50.0)))
     law = FactorySpec.of("ptne_env.laws:Grounded", kappa=7.0)
-    monkeypatch.setattr(tuning, "published_laws", lambda: {found.name: law.to_dict()})
+    published = {"laws": {found.name: law.to_dict()}, "trials": {}}
+    monkeypatch.setattr(tuning, "published", lambda: published)
     assert found.find() == Tuned(law)
-    monkeypatch.setattr(tuning, "published_laws", lambda: {found.name: law.to_dict() | {"arguments": {"kappa": 70.0}}})
+    published["laws"][found.name] = law.to_dict() | {"arguments": {"kappa": 70.0}}
     with pytest.raises(ValueError, match="not in its range"):
         found.find()
 
@@ -145,7 +147,7 @@ def test_published_laws_are_those_of_a_new_search(member):
 
 
 def test_no_winner_of_the_catalogue_is_at_the_edge_of_its_range():
-    published, inner, seen = tuning.published_laws(), {"Routed", "Freshest", "Grounded"}, set()
+    published, inner, seen = tuning.published()["laws"], {"Routed", "Freshest", "Grounded"}, set()
     for scenario in CATALOGUE:
         searches = {member: search(member, scenario) for member in FIELD}
         laws_found = {member: found.find().law for member, found in searches.items() if found.name in published}
@@ -158,12 +160,67 @@ def test_no_winner_of_the_catalogue_is_at_the_edge_of_its_range():
     assert "ptne_env.laws:LocallyImplicit" in seen
 
 
+@pytest.mark.parametrize("hold_steps", [0, 50])
 @pytest.mark.parametrize("scenario", list(CATALOGUE))
-def test_every_scenario_of_the_catalogue_has_published_laws(scenario):
-    suite = comparison([scenario])
-    episodes = suite.episode_set(scenario, 200, split="validation")
-    names = {Tuning(suite.tracks[0], member, episodes, Budget()).name for member in FIELD}
-    assert names <= tuning.published_laws().keys()
+def test_every_scenario_has_published_laws_and_trials_of_all(scenario, hold_steps):
+    for member in FIELD:
+        found = search(member, scenario, hold_steps)
+        assert found.name in tuning.published()["laws"]
+        law = found.find().law
+        assert law is None or found.reached(law) is not None
+
+
+@pytest.mark.parametrize(
+    ("scenario", "hold_steps", "laws"),
+    [(name, 0, len(FIELD) if SOAK else 3) for name in (CATALOGUE if SOAK else ["random-energy-switching", "cournot"])]
+    + [(name, 3, 1) for name in (CATALOGUE if SOAK else ["random-energy-switching"])],
+)
+def test_published_trials_are_those_of_their_jobs(scenario, hold_steps, laws):
+    searches = [search(member, scenario, hold_steps) for member in FIELD]
+    tuned = [(found.reached(law), found.trial(law)) for found in searches if (law := found.find().law) is not None]
+    for mean, trial in sorted(tuned, key=lambda pair: -pair[0])[:laws]:
+        assert mean == tuning.mean_of(trial, trial.compute())
+
+
+def test_a_published_choice_needs_no_trial(monkeypatch):
+    monkeypatch.setattr(tuning, "FIELD", FIELD)
+    monkeypatch.setattr(tuning, "BUDGET", Budget())
+    track = comparison(["random-energy"], hold_steps=50).tracks[0]
+    suite = comparison([track.scenario])
+
+    def refuse(jobs):
+        assert not jobs
+        return []
+
+    chosen, trials = tuned_laws(suite, suite.tracks, refuse, lambda searches: [found.find() for found in searches])
+    assert trials == {"random-energy": ()}
+    assert {group: law.name for group, law in chosen["random-energy"].items()} == {
+        **tuning.GROUPS,
+        "coded": "coded law",
+    }
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"scenario": {"steps": 399}},
+        {"scenario": {"hold_steps": 5}, "metric": "digits_after_hold"},
+        {"teammates": Teammates(FactorySpec.of("ptne_env.laws:Static"), (0,))},
+        {"episodes": 199},
+        {"law": 5.0},
+    ],
+    ids=lambda change: next(reversed(change)),
+)
+def test_a_published_trial_is_that_of_its_content_alone(change):
+    found = search(FIELD[0])
+    law = found.find().law
+    assert found.reached(law) is not None
+    scenario = found.track.scenario.replace(**change.pop("scenario", {}))
+    if (kappa := change.pop("law", None)) is not None:
+        law = FactorySpec.of("ptne_env.laws:Static", kappa=kappa)
+    episodes = replace(found.episodes, count=change.pop("episodes", 200))
+    other = replace(found, track=replace(found.track, scenario=scenario, **change), episodes=episodes)
+    assert other.reached(law) is None
 
 
 def test_only_policies_outside_the_library_are_compared_with_tuned_laws(results):

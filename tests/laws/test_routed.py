@@ -188,6 +188,19 @@ def test_stamps_are_the_latest_instants_of_paths_that_respect_time():
                 reached = reached | live[k][reached].any(axis=0)
 
 
+def test_stamps_follow_their_recursion_where_players_have_no_links():
+    live = np.random.default_rng(4).random((30, 7, 7)) > 0.9
+    live = live | live.transpose(0, 2, 1)
+    live[:, np.arange(7), np.arange(7)] = False
+    live[[3, 9]] = False
+    found = stamps(live)
+    for k in range(29):
+        for i in range(7):
+            for o in range(7):
+                heard = max([found[k, i, o], *(found[k, j, o] for j in np.flatnonzero(live[k, i]))])
+                assert found[k + 1, i, o] == (k + 1 if o == i else heard)
+
+
 def test_freshest_copies_are_those_of_the_stamps():
     """Each estimate is the strategy of its owner at the instant of its stamp, also over switching graphs."""
     world, states = episode(laws.Freshest, get_scenario("energy-switching", start="random", input_limit=1e5))
