@@ -169,6 +169,24 @@ def test_environments_that_diverge_are_left_to_numpy(interface, sign, compiled):
         assert bits(ours.rewards) == bits(expected.rewards)
 
 
+def test_a_state_out_of_range_is_left_to_numpy(compiled, monkeypatch):
+    calls, block = kernel_calls(monkeypatch), vector_env("energy", 2)._blocks[0]
+    state = block.reset([0, 1])
+    block.set_state(state._replace(diverged=np.array([True, False]), any_diverged=True))
+    outcome = block.step(np.ones((2, 5, 5), dtype=np.float32), out=block.observe())
+    assert outcome.diverged.tolist() == outcome.terminated.tolist() == [True, False]
+    assert bits(block.current.estimates[:, :, 0]) == bits(state.estimates[:, :, 0])
+    assert calls == []
+
+
+def test_a_new_episode_of_the_same_game_has_new_graphs_compiled(compiled, monkeypatch):
+    scenario = WORLDS["ptne-v2 robots without faults"]  # one game, and random graphs
+    calls, envs = kernel_calls(monkeypatch), [vector_env(scenario, 2, by_numpy=flag) for flag in (False, True)]
+    for seed in range(3):
+        check_equal(envs, 8, seed)
+    assert len(calls) == 24
+
+
 @pytest.mark.parametrize("interface", ["physical", "local"])
 def test_numpy_and_the_compiled_step_may_take_turns_in_an_episode(interface, compiled, monkeypatch):
     mixed, pure = (parallel_env("random-energy", interface=interface) for _ in range(2))
