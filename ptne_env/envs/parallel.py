@@ -199,13 +199,15 @@ class NashSeekingEnv(ParallelEnv[str, Float32Array, Float32Array]):
         if not outcome.is_observed:
             self._simulation.observe(table)
         terminated, truncated = outcome.terminated.item(), outcome.truncated.item()
-        diverged, rewards = outcome.diverged.item(), outcome.rewards.ravel().tolist()
+        diverged, totals = outcome.diverged.item(), outcome.rewards.ravel().tolist()
         (first, term), *others = outcome.terms.items()
-        values = rewards if term is outcome.rewards else term.ravel().tolist()
+        values = totals if term is outcome.rewards else term.ravel().tolist()
         observations: dict[str, Float32Array] = {}
+        rewards: dict[str, float] = {}
         infos: dict[str, AgentInfo] = {}
-        for agent, row, count, value in zip(agents, rows, clipped, values, strict=True):
+        for agent, row, total, count, value in zip(agents, rows, totals, clipped, values, strict=True):
             observations[agent] = row.copy()
+            rewards[agent] = total
             infos[agent] = {"diverged": diverged, "clipped": count, "reward_terms": {first: value}}
         for name, term in others:
             for info, value in zip(infos.values(), term.ravel().tolist(), strict=True):
@@ -220,7 +222,7 @@ class NashSeekingEnv(ParallelEnv[str, Float32Array, Float32Array]):
             self._render_human()
         return (
             observations,
-            dict(zip(agents, rewards, strict=True)),
+            rewards,
             dict.fromkeys(agents, terminated),
             dict.fromkeys(agents, truncated),
             infos,
