@@ -109,7 +109,8 @@ def initial_state(
             f"scenario {name!r} draws more than games and starts: pass the draws of {batch} environments, see "
             "World.draw_randomness()"
         )
-    estimates = np.array(estimates, dtype=np.float64)  # a copy: the state is not the caller's
+    # A copy, because the state is not the caller's, in the order of a drawn one, on which the last bits of sums depend.
+    estimates = np.array(estimates, dtype=np.float64, order="C")
     _project_strategies(estimates, game)
     step, diverged = np.zeros(batch, dtype=np.int64), np.zeros(batch, dtype=np.bool_)
     return _complete(world, estimates, game, step, diverged, randomness)

@@ -127,10 +127,21 @@ class TorchRLEnv(EnvBase):
         """Step all environments.
 
         Raises:
+            KeyError: without actions.
             RuntimeError: while an environment is over.
-            ValueError: for actions of another shape or dtype, or that are not finite; no environment is stepped.
+            ValueError: for actions of another shape or dtype, or that are not finite, or when ``"_step"`` leaves
+                environments out; no environment is stepped.
         """
-        actions = tensordict.get((GROUP, "action")).numpy(force=True)
+        chosen = tensordict.get("_step", None)
+        if chosen is not None and not chosen.all():
+            raise ValueError(
+                "all environments are stepped together, and _step leaves some out: roll out with "
+                "break_when_any_done=False, which resets an environment at its end, and without break_when_all_done"
+            )
+        given = tensordict[GROUP, "action"]
+        if given.dtype is torch.bfloat16:  # which numpy does not have
+            given = given.float()
+        actions = given.numpy(force=True)
         rewards = np.empty((self.vector.num_envs, self.vector.num_players), dtype=np.float32)
         outcome = self.vector.step(actions, out=VectorBuffers(rewards=rewards))
         entries = {"observation": outcome.observations, "reward": rewards[:, :, None]}

@@ -38,7 +38,8 @@ class VectorBuffers(NamedTuple):
 
     Attributes:
         observations: shape (B, N, size), float32. Slices that never change (``player``) are written once, as long as
-            the array, or the array that it is a view of, exists: do not write into them.
+            the array, or the array that it is a view of, exists: nothing else may write into them, such as another
+            environment whose buffers are in the same memory.
         rewards: shape (B, N), float64 or float32; a reset leaves them as they are.
         terminated: shape (B,), bool; likewise.
         truncated: shape (B,), bool; likewise.

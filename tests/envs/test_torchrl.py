@@ -244,3 +244,30 @@ def test_a_step_after_the_end_is_refused():
     over = env.rollout(6)[:, -1]["next"]
     with pytest.raises(RuntimeError, match="3 of 3 environments are over or not started"):
         env.rand_step(over.exclude(REWARD))
+
+
+def test_a_rollout_that_steps_some_environments_alone_is_refused_and_steps_none():
+    env = make()
+    start = env.reset(seed=0)
+    present, _ = acting(env, start.clone(), np.random.default_rng(0))
+    with pytest.raises(ValueError, match="break_when_any_done=False"):
+        env.step(present.clone().set("_step", torch.tensor([[True], [False], [True]])))
+    untouched, _ = acting(make(), start.clone(), np.random.default_rng(0))
+    fresh = make()
+    fresh.reset(seed=0)
+    whole = present.clone().set("_step", torch.ones((3, 1), dtype=torch.bool))
+    assert torch.equal(env.step(whole)["next"][OBSERVATION], fresh.step(untouched)["next"][OBSERVATION])
+
+
+def test_a_step_without_actions_names_the_missing_key():
+    env = make()
+    with pytest.raises(KeyError, match="action"):
+        env.step(env.reset())
+
+
+def test_actions_in_bfloat16_are_taken():
+    env, single = make(), make()
+    for each, dtype in ((env, torch.bfloat16), (single, torch.float32)):
+        each.start = each.reset(seed=0)
+        each.start[ACTION] = torch.full((3, 5, 5), 0.1).bfloat16().to(dtype)
+    assert torch.equal(env.step(env.start)["next"][OBSERVATION], single.step(single.start)["next"][OBSERVATION])

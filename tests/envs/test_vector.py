@@ -595,6 +595,16 @@ def test_numbers_do_not_depend_on_the_number_of_threads(name, interface, path):
         assert same(go_on(env, 12), record)
 
 
+def test_rewards_from_a_given_start_do_not_depend_on_the_number_of_threads(path):
+    start = np.random.default_rng(0).uniform(-20, 20, (9, 5, 5))
+    one, *others = (make(num_envs=9, threads=threads) for threads in (1, 2, 9))
+    one.reset(seed=0, estimates=start)
+    record = go_on(one, 2)
+    for env in others:
+        env.reset(seed=0, estimates=start)
+        assert same(go_on(env, 2), record)
+
+
 @pytest.mark.parametrize("threads", [0, -1, 1.5, True, "2", None])
 def test_a_wrong_number_of_threads_is_refused(threads):
     with pytest.raises(ValueError, match="threads must be a whole number of at least 1"):
