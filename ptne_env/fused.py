@@ -64,6 +64,7 @@ def _load() -> ModuleType | None:
         from ptne_env import kernels as compiled
 
         _first_call(compiled.is_inside, np.zeros((1, 1, 1), dtype=np.float32), 1.0)
+        _first_call(compiled.show_entry, np.zeros((1, 1, 1), dtype=np.float32), 0, np.zeros((1, 1)))
     except ModuleNotFoundError as error:
         if error.name != "numba":
             _refuse(error)
@@ -171,7 +172,7 @@ class FusedStep:
     def accepts(self, actions: npt.NDArray[np.floating]) -> bool:
         """Whether all actions (B, N, n) are finite and within the box; ``False`` too where only numpy can tell."""
         compiled = kernels()
-        if compiled is None or actions.dtype != np.float32 or not actions.flags.c_contiguous:
+        if compiled is None or actions.dtype != np.float32 or not actions.flags.carray:
             return False
         return compiled.is_inside(actions, self._bound)
 
@@ -203,10 +204,10 @@ class FusedStep:
         compiled = kernels()
         if compiled is None or not (self._now if state is None else self._load(state)):
             return None
-        if actions.dtype is not _SINGLE or not actions.flags.c_contiguous:
+        if actions.dtype is not _SINGLE or not actions.flags.carray:  # read-only arrays are another type to numba
             if not are_inside:
                 return None
-            actions = np.ascontiguousarray(actions, dtype=np.float32)
+            actions = np.array(actions, dtype=np.float32, order="C")
         step = compiled.step if self._is_checked else self._first_step
         after, results = self._sets[0]
         bound = _ANY if are_inside else self._bound
@@ -248,7 +249,7 @@ class FusedStep:
             self._constants = *graphs, *self._read(game), *self._tables
         self._diverged = state.diverged
         sigma = self._none if self._local is None else self._local.scale(state)
-        self._now = state.step, np.ascontiguousarray(state.estimates), sigma
+        self._now = *(np.require(array, requirements="CAW") for array in (state.step, state.estimates)), sigma
         self._sets = self._sets or [self._new_arrays(), self._new_arrays()]
         return True
 

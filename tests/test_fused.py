@@ -431,3 +431,43 @@ def test_a_cache_that_cannot_be_written_is_no_error(folder, monkeypatch):
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         assert fused._first_call(kept_on_disk(lambda value: value > folder.count("n")), 9)
+
+
+def test_a_full_disk_is_met_before_the_first_step_and_not_within_it(compiled, monkeypatch):
+    from ptne_env import kernels
+
+    written = []
+
+    def show_entry(*arguments):
+        if not written:
+            written.append(arguments)
+            raise OSError(28, "No space left on device")
+        return whole(*arguments)
+
+    whole = kernels.show_entry
+    monkeypatch.setattr(kernels, "show_entry", show_entry)
+    fused._load.cache_clear()
+    ours, expected = vector_env("energy", 3, interface="local"), vector_env("energy", 3, by_numpy=True, interface="local")
+    assert bits(ours.reset(seed=0)) == bits(expected.reset(seed=0))
+    actions = np.full((3, 5, 5), 0.5, dtype=np.float32)
+    assert bits(ours.step(actions).observations) == bits(expected.step(actions).observations)
+    assert written
+
+
+@pytest.mark.parametrize("interface", ["physical", "local"])
+def test_read_only_actions_and_states_are_not_compiled_for_again(interface, compiled):
+    from ptne_env import kernels
+
+    env = vector_env("energy", 3, interface=interface)
+    env.reset(seed=0)
+    actions = np.zeros((3, 5, 5), dtype=np.float32)
+    env.step(actions)
+    functions = kernels.step, kernels.is_inside, kernels.show_entry
+    compilations = [len(function.signatures) for function in functions]
+    actions.flags.writeable = False
+    env.step(actions)
+    state = env._blocks[0].current
+    state.estimates.flags.writeable = state.step.flags.writeable = False
+    env._blocks[0].set_state(state)
+    env.step(np.zeros_like(actions))
+    assert [len(function.signatures) for function in functions] == compilations
