@@ -17,7 +17,6 @@ import numpy.typing as npt
 from ptne_env.arrays import BoolArray, Float32Array, FloatArray, require_non_negative
 from ptne_env.observation import Interface, LayoutError, Observation, ObservationLayout
 
-
 _BLOCK = 2**18
 """Numbers in the observations and memories of the players that decide at a time: their copies fit the cache."""
 

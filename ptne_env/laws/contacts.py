@@ -103,9 +103,9 @@ def contacts(
     wakes &= np.abs(drift)[:, None] <= floor
     wakes &= j_moved > floor + noise
     wakes &= (links & linked)[:, :, None]
-    is_routed = None if nearer is None else _any_slot(heard & (nearer > 0))
     if nearer is not None:
-        wakes &= ~(is_routed & (nearer <= 0))
+        has_nearer = _any_slot(heard & (nearer > 0))
+        wakes &= ~(has_nearer & (nearer <= 0))
 
     # At the start of a contact, of few links in most steps.
     votes, starts = memory["votes"], np.nonzero(links & ~linked)
@@ -116,7 +116,7 @@ def contacts(
         votes[starts] += np.where(first, 0, j_has.astype(np.int64) - i_has)
         judgement = votes[starts]
         if nearer is not None:
-            judgement = np.where(is_routed[rows, 0] & (nearer[starts] != 0), nearer[starts], judgement)
+            judgement = np.where(has_nearer[rows, 0] & (nearer[starts] != 0), nearer[starts], judgement)
         both = np.where(judgement == 0, j_moved[starts] > i_moved[starts], judgement > 0)
         is_newcomer = (memory["steps"] > 0) & (memory["news"] == 0)
         wakes[starts] = np.where(first, is_newcomer[rows], np.where(i_has & j_has, both, j_has & ~i_has))
