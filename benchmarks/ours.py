@@ -238,7 +238,7 @@ def timed(owner: Any, name: str, spent: list[float], clock: Callable[[], float] 
 
 
 def training_share(plan: Plan) -> dict[str, Any]:
-    """The share of the environment in the wall time of PPO with the configuration ``random-energy``.
+    """The share of the environment in the wall time of PPO with the settings of the shipped ``ppo-random-energy``.
 
     Each repeat is a new training run. The first update is left out; the following updates cover one whole episode of
     every environment, with its end and the draw of new games.
@@ -249,19 +249,18 @@ def training_share(plan: Plan) -> dict[str, Any]:
     try:
         from stable_baselines3.common.vec_env import VecMonitor
 
+        from benchmarks.training import shipped
         from ptne_env.envs.sb3 import PlayerVecEnv
-        from ptne_env.training.arguments import Arguments
         from ptne_env.training.ppo import train
     except ImportError as error:
         raise MissingPeerError(f"the share of a PPO update is left out: {error}") from error
-    shipped = Arguments.from_toml("random-energy")
-    world = World(get_scenario(shipped.scenarios[0]))
+    arguments = shipped("random-energy", validation_episodes=2)
+    world = World(get_scenario("random-energy"))
     players, episode = world.game.num_players, world.clock.total_steps
-    updates = 2 if plan.quick else -(-episode // shipped.rollout)
-    settings: dict[str, Any] = {"steps": (updates + 1) * shipped.rollout * shipped.envs * players}
+    updates = 2 if plan.quick else -(-episode // arguments.rollout)
     if plan.quick:
-        settings = {"envs": 2, "rollout": 4, "steps": (updates + 1) * 4 * 2 * players}
-    arguments = Arguments.from_toml("random-energy", validation_episodes=2, **settings)
+        arguments = replace(arguments, envs=2, rollout=4)
+    arguments = replace(arguments, steps=(updates + 1) * arguments.rollout * arguments.envs * players)
     shares, monitored, rates = [], [], []
     for _ in range(plan.repeats):
         environment, with_monitor = [0.0], [0.0]

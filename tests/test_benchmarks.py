@@ -3,10 +3,14 @@
 import importlib
 import json
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from extras import need_sb3
 from processes import run_python
+
+from ptne_env import policies
 
 ROOT = Path(__file__).parents[1]
 
@@ -123,3 +127,49 @@ def test_shares_of_rollouts_are_printed_for_every_law(capsys, monkeypatch):
     assert [row[1].strip() for row in rows] == ["static", "adaptive"]
     figures = [float(cell) for cell in rows[0][2:-1]]
     assert sum(figures[:-1]) - figures[5] == pytest.approx(figures[-1], abs=len(figures))
+
+
+@pytest.fixture
+def trainings(monkeypatch):
+    need_sb3()
+    monkeypatch.syspath_prepend(str(ROOT))
+    return importlib.import_module("benchmarks.training")
+
+
+def test_the_settings_before_are_those_of_the_shipped_policies(trainings):
+    for name, steps in trainings.SHIPPED_STEPS.items():
+        arguments, metadata = trainings.shipped(name), policies.load(f"ppo-{name}").metadata
+        assert metadata.scenarios == arguments.scenarios
+        assert steps <= metadata.steps < steps + 50 * 128 * 5  # whole rollouts of five players
+
+
+def test_faster_configurations_learn_from_a_third_of_the_samples(trainings):
+    for name in trainings.SHIPPED_STEPS:
+        before, now = trainings.shipped(name), trainings.Arguments.from_toml(name)
+        assert 3 * now.steps * now.epochs <= before.steps * before.epochs
+        assert (now.scenarios, now.interface, now.action_mode) == (before.scenarios, "local", "input")
+        assert now.validation_episodes == before.validation_episodes
+
+
+def test_the_parts_of_a_training_add_up_and_it_is_not_repeated(trainings, tmp_path, monkeypatch):
+    few = trainings.shipped("random-energy", steps=200, envs=2, rollout=20, minibatches=4, validation_episodes=2)
+    measured = trainings.measure(few, tmp_path)
+    parts = trainings.shares([measured, measured])
+    assert min(parts.values()) > 0
+    assert sum(parts.values()) == pytest.approx(measured["cpu"])
+    assert measured["rollouts"] > measured["environment"] + measured["policy"]
+    monkeypatch.setattr(trainings.ppo, "train", lambda *_: pytest.fail("it trains again"))
+    assert trainings.measure(few, tmp_path) == measured
+    with pytest.raises(ValueError, match="holds a run with another seed"):
+        trainings.measure(replace(few, seed=1), tmp_path)
+
+
+def test_every_choice_is_measured_alone_and_leaves_torch_as_it_was(trainings, monkeypatch, capsys):
+    default = trainings.shipped
+    monkeypatch.setattr(trainings, "shipped", lambda *names, **changes: default(*names, envs=8, rollout=8, **changes))
+    trainings.print_choices(1)
+    rows = capsys.readouterr().out.splitlines()[1:]
+    assert [row[:40].strip() for row in rows] == list(trainings.CHOICES)
+    assert all(float(figure) > 0 for row in rows for figure in row[40:].split())
+    assert trainings.torch.get_num_threads() == 1
+    assert trainings.Distribution._validate_args

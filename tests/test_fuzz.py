@@ -52,7 +52,7 @@ STEP, OBSERVE, IS_OVER = dynamics.step, Encoder.observe, dynamics.is_over
 FAULTS = {
     "NaN is accepted": (Encoder, "clip", clip_nan),
     "a step is too long": (dynamics, "step", lambda world, state, inputs: STEP(world, state, inputs * (1 + 1e-7))),
-    "observations are overwritten": (VectorParallelEnv, "_empty_observations", share_observations),
+    "observations are overwritten": (VectorParallelEnv, "_new_observations", share_observations),
     "episodes end late": (dynamics, "is_over", lambda world, state: IS_OVER(world, state) & (state.step > 1)),
     "player 0 is special": (Encoder, "observe", lambda encoder, state, out=None: special(OBSERVE(encoder, state, out))),
 }
