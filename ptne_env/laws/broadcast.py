@@ -91,9 +91,12 @@ def own_equations(
 
 def inverses(own: FloatArray) -> FloatArray:
     """Pseudoinverses of own blocks, (R, m, m)."""
+    result: FloatArray = np.zeros_like(own)
     if own.shape[1] > 1:
-        return np.linalg.pinv(own)
-    return np.divide(1.0, own, out=np.zeros_like(own), where=own != 0)
+        result[:] = np.linalg.pinv(own)
+    else:
+        np.divide(1.0, own, out=result, where=own != 0)
+    return result
 
 
 def solution(equations: FloatArray, values: FloatArray, wanted: BoolArray) -> FloatArray:
