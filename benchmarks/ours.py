@@ -22,7 +22,7 @@ from ptne_env import dynamics, fused, laws, parallel_env
 from ptne_env.arrays import Float32Array
 from ptne_env.catalogue import get_scenario
 from ptne_env.dynamics import State
-from ptne_env.encoder import Encoder, LocalEncoder, make_encoder
+from ptne_env.encoder import Encoder, make_encoder
 from ptne_env.envs.vector import VectorBuffers, VectorParallelEnv
 from ptne_env.experiments.episodes import EpisodeSet
 from ptne_env.experiments.rollout import rollout
@@ -172,7 +172,8 @@ def parts(interface: InterfaceKind, num_envs: int, plan: Plan, scenario: str | S
     reward.reset(state)
     encoder.observe(state)
     layout = encoder.layout
-    played = next(actions(layout.action_bound, (num_envs, layout.num_players, layout.action_size)))
+    turn = actions(layout.action_bound, (num_envs, layout.num_players, layout.action_size))
+    played = next(turn)
     inputs = encoder.decode(played, state)
     after = dynamics.step(world, state, inputs)
     calls: dict[str, Callable[[], object]] = {
@@ -182,15 +183,9 @@ def parts(interface: InterfaceKind, num_envs: int, plan: Plan, scenario: str | S
         "observe": lambda: encoder.observe(after),
     }
     if fused.kernels() is not None and fused.qualifies(encoder, num_envs):
-        compiled, out = fused.FusedStep(encoder), encoder.observe(state)
-        scale = encoder.scale(state) if isinstance(encoder, LocalEncoder) else None
-
-        def pass_over() -> None:
-            if isinstance(encoder, LocalEncoder) and scale is not None:
-                encoder.remember_scale(state, scale)  # as a running environment has
-            compiled(state, played, out)
-
-        calls["all but the reward, compiled"] = pass_over
+        compiled, out = fused.FusedStep(encoder, num_envs), encoder.observe(state)
+        compiled.move(state, played, out)
+        calls["all but the reward, compiled"] = lambda: compiled.move(None, next(turn), out)
     return {name: 1e6 * seconds_per_call(call, plan) for name, call in calls.items()}
 
 

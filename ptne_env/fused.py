@@ -11,13 +11,13 @@ from collections.abc import Callable
 from contextlib import suppress
 from functools import cache
 from types import ModuleType
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
 
 from ptne_env import dynamics
-from ptne_env.arrays import BoolArray, Float32Array, FloatArray
+from ptne_env.arrays import BoolArray, Float32Array, FloatArray, IntArray
 from ptne_env.dynamics import State
 from ptne_env.encoder import Encoder, LocalEncoder, PhysicalEncoder
 from ptne_env.games import AffineGame, EnergyGame, Game
@@ -34,6 +34,8 @@ _TILE, _TILE_ENTRIES = 64, 8192
 """Largest number of environments in a tile, and of estimates n N times environments: its numbers stay in a cache."""
 
 _SINGLE, _ANY = np.dtype(np.float32), float(np.inf)
+
+_Arrays: TypeAlias = tuple[tuple[npt.NDArray[Any], ...], tuple[npt.NDArray[Any], ...]]
 
 _spent = 0.0
 """Seconds so far; minus infinity keeps numpy for good."""
@@ -123,13 +125,17 @@ def _is_known(game: Game) -> bool:
 
 
 class FusedStep:
-    """The compiled step of one world and interface: decoding, transition, distances and observation in one pass.
+    """The compiled step of environments of one world under one interface, and the state that it has reached.
+
+    A step is decoding, transition, distances and observation in one pass. States stand in two sets of arrays that take
+    turns, and become a :class:`~ptne_env.dynamics.State` when it is asked for.
 
     Args:
         encoder: of a world that :func:`qualifies`.
+        num_envs: B.
     """
 
-    def __init__(self, encoder: Encoder) -> None:
+    def __init__(self, encoder: Encoder, num_envs: int) -> None:
         self._encoder = encoder
         self._local = encoder if isinstance(encoder, LocalEncoder) else None
         world, layout = encoder.world, encoder.layout
@@ -150,12 +156,17 @@ class FusedStep:
             RANGE_LIMIT,
         )
         self._bound = layout.action_bound
-        self._largest_tile = min(_TILE, max(8, _TILE_ENTRIES // (n * players)))
+        self._shape = n, players, num_envs
+        self._tile = min(_TILE, max(8, _TILE_ENTRIES // (n * players)), num_envs)
         self._log_scale = layout.slices.get("log_scale", slice(0)).start
         self._none = np.empty((0, 0))
-        self._game: Game | None = None
         self._constants: tuple[Any, ...] = ()
         self._is_checked = False
+        self._game: Game | None = None
+        self._draws: EpisodeRandomness | None = None
+        self._diverged = np.zeros(0, dtype=np.bool_)
+        self._now: tuple[npt.NDArray[Any], ...] = ()
+        self._sets: list[_Arrays] = []
 
     def accepts(self, actions: npt.NDArray[np.floating]) -> bool:
         """Whether all actions (B, N, n) are finite and within the box; ``False`` too where only numpy can tell."""
@@ -164,103 +175,127 @@ class FusedStep:
             return False
         return compiled.is_inside(actions, self._bound)
 
-    def __call__(
+    def move(
         self,
-        state: State,
+        state: State | None,
         actions: npt.NDArray[np.floating],
         out: Float32Array,
         *,
         has_constants: bool = False,
         are_inside: bool = True,
-    ) -> tuple[State, FloatArray, BoolArray] | None:
+    ) -> tuple[IntArray, FloatArray, BoolArray] | None:
         """Make a step, and write the observations of the next state.
 
         Args:
-            state: x_k; left as it is.
+            state: x_k, which is left as it is; ``None`` for the state that the step before has reached.
             actions: shape (B, N, n).
             out: where to write, shape (B, N, size), C-contiguous.
             has_constants: whether ``out`` holds the one-hots already.
             are_inside: whether the actions are known to be finite and within the action box.
 
         Returns:
-            x_{k+1}; d^i of every player, shape (N, B) with players next to each other in memory; and whether each
-            episode has reached its end, shape (B,). ``None`` where the actions have to be clipped, or numpy has to
-            make the step, because the kernels are not loaded, an environment is out of range, or a drawn game has
-            formulas of its own; nothing has changed then, except the content of ``out``.
+            For each environment the index of the coming step, shape (B,); d^i of every player, shape (N, B) with
+            players next to each other in memory; and whether the episode has reached its end, shape (B,). The step
+            after the next overwrites them. ``None`` where the actions have to be clipped, or numpy has to make the
+            step, because no state is there yet, the kernels are not loaded, an environment is out of range, or a drawn
+            game has formulas of its own; nothing has changed then, except the content of ``out``.
         """
         compiled = kernels()
-        instants, game, old, _, diverged, any_diverged, draws, _ = state
-        if compiled is None or any_diverged or not (game is self._game or self._read(game, instants.size)):
+        if compiled is None or not (self._now if state is None else self._load(state)):
             return None
-        local, (modes, ages) = self._local, self._graphs(draws)
         if actions.dtype is not _SINGLE or not actions.flags.c_contiguous:
             if not are_inside:
                 return None
             actions = np.ascontiguousarray(actions, dtype=np.float32)
-        if not old.flags.c_contiguous:
-            old = np.ascontiguousarray(old)
-        n, players, batch = old.shape
-        new, gradients, distance = np.empty(old.shape), np.empty((n, batch)), np.empty((batch, players))
-        step, is_last = np.empty(batch, np.int64), np.empty(batch, np.bool_)
-        sigma, next_sigma = self._none, self._none
-        if local is not None:
-            sigma, next_sigma = local.scale(state), np.empty((players, batch))
-        arguments = (
-            old, instants, actions, _ANY if are_inside else self._bound, sigma, modes, ages,
-            new, step, gradients, distance, next_sigma, is_last, out, has_constants, *self._constants,
-        )  # fmt: skip
-        if not (compiled.step(*arguments) if self._is_checked else self._try(compiled.step, *arguments)):
+        step = compiled.step if self._is_checked else self._first_step
+        after, results = self._sets[0]
+        bound = _ANY if are_inside else self._bound
+        if not step(actions, bound, out, has_constants, *self._now, *after, *results, *self._constants):
             return None
-        moved = State(step, game, new, gradients, diverged, False, draws)  # noqa: FBT003 - none has
-        if local is not None:
-            compiled.show_entry(out, self._log_scale, np.log10(next_sigma))
-        if not (self._is_checked or self._is_confirmed(moved, state, actions, out)):
+        instants, _, sigma = after
+        gradients, distance, is_last = results
+        if self._local is not None:
+            compiled.show_entry(out, self._log_scale, np.log10(sigma))
+        if state is not None and not (self._is_checked or self._is_confirmed(state, after, gradients, actions, out)):
             return None
-        if local is not None:
-            local.remember_scale(moved, next_sigma)
-        return moved, distance.T, is_last
+        self._now = after
+        self._sets.reverse()
+        return instants, distance.T, is_last
 
-    def _graphs(self, draws: EpisodeRandomness | None) -> tuple[npt.NDArray[np.int16], Float32Array]:
-        """The active graph and its age by instant, (K+H+1, B), or (K+H+1, 1) where episodes do not draw them."""
-        if draws is None or draws.modes is None or draws.time_since_switch is None:
-            return self._schedule
-        return draws.modes, draws.time_since_switch
+    def hand_over(self) -> State | None:
+        """The state that the last step has reached, whose arrays no step will change; ``None`` before the first."""
+        if self._game is None:
+            return None
+        (instants, estimates, sigma), (gradients, *_) = self._sets[1]
+        state = State(instants, self._game, estimates, gradients, self._diverged, randomness=self._draws)
+        self._sets[1] = self._new_arrays()
+        if self._local is not None:
+            self._local.remember_scale(state, sigma)
+        return state
 
-    def _try(self, step: Callable[..., bool], *arguments: Any) -> bool:
+    def _load(self, state: State) -> bool:
+        """Start from a state; ``False`` where numpy has to make the step."""
+        game, draws = state.game, state.randomness
+        if state.any_diverged:
+            return False
+        if game is not self._game or draws is not self._draws:
+            if not _is_known(game):
+                return False
+            self._game, self._draws = game, draws
+            graphs = self._schedule
+            if draws is not None and draws.modes is not None and draws.time_since_switch is not None:
+                graphs = draws.modes, draws.time_since_switch
+            self._constants = *graphs, *self._read(game), *self._tables
+        self._diverged = state.diverged
+        sigma = self._none if self._local is None else self._local.scale(state)
+        self._now = state.step, np.ascontiguousarray(state.estimates), sigma
+        self._sets = self._sets or [self._new_arrays(), self._new_arrays()]
+        return True
+
+    def _new_arrays(self) -> _Arrays:
+        """Memory for the instants, estimates and σ of a state, and the own gradients, d^i and ends of a step."""
+        n, players, batch = self._shape
+        sigma = self._none if self._local is None else np.empty((players, batch))
+        state = np.empty(batch, np.int64), np.empty(self._shape), sigma
+        return state, (np.empty((n, batch)), np.empty((batch, players)), np.empty(batch, np.bool_))
+
+    def _first_step(self, *arguments: Any) -> bool:
         """The first step, or ``False`` and a warning where it cannot be compiled."""
+        from ptne_env.kernels import step
+
         try:
             return _first_call(step, *arguments)
         except Exception as error:  # noqa: BLE001 - a broken compiler may raise anything
             _refuse(error)
             return False
 
-    def _read(self, game: Game, batch: int) -> bool:
-        """Read the numbers of the games of a batch of environments; whether the kernels hold their formulas."""
-        if not _is_known(game):
-            return False
+    def _read(self, game: Game) -> tuple[Any, ...]:
+        """The numbers of the games, as the pass takes them."""
         box = [] if game.low is None or game.high is None else [game.low, game.high]
         tables = [game.nash_equilibria, game.equilibrium_scale[None], *box]
         if isinstance(game, AffineGame):
             tables += [game.transposed.reshape(-1, game.transposed.shape[-1]), game.offset]
         elif isinstance(game, EnergyGame):
             tables += [np.broadcast_to(game.coupling, (1, game.batch_size)), game.slope, game.intercept]
-        tile = min(self._largest_tile, batch)
-        columns = tile if game.batch_size == 1 else batch  # one per environment, or a tile of the same
+        columns = self._tile if game.batch_size == 1 else self._shape[2]  # one per environment, or a tile of the same
         table = np.concatenate([np.broadcast_to(rows, (len(rows), columns)) for rows in tables])
-        self._constants = table, game.dimension if box else 0, isinstance(game, AffineGame), tile, *self._tables
-        self._game = game
-        return True
+        return table, game.dimension if box else 0, isinstance(game, AffineGame), self._tile
 
     def _is_confirmed(
-        self, moved: State, before: State, actions: npt.NDArray[np.floating], observed: Float32Array
+        self,
+        before: State,
+        after: tuple[npt.NDArray[Any], ...],
+        gradients: FloatArray,
+        actions: npt.NDArray[np.floating],
+        observed: Float32Array,
     ) -> bool:
         """Whether numpy comes to the same bits here: nothing is assumed of processors and compilers."""
         self._is_checked, encoder = True, self._encoder
         expected = dynamics.step(encoder.world, before, encoder.inputs(actions, before))
         pairs = (
-            (moved.step, expected.step),
-            (moved.estimates, expected.estimates),
-            (moved.own_gradients, expected.own_gradients),
+            (after[0], expected.step),
+            (after[1], expected.estimates),
+            (gradients, expected.own_gradients),
             (observed, encoder.observe(expected)),
         )
         agrees = all(ours.tobytes() == numpys.tobytes() for ours, numpys in pairs)

@@ -298,11 +298,14 @@ def _show_in_units(shown: Any, differences: Any, sigma: Any, per_sigma: Any, sma
 
 @kept_on_disk
 def step(
-    # State; actions, and σ_i as their unit, (N, B), or (0, 0) under ``physical``; graph and its age by instant.
-    estimates: Any, instants: Any, actions: Any, bound: float, sigma: Any, modes: Any, ages: Any,
+    # Actions; where observations go.
+    actions: Any, bound: float, observations: Any, has_constants: bool,
+    # State; σ_i, the unit of actions, is (N, B), or (0, 0) under ``physical``.
+    instants: Any, estimates: Any, sigma: Any,
     # Results.
-    next_estimates: Any, next_instants: Any, gradients: Any, distances: Any, next_sigma: Any, is_last: Any,
-    observations: Any, has_constants: bool,
+    next_instants: Any, next_estimates: Any, next_sigma: Any, gradients: Any, distances: Any, is_last: Any,
+    # Graph and its age by instant.
+    modes: Any, ages: Any,
     # Games, row by row: x*, ‖x*‖, the box in 2 n rows or none, and A transposed and b, or c, 2a + c and d − 2ab.
     game: Any, boxes: int, is_affine: bool, tile: int,
     # World: Θ and the clock as observed, by instant; a_ij by slot; owners of components. For each player: neighbour by

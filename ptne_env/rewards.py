@@ -57,6 +57,7 @@ class Reward:
 
     Attributes:
         weights: by term.
+        needs_state: whether a term depends on more than distances.
 
     Raises:
         ValueError: for an unknown term, or ``regret`` on a game without best response.
@@ -65,6 +66,7 @@ class Reward:
     def __init__(self, world: World, reward: str | Mapping[str, float] = "digits") -> None:
         self.weights = parse_reward(reward)
         self.world = world
+        self.needs_state = not self.weights.keys() <= {"digits", "tracking"}
         if "regret" in self.weights and not world.game.has_best_response:
             raise NoBestResponseError(
                 f"reward 'regret' needs a best response, which {type(world.game).__name__} does not have "
@@ -72,26 +74,15 @@ class Reward:
             )
         (self._first, weight), *others = self.weights.items()
         self._is_plain = weight == 1 and not others
-        self._distance = np.empty((0, 0))
         self._digits = np.empty((0, 0))
 
     def reset(self, state: State) -> None:
         """Measure the distances of ``state``, from which the next step is rewarded."""
-        self._measure(state)
+        self._digits = distances.digits(self._measured(state))
 
-    def step(self, state: State, distance: FloatArray | None = None) -> dict[str, FloatArray]:
-        """The value of each term for the step that ended in ``state``, each of shape (N, B).
-
-        Args:
-            state: after the step.
-            distance: its d^i, shape (N, B), where they are known already.
-        """
-        before = self._digits
-        self._measure(state, distance)
-        if self._is_plain:  # a comprehension would take longer
-            terms = {self._first: self._term(self._first, state, before)}
-        else:
-            terms = {name: self._term(name, state, before) for name in self.weights}
+    def step(self, state: State) -> dict[str, FloatArray]:
+        """The value of each term for the step that ended in ``state``, each of shape (N, B)."""
+        terms = self.advance(self._measured(state), state)
         if state.any_diverged:
             remaining = 1 + self.world.clock.total_steps - state.step
             worst = self._worst(state)
@@ -99,6 +90,18 @@ class Reward:
                 if name in worst:
                     terms[name] = np.where(state.diverged, worst[name] * remaining, value)
         return terms
+
+    def advance(self, distance: FloatArray, state: State | None = None) -> dict[str, FloatArray]:
+        """:meth:`step` of environments that are all in range.
+
+        Args:
+            distance: d^i after the step, shape (N, B).
+            state: after the step; may be left out unless :attr:`needs_state`.
+        """
+        before, self._digits = self._digits, distances.digits(distance)
+        if self._is_plain:  # a comprehension would take longer
+            return {self._first: self._term(self._first, distance, before, state)}
+        return {name: self._term(name, distance, before, state) for name in self.weights}
 
     def total(self, terms: Mapping[str, FloatArray]) -> FloatArray:
         """The weighted sum of the terms, shape (N, B)."""
@@ -115,19 +118,20 @@ class Reward:
         limit = dynamics.distance_limit(state.game)
         return {"tracking": -limit, "payoff": -REWARD_LIMIT, "regret": -REWARD_LIMIT}
 
-    def _measure(self, state: State, distance: FloatArray | None = None) -> None:
-        if distance is None:
-            distance = distances.player_distances(state.estimates, state.game)
+    def _measured(self, state: State) -> FloatArray:
+        """d^i, shape (N, B), with the limit where an environment has diverged."""
+        distance = distances.player_distances(state.estimates, state.game)
         if state.any_diverged:
             distance = np.where(state.diverged, dynamics.distance_limit(state.game), distance)
-        self._distance = distance
-        self._digits = distances.digits(distance)
+        return distance
 
-    def _term(self, name: str, state: State, digits_before: FloatArray) -> FloatArray:
+    def _term(self, name: str, distance: FloatArray, digits_before: FloatArray, state: State | None) -> FloatArray:
         if name == "digits":
             return self._digits - digits_before
         if name == "tracking":
-            return -self._distance
+            return -distance
+        if state is None:
+            raise ValueError(f"the reward {name!r} needs the state, and not only distances: pass it")
         game, strategies = state.game, dynamics.strategies(self.world, state)
         with np.errstate(over="ignore", invalid="ignore"):  # only a diverged environment overflows
             loss = game.costs(strategies) if name == "payoff" else game.regrets(strategies)

@@ -1,6 +1,8 @@
 """The compiled step and numpy make the same numbers, and nothing but the time depends on numba."""
 
+import copy
 import math
+import pickle
 import warnings
 
 import numpy as np
@@ -167,6 +169,24 @@ def test_environments_that_diverge_are_left_to_numpy(interface, sign, compiled):
         assert bits(ours.rewards) == bits(expected.rewards)
 
 
+def test_a_state_out_of_range_is_left_to_numpy(compiled, monkeypatch):
+    calls, block = kernel_calls(monkeypatch), vector_env("energy", 2)._blocks[0]
+    state = block.reset([0, 1])
+    block.set_state(state._replace(diverged=np.array([True, False]), any_diverged=True))
+    outcome = block.step(np.ones((2, 5, 5), dtype=np.float32), out=block.observe())
+    assert outcome.diverged.tolist() == outcome.terminated.tolist() == [True, False]
+    assert bits(block.current.estimates[:, :, 0]) == bits(state.estimates[:, :, 0])
+    assert calls == []
+
+
+def test_a_new_episode_of_the_same_game_has_new_graphs_compiled(compiled, monkeypatch):
+    scenario = WORLDS["ptne-v2 robots without faults"]  # one game, and random graphs
+    calls, envs = kernel_calls(monkeypatch), [vector_env(scenario, 2, by_numpy=flag) for flag in (False, True)]
+    for seed in range(3):
+        check_equal(envs, 8, seed)
+    assert len(calls) == 24
+
+
 @pytest.mark.parametrize("interface", ["physical", "local"])
 def test_numpy_and_the_compiled_step_may_take_turns_in_an_episode(interface, compiled, monkeypatch):
     mixed, pure = (parallel_env("random-energy", interface=interface) for _ in range(2))
@@ -201,6 +221,94 @@ def test_actions_outside_the_box_are_clipped_and_counted_alike_compiled(interfac
     with pytest.raises(ValueError, match="player_2 is not finite"):
         ours.step(actions)
     assert ours.get_state() is before
+
+
+def random_steps(env, seed, count):
+    """Joint actions within the box, and the results of their steps, with the state after each if it is asked for."""
+    generator, bound = np.random.default_rng(seed), env.layout.action_bound
+    for _ in range(count):
+        actions = generator.uniform(-0.02 * bound, 0.02 * bound, (len(env.agents), env.layout.action_size))
+        observations, *rest = env.step(dict(zip(env.agents, actions.astype(np.float32), strict=True)))
+        yield {agent: bits(row) for agent, row in observations.items()}, rest
+
+
+def state_bits(state):
+    return [bits(array) for array in (state.step, state.estimates, state.own_gradients, state.diverged)]
+
+
+@pytest.mark.parametrize("interface", ["physical", "local"])
+@pytest.mark.parametrize("pause", [1, 2, 3])
+def test_a_state_that_was_handed_out_never_changes_compiled(pause, interface, compiled, monkeypatch):
+    calls, (asked, alone) = kernel_calls(monkeypatch), [parallel_env("energy", interface=interface) for _ in range(2)]
+    asked.reset(seed=0), alone.reset(seed=0)
+    handed = [(asked.get_state(), state_bits(asked.get_state()))]
+    for step, (ours, expected) in enumerate(zip(random_steps(asked, 1, 12), random_steps(alone, 1, 12), strict=True)):
+        assert ours == expected
+        if step % pause == 0:
+            state = asked.get_state()
+            assert state is asked.get_state()
+            assert state.step.tolist() == [step + 1]
+            handed.append((state, state_bits(state)))
+    assert [state_bits(state) for state, _ in handed] == [before for _, before in handed]
+    assert state_bits(alone.get_state()) == state_bits(asked.get_state())
+    assert len(calls) == 24
+
+
+@pytest.mark.parametrize("interface", ["physical", "local"])
+@pytest.mark.parametrize("duplicate", [copy.deepcopy, lambda env: pickle.loads(pickle.dumps(env))])  # noqa: S301 - our own bytes
+def test_copies_in_the_middle_of_an_episode_go_on_alone_compiled(duplicate, interface, compiled, monkeypatch):
+    calls, env = kernel_calls(monkeypatch), parallel_env("random-energy", interface=interface)
+    env.reset(seed=0)
+    list(random_steps(env, 1, 3))
+    first, second = duplicate(env), duplicate(env)
+    expected = list(random_steps(env, 2, 5))
+    assert list(random_steps(first, 2, 5)) == expected
+    assert list(random_steps(second, 2, 5)) == expected
+    assert state_bits(first.get_state()) == state_bits(env.get_state())
+    assert len(calls) == 18
+
+
+@pytest.mark.parametrize("interface", ["physical", "local"])
+@pytest.mark.parametrize("width", [0.5, 2.0])
+def test_a_refused_action_leaves_the_state_as_it_was_compiled(width, interface, compiled):
+    ours, expected = [parallel_env("energy", interface=interface) for _ in range(2)]
+    ours.reset(seed=0), expected.reset(seed=0)
+    for turn in range(3):
+        assert list(random_steps(ours, turn, 2)) == list(random_steps(expected, turn, 2))
+        actions = {agent: np.full(5, width * ours.layout.action_bound, dtype=np.float32) for agent in ours.agents}
+        actions["player_4"][4] = np.nan
+        with pytest.raises(ValueError, match="player_4 is not finite"):
+            ours.step(actions)
+        if turn:  # also where nobody has asked for the state
+            assert state_bits(ours.get_state()) == state_bits(expected.get_state())
+
+
+def test_episodes_are_cut_at_the_same_step_compiled(compiled, monkeypatch):
+    calls = kernel_calls(monkeypatch)
+    envs = [vector_env("energy", 3, by_numpy=flag, max_cycles=4) for flag in (False, True)]
+    for env in envs:
+        env.reset(seed=0)
+        env.step(np.zeros((3, 5, 5), dtype=np.float32))
+        env.reset(mask=[False, True, False])
+    cut = []
+    for _ in range(3):
+        outcome, expected = (env.step(np.zeros((3, 5, 5), dtype=np.float32)) for env in envs)
+        assert bits(outcome.truncated) == bits(expected.truncated)
+        cut.append(outcome.truncated.tolist())
+    assert cut == [[False] * 3, [False] * 3, [True, False, True]]
+    assert len(calls) == 4
+
+
+@pytest.mark.parametrize("interface", ["physical", "local"])
+def test_an_episode_goes_on_from_a_state_that_was_set_compiled(interface, compiled):
+    env = parallel_env("random-energy", interface=interface)
+    env.reset(seed=0)
+    start = env.get_state()
+    expected = list(random_steps(env, 1, 4))
+    env.reset(seed=5)
+    list(random_steps(env, 2, 3))
+    env.set_state(start)
+    assert list(random_steps(env, 1, 4)) == expected
 
 
 @pytest.mark.parametrize("interface", ["physical", "local"])
@@ -289,9 +397,9 @@ def test_a_processor_that_rounds_differently_is_one_warning_and_the_numpy_path(c
     kernels = fused.kernels()
     step = kernels.step
 
-    def inexact(estimates, *arguments):
-        in_range = step(estimates, *arguments)
-        arguments[6][0, 0, 0] = np.nextafter(arguments[6][0, 0, 0], 1)  # the first of the results
+    def inexact(actions, *arguments):
+        in_range = step(actions, *arguments)
+        arguments[7][0, 0, 0] = np.nextafter(arguments[7][0, 0, 0], 1)  # the next estimates
         return in_range
 
     monkeypatch.setattr(kernels, "step", inexact)

@@ -3,7 +3,7 @@ import pytest
 from test_dynamics import large_energy_scenario
 from worlds import BLOCKS, constant_actions, make_env, play, while_running
 
-from ptne_env import dynamics, get_scenario, laws
+from ptne_env import distances, dynamics, get_scenario, laws
 from ptne_env.games import NoBestResponseError
 from ptne_env.random_streams import RandomStreams
 from ptne_env.rewards import REWARD_LIMIT, TERMS, Reward, parse_reward
@@ -246,3 +246,24 @@ def test_unknown_rewards_are_refused(reward, message):
 def test_regret_is_refused_where_no_best_response_exists(name, reward):
     with pytest.raises(NoBestResponseError, match="choose digits, tracking or payoff"):
         make_env(name, reward=reward)
+
+
+def test_distances_alone_give_the_rewards_that_need_no_more():
+    weights = {"digits": 1.0, "tracking": 0.5}
+    world, _, states, terms = episode(GAMES["energy"], weights, steps=3)
+    judge = Reward(world, weights)
+    judge.reset(states[0])
+    assert not judge.needs_state
+    for state, expected in zip(states[1:], terms, strict=True):
+        found = judge.advance(distances.player_distances(state.estimates, state.game))
+        assert {name: term.tolist() for name, term in found.items()} == {
+            name: term.tolist() for name, term in expected.items()
+        }
+
+
+@pytest.mark.parametrize("reward", ["payoff", "regret"])
+def test_a_reward_that_needs_the_state_says_so(reward):
+    judge = Reward(World(GAMES["energy"]), reward)
+    assert judge.needs_state
+    with pytest.raises(ValueError, match=f"'{reward}' needs the state"):
+        judge.advance(np.ones((5, 1)))

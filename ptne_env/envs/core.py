@@ -21,13 +21,14 @@ from ptne_env.world import RANGE_LIMIT, World
 
 
 class StepResult(NamedTuple):
-    """The result of a step. Environments last where there are players too.
+    """The result of a step, to be read before the next step. Environments last where there are players too.
 
     Attributes:
         rewards: weighted sum of the terms, shape (N, B).
         terms: each reward term, unweighted, shape (N, B).
         terminated: shape (B,).
         truncated: shape (B,).
+        diverged: whether each environment is out of range, shape (B,).
         is_observed: whether the observations were written too, as a compiled step does.
         clipped: entries of each player's action that were outside the box, shape (B, N); ``None`` for none.
     """
@@ -36,6 +37,7 @@ class StepResult(NamedTuple):
     terms: dict[str, FloatArray]
     terminated: BoolArray
     truncated: BoolArray
+    diverged: BoolArray
     is_observed: bool
     clipped: IntArray | None = None
 
@@ -80,7 +82,6 @@ class Simulation:
     Attributes:
         encoder: as given.
         world: of the encoder.
-        state: of all environments; ``None`` before the first reset.
 
     Raises:
         ValueError: for an unknown reward or a count below 1.
@@ -98,11 +99,18 @@ class Simulation:
         self.num_envs = require_count("num_envs", num_envs, 1)
         self.max_cycles = None if max_cycles is None else require_count("max_cycles", max_cycles, 1)
         self._reward = Reward(self.world, reward)
-        self._fused = fused.FusedStep(encoder) if fused.qualifies(encoder, self.num_envs) else None
+        self._fused = fused.FusedStep(encoder, self.num_envs) if fused.qualifies(encoder, self.num_envs) else None
         self._never = np.zeros(self.num_envs, dtype=np.bool_)
         self._never.flags.writeable = False
         self._streams: list[RandomStreams] = []
-        self.state: State | None = None
+        self._state: State | None = None  # and after a compiled step, which keeps the state
+
+    @property
+    def state(self) -> State | None:
+        """Of all environments; ``None`` before the first reset."""
+        if self._state is None and self._fused is not None:
+            self._state = self._fused.hand_over()
+        return self._state
 
     @property
     def current(self) -> State:
@@ -111,9 +119,10 @@ class Simulation:
         Raises:
             RuntimeError: before the first reset.
         """
-        if self.state is None:
+        state = self.state
+        if state is None:
             raise RuntimeError("the environment has no state yet: call reset() first")
-        return self.state
+        return state
 
     def set_state(self, state: State) -> None:
         """Continue from ``state``, of as many environments; the random generators stay as they are.
@@ -122,7 +131,7 @@ class Simulation:
             ValueError: as :func:`ptne_env.dynamics.require_state`; the state stays as it was.
         """
         dynamics.require_state(self.world, state, self.num_envs)
-        self.state = state
+        self._state = state
         self._reward.reset(state)
 
     def reset(
@@ -170,7 +179,7 @@ class Simulation:
         self._streams, state, mask = drawn
         if not mask.all():
             state = dynamics.merge(self.current, state, mask)
-        self.state = state
+        self._state = state
         self._reward.reset(state)
         return state
 
@@ -219,32 +228,33 @@ class Simulation:
             RuntimeError: before the first reset.
             NonFiniteActionError: when an action that has to be clipped holds NaN or infinity; nothing is stepped.
         """
-        before, moved, clipped = self.current, None, None
-        compiled = None if out is None else self._fused
+        compiled, moved, clipped = self._fused, None, None
         if compiled is not None and out is not None:
-            moved = compiled(before, actions, out, has_constants=has_constants, are_inside=are_inside)
+            moved = compiled.move(self._state, actions, out, has_constants=has_constants, are_inside=are_inside)
         if moved is None and not are_inside:
             actions, clipped = self.encoder.clip(actions)
             if compiled is not None and out is not None:
-                moved = compiled(before, actions, out, has_constants=has_constants)
+                moved = compiled.move(self._state, actions, out, has_constants=has_constants)
         if moved is None:
-            began = perf_counter()
-            state = dynamics.step(self.world, before, self.encoder.inputs(actions, before))
+            began, before = perf_counter(), self.current
+            self._state = state = dynamics.step(self.world, before, self.encoder.inputs(actions, before))
             terms = self._reward.step(state)
-            terminated = dynamics.is_over(self.world, state)
-            if self._fused is not None and not fused.spend(perf_counter() - began):
+            instants, terminated, diverged = state.step, dynamics.is_over(self.world, state), state.diverged
+            if compiled is not None and not fused.spend(perf_counter() - began):
                 self._fused = None
         else:
-            state, distance, terminated = moved
-            terms = self._reward.step(state, distance)
-        self.state = state
-        truncated = self._never if self.max_cycles is None else ~terminated & (state.step >= self.max_cycles)
+            self._state = None
+            instants, distance, terminated = moved
+            diverged = self._never
+            terms = self._reward.advance(distance, self.current if self._reward.needs_state else None)
+        truncated = self._never if self.max_cycles is None else ~terminated & (instants >= self.max_cycles)
         if restart is not None:
             self.begin(restart)
-            terms = {name: np.where(restart.mask, 0.0, term) for name, term in terms.items()}
-            terminated, truncated = terminated & ~restart.mask, truncated & ~restart.mask
+            moves = ~restart.mask
+            terms = {name: np.where(moves, term, 0.0) for name, term in terms.items()}
+            terminated, truncated, diverged = terminated & moves, truncated & moves, diverged & moves
         is_observed = moved is not None and restart is None
-        return StepResult(self._reward.total(terms), terms, terminated, truncated, is_observed, clipped)
+        return StepResult(self._reward.total(terms), terms, terminated, truncated, diverged, is_observed, clipped)
 
     def observe(self, out: Float32Array | None = None) -> Float32Array:
         """Observations of all players, shape (B, N, size), float32, owned by the caller."""

@@ -88,6 +88,7 @@ class NashSeekingEnv(ParallelEnv[str, Float32Array, Float32Array]):
             -OBSERVATION_BOUND, OBSERVATION_BOUND, (players * (n + players) + 4,), dtype=np.float32
         )
         self._renderer = Renderer(self.world, render_mode) if render_mode else None
+        self._action_size = encoder.layout.action_size
         self._unclipped = [0] * players
         self._table: tuple[Float32Array, list[Float32Array]] | None = None
 
@@ -198,14 +199,18 @@ class NashSeekingEnv(ParallelEnv[str, Float32Array, Float32Array]):
         if not outcome.is_observed:
             self._simulation.observe(table)
         terminated, truncated = outcome.terminated.item(), outcome.truncated.item()
-        diverged = self._simulation.current.diverged.item()
-        (first, values), *others = [(name, term[:, 0].tolist()) for name, term in outcome.terms.items()]
-        infos: dict[str, AgentInfo] = {
-            agent: {"diverged": diverged, "clipped": count, "reward_terms": {first: value}}
-            for agent, count, value in zip(agents, clipped, values, strict=True)
-        }
-        for name, values in others:
-            for info, value in zip(infos.values(), values, strict=True):
+        diverged, totals = outcome.diverged.item(), outcome.rewards.ravel().tolist()
+        (first, term), *others = outcome.terms.items()
+        values = totals if term is outcome.rewards else term.ravel().tolist()
+        observations: dict[str, Float32Array] = {}
+        rewards: dict[str, float] = {}
+        infos: dict[str, AgentInfo] = {}
+        for agent, row, total, count, value in zip(agents, rows, totals, clipped, values, strict=True):
+            observations[agent] = row.copy()
+            rewards[agent] = total
+            infos[agent] = {"diverged": diverged, "clipped": count, "reward_terms": {first: value}}
+        for name, term in others:
+            for info, value in zip(infos.values(), term.ravel().tolist(), strict=True):
                 info["reward_terms"][name] = value
         if terminated or truncated:
             success = bool(self._simulation.succeeded()[0])
@@ -216,8 +221,8 @@ class NashSeekingEnv(ParallelEnv[str, Float32Array, Float32Array]):
             self._renderer.record(self._simulation.current)
             self._render_human()
         return (
-            dict(zip(agents, map(np.ndarray.copy, rows), strict=True)),
-            dict(zip(agents, outcome.rewards[:, 0].tolist(), strict=True)),
+            observations,
+            rewards,
             dict.fromkeys(agents, terminated),
             dict.fromkeys(agents, truncated),
             infos,
@@ -294,17 +299,18 @@ class NashSeekingEnv(ParallelEnv[str, Float32Array, Float32Array]):
         """All actions in the order of the agents, shape (1, N, action size)."""
         try:
             rows = [actions[agent] for agent in self.agents]
-            stacked = np.array(rows)
+            stacked = np.array([rows])
         except (KeyError, IndexError, TypeError, ValueError):
             raise self._complaint(actions) from None
-        if stacked.shape != (len(actions), self.layout.action_size):
+        if stacked.shape != (1, len(actions), self._action_size):
             raise self._complaint(actions)
-        # Nearly all rows are plain arrays of float32, whose type is one object.
-        if any([type(row) is not np.ndarray or row.dtype is not _SINGLE for row in rows]):  # noqa: C419 - a list is faster
-            arrays = list(map(np.asanyarray, rows))
-            if {row.dtype.kind for row in arrays} != {"f"} or MaskedArray in map(type, arrays):
+        for row in rows:
+            if type(row) is np.ndarray and row.dtype is _SINGLE:  # nearly always, and dtypes are one object
+                continue
+            array = np.asanyarray(row)
+            if array.dtype.kind != "f" or isinstance(array, MaskedArray):
                 raise self._complaint(actions)
-        return stacked[None]
+        return stacked
 
     def _complaint(self, actions: Mapping[str, Any]) -> ValueError:
         """The faults of ``actions``, agent by agent."""

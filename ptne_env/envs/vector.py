@@ -359,7 +359,7 @@ class VectorParallelEnv:
         else:
             terms = {name: self._by_env([outcome.terms[name].T for outcome in outcomes]) for name in first.terms}
         return {
-            "diverged": np.concatenate([block.current.diverged for block in self._blocks]),
+            "diverged": np.concatenate([outcome.diverged for outcome in outcomes]),
             "clipped": clipped,
             "reward_terms": terms,
             "is_success": success,
