@@ -97,10 +97,11 @@ def frozen(array: npt.ArrayLike) -> FloatArray:
 
 def fold(ufunc: np.ufunc, array: Array, axis: int) -> Array:
     """``ufunc.reduce`` along a short axis, term by term, in order: faster than numpy's own where the terms are long."""
-    first, *others = np.moveaxis(array, axis, 0)
-    result = first.copy()
-    for term in others:
-        ufunc(result, term, out=result)
+    terms: Any = array
+    before = (slice(None),) * (axis % array.ndim)
+    result: Array = terms[(*before, 0)].copy()
+    for term in range(1, array.shape[axis]):
+        ufunc(result, terms[(*before, term)], out=result)
     return result
 
 

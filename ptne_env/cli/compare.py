@@ -18,7 +18,7 @@ from ptne_env.experiments.check import check as run_check
 from ptne_env.experiments.check import foreign_code as foreign_code_of_results
 from ptne_env.experiments.marl_eval import marl_eval_json
 from ptne_env.experiments.policy_specs import foreign_code
-from ptne_env.experiments.suite import SUITES, comparison, foreign_suites
+from ptne_env.experiments.suite import EPISODES, SUITES, comparison, foreign_suites
 from ptne_env.experiments.traces import scenes
 from ptne_env.experiments.workers import Workers
 from ptne_env.files import write_atomically
@@ -68,7 +68,7 @@ def compare(
         typer.Option(
             min=1,
             help="Test episodes per scenario or track, the same for every policy.",
-            show_default="1000, or the suite's own number",
+            show_default=f"{EPISODES}, or the suite's own number",
         ),
     ] = None,
     seed: options.Seed = 0,
@@ -120,9 +120,8 @@ def compare(
                 f"unknown scenario {', '.join(map(repr, unknown))}: a track needs its suite, such as --suite ptne-v1; "
                 f"the scenarios are {', '.join(CATALOGUE)}"
             )
-        chosen = comparison(
-            track or CATALOGUE, episodes=episodes or 1000, hold_steps=50 if hold_steps is None else hold_steps
-        )
+        held = _HOLD_STEPS if hold_steps is None else hold_steps
+        chosen = comparison(track or CATALOGUE, episodes=episodes or EPISODES, hold_steps=held)
         tracks = None
     else:
         if hold_steps is not None:

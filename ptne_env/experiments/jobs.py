@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from ptne_env.arrays import FloatArray
+from ptne_env.counter_random import Draws
 from ptne_env.dynamics import State
 from ptne_env.encoder import make_encoder
 from ptne_env.experiments.audit import USES_OTHER_LINKS, Witness, rows_of_one, sample_rows
@@ -86,7 +87,8 @@ class Job:
                     alone = _of_own_links(fresh, encoder.layout.known_to(deciding[place]))
                     witnesses.append(Witness(alone, chosen, USES_OTHER_LINKS))
                 start = _initial_state(world, self.episodes)
-                samples = measure(rollout(policy, encoder, start, teammates, witnesses=witnesses))
+                with _draws(world, self.episodes).kept():
+                    samples = measure(rollout(policy, encoder, start, teammates, witnesses=witnesses))
         except LayoutError as error:
             return JobResult({}, {}, str(error))
         except PolicyError as error:
@@ -106,6 +108,11 @@ def _of_own_links(make: Callable[[ObservationLayout], Policy], layout: Observati
 @lru_cache(maxsize=2)  # jobs with the same episodes follow each other
 def _initial_state(world: World, episodes: EpisodeSet) -> State:
     return episodes.initial_state(world)
+
+
+@lru_cache(maxsize=1)
+def _draws(world: World, episodes: EpisodeSet) -> Draws:  # noqa: ARG001 - whose numbers are kept
+    return Draws()
 
 
 @dataclass(frozen=True)

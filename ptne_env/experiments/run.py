@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from itertools import chain
 from pathlib import Path
 from typing import TypeAlias
 
@@ -17,7 +18,7 @@ from ptne_env.experiments.metrics import against_law
 from ptne_env.experiments.policy_specs import PolicySpec, get_policy_spec
 from ptne_env.experiments.results import Results, records, statistics_of
 from ptne_env.experiments.store import Store, run_jobs, run_missing
-from ptne_env.experiments.suite import LEADERBOARD_SEED, SUITES, Suite, Track, comparison, get_suite
+from ptne_env.experiments.suite import EPISODES, LEADERBOARD_SEED, SUITES, Suite, Track, comparison, get_suite
 from ptne_env.experiments.tuning import Tunable, Tuned, Tuning, Tunings
 from ptne_env.experiments.workers import Workers
 from ptne_env.factory import FactorySpec
@@ -28,7 +29,7 @@ def evaluate(
     policies: Iterable[str | PolicySpec],
     scenarios: Iterable[str | Scenario],
     *,
-    episodes: int = 100,
+    episodes: int = EPISODES,
     seed: int = 0,
     hold_steps: int = 0,
     split: Split = "test",
@@ -243,30 +244,37 @@ def _by_name(suite: Suite, listed: Sequence[PolicySpec]) -> dict[str, PolicySpec
 
 @dataclass
 class _Runner:
-    """Runs lists of jobs, and counts them for the progress callback."""
+    """Runs lists of jobs, and counts them for the progress callback.
+
+    Jobs with the same key, such as those of a law under two names, run once, so that all have the same timings.
+    """
 
     store: Store | None
     workers: Workers
     progress: Callable[[str, int], None] | None
     rerun: bool
     total: int = 0
+    done: dict[str | int, JobResult] = field(default_factory=dict)
 
     def __call__(self, jobs: Sequence[Job]) -> list[JobResult]:
         """The results of jobs, in their order."""
         if self.store is not None and not self.rerun:
             require_hashed(jobs)
+        names = [job.key or self.total + index for index, job in enumerate(jobs)]
         self.total += len(jobs)
+        missing = {name: index for index, name in reversed(list(enumerate(names))) if name not in self.done}
         # The largest games first, so that no worker is left alone with one at the end; then the last jobs, because
         # lists of policies begin with the fastest laws, and the coded law is the last of those for learned policies.
-        order = sorted(range(len(jobs)), key=lambda index: (-jobs[index].track.world.game.num_players, -index))
-        found: dict[int, JobResult] = {}
-        ordered = [jobs[index] for index in order]
-        for place, result in run_jobs(ordered, self.store, self.workers, rerun=self.rerun):
-            job = jobs[order[place]]
-            found[order[place]] = result
+        order = sorted(missing.values(), key=lambda index: (-jobs[index].track.world.game.num_players, -index))
+        running = run_jobs([jobs[index] for index in order], self.store, self.workers, rerun=self.rerun)
+        for index, result in chain(
+            ((order[place], result) for place, result in running),
+            ((index, self.done[name]) for index, name in enumerate(names) if missing.get(name) != index),
+        ):
+            self.done[names[index]] = result
             if self.progress is not None:
-                self.progress(f"{job.track.name}: {job.policy.name}", self.total)
-        return [found[index] for index in range(len(jobs))]
+                self.progress(f"{jobs[index].track.name}: {jobs[index].policy.name}", self.total)
+        return [self.done[name] for name in names]
 
     def tune(self, searches: Sequence[Tuning]) -> list[Tuned]:
         """The results of searches, in their order; none of them counts as a job."""

@@ -33,6 +33,9 @@ MOST_DIGITS = -math.log10(distances.FLOOR)
 SATURATION_MARGIN = 0.1
 """A policy has saturated a track when its mean digits are within this many digits of :data:`MOST_DIGITS`."""
 
+EPISODES = 200
+"""Episodes of a track, in suites and comparisons, unless others are asked for."""
+
 LEADERBOARD_SEED = 0
 """Seed of the episode sets of published results."""
 
@@ -193,7 +196,7 @@ class Suite:
 
     name: str
     tracks: tuple[Track, ...]
-    episodes: int = 200
+    episodes: int = EPISODES
     frozen: str | None = None
     is_comparison: bool = False
 
@@ -270,7 +273,7 @@ class Suite:
         return content_hash(self.content())
 
 
-def comparison(scenarios: Iterable[str | Scenario], *, episodes: int = 100, hold_steps: int = 0) -> Suite:
+def comparison(scenarios: Iterable[str | Scenario], *, episodes: int = EPISODES, hold_steps: int = 0) -> Suite:
     """The suite of a comparison.
 
     A scenario given by name is run from random starts under its own name, and, unless it draws games, once more from

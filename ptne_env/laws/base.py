@@ -17,6 +17,9 @@ import numpy.typing as npt
 from ptne_env.arrays import BoolArray, Float32Array, FloatArray, require_non_negative
 from ptne_env.observation import Interface, LayoutError, Observation, ObservationLayout
 
+_BLOCK = 2**18
+"""Numbers in the observations and memories of the players that decide at a time: their copies fit the cache."""
+
 
 class Law(ABC):
     """A policy that is built from a layout and acts on observations and its own memory alone.
@@ -70,11 +73,26 @@ class Law(ABC):
             ValueError: when observations or memory have another shape than this law needs.
         """
         array = np.asarray(observation)
-        parsed = self.layout.read(np.atleast_2d(array))
-        memory = self._continued(state, len(parsed.player), episode_start)
+        observations = np.atleast_2d(array)
+        memory = self._continued(state, len(observations), episode_start)
+        size = max(_BLOCK // (observations.shape[1] + (0 if memory is None else memory[:1].size)), 1)
+        if len(observations) <= size:
+            actions, memory = self._decide(observations, memory)
+            return (actions[0] if array.ndim == 1 else actions), memory
+        actions = np.empty((len(observations), self.layout.action_size), dtype=np.float32)
+        fresh = None if memory is None else np.empty_like(memory)
+        for first in range(0, len(observations), size):
+            rows = slice(first, first + size)
+            actions[rows], part = self._decide(observations[rows], None if memory is None else memory[rows])
+            if fresh is not None:
+                fresh[rows] = part
+        return actions, fresh
+
+    def _decide(self, observations: npt.NDArray[np.float32], memory: Any) -> tuple[Float32Array, Any]:
+        """Actions of R players, and their memory for the next step."""
+        parsed = self.layout.read(observations)
         inputs, memory = self.inputs(parsed, memory)
-        actions = self._actions(inputs, parsed)
-        return (actions[0] if array.ndim == 1 else actions), memory
+        return self._actions(inputs, parsed), memory
 
     def _continued(self, memory: Any, rows: int, episode_start: BoolArray | None) -> Any:
         """``memory`` with a fresh row wherever an episode starts, for R = ``rows`` players."""

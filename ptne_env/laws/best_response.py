@@ -61,6 +61,9 @@ def own_curvatures(own: FloatArray, model: Model, places: IntArray) -> tuple[Flo
         model: with the covariance of the rows, of q regressors.
         places: of own components among the regressors, padded with q, shape (R, m).
     """
+    if own.shape[1] == 1:  # the eigenvector is 1
+        variance = np.take_along_axis(model.covariance.diagonal(axis1=1, axis2=2), places, axis=1)
+        return own[:, 0], _MARGIN * np.sqrt(np.maximum(variance, 0.0)), np.ones_like(own)
     curvature, vectors = np.linalg.eigh(own)
     directions = with_own(np.zeros_like(model.rows).swapaxes(1, 2), vectors, places)
     variance = np.einsum("rpa,rpq,rqa->ra", directions, model.covariance, directions)

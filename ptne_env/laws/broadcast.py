@@ -89,6 +89,16 @@ def own_equations(
     return with_own(np.zeros((len(rows), rows.shape[2], rows.shape[2] + 1)), solved, blocks), exist
 
 
+def inverses(own: FloatArray) -> FloatArray:
+    """Pseudoinverses of own blocks, (R, m, m)."""
+    result: FloatArray = np.zeros_like(own)
+    if own.shape[1] > 1:
+        result[:] = np.linalg.pinv(own)
+    else:
+        np.divide(1.0, own, out=result, where=own != 0)
+    return result
+
+
 def solution(equations: FloatArray, values: FloatArray, wanted: BoolArray) -> FloatArray:
     """The solutions x of E x = v, least squares if E is singular; 0 where they are not wanted.
 
@@ -98,7 +108,8 @@ def solution(equations: FloatArray, values: FloatArray, wanted: BoolArray) -> Fl
         wanted: shape (R, 1).
     """
     result, rows = np.zeros_like(values), np.flatnonzero(wanted)
-    result[rows] = np.einsum("rab,rb->ra", np.linalg.pinv(equations[rows, :, :-1]), values[rows])
+    if rows.size:
+        result[rows] = np.einsum("rab,rb->ra", np.linalg.pinv(equations[rows, :, :-1]), values[rows])
     return result
 
 
@@ -282,7 +293,7 @@ class IdentifyAndBroadcast(Relay):
             starts = resolves & complete & (before["target"] == 0).all(axis=1, keepdims=True)
             target = solution(memory["equations"], _UNIT * memory["equations"][:, :, -1], starts)
             memory["target"] = np.where(starts, target, before["target"])
-            gradients = np.einsum("rab,rb->ra", np.linalg.pinv(own_block(memory["rows"], blocks)), memory["gradient"])
+            gradients = np.einsum("rab,rb->ra", inverses(own_block(memory["rows"], blocks)), memory["gradient"])
             residual = with_own(np.zeros_like(estimate), gradients, blocks)
             move, resolved = resolve(
                 observation, memory | {"steps": step}, residual, own, self._fixed_sources[observation.player], ends

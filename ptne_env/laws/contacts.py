@@ -42,15 +42,11 @@ def noise_level(observation: Observation, memory: Mapping[str, FloatArray], owne
     """
     lasts = (observation.weights > 0) & (memory["live"] > 0)
     messages = observation.own_estimate[:, None] + observation.relative_estimates
-    change = row_maxima(np.where(owned, 0.0, np.abs(messages - memory["messages"])))
+    messages -= memory["messages"]
+    change = row_maxima(np.where(owned, 0.0, np.abs(messages, out=messages)))
     least = np.where(lasts, change, np.inf).min(axis=1, keepdims=True)
     first = np.where(np.isfinite(least), least, 0.0)
     return np.where(memory["steps"] <= 1, first, np.minimum(memory["noise"], least))
-
-
-def unknown_nearness(layout: ObservationLayout) -> FloatArray:
-    """NaN by player, neighbour and component, shape (N, D, n): by how many links a neighbour is nearer is unknown."""
-    return np.full((layout.num_players, layout.slots, layout.dimension), np.nan)
 
 
 def contacts(
@@ -58,7 +54,7 @@ def contacts(
     memory: Mapping[str, FloatArray],
     drift: FloatArray,
     leaders: BoolArray,
-    nearer: FloatArray,
+    nearer: FloatArray | None = None,
     noise: FloatArray | float = 0.0,
 ) -> tuple[BoolArray, dict[str, FloatArray]]:
     """The neighbours that have fresher copies of each component.
@@ -80,33 +76,51 @@ def contacts(
             before and were ever ``heard``, shape (R, D), and the number of ``steps``, shape (R, 1).
         drift: the last moves of the estimates of others, 0 for own components, shape (R, n).
         leaders: whether j owns c, shape (R, D, n).
-        nearer: by how many links j is nearer to the owner of c than i, NaN where that is unknown, shape (R, D, n). Once
-            a nearer neighbour was heard, this counts more than all votes, and during a contact only nearer neighbours
-            become sources.
+        nearer: by how many links j is nearer to the owner of c than i, shape (R, D, n); ``None`` where that is unknown.
+            Once a nearer neighbour was heard, this counts more than all votes, and during a contact only nearer
+            neighbours become sources.
         noise: the largest change of messages that may be noise, in natural units, shape (R, 1, 1).
 
     Returns:
         The sources, shape (R, D, n), and the changed parts of the memory.
     """
-    live, before = (observation.weights > 0)[:, :, None], memory["live"][:, :, None] > 0
+    links, linked = observation.weights > 0, memory["live"] > 0
+    live, heard = links[:, :, None], memory["heard"][:, :, None] > 0
     relative = observation.relative_estimates * observation.unit[:, :, None]
     mine, met = memory["moved"] + drift[:, None], np.isfinite(memory["seen"])
     seen = np.where(met, memory["seen"], relative)
-    theirs = np.where(met, relative + mine - seen, 0.0)
-    floor = _MOVED * (np.abs(relative) + np.abs(mine) + np.abs(seen))
-    i_moved, j_moved = np.abs(mine) > floor, np.abs(theirs) > floor
-    starts, votes = live & ~before, memory["votes"]
-    votes = votes + np.where(starts & met, j_moved.astype(np.int64) - i_moved, 0)
-    heard = memory["heard"][:, :, None] > 0
-    nearer = np.where(_any_slot(heard & (nearer > 0)), nearer, np.nan)
-    judgement = np.where(np.isnan(nearer) | (nearer == 0), votes, nearer)
-    both = np.where(judgement == 0, np.abs(theirs) > np.abs(mine), judgement > 0)
-    is_newcomer = (memory["steps"][:, :, None] > 0) & (memory["news"] == 0)[:, None]
-    fresher = np.where(met, np.where(i_moved & j_moved, both, j_moved & ~i_moved), is_newcomer)
-    source = live & (memory["source"] > 0)
-    moves = (np.abs(theirs) > floor + noise) & (np.abs(drift[:, None]) <= floor) & ~(nearer <= 0)
-    moves &= (np.abs(relative) > np.abs(seen)) | ~_any_slot(source)
-    wakes = live & np.where(starts, fresher, moves)
+    theirs = relative + mine
+    theirs -= seen
+    i_moved, j_moved = np.abs(mine), np.abs(np.where(met, theirs, 0.0))
+    distance, distance_before = np.abs(relative), np.abs(seen)
+    floor = distance + i_moved
+    floor += distance_before
+    floor *= _MOVED
+
+    # During a contact.
+    source = (memory["source"] > 0) & live
+    wakes = (distance > distance_before) | ~_any_slot(source)
+    wakes &= np.abs(drift)[:, None] <= floor
+    wakes &= j_moved > floor + noise
+    wakes &= (links & linked)[:, :, None]
+    if nearer is not None:
+        has_nearer = _any_slot(heard & (nearer > 0))
+        wakes &= ~(has_nearer & (nearer <= 0))
+
+    # At the start of a contact, of few links in most steps.
+    votes, starts = memory["votes"], np.nonzero(links & ~linked)
+    if starts[0].size:
+        rows, first = starts[0], ~met[starts]
+        i_has, j_has = i_moved[starts] > floor[starts], j_moved[starts] > floor[starts]
+        votes = votes.copy()
+        votes[starts] += np.where(first, 0, j_has.astype(np.int64) - i_has)
+        judgement = votes[starts]
+        if nearer is not None:
+            judgement = np.where(has_nearer[rows, 0] & (nearer[starts] != 0), nearer[starts], judgement)
+        both = np.where(judgement == 0, j_moved[starts] > i_moved[starts], judgement > 0)
+        is_newcomer = (memory["steps"] > 0) & (memory["news"] == 0)
+        wakes[starts] = np.where(first, is_newcomer[rows], np.where(i_has & j_has, both, j_has & ~i_has))
+
     source = np.where(_any_slot(wakes), wakes, source)
     owners = leaders & (live | heard)
     source = np.where(_any_slot(owners), owners & live, source)

@@ -69,8 +69,12 @@ def identify(
     surprise = largest**2 - _SURPRISE * (known + variance)
     failed = (surprise > 0) & (length > _REST)
     forgotten = np.where(failed, surprise, 0.0) / np.maximum(length, _REST) ** 2
-    covariance = covariance + (forgotten * displacement)[:, :, None] * displacement[:, None, :]
     spread = spread + forgotten * length * displacement
     gain = spread / (known + forgotten * length**2 + variance)
     rows = rows + error[:, :, None] * gain[:, None, :]
-    return Model(rows, covariance - spread[:, :, None] * gain[:, None, :]), largest, failed
+    smaller = spread[:, :, None] * gain[:, None, :]
+    np.subtract(covariance, smaller, out=smaller)
+    if len(failures := np.flatnonzero(failed)):
+        wider = covariance[failures] + (forgotten * displacement)[failures, :, None] * displacement[failures, None, :]
+        smaller[failures] = wider - spread[failures, :, None] * gain[failures, None, :]
+    return Model(rows, smaller), largest, failed

@@ -13,7 +13,7 @@ from typing import ClassVar, NamedTuple
 
 import numpy as np
 
-from ptne_env.arrays import BoolArray, FloatArray, fold, ordered_sum, require_positive, row_maxima
+from ptne_env.arrays import BoolArray, FloatArray, fold, require_positive, row_maxima
 from ptne_env.laws.base import Law, per_step
 from ptne_env.laws.best_response import (
     LARGEST_ROW,
@@ -26,10 +26,10 @@ from ptne_env.laws.best_response import (
     with_own,
     within_reach,
 )
-from ptne_env.laws.contacts import contact_parts, contacts, noise_level, unknown_nearness
+from ptne_env.laws.contacts import contact_parts, contacts, noise_level
 from ptne_env.laws.identification import RESOLUTION, Model, blank, identify
 from ptne_env.laws.memory import Parts
-from ptne_env.laws.routed import Freshest, nearer_slots
+from ptne_env.laws.routed import Freshest, nearer_slots, totals
 from ptne_env.observation import Interface, Observation, ObservationLayout
 
 SPREAD = 10.0
@@ -88,14 +88,17 @@ def averaged_copies(
     """
     live = observation.weights > 0
     heard = np.maximum(memory["heard"], live)
-    lost = mixes & ~fold(np.logical_or, sources & (heard > 0)[:, :, None], axis=1)
-    used = (sources | lost[:, None]) & live[:, :, None]
-    total = ordered_sum(np.where(used, observation.relative_estimates, 0.0), axis=1)
-    mean = total / np.maximum(ordered_sum(used.astype(np.float64), axis=1) + lost, 1)
+    lost: BoolArray | int = 0
+    if mixes:
+        lost = ~fold(np.logical_or, sources & (heard > 0)[:, :, None], axis=1)
+        sources = sources | lost[:, None]
+    total, count = totals(observation, sources)
+    mean = total / np.maximum(count + lost, 1)
 
     messages = observation.own_estimate[:, None] + observation.relative_estimates
     lasts = live & (memory["live"] > 0)
-    change = row_maxima(np.where(lasts[:, :, None], np.abs(messages - memory["messages"]), 0.0))
+    change = messages - memory["messages"]
+    change = np.where(lasts, row_maxima(np.abs(change, out=change)), 0.0)
     change = np.where(lasts.any(axis=1, keepdims=True), largest(change), np.inf)
     least, mark, restless = np.minimum(memory["least"], change), memory["mark"], memory["restless"]
     calmer = least <= mark / np.where(restless > averaging.patience, _SIGNAL, 2.0)
@@ -286,9 +289,9 @@ class ContactRelay(LinkRelay):
         super().__init__(layout, patience, forgetting)
         self._nearness = self._distances()
 
-    def _distances(self) -> FloatArray:
+    def _distances(self) -> FloatArray | None:
         """By how many links the neighbour in slot d of player i is nearer to the owner of c than i, shape (N, D, n)."""
-        return unknown_nearness(self.layout)
+        return None
 
     def _shapes(self) -> dict[str, tuple[int, ...]]:
         return super()._shapes() | contact_parts(self.layout) | {"noise": (1,)}
@@ -307,7 +310,8 @@ class ContactRelay(LinkRelay):
         noise = noise_level(observation, memory, leaders | is_own[:, None])
         loudest = np.minimum(_ABOVE_NOISE * noise, _LOUDEST * largest(observation.own_estimate))
         drift = np.where(is_own, 0.0, memory["asked"])
-        sources, news = contacts(observation, memory, drift, leaders, self._nearness[player], loudest[:, :, None])
+        nearer = None if self._nearness is None else self._nearness[player]
+        sources, news = contacts(observation, memory, drift, leaders, nearer, loudest[:, :, None])
         return sources, news | {"noise": noise}
 
 

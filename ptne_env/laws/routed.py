@@ -15,7 +15,7 @@ import numpy as np
 from ptne_env.arrays import BoolArray, FloatArray, IntArray, fold, ordered_sum, require_positive
 from ptne_env.laws.base import Law, per_step
 from ptne_env.laws.best_response import within_reach
-from ptne_env.laws.contacts import contact_parts, contacts, unknown_nearness
+from ptne_env.laws.contacts import contact_parts, contacts
 from ptne_env.laws.memory import Parts
 from ptne_env.observation import Interface, Observation, ObservationLayout
 
@@ -30,15 +30,21 @@ def nearer_slots(layout: ObservationLayout) -> BoolArray:
     return np.asarray(hops[np.array(layout.neighbours)] < hops[:, None])
 
 
+def totals(observation: Observation, sources: BoolArray) -> tuple[FloatArray, IntArray]:
+    """Σ_j x^j_c − x^i_c over the live sources j of component c, and their number: shapes (R, n)."""
+    live = sources & (observation.weights > 0)[:, :, None]
+    total = ordered_sum(np.where(live, observation.relative_estimates, 0.0), axis=1)
+    return total, fold(np.add, live.astype(np.int32), axis=1).astype(np.int64)
+
+
 def copies(observation: Observation, sources: BoolArray) -> FloatArray:
     """Mean of x^j_c − x^i_c over the live sources j of component c, 0 without one; arguments of :func:`routed_inputs`.
 
     Returns:
         Displacements, shape (R, n).
     """
-    live = sources & (observation.weights > 0)[:, :, None]
-    total = ordered_sum(np.where(live, observation.relative_estimates, 0.0), axis=1)
-    return total / np.maximum(ordered_sum(live.astype(np.float64), axis=1), 1)
+    total, count = totals(observation, sources)
+    return total / np.maximum(count, 1)
 
 
 def routed_inputs(observation: Observation, sources: BoolArray, step: float | FloatArray) -> FloatArray:
@@ -128,7 +134,6 @@ class RoutedUnknown(RoutedLaw):
 
     def __init__(self, layout: ObservationLayout, step: float = 0.3) -> None:
         super().__init__(layout, step)
-        self._nearness = unknown_nearness(layout)
         links = dict.fromkeys(("live", "heard"), (layout.slots,))
         self._parts = Parts(contact_parts(layout) | links | {"drift": (layout.dimension,), "steps": (1,)})
 
@@ -141,7 +146,7 @@ class RoutedUnknown(RoutedLaw):
     def sources(self, observation: Observation, memory: FloatArray) -> tuple[BoolArray, FloatArray]:
         player, parts = observation.player, self._parts.split(memory)
         leaders, live = self.layout.neighbour_components[player], observation.weights > 0
-        sources, fresh = contacts(observation, parts, parts["drift"], leaders, self._nearness[player])
+        sources, fresh = contacts(observation, parts, parts["drift"], leaders)
         sources &= ~self.layout.own_mask[player][:, None]
         fresh["drift"] = within_reach(copies(observation, sources), observation, self.layout)
         fresh |= {"live": live.astype(np.float64), "heard": np.maximum(parts["heard"], live)}

@@ -10,6 +10,7 @@ from small_suite import BASE, SMALL, untimed
 import ptne_env
 from ptne_env import FactorySpec, PolicySpec, evaluate, laws
 from ptne_env.experiments import COMPARED, Suite, Track, Workers, get_policy_spec, get_suite, run_suite, tuning
+from ptne_env.experiments.check import check
 
 
 @pytest.fixture(scope="module")
@@ -110,6 +111,23 @@ def test_progress_is_reported_once_per_job(monkeypatch, policies):
     trials = sum(map(len, results.trials.values()))
     assert len(calls) == calls[-1][1] == len(results.jobs) + trials
     assert trials == (len(tuning.FIELD) if policies == ["ppo-random-energy"] else 0)
+
+
+@pytest.mark.parametrize("rerun", [False, True])
+def test_a_law_under_two_names_is_run_once(monkeypatch, tmp_path, rerun):
+    monkeypatch.setattr(tuning, "VALIDATION_EPISODES", 2)
+    law = FactorySpec.of("ptne_env.laws:Static", kappa=5.0)
+    chosen = {group: PolicySpec(name, law) for group, name in tuning.GROUPS.items()}
+    monkeypatch.setattr(tuning, "best", lambda found: chosen)
+    policies = [PolicySpec("same", law), "ppo-random-energy"]
+    results = evaluate(policies, ["random-energy"], episodes=2, folder=tmp_path, rerun=rerun)
+    times = {
+        results.samples["random-energy", name]["microseconds_per_decision"].tobytes()
+        for name in ("same", *tuning.GROUPS.values())
+    }
+    assert len(times) == 1
+    (tmp_path / "results.json").write_text(results.to_json())
+    assert not check(tmp_path, sample=1).differences
 
 
 def test_results_do_not_depend_on_the_number_of_processes(monkeypatch):

@@ -190,3 +190,8 @@ def test_switch_is_a_share_of_the_deadline():
     layout = make_encoder(World(RANDOM), laws.IdentifyAndBroadcast.interface).layout
     with pytest.raises(ValueError, match="switch must be a probability"):
         laws.IdentifyAndBroadcast(layout, switch=1.5)
+
+
+def test_inverses_of_blocks_of_one_component_are_pseudoinverses():
+    own = np.array([3.0, -0.7, 0.0, 1e-9]).reshape(-1, 1, 1)
+    assert np.array_equal(broadcast.inverses(own), np.linalg.pinv(own))

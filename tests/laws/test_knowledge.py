@@ -29,7 +29,7 @@ def results(policies, *tracks, episodes=6, **changes):
     return {place: {name: float(np.mean(of[name])) for name in metrics} for place, of in found.samples.items()}
 
 
-def one_contact(mine, theirs, votes=0.0, nearer=np.nan, seen=0.0, news=1.0, noise=0.0, lasts=False):
+def one_contact(mine, theirs, votes=0.0, nearer=None, seen=0.0, news=1.0, noise=0.0, lasts=False):
     """Whether the neighbour becomes the source at the start of a contact, or later; moves since the last one."""
     observation = Sight(
         np.array([[[theirs - mine + (seen if np.isfinite(seen) else 0.0)]]]), np.ones((1, 1)), np.ones((1, 1))
@@ -37,7 +37,8 @@ def one_contact(mine, theirs, votes=0.0, nearer=np.nan, seen=0.0, news=1.0, nois
     drift, memory = np.zeros((1, 1)), {"live": np.full((1, 1), float(lasts)), "heard": np.ones((1, 1))}
     memory |= {"steps": np.ones((1, 1)), "news": np.full((1, 1), news), "source": np.zeros((1, 1, 1))}
     memory |= {"moved": np.full((1, 1, 1), mine), "seen": np.full((1, 1, 1), seen), "votes": np.full((1, 1, 1), votes)}
-    no_owner, known = np.zeros((1, 1, 1), dtype=bool), np.full((1, 1, 1), nearer)
+    no_owner = np.zeros((1, 1, 1), dtype=bool)
+    known = None if nearer is None else np.full((1, 1, 1), nearer)
     sources, fresh = contacts(observation, memory, drift, no_owner, known, np.full((1, 1, 1), noise))
     return sources.item(), fresh["votes"].item()
 
@@ -48,8 +49,8 @@ def second_neighbour_wakes(before, after, source):
     memory = {"live": ones, "heard": ones, "steps": np.ones((1, 1)), "news": np.ones((1, 1))}
     memory |= {"moved": np.zeros(shape), "votes": np.zeros(shape)}
     memory |= {"seen": np.reshape([0.0, before], shape), "source": np.reshape([source, 0.0], shape)}
-    sight, unknown = Sight(np.reshape([0.0, after], shape), ones, np.ones((1, 1))), np.full(shape, np.nan)
-    found, _ = contacts(sight, memory, np.zeros((1, 1)), np.zeros(shape, dtype=bool), unknown)
+    sight = Sight(np.reshape([0.0, after], shape), ones, np.ones((1, 1)))
+    found, _ = contacts(sight, memory, np.zeros((1, 1)), np.zeros(shape, dtype=bool))
     return bool(found[0, 1, 0])
 
 

@@ -8,6 +8,7 @@ import pytest
 from worlds import BLOCKS, make_env, play, world_and_encoder
 
 from ptne_env import Interface, Policy, dynamics, laws
+from ptne_env.laws import base
 from ptne_env.random_streams import RandomStreams
 
 LAWS = [
@@ -107,6 +108,21 @@ def test_predict_leaves_observations_and_memory_alone_and_repeats_itself(law):
         assert np.array_equal(memory, kept[1])
         assert np.array_equal(after, after_again)
         assert not np.shares_memory(after, memory)
+
+
+@pytest.mark.parametrize("law", [law for law in [*LAWS, *SPECIAL] if law is not laws.RandomPolicy])
+def test_players_in_blocks_decide_as_all_at_once(law, monkeypatch):
+    layout, observations = observe_for(law)
+    policy, found = law(layout), []
+    for numbers in (2**18, 1000, 1):
+        monkeypatch.setattr(base, "_BLOCK", numbers)
+        first, memory = policy.predict(observations)
+        second, memory = policy.predict(observations[::-1], state=memory)
+        found.append((first, second, *([] if memory is None else [memory])))
+    for others in found[1:]:
+        for one, other in zip(found[0], others, strict=True):
+            assert one.tobytes() == other.tobytes()
+            assert one.dtype == other.dtype
 
 
 def test_episode_start_resets_the_memory_of_its_rows_alone():
