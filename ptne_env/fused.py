@@ -249,7 +249,7 @@ class FusedStep:
             self._constants = *graphs, *self._read(game), *self._tables
         self._diverged = state.diverged
         sigma = self._none if self._local is None else self._local.scale(state)
-        self._now = *(np.require(array, requirements="CAW") for array in (state.step, state.estimates)), sigma
+        self._now = *(np.require(array, requirements=["C", "A", "W"]) for array in (state.step, state.estimates)), sigma
         self._sets = self._sets or [self._new_arrays(), self._new_arrays()]
         return True
 

@@ -447,7 +447,10 @@ def test_a_full_disk_is_met_before_the_first_step_and_not_within_it(compiled, mo
     whole = kernels.show_entry
     monkeypatch.setattr(kernels, "show_entry", show_entry)
     fused._load.cache_clear()
-    ours, expected = vector_env("energy", 3, interface="local"), vector_env("energy", 3, by_numpy=True, interface="local")
+    ours, expected = (
+        vector_env("energy", 3, interface="local"),
+        vector_env("energy", 3, by_numpy=True, interface="local"),
+    )
     assert bits(ours.reset(seed=0)) == bits(expected.reset(seed=0))
     actions = np.full((3, 5, 5), 0.5, dtype=np.float32)
     assert bits(ours.step(actions).observations) == bits(expected.step(actions).observations)
