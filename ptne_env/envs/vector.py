@@ -81,7 +81,8 @@ class VectorParallelEnv:
         num_envs: B.
         interface, action_mode, action_scale, own_payoff, graph_knowledge, reward, max_cycles: as in
             :func:`ptne_env.parallel_env`.
-        threads: that step blocks of environments side by side; the numbers do not depend on it.
+        threads: that step blocks of environments side by side; the numbers do not depend on it. A second thread pays
+            from several thousand environments on.
         **overrides: fields of the scenario to change.
 
     Attributes:
