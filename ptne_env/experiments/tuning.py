@@ -209,7 +209,7 @@ class Tuning:
     @cached_property
     def name(self) -> str:
         """The hash of everything but files and versions, by which a published law is found."""
-        return content_hash([*self._parts, asdict(self.member), asdict(self.budget)])
+        return content_hash([*self._parts, asdict(self.member), asdict(self.budget), asdict(self.episodes)])
 
     @cached_property
     def _parts(self) -> tuple[Any, ...]:

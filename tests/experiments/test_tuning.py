@@ -139,6 +139,13 @@ def test_published_laws_are_found_without_a_search(monkeypatch):
         found.find()
 
 
+@pytest.mark.parametrize("change", [{"seed": 1}, {"split": "train"}, {"count": 100}], ids=str)
+def test_published_laws_are_those_of_their_episodes_alone(change):
+    found = search(FIELD[0])
+    assert found.name in tuning.published()["laws"]
+    assert replace(found, episodes=replace(found.episodes, **change)).name not in tuning.published()["laws"]
+
+
 @pytest.mark.skipif(not SOAK, reason="a whole search takes a few seconds: set PTNE_SOAK=1")
 @pytest.mark.parametrize("member", FIELD, ids=lambda member: member.law)
 def test_published_laws_are_those_of_a_new_search(member):
