@@ -488,7 +488,8 @@ class OneWayLinks(Channel):
         self, players: int, present: list[tuple[int, int]], unit: dict[tuple[int, int], float]
     ) -> Iterator[tuple[int, int]]:
         """The closed arcs (sender, receiver) of one episode: arcs present at the start, a draw for every arc."""
-        arcs: nx.DiGraph[int] = nx.DiGraph(present)
+        arcs: nx.DiGraph[int] = nx.DiGraph()
+        arcs.add_edges_from(present)
         arcs.add_nodes_from(range(players))
         if not nx.is_strongly_connected(arcs):
             arcs.add_edges_from(unit)

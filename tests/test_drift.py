@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy import integrate
 from worlds import begin, make_env
 
 import ptne_env
@@ -143,7 +144,7 @@ def test_tracking_digits_are_the_mean_distance_over_the_second_half(hold_steps):
     if hold_steps:
         kept = np.arange(clock.t.size) >= clock.steps
     span = clock.t[kept][-1] - clock.t[kept][0]
-    expected = -np.log10(np.trapezoid(distance[kept], clock.t[kept], axis=0) / span)
+    expected = -np.log10(integrate.trapezoid(distance[kept], clock.t[kept], axis=0) / span)
     np.testing.assert_allclose(METRICS["tracking_digits"].value(played), expected)
     at_rest = World(get_scenario("random-energy", steps=60))
     encoder = make_encoder(at_rest, Interface("physical"))

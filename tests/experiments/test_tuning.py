@@ -186,7 +186,8 @@ def test_published_trials_are_those_of_their_jobs(scenario, hold_steps, laws):
     searches = [search(member, scenario, hold_steps) for member in FIELD]
     tuned = [(found.reached(law), found.trial(law)) for found in searches if (law := found.find().law) is not None]
     for mean, trial in sorted(tuned, key=lambda pair: -pair[0])[:laws]:
-        assert mean == tuning.mean_of(trial, trial.compute())
+        # Versions of numpy differ in the last bits of logarithms, which 400 steps of a switching law amplify.
+        assert mean == pytest.approx(tuning.mean_of(trial, trial.compute()), rel=1e-6)
 
 
 def test_a_published_choice_needs_no_trial(monkeypatch):

@@ -1,11 +1,13 @@
 """Row mixing in an ONNX file: plain nodes that reshape the rows to (episodes, players, size) and mix the players."""
 
 import numpy as np
-import onnx
-from onnx import helper, numpy_helper
+from extras import need_sb3
 
 from cheats.base import STEP
 from ptne_env.policies import Metadata
+
+onnx = need_sb3("onnx")
+helper, numpy_helper = onnx.helper, onnx.numpy_helper
 
 
 def row_mixing_file(layout):
