@@ -21,7 +21,7 @@ from gymnasium.vector.utils import batch_space
 
 from ptne_env.arrays import BoolArray, Float32Array, FloatArray, as_plain, ordered_sum
 from ptne_env.envs.parallel import NashSeekingEnv, parallel_env
-from ptne_env.envs.vector import VectorParallelEnv, VectorStep
+from ptne_env.envs.vector import VectorParallelEnv, VectorStep, member_actions
 from ptne_env.observation import ObservationLayout
 from ptne_env.scenario import Scenario
 
@@ -289,13 +289,8 @@ class PlayerVectorEnv(gymnasium.vector.VectorEnv[Float32Array, Float32Array, npt
             RuntimeError: before the first reset.
             ValueError: when the actions have another shape or dtype, or are not finite; no environment is stepped.
         """
-        actions = as_plain("actions", actions)
-        if actions.shape != self.action_space.shape:
-            raise ValueError(
-                f"actions of {self.num_envs} members have the shape {self.action_space.shape}, got {actions.shape}"
-            )
         players = self.vector.num_players
-        outcome = self.vector.step(actions.reshape(self.vector.num_envs, players, -1), self._over)
+        outcome = self.vector.step(member_actions(self.vector, actions), self._over)
         self._over = outcome.terminated | outcome.truncated
         infos: dict[str, Any] = {}
         if self._over.any():

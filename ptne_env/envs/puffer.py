@@ -15,8 +15,8 @@ import numpy as np
 import numpy.typing as npt
 from gymnasium.vector.utils import batch_space
 
-from ptne_env.arrays import BoolArray, Float32Array, IntArray, as_plain
-from ptne_env.envs.vector import VectorBuffers, VectorParallelEnv, require_buffer
+from ptne_env.arrays import BoolArray, Float32Array, IntArray
+from ptne_env.envs.vector import VectorBuffers, VectorParallelEnv, member_actions, require_buffer
 from ptne_env.observation import ObservationLayout
 from ptne_env.random_streams import require_seed
 from ptne_env.scenario import Scenario
@@ -151,12 +151,7 @@ class PlayerBufferEnv:
             ValueError: when the actions have another shape or dtype, or are not finite; no environment is stepped, and
                 no array is written.
         """
-        given = as_plain("actions", actions)
-        if given.shape != self.action_space.shape:
-            raise ValueError(
-                f"actions of {self.num_agents} agents have the shape {self.action_space.shape}, got {given.shape}"
-            )
-        outcome = self.vector.step(given.reshape(*self._flags[0].shape, -1), out=self._out)
+        outcome = self.vector.step(member_actions(self.vector, actions, "agents"), out=self._out)
         for flags, ended in zip(self._flags, (outcome.terminated, outcome.truncated), strict=True):
             flags[:] = ended[:, None]
         over = outcome.terminated | outcome.truncated

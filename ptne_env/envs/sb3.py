@@ -17,8 +17,8 @@ try:
 except ImportError as error:  # pragma: no cover - exercised in an environment without the extra
     raise ImportError('the Stable-Baselines3 adapter needs an extra: pip install "ptne-env[sb3]"') from error
 
-from ptne_env.arrays import BoolArray, Float32Array, as_plain
-from ptne_env.envs.vector import VectorParallelEnv, VectorStep
+from ptne_env.arrays import BoolArray, Float32Array
+from ptne_env.envs.vector import VectorParallelEnv, VectorStep, member_actions
 from ptne_env.observation import ObservationLayout
 from ptne_env.scenario import Scenario
 
@@ -97,11 +97,7 @@ class PlayerVecEnv(VecEnv):
             RuntimeError: before the first reset.
             ValueError: when the actions have another shape or dtype, or are not finite; no environment is stepped.
         """
-        actions = as_plain("actions", self._actions)
-        shape = (self.num_envs, self.vector.layout.action_size)
-        if actions.shape != shape:
-            raise ValueError(f"actions of {self.num_envs} members have the shape {shape}, got {actions.shape}")
-        outcome = self.vector.step(actions.reshape(self.vector.num_envs, self._players, -1))
+        outcome = self.vector.step(member_actions(self.vector, self._actions))
         over = outcome.terminated | outcome.truncated
         dones = np.zeros(self.num_envs, dtype=np.bool_)
         if any(self._empty):  # the caller wrote into one

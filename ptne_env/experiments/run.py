@@ -338,13 +338,14 @@ def _tuned_laws(
     """
     searches = [Tuning(track, member, validation_set(suite, track)) for track in tracks for member in tuning.FIELD]
     laws = [
-        (search, tuned.law) for search, tuned in zip(searches, tune(searches), strict=True) if tuned.law is not None
+        (search, tuned.law, search.reached(tuned.law))
+        for search, tuned in zip(searches, tune(searches), strict=True)
+        if tuned.law is not None
     ]
-    trials = [search.trial(law) for search, law in laws if search.reached(law) is None]
+    trials = [search.trial(law) for search, law, mean in laws if mean is None]
     played = zip(trials, run(trials), strict=True)
     digits: dict[str, dict[Tunable, tuple[FactorySpec, float]]] = {track.name: {} for track in tracks}
-    for search, law in laws:
-        mean = search.reached(law)
+    for search, law, mean in laws:
         reached = tuning.mean_of(*next(played)) if mean is None else mean
         digits[search.track.name][search.member] = law, reached
     chosen = {name: {**tuning.best(found), "coded": tuning.CODED} for name, found in digits.items()}
