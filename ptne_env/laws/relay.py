@@ -29,7 +29,7 @@ from ptne_env.laws.best_response import (
 from ptne_env.laws.contacts import contact_parts, contacts, noise_level
 from ptne_env.laws.identification import RESOLUTION, Model, blank, identify
 from ptne_env.laws.memory import Parts
-from ptne_env.laws.routed import Freshest, nearer_slots, totals
+from ptne_env.laws.routed import Freshest, nearer_slots, nearness, totals
 from ptne_env.observation import Interface, Observation, ObservationLayout
 
 SPREAD = 10.0
@@ -117,9 +117,7 @@ def own_side(observation: Observation, memory: Mapping[str, FloatArray], layout:
     asked = np.abs(own_entries(memory["asked"], blocks))
     held = (np.abs(own_moved) < _HELD * asked) & (asked > _RESOLVED * scale)
     is_probe = step < outputs
-    return Own(
-        model, gradient, blocks, moved, held, radius, failed, is_probe, ~is_probe | (np.arange(outputs) == step)
-    )
+    return Own(model, gradient, blocks, moved, held, radius, failed, is_probe, ~is_probe | (np.arange(outputs) == step))
 
 
 def copy_weight(
@@ -385,8 +383,7 @@ class RouteRelay(ContactRelay):
     interface: ClassVar[Interface] = Interface(graph_knowledge="union")
 
     def _distances(self) -> FloatArray:
-        hops = np.repeat(self.layout.hops, self.layout.action_dims, axis=1).astype(np.float64)
-        return np.asarray(hops[:, None] - hops[np.array(self.layout.neighbours)])
+        return nearness(self.layout)
 
 
 class FreshestRelay(LinkRelay):
