@@ -86,7 +86,8 @@ class CellEvidence(NamedTuple):
         theta: Θ_k of the coming step.
         scale: the largest own estimate, absolute.
         sources: number of live sources.
-        weight: of a copy from messages that do not come to rest, :func:`~ptne_env.laws.relay.copy_weight`.
+        weight: of a copy, :func:`~ptne_env.laws.relay.copy_weight`: below 1 for messages that do not come to rest, and 0
+            in the first m steps.
         gradient: the own gradient, absolute, 0 for components of others.
         response: the best response to plain copies, absolute, 0 for components of others.
         failed: whether the last prediction of the own gradient failed.
@@ -387,7 +388,7 @@ def evidence(
         theta=observation.theta,
         scale=largest(estimate),
         sources=fold(np.add, found.sources.astype(np.float64), axis=1),
-        weight=found.weight,
+        weight=np.where(own.is_probe, 0.0, found.weight),
         gradient=np.abs(observation.gradient),
         response=np.abs(found.response),
         failed=own.failed.astype(np.float64),
@@ -416,11 +417,9 @@ class ObserverRelay(GatedLaw):
     """
 
     def gates(self, cells: CellEvidence, slots: SlotEvidence) -> tuple[CellGates, SlotGates]:
-        uneasy = np.maximum(cells.noisy, cells.rounded)
-        zero = np.zeros_like(cells.scale)
-        moves = 1.0 - cells.probing
+        uneasy, zero = np.maximum(cells.noisy, cells.rounded), np.zeros_like(cells.scale)
         mine = CellGates(
-            copies=moves * np.where(uneasy > 0, 1.0, cells.weight),
+            copies=np.where(uneasy > 0, 1.0, cells.weight),
             belief=uneasy,
             stated=uneasy * cells.closing,
             flow=zero,
