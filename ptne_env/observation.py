@@ -101,6 +101,8 @@ class Observation(NamedTuple):
         unit: natural units per unit of the above, shape (R, 1); 1 under ``physical``, σ_i under ``local``.
         theta: Θ_k of the coming step, shape (R, 1).
         dt: Δt_k of the coming step in seconds, shape (R, 1).
+        elapsed: t/T by the player's clock, shape (R, 1).
+        transformed: s by that clock, shape (R, 1).
         relative_strategies: x − x^i, shape (R, n); empty (R, 0) unless the interface is ``full``.
         pseudo_gradient: F(x), or in a box (x − Π(x − Θ F(x)))/Θ, which stays inside; shape (R, n), and empty (R, 0)
             unless the interface is ``full``.
@@ -119,6 +121,8 @@ class Observation(NamedTuple):
     unit: FloatArray
     theta: FloatArray
     dt: FloatArray
+    elapsed: FloatArray
+    transformed: FloatArray
     relative_strategies: FloatArray
     pseudo_gradient: FloatArray
     own_estimate: FloatArray
@@ -400,6 +404,8 @@ class ObservationLayout:
             unit=unit,
             theta=np.asarray(clock[:, 2:3], dtype=np.float64),
             dt=np.asarray(clock[:, 3:4], dtype=np.float64) * self.deadline,
+            elapsed=np.asarray(clock[:, :1], dtype=np.float64),
+            transformed=np.asarray(clock[:, 1:2], dtype=np.float64),
             relative_strategies=values.get("relative_strategies", unseen),
             pseudo_gradient=values.get("pseudo_gradient", unseen),
             own_estimate=values.get("own_estimate", unseen),

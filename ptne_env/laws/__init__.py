@@ -11,6 +11,7 @@ from ptne_env.laws.broadcast import LinkBroadcast as LinkBroadcast
 from ptne_env.laws.discrete import AggregateTracking as AggregateTracking
 from ptne_env.laws.discrete import ProjectedGradient as ProjectedGradient
 from ptne_env.laws.extremum_seeking import ExtremumSeeking as ExtremumSeeking
+from ptne_env.laws.gated import ObserverRelay as ObserverRelay
 from ptne_env.laws.grounded import AdaptiveGrounded as AdaptiveGrounded
 from ptne_env.laws.grounded import Grounded as Grounded
 from ptne_env.laws.multi_rate import MultiRate as MultiRate

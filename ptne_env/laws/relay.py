@@ -13,7 +13,7 @@ from typing import ClassVar, NamedTuple
 
 import numpy as np
 
-from ptne_env.arrays import BoolArray, FloatArray, fold, require_positive, row_maxima
+from ptne_env.arrays import BoolArray, FloatArray, IntArray, fold, require_positive, row_maxima
 from ptne_env.laws.base import Law, per_step
 from ptne_env.laws.best_response import (
     LARGEST_ROW,
@@ -29,7 +29,7 @@ from ptne_env.laws.best_response import (
 from ptne_env.laws.contacts import contact_parts, contacts, noise_level
 from ptne_env.laws.identification import RESOLUTION, Model, blank, identify
 from ptne_env.laws.memory import Parts
-from ptne_env.laws.routed import Freshest, nearer_slots, totals
+from ptne_env.laws.routed import Freshest, nearer_slots, nearness, totals
 from ptne_env.observation import Interface, Observation, ObservationLayout
 
 SPREAD = 10.0
@@ -61,88 +61,43 @@ class Averaging(NamedTuple):
     forgetting: float
 
 
-def averaged_copies(
-    observation: Observation,
-    memory: Mapping[str, FloatArray],
-    sources: BoolArray,
-    averaging: Averaging,
-    *,
-    mixes: bool = True,
-) -> tuple[FloatArray, dict[str, FloatArray]]:
-    """w_k × mean of (x^j_c − x^i_c) over the live sources j of component c: the displacements (R, n), and the memory.
+class Own(NamedTuple):
+    """The own side of a player: its model of its own gradient, and the limits of its own displacement.
 
-    A component of which no source was ever heard moves to the mean of all live neighbours and the player itself, if
-    ``mixes``; else it rests.
-
-    The weight w_k is 1 until messages show noise, which never comes to rest. Where the smallest change of messages
-    from step to step, σ, has not halved for ``averaging.patience`` steps, w_k = p/(p + k) averages over the k steps
-    since, where p is ``averaging.forgetting``. A difference above 8 σ is no noise, and starts the count again; so does
-    an eighth of the σ at which it began.
-
-    Args:
-        observation: of R players.
-        memory: the parts ``heard`` to ``restless`` of :class:`Relay`.
-        sources: from which neighbours each component is copied where they are live, shape (R, D, n).
-        averaging: of noisy messages.
-        mixes: whether a component without sources moves.
+    Attributes:
+        model: the identified rows of dF.
+        gradient: ∂J_i/∂x_i(x^i), 0 where padded, shape (R, m).
+        blocks: own components, padded with n, shape (R, m).
+        moved: the last displacement of the estimates, shape (R, n).
+        held: own components that a bound holds, shape (R, m).
+        radius: of the trust region, shape (R, 1).
+        failed: whether the last prediction of the own gradient failed, shape (R, 1).
+        is_probe: whether the own components move one after the other, in the first m steps, shape (R, 1).
+        turn: the own components that move in this step, shape (R, m).
     """
-    live = observation.weights > 0
-    heard = np.maximum(memory["heard"], live)
-    lost: BoolArray | int = 0
-    if mixes:
-        lost = ~fold(np.logical_or, sources & (heard > 0)[:, :, None], axis=1)
-        sources = sources | lost[:, None]
-    total, count = totals(observation, sources)
-    mean = total / np.maximum(count + lost, 1)
 
-    messages = observation.own_estimate[:, None] + observation.relative_estimates
-    lasts = live & (memory["live"] > 0)
-    change = messages - memory["messages"]
-    change = np.where(lasts, row_maxima(np.abs(change, out=change)), 0.0)
-    change = np.where(lasts.any(axis=1, keepdims=True), largest(change), np.inf)
-    least, mark, restless = np.minimum(memory["least"], change), memory["mark"], memory["restless"]
-    calmer = least <= mark / np.where(restless > averaging.patience, _SIGNAL, 2.0)
-    restless = np.where(calmer | (largest(mean) > _SIGNAL * least), 0.0, restless + 1)
-    share = averaging.forgetting / (averaging.forgetting + restless)
-    weight = np.where(restless > averaging.patience, share, 1.0)
-    return weight * mean, {
-        "heard": heard,
-        "live": live.astype(np.float64),
-        "messages": messages,
-        "least": least,
-        "mark": np.where(calmer, least, mark),
-        "restless": restless,
-    }
+    model: Model
+    gradient: FloatArray
+    blocks: IntArray
+    moved: FloatArray
+    held: BoolArray
+    radius: FloatArray
+    failed: BoolArray
+    is_probe: BoolArray
+    turn: BoolArray
+
+    def response(self, drift: FloatArray) -> FloatArray:
+        """The best response Δx_i to the own estimates after a displacement ``drift`` (R, n) of the others, (R, m)."""
+        outputs, is_whole = self.blocks.shape[1], self.model.rows.shape[2] == drift.shape[1]
+        places = own_places(self.blocks, self.model, drift.shape[1])
+        shift = drift if is_whole else np.zeros((len(drift), outputs))
+        radius = np.where(self.is_probe, UNLIMITED, self.radius)
+        step = best_response(self.model, self.gradient, shift, places, self.held, radius)
+        return np.where(self.turn, step, 0.0)
 
 
-def relay_displacement(
-    observation: Observation,
-    memory: Mapping[str, FloatArray],
-    layout: ObservationLayout,
-    sources: BoolArray,
-    averaging: Averaging,
-    *,
-    mixes: bool = True,
-) -> tuple[FloatArray, dict[str, FloatArray]]:
-    """Copies of the others' estimates, :func:`averaged_copies`, and the best response to them, :func:`best_response`.
-
-    In the first m steps the others' estimates rest, and one own component after the other moves, so that the own block
-    of dF is known at once; the rest of the rows follows from the displacements that the copies cause,
-    :func:`~ptne_env.laws.identification.identify`.
-
-    After the first m steps, no own displacement is longer than :func:`~ptne_env.laws.best_response.trust_radius`.
-
-    Args:
-        observation: of R players.
-        memory: the parts of :class:`Relay` by name.
-        layout: of the observations.
-        sources: from which neighbours each component is copied where they are live, shape (R, D, n).
-        averaging: of noisy messages.
-        mixes: as for :func:`averaged_copies`.
-
-    Returns:
-        The displacements Δx^i, shape (R, n), and the memory for the next step.
-    """
+def own_side(observation: Observation, memory: Mapping[str, FloatArray], layout: ObservationLayout) -> Own:
+    """The own side of R players, from the last displacement and the parts of the memory of :class:`Relay`."""
     model = Model(memory["rows"], memory["covariance"])
     estimate, step = observation.own_estimate, memory["steps"]
     blocks, is_own = layout.own_components[observation.player], layout.own_mask[observation.player]
@@ -161,25 +116,128 @@ def relay_displacement(
     radius = trust_radius(memory["radius"], own_moved, (error, failed), last_gradient, estimate)
     asked = np.abs(own_entries(memory["asked"], blocks))
     held = (np.abs(own_moved) < _HELD * asked) & (asked > _RESOLVED * scale)
-
     is_probe = step < outputs
+    return Own(model, gradient, blocks, moved, held, radius, failed, is_probe, ~is_probe | (np.arange(outputs) == step))
+
+
+def copy_weight(
+    observation: Observation, memory: Mapping[str, FloatArray], mean: FloatArray, averaging: Averaging
+) -> tuple[FloatArray, dict[str, FloatArray]]:
+    """The weight w_k of a copy, (R, 1), and the memory: 1 until messages show noise, which never comes to rest.
+
+    Where the smallest change of messages from step to step, σ, has not halved for ``averaging.patience`` steps,
+    w_k = p/(p + k) averages over the k steps since, where p is ``averaging.forgetting``. A difference above 8 σ is no
+    noise, and starts the count again; so does an eighth of the σ at which it began.
+
+    Args:
+        observation: of R players.
+        memory: the parts ``heard`` to ``restless`` of :class:`Relay`.
+        mean: of the differences to the sources, shape (R, n).
+        averaging: of noisy messages.
+    """
+    live = observation.weights > 0
+    messages = observation.own_estimate[:, None] + observation.relative_estimates
+    lasts = live & (memory["live"] > 0)
+    change = messages - memory["messages"]
+    change = np.where(lasts, row_maxima(np.abs(change, out=change)), 0.0)
+    change = np.where(lasts.any(axis=1, keepdims=True), largest(change), np.inf)
+    least, mark, restless = np.minimum(memory["least"], change), memory["mark"], memory["restless"]
+    calmer = least <= mark / np.where(restless > averaging.patience, _SIGNAL, 2.0)
+    restless = np.where(calmer | (largest(mean) > _SIGNAL * least), 0.0, restless + 1)
+    share = averaging.forgetting / (averaging.forgetting + restless)
+    return np.where(restless > averaging.patience, share, 1.0), {
+        "heard": np.maximum(memory["heard"], live),
+        "live": live.astype(np.float64),
+        "messages": messages,
+        "least": least,
+        "mark": np.where(calmer, least, mark),
+        "restless": restless,
+    }
+
+
+def averaged_copies(
+    observation: Observation,
+    memory: Mapping[str, FloatArray],
+    sources: BoolArray,
+    averaging: Averaging,
+    *,
+    mixes: bool = True,
+) -> tuple[FloatArray, dict[str, FloatArray]]:
+    """w_k × mean of (x^j_c − x^i_c) over the live sources j of component c: the displacements (R, n), and the memory.
+
+    A component of which no source was ever heard moves to the mean of all live neighbours and the player itself, if
+    ``mixes``; else it rests. The weight is that of :func:`copy_weight`.
+
+    Args:
+        observation: of R players.
+        memory: the parts ``heard`` to ``restless`` of :class:`Relay`.
+        sources: from which neighbours each component is copied where they are live, shape (R, D, n).
+        averaging: of noisy messages.
+        mixes: whether a component without sources moves.
+    """
+    heard = np.maximum(memory["heard"], observation.weights > 0)
+    lost: BoolArray | int = 0
+    if mixes:
+        lost = ~fold(np.logical_or, sources & (heard > 0)[:, :, None], axis=1)
+        sources = sources | lost[:, None]
+    total, count = totals(observation, sources)
+    mean = total / np.maximum(count + lost, 1)
+    weight, fresh = copy_weight(observation, memory, mean, averaging)
+    return weight * mean, fresh
+
+
+def relay_displacement(
+    observation: Observation,
+    memory: Mapping[str, FloatArray],
+    layout: ObservationLayout,
+    sources: BoolArray,
+    averaging: Averaging,
+    *,
+    mixes: bool = True,
+) -> tuple[FloatArray, dict[str, FloatArray]]:
+    """Copies of the others' estimates, :func:`averaged_copies`, and the best response to them, :meth:`Own.response`.
+
+    In the first m steps the others' estimates rest, and one own component after the other moves, so that the own block
+    of dF is known at once; the rest of the rows follows from the displacements that the copies cause,
+    :func:`~ptne_env.laws.identification.identify`.
+
+    After the first m steps, no own displacement is longer than :func:`~ptne_env.laws.best_response.trust_radius`.
+
+    Args:
+        observation: of R players.
+        memory: the parts of :class:`Relay` by name.
+        layout: of the observations.
+        sources: from which neighbours each component is copied where they are live, shape (R, D, n).
+        averaging: of noisy messages.
+        mixes: as for :func:`averaged_copies`.
+
+    Returns:
+        The displacements Δx^i, shape (R, n), and the memory for the next step.
+    """
+    own, is_own = own_side(observation, memory, layout), layout.own_mask[observation.player]
     drift, heard = averaged_copies(observation, memory, sources, averaging, mixes=mixes)
-    drift = np.where(is_probe | is_own, 0.0, drift)
-    places = own_places(blocks, model, layout.dimension)
-    shift = drift if is_whole else np.zeros_like(own_moved)
-    own_step = best_response(model, gradient, shift, places, held, np.where(is_probe, UNLIMITED, radius))
-    own_step = np.where(is_probe & (np.arange(outputs) != step), 0.0, own_step)
-    displacement = with_own(drift, own_step, blocks)
-    return displacement, {
-        "rows": model.rows,
-        "covariance": model.covariance,
-        "estimate": estimate,
-        "gradient": gradient,
+    drift = np.where(own.is_probe | is_own, 0.0, drift)
+    displacement = with_own(drift, own.response(drift), own.blocks)
+    return displacement, own_memory(own, observation, memory, displacement, layout) | heard
+
+
+def own_memory(
+    own: Own,
+    observation: Observation,
+    memory: Mapping[str, FloatArray],
+    displacement: FloatArray,
+    layout: ObservationLayout,
+) -> dict[str, FloatArray]:
+    """The parts of the memory of :class:`Relay` that :func:`own_side` reads, after ``displacement`` (R, n)."""
+    return {
+        "rows": own.model.rows,
+        "covariance": own.model.covariance,
+        "estimate": observation.own_estimate,
+        "gradient": own.gradient,
         "asked": within_reach(displacement, observation, layout),
-        "radius": radius,
-        "failed": failed.astype(np.float64),
-        "steps": step + 1,
-        **heard,
+        "radius": own.radius,
+        "failed": own.failed.astype(np.float64),
+        "steps": memory["steps"] + 1,
     }
 
 
@@ -325,8 +383,7 @@ class RouteRelay(ContactRelay):
     interface: ClassVar[Interface] = Interface(graph_knowledge="union")
 
     def _distances(self) -> FloatArray:
-        hops = np.repeat(self.layout.hops, self.layout.action_dims, axis=1).astype(np.float64)
-        return np.asarray(hops[:, None] - hops[np.array(self.layout.neighbours)])
+        return nearness(self.layout)
 
 
 class FreshestRelay(LinkRelay):

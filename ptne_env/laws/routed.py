@@ -20,14 +20,23 @@ from ptne_env.laws.memory import Parts
 from ptne_env.observation import Interface, Observation, ObservationLayout
 
 
+def nearness(layout: ObservationLayout) -> FloatArray:
+    """By how many links the neighbour in slot d of player i is nearer to the owner of component c than i, (N, D, n).
+
+    Raises:
+        LayoutError: when the layout does not hold hop counts.
+    """
+    hops = layout.hops[:, _owners(layout)].astype(np.float64)
+    return np.asarray(hops[:, None] - hops[np.array(layout.neighbours)])
+
+
 def nearer_slots(layout: ObservationLayout) -> BoolArray:
     """Whether the neighbour in slot d of player i is nearer than i to the owner of component c, shape (N, D, n).
 
     Raises:
         LayoutError: when the layout does not hold hop counts.
     """
-    hops = layout.hops[:, _owners(layout)]
-    return np.asarray(hops[np.array(layout.neighbours)] < hops[:, None])
+    return np.asarray(nearness(layout) > 0)
 
 
 def totals(observation: Observation, sources: BoolArray) -> tuple[FloatArray, IntArray]:

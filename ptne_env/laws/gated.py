@@ -1,0 +1,446 @@
+"""Laws that weigh what players know: estimation gathers evidence, gates say how far to follow it.
+
+Estimation is fixed: an identified model of the own gradient (:func:`~ptne_env.laws.relay.own_side`), fresher copies
+(:func:`~ptne_env.laws.contacts.contacts`), private means (:mod:`~ptne_env.laws.averages`), pushes
+(:mod:`~ptne_env.laws.pushes`) and the neighbours' reactions (:mod:`~ptne_env.laws.reactions`). Each of them proposes a
+displacement, and the gates mix the proposals, per component and per neighbour slot. Nothing depends on the number of
+players, components or slots, and nothing on a player's index.
+
+The gates of :class:`ObserverRelay` are written by hand; those of
+:class:`~ptne_env.policies.size_free.SizeFreePolicy` are answers of a network. Other laws are points among them:
+Static, Grounded, Routed and the relays each have gates that give their displacements (tests show it).
+"""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections.abc import Mapping
+from typing import NamedTuple
+
+import numpy as np
+
+from ptne_env.arrays import Array, BoolArray, FloatArray, IntArray, fold
+from ptne_env.laws.averages import Averages, Unrest, average_parts, averages, dither, unrest
+from ptne_env.laws.base import per_step, step_length
+from ptne_env.laws.best_response import LARGEST_ROW, UNLIMITED, largest, with_own, within_reach
+from ptne_env.laws.pushes import observed_push, push_parts
+from ptne_env.laws.reactions import (
+    Condition,
+    Reactions,
+    initial_covariance,
+    joint_solution,
+    learned_planes,
+    reaction_parts,
+    reckoned_estimate,
+)
+from ptne_env.laws.relay import ContactRelay, Own, copy_weight, own_memory, own_side
+from ptne_env.laws.routed import nearness, totals
+from ptne_env.observation import Observation, ObservationLayout
+
+_STEP_GROWTH = 1.9
+"""The coming step of s is at most this multiple of the last: at most 1.7 where the steps are even in physical time."""
+
+
+class SlotEvidence(NamedTuple):
+    """Evidence on each message about a component, shapes (R, D, n). Distances are in natural units.
+
+    Attributes:
+        live: whether the link is live.
+        owner: whether the neighbour owns the component.
+        source: whether its copy is fresher, as far as contacts show.
+        nearer: by how many links it is nearer to the owner; 0 where hop counts are not declared.
+        age: steps since its last message.
+        contact: steps of the present contact, 0 where the link is not live.
+        relative: x^j − x^i.
+        change: of its message from step to step, absolute; 0 where there was none.
+        samples: number of its messages in the private mean.
+        deviation: its message minus the private mean of its messages, absolute.
+        spread: standard deviation of its messages around that mean, up to a factor that is the same for all.
+        counts: whether its mean says something new; see :class:`~ptne_env.laws.averages.Averages`.
+    """
+
+    live: FloatArray
+    owner: FloatArray
+    source: FloatArray
+    nearer: FloatArray
+    age: FloatArray
+    contact: FloatArray
+    relative: FloatArray
+    change: FloatArray
+    samples: FloatArray
+    deviation: FloatArray
+    spread: FloatArray
+    counts: FloatArray
+
+
+class CellEvidence(NamedTuple):
+    """Evidence on each component of a player's estimates, shapes (R, n). Distances are in natural units.
+
+    Attributes:
+        own: whether the component is the player's own.
+        turn: whether an own component may move; in the first m steps they move one after the other.
+        probing: whether these first m steps last, in which the others' estimates rest.
+        steps: number of steps so far.
+        elapsed: t/T by the player's clock.
+        closing: whether the coming step ends at the deadline or later, by that clock.
+        theta: Θ_k of the coming step.
+        scale: the largest own estimate, absolute.
+        sources: number of live sources.
+        weight: of a copy, :func:`~ptne_env.laws.relay.copy_weight`: below 1 for messages that do not come to rest, and 0
+            in the first m steps.
+        gradient: the own gradient, absolute, 0 for components of others.
+        response: the best response to plain copies, absolute, 0 for components of others.
+        failed: whether the last prediction of the own gradient failed.
+        held: whether a bound holds an own component.
+        noise: the smallest change of messages.
+        noisy: whether messages carry noise.
+        width: the step of rounding, where messages are rounded.
+        rounded: whether messages are rounded.
+        belief: the private belief minus the own estimate, absolute.
+        broke: whether a link of the player ever broke.
+        correction: joint solution minus plain next estimate, absolute.
+        doubt: the largest recent error of the planes in it.
+        trusted: whether the joint solution counts.
+        push: displacement by the observed push in the coming step, absolute.
+        push_steps: steps since the push last changed.
+    """
+
+    own: FloatArray
+    turn: FloatArray
+    probing: FloatArray
+    steps: FloatArray
+    elapsed: FloatArray
+    closing: FloatArray
+    theta: FloatArray
+    scale: FloatArray
+    sources: FloatArray
+    weight: FloatArray
+    gradient: FloatArray
+    response: FloatArray
+    failed: FloatArray
+    held: FloatArray
+    noise: FloatArray
+    noisy: FloatArray
+    width: FloatArray
+    rounded: FloatArray
+    belief: FloatArray
+    broke: FloatArray
+    correction: FloatArray
+    doubt: FloatArray
+    trusted: FloatArray
+    push: FloatArray
+    push_steps: FloatArray
+
+
+class SlotGates(NamedTuple):
+    """Trust in each message about a component, shapes (R, D, n), or broadcast to it.
+
+    Attributes:
+        copy: share of the neighbour in the copy, ≥ 0; shares are divided by their sum over live slots.
+        mean: share of its private mean in the private belief, ≥ 0, beside samples and variances.
+        diffusion: gain κ_j ≥ 0 of Θ_k a_ij (x^j − x^i).
+    """
+
+    copy: FloatArray
+    mean: FloatArray
+    diffusion: FloatArray
+
+
+class CellGates(NamedTuple):
+    """How far each component follows each proposal, shapes (R, n), or broadcast to it.
+
+    Attributes:
+        copies: share of the copy, in [0, 1]; components of others.
+        belief: share of the private belief to which the own strategy responds, in [0, 1].
+        stated: share of the private belief in the stated estimate, in [0, 1]; components of others.
+        flow: gain g ≥ 0 of −Θ_k ∂J_i; own components.
+        step: η ≥ 0 of −η ∂J_i; own components.
+        response: share of the best response, in [0, 1]; own components.
+        joint: share of the joint solution, in [0, 1].
+        push: share of the observed push that is compensated, in [0, 1]; own components.
+        dither: amplitude of the dither, in steps of rounding, ≥ 0; own components.
+    """
+
+    copies: FloatArray
+    belief: FloatArray
+    stated: FloatArray
+    flow: FloatArray
+    step: FloatArray
+    response: FloatArray
+    joint: FloatArray
+    push: FloatArray
+    dither: FloatArray
+
+
+class GatedLaw(ContactRelay):
+    """Proposals of the estimators, mixed by gates; see :mod:`ptne_env.laws.gated`.
+
+    A subclass implements :meth:`gates`. The displacement of a component c of another player is
+
+        Δ_c = (1 − j) [(1 − s) w Σ_d p_d (x^d_c − x^i_c) + s (b_c − x^i_c) + Θ Σ_d κ_d a_id (x^d_c − x^i_c)]
+              + j (z_c − x^i_c)
+
+    with the gates ``copies`` w, ``stated`` s, ``joint`` j, ``copy`` p_d (divided by their sum) and ``diffusion`` κ_d,
+    the private belief b and the joint solution z. That of an own component is
+
+        Δ_c = (1 − j) [ρ r_c − (g Θ + η) ∂J_c + Θ Σ_d κ_d a_id (x^d_c − x^i_c) + δ q φ] + j (z_c − x^i_c) − π v_c Δt
+
+    with the gates ``response`` ρ, ``flow`` g, ``step`` η, ``dither`` δ and ``push`` π, the best response r to the
+    displacements of the others, or to the private belief as far as ``belief`` says, the step of rounding q, φ of
+    :func:`~ptne_env.laws.averages.dither`, and the push v.
+
+    Args:
+        layout: of the environment, interface ``physical``. Hop counts are used where they are declared.
+        patience: as for :class:`~ptne_env.laws.relay.Relay`.
+        forgetting: as for :class:`~ptne_env.laws.relay.Relay`.
+    """
+
+    def __init__(self, layout: ObservationLayout, patience: float = 30.0, forgetting: float = 2.0) -> None:
+        self._reacts = layout.dimension <= LARGEST_ROW
+        self._planes = (*reaction_parts(layout), "steps")
+        super().__init__(layout, patience, forgetting)
+
+    def _distances(self) -> FloatArray | None:
+        return None if self.layout.interface.graph_knowledge == "links" else nearness(self.layout)
+
+    @abstractmethod
+    def gates(self, cells: CellEvidence, slots: SlotEvidence) -> tuple[CellGates, SlotGates]:
+        """The gates of R players, from evidence on their components and messages; row by row."""
+
+    def _shapes(self) -> dict[str, tuple[int, ...]]:
+        layout, slots = self.layout, (self.layout.slots,)
+        parts: dict[str, tuple[int, ...]] = dict.fromkeys(("age", "contact"), slots)
+        parts |= {"transformed": (1,), "broke": (1,), "reckoned": (layout.dimension,)}
+        parts |= average_parts(layout) | push_parts(layout) | (reaction_parts(layout) if self._reacts else {})
+        return super()._shapes() | parts
+
+    def initial_memory(self, rows: int) -> FloatArray:
+        """As that of :class:`~ptne_env.laws.relay.ContactRelay`, and nothing estimated; shape (R, size)."""
+        parts = self._parts.split(super().initial_memory(rows))
+        parts["width"][...] = UNLIMITED
+        if self._reacts:
+            parts["plane_covariance"][...] = initial_covariance(self.layout)
+        return self._parts.join(parts)
+
+    def inputs(self, observation: Observation, memory: FloatArray) -> tuple[FloatArray, FloatArray]:
+        parts = self._parts.split(memory)
+        found = self._estimates(observation, parts)
+        gates, slot_gates = self.gates(*evidence(observation, parts, found, self.layout))
+        planned = self._displacement(observation, parts, found, gates, slot_gates)
+        push = found.memory["push"] * observation.dt
+        displacement = np.where(found.is_own, planned - gates.push * push, planned)
+        fresh = parts | found.memory | own_memory(found.own, observation, parts, planned, self.layout)
+        fresh["transformed"] = observation.transformed
+        fresh["sent"] = within_reach(displacement, observation, self.layout)
+        inputs = (fresh["sent"] / step_length(observation)).astype(np.float32)
+        fresh["reckoned"] = found.here + inputs * observation.theta
+        return per_step(displacement, observation), self._parts.join(fresh)
+
+    def _estimates(self, observation: Observation, memory: Mapping[str, FloatArray]) -> Estimates:
+        """All that fixed estimation finds out in this step."""
+        own, is_own = own_side(observation, memory, self.layout), self.layout.own_mask[observation.player]
+        sources, fresh = self.sources(observation, memory)
+        sources = sources & ~is_own[:, None] & (observation.weights > 0)[:, :, None]
+        total, count = totals(observation, sources)
+        mean = np.where(is_own, 0.0, total / np.maximum(count, 1))
+        weight, heard = copy_weight(observation, memory, mean, self.averaging)
+        drift = np.where(own.is_probe, 0.0, weight * mean)
+        response = with_own(np.zeros_like(drift), own.response(drift), own.blocks)
+        here = reckoned_estimate(observation, memory)
+        live = observation.weights > 0
+        fresh = (
+            fresh
+            | heard
+            | {
+                "age": np.where(live, 0.0, memory["age"] + 1),
+                "contact": np.where(live, memory["contact"] + 1, 0.0),
+                "broke": np.maximum(memory["broke"], ((memory["live"] > 0) & ~live).any(axis=1, keepdims=True)),
+            }
+        )
+
+        restless = unrest(observation, memory, fresh["noise"])
+        fresh["width"] = restless.width
+        uneasy = (restless.is_noisy | restless.is_rounded)[:, 0]
+        means = Averages(memory["mean"], memory["samples"], memory["spread"], np.zeros_like(sources))
+        if uneasy.any():
+            rows = np.flatnonzero(uneasy)
+            found, changed = averages(_rows(observation, rows), _part(memory, rows), sources[rows], is_own[rows])
+            fresh |= {name: _with_rows(memory[name], rows, part) for name, part in changed.items()}
+            means = Averages._make(_with_rows(old, rows, new) for old, new in zip(means, found, strict=True))
+
+        joint = Reactions(here + drift + response, np.zeros_like(weight), np.zeros_like(uneasy[:, None]))
+        if self._reacts and (rows := np.flatnonzero(~uneasy)).size:
+            changed = learned_planes(_rows(observation, rows), _part(memory, rows), self.layout, here[rows])
+            fresh |= {name: _with_rows(memory[name], rows, part) for name, part in changed.items()}
+            rows = rows[fresh["broke"][rows, 0] > 0]
+            if rows.size:
+                condition = Condition(own.model.rows[rows], own.gradient[rows], own.blocks[rows])
+                planes = _part({name: fresh.get(name, memory[name]) for name in self._planes}, rows)
+                solution = joint_solution(
+                    observation.player[rows], planes, self.layout, here[rows], joint.point[rows], condition
+                )
+                joint = Reactions._make(_with_rows(old, rows, new) for old, new in zip(joint, solution, strict=True))
+
+        held = with_own(np.zeros_like(drift), own.held.astype(np.float64), own.blocks) > 0
+        residual = np.where(is_own & ~held & (memory["steps"] > 0), own.moved - memory["sent"], 0.0)
+        fresh |= observed_push(observation, memory, residual)
+        return Estimates(own, is_own, sources, weight, drift, response, held, here, restless, means, joint, fresh)
+
+    def _displacement(
+        self,
+        observation: Observation,
+        memory: Mapping[str, FloatArray],
+        found: Estimates,
+        gates: CellGates,
+        slot_gates: SlotGates,
+    ) -> FloatArray:
+        """The mixed proposals without the compensation of pushes, in natural units, shape (R, n)."""
+        is_own, own, estimate = found.is_own, found.own, observation.own_estimate
+        live = (observation.weights > 0)[:, :, None]
+        relative = observation.relative_estimates
+        shares = np.where(live, slot_gates.copy, 0.0)
+        total = fold(np.add, shares, axis=1)
+        copy = fold(np.add, shares * relative, axis=1) / np.where(total > 0, total, 1.0)
+        gains = slot_gates.diffusion * observation.weights[:, :, None]
+        diffusion = observation.theta * fold(np.add, np.broadcast_to(gains, relative.shape) * relative, axis=1)
+
+        belief = found.means.belief(slot_gates.mean, estimate) - estimate
+        drift = np.where(is_own, 0.0, gates.copies * copy)
+        aim = np.where(is_own, 0.0, (1.0 - gates.belief) * drift + gates.belief * belief)
+        response = with_own(np.zeros_like(drift), own.response(aim), own.blocks)
+        descent = (gates.flow * observation.theta + gates.step) * observation.gradient
+        width = np.where(found.unrest.width < UNLIMITED, found.unrest.width, 0.0)
+        shake = gates.dither * width * dither(memory["steps"])
+        mixed = np.where(
+            is_own,
+            gates.response * response - descent + shake,
+            (1.0 - gates.stated) * drift + gates.stated * belief,
+        )
+        mixed = mixed + diffusion
+        return (1.0 - gates.joint) * mixed + gates.joint * (found.joint.point - found.here)
+
+
+class Estimates(NamedTuple):
+    """All that fixed estimation found out in a step, for R players.
+
+    Attributes:
+        own: the own side.
+        is_own: own components, shape (R, n).
+        sources: live neighbours with fresher copies, shape (R, D, n).
+        weight: of a copy, shape (R, 1).
+        drift: the plain displacement of the others' estimates, shape (R, n).
+        response: the own strategy's best response to it, 0 for components of others, shape (R, n).
+        held: own components that a bound holds, shape (R, n).
+        here: the own estimates by dead reckoning, shape (R, n).
+        unrest: noise and rounding of messages.
+        means: private means.
+        joint: the joint solution.
+        memory: changed parts of the memory.
+    """
+
+    own: Own
+    is_own: BoolArray
+    sources: BoolArray
+    weight: FloatArray
+    drift: FloatArray
+    response: FloatArray
+    held: BoolArray
+    here: FloatArray
+    unrest: Unrest
+    means: Averages
+    joint: Reactions
+    memory: dict[str, FloatArray]
+
+
+def evidence(
+    observation: Observation, memory: Mapping[str, FloatArray], found: Estimates, layout: ObservationLayout
+) -> tuple[CellEvidence, SlotEvidence]:
+    """The evidence of R players, from the memory before this step and the estimates of this step."""
+    player, own, estimate = observation.player, found.own, observation.own_estimate
+    live, fresh = observation.weights > 0, found.memory
+    shape = observation.relative_estimates.shape
+    both = (live & (memory["live"] > 0))[:, :, None]
+    owner = layout.neighbour_components[player].astype(np.float64)
+    slots = SlotEvidence(
+        live=live[:, :, None].astype(np.float64),
+        owner=owner,
+        source=found.sources.astype(np.float64),
+        nearer=np.zeros(shape) if layout.interface.graph_knowledge == "links" else nearness(layout)[player],
+        age=fresh["age"][:, :, None],
+        contact=fresh["contact"][:, :, None],
+        relative=observation.relative_estimates,
+        change=np.where(both, np.abs(fresh["messages"] - memory["messages"]), 0.0),
+        samples=found.means.samples,
+        deviation=np.where(live[:, :, None], np.abs(fresh["messages"] - found.means.mean), 0.0),
+        spread=np.sqrt(found.means.variance),
+        counts=found.means.counts.astype(np.float64),
+    )
+    rest = found.means.belief(slots.counts, estimate)
+    next_s = observation.transformed + _STEP_GROWTH * (observation.transformed - memory["transformed"])
+    blank = np.zeros_like(estimate)
+    cells = CellEvidence(
+        own=found.is_own.astype(np.float64),
+        turn=with_own(blank, own.turn.astype(np.float64), own.blocks),
+        probing=own.is_probe.astype(np.float64),
+        steps=memory["steps"],
+        elapsed=observation.elapsed,
+        closing=(next_s >= layout.largest_clock[1]).astype(np.float64),
+        theta=observation.theta,
+        scale=largest(estimate),
+        sources=fold(np.add, found.sources.astype(np.float64), axis=1),
+        weight=np.where(own.is_probe, 0.0, found.weight),
+        gradient=np.abs(observation.gradient),
+        response=np.abs(found.response),
+        failed=own.failed.astype(np.float64),
+        held=found.held.astype(np.float64),
+        noise=fresh["noise"],
+        noisy=found.unrest.is_noisy.astype(np.float64),
+        width=found.unrest.width,
+        rounded=found.unrest.is_rounded.astype(np.float64),
+        belief=np.abs(rest - estimate),
+        broke=fresh["broke"],
+        correction=np.abs(found.joint.point - found.here - found.drift - found.response),
+        doubt=found.joint.error,
+        trusted=found.joint.is_trusted.astype(np.float64),
+        push=np.abs(fresh["push"]) * observation.dt,
+        push_steps=fresh["push_steps"],
+    )
+    return cells, slots
+
+
+class ObserverRelay(GatedLaw):
+    """:class:`~ptne_env.laws.relay.ContactRelay` with observers of noise, rounding, pushes and reactions.
+
+    Where messages carry noise or are rounded, raw copies travel, the own strategy responds to the private belief, and
+    the last step states it; where messages are rounded, the own strategy is dithered. Observed pushes are compensated.
+    Where links break, the joint solution is followed as soon as it is trusted.
+    """
+
+    def gates(self, cells: CellEvidence, slots: SlotEvidence) -> tuple[CellGates, SlotGates]:
+        uneasy, zero = np.maximum(cells.noisy, cells.rounded), np.zeros_like(cells.scale)
+        mine = CellGates(
+            copies=np.where(uneasy > 0, 1.0, cells.weight),
+            belief=uneasy,
+            stated=uneasy * cells.closing,
+            flow=zero,
+            step=zero,
+            response=cells.turn,
+            joint=cells.trusted,
+            push=cells.own,
+            dither=cells.rounded * (1.0 - cells.closing),
+        )
+        return mine, SlotGates(copy=slots.source, mean=slots.counts, diffusion=zero[:, None])
+
+
+def _rows(observation: Observation, rows: IntArray) -> Observation:
+    return Observation._make(part[rows] for part in observation)
+
+
+def _part(memory: Mapping[str, FloatArray], rows: IntArray) -> dict[str, FloatArray]:
+    return {name: part[rows] for name, part in memory.items()}
+
+
+def _with_rows(array: Array, rows: IntArray, fresh: Array) -> Array:
+    result = array.copy()
+    result[rows] = fresh
+    return result
