@@ -20,9 +20,18 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ptne_env.arrays import Array, BoolArray, FloatArray, IntArray, fold
-from ptne_env.laws.averages import Averages, Unrest, average_parts, averages, dither, unrest
+from ptne_env.laws.averages import START, Averages, Unrest, average_parts, averages, dither, unrest
 from ptne_env.laws.base import Law, per_step, step_length
-from ptne_env.laws.best_response import LARGEST_ROW, UNLIMITED, largest, own_entries, with_own, within_reach
+from ptne_env.laws.best_response import (
+    LARGEST_ROW,
+    UNLIMITED,
+    largest,
+    own_block,
+    own_entries,
+    own_places,
+    with_own,
+    within_reach,
+)
 from ptne_env.laws.pushes import observed_push, push_parts
 from ptne_env.laws.reactions import (
     Condition,
@@ -39,6 +48,13 @@ from ptne_env.observation import Observation, ObservationLayout
 
 _STEP_GROWTH = 1.9
 """The coming step of s is at most this multiple of the last: at most 1.7 where the steps are even in physical time."""
+
+
+_FADE = 0.7
+"""The share of the recent error of predictions that is left after a step."""
+
+_SMALLEST_CURVATURE = 1e-3
+"""Own curvatures below this count as this, where an error of the own gradient becomes a displacement."""
 
 
 class SlotEvidence(NamedTuple):
@@ -210,7 +226,7 @@ class GatedLaw(ContactRelay):
     def _shapes(self) -> dict[str, tuple[int, ...]]:
         layout, slots = self.layout, (self.layout.slots,)
         parts: dict[str, tuple[int, ...]] = dict.fromkeys(("age", "contact"), slots)
-        parts |= {"transformed": (1,), "broke": (1,), "reckoned": (layout.dimension,)}
+        parts |= {"transformed": (1,), "broke": (1,), "doubt": (1,), "reckoned": (layout.dimension,)}
         parts |= average_parts(layout) | push_parts(layout) | (reaction_parts(layout) if self._reacts else {})
         return super()._shapes() | parts
 
@@ -268,13 +284,18 @@ class GatedLaw(ContactRelay):
             fresh |= {name: _with_rows(memory[name], rows, part) for name, part in changed.items()}
             means = Averages._make(_with_rows(old, rows, new) for old, new in zip(means, found, strict=True))
 
+        curvature = np.abs(own_block(own.model.rows, own_places(own.blocks, own.model, drift.shape[1])))
+        error = own.error / np.maximum(
+            curvature.diagonal(axis1=1, axis2=2).min(axis=1, keepdims=True), _SMALLEST_CURVATURE
+        )
+        doubt = fresh["doubt"] = np.where(memory["steps"] <= START, 0.0, np.maximum(_FADE * memory["doubt"], error))
         joint = Reactions(here + drift + response, np.zeros_like(weight), np.zeros_like(uneasy[:, None]))
         if self._reacts and (rows := np.flatnonzero(~uneasy)).size:
             changed = learned_planes(_rows(observation, rows), _part(memory, rows), self.layout, here[rows])
             fresh |= {name: _with_rows(memory[name], rows, part) for name, part in changed.items()}
             rows = rows[fresh["broke"][rows, 0] > 0]
             if rows.size:
-                condition = Condition(own.model.rows[rows], own.gradient[rows], own.blocks[rows])
+                condition = Condition(own.model.rows[rows], own.gradient[rows], own.blocks[rows], doubt[rows])
                 planes = _part({name: fresh.get(name, memory[name]) for name in self._planes}, rows)
                 solution = joint_solution(
                     observation.player[rows], planes, self.layout, here[rows], joint.point[rows], condition

@@ -67,10 +67,11 @@ def test_moving_messages_are_no_samples():
     assert (watch(12, rest=1)["plane_samples"] == 0).all()
 
 
-def solve(memory, step=50.0):
+def solve(memory, step=50.0, doubt=0.0):
     """The joint solution of player 0, one unit away from the equilibrium in every component."""
     here, own = EQUILIBRIUM[None] + 1.0, LAYOUT.own_components[:1]
-    condition = Condition(MATRIX[None, :2], (MATRIX @ here[0] + OFFSET)[None, :2], own)
+    gradient = (MATRIX @ here[0] + OFFSET)[None, :2]
+    condition = Condition(MATRIX[None, :2], gradient, own, np.full((1, 1), doubt))
     memory = memory | {"steps": np.full((1, 1), step)}
     return joint_solution(np.zeros(1, dtype=int), memory, LAYOUT, here, here, condition)
 
@@ -84,6 +85,7 @@ def test_joint_solution_of_all_planes_is_the_equilibrium():
 def test_joint_solution_is_not_trusted_early_or_while_planes_err():
     memory = watch(20)
     assert not solve(memory, step=10.0).is_trusted.any()
+    assert not solve(memory, doubt=0.5).is_trusted.any()
     assert not solve(memory | {"plane_error": np.full((1, 2), 0.5)}).is_trusted.any()
 
 
