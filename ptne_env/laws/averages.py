@@ -224,17 +224,18 @@ def without_liars(sources: BoolArray, others: BoolArray, owners: BoolArray, lied
     return np.where(has_clean, clean, np.where(has_source & has_other, other, sources))
 
 
-def mature(means: Averages, sources: BoolArray, is_own: BoolArray) -> BoolArray:
+def mature(means: Averages, sources: BoolArray, is_own: BoolArray, lied: FloatArray) -> BoolArray:
     """Whether a mean of a neighbour that is no source counts: it is old, and so are all sources' means, (R, D, n).
 
     Args:
         means: of the messages.
         sources: live neighbours with fresher copies, shape (R, D, n).
         is_own: own components, shape (R, n).
+        lied: the number of :func:`lies`, shape (R, D): no neighbour counts that seems to lie.
     """
     is_old = means.samples > _OLD
     has_young = fold(np.logical_or, sources & ~is_old, axis=1)[:, None]
-    return np.asarray(is_old & ~has_young & ~is_own[:, None])
+    return np.asarray(is_old & ~has_young & ~is_own[:, None] & (lied == 0)[:, :, None])
 
 
 def dither(step: FloatArray) -> FloatArray:

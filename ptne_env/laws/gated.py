@@ -483,7 +483,7 @@ def evidence(
         samples=found.means.samples,
         deviation=np.where(live[:, :, None], np.abs(fresh["messages"] - found.means.mean), 0.0),
         spread=np.sqrt(found.means.variance),
-        mature=mature(found.means, found.sources, found.is_own).astype(np.float64),
+        mature=mature(found.means, found.sources, found.is_own, memory["lies"]).astype(np.float64),
         lies=memory["lies"][:, :, None],
     )
     rest = found.means.belief(slots.source, estimate)
