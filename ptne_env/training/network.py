@@ -48,31 +48,31 @@ They are those of :data:`~ptne_env.experiments.policy_specs.POLICIES`, with the 
 class GateNetwork(nn.Module):
     """Gates from features: a linear map, and beside it layers of tanh units that cells and messages share.
 
-    The messages about a cell are encoded one by one, and the means and maxima of their encodings over live links go to
-    the layers of the cell. So the network has no size but the numbers of features and gates.
+    Each message about a cell is encoded, and the mean and the maximum of the encodings over live links go to the two
+    layers of the cell; a layer of each message then sees its features and the last layer of the cell. So the network
+    has no size but the numbers of features and gates.
 
     Args:
         cell_units: units in each of the two layers of a cell.
-        slot_units: units in each of the layers of a message.
+        slot_units: units in each of the two layers of a message.
     """
 
-    def __init__(self, cell_units: int = 48, slot_units: int = 24) -> None:
+    def __init__(self, cell_units: int = 32, slot_units: int = 16) -> None:
         super().__init__()
         cell, slot = len(CELL_FEATURES), len(SLOT_FEATURES)
-        self.cell_units, self.slot_units = cell_units, slot_units
-        self.slot_layers = nn.ModuleList([nn.Linear(slot, slot_units), nn.Linear(slot_units, slot_units)])
-        self.cell_layers = nn.ModuleList(
-            [nn.Linear(cell + 2 * slot_units, cell_units), nn.Linear(cell_units, cell_units)]
-        )
-        self.slot_join = nn.Linear(slot_units, slot_units)
-        self.cell_join = nn.Linear(cell_units, slot_units, bias=False)
-        self.cell_head = nn.Linear(cell_units, len(CellGates._fields), bias=False)
-        self.slot_head = nn.Linear(slot_units, len(SlotGates._fields), bias=False)
-        self.cell_skip = nn.Linear(cell, len(CellGates._fields))
-        self.slot_skip = nn.Linear(slot, len(SlotGates._fields))
+        cell_gates, slot_gates = len(CellGates._fields), len(SlotGates._fields)
+        self.encoder = nn.Linear(slot, slot_units)
+        self.first = nn.Linear(cell + 2 * slot_units, cell_units)
+        self.second = nn.Linear(cell_units, cell_units)
+        self.cell_head = nn.Linear(cell_units, cell_gates, bias=False)
+        self.cell_skip = nn.Linear(cell, cell_gates)
+        self.slot_layer = nn.Linear(slot, slot_units)
+        self.slot_context = nn.Linear(cell_units, slot_units, bias=False)
+        self.slot_head = nn.Linear(slot_units, slot_gates, bias=False)
+        self.slot_skip = nn.Linear(slot, slot_gates)
 
     @classmethod
-    def of_law(cls, name: str, cell_units: int = 48, slot_units: int = 24) -> GateNetwork:
+    def of_law(cls, name: str, cell_units: int = 32, slot_units: int = 16) -> GateNetwork:
         """The network that decides as a law of :data:`POINTS`; its layers have random weights and no effect.
 
         Raises:
@@ -83,7 +83,7 @@ class GateNetwork(nn.Module):
         return cls.linear_point(*POINTS[name], cell_units=cell_units, slot_units=slot_units)
 
     @classmethod
-    def linear_point(cls, cell: Linear, slot: Linear, cell_units: int = 48, slot_units: int = 24) -> GateNetwork:
+    def linear_point(cls, cell: Linear, slot: Linear, cell_units: int = 32, slot_units: int = 16) -> GateNetwork:
         """The network with these linear maps, whose layers have random weights and no effect.
 
         Args:
@@ -106,20 +106,13 @@ class GateNetwork(nn.Module):
     def forward(self, cell: torch.Tensor, slot: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         """Gates that are not clipped: features (C, F) and (C, D, S) to gates (C, 9) and (C, D, 3)."""
         live = slot[:, :, SLOT_FEATURES.index("live"), None]
-        encoded = slot
-        for layer in self.slot_layers:
-            encoded = torch.tanh(layer(encoded))
-        heard = encoded * live
+        heard = torch.tanh(self.encoder(slot)) * live
         mean = heard.sum(dim=1) / live.sum(dim=1).clamp(min=1.0)
-        largest = (heard + (live - 1.0)).amax(dim=1)  # without a live link: −1, the least of tanh
-        hidden = torch.cat([cell, mean, largest], dim=1)
-        for layer in self.cell_layers:
-            hidden = torch.tanh(layer(hidden))
-        joined = torch.tanh(self.slot_join(encoded) + self.cell_join(hidden)[:, None])
-        return (
-            self.cell_skip(cell) + self.cell_head(hidden),
-            self.slot_skip(slot) + self.slot_head(joined),
-        )
+        largest = (heard + live).amax(dim=1)  # 0, the least, where no link is live
+        hidden = torch.tanh(self.first(torch.cat([cell, mean, largest], dim=1)))
+        hidden = torch.tanh(self.second(hidden))
+        joined = torch.tanh(self.slot_layer(slot) + self.slot_context(hidden)[:, None])
+        return self.cell_skip(cell) + self.cell_head(hidden), self.slot_skip(slot) + self.slot_head(joined)
 
     def decide(self, cell: Float32Array, slot: Float32Array) -> tuple[Float32Array, Float32Array]:
         """:meth:`forward` of arrays without gradients: a network for ``SizeFreePolicy(layout, network.decide)``."""
