@@ -14,7 +14,7 @@ import numpy as np
 
 from ptne_env.arrays import Float32Array, FloatArray
 from ptne_env.laws.gated import CellEvidence, CellGates, GatedLaw, SlotEvidence, SlotGates
-from ptne_env.observation import ObservationLayout
+from ptne_env.observation import Interface, ObservationLayout
 from ptne_env.policies.blocks import in_blocks
 
 Network: TypeAlias = Callable[[Float32Array, Float32Array], tuple[Float32Array, Float32Array]]
@@ -159,10 +159,16 @@ class SizeFreePolicy(GatedLaw):
 
     Raises:
         LayoutError: for another interface or action mode.
+
+    Attributes:
+        interface: of the layout, with the knowledge of graphs that the features show.
     """
+
+    interface: Interface  # type: ignore[misc]  # of each policy: other laws need that of their class
 
     def __init__(self, layout: ObservationLayout, network: Network) -> None:
         super().__init__(layout)
+        self.interface = layout.interface
         self.network = network
 
     def gates(self, cells: CellEvidence, slots: SlotEvidence) -> tuple[CellGates, SlotGates]:
