@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from affine_games import run
 from extras import need_sb3
+from test_damaged_files import damaged, with_changed_metadata
 from test_rows import WORLDS, assert_decides_rows_alike
 from worlds import FAULTY, begin, fixed_part, world_and_encoder
 
@@ -397,6 +398,22 @@ def test_a_file_with_another_network_is_refused(tmp_path, file, change, message)
     path.write_bytes(change(file.read_bytes()))
     with pytest.raises(PolicyFileError, match=message):
         policies.load(path)
+
+
+def test_damaged_files_are_refused_or_decide(tmp_path, file):
+    generator, content, path = np.random.default_rng(0), file.read_bytes(), tmp_path / "damaged.onnx"
+    world, encoder = world_and_encoder("energy")
+    observations, outcomes = encoder.observe(begin(world, [0]))[0], []
+    for number in range(8):
+        path.write_bytes((with_changed_metadata if number % 2 else damaged)(content, generator))
+        try:
+            policy = policies.load(path, encoder.layout)
+        except PolicyFileError:
+            outcomes.append("refused")
+            continue
+        assert policy.predict(observations)[0].shape == (5, encoder.layout.action_size)
+        outcomes.append("decides")
+    assert set(outcomes) == {"refused", "decides"}
 
 
 def test_metadata_survive_the_round_trip(file):
