@@ -6,7 +6,7 @@ import glob
 import inspect
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, Literal, TypeAlias, get_args
 
@@ -39,6 +39,8 @@ KNOWLEDGE = {
 Division: TypeAlias = Literal["honest", "coded", "oracle"]
 """Honest entries, whose estimates are beliefs about strategies; coded ones; oracles, which have no rank."""
 
+_MEMORY = {True: "yes", False: "no", None: "unknown"}
+
 DIVISIONS: tuple[Division, ...] = get_args(Division)
 """All of them, in the order of tables."""
 
@@ -55,12 +57,14 @@ class PolicySpec:
         interface: makes its observations and decodes its actions; the policy's own attribute ``interface`` if left
             out, and ``physical`` if it has none.
         scenarios: names of the scenarios it is run on, "n/a" elsewhere; all if ``None``.
+        memory: what :attr:`has_memory` says of a file that is not here.
     """
 
     name: str
     policy: PolicySource | tuple[PolicySource, ...]
     interface: Interface = None  # type: ignore[assignment]  # filled in below, so that readers never see None
     scenarios: frozenset[str] | None = None
+    memory: bool | None = field(default=None, compare=False, repr=False)
 
     def __post_init__(self) -> None:
         require_printable("the name of a policy", self.name)
@@ -73,6 +77,8 @@ class PolicySpec:
                     interface = declared_interface(first)
                 except PolicyError as error:
                     raise ValueError(f"policy {self.name!r}: {error}") from error
+            elif (file := learned_file(first)) is not None:
+                interface = policies.load(file).interface
             else:
                 target = first.resolve() if isinstance(first, FactorySpec) else first
                 interface = getattr(target, "interface", Interface())
@@ -123,9 +129,14 @@ class PolicySpec:
     def has_memory(self) -> bool | None:
         """Whether it keeps numbers from step to step; ``None`` for code and files that do not say so."""
         made: Any = self.training_seeds[0]
+        if (file := learned_file(made)) is not None:
+            try:
+                made = policies.load(file)
+            except (OSError, ValueError, ImportError):  # it may have been moved since it was run
+                return self.memory
+        if isinstance(made, policies.LearnedPolicy | policies.SizeFreeFile):
+            return made.has_memory
         if isinstance(made, FactorySpec):
-            if made.target == LOADER:
-                return False  # feed-forward
             made = None if self.is_foreign else made.resolve()
         law = _named(made)
         if issubclass(law, laws.Law):
@@ -137,7 +148,7 @@ class PolicySpec:
         """What it declares, in words: a value for each of :data:`KNOWLEDGE`."""
         return {  # the keys of KNOWLEDGE
             "graphs": "all" if self.is_oracle else GRAPH_KNOWLEDGE[self.interface.graph_knowledge],
-            "memory": {True: "yes", False: "no", None: "unknown"}[self.has_memory],
+            "memory": _MEMORY[self.has_memory],
             "estimates": self.interface.estimates,
         }
 
@@ -199,9 +210,11 @@ class PolicySpec:
             )
             scenarios = None if data["scenarios"] is None else frozenset(data["scenarios"])
             name, interface = str(data["name"]), Interface(**data["interface"])
+            stated = data.get("knowledge", {}).get("memory")
+            memory = next((value for value, word in _MEMORY.items() if word == stated), None)
         except (KeyError, TypeError, AttributeError) as error:
             raise ValueError(f"not a policy: {type(error).__name__}: {error}") from None
-        return cls(name, seeds if len(seeds) != 1 else seeds[0], interface, scenarios)
+        return cls(name, seeds if len(seeds) != 1 else seeds[0], interface, scenarios, memory)
 
 
 def _source_to_dict(policy: PolicySource) -> dict[str, Any]:
@@ -274,25 +287,26 @@ COMPARED = tuple(POLICIES)[:8]
 
 
 def learned_policy(path_or_name: str) -> PolicySpec:
-    """The spec of a learned policy, for the scenarios that it was trained on.
+    """The spec of a learned policy, for the scenarios that it was trained on, or all where it has no size.
 
     Raises:
         FileNotFoundError, PolicyFileError, ImportError: as :func:`ptne_env.policies.load`.
     """
     policy = policies.load(path_or_name)
     source = FactorySpec.of(LOADER, path_or_name=path_or_name)
-    return PolicySpec(policy.name, source, policy.interface, frozenset(policy.metadata.scenarios))
+    scenarios = None if isinstance(policy, policies.SizeFreeFile) else frozenset(policy.metadata.scenarios)
+    return PolicySpec(policy.name, source, policy.interface, scenarios)
 
 
 def default_policies() -> list[PolicySpec]:
     """The default policies of a comparison: :data:`COMPARED`, and the policies trained on a scenario of the catalogue.
 
-    A learned policy is run on the scenarios that it was trained on.
+    A learned policy is run on the scenarios that it was trained on; a policy without sizes is run on all.
     """
     learned = map(learned_policy, policies.shipped())
     return [
         *(POLICIES[name] for name in COMPARED),
-        *(policy for policy in learned if policy.scenarios and not policy.scenarios.isdisjoint(CATALOGUE)),
+        *(policy for policy in learned if policy.scenarios is None or not policy.scenarios.isdisjoint(CATALOGUE)),
     ]
 
 

@@ -521,6 +521,13 @@ def evidence(
     return cells, slots
 
 
+def observed_weight(cells: CellEvidence) -> FloatArray:
+    """The weight of copies where noise and rounding are observed, shape (R, 1) or (R, n); else ``cells.weight``."""
+    calm = _PATIENCE + np.maximum(cells.restless - _DELAY, 0.0)
+    filtered = np.where(cells.damping < 1, 1.0, np.maximum(_PATIENCE / calm, _FLOOR) ** 2)
+    return np.where(cells.noisy > 0, filtered, np.where(cells.rounded > 0, 1.0, cells.weight))
+
+
 class ObserverRelay(GatedLaw):
     """:class:`~ptne_env.laws.relay.ContactRelay` with observers of noise, rounding, pushes and reactions.
 
@@ -531,10 +538,8 @@ class ObserverRelay(GatedLaw):
 
     def gates(self, cells: CellEvidence, slots: SlotEvidence) -> tuple[CellGates, SlotGates]:
         uneasy, zero = np.maximum(cells.noisy, cells.rounded), np.zeros_like(cells.scale)
-        calm = _PATIENCE + np.maximum(cells.restless - _DELAY, 0.0)
-        filtered = np.where(cells.damping < 1, 1.0, np.maximum(_PATIENCE / calm, _FLOOR) ** 2)
         mine = CellGates(
-            copies=np.where(cells.noisy > 0, filtered, np.where(cells.rounded > 0, 1.0, cells.weight)),
+            copies=observed_weight(cells),
             belief=np.maximum(cells.rounded, cells.noisy * cells.closing),
             stated=uneasy * cells.closing,
             flow=zero,
