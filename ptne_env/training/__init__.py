@@ -1,6 +1,6 @@
-"""Training: PPO of Stable-Baselines3 on vectorised environments, and the export of the learned policy.
+"""Training: random worlds, PPO of Stable-Baselines3 on vectorised environments, and the export of the learned policy.
 
-Everything but the names of configurations needs the extra ``pip install "ptne-env[sb3]"``.
+Everything but the names of configurations and the worlds needs the extra ``pip install "ptne-env[sb3]"``.
 """
 
 from pathlib import Path
