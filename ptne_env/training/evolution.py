@@ -1,0 +1,85 @@
+"""Search for the weights of a gate network by CMA-ES with a diagonal covariance, on what episodes score.
+
+All networks of a generation play the same episodes of the same worlds, side by side in one batch of cells, so that
+their scores differ by their weights alone and a generation costs little more than its arithmetic.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+import torch
+from cma import CMAEvolutionStrategy
+from torch.func import functional_call, vmap
+
+from ptne_env.arrays import FloatArray
+from ptne_env.experiments.workers import Workers
+from ptne_env.scenario import Scenario
+from ptne_env.training.cells import CellBatch
+from ptne_env.training.network import GateNetwork
+
+LINEAR = ("cell_skip.weight", "cell_skip.bias", "slot_skip.weight", "slot_skip.bias")
+"""The parameters of the linear maps beside the layers."""
+
+
+def vector(network: GateNetwork, names: Sequence[str]) -> FloatArray:
+    """Parameters by name as one vector of float64."""
+    parameters = dict(network.named_parameters())
+    return np.concatenate([parameters[name].detach().double().numpy().ravel() for name in names])
+
+
+def parameters(network: GateNetwork, names: Sequence[str], vectors: FloatArray) -> dict[str, torch.Tensor]:
+    """The inverse of :func:`vector` for P vectors, shape (P, k): tensors with P first."""
+    shapes = [dict(network.named_parameters())[name].shape for name in names]
+    ends = np.cumsum([shape.numel() for shape in shapes])
+    parts = np.split(vectors.astype(np.float32), ends[:-1], axis=1)
+    return {
+        name: torch.from_numpy(part).reshape(-1, *shape)
+        for name, shape, part in zip(names, shapes, parts, strict=True)
+    }
+
+
+@lru_cache(maxsize=256)
+def _batch(scenario: Scenario, episodes: int) -> CellBatch:
+    return CellBatch(scenario, episodes)
+
+
+def scores(
+    network: GateNetwork, names: Sequence[str], vectors: FloatArray, scenario: Scenario, seeds: Sequence[int]
+) -> FloatArray:
+    """Mean digits of P networks on the same episodes of a world, shape (P,).
+
+    Digits are those at the deadline; where episodes go on after it, the mean of these and those at the end.
+
+    Args:
+        network: gives the parameters that are not named.
+        names: of the parameters that differ.
+        vectors: their values, shape (P, k).
+        scenario: of the world.
+        seeds: of the episodes.
+    """
+    population = len(vectors)
+    stacked = parameters(network, names, vectors)
+    rest = {name: each.detach() for name, each in network.named_parameters() if name not in stacked}
+
+    def answer(own: Mapping[str, torch.Tensor], cell: torch.Tensor, slot: torch.Tensor) -> tuple[torch.Tensor, ...]:
+        return functional_call(network, {**rest, **own}, (cell, slot))
+
+    batch = _batch(scenario, population * len(seeds))
+    batch.start([seed for _ in range(population) for seed in seeds])
+    decide = vmap(answer, in_dims=(0, 0, 0))
+    clock, at_deadline = batch.world.clock, batch.digits
+    with torch.inference_mode():
+        for step in range(clock.total_steps):
+            cell, slot = (
+                torch.from_numpy(each).reshape(population, -1, *each.shape[1:]) for each in batch.features()
+            )
+            mine, theirs = decide(stacked, cell, slot)
+            batch.step(*batch.as_gates(mine.flatten(0, 1).numpy(), theirs.flatten(0, 1).numpy()))
+            if step + 1 == clock.steps:
+                at_deadline = batch.digits
+    score = (at_deadline + batch.digits).mean(axis=0) / 2
+    return score.reshape(population, len(seeds)).mean(axis=1)
