@@ -1,0 +1,184 @@
+"""A policy without sizes: one network decides for every component of every player, in every world.
+
+Estimation is fixed, :class:`~ptne_env.laws.gated.GatedLaw`; the network answers its gates. It sees one *cell* at a
+time, a component of a player's estimates, and the messages about it. No feature depends on the number of players,
+components or neighbours, on a player's index, or on the unit of strategies.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import TypeAlias
+
+import numpy as np
+
+from ptne_env.arrays import Float32Array, FloatArray
+from ptne_env.laws.gated import CellEvidence, CellGates, GatedLaw, SlotEvidence, SlotGates
+from ptne_env.observation import ObservationLayout
+from ptne_env.policies.blocks import in_blocks
+
+Network: TypeAlias = Callable[[Float32Array, Float32Array], tuple[Float32Array, Float32Array]]
+"""From features of C cells, (C, F), and of their slots, (C, D, S), to their gates, (C, 9) and (C, D, 3), not clipped.
+
+C is a multiple of :data:`~ptne_env.policies.blocks.BLOCK`. The gates stand in the order of their named tuples.
+"""
+
+_CELL_FLAGS = ("own", "turn", "probing", "closing", "failed", "held", "noisy", "rounded", "broke", "trusted")
+_CELL_SHARES = ("weight", "elapsed")
+_CELL_DISTANCES = ("gradient", "response", "noise", "width", "belief", "correction", "doubt", "push")
+_CELL_STEPS = ("steps", "push_steps")
+_CELL_NUMBERS = ("sources", "links")
+_CELL_RATIOS = (("belief", "noise"), ("correction", "doubt"))
+
+CELL_FEATURES: tuple[str, ...] = (
+    *_CELL_FLAGS,
+    *_CELL_SHARES,
+    *_CELL_DISTANCES,
+    *_CELL_STEPS,
+    *_CELL_NUMBERS,
+    "theta",
+    *map("/".join, _CELL_RATIOS),
+)
+"""Names of the features of a cell, in order, all in [0, 1]; see :func:`features`."""
+
+_SLOT_FLAGS = ("live", "owner", "source", "counts")
+_SLOT_STEPS = ("age", "contact", "samples")
+_SLOT_DISTANCES = ("relative", "change", "deviation", "spread")
+_SLOT_RATIOS = (("deviation", "spread"),)
+
+SLOT_FEATURES: tuple[str, ...] = (
+    *_SLOT_FLAGS,
+    "nearer",
+    "farther",
+    "own",
+    *_SLOT_STEPS,
+    *_SLOT_DISTANCES,
+    *map("/".join, _SLOT_RATIOS),
+)
+"""Names of the features of a message, in order, all in [0, 1]; see :func:`features`."""
+
+LOW = 0.0
+"""The lower bound of every gate."""
+
+HIGH: Mapping[str, float] = {
+    name: {"flow": 10.0, "step": 2.0, "dither": 4.0, "diffusion": 10.0}.get(name, 1.0)
+    for name in (*CellGates._fields, *SlotGates._fields)
+}
+"""The upper bound of every gate, of a cell or of a message: 1 of shares."""
+
+_SMALLEST, _LARGEST = 1e-9, 1e3
+"""Distances relative to the largest own estimate that a feature tells apart from smaller and larger ones."""
+
+_MOST_STEPS = 1e4
+"""Steps that a feature tells apart from more."""
+
+_RATIO = 1e3
+"""Ratios of distances are told apart from here to its inverse."""
+
+_SHORTEST_STEP = 1e-6
+"""Θ_k that a feature tells apart from smaller ones."""
+
+
+def features(cells: CellEvidence, slots: SlotEvidence) -> tuple[Float32Array, Float32Array]:
+    """The features of R players' components and messages, of order one.
+
+    - Flags, shares and ``elapsed`` as they are; ``nearer`` and ``farther`` are the signs of the hops.
+    - Distances x as (log10(x/scale + 1e-9) + 9)/12, where ``scale`` is the largest own estimate; Θ_k alike, from 1e-6
+      to 1.
+    - Numbers of steps as log10(1 + k)/4.
+    - Numbers k of live ``sources`` and live ``links`` as k/(1 + k).
+    - Ratios of distances as ½ + log10(ratio)/6.
+
+    All are clipped to [0, 1].
+
+    Args:
+        cells: evidence on components, shapes (R, n) or (R, 1).
+        slots: evidence on messages, shapes (R, D, n) or broadcast to it.
+
+    Returns:
+        Features of components in the order of :data:`CELL_FEATURES`, shape (R, n, F), and of messages in the order of
+        :data:`SLOT_FEATURES`, shape (R, n, D, S).
+    """
+    rows, slots_each, components = slots.relative.shape
+    cell = np.empty((rows, components, len(CELL_FEATURES)), dtype=np.float32)
+    slot = np.empty((rows, components, slots_each, len(SLOT_FEATURES)), dtype=np.float32)
+    per_scale = (1.0 / np.maximum(cells.scale, 1e-30)).astype(np.float32)
+
+    logarithms = {name: _decades(getattr(cells, name), per_scale) for name in _CELL_DISTANCES}
+    values = {name: getattr(cells, name) for name in (*_CELL_FLAGS, *_CELL_SHARES)}
+    values |= {name: _distance(logarithms[name]) for name in _CELL_DISTANCES}
+    values |= {name: _count(getattr(cells, name)) for name in _CELL_STEPS}
+    links = slots.live.sum(axis=1)
+    values |= {"sources": cells.sources / (1.0 + cells.sources), "links": links / (1.0 + links)}
+    values["theta"] = np.clip(1.0 + np.log10(cells.theta + _SHORTEST_STEP) / -np.log10(_SHORTEST_STEP), 0.0, 1.0)
+    values |= {f"{over}/{under}": _ratio(logarithms[over], logarithms[under]) for over, under in _CELL_RATIOS}
+    for place, name in enumerate(CELL_FEATURES):
+        cell[:, :, place] = values[name]
+
+    logarithms = {name: _decades(np.abs(getattr(slots, name)), per_scale[:, None]) for name in _SLOT_DISTANCES}
+    values = {name: getattr(slots, name) for name in _SLOT_FLAGS}
+    values |= {"nearer": slots.nearer > 0, "farther": slots.nearer < 0, "own": cells.own[:, None]}
+    values |= {name: _count(getattr(slots, name)) for name in _SLOT_STEPS}
+    values |= {name: _distance(logarithms[name]) for name in _SLOT_DISTANCES}
+    values |= {f"{over}/{under}": _ratio(logarithms[over], logarithms[under]) for over, under in _SLOT_RATIOS}
+    for place, name in enumerate(SLOT_FEATURES):
+        slot[:, :, :, place] = values[name].swapaxes(1, 2)
+    return cell, slot
+
+
+def _decades(distances: FloatArray, per_scale: Float32Array) -> Float32Array:
+    """log10 of distances relative to the scale."""
+    with np.errstate(over="ignore"):
+        relative = np.minimum(distances.astype(np.float32) * per_scale, np.float32(_LARGEST))
+    relative += np.float32(_SMALLEST)
+    return np.log(relative, out=relative) * np.float32(1.0 / np.log(10.0))
+
+
+def _distance(logarithm: Float32Array) -> Float32Array:
+    lowest, highest = np.log10(_SMALLEST), np.log10(_LARGEST)
+    return np.clip((logarithm - np.float32(lowest)) * np.float32(1.0 / (highest - lowest)), 0.0, 1.0)
+
+
+def _ratio(over: Float32Array, under: Float32Array) -> Float32Array:
+    return np.clip(0.5 + (over - under) * np.float32(0.5 / np.log10(_RATIO)), 0.0, 1.0)
+
+
+def _count(steps: FloatArray) -> Float32Array:
+    return np.minimum(np.log1p(steps.astype(np.float32)) * np.float32(1.0 / np.log(_MOST_STEPS)), np.float32(1.0))
+
+
+class SizeFreePolicy(GatedLaw):
+    """A gated law whose gates a network answers; see :class:`ptne_env.policy.Policy`.
+
+    Decisions are row-wise: the network gets whole blocks of cells, so that a cell's gates have the same bits in every
+    batch.
+
+    Args:
+        layout: of the environment, interface ``physical``.
+        network: of the gates; its answers are clipped to [:data:`LOW`, :data:`HIGH`].
+
+    Raises:
+        LayoutError: for another interface or action mode.
+    """
+
+    def __init__(self, layout: ObservationLayout, network: Network) -> None:
+        super().__init__(layout)
+        self.network = network
+
+    def gates(self, cells: CellEvidence, slots: SlotEvidence) -> tuple[CellGates, SlotGates]:
+        """See :class:`~ptne_env.laws.gated.GatedLaw`."""
+        cell, slot = features(cells, slots)
+        count = cell.shape[0] * cell.shape[1]
+        mine, theirs = self.network(
+            in_blocks(cell.reshape(count, cell.shape[2])), in_blocks(slot.reshape(count, *slot.shape[2:]))
+        )
+        per_cell = np.moveaxis(mine[:count].reshape(*cell.shape[:2], -1), -1, 0)
+        per_slot = theirs[:count].reshape(*slot.shape[:3], -1).transpose(3, 0, 2, 1)
+        return (
+            CellGates(*map(_clipped, per_cell, CellGates._fields)),
+            SlotGates(*map(_clipped, per_slot, SlotGates._fields)),
+        )
+
+
+def _clipped(gate: Float32Array, name: str) -> FloatArray:
+    return np.clip(gate, LOW, HIGH[name]).astype(np.float64)
