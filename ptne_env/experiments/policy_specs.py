@@ -73,6 +73,8 @@ class PolicySpec:
                     interface = declared_interface(first)
                 except PolicyError as error:
                     raise ValueError(f"policy {self.name!r}: {error}") from error
+            elif (file := learned_file(first)) is not None:
+                interface = policies.load(file).interface
             else:
                 target = first.resolve() if isinstance(first, FactorySpec) else first
                 interface = getattr(target, "interface", Interface())
@@ -123,9 +125,14 @@ class PolicySpec:
     def has_memory(self) -> bool | None:
         """Whether it keeps numbers from step to step; ``None`` for code and files that do not say so."""
         made: Any = self.training_seeds[0]
+        if (file := learned_file(made)) is not None:
+            try:
+                made = policies.load(file)
+            except (OSError, ValueError, ImportError):  # it may have been moved since it was run
+                return None
+        if isinstance(made, policies.LearnedPolicy | policies.SizeFreeFile):
+            return made.has_memory
         if isinstance(made, FactorySpec):
-            if made.target == LOADER:
-                return False  # feed-forward
             made = None if self.is_foreign else made.resolve()
         law = _named(made)
         if issubclass(law, laws.Law):
@@ -274,25 +281,26 @@ COMPARED = tuple(POLICIES)[:8]
 
 
 def learned_policy(path_or_name: str) -> PolicySpec:
-    """The spec of a learned policy, for the scenarios that it was trained on.
+    """The spec of a learned policy, for the scenarios that it was trained on, or all where it has no size.
 
     Raises:
         FileNotFoundError, PolicyFileError, ImportError: as :func:`ptne_env.policies.load`.
     """
     policy = policies.load(path_or_name)
     source = FactorySpec.of(LOADER, path_or_name=path_or_name)
-    return PolicySpec(policy.name, source, policy.interface, frozenset(policy.metadata.scenarios))
+    scenarios = None if isinstance(policy, policies.SizeFreeFile) else frozenset(policy.metadata.scenarios)
+    return PolicySpec(policy.name, source, policy.interface, scenarios)
 
 
 def default_policies() -> list[PolicySpec]:
     """The default policies of a comparison: :data:`COMPARED`, and the policies trained on a scenario of the catalogue.
 
-    A learned policy is run on the scenarios that it was trained on.
+    A learned policy is run on the scenarios that it was trained on; a policy without sizes is run on all.
     """
     learned = map(learned_policy, policies.shipped())
     return [
         *(POLICIES[name] for name in COMPARED),
-        *(policy for policy in learned if policy.scenarios and not policy.scenarios.isdisjoint(CATALOGUE)),
+        *(policy for policy in learned if policy.scenarios is None or not policy.scenarios.isdisjoint(CATALOGUE)),
     ]
 
 

@@ -15,14 +15,23 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Mapping
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from ptne_env.arrays import Array, BoolArray, FloatArray, IntArray, fold
-from ptne_env.laws.averages import Averages, Unrest, average_parts, averages, dither, unrest
-from ptne_env.laws.base import per_step, step_length
-from ptne_env.laws.best_response import LARGEST_ROW, UNLIMITED, largest, with_own, within_reach
+from ptne_env.laws.averages import START, Averages, Unrest, average_parts, averages, dither, unrest
+from ptne_env.laws.base import Law, per_step, step_length
+from ptne_env.laws.best_response import (
+    LARGEST_ROW,
+    UNLIMITED,
+    largest,
+    own_block,
+    own_entries,
+    own_places,
+    with_own,
+    within_reach,
+)
 from ptne_env.laws.pushes import observed_push, push_parts
 from ptne_env.laws.reactions import (
     Condition,
@@ -39,6 +48,13 @@ from ptne_env.observation import Observation, ObservationLayout
 
 _STEP_GROWTH = 1.9
 """The coming step of s is at most this multiple of the last: at most 1.7 where the steps are even in physical time."""
+
+
+_FADE = 0.7
+"""The share of the recent error of predictions that is left after a step."""
+
+_SMALLEST_CURVATURE = 1e-3
+"""Own curvatures below this count as this, where an error of the own gradient becomes a displacement."""
 
 
 class SlotEvidence(NamedTuple):
@@ -86,7 +102,7 @@ class CellEvidence(NamedTuple):
         theta: Θ_k of the coming step.
         scale: the largest own estimate, absolute.
         sources: number of live sources.
-        weight: of a copy, :func:`~ptne_env.laws.relay.copy_weight`: below 1 for messages that do not come to rest, and 0
+        weight: of a copy, :func:`~ptne_env.laws.relay.copy_weight`: below 1 where messages do not come to rest, and 0
             in the first m steps.
         gradient: the own gradient, absolute, 0 for components of others.
         response: the best response to plain copies, absolute, 0 for components of others.
@@ -210,7 +226,7 @@ class GatedLaw(ContactRelay):
     def _shapes(self) -> dict[str, tuple[int, ...]]:
         layout, slots = self.layout, (self.layout.slots,)
         parts: dict[str, tuple[int, ...]] = dict.fromkeys(("age", "contact"), slots)
-        parts |= {"transformed": (1,), "broke": (1,), "reckoned": (layout.dimension,)}
+        parts |= {"transformed": (1,), "broke": (1,), "doubt": (1,), "reckoned": (layout.dimension,)}
         parts |= average_parts(layout) | push_parts(layout) | (reaction_parts(layout) if self._reacts else {})
         return super()._shapes() | parts
 
@@ -239,7 +255,7 @@ class GatedLaw(ContactRelay):
     ) -> tuple[FloatArray, FloatArray]:
         """The second half of a decision: the inputs of R players, and their memory, as :meth:`inputs` answers them."""
         parts = self._parts.split(memory)
-        planned = self._displacement(observation, parts, found, gates, slot_gates)
+        planned = self.mixed(observation, parts, found, gates, slot_gates)
         push = found.memory["push"] * observation.dt
         displacement = np.where(found.is_own, planned - gates.push * push, planned)
         fresh = parts | found.memory | own_memory(found.own, observation, parts, planned, self.layout)
@@ -281,13 +297,18 @@ class GatedLaw(ContactRelay):
             fresh |= {name: _with_rows(memory[name], rows, part) for name, part in changed.items()}
             means = Averages._make(_with_rows(old, rows, new) for old, new in zip(means, found, strict=True))
 
+        curvature = np.abs(own_block(own.model.rows, own_places(own.blocks, own.model, drift.shape[1])))
+        error = own.error / np.maximum(
+            curvature.diagonal(axis1=1, axis2=2).min(axis=1, keepdims=True), _SMALLEST_CURVATURE
+        )
+        doubt = fresh["doubt"] = np.where(memory["steps"] <= START, 0.0, np.maximum(_FADE * memory["doubt"], error))
         joint = Reactions(here + drift + response, np.zeros_like(weight), np.zeros_like(uneasy[:, None]))
         if self._reacts and (rows := np.flatnonzero(~uneasy)).size:
             changed = learned_planes(_rows(observation, rows), _part(memory, rows), self.layout, here[rows])
             fresh |= {name: _with_rows(memory[name], rows, part) for name, part in changed.items()}
             rows = rows[fresh["broke"][rows, 0] > 0]
             if rows.size:
-                condition = Condition(own.model.rows[rows], own.gradient[rows], own.blocks[rows])
+                condition = Condition(own.model.rows[rows], own.gradient[rows], own.blocks[rows], doubt[rows])
                 planes = _part({name: fresh.get(name, memory[name]) for name in self._planes}, rows)
                 solution = joint_solution(
                     observation.player[rows], planes, self.layout, here[rows], joint.point[rows], condition
@@ -299,7 +320,7 @@ class GatedLaw(ContactRelay):
         fresh |= observed_push(observation, memory, residual)
         return Estimates(own, is_own, sources, weight, drift, response, held, here, restless, means, joint, fresh)
 
-    def _displacement(
+    def mixed(
         self,
         observation: Observation,
         memory: Mapping[str, FloatArray],
@@ -307,7 +328,15 @@ class GatedLaw(ContactRelay):
         gates: CellGates,
         slot_gates: SlotGates,
     ) -> FloatArray:
-        """The mixed proposals without the compensation of pushes, in natural units, shape (R, n)."""
+        """The mixed proposals without the compensation of pushes, in natural units, shape (R, n).
+
+        Args:
+            observation: of R players.
+            memory: the number of ``steps``, shape (R, 1).
+            found: estimates of this step.
+            gates: of components.
+            slot_gates: of slots.
+        """
         is_own, own, estimate = found.is_own, found.own, observation.own_estimate
         live = (observation.weights > 0)[:, :, None]
         relative = observation.relative_estimates
@@ -331,6 +360,49 @@ class GatedLaw(ContactRelay):
         )
         mixed = mixed + diffusion
         return (1.0 - gates.joint) * mixed + gates.joint * (found.joint.point - found.here)
+
+    def at_rest(self, observation: Observation, memory: FloatArray) -> FrozenGates:
+        """The law with the gates, sources and model of this step, which it then keeps.
+
+        Args:
+            observation: of all N players in order, at rest.
+            memory: of all N players.
+        """
+        parts = self._parts.split(memory)
+        found = self._estimates(observation, parts)
+        gates = self.gates(*evidence(observation, parts, found, self.layout))
+        return FrozenGates(self, parts["steps"], found, *gates)
+
+
+class FrozenGates(Law):
+    """A :class:`GatedLaw` whose gates, sources and model rest: linear in gradient and differences, without memory.
+
+    Its loop is the linearisation of the gated law at rest. Trust regions and probes are left out, as at rest.
+
+    Args:
+        law: whose displacement it is.
+        steps: number of steps so far, shape (N, 1).
+        found: estimates of the N players in order.
+        gates: of components.
+        slot_gates: of slots.
+    """
+
+    def __init__(
+        self, law: GatedLaw, steps: FloatArray, found: Estimates, gates: CellGates, slot_gates: SlotGates
+    ) -> None:
+        super().__init__(law.layout)
+        self._law, self._steps, self._found, self._gates, self._slot_gates = law, steps, found, gates, slot_gates
+
+    def inputs(self, observation: Observation, memory: None) -> tuple[FloatArray, None]:
+        player = observation.player
+        found, gates, slot_gates = (_taken(part, player) for part in (self._found, self._gates, self._slot_gates))
+        everywhere = np.full((len(player), 1), UNLIMITED)
+        own = found.own._replace(
+            gradient=own_entries(observation.gradient, found.own.blocks), radius=everywhere, turn=everywhere > 0
+        )
+        steps = {"steps": self._steps[player]}
+        displacement = self._law.mixed(observation, steps, found._replace(own=own), gates, slot_gates)
+        return per_step(displacement, observation), memory
 
 
 class Estimates(NamedTuple):
@@ -447,6 +519,13 @@ class ObserverRelay(GatedLaw):
 
 def _rows(observation: Observation, rows: IntArray) -> Observation:
     return Observation._make(part[rows] for part in observation)
+
+
+def _taken(part: Any, rows: IntArray) -> Any:
+    """The rows of every array in nested tuples; dictionaries are left out."""
+    if isinstance(part, tuple):
+        return part._make(_taken(each, rows) for each in part)  # type: ignore[attr-defined]  # all are NamedTuples
+    return part if isinstance(part, dict) else part[rows]
 
 
 def _part(memory: Mapping[str, FloatArray], rows: IntArray) -> dict[str, FloatArray]:

@@ -98,11 +98,13 @@ class Condition(NamedTuple):
         rows: G_i, shape (R, m, n).
         gradient: ∂J_i, shape (R, m).
         blocks: own components, padded with n, shape (R, m).
+        doubt: the largest recent error of predictions of the own gradient, as a displacement, shape (R, 1).
     """
 
     rows: FloatArray
     gradient: FloatArray
     blocks: IntArray
+    doubt: FloatArray
 
 
 def reckoned_estimate(observation: Observation, memory: Mapping[str, FloatArray]) -> FloatArray:
@@ -177,14 +179,24 @@ def joint_solution(
     neighbours, scale = np.array(layout.neighbours)[player], largest(here)
     planes = np.where(layout.own_mask[neighbours][:, :, None], 0.0, memory["planes"])  # own components react to others
     error, is_known = memory["plane_error"], memory["plane_samples"] >= _SAMPLES
-    counts = is_known & (error < _WORST * scale) & (neighbours != player[:, None])
+    is_tame = np.abs(planes).sum(axis=3).max(axis=2) < 1
+    counts = is_known & is_tame & (error < _WORST * scale) & (neighbours != player[:, None])
     blocks = np.where(counts[:, :, None], layout.own_components[neighbours], layout.dimension)
     point = _joint(planes, memory["anchor"], blocks, planned, here, own)
     largest_error = np.where(is_known, error, 0.0).max(axis=1, keepdims=True)
     jump = largest(point - planned)
     nearest, multiple, farthest = _TRUSTED
-    is_trusted = (jump >= np.maximum(nearest * scale, multiple * largest_error)) & (jump <= farthest * scale)
-    return Reactions(point, largest_error, is_trusted & (memory["steps"] >= START))
+    doubt = np.maximum(largest_error, own.doubt)
+    is_trusted = (jump >= np.maximum(nearest * scale, multiple * doubt)) & (jump <= farthest * scale)
+    return Reactions(point, doubt, is_trusted & _is_dominant(own) & (memory["steps"] >= START))
+
+
+def _is_dominant(own: Condition) -> BoolArray:
+    """Whether every own row of G is diagonally dominant, shape (R, 1): then joint solutions of all players contract."""
+    size, places = np.abs(own.rows), np.minimum(own.blocks, own.rows.shape[2] - 1)
+    diagonal = np.take_along_axis(size, places[:, :, None], axis=2)[:, :, 0]
+    is_padding = own.blocks == own.rows.shape[2]
+    return np.asarray((is_padding | (size.sum(axis=2) < 2 * diagonal)).all(axis=1, keepdims=True))
 
 
 def _entries(array: FloatArray, blocks: IntArray) -> FloatArray:

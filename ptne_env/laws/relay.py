@@ -71,7 +71,8 @@ class Own(NamedTuple):
         moved: the last displacement of the estimates, shape (R, n).
         held: own components that a bound holds, shape (R, m).
         radius: of the trust region, shape (R, 1).
-        failed: whether the last prediction of the own gradient failed, shape (R, 1).
+        error: of the last prediction of the own gradient, shape (R, 1).
+        failed: whether it failed, shape (R, 1).
         is_probe: whether the own components move one after the other, in the first m steps, shape (R, 1).
         turn: the own components that move in this step, shape (R, m).
     """
@@ -82,6 +83,7 @@ class Own(NamedTuple):
     moved: FloatArray
     held: BoolArray
     radius: FloatArray
+    error: FloatArray
     failed: BoolArray
     is_probe: BoolArray
     turn: BoolArray
@@ -117,7 +119,9 @@ def own_side(observation: Observation, memory: Mapping[str, FloatArray], layout:
     asked = np.abs(own_entries(memory["asked"], blocks))
     held = (np.abs(own_moved) < _HELD * asked) & (asked > _RESOLVED * scale)
     is_probe = step < outputs
-    return Own(model, gradient, blocks, moved, held, radius, failed, is_probe, ~is_probe | (np.arange(outputs) == step))
+    return Own(
+        model, gradient, blocks, moved, held, radius, error, failed, is_probe, ~is_probe | (np.arange(outputs) == step)
+    )
 
 
 def copy_weight(

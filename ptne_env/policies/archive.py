@@ -12,7 +12,7 @@ import numpy.typing as npt
 from ptne_env.arrays import BoolArray, Float32Array
 from ptne_env.observation import SMALLEST_SCALE, Interface, ObservationLayout
 from ptne_env.policies.blocks import in_blocks
-from ptne_env.policies.learned import PolicyFileError, PolicyLayoutError
+from ptne_env.policies.metadata import PolicyFileError, PolicyLayoutError
 
 
 class ArchivePolicy:

@@ -2,127 +2,26 @@
 
 from __future__ import annotations
 
-import dataclasses
 import importlib.util
-import json
-from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar, overload
 
 import numpy as np
 import numpy.typing as npt
 
-from ptne_env.arrays import BoolArray, Float32Array, require_count, require_finite, require_printable
-from ptne_env.observation import Interface, LayoutError, ObservationLayout
+from ptne_env.arrays import BoolArray, Float32Array
+from ptne_env.laws.gated import CellGates, SlotGates
+from ptne_env.observation import ObservationLayout
 from ptne_env.policies import probe
 from ptne_env.policies.blocks import BLOCK, in_blocks
-
-LAYOUT_VERSION = 1
-"""Version of the meaning of observations and actions; :func:`load` refuses files of another version."""
+from ptne_env.policies.metadata import Description, Metadata, PolicyFileError, SizeFreeMetadata
+from ptne_env.policies.size_free import CELL_FEATURES, SLOT_FEATURES, SizeFreePolicy
 
 _METADATA_KEY = "ptne_env"
 _FOLDER = Path(__file__).parent
 
-
-class PolicyFileError(ValueError):
-    """A file is not a policy of this library, is damaged, or was made for other observations."""
-
-
-class PolicyLayoutError(PolicyFileError, LayoutError):
-    """A policy file was made for another layout."""
-
-
-@dataclass(frozen=True)
-class Metadata:
-    """The description of a policy inside its file.
-
-    Attributes:
-        interface: of the policy.
-        action_dims: n_i of each player it was trained with.
-        slots: D, neighbour slots per player.
-        scenarios: names of the scenarios, families of games or tracks (``"ptne-v1/delay"``) it was trained on.
-        steps: agent-steps of training.
-        seed: of training.
-        digits: mean digits on the validation episodes after training.
-        versions: of the libraries that wrote it.
-        layout_version: version of the meaning of observations and actions.
-    """
-
-    interface: Interface
-    action_dims: tuple[int, ...]
-    slots: int
-    scenarios: tuple[str, ...]
-    steps: int
-    seed: int
-    digits: float
-    versions: Mapping[str, str]
-    layout_version: int = LAYOUT_VERSION
-
-    def to_json(self) -> str:
-        """The metadata as a JSON text."""
-        return json.dumps(dataclasses.asdict(self), allow_nan=False, sort_keys=True)
-
-    @classmethod
-    def from_json(cls, text: str) -> Metadata:
-        """The inverse of :meth:`to_json`.
-
-        Raises:
-            PolicyFileError: when the text is damaged or of another layout version.
-        """
-        try:
-            data = json.loads(text)
-            interface = Interface(**data.pop("interface"))
-            action_dims, scenarios = tuple(data.pop("action_dims")), tuple(data.pop("scenarios"))
-            metadata = cls(interface=interface, action_dims=action_dims, scenarios=scenarios, **data)
-            metadata._check()
-        except (AttributeError, KeyError, TypeError, ValueError, RecursionError) as error:
-            raise PolicyFileError(f"the policy's metadata is damaged or of a later version: {error!r}") from error
-        if metadata.layout_version != LAYOUT_VERSION:
-            raise PolicyFileError(
-                f"the policy was made for layout version {metadata.layout_version}, this library has {LAYOUT_VERSION}; "
-                "use the version of ptne_env that made it, or train it again"
-            )
-        return metadata
-
-    def _check(self) -> None:
-        """Raise ``ValueError`` or ``TypeError`` for a value of a wrong type or out of range."""
-        seen = self.interface
-        if not all(isinstance(flag, bool) for flag in (seen.own_payoff, seen.neighbour_errors, seen.best_response)):
-            raise TypeError(f"the flags of an interface are true or false, got {seen}")
-        for dim in self.action_dims:
-            require_count("action_dims", dim, 1)
-        for name in ("slots", "steps", "seed", "layout_version"):
-            require_count(name, getattr(self, name), 0)
-        require_finite("digits", self.digits)
-        for name, version in self.versions.items():
-            require_printable("a library's name", name)
-            require_printable("a library's version", version)
-        for scenario in self.scenarios:
-            require_printable("a scenario's name", scenario)
-
-    @property
-    def action_size(self) -> int:
-        """Length of an action."""
-        return sum(self.action_dims) if self.interface.action_mode == "input" else 2
-
-    def require(self, layout: ObservationLayout) -> None:
-        """Check that the policy can act in an environment of this layout.
-
-        Raises:
-            PolicyLayoutError: naming the differences.
-        """
-        mine = {"interface": self.interface, "action_dims": self.action_dims, "neighbour slots": self.slots}
-        theirs = {
-            "interface": layout.interface,
-            "action_dims": layout.action_dims,
-            "neighbour slots": layout.slots,
-        }
-        differences = [
-            f"{name}: policy {mine[name]}, environment {theirs[name]}" for name in mine if mine[name] != theirs[name]
-        ]
-        if differences:
-            raise PolicyLayoutError(f"the policy was made for another layout; {'; '.join(differences)}")
+SIZE_FREE_INPUTS = ("cell", "slot")
+"""Names of the inputs of the network of a policy without sizes: features of components, and of messages."""
 
 
 class LearnedPolicy:
@@ -137,6 +36,8 @@ class LearnedPolicy:
         observation_size: length of an observation.
     """
 
+    has_memory: ClassVar[bool] = False
+
     def __init__(self, name: str, session: Any, metadata: Metadata) -> None:
         self.name = name
         self.metadata = metadata
@@ -145,7 +46,7 @@ class LearnedPolicy:
         self._input, (_, self.observation_size) = session.get_inputs()[0].name, session.get_inputs()[0].shape
 
     def require(self, layout: ObservationLayout) -> None:
-        """Check that the policy can act in an environment of this layout; see :meth:`Metadata.require`."""
+        """Check that the policy can act in an environment of this layout; see :meth:`Description.require`."""
         self.metadata.require(layout)
 
     def predict(
@@ -168,6 +69,40 @@ class LearnedPolicy:
         return (actions[0] if np.ndim(observation) == 1 else actions[: len(rows)]), state
 
 
+class SizeFreeFile:
+    """A policy without sizes in a file: called with a layout, it gives the policy for it.
+
+    :func:`load` makes one.
+
+    Attributes:
+        name: of the file, without its ending.
+        metadata: description in the file.
+        interface: of the policy.
+    """
+
+    has_memory: ClassVar[bool] = True
+
+    def __init__(self, name: str, session: Any, metadata: SizeFreeMetadata) -> None:
+        self.name = name
+        self.metadata = metadata
+        self.interface = metadata.interface
+        self._session = session
+
+    def __call__(self, layout: ObservationLayout) -> SizeFreePolicy:
+        """The policy for a layout.
+
+        Raises:
+            PolicyLayoutError: when the interface of the layout is not that of the policy.
+        """
+        self.metadata.require(layout)
+        return SizeFreePolicy(layout, self.network)
+
+    def network(self, cell: Float32Array, slot: Float32Array) -> tuple[Float32Array, Float32Array]:
+        """The gates; see :data:`ptne_env.policies.size_free.Network`."""
+        mine, theirs = self._session.run(None, dict(zip(SIZE_FREE_INPUTS, (cell, slot), strict=True)))
+        return mine, theirs
+
+
 def shipped() -> list[str]:
     """The names of the policies in the library."""
     return sorted(path.stem for path in _FOLDER.glob("*.onnx"))
@@ -178,7 +113,17 @@ def shipped_path(name: str) -> Path | None:
     return _FOLDER / f"{name}.onnx" if name in shipped() else None
 
 
-def load(path_or_name: str | Path, layout: ObservationLayout | None = None) -> LearnedPolicy:
+@overload
+def load(path_or_name: str | Path, layout: None = None) -> LearnedPolicy | SizeFreeFile: ...
+
+
+@overload
+def load(path_or_name: str | Path, layout: ObservationLayout) -> LearnedPolicy | SizeFreePolicy: ...
+
+
+def load(
+    path_or_name: str | Path, layout: ObservationLayout | None = None
+) -> LearnedPolicy | SizeFreeFile | SizeFreePolicy:
     """A learned policy from an ``.onnx`` file, or a shipped policy by name.
 
     The first time, a file that is not shipped is loaded in a process with limited time and memory
@@ -187,6 +132,10 @@ def load(path_or_name: str | Path, layout: ObservationLayout | None = None) -> L
     Args:
         path_or_name: the file or name.
         layout: of the environment in which the policy must be able to act; not checked if left out.
+
+    Returns:
+        The policy. A policy without sizes needs a layout: where that is left out, it is built when the result is called
+        with one.
 
     Raises:
         FileNotFoundError: when there is no such file, naming the shipped policies.
@@ -203,12 +152,15 @@ def load(path_or_name: str | Path, layout: ObservationLayout | None = None) -> L
         names = ", ".join(shipped()) or "none"
         raise FileNotFoundError(f"no policy {str(path_or_name)!r}: name an .onnx file or a shipped policy ({names})")
     policy = _read(path)
-    if layout is not None:
-        policy.require(layout)
+    if layout is None:
+        return policy
+    if isinstance(policy, SizeFreeFile):
+        return policy(layout)
+    policy.require(layout)
     return policy
 
 
-def _read(path: Path) -> LearnedPolicy:
+def _read(path: Path) -> LearnedPolicy | SizeFreeFile:
     """The policy in a file; see :func:`load`."""
     content = path.read_bytes()
     reason = None if path.parent == _FOLDER else probe.refusal(content, BLOCK)
@@ -217,12 +169,19 @@ def _read(path: Path) -> LearnedPolicy:
     try:
         session = probe.open_session(content)
         text = session.get_modelmeta().custom_metadata_map.get(_METADATA_KEY)
-        inputs, outputs = session.get_inputs(), session.get_outputs()
     except Exception as error:  # onnxruntime raises its own classes, which are not public
         raise PolicyFileError(f"{path} is not a readable ONNX file: it is damaged or something else") from error
     if text is None:
         raise PolicyFileError(f"{path} is an ONNX file without the metadata of a ptne_env policy")
-    metadata = Metadata.from_json(text)
+    metadata = Description.from_json(text)
+    if isinstance(metadata, Metadata):
+        return _flat(path, session, metadata)
+    return _size_free(path, session, metadata)
+
+
+def _flat(path: Path, session: Any, metadata: Metadata) -> LearnedPolicy:
+    """A policy that maps observations to actions, after a trial with one row."""
+    inputs, outputs = session.get_inputs(), session.get_outputs()
     if len(inputs) != 1 or len(outputs) != 1 or len(inputs[0].shape) != 2:
         raise PolicyFileError(f"{path} does not map one batch of observations to one batch of actions")
     policy = LearnedPolicy(path.stem, session, metadata)
@@ -232,4 +191,22 @@ def _read(path: Path) -> LearnedPolicy:
         raise PolicyFileError(f"{path} cannot decide a batch of any number of rows of observations") from error
     if getattr(actions, "dtype", None) != np.float32 or actions.shape != (1, metadata.action_size):
         raise PolicyFileError(f"{path} does not answer with actions of {metadata.action_size} float32 numbers")
+    return policy
+
+
+def _size_free(path: Path, session: Any, metadata: SizeFreeMetadata) -> SizeFreeFile:
+    """A policy without sizes, after trials with two numbers of cells and slots."""
+    policy = SizeFreeFile(path.stem, session, metadata)
+    for cells, slots in ((BLOCK, 1), (2 * BLOCK, 3)):
+        shapes = ((cells, len(CELL_FEATURES)), (cells, slots, len(SLOT_FEATURES)))
+        try:
+            answers = policy.network(*(np.zeros(shape, dtype=np.float32) for shape in shapes))
+        except Exception as error:
+            raise PolicyFileError(
+                f"{path} cannot decide from features {' and '.join(SIZE_FREE_INPUTS)} of shapes {shapes}: {error}"
+            ) from error
+        expected = ((cells, len(CellGates._fields)), (cells, slots, len(SlotGates._fields)))
+        found = tuple((getattr(answer, "dtype", None), np.shape(answer)) for answer in answers)
+        if found != tuple((np.float32, shape) for shape in expected):
+            raise PolicyFileError(f"{path} answers with gates {found}, expected float32 arrays of shapes {expected}")
     return policy

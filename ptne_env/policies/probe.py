@@ -41,6 +41,8 @@ def stay() -> None:
 def refusal(content: bytes, rows: int) -> str | None:
     """Load the content of an ONNX file and run it on ``rows`` rows of zeros, in a process of its own.
 
+    Other sizes that the file leaves open are 1.
+
     That process ends with this one. It cannot open files, so a file that keeps weights in another file fails. Where the
     system has no limits for a process (Windows), only the time until :data:`WAIT` is limited.
 
@@ -115,8 +117,11 @@ def _main(memory: str, seconds: str, rows: str, *paths: str) -> None:
     _limit(int(memory), int(seconds))
     try:
         session = open_session(content)
-        given = session.get_inputs()[0]
-        session.run(None, {given.name: np.zeros((int(rows), *given.shape[1:]), dtype=np.float32)})
+        given = {
+            each.name: (int(rows), *(size if isinstance(size, int) else 1 for size in each.shape[1:]))
+            for each in session.get_inputs()
+        }
+        session.run(None, {name: np.zeros(shape, dtype=np.float32) for name, shape in given.items()})
     except Exception as error:  # noqa: BLE001 - onnxruntime's classes are not public
         sys.stdout.write(str(error))
         sys.exit(1)

@@ -14,7 +14,7 @@ import numpy as np
 
 from ptne_env.arrays import Float32Array, FloatArray
 from ptne_env.laws.gated import CellEvidence, CellGates, GatedLaw, SlotEvidence, SlotGates
-from ptne_env.observation import ObservationLayout
+from ptne_env.observation import Interface, ObservationLayout
 from ptne_env.policies.blocks import in_blocks
 
 Network: TypeAlias = Callable[[Float32Array, Float32Array], tuple[Float32Array, Float32Array]]
@@ -23,9 +23,25 @@ Network: TypeAlias = Callable[[Float32Array, Float32Array], tuple[Float32Array, 
 C is a multiple of :data:`~ptne_env.policies.blocks.BLOCK`. The gates stand in the order of their named tuples.
 """
 
+_EXACT, _ROUNDED = 1e-9, 1e-6
+"""Distances relative to the largest own estimate that features tell apart from smaller ones: differences that players
+observe, and differences of messages from step to step, in which their float32 shows."""
+
+_LARGEST = 1e3
+"""Such distances that features tell apart from larger ones."""
+
 _CELL_FLAGS = ("own", "turn", "probing", "closing", "failed", "held", "noisy", "rounded", "broke", "trusted")
 _CELL_SHARES = ("weight", "elapsed")
-_CELL_DISTANCES = ("gradient", "response", "noise", "width", "belief", "correction", "doubt", "push")
+_CELL_DISTANCES = {  # and the smallest of each that is more than rounding
+    "gradient": _EXACT,
+    "response": _EXACT,
+    "noise": _ROUNDED,
+    "width": _ROUNDED,
+    "belief": _ROUNDED,
+    "correction": _EXACT,
+    "doubt": _EXACT,
+    "push": _EXACT,
+}
 _CELL_STEPS = ("steps", "push_steps")
 _CELL_NUMBERS = ("sources", "links")
 _CELL_RATIOS = (("belief", "noise"), ("correction", "doubt"))
@@ -43,7 +59,7 @@ CELL_FEATURES: tuple[str, ...] = (
 
 _SLOT_FLAGS = ("live", "owner", "source", "counts")
 _SLOT_STEPS = ("age", "contact", "samples")
-_SLOT_DISTANCES = ("relative", "change", "deviation", "spread")
+_SLOT_DISTANCES = {"relative": _EXACT, "change": _ROUNDED, "deviation": _ROUNDED, "spread": _ROUNDED}
 _SLOT_RATIOS = (("deviation", "spread"),)
 
 SLOT_FEATURES: tuple[str, ...] = (
@@ -66,9 +82,6 @@ HIGH: Mapping[str, float] = {
 }
 """The upper bound of every gate, of a cell or of a message: 1 of shares."""
 
-_SMALLEST, _LARGEST = 1e-9, 1e3
-"""Distances relative to the largest own estimate that a feature tells apart from smaller and larger ones."""
-
 _MOST_STEPS = 1e4
 """Steps that a feature tells apart from more."""
 
@@ -83,8 +96,8 @@ def features(cells: CellEvidence, slots: SlotEvidence) -> tuple[Float32Array, Fl
     """The features of R players' components and messages, of order one.
 
     - Flags, shares and ``elapsed`` as they are; ``nearer`` and ``farther`` are the signs of the hops.
-    - Distances x as (log10(x/scale + 1e-9) + 9)/12, where ``scale`` is the largest own estimate; Θ_k alike, from 1e-6
-      to 1.
+    - Distances x as (log10(x/scale + 1e-9) + 9)/12, where ``scale`` is the largest own estimate; those that are
+      differences of messages from step to step as (log10(x/scale + 1e-6) + 6)/9, and Θ_k from 1e-6 to 1.
     - Numbers of steps as log10(1 + k)/4.
     - Numbers k of live ``sources`` and live ``links`` as k/(1 + k).
     - Ratios of distances as ½ + log10(ratio)/6.
@@ -104,9 +117,9 @@ def features(cells: CellEvidence, slots: SlotEvidence) -> tuple[Float32Array, Fl
     slot = np.empty((rows, components, slots_each, len(SLOT_FEATURES)), dtype=np.float32)
     per_scale = (1.0 / np.maximum(cells.scale, 1e-30)).astype(np.float32)
 
-    logarithms = {name: _decades(getattr(cells, name), per_scale) for name in _CELL_DISTANCES}
+    logarithms = {name: _decades(getattr(cells, name), per_scale, least) for name, least in _CELL_DISTANCES.items()}
     values = {name: getattr(cells, name) for name in (*_CELL_FLAGS, *_CELL_SHARES)}
-    values |= {name: _distance(logarithms[name]) for name in _CELL_DISTANCES}
+    values |= {name: _distance(logarithms[name], least) for name, least in _CELL_DISTANCES.items()}
     values |= {name: _count(getattr(cells, name)) for name in _CELL_STEPS}
     links = slots.live.sum(axis=1)
     values |= {"sources": cells.sources / (1.0 + cells.sources), "links": links / (1.0 + links)}
@@ -115,28 +128,32 @@ def features(cells: CellEvidence, slots: SlotEvidence) -> tuple[Float32Array, Fl
     for place, name in enumerate(CELL_FEATURES):
         cell[:, :, place] = values[name]
 
-    logarithms = {name: _decades(np.abs(getattr(slots, name)), per_scale[:, None]) for name in _SLOT_DISTANCES}
+    logarithms = {
+        name: _decades(np.abs(getattr(slots, name)), per_scale[:, None], least)
+        for name, least in _SLOT_DISTANCES.items()
+    }
     values = {name: getattr(slots, name) for name in _SLOT_FLAGS}
     values |= {"nearer": slots.nearer > 0, "farther": slots.nearer < 0, "own": cells.own[:, None]}
     values |= {name: _count(getattr(slots, name)) for name in _SLOT_STEPS}
-    values |= {name: _distance(logarithms[name]) for name in _SLOT_DISTANCES}
+    values |= {name: _distance(logarithms[name], least) for name, least in _SLOT_DISTANCES.items()}
     values |= {f"{over}/{under}": _ratio(logarithms[over], logarithms[under]) for over, under in _SLOT_RATIOS}
     for place, name in enumerate(SLOT_FEATURES):
         slot[:, :, :, place] = values[name].swapaxes(1, 2)
     return cell, slot
 
 
-def _decades(distances: FloatArray, per_scale: Float32Array) -> Float32Array:
-    """log10 of distances relative to the scale."""
+def _decades(distances: FloatArray, per_scale: Float32Array, least: float) -> Float32Array:
+    """log10 of distances relative to the scale, from ``least`` on."""
     with np.errstate(over="ignore"):
         relative = np.minimum(distances.astype(np.float32) * per_scale, np.float32(_LARGEST))
-    relative += np.float32(_SMALLEST)
+    relative += np.float32(least)
     return np.log(relative, out=relative) * np.float32(1.0 / np.log(10.0))
 
 
-def _distance(logarithm: Float32Array) -> Float32Array:
-    lowest, highest = np.log10(_SMALLEST), np.log10(_LARGEST)
-    return np.clip((logarithm - np.float32(lowest)) * np.float32(1.0 / (highest - lowest)), 0.0, 1.0)
+def _distance(logarithm: Float32Array, least: float) -> Float32Array:
+    """0 at ``least``, 1 at the largest distance."""
+    decades = np.log10(_LARGEST / least)
+    return np.clip((logarithm - np.float32(np.log10(least))) * np.float32(1.0 / decades), 0.0, 1.0)
 
 
 def _ratio(over: Float32Array, under: Float32Array) -> Float32Array:
@@ -159,10 +176,16 @@ class SizeFreePolicy(GatedLaw):
 
     Raises:
         LayoutError: for another interface or action mode.
+
+    Attributes:
+        interface: of the layout, with the knowledge of graphs that the features show.
     """
+
+    interface: Interface  # type: ignore[misc]  # of each policy: other laws need that of their class
 
     def __init__(self, layout: ObservationLayout, network: Network) -> None:
         super().__init__(layout)
+        self.interface = layout.interface
         self.network = network
 
     def gates(self, cells: CellEvidence, slots: SlotEvidence) -> tuple[CellGates, SlotGates]:

@@ -15,6 +15,7 @@ import numpy as np
 from ptne_env.arrays import FloatArray, IntArray, require_count, require_non_negative
 from ptne_env.games import Game
 from ptne_env.laws import Law
+from ptne_env.observation import Observation
 from ptne_env.theory.closed_loop import (
     Loop,
     NoClosedLoopError,
@@ -313,6 +314,30 @@ class Play:
     memory: Any
 
 
+def observed(law: Law, world: World, estimates: FloatArray, k: int, mode: int) -> Observation:
+    """Observations of all players in float64 over perfect links: gradients, estimates, weights and steps.
+
+    Args:
+        law: built for the layout of ``world``.
+        world: the world; of random games, the typical game is played.
+        estimates: row i is x^i, shape (N, n).
+        k: the step.
+        mode: the active graph.
+    """
+    game, clock, layout, players = world.game, world.clock, law.layout, world.game.num_players
+    weights = world.mode_weights[:, :, mode].T
+    gradient = game.own_gradients(estimates.T[:, :, None])[:, 0]
+    differences = estimates[np.array(layout.neighbours)] - estimates[:, None]
+    return blank_observation(layout, np.arange(players))._replace(
+        gradient=np.where(layout.own_mask, gradient, 0.0),
+        relative_estimates=differences * (weights > 0)[:, :, None],
+        weights=weights,
+        theta=np.full((players, 1), clock.theta[k]),
+        dt=np.full((players, 1), clock.dt[k]),
+        own_estimate=estimates,
+    )
+
+
 def play(law: Law, world: World, estimates: FloatArray) -> Play:
     """Run a law, linear or not, in float64, over perfect links and without limits or bounds.
 
@@ -324,26 +349,14 @@ def play(law: Law, world: World, estimates: FloatArray) -> Play:
         world: the world.
         estimates: initial, shape (n, N).
     """
-    game, clock, layout = world.game, world.clock, law.layout
-    n, players = game.dimension, game.num_players
-    neighbours = np.array(layout.neighbours)
-    blank = blank_observation(layout, np.arange(players))
-    modes, own = schedule(world), layout.own_mask
+    game, clock = world.game, world.clock
+    n, players, modes = game.dimension, game.num_players, schedule(world)
     errors = np.full((clock.total_steps + 1, players * n), np.inf)
     errors[0] = start_error(estimates, game)
     current, memory = estimates.T.copy(), law.initial_memory(players)
     peak, memory_at_deadline = 0.0, None
     for k in range(clock.total_steps):
-        weights = world.mode_weights[:, :, modes[k]].T
-        gradient = game.own_gradients(current.T[:, :, None])[:, 0]
-        observation = blank._replace(
-            gradient=np.where(own, gradient, 0.0),
-            relative_estimates=(current[neighbours] - current[:, None]) * (weights > 0)[:, :, None],
-            weights=weights,
-            theta=np.full((players, 1), clock.theta[k]),
-            dt=np.full((players, 1), clock.dt[k]),
-            own_estimate=current,
-        )
+        observation = observed(law, world, current, k, int(modes[k]))
         inputs, memory = law.inputs(observation, memory)
         current = current + clock.theta[k] * inputs
         if k < clock.steps:

@@ -1,4 +1,8 @@
-"""Export of a Stable-Baselines3 actor to an ONNX file that :func:`ptne_env.policies.load` reads."""
+"""Export of policies to ONNX files that :func:`ptne_env.policies.load` reads.
+
+The graphs are written node by node: a policy here is a few affine maps and tanh, and torch's exporters need three more
+packages for it and change with every release.
+"""
 
 from __future__ import annotations
 
@@ -13,9 +17,15 @@ from stable_baselines3.common.torch_layers import FlattenExtractor
 from torch import nn
 
 from ptne_env._version import __version__
-from ptne_env.observation import ObservationLayout
-from ptne_env.policies import Metadata
+from ptne_env.arrays import Float32Array
+from ptne_env.laws.gated import CellGates, SlotGates
+from ptne_env.observation import Interface, ObservationLayout
+from ptne_env.policies import Metadata, SizeFreeMetadata
+from ptne_env.policies.learned import SIZE_FREE_INPUTS
+from ptne_env.policies.metadata import GATES, Description
+from ptne_env.policies.size_free import CELL_FEATURES, SLOT_FEATURES
 from ptne_env.training.features import Products
+from ptne_env.training.network import GateNetwork
 
 if TYPE_CHECKING:
     from stable_baselines3.common.on_policy_algorithm import OnPolicyAlgorithm
@@ -27,10 +37,6 @@ def to_onnx(
     model: OnPolicyAlgorithm, layout: ObservationLayout, *, scenarios: tuple[str, ...], seed: int, digits: float
 ) -> bytes:
     """The deterministic actor as an ONNX file: observations (R, size) float32 to clipped mean actions, float32.
-
-    The graph is written node by node: a policy here is a stack of affine maps and tanh, perhaps behind
-    :class:`~ptne_env.training.features.Products`, and torch's exporters need three more packages for it and change with
-    every release.
 
     Args:
         model: PPO or A2C with an ``MlpPolicy`` of tanh units on a flat observation.
@@ -49,8 +55,7 @@ def to_onnx(
         output = f"hidden_{index}"
         if isinstance(layer, nn.Linear):
             for name, tensor in (("weight", layer.weight), ("bias", layer.bias)):
-                array = tensor.detach().cpu().numpy().astype(np.float32)
-                initializers.append(numpy_helper.from_array(array, f"{name}_{index}"))
+                initializers.append(numpy_helper.from_array(_array(tensor), f"{name}_{index}"))
             inputs = [last, f"weight_{index}", f"bias_{index}"]
             nodes.append(helper.make_node("Gemm", inputs, [output], transB=1))
         elif isinstance(layer, nn.Tanh):
@@ -64,26 +69,133 @@ def to_onnx(
     graph = helper.make_graph(
         nodes,
         "policy",
-        [helper.make_tensor_value_info("observation", onnx.TensorProto.FLOAT, ["rows", layout.size])],
-        [helper.make_tensor_value_info("action", onnx.TensorProto.FLOAT, ["rows", layout.action_size])],
+        [_value("observation", "rows", layout.size)],
+        [_value("action", "rows", layout.action_size)],
         initializers,
     )
-    exported = helper.make_model(graph, opset_imports=[helper.make_opsetid("", _OPSET)], ir_version=_IR)
-    metadata = Metadata(
-        interface=layout.interface,
-        action_dims=layout.action_dims,
-        slots=layout.slots,
-        scenarios=scenarios,
-        steps=int(model.num_timesteps),
-        seed=seed,
-        digits=digits,
-        versions={
-            "ptne_env": __version__,
-            "stable_baselines3": stable_baselines3.__version__,
-            "torch": torch.__version__,
-            "numpy": np.__version__,
-        },
+    return _content(
+        graph,
+        Metadata(
+            interface=layout.interface,
+            action_dims=layout.action_dims,
+            slots=layout.slots,
+            scenarios=scenarios,
+            steps=int(model.num_timesteps),
+            seed=seed,
+            digits=digits,
+            versions=_versions(),
+        ),
     )
+
+
+def size_free_to_onnx(
+    network: GateNetwork, *, interface: Interface, scenarios: tuple[str, ...], steps: int, seed: int, digits: float
+) -> bytes:
+    """The network of a policy without sizes as an ONNX file: features of cells and messages to gates, not clipped.
+
+    The numbers of cells and slots are left open, so that one file decides in worlds of every size; see
+    :data:`ptne_env.policies.size_free.Network`.
+
+    Args:
+        network: of the gates.
+        interface: of the worlds it was trained in.
+        scenarios: names of the worlds it was trained in, for the metadata.
+        steps: agent-steps of training, for the metadata.
+        seed: of training, for the metadata.
+        digits: on the validation episodes, for the metadata.
+    """
+    weights = {name: _array(tensor) for name, tensor in network.state_dict().items()}
+    constants = {name: array.T if name.endswith("weight") else array for name, array in weights.items()}
+    # One product for all that the features of messages are multiplied with.
+    readers = ("encoder", "slot_layer", "slot_skip")
+    for part in ("weight", "bias"):
+        constants[f"messages.{part}"] = np.concatenate([constants.pop(f"{name}.{part}") for name in readers], axis=-1)
+    units = len(weights["encoder.bias"])
+    constants |= {
+        "parts": np.array([units, units, len(SlotGates._fields)], dtype=np.int64),
+        "live": np.array([SLOT_FEATURES.index("live")], dtype=np.int64),
+        "slot_axis": np.array([1], dtype=np.int64),
+        "one": np.array(1.0, dtype=np.float32),
+    }
+    cell, slot = SIZE_FREE_INPUTS
+    nodes = [
+        helper.make_node("MatMul", [slot, "messages.weight"], ["read_products"]),
+        helper.make_node("Add", ["read_products", "messages.bias"], ["read"]),
+        helper.make_node("Split", ["read", "parts"], ["encoded", "layer", "slot_line"], axis=2),
+        helper.make_node("Gather", [slot, "live"], ["is_live"], axis=2),
+        helper.make_node("Tanh", ["encoded"], ["encoding"]),
+        helper.make_node("Mul", ["encoding", "is_live"], ["heard"]),
+        helper.make_node("ReduceSum", ["heard", "slot_axis"], ["sum"], keepdims=0),
+        helper.make_node("ReduceSum", ["is_live", "slot_axis"], ["links"], keepdims=0),
+        helper.make_node("Max", ["links", "one"], ["divisor"]),
+        helper.make_node("Div", ["sum", "divisor"], ["mean"]),
+        helper.make_node("Add", ["heard", "is_live"], ["shifted"]),
+        helper.make_node("ReduceMax", ["shifted"], ["largest"], axes=[1], keepdims=0),
+        helper.make_node("Concat", [cell, "mean", "largest"], ["known"], axis=1),
+        helper.make_node("Gemm", ["known", "first.weight", "first.bias"], ["first_sum"]),
+        helper.make_node("Tanh", ["first_sum"], ["first_hidden"]),
+        helper.make_node("Gemm", ["first_hidden", "second.weight", "second.bias"], ["second_sum"]),
+        helper.make_node("Tanh", ["second_sum"], ["hidden"]),
+        helper.make_node("Gemm", ["hidden", "cell_head.weight"], ["cell_curve"]),
+        helper.make_node("Gemm", [cell, "cell_skip.weight", "cell_skip.bias"], ["cell_line"]),
+        helper.make_node("Add", ["cell_line", "cell_curve"], ["cell_gates"]),
+        helper.make_node("Gemm", ["hidden", "slot_context.weight"], ["context"]),
+        helper.make_node("Unsqueeze", ["context", "slot_axis"], ["contexts"]),
+        helper.make_node("Add", ["layer", "contexts"], ["joined_sum"]),
+        helper.make_node("Tanh", ["joined_sum"], ["joined"]),
+        helper.make_node("MatMul", ["joined", "slot_head.weight"], ["slot_curve"]),
+        helper.make_node("Add", ["slot_line", "slot_curve"], ["slot_gates"]),
+    ]
+    graph = helper.make_graph(
+        nodes,
+        "gates",
+        [
+            _value(cell, "cells", len(CELL_FEATURES)),
+            _value(slot, "cells", "slots", len(SLOT_FEATURES)),
+        ],
+        [
+            _value("cell_gates", "cells", len(CellGates._fields)),
+            _value("slot_gates", "cells", "slots", len(SlotGates._fields)),
+        ],
+        [numpy_helper.from_array(np.ascontiguousarray(array), name) for name, array in constants.items()],
+    )
+    return _content(
+        graph,
+        SizeFreeMetadata(
+            interface=interface,
+            scenarios=scenarios,
+            steps=steps,
+            seed=seed,
+            digits=digits,
+            versions=_versions(),
+            cell_features=CELL_FEATURES,
+            slot_features=SLOT_FEATURES,
+            gates=GATES,
+        ),
+    )
+
+
+def _array(tensor: torch.Tensor) -> Float32Array:
+    return tensor.detach().cpu().numpy().astype(np.float32)
+
+
+def _value(name: str, *shape: int | str) -> onnx.ValueInfoProto:
+    return helper.make_tensor_value_info(name, onnx.TensorProto.FLOAT, shape)
+
+
+def _versions() -> dict[str, str]:
+    """Versions of the libraries that train and export."""
+    return {
+        "ptne_env": __version__,
+        "stable_baselines3": stable_baselines3.__version__,
+        "torch": torch.__version__,
+        "numpy": np.__version__,
+    }
+
+
+def _content(graph: onnx.GraphProto, metadata: Description) -> bytes:
+    """The file of a graph, after ONNX's own check."""
+    exported = helper.make_model(graph, opset_imports=[helper.make_opsetid("", _OPSET)], ir_version=_IR)
     helper.set_model_props(exported, {"ptne_env": metadata.to_json()})
     onnx.checker.check_model(exported)
     content: bytes = exported.SerializeToString()

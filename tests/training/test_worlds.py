@@ -9,6 +9,7 @@ import pytest
 from affine_games import SOAK
 
 from ptne_env import laws
+from ptne_env.distances import digits
 from ptne_env.encoder import make_encoder
 from ptne_env.experiments import EpisodeSet
 from ptne_env.experiments.rollout import rollout
@@ -84,7 +85,7 @@ def levels_of(scenario):
 
 
 def kinds_of(scenario):
-    """What a world consists of, by name."""
+    """The parts and the difficulties of a world, by name."""
     kinds = {name_of(part) for part in parts_of(scenario)}
     kinds |= {"limit"} if scenario.input_limit < 1000 else set()
     kinds |= {"clocks"} if scenario.clock_shifts else set()
@@ -209,16 +210,32 @@ def test_worlds_can_be_built(split):
         assert world.drift is None or name_of(scenario.game) not in BOXED_GAMES
 
 
+def test_dwells_are_as_long_as_the_steps_after_the_deadline():
+    worlds = [scenario for scenario in ALL if scenario.hold_steps and name_of(scenario.topology) in SWITCHING]
+    assert len(worlds) > 5
+    for scenario in worlds:
+        assert World(scenario).topology.shortest_dwell > 0  # a world refuses shorter dwells
+
+
+def test_inputs_can_cross_the_range_of_starts_and_pushes_are_short():
+    for scenario in ALL:
+        effective_time = scenario.s_end + scenario.gain * scenario.deadline
+        assert scenario.input_limit * effective_time >= 45
+        for part in scenario.disturbance.nested():
+            step = effective_time / scenario.steps / scenario.gain
+            assert dict(part.arguments).get("bound", 0.0) * step <= 0.1 * (1 + 1e-9)
+
+
 def digits_gained(scenario, episodes):
     """Mean digits of contact-relay at the deadline beyond those of no input."""
     world = World(scenario)
     start = EpisodeSet(episodes, split="train").initial_state(world)
     encoder = make_encoder(world, laws.ContactRelay.interface)
-    distances = [
-        rollout(law(encoder.layout), encoder, start, series=["estimate_distance"])["estimate_distance"]
-        for law in (laws.ContactRelay, laws.ZeroInput)
-    ]
-    return np.log10(distances[1][scenario.steps] / distances[0][scenario.steps]).mean()
+    law, none = (
+        digits(rollout(each(encoder.layout), encoder, start, series=["estimate_distance"])["estimate_distance"])
+        for each in (laws.ContactRelay, laws.ZeroInput)
+    )
+    return (law - none)[scenario.steps].mean()
 
 
 def test_contact_relay_gains_a_digit_in_most_worlds():

@@ -1,0 +1,41 @@
+"""The local rate of laws whose gates follow evidence: the linearisation at rest."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ptne_env.laws.gated import GatedLaw
+from ptne_env.theory.closed_loop import law_loop
+from ptne_env.theory.sampled import observed, play
+from ptne_env.world import World
+
+
+def local_radius(world: World, law: GatedLaw) -> float:
+    """ρ(I − Θ M), the spectral radius of a step at rest, with gates, sources and model as an episode leaves them.
+
+    Below 1 the equilibrium is locally exponentially stable while these rest: an error near it shrinks by this factor
+    per step in the long run. The episode is that of :func:`~ptne_env.theory.sampled.play`, from the scenario's start
+    with seed 0, in float64 and over perfect links. F is linearised at x*.
+
+    Args:
+        world: the world, with a fixed graph; of random games, the typical game.
+        law: built for the layout of ``world``.
+
+    Returns:
+        The radius; infinite where the episode diverges.
+
+    Raises:
+        ValueError: for a topology that switches.
+    """
+    if not world.topology.is_fixed:
+        raise ValueError("the local rate is that of a fixed graph, and this topology switches")
+    game, last = world.game, world.clock.steps - 1
+    estimates = world.start.draw(game.num_players, game.dimension, np.random.default_rng(0))
+    episode = play(law, world, estimates)
+    if episode.memory is None:
+        return float("inf")
+    rest = episode.errors[last + 1].reshape(game.num_players, -1) + game.nash_equilibrium
+    frozen = law.at_rest(observed(law, world, rest, last, 0), episode.memory)
+    loop = law_loop(frozen, game, world.topology.graphs[0], theta=float(world.clock.theta[last]))
+    step = np.eye(len(loop.matrix)) - world.clock.theta[last] * loop.matrix
+    return float(np.abs(np.linalg.eigvals(step)).max())

@@ -1,0 +1,37 @@
+"""The local rate of gated laws at rest, against episodes."""
+
+import numpy as np
+import pytest
+from affine_games import affine_scenario, random_affine
+from worlds import fixed_part
+
+from ptne_env import get_scenario, laws
+from ptne_env.encoder import make_encoder
+from ptne_env.theory.local_rate import local_radius
+from ptne_env.theory.sampled import play
+from ptne_env.world import World
+
+
+def build(scenario):
+    world = World(scenario)
+    return world, laws.ObserverRelay(make_encoder(world, laws.ObserverRelay.interface).layout)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_errors_near_the_equilibrium_shrink_at_the_local_rate(seed):
+    generator = np.random.default_rng(seed)
+    matrix, offset, adjacency = random_affine(generator, 4, coupling=1.0)
+    world, law = build(affine_scenario(matrix, offset, fixed_part(adjacency), steps=60))
+    radius = local_radius(world, law)
+    estimates = world.start.draw(4, 4, np.random.default_rng(0))
+    errors = np.linalg.norm(play(law, world, estimates).errors, axis=1)
+    last = int(np.flatnonzero(errors > 1e-9)[-1])
+    first = last // 2
+    observed = (errors[last] / errors[first]) ** (1 / (last - first))
+    assert observed == pytest.approx(radius, abs=0.06)
+
+
+def test_switching_topology_has_no_local_rate():
+    world, law = build(get_scenario("random-energy-switching"))
+    with pytest.raises(ValueError, match="fixed graph"):
+        local_radius(world, law)
