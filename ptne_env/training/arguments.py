@@ -18,7 +18,7 @@ from ptne_env.training import CONFIGURATIONS, configurations
 STRICT = ConfigDict(strict=True, extra="forbid", allow_inf_nan=False)
 """No value is converted to another type, no name is unknown, and numbers are finite."""
 
-_WORD = 2**32
+WORD = 2**32
 """Seeds of episodes hold the seed and the agent-steps of a run as words of 32 bits."""
 
 _Class = TypeVar("_Class")
@@ -60,7 +60,7 @@ def _message(error: ValidationError, names: list[str]) -> str:
     return "; ".join(clauses)
 
 
-def _tuple(value: Any) -> Any:
+def as_tuple(value: Any) -> Any:
     """A tuple of a list, which files hold, and of a single name."""
     return (value,) if isinstance(value, str) else tuple(value) if isinstance(value, list) else value
 
@@ -99,10 +99,10 @@ class Arguments:
         ValueError: when an argument has another type or is out of its range, naming it and its value.
     """
 
-    scenarios: Annotated[tuple[str, ...], Field(min_length=1), BeforeValidator(_tuple)]
+    scenarios: Annotated[tuple[str, ...], Field(min_length=1), BeforeValidator(as_tuple)]
     interface: InterfaceKind = "local"
     action_mode: ActionMode = "input"
-    steps: Annotated[int, Field(gt=0, lt=_WORD)] = 6_000_000
+    steps: Annotated[int, Field(gt=0, lt=WORD)] = 6_000_000
     envs: PositiveInt = 128
     rollout: PositiveInt = 50
     minibatches: PositiveInt = 32
@@ -111,10 +111,10 @@ class Arguments:
     discount: _Share = 0.9
     trace: _Share = 0.9
     clip: Annotated[float, Field(gt=0, le=1)] = 0.2
-    hidden: Annotated[tuple[PositiveInt, ...], BeforeValidator(_tuple)] = (64, 64)
+    hidden: Annotated[tuple[PositiveInt, ...], BeforeValidator(as_tuple)] = (64, 64)
     products: bool = True
     log_std: Annotated[float, Field(ge=-20, le=5)] = -2.0
-    seed: Annotated[int, Field(ge=0, lt=_WORD)] = 0
+    seed: Annotated[int, Field(ge=0, lt=WORD)] = 0
     validation_episodes: PositiveInt = 200
     checkpoint_rollouts: PositiveInt = 24
 

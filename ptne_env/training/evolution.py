@@ -83,3 +83,49 @@ def scores(
                 at_deadline = batch.digits
     score = (at_deadline + batch.digits).mean(axis=0) / 2
     return score.reshape(population, len(seeds)).mean(axis=1)
+
+
+def write(network: GateNetwork, names: Sequence[str], values: FloatArray) -> None:
+    """Write a vector of parameters into a network."""
+    own = dict(network.named_parameters())
+    with torch.no_grad():
+        for name, tensor in parameters(network, names, values[None]).items():
+            own[name].copy_(tensor[0])
+
+
+class Search:
+    """CMA-ES with a diagonal covariance, after generations whose scores are known.
+
+    It is replayed from these scores, so that it needs no state of its own.
+
+    Args:
+        start: the vector at which the search starts.
+        sigma: initial standard deviation.
+        population: vectors in a generation.
+        seed: of the vectors.
+        scores: of the generations so far, the higher the better.
+    """
+
+    def __init__(
+        self, start: FloatArray, sigma: float, population: int, seed: int, scores: Sequence[Sequence[float]]
+    ) -> None:
+        generator = np.random.default_rng(seed)
+        options = {
+            "CMA_diagonal": True,
+            "popsize": population,
+            "seed": np.nan,
+            "randn": lambda *size: generator.standard_normal(size),
+            "verbose": -9,
+        }
+        self._search = CMAEvolutionStrategy(start, sigma, options)
+        for each in scores:
+            self._search.tell(self._search.ask(), [-score for score in each])
+
+    def ask(self) -> FloatArray:
+        """The vectors of the next generation, shape (P, k)."""
+        return np.array(self._search.ask())
+
+    @property
+    def favourite(self) -> FloatArray:
+        """The mean of the distribution, shape (k,)."""
+        return np.array(self._search.result.xfavorite)

@@ -6,6 +6,7 @@ packages for it and change with every release.
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -20,7 +21,7 @@ from ptne_env._version import __version__
 from ptne_env.arrays import Float32Array
 from ptne_env.laws.gated import CellGates, SlotGates
 from ptne_env.observation import Interface, ObservationLayout
-from ptne_env.policies import Metadata, SizeFreeMetadata
+from ptne_env.policies import Metadata, SizeFreeFile, SizeFreeMetadata, load, shipped_path
 from ptne_env.policies.learned import SIZE_FREE_INPUTS
 from ptne_env.policies.metadata import GATES, Description
 from ptne_env.policies.size_free import CELL_FEATURES, SLOT_FEATURES
@@ -31,6 +32,9 @@ if TYPE_CHECKING:
     from stable_baselines3.common.on_policy_algorithm import OnPolicyAlgorithm
 
 _OPSET, _IR = 17, 8
+
+_READERS = ("encoder", "slot_layer", "slot_skip")
+"""The maps of features of messages, which are one product in a file."""
 
 
 def to_onnx(
@@ -107,9 +111,8 @@ def size_free_to_onnx(
     weights = {name: _array(tensor) for name, tensor in network.state_dict().items()}
     constants = {name: array.T if name.endswith("weight") else array for name, array in weights.items()}
     # One product for all that the features of messages are multiplied with.
-    readers = ("encoder", "slot_layer", "slot_skip")
     for part in ("weight", "bias"):
-        constants[f"messages.{part}"] = np.concatenate([constants.pop(f"{name}.{part}") for name in readers], axis=-1)
+        constants[f"messages.{part}"] = np.concatenate([constants.pop(f"{name}.{part}") for name in _READERS], axis=-1)
     units = len(weights["encoder.bias"])
     constants |= {
         "parts": np.array([units, units, len(SlotGates._fields)], dtype=np.int64),
@@ -173,6 +176,27 @@ def size_free_to_onnx(
             gates=GATES,
         ),
     )
+
+
+def size_free_from_onnx(path_or_name: str | Path) -> GateNetwork:
+    """The network of a file that :func:`size_free_to_onnx` made, or of a shipped policy by name.
+
+    Raises:
+        FileNotFoundError, PolicyFileError: as :func:`ptne_env.policies.load`.
+        ValueError: when the policy has sizes.
+    """
+    if not isinstance(load(path_or_name), SizeFreeFile):
+        raise ValueError(f"policy {str(path_or_name)!r} has sizes: training continues only policies without sizes")
+    path = shipped_path(str(path_or_name)) or Path(path_or_name)
+    constants = {each.name: numpy_helper.to_array(each) for each in onnx.load_from_string(path.read_bytes()).graph.initializer}
+    ends = np.cumsum(constants["parts"])[:-1]
+    for part in ("weight", "bias"):
+        split = np.split(constants.pop(f"messages.{part}"), ends, axis=-1)
+        constants |= {f"{name}.{part}": array for name, array in zip(_READERS, split, strict=True)}
+    network = GateNetwork(len(constants["first.bias"]), len(constants["encoder.bias"]))
+    state = {name: torch.from_numpy(np.array(constants[name].T)) for name in network.state_dict()}
+    network.load_state_dict(state)
+    return network
 
 
 def _array(tensor: torch.Tensor) -> Float32Array:
