@@ -24,6 +24,10 @@ class GatePolicy(ActorCriticPolicy):
     Gates that have no effect, such as the dither of a component of another player or the trust in a dead link, do not
     count in the probability of an action.
 
+    Attributes:
+        actor: answers the gates.
+        kept: the best network so far, which training may return to.
+
     Args:
         *arguments, **named: of Stable-Baselines3's class; ``log_std_init`` is that of every gate, and ``network`` gives
             the arguments of :class:`~ptne_env.training.network.GateNetwork`.
@@ -36,6 +40,7 @@ class GatePolicy(ActorCriticPolicy):
     def _build(self, lr_schedule: Any) -> None:
         cell, slot = len(CELL_FEATURES), len(SLOT_FEATURES)
         self.actor = GateNetwork(**self._network_arguments)
+        self.kept = GateNetwork(**self._network_arguments).requires_grad_(requires_grad=False)
         self.critic = nn.Sequential(nn.Linear(cell + 2 * slot, 64), nn.Tanh(), nn.Linear(64, 64), nn.Tanh(), nn.Linear(64, 1))
         self.log_std = nn.Parameter(torch.full((len(CellGates._fields) + len(SlotGates._fields),), self.log_std_init))
         self.optimizer = self.optimizer_class(self.parameters(), lr=lr_schedule(1), **self.optimizer_kwargs)

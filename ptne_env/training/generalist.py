@@ -126,7 +126,7 @@ class Course(Record):
         stage: index of the stage that goes on.
         segment: that is next in it.
         scores: of evolution so far, by generation and network.
-        digits: of validation at the start and after each finished stage.
+        digits: of validation at the start and after each finished stage, of the network that was kept.
     """
 
     stage: NonNegativeInt
@@ -172,7 +172,7 @@ def train(arguments: Generalist, out: Path, progress: Progress | None = None) ->
         checkpoint.save(path, run, course)
 
     if not course.digits:
-        course = replace(course, digits=(run.validate(),))
+        course = replace(course, digits=(run.keep(()),))
         save()
     lengths = [run.length(stage) for stage in arguments.stages]
     while course.stage < len(arguments.stages):
@@ -185,9 +185,8 @@ def train(arguments: Generalist, out: Path, progress: Progress | None = None) ->
             progress(sum(lengths[: course.stage]) + course.segment, sum(lengths), name, outcome.value)
         if course.segment == lengths[course.stage]:
             run.end(name, course.scores)
-            course = replace(
-                course, stage=course.stage + 1, segment=0, scores=(), digits=(*course.digits, run.validate())
-            )
+            digits = (*course.digits, run.keep(course.digits[course.stage :]))
+            course = replace(course, stage=course.stage + 1, segment=0, scores=(), digits=digits)
         save()
     digits = course.digits[-1]
     network = run.policy.actor
@@ -252,14 +251,12 @@ class _Run:
 
     def segment(self, stage: Stage, number: int, scores: tuple[tuple[float, ...], ...]) -> _Outcome:
         """One segment of a stage."""
-        seed = episode_seed(self.arguments.seed, number, split="train")
         generator = np.random.default_rng([self.arguments.seed, self.arguments.stages.index(stage), number])
         torch.manual_seed(int(generator.integers(2**32)))
         if stage == "imitation":
             return self._round(number, generator)
         if stage == "ppo":
             return self._rollouts(number, int(generator.integers(2**32)))
-        del seed
         return self._generation(generator, scores)
 
     def _round(self, number: int, generator: np.random.Generator) -> _Outcome:
@@ -327,7 +324,20 @@ class _Run:
         if stage == "evolution":
             evolution.write(self.policy.actor, self._names, self._search(scores).favourite)
 
-    def validate(self) -> float:
+    def keep(self, best: tuple[float, ...]) -> float:
+        """Keep the actor if it has at least these digits on validation, or return to the network that was kept.
+
+        Returns:
+            The digits of the network that is kept.
+        """
+        digits, policy = self._validate(), self.policy
+        if best and digits < best[0]:
+            policy.actor.load_state_dict(policy.kept.state_dict())
+            return best[0]
+        policy.kept.load_state_dict(policy.actor.state_dict())
+        return digits
+
+    def _validate(self) -> float:
         """Mean digits on episodes of validation."""
         seeds = [episode_seed(0, episode, "validation") for episode in range(self.arguments.validation_episodes)]
         vector = evolution.vector(self.policy.actor, evolution.LINEAR)
