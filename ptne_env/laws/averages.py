@@ -12,42 +12,56 @@ from typing import NamedTuple
 import numpy as np
 
 from ptne_env.arrays import BoolArray, FloatArray, fold, row_maxima
-from ptne_env.laws.best_response import largest
+from ptne_env.laws.best_response import UNLIMITED, largest
 from ptne_env.observation import Observation, ObservationLayout
 
 START = 20
 """Steps after which noise and rounding are judged; before, estimates still move by more."""
 
-_NOISY = 1e-4
-"""A smallest change of messages above this share of the largest own estimate is noise."""
+_NOISY = 3e-6
+"""A smallest change of messages above this share of the largest own estimate may be noise."""
 
-_RESOLVED = 1e-5
+_CALM = 10.0
+"""It is noise where it has not halved for this many steps."""
+
+_STILL_NOISY = 0.1
+"""Noise stays noise down to this multiple of the smallest level: the smallest of many changes keeps falling."""
+
+_MOVED = 1e-5
 """A change of a message below this share of the largest own estimate is no step of rounding."""
+
+_COARSE = 1e-4
+"""A step of rounding below this share of the largest own estimate does not matter."""
 
 _ON_GRID = 1e-2
 """Largest distance of a rounded message from a multiple of the step, in steps."""
 
-_UNSEEN = 1e6
-"""A step of rounding before any was seen."""
+_FORGETTING = (2.5, 3.0, 2.0)
+"""p of the weights p/(p + k) of the k-th sample: of the mean of noisy and of rounded messages, and of its mean."""
 
-_ECHO_DECAY = 0.99
-_ECHO_STEPS = 2
-_NO_ECHO = 0.5
-_JUDGED = 40
-"""Samples after which the variance of a neighbour that is no source is known well enough to count it."""
+_RECONNECTED = 6.0
+"""Samples that the mean counts for at most when a link comes up again."""
 
-_FORGETTING = 1.2
-"""p of the weights p/(p + k) of the k-th sample."""
+_RECENT = 0.1
+"""Weight of the present change in the variance of messages."""
 
-_SMALLEST_VARIANCE = 1e-12
+_QUICK = 1 / 12
+"""Weight of the present message in the quick mean, by which a mean that lags is noticed."""
+
+_LAG = 4.0
+"""Standard deviations of the quick mean by which it may leave the mean."""
+
+_LYING = (20.0, 8.0, 10.0, 30.0)
+"""Samples of statements about the own strategy before they are judged, the standard deviations by which they are off,
+the number of such steps that makes a liar, and the largest number that counts."""
 
 _GOLDEN_RATIO = (5**0.5 - 1) / 2
 
 
 def average_parts(layout: ObservationLayout) -> dict[str, tuple[int, ...]]:
-    """Shapes of the parts of the memory of this module; at the start ``width`` is 1e6, the others 0."""
-    shape = (layout.slots, layout.dimension)
-    return {"width": (1,), **dict.fromkeys(("mean", "samples", "echo", "moves", "spread"), shape)}
+    """Shapes of the parts of the memory of this module; at the start ``width`` and ``level`` are 1e6, others 0."""
+    parts = dict.fromkeys(("mean", "smooth", "quick", "samples", "variance"), (layout.slots, layout.dimension))
+    return {**dict.fromkeys(("width", "level", "since", "noisy"), (1,)), "lies": (layout.slots,), **parts}
 
 
 class Unrest(NamedTuple):
@@ -55,11 +69,15 @@ class Unrest(NamedTuple):
 
     Attributes:
         width: the smallest change of a message, the step of rounding where messages are rounded; natural units.
+        level: σ_i when it last halved; natural units.
+        since: steps since then.
         is_noisy: whether messages carry noise.
         is_rounded: whether all messages of this step are multiples of ``width``.
     """
 
     width: FloatArray
+    level: FloatArray
+    since: FloatArray
     is_noisy: BoolArray
     is_rounded: BoolArray
 
@@ -69,91 +87,131 @@ def unrest(observation: Observation, memory: Mapping[str, FloatArray], noise: Fl
 
     Args:
         observation: of R players.
-        memory: ``width``, the number of ``steps``, shapes (R, 1); of the step before whether links were ``live``,
-            shape (R, D), and the ``messages``, shape (R, D, n).
+        memory: ``width``, ``level``, ``since``, ``noisy``, the number of ``steps``, shapes (R, 1); of the step before
+            whether links were ``live``, shape (R, D), and the ``messages``, shape (R, D, n).
         noise: σ_i of :func:`~ptne_env.laws.contacts.noise_level`, shape (R, 1).
     """
     live = observation.weights > 0
     scale = largest(observation.own_estimate)
     messages = observation.own_estimate[:, None] + observation.relative_estimates
     change = np.abs(messages - memory["messages"])
-    moved = (live & (memory["live"] > 0))[:, :, None] & (change > _RESOLVED * scale[:, :, None])
-    smallest = np.where(moved, change, _UNSEEN).min(axis=(1, 2))[:, None]
+    moved = (live & (memory["live"] > 0))[:, :, None] & (change > _MOVED * scale[:, :, None])
+    smallest = np.where(moved, change, UNLIMITED).min(axis=(1, 2))[:, None]
     width = np.minimum(memory["width"], smallest)
     steps = messages / width[:, :, None]
     off = row_maxima(np.where(live[:, :, None], np.abs(steps - np.round(steps)), 0.0)).max(axis=1, keepdims=True)
-    is_late = memory["steps"] >= START
-    is_noisy = is_late & (noise > _NOISY * scale)
-    is_seen = (width > _NOISY * scale) & (width < _UNSEEN / 10) & live.any(axis=1, keepdims=True)
-    return Unrest(width, is_noisy, is_late & ~is_noisy & is_seen & (off < _ON_GRID))
+
+    is_late, halved = memory["steps"] >= START, (noise < memory["level"] / 2) | (memory["steps"] < 2)
+    level, since = np.where(halved, noise, memory["level"]), np.where(halved, 0.0, memory["since"] + 1)
+    is_noisy = is_late & (noise > _NOISY * scale) & (since >= _CALM)
+    is_noisy |= (memory["noisy"] > 0) & (noise > _STILL_NOISY * _NOISY * scale)
+    is_seen = (width > _COARSE * scale) & (width < UNLIMITED / 10) & live.any(axis=1, keepdims=True)
+    return Unrest(width, level, since, is_noisy, is_late & ~is_noisy & is_seen & (off < _ON_GRID))
 
 
 class Averages(NamedTuple):
-    """Private means of the messages of each neighbour, in natural units.
+    """Private means of the messages of each neighbour, in natural units, shapes (R, D, n).
 
     Attributes:
-        mean: of the messages about c, shape (R, D, n).
-        samples: their number, shape (R, D, n).
-        variance: of the messages, up to a factor that is the same for all of a player, shape (R, D, n).
-        counts: whether a neighbour's mean says something new: it is a source, or none is known, or its messages are
-            no echo of the own estimates; shape (R, D, n).
+        mean: of the messages about c.
+        samples: the number that it counts for.
+        variance: of the messages.
     """
 
     mean: FloatArray
     samples: FloatArray
     variance: FloatArray
-    counts: BoolArray
 
     def belief(self, weights: FloatArray, otherwise: FloatArray) -> FloatArray:
-        """Σ_j w_j m_j / Σ_j w_j with w_j = weights × samples/variance, and ``otherwise`` (R, n) where that is 0/0.
+        """Σ_j w_j m_j / Σ_j w_j with w_j = weights × samples, and ``otherwise`` (R, n) where that is 0/0.
 
         Args:
             weights: ≥ 0, shape (R, D, n).
             otherwise: values without a mean.
         """
-        weights = weights * self.samples / np.maximum(self.variance, _SMALLEST_VARIANCE)
+        weights = weights * self.samples
         total = fold(np.add, weights, axis=1)
         mean = fold(np.add, weights * self.mean, axis=1) / np.where(total > 0, total, 1.0)
         return np.where(total > 0, mean, otherwise)
 
 
 def averages(
-    observation: Observation, memory: Mapping[str, FloatArray], sources: BoolArray, is_own: BoolArray
+    observation: Observation, memory: Mapping[str, FloatArray], is_rounded: BoolArray
 ) -> tuple[Averages, dict[str, FloatArray]]:
     """The means with the present messages, and the changed parts of the memory.
 
     The weight of the k-th sample is p/(p + k), so that early samples, which were taken while estimates still moved,
-    fade. A message that repeats the own estimates of the step before is an echo: its deviations from the mean have a
-    slope above ½ on their deviations from the sources' mean.
+    fade. Where a quick mean over 12 messages leaves the mean, the mean lags and becomes the quick mean. Rounded
+    messages of a dithered strategy are averaged twice, so that the weights vanish at both ends: the dither is no noise, and its
+    mean over a smooth window is closer to 0.
 
     Args:
         observation: of R players.
-        memory: the parts of :func:`average_parts`, and ``estimate``, the own estimates of the step before, (R, n).
-        sources: from which neighbours each component is copied where they are live, shape (R, D, n).
+        memory: the parts of :func:`average_parts`; of the step before whether links were ``live``, shape (R, D), and
+            the ``messages``, shape (R, D, n).
+        is_rounded: whether messages are rounded, shape (R, 1).
+    """
+    live, lasted = (observation.weights > 0)[:, :, None], (memory["live"] > 0)[:, :, None]
+    messages = observation.own_estimate[:, None] + observation.relative_estimates
+    old = np.where(lasted, memory["samples"], np.minimum(memory["samples"], _RECONNECTED))
+    noisy, rounded, smooth = _FORGETTING
+    forgetting = np.where(is_rounded, rounded, noisy)[:, :, None]
+    mean = np.where(
+        live, memory["mean"] + forgetting / (forgetting + old) * (messages - memory["mean"]), memory["mean"]
+    )
+    samples = np.where(live, old + 1, old)
+
+    change = (messages - memory["messages"]) ** 2 / 2 - memory["variance"]
+    weight = np.where(live & lasted, np.maximum(_RECENT, 1 / (1 + old)), 0.0)
+    variance = memory["variance"] + weight * change
+    quick = memory["quick"] + _QUICK * (messages - memory["quick"])
+    quick = np.where(live, np.where(old < 1 / _QUICK, mean, quick), memory["quick"])
+    lag = (quick - mean) ** 2 > _LAG**2 * _QUICK / (2 - _QUICK) * variance
+    lag &= live & (samples > 2 / _QUICK) & ~is_rounded[:, :, None]
+    mean, samples = np.where(lag, quick, mean), np.where(lag, 1 / _QUICK, samples)
+    smoother = memory["smooth"] + smooth / (smooth + old) * (mean - memory["smooth"])
+    smoother = np.where(live, np.where((old == 0) | lag, mean, smoother), memory["smooth"])
+    shown = np.where(is_rounded[:, :, None], smoother, mean)
+    return Averages(shown, samples, variance), {
+        "mean": mean,
+        "smooth": smoother,
+        "quick": quick,
+        "samples": samples,
+        "variance": variance,
+    }
+
+
+def lies(means: Averages, memory: Mapping[str, FloatArray], estimate: FloatArray, is_own: BoolArray) -> FloatArray:
+    """Steps in which a neighbour's mean statement about the own strategy was far off, less steps in which it was not.
+
+    Args:
+        means: of the messages.
+        memory: this number as ``lies``, shape (R, D).
+        estimate: own estimates, shape (R, n).
         is_own: own components, shape (R, n).
     """
-    live = (observation.weights > 0)[:, :, None] & ~is_own[:, None]
-    messages = observation.own_estimate[:, None] + observation.relative_estimates
-    mean, samples = memory["mean"], memory["samples"]
-    number = fold(np.add, sources.astype(np.float64), axis=1)
-    stated = memory["estimate"] - fold(np.add, np.where(sources, mean, 0.0), axis=1) / np.maximum(number, 1)
-    is_judged = samples > _ECHO_STEPS
-    stated = np.where(is_judged, stated[:, None], 0.0)
-    heard = np.where(is_judged & live, messages - mean, 0.0)
-    echo = _ECHO_DECAY * memory["echo"] + stated * heard
-    moves = _ECHO_DECAY * memory["moves"] + stated**2
-    spread = _ECHO_DECAY * memory["spread"] + heard**2
-    mean = np.where(live, mean + _FORGETTING / (_FORGETTING + samples) * (messages - mean), mean)
-    samples = np.where(live, samples + 1, samples)
-    is_fresh = (echo < _NO_ECHO * moves) & (samples > _JUDGED)
-    counts = sources | is_fresh
-    return Averages(mean, samples, spread, counts & ~is_own[:, None]), {
-        "mean": mean,
-        "samples": samples,
-        "echo": echo,
-        "moves": moves,
-        "spread": spread,
-    }
+    samples, deviations, _, largest_number = _LYING
+    is_judged = is_own[:, None] & (means.samples > samples)
+    gap = np.where(is_judged, np.abs(means.mean - estimate[:, None]), 0.0)
+    is_off = (gap > deviations * np.sqrt(means.variance + 1e-14)).any(axis=2)
+    return np.where(is_off, np.minimum(memory["lies"] + 1, largest_number), np.maximum(memory["lies"] - 1, 0.0))
+
+
+def without_liars(sources: BoolArray, others: BoolArray, owners: BoolArray, lied: FloatArray) -> BoolArray:
+    """Sources of which none lies, as far as there are any; else live neighbours that do not lie; else all sources.
+
+    Args:
+        sources: live neighbours with fresher copies, shape (R, D, n).
+        others: live neighbours, without own components, shape (R, D, n).
+        owners: whether j owns c: owners do not lie about themselves, shape (R, D, n).
+        lied: the number of :func:`lies`, shape (R, D).
+    """
+    suspect = (lied >= _LYING[2])[:, :, None] & ~owners
+    if not suspect.any():
+        return sources
+    clean, other = sources & ~suspect, others & ~suspect
+    has_source, has_clean, has_other = (fold(np.logical_or, part, axis=1)[:, None] for part in (sources, clean, other))
+    return np.where(has_clean, clean, np.where(has_source & has_other, other, sources))
 
 
 def dither(step: FloatArray) -> FloatArray:

@@ -20,7 +20,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ptne_env.arrays import Array, BoolArray, FloatArray, IntArray, fold
-from ptne_env.laws.averages import START, Averages, Unrest, average_parts, averages, dither, unrest
+from ptne_env.laws.averages import START, Averages, Unrest, average_parts, averages, dither, lies, unrest, without_liars
 from ptne_env.laws.base import Law, per_step, step_length
 from ptne_env.laws.best_response import (
     LARGEST_ROW,
@@ -44,11 +44,16 @@ from ptne_env.laws.reactions import (
 )
 from ptne_env.laws.relay import ContactRelay, Own, copy_weight, own_memory, own_side
 from ptne_env.laws.routed import nearness, totals
+from ptne_env.laws.settling import PARTS as SETTLING_PARTS
+from ptne_env.laws.settling import Settling, settle, settling
 from ptne_env.observation import Observation, ObservationLayout
 
 _STEP_GROWTH = 1.9
 """The coming step of s is at most this multiple of the last: at most 1.7 where the steps are even in physical time."""
 
+
+_PATIENCE, _DELAY, _FLOOR = 2.0, 30.0, 0.3
+"""Noisy copies have the weight max(2/(2 + steps without rest beyond 30), 0.3)²."""
 
 _FADE = 0.7
 """The share of the recent error of predictions that is left after a step."""
@@ -71,8 +76,8 @@ class SlotEvidence(NamedTuple):
         change: of its message from step to step, absolute; 0 where there was none.
         samples: number of its messages in the private mean.
         deviation: its message minus the private mean of its messages, absolute.
-        spread: standard deviation of its messages around that mean, up to a factor that is the same for all.
-        counts: whether its mean says something new; see :class:`~ptne_env.laws.averages.Averages`.
+        spread: standard deviation of its messages.
+        lies: steps in which its statements about the own strategy were far off, less the others.
     """
 
     live: FloatArray
@@ -86,7 +91,7 @@ class SlotEvidence(NamedTuple):
     samples: FloatArray
     deviation: FloatArray
     spread: FloatArray
-    counts: FloatArray
+    lies: FloatArray
 
 
 class CellEvidence(NamedTuple):
@@ -104,6 +109,8 @@ class CellEvidence(NamedTuple):
         sources: number of live sources.
         weight: of a copy, :func:`~ptne_env.laws.relay.copy_weight`: below 1 where messages do not come to rest, and 0
             in the first m steps.
+        restless: steps in which messages have not come to rest.
+        damping: of the best response, 1 where responses settle.
         gradient: the own gradient, absolute, 0 for components of others.
         response: the best response to plain copies, absolute, 0 for components of others.
         failed: whether the last prediction of the own gradient failed.
@@ -131,6 +138,8 @@ class CellEvidence(NamedTuple):
     scale: FloatArray
     sources: FloatArray
     weight: FloatArray
+    restless: FloatArray
+    damping: FloatArray
     gradient: FloatArray
     response: FloatArray
     failed: FloatArray
@@ -227,13 +236,19 @@ class GatedLaw(ContactRelay):
         layout, slots = self.layout, (self.layout.slots,)
         parts: dict[str, tuple[int, ...]] = dict.fromkeys(("age", "contact"), slots)
         parts |= {"transformed": (1,), "broke": (1,), "doubt": (1,), "reckoned": (layout.dimension,)}
-        parts |= average_parts(layout) | push_parts(layout) | (reaction_parts(layout) if self._reacts else {})
+        parts |= (
+            SETTLING_PARTS
+            | average_parts(layout)
+            | push_parts(layout)
+            | (reaction_parts(layout) if self._reacts else {})
+        )
         return super()._shapes() | parts
 
     def initial_memory(self, rows: int) -> FloatArray:
         """As that of :class:`~ptne_env.laws.relay.ContactRelay`, and nothing estimated; shape (R, size)."""
         parts = self._parts.split(super().initial_memory(rows))
-        parts["width"][...] = UNLIMITED
+        parts["width"][...] = parts["level"][...] = UNLIMITED
+        parts["damping"][...] = 1.0
         if self._reacts:
             parts["plane_covariance"][...] = initial_covariance(self.layout)
         return self._parts.join(parts)
@@ -270,38 +285,44 @@ class GatedLaw(ContactRelay):
         own, is_own = own_side(observation, memory, self.layout), self.layout.own_mask[observation.player]
         sources, fresh = self.sources(observation, memory)
         sources = sources & ~is_own[:, None] & (observation.weights > 0)[:, :, None]
+        live = observation.weights > 0
+        neighbours = live[:, :, None] & ~is_own[:, None]
+        owners = self.layout.neighbour_components[observation.player]
+        sources = without_liars(sources, neighbours, owners, memory["lies"])
         total, count = totals(observation, sources)
         mean = np.where(is_own, 0.0, total / np.maximum(count, 1))
         weight, heard = copy_weight(observation, memory, mean, self.averaging)
         drift = np.where(own.is_probe, 0.0, weight * mean)
-        response = with_own(np.zeros_like(drift), own.response(drift), own.blocks)
-        here = reckoned_estimate(observation, memory)
-        live = observation.weights > 0
-        fresh = (
-            fresh
-            | heard
-            | {
-                "age": np.where(live, 0.0, memory["age"] + 1),
-                "contact": np.where(live, memory["contact"] + 1, 0.0),
-                "broke": np.maximum(memory["broke"], ((memory["live"] > 0) & ~live).any(axis=1, keepdims=True)),
-            }
-        )
-
-        restless = unrest(observation, memory, fresh["noise"])
-        fresh["width"] = restless.width
-        uneasy = (restless.is_noisy | restless.is_rounded)[:, 0]
-        means = Averages(memory["mean"], memory["samples"], memory["spread"], np.zeros_like(sources))
-        if uneasy.any():
-            rows = np.flatnonzero(uneasy)
-            found, changed = averages(_rows(observation, rows), _part(memory, rows), sources[rows], is_own[rows])
-            fresh |= {name: _with_rows(memory[name], rows, part) for name, part in changed.items()}
-            means = Averages._make(_with_rows(old, rows, new) for old, new in zip(means, found, strict=True))
-
         curvature = np.abs(own_block(own.model.rows, own_places(own.blocks, own.model, drift.shape[1])))
         error = own.error / np.maximum(
             curvature.diagonal(axis1=1, axis2=2).min(axis=1, keepdims=True), _SMALLEST_CURVATURE
         )
-        doubt = fresh["doubt"] = np.where(memory["steps"] <= START, 0.0, np.maximum(_FADE * memory["doubt"], error))
+        doubt = np.where(memory["steps"] <= START, 0.0, np.maximum(_FADE * memory["doubt"], error))
+        tempered = settling(own, memory, self.layout.dimension)
+        response = with_own(np.zeros_like(drift), tempered.response(own, drift), own.blocks)
+        here = reckoned_estimate(observation, memory)
+        fresh = fresh | heard | settle(observation, memory, tempered, response, fresh["noise"], doubt)
+        fresh["doubt"] = doubt
+        fresh |= {
+            "age": np.where(live, 0.0, memory["age"] + 1),
+            "contact": np.where(live, memory["contact"] + 1, 0.0),
+            "broke": np.maximum(memory["broke"], ((memory["live"] > 0) & ~live).any(axis=1, keepdims=True)),
+        }
+
+        restless = unrest(observation, memory, fresh["noise"])
+        fresh |= {name: getattr(restless, name) for name in ("width", "level", "since")}
+        fresh["noisy"] = restless.is_noisy.astype(np.float64)
+        uneasy = (restless.is_noisy | restless.is_rounded)[:, 0]
+        fresh["samples"] = np.where(uneasy[:, None, None], memory["samples"], 0.0)
+        means = Averages(memory["mean"], fresh["samples"], memory["variance"])
+        if uneasy.any():
+            rows = np.flatnonzero(uneasy)
+            part = _part(memory, rows)
+            found, changed = averages(_rows(observation, rows), part, restless.is_rounded[rows])
+            changed["lies"] = lies(found, part, observation.own_estimate[rows], is_own[rows])
+            fresh |= {name: _with_rows(fresh.get(name, memory[name]), rows, part) for name, part in changed.items()}
+            means = Averages._make(_with_rows(old, rows, new) for old, new in zip(means, found, strict=True))
+
         joint = Reactions(here + drift + response, np.zeros_like(weight), np.zeros_like(uneasy[:, None]))
         if self._reacts and (rows := np.flatnonzero(~uneasy)).size:
             changed = learned_planes(_rows(observation, rows), _part(memory, rows), self.layout, here[rows])
@@ -318,7 +339,9 @@ class GatedLaw(ContactRelay):
         held = with_own(np.zeros_like(drift), own.held.astype(np.float64), own.blocks) > 0
         residual = np.where(is_own & ~held & (memory["steps"] > 0), own.moved - memory["sent"], 0.0)
         fresh |= observed_push(observation, memory, residual)
-        return Estimates(own, is_own, sources, weight, drift, response, held, here, restless, means, joint, fresh)
+        return Estimates(
+            own, is_own, sources, weight, drift, tempered, response, held, here, restless, means, joint, fresh
+        )
 
     def mixed(
         self,
@@ -346,10 +369,10 @@ class GatedLaw(ContactRelay):
         gains = slot_gates.diffusion * observation.weights[:, :, None]
         diffusion = observation.theta * fold(np.add, np.broadcast_to(gains, relative.shape) * relative, axis=1)
 
-        belief = found.means.belief(slot_gates.mean, estimate) - estimate
         drift = np.where(is_own, 0.0, gates.copies * copy)
+        belief = found.means.belief(slot_gates.mean, estimate + drift) - estimate
         aim = np.where(is_own, 0.0, (1.0 - gates.belief) * drift + gates.belief * belief)
-        response = with_own(np.zeros_like(drift), own.response(aim), own.blocks)
+        response = with_own(np.zeros_like(drift), found.settling.response(own, aim), own.blocks)
         descent = (gates.flow * observation.theta + gates.step) * observation.gradient
         width = np.where(found.unrest.width < UNLIMITED, found.unrest.width, 0.0)
         shake = gates.dither * width * dither(memory["steps"])
@@ -414,6 +437,7 @@ class Estimates(NamedTuple):
         sources: live neighbours with fresher copies, shape (R, D, n).
         weight: of a copy, shape (R, 1).
         drift: the plain displacement of the others' estimates, shape (R, n).
+        settling: the damping of best responses.
         response: the own strategy's best response to it, 0 for components of others, shape (R, n).
         held: own components that a bound holds, shape (R, n).
         here: the own estimates by dead reckoning, shape (R, n).
@@ -428,6 +452,7 @@ class Estimates(NamedTuple):
     sources: BoolArray
     weight: FloatArray
     drift: FloatArray
+    settling: Settling
     response: FloatArray
     held: BoolArray
     here: FloatArray
@@ -458,9 +483,9 @@ def evidence(
         samples=found.means.samples,
         deviation=np.where(live[:, :, None], np.abs(fresh["messages"] - found.means.mean), 0.0),
         spread=np.sqrt(found.means.variance),
-        counts=found.means.counts.astype(np.float64),
+        lies=memory["lies"][:, :, None],
     )
-    rest = found.means.belief(slots.counts, estimate)
+    rest = found.means.belief(slots.source, estimate)
     next_s = observation.transformed + _STEP_GROWTH * (observation.transformed - memory["transformed"])
     blank = np.zeros_like(estimate)
     cells = CellEvidence(
@@ -474,6 +499,8 @@ def evidence(
         scale=largest(estimate),
         sources=fold(np.add, found.sources.astype(np.float64), axis=1),
         weight=np.where(own.is_probe, 0.0, found.weight),
+        restless=fresh["restless"],
+        damping=found.settling.damping,
         gradient=np.abs(observation.gradient),
         response=np.abs(found.response),
         failed=own.failed.astype(np.float64),
@@ -493,6 +520,13 @@ def evidence(
     return cells, slots
 
 
+def observed_weight(cells: CellEvidence) -> FloatArray:
+    """The weight of copies where noise and rounding are observed, shape (R, 1) or (R, n); else ``cells.weight``."""
+    calm = _PATIENCE + np.maximum(cells.restless - _DELAY, 0.0)
+    filtered = np.where(cells.damping < 1, 1.0, np.maximum(_PATIENCE / calm, _FLOOR) ** 2)
+    return np.where(cells.noisy > 0, filtered, np.where(cells.rounded > 0, 1.0, cells.weight))
+
+
 class ObserverRelay(GatedLaw):
     """:class:`~ptne_env.laws.relay.ContactRelay` with observers of noise, rounding, pushes and reactions.
 
@@ -504,8 +538,8 @@ class ObserverRelay(GatedLaw):
     def gates(self, cells: CellEvidence, slots: SlotEvidence) -> tuple[CellGates, SlotGates]:
         uneasy, zero = np.maximum(cells.noisy, cells.rounded), np.zeros_like(cells.scale)
         mine = CellGates(
-            copies=np.where(uneasy > 0, 1.0, cells.weight),
-            belief=uneasy,
+            copies=observed_weight(cells),
+            belief=np.maximum(cells.rounded, cells.noisy * cells.closing),
             stated=uneasy * cells.closing,
             flow=zero,
             step=zero,
@@ -514,7 +548,7 @@ class ObserverRelay(GatedLaw):
             push=cells.own,
             dither=cells.rounded * (1.0 - cells.closing),
         )
-        return mine, SlotGates(copy=slots.source, mean=slots.counts, diffusion=zero[:, None])
+        return mine, SlotGates(copy=slots.source, mean=slots.source, diffusion=zero[:, None])
 
 
 def _rows(observation: Observation, rows: IntArray) -> Observation:

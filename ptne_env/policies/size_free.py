@@ -13,7 +13,7 @@ from typing import TypeAlias
 import numpy as np
 
 from ptne_env.arrays import Float32Array, FloatArray
-from ptne_env.laws.gated import CellEvidence, CellGates, GatedLaw, SlotEvidence, SlotGates
+from ptne_env.laws.gated import CellEvidence, CellGates, GatedLaw, SlotEvidence, SlotGates, observed_weight
 from ptne_env.observation import Interface, ObservationLayout
 from ptne_env.policies.blocks import in_blocks
 
@@ -31,7 +31,7 @@ _LARGEST = 1e3
 """Such distances that features tell apart from larger ones."""
 
 _CELL_FLAGS = ("own", "turn", "probing", "closing", "failed", "held", "noisy", "rounded", "broke", "trusted")
-_CELL_SHARES = ("weight", "elapsed")
+_CELL_SHARES = ("weight", "damping", "elapsed")
 _CELL_DISTANCES = {  # and the smallest of each that is more than rounding
     "gradient": _EXACT,
     "response": _EXACT,
@@ -42,13 +42,14 @@ _CELL_DISTANCES = {  # and the smallest of each that is more than rounding
     "doubt": _EXACT,
     "push": _EXACT,
 }
-_CELL_STEPS = ("steps", "push_steps")
+_CELL_STEPS = ("steps", "restless", "push_steps")
 _CELL_NUMBERS = ("sources", "links")
 _CELL_RATIOS = (("belief", "noise"), ("correction", "doubt"))
 
 CELL_FEATURES: tuple[str, ...] = (
     *_CELL_FLAGS,
     *_CELL_SHARES,
+    "observed_weight",
     *_CELL_DISTANCES,
     *_CELL_STEPS,
     *_CELL_NUMBERS,
@@ -57,8 +58,8 @@ CELL_FEATURES: tuple[str, ...] = (
 )
 """Names of the features of a cell, in order, all in [0, 1]; see :func:`features`."""
 
-_SLOT_FLAGS = ("live", "owner", "source", "counts")
-_SLOT_STEPS = ("age", "contact", "samples")
+_SLOT_FLAGS = ("live", "owner", "source")
+_SLOT_STEPS = ("age", "contact", "samples", "lies")
 _SLOT_DISTANCES = {"relative": _EXACT, "change": _ROUNDED, "deviation": _ROUNDED, "spread": _ROUNDED}
 _SLOT_RATIOS = (("deviation", "spread"),)
 
@@ -95,7 +96,8 @@ _SHORTEST_STEP = 1e-6
 def features(cells: CellEvidence, slots: SlotEvidence) -> tuple[Float32Array, Float32Array]:
     """The features of R players' components and messages, of order one.
 
-    - Flags, shares and ``elapsed`` as they are; ``nearer`` and ``farther`` are the signs of the hops.
+    - Flags, shares and ``elapsed`` as they are, and :func:`~ptne_env.laws.gated.observed_weight`; ``nearer`` and
+      ``farther`` are the signs of the hops.
     - Distances x as (log10(x/scale + 1e-9) + 9)/12, where ``scale`` is the largest own estimate; those that are
       differences of messages from step to step as (log10(x/scale + 1e-6) + 6)/9, and Θ_k from 1e-6 to 1.
     - Numbers of steps as log10(1 + k)/4.
@@ -121,6 +123,7 @@ def features(cells: CellEvidence, slots: SlotEvidence) -> tuple[Float32Array, Fl
     values = {name: getattr(cells, name) for name in (*_CELL_FLAGS, *_CELL_SHARES)}
     values |= {name: _distance(logarithms[name], least) for name, least in _CELL_DISTANCES.items()}
     values |= {name: _count(getattr(cells, name)) for name in _CELL_STEPS}
+    values["observed_weight"] = observed_weight(cells)
     links = slots.live.sum(axis=1)
     values |= {"sources": cells.sources / (1.0 + cells.sources), "links": links / (1.0 + links)}
     values["theta"] = np.clip(1.0 + np.log10(cells.theta + _SHORTEST_STEP) / -np.log10(_SHORTEST_STEP), 0.0, 1.0)

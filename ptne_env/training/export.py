@@ -33,9 +33,6 @@ if TYPE_CHECKING:
 
 _OPSET, _IR = 17, 8
 
-_READERS = ("encoder", "slot_layer", "slot_skip")
-"""The maps of features of messages, which are one product in a file."""
-
 
 def to_onnx(
     model: OnPolicyAlgorithm, layout: ObservationLayout, *, scenarios: tuple[str, ...], seed: int, digits: float
@@ -108,45 +105,59 @@ def size_free_to_onnx(
         seed: of training, for the metadata.
         digits: on the validation episodes, for the metadata.
     """
-    weights = {name: _array(tensor) for name, tensor in network.state_dict().items()}
-    constants = {name: array.T if name.endswith("weight") else array for name, array in weights.items()}
-    # One product for all that the features of messages are multiplied with.
-    for part in ("weight", "bias"):
-        constants[f"messages.{part}"] = np.concatenate([constants.pop(f"{name}.{part}") for name in _READERS], axis=-1)
-    units = len(weights["encoder.bias"])
+    constants = {
+        name: _array(tensor).T if name.endswith("weight") else _array(tensor)
+        for name, tensor in network.state_dict().items()
+    }
     constants |= {
-        "parts": np.array([units, units, len(SlotGates._fields)], dtype=np.int64),
+        "flat": np.array([-1, len(SLOT_FEATURES)], dtype=np.int64),
+        "rest": np.array([-1], dtype=np.int64),
         "live": np.array([SLOT_FEATURES.index("live")], dtype=np.int64),
         "slot_axis": np.array([1], dtype=np.int64),
         "one": np.array(1.0, dtype=np.float32),
     }
     cell, slot = SIZE_FREE_INPUTS
+
+    def affine(layer: str, values: str, result: str) -> onnx.NodeProto:
+        terms = [name for name in (f"{layer}.weight", f"{layer}.bias") if name in constants]
+        return helper.make_node("Gemm", [values, *terms], [result])
+
     nodes = [
-        helper.make_node("MatMul", [slot, "messages.weight"], ["read_products"]),
-        helper.make_node("Add", ["read_products", "messages.bias"], ["read"]),
-        helper.make_node("Split", ["read", "parts"], ["encoded", "layer", "slot_line"], axis=2),
+        helper.make_node("Reshape", [slot, "flat"], ["messages"]),
+        affine("encoder", "messages", "encoder_sum"),
+        affine("slot_layer", "messages", "layer_sum"),
+        affine("slot_skip", "messages", "line"),
+        helper.make_node("Shape", [slot], ["counts"], end=2),
+        helper.make_node("Concat", ["counts", "rest"], ["by_slot"], axis=0),
+        # The mean and the maximum of the encodings over live links.
+        helper.make_node("Tanh", ["encoder_sum"], ["encodings"]),
+        helper.make_node("Reshape", ["encodings", "by_slot"], ["encoding"]),
         helper.make_node("Gather", [slot, "live"], ["is_live"], axis=2),
-        helper.make_node("Tanh", ["encoded"], ["encoding"]),
         helper.make_node("Mul", ["encoding", "is_live"], ["heard"]),
         helper.make_node("ReduceSum", ["heard", "slot_axis"], ["sum"], keepdims=0),
-        helper.make_node("ReduceSum", ["is_live", "slot_axis"], ["links"], keepdims=0),
+        helper.make_node("Reshape", ["is_live", "counts"], ["live_links"]),
+        helper.make_node("ReduceSum", ["live_links", "slot_axis"], ["links"]),
         helper.make_node("Max", ["links", "one"], ["divisor"]),
         helper.make_node("Div", ["sum", "divisor"], ["mean"]),
         helper.make_node("Add", ["heard", "is_live"], ["shifted"]),
         helper.make_node("ReduceMax", ["shifted"], ["largest"], axes=[1], keepdims=0),
+        # The component.
         helper.make_node("Concat", [cell, "mean", "largest"], ["known"], axis=1),
-        helper.make_node("Gemm", ["known", "first.weight", "first.bias"], ["first_sum"]),
+        affine("first", "known", "first_sum"),
         helper.make_node("Tanh", ["first_sum"], ["first_hidden"]),
-        helper.make_node("Gemm", ["first_hidden", "second.weight", "second.bias"], ["second_sum"]),
+        affine("second", "first_hidden", "second_sum"),
         helper.make_node("Tanh", ["second_sum"], ["hidden"]),
-        helper.make_node("Gemm", ["hidden", "cell_head.weight"], ["cell_curve"]),
-        helper.make_node("Gemm", [cell, "cell_skip.weight", "cell_skip.bias"], ["cell_line"]),
+        affine("cell_head", "hidden", "cell_curve"),
+        affine("cell_skip", cell, "cell_line"),
         helper.make_node("Add", ["cell_line", "cell_curve"], ["cell_gates"]),
-        helper.make_node("Gemm", ["hidden", "slot_context.weight"], ["context"]),
+        # Its messages.
+        affine("slot_context", "hidden", "context"),
         helper.make_node("Unsqueeze", ["context", "slot_axis"], ["contexts"]),
+        helper.make_node("Reshape", ["layer_sum", "by_slot"], ["layer"]),
         helper.make_node("Add", ["layer", "contexts"], ["joined_sum"]),
         helper.make_node("Tanh", ["joined_sum"], ["joined"]),
         helper.make_node("MatMul", ["joined", "slot_head.weight"], ["slot_curve"]),
+        helper.make_node("Reshape", ["line", "by_slot"], ["slot_line"]),
         helper.make_node("Add", ["slot_line", "slot_curve"], ["slot_gates"]),
     ]
     graph = helper.make_graph(
@@ -188,11 +199,8 @@ def size_free_from_onnx(path_or_name: str | Path) -> GateNetwork:
     if not isinstance(load(path_or_name), SizeFreeFile):
         raise ValueError(f"policy {str(path_or_name)!r} has sizes: training continues only policies without sizes")
     path = shipped_path(str(path_or_name)) or Path(path_or_name)
-    constants = {each.name: numpy_helper.to_array(each) for each in onnx.load_from_string(path.read_bytes()).graph.initializer}
-    ends = np.cumsum(constants["parts"])[:-1]
-    for part in ("weight", "bias"):
-        split = np.split(constants.pop(f"messages.{part}"), ends, axis=-1)
-        constants |= {f"{name}.{part}": array for name, array in zip(_READERS, split, strict=True)}
+    graph = onnx.load_from_string(path.read_bytes()).graph
+    constants = {each.name: numpy_helper.to_array(each) for each in graph.initializer}
     network = GateNetwork(len(constants["first.bias"]), len(constants["encoder.bias"]))
     state = {name: torch.from_numpy(np.array(constants[name].T)) for name in network.state_dict()}
     network.load_state_dict(state)

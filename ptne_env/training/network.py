@@ -17,8 +17,6 @@ ALWAYS = "1"
 Linear = Mapping[str, Mapping[str, float]]
 """A linear map by gate and feature: the weight of each feature, or the constant, in a gate; others are 0."""
 
-_UNEASY = {"noisy": 1.0, "rounded": 1.0}
-
 POINTS: Mapping[str, tuple[Linear, Linear]] = {
     "static": ({"flow": {ALWAYS: 1.0}}, {"diffusion": {ALWAYS: 2.0}}),
     "grounded": ({"flow": {ALWAYS: 1.0}}, {"diffusion": {ALWAYS: 2.0, "own": -2.0, "owner": 2.0}}),
@@ -26,15 +24,15 @@ POINTS: Mapping[str, tuple[Linear, Linear]] = {
     "relay": ({"copies": {"weight": 1.0}, "response": {"turn": 1.0}}, {"copy": {"nearer": 1.0}}),
     "observer-relay": (
         {
-            "copies": {"weight": 1.0, **_UNEASY},
-            "belief": _UNEASY,
-            "stated": {**_UNEASY, "closing": 1.0, ALWAYS: -1.0},
+            "copies": {"observed_weight": 1.0},
+            "belief": {"rounded": 2.0, "noisy": 1.0, "closing": 1.0, ALWAYS: -1.0},
+            "stated": {"rounded": 1.0, "noisy": 1.0, "closing": 1.0, ALWAYS: -1.0},
             "response": {"turn": 1.0},
             "joint": {"trusted": 1.0},
             "push": {"own": 1.0},
             "dither": {"rounded": 1.0, "closing": -1.0},
         },
-        {"copy": {"source": 1.0}, "mean": {"counts": 1.0}},
+        {"copy": {"source": 1.0}, "mean": {"source": 1.0}},
     ),
     "contact-relay": ({"copies": {"weight": 1.0}, "response": {"turn": 1.0}}, {"copy": {"source": 1.0}}),
 }

@@ -95,12 +95,12 @@ def test_every_feature_shows_its_evidence():
     cells, slots, *_ = seen_in(get_suite("ptne-v1").track("markov").scenario, graph_knowledge="union")
     cell, slot = features(cells, slots)
     flags = ("own", "turn", "probing", "closing", "failed", "held", "noisy", "rounded", "broke", "trusted")
-    for name in (*flags, "weight", "elapsed"):
+    for name in (*flags, "weight", "damping", "elapsed"):
         expected = np.broadcast_to(getattr(cells, name), cells.own.shape)
         np.testing.assert_allclose(cell[:, :, CELL_FEATURES.index(name)], expected, atol=1e-7, err_msg=name)
     signs = {"nearer": slots.nearer > 0, "farther": slots.nearer < 0, "own": cells.own[:, None]}
     assert signs["nearer"].any()
-    for name in ("live", "owner", "source", "counts", *signs):
+    for name in ("live", "owner", "source", *signs):
         expected = np.broadcast_to(signs.get(name, getattr(slots, name, None)), slots.relative.shape).swapaxes(1, 2)
         np.testing.assert_array_equal(slot[..., SLOT_FEATURES.index(name)], expected, err_msg=name)
     relative = np.maximum(np.abs(slots.relative) / cells.scale[:, None], 0).swapaxes(1, 2)
