@@ -142,8 +142,8 @@ def averages(
 
     The weight of the k-th sample is p/(p + k), so that early samples, which were taken while estimates still moved,
     fade. Where a quick mean over 12 messages leaves the mean, the mean lags and becomes the quick mean. Rounded
-    messages of a dithered strategy are averaged twice, so that the weights vanish at both ends: the dither is no noise, and its
-    mean over a smooth window is closer to 0.
+    messages of a dithered strategy are averaged twice, so that the weights vanish at both ends: the dither is no
+    noise, and its mean over a smooth window is closer to 0.
 
     Args:
         observation: of R players.

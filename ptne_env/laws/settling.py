@@ -27,7 +27,7 @@ _LEAST = 0.3
 _OPTIMISTIC = 0.8
 """Below this damping, players respond to the gradient that they expect, ∂J_i + (∂J_i − ∂J_i before)."""
 
-_AUDIBLE = (20.0, 1e-6, 3.0)
+_AUDIBLE = (20.0, 1e-6, 100.0)
 """A response is no unrest below this many times σ_i, this share of the largest own estimate, or this many errors."""
 
 PARTS = dict.fromkeys(("damping", "largest_before", "largest_now"), (1,))
