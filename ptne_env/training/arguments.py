@@ -120,25 +120,44 @@ class Arguments:
 
     @classmethod
     def from_toml(cls, name_or_path: str | Path, **changes: Any) -> Arguments:
-        """The arguments of a shipped configuration, or of a TOML file, with some of them changed.
+        """The arguments of a shipped configuration, or of a TOML file; see :func:`from_toml`."""
+        return from_toml(cls, name_or_path, **changes)
 
-        Raises:
-            ValueError: for an unknown configuration, a file that is not TOML, or an argument that is unknown, of
-                another type or out of its range.
-        """
-        path = Path(name_or_path)
-        if path.suffix != ".toml":
-            path = CONFIGURATIONS / f"{name_or_path}.toml"
-        if not path.is_file():
-            unknown = "no file" if path == Path(name_or_path) else "unknown configuration"
-            raise ValueError(
-                f"{unknown} {str(name_or_path)!r}; name a .toml file, or choose from {', '.join(configurations())}"
-            )
-        try:
-            values = tomllib.loads(path.read_text(encoding="utf-8"))
-        except ValueError as error:
-            raise ValueError(f"{path} is not a TOML file: {error}") from error
-        try:
-            return cls(**values | changes)
-        except ValueError as error:
-            raise ValueError(f"{path.name}: {error}") from error
+
+def from_toml(kind: type[_Class], name_or_path: str | Path, **changes: Any) -> _Class:
+    """The arguments of a shipped configuration, or of a TOML file, with some of them changed.
+
+    Args:
+        kind: the class of the arguments.
+        name_or_path: of the configuration.
+        **changes: arguments by name.
+
+    Raises:
+        ValueError: for an unknown configuration, a file that is not TOML, or an argument that is unknown, of another
+            type or out of its range.
+    """
+    path, values = values_of(name_or_path)
+    try:
+        return kind(**values | changes)
+    except ValueError as error:
+        raise ValueError(f"{path.name}: {error}") from error
+
+
+def values_of(name_or_path: str | Path) -> tuple[Path, dict[str, Any]]:
+    """The file of a configuration, and its values, which are not checked.
+
+    Raises:
+        ValueError: for an unknown configuration, or a file that is not TOML.
+    """
+    path = Path(name_or_path)
+    if path.suffix != ".toml":
+        path = CONFIGURATIONS / f"{name_or_path}.toml"
+    if not path.is_file():
+        unknown = "no file" if path == Path(name_or_path) else "unknown configuration"
+        raise ValueError(
+            f"{unknown} {str(name_or_path)!r}; name a .toml file, or choose from {', '.join(configurations())}"
+        )
+    try:
+        return path, tomllib.loads(path.read_text(encoding="utf-8"))
+    except ValueError as error:
+        raise ValueError(f"{path} is not a TOML file: {error}") from error

@@ -71,12 +71,7 @@ class CellBatch:
 
     def start(self, seeds: Sequence[int]) -> None:
         """Start episodes, one seed each; several may share a seed."""
-        drawn = {seed: RandomStreams.from_seed(seed) for seed in seeds}
-        if len(drawn) < len(seeds):  # streams are used up by drawing
-            streams = [RandomStreams.from_seed(seed) for seed in seeds]
-        else:
-            streams = list(drawn.values())
-        self.state = dynamics.draw_initial_state(self.world, streams)
+        self.state = dynamics.draw_initial_state(self.world, [RandomStreams.from_seed(seed) for seed in seeds])
         self._memory = self._law.initial_memory(self._rows)
         self._perceive()
 
@@ -142,6 +137,8 @@ class CellVecEnv(VecEnv):
         team: share of the team's mean in the reward, in [0, 1].
 
     Attributes:
+        playing: the episodes of every place.
+        members: of every place.
         slots: D of observations and actions, the largest of all worlds.
 
     Raises:
@@ -159,17 +156,17 @@ class CellVecEnv(VecEnv):
                     + ", ".join(f"{batch.world.scenario.name}: {batch.cells // episodes}" for batch in batches)
                 )
         self.slots = max(batch.layout.slots for batches in self.places for batch in batches)
-        self._team, self._playing = team, [batches[0] for batches in self.places]
+        self._team, self.playing = team, [batches[0] for batches in self.places]
         self._digits: list[FloatArray] = []
         self._first: list[float] = []
         sizes = [batches[0].cells for batches in self.places]
-        self._members = [slice(*ends) for ends in pairwise(np.cumsum([0, *sizes]).tolist())]
+        self.members = [slice(*ends) for ends in pairwise(np.cumsum([0, *sizes]).tolist())]
         size = len(CELL_FEATURES) + self.slots * len(SLOT_FEATURES)
         high = np.concatenate([_CELL_HIGH, np.tile(_SLOT_HIGH, self.slots)]).astype(np.float32)
         self.render_mode: str | None = None
         self.seed(0)
         super().__init__(sum(sizes), spaces.Box(-np.inf, np.inf, (size,)), spaces.Box(np.float32(LOW), high))
-        self._empty: dict[str, Any] = {}
+        
 
     def seed(self, seed: int | None = None) -> Sequence[int | None]:
         """Seed all episodes from the next reset on; every member reports the seed."""
@@ -189,13 +186,13 @@ class CellVecEnv(VecEnv):
     def _start(self, place: int) -> FloatArray:
         """Start episodes of a place; their digits."""
         batches = self.places[place]
-        self._playing[place] = batch = batches[self._generator.integers(len(batches))]
+        self.playing[place] = batch = batches[self._generator.integers(len(batches))]
         batch.start(self._generator.integers(2**62, size=batch.episodes).tolist())
         return batch.digits
 
     def _observe(self) -> Float32Array:
         observations = np.zeros((self.num_envs, *(self.observation_space.shape or ())), dtype=np.float32)
-        for batch, members in zip(self._playing, self._members, strict=True):
+        for batch, members in zip(self.playing, self.members, strict=True):
             cell, slot = batch.features()
             flat = np.concatenate([cell, slot.reshape(batch.cells, -1)], axis=1)
             observations[members, : flat.shape[1]] = flat
@@ -211,7 +208,7 @@ class CellVecEnv(VecEnv):
         dones = np.zeros(self.num_envs, dtype=np.bool_)
         infos: list[dict[str, Any]] = [{}] * self.num_envs
         over = []
-        for place, (batch, members) in enumerate(zip(self._playing, self._members, strict=True)):
+        for place, (batch, members) in enumerate(zip(self.playing, self.members, strict=True)):
             actions = self._actions[members]
             slot = actions[:, CELL_GATES : CELL_GATES + batch.layout.slots * SLOT_GATES]
             batch.step(*batch.as_gates(actions[:, :CELL_GATES], slot))
@@ -222,17 +219,17 @@ class CellVecEnv(VecEnv):
             if batch.is_over:
                 dones[members] = True
                 over.append(place)
-        last = self._observe() if over else None
+        last = self._observe() if over else np.empty(0)
         for place in over:
-            members = self._members[place]
+            members = self.members[place]
             for member in range(members.start, members.stop):
                 infos[member] = {"terminal_observation": last[member], "TimeLimit.truncated": False}
-            steps = self._playing[place].world.clock.total_steps
+            steps = self.playing[place].world.clock.total_steps
             gained = float(self._digits[place].mean()) - self._first[place]
             infos[members.start]["episode"] = {"r": gained, "l": steps, "t": 0.0}
             self._digits[place] = self._start(place)
             self._first[place] = float(self._digits[place].mean())
-        return (self._observe() if over else self._observe()), rewards, dones, infos
+        return self._observe(), rewards, dones, infos
 
     def close(self) -> None:
         """Nothing to release."""

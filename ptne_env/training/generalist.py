@@ -37,8 +37,8 @@ from ptne_env.training.network import GateNetwork
 from ptne_env.training.worlds import training_world
 from ptne_env.world import World
 
-Progress = Callable[[int, int, str, float], None]
-"""Called with segments done, segments in all, the name of the stage, and its recent digits (or loss of imitation)."""
+Progress = Callable[[int, int, float, str], None]
+"""Called with segments done, segments in all, recent mean digits (NaN in imitation), and the name of the stage."""
 
 Stage = Literal["imitation", "ppo", "evolution"]
 
@@ -182,7 +182,7 @@ def train(arguments: Generalist, out: Path, progress: Progress | None = None) ->
         steps = course.agent_steps + outcome.steps
         course = replace(course, segment=course.segment + 1, scores=scores, agent_steps=steps)
         if progress is not None:
-            progress(sum(lengths[: course.stage]) + course.segment, sum(lengths), name, outcome.value)
+            progress(sum(lengths[: course.stage]) + course.segment, sum(lengths), outcome.digits, name)
         if course.segment == lengths[course.stage]:
             run.end(name, course.scores)
             digits = (*course.digits, run.keep(course.digits[course.stage :]))
@@ -203,9 +203,9 @@ def train(arguments: Generalist, out: Path, progress: Progress | None = None) ->
 
 
 class _Outcome(NamedTuple):
-    """Of a segment: its digits or loss, its agent-steps, and the scores of a generation."""
+    """Of a segment: mean digits, agent-steps, and the scores of a generation."""
 
-    value: float
+    digits: float
     steps: int
     scores: tuple[float, ...] = ()
 
@@ -267,7 +267,8 @@ class _Run:
         chosen = [self._worlds[index] for index in generator.choice(len(self._worlds), count, replace=False)]
         share = 1 - number / max(arguments.rounds - 1, 1)
         tasks = [(scenario, self._law) for scenario in chosen]
-        return _Outcome(imitate(self.policy.actor, self.policy.optimizer, tasks, share, generator), 0)
+        imitate(self.policy.actor, self.policy.optimizer, tasks, share, generator)
+        return _Outcome(float("nan"), 0)
 
     @cached_property
     def _env(self) -> CellVecEnv:
