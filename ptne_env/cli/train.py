@@ -34,7 +34,9 @@ def train(
     steps: Annotated[int | None, typer.Option(min=1, help="Agent-steps; the configuration's own if left out.")] = None,
     start: Annotated[
         str | None,
-        typer.Option("--from", help="Policy without sizes, by file or name, that is fine-tuned on the scenario or track."),
+        typer.Option(
+            "--from", help="Policy without sizes, by file or name, that is fine-tuned on the scenario or track."
+        ),
     ] = None,
     json: options.Json = None,
     *,

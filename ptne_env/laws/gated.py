@@ -257,9 +257,7 @@ class GatedLaw(ContactRelay):
         found, cells, slots = self.perceive(observation, memory)
         return self.follow(observation, memory, found, *self.gates(cells, slots))
 
-    def perceive(
-        self, observation: Observation, memory: FloatArray
-    ) -> tuple[Estimates, CellEvidence, SlotEvidence]:
+    def perceive(self, observation: Observation, memory: FloatArray) -> tuple[Estimates, CellEvidence, SlotEvidence]:
         """The first half of a decision: what R players find out, and the evidence that their gates see."""
         parts = self._parts.split(memory)
         found = self._estimates(observation, parts)

@@ -6,6 +6,7 @@ from typing import Any
 
 import torch
 from stable_baselines3.common.policies import ActorCriticPolicy
+from stable_baselines3.common.type_aliases import PyTorchObs
 from torch import nn
 from torch.distributions import Normal
 
@@ -41,11 +42,14 @@ class GatePolicy(ActorCriticPolicy):
         cell, slot = len(CELL_FEATURES), len(SLOT_FEATURES)
         self.actor = GateNetwork(**self._network_arguments)
         self.kept = GateNetwork(**self._network_arguments).requires_grad_(requires_grad=False)
-        self.critic = nn.Sequential(nn.Linear(cell + 2 * slot, 64), nn.Tanh(), nn.Linear(64, 64), nn.Tanh(), nn.Linear(64, 1))
+        self.critic = nn.Sequential(
+            nn.Linear(cell + 2 * slot, 64), nn.Tanh(), nn.Linear(64, 64), nn.Tanh(), nn.Linear(64, 1)
+        )
         self.log_std = nn.Parameter(torch.full((len(CellGates._fields) + len(SlotGates._fields),), self.log_std_init))
-        self.optimizer = self.optimizer_class(self.parameters(), lr=lr_schedule(1), **self.optimizer_kwargs)
+        self.optimizer = self.optimizer_class(self.parameters(), **{"lr": lr_schedule(1), **self.optimizer_kwargs})
 
-    def _split(self, observations: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+    def _split(self, observations: PyTorchObs) -> tuple[torch.Tensor, torch.Tensor]:
+        assert isinstance(observations, torch.Tensor)  # noqa: S101 - the other kinds are of other spaces
         cell, slot = observations.split([len(CELL_FEATURES), observations.shape[1] - len(CELL_FEATURES)], dim=1)
         return cell, slot.unflatten(1, (-1, len(SLOT_FEATURES)))
 
@@ -64,7 +68,9 @@ class GatePolicy(ActorCriticPolicy):
         return Normal(torch.cat([mine, theirs.flatten(1)], dim=1), spread, validate_args=False), effects(cell, slot)
 
     def forward(
-        self, obs: torch.Tensor, deterministic: bool = False  # noqa: FBT001, FBT002 - Stable-Baselines3's signature
+        self,
+        obs: torch.Tensor,
+        deterministic: bool = False,  # noqa: FBT001, FBT002 - Stable-Baselines3's signature
     ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
         """Actions (C, action size), values (C, 1) and logarithms of probabilities (C,)."""
         cell, slot = self._split(obs)
@@ -73,7 +79,7 @@ class GatePolicy(ActorCriticPolicy):
         return actions, self._value(cell, slot), (distribution.log_prob(actions) * acts).sum(dim=1)
 
     def evaluate_actions(
-        self, obs: torch.Tensor, actions: torch.Tensor
+        self, obs: PyTorchObs, actions: torch.Tensor
     ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor | None]:
         """Values, logarithms of probabilities, and entropies of given actions."""
         cell, slot = self._split(obs)
@@ -81,11 +87,11 @@ class GatePolicy(ActorCriticPolicy):
         log_prob = (distribution.log_prob(actions) * acts).sum(dim=1)
         return self._value(cell, slot), log_prob, (distribution.entropy() * acts).sum(dim=1)
 
-    def predict_values(self, obs: torch.Tensor) -> torch.Tensor:
+    def predict_values(self, obs: PyTorchObs) -> torch.Tensor:
         """Values, shape (C, 1)."""
         return self._value(*self._split(obs))
 
-    def _predict(self, observation: torch.Tensor, deterministic: bool = False) -> torch.Tensor:  # noqa: FBT001, FBT002
+    def _predict(self, observation: PyTorchObs, deterministic: bool = False) -> torch.Tensor:  # noqa: FBT001, FBT002
         distribution, _ = self._distribution(*self._split(observation))
         return distribution.mean if deterministic else distribution.sample()
 

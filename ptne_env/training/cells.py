@@ -84,8 +84,8 @@ class CellBatch:
 
     def _perceive(self) -> None:
         self._observation = self.layout.read(self._encoder.observe(self.state).reshape(self._rows, -1))
-        self._found, *evidence = self._law.perceive(self._observation, self._memory)
-        self.evidence = (evidence[0], evidence[1])
+        self._found, cells, slots = self._law.perceive(self._observation, self._memory)
+        self.evidence = cells, slots
 
     @property
     def is_over(self) -> bool:
@@ -109,7 +109,9 @@ class CellBatch:
         """Answers (C, 9) and (C, D, 3) of any range, as gates within their bounds, (R, n) and (R, D, n)."""
         n, slots = self.layout.dimension, self.layout.slots
         mine = np.clip(cell.astype(np.float64), LOW, _CELL_HIGH).reshape(self._rows, n, -1)
-        theirs = np.clip(slot.reshape(-1, SLOT_GATES).astype(np.float64), LOW, _SLOT_HIGH).reshape(self._rows, n, slots, -1)
+        theirs = np.clip(slot.reshape(-1, SLOT_GATES).astype(np.float64), LOW, _SLOT_HIGH).reshape(
+            self._rows, n, slots, -1
+        )
         return CellGates(*np.moveaxis(mine, -1, 0)), SlotGates(*theirs.transpose(3, 0, 2, 1))
 
     def as_answers(self, gates: CellGates, slot_gates: SlotGates) -> tuple[Float32Array, Float32Array]:
@@ -166,7 +168,6 @@ class CellVecEnv(VecEnv):
         self.render_mode: str | None = None
         self.seed(0)
         super().__init__(sum(sizes), spaces.Box(-np.inf, np.inf, (size,)), spaces.Box(np.float32(LOW), high))
-        
 
     def seed(self, seed: int | None = None) -> Sequence[int | None]:
         """Seed all episodes from the next reset on; every member reports the seed."""
@@ -225,8 +226,8 @@ class CellVecEnv(VecEnv):
             for member in range(members.start, members.stop):
                 infos[member] = {"terminal_observation": last[member], "TimeLimit.truncated": False}
             steps = self.playing[place].world.clock.total_steps
-            gained = float(self._digits[place].mean()) - self._first[place]
-            infos[members.start]["episode"] = {"r": gained, "l": steps, "t": 0.0}
+            total = float(self._digits[place].mean()) - self._first[place]
+            infos[members.start]["episode"] = {"r": total, "l": steps, "t": 0.0}
             self._digits[place] = self._start(place)
             self._first[place] = float(self._digits[place].mean())
         return self._observe(), rewards, dones, infos

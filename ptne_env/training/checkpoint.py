@@ -68,7 +68,9 @@ _Record = TypeVar("_Record", bound=Record)
 class Learner(Protocol):
     """Anything with a policy of Stable-Baselines3, which holds network and optimiser."""
 
-    policy: BasePolicy
+    @property
+    def policy(self) -> BasePolicy:
+        """Network and optimiser."""
 
 
 def plain(arguments: DataclassInstance) -> dict[str, Any]:

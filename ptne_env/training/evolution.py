@@ -6,9 +6,8 @@ their scores differ by their weights alone and a generation costs little more th
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from functools import lru_cache
-from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -16,7 +15,6 @@ from cma import CMAEvolutionStrategy
 from torch.func import functional_call, vmap
 
 from ptne_env.arrays import FloatArray
-from ptne_env.experiments.workers import Workers
 from ptne_env.scenario import Scenario
 from ptne_env.training.cells import CellBatch
 from ptne_env.training.network import GateNetwork
@@ -37,8 +35,7 @@ def parameters(network: GateNetwork, names: Sequence[str], vectors: FloatArray) 
     ends = np.cumsum([shape.numel() for shape in shapes])
     parts = np.split(vectors.astype(np.float32), ends[:-1], axis=1)
     return {
-        name: torch.from_numpy(part).reshape(-1, *shape)
-        for name, shape, part in zip(names, shapes, parts, strict=True)
+        name: torch.from_numpy(part).reshape(-1, *shape) for name, shape, part in zip(names, shapes, parts, strict=True)
     }
 
 
@@ -74,9 +71,7 @@ def scores(
     clock, at_deadline = batch.world.clock, batch.digits
     with torch.inference_mode():
         for step in range(clock.total_steps):
-            cell, slot = (
-                torch.from_numpy(each).reshape(population, -1, *each.shape[1:]) for each in batch.features()
-            )
+            cell, slot = (torch.from_numpy(each).reshape(population, -1, *each.shape[1:]) for each in batch.features())
             mine, theirs = decide(stacked, cell, slot)
             batch.step(*batch.as_gates(mine.flatten(0, 1).numpy(), theirs.flatten(0, 1).numpy()))
             if step + 1 == clock.steps:

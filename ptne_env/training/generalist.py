@@ -7,12 +7,12 @@ run that is resumed ends as an undisturbed one, bit for bit.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
 from time import monotonic
-from typing import Annotated, Any, Literal, NamedTuple
+from typing import Annotated, Literal, NamedTuple
 
 import numpy as np
 import torch
@@ -185,8 +185,8 @@ def train(arguments: Generalist, out: Path, progress: Progress | None = None) ->
             progress(sum(lengths[: course.stage]) + course.segment, sum(lengths), outcome.digits, name)
         if course.segment == lengths[course.stage]:
             run.end(name, course.scores)
-            digits = (*course.digits, run.keep(course.digits[course.stage :]))
-            course = replace(course, stage=course.stage + 1, segment=0, scores=(), digits=digits)
+            found = (*course.digits, run.keep(course.digits[course.stage :]))
+            course = replace(course, stage=course.stage + 1, segment=0, scores=(), digits=found)
         save()
     digits = course.digits[-1]
     network = run.policy.actor

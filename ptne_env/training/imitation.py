@@ -15,7 +15,7 @@ from torch.nn.functional import huber_loss
 
 from ptne_env.arrays import Float32Array
 from ptne_env.laws.gated import CellGates, SlotGates
-from ptne_env.policies.size_free import HIGH, LOW, SLOT_FEATURES
+from ptne_env.policies.size_free import HIGH, LOW
 from ptne_env.scenario import Scenario
 from ptne_env.training.actor import effects
 from ptne_env.training.cells import CELL_GATES, SLOT_GATES, CellBatch

@@ -18,7 +18,7 @@ LAYOUT = SimpleNamespace(
     action_dims=DIMS,
     neighbours=((1, 2), (0, 2), (0, 1)),
     own_components=np.array([[0, 1], [2, TOTAL], [3, 4]]),
-    own_mask=OWNERS == np.arange(N)[:, None],
+    own_mask=np.arange(N)[:, None] == OWNERS,
 )
 MATRIX = GENERATOR.uniform(-0.3, 0.3, (TOTAL, TOTAL)) + 2 * np.eye(TOTAL)
 OFFSET = GENERATOR.uniform(-3, 3, TOTAL)

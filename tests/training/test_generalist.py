@@ -40,7 +40,7 @@ ARGUMENTS = Generalist(
 )
 
 
-class Interruption(Exception):
+class InterruptionError(Exception):
     """The end of a process, as a test can make it."""
 
 
@@ -49,9 +49,9 @@ def interrupted(arguments, out, after):
 
     def stop(done, *_):
         if done > after:
-            raise Interruption
+            raise InterruptionError
 
-    with pytest.raises(Interruption):
+    with pytest.raises(InterruptionError):
         generalist.train(arguments, out, stop)
 
 
@@ -153,7 +153,9 @@ def test_a_network_survives_its_file(run):
     assert len(network.first.bias) == ARGUMENTS.cell_units
     cell = np.random.default_rng(0).random((32, network.cell_skip.in_features), dtype=np.float32)
     slot = np.random.default_rng(1).random((32, 2, network.slot_skip.in_features), dtype=np.float32)
-    for mine, theirs in zip(network.decide(cell, slot), policies.load(out / "policy.onnx").network(cell, slot), strict=True):
+    for mine, theirs in zip(
+        network.decide(cell, slot), policies.load(out / "policy.onnx").network(cell, slot), strict=True
+    ):
         np.testing.assert_allclose(mine, theirs, atol=1e-5)
 
 
