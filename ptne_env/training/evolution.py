@@ -11,7 +11,6 @@ from functools import lru_cache
 
 import numpy as np
 import torch
-from cma import CMAEvolutionStrategy
 from torch.func import functional_call, vmap
 
 from ptne_env.arrays import FloatArray
@@ -80,6 +79,21 @@ def scores(
     return score.reshape(population, len(seeds)).mean(axis=1)
 
 
+def utility(digits: FloatArray) -> FloatArray:
+    """What a generation is ranked by: digits above the median of each world, at most one up or down, mean over worlds.
+
+    In worlds where the best networks reach twelve digits others lose ten of them, which would outweigh all that is won
+    elsewhere.
+
+    Args:
+        digits: by world and network, shape (W, P).
+
+    Returns:
+        By network, shape (P,).
+    """
+    return np.clip(digits - np.median(digits, axis=1, keepdims=True), -1.0, 1.0).mean(axis=0)
+
+
 def write(network: GateNetwork, names: Sequence[str], values: FloatArray) -> None:
     """Write a vector of parameters into a network."""
     own = dict(network.named_parameters())
@@ -99,11 +113,18 @@ class Search:
         population: vectors in a generation.
         seed: of the vectors.
         scores: of the generations so far, the higher the better.
+
+    Raises:
+        ImportError: when the package cma is missing.
     """
 
     def __init__(
         self, start: FloatArray, sigma: float, population: int, seed: int, scores: Sequence[Sequence[float]]
     ) -> None:
+        try:
+            from cma import CMAEvolutionStrategy
+        except ImportError as error:
+            raise ImportError('evolution needs an extra: pip install "ptne-env[sb3]"') from error
         generator = np.random.default_rng(seed)
         options = {
             "CMA_diagonal": True,

@@ -318,7 +318,7 @@ class _Run:
         chosen = generator.choice(len(self._worlds), count, replace=False)
         seeds = generator.integers(2**62, size=arguments.episodes_each).tolist()
         found = self._scores(self._search(scores).ask(), [self._worlds[index] for index in chosen], seeds)
-        return _Outcome(float(found.mean()), 0, tuple(found.mean(axis=0).tolist()))
+        return _Outcome(float(found.mean()), 0, tuple(evolution.utility(found).tolist()))
 
     def end(self, stage: Stage, scores: tuple[tuple[float, ...], ...]) -> None:
         """Finish a stage: evolution changes the network only now."""

@@ -174,6 +174,11 @@ def test_networks_of_a_population_score_as_alone():
     np.testing.assert_allclose(together, alone, atol=1e-3)
 
 
+def test_a_world_counts_at_most_one_digit_in_what_networks_are_ranked_by():
+    digits = np.array([[12.0, 12.0, 1.0], [2.0, 2.5, 3.25]])
+    np.testing.assert_allclose(evolution.utility(digits), [-0.25, 0.0, -0.125])
+
+
 def test_imitation_from_random_weights_reaches_the_law():
     torch.manual_seed(0)
     network = GateNetwork()
