@@ -6,7 +6,7 @@ import json
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -376,7 +376,16 @@ class _Copied(PolicySpec):
                     here, hashes = None, {path: digest}
             sources.append(here)
             files.append(tuple(hashes.items()))
-        return cls(policy.name, policy.policy, policy.interface, policy.scenarios, tuple(sources), tuple(files))
+        return cls(
+            **{each.name: getattr(policy, each.name) for each in fields(policy)},
+            sources=tuple(sources),
+            files=tuple(files),
+        )
+
+    @property
+    def has_memory(self) -> bool | None:
+        source = self.sources[0]
+        return super().has_memory if source is None else PolicySpec(self.name, source, self.interface).has_memory
 
     @property
     def missing(self) -> dict[int, str]:

@@ -6,7 +6,7 @@ import glob
 import inspect
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, Literal, TypeAlias, get_args
 
@@ -39,6 +39,8 @@ KNOWLEDGE = {
 Division: TypeAlias = Literal["honest", "coded", "oracle"]
 """Honest entries, whose estimates are beliefs about strategies; coded ones; oracles, which have no rank."""
 
+_MEMORY = {True: "yes", False: "no", None: "unknown"}
+
 DIVISIONS: tuple[Division, ...] = get_args(Division)
 """All of them, in the order of tables."""
 
@@ -55,12 +57,14 @@ class PolicySpec:
         interface: makes its observations and decodes its actions; the policy's own attribute ``interface`` if left
             out, and ``physical`` if it has none.
         scenarios: names of the scenarios it is run on, "n/a" elsewhere; all if ``None``.
+        memory: what :attr:`has_memory` says of a file that is not here.
     """
 
     name: str
     policy: PolicySource | tuple[PolicySource, ...]
     interface: Interface = None  # type: ignore[assignment]  # filled in below, so that readers never see None
     scenarios: frozenset[str] | None = None
+    memory: bool | None = field(default=None, compare=False, repr=False)
 
     def __post_init__(self) -> None:
         require_printable("the name of a policy", self.name)
@@ -129,7 +133,7 @@ class PolicySpec:
             try:
                 made = policies.load(file)
             except (OSError, ValueError, ImportError):  # it may have been moved since it was run
-                return None
+                return self.memory
         if isinstance(made, policies.LearnedPolicy | policies.SizeFreeFile):
             return made.has_memory
         if isinstance(made, FactorySpec):
@@ -144,7 +148,7 @@ class PolicySpec:
         """What it declares, in words: a value for each of :data:`KNOWLEDGE`."""
         return {  # the keys of KNOWLEDGE
             "graphs": "all" if self.is_oracle else GRAPH_KNOWLEDGE[self.interface.graph_knowledge],
-            "memory": {True: "yes", False: "no", None: "unknown"}[self.has_memory],
+            "memory": _MEMORY[self.has_memory],
             "estimates": self.interface.estimates,
         }
 
@@ -206,9 +210,11 @@ class PolicySpec:
             )
             scenarios = None if data["scenarios"] is None else frozenset(data["scenarios"])
             name, interface = str(data["name"]), Interface(**data["interface"])
+            stated = data.get("knowledge", {}).get("memory")
+            memory = next((value for value, word in _MEMORY.items() if word == stated), None)
         except (KeyError, TypeError, AttributeError) as error:
             raise ValueError(f"not a policy: {type(error).__name__}: {error}") from None
-        return cls(name, seeds if len(seeds) != 1 else seeds[0], interface, scenarios)
+        return cls(name, seeds if len(seeds) != 1 else seeds[0], interface, scenarios, memory)
 
 
 def _source_to_dict(policy: PolicySource) -> dict[str, Any]:

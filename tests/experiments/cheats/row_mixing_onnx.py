@@ -69,7 +69,16 @@ def row_mixing_file(layout):
         [numpy_helper.from_array(np.asarray(value), name) for name, value in constants.items()],
     )
     model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=8)
-    metadata = Metadata(layout.interface, layout.action_dims, layout.slots, (), 0, 0, 0.0, {})
+    metadata = Metadata(
+        interface=layout.interface,
+        action_dims=layout.action_dims,
+        slots=layout.slots,
+        scenarios=(),
+        steps=0,
+        seed=0,
+        digits=0.0,
+        versions={},
+    )
     helper.set_model_props(model, {"ptne_env": metadata.to_json()})
     onnx.checker.check_model(model)
     return model.SerializeToString()
