@@ -36,20 +36,26 @@ _COARSE = 1e-4
 _ON_GRID = 1e-2
 """Largest distance of a rounded message from a multiple of the step, in steps."""
 
-_FORGETTING = (2.5, 3.0, 2.0)
+_FORGETTING = (2.0, 3.0, 2.0)
 """p of the weights p/(p + k) of the k-th sample: of the mean of noisy and of rounded messages, and of its mean."""
 
 _RECONNECTED = 6.0
 """Samples that the mean counts for at most when a link comes up again."""
 
-_RECENT = 0.1
-"""Weight of the present change in the variance of messages."""
+_RECENT = (0.03, 0.1, 1.5)
+"""Weights of the present change in the variance of messages, and in the present variance, of which a multiple limits it
+where the mean is judged: while estimates move, their moves count as variance."""
 
 _QUICK = 1 / 12
 """Weight of the present message in the quick mean, by which a mean that lags is noticed."""
 
 _LAG = 4.0
 """Standard deviations of the quick mean by which it may leave the mean."""
+
+_SMALLEST_VARIANCE = 1e-14
+
+_OLD = 40.0
+"""Samples after which a mean is old."""
 
 _LYING = (20.0, 8.0, 10.0, 30.0)
 """Samples of statements about the own strategy before they are judged, the standard deviations by which they are off,
@@ -60,7 +66,9 @@ _GOLDEN_RATIO = (5**0.5 - 1) / 2
 
 def average_parts(layout: ObservationLayout) -> dict[str, tuple[int, ...]]:
     """Shapes of the parts of the memory of this module; at the start ``width`` and ``level`` are 1e6, others 0."""
-    parts = dict.fromkeys(("mean", "smooth", "quick", "samples", "variance"), (layout.slots, layout.dimension))
+    parts = dict.fromkeys(
+        ("mean", "smooth", "quick", "samples", "variance", "present"), (layout.slots, layout.dimension)
+    )
     return {**dict.fromkeys(("width", "level", "since", "noisy"), (1,)), "lies": (layout.slots,), **parts}
 
 
@@ -123,13 +131,13 @@ class Averages(NamedTuple):
     variance: FloatArray
 
     def belief(self, weights: FloatArray, otherwise: FloatArray) -> FloatArray:
-        """Σ_j w_j m_j / Σ_j w_j with w_j = weights × samples, and ``otherwise`` (R, n) where that is 0/0.
+        """Σ_j w_j m_j / Σ_j w_j with w_j = weights × samples/variance, and ``otherwise`` (R, n) where that is 0/0.
 
         Args:
             weights: ≥ 0, shape (R, D, n).
             otherwise: values without a mean.
         """
-        weights = weights * self.samples
+        weights = weights * self.samples / np.maximum(self.variance, _SMALLEST_VARIANCE)
         total = fold(np.add, weights, axis=1)
         mean = fold(np.add, weights * self.mean, axis=1) / np.where(total > 0, total, 1.0)
         return np.where(total > 0, mean, otherwise)
@@ -161,12 +169,13 @@ def averages(
     )
     samples = np.where(live, old + 1, old)
 
-    change = (messages - memory["messages"]) ** 2 / 2 - memory["variance"]
-    weight = np.where(live & lasted, np.maximum(_RECENT, 1 / (1 + old)), 0.0)
-    variance = memory["variance"] + weight * change
+    change = (messages - memory["messages"]) ** 2 / 2
+    weight, heard = 1 / (1 + old), live & lasted
+    variance = memory["variance"] + np.where(heard, np.maximum(_RECENT[0], weight), 0.0) * (change - memory["variance"])
+    present = memory["present"] + np.where(heard, np.maximum(_RECENT[1], weight), 0.0) * (change - memory["present"])
     quick = memory["quick"] + _QUICK * (messages - memory["quick"])
     quick = np.where(live, np.where(old < 1 / _QUICK, mean, quick), memory["quick"])
-    lag = (quick - mean) ** 2 > _LAG**2 * _QUICK / (2 - _QUICK) * variance
+    lag = (quick - mean) ** 2 > _LAG**2 * _QUICK / (2 - _QUICK) * np.minimum(variance, _RECENT[2] * present)
     lag &= live & (samples > 2 / _QUICK) & ~is_rounded[:, :, None]
     mean, samples = np.where(lag, quick, mean), np.where(lag, 1 / _QUICK, samples)
     smoother = memory["smooth"] + smooth / (smooth + old) * (mean - memory["smooth"])
@@ -178,6 +187,7 @@ def averages(
         "quick": quick,
         "samples": samples,
         "variance": variance,
+        "present": present,
     }
 
 
@@ -193,7 +203,7 @@ def lies(means: Averages, memory: Mapping[str, FloatArray], estimate: FloatArray
     samples, deviations, _, largest_number = _LYING
     is_judged = is_own[:, None] & (means.samples > samples)
     gap = np.where(is_judged, np.abs(means.mean - estimate[:, None]), 0.0)
-    is_off = (gap > deviations * np.sqrt(means.variance + 1e-14)).any(axis=2)
+    is_off = (gap > deviations * np.sqrt(means.variance + _SMALLEST_VARIANCE)).any(axis=2)
     return np.where(is_off, np.minimum(memory["lies"] + 1, largest_number), np.maximum(memory["lies"] - 1, 0.0))
 
 
@@ -212,6 +222,20 @@ def without_liars(sources: BoolArray, others: BoolArray, owners: BoolArray, lied
     clean, other = sources & ~suspect, others & ~suspect
     has_source, has_clean, has_other = (fold(np.logical_or, part, axis=1)[:, None] for part in (sources, clean, other))
     return np.where(has_clean, clean, np.where(has_source & has_other, other, sources))
+
+
+def mature(means: Averages, sources: BoolArray, is_own: BoolArray, lied: FloatArray) -> BoolArray:
+    """Whether a mean of a neighbour that is no source counts: it is old, and so are all sources' means, (R, D, n).
+
+    Args:
+        means: of the messages.
+        sources: live neighbours with fresher copies, shape (R, D, n).
+        is_own: own components, shape (R, n).
+        lied: the number of :func:`lies`, shape (R, D): no neighbour counts that seems to lie.
+    """
+    is_old = means.samples > _OLD
+    has_young = fold(np.logical_or, sources & ~is_old, axis=1)[:, None]
+    return np.asarray(is_old & ~has_young & ~is_own[:, None] & (lied == 0)[:, :, None])
 
 
 def dither(step: FloatArray) -> FloatArray:

@@ -20,7 +20,18 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ptne_env.arrays import Array, BoolArray, FloatArray, IntArray, fold
-from ptne_env.laws.averages import START, Averages, Unrest, average_parts, averages, dither, lies, unrest, without_liars
+from ptne_env.laws.averages import (
+    START,
+    Averages,
+    Unrest,
+    average_parts,
+    averages,
+    dither,
+    lies,
+    mature,
+    unrest,
+    without_liars,
+)
 from ptne_env.laws.base import Law, per_step, step_length
 from ptne_env.laws.best_response import (
     LARGEST_ROW,
@@ -77,6 +88,7 @@ class SlotEvidence(NamedTuple):
         samples: number of its messages in the private mean.
         deviation: its message minus the private mean of its messages, absolute.
         spread: standard deviation of its messages.
+        mature: whether its mean counts beside those of sources, :func:`~ptne_env.laws.averages.mature`.
         lies: steps in which its statements about the own strategy were far off, less the others.
     """
 
@@ -91,6 +103,7 @@ class SlotEvidence(NamedTuple):
     samples: FloatArray
     deviation: FloatArray
     spread: FloatArray
+    mature: FloatArray
     lies: FloatArray
 
 
@@ -481,6 +494,7 @@ def evidence(
         samples=found.means.samples,
         deviation=np.where(live[:, :, None], np.abs(fresh["messages"] - found.means.mean), 0.0),
         spread=np.sqrt(found.means.variance),
+        mature=mature(found.means, found.sources, found.is_own, memory["lies"]).astype(np.float64),
         lies=memory["lies"][:, :, None],
     )
     rest = found.means.belief(slots.source, estimate)
@@ -546,7 +560,9 @@ class ObserverRelay(GatedLaw):
             push=cells.own,
             dither=cells.rounded * (1.0 - cells.closing),
         )
-        return mine, SlotGates(copy=slots.source, mean=slots.source, diffusion=zero[:, None])
+        return mine, SlotGates(
+            copy=slots.source, mean=np.maximum(slots.source, 0.5 * slots.mature), diffusion=zero[:, None]
+        )
 
 
 def _rows(observation: Observation, rows: IntArray) -> Observation:
