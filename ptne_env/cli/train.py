@@ -23,7 +23,7 @@ def train(
         typer.Argument(
             help="A shipped configuration by name (such as random-energy), or a .toml file; with --from a scenario, "
             "or a track such as ptne-v1/noise.",
-            autocompletion=training.configurations,
+            autocompletion=training.all_configurations,
         ),
     ],
     out: Annotated[Path, typer.Option(help="Folder for the policy, logs and checkpoints; made if missing.")],

@@ -30,8 +30,9 @@ class GatePolicy(ActorCriticPolicy):
         kept: the best network so far, which training may return to.
 
     Args:
-        *arguments, **named: of Stable-Baselines3's class; ``log_std_init`` is that of every gate, and ``network`` gives
-            the arguments of :class:`~ptne_env.training.network.GateNetwork`.
+        *arguments: of Stable-Baselines3's class.
+        network: arguments of :class:`~ptne_env.training.network.GateNetwork`.
+        **named: of Stable-Baselines3's class; ``log_std_init`` is that of every gate.
     """
 
     def __init__(self, *arguments: Any, network: dict[str, Any] | None = None, **named: Any) -> None:

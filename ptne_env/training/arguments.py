@@ -13,7 +13,7 @@ from pydantic import BeforeValidator, ConfigDict, Field, PositiveInt, Validation
 from pydantic.dataclasses import dataclass
 
 from ptne_env.observation import ActionMode, InterfaceKind
-from ptne_env.training import CONFIGURATIONS, configurations
+from ptne_env.training import CONFIGURATIONS, SIZE_FREE, all_configurations, configurations
 
 STRICT = ConfigDict(strict=True, extra="forbid", allow_inf_nan=False)
 """No value is converted to another type, no name is unknown, and numbers are finite."""
@@ -151,11 +151,12 @@ def values_of(name_or_path: str | Path) -> tuple[Path, dict[str, Any]]:
     """
     path = Path(name_or_path)
     if path.suffix != ".toml":
-        path = CONFIGURATIONS / f"{name_or_path}.toml"
+        folder = CONFIGURATIONS if str(name_or_path) in configurations() else SIZE_FREE
+        path = folder / f"{name_or_path}.toml"
     if not path.is_file():
         unknown = "no file" if path == Path(name_or_path) else "unknown configuration"
         raise ValueError(
-            f"{unknown} {str(name_or_path)!r}; name a .toml file, or choose from {', '.join(configurations())}"
+            f"{unknown} {str(name_or_path)!r}; name a .toml file, or choose from {', '.join(all_configurations())}"
         )
     try:
         return path, tomllib.loads(path.read_text(encoding="utf-8"))
