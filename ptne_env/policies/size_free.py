@@ -59,7 +59,7 @@ CELL_FEATURES: tuple[str, ...] = (
 )
 """Names of the features of a cell, in order, all in [0, 1]; see :func:`features`."""
 
-_SLOT_FLAGS = ("live", "owner", "source")
+_SLOT_FLAGS = ("live", "owner", "source", "mature")
 _SLOT_STEPS = ("age", "contact", "samples", "lies")
 _SLOT_DISTANCES = {"relative": _EXACT, "change": _ROUNDED, "deviation": _ROUNDED, "spread": _ROUNDED}
 _SLOT_RATIOS = (("deviation", "spread"),)

@@ -32,7 +32,7 @@ POINTS: Mapping[str, tuple[Linear, Linear]] = {
             "push": {"own": 1.0},
             "dither": {"rounded": 1.0, "closing": -1.0},
         },
-        {"copy": {"source": 1.0}, "mean": {"source": 1.0}},
+        {"copy": {"source": 1.0}, "mean": {"source": 1.0, "mature": 0.5}},
     ),
     "contact-relay": ({"copies": {"weight": 1.0}, "response": {"turn": 1.0}}, {"copy": {"source": 1.0}}),
 }
