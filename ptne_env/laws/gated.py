@@ -274,9 +274,20 @@ class GatedLaw(ContactRelay):
         return self._parts.join(parts)
 
     def inputs(self, observation: Observation, memory: FloatArray) -> tuple[FloatArray, FloatArray]:
+        found, cells, slots = self.perceive(observation, memory)
+        return self.follow(observation, memory, found, *self.gates(cells, slots))
+
+    def perceive(self, observation: Observation, memory: FloatArray) -> tuple[Estimates, CellEvidence, SlotEvidence]:
+        """The first half of a decision: what R players find out, and the evidence that their gates see."""
         parts = self._parts.split(memory)
         found = self._estimates(observation, parts)
-        gates, slot_gates = self.gates(*evidence(observation, parts, found, self.layout))
+        return found, *evidence(observation, parts, found, self.layout)
+
+    def follow(
+        self, observation: Observation, memory: FloatArray, found: Estimates, gates: CellGates, slot_gates: SlotGates
+    ) -> tuple[FloatArray, FloatArray]:
+        """The second half of a decision: the inputs of R players, and their memory, as :meth:`inputs` answers them."""
+        parts = self._parts.split(memory)
         planned = self.mixed(observation, parts, found, gates, slot_gates)
         push = found.memory["push"] * observation.dt
         displacement = np.where(found.is_own, planned - gates.push * push, planned)
