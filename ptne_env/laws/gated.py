@@ -54,7 +54,7 @@ from ptne_env.laws.reactions import (
     reaction_parts,
     reckoned_estimate,
 )
-from ptne_env.laws.relay import ContactRelay, Own, copy_weight, own_memory, own_side
+from ptne_env.laws.relay import SPREAD, ContactRelay, Own, copy_weight, own_memory, own_side
 from ptne_env.laws.routed import nearness, totals
 from ptne_env.laws.settling import PARTS as SETTLING_PARTS
 from ptne_env.laws.settling import Settling, settle, settling
@@ -317,10 +317,9 @@ class GatedLaw(ContactRelay):
         if is_drifting.any():
             track, motion = tracked(observation, memory, np.where(own.is_probe, 0.0, mean), is_drifting)
             fresh = fresh | motion
-        curvature = np.abs(own_block(own.model.rows, own_places(own.blocks, own.model, drift.shape[1])))
-        error = own.error / np.maximum(
-            curvature.diagonal(axis1=1, axis2=2).min(axis=1, keepdims=True), _SMALLEST_CURVATURE
-        )
+        block = own_block(own.model.rows, own_places(own.blocks, own.model, drift.shape[1]))
+        curvature = np.maximum(np.abs(block.diagonal(axis1=1, axis2=2)), _SMALLEST_CURVATURE)
+        error = own.error / curvature.min(axis=1, keepdims=True)
         doubt = np.where(memory["steps"] <= START, 0.0, np.maximum(_FADE * memory["doubt"], error))
         tempered = settling(own, memory, self.layout.dimension)
         tempered = tempered._replace(expected=tempered.expected + pull)
@@ -620,7 +619,9 @@ class ObserverRelay(GatedLaw):
 
     Where messages carry noise or are rounded, raw copies travel, the own strategy responds to the private belief, and
     the last step states it; where messages are rounded, the own strategy is dithered. Observed pushes are compensated.
-    Where links break, the joint solution is followed as soon as it is trusted.
+    Where links break, the joint solution is followed as soon as it is trusted. Where the own gradient was not
+    predicted, as in games that are not affine, a short gradient step is added: best responses are short while the model
+    changes.
     """
 
     def gates(self, cells: CellEvidence, slots: SlotEvidence) -> tuple[CellGates, SlotGates]:
@@ -632,7 +633,7 @@ class ObserverRelay(GatedLaw):
             belief=rests * np.maximum(cells.rounded, cells.noisy * cells.closing),
             stated=rests * uneasy * cells.closing,
             flow=zero,
-            step=zero,
+            step=cells.failed * (1.0 - np.maximum(uneasy, cells.broke)) / SPREAD,
             response=cells.turn,
             joint=cells.trusted,
             push=cells.own,
