@@ -60,9 +60,12 @@ from ptne_env.laws.settling import PARTS as SETTLING_PARTS
 from ptne_env.laws.settling import Settling, settle, settling
 from ptne_env.observation import Observation, ObservationLayout
 
-_STEP_GROWTH = 1.9
-"""The coming step of s is at most this multiple of the last: at most 1.7 where the steps are even in physical time."""
+_CLOSING = (0.5, 1.0)
+"""The last transformed time before the end of an episode, in which private means are stated: of rounded messages, whose
+mean lives on the dither that then stops, and of all others."""
 
+_SETTLED = 20.0
+"""A private belief farther from the own estimate than this many times σ_i has not settled."""
 
 _PATIENCE, _DELAY, _FLOOR = 2.0, 30.0, 0.3
 """Noisy copies have the weight max(2/(2 + steps without rest beyond 30), 0.3)²."""
@@ -117,7 +120,7 @@ class CellEvidence(NamedTuple):
         probing: whether these first m steps last, in which the others' estimates rest.
         steps: number of steps so far.
         elapsed: t/T by the player's clock.
-        closing: whether the coming step ends at the deadline or later, by that clock.
+        closing: whether the end is near by that clock, at most 1 in s, or 0.5 with rounded messages; also after it.
         theta: Θ_k of the coming step.
         scale: the largest own estimate, absolute.
         sources: number of live sources.
@@ -134,6 +137,7 @@ class CellEvidence(NamedTuple):
         width: the step of rounding, where messages are rounded.
         rounded: whether messages are rounded.
         belief: the private belief minus the own estimate, absolute.
+        settled: whether the belief has settled: it is at most 20 σ_i away, or messages are rounded.
         broke: whether a link of the player ever broke.
         correction: joint solution minus plain next estimate, absolute.
         doubt: the largest recent error of the planes in it.
@@ -164,6 +168,7 @@ class CellEvidence(NamedTuple):
     width: FloatArray
     rounded: FloatArray
     belief: FloatArray
+    settled: FloatArray
     broke: FloatArray
     correction: FloatArray
     doubt: FloatArray
@@ -254,7 +259,7 @@ class GatedLaw(ContactRelay):
     def _shapes(self) -> dict[str, tuple[int, ...]]:
         layout, slots = self.layout, (self.layout.slots,)
         parts: dict[str, tuple[int, ...]] = dict.fromkeys(("age", "contact"), slots)
-        parts |= {"transformed": (1,), "broke": (1,), "doubt": (1,), "reckoned": (layout.dimension,)}
+        parts |= {"broke": (1,), "doubt": (1,), "reckoned": (layout.dimension,)}
         parts |= (
             SETTLING_PARTS
             | average_parts(layout)
@@ -292,7 +297,6 @@ class GatedLaw(ContactRelay):
         push = found.memory["push"] * observation.dt
         displacement = np.where(found.is_own, planned - gates.push * push, planned)
         fresh = parts | found.memory | own_memory(found.plain, observation, parts, planned, self.layout)
-        fresh["transformed"] = observation.transformed
         fresh["sent"] = within_reach(displacement, observation, self.layout)
         inputs = (fresh["sent"] / step_length(observation)).astype(np.float32)
         fresh["reckoned"] = found.here + inputs * observation.theta
@@ -572,7 +576,7 @@ def evidence(
         lies=memory["lies"][:, :, None],
     )
     rest = found.means.belief(slots.source, estimate)
-    next_s = observation.transformed + _STEP_GROWTH * (observation.transformed - memory["transformed"])
+    left = layout.largest_clock[1] - observation.transformed
     blank = np.zeros_like(estimate)
     cells = CellEvidence(
         own=found.is_own.astype(np.float64),
@@ -580,7 +584,7 @@ def evidence(
         probing=own.is_probe.astype(np.float64),
         steps=memory["steps"],
         elapsed=observation.elapsed,
-        closing=(next_s >= layout.largest_clock[1]).astype(np.float64),
+        closing=(left <= np.where(found.unrest.is_rounded, *_CLOSING)).astype(np.float64),
         theta=observation.theta,
         scale=largest(estimate),
         sources=fold(np.add, found.sources.astype(np.float64), axis=1),
@@ -596,6 +600,7 @@ def evidence(
         width=found.unrest.width,
         rounded=found.unrest.is_rounded.astype(np.float64),
         belief=np.abs(rest - estimate),
+        settled=(found.unrest.is_rounded | (np.abs(rest - estimate) <= _SETTLED * fresh["noise"])).astype(np.float64),
         broke=fresh["broke"],
         correction=np.abs(found.joint.point - found.here - found.drift - found.response),
         doubt=found.joint.error,
@@ -631,7 +636,7 @@ class ObserverRelay(GatedLaw):
             copies=observed_weight(cells),
             track=cells.drifting,
             belief=rests * np.maximum(cells.rounded, cells.noisy * cells.closing),
-            stated=rests * uneasy * cells.closing,
+            stated=rests * uneasy * cells.closing * cells.settled,
             flow=zero,
             step=cells.failed * (1.0 - np.maximum(uneasy, cells.broke)) / SPREAD,
             response=cells.turn,
