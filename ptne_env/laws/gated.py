@@ -634,7 +634,7 @@ class ObserverRelay(GatedLaw):
         zero = np.zeros_like(cells.scale)
         mine = CellGates(
             copies=observed_weight(cells),
-            track=cells.drifting,
+            track=cells.drifting * (1.0 - cells.broke),
             belief=rests * np.maximum(cells.rounded, cells.noisy * cells.closing),
             stated=rests * uneasy * cells.closing * cells.settled,
             flow=zero,

@@ -25,7 +25,7 @@ POINTS: Mapping[str, tuple[Linear, Linear]] = {
     "observer-relay": (
         {
             "copies": {"observed_weight": 1.0},
-            "track": {"drifting": 1.0},
+            "track": {"drifting": 1.0, "broke": -1.0},
             "belief": {"rounded": 2.0, "noisy": 1.0, "closing": 1.0, "drifting": -3.0, ALWAYS: -1.0},
             "stated": {"rounded": 1.0, "noisy": 1.0, "closing": 1.0, "settled": 1.0, "drifting": -3.0, ALWAYS: -2.0},
             "step": {"failed": 0.1, "noisy": -0.1, "rounded": -0.1, "broke": -0.1},
