@@ -622,9 +622,9 @@ def observed_weight(cells: CellEvidence) -> FloatArray:
 class ObserverRelay(GatedLaw):
     """:class:`~ptne_env.laws.relay.ContactRelay` with observers of noise, rounding, pushes and reactions.
 
-    Where messages carry noise or are rounded, raw copies travel, the own strategy responds to the private belief, and
-    the last step states it; where messages are rounded, the own strategy is dithered. Observed pushes are compensated.
-    Where links break, the joint solution is followed as soon as it is trusted. Where the own gradient was not
+    Where messages carry noise or are rounded, raw copies travel, and the private belief is stated near the end; where
+    messages are rounded, the own strategy responds to it, and is dithered. Observed pushes are compensated. Where the
+    game drifts, a tracking filter takes the place of copies, unless links break. Where links break, the joint solution is followed as soon as it is trusted. Where the own gradient was not
     predicted, as in games that are not affine, a short gradient step is added: best responses are short while the model
     changes.
     """
