@@ -32,6 +32,7 @@ WITHOUT_LOOP = {
     "LinkRelay",
     "MultiRate",
     "NodeAdaptiveOracle",
+    "ObserverRelay",
     "ProjectedGradient",
     "ProximalBestResponse",
     "Relay",
