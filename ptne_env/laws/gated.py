@@ -43,6 +43,7 @@ from ptne_env.laws.best_response import (
     with_own,
     within_reach,
 )
+from ptne_env.laws.drifting import drift_parts, drifting, initial_timed_covariance, is_surprised, tracked
 from ptne_env.laws.pushes import observed_push, push_parts
 from ptne_env.laws.reactions import (
     Condition,
@@ -139,6 +140,7 @@ class CellEvidence(NamedTuple):
         trusted: whether the joint solution counts.
         push: displacement by the observed push in the coming step, absolute.
         push_steps: steps since the push last changed.
+        drifting: whether the game drifts.
     """
 
     own: FloatArray
@@ -168,6 +170,7 @@ class CellEvidence(NamedTuple):
     trusted: FloatArray
     push: FloatArray
     push_steps: FloatArray
+    drifting: FloatArray
 
 
 class SlotGates(NamedTuple):
@@ -189,6 +192,7 @@ class CellGates(NamedTuple):
 
     Attributes:
         copies: share of the copy, in [0, 1]; components of others.
+        track: share of the tracking filter in place of the copy, in [0, 1]; components of others.
         belief: share of the private belief to which the own strategy responds, in [0, 1].
         stated: share of the private belief in the stated estimate, in [0, 1]; components of others.
         flow: gain g ≥ 0 of −Θ_k ∂J_i; own components.
@@ -200,6 +204,7 @@ class CellGates(NamedTuple):
     """
 
     copies: FloatArray
+    track: FloatArray
     belief: FloatArray
     stated: FloatArray
     flow: FloatArray
@@ -215,11 +220,12 @@ class GatedLaw(ContactRelay):
 
     A subclass implements :meth:`gates`. The displacement of a component c of another player is
 
-        Δ_c = (1 − j) [(1 − s) w Σ_d p_d (x^d_c − x^i_c) + s (b_c − x^i_c) + Θ Σ_d κ_d a_id (x^d_c − x^i_c)]
-              + j (z_c − x^i_c)
+        Δ_c = (1 − j) [(1 − s) ((1 − f) w Σ_d p_d (x^d_c − x^i_c) + f y_c) + s (b_c − x^i_c)
+              + Θ Σ_d κ_d a_id (x^d_c − x^i_c)] + j (z_c − x^i_c)
 
-    with the gates ``copies`` w, ``stated`` s, ``joint`` j, ``copy`` p_d (divided by their sum) and ``diffusion`` κ_d,
-    the private belief b and the joint solution z. That of an own component is
+    with the gates ``copies`` w, ``track`` f, ``stated`` s, ``joint`` j, ``copy`` p_d (divided by their sum) and
+    ``diffusion`` κ_d, the displacement y of the tracking filter, the private belief b and the joint solution z. That of
+    an own component is
 
         Δ_c = (1 − j) [ρ r_c − (g Θ + η) ∂J_c + Θ Σ_d κ_d a_id (x^d_c − x^i_c) + δ q φ] + j (z_c − x^i_c) − π v_c Δt
 
@@ -234,7 +240,7 @@ class GatedLaw(ContactRelay):
     """
 
     def __init__(self, layout: ObservationLayout, patience: float = 30.0, forgetting: float = 2.0) -> None:
-        self._reacts = layout.dimension <= LARGEST_ROW
+        self._has_rows = layout.dimension <= LARGEST_ROW
         self._planes = (*reaction_parts(layout), "steps")
         super().__init__(layout, patience, forgetting)
 
@@ -253,7 +259,7 @@ class GatedLaw(ContactRelay):
             SETTLING_PARTS
             | average_parts(layout)
             | push_parts(layout)
-            | (reaction_parts(layout) if self._reacts else {})
+            | (reaction_parts(layout) | drift_parts(layout) if self._has_rows else {})
         )
         return super()._shapes() | parts
 
@@ -262,18 +268,30 @@ class GatedLaw(ContactRelay):
         parts = self._parts.split(super().initial_memory(rows))
         parts["width"][...] = parts["level"][...] = UNLIMITED
         parts["damping"][...] = 1.0
-        if self._reacts:
+        if self._has_rows:
             parts["plane_covariance"][...] = initial_covariance(self.layout)
+            parts["timed_covariance"][...] = initial_timed_covariance(self.layout)
         return self._parts.join(parts)
 
     def inputs(self, observation: Observation, memory: FloatArray) -> tuple[FloatArray, FloatArray]:
+        found, cells, slots = self.perceive(observation, memory)
+        return self.follow(observation, memory, found, *self.gates(cells, slots))
+
+    def perceive(self, observation: Observation, memory: FloatArray) -> tuple[Estimates, CellEvidence, SlotEvidence]:
+        """The first half of a decision: what R players find out, and the evidence that their gates see."""
         parts = self._parts.split(memory)
         found = self._estimates(observation, parts)
-        gates, slot_gates = self.gates(*evidence(observation, parts, found, self.layout))
+        return found, *evidence(observation, parts, found, self.layout)
+
+    def follow(
+        self, observation: Observation, memory: FloatArray, found: Estimates, gates: CellGates, slot_gates: SlotGates
+    ) -> tuple[FloatArray, FloatArray]:
+        """The second half of a decision: the inputs of R players, and their memory, as :meth:`inputs` answers them."""
+        parts = self._parts.split(memory)
         planned = self.mixed(observation, parts, found, gates, slot_gates)
         push = found.memory["push"] * observation.dt
         displacement = np.where(found.is_own, planned - gates.push * push, planned)
-        fresh = parts | found.memory | own_memory(found.own, observation, parts, planned, self.layout)
+        fresh = parts | found.memory | own_memory(found.plain, observation, parts, planned, self.layout)
         fresh["transformed"] = observation.transformed
         fresh["sent"] = within_reach(displacement, observation, self.layout)
         inputs = (fresh["sent"] / step_length(observation)).astype(np.float32)
@@ -282,8 +300,10 @@ class GatedLaw(ContactRelay):
 
     def _estimates(self, observation: Observation, memory: Mapping[str, FloatArray]) -> Estimates:
         """All that fixed estimation finds out in this step."""
-        own, is_own = own_side(observation, memory, self.layout), self.layout.own_mask[observation.player]
+        plain, is_own = own_side(observation, memory, self.layout), self.layout.own_mask[observation.player]
+        own, pull, is_drifting, motion = self._motion(observation, memory, plain)
         sources, fresh = self.sources(observation, memory)
+        fresh = fresh | motion
         sources = sources & ~is_own[:, None] & (observation.weights > 0)[:, :, None]
         live = observation.weights > 0
         neighbours = live[:, :, None] & ~is_own[:, None]
@@ -293,12 +313,17 @@ class GatedLaw(ContactRelay):
         mean = np.where(is_own, 0.0, total / np.maximum(count, 1))
         weight, heard = copy_weight(observation, memory, mean, self.averaging)
         drift = np.where(own.is_probe, 0.0, weight * mean)
+        track = np.zeros_like(drift)
+        if is_drifting.any():
+            track, motion = tracked(observation, memory, np.where(own.is_probe, 0.0, mean), is_drifting)
+            fresh = fresh | motion
         curvature = np.abs(own_block(own.model.rows, own_places(own.blocks, own.model, drift.shape[1])))
         error = own.error / np.maximum(
             curvature.diagonal(axis1=1, axis2=2).min(axis=1, keepdims=True), _SMALLEST_CURVATURE
         )
         doubt = np.where(memory["steps"] <= START, 0.0, np.maximum(_FADE * memory["doubt"], error))
         tempered = settling(own, memory, self.layout.dimension)
+        tempered = tempered._replace(expected=tempered.expected + pull)
         response = with_own(np.zeros_like(drift), tempered.response(own, drift), own.blocks)
         here = reckoned_estimate(observation, memory)
         fresh = fresh | heard | settle(observation, memory, tempered, response, fresh["noise"], doubt)
@@ -309,39 +334,94 @@ class GatedLaw(ContactRelay):
             "broke": np.maximum(memory["broke"], ((memory["live"] > 0) & ~live).any(axis=1, keepdims=True)),
         }
 
-        restless = unrest(observation, memory, fresh["noise"])
-        fresh |= {name: getattr(restless, name) for name in ("width", "level", "since")}
-        fresh["noisy"] = restless.is_noisy.astype(np.float64)
-        uneasy = (restless.is_noisy | restless.is_rounded)[:, 0]
-        fresh["samples"] = np.where(uneasy[:, None, None], memory["samples"], 0.0)
-        means = Averages(memory["mean"], fresh["samples"], memory["variance"])
-        if uneasy.any():
-            rows = np.flatnonzero(uneasy)
-            part = _part(memory, rows)
-            found, changed = averages(_rows(observation, rows), part, restless.is_rounded[rows])
-            changed["lies"] = lies(found, part, observation.own_estimate[rows], is_own[rows])
-            fresh |= {name: _with_rows(fresh.get(name, memory[name]), rows, part) for name, part in changed.items()}
-            means = Averages._make(_with_rows(old, rows, new) for old, new in zip(means, found, strict=True))
-
-        joint = Reactions(here + drift + response, np.zeros_like(weight), np.zeros_like(uneasy[:, None]))
-        if self._reacts and (rows := np.flatnonzero(~uneasy)).size:
-            changed = learned_planes(_rows(observation, rows), _part(memory, rows), self.layout, here[rows])
-            fresh |= {name: _with_rows(memory[name], rows, part) for name, part in changed.items()}
-            rows = rows[fresh["broke"][rows, 0] > 0]
-            if rows.size:
-                condition = Condition(own.model.rows[rows], own.gradient[rows], own.blocks[rows], doubt[rows])
-                planes = _part({name: fresh.get(name, memory[name]) for name in self._planes}, rows)
-                solution = joint_solution(
-                    observation.player[rows], planes, self.layout, here[rows], joint.point[rows], condition
-                )
-                joint = Reactions._make(_with_rows(old, rows, new) for old, new in zip(joint, solution, strict=True))
+        restless, means, changed = self._averages(observation, memory, is_own, fresh["noise"])
+        fresh |= changed
+        calm = ~(restless.is_noisy | restless.is_rounded)[:, 0]
+        before = {**memory, "broke": fresh["broke"]}
+        joint, changed = self._reactions(observation, before, own, here, here + drift + response, doubt, calm)
+        fresh |= changed
 
         held = with_own(np.zeros_like(drift), own.held.astype(np.float64), own.blocks) > 0
         residual = np.where(is_own & ~held & (memory["steps"] > 0), own.moved - memory["sent"], 0.0)
         fresh |= observed_push(observation, memory, residual)
         return Estimates(
-            own, is_own, sources, weight, drift, tempered, response, held, here, restless, means, joint, fresh
+            plain=plain._replace(radius=own.radius, failed=own.failed),
+            own=own,
+            is_own=is_own,
+            sources=sources,
+            weight=weight,
+            drift=drift,
+            is_drifting=is_drifting,
+            track=track,
+            settling=tempered,
+            response=response,
+            held=held,
+            here=here,
+            unrest=restless,
+            means=means,
+            joint=joint,
+            memory=fresh,
         )
+
+    def _averages(
+        self, observation: Observation, memory: Mapping[str, FloatArray], is_own: BoolArray, noise: FloatArray
+    ) -> tuple[Unrest, Averages, dict[str, FloatArray]]:
+        """Noise and rounding, the private means, and the changed parts of the memory."""
+        restless = unrest(observation, memory, noise)
+        uneasy = restless.is_noisy | restless.is_rounded
+        changed = {name: getattr(restless, name) for name in ("width", "level", "since")}
+        changed["noisy"] = restless.is_noisy.astype(np.float64)
+        changed["samples"] = np.where(uneasy[:, :, None], memory["samples"], 0.0)
+        means = Averages(memory["mean"], changed["samples"], memory["variance"])
+        if (rows := np.flatnonzero(uneasy)).size:
+            part = _part(memory, rows)
+            found, news = averages(_rows(observation, rows), part, restless.is_rounded[rows])
+            news["lies"] = lies(found, part, observation.own_estimate[rows], is_own[rows])
+            changed |= {name: _with_rows(changed.get(name, memory[name]), rows, each) for name, each in news.items()}
+            means = _replaced(means, rows, found)
+        return restless, means, changed
+
+    def _reactions(
+        self,
+        observation: Observation,
+        memory: Mapping[str, FloatArray],
+        own: Own,
+        here: FloatArray,
+        planned: FloatArray,
+        doubt: FloatArray,
+        calm: BoolArray,
+    ) -> tuple[Reactions, dict[str, FloatArray]]:
+        """The joint solution, which is ``planned`` without one, and the changed parts of the memory."""
+        joint = Reactions(planned, np.zeros_like(doubt), np.zeros_like(own.failed))
+        if not (self._has_rows and calm.any()):
+            return joint, {}
+        rows = np.flatnonzero(calm)
+        news = learned_planes(_rows(observation, rows), _part(memory, rows), self.layout, here[rows])
+        changed = {name: _with_rows(memory[name], rows, part) for name, part in news.items()}
+        if (rows := rows[memory["broke"][rows, 0] > 0]).size:
+            condition = Condition(own.model.rows[rows], own.gradient[rows], own.blocks[rows], doubt[rows])
+            planes = _part({name: changed.get(name, memory[name]) for name in self._planes}, rows)
+            found = joint_solution(observation.player[rows], planes, self.layout, here[rows], planned[rows], condition)
+            joint = _replaced(joint, rows, found)
+        return joint, changed
+
+    def _motion(
+        self, observation: Observation, memory: Mapping[str, FloatArray], own: Own
+    ) -> tuple[Own, FloatArray, BoolArray, dict[str, FloatArray]]:
+        """The own side, its pull and whether the game drifts, and the changed parts of the memory."""
+        pull, is_drifting = np.zeros_like(own.gradient), np.zeros_like(own.failed)
+        if not self._has_rows:
+            return own, pull, is_drifting, {}
+        rows = np.flatnonzero(is_surprised(own, memory))
+        parts = {name: memory[name] for name in drift_parts(self.layout)}
+        changed = parts | {"pull": pull, "first_dt": np.where(memory["steps"] == 0, observation.dt, parts["first_dt"])}
+        if rows.size:
+            motion, found = drifting(_rows(observation, rows), _part(memory, rows), _taken(own, rows))
+            changed |= {name: _with_rows(changed[name], rows, part) for name, part in found.items()}
+            pull, is_drifting = _with_rows(pull, rows, motion.pull), _with_rows(is_drifting, rows, motion.is_drifting)
+            if is_drifting.any():
+                own = _replaced(own, rows, motion.own)
+        return own, pull, is_drifting, changed
 
     def mixed(
         self,
@@ -369,7 +449,7 @@ class GatedLaw(ContactRelay):
         gains = slot_gates.diffusion * observation.weights[:, :, None]
         diffusion = observation.theta * fold(np.add, np.broadcast_to(gains, relative.shape) * relative, axis=1)
 
-        drift = np.where(is_own, 0.0, gates.copies * copy)
+        drift = np.where(is_own, 0.0, (1.0 - gates.track) * gates.copies * copy + gates.track * found.track)
         belief = found.means.belief(slot_gates.mean, estimate + drift) - estimate
         aim = np.where(is_own, 0.0, (1.0 - gates.belief) * drift + gates.belief * belief)
         response = with_own(np.zeros_like(drift), found.settling.response(own, aim), own.blocks)
@@ -432,11 +512,14 @@ class Estimates(NamedTuple):
     """All that fixed estimation found out in a step, for R players.
 
     Attributes:
+        plain: the own side with the model that takes the game for fixed.
         own: the own side.
         is_own: own components, shape (R, n).
         sources: live neighbours with fresher copies, shape (R, D, n).
         weight: of a copy, shape (R, 1).
         drift: the plain displacement of the others' estimates, shape (R, n).
+        is_drifting: whether the game drifts, shape (R, 1).
+        track: displacements of the others' estimates by the tracking filter, shape (R, n).
         settling: the damping of best responses.
         response: the own strategy's best response to it, 0 for components of others, shape (R, n).
         held: own components that a bound holds, shape (R, n).
@@ -447,11 +530,14 @@ class Estimates(NamedTuple):
         memory: changed parts of the memory.
     """
 
+    plain: Own
     own: Own
     is_own: BoolArray
     sources: BoolArray
     weight: FloatArray
     drift: FloatArray
+    is_drifting: BoolArray
+    track: FloatArray
     settling: Settling
     response: FloatArray
     held: BoolArray
@@ -517,6 +603,7 @@ def evidence(
         trusted=found.joint.is_trusted.astype(np.float64),
         push=np.abs(fresh["push"]) * observation.dt,
         push_steps=fresh["push_steps"],
+        drifting=found.is_drifting.astype(np.float64),
     )
     return cells, slots
 
@@ -537,11 +624,13 @@ class ObserverRelay(GatedLaw):
     """
 
     def gates(self, cells: CellEvidence, slots: SlotEvidence) -> tuple[CellGates, SlotGates]:
-        uneasy, zero = np.maximum(cells.noisy, cells.rounded), np.zeros_like(cells.scale)
+        uneasy, rests = np.maximum(cells.noisy, cells.rounded), 1.0 - cells.drifting
+        zero = np.zeros_like(cells.scale)
         mine = CellGates(
             copies=observed_weight(cells),
-            belief=np.maximum(cells.rounded, cells.noisy * cells.closing),
-            stated=uneasy * cells.closing,
+            track=cells.drifting,
+            belief=rests * np.maximum(cells.rounded, cells.noisy * cells.closing),
+            stated=rests * uneasy * cells.closing,
             flow=zero,
             step=zero,
             response=cells.turn,
@@ -563,6 +652,13 @@ def _taken(part: Any, rows: IntArray) -> Any:
     if isinstance(part, tuple):
         return part._make(_taken(each, rows) for each in part)  # type: ignore[attr-defined]  # all are NamedTuples
     return part if isinstance(part, dict) else part[rows]
+
+
+def _replaced(old: Any, rows: IntArray, fresh: Any) -> Any:
+    """Nested tuples of arrays with ``fresh`` in ``rows``, the inverse of :func:`_taken`."""
+    if isinstance(old, tuple):
+        return old._make(_replaced(before, rows, after) for before, after in zip(old, fresh, strict=True))  # type: ignore[attr-defined]
+    return _with_rows(old, rows, fresh)
 
 
 def _part(memory: Mapping[str, FloatArray], rows: IntArray) -> dict[str, FloatArray]:

@@ -71,6 +71,7 @@ class Own(NamedTuple):
         moved: the last displacement of the estimates, shape (R, n).
         held: own components that a bound holds, shape (R, m).
         radius: of the trust region, shape (R, 1).
+        deviation: standard deviation of observed changes of the own gradient, shape (R, 1).
         error: of the last prediction of the own gradient, shape (R, 1).
         failed: whether it failed, shape (R, 1).
         is_probe: whether the own components move one after the other, in the first m steps, shape (R, 1).
@@ -83,6 +84,7 @@ class Own(NamedTuple):
     moved: FloatArray
     held: BoolArray
     radius: FloatArray
+    deviation: FloatArray
     error: FloatArray
     failed: BoolArray
     is_probe: BoolArray
@@ -120,7 +122,17 @@ def own_side(observation: Observation, memory: Mapping[str, FloatArray], layout:
     held = (np.abs(own_moved) < _HELD * asked) & (asked > _RESOLVED * scale)
     is_probe = step < outputs
     return Own(
-        model, gradient, blocks, moved, held, radius, error, failed, is_probe, ~is_probe | (np.arange(outputs) == step)
+        model=model,
+        gradient=gradient,
+        blocks=blocks,
+        moved=moved,
+        held=held,
+        radius=radius,
+        deviation=deviation,
+        error=error,
+        failed=failed,
+        is_probe=is_probe,
+        turn=~is_probe | (np.arange(outputs) == step),
     )
 
 

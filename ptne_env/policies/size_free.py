@@ -31,7 +31,19 @@ observe, and differences of messages from step to step, in which their float32 s
 _LARGEST = 1e3
 """Such distances that features tell apart from larger ones."""
 
-_CELL_FLAGS = ("own", "turn", "probing", "closing", "failed", "held", "noisy", "rounded", "broke", "trusted")
+_CELL_FLAGS = (
+    "own",
+    "turn",
+    "probing",
+    "closing",
+    "failed",
+    "held",
+    "noisy",
+    "rounded",
+    "broke",
+    "trusted",
+    "drifting",
+)
 _CELL_SHARES = ("weight", "damping", "elapsed")
 _CELL_DISTANCES = {  # and the smallest of each that is more than rounding
     "gradient": _EXACT,

@@ -8,7 +8,15 @@ from pathlib import Path
 CONFIGURATIONS = Path(__file__).parent / "configurations"
 """Folder of the shipped configurations, one ``.toml`` file each."""
 
+SIZE_FREE = CONFIGURATIONS / "size_free"
+"""Folder of those for policies without sizes."""
+
 
 def configurations() -> list[str]:
-    """The names of the shipped configurations."""
+    """The names of the shipped configurations for policies of one layout."""
     return sorted(path.stem for path in CONFIGURATIONS.glob("*.toml"))
+
+
+def all_configurations() -> list[str]:
+    """The names of all shipped configurations."""
+    return sorted([*configurations(), *(path.stem for path in SIZE_FREE.glob("*.toml"))])

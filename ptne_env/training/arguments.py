@@ -13,12 +13,12 @@ from pydantic import BeforeValidator, ConfigDict, Field, PositiveInt, Validation
 from pydantic.dataclasses import dataclass
 
 from ptne_env.observation import ActionMode, InterfaceKind
-from ptne_env.training import CONFIGURATIONS, configurations
+from ptne_env.training import CONFIGURATIONS, SIZE_FREE, all_configurations, configurations
 
 STRICT = ConfigDict(strict=True, extra="forbid", allow_inf_nan=False)
 """No value is converted to another type, no name is unknown, and numbers are finite."""
 
-_WORD = 2**32
+WORD = 2**32
 """Seeds of episodes hold the seed and the agent-steps of a run as words of 32 bits."""
 
 _Class = TypeVar("_Class")
@@ -60,7 +60,7 @@ def _message(error: ValidationError, names: list[str]) -> str:
     return "; ".join(clauses)
 
 
-def _tuple(value: Any) -> Any:
+def as_tuple(value: Any) -> Any:
     """A tuple of a list, which files hold, and of a single name."""
     return (value,) if isinstance(value, str) else tuple(value) if isinstance(value, list) else value
 
@@ -99,10 +99,10 @@ class Arguments:
         ValueError: when an argument has another type or is out of its range, naming it and its value.
     """
 
-    scenarios: Annotated[tuple[str, ...], Field(min_length=1), BeforeValidator(_tuple)]
+    scenarios: Annotated[tuple[str, ...], Field(min_length=1), BeforeValidator(as_tuple)]
     interface: InterfaceKind = "local"
     action_mode: ActionMode = "input"
-    steps: Annotated[int, Field(gt=0, lt=_WORD)] = 6_000_000
+    steps: Annotated[int, Field(gt=0, lt=WORD)] = 6_000_000
     envs: PositiveInt = 128
     rollout: PositiveInt = 50
     minibatches: PositiveInt = 32
@@ -111,34 +111,54 @@ class Arguments:
     discount: _Share = 0.9
     trace: _Share = 0.9
     clip: Annotated[float, Field(gt=0, le=1)] = 0.2
-    hidden: Annotated[tuple[PositiveInt, ...], BeforeValidator(_tuple)] = (64, 64)
+    hidden: Annotated[tuple[PositiveInt, ...], BeforeValidator(as_tuple)] = (64, 64)
     products: bool = True
     log_std: Annotated[float, Field(ge=-20, le=5)] = -2.0
-    seed: Annotated[int, Field(ge=0, lt=_WORD)] = 0
+    seed: Annotated[int, Field(ge=0, lt=WORD)] = 0
     validation_episodes: PositiveInt = 200
     checkpoint_rollouts: PositiveInt = 24
 
     @classmethod
     def from_toml(cls, name_or_path: str | Path, **changes: Any) -> Arguments:
-        """The arguments of a shipped configuration, or of a TOML file, with some of them changed.
+        """The arguments of a shipped configuration, or of a TOML file; see :func:`from_toml`."""
+        return from_toml(cls, name_or_path, **changes)
 
-        Raises:
-            ValueError: for an unknown configuration, a file that is not TOML, or an argument that is unknown, of
-                another type or out of its range.
-        """
-        path = Path(name_or_path)
-        if path.suffix != ".toml":
-            path = CONFIGURATIONS / f"{name_or_path}.toml"
-        if not path.is_file():
-            unknown = "no file" if path == Path(name_or_path) else "unknown configuration"
-            raise ValueError(
-                f"{unknown} {str(name_or_path)!r}; name a .toml file, or choose from {', '.join(configurations())}"
-            )
-        try:
-            values = tomllib.loads(path.read_text(encoding="utf-8"))
-        except ValueError as error:
-            raise ValueError(f"{path} is not a TOML file: {error}") from error
-        try:
-            return cls(**values | changes)
-        except ValueError as error:
-            raise ValueError(f"{path.name}: {error}") from error
+
+def from_toml(kind: type[_Class], name_or_path: str | Path, **changes: Any) -> _Class:
+    """The arguments of a shipped configuration, or of a TOML file, with some of them changed.
+
+    Args:
+        kind: the class of the arguments.
+        name_or_path: of the configuration.
+        **changes: arguments by name.
+
+    Raises:
+        ValueError: for an unknown configuration, a file that is not TOML, or an argument that is unknown, of another
+            type or out of its range.
+    """
+    path, values = values_of(name_or_path)
+    try:
+        return kind(**values | changes)
+    except ValueError as error:
+        raise ValueError(f"{path.name}: {error}") from error
+
+
+def values_of(name_or_path: str | Path) -> tuple[Path, dict[str, Any]]:
+    """The file of a configuration, and its values, which are not checked.
+
+    Raises:
+        ValueError: for an unknown configuration, or a file that is not TOML.
+    """
+    path = Path(name_or_path)
+    if path.suffix != ".toml":
+        folder = CONFIGURATIONS if str(name_or_path) in configurations() else SIZE_FREE
+        path = folder / f"{name_or_path}.toml"
+    if not path.is_file():
+        unknown = "no file" if path == Path(name_or_path) else "unknown configuration"
+        raise ValueError(
+            f"{unknown} {str(name_or_path)!r}; name a .toml file, or choose from {', '.join(all_configurations())}"
+        )
+    try:
+        return path, tomllib.loads(path.read_text(encoding="utf-8"))
+    except ValueError as error:
+        raise ValueError(f"{path} is not a TOML file: {error}") from error

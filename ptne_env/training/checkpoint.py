@@ -4,24 +4,29 @@ from __future__ import annotations
 
 import io
 import json
-from dataclasses import asdict
+from dataclasses import asdict, fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 
 import numpy as np
 import torch
 from pydantic import NonNegativeFloat, NonNegativeInt, PositiveInt
 from pydantic.dataclasses import dataclass
 
-from ptne_env.files import write_atomically
+from ptne_env.files import read_json, write_atomically
 from ptne_env.training.arguments import STRICT, readable
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from stable_baselines3 import PPO
+    from _typeshed import DataclassInstance
+    from stable_baselines3.common.policies import BasePolicy
+
+CHECKPOINT = "checkpoint.npz"
+"""The file of a checkpoint in the folder of a run."""
 
 _RECORD = "record"
+_POLICY, _SUMMARY = "policy.onnx", "summary.json"
 _MOMENTS = ("exp_avg", "exp_avg_sq")
 """The arrays that Adam keeps of each parameter, beside the number of its steps."""
 
@@ -45,7 +50,79 @@ class Record:
     parts: PositiveInt
 
 
-def save(path: Path, model: PPO, record: Record) -> None:
+@readable
+@dataclass(frozen=True, config=STRICT)
+class Summary(Record):
+    """The record of a finished run.
+
+    Attributes:
+        validation_digits: mean digits of the exported policy on the validation episodes.
+    """
+
+    validation_digits: float
+
+
+_Record = TypeVar("_Record", bound=Record)
+
+
+class Learner(Protocol):
+    """Anything with a policy of Stable-Baselines3, which holds network and optimiser."""
+
+    @property
+    def policy(self) -> BasePolicy:
+        """Network and optimiser."""
+
+
+def plain(arguments: DataclassInstance) -> dict[str, Any]:
+    """The arguments of a run as they are read from a JSON file."""
+    values: dict[str, Any] = json.loads(json.dumps(asdict(arguments)))
+    return values
+
+
+def require_same(arguments: DataclassInstance, theirs: dict[str, Any], out: Path) -> None:
+    """Check that the run in a folder has these arguments.
+
+    Raises:
+        ValueError: when it has others, naming them.
+    """
+    mine = plain(arguments)
+    different = sorted(name for name in mine.keys() | theirs.keys() if theirs.get(name) != mine.get(name))
+    if different:
+        raise ValueError(
+            f"{out} holds a run with another {', '.join(different)}; choose another folder, or remove this one to "
+            "start afresh"
+        )
+
+
+def finished(arguments: DataclassInstance, out: Path) -> Summary | None:
+    """The summary of the finished run in a folder; ``None`` while there is no summary or no policy.
+
+    Raises:
+        ValueError: when it was a run with other arguments, or the summary is damaged.
+    """
+    path = out / _SUMMARY
+    if not path.exists() or not (out / _POLICY).exists():
+        return None
+    values = read_json(path, "the summary of a training run")
+    try:
+        summary = Summary(**values)
+    except ValueError as error:
+        raise ValueError(f"{path} is not the summary of a training run: {error}") from error
+    require_same(arguments, summary.arguments, out)
+    return summary
+
+
+def finish(out: Path, policy: bytes, record: Record, digits: float) -> Summary:
+    """Write the exported policy and the summary of a run, and remove its checkpoint."""
+    write_atomically(out / _POLICY, policy)
+    values = {field.name: getattr(record, field.name) for field in fields(Record)}
+    summary = Summary(**values, validation_digits=digits)
+    write_atomically(out / _SUMMARY, json.dumps(asdict(summary), indent=2) + "\n")
+    (out / CHECKPOINT).unlink(missing_ok=True)
+    return summary
+
+
+def save(path: Path, model: Learner, record: Record) -> None:
     """Write the network, the state of its optimiser and the record.
 
     Raises:
@@ -58,8 +135,8 @@ def save(path: Path, model: PPO, record: Record) -> None:
     write_atomically(path, content.getvalue())
 
 
-def read(path: Path) -> tuple[Record, dict[str, np.ndarray]]:
-    """The record of a checkpoint, and its arrays for :func:`restore`.
+def read(path: Path, kind: type[_Record] = Record) -> tuple[_Record, dict[str, np.ndarray]]:  # type: ignore[assignment]
+    """The record of a checkpoint, which is of this class, and its arrays for :func:`restore`.
 
     Raises:
         OSError: when the file cannot be read.
@@ -69,12 +146,12 @@ def read(path: Path) -> tuple[Record, dict[str, np.ndarray]]:
     try:
         with np.load(io.BytesIO(content), allow_pickle=False) as file:
             arrays = dict(file)
-        return Record(**json.loads(str(arrays.pop(_RECORD)))), arrays
+        return kind(**json.loads(str(arrays.pop(_RECORD)))), arrays
     except Exception as error:  # zip files raise many classes
         raise ValueError(f"{path} is damaged, or no checkpoint: remove it to train afresh ({error!r})") from error
 
 
-def restore(model: PPO, arrays: dict[str, np.ndarray]) -> None:
+def restore(model: Learner, arrays: dict[str, np.ndarray]) -> None:
     """Write the arrays of a checkpoint into the network and the state of its optimiser.
 
     Raises:
@@ -88,7 +165,7 @@ def restore(model: PPO, arrays: dict[str, np.ndarray]) -> None:
         tensor.copy_(torch.from_numpy(arrays[name]))
 
 
-def _tensors(model: PPO) -> Iterator[tuple[str, torch.Tensor]]:
+def _tensors(model: Learner) -> Iterator[tuple[str, torch.Tensor]]:
     """The tensors by name: every parameter, and the state that Adam keeps of it, zero before the first step."""
     state = model.policy.optimizer.state
     for name, parameter in model.policy.named_parameters():

@@ -6,6 +6,7 @@ packages for it and change with every release.
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -20,7 +21,7 @@ from ptne_env._version import __version__
 from ptne_env.arrays import Float32Array
 from ptne_env.laws.gated import CellGates, SlotGates
 from ptne_env.observation import Interface, ObservationLayout
-from ptne_env.policies import Metadata, SizeFreeMetadata
+from ptne_env.policies import Metadata, SizeFreeFile, SizeFreeMetadata, load, shipped_path
 from ptne_env.policies.learned import SIZE_FREE_INPUTS
 from ptne_env.policies.metadata import GATES, Description
 from ptne_env.policies.size_free import CELL_FEATURES, SLOT_FEATURES
@@ -186,6 +187,24 @@ def size_free_to_onnx(
             gates=GATES,
         ),
     )
+
+
+def size_free_from_onnx(path_or_name: str | Path) -> GateNetwork:
+    """The network of a file that :func:`size_free_to_onnx` made, or of a shipped policy by name.
+
+    Raises:
+        FileNotFoundError, PolicyFileError: as :func:`ptne_env.policies.load`.
+        ValueError: when the policy has sizes.
+    """
+    if not isinstance(load(path_or_name), SizeFreeFile):
+        raise ValueError(f"policy {str(path_or_name)!r} has sizes: training continues only policies without sizes")
+    path = shipped_path(str(path_or_name)) or Path(path_or_name)
+    graph = onnx.load_from_string(path.read_bytes()).graph
+    constants = {each.name: numpy_helper.to_array(each) for each in graph.initializer}
+    network = GateNetwork(len(constants["first.bias"]), len(constants["encoder.bias"]))
+    state = {name: torch.from_numpy(np.array(constants[name].T)) for name in network.state_dict()}
+    network.load_state_dict(state)
+    return network
 
 
 def _array(tensor: torch.Tensor) -> Float32Array:

@@ -25,8 +25,9 @@ POINTS: Mapping[str, tuple[Linear, Linear]] = {
     "observer-relay": (
         {
             "copies": {"observed_weight": 1.0},
-            "belief": {"rounded": 2.0, "noisy": 1.0, "closing": 1.0, ALWAYS: -1.0},
-            "stated": {"rounded": 1.0, "noisy": 1.0, "closing": 1.0, ALWAYS: -1.0},
+            "track": {"drifting": 1.0},
+            "belief": {"rounded": 2.0, "noisy": 1.0, "closing": 1.0, "drifting": -3.0, ALWAYS: -1.0},
+            "stated": {"rounded": 1.0, "noisy": 1.0, "closing": 1.0, "drifting": -3.0, ALWAYS: -1.0},
             "response": {"turn": 1.0},
             "joint": {"trusted": 1.0},
             "push": {"own": 1.0},

@@ -7,9 +7,8 @@ Run it with ``ptne train random-energy-switching --out DIR`` or ``python baselin
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable
-from dataclasses import asdict, replace
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -18,7 +17,6 @@ from typing import Any
 
 import numpy as np
 import torch
-from pydantic.dataclasses import dataclass
 from stable_baselines3 import PPO
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.utils import LinearSchedule
@@ -29,31 +27,15 @@ from ptne_env import policies
 from ptne_env.envs.sb3 import MixedPlayerVecEnv, PlayerVecEnv
 from ptne_env.experiments import PolicySpec, episode_seed, evaluate
 from ptne_env.experiments.suite import find_scenario
-from ptne_env.files import read_json, write_atomically
 from ptne_env.observation import ObservationLayout
 from ptne_env.training import checkpoint
-from ptne_env.training.arguments import STRICT, Arguments, readable
-from ptne_env.training.checkpoint import Record
+from ptne_env.training.arguments import Arguments
+from ptne_env.training.checkpoint import CHECKPOINT, Record, Summary, finish, finished, plain, require_same
 from ptne_env.training.export import to_onnx
 from ptne_env.training.features import Products
 
 Progress = Callable[[int, int, float], None]
 """Called with agent-steps done, agent-steps in all, and recent mean digits gained (NaN before an episode ends)."""
-
-
-_CHECKPOINT, _POLICY, _SUMMARY = "checkpoint.npz", "policy.onnx", "summary.json"
-
-
-@readable
-@dataclass(frozen=True, config=STRICT)
-class Summary(Record):
-    """The record of a finished run.
-
-    Attributes:
-        validation_digits: mean digits of the exported policy on the validation episodes.
-    """
-
-    validation_digits: float
 
 
 def train(arguments: Arguments, out: Path, progress: Progress | None = None) -> Summary:
@@ -75,7 +57,7 @@ def train(arguments: Arguments, out: Path, progress: Progress | None = None) -> 
             with other arguments, or a damaged one; no file is written then.
     """
     began = monotonic()
-    path = out / _CHECKPOINT
+    path = out / CHECKPOINT
     done = finished(arguments, out)
     if done is not None:
         path.unlink(missing_ok=True)  # of an interruption after the end
@@ -84,10 +66,10 @@ def train(arguments: Arguments, out: Path, progress: Progress | None = None) -> 
     env = make_env(arguments)
     layout = env.get_attr("layout")[0]
     model = PPO("MlpPolicy", env, tensorboard_log=str(out / "tensorboard"), **settings(arguments, layout))
-    past = Record(arguments=_plain(arguments), agent_steps=0, seconds=0.0, parts=1)
+    past = Record(arguments=plain(arguments), agent_steps=0, seconds=0.0, parts=1)
     if path.exists():
         past, arrays = checkpoint.read(path)
-        _require_same(arguments, past.arguments, out)
+        require_same(arguments, past.arguments, out)
         checkpoint.restore(model, arrays)
         past = replace(past, parts=past.parts + 1)
         model.num_timesteps = past.agent_steps
@@ -106,45 +88,7 @@ def train(arguments: Arguments, out: Path, progress: Progress | None = None) -> 
     save()  # a run that is interrupted during the validation resumes there
     export = partial(to_onnx, model, layout, scenarios=arguments.scenarios, seed=arguments.seed)
     digits = _validate(export(digits=0.0), arguments)
-    write_atomically(out / _POLICY, export(digits=digits))
-    summary = Summary(**asdict(record()), validation_digits=digits)
-    write_atomically(out / _SUMMARY, json.dumps(asdict(summary), indent=2) + "\n")
-    path.unlink()
-    return summary
-
-
-def finished(arguments: Arguments, out: Path) -> Summary | None:
-    """The summary of the finished run in a folder; ``None`` while there is no summary or no policy.
-
-    Raises:
-        ValueError: when it was a run with other arguments, or the summary is damaged.
-    """
-    path = out / _SUMMARY
-    if not path.exists() or not (out / _POLICY).exists():
-        return None
-    values = read_json(path, "the summary of a training run")
-    try:
-        summary = Summary(**values)
-    except ValueError as error:
-        raise ValueError(f"{path} is not the summary of a training run: {error}") from error
-    _require_same(arguments, summary.arguments, out)
-    return summary
-
-
-def _plain(arguments: Arguments) -> dict[str, Any]:
-    """The arguments as they are read from a JSON file."""
-    plain: dict[str, Any] = json.loads(json.dumps(asdict(arguments)))
-    return plain
-
-
-def _require_same(arguments: Arguments, theirs: dict[str, Any], out: Path) -> None:
-    mine = _plain(arguments)
-    different = sorted(name for name in mine.keys() | theirs.keys() if theirs.get(name) != mine.get(name))
-    if different:
-        raise ValueError(
-            f"{out} holds a run with another {', '.join(different)}; choose another folder, or remove this one to "
-            "start afresh"
-        )
+    return finish(out, export(digits=digits), record(), digits)
 
 
 def make_env(arguments: Arguments) -> VecMonitor:
@@ -212,7 +156,7 @@ def _validate(exported: bytes, arguments: Arguments) -> float:
         ValueError: when it fails there, with the reason.
     """
     with TemporaryDirectory() as folder:
-        file = Path(folder) / _POLICY
+        file = Path(folder) / "policy.onnx"
         file.write_bytes(exported)
         policy = policies.load(file)
     results = evaluate(

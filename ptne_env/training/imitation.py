@@ -1,0 +1,125 @@
+"""Imitation of hand-written laws on the states that the network itself visits (dataset aggregation, DAgger).
+
+In every round network and law play side by side: a share of the episodes follows the law's gates, which falls from all
+in the first round to none in the last. Of every state the law says what it would have done, and the network regresses
+on that. Each round has new data only, since a round is large beside the network.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+import torch
+from torch.nn.functional import huber_loss
+
+from ptne_env.arrays import Float32Array
+from ptne_env.laws.gated import CellGates, SlotGates
+from ptne_env.policies.size_free import HIGH, LOW
+from ptne_env.scenario import Scenario
+from ptne_env.training.actor import effects
+from ptne_env.training.cells import CELL_GATES, SLOT_GATES, CellBatch
+from ptne_env.training.network import GateNetwork
+
+MARGIN = 0.25
+"""By so much answers should pass a bound that the law's gate has, so that small errors leave it there."""
+
+Samples = tuple[Float32Array, Float32Array, Float32Array, Float32Array]
+"""Features of cells and of their slots, and the law's gates of both."""
+
+
+def imitate(
+    network: GateNetwork,
+    optimizer: torch.optim.Optimizer,
+    tasks: Sequence[tuple[Scenario, GateNetwork]],
+    share: float,
+    generator: np.random.Generator,
+    *,
+    episodes: int = 8,
+    samples: int = 4000,
+    epochs: int = 4,
+    minibatch: int = 1024,
+) -> float:
+    """One round.
+
+    Args:
+        network: learns.
+        optimizer: of its parameters.
+        tasks: worlds, each with the law that is imitated there.
+        share: of the episodes that follow the law.
+        generator: of episodes, samples and minibatches.
+        episodes: in each world.
+        samples: cells of each world, of all its steps.
+        epochs: passes over the samples of the round.
+        minibatch: cells of one world per step of the optimiser.
+
+    Returns:
+        The mean loss in the first pass.
+    """
+    data = [_play(network, law, scenario, share, generator, episodes, samples) for scenario, law in tasks]
+    first: list[float] = []
+    for epoch in range(epochs):
+        places = [(index, rows) for index, each in enumerate(data) for rows in _minibatches(each, generator, minibatch)]
+        for order in generator.permutation(len(places)):
+            index, rows = places[order]
+            loss = _loss(network, *(torch.from_numpy(part[rows]) for part in data[index]))
+            optimizer.zero_grad()
+            loss.backward()
+            optimizer.step()
+            if epoch == 0:
+                first.append(loss.item())
+    return float(np.mean(first))
+
+
+def _minibatches(samples: Samples, generator: np.random.Generator, size: int) -> Iterator[np.ndarray]:
+    order = generator.permutation(len(samples[0]))
+    yield from np.array_split(order, max(len(order) // size, 1))
+
+
+def _play(
+    network: GateNetwork,
+    law: GateNetwork,
+    scenario: Scenario,
+    share: float,
+    generator: np.random.Generator,
+    episodes: int,
+    samples: int,
+) -> Samples:
+    """Cells of a world, drawn evenly from all steps of episodes that network and law play."""
+    batch = CellBatch(scenario, episodes)
+    batch.start(generator.integers(2**62, size=episodes).tolist())
+    follows = np.repeat(np.arange(episodes) < round(share * episodes), batch.cells // episodes)
+    taken: list[Samples] = []
+    while not batch.is_over:
+        cell, slot = batch.features()
+        wanted, answers = law.decide(cell, slot), network.decide(cell, slot)
+        count = min(-(-samples // batch.world.clock.total_steps), batch.cells)
+        rows = generator.choice(batch.cells, count, replace=False)
+        taken.append((cell[rows], slot[rows], wanted[0][rows], wanted[1][rows]))
+        mine = np.where(follows[:, None], wanted[0], answers[0])
+        theirs = np.where(follows[:, None, None], wanted[1], answers[1])
+        batch.step(*batch.as_gates(mine, theirs))
+    cells, slots, gates, slot_gates = (np.concatenate(parts) for parts in zip(*taken, strict=True))
+    return cells, slots, gates, slot_gates
+
+
+def _loss(
+    network: GateNetwork, cell: torch.Tensor, slot: torch.Tensor, gates: torch.Tensor, slot_gates: torch.Tensor
+) -> torch.Tensor:
+    """Mean loss of the gates that have an effect. An answer beyond the bound at which the law is has none."""
+    mine, theirs = network(cell, slot)
+    acts = effects(cell, slot).split([CELL_GATES, slot.shape[1] * SLOT_GATES], dim=1)
+    losses = [
+        huber_loss(answer, _target(answer, wanted, fields), reduction="none").flatten(1) * act
+        for answer, wanted, fields, act in zip(
+            (mine, theirs), (gates, slot_gates), (CellGates._fields, SlotGates._fields), acts, strict=True
+        )
+    ]
+    return sum(loss.sum() for loss in losses) / sum(act.sum() for act in acts)
+
+
+def _target(answer: torch.Tensor, wanted: torch.Tensor, fields: tuple[str, ...]) -> torch.Tensor:
+    high = torch.tensor([HIGH[name] for name in fields])
+    target = wanted.clamp(torch.tensor(LOW), high)
+    target = torch.where(wanted >= high, torch.maximum(answer.detach(), high + MARGIN), target)
+    return torch.where(wanted <= LOW, torch.minimum(answer.detach(), torch.tensor(LOW - MARGIN)), target)

@@ -1,0 +1,151 @@
+"""Cells as environments: the same trajectories as a rollout of the gated law, and Stable-Baselines3's checks."""
+
+import numpy as np
+import pytest
+from extras import need_sb3
+
+torch = need_sb3()
+
+from stable_baselines3.common.vec_env.base_vec_env import VecEnv
+
+from ptne_env import get_scenario
+from ptne_env.encoder import make_encoder
+from ptne_env.experiments.episodes import EpisodeSet
+from ptne_env.experiments.rollout import rollout
+from ptne_env.laws.gated import ObserverRelay
+from ptne_env.policies.size_free import CELL_FEATURES, SLOT_FEATURES
+from ptne_env.training.cells import CELL_GATES, SLOT_GATES, CellBatch, CellVecEnv
+from ptne_env.training.network import GateNetwork
+from ptne_env.training.worlds import training_world
+
+EPISODES = EpisodeSet(3, 0, "train")
+SEEDS = [EPISODES.episode_seed(episode) for episode in range(3)]
+WORLDS = [training_world(0, 0), get_scenario("random-energy").replace(steps=20)]
+
+
+def gates_of_the_law(batch):
+    return ObserverRelay.gates(None, *batch.evidence)
+
+
+@pytest.mark.parametrize("scenario", WORLDS, ids=lambda scenario: scenario.name)
+def test_cells_with_the_gates_of_a_law_follow_its_rollout_bit_for_bit(scenario):
+    batch = CellBatch(scenario, 3)
+    batch.start(SEEDS)
+    states = []
+    policy = ObserverRelay(batch.layout)
+    encoder = make_encoder(batch.world, ObserverRelay.interface)
+    rollout(policy, encoder, EPISODES.initial_state(batch.world), watch=lambda state, _: states.append(state.estimates))
+    for estimates in states[:-1]:
+        np.testing.assert_array_equal(batch.state.estimates, estimates)
+        batch.step(*gates_of_the_law(batch))
+    np.testing.assert_array_equal(batch.state.estimates, states[-1])
+    assert batch.is_over
+
+
+def test_answers_and_gates_are_inverses_within_the_bounds():
+    batch = CellBatch(WORLDS[0], 2)
+    batch.start(SEEDS[:2])
+    gates = gates_of_the_law(batch)
+    for mine, theirs in zip(gates, batch.as_gates(*batch.as_answers(*gates)), strict=True):
+        for wanted, found in zip(mine, theirs, strict=True):
+            np.testing.assert_array_equal(found, np.broadcast_to(np.float32(wanted), found.shape))
+
+
+def by_the_law(env):
+    """Actions of the law for all members."""
+    actions = np.zeros((env.num_envs, *env.action_space.shape), dtype=np.float32)
+    for batch, members in zip(env.playing, env.members, strict=True):
+        cell, slot = batch.as_answers(*gates_of_the_law(batch))
+        flat = np.concatenate([cell, slot.reshape(batch.cells, -1)], axis=1)
+        actions[members, : flat.shape[1]] = flat
+    return actions
+
+
+@pytest.fixture
+def env():
+    return CellVecEnv([[world] for world in WORLDS], episodes=2)
+
+
+def test_observations_hold_the_features_and_zeros_for_slots_of_other_worlds(env):
+    observations = env.reset()
+    assert observations.shape == (env.num_envs, *env.observation_space.shape)
+    assert observations.dtype == env.observation_space.dtype == np.float32
+    for batch, members in zip(env.playing, env.members, strict=True):
+        cell, slot = batch.features()
+        np.testing.assert_array_equal(observations[members, : len(CELL_FEATURES)], cell)
+        slots = observations[members, len(CELL_FEATURES) :].reshape(batch.cells, env.slots, len(SLOT_FEATURES))
+        np.testing.assert_array_equal(slots[:, : batch.layout.slots], slot)
+        assert not slots[:, batch.layout.slots :].any()
+
+
+def test_rewards_add_up_to_the_digits_that_players_and_team_gained(env):
+    env.seed(1)
+    env.reset()
+    batch, members = env.playing[1], env.members[1]
+    first, total = batch.digits, np.zeros(batch.cells)
+    for _ in range(19):
+        _, rewards, dones, _ = env.step(by_the_law(env))
+        assert not dones[members].any()
+        total += rewards[members]
+    gained = batch.digits - first
+    expected = 0.5 * gained + 0.5 * gained.mean(axis=0)
+    np.testing.assert_allclose(total, np.repeat(expected.T.ravel(), batch.layout.dimension), rtol=1e-5)
+
+
+def test_a_place_starts_new_episodes_with_new_games_when_its_episodes_end(env):
+    env.reset()
+    batch, members = env.playing[1], env.members[1]
+    game = batch.state.game
+    for step in range(20):
+        observations, _, dones, infos = env.step(by_the_law(env))
+        assert dones[members].all() == (step == 19)
+        assert not dones[env.members[0]].any()
+    assert batch.state.game is not game
+    assert (batch.state.step == 0).all()
+    last = [info["terminal_observation"] for info in infos[members]]
+    assert not np.array_equal(last, observations[members])
+    episode = infos[members.start]["episode"]
+    assert episode["l"] == 20
+    assert episode["r"] > 3
+    assert not any(infos[env.members[0]])
+
+
+def test_the_same_seed_gives_the_same_episodes(env):
+    env.seed(5)
+    first = env.reset()
+    other = CellVecEnv([[world] for world in WORLDS], episodes=2)
+    assert other.seed(5) == [5] * env.num_envs
+    np.testing.assert_array_equal(other.reset(), first)
+    assert not np.array_equal(other.reset(), first)
+
+
+def test_members_are_those_of_a_vec_env(env):
+    assert isinstance(env, VecEnv)
+    assert env.observation_space.shape == (len(CELL_FEATURES) + env.slots * len(SLOT_FEATURES),)
+    assert env.action_space.shape == (CELL_GATES + env.slots * SLOT_GATES,)
+    assert env.get_attr("slots", [0, 1]) == [env.slots] * 2
+    assert env.env_is_wrapped(object) == [False] * env.num_envs
+    env.set_attr("mark", 3)
+    assert env.get_attr("mark") == [3] * env.num_envs
+    assert len(env.env_method("seed", 3, indices=[0])) == 1
+    with pytest.raises(ValueError, match="for all of them or none"):
+        env.set_attr("mark", 4, indices=[0])
+    env.close()
+
+
+def test_worlds_of_a_place_must_have_one_number_of_cells():
+    with pytest.raises(ValueError, match=r"same number of cells .*, got train-0: 9, random-energy: 25"):
+        CellVecEnv([WORLDS])
+    with pytest.raises(ValueError, match="at least one place"):
+        CellVecEnv([])
+
+
+def test_a_network_that_is_a_law_decides_alike():
+    network = GateNetwork.of_law("observer-relay")
+    batch = CellBatch(WORLDS[1], 2)
+    batch.start(SEEDS[:2])
+    for _ in range(5):
+        mine, theirs = batch.as_gates(*network.decide(*batch.features()))
+        for found, wanted in zip((*mine, *theirs), (g for part in gates_of_the_law(batch) for g in part), strict=True):
+            np.testing.assert_allclose(found, np.broadcast_to(wanted, found.shape), atol=1e-6)
+        batch.step(mine, theirs)
