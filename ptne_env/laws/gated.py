@@ -60,10 +60,6 @@ from ptne_env.laws.settling import PARTS as SETTLING_PARTS
 from ptne_env.laws.settling import Settling, settle, settling
 from ptne_env.observation import Observation, ObservationLayout
 
-_STEP_GROWTH = 1.9
-"""The coming step of s is at most this multiple of the last: at most 1.7 where the steps are even in physical time."""
-
-
 _PATIENCE, _DELAY, _FLOOR = 2.0, 30.0, 0.3
 """Noisy copies have the weight max(2/(2 + steps without rest beyond 30), 0.3)²."""
 
@@ -254,7 +250,7 @@ class GatedLaw(ContactRelay):
     def _shapes(self) -> dict[str, tuple[int, ...]]:
         layout, slots = self.layout, (self.layout.slots,)
         parts: dict[str, tuple[int, ...]] = dict.fromkeys(("age", "contact"), slots)
-        parts |= {"transformed": (1,), "broke": (1,), "doubt": (1,), "reckoned": (layout.dimension,)}
+        parts |= {"transformed": (1,), "theta": (1,), "broke": (1,), "doubt": (1,), "reckoned": (layout.dimension,)}
         parts |= (
             SETTLING_PARTS
             | average_parts(layout)
@@ -292,7 +288,7 @@ class GatedLaw(ContactRelay):
         push = found.memory["push"] * observation.dt
         displacement = np.where(found.is_own, planned - gates.push * push, planned)
         fresh = parts | found.memory | own_memory(found.plain, observation, parts, planned, self.layout)
-        fresh["transformed"] = observation.transformed
+        fresh |= {"transformed": observation.transformed, "theta": observation.theta}
         fresh["sent"] = within_reach(displacement, observation, self.layout)
         inputs = (fresh["sent"] / step_length(observation)).astype(np.float32)
         fresh["reckoned"] = found.here + inputs * observation.theta
@@ -573,7 +569,7 @@ def evidence(
         lies=memory["lies"][:, :, None],
     )
     rest = found.means.belief(slots.source, estimate)
-    next_s = observation.transformed + _STEP_GROWTH * (observation.transformed - memory["transformed"])
+    next_s = observation.transformed + 1.5 * _coming_step(observation, memory)  # half a step more against rounding
     blank = np.zeros_like(estimate)
     cells = CellEvidence(
         own=found.is_own.astype(np.float64),
@@ -606,6 +602,13 @@ def evidence(
         drifting=found.is_drifting.astype(np.float64),
     )
     return cells, slots
+
+
+def _coming_step(observation: Observation, memory: Mapping[str, FloatArray]) -> FloatArray:
+    """Δs_k = Θ_k − c Δt_k of the coming step, with c = (Θ − Δs)/Δt of the last step, 0 in the first; shape (R, 1)."""
+    dt, last = memory["dt"], observation.transformed - memory["transformed"]
+    gain = (memory["theta"] - last) / np.where(dt > 0, dt, 1.0)
+    return np.where(dt > 0, np.maximum(observation.theta - gain * observation.dt, 0.0), 0.0)
 
 
 def observed_weight(cells: CellEvidence) -> FloatArray:
