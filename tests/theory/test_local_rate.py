@@ -31,6 +31,13 @@ def test_errors_near_the_equilibrium_shrink_at_the_local_rate(seed):
     assert observed == pytest.approx(radius, abs=0.06)
 
 
+@pytest.mark.parametrize("name", ["robots", "weakly-monotone"])
+def test_changes_by_rounding_do_not_count_as_noise_in_the_local_rate(name):
+    """Both episodes reach the resolution of float64 long before the deadline; then copies would be averaged."""
+    world, law = build(get_scenario(name))
+    assert local_radius(world, law) < 0.8
+
+
 def test_switching_topology_has_no_local_rate():
     world, law = build(get_scenario("random-energy-switching"))
     with pytest.raises(ValueError, match="fixed graph"):
