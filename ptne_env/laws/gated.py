@@ -460,8 +460,8 @@ class GatedLaw(ContactRelay):
         mixed = mixed + diffusion
         return (1.0 - gates.joint) * mixed + gates.joint * (found.joint.point - found.here)
 
-    def at_rest(self, observation: Observation, memory: FloatArray) -> FrozenGates:
-        """The law with the gates, sources and model of this step, which it then keeps.
+    def at_rest(self, observation: Observation, memory: FloatArray) -> tuple[FrozenGates, FrozenGates]:
+        """The law with the gates, sources and model of this step, which it then keeps; without and with extrapolation.
 
         Args:
             observation: of all N players in order, at rest.
@@ -470,13 +470,17 @@ class GatedLaw(ContactRelay):
         parts = self._parts.split(memory)
         found = self._estimates(observation, parts)
         gates = self.gates(*evidence(observation, parts, found, self.layout))
-        return FrozenGates(self, parts["steps"], found, *gates)
+        plain, ahead = (FrozenGates(self, parts["steps"], found, *gates, extrapolates=each) for each in (False, True))
+        return plain, ahead
 
 
 class FrozenGates(Law):
     """A :class:`GatedLaw` whose gates, sources and model rest: linear in gradient and differences, without memory.
 
-    Its loop is the linearisation of the gated law at rest. Trust regions and probes are left out, as at rest.
+    Its loop is the linearisation of the gated law at rest, on a graph whose links never broke. Trust regions, probes
+    and the drift of the game are left out, as at rest. Players that expect their gradient to go on changing
+    (:mod:`~ptne_env.laws.settling`) respond to twice the present gradient minus the last: without ``extrapolates``
+    they respond to the present gradient once, with it twice.
 
     Args:
         law: whose displacement it is.
@@ -484,13 +488,22 @@ class FrozenGates(Law):
         found: estimates of the N players in order.
         gates: of components.
         slot_gates: of slots.
+        extrapolates: whether they respond to twice the present gradient.
     """
 
     def __init__(
-        self, law: GatedLaw, steps: FloatArray, found: Estimates, gates: CellGates, slot_gates: SlotGates
+        self,
+        law: GatedLaw,
+        steps: FloatArray,
+        found: Estimates,
+        gates: CellGates,
+        slot_gates: SlotGates,
+        *,
+        extrapolates: bool = False,
     ) -> None:
         super().__init__(law.layout)
         self._law, self._steps, self._found, self._gates, self._slot_gates = law, steps, found, gates, slot_gates
+        self._extrapolates = extrapolates
 
     def inputs(self, observation: Observation, memory: None) -> tuple[FloatArray, None]:
         player = observation.player
@@ -499,8 +512,14 @@ class FrozenGates(Law):
         own = found.own._replace(
             gradient=own_entries(observation.gradient, found.own.blocks), radius=everywhere, turn=everywhere > 0
         )
+        is_ahead = found.settling.is_optimistic & self._extrapolates
+        settled = found.settling._replace(expected=np.where(is_ahead, own.gradient, 0.0))
+        total, count = totals(observation, found.sources)
+        drift = np.where(found.is_own, 0.0, found.weight * total / np.maximum(count, 1))
+        point = found.here + with_own(drift, settled.response(own, drift), own.blocks)
+        found = found._replace(own=own, settling=settled, joint=found.joint._replace(point=point))
         steps = {"steps": self._steps[player]}
-        displacement = self._law.mixed(observation, steps, found._replace(own=own), gates, slot_gates)
+        displacement = self._law.mixed(observation, steps, found, gates, slot_gates)
         return per_step(displacement, observation), memory
 
 

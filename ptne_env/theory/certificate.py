@@ -555,7 +555,10 @@ def _local(world: World, law: Law) -> tuple[float | None, tuple[str, ...]]:
         return None, ("strategies have bounds: no local radius",)
     if size > LARGEST_PRODUCT:
         return None, (f"{size} estimates are too many: no local radius",)
-    radius = local_radius(world, law)
+    try:
+        radius = local_radius(world, law)
+    except NoClosedLoopError as error:  # gates that depend on the state at rest
+        return None, (f"{error}: no local radius",)
     if not math.isfinite(radius):
         return None, ("the episode over perfect links diverges: no local radius",)
     return radius, ("the local radius is that of the gates as an episode over perfect links leaves them",)

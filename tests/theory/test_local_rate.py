@@ -31,6 +31,15 @@ def test_errors_near_the_equilibrium_shrink_at_the_local_rate(seed):
     assert observed == pytest.approx(radius, abs=0.06)
 
 
+@pytest.mark.parametrize("curvature", [0.15, 0.3, 0.6])
+def test_the_local_rate_of_a_rotating_game_includes_the_extrapolated_gradient(curvature):
+    matrix = [[curvature, 1.0], [-1.0, curvature]]
+    world, law = build(affine_scenario(matrix, [1.0, -2.0], fixed_part(1 - np.eye(2))))
+    radius = local_radius(world, law)
+    errors = np.linalg.norm(play(law, world, world.start.draw(2, 2, np.random.default_rng(0))).errors, axis=1)
+    assert (errors[220] / errors[160]) ** (1 / 60) == pytest.approx(radius, abs=3e-3)
+
+
 @pytest.mark.parametrize("name", ["robots", "weakly-monotone"])
 def test_changes_by_rounding_do_not_count_as_noise_in_the_local_rate(name):
     """Both episodes reach the resolution of float64 long before the deadline; then copies would be averaged."""
