@@ -54,11 +54,18 @@ from ptne_env.laws.reactions import (
     reaction_parts,
     reckoned_estimate,
 )
-from ptne_env.laws.relay import ContactRelay, Own, copy_weight, own_memory, own_side
+from ptne_env.laws.relay import SPREAD, ContactRelay, Own, copy_weight, own_memory, own_side
 from ptne_env.laws.routed import nearness, totals
 from ptne_env.laws.settling import PARTS as SETTLING_PARTS
 from ptne_env.laws.settling import Settling, settle, settling
 from ptne_env.observation import Observation, ObservationLayout
+
+_CLOSING = (0.5, 1.0)
+"""The last transformed time before the end of an episode, in which private means are stated: of rounded messages, whose
+mean lives on the dither that then stops, and of all others."""
+
+_SETTLED = 20.0
+"""A private belief farther from the own estimate than this many times σ_i has not settled."""
 
 _PATIENCE, _DELAY, _FLOOR = 2.0, 30.0, 0.3
 """Noisy copies have the weight max(2/(2 + steps without rest beyond 30), 0.3)²."""
@@ -113,7 +120,8 @@ class CellEvidence(NamedTuple):
         probing: whether these first m steps last, in which the others' estimates rest.
         steps: number of steps so far.
         elapsed: t/T by the player's clock.
-        closing: whether the coming step ends at the deadline or later, by that clock.
+        closing: whether the end is near by that clock, at most 1 in s, or 0.5 with rounded messages, or at most one
+            step; also after it.
         theta: Θ_k of the coming step.
         scale: the largest own estimate, absolute.
         sources: number of live sources.
@@ -130,6 +138,7 @@ class CellEvidence(NamedTuple):
         width: the step of rounding, where messages are rounded.
         rounded: whether messages are rounded.
         belief: the private belief minus the own estimate, absolute.
+        settled: whether the belief has settled: it is at most 20 σ_i away, or messages are rounded.
         broke: whether a link of the player ever broke.
         correction: joint solution minus plain next estimate, absolute.
         doubt: the largest recent error of the planes in it.
@@ -160,6 +169,7 @@ class CellEvidence(NamedTuple):
     width: FloatArray
     rounded: FloatArray
     belief: FloatArray
+    settled: FloatArray
     broke: FloatArray
     correction: FloatArray
     doubt: FloatArray
@@ -313,10 +323,9 @@ class GatedLaw(ContactRelay):
         if is_drifting.any():
             track, motion = tracked(observation, memory, np.where(own.is_probe, 0.0, mean), is_drifting)
             fresh = fresh | motion
-        curvature = np.abs(own_block(own.model.rows, own_places(own.blocks, own.model, drift.shape[1])))
-        error = own.error / np.maximum(
-            curvature.diagonal(axis1=1, axis2=2).min(axis=1, keepdims=True), _SMALLEST_CURVATURE
-        )
+        block = own_block(own.model.rows, own_places(own.blocks, own.model, drift.shape[1]))
+        curvature = np.maximum(np.abs(block.diagonal(axis1=1, axis2=2)), _SMALLEST_CURVATURE)
+        error = own.error / curvature.min(axis=1, keepdims=True)
         doubt = np.where(memory["steps"] <= START, 0.0, np.maximum(_FADE * memory["doubt"], error))
         tempered = settling(own, memory, self.layout.dimension)
         tempered = tempered._replace(expected=tempered.expected + pull)
@@ -588,7 +597,8 @@ def evidence(
         lies=memory["lies"][:, :, None],
     )
     rest = found.means.belief(slots.source, estimate)
-    next_s = observation.transformed + 1.5 * _coming_step(observation, memory)  # half a step more against rounding
+    left = layout.largest_clock[1] - observation.transformed
+    last_step = 1.5 * _coming_step(observation, memory)  # half a step more against rounding
     blank = np.zeros_like(estimate)
     cells = CellEvidence(
         own=found.is_own.astype(np.float64),
@@ -596,7 +606,7 @@ def evidence(
         probing=own.is_probe.astype(np.float64),
         steps=memory["steps"],
         elapsed=observation.elapsed,
-        closing=(next_s >= layout.largest_clock[1]).astype(np.float64),
+        closing=(left <= np.maximum(np.where(found.unrest.is_rounded, *_CLOSING), last_step)).astype(np.float64),
         theta=observation.theta,
         scale=largest(estimate),
         sources=fold(np.add, found.sources.astype(np.float64), axis=1),
@@ -612,6 +622,7 @@ def evidence(
         width=found.unrest.width,
         rounded=found.unrest.is_rounded.astype(np.float64),
         belief=np.abs(rest - estimate),
+        settled=(found.unrest.is_rounded | (np.abs(rest - estimate) <= _SETTLED * fresh["noise"])).astype(np.float64),
         broke=fresh["broke"],
         correction=np.abs(found.joint.point - found.here - found.drift - found.response),
         doubt=found.joint.error,
@@ -642,7 +653,9 @@ class ObserverRelay(GatedLaw):
 
     Where messages carry noise or are rounded, raw copies travel, the own strategy responds to the private belief, and
     the last step states it; where messages are rounded, the own strategy is dithered. Observed pushes are compensated.
-    Where links break, the joint solution is followed as soon as it is trusted.
+    Where links break, the joint solution is followed as soon as it is trusted. Where the own gradient was not
+    predicted, as in games that are not affine, a short gradient step is added: best responses are short while the model
+    changes.
     """
 
     def gates(self, cells: CellEvidence, slots: SlotEvidence) -> tuple[CellGates, SlotGates]:
@@ -652,9 +665,9 @@ class ObserverRelay(GatedLaw):
             copies=observed_weight(cells),
             track=cells.drifting,
             belief=rests * np.maximum(cells.rounded, cells.noisy * cells.closing),
-            stated=rests * uneasy * cells.closing,
+            stated=rests * uneasy * cells.closing * cells.settled,
             flow=zero,
-            step=zero,
+            step=cells.failed * (1.0 - np.maximum(uneasy, cells.broke)) / SPREAD,
             response=cells.turn,
             joint=cells.trusted,
             push=cells.own,

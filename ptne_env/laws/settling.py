@@ -21,6 +21,9 @@ _SHRINKS = 0.8
 _FACTOR = 0.8
 """The damping is multiplied by this where responses do not shrink."""
 
+_RECOVERED = 0.5
+"""Below this share of the window before, responses settle, and the damping rises by the same factor."""
+
 _LEAST = 0.3
 """Smallest damping."""
 
@@ -92,7 +95,8 @@ def settle(
     """The parts of the memory after a step.
 
     The damping falls by a fifth where own rows are loose and the largest response of ten steps is not smaller than 0.8
-    times that of the ten steps before, unless noise or a gradient that changes by itself explains it.
+    times that of the ten steps before, unless noise or a gradient that changes by itself explains it. It rises again
+    where that response is smaller than half of the one before.
 
     Args:
         observation: of R players.
@@ -108,8 +112,10 @@ def settle(
     least = np.maximum(multiple * noise, share * largest(observation.own_estimate))
     is_audible = size > np.maximum(least, errors * doubt)
     is_stuck = ends & found.is_loose & (step > 2 * _WINDOW) & is_audible & (size > _SHRINKS * memory["largest_before"])
+    recovers = ends & (size < _RECOVERED * memory["largest_before"])
+    damping = np.where(is_stuck, _FACTOR, np.where(recovers, 1 / _FACTOR, 1.0)) * memory["damping"]
     return {
-        "damping": np.maximum(np.where(is_stuck, _FACTOR * memory["damping"], memory["damping"]), _LEAST),
+        "damping": np.clip(damping, _LEAST, 1.0),
         "largest_before": np.where(ends, size, memory["largest_before"]),
         "largest_now": np.where(ends, 0.0, size),
     }

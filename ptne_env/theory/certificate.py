@@ -548,20 +548,21 @@ def _local(world: World, law: Law) -> tuple[float | None, tuple[str, ...]]:
     """The local radius of a gated law, ``None`` where it has none, and notes on it."""
     if not isinstance(law, GatedLaw):
         return None, ()
-    size = world.game.num_players * world.game.dimension
-    if not world.topology.is_fixed:
-        return None, ("the topology switches: no local radius",)
-    if world.game.has_bounds:
-        return None, ("strategies have bounds: no local radius",)
-    if size > LARGEST_PRODUCT:
-        return None, (f"{size} estimates are too many: no local radius",)
-    try:
-        radius = local_radius(world, law)
-    except NoClosedLoopError as error:  # gates that depend on the state at rest
-        return None, (f"{error}: no local radius",)
-    if not math.isfinite(radius):
-        return None, ("the episode over perfect links diverges: no local radius",)
-    return radius, ("the local radius is that of the gates as an episode over perfect links leaves them",)
+    size, radius = world.game.num_players * world.game.dimension, math.inf
+    obstacles = {
+        "the topology switches": not world.topology.is_fixed,
+        "strategies have bounds": world.game.has_bounds,
+        f"{size} estimates are too many": size > LARGEST_PRODUCT,
+    }
+    reason = next((name for name, is_there in obstacles.items() if is_there), "")
+    if not reason:
+        try:
+            radius = local_radius(world, law)
+        except NoClosedLoopError as error:  # gates that depend on the state at rest
+            reason = str(error)
+    if math.isfinite(radius):
+        return radius, ("the local radius is that of the gates as an episode over perfect links leaves them",)
+    return None, (f"{reason or 'the episode over perfect links diverges'}: no local radius",)
 
 
 def _guarantee(certificate: Certificate, prediction: _Prediction) -> dict[str, Any]:

@@ -422,7 +422,7 @@ def relay_condition(law: Relay, constants: ProblemConstants) -> Condition:  # no
 
 
 @condition.register
-def gated_condition(law: GatedLaw, constants: ProblemConstants) -> None:  # noqa: ARG001
+def gated_condition(law: GatedLaw, constants: ProblemConstants) -> None:
     """No theorem: gates may be anything. :func:`~ptne_env.theory.local_rate.local_radius` says what they do at rest."""
 
 
