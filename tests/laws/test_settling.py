@@ -74,6 +74,15 @@ def test_responses_that_shrink_by_a_fifth_in_ten_steps_are_not_damped(rate, last
     assert after(5 * rate ** np.arange(200))[-1] == pytest.approx(last)
 
 
+def test_damping_recovers_where_responses_halve_in_ten_steps():
+    stuck = [1.0] * 61
+    found = after([*stuck, *0.9 ** np.arange(80)])  # a third is left after ten steps
+    assert found.min() < 0.5
+    assert found[-1] == pytest.approx(1.0)
+    slow = after([*stuck, *0.95 ** np.arange(80)])  # 0.6 is left
+    assert slow[-1] == slow.min()
+
+
 @pytest.mark.parametrize(
     "explained",
     [{"is_loose": False}, {"noise": 0.06}, {"doubt": 0.02}],
