@@ -43,6 +43,7 @@ _CELL_FLAGS = (
     "broke",
     "trusted",
     "drifting",
+    "settled",
 )
 _CELL_SHARES = ("weight", "damping", "elapsed")
 _CELL_DISTANCES = {  # and the smallest of each that is more than rounding
