@@ -269,6 +269,7 @@ POLICIES: Mapping[str, PolicySpec] = {
         PolicySpec("link-relay", FactorySpec.of(f"{_LAWS}LinkRelay", **_AVERAGING)),
         PolicySpec("contact-relay", FactorySpec.of(f"{_LAWS}ContactRelay", **_AVERAGING)),
         PolicySpec("route-relay", FactorySpec.of(f"{_LAWS}RouteRelay", **_AVERAGING)),
+        PolicySpec("observer-relay", FactorySpec.of(f"{_LAWS}ObserverRelay", **_AVERAGING)),
         PolicySpec("freshest-relay", FactorySpec.of(f"{_LAWS}FreshestRelay", **_AVERAGING)),
         PolicySpec("multi-rate", FactorySpec.of(f"{_LAWS}MultiRate", step=0.2, price_step=0.2, lead=2.0)),
         PolicySpec("proximal-best-response", FactorySpec.of(f"{_LAWS}ProximalBestResponse", step=4.0, mixing=0.45)),

@@ -120,7 +120,8 @@ class CellEvidence(NamedTuple):
         probing: whether these first m steps last, in which the others' estimates rest.
         steps: number of steps so far.
         elapsed: t/T by the player's clock.
-        closing: whether the end is near by that clock, at most 1 in s, or 0.5 with rounded messages; also after it.
+        closing: whether the end is near by that clock, at most 1 in s, or 0.5 with rounded messages, or at most one
+            step; also after it.
         theta: Θ_k of the coming step.
         scale: the largest own estimate, absolute.
         sources: number of live sources.
@@ -259,7 +260,7 @@ class GatedLaw(ContactRelay):
     def _shapes(self) -> dict[str, tuple[int, ...]]:
         layout, slots = self.layout, (self.layout.slots,)
         parts: dict[str, tuple[int, ...]] = dict.fromkeys(("age", "contact"), slots)
-        parts |= {"broke": (1,), "doubt": (1,), "reckoned": (layout.dimension,)}
+        parts |= {"transformed": (1,), "theta": (1,), "broke": (1,), "doubt": (1,), "reckoned": (layout.dimension,)}
         parts |= (
             SETTLING_PARTS
             | average_parts(layout)
@@ -297,6 +298,7 @@ class GatedLaw(ContactRelay):
         push = found.memory["push"] * observation.dt
         displacement = np.where(found.is_own, planned - gates.push * push, planned)
         fresh = parts | found.memory | own_memory(found.plain, observation, parts, planned, self.layout)
+        fresh |= {"transformed": observation.transformed, "theta": observation.theta}
         fresh["sent"] = within_reach(displacement, observation, self.layout)
         inputs = (fresh["sent"] / step_length(observation)).astype(np.float32)
         fresh["reckoned"] = found.here + inputs * observation.theta
@@ -467,8 +469,8 @@ class GatedLaw(ContactRelay):
         mixed = mixed + diffusion
         return (1.0 - gates.joint) * mixed + gates.joint * (found.joint.point - found.here)
 
-    def at_rest(self, observation: Observation, memory: FloatArray) -> FrozenGates:
-        """The law with the gates, sources and model of this step, which it then keeps.
+    def at_rest(self, observation: Observation, memory: FloatArray) -> tuple[FrozenGates, FrozenGates]:
+        """The law with the gates, sources and model of this step, which it then keeps; without and with extrapolation.
 
         Args:
             observation: of all N players in order, at rest.
@@ -477,13 +479,17 @@ class GatedLaw(ContactRelay):
         parts = self._parts.split(memory)
         found = self._estimates(observation, parts)
         gates = self.gates(*evidence(observation, parts, found, self.layout))
-        return FrozenGates(self, parts["steps"], found, *gates)
+        plain, ahead = (FrozenGates(self, parts["steps"], found, *gates, extrapolates=each) for each in (False, True))
+        return plain, ahead
 
 
 class FrozenGates(Law):
     """A :class:`GatedLaw` whose gates, sources and model rest: linear in gradient and differences, without memory.
 
-    Its loop is the linearisation of the gated law at rest. Trust regions and probes are left out, as at rest.
+    Its loop is the linearisation of the gated law at rest, on a graph whose links never broke. Trust regions, probes
+    and the drift of the game are left out, as at rest. Players that expect their gradient to go on changing
+    (:mod:`~ptne_env.laws.settling`) respond to twice the present gradient minus the last: without ``extrapolates``
+    they respond to the present gradient once, with it twice.
 
     Args:
         law: whose displacement it is.
@@ -491,13 +497,22 @@ class FrozenGates(Law):
         found: estimates of the N players in order.
         gates: of components.
         slot_gates: of slots.
+        extrapolates: whether they respond to twice the present gradient.
     """
 
     def __init__(
-        self, law: GatedLaw, steps: FloatArray, found: Estimates, gates: CellGates, slot_gates: SlotGates
+        self,
+        law: GatedLaw,
+        steps: FloatArray,
+        found: Estimates,
+        gates: CellGates,
+        slot_gates: SlotGates,
+        *,
+        extrapolates: bool = False,
     ) -> None:
         super().__init__(law.layout)
         self._law, self._steps, self._found, self._gates, self._slot_gates = law, steps, found, gates, slot_gates
+        self._extrapolates = extrapolates
 
     def inputs(self, observation: Observation, memory: None) -> tuple[FloatArray, None]:
         player = observation.player
@@ -506,8 +521,14 @@ class FrozenGates(Law):
         own = found.own._replace(
             gradient=own_entries(observation.gradient, found.own.blocks), radius=everywhere, turn=everywhere > 0
         )
+        is_ahead = found.settling.is_optimistic & self._extrapolates
+        settled = found.settling._replace(expected=np.where(is_ahead, own.gradient, 0.0))
+        total, count = totals(observation, found.sources)
+        drift = np.where(found.is_own, 0.0, found.weight * total / np.maximum(count, 1))
+        point = found.here + with_own(drift, settled.response(own, drift), own.blocks)
+        found = found._replace(own=own, settling=settled, joint=found.joint._replace(point=point))
         steps = {"steps": self._steps[player]}
-        displacement = self._law.mixed(observation, steps, found._replace(own=own), gates, slot_gates)
+        displacement = self._law.mixed(observation, steps, found, gates, slot_gates)
         return per_step(displacement, observation), memory
 
 
@@ -577,6 +598,7 @@ def evidence(
     )
     rest = found.means.belief(slots.source, estimate)
     left = layout.largest_clock[1] - observation.transformed
+    last_step = 1.5 * _coming_step(observation, memory)  # half a step more against rounding
     blank = np.zeros_like(estimate)
     cells = CellEvidence(
         own=found.is_own.astype(np.float64),
@@ -584,7 +606,7 @@ def evidence(
         probing=own.is_probe.astype(np.float64),
         steps=memory["steps"],
         elapsed=observation.elapsed,
-        closing=(left <= np.where(found.unrest.is_rounded, *_CLOSING)).astype(np.float64),
+        closing=(left <= np.maximum(np.where(found.unrest.is_rounded, *_CLOSING), last_step)).astype(np.float64),
         theta=observation.theta,
         scale=largest(estimate),
         sources=fold(np.add, found.sources.astype(np.float64), axis=1),
@@ -610,6 +632,13 @@ def evidence(
         drifting=found.is_drifting.astype(np.float64),
     )
     return cells, slots
+
+
+def _coming_step(observation: Observation, memory: Mapping[str, FloatArray]) -> FloatArray:
+    """Δs_k = Θ_k − c Δt_k of the coming step, with c = (Θ − Δs)/Δt of the last step, 0 in the first; shape (R, 1)."""
+    dt, last = memory["dt"], observation.transformed - memory["transformed"]
+    gain = (memory["theta"] - last) / np.where(dt > 0, dt, 1.0)
+    return np.where(dt > 0, np.maximum(observation.theta - gain * observation.dt, 0.0), 0.0)
 
 
 def observed_weight(cells: CellEvidence) -> FloatArray:

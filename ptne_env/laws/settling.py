@@ -50,6 +50,11 @@ class Settling(NamedTuple):
     expected: FloatArray
     is_loose: BoolArray
 
+    @property
+    def is_optimistic(self) -> BoolArray:
+        """Whether players respond to the gradient that they expect, shape (R, 1)."""
+        return np.asarray(self.is_loose & (self.damping < _OPTIMISTIC))
+
     def response(self, own: Own, drift: FloatArray) -> FloatArray:
         """The damped best response to the own estimates after a displacement ``drift`` (R, n) of the others, (R, m)."""
         return self.damping * own._replace(gradient=own.gradient + self.expected).response(drift)
@@ -75,8 +80,8 @@ def settling(own: Own, memory: Mapping[str, FloatArray], dimension: int) -> Sett
     curvature = np.where(is_padding, np.inf, block.diagonal(axis1=1, axis2=2)).min(axis=1, keepdims=True)
     is_loose = (beside > curvature) & (memory["steps"] > outputs + 1)
     damping = np.where(is_loose, memory["damping"], 1.0)
-    is_optimistic = is_loose & (memory["damping"] < _OPTIMISTIC)
-    return Settling(damping, np.where(is_optimistic, own.gradient - memory["gradient"], 0.0), is_loose)
+    found = Settling(damping, np.zeros_like(own.gradient), is_loose)
+    return found._replace(expected=np.where(found.is_optimistic, own.gradient - memory["gradient"], 0.0))
 
 
 def settle(

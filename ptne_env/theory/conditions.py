@@ -33,11 +33,13 @@ from ptne_env.laws import (
     LocallyImplicit,
     MultiRate,
     NodeAdaptiveOracle,
+    ObserverRelay,
     ProjectedGradient,
     ProximalBestResponse,
     Relay,
     Static,
 )
+from ptne_env.laws.gated import GatedLaw
 from ptne_env.laws.routed import RoutedLaw
 from ptne_env.theory.closed_loop import last_modes, loop_matrix
 from ptne_env.theory.constants import ZERO, MonotonicityConstants, gain_bound, jacobians, monotonicity_constants
@@ -417,6 +419,32 @@ def relay_condition(law: Relay, constants: ProblemConstants) -> Condition:  # no
         _all_links_recur(constants),
         Condition.below("ρ(B) < 1, B_ij = ‖G_ii⁻¹ G_ij‖", radius, 1.0, exact=constants.exact),
     )
+
+
+@condition.register
+def gated_condition(law: GatedLaw, constants: ProblemConstants) -> None:
+    """No theorem: gates may be anything. :func:`~ptne_env.theory.local_rate.local_radius` says what they do at rest."""
+
+
+@condition.register
+def observer_relay_condition(law: ObserverRelay, constants: ProblemConstants) -> Condition:
+    """That of :class:`~ptne_env.laws.Relay`, and max_c Σ_d |G_cd| ≤ min_c G_cc, d of others, for the own c of a player.
+
+    Then responses are undamped and players do not extrapolate their own gradient, which need not contract. Joint
+    solutions contract as best responses do: with the weights v of the norm, B v ≤ ρ v, and errors |e_j| ≤ r v_j of the
+    components that a solution leaves alone, those that it fixes obey |z_i| ≤ Σ_j B_ij max(|z_j|, r v_j) ≤ ρ r v_i, as
+    soon as model and planes are identified.
+    """
+    size, own = np.abs(constants.jacobian), constants.owners[:, None] == constants.owners
+    beside, curvature = np.where(own, 0.0, size).sum(axis=1), size.diagonal()
+    players = range(constants.num_players)
+    ratios = [
+        beside[mine].max() / curvature[mine].min() if curvature[mine].min() > 0 else np.inf
+        for mine in (constants.owners == player for player in players)
+    ]
+    name = "responses stay undamped: max_c Σ_d |G_cd| / min_c |G_cc| ≤ 1, d of others"
+    undamped = Condition.below(name, max(ratios), np.nextafter(1.0, 2.0), exact=constants.exact)
+    return decisive(undamped, relay_condition(law, constants))
 
 
 def _own_curvature(constants: ProblemConstants) -> Condition:

@@ -306,7 +306,7 @@ class Play:
     Attributes:
         errors: **x** − 1⊗x* at every instant, shape (K+H+1, Nn); not finite from where it diverges.
         peak_input: largest |u| on the way to T.
-        memory: the law's at T, one row per player; ``None`` where the episode has diverged by then.
+        memory: the law's at T, or where the episode ended before, one row per player; ``None`` where it has diverged.
     """
 
     errors: FloatArray
@@ -338,7 +338,7 @@ def observed(law: Law, world: World, estimates: FloatArray, k: int, mode: int) -
     )
 
 
-def play(law: Law, world: World, estimates: FloatArray) -> Play:
+def play(law: Law, world: World, estimates: FloatArray, closest: float = 0.0) -> Play:
     """Run a law, linear or not, in float64, over perfect links and without limits or bounds.
 
     It is the recursion of a law whose gains adapt. The law observes gradients, relative and own estimates, weights and
@@ -348,6 +348,7 @@ def play(law: Law, world: World, estimates: FloatArray) -> Play:
         law: built for the layout of ``world``.
         world: the world.
         estimates: initial, shape (n, N).
+        closest: relative distance to x* below which the episode ends; the errors afterwards are not finite.
     """
     game, clock = world.game, world.clock
     n, players, modes = game.dimension, game.num_players, schedule(world)
@@ -365,4 +366,6 @@ def play(law: Law, world: World, estimates: FloatArray) -> Play:
             memory_at_deadline = None if k < clock.steps else memory_at_deadline
             break
         errors[k + 1] = start_error(current.T, game)
+        if distance(errors[k + 1], game) < closest:
+            break
     return Play(errors, peak, memory_at_deadline)

@@ -40,8 +40,8 @@ POINTS: Mapping[str, tuple[Linear, Linear]] = {
 }
 """Laws whose gates are linear in the features, and clipped: maps of the gates of cells and of messages by name.
 
-They are those of :data:`~ptne_env.experiments.policy_specs.POLICIES`, with the same parameters; ``observer-relay`` is
-:class:`~ptne_env.laws.ObserverRelay`. ``routed`` and ``relay`` need the interface that declares hop counts.
+They are those of :data:`~ptne_env.experiments.policy_specs.POLICIES`, with the same parameters. ``routed`` and
+``relay`` need the interface that declares hop counts.
 """
 
 

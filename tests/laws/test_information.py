@@ -29,6 +29,7 @@ LAWS = {
     "routed-unknown": laws.RoutedUnknown,
     "link-relay": laws.LinkRelay,
     "contact-relay": laws.ContactRelay,
+    "observer-relay": laws.ObserverRelay,
     "zero-input": laws.ZeroInput,
 }
 INTERFACES = {
@@ -41,7 +42,7 @@ PAYOFF = {law: {"own_payoff": True} if law == "extremum-seeking" else {} for law
 """Players of extremum seeking observe their own payoff, to which all real strategies contribute."""
 
 
-ABSOLUTE = ("aggregate-tracking", "link-relay", "contact-relay")
+ABSOLUTE = ("aggregate-tracking", "link-relay", "contact-relay", "observer-relay")
 """Laws that read absolute strategies."""
 
 

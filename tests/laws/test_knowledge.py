@@ -13,7 +13,7 @@ from ptne_env.laws.routed import nearer_slots
 from ptne_env.observation import Interface, LayoutError
 from ptne_env.random_streams import RandomStreams
 
-RELAYS = ("link-relay", "contact-relay", "route-relay", "freshest-relay")
+RELAYS = ("link-relay", "contact-relay", "route-relay", "observer-relay", "freshest-relay")
 CODED_LINKS = PolicySpec("link-broadcast", FactorySpec.of("ptne_env.laws:LinkBroadcast"))
 LAWS = (*RELAYS, CODED_LINKS)
 V1 = get_suite("ptne-v1")

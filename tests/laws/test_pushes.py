@@ -52,9 +52,5 @@ def digits(track, law):
     return results.samples[track, "mine"][get_suite("ptne-v1").track(track).metric].mean()
 
 
-def test_compensated_pushes_gain_digits_on_the_hold_track():
-    assert digits("hold", laws.ObserverRelay) > digits("hold", laws.ContactRelay) + 5
-
-
 def test_bounds_that_stop_strategies_cost_no_digits():
     assert digits("robots", laws.ObserverRelay) == pytest.approx(12)

@@ -156,6 +156,18 @@ def test_condition_is_the_contraction_of_best_responses():
     assert "links recur" in condition_on("energy-switching", laws.Relay).name
 
 
+def test_condition_of_observer_relay_asks_for_undamped_responses_too():
+    dominant = np.array([[2.0, 1.0, 0.0], [0.5, 1.0, -0.25], [0.0, 0.0, 1.0]])
+    loose = np.array([[1.0, 1.5, 0.0], [0.1, 1.0, 0.0], [0.0, 0.0, 1.0]])
+    for matrix in (dominant, loose):
+        scenario = affine_scenario(matrix, np.ones(3), fixed_part(1 - np.eye(3)))
+        plain, observer = (condition_on(scenario, law) for law in (laws.Relay, laws.ObserverRelay))
+        assert plain.holds
+        assert (observer == plain) is (matrix is dominant)
+    assert not observer.holds
+    assert observer.value == pytest.approx(1.5)
+
+
 def test_relay_needs_own_estimates_and_hop_counts():
     world = World(RANDOM)
     with pytest.raises(ValueError, match="Relay reads own_estimate"):

@@ -32,6 +32,7 @@ SPECIAL = [
     laws.Relay,
     laws.LinkRelay,
     laws.ContactRelay,
+    laws.ObserverRelay,
     laws.RouteRelay,
     laws.FreshestRelay,
     laws.MultiRate,

@@ -12,7 +12,9 @@ from sample_laws import condition_on, spec_of
 from ptne_env import CATALOGUE, FactorySpec, get_scenario, laws, theory
 from ptne_env.experiments import get_suite
 from ptne_env.graphs import cycle
+from ptne_env.laws.gated import CellGates
 from ptne_env.observation import LayoutError
+from ptne_env.policies.size_free import SizeFreePolicy
 from ptne_env.switching import fixed, markov, paper_topology, periodic, random_dwells
 from ptne_env.world import World
 
@@ -32,6 +34,7 @@ WITHOUT_LOOP = {
     "LinkRelay",
     "MultiRate",
     "NodeAdaptiveOracle",
+    "ObserverRelay",
     "ProjectedGradient",
     "ProximalBestResponse",
     "Relay",
@@ -41,6 +44,19 @@ WITHOUT_LOOP = {
 """Laws that are not linear in gradient and differences, or read or remember more than these and gains."""
 
 CYCLE = FactorySpec.of("ptne_env.graphs:cycle", players=5)
+
+
+class Uncoupled(SizeFreePolicy):
+    """A policy without sizes whose network closes all gates."""
+
+    def __init__(self, layout):
+        super().__init__(
+            layout,
+            lambda cells, slots: (
+                np.zeros((len(cells), len(CellGates._fields)), np.float32),
+                np.zeros((*slots.shape[:2], 3), np.float32),
+            ),
+        )
 
 
 def channel(name, **arguments):
@@ -270,3 +286,46 @@ def test_gains_that_adapt_are_listed_at_start_and_deadline(law):
     assert start.smallest == start.largest <= end.smallest <= end.largest
     assert certificate.rate == end.rate
     assert certificate.worst_digits_gained is None
+
+
+@pytest.mark.parametrize("law", ["ObserverRelay", "ContactRelay"])
+def test_certificates_of_gated_laws_hold_a_local_radius(law):
+    world = World(get_scenario("energy"))
+    certificate = theory.certify(world.scenario, law=spec_of(law))
+    if law == "ContactRelay":
+        assert certificate.local_radius is None
+        assert not any("local radius" in note for note in certificate.notes)
+    else:
+        assert certificate.local_radius == theory.local_radius(world, theory.build_law(spec_of(law), world))
+        assert 0.2 < certificate.local_radius < 0.4
+
+
+@pytest.mark.parametrize(
+    ("name", "reason"),
+    [
+        ("random-energy-switching", "the topology switches"),
+        ("ev-charging", "strategies have bounds"),
+        ("large", "625 estimates are too many"),
+        ("diverging", "the episode over perfect links diverges"),
+    ],
+)
+def test_notes_say_why_a_gated_law_has_no_local_radius(name, reason, monkeypatch):
+    scenario = get_scenario("energy" if name == "diverging" else "random-energy" if name == "large" else name)
+    if name == "large":
+        game, graph = (
+            FactorySpec.of(f"ptne_env.{part}", players=25) for part in ("games:RandomEnergy", "graphs:cycle")
+        )
+        topology = FactorySpec.of("ptne_env.switching:fixed", graph=graph)
+        scenario = scenario.replace(game=game, topology=topology)
+    if name == "diverging":
+        monkeypatch.setattr("ptne_env.theory.certificate.local_radius", lambda *_: float("inf"))
+    certificate = theory.certify(scenario, law=spec_of("ObserverRelay"), delay_limit=0)
+    assert certificate.local_radius is None
+    assert f"{reason}: no local radius" in certificate.notes
+
+
+def test_gates_of_a_network_have_a_local_radius_and_no_theorem():
+    world = World(get_scenario("energy"))
+    law = theory.build_law(Uncoupled, world)
+    assert theory.condition(law, theory.problem_constants(world)) is None
+    assert theory.local_radius(world, law) == pytest.approx(1.0)  # it rests

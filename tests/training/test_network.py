@@ -17,7 +17,7 @@ from ptne_env.policies.size_free import CELL_FEATURES, HIGH, LOW, SLOT_FEATURES,
 from ptne_env.training.export import size_free_to_onnx
 from ptne_env.training.network import POINTS, GateNetwork
 
-LAWS = {name: ObserverRelay if name == "observer-relay" else POLICIES[name].build for name in POINTS}
+LAWS = {name: POLICIES[name].build for name in POINTS}
 KNOWLEDGE = {"routed": "union", "relay": "union"}
 PATH = np.diag(np.ones(4), 1) * 0.8 + np.diag(np.ones(4), -1) * 0.8
 FIXED = [
