@@ -653,9 +653,9 @@ class ObserverRelay(GatedLaw):
 
     Where messages carry noise or are rounded, raw copies travel, and the private belief is stated near the end; where
     messages are rounded, the own strategy responds to it, and is dithered. Observed pushes are compensated. Where the
-    game drifts, a tracking filter takes the place of copies, unless links break. Where links break, the joint solution is followed as soon as it is trusted. Where the own gradient was not
-    predicted, as in games that are not affine, a short gradient step is added: best responses are short while the model
-    changes.
+    game drifts, a tracking filter takes the place of copies, unless links break. Where links break, the joint solution
+    is followed as soon as it is trusted. Where the own gradient was not predicted, as in games that are not affine, a
+    short gradient step is added: best responses are short while the model changes.
     """
 
     def gates(self, cells: CellEvidence, slots: SlotEvidence) -> tuple[CellGates, SlotGates]:
