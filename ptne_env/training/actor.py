@@ -15,7 +15,7 @@ from ptne_env.policies.size_free import CELL_FEATURES, SLOT_FEATURES
 from ptne_env.training.network import GateNetwork
 
 _OWN = ("flow", "step", "response", "push", "dither")
-_OTHERS = ("copies", "belief", "stated", "copy", "mean")
+_OTHERS = ("copies", "track", "belief", "stated", "copy", "mean")
 """Gates that own components follow, and those that components of others follow; both follow the rest."""
 
 
@@ -98,7 +98,7 @@ class GatePolicy(ActorCriticPolicy):
 
 
 def effects(cell: torch.Tensor, slot: torch.Tensor) -> torch.Tensor:
-    """Whether each gate has an effect, from features (C, F) and (C, D, S): 0 or 1, shape (C, 9 + 3 D)."""
+    """Whether each gate has an effect, from features (C, F) and (C, D, S): 0 or 1, shape (C, 10 + 3 D)."""
     own = cell[:, CELL_FEATURES.index("own"), None]
     live = slot[:, :, SLOT_FEATURES.index("live"), None]
     mine, theirs = _effect(CellGates._fields, own), _effect(SlotGates._fields, own)

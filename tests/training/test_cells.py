@@ -12,8 +12,9 @@ from ptne_env import get_scenario
 from ptne_env.encoder import make_encoder
 from ptne_env.experiments.episodes import EpisodeSet
 from ptne_env.experiments.rollout import rollout
-from ptne_env.laws.gated import ObserverRelay
+from ptne_env.laws.gated import CellGates, ObserverRelay, SlotGates
 from ptne_env.policies.size_free import CELL_FEATURES, SLOT_FEATURES
+from ptne_env.training.actor import effects
 from ptne_env.training.cells import CELL_GATES, SLOT_GATES, CellBatch, CellVecEnv
 from ptne_env.training.network import GateNetwork
 from ptne_env.training.worlds import training_world
@@ -149,3 +150,45 @@ def test_a_network_that_is_a_law_decides_alike():
         for found, wanted in zip((*mine, *theirs), (g for part in gates_of_the_law(batch) for g in part), strict=True):
             np.testing.assert_allclose(found, np.broadcast_to(wanted, found.shape), atol=1e-6)
         batch.step(mine, theirs)
+
+
+@pytest.mark.parametrize("name", [*CellGates._fields, *SlotGates._fields])
+@pytest.mark.parametrize("own", [True, False], ids=["own", "of another"])
+def test_a_gate_counts_in_training_exactly_where_the_law_reads_it(name, own):
+    generator = np.random.default_rng(0)
+
+    def drawn(*shape):
+        return generator.uniform(0.1, 0.4, shape)
+
+    batch = CellBatch(WORLDS[1], 2)
+    batch.start(SEEDS[:2])
+    for _ in range(5):
+        batch.step(*gates_of_the_law(batch))
+    found, law = batch._found, batch._law
+    cells, links = found.drift.shape, found.means.mean.shape
+    found = found._replace(  # so that all proposals differ
+        track=drawn(*cells),
+        unrest=found.unrest._replace(width=drawn(cells[0], 1)),
+        means=type(found.means)(*(drawn(*links) for _ in found.means)),
+        joint=found.joint._replace(point=found.here + drawn(*cells)),
+        memory=found.memory | {"push": drawn(*cells)},
+    )
+    gates = CellGates(*(drawn(*cells) for _ in CellGates._fields))
+    slot_gates = SlotGates(*(drawn(*links) for _ in SlotGates._fields))
+    is_chosen = found.is_own == own
+
+    def inputs(more):
+        changed = gates._asdict() | slot_gates._asdict()
+        place = is_chosen if name in CellGates._fields else is_chosen[:, None]
+        changed[name] = changed[name] + more * drawn(*changed[name].shape) * place
+        parts = [kind(*(changed[field] for field in kind._fields)) for kind in (CellGates, SlotGates)]
+        return law.follow(batch._observation, batch._memory, found, *parts)[0]
+
+    matters = (np.abs(inputs(1.0) - inputs(0.0)) > 1e-9).any()
+    cell, slot = map(torch.from_numpy, batch.features())
+    counts = effects(cell, slot)[torch.from_numpy(is_chosen.ravel())]
+    if name in CellGates._fields:
+        counts = counts[:, CellGates._fields.index(name)]
+    else:
+        counts = counts[:, CELL_GATES + SlotGates._fields.index(name) :: SLOT_GATES]
+    assert bool(counts.any()) == matters
