@@ -287,7 +287,7 @@ class GatedLaw(ContactRelay):
         """The first half of a decision: what R players find out, and the evidence that their gates see."""
         parts = self._parts.split(memory)
         found = self._estimates(observation, parts)
-        return found, *evidence(observation, parts, found, self.layout)
+        return found, *evidence(observation, parts, found, self.layout, self._nearness)
 
     def follow(
         self, observation: Observation, memory: FloatArray, found: Estimates, gates: CellGates, slot_gates: SlotGates
@@ -310,11 +310,10 @@ class GatedLaw(ContactRelay):
         own, pull, is_drifting, motion = self._motion(observation, memory, plain)
         sources, fresh = self.sources(observation, memory)
         fresh = fresh | motion
-        sources = sources & ~is_own[:, None] & (observation.weights > 0)[:, :, None]
         live = observation.weights > 0
         neighbours = live[:, :, None] & ~is_own[:, None]
         owners = self.layout.neighbour_components[observation.player]
-        sources = without_liars(sources, neighbours, owners, memory["lies"])
+        sources = without_liars(sources & neighbours, neighbours, owners, memory["lies"])
         total, count = totals(observation, sources)
         mean = np.where(is_own, 0.0, total / np.maximum(count, 1))
         weight, heard = copy_weight(observation, memory, mean, self.averaging)
@@ -380,7 +379,7 @@ class GatedLaw(ContactRelay):
         means = Averages(memory["mean"], changed["samples"], memory["variance"])
         if (rows := np.flatnonzero(uneasy)).size:
             part = _part(memory, rows)
-            found, news = averages(_rows(observation, rows), part, restless.is_rounded[rows])
+            found, news = averages(_taken(observation, rows), part, restless.is_rounded[rows])
             news["lies"] = lies(found, part, observation.own_estimate[rows], is_own[rows])
             changed |= {name: _with_rows(changed.get(name, memory[name]), rows, each) for name, each in news.items()}
             means = _replaced(means, rows, found)
@@ -401,7 +400,7 @@ class GatedLaw(ContactRelay):
         if not (self._has_rows and calm.any()):
             return joint, {}
         rows = np.flatnonzero(calm)
-        news = learned_planes(_rows(observation, rows), _part(memory, rows), self.layout, here[rows])
+        news = learned_planes(_taken(observation, rows), _part(memory, rows), self.layout, here[rows])
         changed = {name: _with_rows(memory[name], rows, part) for name, part in news.items()}
         if (rows := rows[memory["broke"][rows, 0] > 0]).size:
             condition = Condition(own.model.rows[rows], own.gradient[rows], own.blocks[rows], doubt[rows])
@@ -421,7 +420,7 @@ class GatedLaw(ContactRelay):
         parts = {name: memory[name] for name in drift_parts(self.layout)}
         changed = parts | {"pull": pull, "first_dt": np.where(memory["steps"] == 0, observation.dt, parts["first_dt"])}
         if rows.size:
-            motion, found = drifting(_rows(observation, rows), _part(memory, rows), _taken(own, rows))
+            motion, found = drifting(_taken(observation, rows), _part(memory, rows), _taken(own, rows))
             changed |= {name: _with_rows(changed[name], rows, part) for name, part in found.items()}
             pull, is_drifting = _with_rows(pull, rows, motion.pull), _with_rows(is_drifting, rows, motion.is_drifting)
             if is_drifting.any():
@@ -476,10 +475,9 @@ class GatedLaw(ContactRelay):
             observation: of all N players in order, at rest.
             memory: of all N players.
         """
-        parts = self._parts.split(memory)
-        found = self._estimates(observation, parts)
-        gates = self.gates(*evidence(observation, parts, found, self.layout))
-        plain, ahead = (FrozenGates(self, parts["steps"], found, *gates, extrapolates=each) for each in (False, True))
+        found, cells, slots = self.perceive(observation, memory)
+        gates, steps = self.gates(cells, slots), self._parts.split(memory)["steps"]
+        plain, ahead = (FrozenGates(self, steps, found, *gates, extrapolates=each) for each in (False, True))
         return plain, ahead
 
 
@@ -573,19 +571,31 @@ class Estimates(NamedTuple):
 
 
 def evidence(
-    observation: Observation, memory: Mapping[str, FloatArray], found: Estimates, layout: ObservationLayout
+    observation: Observation,
+    memory: Mapping[str, FloatArray],
+    found: Estimates,
+    layout: ObservationLayout,
+    nearer: FloatArray | None,
 ) -> tuple[CellEvidence, SlotEvidence]:
-    """The evidence of R players, from the memory before this step and the estimates of this step."""
+    """The evidence of R players.
+
+    Args:
+        observation: of R players.
+        memory: before this step, by name.
+        found: estimates of this step.
+        layout: of the observations.
+        nearer: by how many links a neighbour is nearer to an owner, :func:`~ptne_env.laws.routed.nearness`; ``None``
+            where hop counts are not declared.
+    """
     player, own, estimate = observation.player, found.own, observation.own_estimate
     live, fresh = observation.weights > 0, found.memory
-    shape = observation.relative_estimates.shape
     both = (live & (memory["live"] > 0))[:, :, None]
     owner = layout.neighbour_components[player].astype(np.float64)
     slots = SlotEvidence(
         live=live[:, :, None].astype(np.float64),
         owner=owner,
         source=found.sources.astype(np.float64),
-        nearer=np.zeros(shape) if layout.interface.graph_knowledge == "links" else nearness(layout)[player],
+        nearer=np.zeros((1, 1, 1)) if nearer is None else nearer[player],
         age=fresh["age"][:, :, None],
         contact=fresh["contact"][:, :, None],
         relative=observation.relative_estimates,
@@ -676,10 +686,6 @@ class ObserverRelay(GatedLaw):
         return mine, SlotGates(
             copy=slots.source, mean=np.maximum(slots.source, 0.5 * slots.mature), diffusion=zero[:, None]
         )
-
-
-def _rows(observation: Observation, rows: IntArray) -> Observation:
-    return Observation._make(part[rows] for part in observation)
 
 
 def _taken(part: Any, rows: IntArray) -> Any:

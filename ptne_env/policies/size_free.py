@@ -19,7 +19,7 @@ from ptne_env.observation import Interface, ObservationLayout
 from ptne_env.policies.blocks import in_blocks
 
 Network: TypeAlias = Callable[[Float32Array, Float32Array], tuple[Float32Array, Float32Array]]
-"""From features of C cells, (C, F), and of their slots, (C, D, S), to their gates, (C, 9) and (C, D, 3), not clipped.
+"""From features of C cells, (C, F), and of their slots, (C, D, S), to their gates, (C, 10) and (C, D, 3), not clipped.
 
 C is a multiple of :data:`~ptne_env.policies.blocks.BLOCK`. The gates stand in the order of their named tuples.
 """
@@ -215,13 +215,27 @@ class SizeFreePolicy(GatedLaw):
         mine, theirs = self.network(
             in_blocks(cell.reshape(count, cell.shape[2])), in_blocks(slot.reshape(count, *slot.shape[2:]))
         )
-        per_cell = np.moveaxis(mine[:count].reshape(*cell.shape[:2], -1), -1, 0)
-        per_slot = theirs[:count].reshape(*slot.shape[:3], -1).transpose(3, 0, 2, 1)
-        return (
-            CellGates(*map(_clipped, per_cell, CellGates._fields)),
-            SlotGates(*map(_clipped, per_slot, SlotGates._fields)),
-        )
+        return bounded(mine[:count], theirs[:count], cell.shape[:2])
 
 
-def _clipped(gate: Float32Array, name: str) -> FloatArray:
+def bounded(cell: npt.NDArray[Any], slot: npt.NDArray[Any], shape: tuple[int, ...]) -> tuple[CellGates, SlotGates]:
+    """Answers of any range as gates within their bounds: :data:`LOW` and :data:`HIGH`.
+
+    Args:
+        cell: answers on C cells, shape (C, 10).
+        slot: answers on their D slots, shape (C, D, 3).
+        shape: (R, n) with R n = C.
+
+    Returns:
+        Gates of cells, shapes (R, n), and of slots, shapes (R, D, n), float64.
+    """
+    per_cell = np.moveaxis(cell.reshape(*shape, -1), -1, 0)
+    per_slot = slot.reshape(*shape, *slot.shape[1:]).transpose(3, 0, 2, 1)
+    return (
+        CellGates(*map(_clipped, per_cell, CellGates._fields)),
+        SlotGates(*map(_clipped, per_slot, SlotGates._fields)),
+    )
+
+
+def _clipped(gate: npt.NDArray[Any], name: str) -> FloatArray:
     return np.clip(gate, LOW, HIGH[name]).astype(np.float64)

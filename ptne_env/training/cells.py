@@ -19,7 +19,7 @@ from ptne_env import distances, dynamics
 from ptne_env.arrays import BoolArray, Float32Array, FloatArray, require_count
 from ptne_env.encoder import make_encoder
 from ptne_env.laws.gated import CellEvidence, CellGates, GatedLaw, SlotEvidence, SlotGates
-from ptne_env.policies.size_free import CELL_FEATURES, HIGH, LOW, SLOT_FEATURES, features
+from ptne_env.policies.size_free import CELL_FEATURES, HIGH, LOW, SLOT_FEATURES, bounded, features
 from ptne_env.random_streams import RandomStreams
 from ptne_env.scenario import Scenario
 from ptne_env.world import World
@@ -106,16 +106,12 @@ class CellBatch:
         return cell.reshape(self.cells, -1), slot.reshape(self.cells, self.layout.slots, -1)
 
     def as_gates(self, cell: np.ndarray, slot: np.ndarray) -> tuple[CellGates, SlotGates]:
-        """Answers (C, 9) and (C, D, 3) of any range, as gates within their bounds, (R, n) and (R, D, n)."""
-        n, slots = self.layout.dimension, self.layout.slots
-        mine = np.clip(cell.astype(np.float64), LOW, _CELL_HIGH).reshape(self._rows, n, -1)
-        theirs = np.clip(slot.reshape(-1, SLOT_GATES).astype(np.float64), LOW, _SLOT_HIGH).reshape(
-            self._rows, n, slots, -1
-        )
-        return CellGates(*np.moveaxis(mine, -1, 0)), SlotGates(*theirs.transpose(3, 0, 2, 1))
+        """Answers (C, 10) and (C, D, 3) of any range, as gates within their bounds, (R, n) and (R, D, n)."""
+        slot = slot.reshape(self.cells, self.layout.slots, SLOT_GATES)
+        return bounded(cell, slot, (self._rows, self.layout.dimension))
 
     def as_answers(self, gates: CellGates, slot_gates: SlotGates) -> tuple[Float32Array, Float32Array]:
-        """The inverse of :meth:`as_gates`: (C, 9) and (C, D, 3), float32."""
+        """The inverse of :meth:`as_gates`: (C, 10) and (C, D, 3), float32."""
         n, slots = self.layout.dimension, self.layout.slots
         mine = np.stack([np.broadcast_to(gate, (self._rows, n)) for gate in gates], axis=-1)
         theirs = np.stack([np.broadcast_to(gate, (self._rows, slots, n)) for gate in slot_gates], axis=-1)
@@ -127,7 +123,7 @@ class CellVecEnv(VecEnv):
     """Several worlds side by side, with a member for every cell of every episode.
 
     An observation is the features of the cell, then those of its slots, slot by slot, and zeros for the slots that only
-    other worlds have: they are dead. An action is the nine gates of the cell, then three per slot. The reward is the
+    other worlds have: they are dead. An action is the gates of the cell, then those of each slot. The reward is the
     digits that the player's estimates gained in the step, mixed with the team's mean.
 
     Episodes of a place start and end together. Then the place starts new ones, with new games, perhaps in another of

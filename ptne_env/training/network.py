@@ -104,7 +104,7 @@ class GateNetwork(nn.Module):
         return network
 
     def forward(self, cell: torch.Tensor, slot: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        """Gates that are not clipped: features (C, F) and (C, D, S) to gates (C, 9) and (C, D, 3)."""
+        """Gates that are not clipped: features (C, F) and (C, D, S) to gates (C, 10) and (C, D, 3)."""
         live = slot[:, :, SLOT_FEATURES.index("live"), None]
         heard = torch.tanh(self.encoder(slot)) * live
         mean = heard.sum(dim=1) / live.sum(dim=1).clamp(min=1.0)
