@@ -92,7 +92,7 @@ LOW = 0.0
 """The lower bound of every gate."""
 
 HIGH: Mapping[str, float] = {
-    name: {"flow": 10.0, "step": 2.0, "dither": 4.0, "diffusion": 10.0}.get(name, 1.0)
+    name: {"flow": 10.0, "step": 2.0, "diffusion": 10.0}.get(name, 1.0)
     for name in (*CellGates._fields, *SlotGates._fields)
 }
 """The upper bound of every gate, of a cell or of a message: 1 of shares."""

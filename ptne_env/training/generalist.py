@@ -267,7 +267,7 @@ class _Run:
         chosen = [self._worlds[index] for index in generator.choice(len(self._worlds), count, replace=False)]
         share = 1 - number / max(arguments.rounds - 1, 1)
         tasks = [(scenario, self._law) for scenario in chosen]
-        imitate(self.policy.actor, self.policy.optimizer, tasks, share, generator)
+        imitate(self.policy.actor, self.policy.optimizer, tasks, share, generator, self._workers)
         return _Outcome(float("nan"), 0)
 
     @cached_property

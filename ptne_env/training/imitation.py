@@ -14,6 +14,7 @@ import torch
 from torch.nn.functional import huber_loss
 
 from ptne_env.arrays import Float32Array
+from ptne_env.experiments.workers import Workers
 from ptne_env.laws.gated import CellGates, SlotGates
 from ptne_env.policies.size_free import HIGH, LOW
 from ptne_env.scenario import Scenario
@@ -34,6 +35,7 @@ def imitate(
     tasks: Sequence[tuple[Scenario, GateNetwork]],
     share: float,
     generator: np.random.Generator,
+    workers: Workers | None = None,
     *,
     episodes: int = 8,
     samples: int = 4000,
@@ -48,6 +50,7 @@ def imitate(
         tasks: worlds, each with the law that is imitated there.
         share: of the episodes that follow the law.
         generator: of episodes, samples and minibatches.
+        workers: play the worlds side by side; one after the other if left out.
         episodes: in each world.
         samples: cells of each world, of all its steps.
         epochs: passes over the samples of the round.
@@ -56,7 +59,9 @@ def imitate(
     Returns:
         The mean loss in the first pass.
     """
-    data = [_play(network, law, scenario, share, generator, episodes, samples) for scenario, law in tasks]
+    seeds = generator.integers(2**62, size=len(tasks)).tolist()
+    plays = [(network, *task, share, seed, episodes, samples) for task, seed in zip(tasks, seeds, strict=True)]
+    data = (workers or Workers()).gather(_play, plays)
     first: list[float] = []
     for epoch in range(epochs):
         places = [(index, rows) for index, each in enumerate(data) for rows in _minibatches(each, generator, minibatch)]
@@ -78,15 +83,15 @@ def _minibatches(samples: Samples, generator: np.random.Generator, size: int) ->
 
 def _play(
     network: GateNetwork,
-    law: GateNetwork,
     scenario: Scenario,
+    law: GateNetwork,
     share: float,
-    generator: np.random.Generator,
+    seed: int,
     episodes: int,
     samples: int,
 ) -> Samples:
     """Cells of a world, drawn evenly from all steps of episodes that network and law play."""
-    batch = CellBatch(scenario, episodes)
+    batch, generator = CellBatch(scenario, episodes), np.random.default_rng(seed)
     batch.start(generator.integers(2**62, size=episodes).tolist())
     follows = np.repeat(np.arange(episodes) < round(share * episodes), batch.cells // episodes)
     taken: list[Samples] = []

@@ -70,6 +70,8 @@ class GateNetwork(nn.Module):
         self.slot_context = nn.Linear(cell_units, slot_units, bias=False)
         self.slot_head = nn.Linear(slot_units, slot_gates, bias=False)
         self.slot_skip = nn.Linear(slot, slot_gates)
+        nn.init.zeros_(self.cell_head.weight)
+        nn.init.zeros_(self.slot_head.weight)
 
     @classmethod
     def of_law(cls, name: str, cell_units: int = 32, slot_units: int = 16) -> GateNetwork:
@@ -96,9 +98,6 @@ class GateNetwork(nn.Module):
             ValueError: for a name that is no gate or no feature.
         """
         network = cls(cell_units, slot_units)
-        with torch.no_grad():
-            network.cell_head.weight.zero_()
-            network.slot_head.weight.zero_()
         _write(network.cell_skip, cell, CellGates._fields, CELL_FEATURES)
         _write(network.slot_skip, slot, SlotGates._fields, SLOT_FEATURES)
         return network
