@@ -13,6 +13,10 @@ _MOVED = 1e-5
 """Relative change of a float32 message above which it has moved, and is not only rounded otherwise."""
 
 
+_DIFFERENT = 1e-3
+"""Copies at rest that differ by more than this share of the largest own estimate are different."""
+
+
 def contact_parts(layout: ObservationLayout) -> dict[str, tuple[int, ...]]:
     """Shapes of the parts of the memory that :func:`contacts` changes; at the start ``seen`` is infinite, others 0."""
     n, slots = layout.dimension, layout.slots
@@ -131,6 +135,35 @@ def contacts(
         "votes": votes,
         "news": np.maximum(memory["news"], _any_slot(source)[:, 0]),
     }
+
+
+def contradictions(
+    observation: Observation, memory: Mapping[str, FloatArray], drift: FloatArray, sources: BoolArray, own: BoolArray
+) -> FloatArray:
+    """Steps for which a neighbour has contradicted the own copy and its sources, while all of them rested, (R, D, n).
+
+    Where every player copies, copies at rest are equal. They differ where a player and its source follow each other,
+    as with a neighbour that averages, and both have never heard the owner. A neighbour contradicts only as long as it
+    is right about the own strategy: so a liar does not.
+
+    Args:
+        observation: of R players.
+        memory: these steps as ``contradicted``, shape (R, D, n); of the step before whether links were ``live``, shape
+            (R, D), and the ``messages``, shape (R, D, n).
+        drift: the last moves of the estimates of others, 0 for own components, shape (R, n).
+        sources: the live sources, shape (R, D, n).
+        own: own components, shape (R, n).
+    """
+    lasts = (observation.weights > 0) & (memory["live"] > 0)
+    messages = observation.own_estimate[:, None] + observation.relative_estimates
+    scale = np.abs(observation.own_estimate).max(axis=1)[:, None, None]
+    rests = np.abs(messages - memory["messages"]) <= _MOVED * scale
+    is_other = np.abs(observation.relative_estimates) > _DIFFERENT * scale
+    rests &= (np.abs(drift)[:, None] <= _MOVED * scale) & ~own[:, None]
+    knows = ~(is_other & own[:, None]).any(axis=2)
+    agrees = ~_any_slot(sources & (is_other | ~rests))
+    contradicts = rests & is_other & agrees & (lasts & knows)[:, :, None] & ~sources
+    return np.where(contradicts, memory["contradicted"] + 1, 0.0)
 
 
 def _any_slot(array: BoolArray) -> BoolArray:

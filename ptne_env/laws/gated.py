@@ -43,6 +43,7 @@ from ptne_env.laws.best_response import (
     with_own,
     within_reach,
 )
+from ptne_env.laws.contacts import contradictions
 from ptne_env.laws.drifting import drift_parts, drifting, initial_timed_covariance, is_surprised, tracked
 from ptne_env.laws.pushes import observed_push, push_parts
 from ptne_env.laws.reactions import (
@@ -69,6 +70,9 @@ _SETTLED = 20.0
 
 _PATIENCE, _DELAY, _FLOOR = 2.0, 30.0, 0.3
 """Noisy copies have the weight max(2/(2 + steps without rest beyond 30), 0.3)²."""
+
+_CONVINCING = 20
+"""Steps after which a neighbour that contradicts becomes the source."""
 
 _FADE = 0.7
 """The share of the recent error of predictions that is left after a step."""
@@ -253,6 +257,19 @@ class GatedLaw(ContactRelay):
     def _distances(self) -> FloatArray | None:
         return None if self.layout.interface.graph_knowledge == "links" else nearness(self.layout)
 
+    def sources(
+        self, observation: Observation, memory: Mapping[str, FloatArray]
+    ) -> tuple[BoolArray, dict[str, FloatArray]]:
+        """As those of :class:`~ptne_env.laws.relay.ContactRelay`, and neighbours that contradict them for long."""
+        sources, fresh = super().sources(observation, memory)
+        drift, is_own = memory["asked"], self.layout.own_mask[observation.player]
+        steps = contradictions(observation, memory, np.where(is_own, 0.0, drift), sources, is_own)
+        met = (self.layout.neighbour_components[observation.player] & (memory["heard"] > 0)[:, :, None]).any(axis=1)
+        is_fixed = (memory["broke"] == 0) & (memory["noisy"] == 0)
+        convinces = (steps >= _CONVINCING) & (is_fixed & ~met)[:, None]
+        sources = np.where(convinces.any(axis=1)[:, None], convinces, sources)
+        return sources, fresh | {"contradicted": steps, "source": sources.astype(np.float64)}
+
     @abstractmethod
     def gates(self, cells: CellEvidence, slots: SlotEvidence) -> tuple[CellGates, SlotGates]:
         """The gates of R players, from evidence on their components and messages; row by row."""
@@ -260,6 +277,7 @@ class GatedLaw(ContactRelay):
     def _shapes(self) -> dict[str, tuple[int, ...]]:
         layout, slots = self.layout, (self.layout.slots,)
         parts: dict[str, tuple[int, ...]] = dict.fromkeys(("age", "contact"), slots)
+        parts |= {"contradicted": (layout.slots, layout.dimension)}
         parts |= {"transformed": (1,), "theta": (1,), "broke": (1,), "doubt": (1,), "reckoned": (layout.dimension,)}
         parts |= (
             SETTLING_PARTS

@@ -69,7 +69,7 @@ HELD_OUT_GAMES = frozenset(
 SWITCHING = ("periodic", "random_dwells", "markov", "random_edges")
 """Topologies that switch; the others are one graph, and one graph for every episode."""
 
-STAGES = {"OneWayLinks": 0.1, "Lying": 0.1, "Delay": 0.1, "Loss": 0.1, "BurstLoss": 0.1, "UniformQuantiser": 0.1}
+STAGES = {"OneWayLinks": 0.08, "Lying": 0.08, "Delay": 0.08, "Loss": 0.08, "BurstLoss": 0.08, "UniformQuantiser": 0.2}
 STAGES |= {"AdditiveNoise": 0.4}
 """Stages of channels in their order, and their shares."""
 

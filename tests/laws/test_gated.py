@@ -6,9 +6,10 @@ from affine_games import affine_scenario, loop_start, random_affine, run
 from sample_laws import spec_of
 from worlds import BLOCKS, BLOCKS_SWITCHING, FAULTY, begin, fixed_part, world_and_encoder
 
-from ptne_env import dynamics, get_scenario, laws
+from ptne_env import FactorySpec, dynamics, get_scenario, laws
 from ptne_env.encoder import make_encoder
 from ptne_env.experiments import POLICIES, Suite, Track, get_suite, run_suite
+from ptne_env.experiments.suite import Teammates
 from ptne_env.laws import gated, relay
 from ptne_env.laws.averages import dither
 from ptne_env.laws.gated import CellGates, GatedLaw, ObserverRelay, SlotGates
@@ -253,6 +254,18 @@ def test_observers_gain_digits(track):
     assert not found.failures
     plain, observer = (found.samples[name, law][chosen.metric].mean() for law in ("contact-relay", "observer-relay"))
     assert observer > plain + gain
+
+
+def test_a_player_leaves_sources_that_follow_it():
+    """Two leaves follow the static law; in two episodes the hub copied from them the copy that they had from it."""
+    star = FactorySpec.of("ptne_env.graphs:from_edges", players=5, edges=[[0, 1], [0, 2], [0, 3], [2, 4]])
+    scenario = RANDOM.replace(topology=FactorySpec.of("ptne_env.switching:fixed", graph=star))
+    leaves = Teammates(FactorySpec.of("ptne_env.laws:Static", kappa=2.0), (1, 3))
+    suite = Suite("observers", (Track("leaves", scenario, "Leaves average.", teammates=leaves),), 8, is_comparison=True)
+    found = run_suite(suite, [POLICIES["contact-relay"], POLICIES["observer-relay"]], split="validation")
+    plain, observer = (found.samples["leaves", law]["digits"] for law in ("contact-relay", "observer-relay"))
+    assert (plain < 1).sum() == 2
+    assert (observer > 11).all()
 
 
 @pytest.mark.parametrize(

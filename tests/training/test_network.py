@@ -48,7 +48,7 @@ def test_laws_are_points_of_the_network_on_fixed_graphs(name, scenario):
     assert_same_run(scenario, name)
 
 
-@pytest.mark.parametrize("name", ["static", "grounded", "contact-relay", "observer-relay"])
+@pytest.mark.parametrize("name", ["static", "grounded", "observer-relay"])
 def test_laws_are_points_of_the_network_on_switching_graphs(name):
     assert_same_run(track("switching-physical").replace(start="random"), name)
 
