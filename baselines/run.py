@@ -2,7 +2,8 @@
 
 Run it with ``python baselines/run.py``. A run that is there already is not repeated, and one that was interrupted goes
 on, so the command may be stopped and given again. ``results.json`` and ``README.md`` beside this file are its output.
-Configurations named after a suite, such as ``ptne-v1-delay``, are trained and shipped here, and ranked by ``suite.py``.
+Configurations for suites, such as ``ptne-v1-noise`` and ``generalist``, are trained and shipped here, and ranked by
+``suite.py``.
 """
 
 from __future__ import annotations
@@ -25,8 +26,11 @@ RESULTS = HERE / "results.json"
 ONE_SEED = frozenset({"random-energy-switching-long"})
 """Configurations that are trained once, because a run takes many minutes, and do not ship."""
 
-SUITES = ("ptne-v1",)
-"""Configurations whose names begin with one of these are trained on its tracks."""
+GENERALIST = "generalist"
+"""The configuration of the policy without sizes."""
+
+SUITES = ("ptne-v1", GENERALIST)
+"""Configurations whose names begin with one of these are for suites."""
 
 METRICS = (
     "digits",
@@ -62,16 +66,24 @@ FILES = ("policy.onnx", "summary.json")
 """The files that are kept of a training run; a run with the last of them is complete."""
 
 
+def policy_name(configuration: str) -> str:
+    """The name under which a configuration ships."""
+    return "size-free" if configuration == GENERALIST else f"ppo-{configuration}"
+
+
 def train_one(configuration: str, seed: int, out: Path) -> dict[str, bytes]:
     """Train one seed on any machine; the content of :data:`FILES`.
 
     Checkpoints and logs stay there: where the machines share the folder ``out``, a run whose machine was lost goes on
     from its last checkpoint, and elsewhere it starts again.
     """
-    from ptne_env.training import ppo
-    from ptne_env.training.arguments import Arguments
+    from ptne_env.training import generalist, ppo
+    from ptne_env.training.arguments import Arguments, from_toml
 
-    ppo.train(Arguments.from_toml(configuration, seed=seed), out)
+    if configuration == GENERALIST:
+        generalist.train(from_toml(generalist.Generalist, configuration, seed=seed), out)
+    else:
+        ppo.train(from_toml(Arguments, configuration, seed=seed), out)
     return {name: (out / name).read_bytes() for name in FILES}
 
 
@@ -90,7 +102,7 @@ def ship(configuration: str, summaries: list[dict[str, Any]], runs: Path) -> str
     """Copy the policy of the median seed, by validation digits, into the package; its name there."""
     ranked = sorted(range(len(summaries)), key=lambda seed: summaries[seed]["validation_digits"])
     median = ranked[len(ranked) // 2]
-    name = f"ppo-{configuration}"
+    name = policy_name(configuration)
     folder = Path(policies.__file__).parent
     shutil.copyfile(runs / configuration / f"seed-{median}" / "policy.onnx", folder / f"{name}.onnx")
     return name
@@ -170,7 +182,7 @@ def main(
     episodes: Annotated[int, typer.Option(min=1, help="Test episodes.")] = 1000,
 ) -> None:
     """Train, ship and rank."""
-    chosen = configuration or training.configurations()
+    chosen = configuration or [*training.configurations(), GENERALIST]
     tasks = [(name, seed) for name in chosen for seed in range(1 if name in ONE_SEED else seeds)]
     trained = train_all(tasks, runs, Workers(jobs, ray))
     old = json.loads(RESULTS.read_text(encoding="utf-8"))["rows"] if RESULTS.exists() else []

@@ -14,7 +14,7 @@ from typing import Annotated
 
 import typer
 from common import Jobs, Ray, board_of, interval, table
-from run import ONE_SEED
+from run import GENERALIST, ONE_SEED, policy_name
 
 from ptne_env import training
 from ptne_env.experiments import METRICS, POLICIES, Results, Workers, run_suite
@@ -52,7 +52,7 @@ _INTRODUCTION = (
     "Written by `python baselines/suite.py {suite}`; do not edit. Suite `{suite}` (content hash `{hash}`), {episodes} "
     "test episodes per track from seed {seed}, learned policies with every training seed; intervals of 95 % as "
     "`docs/protocol.md` explains. `ptne check baselines/{archive}` computes every number again. Learned policies are "
-    "`ppo-<configuration>`, configurations in "
+    "`ppo-<configuration>`, and `size-free` of the configuration `generalist`; configurations in "
     "`ptne_env/training/configurations`. Below the honest entries stand coded ones and oracles. "
     + ". ".join(MARK_NOTES.values())
     + "."
@@ -62,8 +62,8 @@ _INTRODUCTION = (
 def configurations(runs: Path) -> dict[str, str]:
     """The pattern of the training seeds of every configuration, by name of the policy."""
     return {
-        f"ppo-{name}": str(runs / name / "seed-*" / "policy.onnx")
-        for name in training.configurations()
+        policy_name(name): str(runs / name / "seed-*" / "policy.onnx")
+        for name in [*training.configurations(), GENERALIST]
         if name not in ONE_SEED
     }
 

@@ -115,6 +115,7 @@ FIELD: tuple[Tunable, ...] = (
     Tunable.of("Relay", patience=(2.0, 200.0), forgetting=(0.5, 50.0)),
     Tunable.of("LinkRelay", patience=(2.0, 200.0), forgetting=(0.5, 50.0)),
     Tunable.of("ContactRelay", patience=(2.0, 200.0), forgetting=(0.5, 50.0)),
+    Tunable.of("ObserverRelay", patience=(2.0, 200.0), forgetting=(0.5, 50.0)),
 )
 """The honest laws that are tuned. A new member is a new line."""
 
