@@ -36,21 +36,25 @@ def links(players: int, generator: np.random.Generator) -> list[list[int]]:
     return [list(edge) for edge in sorted(tree | others)]
 
 
-def rates(family: str, seed: int) -> tuple[float, float | None]:
-    """The local radius, and the factor per step of an episode; ``None`` where it has too few digits."""
+def scenario(family: str, seed: int) -> Scenario:
+    """One game of a family on a random connected graph."""
     generator = np.random.default_rng(seed)
     players = int(generator.integers(3, 13))
     graph = FactorySpec.of("ptne_env.graphs:from_edges", players=players, edges=links(players, generator))
-    scenario = Scenario(
+    return Scenario(
         name="local",
         game=FactorySpec.of("local_rates:drawn", family=family, players=players, seed=seed),
         topology=FactorySpec.of("ptne_env.switching:fixed", graph=graph),
         start="random",
     )
-    world = World(scenario)
+
+
+def rates(family: str, seed: int) -> tuple[float, float | None]:
+    """The local radius, and the factor per step of an episode; ``None`` where it has too few digits."""
+    world = World(scenario(family, seed))
     law = theory.build_law(laws.ObserverRelay, world)
     radius = theory.local_radius(world, law)
-    start = world.start.draw(players, world.game.dimension, np.random.default_rng(0))
+    start = world.start.draw(world.game.num_players, world.game.dimension, np.random.default_rng(0))
     errors = play(law, world, start, 10.0**-DIGITS).errors
     distances = theory.distance(errors[np.isfinite(errors).all(axis=1)], world.game)
     if distances[-1] >= 10.0**-DIGITS:

@@ -410,16 +410,16 @@ def law_names() -> list[str]:
 
 
 def law_factory(law: str, kappa: float | None = None) -> FactorySpec:
-    """The factory spec of a law: by name, by its class in ``ptne_env.laws``, or by ``"module:object"``.
+    """The factory spec of a law: by name, class in ``ptne_env.laws``, ``"module:object"``, or file.
 
     Args:
-        law: its name, class or address.
+        law: its name, class or address, or the ``.onnx`` file of a policy without sizes.
         kappa: κ in place of the law's own.
 
     Raises:
         ValueError: for an unknown name, a policy that is no law, or κ for a law that has none.
     """
-    if law in POLICIES or ":" in law:
+    if law in POLICIES or ":" in law or Path(law).suffix == ".onnx" or law in policies.shipped():
         factory = get_policy_spec(law).policy
     else:
         if law not in law_names():

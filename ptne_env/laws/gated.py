@@ -298,8 +298,12 @@ class GatedLaw(ContactRelay):
         return self._parts.join(parts)
 
     def inputs(self, observation: Observation, memory: FloatArray) -> tuple[FloatArray, FloatArray]:
+        return self.follow(observation, memory, *self.judged(observation, memory))
+
+    def judged(self, observation: Observation, memory: FloatArray) -> tuple[Estimates, CellGates, SlotGates]:
+        """What R players find out, with the changed parts of their memory, and the gates that they follow."""
         found, cells, slots = self.perceive(observation, memory)
-        return self.follow(observation, memory, found, *self.gates(cells, slots))
+        return found, *self.gates(cells, slots)
 
     def perceive(self, observation: Observation, memory: FloatArray) -> tuple[Estimates, CellEvidence, SlotEvidence]:
         """The first half of a decision: what R players find out, and the evidence that their gates see."""
@@ -493,9 +497,8 @@ class GatedLaw(ContactRelay):
             observation: of all N players in order, at rest.
             memory: of all N players.
         """
-        found, cells, slots = self.perceive(observation, memory)
-        gates, steps = self.gates(cells, slots), self._parts.split(memory)["steps"]
-        plain, ahead = (FrozenGates(self, steps, found, *gates, extrapolates=each) for each in (False, True))
+        judged, steps = self.judged(observation, memory), self._parts.split(memory)["steps"]
+        plain, ahead = (FrozenGates(self, steps, *judged, extrapolates=each) for each in (False, True))
         return plain, ahead
 
 
@@ -687,23 +690,28 @@ class ObserverRelay(GatedLaw):
     """
 
     def gates(self, cells: CellEvidence, slots: SlotEvidence) -> tuple[CellGates, SlotGates]:
-        uneasy, rests = np.maximum(cells.noisy, cells.rounded), 1.0 - cells.drifting
-        zero = np.zeros_like(cells.scale)
-        mine = CellGates(
-            copies=observed_weight(cells),
-            track=cells.drifting * (1.0 - cells.broke),
-            belief=rests * np.maximum(cells.rounded, cells.noisy * cells.closing),
-            stated=rests * uneasy * cells.closing * cells.settled,
-            flow=zero,
-            step=cells.failed * (1.0 - np.maximum(uneasy, cells.broke)) / SPREAD,
-            response=cells.turn,
-            joint=cells.trusted,
-            push=cells.own,
-            dither=cells.rounded * (1.0 - cells.closing),
-        )
-        return mine, SlotGates(
-            copy=slots.source, mean=np.maximum(slots.source, 0.5 * slots.mature), diffusion=zero[:, None]
-        )
+        return observer_gates(cells, slots)
+
+
+def observer_gates(cells: CellEvidence, slots: SlotEvidence) -> tuple[CellGates, SlotGates]:
+    """The gates of :class:`ObserverRelay`, of R players."""
+    uneasy, rests = np.maximum(cells.noisy, cells.rounded), 1.0 - cells.drifting
+    zero = np.zeros_like(cells.scale)
+    mine = CellGates(
+        copies=observed_weight(cells),
+        track=cells.drifting * (1.0 - cells.broke),
+        belief=rests * np.maximum(cells.rounded, cells.noisy * cells.closing),
+        stated=rests * uneasy * cells.closing * cells.settled,
+        flow=zero,
+        step=cells.failed * (1.0 - np.maximum(uneasy, cells.broke)) / SPREAD,
+        response=cells.turn,
+        joint=cells.trusted,
+        push=cells.own,
+        dither=cells.rounded * (1.0 - cells.closing),
+    )
+    return mine, SlotGates(
+        copy=slots.source, mean=np.maximum(slots.source, 0.5 * slots.mature), diffusion=zero[:, None]
+    )
 
 
 def _taken(part: Any, rows: IntArray) -> Any:

@@ -13,9 +13,19 @@ from typing import Any, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
-from ptne_env.arrays import Float32Array, FloatArray
-from ptne_env.laws.gated import CellEvidence, CellGates, GatedLaw, SlotEvidence, SlotGates, observed_weight
-from ptne_env.observation import Interface, ObservationLayout
+from ptne_env.arrays import BoolArray, Float32Array, FloatArray
+from ptne_env.laws.gated import (
+    CellEvidence,
+    CellGates,
+    Estimates,
+    GatedLaw,
+    SlotEvidence,
+    SlotGates,
+    observed_weight,
+    observer_gates,
+)
+from ptne_env.observation import Interface, Observation, ObservationLayout
+from ptne_env.policies import safeguard
 from ptne_env.policies.blocks import in_blocks
 
 Network: TypeAlias = Callable[[Float32Array, Float32Array], tuple[Float32Array, Float32Array]]
@@ -193,6 +203,8 @@ class SizeFreePolicy(GatedLaw):
     Args:
         layout: of the environment, interface ``physical``.
         network: of the gates; its answers are clipped to [:data:`LOW`, :data:`HIGH`].
+        guarded: whether a player whose residual does not shrink follows the gates of
+            :class:`~ptne_env.laws.gated.ObserverRelay` from then on, see :mod:`~ptne_env.policies.safeguard`.
 
     Raises:
         LayoutError: for another interface or action mode.
@@ -203,7 +215,8 @@ class SizeFreePolicy(GatedLaw):
 
     interface: Interface  # type: ignore[misc]  # of each policy: other laws need that of their class
 
-    def __init__(self, layout: ObservationLayout, network: Network) -> None:
+    def __init__(self, layout: ObservationLayout, network: Network, *, guarded: bool = True) -> None:
+        self.guarded = guarded
         super().__init__(layout)
         self.interface = layout.interface
         self.network = network
@@ -216,6 +229,33 @@ class SizeFreePolicy(GatedLaw):
             in_blocks(cell.reshape(count, cell.shape[2])), in_blocks(slot.reshape(count, *slot.shape[2:]))
         )
         return bounded(mine[:count], theirs[:count], cell.shape[:2])
+
+    def judged(self, observation: Observation, memory: FloatArray) -> tuple[Estimates, CellGates, SlotGates]:
+        """See :class:`~ptne_env.laws.gated.GatedLaw`; with a safeguard, rows that handed over have the law's gates."""
+        if not self.guarded:
+            return super().judged(observation, memory)
+        found, cells, slots = self.perceive(observation, memory)
+        gates, slot_gates = self.gates(cells, slots)
+        broken = ~safeguard.are_finite(gates, slot_gates)
+        parts = self._parts.split(memory)
+        handed, changed = safeguard.handing_over(observation, parts, found, cells, self.layout)
+        handed, changed["late"] = handed | broken, np.where(broken, safeguard.PATIENCE, changed["late"])
+        law, slot_law = observer_gates(cells, slots)
+        handed = handed | (cells.probing > 0)  # the law's first moves identify the own block
+        gates = CellGates(*(np.where(handed, hand, learned) for hand, learned in zip(law, gates, strict=True)))
+        slot_gates = SlotGates(
+            *(np.where(handed[:, None], hand, learned) for hand, learned in zip(slot_law, slot_gates, strict=True))
+        )
+        return found._replace(memory=found.memory | changed), gates, slot_gates
+
+    def has_handed_over(self, memory: FloatArray) -> BoolArray:
+        """Which of R players followed the law in the step that left this memory, shape (R,)."""
+        if not self.guarded:
+            return np.zeros(len(memory), dtype=bool)
+        return np.asarray(self._parts.split(memory)["late"][:, 0] >= safeguard.PATIENCE)
+
+    def _shapes(self) -> dict[str, tuple[int, ...]]:
+        return super()._shapes() | (safeguard.PARTS if self.guarded else {})
 
 
 def bounded(cell: npt.NDArray[Any], slot: npt.NDArray[Any], shape: tuple[int, ...]) -> tuple[CellGates, SlotGates]:

@@ -15,7 +15,7 @@ import numpy as np
 from ptne_env.arrays import FloatArray, require_count, require_non_negative
 from ptne_env.channel import AdditiveNoise, Chain, Channel, Delay
 from ptne_env.encoder import make_encoder
-from ptne_env.factory import FactorySpec
+from ptne_env.factory import LOADER, FactorySpec
 from ptne_env.laws import CorollaryOne, FixedGain, Law, Static
 from ptne_env.laws.gated import GatedLaw
 from ptne_env.observation import Interface
@@ -287,12 +287,17 @@ def build_law(law: FactorySpec | Callable[..., Law], world: World) -> Law:
     """The law, built for the layout of ``world`` under the law's own interface.
 
     Args:
-        law: a law's class, or a spec that builds a law; called with ``layout=``.
+        law: a law's class, or a spec that builds a law; called with ``layout=``. A spec that loads a policy without
+            sizes from a file builds it under the interface in the file.
         world: the scenario, built.
 
     Raises:
         ValueError: when the law cannot act in the world, or the spec builds something else.
     """
+    if isinstance(law, FactorySpec) and law.target == LOADER:
+        if not callable(loaded := law.build()):
+            raise ValueError(f"{law!r} loads a policy of fixed sizes; the theory is about a ptne_env.laws.Law")
+        law = loaded
     target = law.resolve() if isinstance(law, FactorySpec) else law
     layout = make_encoder(world, getattr(target, "interface", Interface())).layout
     built = law.build(layout=layout) if isinstance(law, FactorySpec) else law(layout=layout)

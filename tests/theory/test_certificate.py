@@ -9,8 +9,9 @@ import pytest
 from affine_games import SOAK
 from sample_laws import condition_on, spec_of
 
-from ptne_env import CATALOGUE, FactorySpec, get_scenario, laws, theory
+from ptne_env import CATALOGUE, FactorySpec, Interface, get_scenario, laws, theory
 from ptne_env.experiments import get_suite
+from ptne_env.experiments.policy_specs import law_factory
 from ptne_env.graphs import cycle
 from ptne_env.laws.gated import CellGates
 from ptne_env.observation import LayoutError
@@ -56,6 +57,7 @@ class Uncoupled(SizeFreePolicy):
                 np.zeros((len(cells), len(CellGates._fields)), np.float32),
                 np.zeros((*slots.shape[:2], 3), np.float32),
             ),
+            guarded=False,
         )
 
 
@@ -329,3 +331,20 @@ def test_gates_of_a_network_have_a_local_radius_and_no_theorem():
     law = theory.build_law(Uncoupled, world)
     assert theory.condition(law, theory.problem_constants(world)) is None
     assert theory.local_radius(world, law) == pytest.approx(1.0)  # it rests
+
+
+def test_a_file_of_a_policy_without_sizes_has_a_local_radius(tmp_path):
+    """Its network closes all gates, so that all players hand over to the law, whose radius is left."""
+    pytest.importorskip("torch")
+    pytest.importorskip("onnx")
+    from ptne_env.training.export import size_free_to_onnx
+    from ptne_env.training.network import GateNetwork
+
+    path = tmp_path / "mine.onnx"
+    origin = {"scenarios": ("some-family",), "steps": 3, "seed": 1, "digits": 2.5}
+    path.write_bytes(size_free_to_onnx(GateNetwork.linear_point({}, {}), interface=Interface(), **origin))
+    found = theory.certify(get_scenario("energy"), law=law_factory(str(path)))
+    law = theory.certify(get_scenario("energy"), law=spec_of("ObserverRelay"))
+    assert found.local_radius == pytest.approx(law.local_radius, abs=1e-6)
+    with pytest.raises(ValueError, match="fixed sizes"):
+        theory.certify(get_scenario("energy"), law=law_factory("ppo-random-energy"))
