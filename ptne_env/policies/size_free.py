@@ -215,7 +215,7 @@ class SizeFreePolicy(GatedLaw):
 
     interface: Interface  # type: ignore[misc]  # of each policy: other laws need that of their class
 
-    def __init__(self, layout: ObservationLayout, network: Network, *, guarded: bool = True) -> None:
+    def __init__(self, layout: ObservationLayout, network: Network, *, guarded: bool = False) -> None:
         self.guarded = guarded
         super().__init__(layout)
         self.interface = layout.interface

@@ -57,7 +57,6 @@ class Uncoupled(SizeFreePolicy):
                 np.zeros((len(cells), len(CellGates._fields)), np.float32),
                 np.zeros((*slots.shape[:2], 3), np.float32),
             ),
-            guarded=False,
         )
 
 
@@ -334,7 +333,7 @@ def test_gates_of_a_network_have_a_local_radius_and_no_theorem():
 
 
 def test_a_file_of_a_policy_without_sizes_has_a_local_radius(tmp_path):
-    """Its network closes all gates, so that all players hand over to the law, whose radius is left."""
+    """The network is the law's, and so is the radius."""
     pytest.importorskip("torch")
     pytest.importorskip("onnx")
     from ptne_env.training.export import size_free_to_onnx
@@ -342,7 +341,7 @@ def test_a_file_of_a_policy_without_sizes_has_a_local_radius(tmp_path):
 
     path = tmp_path / "mine.onnx"
     origin = {"scenarios": ("some-family",), "steps": 3, "seed": 1, "digits": 2.5}
-    path.write_bytes(size_free_to_onnx(GateNetwork.linear_point({}, {}), interface=Interface(), **origin))
+    path.write_bytes(size_free_to_onnx(GateNetwork.of_law("observer-relay"), interface=Interface(), **origin))
     found = theory.certify(get_scenario("energy"), law=law_factory(str(path)))
     law = theory.certify(get_scenario("energy"), law=spec_of("ObserverRelay"))
     assert found.local_radius == pytest.approx(law.local_radius, abs=1e-6)

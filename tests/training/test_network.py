@@ -34,7 +34,7 @@ def assert_same_run(scenario, name):
     """The point of a law runs as the law does, to the float32 of gates and actions."""
     world, encoder = world_and_encoder(scenario, graph_knowledge=KNOWLEDGE.get(name, "links"))
     law = LAWS[name](encoder.layout)
-    point = SizeFreePolicy(encoder.layout, GateNetwork.of_law(name).decide, guarded=False)
+    point = SizeFreePolicy(encoder.layout, GateNetwork.of_law(name).decide)
     one, two = (run(world, encoder, policy, begin(world, range(3))) for policy in (law, point))
     np.testing.assert_allclose(two, one, atol=1e-6 * np.abs(one).max(), rtol=0)
     errors = [np.abs(states[-1] - world.game.nash_equilibria[:, None]).max() for states in (one, two)]
