@@ -157,7 +157,7 @@ def train(arguments: Generalist, out: Path, progress: Progress | None = None) ->
         path.unlink(missing_ok=True)  # of an interruption after the end
         return done
     torch.set_num_threads(1)
-    run = _Run(arguments)
+    run = Run(arguments)
     course = Course(plain(arguments), 0, 0.0, 1, 0, 0, (), ())
     if path.exists():
         course, arrays = checkpoint.read(path, Course)
@@ -202,7 +202,7 @@ def train(arguments: Generalist, out: Path, progress: Progress | None = None) ->
     return finish(out, content, course, digits)
 
 
-class _Outcome(NamedTuple):
+class Outcome(NamedTuple):
     """Of a segment: mean digits, agent-steps, and the scores of a generation."""
 
     digits: float
@@ -210,7 +210,7 @@ class _Outcome(NamedTuple):
     scores: tuple[float, ...] = ()
 
 
-class _Run:
+class Run:
     """Network and optimiser of a run, and the stages that change them.
 
     Attributes:
@@ -249,7 +249,7 @@ class _Run:
         arguments = self.arguments
         return {"imitation": arguments.rounds, "ppo": arguments.segments, "evolution": arguments.generations}[stage]
 
-    def segment(self, stage: Stage, number: int, scores: tuple[tuple[float, ...], ...]) -> _Outcome:
+    def segment(self, stage: Stage, number: int, scores: tuple[tuple[float, ...], ...]) -> Outcome:
         """One segment of a stage."""
         generator = np.random.default_rng([self.arguments.seed, self.arguments.stages.index(stage), number])
         torch.manual_seed(int(generator.integers(2**32)))
@@ -259,7 +259,7 @@ class _Run:
             return self._rollouts(number, int(generator.integers(2**32)))
         return self._generation(generator, scores)
 
-    def _round(self, number: int, generator: np.random.Generator) -> _Outcome:
+    def _round(self, number: int, generator: np.random.Generator) -> Outcome:
         arguments = self.arguments
         for group in self.policy.optimizer.param_groups:
             group["lr"] = arguments.round_rate * (1 - number / arguments.rounds)
@@ -268,7 +268,7 @@ class _Run:
         share = 1 - number / max(arguments.rounds - 1, 1)
         tasks = [(scenario, self._law) for scenario in chosen]
         imitate(self.policy.actor, self.policy.optimizer, tasks, share, generator, self._workers)
-        return _Outcome(float("nan"), 0)
+        return Outcome(float("nan"), 0)
 
     @cached_property
     def _env(self) -> CellVecEnv:
@@ -281,7 +281,7 @@ class _Run:
             places.extend(worlds[first : first + most] for first in range(0, len(worlds), most))
         return CellVecEnv(places[: arguments.places], arguments.place_episodes, arguments.team)
 
-    def _rollouts(self, number: int, seed: int) -> _Outcome:
+    def _rollouts(self, number: int, seed: int) -> Outcome:
         arguments, env = self.arguments, self._env
         model = PPO(
             GatePolicy,
@@ -300,7 +300,7 @@ class _Run:
         steps = arguments.rollout * arguments.rollouts * env.num_envs
         model.learn(steps)
         episodes = [episode["r"] for episode in model.ep_info_buffer or []]
-        return _Outcome(float(np.mean(episodes)) if episodes else float("nan"), steps)
+        return Outcome(float(np.mean(episodes)) if episodes else float("nan"), steps)
 
     @property
     def _names(self) -> tuple[str, ...]:
@@ -312,13 +312,13 @@ class _Run:
         arguments = self.arguments
         return evolution.Search(start, arguments.sigma, arguments.population, arguments.seed, scores)
 
-    def _generation(self, generator: np.random.Generator, scores: tuple[tuple[float, ...], ...]) -> _Outcome:
+    def _generation(self, generator: np.random.Generator, scores: tuple[tuple[float, ...], ...]) -> Outcome:
         arguments = self.arguments
         count = min(arguments.worlds_each, len(self._worlds))
         chosen = generator.choice(len(self._worlds), count, replace=False)
         seeds = generator.integers(2**62, size=arguments.episodes_each).tolist()
         found = self._scores(self._search(scores).ask(), [self._worlds[index] for index in chosen], seeds)
-        return _Outcome(float(found.mean()), 0, tuple(evolution.utility(found).tolist()))
+        return Outcome(float(found.mean()), 0, tuple(evolution.utility(found).tolist()))
 
     def end(self, stage: Stage, scores: tuple[tuple[float, ...], ...]) -> None:
         """Finish a stage: evolution changes the network only now."""
@@ -331,14 +331,14 @@ class _Run:
         Returns:
             The digits of the network that is kept.
         """
-        digits, policy = self._validate(), self.policy
+        digits, policy = self.validate(), self.policy
         if best and digits < best[0]:
             policy.actor.load_state_dict(policy.kept.state_dict())
             return best[0]
         policy.kept.load_state_dict(policy.actor.state_dict())
         return digits
 
-    def _validate(self) -> float:
+    def validate(self) -> float:
         """Mean digits on episodes of validation."""
         seeds = [episode_seed(0, episode, "validation") for episode in range(self.arguments.validation_episodes)]
         vector = evolution.vector(self.policy.actor, evolution.LINEAR)
