@@ -11,7 +11,7 @@ over, for good, in the step in which
   or an input limit that binds;
 - or one of its gates is not finite.
 
-So without these reasons a player that has not handed over after k steps has had a residual of at most
+So without these reasons a player that has not handed over k steps after its first steps has had a residual of at most
 2^(−(k − 60)/10) times the largest residual or own estimate of its first steps, or of 1e-9 of its estimates.
 """
 
