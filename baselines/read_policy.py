@@ -363,15 +363,23 @@ def digits(networks: Sequence[GateNetwork], scenario: Scenario, seeds: Sequence[
 
 
 def chosen_tracks(names: Sequence[str]) -> list[tuple[Suite, str]]:
-    """Tracks by ``suite/track``, or all that the script is for."""
-    if names:
-        return [(get_suite(name.split("/")[0]), name.split("/")[1]) for name in names]
-    return [
-        (suite, track.name)
-        for suite in map(get_suite, ("ptne-v1", "ptne-v2"))
-        for track in suite.tracks
-        if track.teammates is None and track.world.game.num_players <= LARGEST
-    ]
+    """Tracks by ``suite/track``, or all that the script is for.
+
+    Raises:
+        ValueError: for an unknown name, or a track in which some players follow another policy.
+    """
+    if not names:
+        return [
+            (suite, track.name)
+            for suite in map(get_suite, ("ptne-v1", "ptne-v2"))
+            for track in suite.tracks
+            if track.teammates is None and track.world.game.num_players <= LARGEST
+        ]
+    chosen = [(get_suite(suite), track) for suite, _, track in (name.partition("/") for name in names)]
+    for name, (suite, track) in zip(names, chosen, strict=True):
+        if suite.track(track).teammates is not None:
+            raise ValueError(f"some players of {name} follow another policy: choose a track without teammates")
+    return chosen
 
 
 def plays(tracks: Sequence[tuple[Suite, str]], episodes: int, split: Split) -> list[Play]:
@@ -446,9 +454,10 @@ def main(
 ) -> None:
     """Read and print."""
     torch.set_num_threads(1)
-    network, workers = size_free_from_onnx(policy), Workers(jobs)
+    network, workers, tracks = size_free_from_onnx(policy), Workers(jobs), chosen_tracks(track or ())
+    GateNetwork.of_law(law)  # refuses unknown names before anything is played
     typer.echo("\n".join(read_trust(network, episodes, workers, picture)) + "\n")
-    form, lines = read_gates(network, law, chosen_tracks(track or ()), episodes, workers)
+    form, lines = read_gates(network, law, tracks, episodes, workers)
     typer.echo("\n".join(lines))
     if out is not None:
         content = size_free_to_onnx(
