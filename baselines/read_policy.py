@@ -12,6 +12,7 @@ by themselves, without those of more than 20 players, on training and validation
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from copy import deepcopy
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple, TypeAlias
 
@@ -173,14 +174,14 @@ PANELS = (
         "weight",
         "restless",
         "steps without rest of messages",
-        (16.0, 24.0, *range(28, 42, 2), 50.0, 64.0, 100.0),
+        (20.0, 24.0, *range(28, 40, 2), 44.0, 52.0, 68.0, 100.0),
         "source",
     ),
     Panel("weight", "contact", "steps since the link came up", STEPS, "source"),
-    Panel("weight", "hops", "links from the neighbour to the owner", LINKS, "live"),
+    Panel("weight", "hops", "links from neighbour to owner", LINKS, "live"),
     Panel("weight", "noise", "noise / largest estimate", LEVELS, "source"),
     Panel("belief", "age", "steps since its last message", (0.0, *STEPS), "samples"),
-    Panel("belief", "hops", "links from the neighbour to the owner", LINKS, "samples"),
+    Panel("belief", "hops", "links from neighbour to owner", LINKS, "samples"),
 )
 """Each bin ends where the next begins."""
 
@@ -224,7 +225,7 @@ def draw(rows: Rows, path: Path) -> None:
                 axes.plot(points[:, 0], points[:, 2], "o-", color=colour, label=name, markersize=3)
             if panel.over == "hops":
                 axes.set_xticks(LINKS)
-            else:
+            elif panel.over != "restless":
                 axes.set_xscale("symlog" if panel.over == "age" else "log")
             axes.set(xlabel=panel.label, ylabel=QUANTITIES[panel.quantity])
         figure.axes[0].legend()
@@ -296,10 +297,10 @@ def fitted(data: Samples, places: tuple[int, ...], near: FloatArray, high: float
 
 
 def closed_form(data: Samples, names: Sequence[str], law: Mapping[str, float], high: float) -> dict[str, float]:
-    """A gate as a clipped sum of few features, in two digits.
+    """A gate as a clipped sum of few features, in three digits.
 
-    The features of the law come first. Others are added one by one while they explain more; then the ones that explain
-    nothing are dropped.
+    It is that of the law where this explains the gate. Else the features of the law come first, others are added one by
+    one while they explain more, and then the ones that explain nothing are dropped.
 
     Args:
         data: of the gate.
@@ -308,6 +309,8 @@ def closed_form(data: Samples, names: Sequence[str], law: Mapping[str, float], h
         high: the upper bound of the gate.
     """
     features, gate = data
+    if off(data, names, law, high) ** 2 < LEAST:
+        return dict(law)
     best = fitted(data, tuple(map(names.index, law)), np.array(list(law.values())), high)
     length = np.linalg.norm(features, axis=0) + 1e-9
     while len(best.places) < TERMS:
@@ -326,7 +329,7 @@ def closed_form(data: Samples, names: Sequence[str], law: Mapping[str, float], h
         if least.error - best.error > max(WORTH * best.error, LEAST):
             break
         best = least
-    return {names[place]: float(f"{weight:.2g}") for place, weight in zip(best.places, best.weights, strict=True)}
+    return {names[place]: float(f"{weight:.3g}") for place, weight in zip(best.places, best.weights, strict=True)}
 
 
 def off(data: Samples, names: Sequence[str], sums: Mapping[str, float], high: float) -> float:
@@ -350,6 +353,17 @@ def network_of(point: Point, like: GateNetwork) -> GateNetwork:
     cell, slot = ({name: point[name] for name in gates._fields if name in point} for gates in (CellGates, SlotGates))
     units = {"cell_units": len(like.first.bias), "slot_units": len(like.encoder.bias)}
     return GateNetwork.linear_point(cell, slot, **units)
+
+
+def with_gate(law: GateNetwork, network: GateNetwork, gate: str) -> GateNetwork:
+    """The law with one gate of the network."""
+    mixed = deepcopy(network)
+    with torch.no_grad():
+        for part, gates in (("cell", CellGates), ("slot", SlotGates)):
+            others = [place for place, name in enumerate(gates._fields) if name != gate]
+            for name in (f"{part}_head.weight", f"{part}_skip.weight", f"{part}_skip.bias"):
+                mixed.get_parameter(name)[others] = law.get_parameter(name)[others]
+    return mixed
 
 
 def digits(networks: Sequence[GateNetwork], scenario: Scenario, seeds: Sequence[int]) -> FloatArray:
@@ -416,22 +430,25 @@ def read_gates(
     """The closed form, and the lines of its table and of the digits."""
     parts = workers.gather(samples, [(network, *play) for play in plays(tracks, episodes, "train")])
     start: Point = {**POINTS[law][0], **POINTS[law][1]}
-    form, measured = dict[str, Mapping[str, float]](), dict[str, tuple[str, str]]()
+    form, distances = dict[str, Mapping[str, float]](), dict[str, tuple[float, float]]()
     for gate in _GATES:
         features, gates = zip(*(part[gate] for part in parts), strict=True)
-        data = np.concatenate(features), np.concatenate(gates)
-        names, sums = names_of(gate), start.get(gate, {})
+        data, names, sums = (np.concatenate(features), np.concatenate(gates)), names_of(gate), start.get(gate, {})
         form[gate] = closed_form(data, names, sums, HIGH[gate])
-        measured[gate] = f"{off(data, names, sums, HIGH[gate]):.4f}", f"{off(data, names, form[gate], HIGH[gate]):.4f}"
+        distances[gate] = off(data, names, sums, HIGH[gate]), off(data, names, form[gate], HIGH[gate])
     changed = [gate for gate in _GATES if form[gate] != start.get(gate, {})]
-    points = [form, start, *({**start, gate: form[gate]} for gate in changed)]
-    networks = [network, *(network_of(point, network) for point in points)]
+    closed, own = network_of(form, network), network_of(start, network)
+    networks = [network, closed, own]
+    for gate in changed:
+        networks += with_gate(own, network, gate), with_gate(own, closed, gate)
     found = np.array(workers.gather(digits, [(networks, *play) for play in plays(tracks, episodes, "validation")]))
-    alone = dict(zip(changed, (found[:, 3:] - found[:, 2:3]).mean(axis=0), strict=True))
+    alone = (found[:, 3:] - found[:, 2:3]).mean(axis=0).reshape(-1, 2)
+    effects_of = {gate: [f"{each:+.3f}" for each in pair] for gate, pair in zip(changed, alone, strict=True)}
     rows = [
-        [gate, *measured[gate], as_text(form[gate]), f"{alone[gate]:+.3f}" if gate in alone else ""] for gate in _GATES
+        [gate, *(f"{each:.4f}" for each in distances[gate]), as_text(form[gate]), *effects_of.get(gate, ["", ""])]
+        for gate in _GATES
     ]
-    headings = ["gate", f"{law} is off", "closed form is off", "closed form", f"digits, alone in {law}"]
+    headings = ["gate", f"{law} is off", "closed form is off", "closed form", "network's alone", "closed form's alone"]
     lines = [*table(headings, rows, texts=("gate", "closed form")), ""]
     rows = [
         [f"{suite.name}/{track}", *(f"{each:.2f}" for each in row[:3])]
@@ -440,7 +457,7 @@ def read_gates(
     for name in dict.fromkeys(suite.name for suite, _ in tracks):
         mean = found[[suite.name == name for suite, _ in tracks], :3].mean(axis=0)
         rows.append([f"{name}, mean", *(f"{each:.3f}" for each in mean)])
-    return networks[1], lines + table(["track", "network", "closed form", law], rows, texts=("track",))
+    return closed, lines + table(["track", "network", "closed form", law], rows, texts=("track",))
 
 
 def main(

@@ -14,10 +14,12 @@ need_sb3("onnx")
 from ptne_env import Interface, policies
 from ptne_env.experiments import get_suite
 from ptne_env.laws.gated import CellGates, SlotEvidence, SlotGates
+from ptne_env.policies.size_free import CELL_FEATURES, SLOT_FEATURES
 from ptne_env.training.cells import CellBatch
 from ptne_env.training.export import size_free_to_onnx
 from ptne_env.training.network import ALWAYS, POINTS, GateNetwork
 
+SHAPES = ((32, len(CELL_FEATURES)), (32, 2, len(SLOT_FEATURES)))
 NAMES = ["noisy", "closing", "weight", ALWAYS]
 
 
@@ -49,6 +51,28 @@ def test_the_sum_of_the_law_stays_where_others_are_equal_in_all_samples(script):
 def test_terms_that_change_nothing_are_dropped(script):
     assert script.closed_form(clipped({}), NAMES, {"noisy": 1.0, "weight": 0.5}, 1.0) == {}
     assert script.closed_form(clipped({"noisy": 0.7}), NAMES, {"noisy": 1.0, "weight": 0.5}, 1.0) == {"noisy": 0.7}
+
+
+def test_one_gate_of_a_network_acts_alone_in_a_law(script):
+    torch.manual_seed(0)
+    law, network = GateNetwork.of_law("observer-relay"), GateNetwork()
+    torch.nn.init.normal_(network.cell_head.weight)
+    torch.nn.init.normal_(network.slot_head.weight)
+    generator = np.random.default_rng(0)
+    cell, slot = (generator.random(shape, dtype=np.float32) for shape in SHAPES)
+    for gate in ("step", "copy"):
+        mixed = script.with_gate(law, network, gate).decide(cell, slot)
+        for fields, *answers in zip(
+            (CellGates._fields, SlotGates._fields),
+            mixed,
+            law.decide(cell, slot),
+            network.decide(cell, slot),
+            strict=True,
+        ):
+            for place, name in enumerate(fields):
+                one, of_law, of_network = (each[..., place] for each in answers)
+                np.testing.assert_allclose(one, of_network if name == gate else of_law, atol=1e-6)
+                assert np.abs(of_network - of_law).max() > 0.1
 
 
 def test_sums_read_as_sums(script):
@@ -113,11 +137,12 @@ def test_the_script_tells_in_which_gate_a_network_differs_from_the_law(script, m
     printed = capsys.readouterr().out
     weights = {line.split()[0]: line.split()[-1] for line in printed.split("weight of a message")[1].splitlines()[1:]}
     assert float(weights["network"]) == pytest.approx(float(weights["observer-relay"]) / 2, abs=1e-3)
-    rows = {cells[1].strip(): cells for line in printed.splitlines() if len(cells := line.split("|")) == 7}
+    rows = {cells[1].strip(): cells for line in printed.splitlines() if len(cells := line.split("|")) == 8}
     assert rows["copies"][4].strip() == "0.5 observed_weight"
     assert float(rows["copies"][2]) > 0.1
     assert float(rows["copies"][3]) < 1e-6
     assert float(rows["copies"][5]) < -0.01  # copies that come half of the way cost digits
+    assert rows["copies"][6] == rows["copies"][5]  # the closed form of the gate is the gate
     assert rows["copy"][4].strip() == "1 source"
     assert rows["copy"][5].strip() == ""  # as in the law
     assert "| ptne-v2, mean |" in printed
