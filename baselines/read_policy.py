@@ -412,7 +412,7 @@ def read_trust(network: GateNetwork, episodes: int, workers: Workers, picture: P
     tasks = [(network, noisy(scenario, std), seeds) for scenario, seeds in worlds for std in LEVELS]
     found = workers.gather(readings, tasks)
     for number, rows in enumerate(found):
-        rows["noise"] = np.full_like(rows["live"], LEVELS[number % len(LEVELS)])
+        rows["noise"] = np.full(rows["live"].shape, LEVELS[number % len(LEVELS)])
     rows = {name: np.concatenate([each[name] for each in found]) for name in found[0]}
     if picture is not None:
         draw(rows, picture)

@@ -116,6 +116,17 @@ def test_noise_is_the_last_stage_of_the_channel(script):
     assert script.NOISE in script.LEVELS
 
 
+def test_every_level_of_noise_has_a_point_of_its_own(script):
+    count = 2 * script.FEWEST
+    rows = {name: np.ones(count * len(script.LEVELS), dtype=np.float32) for name in ("source", "noisy", "scale")}
+    rows |= {"restless": 100 * rows["noisy"], "noise": np.repeat(script.LEVELS, count)}
+    rows |= {f"weight of {name}": rows["noise"] / 10 for name in ("network", *script.BESIDE)}
+    panel = next(panel for panel in script.PANELS if panel.over == "noise")
+    for points in script.curves(rows, panel).values():
+        np.testing.assert_allclose(points[:, 0], script.LEVELS)
+        np.testing.assert_allclose(points[:, 2], np.divide(script.LEVELS, 10))
+
+
 def test_tracks_are_those_that_all_players_play_by_themselves(script):
     names = [f"{suite.name}/{track}" for suite, track in script.chosen_tracks(())]
     assert {"ptne-v1/noise", "ptne-v2/switching-noise"} < set(names)
