@@ -62,7 +62,8 @@ class Tunable:
 
     Attributes:
         law: its target.
-        ranges: lowest and highest value by parameter; logarithmic, but linear where the lowest value is 0.
+        ranges: lowest and highest value by parameter; logarithmic, but linear where the lowest value is 0. A member
+            without ranges is not tuned.
         is_of_paper: whether it is a law of the paper.
     """
 
@@ -115,7 +116,7 @@ FIELD: tuple[Tunable, ...] = (
     Tunable.of("Relay", patience=(2.0, 200.0), forgetting=(0.5, 50.0)),
     Tunable.of("LinkRelay", patience=(2.0, 200.0), forgetting=(0.5, 50.0)),
     Tunable.of("ContactRelay", patience=(2.0, 200.0), forgetting=(0.5, 50.0)),
-    Tunable.of("ObserverRelay", patience=(2.0, 200.0), forgetting=(0.5, 50.0)),
+    Tunable.of("ObserverRelay"),
 )
 """The honest laws that are tuned. A new member is a new line."""
 
@@ -254,6 +255,8 @@ class Tuning:
             member.at(np.full(len(member.ranges), 0.5)).build(layout=self._encoder().layout)
         except LayoutError:
             return Tuned(None)
+        if not member.ranges:
+            return Tuned(member.at(np.empty(0)))
         seen, unseen = range(budget.episodes), range(budget.episodes, budget.episodes + budget.final_episodes)
         start = qmc.LatinHypercube(len(member.ranges), rng=0).random(budget.population)
         found = optimize.differential_evolution(

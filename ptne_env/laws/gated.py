@@ -71,6 +71,9 @@ _SETTLED = 20.0
 _PATIENCE, _DELAY, _FLOOR = 2.0, 30.0, 0.3
 """Noisy copies have the weight max(2/(2 + steps without rest beyond 30), 0.3)²."""
 
+_KEPT = 0.07
+"""The weight that copies keep where links break, which evolution of a policy without sizes found."""
+
 _CONVINCING = 20
 """Steps after which a neighbour that contradicts becomes the source."""
 
@@ -698,7 +701,7 @@ def observer_gates(cells: CellEvidence, slots: SlotEvidence) -> tuple[CellGates,
     uneasy, rests = np.maximum(cells.noisy, cells.rounded), 1.0 - cells.drifting
     zero = np.zeros_like(cells.scale)
     mine = CellGates(
-        copies=observed_weight(cells),
+        copies=np.minimum(observed_weight(cells) + _KEPT * cells.broke, 1.0),
         track=cells.drifting * (1.0 - cells.broke),
         belief=rests * np.maximum(cells.rounded, cells.noisy * cells.closing),
         stated=rests * uneasy * cells.closing * cells.settled,

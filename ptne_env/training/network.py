@@ -24,7 +24,7 @@ POINTS: Mapping[str, tuple[Linear, Linear]] = {
     "relay": ({"copies": {"weight": 1.0}, "response": {"turn": 1.0}}, {"copy": {"nearer": 1.0}}),
     "observer-relay": (
         {
-            "copies": {"observed_weight": 1.0},
+            "copies": {"observed_weight": 1.0, "broke": 0.07},
             "track": {"drifting": 1.0, "broke": -1.0},
             "belief": {"rounded": 2.0, "noisy": 1.0, "closing": 1.0, "drifting": -3.0, ALWAYS: -1.0},
             "stated": {"rounded": 1.0, "noisy": 1.0, "closing": 1.0, "settled": 1.0, "drifting": -3.0, ALWAYS: -2.0},
