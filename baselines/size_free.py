@@ -1,0 +1,90 @@
+"""Run every training seed of the policy without sizes on both suites beside the laws; write ``size-free.md``.
+
+Run it with ``python baselines/size_free.py`` after ``python baselines/run.py --configuration generalist``, which
+trains. Jobs that are stored already are not run again. On tracks of more than 20 players the shipped seed plays alone.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import typer
+from common import Jobs, Ray, interval, table
+from run import GENERALIST, policy_name
+
+from ptne_env.experiments import Results, Workers, run_suite
+from ptne_env.experiments.metrics import number
+from ptne_env.experiments.suite import SUITES, get_suite
+from ptne_env.files import write_atomically
+
+HERE = Path(__file__).parent
+
+POLICY = policy_name(GENERALIST)
+
+HIGHEST = 12.0
+"""The most digits that count."""
+
+LAWS = ("contact-relay", "observer-relay")
+"""Laws beside the policy."""
+
+SEVERAL_SEEDS = 20
+"""The largest number of players of tracks that every training seed plays."""
+
+_INTRODUCTION = (
+    "Written by `python baselines/size_free.py`; do not edit. Digits on the test episodes of both suites (seed 0), "
+    "with 95 % intervals: laws, and the policy without sizes with every training seed. The last column is the standard "
+    "deviation of the means of its seeds. On tracks marked * the shipped seed plays alone. `best known` is the best "
+    "honest entry when ptne-v2 was frozen. The last row is a mean over the tracks: of digits/12 on ptne-v1, and of "
+    "digits over the best known on ptne-v2."
+)
+
+
+def page(name: str, several: Results, alone: Results) -> list[str]:
+    """The table of a suite, from the results of tracks for every seed, and of those for the shipped one alone."""
+    headings = ["track", "best known", *LAWS, POLICY, "std of seeds"]
+    rows, shares = [], []
+    for track in get_suite(name).tracks:
+        results = several if track.name in {each.name for each in several.tracks} else alone
+        found = [results.samples[track.name, entry][track.metric] for entry in (*LAWS, POLICY)]
+        shares.append([float(each.mean()) / (track.best_known or HIGHEST) for each in found])
+        texts = [interval(results.summary(track.name, entry, track.metric)) for entry in (*LAWS, POLICY)]
+        deviation = number(float(found[-1].mean(axis=1).std(ddof=1))) if results is several else ""
+        mark = "" if results is several else " *"
+        rows.append([track.name + mark, number(track.best_known) if track.best_known else "", *texts, deviation])
+    rows.append(["mean", "", *map(number, np.mean(shares, axis=0).tolist()), ""])
+    return [f"## {name}", "", *table(headings, rows, texts=("track",)), ""]
+
+
+def main(
+    runs: Annotated[Path, typer.Option(help="Folder of the training runs.")] = Path("runs"),
+    out: Annotated[Path, typer.Option(help="Folder of the results of each suite.")] = Path("results"),
+    to: Annotated[Path, typer.Option(help="Folder of the page.")] = HERE,
+    jobs: Jobs = 2,
+    ray: Ray = None,
+) -> None:
+    """Run and write."""
+    lines = ["# The policy without sizes", "", _INTRODUCTION, ""]
+    for name in SUITES:
+        tracks = {track.name: track.world.game.num_players <= SEVERAL_SEEDS for track in get_suite(name).tracks}
+        found = [
+            run_suite(
+                name,
+                [*LAWS, policy],
+                tracks=[track for track, plays in tracks.items() if plays is is_small],
+                folder=out / name,
+                workers=Workers(jobs, ray),
+                progress=lambda job, _: typer.echo(job, err=True),
+            )
+            for is_small, policy in (
+                (False, POLICY),
+                (True, f"{POLICY}={runs / GENERALIST / 'seed-*' / 'policy.onnx'}"),
+            )
+        ]
+        lines += page(name, found[1], found[0])
+    write_atomically(to / f"{POLICY}.md", "\n".join(lines))
+
+
+if __name__ == "__main__":
+    typer.run(main)
