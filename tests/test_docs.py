@@ -22,6 +22,7 @@ import ptne_env
 from ptne_env.catalogue import CATALOGUE
 from ptne_env.cli import app
 from ptne_env.experiments import POLICIES, get_suite
+from ptne_env.paper.numbers import PRINTED
 from ptne_env.policies import shipped
 from ptne_env.rewards import TERMS
 from ptne_env.scenario import Scenario
@@ -367,6 +368,21 @@ def test_paper_map_has_every_equation_theorem_and_figure_of_the_paper():
         for k in range(1, counts[kind] + 1)
         if f" {kind} {k} " not in f"{items} ".replace(",", " ")
     ] == []
+
+
+def test_paper_map_lists_the_labels_with_their_printed_numbers():
+    rows = table(ROOT / "docs" / "paper-map.md", "Printed")
+    assert {label: number for number, labels in rows for label in re.findall(r"`(\w+)`", labels)} == PRINTED
+
+
+def test_texts_name_printed_numbers_and_no_labels_of_the_source():
+    names_here = {"Problem", "NonQuadraticGame"}  # a word, and a class
+    labels = {label for label in PRINTED if len(label) > 5} - names_here
+    texts = {path: text_of(path) for path in [*PAGES, *PACKAGE.rglob("*.py"), *PACKAGE.rglob("*.html")]}
+    named = {by_path(path): sorted(labels & set(re.findall(r"\w+", text))) for path, text in texts.items()}
+    assert {path for path, found in named.items() if found} == {"docs/paper-map.md", "ptne_env/paper/numbers.py"}
+    equations = {int(number) for text in texts.values() for number in re.findall(r"\beqs?\. \((\d+)\)", text)}
+    assert {10, 15, 36, 50} <= equations <= set(range(1, 52))
 
 
 def test_architecture_names_every_module_and_package():

@@ -35,10 +35,10 @@ class FigureSpec:
 
     Attributes:
         name: file name without extension.
-        caption: description naming the paper's figure, printed below the figure.
+        caption: the content, printed below the figure after its number.
         size: width and height in inches.
         draw: fills the figure.
-        number: of the paper's figure, as LaTeX counts, or of the erratum.
+        number: of the paper's figure as printed, ``"Fig. 1"``, or of the erratum.
         original: the paper's caption; empty where the figure is ours.
         claims: names of the claims that the figure illustrates.
     """
@@ -65,7 +65,8 @@ def draw(spec: FigureSpec, experiments: Experiments, kind: Literal["png", "svg",
         ImportError: naming the extra to install when matplotlib is missing.
     """
     width, height = spec.size
-    lines = [] if kind == "page" else textwrap.wrap(spec.caption, int(15.5 * width))
+    caption = f"The paper's {spec.number}. {spec.caption}" if spec.original else f"{spec.number}. {spec.caption}"
+    lines = [] if kind == "page" else textwrap.wrap(caption, int(15.5 * width))
     band = 0.17 * len(lines) + 0.12 * bool(lines)  # inches for the caption below the axes
     share = band / (height + band)
     options: dict[str, Any] = {"dpi": 200} if kind == "png" else {"metadata": {"Date": None}}
@@ -276,7 +277,7 @@ _SWITCHING_CLAIMS = "Theorem 4, dwelling in t (as stated)", "Theorem 4, dwelling
 FIGURES: tuple[FigureSpec, ...] = (
     FigureSpec(
         "time-transformation",
-        "The time transformation λ and its derivative (paper: Fig. TimeTransFunction).",
+        "The time transformation λ and its derivative.",
         (6.6, 2.5),
         _time_transformation,
         "Fig. 1",
@@ -285,8 +286,7 @@ FIGURES: tuple[FigureSpec, ...] = (
     ),
     FigureSpec(
         "graph",
-        "The fixed graph and its Laplacian (paper: Fig. UndirectedGraph). The paper's drawing is not available; the "
-        "5-cycle is our choice.",
+        "The fixed graph and its Laplacian. The paper's drawing is not available; the 5-cycle is our choice.",
         (6.0, 2.7),
         _graph,
         "Fig. 2",
@@ -295,7 +295,7 @@ FIGURES: tuple[FigureSpec, ...] = (
     ),
     FigureSpec(
         "static",
-        f"Example 1, {_STATIC} (paper: Fig. AlgorithmStatic). {_READING}",
+        f"Example 1, {_STATIC}. {_READING}",
         (8.2, 3.3),
         lambda figure, experiments: _runs(figure, {"": experiments.static}),
         "Fig. 3",
@@ -304,7 +304,7 @@ FIGURES: tuple[FigureSpec, ...] = (
     ),
     FigureSpec(
         "corollary-one",
-        f"Example 1 without the time gain (paper: Fig. Positionerror). {_READING}",
+        f"Example 1 without the time gain. {_READING}",
         (8.2, 6.0),
         _comparison,
         "Fig. 4",
@@ -313,7 +313,7 @@ FIGURES: tuple[FigureSpec, ...] = (
     ),
     FigureSpec(
         "adaptive",
-        f"Example 1, adaptive law (paper: Fig. AlgorithmAdaptive). {_READING}",
+        f"Example 1, adaptive law. {_READING}",
         (8.2, 3.3),
         lambda figure, experiments: _runs(figure, {"": experiments.adaptive}),
         "Fig. 5",
@@ -322,7 +322,7 @@ FIGURES: tuple[FigureSpec, ...] = (
     ),
     FigureSpec(
         "adaptive-gains",
-        "The gains of the adaptive law (paper: Fig. DynamicGain).",
+        "The gains of the adaptive law.",
         (5.2, 3.0),
         lambda figure, experiments: _gains(
             figure.subplots(), experiments.adaptive, rf"fixed graph, $\gamma={GAMMA:g}$"
@@ -333,8 +333,8 @@ FIGURES: tuple[FigureSpec, ...] = (
     ),
     FigureSpec(
         "switching-graphs",
-        "The four modes of the switching topology (paper: Fig. SwitchingGraphs), each disconnected, jointly connected. "
-        "The paper's drawing is not available; these are our choice.",
+        "The four modes of the switching topology, each disconnected, jointly connected. The paper's drawing is not "
+        "available; these are our choice.",
         (8.2, 2.1),
         _switching_graphs,
         "Fig. 7",
@@ -343,8 +343,7 @@ FIGURES: tuple[FigureSpec, ...] = (
     ),
     FigureSpec(
         "switching",
-        "Example 1, adaptive law over switching graphs (paper: Fig. AlgorithmAdaptiveSwitching): with dwell times in "
-        f"t the error at T does not vanish. {_READING}",
+        f"Example 1, adaptive law over switching graphs: with dwell times in t the error at T does not vanish. {_READING}",
         (8.2, 6.2),
         lambda figure, experiments: _runs(figure, _by_clock(experiments.switching)),
         "Fig. 8",
@@ -353,7 +352,7 @@ FIGURES: tuple[FigureSpec, ...] = (
     ),
     FigureSpec(
         "switching-gains",
-        "The gains of the adaptive law over switching graphs (paper: Fig. AlgorithmAdaptiveSwitchingK).",
+        "The gains of the adaptive law over switching graphs.",
         (8.2, 3.0),
         _switching_gains,
         "Fig. 9",
@@ -362,7 +361,7 @@ FIGURES: tuple[FigureSpec, ...] = (
     ),
     FigureSpec(
         "non-quadratic",
-        f"Example 2 (corrected), adaptive law over switching graphs (paper: Fig. NonQuadraticGame). {_READING}",
+        f"Example 2 (corrected), adaptive law over switching graphs. {_READING}",
         (8.2, 6.2),
         lambda figure, experiments: _runs(figure, _by_clock(experiments.non_quadratic_switching)),
         "Fig. 10",
@@ -371,7 +370,7 @@ FIGURES: tuple[FigureSpec, ...] = (
     ),
     FigureSpec(
         "erratum-2",
-        "Erratum 2: the error at T when the topology dwells in t, against its period. Not in the paper.",
+        "The error at T when the topology dwells in t, against its period. Not in the paper.",
         (5.2, 3.2),
         _erratum_2,
         "Erratum 2",
@@ -379,7 +378,7 @@ FIGURES: tuple[FigureSpec, ...] = (
     ),
     FigureSpec(
         "erratum-3",
-        f"Erratum 3: input and velocity near T, Example 1, {_STATIC}. Not in the paper.",
+        f"Input and velocity near T, Example 1, {_STATIC}. Not in the paper.",
         (5.2, 3.2),
         _erratum_3,
         "Erratum 3",

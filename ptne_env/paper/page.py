@@ -1,4 +1,4 @@
-"""The HTML page of the reproduction: Table 1, figures with the paper's captions, claims and verdicts."""
+"""The HTML page of the reproduction: Table I, figures with the paper's captions, claims and verdicts."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ def render_page(
     settings: Mapping[str, object],
     out: str,
 ) -> str:
-    """Table 1, every figure, claim and erratum as HTML.
+    """Table I, every figure, claim and erratum as HTML.
 
     Args:
-        table: Table 1.
+        table: Table I.
         claims: claims and errata.
         pictures: SVG by name of the figure.
         settings: settings of the experiments.

@@ -1,4 +1,4 @@
-"""Reproduction of the whole paper: Table 1, figures, claims and errata, as files and as tables in a terminal."""
+"""Reproduction of the whole paper: Table I, figures, claims and errata, as files and as tables in a terminal."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ class Reproduction:
     """Results of :func:`reproduce`.
 
     Attributes:
-        table: the rows of Table 1.
+        table: the rows of Table I.
         claims: every claim and erratum with its verdict.
         figures: the figure files, a PNG and an SVG per figure.
         results: the JSON file with all numbers.
@@ -91,7 +91,7 @@ def reproduce(out: Path, *, progress: Callable[[int, int, str], None] | None = N
             progress(done, total, part)
         done += 1
 
-    announce("Table 1")
+    announce("Table I")
     table = table_one(experiments)
     claims: list[Claim] = []
     for check in CHECKS:
@@ -114,7 +114,7 @@ def reproduce(out: Path, *, progress: Callable[[int, int, str], None] | None = N
 
 
 def render(reproduction: Reproduction) -> tuple[Table, Table]:
-    """Two rich tables for a terminal: Table 1 beside the paper's, and every claim with its verdict.
+    """Two rich tables for a terminal: Table I beside the paper's, and every claim with its verdict.
 
     Raises:
         ImportError: naming the extra to install when rich is missing.
@@ -124,7 +124,7 @@ def render(reproduction: Reproduction) -> tuple[Table, Table]:
         from rich.text import Text
     except ImportError as error:
         raise ImportError('terminal tables need rich: pip install "ptne-env[bench]"') from error
-    times = Table(title="Table 1: seconds until the strategies are within 0.5 % of the equilibrium")
+    times = Table(title="Table I: seconds until the strategies are within 0.5 % of the equilibrium")
     times.add_column("Algorithm")
     for heading in ("κ", "c [1/s]", "Paper [s]", "Ours [s]", "Error at the paper's time"):
         times.add_column(Text(heading), justify="right")  # Text, so that brackets are not markup
