@@ -16,7 +16,7 @@ from ptne_env.clock import Exponential
 from ptne_env.graphs import Graph, cycle
 from ptne_env.paper.continuous import Run
 from ptne_env.paper.experiments import DEADLINE, DWELLS, GAIN, GAMMA, HOLD, KAPPA, Experiments
-from ptne_env.style import COLOURS, FAINT, INK, drawing
+from ptne_env.style import COLOURS, FAINT, INK, drawing, panels
 from ptne_env.switching import TopologyClock
 
 if TYPE_CHECKING:
@@ -52,39 +52,50 @@ class FigureSpec:
     claims: tuple[str, ...] = ()
 
 
-def draw(spec: FigureSpec, experiments: Experiments, kind: Literal["png", "svg", "page"]) -> bytes:
-    """The figure as the bytes of a file.
+def draw(spec: FigureSpec, experiments: Experiments, kind: Literal["png", "svg"]) -> bytes:
+    """The figure with its caption as the bytes of a file.
 
     Args:
         spec: an entry of :data:`FIGURES`.
         experiments: the runs.
-        kind: ``"png"`` (200 dots per inch) or ``"svg"`` with the caption, or ``"page"``: an SVG without the caption and
-            with letters as outlines, as readers of the page have other fonts.
+        kind: ``"png"`` (200 dots per inch) or ``"svg"``.
 
     Raises:
         ImportError: naming the extra to install when matplotlib is missing.
     """
     width, height = spec.size
     caption = f"The paper's {spec.number}. {spec.caption}" if spec.original else f"{spec.number}. {spec.caption}"
-    lines = [] if kind == "page" else textwrap.wrap(caption, int(15.5 * width))
-    band = 0.17 * len(lines) + 0.12 * bool(lines)  # inches for the caption below the axes
-    share = band / (height + band)
+    lines = textwrap.wrap(caption, int(15.5 * width))
+    band = 0.17 * len(lines) + 0.12  # inches for the caption below the axes
     options: dict[str, Any] = {"dpi": 200} if kind == "png" else {"metadata": {"Date": None}}
     buffer = io.BytesIO()
-    with drawing("figures", {"svg.fonttype": "path" if kind == "page" else "none"}):
-        from matplotlib.backends.backend_agg import FigureCanvasAgg
-        from matplotlib.figure import Figure
-        from matplotlib.layout_engine import ConstrainedLayoutEngine
-
-        layout = ConstrainedLayoutEngine(rect=(0, share, 1, 1 - share), w_pad=0.09, h_pad=0.07)
-        figure = Figure(figsize=(width, height + band), layout=layout)
-        FigureCanvasAgg(figure)
-        spec.draw(figure, experiments)
-        if lines:
-            place = 0.5, 0.08 / (height + band)
-            figure.text(*place, "\n".join(lines), ha="center", va="bottom", color=INK, fontsize=8.5)
-        figure.savefig(buffer, format="png" if kind == "png" else "svg", **options)
+    with drawing("figures", {"svg.fonttype": "none"}):
+        figure = _drawn(spec, experiments, band)
+        place = 0.5, 0.08 / (height + band)
+        figure.text(*place, "\n".join(lines), ha="center", va="bottom", color=INK, fontsize=8.5)
+        figure.savefig(buffer, format=kind, **options)
     return buffer.getvalue()
+
+
+def draw_panels(spec: FigureSpec, experiments: Experiments) -> list[str]:
+    """The parts of the figure as SVG for a page in light or dark colours (:func:`ptne_env.style.panels`)."""
+    with drawing("figures"):
+        return panels(_drawn(spec, experiments, 0.0))
+
+
+def _drawn(spec: FigureSpec, experiments: Experiments, band: float) -> Figure:
+    """The figure above ``band`` inches of free space."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+    from matplotlib.layout_engine import ConstrainedLayoutEngine
+
+    width, height = spec.size
+    share = band / (height + band)
+    layout = ConstrainedLayoutEngine(rect=(0, share, 1, 1 - share), w_pad=0.09, h_pad=0.07)
+    figure = Figure(figsize=(width, height + band), layout=layout)
+    FigureCanvasAgg(figure)
+    spec.draw(figure, experiments)
+    return figure
 
 
 # --- shared by several figures --------------------------------------------------------------------------------------
@@ -150,7 +161,7 @@ def _gains(axes: Axes, run: Run, title: str) -> None:
     _mark_deadline(axes, top=0.86)
 
 
-def _network(axes: Axes, graph: Graph, union: Graph) -> None:
+def draw_network(axes: Axes, graph: Graph, union: Graph) -> None:
     """The players on a circle, clockwise from the top; links of the union that are down are grey."""
     angles = np.pi / 2 - 2 * np.pi * np.arange(graph.num_players) / graph.num_players
     places = {i: np.array([np.cos(angle), np.sin(angle)]) for i, angle in enumerate(angles)}
@@ -185,7 +196,7 @@ def _time_transformation(figure: Figure, _: Experiments) -> None:
 def _graph(figure: Figure, _: Experiments) -> None:
     left, right = figure.subplots(1, 2)
     graph = cycle(5)
-    _network(left, graph, graph)
+    draw_network(left, graph, graph)
     left.set_title(r"(a) fixed graph $\mathcal{G}$")
     laplacian = graph.laplacian
     limit = float(np.abs(laplacian).max())
@@ -219,7 +230,7 @@ def _switching_graphs(figure: Figure, experiments: Experiments) -> None:
     topology = experiments.switching["physical"].topology
     period, dwell = topology.period, topology.dwells[0]
     for m, (axes, graph) in enumerate(zip(figure.subplots(1, 4), topology.graphs, strict=True)):
-        _network(axes, graph, topology.union)
+        draw_network(axes, graph, topology.union)
         interval = f"[{m * dwell:.1f}, {(m + 1) * dwell:.1f})"
         axes.set_title(rf"$\mathcal{{G}}_{m + 1}$: $t$ mod {period:g} s in {interval}", fontsize=8.5)
 

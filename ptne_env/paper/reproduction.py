@@ -15,7 +15,7 @@ from ptne_env.files import write_atomically
 from ptne_env.paper.claims import CLAIMS, Claim
 from ptne_env.paper.errata import ERRATA
 from ptne_env.paper.experiments import DEADLINE, GAIN, GAMMA, INITIAL_GAIN, S_END, Experiments
-from ptne_env.paper.figures import FIGURES, draw
+from ptne_env.paper.figures import FIGURES, draw, draw_panels
 from ptne_env.paper.page import render_page
 from ptne_env.paper.table import TableRow, table_one
 
@@ -98,13 +98,13 @@ def reproduce(out: Path, *, progress: Callable[[int, int, str], None] | None = N
         announce(check.__name__.replace("_", " ").capitalize())
         claims += check(experiments)
     figures: list[Path] = []
-    pictures: dict[str, bytes] = {}
+    pictures: dict[str, list[str]] = {}
     for spec in FIGURES:
         announce(f"Figure {spec.name}")
         figures += [out / f"{spec.name}.png", out / f"{spec.name}.svg"]
         write_atomically(figures[-2], draw(spec, experiments, "png"))
         write_atomically(figures[-1], draw(spec, experiments, "svg"))
-        pictures[spec.name] = draw(spec, experiments, "page")
+        pictures[spec.name] = draw_panels(spec, experiments)
     announce("Done")
     results, page = out / RESULTS_FILE, out / PAGE_FILE
     write_atomically(page, render_page(table, claims, pictures, _SETTINGS, str(out)))

@@ -1,0 +1,486 @@
+# ruff: noqa: INP001, RUF001, RUF003 - conf.py imports it from its folder; it is about Unicode
+"""Formulas of the site: Unicode, as documents and docstrings have it, becomes LaTeX, and LaTeX becomes MathML.
+
+Documents and docstrings are also read as text, in a terminal and on GitHub. So they write ``‖x^i − x*‖ ≤ e^{−r s}`` and
+no LaTeX, and the site recognises these formulas. MathML needs neither a script nor a network.
+"""
+
+import re
+import unicodedata
+from collections.abc import Callable
+from typing import NamedTuple
+from xml.etree import ElementTree as ET
+
+from docutils.utils.math.latex2mathml import tex2mathml
+
+# --- Unicode to LaTeX ---------------------------------------------------------------------------------------------------
+
+GREEK = "α-ωΑ-Ωϑ"
+RELATIONS = {"=": "=", "≠": r"\ne ", "≈": r"\approx ", "<": "<", ">": ">", "≤": r"\le ", "≥": r"\ge ", "∈": r"\in ",
+             "→": r"\to ", "~": r"\sim ", "≪": r"\ll ", "≻": r"\succ ", "≺": r"\prec ", "⊥": r"\perp ", "≡": r"\equiv ",
+             "∝": r"\propto ", "←": r"\leftarrow "}  # fmt: skip
+BINARY = {"+": "+", "−": "-", "·": r"\cdot ", "×": r"\times ", "/": "/", "±": r"\pm ", "⊗": r"\otimes ", "∘": r"\circ "}
+PREFIXES = {"−": "-", "+": "+", "±": r"\pm ", "Σ": r"\sum ", "Π": r"\prod ", "∏": r"\prod ", "∫": r"\int ",
+            "∂": r"\partial ", "∇": r"\nabla "}  # fmt: skip
+BAR = "∣"
+"""Stands for the escaped bar of tables while they are read."""
+BRACKETS = {"(": ("(", ")", ")"), "[": ("[", "]", "]"), "{": (r"\{", "}", r"\}"), "‖": (r"\lVert ", "‖", r"\rVert "),
+            "⌊": (r"\lfloor ", "⌋", r"\rfloor "), "⌈": (r"\lceil ", "⌉", r"\rceil "),
+            "|": (r"\lvert ", "|", r"\rvert "), BAR: (r"\lvert ", BAR, r"\rvert ")}  # fmt: skip
+FUNCTIONS = {"ln", "exp", "tanh", "cosh", "sinh", "sin", "cos", "min", "max", "log"}
+OPERATORS = {"diag", "blockdiag", "col", "sign", "round", "Re", "var", "sym", "std"}
+UNITS = r"(?:ms|s|m)(?![\w^*'{(]| [=<>≤≥+−·])"
+SUPERSCRIPTS = str.maketrans("⁰¹²³⁴⁵⁶⁷⁸⁹⁻⁺ᵀᴺ", "0123456789-+TN")
+SUBSCRIPTS = str.maketrans("₀₁₂₃₄₅₆₇₈₉₊₋ₖᵢⱼₙ", "0123456789+-kijn")
+ACCENTS = {"\u0304": r"\bar", "\u0302": r"\hat", "\u0303": r"\tilde", "\u0307": r"\dot"}
+WORDS_AS_INDEX = {"min", "max", "end", "mean", "own", "eff"}
+
+_WORD = re.compile(rf"[A-Za-z{GREEK}𝐱ℝ\u0302-\u0307]+")
+_NUMBER = re.compile(r"\d+(?:[.,]\d+)*(?:e[-−+]?\d+(?![\w]))?(?:\s?%)?|½|∞|…")
+_SCRIPT = re.compile(
+    r"(?P<sup>[⁰¹²³⁴-⁹⁻⁺ᵀᴺ]+)|(?P<sub>[₀-₉₊₋ₖᵢⱼₙ]+)|(?P<star>\\?\*(?![*A-Za-z\d]))|(?P<prime>'(?![A-Za-z]))|(?P<left>←)"
+    rf"|(?P<kind>[\^_])(?:\{{(?P<braces>[^{{}}]*)\}}|\((?P<round>[^()]*)\)|\*\*(?P<bold>[A-Z])\*\*"
+    rf"|(?P<plain>[-−]?[A-Za-z0-9{GREEK}]+|[∗∞]|\*(?!\*)))"
+)
+_FUNCTION = re.compile(rf"(log10|log2|{'|'.join(sorted(FUNCTIONS | OPERATORS, key=len, reverse=True))})(?![A-Za-z\d])")
+_SPACE = re.compile(r"[ \t\u00a0]*\n?[ \t\u00a0]*")
+_PRODUCTS = re.compile(r"d[A-Zxtsukvwy]|DF|cT|Nn|hM|iN|kN|gu|[A-Z]x|NB")
+_UNIT = re.compile(rf"(?:1/|/)?{UNITS}")
+_START = re.compile(rf"[A-Za-z{GREEK}𝐱ℝ\d½∞(\[{{‖|⌊⌈√−±ΣΠ∏∫∂∇Δ*+~]")
+
+
+class Part(NamedTuple):
+    """A formula in LaTeX, the end of it in the text, and the number of letters that show that it is a formula."""
+
+    tex: str
+    end: int
+    evidence: int
+
+
+class _Reader:
+    """Reads the formula that starts at a place of a text, if one does."""
+
+    def __init__(self, text: str, *, bars: bool) -> None:
+        self.text = text
+        self.bars = bars  # whether | is the bar of |x| and not that of a table
+
+    def space(self, place: int) -> int:
+        match = _SPACE.match(self.text, place)
+        return match.end() if match else place
+
+    def longest(self, place: int) -> Part | None:
+        """The longest formula at a place that ends where a word could end."""
+        ends: list[Part] = []
+        self.sequence(place, ends=ends)
+        return next((part for part in reversed(ends) if _ends_well(self.text, part.end)), None)
+
+    def sequence(self, place: int, closing: str = "", ends: list[Part] | None = None) -> Part | None:
+        """Operands and the operators between them; within brackets also commas. ``ends`` collects all beginnings."""
+        part = self.operand(place, closing)
+        if part is None:
+            return None
+        tex, end, evidence = part
+        while True:
+            if ends is not None:
+                ends.append(Part(tex, end, evidence))
+            after = self.space(end)
+            spaced = after > end
+            symbol = self.text[after : after + 1]
+            following = None
+            joint = ""
+            if symbol and symbol != closing:
+                if symbol in RELATIONS or symbol in BINARY:
+                    right = self.space(after + 1)
+                    if spaced == (right > after + 1) or symbol in "·×":
+                        following = self.operand(right, closing)
+                        joint = RELATIONS.get(symbol) or BINARY[symbol]
+                elif closing and symbol in ",;:" and closing != "‖":
+                    following = self.operand(self.space(after + 1), closing)
+                    joint = r",\;" if symbol == "," else rf"\mathpunct{{{symbol}}}\;"
+                if following is None:
+                    following = self.operand(after, closing, product=spaced)
+                    joint = r"\," if spaced else ""
+                    if following and spaced and not closing and symbol in "([{":  # a remark (κ = 2) is no factor
+                        factor = self.text[after : following.end]
+                        if re.search("[=<>≤≥,]", factor) or not re.search("[-+−·/^²]", factor):
+                            following = None
+            if following is None:
+                return Part(tex, end, evidence)
+            tex += joint + following.tex
+            end = following.end
+            evidence += following.evidence + (symbol in RELATIONS or symbol in BINARY) * bool(evidence)
+
+    def operand(self, place: int, closing: str = "", *, product: bool = False) -> Part | None:
+        """A number, a symbol, a function, brackets, or one of these after a prefix; ``product``: after a space."""
+        text = self.text
+        symbol = text[place : place + 1]
+        if not symbol:
+            return None
+        if symbol == "√":
+            inner = self.operand(place + 1)
+            if inner is None:
+                return None
+            plain = inner.tex[1:-1] if inner.tex[:1] == "(" and inner.tex[-1:] == ")" else inner.tex
+            return Part(rf"\sqrt{{{plain}}}", inner.end, inner.evidence + 1)
+        if symbol in PREFIXES and not (product and symbol in "+−±"):
+            if symbol == "Π" and text[place + 1 : place + 2] == "(":
+                tex, end = "Π", place + 1
+            else:
+                tex, end = self.scripts(PREFIXES[symbol], place + 1)
+            inner = self.operand(end if symbol in "+−±" else self.space(end), closing)
+            if inner is not None:
+                return Part(f"{tex} {inner.tex}", inner.end, inner.evidence + (symbol not in "+−"))
+            return self.letters(place, product=product, inside=bool(closing))
+        if symbol in BRACKETS and (self.bars or symbol != "|") and symbol != closing:
+            return self.brackets(place)
+        number = _NUMBER.match(text, place)
+        if number:
+            digits = number[0]
+            if product and digits not in "½∞…":
+                return None
+            mantissa, _, exponent = digits.partition("e")
+            tex = {"½": r"\tfrac{1}{2}", "∞": r"\infty ", "…": r"\ldots "}.get(digits, mantissa.replace(",", "{,}"))
+            tex = tex.replace("%", r"\,\%").replace(" ", "")
+            if exponent:
+                power = exponent.replace("−", "-")
+                tex = f"10^{{{power}}}" if mantissa == "1" else rf"{mantissa} \cdot 10^{{{power}}}"
+            tex, end = self.scripts(tex, number.end())
+            if re.match(r"[a-gi](?![\w^(])", text[end:]):  # a point of a list, such as 5c
+                return None
+            return Part(tex, end, int(digits == "∞" or end > number.end()))
+        return self.letters(place, product=product, inside=bool(closing))
+
+    def brackets(self, place: int) -> Part | None:
+        opening, closing, tex_closing = BRACKETS[self.text[place]]
+        words = re.compile(r"‖([A-Za-z ]{3,})‖").match(self.text, place)
+        if words:
+            tex, end = self.scripts(tex_closing, words.end())
+            return Part(rf"{opening}\text{{{words[1]}}}{tex}", end, 1)
+        inner = self.sequence(self.space(place + 1), closing)
+        if inner is None:
+            return None
+        end = self.space(inner.end)
+        found = self.text[end : end + 1]
+        if found != closing and not (found and found in ")]" and closing in ")]" and "," in inner.tex):  # [0, ∞)
+            return None
+        tex, end = self.scripts(tex_closing if found == closing else found, end + 1)
+        return Part(opening + inner.tex + tex, end, inner.evidence + (opening[0] == "\\" and opening != r"\{"))
+
+    def letters(self, place: int, *, product: bool, inside: bool) -> Part | None:
+        text = self.text
+        bold = re.compile(r"\*\*([A-Za-zψ])\*\*").match(text, place)
+        if bold:
+            tex, end = self.scripts(rf"\mathbf{{{bold[1]}}}", bold.end())
+            return Part(tex, end, 2)
+        function = _FUNCTION.match(text, place)
+        if function:
+            return self.function(function)
+        match = _WORD.match(text, place)
+        if not match:
+            return None
+        word = unicodedata.normalize("NFC", match[0])
+        bare = "".join(c for c in unicodedata.normalize("NFD", word) if c not in ACCENTS)
+        greek = re.search(f"[{GREEK}]", bare) is not None
+        if len(bare) > 1 and not (greek and len(bare) <= 4) and not _PRODUCTS.fullmatch(bare):
+            return None
+        if re.match(r"(?:[a-z]|d[a-z]|[A-Z])$", bare) and text[match.end() : match.end() + 1] == ".":
+            if re.match(r"\.[A-Za-z]", text[match.end() :]):
+                return None
+        tex = "".join(_letter(letter) for letter in re.findall(f".[{''.join(ACCENTS)}]*", word))
+        end = match.end()
+        index = re.compile(r"\d+(?![\w.,]*[A-Za-z])").match(text, end)
+        if index and (greek or bare in "xJcbA"):
+            tex, end = f"{tex}_{{{index[0]}}}", index.end()
+        before = end
+        tex, end = self.scripts(tex, end)
+        if end < len(text) and (text[end].isalnum() or text[end] == "_") and text[end] not in "√":
+            return None
+        scripted = end > before or index is not None
+        if bare in ("a", "A", "I") and not scripted:
+            follows = re.match(r"\s?[=<>≤≥+−·/∈)\]⊗,;‖|]|\(|\s\([A-Z]_|\s11", text[end:])
+            if not follows or (not inside and re.match("[,;)]", text[end:])):
+                return None
+        if product and ((bare in ("a", "A", "I") and not scripted) or self.is_unit(place)):
+            return None
+        return Part(tex, end, 1 + greek + scripted)
+
+    def is_unit(self, place: int) -> bool:
+        """Whether the letter after a number is seconds or metres."""
+        return re.search(r"[\d½]\s$", self.text[:place][-2:]) is not None and bool(_UNIT.match(self.text, place))
+
+    def function(self, match: re.Match[str]) -> Part | None:
+        name = match[1]
+        tex = {"log10": r"\log_{10}", "log2": r"\log_2", "log": r"\log"}.get(name)
+        if tex is None:
+            tex = rf"\{name}" if name in FUNCTIONS else rf"\operatorname{{{name}}}"
+        tex, end = self.scripts(tex, match.end())
+        inner = self.operand(self.space(end))
+        if inner is not None and inner.evidence == 0:
+            inner = self.sequence(self.space(end))
+        if inner is None or (inner.evidence == 0 and name in ("min", "max", "std", "var", "round", "sign", "col")):
+            return None
+        return Part(f"{tex} {inner.tex}", inner.end, inner.evidence + 1)
+
+    def scripts(self, tex: str, place: int) -> tuple[str, int]:
+        """The indices and exponents at a place, in the order of LaTeX: one index and one exponent."""
+        below: list[str] = []
+        above: list[str] = []
+        while match := _SCRIPT.match(self.text, place):
+            if match["sup"]:
+                above.append(match["sup"].translate(SUPERSCRIPTS))
+            elif match["sub"]:
+                below.append(match["sub"].translate(SUBSCRIPTS))
+            elif match["star"]:
+                above.append(r"\ast ")
+            elif match["prime"]:
+                above.append(r"\prime ")
+            elif match["left"]:
+                tex = rf"\overleftarrow{{{tex}}}"
+            else:
+                if match["plain"] and len(match["plain"]) > 4:
+                    break
+                content = next(part for part in match.group("braces", "round", "plain", "bold") if part is not None)
+                index = rf"\mathbf{{{content}}}" if match["bold"] else _script(content)
+                (above if match["kind"] == "^" else below).append(index)
+            place = match.end()
+        if below:
+            tex += f"_{{{' '.join(below)}}}"
+        if above:
+            tex += f"^{{{' '.join(above)}}}"
+        return tex, place
+
+
+def _letter(letter: str) -> str:
+    base, *accents = unicodedata.normalize("NFD", letter)
+    tex = {"𝐱": r"\mathbf{x}", "ℝ": r"\mathbb{R}"}.get(base, base)
+    for accent in accents:
+        tex = rf"{ACCENTS[accent]}{{{tex}}}"
+    return tex
+
+
+def _script(content: str) -> str:
+    """An index or exponent: a word, a formula, or letters side by side."""
+    if content in WORDS_AS_INDEX:
+        return rf"\mathrm{{{content}}}"
+    reader = _Reader(content, bars=True)
+    part = reader.sequence(0)
+    if part is not None and part.end == len(content):
+        return part.tex
+    if content in "*∗":
+        return r"\ast "
+    if re.fullmatch(rf"[-−]?[\w{GREEK}]+", content):
+        return " ".join(content.replace("−", "-"))
+    words = re.sub(r"[A-Za-z]{2,}", lambda word: rf"\text{{{word[0]}}}", content)
+    for table in (RELATIONS, BINARY):
+        for symbol, tex in table.items():
+            words = words.replace(symbol, tex)
+    return words.replace("…", r"\ldots ").replace("∞", r"\infty ")
+
+
+def _is_formula(text: str, start: int, part: Part) -> bool:
+    """Whether the part is a formula: not a number, a unit, an initial, or a word of one letter."""
+    found = text[start : part.end]
+    after = text[part.end : part.end + 40]
+    before = text[max(0, start - 14) : start]
+    if part.evidence == 0:
+        return False
+    if len(found) == 1:
+        if found in "aAI" or (found in "sm" and re.search(r"\d\s?$", before)):
+            return False
+        if found.isupper() and re.match(r"\.\s+[A-Z]", after):
+            return re.search(r"\b(at|to|before|after|until|beyond|from|over|than)\s$", before) is not None
+        if found.isupper() and re.match(r"\.", after) and re.search(r"[A-Z]\.\s$", before):
+            return False
+    return not re.fullmatch(r"\([a-d]\)", found)
+
+
+def texts_to_formulas(text: str, formula: Callable[[str], str], *, bars: bool = True) -> str:
+    """The text with its formulas replaced.
+
+    Args:
+        text: plain text, without code and links.
+        formula: makes the source of a formula from LaTeX.
+        bars: whether ``|`` may be the bar of |x|.
+    """
+    text = re.sub(r"(?<!\w)[À-ÖØ-öø-ſ](?!\w)", lambda match: unicodedata.normalize("NFD", match[0]), text)
+    reader, result, place = _Reader(text, bars=bars), [], 0
+    while place < len(text):
+        symbol = text[place]
+        previous = text[place - 1] if place else " "
+        emphasis = re.search(r"(^|[\s(])\*\*$", text[max(0, place - 3) : place])
+        within = previous.isalnum() or (previous in "_`\\^*.@#$&-/:" and not emphasis) or re.search(r"\w'$", text[max(0, place - 2) : place])
+        opens = _START.match(symbol) and not within
+        unit = _UNIT.match(text, place) if opens or symbol == "/" else None
+        if unit and re.search(r"[\d½] ?$", text[max(0, place - 3) : place]):
+            result.append(unit[0])
+            place = unit.end()
+            continue
+        part = reader.longest(place) if opens else None
+        if part is not None and _is_formula(text, place, part):
+            result.append(formula(part.tex))
+            place = part.end
+        else:
+            word = re.compile(r"\*\*[A-Za-z]\*\*|[A-Za-z]+|\d[\d.,]*|.", re.DOTALL).match(text, place)
+            result.append(word[0] if word else symbol)
+            place = word.end() if word else place + 1
+    return unicodedata.normalize("NFC", "".join(result))
+
+
+def leading_formulas(text: str) -> tuple[str, str]:
+    """The formulas with which a text begins, with commas between them, as LaTeX for display, and the rest of it."""
+    reader, found, place = _Reader(text, bars=True), [], 0
+    while (part := reader.longest(place)) is not None and _is_formula(text, place, part) and part.end > place + 2:
+        found.append(part.tex)
+        comma = re.compile(r",\s+").match(text, part.end)
+        place = part.end
+        if not comma:
+            break
+        if reader.longest(comma.end()) is None:
+            break
+        place = comma.end()
+    return r", \quad ".join(found), text[place:]
+
+
+def _ends_well(text: str, end: int) -> bool:
+    following = text[end : end + 2]
+    return not (following[:1].isalnum() or following[:1] in "_`^@" or re.match(r"[/(\[][A-Za-z]", following))
+
+
+# --- documents ----------------------------------------------------------------------------------------------------------
+
+_KEPT_IN_MARKDOWN = re.compile(
+    r"^(?P<fence>`{3,}|~{3,}).*?^(?P=fence)[ ]*$|^#+ .*?$|^\|[ :|-]+\|$|^\[[^\]]+\]: .*?$|^\([\w-]+\)=$"
+    r"|(?P<code>`+)[^`].*?(?P=code)|\$\$[^$]+\$\$|\$[^$]+\$|!\[[^\]]*\]|\]\([^)]*\)|<[^<>\s][^<>]*>|https?://\S+|\b(?:n/a|N/A)\b",
+    re.MULTILINE | re.DOTALL,
+)
+
+
+def typeset_markdown(text: str) -> str:
+    """A Markdown document with its formulas between dollar signs; code, links, headings and LaTeX stay as they are."""
+    rows: list[str] = []
+    for table, lines in _tables_apart(text):
+        rows.append(_outside(_KEPT_IN_MARKDOWN, lines, lambda plain, table=table: _dollars(plain, bars=not table)))
+    return "".join(rows)
+
+
+def _tables_apart(text: str) -> list[tuple[bool, str]]:
+    """The text in pieces: a row of a table is a piece of its own."""
+    pieces: list[tuple[bool, str]] = []
+    fenced = False
+    for line in text.splitlines(keepends=True):
+        row = line.startswith("|") and not fenced
+        fenced ^= line.startswith(("```", "~~~"))
+        if row or not pieces or pieces[-1][0]:
+            pieces.append((row, line))
+        else:
+            pieces[-1] = (False, pieces[-1][1] + line)
+    return pieces
+
+
+def _dollars(text: str, *, bars: bool) -> str:
+    if bars:
+        return texts_to_formulas(text, lambda tex: f"${tex.strip()}$")
+    return texts_to_formulas(text.replace(r"\|", BAR), lambda tex: f"${tex.strip()}$", bars=False).replace(BAR, r"\|")
+
+
+def _outside(kept: re.Pattern[str], text: str, change: Callable[[str], str]) -> str:
+    """Change the text between the parts that are kept."""
+    result, place = [], 0
+    for match in kept.finditer(text):
+        result += [change(text[place : match.start()]), match[0]]
+        place = match.end()
+    return "".join([*result, change(text[place:])])
+
+
+_KEPT_IN_DOCSTRINGS = re.compile(
+    r"``.*?``|:[\w:]+:`[^`]*`|`[^`]*`_*|^\s*:\w+ [^:\n]*:|^\s*:\w+:|^\s*>>>.*?$|^\s*\.\. .*?$|https?://\S+"
+    r"|::\n\n(?:[ ]+.*\n|\n)+",
+    re.MULTILINE,
+)
+
+
+def typeset_docstring(text: str) -> str:
+    """A docstring in reStructuredText with its formulas as roles; code, references and names of fields stay."""
+
+    def role(plain: str) -> str:
+        marked = texts_to_formulas(plain, lambda tex: f"\0:math:`{tex.strip()}`\0")
+        marked = re.sub(r"(?<=[\s\"'(\[{</-])\0:math:|^\0:math:", ":math:", marked).replace("\0:math:", r"\ :math:")
+        return re.sub(r"`\0(?=[\s\"')\]}>/.,;!?:-]|$)", "`", marked).replace("`\0", r"`\ ")
+
+    return _outside(_KEPT_IN_DOCSTRINGS, text, role)
+
+
+# --- LaTeX to MathML ----------------------------------------------------------------------------------------------------
+
+_NAMESPACE = "http://www.w3.org/1998/Math/MathML"
+_RELATION_SIGNS = frozenset("=≠≈<>≤≥∈→⟶∼≪≻≺⟂≡∝⇒")
+_WIDE = 12  # characters after which a piece may end before a plus or minus
+
+
+def mathml(tex: str, *, block: bool) -> tuple[str, float]:
+    """A formula as MathML, in pieces between which a line may break: browsers do not break within an element.
+
+    Returns:
+        The elements, and the length of the longest piece in widths of the letter m, estimated.
+
+    Raises:
+        docutils.utils.math.MathError: for LaTeX that docutils does not know.
+    """
+    source = tex2mathml(tex, as_block=block).replace("&ApplyFunction;", "\u2061")
+    source = re.sub(
+        r'<mo( class="mathopen")?>(?=[‖|])',  # by default the left one of a pair stretches, and the right one has a gap
+        lambda match: f'<mo stretchy="false" form="{"prefix" if match[1] else "postfix"}">',
+        source,
+    )
+    ET.register_namespace("", _NAMESPACE)
+    whole = ET.fromstring(source)  # noqa: S314 - written by docutils
+    pieces: list[list[ET.Element]] = [[]]
+    depth = 0
+    for element in whole:
+        name, sign = element.tag.rpartition("}")[2], (element.text or "").strip()
+        if depth == 0 and pieces[-1] and _may_break_before(name, sign, pieces[-1], block=block):
+            pieces.append([])
+        if name == "mo":
+            depth += (sign in "([{⌊⌈" or element.get("form") == "prefix") - (
+                sign in ")]}⌋⌉" or element.get("form") == "postfix"
+            )
+            if not pieces[-1] and sign in _RELATION_SIGNS | {"+", "−"} and len(pieces) > 1:
+                element.set("form", "infix")
+        if name == "mspace" and block and depth == 0 and element.get("width") in ("1em", "2em"):
+            pieces.append([])
+        else:
+            pieces[-1].append(element)
+    attributes = {"displaystyle": "true"} if block else {}
+    length = max(sum(map(_length, piece)) for piece in pieces)
+    return "<wbr>".join(_element(piece, attributes) for piece in pieces if piece), length
+
+
+def _length(element: ET.Element) -> float:
+    name, text = element.tag.rpartition("}")[2], (element.text or "").strip()
+    if name in ("mi", "mn", "mo", "mtext"):
+        sign = text in _RELATION_SIGNS or (text in "+−·×" and bool(text))
+        return 0.55 * len(text) + 0.15 * sum(map(str.isupper, text)) + 0.7 * sign
+    lengths = [_length(child) for child in element]
+    if name in ("mfrac", "munder", "mover", "munderover", "mtable"):
+        return max(lengths, default=0.0) + 0.2
+    if name == "mtr":
+        return sum(lengths) + 0.8 * len(lengths)
+    if name in ("msub", "msup", "msubsup"):
+        return lengths[0] + 0.75 * max(lengths[1:])
+    return sum(lengths) + (0.3 if name in ("mspace", "msqrt") else 0.0)
+
+
+def _may_break_before(name: str, sign: str, piece: list[ET.Element], *, block: bool) -> bool:
+    if name == "mo" and sign in _RELATION_SIGNS:
+        return True
+    long = sum(len("".join(element.itertext()).split()) for element in piece) >= _WIDE * (1 + block)
+    return name == "mo" and sign in "+−" and long
+
+
+def _element(piece: list[ET.Element], attributes: dict[str, str]) -> str:
+    root = ET.Element(f"{{{_NAMESPACE}}}math", attributes)
+    root.extend(piece)
+    for element in root.iter():
+        element.text = element.text and element.text.strip()
+        element.tail = None
+    return ET.tostring(root, encoding="unicode")
