@@ -9,6 +9,7 @@ import json
 from html import escape
 from pathlib import Path
 
+import formulas
 from docutils import nodes
 from sphinx.application import Sphinx
 
@@ -27,6 +28,8 @@ def _sections(node: nodes.Node) -> str:
     """The text below a node; sections keep their elements and identifiers, which search results lead to."""
     if isinstance(node, nodes.Text):
         return escape(node.astext(), quote=False)
+    if isinstance(node, nodes.math | nodes.math_block):
+        return escape(formulas.plain(node.astext()), quote=False)
     if isinstance(node, nodes.raw | nodes.Invisible | nodes.comment):
         return ""
     inner = "".join(_sections(child) for child in node.children)

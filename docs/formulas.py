@@ -1,4 +1,4 @@
-# ruff: noqa: INP001, RUF001, RUF003 - conf.py imports it from its folder; it is about Unicode
+# ruff: noqa: INP001, RUF001 - conf.py imports it from its folder; it is about Unicode
 """Formulas of the site: Unicode, as documents and docstrings have it, becomes LaTeX, and LaTeX becomes MathML.
 
 Documents and docstrings are also read as text, in a terminal and on GitHub. So they write ``‖x^i − x*‖ ≤ e^{−r s}`` and
@@ -13,7 +13,7 @@ from xml.etree import ElementTree as ET
 
 from docutils.utils.math.latex2mathml import tex2mathml
 
-# --- Unicode to LaTeX ---------------------------------------------------------------------------------------------------
+# --- Unicode to LaTeX ------------------------------------------------------------------------------------------------
 
 GREEK = "α-ωΑ-Ωϑ"
 RELATIONS = {"=": "=", "≠": r"\ne ", "≈": r"\approx ", "<": "<", ">": ">", "≤": r"\le ", "≥": r"\ge ", "∈": r"\in ",
@@ -43,9 +43,11 @@ _SCRIPT = re.compile(
     rf"|(?P<plain>[-−]?[A-Za-z0-9{GREEK}]+|[∗∞]|\*(?!\*)))"
 )
 _FUNCTION = re.compile(rf"(log10|log2|{'|'.join(sorted(FUNCTIONS | OPERATORS, key=len, reverse=True))})(?![A-Za-z\d])")
-_SPACE = re.compile(r"[ \t\u00a0]*\n?[ \t\u00a0]*")
+_SPACE = re.compile(r"[ \u00a0]?(?:\n[ \t]*)?")  # two spaces separate the columns of a table
 _PRODUCTS = re.compile(r"d[A-Zxtsukvwy]|DF|cT|Nn|hM|iN|kN|gu|[A-Z]x|NB")
 _UNIT = re.compile(rf"(?:1/|/)?{UNITS}")
+_BOLD = re.compile(r"\*\*([A-Za-zψ])\*\*")
+_DIGITS = re.compile(r"\d+(?![\w.,]*[A-Za-z])")
 _START = re.compile(rf"[A-Za-z{GREEK}𝐱ℝ\d½∞(\[{{‖|⌊⌈√−±ΣΠ∏∫∂∇Δ*+~]")
 
 
@@ -77,78 +79,101 @@ class _Reader:
     def sequence(self, place: int, closing: str = "", ends: list[Part] | None = None) -> Part | None:
         """Operands and the operators between them; within brackets also commas. ``ends`` collects all beginnings."""
         part = self.operand(place, closing)
-        if part is None:
-            return None
-        tex, end, evidence = part
-        while True:
+        while part is not None:
             if ends is not None:
-                ends.append(Part(tex, end, evidence))
-            after = self.space(end)
-            spaced = after > end
-            symbol = self.text[after : after + 1]
-            following = None
-            joint = ""
-            if symbol and symbol != closing:
-                if symbol in RELATIONS or symbol in BINARY:
-                    right = self.space(after + 1)
-                    if spaced == (right > after + 1) or symbol in "·×":
-                        following = self.operand(right, closing)
-                        joint = RELATIONS.get(symbol) or BINARY[symbol]
-                elif closing and symbol in ",;:" and closing != "‖":
-                    following = self.operand(self.space(after + 1), closing)
-                    joint = r",\;" if symbol == "," else rf"\mathpunct{{{symbol}}}\;"
-                if following is None:
-                    following = self.operand(after, closing, product=spaced)
-                    joint = r"\," if spaced else ""
-                    if following and spaced and not closing and symbol in "([{":  # a remark (κ = 2) is no factor
-                        factor = self.text[after : following.end]
-                        if re.search("[=<>≤≥,]", factor) or not re.search("[-+−·/^²]", factor):
-                            following = None
+                ends.append(part)
+            following = self.joined(part, closing) or self.factor(part, closing)
             if following is None:
-                return Part(tex, end, evidence)
-            tex += joint + following.tex
-            end = following.end
-            evidence += following.evidence + (symbol in RELATIONS or symbol in BINARY) * bool(evidence)
+                return part
+            part = following
+        return None
+
+    def joined(self, part: Part, closing: str) -> Part | None:
+        """The part with the next operand, if an operator stands between them, or within brackets a comma."""
+        after = self.space(part.end)
+        symbol = self.text[after : after + 1]
+        right = self.space(after + 1)
+        if not symbol or symbol == closing:
+            return None
+        if symbol in RELATIONS or symbol in BINARY:
+            if symbol not in "·×" and (after > part.end) != (right > after + 1):  # 20 /s
+                return None
+            joint, evidence = RELATIONS.get(symbol) or BINARY[symbol], int(part.evidence > 0)
+        elif symbol in ",;:" and closing and closing != "‖":
+            joint, evidence = r",\;" if symbol == "," else rf"\mathpunct{{{symbol}}}\;", 0
+        else:
+            return None
+        operand = self.operand(right, closing)
+        if operand is None:
+            return None
+        return Part(part.tex + joint + operand.tex, operand.end, part.evidence + operand.evidence + evidence)
+
+    def factor(self, part: Part, closing: str) -> Part | None:
+        """The part with the next operand as its factor."""
+        after = self.space(part.end)
+        spaced = after > part.end
+        if self.text[after : after + 1] in ("", closing):
+            return None
+        operand = self.operand(after, closing, product=spaced)
+        if operand is None:
+            return None
+        text = self.text[after : operand.end]
+        remark = re.search("[=<>≤≥,]", text) or not re.search("[-+−·/^²]", text)  # such as (κ = 2)
+        if spaced and not closing and text[0] in "([{" and remark:
+            return None
+        return Part(part.tex + r"\," * spaced + operand.tex, operand.end, part.evidence + operand.evidence)
 
     def operand(self, place: int, closing: str = "", *, product: bool = False) -> Part | None:
         """A number, a symbol, a function, brackets, or one of these after a prefix; ``product``: after a space."""
-        text = self.text
-        symbol = text[place : place + 1]
-        if not symbol:
-            return None
+        symbol = self.text[place : place + 1]
+        part = None
         if symbol == "√":
-            inner = self.operand(place + 1)
-            if inner is None:
-                return None
-            plain = inner.tex[1:-1] if inner.tex[:1] == "(" and inner.tex[-1:] == ")" else inner.tex
-            return Part(rf"\sqrt{{{plain}}}", inner.end, inner.evidence + 1)
-        if symbol in PREFIXES and not (product and symbol in "+−±"):
-            if symbol == "Π" and text[place + 1 : place + 2] == "(":
-                tex, end = "Π", place + 1
-            else:
-                tex, end = self.scripts(PREFIXES[symbol], place + 1)
-            inner = self.operand(end if symbol in "+−±" else self.space(end), closing)
-            if inner is not None:
-                return Part(f"{tex} {inner.tex}", inner.end, inner.evidence + (symbol not in "+−"))
-            return self.letters(place, product=product, inside=bool(closing))
-        if symbol in BRACKETS and (self.bars or symbol != "|") and symbol != closing:
-            return self.brackets(place)
-        number = _NUMBER.match(text, place)
-        if number:
-            digits = number[0]
-            if product and digits not in "½∞…":
-                return None
-            mantissa, _, exponent = digits.partition("e")
-            tex = {"½": r"\tfrac{1}{2}", "∞": r"\infty ", "…": r"\ldots "}.get(digits, mantissa.replace(",", "{,}"))
-            tex = tex.replace("%", r"\,\%").replace(" ", "")
-            if exponent:
-                power = exponent.replace("−", "-")
-                tex = f"10^{{{power}}}" if mantissa == "1" else rf"{mantissa} \cdot 10^{{{power}}}"
-            tex, end = self.scripts(tex, number.end())
-            if re.match(r"[a-gi](?![\w^(])", text[end:]):  # a point of a list, such as 5c
-                return None
-            return Part(tex, end, int(digits == "∞" or end > number.end()))
-        return self.letters(place, product=product, inside=bool(closing))
+            part = self.root(place)
+        elif symbol in PREFIXES and not (product and symbol in "+−±"):
+            part = self.prefixed(place, closing)
+        elif symbol in BRACKETS and (self.bars or symbol != "|") and symbol != closing:
+            part = self.brackets(place)
+        elif _NUMBER.match(self.text, place):
+            part = self.number(place, product=product)
+        elif _BOLD.match(self.text, place):
+            part = self.scripted(_BOLD.sub(r"\\mathbf{\1}", self.text[place : place + 5]), place + 5, evidence=2)
+        elif _FUNCTION.match(self.text, place):
+            part = self.function(place)
+        return part or self.letters(place, product=product, inside=bool(closing))
+
+    def root(self, place: int) -> Part | None:
+        inner = self.operand(place + 1)
+        if inner is None:
+            return None
+        plain = inner.tex[1:-1] if inner.tex[:1] == "(" and inner.tex[-1:] == ")" else inner.tex
+        return Part(rf"\sqrt{{{plain}}}", inner.end, inner.evidence + 1)
+
+    def prefixed(self, place: int, closing: str) -> Part | None:
+        symbol = self.text[place]
+        if self.text[place : place + 2] == "Π(":  # the projection
+            return None
+        tex, end = self.scripts(PREFIXES[symbol], place + 1)
+        inner = self.operand(end if symbol in "+−±" else self.space(end), closing)
+        return inner and Part(f"{tex} {inner.tex}", inner.end, inner.evidence + (symbol not in "+−"))
+
+    def number(self, place: int, *, product: bool) -> Part | None:
+        match = _NUMBER.match(self.text, place)
+        if match is None or (product and match[0] not in "½∞…"):
+            return None
+        mantissa, _, exponent = match[0].partition("e")
+        tex = {"½": r"\tfrac{1}{2}", "∞": r"\infty ", "…": r"\ldots "}.get(match[0], mantissa.replace(",", "{,}"))
+        tex = tex.replace("%", r"\,\%").replace(" %", "%")
+        if exponent:
+            power = exponent.replace("−", "-")
+            tex = f"10^{{{power}}}" if mantissa == "1" else rf"{mantissa} \cdot 10^{{{power}}}"
+        part = self.scripted(tex, match.end(), evidence=0)
+        if re.match(r"[a-gi](?![\w^(])", self.text[part.end :]):  # a point of a list, such as 5c
+            return None
+        return part._replace(evidence=int(match[0] == "∞" or part.end > match.end()))
+
+    def scripted(self, tex: str, end: int, *, evidence: int) -> Part:
+        tex, end = self.scripts(tex, end)
+        return Part(tex, end, evidence)
 
     def brackets(self, place: int) -> Part | None:
         opening, closing, tex_closing = BRACKETS[self.text[place]]
@@ -167,48 +192,42 @@ class _Reader:
         return Part(opening + inner.tex + tex, end, inner.evidence + (opening[0] == "\\" and opening != r"\{"))
 
     def letters(self, place: int, *, product: bool, inside: bool) -> Part | None:
+        """A letter with its indices and exponents, or letters that are a product, such as κL and cT."""
         text = self.text
-        bold = re.compile(r"\*\*([A-Za-zψ])\*\*").match(text, place)
-        if bold:
-            tex, end = self.scripts(rf"\mathbf{{{bold[1]}}}", bold.end())
-            return Part(tex, end, 2)
-        function = _FUNCTION.match(text, place)
-        if function:
-            return self.function(function)
         match = _WORD.match(text, place)
-        if not match:
-            return None
-        word = unicodedata.normalize("NFC", match[0])
-        bare = "".join(c for c in unicodedata.normalize("NFD", word) if c not in ACCENTS)
+        bare = "".join(c for c in unicodedata.normalize("NFD", match[0]) if c not in ACCENTS) if match else ""
         greek = re.search(f"[{GREEK}]", bare) is not None
-        if len(bare) > 1 and not (greek and len(bare) <= 4) and not _PRODUCTS.fullmatch(bare):
+        if not match or (len(bare) > 1 and not (greek and len(bare) <= 4) and not _PRODUCTS.fullmatch(bare)):
             return None
-        if re.match(r"(?:[a-z]|d[a-z]|[A-Z])$", bare) and text[match.end() : match.end() + 1] == ".":
-            if re.match(r"\.[A-Za-z]", text[match.end() :]):
-                return None
-        tex = "".join(_letter(letter) for letter in re.findall(f".[{''.join(ACCENTS)}]*", word))
-        end = match.end()
-        index = re.compile(r"\d+(?![\w.,]*[A-Za-z])").match(text, end)
-        if index and (greek or bare in "xJcbA"):
-            tex, end = f"{tex}_{{{index[0]}}}", index.end()
-        before = end
-        tex, end = self.scripts(tex, end)
-        if end < len(text) and (text[end].isalnum() or text[end] == "_") and text[end] not in "√":
+        tex = "".join(_letter(letter) for letter in re.findall(f".[{''.join(ACCENTS)}]*", match[0]))
+        index = _DIGITS.match(text, match.end()) if greek or bare in "xJcbA" else None
+        end = index.end() if index else match.end()
+        part = self.scripted(f"{tex}_{{{index[0]}}}" if index else tex, end, evidence=1 + greek)
+        alone = part.end == match.end()
+        if re.match(r"[\w]|\.[A-Za-z]", text[part.end :].replace("√", " ")[:2]) or (product and self.is_unit(place)):
             return None
-        scripted = end > before or index is not None
-        if bare in ("a", "A", "I") and not scripted:
-            follows = re.match(r"\s?[=<>≤≥+−·/∈)\]⊗,;‖|]|\(|\s\([A-Z]_|\s11", text[end:])
-            if not follows or (not inside and re.match("[,;)]", text[end:])):
-                return None
-        if product and ((bare in ("a", "A", "I") and not scripted) or self.is_unit(place)):
+        if alone and bare in ("a", "A", "I") and not self.is_variable(place, product=product, inside=inside):
             return None
-        return Part(tex, end, 1 + greek + scripted)
+        return part._replace(evidence=part.evidence + (not alone))
+
+    def is_variable(self, place: int, *, product: bool, inside: bool) -> bool:
+        """Whether the lone letter a, A or I is a variable and no word, by the operators around it."""
+        before, after = self.text[max(0, place - 2) : place], self.text[place + 1 : place + 6]
+        if product:
+            return False
+        if re.search(r"[=<>≤≥+−·/⊗]\s?$", before):
+            return True
+        followed = re.match(r"\s?[=<>≤≥+−·/∈)\]⊗,;‖|]|\(|\s\([A-Z]_|\s11", after) is not None
+        return followed and (inside or not re.match("[,;)]", after))
 
     def is_unit(self, place: int) -> bool:
         """Whether the letter after a number is seconds or metres."""
         return re.search(r"[\d½]\s$", self.text[:place][-2:]) is not None and bool(_UNIT.match(self.text, place))
 
-    def function(self, match: re.Match[str]) -> Part | None:
+    def function(self, place: int) -> Part | None:
+        match = _FUNCTION.match(self.text, place)
+        if match is None:
+            return None
         name = match[1]
         tex = {"log10": r"\log_{10}", "log2": r"\log_2", "log": r"\log"}.get(name)
         if tex is None:
@@ -288,7 +307,7 @@ def _is_formula(text: str, start: int, part: Part) -> bool:
         if found in "aAI" or (found in "sm" and re.search(r"\d\s?$", before)):
             return False
         if found.isupper() and re.match(r"\.\s+[A-Z]", after):
-            return re.search(r"\b(at|to|before|after|until|beyond|from|over|than)\s$", before) is not None
+            return found in "TNK" and re.search(r"\b(at|to|before|after|until|for|than)\s$", before) is not None
         if found.isupper() and re.match(r"\.", after) and re.search(r"[A-Z]\.\s$", before):
             return False
     return not re.fullmatch(r"\([a-d]\)", found)
@@ -308,7 +327,11 @@ def texts_to_formulas(text: str, formula: Callable[[str], str], *, bars: bool = 
         symbol = text[place]
         previous = text[place - 1] if place else " "
         emphasis = re.search(r"(^|[\s(])\*\*$", text[max(0, place - 3) : place])
-        within = previous.isalnum() or (previous in "_`\\^*.@#$&-/:" and not emphasis) or re.search(r"\w'$", text[max(0, place - 2) : place])
+        within = (
+            previous.isalnum()
+            or (previous in "_`\\^*.@#$&-/:" and not emphasis)
+            or re.search(r"\w'$", text[max(0, place - 2) : place])
+        )
         opens = _START.match(symbol) and not within
         unit = _UNIT.match(text, place) if opens or symbol == "/" else None
         if unit and re.search(r"[\d½] ?$", text[max(0, place - 3) : place]):
@@ -346,7 +369,7 @@ def _ends_well(text: str, end: int) -> bool:
     return not (following[:1].isalnum() or following[:1] in "_`^@" or re.match(r"[/(\[][A-Za-z]", following))
 
 
-# --- documents ----------------------------------------------------------------------------------------------------------
+# --- documents -------------------------------------------------------------------------------------------------------
 
 _KEPT_IN_MARKDOWN = re.compile(
     r"^(?P<fence>`{3,}|~{3,}).*?^(?P=fence)[ ]*$|^#+ .*?$|^\|[ :|-]+\|$|^\[[^\]]+\]: .*?$|^\([\w-]+\)=$"
@@ -399,22 +422,40 @@ _KEPT_IN_DOCSTRINGS = re.compile(
 )
 
 
+_TABLE = re.compile(r"^ *=+(?: +=+)+\n(?:.*\n)*?(?: *=+(?: +=+)+\n)(?:.*\n)*?(?: *=+(?: +=+)+)$", re.MULTILINE)
+
+
 def typeset_docstring(text: str) -> str:
-    """A docstring in reStructuredText with its formulas as roles; code, references and names of fields stay."""
+    """A docstring in reStructuredText with its formulas as roles; code, references and names of fields stay.
+
+    Only the last column of a table is changed, because its text may be of any length.
+    """
 
     def role(plain: str) -> str:
         marked = texts_to_formulas(plain, lambda tex: f"\0:math:`{tex.strip()}`\0")
         marked = re.sub(r"(?<=[\s\"'(\[{</-])\0:math:|^\0:math:", ":math:", marked).replace("\0:math:", r"\ :math:")
         return re.sub(r"`\0(?=[\s\"')\]}>/.,;!?:-]|$)", "`", marked).replace("`\0", r"`\ ")
 
-    return _outside(_KEPT_IN_DOCSTRINGS, text, role)
+    def last_column(match: re.Match[str]) -> str:
+        rule, *rows = match[0].splitlines(keepends=True)
+        start = rule.rstrip().rfind(" ") + 1
+        return rule + "".join(row[:start] + (row[start:] if "==" in row else around(row[start:])) for row in rows)
+
+    def around(plain: str) -> str:
+        return _outside(_KEPT_IN_DOCSTRINGS, plain, role)
+
+    pieces, place = [], 0
+    for table in _TABLE.finditer(text):
+        pieces += [around(text[place : table.start()]), last_column(table)]
+        place = table.end()
+    return "".join([*pieces, around(text[place:])])
 
 
-# --- LaTeX to MathML ----------------------------------------------------------------------------------------------------
+# --- LaTeX to MathML -------------------------------------------------------------------------------------------------
 
 _NAMESPACE = "http://www.w3.org/1998/Math/MathML"
 _RELATION_SIGNS = frozenset("=≠≈<>≤≥∈→⟶∼≪≻≺⟂≡∝⇒")
-_WIDE = 12  # characters after which a piece may end before a plus or minus
+_WIDE, _WIDE_BLOCK = 9.0, 18.0  # lengths up to which a formula stays in one piece
 
 
 def mathml(tex: str, *, block: bool) -> tuple[str, float]:
@@ -436,29 +477,42 @@ def mathml(tex: str, *, block: bool) -> tuple[str, float]:
     whole = ET.fromstring(source)  # noqa: S314 - written by docutils
     pieces: list[list[ET.Element]] = [[]]
     depth = 0
+    breaks = sum(map(_length, whole)) > (_WIDE_BLOCK if block else _WIDE)
     for element in whole:
         name, sign = element.tag.rpartition("}")[2], (element.text or "").strip()
-        if depth == 0 and pieces[-1] and _may_break_before(name, sign, pieces[-1], block=block):
+        if name == "mo" and sign == "/":
+            element.attrib.update(lspace="0", rspace="0")
+        if breaks and depth == 0 and name == "mo" and pieces[-1] and _may_break_before(sign, pieces[-1]):
             pieces.append([])
-        if name == "mo":
-            depth += (sign in "([{⌊⌈" or element.get("form") == "prefix") - (
-                sign in ")]}⌋⌉" or element.get("form") == "postfix"
-            )
-            if not pieces[-1] and sign in _RELATION_SIGNS | {"+", "−"} and len(pieces) > 1:
-                element.set("form", "infix")
-        if name == "mspace" and block and depth == 0 and element.get("width") in ("1em", "2em"):
+            element.set("form", "infix")
+        depth += _opened(element)
+        if breaks and name == "mspace" and depth == 0 and element.get("width") in ("1em", "2em"):
             pieces.append([])
         else:
             pieces[-1].append(element)
+    pieces = [piece for piece in pieces if piece]
     attributes = {"displaystyle": "true"} if block else {}
     length = max(sum(map(_length, piece)) for piece in pieces)
-    return "<wbr>".join(_element(piece, attributes) for piece in pieces if piece), length
+    return "<wbr>".join(_element(piece, attributes) for piece in pieces), length
+
+
+def _may_break_before(sign: str, piece: list[ET.Element]) -> bool:
+    length = sum(map(_length, piece))
+    return (sign in _RELATION_SIGNS and length > _WIDE / 3) or (sign in "+−" and length > _WIDE / 2)
+
+
+def _opened(element: ET.Element) -> int:
+    """1 for an opening bracket, -1 for a closing one, also where it has an index or exponent, 0 otherwise."""
+    while element.tag.rpartition("}")[2] in ("msub", "msup", "msubsup"):
+        element = element[0]
+    sign, form = (element.text or "").strip() or "x", element.get("form")
+    return (sign in "([{⌊⌈" or form == "prefix") - (sign in ")]}⌋⌉" or form == "postfix")
 
 
 def _length(element: ET.Element) -> float:
     name, text = element.tag.rpartition("}")[2], (element.text or "").strip()
     if name in ("mi", "mn", "mo", "mtext"):
-        sign = text in _RELATION_SIGNS or (text in "+−·×" and bool(text))
+        sign = bool(text) and (text in _RELATION_SIGNS or text in "+−·×")
         return 0.55 * len(text) + 0.15 * sum(map(str.isupper, text)) + 0.7 * sign
     lengths = [_length(child) for child in element]
     if name in ("mfrac", "munder", "mover", "munderover", "mtable"):
@@ -470,13 +524,6 @@ def _length(element: ET.Element) -> float:
     return sum(lengths) + (0.3 if name in ("mspace", "msqrt") else 0.0)
 
 
-def _may_break_before(name: str, sign: str, piece: list[ET.Element], *, block: bool) -> bool:
-    if name == "mo" and sign in _RELATION_SIGNS:
-        return True
-    long = sum(len("".join(element.itertext()).split()) for element in piece) >= _WIDE * (1 + block)
-    return name == "mo" and sign in "+−" and long
-
-
 def _element(piece: list[ET.Element], attributes: dict[str, str]) -> str:
     root = ET.Element(f"{{{_NAMESPACE}}}math", attributes)
     root.extend(piece)
@@ -484,3 +531,18 @@ def _element(piece: list[ET.Element], attributes: dict[str, str]) -> str:
         element.text = element.text and element.text.strip()
         element.tail = None
     return ET.tostring(root, encoding="unicode")
+
+
+def plain(tex: str) -> str:
+    """A formula in LaTeX as text, for excerpts: ‖x^i‖."""
+    symbols = {
+        tex: symbol for table in (RELATIONS, BINARY, PREFIXES) for symbol, tex in table.items() if tex[:1] == "\\"
+    }
+    for opening, (left, closing, right) in BRACKETS.items():
+        symbols |= {left: opening, right: closing}
+    symbols |= {r"\infty": "∞", r"\ldots": "…", r"\ast": "*", r"\prime": "'", r"\,": " ", r"\;": " ", r"\quad": " "}
+    for command in sorted(symbols, key=len, reverse=True):
+        if command[:1] == "\\":
+            end = r"(?![A-Za-z]) ?" if command.strip()[-1].isalpha() else ""
+            tex = re.sub(re.escape(command.strip()) + end, symbols[command].replace(BAR, "|"), tex)
+    return re.sub(r"\\[A-Za-z]+ ?|[{}]", "", tex).replace("-", "−")

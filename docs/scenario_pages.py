@@ -93,10 +93,11 @@ def page(name: str) -> str:
 {_game(scenario.game, world)}
 
 ```{{raw}} html
-<figure><div class="panels" role="img" aria-label="Graph, estimates and errors of {name}">
+<figure><div class="panels" role="img" aria-label="Estimates, errors and graph of {name}">
 {pictures}
-</div><figcaption>The graph (dotted links are down in the first mode). An episode under the static law: strategies thick,
-estimates of them thin, the equilibrium dotted. The error of all estimates under four laws: {episodes}.</figcaption></figure>
+</div><figcaption>An episode under the static law: strategies thick, estimates of them thin, the equilibrium dotted. The
+error of all estimates under four laws: {episodes}. The graph: dotted links are down in the first mode.</figcaption>
+</figure>
 ```
 
 ## Settings
@@ -129,7 +130,7 @@ def _game(factory: FactorySpec, world: World) -> str:
     _, rest = formulas.leading_formulas(_description(named))
     display = f"```{{math}}\n{costs}\n```\n\n" if costs else ""
     rest = re.sub(r":(\w+):`", r"{py:\1}`", rest.lstrip(" ,.:").strip())
-    return f"{display}{rest[:1].upper()}{rest[1:]}\n\nThe class is {{py:class}}`ptne_env.games.{named.__name__}`."
+    return f"{display}{rest[:1].upper()}{rest[1:]}\n\nThe class is {{py:class}}`{named.__module__}.{named.__name__}`."
 
 
 def _description(part: Any) -> str:
@@ -184,7 +185,7 @@ def _certificate(name: str) -> str:
 def _panels(world: World, shown: Scene) -> list[str]:
     with drawing("pictures"):
         figure = Figure(figsize=(10.5, 3.1), layout="constrained")
-        graph, strategies, errors = figure.subplots(1, 3, width_ratios=(2, 3, 3))
+        strategies, errors, graph = figure.subplots(1, 3, width_ratios=(3, 3, 2))
         draw_network(graph, world.topology.graphs[0], world.topology.union)
         graph.set_title("graph")
         estimates = shown.traces[LAWS[0]].estimates

@@ -92,8 +92,8 @@ def panels(figure: Figure) -> list[str]:
     """Every axes of a figure as an SVG for a page, which puts them side by side or below each other.
 
     Letters are outlines, as readers have other fonts, and colours of :data:`LIGHT` are the variables of the page, such
-    as ``var(--ink)``. So a page that defines the variables shows the figure in its own colours, light or dark. The width
-    that the figure asks for is ``--width``.
+    as ``var(--ink)``. So a page that defines the variables shows the figure in its own colours, light or dark.
+    ``--width`` is the width that the figure asks for.
 
     Args:
         figure: drawn within :func:`drawing`; its layout stays, and nothing may stand outside of its axes.
@@ -117,6 +117,8 @@ def panels(figure: Figure) -> list[str]:
         picture = re.sub(r"^.*?(?=<svg)|<metadata>.*?</metadata>", "", buffer.getvalue(), flags=re.DOTALL)
         picture = re.sub(r' width="([\d.]+pt)" height="[\d.]+pt"', r' style="--width: \1"', picture, count=1)
         pictures.append(
-            re.sub("#[0-9a-f]{6}", lambda match: f"var(--{_ROLES[match[0]]})" if match[0] in _ROLES else match[0], picture)
+            re.sub(
+                "#[0-9a-f]{6}", lambda match: f"var(--{_ROLES[match[0]]})" if match[0] in _ROLES else match[0], picture
+            )
         )
     return pictures

@@ -354,7 +354,8 @@ FIGURES: tuple[FigureSpec, ...] = (
     ),
     FigureSpec(
         "switching",
-        f"Example 1, adaptive law over switching graphs: with dwell times in t the error at T does not vanish. {_READING}",
+        "Example 1, adaptive law over switching graphs: with dwell times in t the error at T does not vanish. "
+        f"{_READING}",
         (8.2, 6.2),
         lambda figure, experiments: _runs(figure, _by_clock(experiments.switching)),
         "Fig. 8",

@@ -86,6 +86,6 @@ PRINTED: Mapping[str, str] = MappingProxyType(
 )
 """Assumptions, definitions, equations, theorems, figures and tables, in the order of the paper.
 
-Documents, docstrings and messages name the printed numbers and no labels. Labels may mislead: ``Theorem2`` is Theorem 3,
-``Theorem3`` is Theorem 4, and ``NL6`` is used twice. Equations (2), (8), (39), (40) and (51) have no label.
+Documents, docstrings and messages name the printed numbers and no labels. Some labels mislead: ``Theorem2`` is
+Theorem 3, ``Theorem3`` is Theorem 4, and ``NL6`` is used twice. Equations (2), (8), (39), (40) and (51) have no label.
 """
