@@ -48,7 +48,7 @@ _PRODUCTS = re.compile(r"d[A-Zxtsukvwy]|DF|cT|Nn|hM|iN|kN|gu|[A-Z]x|NB")
 _UNIT = re.compile(rf"(?:1/|/)?{UNITS}")
 _BOLD = re.compile(r"\*\*([A-Za-zψ])\*\*")
 _DIGITS = re.compile(r"\d+(?![\w.,]*[A-Za-z])")
-_START = re.compile(rf"[A-Za-z{GREEK}𝐱ℝ\d½∞(\[{{‖|⌊⌈√−±ΣΠ∏∫∂∇Δ*+~]")
+_START = re.compile(rf"[A-Za-z{GREEK}𝐱ℝ\d½∞(\[{{‖|{BAR}⌊⌈√−±ΣΠ∏∫∂∇Δ*+~]")
 
 
 class Part(NamedTuple):
@@ -154,7 +154,8 @@ class _Reader:
             return None
         tex, end = self.scripts(PREFIXES[symbol], place + 1)
         inner = self.operand(end if symbol in "+−±" else self.space(end), closing)
-        return inner and Part(f"{tex} {inner.tex}", inner.end, inner.evidence + (symbol not in "+−"))
+        joint = "" if symbol in "+−" else " "
+        return inner and Part(tex + joint + inner.tex, inner.end, inner.evidence + (symbol not in "+−"))
 
     def number(self, place: int, *, product: bool) -> Part | None:
         match = _NUMBER.match(self.text, place)
@@ -366,14 +367,15 @@ def leading_formulas(text: str) -> tuple[str, str]:
 
 def _ends_well(text: str, end: int) -> bool:
     following = text[end : end + 2]
-    return not (following[:1].isalnum() or following[:1] in "_`^@" or re.match(r"[/(\[][A-Za-z]", following))
+    return not re.match(r"[\w`^@]|[/(\[][A-Za-z]", following)
 
 
 # --- documents -------------------------------------------------------------------------------------------------------
 
 _KEPT_IN_MARKDOWN = re.compile(
     r"^(?P<fence>`{3,}|~{3,}).*?^(?P=fence)[ ]*$|^#+ .*?$|^\|[ :|-]+\|$|^\[[^\]]+\]: .*?$|^\([\w-]+\)=$"
-    r"|(?P<code>`+)[^`].*?(?P=code)|\$\$[^$]+\$\$|\$[^$]+\$|!\[[^\]]*\]|\]\([^)]*\)|<[^<>\s][^<>]*>|https?://\S+|\b(?:n/a|N/A)\b",
+    r"|(?P<code>`+)[^`].*?(?P=code)(?:s\b)?|\$\$[^$]+\$\$|\$[^$]+\$|!\[[^\]]*\]|\]\([^)]*\)|<[^<>\s][^<>]*>"
+    r"|https?://\S+|\b(?:n/a|N/A|C-contiguous)\b",
     re.MULTILINE | re.DOTALL,
 )
 
@@ -416,7 +418,8 @@ def _outside(kept: re.Pattern[str], text: str, change: Callable[[str], str]) -> 
 
 
 _KEPT_IN_DOCSTRINGS = re.compile(
-    r"``.*?``|:[\w:]+:`[^`]*`|`[^`]*`_*|^\s*:\w+ [^:\n]*:|^\s*:\w+:|^\s*>>>.*?$|^\s*\.\. .*?$|https?://\S+"
+    r"``.*?``|\bC-contiguous\b|:[\w:]+:`[^`]*`|`[^`]*`_*|^\s*:\w+ [^:\n]*:|^\s*:\w+:|^\s*>>>.*?$|^\s*\.\. .*?$"
+    r"|https?://\S+"
     r"|::\n\n(?:[ ]+.*\n|\n)+",
     re.MULTILINE,
 )

@@ -103,16 +103,15 @@ def panels(figure: Figure) -> list[str]:
     """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
 
-    canvas = FigureCanvasAgg(figure)
-    canvas.draw()
+    FigureCanvasAgg(figure).draw()  # type: ignore[no-untyped-call]
     figure.set_layout_engine("none")
-    boxes = [axes.get_tightbbox(canvas.get_renderer()).padded(3) for axes in figure.axes]
+    boxes: list[Any] = [axes.get_tightbbox() for axes in figure.axes]
     pictures = []
     for shown, box in zip(figure.axes, boxes, strict=True):
         for axes in figure.axes:
             axes.set_visible(axes is shown)
         buffer = io.StringIO()
-        inches = box.transformed(figure.dpi_scale_trans.inverted())
+        inches = box.padded(3).transformed(figure.dpi_scale_trans.inverted())
         figure.savefig(buffer, format="svg", bbox_inches=inches, transparent=True, metadata={"Date": None})
         picture = re.sub(r"^.*?(?=<svg)|<metadata>.*?</metadata>", "", buffer.getvalue(), flags=re.DOTALL)
         picture = re.sub(r' width="([\d.]+pt)" height="[\d.]+pt"', r' style="--width: \1"', picture, count=1)
