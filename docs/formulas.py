@@ -479,29 +479,39 @@ def mathml(tex: str, *, block: bool) -> tuple[str, float]:
     ET.register_namespace("", _NAMESPACE)
     whole = ET.fromstring(source)  # noqa: S314 - written by docutils
     pieces: list[list[ET.Element]] = [[]]
+    gaps: set[int] = set()  # pieces before which the formula has a wide space
     depth = 0
     breaks = sum(map(_length, whole)) > (_WIDE_BLOCK if block else _WIDE)
     for element in whole:
         name, sign = element.tag.rpartition("}")[2], (element.text or "").strip()
         if name == "mo" and sign == "/":
             element.attrib.update(lspace="0", rspace="0")
-        if breaks and depth == 0 and name == "mo" and pieces[-1] and _may_break_before(sign, pieces[-1]):
+        if breaks and name == "mo" and _may_break_before(sign, pieces[-1], depth):
             pieces.append([])
             element.set("form", "infix")
         depth += _opened(element)
         if breaks and name == "mspace" and depth == 0 and element.get("width") in ("1em", "2em"):
+            gaps.add(len(pieces))
             pieces.append([])
         else:
             pieces[-1].append(element)
-    pieces = [piece for piece in pieces if piece]
+        if breaks and sign == "," and sum(map(_length, pieces[-1])) > _WIDE:
+            pieces.append([])
     attributes = {"displaystyle": "true"} if block else {}
-    length = max(sum(map(_length, piece)) for piece in pieces)
-    return "<wbr>".join(_element(piece, attributes) for piece in pieces), length
+    elements = "".join(
+        ("&emsp;<wbr>" if place in gaps else "<wbr>") * bool(place) + _element(piece, attributes)
+        for place, piece in enumerate(pieces)
+        if piece
+    )
+    return elements, max(sum(map(_length, piece)) for piece in pieces)
 
 
-def _may_break_before(sign: str, piece: list[ET.Element]) -> bool:
+def _may_break_before(sign: str, piece: list[ET.Element], depth: int) -> bool:
+    """Before a relation, a plus or a minus, within brackets only where the piece would be very wide."""
     length = sum(map(_length, piece))
-    return (sign in _RELATION_SIGNS and length > _WIDE / 3) or (sign in "+−" and length > _WIDE / 2)
+    if depth > 0:
+        return sign in _RELATION_SIGNS | {"+", "−"} and length > 1.5 * _WIDE
+    return (sign in _RELATION_SIGNS and length > _WIDE / 3) or (sign in ("+", "−") and length > _WIDE / 2)
 
 
 def _opened(element: ET.Element) -> int:

@@ -104,14 +104,14 @@ def test_excerpts_show_formulas_as_they_were_written(formulas):
 
 
 @pytest.mark.parametrize(("width", "scheme"), [(1440, "light"), (390, "dark")])
-@pytest.mark.parametrize("name", ["docs/mathematics", "docs/theory", "docs/scenarios/ev-charging", "docs/errata"])
+@pytest.mark.parametrize("name", ["docs/mathematics", "docs/theory", "docs/scenarios/ev-charging", "docs/api/policies"])
 def test_no_formula_is_wider_than_the_page(open_file, site, name, width, scheme):
     page = open_file(site / f"{name}.html", width, scheme)
     assert page.evaluate("document.documentElement.scrollWidth") <= width
-    wide = """() => [...document.querySelectorAll("article p math, article div.math math")].filter(formula => {
+    wide = """() => [...document.querySelectorAll("article math")].filter(formula => {
         const article = document.querySelector("article").getBoundingClientRect()
-        return formula.getBoundingClientRect().right > article.right + 1
-    }).map(formula => formula.textContent)"""
+        return !formula.closest(".table-wrapper") && formula.getBoundingClientRect().right > article.right + 1
+    }).map(formula => formula.textContent)"""  # tables scroll by themselves
     assert page.evaluate(wide) == []
 
 
@@ -128,7 +128,7 @@ def test_search_shows_excerpts_without_a_server(open_file, site):
 def test_every_scenario_has_a_page_with_costs_picture_and_numbers(texts):
     pages = {name: texts[f"docs/scenarios/{name}"] for name in CATALOGUE}
     for name, text in pages.items():
-        assert text.count("<svg") == 3, name
+        assert text.count("--width: ") == 3, name
         assert 'class="math notranslate' in text, name
         assert f"ptne certify {name}" in text
         assert f"--scenario {name} " in html.unescape(re.sub(r"<[^>]+>", "", text))
