@@ -76,7 +76,7 @@ def _mathml(translator: HTML5Translator, node: nodes.math | nodes.math_block) ->
     block = isinstance(node, nodes.math_block)
     tag = "div" if block else "span"
     pieces, length = formulas.mathml(node.astext(), block=block)
-    style = {"style": f"--length: {length:.1f}"} if block or length > 14 else {}
+    style = {"style": f"--length: {length:.1f}"} if block or length > 12 else {}
     translator.body += [translator.starttag(node, tag, "", CLASS="math notranslate", **style), pieces, f"</{tag}>"]
     raise nodes.SkipNode
 

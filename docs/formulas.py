@@ -478,14 +478,15 @@ def mathml(tex: str, *, block: bool) -> tuple[str, float]:
     )
     ET.register_namespace("", _NAMESPACE)
     whole = ET.fromstring(source)  # noqa: S314 - written by docutils
+    for element in whole.iter():
+        if (element.text or "").strip() == "/":
+            element.attrib.update(lspace="0", rspace="0")
     pieces: list[list[ET.Element]] = [[]]
     gaps: set[int] = set()  # pieces before which the formula has a wide space
     depth = 0
     breaks = sum(map(_length, whole)) > (_WIDE_BLOCK if block else _WIDE)
     for element in whole:
         name, sign = element.tag.rpartition("}")[2], (element.text or "").strip()
-        if name == "mo" and sign == "/":
-            element.attrib.update(lspace="0", rspace="0")
         if breaks and name == "mo" and _may_break_before(sign, pieces[-1], depth):
             pieces.append([])
             element.set("form", "infix")

@@ -8,6 +8,7 @@ import pytest
 
 from ptne_env.paper.figures import FIGURES
 from ptne_env.paper.page import render_page
+from ptne_env.style import INK
 
 
 @pytest.fixture(scope="module")
@@ -62,6 +63,14 @@ def test_answer_counts_the_claims_that_hold(text, reproduction):
     page = render_page(table, held, {spec.name: [] for spec in FIGURES}, {}, "out")
     assert "11 of 11 claims hold when measured. Failing: none" in page
     assert "<td>never</td>" in page
+
+
+def test_figures_have_the_colours_of_the_page(text):
+    pictures = re.findall(r"<svg.*?</svg>", text, re.DOTALL)
+    assert len(pictures) >= 2 * len(FIGURES) - 6
+    for picture in pictures:
+        assert "var(--ink)" in picture
+        assert [colour for colour in ("#ffffff", "#000000", INK) if colour in picture] == []
 
 
 @pytest.mark.parametrize(("width", "scheme"), [(1280, "light"), (390, "light"), (390, "dark")])
