@@ -130,8 +130,9 @@ def test_every_scenario_has_a_page_with_costs_picture_and_numbers(texts):
     for name, text in pages.items():
         assert text.count("--width: ") == 3, name
         assert 'class="math notranslate' in text, name
-        assert f"ptne certify {name}" in text
-        assert f"--scenario {name} " in html.unescape(re.sub(r"<[^>]+>", "", text))
+        words = " ".join(html.unescape(re.sub(r"<[^>]+>", "", text)).split())
+        assert f"Printed by ptne certify {name};" in words
+        assert f"by ptne compare --scenario {name} --policy " in words
 
 
 def test_numbers_of_a_scenario_page_are_those_of_its_commands(texts, tmp_path):
