@@ -55,7 +55,7 @@ lowest newest:
 		--editable '.[bench]' 'filelock>=3.13' 'hypothesis>=6.100' 'pytest>=8.3' 'pytest-xdist>=3.6'
 	$(VENV)-$@/bin/pytest --numprocesses auto --dist worksteal \
 		--ignore tests/test_docs.py --ignore tests/test_examples.py --ignore tests/test_ecosystem.py \
-		--ignore tests/test_benchmarks.py
+		--ignore tests/test_benchmarks.py --ignore tests/test_site.py
 
 # Wheel and source archive, each installed in an empty environment and used outside the source tree.
 smoke: SMOKE := $(abspath $(VENV)-smoke)

@@ -2,16 +2,22 @@
 """The documentation site, built by ``make docs`` from the Markdown files that GitHub shows and from the docstrings."""
 
 import re
+import sys
+from pathlib import Path
 from typing import Any
 
 from docutils import nodes
-from docutils.utils.math.latex2mathml import tex2mathml
 from sphinx.application import Sphinx
 from sphinx.ext.napoleon import Config, GoogleDocstring
 from sphinx.util.inspect import TypeAliasForwardRef
 from sphinx.writers.html5 import HTML5Translator
 
 from ptne_env import __version__
+
+sys.path.insert(0, str(Path(__file__).parent))
+import excerpts
+import formulas
+import scenario_pages
 
 project = "ptne_env"
 release = __version__
@@ -48,9 +54,16 @@ python_maximum_signature_line_length = 100
 
 
 def _docstring(_app: Sphinx, _what: str, _name: str, _obj: object, _options: object, lines: list[str]) -> None:
-    """Convert Google style to reStructuredText and escape |x|, which reStructuredText would take for a substitution."""
+    """Convert Google style to reStructuredText, typeset formulas, and escape |, which would mark a substitution."""
     text = "\n".join(GoogleDocstring(lines, Config(napoleon_use_ivar=True)).lines())
+    text = formulas.typeset_docstring(text)
     lines[:] = re.sub(r"(``.*?``)|\|", lambda match: match[1] or r"\|", text).splitlines()
+
+
+def _document(app: Sphinx, name: str, source: list[str]) -> None:
+    """Typeset the formulas of a document."""
+    if app.env.doc2path(name).suffix == ".md":
+        source[0] = formulas.typeset_markdown(source[0])
 
 
 def _without_field_numbers(_app: Sphinx, _what: str, _name: str, obj: object, *_: object) -> bool | None:
@@ -59,21 +72,21 @@ def _without_field_numbers(_app: Sphinx, _what: str, _name: str, obj: object, *_
 
 
 def _mathml(translator: HTML5Translator, node: nodes.math | nodes.math_block) -> None:
-    """Formulas as MathML, which needs neither a script nor a network."""
+    """Formulas as MathML, with the length of the longest piece, from which site.css takes the size of letters."""
     block = isinstance(node, nodes.math_block)
     tag = "div" if block else "span"
-    formula = re.sub(
-        r'<mo( class="mathopen")?>(?=[‖|])',  # by default the left one of a pair stretches, and the right one has a gap
-        lambda match: f'<mo stretchy="false" form="{"prefix" if match[1] else "postfix"}">',
-        tex2mathml(node.astext(), as_block=block),
-    )
-    translator.body += [translator.starttag(node, tag, "", CLASS="math notranslate"), formula, f"</{tag}>"]
+    pieces, length = formulas.mathml(node.astext(), block=block)
+    style = {"style": f"--length: {length:.1f}"} if block or length > 12 else {}
+    translator.body += [translator.starttag(node, tag, "", CLASS="math notranslate", **style), pieces, f"</{tag}>"]
     raise nodes.SkipNode
 
 
 def setup(app: Sphinx) -> dict[str, Any]:
     """Register the functions above."""
+    app.connect("builder-inited", lambda _: scenario_pages.write_pages())
+    app.connect("source-read", _document)
     app.connect("autodoc-process-docstring", _docstring)
     app.connect("autodoc-skip-member", _without_field_numbers)
+    app.connect("build-finished", excerpts.write_texts)
     app.add_html_math_renderer("mathml", inline_renderers=(_mathml, None), block_renderers=(_mathml, None))
     return {"parallel_read_safe": True, "parallel_write_safe": True}

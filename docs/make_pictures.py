@@ -1,5 +1,5 @@
 # ruff: noqa: INP001, T201 - a script, and it prints
-"""Draw the pictures of the README (the last frame of an episode) and of the routed laws in docs/theory.md.
+"""Draw the picture of the README (the last frame of an episode) and those of the routed laws in docs/theory.md.
 
 Run it from the project's folder with: python docs/make_pictures.py
 """
@@ -19,6 +19,7 @@ from ptne_env.style import COLOURS, FAINT, drawing
 from ptne_env.world import World
 
 IMAGES = Path(__file__).parent / "images"
+SIZE = 4.5, 3.4  # inches, readable on a phone
 
 
 def draw_run(path: Path) -> None:
@@ -38,21 +39,28 @@ def draw_run(path: Path) -> None:
 
 
 def draw_routed(path: Path, episodes: int = 100) -> None:
-    """Save the errors of laws over a switching graph, and the radius of gradient play with delays over its step η."""
+    """Save the errors of laws over a switching graph."""
     with drawing("pictures"):
-        figure = Figure(figsize=(9, 3.4), layout="constrained")
-        errors, radii = figure.subplots(1, 2)
+        figure = Figure(figsize=SIZE, layout="constrained")
+        axes = figure.subplots()
         world = World(ptne_env.get_scenario("random-energy-switching-transformed"))
         start = EpisodeSet(episodes).initial_state(world)
         chosen = {name: POLICIES[name] for name in ("static", "grounded", "routed", "freshest")}
         traces = scene(world, start, chosen, frames=world.clock.steps).traces
         for colour, (name, trace) in zip(COLOURS, traces.items(), strict=False):
-            errors.fill_between(range(len(trace.errors[0])), trace.errors[0], trace.errors[2], color=colour, alpha=0.15)
-            errors.semilogy(trace.errors[1], color=colour, label=name)
-        errors.set(xlabel="step k", ylabel="estimate distance: median, 10 % to 90 %", ylim=(1e-12, 10))
-        errors.set_title("random-energy-switching-transformed", loc="left")
-        errors.legend()
+            axes.fill_between(range(len(trace.errors[0])), trace.errors[0], trace.errors[2], color=colour, alpha=0.15)
+            axes.semilogy(trace.errors[1], color=colour, label=name)
+        axes.set(xlabel="step k", ylabel="estimate distance: median, 10 % to 90 %", ylim=(1e-12, 10))
+        axes.set_title("random-energy-switching-transformed", loc="left")
+        axes.legend()
+        _save(figure, path)
 
+
+def draw_radius(path: Path) -> None:
+    """Save the radius of gradient play with delays over its step η."""
+    with drawing("pictures"):
+        figure = Figure(figsize=SIZE, layout="constrained")
+        axes = figure.subplots()
         tracks = {"nominal, 5-cycle": "nominal", "non-quadratic, 5-cycle": "non-quadratic", "large-20": "large-20"}
         for colour, (label, name) in zip(COLOURS[4:], tracks.items(), strict=False):
             world = World(ptne_env.experiments.get_suite("ptne-v1").track(name).scenario)
@@ -60,17 +68,22 @@ def draw_routed(path: Path, episodes: int = 100) -> None:
             jacobian, delays = constants.jacobian, theory.hop_delays(world.topology.graphs[0], world.game.owners)
             steps = np.linspace(0.005, 1.2, 200)
             radius = [theory.delayed_play_radius(jacobian, delays, step) for step in steps]
-            radii.plot(steps, radius, label=label, color=colour)
-            radii.plot(theory.largest_delayed_step(jacobian, delays), 1, "o", color=colour)
-        radii.axhline(1, color=FAINT, linewidth=0.8)
-        radii.set(xlabel="step η of the own gradient", ylabel="spectral radius per step", ylim=(0, 1.6))
-        radii.set_title("Gradient play with delays equal to hop counts", loc="left")
-        radii.legend()
-        path.parent.mkdir(parents=True, exist_ok=True)
-        figure.savefig(path, dpi=150, metadata={"Software": None})
+            axes.plot(steps, radius, label=label, color=colour)
+            axes.plot(theory.largest_delayed_step(jacobian, delays), 1, "o", color=colour)
+        axes.axhline(1, color=FAINT, linewidth=0.8)
+        axes.set(xlabel="step η of the own gradient", ylabel="spectral radius per step", ylim=(0, 1.6))
+        axes.set_title("Gradient play with delays equal to hop counts", loc="left")
+        axes.legend()
+        _save(figure, path)
+
+
+def _save(figure: Figure, path: Path) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    # Without the "Software" entry the same picture gives the same file under every version of matplotlib.
+    figure.savefig(path, dpi=150, metadata={"Software": None})
 
 
 if __name__ == "__main__":
-    draw_run(IMAGES / "run.png")
-    draw_routed(IMAGES / "routed.png")
-    print(f"written: {IMAGES / 'run.png'}, {IMAGES / 'routed.png'}")
+    for name, draw in {"run": draw_run, "routed": draw_routed, "radius": draw_radius}.items():
+        draw(IMAGES / f"{name}.png")
+        print(f"written: {IMAGES / name}.png")

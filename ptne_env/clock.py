@@ -50,7 +50,7 @@ class TimeTransformation(ABC):
         """s = λ^{-1}(t) for t < T."""
 
     def gain(self, t: npt.ArrayLike, constant: float = 0.0) -> FloatArray:
-        """g(t) = c + 1/λ'(λ^{-1}(t)) for t < T and c from T on: the prescribed-time gain (eq. PrescribedTimeAlgorithm).
+        """g(t) = c + 1/λ'(λ^{-1}(t)) for t < T and c from T on: the prescribed-time gain of eq. (10).
 
         Args:
             t: instants in seconds.
@@ -79,7 +79,7 @@ class TimeTransformation(ABC):
 
 
 class Exponential(TimeTransformation):
-    """The paper's λ(s) = T (1 − e^{−s}), for which the gain is c + 1/(T − t) (eq. TimeTransformFunction)."""
+    """The paper's λ(s) = T (1 − e^{−s}), eq. (9), for which the gain is c + 1/(T − t)."""
 
     def time(self, s: npt.ArrayLike) -> FloatArray:
         """T (1 − e^{−s})."""
@@ -138,7 +138,7 @@ class HyperbolicTangent(TimeTransformation):
 
 
 def check_time_transformation(transformation: TimeTransformation) -> float:
-    """Check the conditions of Lemma 1 (eq. TFcondition), and that λ, λ' and λ^{-1} are consistent.
+    """Check the conditions (7a)–(7c) of Lemma 1, and that λ, λ' and λ^{-1} are consistent.
 
     (7a), (7b) and the inverse are checked on a grid that ends where λ is within 1e-7 T of T, or at s = 6. The limits
     (7c) are extrapolated from s = e^u − 1 with u = ½, 1, 2, …, 512 by Aitken's Δ² process, which suffices for a λ as

@@ -451,7 +451,7 @@ def random_subgraphs(
 
 
 def paper_topology(dwell: float = 0.1, clock: TopologyClock = "physical") -> SwitchingTopology:
-    """The paper's eq. SwitchingSignal: four disconnected modes of ``dwell`` each, Γ = 4·dwell = 0.4 s.
+    """The paper's eq. (50): four disconnected modes of ``dwell`` each, Γ = 4·dwell = 0.4 s.
 
     The paper's figure of the modes is not available; ours are the pairs {12, 34}, {23, 45}, {34, 51}, {45, 12} of edges
     of the 5-cycle (players 1..5), whose union is the cycle.

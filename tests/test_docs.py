@@ -22,6 +22,7 @@ import ptne_env
 from ptne_env.catalogue import CATALOGUE
 from ptne_env.cli import app
 from ptne_env.experiments import POLICIES, get_suite
+from ptne_env.paper.numbers import PRINTED
 from ptne_env.policies import shipped
 from ptne_env.rewards import TERMS
 from ptne_env.scenario import Scenario
@@ -261,7 +262,7 @@ def test_readme_table_is_that_of_the_leaderboard():
     assert [row for row in rows if row[1:] != leaderboard[row[0]]] == []
 
 
-@pytest.mark.parametrize("name", ["run", "routed"])
+@pytest.mark.parametrize("name", ["run", "routed", "radius"])
 def test_pictures_can_be_drawn_again(tmp_path, name):
     script = runpy.run_path(str(ROOT / "docs" / "make_pictures.py"))
     script[f"draw_{name}"](tmp_path / f"{name}.png")
@@ -271,30 +272,6 @@ def test_pictures_can_be_drawn_again(tmp_path, name):
 
 
 # --- links and names --------------------------------------------------------------------------------------------------
-
-
-def test_site_is_complete_builds_without_warnings_and_needs_no_network(tmp_path):
-    """As ``make docs`` builds it. A link without a target, in a document or a docstring, is a warning."""
-    (recipe,) = re.findall(r"sphinx-build (.*) \. \$\(OUT\)/site", text_of(ROOT / "Makefile"))
-    run_python("-m", "sphinx", *recipe.split(), ROOT, tmp_path, folder=ROOT)
-    html = {path.relative_to(tmp_path).with_suffix("").as_posix(): text_of(path) for path in tmp_path.rglob("*.html")}
-    assert {page.relative_to(ROOT).with_suffix("").as_posix() for page in PAGES} <= set(html)
-    assert "docs/index.html" in html["index"]
-
-    reference = "".join(text for name, text in html.items() if name.startswith("docs/api/"))
-    modules = [".".join(path.relative_to(ROOT).with_suffix("").parts) for path in PACKAGE.rglob("[!_]*.py")]
-    missing = [name for name in modules if f'id="module-{name}"' not in reference]
-    assert [name for name in missing if not name.startswith("ptne_env.cli")] == []  # the reference of ptne is --help
-    for public in (ptne_env.parallel_env, ptne_env.ObservationLayout, ptne_env.laws.Static):
-        assert f'id="{public.__module__}.{public.__qualname__}"' in reference
-    assert "TypeAliasForwardRef" not in reference
-
-    mathematics = ROOT / "docs" / "mathematics.md"
-    formulas = re.findall(r"\$[^$]+\$", prose(mathematics)) + blocks(mathematics, "math")
-    assert html["docs/mathematics"].count("<math ") == len(formulas) > 100
-    assert [formula for formula in formulas if formula[0] == "$" and re.search(r"\\[,;!{}]", formula)] == []  # GitHub
-    for text in html.values():
-        assert re.findall(r"<(?:script|link|img|iframe)[^>]*(?:src|href)=\"(?:https?:)?//", text) == []
 
 
 @pytest.mark.parametrize("document", DOCUMENTS, ids=lambda document: document.stem)
@@ -360,13 +337,29 @@ def test_paper_map_has_every_equation_theorem_and_figure_of_the_paper():
         numbers |= set(range(int(first), int(last or first) + 1))
     assert numbers == set(range(1, 52))
     counts = {"Definition": 1, "Assumption": 4, "Lemma": 1, "Proposition": 1, "Theorem": 4, "Corollary": 1, "Remark": 6}
-    counts |= {"Problem": 1, "Example": 2, "Table": 1, "Fig.": 10}
+    counts |= {"Problem": 1, "Example": 2, "Fig.": 10}
+    assert "Table I " in items
     assert [
         f"{kind} {k}"
         for kind in counts
         for k in range(1, counts[kind] + 1)
         if f" {kind} {k} " not in f"{items} ".replace(",", " ")
     ] == []
+
+
+def test_paper_map_lists_the_labels_with_their_printed_numbers():
+    rows = table(ROOT / "docs" / "paper-map.md", "Printed")
+    assert {label: number for number, labels in rows for label in re.findall(r"`(\w+)`", labels)} == PRINTED
+
+
+def test_texts_name_printed_numbers_and_no_labels_of_the_source():
+    names_here = {"Problem", "NonQuadraticGame"}  # a word, and a class
+    labels = {label for label in PRINTED if len(label) > 5} - names_here
+    texts = {path: text_of(path) for path in [*PAGES, *PACKAGE.rglob("*.py"), *PACKAGE.rglob("*.html")]}
+    named = {by_path(path): sorted(labels & set(re.findall(r"\w+", text))) for path, text in texts.items()}
+    assert {path for path, found in named.items() if found} == {"docs/paper-map.md", "ptne_env/paper/numbers.py"}
+    equations = {int(number) for text in texts.values() for number in re.findall(r"\beqs?\. \((\d+)\)", text)}
+    assert {9, 10, 15, 50} <= equations <= set(range(1, 52))
 
 
 def test_architecture_names_every_module_and_package():

@@ -19,7 +19,7 @@ def reproduce(
     ),
     json: options.Json = None,
 ) -> None:
-    """Reproduce the paper: Table 1, every figure, and a measured verdict on every claim and erratum.
+    """Reproduce the paper: Table I, every figure, and a measured verdict on every claim and erratum.
 
     Simulates the laws in continuous time, with the matrix exponential as the exact reference where the game is affine.
     """

@@ -98,7 +98,7 @@ class Game(ABC):
     def own_gradients(self, estimates: FloatArray) -> FloatArray:
         """∂J_i/∂x_i(x^i) of every player on its own estimate: (n, N, B) to (n, B), the blocks stacked.
 
-        This is **F** of the paper's eq. StackedVariable; block i depends on column i alone.
+        This is **F** of the paper's eq. (11); block i depends on column i alone.
         """
 
     @abstractmethod

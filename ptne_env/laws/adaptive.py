@@ -12,9 +12,8 @@ from ptne_env.observation import Observation, ObservationLayout
 def adaptive_inputs(observation: Observation, memory: FloatArray, gamma: float) -> tuple[FloatArray, FloatArray]:
     """u^i = −R_i^T ∂J_i/∂x_i(x^i) − Σ_j κ_ij a_ij (x^i − x^j), dκ_ij/dτ = γ a_ij ‖x^i − x^j‖².
 
-    Eqs. PrescribedTimeAlgorithmAdaptive and PrescribedTimeAlgorithmAdaptiveSwitching: on a switching topology a_ij is
-    that of the active graph. The gains take an Euler step of Θ_k like the estimates. Both ends of a link see the same
-    differences, so κ_ij = κ_ji needs no message.
+    Eqs. (36) and (47) of the paper: on a switching topology a_ij is that of the active graph. The gains take an Euler
+    step of Θ_k like the estimates. Both ends of a link see the same differences, so κ_ij = κ_ji needs no message.
     The memory is κ_ij per neighbour slot, shape (R, D), in natural units; γ = ``gamma`` on all links.
     """
     differences = observation.relative_estimates

@@ -14,7 +14,7 @@ from ptne_env.observation import CONSENSUS_GAIN, GAIN_OCTAVES, Observation, Obse
 def static_inputs(observation: Observation, kappa: float, gradient_gain: float = 1.0) -> FloatArray:
     """u^i = −g R_i^T ∂J_i/∂x_i(x^i) − κ Σ_j a_ij (x^i − x^j), the static law.
 
-    Eq. PrescribedTimeAlgorithm, Theorem 1; the environment's dynamics supply the time gain c + 1/(T − t).
+    Eq. (10) of the paper, Theorem 1; the environment's dynamics supply the time gain c + 1/(T − t).
     With κ = ``kappa`` and g = ``gradient_gain``; g ≠ 1 is the same law for the costs g J_i.
     """
     inputs = consensus(observation.weights, observation.relative_estimates)
@@ -72,7 +72,7 @@ class Static(Law):
 
 
 class FixedGain(Static):
-    """The static law with Bianchi and Grammatico's condition on κ, which is weaker than eq. GainCondition.
+    """The static law with Bianchi and Grammatico's condition on κ, which is weaker than the paper's, eq. (15).
 
     M. Bianchi and S. Grammatico, "Continuous-time fully distributed generalized Nash equilibrium seeking for
     multi-integrator agents", Automatica, 2021: their controller with a fixed gain for single integrators, without

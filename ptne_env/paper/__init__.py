@@ -1,4 +1,4 @@
-"""Reproduction of the paper: continuous-time simulation, Table 1, all figures, measured claims and errata."""
+"""Reproduction of the paper: continuous-time simulation, Table I, all figures, measured claims and errata."""
 
 from ptne_env.paper.claims import Claim as Claim
 from ptne_env.paper.experiments import Experiments as Experiments

@@ -1,8 +1,8 @@
 """The paper's loops in continuous time, integrated in effective time τ, where each is dx/dτ = u.
 
-With τ = s + c t the prescribed-time gain disappears (eq. ClosedLoopSysteminSpace has θ = dτ/ds), the instant T lies at
-s = ∞ instead of a singularity, and the phase after T has the same equation with dτ = c dt. The state is the error
-x − 1⊗x*, which keeps its relative precision as it vanishes.
+With τ = s + c t the prescribed-time gain disappears (eq. (13) has θ = dτ/ds), the instant T lies at s = ∞ instead of a
+singularity, and the phase after T has the same equation with dτ = c dt. The state is the error x − 1⊗x*, which keeps
+its relative precision as it vanishes.
 """
 
 from __future__ import annotations
@@ -268,8 +268,7 @@ def simulate(
 ) -> Run:
     """Integrate the adaptive law, of which the static one is the case γ = 0 with κ = ``initial_gain``.
 
-    Covers eq. PrescribedTimeAlgorithm, eq. PrescribedTimeAlgorithmAdaptive, eq.
-    PrescribedTimeAlgorithmAdaptiveSwitching and, on a :func:`plain_timeline`, Corollary 1. ``solve_ivp`` (DOP853)
+    Covers eqs. (10), (36) and (47) of the paper and, on a :func:`plain_timeline`, Corollary 1. ``solve_ivp`` (DOP853)
     restarts at every switch, so that no step contains a switch.
 
     Args:

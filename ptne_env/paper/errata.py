@@ -107,7 +107,7 @@ def erratum_3(experiments: Experiments) -> Iterator[Claim]:
 
 
 def erratum_4(experiments: Experiments) -> Iterator[Claim]:
-    """κ = 2 violates the gain condition on every graph with λ2 < 2.91, and no other graph comes near Table 1."""
+    """κ = 2 violates the gain condition on every graph with λ2 < 2.91, and no other graph comes near Table I."""
     game, constants, bound = experiments.energy, experiments.constants, experiments.gain_bound
     least = experiments.required_gain(1.0) / KAPPA
     graphs = [from_networkx(g) for g in nx.graph_atlas_g() if g.number_of_nodes() == 5 and nx.is_connected(g)]
@@ -121,7 +121,7 @@ def erratum_4(experiments: Experiments) -> Iterator[Claim]:
     yield decided(
         "Erratum 4, the gain of the simulations",
         "κ = 2 violates the gain condition on every graph with λ2 < 2.91, which is only sufficient; the paper's graph "
-        "is unknown, and graphs with a larger λ2 do not reproduce Table 1",
+        "is unknown, and graphs with a larger λ2 do not reproduce Table I",
         "among all connected graphs on five players those with smaller λ2 violate it, and all their loops converge; "
         "some of them come within 5 % of 21 s and 13 s, and no other graph does",
         bound >= KAPPA
@@ -132,7 +132,7 @@ def erratum_4(experiments: Experiments) -> Iterator[Claim]:
         and nearest_strong > 0.05,
         f"the 5-cycle needs κ > {bound:.3f}; {len(violating)} of {len(graphs)} graphs have λ2 < {least:.3f} and "
         f"violate it, slowest rate r = {slowest:.3f}; {near} of {len(labelled)} labelled graphs come within 5 % of "
-        f"Table 1, and those with a larger λ2 not closer than {nearest_strong:.2%}",
+        f"Table I, and those with a larger λ2 not closer than {nearest_strong:.2%}",
         epsilon=constants.epsilon,
         iota=constants.iota,
         gain_bound_on_cycle=bound,

@@ -16,7 +16,7 @@ from ptne_env.clock import Exponential
 from ptne_env.graphs import Graph, cycle
 from ptne_env.paper.continuous import Run
 from ptne_env.paper.experiments import DEADLINE, DWELLS, GAIN, GAMMA, HOLD, KAPPA, Experiments
-from ptne_env.style import COLOURS, FAINT, INK, drawing
+from ptne_env.style import COLOURS, FAINT, INK, drawing, panels
 from ptne_env.switching import TopologyClock
 
 if TYPE_CHECKING:
@@ -35,10 +35,10 @@ class FigureSpec:
 
     Attributes:
         name: file name without extension.
-        caption: description naming the paper's figure, printed below the figure.
+        caption: the content, printed below the figure after its number.
         size: width and height in inches.
         draw: fills the figure.
-        number: of the paper's figure, as LaTeX counts, or of the erratum.
+        number: of the paper's figure as printed, ``"Fig. 1"``, or of the erratum.
         original: the paper's caption; empty where the figure is ours.
         claims: names of the claims that the figure illustrates.
     """
@@ -52,38 +52,50 @@ class FigureSpec:
     claims: tuple[str, ...] = ()
 
 
-def draw(spec: FigureSpec, experiments: Experiments, kind: Literal["png", "svg", "page"]) -> bytes:
-    """The figure as the bytes of a file.
+def draw(spec: FigureSpec, experiments: Experiments, kind: Literal["png", "svg"]) -> bytes:
+    """The figure with its caption as the bytes of a file.
 
     Args:
         spec: an entry of :data:`FIGURES`.
         experiments: the runs.
-        kind: ``"png"`` (200 dots per inch) or ``"svg"`` with the caption, or ``"page"``: an SVG without the caption and
-            with letters as outlines, as readers of the page have other fonts.
+        kind: ``"png"`` (200 dots per inch) or ``"svg"``.
 
     Raises:
         ImportError: naming the extra to install when matplotlib is missing.
     """
     width, height = spec.size
-    lines = [] if kind == "page" else textwrap.wrap(spec.caption, int(15.5 * width))
-    band = 0.17 * len(lines) + 0.12 * bool(lines)  # inches for the caption below the axes
-    share = band / (height + band)
+    caption = f"The paper's {spec.number}. {spec.caption}" if spec.original else f"{spec.number}. {spec.caption}"
+    lines = textwrap.wrap(caption, int(15.5 * width))
+    band = 0.17 * len(lines) + 0.12  # inches for the caption below the axes
     options: dict[str, Any] = {"dpi": 200} if kind == "png" else {"metadata": {"Date": None}}
     buffer = io.BytesIO()
-    with drawing("figures", {"svg.fonttype": "path" if kind == "page" else "none"}):
-        from matplotlib.backends.backend_agg import FigureCanvasAgg
-        from matplotlib.figure import Figure
-        from matplotlib.layout_engine import ConstrainedLayoutEngine
-
-        layout = ConstrainedLayoutEngine(rect=(0, share, 1, 1 - share), w_pad=0.09, h_pad=0.07)
-        figure = Figure(figsize=(width, height + band), layout=layout)
-        FigureCanvasAgg(figure)
-        spec.draw(figure, experiments)
-        if lines:
-            place = 0.5, 0.08 / (height + band)
-            figure.text(*place, "\n".join(lines), ha="center", va="bottom", color=INK, fontsize=8.5)
-        figure.savefig(buffer, format="png" if kind == "png" else "svg", **options)
+    with drawing("figures", {"svg.fonttype": "none"}):
+        figure = _drawn(spec, experiments, band)
+        place = 0.5, 0.08 / (height + band)
+        figure.text(*place, "\n".join(lines), ha="center", va="bottom", color=INK, fontsize=8.5)
+        figure.savefig(buffer, format=kind, **options)
     return buffer.getvalue()
+
+
+def draw_panels(spec: FigureSpec, experiments: Experiments) -> list[str]:
+    """The parts of the figure as SVG for a page in light or dark colours (:func:`ptne_env.style.panels`)."""
+    with drawing("figures"):
+        return panels(_drawn(spec, experiments, 0.0))
+
+
+def _drawn(spec: FigureSpec, experiments: Experiments, band: float) -> Figure:
+    """The figure above ``band`` inches of free space."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+    from matplotlib.layout_engine import ConstrainedLayoutEngine
+
+    width, height = spec.size
+    share = band / (height + band)
+    layout = ConstrainedLayoutEngine(rect=(0, share, 1, 1 - share), w_pad=0.09, h_pad=0.07)
+    figure = Figure(figsize=(width, height + band), layout=layout)
+    FigureCanvasAgg(figure)
+    spec.draw(figure, experiments)
+    return figure
 
 
 # --- shared by several figures --------------------------------------------------------------------------------------
@@ -149,7 +161,7 @@ def _gains(axes: Axes, run: Run, title: str) -> None:
     _mark_deadline(axes, top=0.86)
 
 
-def _network(axes: Axes, graph: Graph, union: Graph) -> None:
+def draw_network(axes: Axes, graph: Graph, union: Graph) -> None:
     """The players on a circle, clockwise from the top; links of the union that are down are grey."""
     angles = np.pi / 2 - 2 * np.pi * np.arange(graph.num_players) / graph.num_players
     places = {i: np.array([np.cos(angle), np.sin(angle)]) for i, angle in enumerate(angles)}
@@ -184,7 +196,7 @@ def _time_transformation(figure: Figure, _: Experiments) -> None:
 def _graph(figure: Figure, _: Experiments) -> None:
     left, right = figure.subplots(1, 2)
     graph = cycle(5)
-    _network(left, graph, graph)
+    draw_network(left, graph, graph)
     left.set_title(r"(a) fixed graph $\mathcal{G}$")
     laplacian = graph.laplacian
     limit = float(np.abs(laplacian).max())
@@ -218,7 +230,7 @@ def _switching_graphs(figure: Figure, experiments: Experiments) -> None:
     topology = experiments.switching["physical"].topology
     period, dwell = topology.period, topology.dwells[0]
     for m, (axes, graph) in enumerate(zip(figure.subplots(1, 4), topology.graphs, strict=True)):
-        _network(axes, graph, topology.union)
+        draw_network(axes, graph, topology.union)
         interval = f"[{m * dwell:.1f}, {(m + 1) * dwell:.1f})"
         axes.set_title(rf"$\mathcal{{G}}_{m + 1}$: $t$ mod {period:g} s in {interval}", fontsize=8.5)
 
@@ -276,7 +288,7 @@ _SWITCHING_CLAIMS = "Theorem 4, dwelling in t (as stated)", "Theorem 4, dwelling
 FIGURES: tuple[FigureSpec, ...] = (
     FigureSpec(
         "time-transformation",
-        "The time transformation λ and its derivative (paper: Fig. TimeTransFunction).",
+        "The time transformation λ and its derivative.",
         (6.6, 2.5),
         _time_transformation,
         "Fig. 1",
@@ -285,8 +297,7 @@ FIGURES: tuple[FigureSpec, ...] = (
     ),
     FigureSpec(
         "graph",
-        "The fixed graph and its Laplacian (paper: Fig. UndirectedGraph). The paper's drawing is not available; the "
-        "5-cycle is our choice.",
+        "The fixed graph and its Laplacian. The paper's drawing is not available; the 5-cycle is our choice.",
         (6.0, 2.7),
         _graph,
         "Fig. 2",
@@ -295,7 +306,7 @@ FIGURES: tuple[FigureSpec, ...] = (
     ),
     FigureSpec(
         "static",
-        f"Example 1, {_STATIC} (paper: Fig. AlgorithmStatic). {_READING}",
+        f"Example 1, {_STATIC}. {_READING}",
         (8.2, 3.3),
         lambda figure, experiments: _runs(figure, {"": experiments.static}),
         "Fig. 3",
@@ -304,7 +315,7 @@ FIGURES: tuple[FigureSpec, ...] = (
     ),
     FigureSpec(
         "corollary-one",
-        f"Example 1 without the time gain (paper: Fig. Positionerror). {_READING}",
+        f"Example 1 without the time gain. {_READING}",
         (8.2, 6.0),
         _comparison,
         "Fig. 4",
@@ -313,7 +324,7 @@ FIGURES: tuple[FigureSpec, ...] = (
     ),
     FigureSpec(
         "adaptive",
-        f"Example 1, adaptive law (paper: Fig. AlgorithmAdaptive). {_READING}",
+        f"Example 1, adaptive law. {_READING}",
         (8.2, 3.3),
         lambda figure, experiments: _runs(figure, {"": experiments.adaptive}),
         "Fig. 5",
@@ -322,7 +333,7 @@ FIGURES: tuple[FigureSpec, ...] = (
     ),
     FigureSpec(
         "adaptive-gains",
-        "The gains of the adaptive law (paper: Fig. DynamicGain).",
+        "The gains of the adaptive law.",
         (5.2, 3.0),
         lambda figure, experiments: _gains(
             figure.subplots(), experiments.adaptive, rf"fixed graph, $\gamma={GAMMA:g}$"
@@ -333,8 +344,8 @@ FIGURES: tuple[FigureSpec, ...] = (
     ),
     FigureSpec(
         "switching-graphs",
-        "The four modes of the switching topology (paper: Fig. SwitchingGraphs), each disconnected, jointly connected. "
-        "The paper's drawing is not available; these are our choice.",
+        "The four modes of the switching topology, each disconnected, jointly connected. The paper's drawing is not "
+        "available; these are our choice.",
         (8.2, 2.1),
         _switching_graphs,
         "Fig. 7",
@@ -343,8 +354,8 @@ FIGURES: tuple[FigureSpec, ...] = (
     ),
     FigureSpec(
         "switching",
-        "Example 1, adaptive law over switching graphs (paper: Fig. AlgorithmAdaptiveSwitching): with dwell times in "
-        f"t the error at T does not vanish. {_READING}",
+        "Example 1, adaptive law over switching graphs: with dwell times in t the error at T does not vanish. "
+        f"{_READING}",
         (8.2, 6.2),
         lambda figure, experiments: _runs(figure, _by_clock(experiments.switching)),
         "Fig. 8",
@@ -353,7 +364,7 @@ FIGURES: tuple[FigureSpec, ...] = (
     ),
     FigureSpec(
         "switching-gains",
-        "The gains of the adaptive law over switching graphs (paper: Fig. AlgorithmAdaptiveSwitchingK).",
+        "The gains of the adaptive law over switching graphs.",
         (8.2, 3.0),
         _switching_gains,
         "Fig. 9",
@@ -362,7 +373,7 @@ FIGURES: tuple[FigureSpec, ...] = (
     ),
     FigureSpec(
         "non-quadratic",
-        f"Example 2 (corrected), adaptive law over switching graphs (paper: Fig. NonQuadraticGame). {_READING}",
+        f"Example 2 (corrected), adaptive law over switching graphs. {_READING}",
         (8.2, 6.2),
         lambda figure, experiments: _runs(figure, _by_clock(experiments.non_quadratic_switching)),
         "Fig. 10",
@@ -371,7 +382,7 @@ FIGURES: tuple[FigureSpec, ...] = (
     ),
     FigureSpec(
         "erratum-2",
-        "Erratum 2: the error at T when the topology dwells in t, against its period. Not in the paper.",
+        "The error at T when the topology dwells in t, against its period. Not in the paper.",
         (5.2, 3.2),
         _erratum_2,
         "Erratum 2",
@@ -379,7 +390,7 @@ FIGURES: tuple[FigureSpec, ...] = (
     ),
     FigureSpec(
         "erratum-3",
-        f"Erratum 3: input and velocity near T, Example 1, {_STATIC}. Not in the paper.",
+        f"Input and velocity near T, Example 1, {_STATIC}. Not in the paper.",
         (5.2, 3.2),
         _erratum_3,
         "Erratum 3",

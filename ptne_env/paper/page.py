@@ -1,9 +1,8 @@
-"""The HTML page of the reproduction: Table 1, figures with the paper's captions, claims and verdicts."""
+"""The HTML page of the reproduction: Table I, figures with the paper's captions, claims and verdicts."""
 
 from __future__ import annotations
 
 import shlex
-from base64 import b64encode
 from collections.abc import Mapping, Sequence
 
 from ptne_env.experiments.provenance import versions
@@ -19,16 +18,16 @@ _ERRATUM = "Erratum"
 def render_page(
     table: Sequence[TableRow],
     claims: Sequence[Claim],
-    pictures: Mapping[str, bytes],
+    pictures: Mapping[str, Sequence[str]],
     settings: Mapping[str, object],
     out: str,
 ) -> str:
-    """Table 1, every figure, claim and erratum as HTML.
+    """Table I, every figure, claim and erratum as HTML.
 
     Args:
-        table: Table 1.
+        table: Table I.
         claims: claims and errata.
-        pictures: SVG by name of the figure.
+        pictures: the SVG elements of each figure by its name, see :func:`ptne_env.paper.figures.draw_panels`.
         settings: settings of the experiments.
         out: folder of the results, for the command that reproduces them.
 
@@ -39,7 +38,7 @@ def render_page(
     figures = [
         {
             "spec": spec,
-            "source": f"data:image/svg+xml;base64,{b64encode(pictures[spec.name]).decode('ascii')}",
+            "panels": pictures[spec.name],
             "claims": [claims[places[name]] for name in spec.claims],
         }
         for spec in FIGURES

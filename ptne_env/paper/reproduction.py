@@ -1,4 +1,4 @@
-"""Reproduction of the whole paper: Table 1, figures, claims and errata, as files and as tables in a terminal."""
+"""Reproduction of the whole paper: Table I, figures, claims and errata, as files and as tables in a terminal."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from ptne_env.files import write_atomically
 from ptne_env.paper.claims import CLAIMS, Claim
 from ptne_env.paper.errata import ERRATA
 from ptne_env.paper.experiments import DEADLINE, GAIN, GAMMA, INITIAL_GAIN, S_END, Experiments
-from ptne_env.paper.figures import FIGURES, draw
+from ptne_env.paper.figures import FIGURES, draw, draw_panels
 from ptne_env.paper.page import render_page
 from ptne_env.paper.table import TableRow, table_one
 
@@ -42,7 +42,7 @@ class Reproduction:
     """Results of :func:`reproduce`.
 
     Attributes:
-        table: the rows of Table 1.
+        table: the rows of Table I.
         claims: every claim and erratum with its verdict.
         figures: the figure files, a PNG and an SVG per figure.
         results: the JSON file with all numbers.
@@ -91,20 +91,20 @@ def reproduce(out: Path, *, progress: Callable[[int, int, str], None] | None = N
             progress(done, total, part)
         done += 1
 
-    announce("Table 1")
+    announce("Table I")
     table = table_one(experiments)
     claims: list[Claim] = []
     for check in CHECKS:
         announce(check.__name__.replace("_", " ").capitalize())
         claims += check(experiments)
     figures: list[Path] = []
-    pictures: dict[str, bytes] = {}
+    pictures: dict[str, list[str]] = {}
     for spec in FIGURES:
         announce(f"Figure {spec.name}")
         figures += [out / f"{spec.name}.png", out / f"{spec.name}.svg"]
         write_atomically(figures[-2], draw(spec, experiments, "png"))
         write_atomically(figures[-1], draw(spec, experiments, "svg"))
-        pictures[spec.name] = draw(spec, experiments, "page")
+        pictures[spec.name] = draw_panels(spec, experiments)
     announce("Done")
     results, page = out / RESULTS_FILE, out / PAGE_FILE
     write_atomically(page, render_page(table, claims, pictures, _SETTINGS, str(out)))
@@ -114,7 +114,7 @@ def reproduce(out: Path, *, progress: Callable[[int, int, str], None] | None = N
 
 
 def render(reproduction: Reproduction) -> tuple[Table, Table]:
-    """Two rich tables for a terminal: Table 1 beside the paper's, and every claim with its verdict.
+    """Two rich tables for a terminal: Table I beside the paper's, and every claim with its verdict.
 
     Raises:
         ImportError: naming the extra to install when rich is missing.
@@ -124,7 +124,7 @@ def render(reproduction: Reproduction) -> tuple[Table, Table]:
         from rich.text import Text
     except ImportError as error:
         raise ImportError('terminal tables need rich: pip install "ptne-env[bench]"') from error
-    times = Table(title="Table 1: seconds until the strategies are within 0.5 % of the equilibrium")
+    times = Table(title="Table I: seconds until the strategies are within 0.5 % of the equilibrium")
     times.add_column("Algorithm")
     for heading in ("κ", "c [1/s]", "Paper [s]", "Ours [s]", "Error at the paper's time"):
         times.add_column(Text(heading), justify="right")  # Text, so that brackets are not markup

@@ -1,4 +1,4 @@
-"""Table 1 of the paper: settling times, measured and printed."""
+"""Table I of the paper: settling times, measured and printed."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ PLAIN = {"Gadjov–Pavel": (1.0, 21.0), "Corollary 1": (10.0, 13.0)}
 
 @dataclass(frozen=True)
 class TableRow:
-    """One algorithm of Table 1.
+    """One algorithm of Table I.
 
     Attributes:
         algorithm: its name.
@@ -40,7 +40,7 @@ class TableRow:
 
 
 def table_one(experiments: Experiments) -> tuple[TableRow, ...]:
-    """The three rows of Table 1, on Example 1 and the 5-cycle (our choice; the paper's graph is not available)."""
+    """The three rows of Table I, on Example 1 and the 5-cycle (our choice; the paper's graph is not available)."""
     plain = zip(PLAIN.items(), (experiments.gadjov_pavel, experiments.corollary_one), strict=True)
     rows = [
         *((name, kappa, 0.0, paper, run) for (name, (kappa, paper)), run in plain),
@@ -65,7 +65,7 @@ def labelled_graphs() -> tuple[Graph, ...]:
 
 
 def misfits(experiments: Experiments, graphs: Sequence[Graph], thresholds: FloatArray) -> FloatArray:
-    """How far each graph is from the two times of Table 1 without the time gain, by the paper's own start and gains.
+    """How far each graph is from the two times of Table I without the time gain, by the paper's own start and gains.
 
     Args:
         experiments: Example 1 and its start.

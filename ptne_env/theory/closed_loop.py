@@ -1,8 +1,8 @@
 """The closed loop dx/dτ = −M (x − 1⊗x*) of every law that is linear in gradient and differences, and its rates.
 
-Everything here is in effective time τ = s + c t and in the paper's player-major stacking x = col(x^1, …, x^N) (eq.
-StackedVariable): entry i n + k belongs to x^i_k. For games with affine F it is exact; for the others M is the
-linearisation at x*. Strategies that bounds hold at x* do not move, and their entries are left out.
+Everything here is in effective time τ = s + c t and in the paper's player-major stacking x = col(x^1, …, x^N), its eq.
+(11): entry i n + k belongs to x^i_k. For games with affine F it is exact; for the others M is the linearisation at x*.
+Strategies that bounds hold at x* do not move, and their entries are left out.
 """
 
 from __future__ import annotations

@@ -203,13 +203,13 @@ def condition(law: Law, constants: ProblemConstants) -> Condition | None:  # noq
 
 @condition.register
 def static_condition(law: Static, constants: ProblemConstants) -> Condition:
-    """κ > (ι²/ε + ι)/λ2 (eq. GainCondition), for scaled costs with κ divided by the gradient gain."""
+    """κ > (ι²/ε + ι)/λ2, eq. (15) of the paper, for scaled costs with κ divided by the gradient gain."""
     return _gain_condition(law.kappa / law.gradient_gain, constants)
 
 
 @condition.register
 def corollary_one_condition(law: CorollaryOne, constants: ProblemConstants) -> Condition:
-    """κ > (ι²/ε + ι)/λ2 (eq. GainCondition); convergence is asymptotic, not by the deadline."""
+    """κ > (ι²/ε + ι)/λ2, eq. (15) of the paper; convergence is asymptotic, not by the deadline."""
     return _gain_condition(law.kappa, constants)
 
 

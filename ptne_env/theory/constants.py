@@ -39,7 +39,7 @@ class MonotonicityConstants:
 
     @property
     def iota(self) -> float:
-        """The larger of the two Lipschitz constants, ι of eq. GainCondition."""
+        """The larger of the two Lipschitz constants, ι of the paper's eq. (15)."""
         return max(self.iota_strategies, self.iota_estimates)
 
 
@@ -82,7 +82,7 @@ def monotonicity_constants(
 
 
 def gain_bound(constants: MonotonicityConstants, algebraic_connectivity: float) -> float:
-    """(ι²/ε + ι)/λ2, which κ must exceed in Theorem 1 (eq. GainCondition); infinite when ε or λ2 is not positive."""
+    """(ι²/ε + ι)/λ2, which κ must exceed in Theorem 1 (its eq. (15)); infinite when ε or λ2 is not positive."""
     epsilon, iota = constants.epsilon, constants.iota
     if epsilon <= 0 or algebraic_connectivity <= 0:
         return math.inf
@@ -96,7 +96,7 @@ def proof_matrix(
     kappa: float,
     gradient_gain: float = 1.0,
 ) -> FloatArray:
-    """O/2 = [[ε/N, −ι/√N], [−ι/√N, κ λ2 − ι]] with the matrix O of the proof of Theorem 1 (eq. L8).
+    """O/2 = [[ε/N, −ι/√N], [−ι/√N, κ λ2 − ι]] with the matrix O of the proof of Theorem 1, eq. (24).
 
     With a the norm of the mean part 1⊗ē of an error e, and b that of the rest, eᵀ M e ≥ (a, b) O/2 (a, b)ᵀ.
 

@@ -8,6 +8,7 @@ import pytest
 
 from ptne_env.paper.figures import FIGURES
 from ptne_env.paper.page import render_page
+from ptne_env.style import INK
 
 
 @pytest.fixture(scope="module")
@@ -21,7 +22,7 @@ def read(text):
 
 def test_every_figure_has_the_papers_caption_and_its_verdicts(text, claims):
     sections = text.split('<h3 id="figure-')[1:]
-    assert len(sections) == len(FIGURES) == text.count("data:image/svg+xml;base64,")
+    assert len(sections) == len(FIGURES) == text.count('class="panels"')
     for section, spec in zip(sections, FIGURES, strict=True):
         shown = read(section)
         assert f'">{spec.number} ' in shown
@@ -59,19 +60,30 @@ def test_answer_counts_the_claims_that_hold(text, reproduction):
     result = reproduction[0]
     table = [dataclasses.replace(row, ours=None) for row in result.table]
     held = [dataclasses.replace(claim, verdict="holds") for claim in result.claims]
-    page = render_page(table, held, {spec.name: b"" for spec in FIGURES}, {}, "out")
+    page = render_page(table, held, {spec.name: [] for spec in FIGURES}, {}, "out")
     assert "11 of 11 claims hold when measured. Failing: none" in page
     assert "<td>never</td>" in page
+
+
+def test_figures_have_the_colours_of_the_page(text):
+    pictures = re.findall(r"<svg.*?</svg>", text, re.DOTALL)
+    assert len(pictures) >= 2 * len(FIGURES) - 6
+    for picture in pictures:
+        assert "var(--ink)" in picture
+        assert [colour for colour in ("#ffffff", "#000000", INK) if colour in picture] == []
 
 
 @pytest.mark.parametrize(("width", "scheme"), [(1280, "light"), (390, "light"), (390, "dark")])
 def test_browser_shows_the_page_without_errors(open_file, reproduction, width, scheme):
     page = open_file(reproduction[0].page, width, scheme)
     assert page.evaluate("document.documentElement.scrollWidth") <= width
-    pictures = page.locator("main img")
+    pictures = page.locator("main .panels")
     assert pictures.count() == len(FIGURES)
     for picture in pictures.all():
-        assert picture.evaluate("picture => picture.complete && picture.naturalWidth > 100")
-        assert picture.get_attribute("alt")
+        assert picture.get_attribute("aria-label")
+        for panel in picture.locator("svg").all():
+            assert panel.evaluate("panel => panel.getBoundingClientRect().width") >= min(width, 500) / 4
+    letters = page.locator("main .panels").first.evaluate("picture => getComputedStyle(picture).fill")
+    assert letters == page.evaluate("getComputedStyle(document.body).color")  # readable in the dark
     page.locator("a", has_text="Theorem 1").first.click()
     assert page.evaluate("document.querySelector(':target h3').textContent") == "Theorem 1"

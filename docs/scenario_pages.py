@@ -1,0 +1,213 @@
+# ruff: noqa: INP001 - conf.py imports it from its folder
+"""A page of the site for every scenario of the catalogue: its costs, a picture, and its numbers, all computed here.
+
+The pages are written to docs/scenarios/, which is not under version control, before Sphinx reads the documents.
+"""
+
+import inspect
+import io
+import re
+from concurrent.futures import ProcessPoolExecutor
+from pathlib import Path
+from typing import Any
+
+import formulas
+import numpy as np
+from matplotlib.figure import Figure
+from rich.console import Console
+
+import ptne_env
+from ptne_env import report, theory
+from ptne_env.catalogue import CATALOGUE
+from ptne_env.experiments import POLICIES
+from ptne_env.experiments.episodes import EpisodeSet
+from ptne_env.experiments.traces import Scene, scene
+from ptne_env.factory import FactorySpec, resolve
+from ptne_env.files import write_atomically
+from ptne_env.paper.figures import draw_network
+from ptne_env.style import COLOURS, INK, drawing, panels
+from ptne_env.world import World
+
+FOLDER = Path(__file__).parent / "scenarios"
+LAWS = "static", "adaptive", "grounded", "contact-relay"
+EPISODES = 10
+
+
+def write_pages() -> None:
+    """Write the pages that are missing or older than the code, and their table of contents."""
+    sources = [*Path(ptne_env.__file__).parent.rglob("*.py"), *Path(__file__).parent.glob("*.py")]
+    newest = max(path.stat().st_mtime for path in sources)
+    old = [name for name in CATALOGUE if not _is_newer(FOLDER / f"{name}.md", newest)]
+    FOLDER.mkdir(exist_ok=True)
+    if old:
+        with ProcessPoolExecutor() as workers:
+            for name, text in zip(old, workers.map(page, old), strict=True):
+                write_atomically(FOLDER / f"{name}.md", text)
+    if old or not (FOLDER / "index.md").exists():
+        write_atomically(FOLDER / "index.md", _contents())
+    for path in FOLDER.glob("*.md"):
+        if path.stem not in {"index", *CATALOGUE}:
+            path.unlink()
+
+
+def _is_newer(path: Path, time: float) -> bool:
+    return path.exists() and path.stat().st_mtime > time
+
+
+def _contents() -> str:
+    rows = "".join(f"| [{name}]({name}.md) | {_kind(World(scenario))} |\n" for name, scenario in CATALOGUE.items())
+    tree = "\n".join(CATALOGUE)
+    return (
+        "# The scenarios\n\nOne page for each scenario of the catalogue, with its costs, a picture and its numbers, "
+        "computed when this site was built. [The environment](../environment.md) explains their parts.\n\n"
+        f"| Scenario | Game and graph |\n| --- | --- |\n{rows}\n```{{toctree}}\n:hidden:\n\n{tree}\n```\n"
+    )
+
+
+def _kind(world: World) -> str:
+    game = type(world.game).__name__
+    drawn = ", a new game in every episode" if world.has_random_game else ""
+    return f"`{game}`{drawn}; {_graph(world)}"
+
+
+def _graph(world: World) -> str:
+    topology = world.topology
+    links = f"{len(topology.union.edges)} links"
+    if topology.is_fixed:
+        return f"{links}, fixed"
+    time = "s of t" if topology.clock == "physical" else "of s"
+    return f"{links}, of which {len(topology.graphs)} modes are up for {topology.dwells[0]:g} {time} each, in turn"
+
+
+def page(name: str) -> str:
+    """The Markdown text of a scenario's page."""
+    scenario = CATALOGUE[name]
+    world = World(scenario)
+    shown = scene(world, EpisodeSet(EPISODES).initial_state(world), {law: POLICIES[law] for law in LAWS}, frames=200)
+    pictures = "\n".join(re.sub(r"\n\s*\n", "\n", panel) for panel in _panels(world, shown))
+    certify = f"ptne certify {name}"
+    compare = f"ptne compare --scenario {name} --policy {','.join(LAWS)} --episodes {EPISODES}"
+    episodes = f"the median of {shown.episodes} episodes, with the band from 10 % to 90 %"
+    return f"""# {name}
+
+{_game(scenario.game, world)}
+
+```{{raw}} html
+<figure><div class="panels" role="img" aria-label="Estimates, errors and graph of {name}">
+{pictures}
+</div><figcaption>An episode under the static law: strategies thick, estimates of them thin, the equilibrium dotted. The
+error of all estimates under four laws: {episodes}. The graph: dotted links are down in the first mode.</figcaption>
+</figure>
+```
+
+## Settings
+
+| Setting | Value |
+| --- | --- |
+{_settings(world)}
+
+## Digits at the deadline
+
+{_digits(name)}
+
+Mean digits at T with 95 % intervals, from {EPISODES} random starts, or from the paper's start. Printed, with all other
+metrics, by `{compare}`.
+
+## Predictions
+
+Printed by `{certify}`; [the theory](../theory.md) explains the rows.
+
+```text
+{_certificate(name)}
+```
+"""
+
+
+def _game(factory: FactorySpec, world: World) -> str:
+    """The costs as a displayed formula, and the first part of the docstring."""
+    member, named = type(world.game), resolve(factory.target)
+    costs, _ = formulas.leading_formulas(_description(member))
+    _, rest = formulas.leading_formulas(_description(named))
+    display = f"```{{math}}\n{costs}\n```\n\n" if costs else ""
+    rest = re.sub(r":(\w+):`", r"{py:\1}`", rest.lstrip(" ,.:").strip())
+    return f"{display}{rest[:1].upper()}{rest[1:]}\n\nThe class is {{py:class}}`{named.__module__}.{named.__name__}`."
+
+
+def _description(part: Any) -> str:
+    """A docstring without its sections."""
+    return re.split(r"^(?:Args|Raises|Attributes):$", inspect.getdoc(part) or "", flags=re.MULTILINE)[0].strip()
+
+
+def _settings(world: World) -> str:
+    scenario, game = world.scenario, world.game
+    constants = theory.problem_constants(world)
+    kind = "exact" if constants.exact else "from samples"
+    games = "of a typical game of the family, " if world.has_random_game else ""
+    equilibrium = "drawn in every episode" if world.has_random_game else f"({_numbers(game.nash_equilibrium)})"
+    rows = {
+        "players N, dimension n of all strategies": f"{game.num_players}, {game.dimension}",
+        "graph": _graph(world),
+        "deadline T, constant gain c": f"{scenario.deadline:g} s, {scenario.gain:g} /s",
+        "steps K, end of transformed time s_end": f"{scenario.steps}, {scenario.s_end:g}",
+        "effective time τ_K": f"{world.clock.effective_time:.3g}",
+        "Nash equilibrium x*": equilibrium,
+        "monotonicity ε, Lipschitz constant ι": f"{constants.epsilon:.3g}, {constants.iota:.3g} ({games}{kind})",
+        "algebraic connectivity λ2 of the union of all graphs": f"{world.topology.union.algebraic_connectivity:.3g}",
+        "strategies confined to a box": "yes" if game.has_bounds else "no",
+    }
+    return "\n".join(f"| {name} | {value} |" for name, value in rows.items())
+
+
+def _numbers(values: np.ndarray) -> str:
+    return ", ".join(f"{value:.4g}".replace("-", "−") for value in values)
+
+
+def _digits(name: str) -> str:
+    results = ptne_env.evaluate(LAWS, [name], episodes=EPISODES)
+    records = [record for record in results.records if record["metric"] == "digits"]
+    tracks = list(dict.fromkeys(record["track"] for record in records))
+    cells = {(record["policy"], record["track"]): _interval(record) for record in records}
+    head = f"| Policy | {' | '.join(tracks)} |\n| --- |{' ---: |' * len(tracks)}\n"
+    return head + "".join(f"| `{law}` | {' | '.join(cells[law, track] for track in tracks)} |\n" for law in LAWS)
+
+
+def _interval(record: dict[str, Any]) -> str:
+    mean, low, high = (f"{record[part]:.3g}".replace("-", "−") for part in ("mean", "low", "high"))
+    return mean if low == high else f"{mean} [{low}, {high}]"
+
+
+def _certificate(name: str) -> str:
+    console = Console(file=io.StringIO(), width=110)
+    console.print(report.certificate_tables(theory.certify(CATALOGUE[name].replace(hold_steps=50))))
+    return "\n".join(line.rstrip() for line in console.file.getvalue().strip("\n").splitlines())
+
+
+def _panels(world: World, shown: Scene) -> list[str]:
+    with drawing("pictures"):
+        figure = Figure(figsize=(10.5, 3.1), layout="constrained")
+        strategies, errors, graph = figure.subplots(1, 3, width_ratios=(3, 3, 2))
+        draw_network(graph, world.topology.graphs[0], world.topology.union)
+        graph.set_title("graph")
+        estimates = shown.traces[LAWS[0]].estimates
+        for component, owner in enumerate(shown.owners):
+            colour = COLOURS[owner % len(COLOURS)]
+            others = [player for player in range(shown.num_players) if player != owner]
+            strategies.plot(shown.t, estimates[component, others].T, color=colour, linewidth=0.6, alpha=0.55)
+            strategies.plot(shown.t, estimates[component, owner], color=colour, linewidth=1.7)
+            strategies.plot(shown.t, shown.equilibrium[component], color=colour, linestyle=(0, (1, 2)), linewidth=0.9)
+        strategies.set(xlabel="time $t$ [s]", ylabel="estimates $x^i_j$")
+        strategies.set_title("static law, one episode")
+        for colour, (law, trace) in zip(COLOURS, shown.traces.items(), strict=False):
+            low, median, high = np.maximum(trace.errors, 1e-13)
+            errors.fill_between(shown.t, low, high, color=colour, alpha=0.15, linewidth=0)
+            errors.semilogy(shown.t, median, color=colour, label=law)
+        for axes in (strategies, errors):
+            axes.axvline(world.scenario.deadline, color=INK, linewidth=0.8)
+        errors.set(xlabel="time $t$ [s]", ylabel="relative error")
+        errors.set_title(f"four laws, {shown.episodes} episode{'s' * (shown.episodes > 1)}")
+        errors.legend(loc="lower left")
+        return panels(figure)
+
+
+if __name__ == "__main__":
+    write_pages()
