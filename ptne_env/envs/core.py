@@ -5,7 +5,7 @@ from __future__ import annotations
 import copy
 from collections.abc import Mapping, Sequence
 from time import perf_counter
-from typing import NamedTuple
+from typing import NamedTuple, Self
 
 import numpy as np
 import numpy.typing as npt
@@ -29,6 +29,7 @@ class StepResult(NamedTuple):
         terminated: shape (B,).
         truncated: shape (B,).
         diverged: whether each environment is out of range, shape (B,).
+        is_success: whether all estimates of each environment are within 0.5 % of the equilibrium, shape (B,).
         is_observed: whether the observations were written too, as a compiled step does.
         clipped: entries of each player's action that were outside the box, shape (B, N); ``None`` for none.
     """
@@ -38,6 +39,7 @@ class StepResult(NamedTuple):
     terminated: BoolArray
     truncated: BoolArray
     diverged: BoolArray
+    is_success: BoolArray
     is_observed: bool
     clipped: IntArray | None = None
 
@@ -70,6 +72,14 @@ def player_encoder(world: World, interface: Interface) -> Encoder:
     return make_encoder(world, interface)
 
 
+class Duplicable:
+    """A copy of an environment steps on its own: ``copy.copy`` gives the same as ``copy.deepcopy``."""
+
+    def __copy__(self) -> Self:
+        """An environment in the same state, with which this one shares nothing."""
+        return copy.deepcopy(self)
+
+
 class Simulation:
     """B environments that are stepped together and reset one by one.
 
@@ -82,6 +92,7 @@ class Simulation:
     Attributes:
         encoder: as given.
         world: of the encoder.
+        reward_names: the names of the reward terms in infos.
 
     Raises:
         ValueError: for an unknown reward or a count below 1.
@@ -99,6 +110,7 @@ class Simulation:
         self.num_envs = require_count("num_envs", num_envs, 1)
         self.max_cycles = None if max_cycles is None else require_count("max_cycles", max_cycles, 1)
         self._reward = Reward(self.world, reward)
+        self.reward_names = [f"reward_{name}" for name in self._reward.weights]
         self._fused = fused.FusedStep(encoder, self.num_envs) if fused.qualifies(encoder, self.num_envs) else None
         self._never = np.zeros(self.num_envs, dtype=np.bool_)
         self._never.flags.writeable = False
@@ -254,7 +266,8 @@ class Simulation:
             terms = {name: np.where(moves, term, 0.0) for name, term in terms.items()}
             terminated, truncated, diverged = terminated & moves, truncated & moves, diverged & moves
         is_observed = moved is not None and restart is None
-        return StepResult(self._reward.total(terms), terms, terminated, truncated, diverged, is_observed, clipped)
+        total, is_success = self._reward.total(terms), self.succeeded()
+        return StepResult(total, terms, terminated, truncated, diverged, is_success, is_observed, clipped)
 
     def observe(self, out: Float32Array | None = None) -> Float32Array:
         """Observations of all players, shape (B, N, size), float32, owned by the caller."""
@@ -262,6 +275,4 @@ class Simulation:
 
     def succeeded(self) -> BoolArray:
         """Whether each environment is within 0.5 % of the equilibrium in all estimates and in range, shape (B,)."""
-        state = self.current
-        error = distances.estimate_distance(state.estimates, state.game)
-        return (error <= distances.SUCCESS_DISTANCE) & ~state.diverged
+        return distances.succeeded(self._reward.distances)
