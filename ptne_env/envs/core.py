@@ -3,20 +3,25 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import fields
+from difflib import get_close_matches
+from inspect import signature
 from time import perf_counter
-from typing import NamedTuple, Self
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 import numpy.typing as npt
 
 from ptne_env import distances, dynamics, fused
 from ptne_env.arrays import BoolArray, Float32Array, FloatArray, IntArray, require_count
+from ptne_env.catalogue import get_scenario
 from ptne_env.dynamics import State
 from ptne_env.encoder import Clipped, Encoder, make_encoder
 from ptne_env.observation import Interface
 from ptne_env.random_streams import RandomStreams
 from ptne_env.rewards import Reward
+from ptne_env.scenario import Scenario
 from ptne_env.world import RANGE_LIMIT, World
 
 
@@ -56,6 +61,29 @@ class ResetResult(NamedTuple):
     streams: list[RandomStreams]
     state: State
     mask: BoolArray
+
+
+def changed_scenario(scenario: str | Scenario, changes: Mapping[str, Any], made: Callable[..., Any]) -> Scenario:
+    """The scenario of an environment, with the fields changed that its constructor was given.
+
+    Args:
+        scenario: a name of the catalogue or a scenario.
+        changes: keyword arguments of the constructor that are not its own.
+        made: the constructor.
+
+    Raises:
+        TypeError: for a keyword that is no field, with the one that is most like it.
+        ValueError: for an unknown name, or an invalid value.
+    """
+    names = [field.name for field in fields(Scenario)]
+    for keyword in changes:
+        if keyword not in names:
+            names += signature(made).parameters
+            (nearest,) = get_close_matches(keyword, names, n=1, cutoff=0.0)
+            raise TypeError(
+                f"{made.__name__}() got an unexpected keyword argument {keyword!r}; the most similar one is {nearest!r}"
+            )
+    return get_scenario(scenario, **changes)
 
 
 def player_encoder(world: World, interface: Interface) -> Encoder:

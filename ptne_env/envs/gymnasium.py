@@ -26,7 +26,6 @@ from ptne_env.envs.vector import VectorParallelEnv, member_actions
 from ptne_env.observation import ObservationLayout
 from ptne_env.scenario import Scenario
 
-
 _SET_BY_HAND = -1
 """Gymnasium's seed of a generator that was assigned to ``np_random``."""
 
@@ -302,7 +301,8 @@ class PlayerVectorEnv(Duplicable, gymnasium.vector.VectorEnv[Float32Array, Float
         vector: the wrapped environments.
 
     Raises:
-        ValueError: for an unknown name or field, or an invalid value.
+        TypeError: for an unknown keyword, naming the one that is most like it.
+        ValueError: for an unknown name, or an invalid value.
     """
 
     def __init__(self, scenario: str | Scenario = "energy", num_envs: int = 1, **arguments: Any) -> None:

@@ -13,10 +13,9 @@ from pettingzoo import ParallelEnv
 
 from ptne_env import dynamics
 from ptne_env.arrays import Float32Array, FloatArray, as_plain
-from ptne_env.catalogue import get_scenario
 from ptne_env.dynamics import State
 from ptne_env.encoder import NonFiniteActionError
-from ptne_env.envs.core import Duplicable, Simulation, player_encoder
+from ptne_env.envs.core import Duplicable, Simulation, changed_scenario, player_encoder
 from ptne_env.envs.rendering import Renderer
 from ptne_env.observation import (
     OBSERVATION_BOUND,
@@ -224,14 +223,15 @@ class NashSeekingEnv(Duplicable, ParallelEnv[str, Float32Array, Float32Array]):
         observations: dict[str, Float32Array] = {}
         infos: dict[str, AgentInfo] = {}
         totals = outcome.rewards.ravel().tolist()
-        values = map(np.float64, totals if term is outcome.rewards else term.ravel().tolist())  # faster than its entries
+        values = map(
+            np.float64, totals if term is outcome.rewards else term.ravel().tolist()
+        )  # faster than its entries
         for agent, row, count, value in zip(agents, rows, clipped, values, strict=True):
             observations[agent] = row.copy()
             infos[agent] = {"diverged": diverged, "clipped": count, "is_success": is_success, first: value}
-        if others:
-            for name, term in zip(self._other_rewards, others, strict=True):
-                for info, value in zip(infos.values(), term.ravel(), strict=True):
-                    info[name] = value
+        for name, term in zip(self._other_rewards, others, strict=True):
+            for info, value in zip(infos.values(), term.ravel(), strict=True):
+                info[name] = value
         if terminated or truncated:
             self.agents = []
         if self._renderer is not None:
@@ -387,10 +387,11 @@ def parallel_env(
         **overrides: fields of the scenario to change, such as ``start="random"``, ``hold_steps=50``, ``deadline=2.0``.
 
     Raises:
-        ValueError: for an unknown name or field, or an invalid value; the message says what is expected.
+        TypeError: for an unknown keyword, naming the one that is most like it.
+        ValueError: for an unknown name, or an invalid value; the message says what is expected.
     """
     return NashSeekingEnv(
-        get_scenario(scenario, **overrides),
+        changed_scenario(scenario, overrides, parallel_env),
         interface=Interface(interface, action_mode, action_scale, own_payoff, graph_knowledge=graph_knowledge),
         reward=reward,
         max_cycles=max_cycles,

@@ -44,7 +44,7 @@ class _Monitored(Duplicable, VecMonitor):
             for member in np.flatnonzero(dones).tolist():
                 total, length = self.episode_returns[member], self.episode_lengths[member]
                 infos[member]["episode"] = {"r": total, "l": length, "t": seconds}
-            self.episode_count += np.count_nonzero(dones)
+            self.episode_count += int(np.count_nonzero(dones))
             self.episode_returns[dones], self.episode_lengths[dones] = 0, 0
         return observations, rewards, dones, infos
 
@@ -74,7 +74,7 @@ class PlayerVecEnv(_Monitored):
         layout: of observations and actions.
 
     Raises:
-        TypeError: for an unknown argument.
+        TypeError: for an unknown keyword, naming the one that is most like it.
         ValueError: for an unknown name, or an invalid value.
     """
 

@@ -15,8 +15,7 @@ from gymnasium import spaces
 from numpy.ma import MaskedArray
 
 from ptne_env.arrays import BoolArray, Float32Array, FloatArray, IntArray, as_plain, require_count, require_mask
-from ptne_env.catalogue import get_scenario
-from ptne_env.envs.core import Duplicable, ResetResult, Simulation, StepResult, player_encoder
+from ptne_env.envs.core import Duplicable, ResetResult, Simulation, StepResult, changed_scenario, player_encoder
 from ptne_env.observation import ActionMode, GraphKnowledge, Interface, InterfaceKind, ObservationLayout
 from ptne_env.random_streams import require_seed
 from ptne_env.scenario import Scenario
@@ -95,7 +94,8 @@ class VectorParallelEnv(Duplicable):
         single_action_space: of one player.
 
     Raises:
-        ValueError: for an unknown name or field, or an invalid value.
+        TypeError: for an unknown keyword, naming the one that is most like it.
+        ValueError: for an unknown name, or an invalid value.
     """
 
     def __init__(
@@ -113,7 +113,7 @@ class VectorParallelEnv(Duplicable):
         threads: int = 1,
         **overrides: Any,
     ) -> None:
-        self.scenario = get_scenario(scenario, **overrides)
+        self.scenario = changed_scenario(scenario, overrides, VectorParallelEnv)
         self.num_envs = require_count("num_envs", num_envs, 1)
         self.threads = require_count("threads", threads, 1)
 
