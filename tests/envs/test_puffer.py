@@ -137,7 +137,7 @@ def test_arguments_without_sense_are_refused(arguments):
     ("change", "complaint"),
     [
         (lambda good: good[:14], r"actions of 15 agents have the shape \(15, 5\), got \(14, 5\)"),
-        (lambda good: good.astype(int), "actions are floats of shape"),
+        (lambda good: good > 0, "actions are numbers of shape"),
         (lambda good: good * np.nan, "without NaN or infinity"),
         (np.ma.masked_array, "actions must be a plain array"),
     ],
