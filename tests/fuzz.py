@@ -395,7 +395,7 @@ def check_outcome(env, outcome, actions, length):
     infos, terminated, truncated = outcome.infos, outcome.terminated, outcome.truncated
     assert np.isfinite(outcome.rewards).all(), "a reward is not finite"
     assert all(np.isfinite(infos[name]).all() for name in env.reward_names), "a reward term is not finite"
-    moved, over = length > 0, terminated | truncated
+    moved = length > 0
     outside = (np.abs(actions) > env.layout.action_bound).sum(axis=2)
     assert (infos["clipped"] == outside * moved[:, None]).all(), "clipped entries are counted wrongly"
     ends = length >= env.scenario.steps + env.scenario.hold_steps
