@@ -138,7 +138,7 @@ def test_pictures_come_from_the_parallel_environment():
     parallel.close()
 
 
-# --- the habits of Gymnasium --------------------------------------------------------------------------------------------
+# --- the habits of Gymnasium -----------------------------------------------------------------------------------------
 
 
 def test_infos_have_the_same_keys_and_dtypes_from_reset_to_end():

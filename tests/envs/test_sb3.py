@@ -339,7 +339,7 @@ def test_evaluation_without_another_monitor_brings_no_warning():
     evaluate_policy(laws.Static(env.layout), env, n_eval_episodes=5)  # a warning would be an error
     model = A2C("MlpPolicy", PlayerVecEnv("energy", 1, steps=3), n_steps=3)
     model.learn(30)
-    assert [episode["l"] for episode in model.ep_info_buffer] == [3] * 50
+    assert [episode["l"] for episode in model.ep_info_buffer] == [3] * 10
 
 
 # --- evaluation -------------------------------------------------------------------------------------------------------
