@@ -483,8 +483,8 @@ def parallel_episode(rng, env, abused, observations, tally):
         check_step(env, outcome)
         observations, rewards, _, _, infos = outcome
         tally.agent_steps += len(rewards)
-        tally.clipped += sum(info["clipped"] for info in infos.values())
-        tally.diverged += not env.agents and infos[env.possible_agents[0]]["diverged"]
+        tally.clipped += int(sum(info["clipped"] for info in infos.values()))
+        tally.diverged += int(not env.agents and infos[env.possible_agents[0]]["diverged"])
     return abused
 
 
