@@ -451,7 +451,7 @@ def parallel_session(rng, scenario, arguments, tally, episodes):
         same(first, restart[1](), "first observations")
         abused = parallel_episode(rng, env, abused, first[0], tally)
         if not env.agents:
-            refuses(partial(abused.step, {}), tally)
+            assert abused.step({}) == ({}, {}, {}, {}, {}), "a step without actions after the end is not empty"
             refuses(partial(abused.step, dict.fromkeys(env.possible_agents, np.zeros(env.layout.action_size))), tally)
         tally.parallel_episodes += 1
         tally.episodes += 1
