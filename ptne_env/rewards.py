@@ -57,7 +57,10 @@ class Reward:
 
     Attributes:
         weights: by term.
+        is_plain: whether the reward is one term, of weight 1.
         needs_state: whether a term depends on more than distances.
+        distances: d^i at the present instant, shape (N, B), with the limit where an environment has diverged; to be
+            read before the next step, which may overwrite them.
 
     Raises:
         ValueError: for an unknown term, or ``regret`` on a game without best response.
@@ -73,12 +76,13 @@ class Reward:
                 "everywhere; choose digits, tracking or payoff"
             )
         (self._first, weight), *others = self.weights.items()
-        self._is_plain = weight == 1 and not others
-        self._digits = np.empty((0, 0))
+        self.is_plain = weight == 1 and not others
+        self.distances = self._digits = np.empty((0, 0))
 
     def reset(self, state: State) -> None:
         """Measure the distances of ``state``, from which the next step is rewarded."""
-        self._digits = distances.digits(self._measured(state))
+        self.distances = self._measured(state)
+        self._digits = distances.digits(self.distances)
 
     def step(self, state: State) -> dict[str, FloatArray]:
         """The value of each term for the step that ended in ``state``, each of shape (N, B)."""
@@ -98,14 +102,15 @@ class Reward:
             distance: d^i after the step, shape (N, B).
             state: after the step; may be left out unless :attr:`needs_state`.
         """
+        self.distances = distance
         before, self._digits = self._digits, distances.digits(distance)
-        if self._is_plain:  # a comprehension would take longer
+        if self.is_plain:  # a comprehension would take longer
             return {self._first: self._term(self._first, distance, before, state)}
         return {name: self._term(name, distance, before, state) for name in self.weights}
 
     def total(self, terms: Mapping[str, FloatArray]) -> FloatArray:
         """The weighted sum of the terms, shape (N, B)."""
-        if self._is_plain:
+        if self.is_plain:
             return terms[self._first]
         (first, weight), *others = self.weights.items()
         total = weight * terms[first]
