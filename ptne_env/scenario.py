@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from ptne_env.arrays import require_printable
 from ptne_env.factory import FactorySpec
+from ptne_env.names import unknown_name
 
 if TYPE_CHECKING:  # so that the registries can read the catalogue without importing what builds a world
     from ptne_env.clock import Spacing
@@ -124,9 +125,7 @@ class Scenario:
         known = [field.name for field in dataclasses.fields(self)]
         unknown = sorted(set(changes) - set(known))
         if unknown:
-            raise ValueError(
-                f"unknown scenario field {', '.join(map(repr, unknown))}; the fields are {', '.join(known)}"
-            )
+            raise ValueError(unknown_name("scenario field", unknown[0], known))
         return dataclasses.replace(self, **changes) if changes else self
 
     def to_dict(self) -> dict[str, Any]:

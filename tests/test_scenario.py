@@ -193,8 +193,8 @@ def test_a_shortfall_above_one_percent_is_a_warning():
 
 
 REFUSED = {
-    "unknown scenario": (lambda: get_scenario("enrgy"), "unknown scenario 'enrgy'; the catalogue has energy, "),
-    "unknown field": (lambda: get_scenario("energy", kappa=2), "unknown scenario field 'kappa'; the fields are name, "),
+    "unknown scenario": (lambda: get_scenario("enrgy"), "unknown scenario 'enrgy'; did you mean 'energy'"),
+    "unknown field": (lambda: get_scenario("energy", kappa=2), "unknown scenario field 'kappa'; choose from name, "),
     "unknown start": (lambda: get_scenario("energy", start="rnd"), "start is 'paper', 'random', a 'module:object'"),
     "unknown transformation": (lambda: get_scenario("energy", transformation="x"), "'exponential', 'rational', 'tanh'"),
     "deadline of zero": (lambda: get_scenario("energy", deadline=0.0), r"deadline must be .* above 0 \(T, in seconds"),

@@ -490,7 +490,7 @@ def test_properties_before_reset_ask_for_reset(view):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ({"scenario": "enrgy"}, "unknown scenario 'enrgy'; the catalogue has energy"),
+        ({"scenario": "enrgy"}, "unknown scenario 'enrgy'; did you mean 'energy'"),
         ({"interface": "global"}, "unknown interface 'global'; choose from physical, local, full"),
         ({"interface": "full"}, "for oracles in evaluations only; choose 'physical' or 'local'"),
         ({"action_mode": "torque"}, "unknown action mode 'torque'; choose from input, gains"),
@@ -500,7 +500,7 @@ def test_properties_before_reset_ask_for_reset(view):
         ({"max_cycles": 1.5}, "max_cycles must be a whole number"),
         ({"steps": 0}, r"steps \(K\) must be a whole number of at least 1"),
         ({"deadline": 0.0}, r"deadline must be .* above 0 \(T, in seconds\)"),
-        ({"kappa": 2.0}, "unknown scenario field 'kappa'; the fields are name, game"),
+        ({"kappa": 2.0}, "unknown scenario field 'kappa'; choose from name, game"),
     ],
 )
 def test_invalid_arguments_are_refused_with_advice(arguments, message):
