@@ -261,7 +261,7 @@ REFUSED = {
     "unknown channel": (lambda: get_scenario("energy", channel="noisy"), "channel is 'perfect', a 'module:object'"),
     "channel of another kind": (
         lambda: get_scenario("energy", channel="ptne_env.starts:paper_start"),
-        "built a FixedStart where a Channel is needed",
+        "built a PaperStart where a Channel is needed",
     ),
     "disturbance without bound": (
         lambda: get_scenario(
@@ -271,7 +271,7 @@ REFUSED = {
     ),
     "part of another kind": (
         lambda: get_scenario("energy", game="ptne_env.starts:paper_start"),
-        "built a FixedStart where a Game or GameFamily is needed",
+        "built a PaperStart where a Game or GameFamily is needed",
     ),
     "missing part": (lambda: get_scenario("energy", game="ptne_env.games:ChessGame"), "has no 'ChessGame'"),
     "unknown key": (

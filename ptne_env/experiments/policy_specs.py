@@ -76,7 +76,7 @@ class PolicySpec:
             raise ValueError(f"policy {self.name!r} has no training seed")
         if self.interface is None:
             first = self.training_seeds[0]
-            if self.is_foreign and isinstance(first, FactorySpec):
+            if self._is_apart and isinstance(first, FactorySpec):
                 try:
                     interface = declared_interface(first)
                 except PolicyError as error:
@@ -118,6 +118,12 @@ class PolicySpec:
     def is_foreign(self) -> bool:
         """Whether making it runs code that is not of this library."""
         return bool(self.foreign_code)
+
+    @property
+    def _is_apart(self) -> bool:
+        """Whether it decides in a process of its own, which cannot import the program or notebook that runs."""
+        first = self.training_seeds[0]
+        return self.is_foreign and not (isinstance(first, FactorySpec) and first.is_local)
 
     @property
     def is_oracle(self) -> bool:
@@ -180,7 +186,7 @@ class PolicySpec:
             LayoutError, PolicyError: as :meth:`build`.
         """
         source = self.training_seeds[training_seed]
-        if isinstance(source, FactorySpec) and (self.is_foreign or _is_own_file(source)):
+        if isinstance(source, FactorySpec) and (self._is_apart or _is_own_file(source)):
             with separate(source, layout) as policy:
                 yield policy
         else:
