@@ -108,7 +108,10 @@ def _target(definition: Any) -> str:
     if module == _MAIN and not hasattr(main, name):  # it was sent from another process
         setattr(main, name, definition)
     if getattr(sys.modules.get(module), name, None) is not definition:
-        raise ValueError(f"{name} of {module} is another one now: make the object again, with the present {name}")
+        raise ValueError(
+            f"module {module!r} has no {name}, or another one since this object was made: define {name} at the top of "
+            "a module or notebook, and make the object again"
+        )
     package = module.rpartition(".")[0]
     while package and getattr(sys.modules[package], name, None) is definition:
         module, package = package, package.rpartition(".")[0]

@@ -249,17 +249,17 @@ class Results:
             from matplotlib.figure import Figure
 
             figure = Figure(figsize=(4.2 * across, height * down), layout="constrained")
-            places = figure.subplots(down, across, squeeze=False).flat
+            places = list(figure.subplots(down, across, squeeze=False).flat)
+            for axes in places[len(panels) :]:
+                axes.set_axis_off()
             for axes, (track, found) in zip(places, panels.items(), strict=False):
                 for place, (policy, summary) in enumerate(found.items()):
                     axes.plot([summary.low, summary.high], [place, place], color=colours[policy], linewidth=2)
                     axes.plot(summary.mean, place, "o", color=colours[policy])
-                axes.set_yticks(range(len(found)), found)
+                axes.set_yticks(range(len(found)), map(self._label, found))
                 axes.invert_yaxis()
-                axes.set_title(f"{track.name} ({self.episodes[track.name]} episodes)", loc="left")
+                axes.set_title(f"{track.name}, {self._count(track)}", loc="left")
                 axes.set_xlabel(METRICS[metric or track.metric].label)
-            for axes in places:
-                axes.set_axis_off()
         return figure
 
     def _ranked(self, track: Track, metric: str) -> dict[str, Summary]:
@@ -269,6 +269,15 @@ class Results:
         values = {policy: summary for policy, summary in found.items() if summary is not None}
         order = [policy for policy, summary in values.items() if summary.mean is not None]
         return {policy: values[policy] for policy in sorted(order, key=lambda name: sign * (values[name].mean or 0.0))}
+
+    def _label(self, policy: str) -> str:
+        """The name of a policy, with its division where it is not honest."""
+        division = self.every_policy[policy].division
+        return policy if division == "honest" else f"{policy} ({division})"
+
+    def _count(self, track: Track) -> str:
+        episodes = self.episodes[track.name]
+        return f"{episodes} episode{'s' * (episodes > 1)}"
 
     def __repr__(self) -> str:
         return (
@@ -282,8 +291,8 @@ class Results:
         """A line per track and policy, the best first: the metric that scores the track, with its 95 % interval."""
         lines = [repr(self)]
         for track in self.tracks:
-            lines += ["", f"{track.name}, {self.episodes[track.name]} episodes: {METRICS[track.metric].heading}"]
-            found = self._ranked(track, track.metric)
+            lines += ["", f"{track.name}, {self._count(track)}: {METRICS[track.metric].heading}"]
+            found = {self._label(name): summary for name, summary in self._ranked(track, track.metric).items()}
             width = max(map(len, found), default=0)
             lines += [f"  {policy:<{width}}  {_digits(summary)}" for policy, summary in found.items()]
         return "\n".join(lines)
@@ -293,11 +302,11 @@ class Results:
         ranked = [self._ranked(track, track.metric) for track in self.tracks]
         head = "".join(
             f"<th>{escape(track.name)}<br><small>{escape(METRICS[track.metric].heading)}, "
-            f"{self.episodes[track.name]} episodes</small></th>"
+            f"{self._count(track)}</small></th>"
             for track in self.tracks
         )
         rows = "".join(
-            f"<tr><th>{escape(policy)}</th>"
+            f"<tr><th>{escape(self._label(policy))}</th>"
             + "".join(
                 f"<td>{escape(_digits(found[policy]))}</td>" if policy in found else "<td>–</td>" for found in ranked
             )
