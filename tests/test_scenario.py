@@ -291,11 +291,6 @@ def test_invalid_scenarios_are_refused_with_advice(name):
         World(build())
 
 
-def test_a_part_of_another_type_is_refused():
-    with pytest.raises(ValueError, match="game is a name, a 'module:object' string or a FactorySpec, got EnergyGame"):
-        get_scenario("energy", game=EnergyGame())
-
-
 def test_dwell_as_long_as_the_longest_step_is_allowed():
     clock = World(get_scenario("energy")).clock
     longest = float(np.diff(clock.t).max())

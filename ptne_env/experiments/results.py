@@ -246,10 +246,13 @@ class Results:
         down = -(-len(panels) // across)
         height = 0.9 + 0.22 * max(map(len, panels.values()))
         with drawing("plots"):
-            from matplotlib.figure import Figure
+            from matplotlib import pyplot as plt  # notebooks show the figures of a program that imports it
 
-            figure = Figure(figsize=(4.2 * across, height * down), layout="constrained")
-            places = list(figure.subplots(down, across, squeeze=False).flat)
+            figure, grid = plt.subplots(
+                down, across, squeeze=False, figsize=(4.2 * across, height * down), layout="constrained"
+            )
+            plt.close(figure)  # so that a notebook shows it once, as the value of the cell
+            places = list(grid.flat)
             for axes in places[len(panels) :]:
                 axes.set_axis_off()
             for axes, (track, found) in zip(places, panels.items(), strict=False):
