@@ -1,6 +1,6 @@
 """A game, a graph, a channel, a law and a track of your own, in a module of your own.
 
-Nothing is registered: scenarios, suites and policies name the parts as "own_parts:Name".
+Nothing is registered: a scenario takes parts as objects, and the command line names them as "own_parts:Name".
 
 Run it with: python examples/own_parts.py
 or, in the folder of this file: ptne compare --suite own_parts:suite --policy own_parts:HeavyBall --trust
@@ -12,7 +12,7 @@ import networkx as nx
 import numpy as np
 from rich.console import Console
 
-from ptne_env import FactorySpec, get_scenario, graphs, laws, switching
+from ptne_env import get_scenario, graphs, laws, switching
 from ptne_env.channel import Channel, LinkRandomness, Memory, Messages
 from ptne_env.experiments import Suite, Track, run_suite
 from ptne_env.games import AffineGame
@@ -74,10 +74,8 @@ class HeavyBall(laws.Law):
 
 def suite() -> Suite:
     """Two tracks: the game on the wheel, and the same with clipped messages."""
-    base = get_scenario(
-        "energy", name="contest", game="own_parts:BeautyContest", topology=FactorySpec.of("own_parts:wheel", players=5)
-    ).replace(start="random")
-    clipped = base.replace(name="clipped", channel=FactorySpec.of("own_parts:Clipped", bound=10.0))
+    base = get_scenario("energy", name="contest", game=BeautyContest(), topology=wheel(5), start="random")
+    clipped = base.replace(name="clipped", channel=Clipped(bound=10.0))
     return Suite(
         "own-parts-v1",
         (Track("contest", base, "The base."), Track("clipped", clipped, "Numbers in messages are clipped to ±10.")),

@@ -37,6 +37,7 @@ from ptne_env.arrays import (
     require_probability,
 )
 from ptne_env.counter_random import CounterArray
+from ptne_env.factory import Part
 
 Gap: TypeAlias = Literal["hold", "drop"]
 """Reaction of a receiver to a lost message: ``hold`` the last message received, or ``drop`` the link for the step."""
@@ -113,7 +114,7 @@ class LinkRandomness:
         return counter_random.words(counter_random.child_keys(self._keys, purpose), self._step.astype(np.uint64))
 
 
-class Channel(ABC):
+class Channel(Part, ABC):
     """A map, with memory, from messages sent to messages received.
 
     Attributes:

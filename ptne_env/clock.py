@@ -10,6 +10,7 @@ import numpy.typing as npt
 import scipy
 
 from ptne_env.arrays import FloatArray, frozen, require_count, require_non_negative, require_positive
+from ptne_env.factory import Part
 
 Spacing: TypeAlias = Literal["effective", "transformed", "physical"]
 
@@ -24,7 +25,7 @@ class LemmaViolationError(ValueError):
     """The function violates a condition of Lemma 1."""
 
 
-class TimeTransformation(ABC):
+class TimeTransformation(Part, ABC):
     """A function t = λ(s) of Lemma 1, from s ∈ [0, ∞) onto t ∈ [0, T).
 
     Args:

@@ -9,9 +9,10 @@ import numpy as np
 from ptne_env import counter_random
 from ptne_env.arrays import FloatArray, IntArray, require_count, require_positive
 from ptne_env.counter_random import CounterArray
+from ptne_env.factory import Part
 
 
-class Disturbance(ABC):
+class Disturbance(Part, ABC):
     """A bounded velocity w added to that of the real strategies: dx_i/dt = g(t) u^i_i + w_i, constant over a step.
 
     Estimates of other players are memory and are not disturbed.

@@ -10,9 +10,10 @@ import numpy as np
 from ptne_env import counter_random
 from ptne_env.arrays import FloatArray, require_non_negative, require_positive
 from ptne_env.counter_random import CounterArray
+from ptne_env.factory import Part
 
 
-class Drift(ABC):
+class Drift(Part, ABC):
     """A path δ(t) of the game's origin: F_t(x) = F(x − δ(t)), so the equilibrium at time t is x* + δ(t).
 
     The games that are played at each instant are :class:`~ptne_env.games.MovedGame`. Only games without a box drift.

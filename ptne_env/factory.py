@@ -3,14 +3,21 @@
 from __future__ import annotations
 
 import importlib
-from collections.abc import Iterator, Mapping, Sequence
+import inspect
+import sys
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from types import FunctionType
-from typing import Any
+from typing import Any, Self
+
+import numpy as np
 
 _PARTS = ("games", "graphs", "switching", "clock", "starts", "channel", "disturbances", "laws")
 """Modules and packages of the library in which parts are defined."""
+
+_MAIN = "__main__"
+"""Name of the module of the program or notebook that runs."""
 
 LOADER = "ptne_env.policies:load"
 """The other part: it reads an ``.onnx`` file, which is data."""
@@ -32,6 +39,11 @@ def resolve(target: str) -> Any:
     try:
         return getattr(module, attribute)
     except AttributeError as error:
+        if module_name == _MAIN:
+            raise ValueError(
+                f"part {target!r} was defined in a program or notebook that is not the one that runs: "
+                "define it in a module, which every program can import"
+            ) from error
         raise ValueError(f"module {module_name!r} has no {attribute!r}; part {target!r} cannot be built") from error
 
 
@@ -63,6 +75,75 @@ def foreign_targets(spec: FactorySpec) -> list[str]:
     return [part.target for part in spec.nested() if not is_part(part.target)]
 
 
+class Part:
+    """The base class of parts: an instance remembers the arguments that it is made with, so that a spec can name it."""
+
+    _made_with: tuple[tuple[Any, ...], dict[str, Any]]
+
+    def __new__(cls, *arguments: Any, **named: Any) -> Self:
+        """An instance, which ``__init__`` fills."""
+        made = super().__new__(cls)
+        object.__setattr__(made, "_made_with", (arguments, named))
+        return made
+
+
+def main_file() -> str | None:
+    """The path of the program that runs; ``None`` for a notebook or an interactive session."""
+    path = getattr(sys.modules[_MAIN], "__file__", None)
+    return None if sys.flags.interactive or hasattr(sys, "ps1") else path
+
+
+def _target(definition: Any) -> str:
+    """``module:object`` of a class or a function; the package that exports it stands for its module.
+
+    Raises:
+        ValueError: when no module has it under its name.
+    """
+    module, name = definition.__module__, definition.__qualname__
+    if "." in name:
+        raise ValueError(
+            f"{name} is defined inside a function or a class: define it at the top of a module or notebook"
+        )
+    main = sys.modules[_MAIN]
+    if module == _MAIN and not hasattr(main, name):  # it was sent from another process
+        setattr(main, name, definition)
+    if getattr(sys.modules.get(module), name, None) is not definition:
+        raise ValueError(
+            f"module {module!r} has no {name}, or another one since this object was made: define {name} at the top of "
+            "a module or notebook, and make the object again"
+        )
+    package = module.rpartition(".")[0]
+    while package and getattr(sys.modules[package], name, None) is definition:
+        module, package = package, package.rpartition(".")[0]
+    return f"{module}:{name}"
+
+
+def _by_name(signature: inspect.Signature, arguments: tuple[Any, ...], named: Mapping[str, Any]) -> dict[str, Any]:
+    """Arguments of a call by name; ``TypeError`` where one has none."""
+    found = dict(signature.bind(*arguments, **named).arguments)
+    for name, parameter in signature.parameters.items():
+        if parameter.kind is parameter.VAR_KEYWORD:
+            found |= found.pop(name, {})
+        elif parameter.kind in (parameter.VAR_POSITIONAL, parameter.POSITIONAL_ONLY) and name in found:
+            raise TypeError(f"argument {name!r} has no name in a call")
+    return found
+
+
+def _alike(first: Any, second: Any) -> bool:
+    """Whether two objects that were made in the same way hold the same numbers and strings."""
+    if type(first) is not type(second):
+        return False
+    if isinstance(first, Part):
+        first, second = ({**vars(part), "_made_with": ()} for part in (first, second))
+    if isinstance(first, np.ndarray):
+        return first.dtype == object or np.array_equal(first, second, equal_nan=first.dtype.kind in "fc")
+    if isinstance(first, list | tuple):
+        return len(first) == len(second) and all(map(_alike, first, second))
+    if isinstance(first, dict):  # a cached property is in one of them only
+        return all(_alike(first[name], second[name]) for name in first.keys() & second.keys())
+    return not isinstance(first, str | bool | int | float) or first == second or first != first  # noqa: PLR0124 - NaN
+
+
 def _freeze(value: Any) -> Any:
     if isinstance(value, Mapping):
         return FactorySpec.from_dict(value)
@@ -72,6 +153,8 @@ def _freeze(value: Any) -> Any:
         return value
     if hasattr(value, "tolist"):  # numpy scalars and arrays
         return _freeze(value.tolist())
+    if isinstance(value, Part | type | FunctionType):
+        return FactorySpec.naming(value)
     raise TypeError(f"arguments of a part are numbers, strings, lists and parts, got {type(value).__name__}")
 
 
@@ -110,9 +193,58 @@ class FactorySpec:
     arguments: tuple[tuple[str, Any], ...] = ()
 
     @classmethod
-    def of(cls, target: str, /, **arguments: Any) -> FactorySpec:
-        """The spec of ``target`` with keyword ``arguments``; lists and arrays become tuples."""
-        return cls(target, tuple((name, _freeze(value)) for name, value in sorted(arguments.items())))
+    def of(cls, target: str | Callable[..., Any], /, **arguments: Any) -> FactorySpec:
+        """The spec of ``target`` with keyword ``arguments``; lists and arrays become tuples.
+
+        Args:
+            target: ``module:object``, or the class or function itself.
+            **arguments: to call it with.
+
+        Raises:
+            ValueError: for a class or function that no module has under its name.
+            TypeError: for an argument that is none of the above.
+        """
+        name = target if isinstance(target, str) else _target(target)
+        return cls(name, tuple((name, _freeze(value)) for name, value in sorted(arguments.items())))
+
+    @classmethod
+    def naming(cls, part: Part | Callable[..., Any]) -> FactorySpec:
+        """The spec that makes an object like ``part``, from the arguments that this one was made with.
+
+        Args:
+            part: an instance, or a class or function that is called without arguments.
+
+        Raises:
+            ValueError: when its class is in no module, its arguments are no numbers, strings, lists or parts, or the
+                spec makes another object, because this one was changed or its constructor draws random numbers.
+        """
+        if not isinstance(part, Part):
+            return cls.of(part)
+        kind, (arguments, named) = type(part), part._made_with  # noqa: SLF001 - of this module
+        try:
+            spec = cls.of(kind, **_by_name(inspect.signature(kind), arguments, named))
+        except TypeError as error:
+            raise ValueError(
+                f"a {kind.__name__} cannot be named by its arguments ({error}): define a function without arguments "
+                "that makes it, at the top of a module, and name the function"
+            ) from error
+        if not _alike(part, spec.build()):
+            raise ValueError(
+                f"the arguments of this {kind.__name__} make another one: it was changed later, or it draws random "
+                "numbers when it is made; give what differs, such as a seed, as an argument"
+            )
+        return spec
+
+    @property
+    def is_local(self) -> bool:
+        """Whether the target is defined in the program or notebook that runs, which other processes do not import."""
+        return self.target.partition(":")[0] == _MAIN
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """A spec with a local target takes the definition along: cloudpickle, which workers use, sends it by value."""
+        if not self.is_local:
+            return FactorySpec, (self.target, self.arguments)
+        return _arrived, (self.target, self.arguments, self.resolve(), main_file())
 
     def nested(self) -> Iterator[FactorySpec]:
         """This spec, and the specs among its arguments at any depth."""
@@ -164,3 +296,12 @@ class FactorySpec:
             return cls.of(target, **arguments)
         except RecursionError:
             raise ValueError(f"the arguments of part {target!r} are nested too deeply") from None
+
+
+def _arrived(target: str, arguments: tuple[tuple[str, Any], ...], definition: Any, file: str | None) -> FactorySpec:
+    """The spec with a local target in another process, whose ``__main__`` gets the definition, and the file to hash."""
+    main = sys.modules[_MAIN]
+    setattr(main, target.partition(":")[2], definition)
+    if main_file() != file:
+        main.__file__ = file
+    return FactorySpec(target, arguments)

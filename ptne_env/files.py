@@ -35,7 +35,7 @@ def write_atomically(path: Path, content: str | bytes) -> None:
 
 def _replace(path: Path, data: bytes) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
-    handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
+    handle, temporary = _temporary_file(path.parent, path.name)
     try:
         with os.fdopen(handle, "wb") as file:
             file.write(data)
@@ -85,18 +85,42 @@ def _refuse(constant: str) -> None:
     raise ValueError(f"{constant} is not JSON")
 
 
-def require_writable(path: Path) -> None:
-    """Check before long work that :func:`write_atomically` can write its result.
+def require_file(path: str | Path) -> None:
+    """Check that there is a file to read; a link to a file, a pipe or a device is one.
 
     Raises:
-        OSError: when ``path`` is a folder, or its parent is no folder or cannot be written.
+        FileNotFoundError: when there is nothing at ``path``.
+        IsADirectoryError: when there is a folder.
+    """
+    if os.path.isdir(path):  # noqa: PTH112 - Path.is_dir raises where a name is too long
+        raise IsADirectoryError(f"{str(path)!r} is a folder: name a file")
+    if not os.path.exists(path):  # noqa: PTH110 - likewise
+        raise FileNotFoundError(f"there is no file {str(path)!r}")
+
+
+def require_writable(path: Path) -> None:
+    """Try before long work whether :func:`write_atomically` can write its result; nothing is left behind.
+
+    Raises:
+        OSError: naming ``path``, when it is a folder, its parent is no folder, or no file can be made there.
     """
     if path.is_dir():
         raise IsADirectoryError(f"cannot write {path}: it is a folder")
-    folder = Path(os.path.realpath(path)).parent
+    if path.exists() and not path.is_file():  # such as /dev/null, which is written to directly
+        return
+    target = Path(os.path.realpath(path))
+    folder = target.parent
     while not folder.exists():
         folder = folder.parent
     if not folder.is_dir():
         raise NotADirectoryError(f"cannot write {path}: {folder} is not a folder")
-    if not os.access(folder, os.W_OK):
-        raise PermissionError(f"cannot write {path}: the folder {folder} is read-only")
+    try:
+        handle, temporary = _temporary_file(folder, target.name)
+    except OSError as error:
+        raise type(error)(f"cannot write {path}: {error.strerror} (in the folder {folder})") from error
+    os.close(handle)
+    Path(temporary).unlink()
+
+
+def _temporary_file(folder: Path, name: str) -> tuple[int, str]:
+    return tempfile.mkstemp(dir=folder, prefix=f".{name}.")

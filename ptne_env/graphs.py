@@ -11,9 +11,10 @@ import numpy.typing as npt
 from scipy.sparse.csgraph import connected_components
 
 from ptne_env.arrays import FloatArray, frozen, require_count
+from ptne_env.factory import Part
 
 
-class Graph:
+class Graph(Part):
     """An undirected weighted graph on players 0..N−1.
 
     Args:

@@ -6,10 +6,12 @@ import dataclasses
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass
+from types import FunctionType
 from typing import TYPE_CHECKING, Any
 
 from ptne_env.arrays import require_printable
-from ptne_env.factory import FactorySpec
+from ptne_env.factory import FactorySpec, Part
+from ptne_env.names import unknown_name
 
 if TYPE_CHECKING:  # so that the registries can read the catalogue without importing what builds a world
     from ptne_env.clock import Spacing
@@ -47,7 +49,12 @@ def _as_factory(field: str, value: Any) -> FactorySpec:
             return FactorySpec.of(value)
         choices = [*map(repr, known), "a 'module:object' string", "a FactorySpec"]
         raise ValueError(f"{field} is {', '.join(choices[:-1])} or {choices[-1]}; got {value!r}")
-    raise ValueError(f"{field} is a name, a 'module:object' string or a FactorySpec, got {type(value).__name__}")
+    if isinstance(value, Part | type | FunctionType):
+        return FactorySpec.naming(value)
+    raise ValueError(
+        f"{field} is an object of the library's class for it, a 'module:object' string or a FactorySpec, "
+        f"got a {type(value).__name__}"
+    )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -56,8 +63,9 @@ class Scenario:
 
     A scenario only names its parts; :class:`~ptne_env.world.World` builds and checks them. ``game``, ``topology``,
     ``start``, ``transformation``, ``channel``, ``disturbance``, ``sensor`` and ``drift`` accept a
-    :class:`~ptne_env.factory.FactorySpec`, a ``"module:object"`` string or the short names below, and hold a
-    FactorySpec afterwards.
+    :class:`~ptne_env.factory.FactorySpec`, a ``"module:object"`` string, the short names below, or the part itself
+    (``game=MyGame(2.0)``), its class or a function that makes it, and hold a FactorySpec afterwards, which
+    :meth:`~ptne_env.factory.FactorySpec.naming` explains.
 
     Attributes:
         name: for tables and files.
@@ -127,9 +135,7 @@ class Scenario:
         known = [field.name for field in dataclasses.fields(self)]
         unknown = sorted(set(changes) - set(known))
         if unknown:
-            raise ValueError(
-                f"unknown scenario field {', '.join(map(repr, unknown))}; the fields are {', '.join(known)}"
-            )
+            raise ValueError(unknown_name("scenario field", unknown[0], known))
         return dataclasses.replace(self, **changes) if changes else self
 
     def to_dict(self) -> dict[str, Any]:

@@ -9,9 +9,10 @@ import numpy as np
 from ptne_env import counter_random
 from ptne_env.arrays import FloatArray, IntArray, require_non_negative
 from ptne_env.counter_random import CounterArray
+from ptne_env.factory import Part
 
 
-class Sensor(ABC):
+class Sensor(Part, ABC):
     """A map from the own gradients ∂J_i/∂x_i(x^i) to the values that players observe and laws use.
 
     Equilibrium, costs, regrets and distances, and what oracles observe beside the own gradient, are the true ones.

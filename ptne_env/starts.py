@@ -8,9 +8,10 @@ from collections.abc import Sequence
 import numpy as np
 
 from ptne_env.arrays import FloatArray, frozen
+from ptne_env.factory import Part
 
 
-class Start(ABC):
+class Start(Part, ABC):
     """The distribution of the initial estimates."""
 
     is_random: bool = False
@@ -73,10 +74,23 @@ class FixedStart(Start):
         return self.estimates.copy()
 
 
-def paper_start() -> FixedStart:
-    """Both examples: x^i_i(0) = (−2, −4, −6, −8, −10), the rest of x^i(0) is (15, 10, 5, 0) in order of j."""
-    own = (-2.0, -4.0, -6.0, -8.0, -10.0)
-    rows = np.empty((5, 5))
-    for player in range(5):
-        rows[player] = np.insert([15.0, 10.0, 5.0, 0.0], player, own[player])
-    return FixedStart(rows.tolist())
+class PaperStart(Start):
+    """The start of both examples: own strategies −2, −4, −6, … by player, and the rest of x^i(0) is …, 15, 10, 5, 0.
+
+    The paper has five players; the pattern goes on for other numbers.
+    """
+
+    def draw(self, num_players: int, dimension: int, generator: np.random.Generator) -> FloatArray:  # noqa: ARG002
+        """The table, shape (N, N)."""
+        if dimension != num_players:
+            raise ValueError(
+                f"the paper's start is for one component per player, the game has {num_players} players and "
+                f"{dimension} components; choose start='random' or another table"
+            )
+        rest = 5.0 * np.arange(num_players - 2, -1, -1)
+        return np.stack([np.insert(rest, player, -2.0 * (player + 1)) for player in range(num_players)], axis=1)
+
+
+def paper_start() -> PaperStart:
+    """The start of both examples."""
+    return PaperStart()

@@ -13,6 +13,7 @@ import numpy.typing as npt
 from scipy.sparse.csgraph import minimum_spanning_tree
 
 from ptne_env.arrays import FloatArray, IntArray, frozen, require_count, require_positive, require_probability
+from ptne_env.factory import Part
 from ptne_env.graphs import Graph, from_edges, union
 
 TopologyClock: TypeAlias = Literal["physical", "transformed"]
@@ -42,7 +43,7 @@ class Schedule:
     time_since_switch: FloatArray
 
 
-class SwitchingTopology:
+class SwitchingTopology(Part):
     """A switching topology σ: a periodic sequence of graphs with a dwell time each; a single graph is the fixed case.
 
     Dwell times are in the unit of the topology's clock. On the ``physical`` clock (t, the paper's) only finitely many

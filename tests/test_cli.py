@@ -17,13 +17,15 @@ import pytest
 from extras import need_sb3
 
 from ptne_env.cli import console
+from ptne_env.cli.app import ExitCode, main
+from ptne_env.files import DamagedFileError
 
 FILES = {"results.json", "results.csv", "marl-eval.json", "jobs"}
 
 ROOT = Path(__file__).parents[1]
 COMMANDS = ("compare", "check", "render", "certify", "sweep", "reproduce", "train", "list")
 LONG = {
-    "compare": "compare --scenario energy --policy static,adaptive,grounded --episodes 3000 --out out",
+    "compare": "compare energy --policy static,adaptive,grounded --episodes 3000 --out out",
     "suite": "compare --suite ptne-v1 --track delay --track noise --policy adaptive,grounded --jobs 2 --out out",
     "render": "render energy static --out out.gif --pictures 400",
     "sweep": "sweep noise-horizon --points 30 --jobs 2 --out out",
@@ -129,6 +131,7 @@ def test_a_terminal_gets_colours_and_none_with_no_color(tmp_path):
     ("words", "expected"),
     [
         (["ptne", ""], set(COMMANDS)),
+        (["ptne", "compare", "random-energy-"], {"random-energy-switching"}),
         (["ptne", "compare", "--scenario", "random-energy-"], {"random-energy-switching"}),
         (["ptne", "compare", "--policy", "ppo-random"], {"ppo-random-energy", "ppo-random-energy-gains"}),
         (["ptne", "compare", "--policy", "static,gr"], {"static,grounded"}),
@@ -174,6 +177,8 @@ def test_list_writes_json_of_all_kinds():
     listed = json.loads(ptne("list", "--json", "-").stdout)
     assert set(listed) == {"scenarios", "policies", "metrics", "suites"}
     assert listed["metrics"]["settling_time"]["unit"] == "s"
+    assert listed["scenarios"]["robots"]["description"].startswith("Five robots in the plane")
+    assert set(json.loads(ptne("list", "policies", "--json", "-").stdout)) == {"policies"}
 
 
 def test_list_shows_scenarios_policies_and_metrics():
@@ -185,7 +190,7 @@ def test_list_shows_scenarios_policies_and_metrics():
 
 def test_compare_prints_a_table_and_writes_json_and_csv(tmp_path):
     outcome = ptne(
-        *("compare", "--scenario", "energy", "--policy", "static", "--policy", "oracle", "--episodes", "4"),
+        *("compare", "energy", "--policy", "static", "--policy", "oracle", "--episodes", "4"),
         *("--jobs", "1", "--json", "there/again.json"),
         cwd=tmp_path,
     )
@@ -204,7 +209,7 @@ def test_compare_prints_a_table_and_writes_json_and_csv(tmp_path):
 
 
 def test_files_are_written_unless_the_output_is_json(tmp_path):
-    arguments = ("compare", "--scenario", "energy", "--policy", "zero-input", "--episodes", "1", "--jobs", "1")
+    arguments = ("compare", "energy", "--policy", "zero-input", "--episodes", "1", "--jobs", "1")
     assert json.loads(ptne(*arguments, "--json", "-", cwd=tmp_path).stdout)["seed"] == 0
     assert not any(tmp_path.iterdir())
     assert json.loads(ptne(*arguments, "--json", "-", "--no-report", "--out", "out", cwd=tmp_path).stdout)["seed"] == 0
@@ -219,9 +224,7 @@ def test_render_writes_a_video(tmp_path):
 
 
 def test_compare_json_to_stdout_is_json_alone():
-    outcome = ptne(
-        "compare", "--scenario", "energy", "--policy", "zero-input", "--episodes", "2", "--seed", "9", "--json", "-"
-    )
+    outcome = ptne("compare", "energy", "--policy", "zero-input", "--episodes", "2", "--seed", "9", "--json", "-")
     data = json.loads(outcome.stdout)
     assert data["seed"] == 9
     assert {record["policy"] for record in data["records"]} == {"zero-input"}
@@ -250,7 +253,7 @@ def own_module(tmp_path):
 @pytest.mark.parametrize(
     "command",
     [
-        "compare --scenario energy --policy talkative:make --episodes 1 --trust",
+        "compare energy --policy talkative:make --episodes 1 --trust",
         "compare --suite ptne-v1 --track nominal --policy talkative:make --trust --episodes 2 --jobs 2 --no-report",
         "certify energy",
         "sweep dwell-gain --points 2 --episodes 1 --jobs 2 --out out",
@@ -283,7 +286,7 @@ def test_a_module_in_the_current_folder_is_found_by_the_installed_command(own_mo
 
 
 def test_a_failing_policy_is_named_with_track_step_and_line_and_the_others_go_on(own_module):
-    command = ("compare", "--scenario", "energy", "--policy", "static,talkative:broken", "--episodes", "1", "--trust")
+    command = ("compare", "energy", "--policy", "static,talkative:broken", "--episodes", "1", "--trust")
     outcome = ptne(*command, cwd=own_module)
     assert outcome.returncode == 1
     place = "talkative:broken on energy"
@@ -294,7 +297,7 @@ def test_a_failing_policy_is_named_with_track_step_and_line_and_the_others_go_on
 
 
 def test_a_comparison_of_which_every_policy_fails_says_why(own_module):
-    outcome = ptne("compare", "--scenario", "energy", "--policy", "talkative:broken", "--trust", cwd=own_module)
+    outcome = ptne("compare", "energy", "--policy", "talkative:broken", "--trust", cwd=own_module)
     assert outcome.returncode == 1
     assert "energy: no policy has values" in outcome.stdout
     assert "Failed: talkative:broken on energy: it cannot be built: ZeroDivisionError" in outcome.stdout
@@ -306,8 +309,8 @@ def test_a_comparison_of_which_every_policy_fails_says_why(own_module):
 @pytest.mark.parametrize("name", ["missing.onnx", "damaged.onnx"])
 def test_a_policy_file_that_is_no_policy_is_named(name, tmp_path):
     (tmp_path / "damaged.onnx").write_bytes(b"no policy")
-    outcome = ptne("compare", "--scenario", "energy", "--policy", name, cwd=tmp_path)
-    assert outcome.returncode == (1 if name == "missing.onnx" else 2)
+    outcome = ptne("compare", "energy", "--policy", name, cwd=tmp_path)
+    assert outcome.returncode == ExitCode.FILE
     assert name in outcome.stderr
     assert "Traceback" not in outcome.stderr
 
@@ -317,15 +320,13 @@ def test_a_file_that_is_something_else_is_named(command, tmp_path):
     for name in ("file", "file.toml"):
         (tmp_path / name).write_text("something else", encoding="utf-8")
     outcome = ptne(*command.split(), cwd=tmp_path)
-    assert outcome.returncode == 2
+    assert outcome.returncode == ExitCode.FILE
     assert "file" in outcome.stderr
     assert "Traceback" not in outcome.stderr
 
 
 def test_compare_takes_a_policy_by_module_and_object():
-    outcome = ptne(
-        "compare", "--scenario", "energy", "--policy", "ptne_env.laws:Grounded", "--episodes", "1", "--json", "-"
-    )
+    outcome = ptne("compare", "energy", "--policy", "ptne_env.laws:Grounded", "--episodes", "1", "--json", "-")
     digits = [record["mean"] for record in json.loads(outcome.stdout)["records"] if record["metric"] == "digits"]
     assert digits == pytest.approx([12.0, 12.0], abs=4e-15)  # as near as a natural logarithm comes
 
@@ -333,37 +334,108 @@ def test_compare_takes_a_policy_by_module_and_object():
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (("compare", "--scenario", "energie"), "unknown scenario 'energie'"),
+        (("compare", "energie"), "unknown scenario 'energie'; did you mean 'energy'?"),
+        (("compare", "--scenario", "energie"), "unknown scenario 'energie'; did you mean 'energy'?"),
+        (("compare", "energy", "static"), "'static' is a policy, no scenario: write --policy static"),
+        (("compare", "energy", "ptne-v1/delay"), "of scenarios, or of the tracks of one suite"),
+        (("compare", "ptne-v2/drift", "--suite", "ptne-v1"), "of scenarios, or of the tracks of one suite"),
+        (("compare", "--policy", "Grounded"), "unknown policy 'Grounded'; did you mean 'grounded'"),
+        (("render", "delay", "static", "--out", "x.gif"), "unknown scenario 'delay'; did you mean 'ptne-v1/delay'?"),
         (("compare", "--policy", "statics"), "unknown policy 'statics'"),
         (("compare", "--episodes", "0"), "--episodes"),
         (("render", "energy", "static", "--out", "run.avi"), "a video is written to .gif, .mp4, .html"),
         (("certify", "energie"), "unknown scenario 'energie'"),
         (("certify", "energy", "--kappa", "-1"), "kappa"),
-        (("certify", "energy", "--law", "statik"), "unknown law 'statik'"),
+        (("certify", "energy", "--law", "statik"), "unknown law 'statik'; did you mean 'static' or 'Static'?"),
         (("certify", "energy", "--law", "adaptive", "--kappa", "2"), "has no kappa"),
-        (("sweep", "gain-stop"), "unknown diagram 'gain-stop'"),
-        (("compare", "--suite", "ptne-v0"), "unknown suite 'ptne-v0'"),
-        (("compare", "--suite", "ptne-v1", "--track", "nominl"), "has no track 'nominl'"),
+        (("sweep", "gain-stop"), "unknown diagram 'gain-stop'; did you mean 'gain-step'?"),
+        (("compare", "--suite", "ptne-v0"), "unknown suite 'ptne-v0'; did you mean 'ptne-v1' or 'ptne-v2'?"),
+        (
+            ("compare", "--suite", "ptne-v1", "--track", "nominl"),
+            "unknown track of suite ptne-v1 'nominl'; did you mean 'nominal'?",
+        ),
         (("compare", "--suite", "ptne-v1", "--hold-steps", "3"), "leave out --hold-steps"),
         (("compare", "--suite", "ptne-v1", "--policy", "model.zip"), "say --trust"),
         (
             ("compare", "--track", "nominal"),
-            "unknown scenario 'nominal': a track needs its suite, such as --suite ptne-v1",
+            "unknown scenario 'nominal'; did you mean 'ptne-v1/nominal'?",
         ),
         (("compare", "--scenario", "robots", "--policy", "ppo-random-energy", "--json", "-"), "fits no track"),
         (("compare", "--jobs", "0"), "0 jobs"),
-        (("train", "random-enery", "--out", "out"), "unknown configuration 'random-enery'"),
-        (("train", "none.toml", "--out", "out"), "no file 'none.toml'; name a .toml file"),
+        (
+            ("train", "random-enery", "--out", "out"),
+            "unknown configuration 'random-enery'; did you mean 'random-energy'",
+        ),
         (("reproduce", "--points", "3"), "No such option"),
-        (("list", "everything"), "unexpected extra argument"),
+        (("list", "everything"), "'everything' is not one of 'scenarios', 'policies', 'metrics', 'suites'"),
         (("no-such-command",), "No such command"),
     ],
 )
 def test_wrong_usage_exits_with_2_and_a_message(arguments, message):
     outcome = ptne(*arguments)
-    assert outcome.returncode == 2
+    assert outcome.returncode == ExitCode.USAGE
     assert message in outcome.stderr
     assert "Traceback" not in outcome.stderr
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        "compare energy --policy missing.file.onnx",
+        "compare energy --policy missing.file.zip --trust",
+        "compare energy --policy mine=missing.file.onnx",
+        "render energy missing.file.onnx --out out.gif",
+        "check missing.file",
+        "check missing.file.tar.xz",
+        "train missing.file.toml --out out",
+        "train ptne-v1/noise --from missing.file.onnx --out out",
+    ],
+)
+def test_a_missing_file_is_called_a_missing_file(command, tmp_path):
+    outcome = ptne(*command.split(), cwd=tmp_path)
+    assert outcome.returncode == ExitCode.FILE
+    assert outcome.stderr.startswith("Error: there is no file 'missing.file")
+    assert not any(tmp_path.iterdir())
+
+
+def test_arguments_and_options_name_the_same_tracks(tmp_path):
+    options = ("--policy", "zero-input", "--episodes", "1", "--jobs", "1", "--json", "-")
+    results = [
+        json.loads(ptne("compare", *words, *options, cwd=tmp_path).stdout)
+        for words in (["ptne-v1/delay"], ["--suite", "ptne-v1", "delay"], ["--suite", "ptne-v1", "--track", "delay"])
+    ]
+    assert [found["episodes"] for found in results] == [{"delay": 1}] * 3
+    assert len({found["checksum"] for found in results}) == 1
+
+
+@pytest.mark.parametrize(
+    ("error", "code"),
+    [
+        (ValueError("wrong"), ExitCode.USAGE),
+        (DamagedFileError("damaged"), ExitCode.FILE),
+        (FileNotFoundError(2, "No such file or directory", "path"), ExitCode.FILE),
+        (ImportError("missing"), ExitCode.LIBRARY),
+        (ConnectionError("no cluster"), ExitCode.FAILED),
+        (ChildProcessError("a worker died"), ExitCode.FAILED),
+        (RuntimeError("bug"), ExitCode.FAILED),
+    ],
+)
+def test_every_kind_of_fault_has_an_exit_code(error, code, monkeypatch, capsys):
+    def fail(prog_name):
+        raise error
+
+    monkeypatch.setattr("ptne_env.cli.app.app", fail)
+    with pytest.raises(SystemExit) as ended:
+        main()
+    assert ended.value.code == code
+    printed = capsys.readouterr().err
+    assert printed.startswith("Error: ")
+    assert "Errno" not in printed
+
+
+def test_the_exit_codes_are_documented():
+    usage = (ROOT / "docs" / "usage.md").read_text(encoding="utf-8")
+    assert all(f"| {code.value} |" in usage for code in ExitCode)
 
 
 def test_debug_shows_the_traceback():
@@ -392,8 +464,8 @@ def test_colours_need_a_terminal_or_force_color_and_no_no_color():
 @pytest.mark.parametrize(
     "command",
     [
-        "compare --scenario energy --policy zero-input --episodes 1 --out blocked/x",
-        "compare --scenario energy --policy zero-input --episodes 1 --json blocked/x",
+        "compare energy --policy zero-input --episodes 1 --out blocked/x",
+        "compare energy --policy zero-input --episodes 1 --json blocked/x",
         "compare --suite ptne-v1 --out blocked/x",
         "check blocked --json blocked/x",
         "render energy static --out blocked/x.gif",
@@ -404,10 +476,10 @@ def test_colours_need_a_terminal_or_force_color_and_no_no_color():
         "list --json blocked/x",
     ],
 )
-def test_an_obstacle_to_writing_exits_with_1_before_the_work(command, tmp_path):
+def test_an_obstacle_to_writing_exits_before_the_work(command, tmp_path):
     (tmp_path / "blocked").write_text("in the way", encoding="utf-8")
     outcome = ptne(*command.split(), cwd=tmp_path)
-    assert outcome.returncode == 1
+    assert outcome.returncode == ExitCode.FILE
     assert outcome.stdout == ""
     (line,) = outcome.stderr.strip().splitlines()
     assert line.startswith("Error: ")
@@ -516,7 +588,7 @@ def test_a_check_of_an_archive_says_which_policy_files_are_missing(tmp_path):
     assert "every number follows from the stored jobs" in outcome.stdout
     assert outcome.stdout.count("reproduces") == 1
     outcome = ptne("check", "out", "--sample", "1", "--json", "found.json", cwd=tmp_path)
-    assert outcome.returncode == 3
+    assert outcome.returncode == ExitCode.FILE
     assert "every number follows from the stored jobs" in outcome.stdout
     assert "not repeated" in outcome.stdout
     assert outcome.stdout.count("reproduces") == 1

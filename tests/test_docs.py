@@ -23,6 +23,7 @@ from ptne_env.catalogue import CATALOGUE
 from ptne_env.cli import app
 from ptne_env.experiments import POLICIES, get_suite
 from ptne_env.paper.numbers import PRINTED
+from ptne_env.experiments.suite import world_names
 from ptne_env.policies import shipped
 from ptne_env.rewards import TERMS
 from ptne_env.scenario import Scenario
@@ -32,6 +33,7 @@ ROOT = Path(__file__).parents[1]
 PACKAGE = ROOT / "ptne_env"
 DOCUMENTS = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
 PAGES = [*DOCUMENTS, *sorted(ROOT.glob("[!R]*.md")), *sorted((ROOT / "baselines").glob("*.md"))]
+PARTS = ROOT / "docs" / "adding-parts.md"
 BLOCK = re.compile(r"^```(\w*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 
 
@@ -77,12 +79,19 @@ PROGRAMS = [
     pytest.param(code, id=f"{document.stem}-{index}")
     for document in DOCUMENTS
     for index, code in enumerate(blocks(document, "python"))
+    if document != PARTS
 ]
 
 
 @pytest.mark.parametrize("code", PROGRAMS)
 def test_code_runs_as_printed_without_a_warning(code, tmp_path):
     run(code, tmp_path)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_the_code_about_parts_runs_as_one_program(tmp_path):
+    printed = run("\n".join(blocks(PARTS, "python")), tmp_path)
+    assert "<Results of own-parts-v1: heavy-ball, zero-input, static, oracle on contest, clipped, seed 0>" in printed
     assert list(tmp_path.iterdir()) == []
 
 
@@ -103,7 +112,7 @@ def test_readme_is_short_and_names_the_example_in_one_file_first():
 def test_parts_in_the_document_are_those_of_the_example():
     example = definitions(text_of(ROOT / "examples" / "own_parts.py"))
     printed = {}
-    for code in blocks(ROOT / "docs" / "adding-parts.md", "python"):
+    for code in blocks(PARTS, "python"):
         printed |= definitions(code)
     shared = sorted(set(example) & set(printed))
     assert shared == ["BeautyContest", "Clipped", "HeavyBall", "suite", "wheel"]
@@ -160,10 +169,10 @@ def test_commands_exist_with_the_named_scenarios_tracks_and_policies(document):
             assert set(arguments) <= set(typer.main.get_command(app).commands)
             continue
         _, parameters = parse(arguments)
-        scenario, policies = parameters.get("scenario", "SCENARIO"), parameters.get("policy") or ()
-        assert scenario in CATALOGUE or scenario.isupper() or scenario.startswith("ptne-v1/"), arguments
-        tracks = [track.name for track in get_suite("ptne-v1").tracks] if parameters.get("suite") else CATALOGUE
-        assert set(parameters.get("track") or ()) <= set(tracks), arguments
+        scenarios, policies = parameters.get("scenario") or (), parameters.get("policy") or ()
+        tracks = [track.name for track in get_suite("ptne-v1").tracks] if parameters.get("suite") else world_names()
+        places = [scenarios] if isinstance(scenarios, str) else [*scenarios, *(parameters.get("track") or ())]
+        assert {name for name in places if not name.rpartition("/")[2].isupper()} <= set(tracks), arguments
         policies = [policies] if isinstance(policies, str) else policies
         names = {name for names in policies for name in names.split(",") if not re.search(r"[:.=]", name)}
         assert names <= set(POLICIES) | set(shipped()), arguments

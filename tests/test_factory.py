@@ -1,17 +1,19 @@
 import dataclasses
 import json
 
+import networkx as nx
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from processes import run_python
 
-from ptne_env import FactorySpec
+from ptne_env import FactorySpec, Scenario, channel, get_scenario, graphs, switching
 from ptne_env.catalogue import CATALOGUE
 from ptne_env.experiments import get_suite, suite_policies
 from ptne_env.factory import foreign_targets, is_part, resolve
-from ptne_env.games import EnergyGame
+from ptne_env.games import AffineGame, EnergyGame, RandomEnergy
+from ptne_env.starts import UniformStart
 from ptne_env.switching import SwitchingTopology
 
 scalars = st.none() | st.booleans() | st.integers() | st.floats(allow_nan=False, allow_infinity=False) | st.text()
@@ -181,3 +183,110 @@ def test_parts_that_are_nested_too_deeply_are_refused():
         data = {"target": "a:b", "arguments": {"inner": data}}
     with pytest.raises(ValueError, match="nested too deeply"):
         FactorySpec.from_dict(data)
+
+
+# --- parts that are given as objects ----------------------------------------------------------------------------------
+
+
+class Contest(AffineGame):
+    """A game whose arguments are not its attributes."""
+
+    def __init__(self, pull=0.5, *, tastes=(1.0, 2.0, 4.0)):
+        super().__init__(np.eye(3) - pull / 2 * (1 - np.eye(3)), -np.asarray(tastes))
+
+
+class Unnamed(AffineGame):
+    """A game whose arguments have no names."""
+
+    def __init__(self, *tastes):
+        super().__init__(np.eye(3), np.asarray(tastes))
+
+
+class Unseeded(AffineGame):
+    """A game that is another one whenever it is made."""
+
+    def __init__(self):
+        super().__init__(np.eye(3), np.random.default_rng().normal(size=3))
+
+
+class Drawn(AffineGame):
+    """A game of another object."""
+
+    def __init__(self, generator):
+        super().__init__(np.eye(3), generator.normal(size=3))
+
+
+def wheel():
+    return switching.fixed(graphs.from_networkx(nx.wheel_graph(5)))
+
+
+@pytest.mark.parametrize(
+    ("part", "named"),
+    [
+        (EnergyGame(), FactorySpec.of("ptne_env.games:EnergyGame")),
+        (EnergyGame, FactorySpec.of("ptne_env.games:EnergyGame")),
+        (EnergyGame(2.0, coupling=0.3), FactorySpec.of("ptne_env.games:EnergyGame", curvature=2.0, coupling=0.3)),
+        (EnergyGame(target=np.arange(3.0)), FactorySpec.of("ptne_env.games:EnergyGame", target=(0.0, 1.0, 2.0))),
+        (Contest(0.25), FactorySpec.of(f"{__name__}:Contest", pull=0.25)),
+        (wheel, FactorySpec.of(f"{__name__}:wheel")),
+        (
+            channel.Chain([channel.AdditiveNoise(0.1)]),
+            FactorySpec.of(
+                "ptne_env.channel:Chain", stages=[FactorySpec.of("ptne_env.channel:AdditiveNoise", std=0.1)]
+            ),
+        ),
+        (RandomEnergy(5), FactorySpec.of("ptne_env.games:RandomEnergy", players=5)),
+    ],
+)
+def test_an_object_is_named_by_the_arguments_that_it_was_made_with(part, named):
+    assert FactorySpec.naming(part) == named
+
+
+def test_a_topology_of_networkx_is_named_with_its_graph():
+    built = FactorySpec.naming(wheel()).build()
+    assert np.array_equal(built.union.adjacency, wheel().union.adjacency)
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: Unnamed(1.0, 2.0, 3.0), "a Unnamed cannot be named by its arguments .argument 'tastes' has no name"),
+        (lambda: Drawn(np.random.default_rng(0)), "cannot be named by its arguments .*got Generator"),
+        (Unseeded, "the arguments of this Unseeded make another one: .*draws random numbers"),
+        (
+            type("Contest", (Unseeded,), {"__module__": __name__}),
+            "has no Contest, or another one since this object was",
+        ),
+    ],
+)
+def test_an_object_that_arguments_do_not_name_is_refused_with_advice(make, message):
+    with pytest.raises(ValueError, match=message):
+        FactorySpec.naming(make())
+
+
+def test_an_object_that_was_changed_is_refused():
+    game = Contest()
+    game.offset = game.offset + 1
+    with pytest.raises(ValueError, match="it was changed later"):
+        FactorySpec.naming(game)
+
+
+def test_a_class_in_a_function_is_refused_with_advice():
+    class Inner(Contest):
+        pass
+
+    with pytest.raises(ValueError, match="Inner is defined inside a function or a class: define it at the top"):
+        get_scenario("energy", game=Inner())
+
+
+def test_a_scenario_takes_parts_by_object_and_class():
+    named = get_scenario("energy", game=FactorySpec.of(Contest, pull=0.25), start=FactorySpec.of(UniformStart))
+    given = get_scenario("energy", game=Contest(0.25), start=UniformStart)
+    assert given == named
+    assert hash(given) == hash(named)
+    assert Scenario.from_json(given.to_json()) == named
+
+
+def test_something_else_in_the_place_of_a_part_is_refused():
+    with pytest.raises(ValueError, match="game is an object of the library's class for it, .*, got a int"):
+        get_scenario("energy", game=5)

@@ -1,9 +1,10 @@
+import errno
 import os
 import stat
 
 import pytest
 
-from ptne_env.files import require_writable, write_atomically
+from ptne_env.files import require_file, require_writable, write_atomically
 
 
 def test_folders_are_made_and_text_is_written_as_utf8(tmp_path):
@@ -45,10 +46,27 @@ def test_an_obstacle_to_writing_is_found_beforehand(tmp_path):
         require_writable(tmp_path / "file" / "a" / "new")
 
 
-def test_a_read_only_folder_is_found_beforehand(tmp_path, monkeypatch):
-    monkeypatch.setattr(os, "access", lambda *_: False)  # tests may run as root, which may write everywhere
-    with pytest.raises(PermissionError, match="read-only"):
-        require_writable(tmp_path / "new")
+def test_a_file_that_cannot_be_made_is_found_beforehand(tmp_path, monkeypatch):
+    long = "x" * 250  # as long as a name may be, but not as long as that of the temporary file
+    with pytest.raises(OSError, match=f"cannot write .*{long}: File name too long"):
+        require_writable(tmp_path / long)
+
+    def refuse(*_, **__):
+        raise PermissionError(errno.EACCES, "Permission denied")
+
+    monkeypatch.setattr("tempfile.mkstemp", refuse)  # tests may run as root, which may write everywhere
+    with pytest.raises(PermissionError, match=r"cannot write .*new: Permission denied \(in the folder"):
+        require_writable(tmp_path / "a" / "new")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_missing_file_is_called_a_missing_file(tmp_path):
+    with pytest.raises(FileNotFoundError, match="there is no file '.*missing'"):
+        require_file(tmp_path / "missing")
+    with pytest.raises(IsADirectoryError, match="is a folder: name a file"):
+        require_file(tmp_path)
+    (tmp_path / "there").touch()
+    require_file(tmp_path / "there")
 
 
 def test_a_link_stays_and_its_target_is_written(tmp_path):

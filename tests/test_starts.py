@@ -2,7 +2,12 @@ import numpy as np
 import pytest
 from worlds import PAPER_START
 
+from ptne_env import get_scenario, graphs, switching
+from ptne_env.games import RandomEnergy
 from ptne_env.starts import FixedStart, UniformStart, paper_start
+from ptne_env.world import World
+
+SIX = {"game": RandomEnergy(players=6), "topology": switching.fixed(graphs.cycle(6))}
 
 
 def generator(seed=0):
@@ -54,5 +59,31 @@ def test_tables_that_are_not_finite_rectangles_are_refused(table):
 
 
 def test_start_for_another_game_is_refused_with_a_hint():
-    with pytest.raises(ValueError, match="5 players and dimension 5.*choose start='random'"):
-        paper_start().draw(3, 3, generator())
+    with pytest.raises(ValueError, match="for 2 players and dimension 2.*choose start='random'"):
+        FixedStart([[1.0, 2.0], [3.0, 4.0]]).draw(3, 3, generator())
+
+
+@pytest.mark.parametrize("players", [2, 6, 9])
+def test_the_papers_start_goes_on_for_other_numbers_of_players(players):
+    estimates = paper_start().draw(players, players, generator()).T
+    for player, row in enumerate(estimates):
+        assert row[player] == -2.0 * (player + 1)
+        assert np.delete(row, player).tolist() == [5.0 * rest for rest in range(players - 2, -1, -1)]
+
+
+def test_the_papers_start_needs_one_component_per_player():
+    with pytest.raises(ValueError, match="the game has 3 players and 6 components; choose start='random'"):
+        paper_start().draw(3, 6, generator())
+
+
+@pytest.mark.parametrize(
+    "changed",
+    [
+        get_scenario("energy", **SIX),
+        get_scenario("energy", **SIX, start="random"),
+        get_scenario("energy", **SIX).replace(start="random"),
+        get_scenario("energy", start="random").replace(**SIX),
+    ],
+)
+def test_another_number_of_players_needs_no_order_of_changes(changed):
+    assert World(changed).game.num_players == 6

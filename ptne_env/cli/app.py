@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from enum import IntEnum
 from typing import Annotated
 
 import typer
@@ -10,9 +11,23 @@ from rich.text import Text
 
 from ptne_env._version import __version__
 from ptne_env.cli.console import console, output
+from ptne_env.files import DamagedFileError
 
-_INTERRUPTED = 130
-"""Exit code after Ctrl-C."""
+
+class ExitCode(IntEnum):
+    """One per kind of fault."""
+
+    FAILED = 1
+    """A policy failed, numbers of a check differ, or an error that no other code is for."""
+    USAGE = 2
+    """An unknown command, option or name, or a value out of range; typer uses it too."""
+    FILE = 3
+    """A file is missing or damaged, or cannot be read or written."""
+    LIBRARY = 4
+    """A library is missing."""
+    INTERRUPTED = 130
+    """Ctrl-C."""
+
 
 app = typer.Typer(
     no_args_is_help=True,
@@ -45,24 +60,35 @@ def _root(
 
 
 def main() -> None:
-    """Run the command line; exit codes are 0 done, 1 failed, 2 wrong usage, 130 interrupted."""
+    """Run the command line; docs/usage.md explains the exit codes."""
     os.environ["PYTHONSAFEPATH"] = "1"  # processes that it starts do not import modules of the current folder either
     try:
         app(prog_name="ptne")
     except SystemExit as ended:
-        if ended.code == _INTERRUPTED:
+        if ended.code == ExitCode.INTERRUPTED:
             console(stderr=True).print("Interrupted: all files are complete; the same command keeps what they hold")
         raise
+    except (ConnectionError, ChildProcessError) as error:
+        _fail(str(error), ExitCode.FAILED)
+    except (OSError, DamagedFileError) as error:
+        _fail(_reason(error), ExitCode.FILE)
     except ValueError as error:
-        _fail(str(error), 2)
-    except (OSError, ImportError) as error:
-        _fail(str(error), 1)
+        _fail(str(error), ExitCode.USAGE)
+    except ImportError as error:
+        _fail(str(error), ExitCode.LIBRARY)
     except Exception as error:  # noqa: BLE001 - the traceback of any error is shown on request only
         message = "\n".join([f"{type(error).__name__}: {error}", *getattr(error, "__notes__", ())])
-        _fail(message if output.debug else f"{message}\n'ptne --debug' before the command shows where it comes from", 1)
+        hint = "" if output.debug else "\n'ptne --debug' before the command shows where it comes from"
+        _fail(message + hint, ExitCode.FAILED)
 
 
-def _fail(message: str, code: int) -> None:
+def _reason(error: Exception) -> str:
+    """The message of an error, without the number of one of the operating system."""
+    filename, reason = getattr(error, "filename", None), getattr(error, "strerror", None)
+    return str(error) if filename is None else f"{str(filename)!r}: {reason}"
+
+
+def _fail(message: str, code: ExitCode) -> None:
     screen = console(stderr=True)
     if output.debug:
         screen.print_exception()

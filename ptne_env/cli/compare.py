@@ -8,20 +8,22 @@ from typing import Annotated
 
 import typer
 
+from ptne_env import policies as learned
 from ptne_env import report
 from ptne_env.catalogue import CATALOGUE
 from ptne_env.cli import options
-from ptne_env.cli.app import app
+from ptne_env.cli.app import ExitCode, app
 from ptne_env.cli.console import STDOUT, check_writable, console, json_text, progress, say, write_json
-from ptne_env.experiments import default_policies, get_policy_spec, get_suite, run_suite, suite_policies
+from ptne_env.experiments import POLICIES, default_policies, get_policy_spec, get_suite, run_suite, suite_policies
 from ptne_env.experiments.check import check as run_check
 from ptne_env.experiments.check import foreign_code as foreign_code_of_results
 from ptne_env.experiments.marl_eval import marl_eval_json
 from ptne_env.experiments.policy_specs import foreign_code
-from ptne_env.experiments.suite import EPISODES, SUITES, comparison, foreign_suites
+from ptne_env.experiments.suite import EPISODES, SUITES, comparison, foreign_suites, world_names
 from ptne_env.experiments.traces import scenes
 from ptne_env.experiments.workers import Workers
 from ptne_env.files import write_atomically
+from ptne_env.names import unknown_name
 
 _FILES = ("results.json", "results.csv", "marl-eval.json")
 _HOLD_STEPS = 50
@@ -29,11 +31,38 @@ _HOLD_STEPS = 50
 
 def _complete_track(context: typer.Context) -> list[str]:
     suite: str = context.params.get("suite") or ""
-    return [track.name for track in get_suite(suite).tracks] if suite in SUITES else list(CATALOGUE)
+    return [track.name for track in get_suite(suite).tracks] if suite in SUITES else world_names()
+
+
+def _tracks_of(suite: str | None, names: list[str]) -> tuple[str | None, list[str]]:
+    """The suite that the names belong to, ``None`` for scenarios, and the names without it."""
+    suites = {name.rpartition("/")[0] or suite for name in names} or {suite}
+    if len(suites) > 1 or suite not in (None, *suites):
+        raise ValueError(
+            f"a comparison is of scenarios, or of the tracks of one suite; got {', '.join(map(repr, names))}"
+            + f" and --suite {suite}" * (suite is not None)
+        )
+    return suites.pop(), [name.rpartition("/")[2] for name in names]
+
+
+def _require_scenario(name: str) -> None:
+    if name in (*POLICIES, *learned.shipped()):
+        raise ValueError(f"{name!r} is a policy, no scenario: write --policy {name}")
+    if name not in CATALOGUE:
+        raise ValueError(unknown_name("scenario", name, world_names()))
 
 
 @app.command()
 def compare(
+    scenario: Annotated[
+        list[str] | None,
+        typer.Argument(
+            metavar="[SCENARIO]...",
+            help="Scenarios by name, or tracks of one suite, such as ptne-v1/delay; with --suite the names of tracks. "
+            "All if left out. See 'ptne list'.",
+            autocompletion=_complete_track,
+        ),
+    ] = None,
     *,
     suite: Annotated[
         str | None,
@@ -48,7 +77,7 @@ def compare(
         typer.Option(
             "--scenario",
             "--track",
-            help="A scenario by name, or with --suite a track; repeat for several. All if left out. See 'ptne list'.",
+            help="The same as SCENARIO; repeat for several.",
             autocompletion=_complete_track,
         ),
     ] = None,
@@ -110,23 +139,21 @@ def compare(
 
     With --suite, run the tracks of a frozen benchmark, with scores and ranks; see docs/protocol.md.
     """
+    suite, places = _tracks_of(suite, [*(scenario or ()), *(track or ())])
     names = [name for given in policy or () for name in given.split(",") if name]
     trust = options.trusted(
         [*foreign_suites(suite), *(code for name in names for code in foreign_code(name))], trust=trust
     )
     if suite is None:
-        if unknown := [name for name in track or () if name not in CATALOGUE]:
-            raise ValueError(
-                f"unknown scenario {', '.join(map(repr, unknown))}: a track needs its suite, such as --suite ptne-v1; "
-                f"the scenarios are {', '.join(CATALOGUE)}"
-            )
+        for name in places:
+            _require_scenario(name)
         held = _HOLD_STEPS if hold_steps is None else hold_steps
-        chosen = comparison(track or CATALOGUE, episodes=episodes or EPISODES, hold_steps=held)
+        chosen = comparison(places or CATALOGUE, episodes=episodes or EPISODES, hold_steps=held)
         tracks = None
     else:
         if hold_steps is not None:
             raise ValueError("a suite fixes the steps after the deadline: leave out --hold-steps")
-        chosen, tracks = get_suite(suite), track
+        chosen, tracks = get_suite(suite), places or None
     folder = out or (None if json == STDOUT else Path("results") / chosen.name)
     files = {} if folder is None else {name: folder / name for name in _FILES}
     page = None if folder is None or not with_report else folder / "report.html"
@@ -170,7 +197,7 @@ def compare(
     for (place, name), reason in results.failures.items():
         say(f"Failed: {name} on {place}: {reason}")
     if results.failures:
-        raise typer.Exit(1)
+        raise typer.Exit(ExitCode.FAILED)
 
 
 @app.command()
@@ -222,4 +249,4 @@ def check(
     write_json(json, json_text(found))
     console().print(report.check_tables(outcome, tolerance))
     if not outcome.passes(tolerance):
-        raise typer.Exit(3 if outcome.agrees(tolerance) else 1)
+        raise typer.Exit(ExitCode.FILE if outcome.agrees(tolerance) else ExitCode.FAILED)

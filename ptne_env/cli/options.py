@@ -10,15 +10,9 @@ from typing import Annotated, TypeAlias
 import typer
 
 from ptne_env import policies
-from ptne_env.catalogue import CATALOGUE
 from ptne_env.cli.console import keep_stdout
 from ptne_env.experiments import POLICIES
-from ptne_env.experiments.suite import SUITES, get_suite
-
-
-def complete_world() -> list[str]:
-    """Names of scenarios and of tracks of suites."""
-    return [*CATALOGUE, *(f"{name}/{track.name}" for name in SUITES for track in get_suite(name).tracks)]
+from ptne_env.experiments.suite import world_names
 
 
 def complete_policy(incomplete: str) -> list[str]:
@@ -33,7 +27,7 @@ World: TypeAlias = Annotated[
         metavar="SCENARIO",
         help="A scenario by name, or a track such as ptne-v1/delay; see 'ptne list'. A track 'module:object/track' "
         "runs code of that module.",
-        autocompletion=complete_world,
+        autocompletion=world_names,
     ),
 ]
 Policy: TypeAlias = Annotated[

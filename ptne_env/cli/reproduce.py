@@ -25,7 +25,7 @@ def reproduce(
     """
     from ptne_env import paper
 
-    check_writable(json)
+    check_writable(json, out / "index.html")
     with progress("reproducing") as advance:
         reproduction = paper.reproduce(out, progress=advance)
     write_json(json, json_text(reproduction.to_dict()))

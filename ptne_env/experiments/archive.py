@@ -20,7 +20,7 @@ from ptne_env import policies
 from ptne_env.experiments.policy_specs import learned_file
 from ptne_env.experiments.results import Results
 from ptne_env.experiments.store import Store
-from ptne_env.files import DamagedFileError, write_atomically
+from ptne_env.files import DamagedFileError, require_file, write_atomically
 
 SUFFIX = ".tar.xz"
 """The end of the name of every archive."""
@@ -112,6 +112,7 @@ def unpacked(results: Path) -> Iterator[Path]:
     if not results.name.endswith(SUFFIX) or results.is_dir():
         yield results
         return
+    require_file(results)
     with TemporaryDirectory(prefix="ptne-") as temporary:
         folder = Path(temporary) / results.name  # which messages show
         for name, content in _files(results).items():

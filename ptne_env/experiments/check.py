@@ -29,7 +29,7 @@ from ptne_env.experiments.store import PublishedStore
 from ptne_env.experiments.suite import PAPER_START, Suite, comparison, foreign_suites, get_suite
 from ptne_env.experiments.tuning import CANDIDATE
 from ptne_env.factory import LOADER, FactorySpec
-from ptne_env.files import read_json
+from ptne_env.files import read_json, require_file
 from ptne_env.observation import ObservationLayout
 from ptne_env.policies.process import PolicySource
 from ptne_env.policy import Policy, PolicyError
@@ -215,10 +215,7 @@ def foreign_code(results: Path) -> list[str]:
 
 def _read(results: Path) -> tuple[Path, dict[str, Any], _Listing]:
     path = results / "results.json" if results.is_dir() else results
-    if not path.exists():
-        raise FileNotFoundError(
-            f"no results in {results}: name a file results.json, the folder that holds it, or an archive of the folder"
-        )
+    require_file(path)
     data = read_results(path)
     return path, data, _Listing.of(path, data)
 

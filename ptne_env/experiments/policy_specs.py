@@ -16,6 +16,8 @@ from ptne_env.catalogue import CATALOGUE
 from ptne_env.experiments.provenance import file_hashes
 from ptne_env.experiments.sources import is_file
 from ptne_env.factory import LOADER, FactorySpec, is_part
+from ptne_env.files import require_file
+from ptne_env.names import unknown_name
 from ptne_env.observation import Interface, ObservationLayout
 from ptne_env.policies.process import PolicySource, build, declared_interface, separate
 from ptne_env.policy import Policy, PolicyError
@@ -58,6 +60,7 @@ class PolicySpec:
             out, and ``physical`` if it has none.
         scenarios: names of the scenarios it is run on, "n/a" elsewhere; all if ``None``.
         memory: what :attr:`has_memory` says of a file that is not here.
+        description: one sentence, for lists; no part of the policy.
     """
 
     name: str
@@ -65,6 +68,7 @@ class PolicySpec:
     interface: Interface = None  # type: ignore[assignment]  # filled in below, so that readers never see None
     scenarios: frozenset[str] | None = None
     memory: bool | None = field(default=None, compare=False, repr=False)
+    description: str = field(default="", compare=False, repr=False)
 
     def __post_init__(self) -> None:
         require_printable("the name of a policy", self.name)
@@ -72,7 +76,7 @@ class PolicySpec:
             raise ValueError(f"policy {self.name!r} has no training seed")
         if self.interface is None:
             first = self.training_seeds[0]
-            if self.is_foreign and isinstance(first, FactorySpec):
+            if self._is_apart and isinstance(first, FactorySpec):
                 try:
                     interface = declared_interface(first)
                 except PolicyError as error:
@@ -114,6 +118,12 @@ class PolicySpec:
     def is_foreign(self) -> bool:
         """Whether making it runs code that is not of this library."""
         return bool(self.foreign_code)
+
+    @property
+    def _is_apart(self) -> bool:
+        """Whether it decides in a process of its own, which cannot import the program or notebook that runs."""
+        first = self.training_seeds[0]
+        return self.is_foreign and not (isinstance(first, FactorySpec) and first.is_local)
 
     @property
     def is_oracle(self) -> bool:
@@ -176,7 +186,7 @@ class PolicySpec:
             LayoutError, PolicyError: as :meth:`build`.
         """
         source = self.training_seeds[training_seed]
-        if isinstance(source, FactorySpec) and (self.is_foreign or _is_own_file(source)):
+        if isinstance(source, FactorySpec) and (self._is_apart or _is_own_file(source)):
             with separate(source, layout) as policy:
                 yield policy
         else:
@@ -241,43 +251,202 @@ def _named(policy: Any) -> type:
     return policy if isinstance(policy, type) else type(policy)
 
 
+def _law(name: str, kind: str, description: str, **arguments: Any) -> PolicySpec:
+    return PolicySpec(name, FactorySpec.of(f"{_LAWS}{kind}", **arguments), description=description)
+
+
 POLICIES: Mapping[str, PolicySpec] = {
     policy.name: policy
     for policy in [
-        PolicySpec("static", FactorySpec.of(f"{_LAWS}Static", kappa=2.0)),
-        PolicySpec("adaptive", FactorySpec.of(f"{_LAWS}Adaptive", gamma=0.01, initial_gain=0.5)),
-        PolicySpec("corollary-one", FactorySpec.of(f"{_LAWS}CorollaryOne", kappa=10.0)),
-        PolicySpec("gadjov-pavel", FactorySpec.of(f"{_LAWS}CorollaryOne", kappa=1.0)),
-        PolicySpec("grounded", FactorySpec.of(f"{_LAWS}Grounded", kappa=2.0)),
-        PolicySpec("zero-input", FactorySpec.of(f"{_LAWS}ZeroInput")),
-        PolicySpec("random", FactorySpec.of(f"{_LAWS}RandomPolicy", seed=0)),
-        PolicySpec("oracle", FactorySpec.of(f"{_LAWS}CentralisedOracle", gradient_gain=1.0)),
+        _law(
+            "static",
+            "Static",
+            "The paper's static law: down the slope of the own cost, and towards the neighbours with the gain κ.",
+            kappa=2.0,
+        ),
+        _law(
+            "adaptive",
+            "Adaptive",
+            "The paper's adaptive law: the gain of a link grows as long as its two players disagree.",
+            gamma=0.01,
+            initial_gain=0.5,
+        ),
+        _law(
+            "corollary-one",
+            "CorollaryOne",
+            "The static law without the time gain, with a κ as large as its corollary needs.",
+            kappa=10.0,
+        ),
+        _law(
+            "gadjov-pavel",
+            "CorollaryOne",
+            "Gadjov and Pavel's law: the static law without the time gain, with κ = 1.",
+            kappa=1.0,
+        ),
+        _law(
+            "grounded",
+            "Grounded",
+            "Ye and Hu's law: estimates follow the neighbours, and the own strategy follows the own cost alone.",
+            kappa=2.0,
+        ),
+        _law("zero-input", "ZeroInput", "Does nothing: strategies stay at the start."),
+        _law("random", "RandomPolicy", "Random inputs.", seed=0),
+        _law(
+            "oracle",
+            "CentralisedOracle",
+            "Gradient play with the true strategies of all players, which players do not have.",
+            gradient_gain=1.0,
+        ),
         # The other laws of the field, which are run on suites.
-        PolicySpec("static-tuned", FactorySpec.of(f"{_LAWS}Static", kappa=3.0, gradient_gain=3.5)),
-        PolicySpec("fixed-gain", FactorySpec.of(f"{_LAWS}FixedGain", kappa=5.0)),
-        PolicySpec("averaging-integral", FactorySpec.of(f"{_LAWS}AveragingIntegral", gamma=0.003)),
-        PolicySpec("adaptive-grounded", FactorySpec.of(f"{_LAWS}AdaptiveGrounded", gamma=0.0001, initial_gain=3.0)),
-        PolicySpec("projected-gradient", FactorySpec.of(f"{_LAWS}ProjectedGradient", step=0.5, mixing=0.45)),
-        PolicySpec("aggregate-tracking", FactorySpec.of(f"{_LAWS}AggregateTracking", step=0.5, power=0.6, mixing=0.3)),
-        PolicySpec("extremum-seeking", FactorySpec.of(f"{_LAWS}ExtremumSeeking", amplitude=1.0, gain=0.2)),
-        PolicySpec("locally-implicit", FactorySpec.of(f"{_LAWS}LocallyImplicit", kappa=2.0, curvature=5.0)),
-        PolicySpec("capped-gain", FactorySpec.of(f"{_LAWS}CappedGain", kappa=2.0, largest_gain=200.0)),
-        PolicySpec("routed", FactorySpec.of(f"{_LAWS}Routed", step=0.3)),
-        PolicySpec("routed-unknown", FactorySpec.of(f"{_LAWS}RoutedUnknown", step=0.3)),
-        PolicySpec("freshest", FactorySpec.of(f"{_LAWS}Freshest", step=0.32)),
-        PolicySpec("relay", FactorySpec.of(f"{_LAWS}Relay", **_AVERAGING)),
-        PolicySpec("link-relay", FactorySpec.of(f"{_LAWS}LinkRelay", **_AVERAGING)),
-        PolicySpec("contact-relay", FactorySpec.of(f"{_LAWS}ContactRelay", **_AVERAGING)),
-        PolicySpec("route-relay", FactorySpec.of(f"{_LAWS}RouteRelay", **_AVERAGING)),
-        PolicySpec("observer-relay", FactorySpec.of(f"{_LAWS}ObserverRelay", **_AVERAGING)),
-        PolicySpec("freshest-relay", FactorySpec.of(f"{_LAWS}FreshestRelay", **_AVERAGING)),
-        PolicySpec("multi-rate", FactorySpec.of(f"{_LAWS}MultiRate", step=0.2, price_step=0.2, lead=2.0)),
-        PolicySpec("proximal-best-response", FactorySpec.of(f"{_LAWS}ProximalBestResponse", step=4.0, mixing=0.45)),
-        PolicySpec("identify-and-broadcast", FactorySpec.of(f"{_LAWS}IdentifyAndBroadcast", switch=0.65)),
-        PolicySpec("best-response-oracle", FactorySpec.of(f"{_LAWS}BestResponseOracle", relaxation=1.0)),
-        PolicySpec("fixed-time-oracle", FactorySpec.of(f"{_LAWS}FixedTimeOracle", gain=1.0, largest_step=0.3)),
-        PolicySpec(
-            "node-adaptive-oracle", FactorySpec.of(f"{_LAWS}NodeAdaptiveOracle", gamma=0.0001, initial_gain=1.0)
+        _law(
+            "static-tuned",
+            "Static",
+            "The static law with tuned weights of the own cost and of the neighbours.",
+            kappa=3.0,
+            gradient_gain=3.5,
+        ),
+        _law(
+            "fixed-gain",
+            "FixedGain",
+            "The static law with the κ that Bianchi and Grammatico's weaker condition asks for.",
+            kappa=5.0,
+        ),
+        _law(
+            "averaging-integral",
+            "AveragingIntegral",
+            "De Persis and Grammatico's law: integral controllers raise the gains of the links from zero.",
+            gamma=0.003,
+        ),
+        _law(
+            "adaptive-grounded",
+            "AdaptiveGrounded",
+            "Ye and Hu's adaptive law: the grounded law, with gains that every player tunes by itself.",
+            gamma=0.0001,
+            initial_gain=3.0,
+        ),
+        _law(
+            "projected-gradient",
+            "ProjectedGradient",
+            "Bianchi and Grammatico's discrete law: average with the neighbours, then take a gradient step.",
+            step=0.5,
+            mixing=0.45,
+        ),
+        _law(
+            "aggregate-tracking",
+            "AggregateTracking",
+            "Koshal, Nedić and Shanbhag's law: players track the mean of all strategies in place of each one.",
+            step=0.5,
+            power=0.6,
+            mixing=0.3,
+        ),
+        _law(
+            "extremum-seeking",
+            "ExtremumSeeking",
+            "Frihauf, Krstić and Başar's law: players see their costs only, and find slopes by oscillating.",
+            amplitude=1.0,
+            gain=0.2,
+        ),
+        _law(
+            "locally-implicit",
+            "LocallyImplicit",
+            "The static law with implicit steps of each player, which stay stable however long a step is.",
+            kappa=2.0,
+            curvature=5.0,
+        ),
+        _law(
+            "capped-gain", "CappedGain", "The static law with a limit on the time gain.", kappa=2.0, largest_gain=200.0
+        ),
+        _law(
+            "routed",
+            "Routed",
+            "Copies news from the neighbour that is nearest to its source, and takes gradient steps.",
+            step=0.3,
+        ),
+        _law(
+            "routed-unknown",
+            "RoutedUnknown",
+            "The routed law of players that find the nearest neighbours by themselves.",
+            step=0.3,
+        ),
+        _law(
+            "freshest",
+            "Freshest",
+            "Copies the freshest news of the known schedule of links, and takes gradient steps.",
+            step=0.32,
+        ),
+        _law(
+            "relay",
+            "Relay",
+            "Copies news as the routed law, and takes best responses by an identified model of the own gradient.",
+            **_AVERAGING,
+        ),
+        _law(
+            "link-relay",
+            "LinkRelay",
+            "The relay of players that know the present links of their own alone.",
+            **_AVERAGING,
+        ),
+        _law(
+            "contact-relay",
+            "ContactRelay",
+            "The relay of players that remember when each of their own links was up.",
+            **_AVERAGING,
+        ),
+        _law(
+            "route-relay",
+            "RouteRelay",
+            "The contact relay of players that also know their distances in the union of all graphs.",
+            **_AVERAGING,
+        ),
+        _law(
+            "observer-relay",
+            "ObserverRelay",
+            "The contact relay with filters against noise, rounding, pushes and reactions of others.",
+            **_AVERAGING,
+        ),
+        _law(
+            "freshest-relay", "FreshestRelay", "The relay of players that know the schedule of all links.", **_AVERAGING
+        ),
+        _law(
+            "multi-rate",
+            "MultiRate",
+            "Gradient play with prices for a shared constraint, on copies along shortest paths.",
+            step=0.2,
+            price_step=0.2,
+            lead=2.0,
+        ),
+        _law(
+            "proximal-best-response",
+            "ProximalBestResponse",
+            "Bianchi, Belgioioso and Grammatico's law: proximal best responses, and averages with neighbours.",
+            step=4.0,
+            mixing=0.45,
+        ),
+        _law(
+            "identify-and-broadcast",
+            "IdentifyAndBroadcast",
+            "Players identify their own equations and send them in code, so that each solves the whole game.",
+            switch=0.65,
+        ),
+        _law(
+            "best-response-oracle",
+            "BestResponseOracle",
+            "Best responses to the true strategies of all players, which players do not have.",
+            relaxation=1.0,
+        ),
+        _law(
+            "fixed-time-oracle",
+            "FixedTimeOracle",
+            "Fixed-time gradient play, scaled by the norm of all gradients, which players do not have.",
+            gain=1.0,
+            largest_step=0.3,
+        ),
+        _law(
+            "node-adaptive-oracle",
+            "NodeAdaptiveOracle",
+            "Bianchi and Grammatico's law with growing gains; a player sees the gains of its neighbours, too.",
+            gamma=0.0001,
+            initial_gain=1.0,
         ),
     ]
 }
@@ -291,12 +460,19 @@ def learned_policy(path_or_name: str) -> PolicySpec:
     """The spec of a learned policy, for the scenarios that it was trained on, or all where it has no size.
 
     Raises:
-        FileNotFoundError, PolicyFileError, ImportError: as :func:`ptne_env.policies.load`.
+        ValueError, FileNotFoundError, PolicyFileError, ImportError: as :func:`ptne_env.policies.load`.
     """
     policy = policies.load(path_or_name)
     source = FactorySpec.of(LOADER, path_or_name=path_or_name)
-    scenarios = None if isinstance(policy, policies.SizeFreeFile) else frozenset(policy.metadata.scenarios)
-    return PolicySpec(policy.name, source, policy.interface, scenarios)
+    trained = policy.metadata.scenarios
+    places = trained[0] if len(trained) == 1 else f"{len(trained)} scenarios and tracks"
+    return PolicySpec(
+        policy.name,
+        source,
+        policy.interface,
+        None if isinstance(policy, policies.SizeFreeFile) else frozenset(trained),
+        description=f"A network trained on {places}; {policy.metadata.digits:.3g} digits on its validation episodes.",
+    )
 
 
 def default_policies() -> list[PolicySpec]:
@@ -331,9 +507,10 @@ def get_policy_spec(policy: str | PolicySpec, *, trust: bool = False) -> PolicyS
 
     Raises:
         ValueError: for an unknown name, an object that is no string and no spec, an object that cannot be imported, a
-            pattern without files or with files of another kind, training seeds with different interfaces, or a
-            ``.zip`` that is not trusted.
-        FileNotFoundError, PolicyFileError, ImportError: as :func:`ptne_env.policies.load`.
+            pattern with files of another kind, training seeds with different interfaces, or a ``.zip`` that is not
+            trusted.
+        FileNotFoundError: also for a pattern without files.
+        PolicyFileError, ImportError: as :func:`ptne_env.policies.load`.
     """
     if isinstance(policy, PolicySpec):
         return policy
@@ -352,11 +529,13 @@ def get_policy_spec(policy: str | PolicySpec, *, trust: bool = False) -> PolicyS
     if stores_code(policy):
         if not trust:
             raise ValueError(f"loading {policy!r} executes code that is stored in it: say that you trust it (--trust)")
+        require_file(policy)
         return PolicySpec(Path(policy).stem, FactorySpec.of(ARCHIVE, path=policy))
     if ":" in policy:
         return PolicySpec(policy, FactorySpec.of(policy))
-    known = ", ".join([*POLICIES, *policies.shipped()])
-    raise ValueError(f"unknown policy {policy!r}; choose from {known}, or name an .onnx file or a 'module:object'")
+    raise ValueError(
+        unknown_name("policy", policy, [*POLICIES, *policies.shipped()], "an .onnx file or a 'module:object'")
+    )
 
 
 def foreign_code(policy: str) -> list[str]:
@@ -368,7 +547,8 @@ def foreign_code(policy: str) -> list[str]:
         policy: as for :func:`get_policy_spec`; patterns are expanded.
 
     Raises:
-        ValueError: for a pattern without files or with files of another kind.
+        ValueError: for a pattern with files of another kind.
+        FileNotFoundError: for a pattern without files.
     """
     pattern = _pattern(policy)
     if pattern is not None:
@@ -388,8 +568,10 @@ def _pattern(policy: str) -> tuple[str, list[str]] | None:
     if not separator or Path(name).name != name or is_file(policy):
         return None
     found = sorted(glob.glob(pattern))  # noqa: PTH207 - it may be absolute
-    if not (name and found):
-        raise ValueError(f"'{name}={pattern}' is not 'name=pattern' with a pattern that matches files")
+    if not name:
+        raise ValueError(f"'={pattern}' has no name: write 'name=pattern'")
+    if not found:
+        raise FileNotFoundError(f"there is no file {pattern!r}, which '{name}={pattern}' asks for")
     if others := [path for path in found if not path.endswith((".onnx", ".zip"))]:
         raise ValueError(f"'{name}={pattern}' matches {others[0]!r}: policy files end in .onnx or .zip")
     return name, found
@@ -423,7 +605,7 @@ def law_factory(law: str, kappa: float | None = None) -> FactorySpec:
         factory = get_policy_spec(law).policy
     else:
         if law not in law_names():
-            raise ValueError(f"unknown law {law!r}; name one of {', '.join(law_names())}, or a 'module:object'")
+            raise ValueError(unknown_name("law", law, law_names(), "a 'module:object'"))
         factory = FactorySpec.of(f"{_LAWS}{law}")
     if not isinstance(factory, FactorySpec):
         raise ValueError(f"{law!r} is no law; name one of {', '.join(POLICIES)}, or a 'module:object'")

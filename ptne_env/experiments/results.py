@@ -6,23 +6,30 @@ import csv
 import io
 import json
 import re
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
+from html import escape
+from itertools import cycle
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 from ptne_env._version import __version__
 from ptne_env.arrays import FloatArray
 from ptne_env.experiments.episodes import Split
 from ptne_env.experiments.jobs import Job
 from ptne_env.experiments.leaderboard import NEEDED, Leaderboard, leaderboard
-from ptne_env.experiments.metrics import METRICS, Statistic, measured
+from ptne_env.experiments.metrics import METRICS, Statistic, measured, number
 from ptne_env.experiments.policy_specs import KNOWLEDGE, PolicySpec
 from ptne_env.experiments.provenance import content_hash, is_hash_of, versions
 from ptne_env.experiments.statistics import Summary, summaries
 from ptne_env.experiments.suite import Suite, Track
 from ptne_env.files import read_json
+from ptne_env.names import unknown_name
+from ptne_env.style import COLOURS, drawing
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 FORMAT = 5
 """Version of the meaning of ``results.json``; a file of another one is refused."""
@@ -185,21 +192,149 @@ class Results:
         A text that a spreadsheet would read as a formula is preceded by ``'``.
         """
         buffer = io.StringIO()
-        fields = ["track", "policy", "metric", "mean", "low", "high", "episodes"]
-        common = {
-            "seed": self.seed,
-            "split": self.split,
-            "version": __version__,
-            "suite": self.suite.name,
-            "content_hash": self.suite.content_hash,
-        }
-        known = {name: spec.knowledge for name, spec in self.every_policy.items()}
-        writer = csv.DictWriter(buffer, [*fields, *KNOWLEDGE, *common], lineterminator="\n")
+        writer = csv.DictWriter(buffer, self._columns, lineterminator="\n")
         writer.writeheader()
-        for record in self.records:
-            row = {**record, **known[record["policy"]], **common}
+        for row in self._rows():
             writer.writerow({key: _cell(value) for key, value in row.items()})
         return buffer.getvalue()
+
+    def to_dataframe(self) -> Any:
+        """The rows of :meth:`to_csv` as a ``pandas.DataFrame``; NaN where a record has no value.
+
+        Raises:
+            ImportError: when pandas is not installed.
+        """
+        try:
+            import pandas as pd
+        except ImportError as error:
+            raise ImportError("a data frame needs pandas: pip install pandas (or use to_csv or records)") from error
+        numbers = ("mean", "low", "high")
+        return pd.DataFrame(list(self._rows()), columns=self._columns).astype(dict.fromkeys(numbers, float))
+
+    @property
+    def _columns(self) -> list[str]:
+        common = ["seed", "split", "version", "suite", "content_hash"]
+        return ["track", "policy", "metric", "mean", "low", "high", "episodes", *KNOWLEDGE, *common]
+
+    def _rows(self) -> Iterator[Record]:
+        common = (self.seed, self.split, __version__, self.suite.name, self.suite.content_hash)
+        known = {name: tuple(spec.knowledge.values()) for name, spec in self.every_policy.items()}
+        for record in self.records:
+            values = (*record.values(), *known[record["policy"]], *common)
+            yield dict(zip(self._columns, values, strict=True))
+
+    def plot(self, metric: str | None = None) -> Figure:
+        """A figure with a panel per track: the mean of every policy, and its 95 % interval, the best first.
+
+        Args:
+            metric: its name; the metric that scores the track, such as digits, if left out.
+
+        Returns:
+            A matplotlib figure, which a notebook shows, and ``plot().savefig("digits.png")`` writes.
+
+        Raises:
+            ValueError: for an unknown metric, or one that no policy has a value of.
+            ImportError: when matplotlib is missing, naming the extra to install.
+        """
+        if metric is not None and metric not in METRICS:
+            raise ValueError(unknown_name("metric", metric, METRICS))
+        panels = {track: found for track in self.tracks if (found := self._ranked(track, metric or track.metric))}
+        if not panels:
+            raise ValueError(f"no policy has a value of {metric or 'the metric of a track'}: there is nothing to plot")
+        colours = dict(zip(self.every_policy, cycle(COLOURS), strict=False))
+        across = min(len(panels), 3)
+        down = -(-len(panels) // across)
+        height = 0.9 + 0.22 * max(map(len, panels.values()))
+        with drawing("plots"):
+            from matplotlib import pyplot as plt  # notebooks show the figures of a program that imports it
+
+            figure, grid = plt.subplots(
+                down, across, squeeze=False, figsize=(4.2 * across, height * down), layout="constrained"
+            )
+            plt.close(figure)  # so that a notebook shows it once, as the value of the cell
+            places = list(grid.flat)
+            for axes in places[len(panels) :]:
+                axes.set_axis_off()
+            for axes, (track, found) in zip(places, panels.items(), strict=False):
+                for place, (policy, summary) in enumerate(found.items()):
+                    axes.plot([summary.low, summary.high], [place, place], color=colours[policy], linewidth=2)
+                    axes.plot(summary.mean, place, "o", color=colours[policy])
+                axes.set_yticks(range(len(found)), map(self._label, found))
+                axes.invert_yaxis()
+                axes.set_title(f"{track.name}, {self._count(track)}", loc="left")
+                axes.set_xlabel(METRICS[metric or track.metric].label)
+        return figure
+
+    def _ranked(self, track: Track, metric: str) -> dict[str, Summary]:
+        """The summaries of the policies that have a value on a track, the best first."""
+        found = {policy: self.summary(track.name, policy, metric) for policy in self.policies_on(track.name)}
+        sign = -1 if METRICS[metric].direction == "higher" else 1
+        values = {policy: summary for policy, summary in found.items() if summary is not None}
+        order = [policy for policy, summary in values.items() if summary.mean is not None]
+        return {policy: values[policy] for policy in sorted(order, key=lambda name: sign * (values[name].mean or 0.0))}
+
+    def _label(self, policy: str) -> str:
+        """The name of a policy, with its division where it is not honest."""
+        division = self.every_policy[policy].division
+        return policy if division == "honest" else f"{policy} ({division})"
+
+    def _count(self, track: Track) -> str:
+        episodes = self.episodes[track.name]
+        return f"{episodes} episode{'s' * (episodes > 1)}"
+
+    def __repr__(self) -> str:
+        return (
+            f"<Results of {self.suite.name}: {_counted(self.policies, 'policies')} on "
+            f"{_counted(self.episodes, 'tracks')}, seed {self.seed}"
+            + f", {len(self.failures)} failed" * bool(self.failures)
+            + ">"
+        )
+
+    def __str__(self) -> str:
+        """A line per track and policy, the best first: the metric that scores the track, with its 95 % interval."""
+        lines = [repr(self)]
+        for track in self.tracks:
+            lines += ["", f"{track.name}, {self._count(track)}: {METRICS[track.metric].heading}"]
+            found = {self._label(name): summary for name, summary in self._ranked(track, track.metric).items()}
+            width = max(map(len, found), default=0)
+            lines += [f"  {policy:<{width}}  {_digits(summary)}" for policy, summary in found.items()]
+        return "\n".join(lines)
+
+    def _repr_html_(self) -> str:
+        """A table for notebooks: policies × tracks, the metric that scores each track, with its 95 % interval."""
+        ranked = [self._ranked(track, track.metric) for track in self.tracks]
+        head = "".join(
+            f"<th>{escape(track.name)}<br><small>{escape(METRICS[track.metric].heading)}, "
+            f"{self._count(track)}</small></th>"
+            for track in self.tracks
+        )
+        rows = "".join(
+            f"<tr><th>{escape(self._label(policy))}</th>"
+            + "".join(
+                f"<td>{escape(_digits(found[policy]))}</td>" if policy in found else "<td>–</td>" for found in ranked
+            )
+            + "</tr>"
+            for policy in dict.fromkeys(policy for found in ranked for policy in found)
+        )
+        return (
+            f"<table><caption>{escape(repr(self))}; means with 95 % intervals</caption>"
+            f"<thead><tr><th>policy</th>{head}</tr></thead><tbody>{rows}</tbody></table>"
+        )
+
+
+_NAMED = 4
+"""Names that a short text spells out."""
+
+
+def _counted(names: Collection[str], kind: str) -> str:
+    """The names where they are few, else their number."""
+    return ", ".join(names) if len(names) <= _NAMED else f"{len(names)} {kind}"
+
+
+def _digits(summary: Summary) -> str:
+    """A mean with its interval, where the two differ."""
+    mean, low, high = map(number, (summary.mean, summary.low, summary.high))
+    return mean if low == high else f"{mean} [{low}, {high}]"
 
 
 def _cell(value: Any) -> Any:

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import chain
 from pathlib import Path
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 
@@ -26,8 +26,8 @@ from ptne_env.scenario import Scenario
 
 
 def evaluate(
-    policies: Iterable[str | PolicySpec],
-    scenarios: Iterable[str | Scenario],
+    policies: str | PolicySpec | Iterable[str | PolicySpec],
+    scenarios: str | Scenario | Iterable[str | Scenario],
     *,
     episodes: int = EPISODES,
     seed: int = 0,
@@ -50,8 +50,9 @@ def evaluate(
     (:mod:`ptne_env.experiments.tuning`). The coded law is run beside them.
 
     Args:
-        policies: specs, or strings as :func:`~ptne_env.experiments.policy_specs.get_policy_spec` takes them.
-        scenarios: names of the catalogue or scenarios.
+        policies: specs, or strings as :func:`~ptne_env.experiments.policy_specs.get_policy_spec` takes them; one of
+            them, or several.
+        scenarios: names of the catalogue or scenarios; one of them, or several.
         episodes: number of random starts.
         seed: of the episode sets; the remaining arguments are explained at :func:`run_suite`.
         hold_steps: steps after the deadline for the scenarios given by name.
@@ -65,7 +66,7 @@ def evaluate(
     Raises:
         ValueError, OSError, ImportError, ConnectionError, ChildProcessError: as :func:`run_suite`.
     """
-    suite = comparison(scenarios, episodes=episodes, hold_steps=hold_steps)
+    suite = comparison(_several(scenarios), episodes=episodes, hold_steps=hold_steps)
     return run_suite(
         suite,
         policies,
@@ -81,9 +82,9 @@ def evaluate(
 
 def run_suite(
     suite: str | Suite,
-    policies: Iterable[str | PolicySpec],
+    policies: str | PolicySpec | Iterable[str | PolicySpec],
     *,
-    tracks: Sequence[str] | None = None,
+    tracks: str | Sequence[str] | None = None,
     episodes: int | None = None,
     seed: int = LEADERBOARD_SEED,
     split: Split = "test",
@@ -104,8 +105,9 @@ def run_suite(
 
     Args:
         suite: by name, ``"module:object"`` or as it is.
-        policies: specs, or strings as :func:`~ptne_env.experiments.policy_specs.get_policy_spec` takes them.
-        tracks: names; all if left out.
+        policies: specs, or strings as :func:`~ptne_env.experiments.policy_specs.get_policy_spec` takes them; one of
+            them, or several.
+        tracks: one name or several; all if left out.
         episodes: per track; the suite's own number if left out.
         seed: of the episode sets; the leaderboard's is 0.
         split: ``"test"``, ``"validation"`` or ``"train"``, which share no episode.
@@ -124,12 +126,17 @@ def run_suite(
     """
     target = suite if isinstance(suite, str) else suite.name if suite.name in SUITES else None
     suite = get_suite(suite)
-    names = [track.name for track in suite.tracks] if tracks is None else list(dict.fromkeys(tracks))
+    names = [track.name for track in suite.tracks] if tracks is None else list(dict.fromkeys(_several(tracks)))
     sets = {name: suite.episode_set(name, episodes, seed=seed, split=split) for name in names}
     runner = _Runner(None if folder is None else Store(folder), workers, progress, rerun=rerun)
-    specs = [get_policy_spec(policy) for policy in policies]
+    specs = [get_policy_spec(policy) for policy in _several(policies)]
     tune = runner.tune
     return assemble(suite, target, specs, sets, against_laws=against_laws, run=runner, tune=tune)
+
+
+def _several(given: Any) -> Iterable[Any]:
+    """Several things, of one or several."""
+    return [given] if isinstance(given, str | PolicySpec | Scenario) else given
 
 
 def assemble(

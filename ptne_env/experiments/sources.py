@@ -21,6 +21,8 @@ from pathlib import Path
 from pickletools import genops
 from zipfile import ZipFile
 
+from ptne_env.factory import main_file
+
 UNHASHED = "cannot be hashed: "
 """Beginning of the text that stands in place of a hash; the reason follows."""
 
@@ -198,9 +200,8 @@ def _find(name: str) -> ModuleSpec | None:
         folders = None if parent is None else parent.submodule_search_locations
         return None if folders is None else PathFinder.find_spec(last, list(folders))
     if name == "__main__":
-        path = getattr(sys.modules[name], "__file__", None)
-        is_interactive = sys.flags.interactive or hasattr(sys, "ps1")
-        return None if path is None or is_interactive else spec_from_file_location(name, path)
+        path = main_file()
+        return None if path is None else spec_from_file_location(name, path)
     finders = (getattr(finder, "find_spec", None) for finder in sys.meta_path)  # editable installations have their own
     return next((found for find in finders if find is not None and (found := find(name, None)) is not None), None)
 

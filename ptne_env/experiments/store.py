@@ -15,7 +15,7 @@ from ptne_env.experiments.jobs import Job, JobResult, run_job
 from ptne_env.experiments.metrics import own_metrics
 from ptne_env.experiments.provenance import content_hash, is_hash_of
 from ptne_env.experiments.workers import Workers
-from ptne_env.files import DamagedFileError, read_json, write_atomically
+from ptne_env.files import DamagedFileError, read_json, require_writable, write_atomically
 
 
 class Task(Protocol):
@@ -177,6 +177,9 @@ def run_missing(
         store: of results; ``None`` stores nothing.
         run: yields the index and the result of each of the given tasks.
         rerun: whether tasks with a stored result are run again.
+
+    Raises:
+        OSError: before a task is run, when its result could not be stored.
     """
     missing = []
     for index, task in enumerate(tasks):
@@ -185,6 +188,8 @@ def run_missing(
             missing.append(index)
         else:
             yield index, found
+    if store is not None and missing:
+        require_writable(store.path("0"))
     for place, result in run([tasks[index] for index in missing]):
         if store is not None:
             store.save(tasks[missing[place]], result)

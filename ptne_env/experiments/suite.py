@@ -10,7 +10,7 @@ from typing import Any
 
 from ptne_env import distances
 from ptne_env.arrays import require_count, require_printable
-from ptne_env.catalogue import get_scenario
+from ptne_env.catalogue import CATALOGUE, get_scenario
 from ptne_env.encoder import make_encoder
 from ptne_env.experiments.episodes import EpisodeSet, Split
 from ptne_env.experiments.metrics import FINE_DISTANCE
@@ -18,6 +18,7 @@ from ptne_env.experiments.policy_specs import POLICIES, PolicySpec
 from ptne_env.experiments.provenance import content_hash, file_hashes
 from ptne_env.experiments.rollout import Member
 from ptne_env.factory import FactorySpec, resolve
+from ptne_env.names import unknown_name
 from ptne_env.scenario import Scenario
 from ptne_env.world import World
 
@@ -226,9 +227,7 @@ class Suite:
         for track in self.tracks:
             if track.name == name:
                 return track
-        raise ValueError(
-            f"suite {self.name} has no track {name!r}; choose from {', '.join(t.name for t in self.tracks)}"
-        )
+        raise ValueError(unknown_name(f"track of suite {self.name}", name, [track.name for track in self.tracks]))
 
     def episode_set(
         self, track: str, episodes: int | None = None, *, seed: int = LEADERBOARD_SEED, split: Split = "test"
@@ -331,7 +330,7 @@ def get_suite(suite: str | Suite) -> Suite:
     if isinstance(suite, Suite):
         return suite
     if suite not in SUITES and ":" not in suite:
-        raise ValueError(f"unknown suite {suite!r}; choose from {', '.join(SUITES)}, or name a 'module:object'")
+        raise ValueError(unknown_name("suite", suite, SUITES, "a 'module:object'"))
     target = SUITES.get(suite, suite)
     found = resolve(target)
     made = _made(found) if callable(found) else found
@@ -355,6 +354,11 @@ def foreign_suites(*names: str | None) -> list[str]:
     return [suite for suite in suites if ":" in suite and suite not in SUITES.values()]
 
 
+def world_names() -> list[str]:
+    """The names of all scenarios, and of the tracks of published suites, that :func:`find_scenario` knows."""
+    return [*CATALOGUE, *(f"{suite}/{track.name}" for suite in SUITES for track in get_suite(suite).tracks)]
+
+
 def find_scenario(name: str) -> Scenario:
     """A scenario of the catalogue by name, or of a track, such as ``"ptne-v1/delay"``.
 
@@ -363,6 +367,8 @@ def find_scenario(name: str) -> Scenario:
     """
     suite, separator, track = name.partition("/")
     if not separator:
+        if name not in CATALOGUE:
+            raise ValueError(unknown_name("scenario", name, world_names()))
         return get_scenario(name)
     found = get_suite(suite).track(track)
     if found.teammates is not None:

@@ -28,6 +28,7 @@ from ptne_env.experiments.store import TaskStore, run_missing
 from ptne_env.experiments.workers import Workers
 from ptne_env.factory import FactorySpec
 from ptne_env.laws import Static
+from ptne_env.names import unknown_name
 from ptne_env.observation import Interface
 from ptne_env.scenario import Scenario
 from ptne_env.world import World
@@ -158,7 +159,7 @@ def run_sweep(
         ImportError, ConnectionError, ChildProcessError: as :meth:`~ptne_env.experiments.workers.Workers.run`.
     """
     if name not in SWEEPS:
-        raise ValueError(f"unknown diagram {name!r}; choose from {', '.join(SWEEPS)}")
+        raise ValueError(unknown_name("diagram", name, SWEEPS))
     require_count("points", points, 2)
     require_count("episodes", episodes, 1)
     sweep = SWEEPS[name]

@@ -11,6 +11,7 @@ from concurrent.futures.process import BrokenProcessPool
 from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext
 from dataclasses import dataclass
 from multiprocessing.resource_tracker import ensure_running
+from pickle import PicklingError
 from typing import Any, TypeVar
 
 from ptne_env.processes import end_with_parent
@@ -49,6 +50,7 @@ class Workers:
         The function and its arguments are pickled, and may run on another machine: the caller writes the results.
 
         Raises:
+            ValueError: when a task cannot be pickled.
             ImportError: when joblib or ray is missing and needed.
             ConnectionError: when there is no cluster at the address.
             ChildProcessError: when a worker died, on a cluster more often than Ray repeats its task. An error
@@ -83,6 +85,12 @@ class Workers:
                     yield result
         except BrokenProcessPool as error:
             raise ChildProcessError(_LOST) from error
+        except PicklingError as error:
+            *_, reason = str(error.__cause__ or error).strip(' \n"').splitlines()
+            raise ValueError(
+                f"a class or function of this program or notebook cannot be sent to other processes ({reason}): define "
+                "it in a module, or run one job at a time"
+            ) from error
 
     def gather(
         self,

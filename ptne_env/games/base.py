@@ -11,6 +11,7 @@ import numpy.typing as npt
 import scipy
 
 from ptne_env.arrays import BoolArray, FloatArray, IntArray, frozen, ordered_sum, replaced, require_count
+from ptne_env.factory import Part
 from ptne_env.games.variational import natural_map, solve_box
 
 RESIDUAL_TOLERANCE = 1e-10
@@ -21,7 +22,7 @@ class NoBestResponseError(ValueError):
     """Some player's cost has no minimiser, so the game has no best response."""
 
 
-class Game(ABC):
+class Game(Part, ABC):
     """N players, player i choosing a strategy x_i in R^{n_i}, or in a box, to minimise its cost J_i(x_i, x_{-i}).
 
     Arrays are float64 with environments last: a joint strategy of B environments has shape (n, B) with

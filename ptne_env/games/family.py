@@ -8,11 +8,12 @@ from collections.abc import Sequence
 import numpy as np
 
 from ptne_env.arrays import FloatArray, require_count
+from ptne_env.factory import Part
 from ptne_env.games.base import Game
 from ptne_env.games.energy import EnergyGame
 
 
-class GameFamily(ABC):
+class GameFamily(Part, ABC):
     """A distribution of games with the same players and dimensions.
 
     Attributes:

@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ptne_env.arrays import BoolArray, Float32Array
+from ptne_env.files import require_file
 from ptne_env.observation import SMALLEST_SCALE, Interface, ObservationLayout
 from ptne_env.policies.blocks import in_blocks
 from ptne_env.policies.metadata import PolicyFileError, PolicyLayoutError
@@ -92,8 +93,7 @@ def load_archive(path: str, layout: ObservationLayout | None = None) -> ArchiveP
         raise ImportError('Stable-Baselines3 archives need an extra: pip install "ptne-env[sb3]"') from error
 
     file = Path(path)
-    if not file.is_file():
-        raise FileNotFoundError(f"no file {path!r}")
+    require_file(file)
     torch.set_num_threads(1)
     try:
         stored, parameters, _ = load_from_zip_file(file, device="cpu")

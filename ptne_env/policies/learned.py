@@ -10,7 +10,9 @@ import numpy as np
 import numpy.typing as npt
 
 from ptne_env.arrays import BoolArray, Float32Array
+from ptne_env.files import require_file
 from ptne_env.laws.gated import CellGates, SlotGates
+from ptne_env.names import unknown_name
 from ptne_env.observation import ObservationLayout
 from ptne_env.policies import probe
 from ptne_env.policies.blocks import BLOCK, in_blocks
@@ -138,7 +140,8 @@ def load(
         with one.
 
     Raises:
-        FileNotFoundError: when there is no such file, naming the shipped policies.
+        ValueError: for an unknown name.
+        FileNotFoundError: when there is no such file.
         PolicyFileError: when the file is damaged, foreign or of another version, refers to other files, takes too much
             time or memory, or was made for another layout.
         ImportError: without onnxruntime, naming the extra to install.
@@ -148,9 +151,9 @@ def load(
     path = Path(path_or_name)
     if path.suffix != ".onnx":
         path = _FOLDER / f"{path_or_name}.onnx"
-    if not path.is_file():
-        names = ", ".join(shipped()) or "none"
-        raise FileNotFoundError(f"no policy {str(path_or_name)!r}: name an .onnx file or a shipped policy ({names})")
+        if not path.is_file():
+            raise ValueError(unknown_name("learned policy", str(path_or_name), shipped(), "an .onnx file"))
+    require_file(path)
     policy = _read(path)
     if layout is None:
         return policy

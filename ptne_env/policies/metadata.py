@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from typing import Any, ClassVar
 
 from ptne_env.arrays import require_count, require_finite, require_printable
+from ptne_env.files import DamagedFileError
 from ptne_env.laws.gated import CellGates, SlotGates
 from ptne_env.observation import Interface, LayoutError, ObservationLayout
 from ptne_env.policies.size_free import CELL_FEATURES, SLOT_FEATURES
@@ -20,7 +21,7 @@ GATES: tuple[str, ...] = (*CellGates._fields, *SlotGates._fields)
 """Names of the gates that the network of a policy without sizes answers: of a cell, then of a message."""
 
 
-class PolicyFileError(ValueError):
+class PolicyFileError(DamagedFileError):
     """A file is not a policy of this library, is damaged, or was made for other observations."""
 
 

@@ -3,7 +3,8 @@
 from ptne_env.report.certificates import certificate_tables as certificate_tables
 from ptne_env.report.diagrams import save_diagram as save_diagram
 from ptne_env.report.pages import page as page
-from ptne_env.report.terminal import catalogue_tables as catalogue_tables
+from ptne_env.report.terminal import Kind as Kind
+from ptne_env.report.terminal import catalogue as catalogue
 from ptne_env.report.terminal import check_tables as check_tables
 from ptne_env.report.terminal import result_tables as result_tables
 from ptne_env.report.video import save_video as save_video

@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
+from enum import StrEnum
 
 from rich import box
 from rich.cells import cell_len
-from rich.console import Group
+from rich.console import Group, RenderableType
+from rich.padding import Padding
 from rich.table import Table as RichTable
 from rich.text import Text
 
 from ptne_env import policies
-from ptne_env.catalogue import CATALOGUE
+from ptne_env.catalogue import CATALOGUE, DESCRIPTIONS
 from ptne_env.experiments import METRICS, POLICIES, Results, get_suite
 from ptne_env.experiments.check import Check, Repetition
 from ptne_env.experiments.metrics import number
@@ -33,9 +35,6 @@ _EDGES = 2
 
 _SHOWN_DIFFERENCES = 10
 """Differences of a check that are listed."""
-
-_LIST_WIDTH = 110
-"""Columns of the terminal in which the catalogue fits with the numbers of the clock."""
 
 
 def result_tables(results: Results, width: int = 172) -> Group:
@@ -170,66 +169,92 @@ def _verdict(repetition: Repetition, tolerance: float) -> Text:
     return Text("reproduces" if repetition.failure is None else "fails again", "green")
 
 
-def catalogue_tables(width: int = 172) -> Group:
-    """The scenarios, policies, metrics and suites.
+class Kind(StrEnum):
+    """The kinds of names, in the order in which they are listed."""
+
+    SCENARIOS = "scenarios"
+    POLICIES = "policies"
+    METRICS = "metrics"
+    SUITES = "suites"
+
+
+def catalogue(kinds: Collection[Kind] = tuple(Kind)) -> Group:
+    """The scenarios, policies, metrics and suites: a sentence about each, and its facts, below its name.
 
     Args:
-        width: columns of the terminal; in a narrow one the numbers of the clocks are left out.
+        kinds: those that are listed.
     """
-    suites = (
-        _listing(
-            f"Suite {name}, {get_suite(name).episodes} episodes per track",
-            ["track", "change from the base"],
-            [[track.name, track.change] for track in get_suite(name).tracks],
-        )
-        for name in SUITES
-    )
-    return Group(_scenario_table(width), _policy_table(), _metric_table(), *suites)
+    listings = {
+        Kind.SCENARIOS: _scenarios,
+        Kind.POLICIES: _policies,
+        Kind.METRICS: _metrics,
+        Kind.SUITES: _suites,
+    }
+    return Group(*(line for kind, lines in listings.items() if kind in kinds for line in lines()))
 
 
-def _listing(title: str, headings: Sequence[str], rows: Sequence[Sequence[str]]) -> RichTable:
-    table = empty_table(title)
-    for index, heading in enumerate(headings):
-        table.add_column(Text(heading), no_wrap=index == 0, overflow="fold")  # Text, because brackets are no markup
-    for row in rows:
-        table.add_row(*map(Text, row))
-    return table
+def _entry(name: str, sentence: str, facts: str = "") -> Iterator[RenderableType]:
+    """A name, and below it a sentence and facts, which are wrapped at spaces."""
+    yield Text(name, style="bold")
+    for text in filter(None, (Text(sentence), Text(facts, style="dim"))):
+        yield Padding(text, (0, 0, 0, 4))
 
 
-def _scenario_table(width: int) -> RichTable:
-    clock = {"T [s]": "deadline", "c [1/s]": "gain", "steps": "steps", "s_end": "s_end"} if width >= _LIST_WIDTH else {}
-    rows = []
+def _scenarios() -> Iterator[RenderableType]:
+    yield Text("Scenarios\n", style="italic")
     for name, scenario in CATALOGUE.items():
         world = World(scenario)
         game = f"{type(world.game).__name__}, {world.game.num_players} players"
-        numbers = [f"{getattr(scenario, field):g}" for field in clock.values()]
-        rows.append([name, game, _topology(world.topology), *numbers])
-    return _listing("Scenarios", ["name", "game", "graph", *clock], rows)
+        clock = f"T={scenario.deadline:g}s, c={scenario.gain:g}/s, {scenario.steps} steps, s_end={scenario.s_end:g}"
+        yield from _entry(name, DESCRIPTIONS[name], f"{game}; {_topology(world.topology)}; {clock}")
+    yield Text()
 
 
 def _topology(topology: SwitchingTopology) -> str:
     if topology.is_fixed:
-        return f"fixed, λ2 = {number(topology.union.algebraic_connectivity)}"
+        return f"fixed graph, λ2={number(topology.union.algebraic_connectivity)}"
     unit = "s of t" if topology.clock == "physical" else "of s"
-    return f"{len(topology.graphs)} modes, {number(topology.mean_dwell)} {unit} each"
+    return f"{len(topology.graphs)} graphs, {number(topology.mean_dwell)} {unit} each"
 
 
-def _policy_table() -> RichTable:
-    rows = []
+def _policies() -> Iterator[RenderableType]:
+    yield Text("Policies: laws, references, and learned policies\n", style="italic")
     for spec in [*POLICIES.values(), *map(learned_policy, policies.shipped())]:
-        mode = "" if spec.interface.action_mode == "input" else f", {spec.interface.action_mode}"
-        policy = f"learned on {', '.join(sorted(spec.scenarios))}" if spec.scenarios else call(spec)
-        rows.append([spec.name, f"{spec.interface.kind}{mode}", _knows(spec), policy])
-    return _listing("Policies", ["name", "interface", "knows", "policy"], rows)
+        made = f"learned on {', '.join(sorted(spec.scenarios))}" if spec.scenarios else call(spec)
+        yield from _entry(spec.name, spec.description, "; ".join(filter(None, (made, _acts(spec), _knows(spec)))))
+    yield Text()
+
+
+def _acts(spec: PolicySpec) -> str:
+    """The interface where it is another one than that of most laws."""
+    kind, mode = spec.interface.kind, spec.interface.action_mode
+    return f"interface {kind}" * (kind != "physical") + f", actions {mode}" * (mode != "input")
 
 
 def _knows(spec: PolicySpec) -> str:
     """The graphs that a policy knows, with all that other policies do not have."""
     known = spec.knowledge
     memory = {"yes": ", memory", "no": "", "unknown": ", memory unknown"}[known["memory"]]
-    return known["graphs"] + memory + ", coded estimates" * (known["estimates"] == "coded")
+    return f"knows {known['graphs']}{memory}" + ", coded estimates" * (known["estimates"] == "coded")
 
 
-def _metric_table() -> RichTable:
-    rows = [[name, metric.unit, metric.direction or "", metric.meaning] for name, metric in METRICS.items()]
-    return _listing("Metrics", ["name", "unit", "better", "meaning"], rows)
+def _metrics() -> Iterator[RenderableType]:
+    yield Text("Metrics\n", style="italic")
+    for name, metric in METRICS.items():
+        facts = [
+            f"in {metric.unit}" if metric.unit else "",
+            f"{metric.direction} is better" if metric.direction else "",
+        ]
+        yield from _entry(name, metric.meaning, "; ".join(filter(None, facts)))
+    yield Text()
+
+
+def _suites() -> Iterator[RenderableType]:
+    for name in SUITES:
+        suite = get_suite(name)
+        yield Text(
+            f"Suite {name}: tracks of {suite.episodes} episodes, each with its difference to the base\n", "italic"
+        )
+        for track in suite.tracks:
+            yield from _entry(f"{name}/{track.name}", track.change)
+        yield Text()

@@ -12,6 +12,8 @@ from typing import Annotated, Any, TypeVar
 from pydantic import BeforeValidator, ConfigDict, Field, PositiveInt, ValidationError
 from pydantic.dataclasses import dataclass
 
+from ptne_env.files import DamagedFileError, require_file
+from ptne_env.names import unknown_name
 from ptne_env.observation import ActionMode, InterfaceKind
 from ptne_env.training import CONFIGURATIONS, SIZE_FREE, all_configurations, configurations
 
@@ -135,6 +137,7 @@ def from_toml(kind: type[_Class], name_or_path: str | Path, **changes: Any) -> _
     Raises:
         ValueError: for an unknown configuration, a file that is not TOML, or an argument that is unknown, of another
             type or out of its range.
+        FileNotFoundError: when there is no such file.
     """
     path, values = values_of(name_or_path)
     try:
@@ -148,17 +151,16 @@ def values_of(name_or_path: str | Path) -> tuple[Path, dict[str, Any]]:
 
     Raises:
         ValueError: for an unknown configuration, or a file that is not TOML.
+        FileNotFoundError: when there is no such file.
     """
     path = Path(name_or_path)
     if path.suffix != ".toml":
         folder = CONFIGURATIONS if str(name_or_path) in configurations() else SIZE_FREE
         path = folder / f"{name_or_path}.toml"
-    if not path.is_file():
-        unknown = "no file" if path == Path(name_or_path) else "unknown configuration"
-        raise ValueError(
-            f"{unknown} {str(name_or_path)!r}; name a .toml file, or choose from {', '.join(all_configurations())}"
-        )
+        if not path.is_file():
+            raise ValueError(unknown_name("configuration", str(name_or_path), all_configurations(), "a .toml file"))
+    require_file(path)
     try:
         return path, tomllib.loads(path.read_text(encoding="utf-8"))
     except ValueError as error:
-        raise ValueError(f"{path} is not a TOML file: {error}") from error
+        raise DamagedFileError(f"{path} is not a TOML file: {error}") from error

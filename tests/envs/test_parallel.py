@@ -487,7 +487,7 @@ def test_properties_before_reset_ask_for_reset(view):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ({"scenario": "enrgy"}, "unknown scenario 'enrgy'; the catalogue has energy"),
+        ({"scenario": "enrgy"}, "unknown scenario 'enrgy'; did you mean 'energy'"),
         ({"interface": "global"}, "unknown interface 'global'; choose from physical, local, full"),
         ({"interface": "full"}, "for oracles in evaluations only; choose 'physical' or 'local'"),
         ({"action_mode": "torque"}, "unknown action mode 'torque'; choose from input, gains"),

@@ -272,7 +272,7 @@ def test_results_of_objects_cannot_be_checked(tmp_path):
 
 
 def test_files_that_a_check_misses_are_named_with_advice(results, tmp_path):
-    with pytest.raises(FileNotFoundError, match=r"no results in .*none: name a file results\.json, the folder"):
+    with pytest.raises(FileNotFoundError, match=r"there is no file .*none'"):
         check(tmp_path / "none")
     path = next(iter(stored(tmp_path).values()))
     path.unlink()

@@ -151,7 +151,7 @@ def test_files_that_are_no_archives_are_refused(tmp_path):
     (tmp_path / "bad.zip").write_bytes(b"no archive")
     with pytest.raises(ValueError, match="not an archive"):
         get_policy_spec(str(tmp_path / "bad.zip"), trust=True)
-    with pytest.raises(ValueError, match="no file"):
+    with pytest.raises(FileNotFoundError, match="there is no file"):
         get_policy_spec(str(tmp_path / "none.zip"), trust=True)
 
 

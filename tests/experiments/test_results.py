@@ -1,8 +1,11 @@
 """Results: records, JSON and CSV, the same for comparisons and suites; a metric is declared once."""
 
 import csv
+import dataclasses
 import io
 import json
+import sys
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,8 +15,9 @@ from small_suite import BASE, SMALL
 import ptne_env
 from ptne_env import PolicySpec, evaluate, laws
 from ptne_env.experiments import METRICS, Metric, Results, register, run_suite
+from ptne_env.experiments.metrics import number
 from ptne_env.experiments.traces import scenes
-from ptne_env.report import catalogue_tables, page, result_tables
+from ptne_env.report import catalogue, page, result_tables
 
 
 @pytest.fixture(scope="module")
@@ -25,6 +29,85 @@ def text_of(renderable):
     console = Console(width=400, record=True, file=io.StringIO())
     console.print(renderable)
     return console.export_text()
+
+
+def test_the_short_text_names_few_policies_and_counts_many(results):
+    assert repr(results) == (
+        "<Results of comparison: static, zero-input, oracle, random on energy, energy (paper start), non-quadratic, "
+        "non-quadratic (paper start), seed 2>"
+    )
+    many = dataclasses.replace(results, policies={str(number): results.policies["static"] for number in range(9)})
+    assert repr(many).startswith("<Results of comparison: 9 policies on energy,")
+
+
+def test_the_printed_text_has_a_line_per_track_and_policy_the_best_first(results):
+    _, energy, paper, *_ = str(results).split("\n\n")
+    title, *lines = energy.splitlines()
+    assert title == "energy, 6 episodes: digits"
+    assert paper.startswith("energy (paper start), 1 episode: digits")
+    assert [line.split("  ")[1] for line in lines] == ["oracle (oracle)", "static", "zero-input", "random"]
+    mean, low, high = (number(results.record("energy", "static", "digits")[key]) for key in ("mean", "low", "high"))
+    assert lines[1].endswith(f"  {mean} [{low}, {high}]")
+
+
+def test_a_notebook_shows_a_table_in_which_names_are_text(results):
+    name = "<b>mine</b>"
+    policies = results.policies | {name: results.policies["static"]}
+    records = tuple(record | {"policy": name} if record["policy"] == "static" else record for record in results.records)
+    samples = results.samples | {("energy", name): results.samples["energy", "static"]}
+    html = dataclasses.replace(results, policies=policies, records=records, samples=samples)._repr_html_()
+    assert html.startswith("<table>")
+    assert name not in html
+    assert "<th>&lt;b&gt;mine&lt;/b&gt;</th>" in html
+    assert "<small>digits, 6 episodes</small>" in html
+
+
+def test_the_figure_has_a_panel_per_track_and_a_point_per_policy(results):
+    figure = results.plot()
+    panels = [axes for axes in figure.axes if axes.axison]
+    assert [axes.get_title(loc="left") for axes in panels] == [
+        "energy, 6 episodes",
+        "energy (paper start), 1 episode",
+        "non-quadratic, 6 episodes",
+        "non-quadratic (paper start), 1 episode",
+    ]
+    labels = [label.get_text() for label in panels[0].get_yticklabels()]
+    assert labels == ["oracle (oracle)", "static", "zero-input", "random"]
+    points = [line.get_xdata()[0] for line in panels[0].get_lines() if len(line.get_xdata()) == 1]
+    assert points == [results.record("energy", name.split()[0], "digits")["mean"] for name in labels]
+    assert results.plot("settling_time").axes[0].get_xlabel() == METRICS["settling_time"].label
+
+
+def test_a_figure_of_an_unknown_metric_is_refused(results):
+    with pytest.raises(ValueError, match="unknown metric 'digit'; did you mean 'digits'"):
+        results.plot("digit")
+    with pytest.raises(ValueError, match="no policy has a value of tracking_digits"):
+        results.plot("tracking_digits")
+
+
+def test_the_data_frame_has_the_rows_of_the_csv_file(results, monkeypatch):
+    class DataFrame(list):
+        """Records what pandas would get; pandas itself is no dependency of the tests."""
+
+        def __init__(self, rows, columns):
+            super().__init__(rows)
+            self.columns = columns
+
+        def astype(self, kinds):
+            assert kinds == {"mean": float, "low": float, "high": float}
+            return self
+
+    monkeypatch.setitem(sys.modules, "pandas", SimpleNamespace(DataFrame=DataFrame))
+    frame = results.to_dataframe()
+    table = list(csv.DictReader(results.to_csv().splitlines()))
+    assert frame.columns == list(table[0])
+    assert [{key: "" if value is None else str(value) for key, value in row.items()} for row in frame] == table
+
+
+def test_a_data_frame_without_pandas_names_what_to_install(results, monkeypatch):
+    monkeypatch.setitem(sys.modules, "pandas", None)
+    with pytest.raises(ImportError, match="pip install pandas"):
+        results.to_dataframe()
 
 
 def test_records_cover_every_track_policy_and_metric_once(results):
@@ -117,11 +200,11 @@ def test_a_metric_is_declared_once_and_stands_in_every_output(half_way):
     results = evaluate(["static"], [BASE], episodes=2)
     assert isinstance(results, Results)
     assert results.record(BASE.name, "static", half_way.name)["mean"] > 0
-    for output in (results.to_csv(), results.to_json(), text_of(catalogue_tables(400))):
+    for output in (results.to_csv(), results.to_json(), text_of(catalogue())):
         assert half_way.name in output
     for output in (text_of(result_tables(results, 400)), page(results, scenes(results, episodes=1))):
         assert "half-way" in output
-    assert half_way.meaning in text_of(catalogue_tables(400))
+    assert half_way.meaning in text_of(catalogue())
 
 
 def test_a_metric_with_a_taken_name_is_refused():

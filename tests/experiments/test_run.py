@@ -144,8 +144,8 @@ def test_results_do_not_depend_on_the_number_of_processes(monkeypatch):
 @pytest.mark.parametrize(
     ("policies", "scenarios", "message"),
     [
-        (["statics"], ["energy"], "unknown policy 'statics'; choose from static"),
-        (["static"], ["energie"], "unknown scenario 'energie'; the catalogue has energy"),
+        (["statics"], ["energy"], "unknown policy 'statics'; did you mean 'static'"),
+        (["static"], ["energie"], "unknown scenario 'energie'; did you mean 'energy'"),
         (["static", "static"], ["energy"], "different names"),
         (["static"], ["energy", "energy"], "needs different scenarios; energy, energy "),
         ([], ["energy"], "at least one policy"),

@@ -164,8 +164,12 @@ def test_bad_metadata_are_refused(tmp_path, properties, message):
 
 
 def test_a_missing_policy_names_the_shipped_ones():
-    with pytest.raises(FileNotFoundError, match="shipped policy"):
+    with pytest.raises(
+        ValueError, match="unknown learned policy 'no-such-policy'; choose from ppo-ptne-v1-generalist,"
+    ):
         policies.load("no-such-policy")
+    with pytest.raises(FileNotFoundError, match=r"there is no file 'missing\.onnx'"):
+        policies.load("missing.onnx")
 
 
 @pytest.mark.parametrize("name", policies.shipped())

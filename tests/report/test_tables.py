@@ -8,13 +8,15 @@ import pytest
 from rich.cells import cell_len
 from rich.console import Console
 
-from ptne_env import FactorySpec, PolicySpec, evaluate
-from ptne_env.experiments import METRICS, Metric, register
+from ptne_env import CATALOGUE, FactorySpec, PolicySpec, evaluate, policies
+from ptne_env.catalogue import DESCRIPTIONS
+from ptne_env.experiments import METRICS, POLICIES, Metric, get_suite, register, suite_policies
 from ptne_env.experiments.check import Check, Repetition
 from ptne_env.experiments.metrics import number, share
+from ptne_env.experiments.suite import SUITES
 from ptne_env.experiments.traces import scenes
 from ptne_env.observation import Interface
-from ptne_env.report import catalogue_tables, check_tables, page, result_tables
+from ptne_env.report import Kind, catalogue, check_tables, page, result_tables
 from ptne_env.report.tables import overview, summary_tables, track_tables
 
 
@@ -168,19 +170,40 @@ def test_new_metric_is_in_every_table():
             Metric("brightness", "brightness", "always 7", value=lambda rollout: np.full(len(rollout.diverged), 7.0))
         )
         results = evaluate(["static"], ["energy"], episodes=2)
-        for text in (written(result_tables(results)), written(catalogue_tables()), page(results, scenes(results))):
+        for text in (written(result_tables(results)), written(catalogue()), page(results, scenes(results))):
             assert "brightness" in text
     finally:
         METRICS.pop("brightness", None)
 
 
-def test_catalogue_tables_fit_a_narrow_terminal():
-    for width in (80, 172):
-        text = written(catalogue_tables(width), width)
-        assert max(map(cell_len, text.splitlines())) <= width
-        assert ("s_end" in text) == (width == 172)
-        for name in ("energy-switching-transformed", "best-response-oracle", "digits_cvar", "weakly-monotone"):
-            assert name in text
+def test_the_catalogue_splits_no_word_in_a_narrow_terminal():
+    narrow, wide = (written(catalogue(), width) for width in (80, 400))
+    assert max(map(cell_len, narrow.splitlines())) <= 80
+    assert narrow.split() == wide.split()
+    names = narrow.splitlines()
+    assert {*CATALOGUE, *POLICIES, *policies.shipped(), *METRICS} <= set(names)
+    assert {f"{suite}/{track.name}" for suite in SUITES for track in get_suite(suite).tracks} <= set(names)
+
+
+def test_every_scenario_policy_and_track_has_a_sentence_of_its_own():
+    sentences = [
+        *DESCRIPTIONS.values(),
+        *(spec.description for spec in suite_policies()),
+    ]
+    assert len(set(sentences)) == len(sentences) == len(CATALOGUE) + len(POLICIES) + len(policies.shipped())
+    for suite in map(get_suite, SUITES):
+        changes = [track.change for track in suite.tracks]
+        assert len(set(changes)) == len(changes)
+        sentences += changes
+    for sentence in sentences:
+        assert sentence.endswith(".")
+        assert sentence[0].isupper()
+
+
+def test_the_catalogue_may_be_of_one_kind():
+    text = written(catalogue([Kind.SUITES]))
+    assert "ptne-v1/delay" in text
+    assert "weakly-monotone" not in text.replace("ptne-v1/weakly-monotone", "")
 
 
 @pytest.mark.parametrize(

@@ -117,7 +117,7 @@ def test_another_run_in_the_same_folder_is_refused_and_changes_nothing(run, tmp_
 @pytest.mark.parametrize(
     ("changes", "error", "message"),
     [
-        ({"start": "unheard-of"}, FileNotFoundError, "unheard-of"),
+        ({"start": "unheard-of"}, ValueError, "unknown learned policy 'unheard-of'"),
         ({"start": "ppo-random-energy"}, ValueError, "has sizes"),
         ({"scenarios": ("ptne-v1/nois",)}, ValueError, "nois"),
         ({"law": "relais"}, ValueError, "no law 'relais'"),
