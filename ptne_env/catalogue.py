@@ -33,35 +33,91 @@ _HVAC = _game("EnergyGame", target=(50.0, 55.0, 60.0, 65.0, 70.0), coupling=0.04
 
 _SCENARIOS = (
     # The paper's examples.
-    Scenario(name="energy", game=_ENERGY, topology=_RING, start=PAPER_START),
-    Scenario(name="energy-switching", game=_ENERGY, topology=_PHYSICAL, start=PAPER_START),
-    Scenario(name="energy-switching-transformed", game=_ENERGY, topology=_TRANSFORMED, start=PAPER_START),
-    Scenario(name="non-quadratic", game=_CORRECTED, topology=_RING, start=PAPER_START),
-    Scenario(name="non-quadratic-switching", game=_CORRECTED, topology=_PHYSICAL, start=PAPER_START),
-    Scenario(name="non-quadratic-printed", game=_PRINTED, topology=_RING, start=PAPER_START),
+    (
+        Scenario(name="energy", game=_ENERGY, topology=_RING, start=PAPER_START),
+        "The paper's first example: five buildings buy electricity at a price that rises with the total; a fixed ring.",
+    ),
+    (
+        Scenario(name="energy-switching", game=_ENERGY, topology=_PHYSICAL, start=PAPER_START),
+        "The energy game on links that change every 0.1 s; at no time do they connect all players.",
+    ),
+    (
+        Scenario(name="energy-switching-transformed", game=_ENERGY, topology=_TRANSFORMED, start=PAPER_START),
+        "The energy game on links that change faster and faster before the deadline: every 0.25 of transformed time.",
+    ),
+    (
+        Scenario(name="non-quadratic", game=_CORRECTED, topology=_RING, start=PAPER_START),
+        "The paper's second example, whose costs are not quadratic, with a misprint corrected; a fixed ring.",
+    ),
+    (
+        Scenario(name="non-quadratic-switching", game=_CORRECTED, topology=_PHYSICAL, start=PAPER_START),
+        "The corrected second example on links that change every 0.1 s.",
+    ),
+    (
+        Scenario(name="non-quadratic-printed", game=_PRINTED, topology=_RING, start=PAPER_START),
+        "The second example as it is printed, whose equilibrium is not the printed one.",
+    ),
     # Families of games, for training and evaluation.
-    Scenario(name="random-energy", game=_RANDOM_ENERGY, topology=_RING, start=UNIFORM_START, s_end=6.0),
-    Scenario(name="random-energy-switching", game=_RANDOM_ENERGY, topology=_PHYSICAL, start=UNIFORM_START, s_end=6.0),
-    Scenario(
-        name="random-energy-switching-transformed",
-        game=_RANDOM_ENERGY,
-        topology=_TRANSFORMED,
-        start=UNIFORM_START,
-        s_end=6.0,
+    (
+        Scenario(name="random-energy", game=_RANDOM_ENERGY, topology=_RING, start=UNIFORM_START, s_end=6.0),
+        "Another energy game in every episode, for training; a fixed ring.",
+    ),
+    (
+        Scenario(
+            name="random-energy-switching", game=_RANDOM_ENERGY, topology=_PHYSICAL, start=UNIFORM_START, s_end=6.0
+        ),
+        "Another energy game in every episode, on links that change every 0.1 s.",
+    ),
+    (
+        Scenario(
+            name="random-energy-switching-transformed",
+            game=_RANDOM_ENERGY,
+            topology=_TRANSFORMED,
+            start=UNIFORM_START,
+            s_end=6.0,
+        ),
+        "Another energy game in every episode, on links that change faster and faster before the deadline.",
     ),
     # Games of the field.
-    Scenario(name="hvac-ye-hu", game=_HVAC, topology=_RING, start=_between(0.0, 100.0)),
-    Scenario(name="cournot", game=_game("NetworkedCournot"), topology=_RING, start=_between(0.0, 6.0)),
-    Scenario(name="oligopoly", game=_game("Oligopoly"), topology=_cycle(players=4), start=_between(20.0, 60.0)),
-    Scenario(name="robots", game=_game("ConnectivityControl"), topology=_RING, start=_between(-10.0, 10.0)),
-    Scenario(name="ev-charging", game=_game("ElectricVehicleCharging"), topology=_RING, start=_between(0.0, 2.0)),
-    Scenario(name="rate-control", game=_game("RateControl"), topology=_RING, start=_between(0.0, 4.0)),
-    Scenario(name="random-affine", game=_game("RandomAffine", players=5), topology=_RING, start=UNIFORM_START),
-    Scenario(name="weakly-monotone", game=_game("WeaklyMonotoneGame"), topology=_RING, start=UNIFORM_START),
+    (
+        Scenario(name="hvac-ye-hu", game=_HVAC, topology=_RING, start=_between(0.0, 100.0)),
+        "Ye and Hu's energy game: five buildings choose the power of heating, ventilation and air conditioning.",
+    ),
+    (
+        Scenario(name="cournot", game=_game("NetworkedCournot"), topology=_RING, start=_between(0.0, 6.0)),
+        "Five firms choose the amounts that they sell in several markets, at most their capacities.",
+    ),
+    (
+        Scenario(name="oligopoly", game=_game("Oligopoly"), topology=_cycle(players=4), start=_between(20.0, 60.0)),
+        "Four firms choose prices; customers share their demand among them.",
+    ),
+    (
+        Scenario(name="robots", game=_game("ConnectivityControl"), topology=_RING, start=_between(-10.0, 10.0)),
+        "Five robots in the plane stay near their posts and near each other.",
+    ),
+    (
+        Scenario(name="ev-charging", game=_game("ElectricVehicleCharging"), topology=_RING, start=_between(0.0, 2.0)),
+        "Five electric vehicles choose when to charge; the price of an interval rises with its load.",
+    ),
+    (
+        Scenario(name="rate-control", game=_game("RateControl"), topology=_RING, start=_between(0.0, 4.0)),
+        "Five users of a network choose their data rates; the price of a link rises with its load.",
+    ),
+    (
+        Scenario(name="random-affine", game=_game("RandomAffine", players=5), topology=_RING, start=UNIFORM_START),
+        "A strongly monotone game with random linear gradients, another one in every episode.",
+    ),
+    (
+        Scenario(name="weakly-monotone", game=_game("WeaklyMonotoneGame"), topology=_RING, start=UNIFORM_START),
+        "A leader and four followers in a game that is monotone, but not strongly, as the theorems need it.",
+    ),
 )
 
-CATALOGUE: Mapping[str, Scenario] = {scenario.name: scenario for scenario in _SCENARIOS}
+CATALOGUE: Mapping[str, Scenario] = {scenario.name: scenario for scenario, _ in _SCENARIOS}
 """The named scenarios, in the order of tables."""
+
+DESCRIPTIONS: Mapping[str, str] = {scenario.name: sentence for scenario, sentence in _SCENARIOS}
+"""One sentence about each named scenario."""
 
 
 def get_scenario(scenario: str | Scenario, **overrides: Any) -> Scenario:

@@ -89,6 +89,10 @@ def compare(
             show_default="results/comparison, or results/SUITE",
         ),
     ] = None,
+    details: Annotated[
+        bool,
+        typer.Option("--details", help="Print all tables too: every metric of every policy on every track."),
+    ] = False,
     with_report: Annotated[bool, typer.Option("--report/--no-report", help="Write the page report.html.")] = True,
     rerun: Annotated[
         bool,
@@ -102,11 +106,12 @@ def compare(
     json: options.Json = None,
     trust: options.Trust = False,
 ) -> None:
-    """Run policies on scenarios and print how close they came to the equilibrium by the deadline, and at what cost.
+    """Run policies on scenarios and print how close they come to the equilibrium by the deadline: one table, and the
+    answer in three sentences. The page report.html, and --details, have all the rest.
 
     Every policy is run from the same seeded episodes; the paper's own start is a track of its own. Intervals are 95 %
-    bootstrap intervals of the mean over episodes. Learned policies are also compared, paired by episode, with laws
-    that were tuned on validation episodes.
+    intervals of the mean over episodes and training seeds. Learned policies are also compared, paired by episode, with
+    laws that were tuned on validation episodes.
 
     With --suite, run the tracks of a frozen benchmark, with scores and ranks; see docs/protocol.md.
     """
@@ -160,13 +165,17 @@ def compare(
                 workers=workers,
                 progress=lambda name, total: advance(total=total, description=f"report: {name}"),
             )
-            write_atomically(page, report.page(results, drawn))
+            write_atomically(page, report.page(results, drawn, names))
     screen = console()
-    screen.print(report.result_tables(results, screen.width))
-    for path in files.values():
-        say(f"Results written to {path}")
+    if details:
+        screen.print(report.result_tables(results, screen.width))
+    screen.print(report.answer_tables(results, screen.width))
+    if files:
+        say(f"Results written to {', '.join(map(str, files.values()))}")
     if page is not None:
         say(f"Report written to {page}: open it in a browser")
+    if not details:
+        say("All metrics of all policies: the same command with --details")
     for (place, name), reason in results.failures.items():
         say(f"Failed: {name} on {place}: {reason}")
     if results.failures:
