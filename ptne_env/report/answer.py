@@ -147,7 +147,12 @@ def _listed(names: Sequence[str]) -> str:
 def _first(results: Results, leading: _Leaders) -> str:
     """The entry that is first most often."""
     (names, tracks), count = next(iter(leading.items())), len(compared(results))
-    where = f"{len(tracks)} of {count} {_noun(results)}s" if count > 1 else _place(results, names[0], tracks[0])
+    places = ", ".join(_place(results, names[0], track) for track in tracks)
+    where = f"{len(tracks)} of {count} {_noun(results)}s"
+    if count == 1:
+        where = places
+    elif len(tracks) <= _MOST_NAMED:
+        where += f": {places}"
     sentence = (
         f"{_listed(names)} {'is' if len(names) == 1 else 'are each'} the closest to the Nash equilibrium at the "
         f"deadline, or within {FIRST_MARGIN:g} digits of the closest, on {where}"
