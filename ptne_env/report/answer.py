@@ -98,11 +98,13 @@ def answer_table(results: Results) -> Table:
         names = specialists if name == SPECIALIST else [name]
         values = {track.name: _best_of(results, track, names) for track in tracks}
         columns.append(Column(name, "digits ± half of the 95 % interval", values))
+    legend = f"{SPECIALIST}: the best of the policies that play some {_noun(results)}s only."
+    columns = [column for column in columns if column.is_filled]
     return Table(
         f"Digits at the deadline ± half of the 95 % interval, {_episodes(results)}; more than 12 are not counted",
-        tuple(column for column in columns if column.is_filled),
+        tuple(columns),
         dict.fromkeys((track.name for track in tracks), "honest"),
-        notes=(f"{SPECIALIST}: the best of the policies that play some {_noun(results)}s only.",) * bool(specialists),
+        notes=(legend,) * any(column.label == SPECIALIST for column in columns),
         subject=_noun(results),
     )
 
@@ -151,7 +153,7 @@ def _first(results: Results, leading: _Leaders) -> str:
     where = f"{len(tracks)} of {count} {_noun(results)}s"
     if count == 1:
         where = places
-    elif len(tracks) <= _MOST_NAMED:
+    elif len(tracks) <= min(_MOST_NAMED, count - 1):
         where += f": {places}"
     sentence = (
         f"{_listed(names)} {'is' if len(names) == 1 else 'are each'} the closest to the Nash equilibrium at the "
@@ -159,7 +161,8 @@ def _first(results: Results, leading: _Leaders) -> str:
     )
     if (board := results.leaderboard) is not None and board.overall:
         best = board.overall[0]
-        sentence += f"; {best.policy} has the highest score, {Value.of(best.score, share)}"
+        who = "it" if names == (best.policy,) else best.policy
+        sentence += f"; {who} has the highest score, {Value.of(best.score, share)}"
     return f"{sentence}."
 
 
@@ -191,8 +194,9 @@ def _others(results: Results, leading: _Leaders) -> str:
     own = [name for name in own_policies(results) if name in behind]
     nearest = sorted(behind, key=lambda name: min(behind[name].values()))[:1]
     for name in own or nearest * (not rest):
-        track = min(behind[name], key=behind[name].__getitem__)
-        clauses.append(f"{name} comes nearest to the closest on {track}, {behind[name][track]:.2f} digits behind")
+        track, count = min(behind[name], key=behind[name].__getitem__), len(compared(results))
+        nearest_on = f"comes nearest to the closest entry on {track}," if count > 1 else "ends"
+        clauses.append(f"{name} {nearest_on} {behind[name][track]:.2f} digits behind it")
     return f"{'; '.join(clauses) or 'No other honest entry was run'}."
 
 

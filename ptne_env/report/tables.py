@@ -326,15 +326,18 @@ def overview(results: Results) -> list[Table]:
             descending=False,
         ),
     ]
-    specialists = [policy for policy in order if policy not in everywhere]
+    played = {policy for _, policy in results.samples | results.failures}
+    specialists = [policy for policy in order if policy not in everywhere and policy in played]
     against = _against_complete(results, specialists, everywhere)
     parts = (
         (_COMPLETE, [policy for policy in order if policy in everywhere], over_all),
         (f"{_SPECIALISTS}, on the tracks that they play", specialists, against),
     )
     tables = [_part(results, part, names, [*columns, *shared]) for part, names, columns in parts if names]
-    scope = () if board is None else tuple(_scope(board))
-    return [replace(table, notes=scope) if table is tables[-1] else table for table in tables]
+    notes = [] if board is None else [*_scope(board)]
+    if absent := [policy for policy in order if policy not in played]:
+        notes.append(f"n/a on every track: {', '.join(absent)}.")
+    return [replace(table, notes=tuple(notes)) if table is tables[-1] else table for table in tables]
 
 
 def _part(results: Results, part: str, policies: Iterable[str], columns: Iterable[Column]) -> Table:

@@ -39,6 +39,9 @@ _HEADING_WIDTH = 10
 _NAME_WIDTH = 24
 """Names of tracks in the table of the answer are broken at hyphens into lines of at most this length."""
 
+_TEXT_WIDTH = 100
+"""Sentences are broken into lines of at most this length."""
+
 _GAP = 3
 """Columns of the terminal between two columns of a table."""
 
@@ -95,7 +98,8 @@ def answer_tables(results: Results, width: int = 172) -> Group:
     if hidden := [column.label for column in table.columns if column not in shown]:
         drawn.append(Text(f"Without room here: {', '.join(hidden)}.", style="dim"))
     drawn += [Text(note, style="dim") for note in table.notes]
-    return Group(*drawn, *(Text(f"\n{sentence}") for sentence in answer(results)), Text())
+    sentences = (textwrap.fill(sentence, min(width, _TEXT_WIDTH)) for sentence in answer(results))
+    return Group(*drawn, *(Text(f"\n{sentence}") for sentence in sentences), Text())
 
 
 def _drawn(table: Table, width: int, *, intervals: bool) -> list[RichTable | Text]:

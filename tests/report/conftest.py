@@ -98,7 +98,8 @@ def _enlarged(content, tracks, policies):
     )
     scene = replace(scene, traces={name: scene.traces[original] for name, original in originals.items()})
     sections = [
-        replace(section, name=f"track-{index}", tables=tables, shown=tuple(names[:5])) for index in range(tracks)
+        replace(section, name=f"track-{index}", tables=tables, shown=tuple(names[:5]), picked=tuple(names[:2]))
+        for index in range(tracks)
     ]
     return replace(
         content,

@@ -10,7 +10,7 @@ from rich.cells import cell_len
 from rich.console import Console
 
 from ptne_env import FactorySpec, PolicySpec, evaluate
-from ptne_env.experiments import METRICS, Metric, register
+from ptne_env.experiments import METRICS, Metric, default_policies, get_policy_spec, register
 from ptne_env.experiments.check import Check, Repetition
 from ptne_env.experiments.metrics import number, share
 from ptne_env.experiments.traces import scenes
@@ -128,6 +128,16 @@ def test_means_are_over_the_same_tracks_and_specialists_stand_apart(suite):
     of_complete, of_specialists = (table for table in summary_tables(suite)[2:4])
     assert list(of_complete.rows) == ["plain", "robots"]
     assert list(of_specialists.rows) == ["plain"]
+
+
+def test_policies_that_play_no_track_are_named_below_the_tables():
+    results = evaluate(["static", get_policy_spec("ppo-random-energy")], ["energy", "robots"], episodes=1)
+    tables = overview(results)
+    assert [name for table in tables for name in table.rows] == ["static", "ppo-random-energy"]
+    results = evaluate(default_policies(), ["robots"], episodes=1)
+    (table,) = overview(results)
+    assert table.notes[0].startswith("n/a on every track: ppo-")
+    assert "best specialist" not in written(answer_tables(results))
 
 
 @pytest.mark.parametrize("width", [80, 100, 172])

@@ -269,10 +269,10 @@ function card(scene, name, axisName, view) {
     const listed = up.length > 12 ? `${up.length} of ${scene.links.length}` : up.join(", ") || "none";
     links.textContent = `${scene.in_plane ? MAP : ""}Live links: ${listed}`;
   };
+  const places = [figure(captions[view], position.svg), element("figure", {}, net.svg, links)];
   const article = element("article", { className: "card", ariaLabel: name },
     element("header", {}, element("h3", { textContent: name }), readout),
-    figure(captions[view], position.svg),
-    element("figure", {}, net.svg, links),
+    ...(scene.in_plane ? places.reverse() : places),
     figure("Inputs of the strategies (asinh scale)", input.svg),
     figure("Consensus gain on the received estimates, per player", gain.svg),
     numbers.details,
