@@ -75,10 +75,8 @@ def test_the_users_own_policy_is_named_where_it_comes_nearest(comparison, hostil
         for track in ("energy", "energy-switching")
     }
     nearest = min(gap, key=gap.get)
-    assert (
-        answer(comparison)[1]
-        == f"{hostile} comes nearest to the closest entry on {nearest}, {gap[nearest]:.2f} digits behind it."
-    assert answer(comparison)[1] == expected
+    assert answer(comparison)[1] == (
+        f"{hostile} comes nearest to the closest entry on {nearest}, {gap[nearest]:.2f} digits behind it."
     )
 
 
