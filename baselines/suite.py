@@ -147,10 +147,10 @@ def main(
     names = [*POLICIES, *(f"{name}={pattern}" for name, pattern in learned.items())]
     done: list[str] = []
 
-    def advance(job: str, total: int) -> None:
+    def advance(job: str, work: int, total: int) -> None:
         done.append(job)
-        if len(done) % 100 == 0 or len(done) == total:
-            typer.echo(f"{len(done)} of {total} jobs")
+        if len(done) % 100 == 0 or work == total:
+            typer.echo(f"{len(done)} jobs, {work / total:.0%} of the work")
 
     results = run_suite(suite, names, tracks=track, folder=folder, workers=Workers(jobs, ray), progress=advance)
     board = board_of(results)

@@ -46,7 +46,7 @@ def draw_routed(path: Path, episodes: int = 100) -> None:
         world = World(ptne_env.get_scenario("random-energy-switching-transformed"))
         start = EpisodeSet(episodes).initial_state(world)
         chosen = {name: POLICIES[name] for name in ("static", "grounded", "routed", "freshest")}
-        traces = scene(world, start, chosen, frames=world.clock.steps).traces
+        traces = scene(world, start, chosen).traces
         for colour, (name, trace) in zip(COLOURS, traces.items(), strict=False):
             axes.fill_between(range(len(trace.errors[0])), trace.errors[0], trace.errors[2], color=colour, alpha=0.15)
             axes.semilogy(trace.errors[1], color=colour, label=name)

@@ -83,7 +83,7 @@ def page(name: str) -> str:
     """The Markdown text of a scenario's page."""
     scenario = CATALOGUE[name]
     world = World(scenario)
-    shown = scene(world, EpisodeSet(EPISODES).initial_state(world), {law: POLICIES[law] for law in LAWS}, frames=200)
+    shown = scene(world, EpisodeSet(EPISODES).initial_state(world), {law: POLICIES[law] for law in LAWS})
     pictures = "\n".join(re.sub(r"\n\s*\n", "\n", panel) for panel in _panels(world, shown))
     certify = f"ptne certify {name}"
     compare = f"ptne compare --scenario {name} --policy {','.join(LAWS)} --episodes {EPISODES}"

@@ -22,8 +22,8 @@ import ptne_env
 from ptne_env.catalogue import CATALOGUE
 from ptne_env.cli import app
 from ptne_env.experiments import POLICIES, get_suite
-from ptne_env.paper.numbers import PRINTED
 from ptne_env.experiments.suite import world_names
+from ptne_env.paper.numbers import PRINTED
 from ptne_env.policies import shipped
 from ptne_env.rewards import TERMS
 from ptne_env.scenario import Scenario
@@ -229,7 +229,7 @@ def lines_not_in(output, quoted):
 
 def test_comparison_of_laws_is_the_output_of_its_command(tmp_path):
     """To renew the block, paste the piped output of the command; times per decision are not compared."""
-    document, command = ROOT / "docs" / "results.md", "ptne compare --scenario energy"
+    document, command = ROOT / "docs" / "results.md", "ptne compare --scenario energy --details"
     assert f"Printed by `{command}`" in prose(document)
     expected, found = words_of(ptne(command.split(), tmp_path)), words_of(blocks(document, "text")[0])
     assert len(found) == len(expected)

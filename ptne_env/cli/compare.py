@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from math import isfinite
 from pathlib import Path
 from typing import Annotated
@@ -14,7 +15,16 @@ from ptne_env.catalogue import CATALOGUE
 from ptne_env.cli import options
 from ptne_env.cli.app import ExitCode, app
 from ptne_env.cli.console import STDOUT, check_writable, console, json_text, progress, say, write_json
-from ptne_env.experiments import POLICIES, default_policies, get_policy_spec, get_suite, run_suite, suite_policies
+from ptne_env.experiments import (
+    POLICIES,
+    Results,
+    Suite,
+    default_policies,
+    get_policy_spec,
+    get_suite,
+    run_suite,
+    suite_policies,
+)
 from ptne_env.experiments.check import check as run_check
 from ptne_env.experiments.check import foreign_code as foreign_code_of_results
 from ptne_env.experiments.marl_eval import marl_eval_json
@@ -118,6 +128,10 @@ def compare(
             show_default="results/comparison, or results/SUITE",
         ),
     ] = None,
+    details: Annotated[
+        bool,
+        typer.Option("--details", help="Print all tables too: every metric of every policy on every track."),
+    ] = False,
     with_report: Annotated[bool, typer.Option("--report/--no-report", help="Write the page report.html.")] = True,
     rerun: Annotated[
         bool,
@@ -131,11 +145,13 @@ def compare(
     json: options.Json = None,
     trust: options.Trust = False,
 ) -> None:
-    """Run policies on scenarios and print how close they came to the equilibrium by the deadline, and at what cost.
+    """Run policies on scenarios and print how close they come to the equilibrium by the deadline.
+
+    The output is one table and three sentences; the page report.html, and --details, have all metrics.
 
     Every policy is run from the same seeded episodes; the paper's own start is a track of its own. Intervals are 95 %
-    bootstrap intervals of the mean over episodes. Learned policies are also compared, paired by episode, with laws
-    that were tuned on validation episodes.
+    intervals of the mean over episodes and training seeds. Learned policies are also compared, paired by episode, with
+    laws that were tuned on validation episodes.
 
     With --suite, run the tracks of a frozen benchmark, with scores and ranks; see docs/protocol.md.
     """
@@ -144,16 +160,7 @@ def compare(
     trust = options.trusted(
         [*foreign_suites(suite), *(code for name in names for code in foreign_code(name))], trust=trust
     )
-    if suite is None:
-        for name in places:
-            _require_scenario(name)
-        held = _HOLD_STEPS if hold_steps is None else hold_steps
-        chosen = comparison(places or CATALOGUE, episodes=episodes or EPISODES, hold_steps=held)
-        tracks = None
-    else:
-        if hold_steps is not None:
-            raise ValueError("a suite fixes the steps after the deadline: leave out --hold-steps")
-        chosen, tracks = get_suite(suite), places or None
+    chosen, tracks = _chosen(suite, places, episodes, hold_steps)
     folder = out or (None if json == STDOUT else Path("results") / chosen.name)
     files = {} if folder is None else {name: folder / name for name in _FILES}
     page = None if folder is None or not with_report else folder / "report.html"
@@ -161,7 +168,7 @@ def compare(
     named = [get_policy_spec(name, trust=trust) for name in names]
     policies = named or (suite_policies() if suite else default_policies())
     workers = Workers(jobs, ray)
-    with progress(chosen.name) as advance:
+    with progress(f"{chosen.name}: making the jobs") as advance:
         results = run_suite(
             suite or chosen,
             policies,
@@ -172,7 +179,7 @@ def compare(
             folder=folder,
             rerun=rerun,
             workers=workers,
-            progress=lambda job, total: advance(total=total, description=job),
+            progress=lambda job, done, total: advance(round(100 * done / total), 100, job),
         )
         advance(0, description="statistics")
         text = results.to_json()
@@ -187,17 +194,40 @@ def compare(
                 workers=workers,
                 progress=lambda name, total: advance(total=total, description=f"report: {name}"),
             )
-            write_atomically(page, report.page(results, drawn))
-    screen = console()
-    screen.print(report.result_tables(results, screen.width))
-    for path in files.values():
-        say(f"Results written to {path}")
-    if page is not None:
-        say(f"Report written to {page}: open it in a browser")
-    for (place, name), reason in results.failures.items():
-        say(f"Failed: {name} on {place}: {reason}")
+            write_atomically(page, report.page(results, drawn, names))
+    _show(results, files, page, details=details)
     if results.failures:
         raise typer.Exit(ExitCode.FAILED)
+
+
+def _chosen(
+    suite: str | None, places: list[str], episodes: int | None, hold_steps: int | None
+) -> tuple[Suite, list[str] | None]:
+    """The suite of a comparison or of that name, and the names of its tracks to run; all without places."""
+    if suite is not None:
+        if hold_steps is not None:
+            raise ValueError("a suite fixes the steps after the deadline: leave out --hold-steps")
+        return get_suite(suite), places or None
+    for name in places:
+        _require_scenario(name)
+    held = _HOLD_STEPS if hold_steps is None else hold_steps
+    return comparison(places or CATALOGUE, episodes=episodes or EPISODES, hold_steps=held), None
+
+
+def _show(results: Results, files: Mapping[str, Path], page: Path | None, *, details: bool) -> None:
+    """Print the answer, after all tables if wanted, and the places of files and page."""
+    screen = console()
+    if details:
+        screen.print(report.result_tables(results, screen.width))
+    screen.print(report.answer_tables(results, screen.width))
+    for (place, name), reason in results.failures.items():
+        say(f"Failed: {name} on {place}: {reason}")
+    if files:
+        say(f"Results written to {', '.join(map(str, files.values()))}")
+    if page is not None:
+        say(f"Report written to {page}: open it in a browser")
+    if not details:
+        say("All metrics of all policies: the same command with --details")
 
 
 @app.command()

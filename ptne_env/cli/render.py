@@ -29,7 +29,7 @@ def render(
     hold_steps: Annotated[
         int | None, typer.Option(min=0, help="Steps after the deadline.", show_default="the scenario's own")
     ] = None,
-    pictures: Annotated[int, typer.Option(min=2, help="Pictures of a video, or instants of a page.")] = 100,
+    pictures: Annotated[int, typer.Option(min=2, help="Pictures of a video; a page shows every step.")] = 100,
     trust: options.Trust = False,
 ) -> None:
     """Write an episode as a video: strategies, estimates, distances and live links over time."""

@@ -27,6 +27,9 @@ from ptne_env.observation import LayoutError, ObservationLayout
 from ptne_env.policy import Policy, PolicyError
 from ptne_env.world import World
 
+_STEP_COST = 5_000
+"""Numbers of estimates that take about as long as what a step needs whatever their number."""
+
 
 @dataclass(frozen=True)
 class Job:
@@ -61,6 +64,13 @@ class Job:
     def key(self) -> str | None:
         """The hash of :meth:`to_dict`, by which the result is stored; ``None`` where the policy is an object."""
         return content_hash(self.to_dict()) if self.policy.is_repeatable else None
+
+    @property
+    def cost(self) -> int:
+        """A rough measure of its work: the numbers in all estimates of all steps and episodes, and as much per step."""
+        world = self.track.world
+        numbers = world.game.dimension * world.game.num_players * self.episodes.count
+        return world.clock.total_steps * (numbers + _STEP_COST)
 
     def compute(self, *, thorough: bool = False) -> JobResult:
         """Run the episodes, and audit the decisions.

@@ -37,7 +37,7 @@ def evaluate(
     folder: Path | None = None,
     rerun: bool = False,
     workers: Workers = Workers(),  # noqa: B008 - immutable
-    progress: Callable[[str, int], None] | None = None,
+    progress: Callable[[str, int, int], None] | None = None,
 ) -> Results:
     """Run every policy on every scenario from the same seeded starts.
 
@@ -92,7 +92,7 @@ def run_suite(
     folder: Path | None = None,
     rerun: bool = False,
     workers: Workers = Workers(),  # noqa: B008 - immutable
-    progress: Callable[[str, int], None] | None = None,
+    progress: Callable[[str, int, int], None] | None = None,
 ) -> Results:
     """Run policies, and the reference policies of the suite, on the tracks of a suite.
 
@@ -115,7 +115,8 @@ def run_suite(
         folder: in which the results of finished jobs are stored; nothing is stored if left out.
         rerun: whether stored jobs are run again. Jobs whose sources cannot be hashed need it.
         workers: run the jobs. Only the measured times of policies depend on it.
-        progress: called with ``"track: policy"`` and the number of all jobs when a job is done.
+        progress: called with ``"track: policy"``, the work that is done and all work when a job is done, both in
+            :attr:`~ptne_env.experiments.jobs.Job.cost`.
 
     Raises:
         ValueError: for unknown or repeated names, when no policy fits any track, a worker has other files, or the
@@ -251,36 +252,37 @@ def _by_name(suite: Suite, listed: Sequence[PolicySpec]) -> dict[str, PolicySpec
 
 @dataclass
 class _Runner:
-    """Runs lists of jobs, and counts them for the progress callback.
+    """Runs lists of jobs, and adds up their work for the progress callback.
 
     Jobs with the same key, such as those of a law under two names, run once, so that all have the same timings.
     """
 
     store: Store | None
     workers: Workers
-    progress: Callable[[str, int], None] | None
+    progress: Callable[[str, int, int], None] | None
     rerun: bool
+    work: int = 0
     total: int = 0
-    done: dict[str | int, JobResult] = field(default_factory=dict)
+    done: dict[str | tuple[int, int], JobResult] = field(default_factory=dict)
 
     def __call__(self, jobs: Sequence[Job]) -> list[JobResult]:
         """The results of jobs, in their order."""
         if self.store is not None and not self.rerun:
             require_hashed(jobs)
-        names = [job.key or self.total + index for index, job in enumerate(jobs)]
-        self.total += len(jobs)
+        names = [job.key or (self.total, index) for index, job in enumerate(jobs)]
+        self.total += sum(job.cost for job in jobs)
         missing = {name: index for index, name in reversed(list(enumerate(names))) if name not in self.done}
-        # The largest games first, so that no worker is left alone with one at the end; then the last jobs, because
-        # lists of policies begin with the fastest laws, and the coded law is the last of those for learned policies.
-        order = sorted(missing.values(), key=lambda index: (-jobs[index].track.world.game.num_players, -index))
+        # Quick jobs first, so that progress shows at once; lists of policies begin with the fastest laws.
+        order = sorted(missing.values(), key=lambda index: (jobs[index].cost, index))
         running = run_jobs([jobs[index] for index in order], self.store, self.workers, rerun=self.rerun)
         for index, result in chain(
             ((order[place], result) for place, result in running),
             ((index, self.done[name]) for index, name in enumerate(names) if missing.get(name) != index),
         ):
             self.done[names[index]] = result
+            self.work += jobs[index].cost
             if self.progress is not None:
-                self.progress(f"{jobs[index].track.name}: {jobs[index].policy.name}", self.total)
+                self.progress(f"{jobs[index].track.name}: {jobs[index].policy.name}", self.work, self.total)
         return [self.done[name] for name in names]
 
     def tune(self, searches: Sequence[Tuning]) -> list[Tuned]:

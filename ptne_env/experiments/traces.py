@@ -22,8 +22,8 @@ from ptne_env.world import World
 EPISODES = 20
 """Default number of episodes over which errors are shown."""
 
-FRAMES = 60
-"""Default number of instants that are kept of an episode, about."""
+MOST_ESTIMATES = 200
+"""The estimates of all players are kept where they are up to this many numbers, as ``env.render()`` draws them."""
 
 QUANTILES = (0.1, 0.5, 0.9)
 """Of the error over episodes: the band and the median."""
@@ -31,12 +31,13 @@ QUANTILES = (0.1, 0.5, 0.9)
 
 @dataclass(frozen=True)
 class Trace:
-    """One policy in one world. F instants are kept; the first episode is kept whole.
+    """One policy in one world, at every instant F of the episodes.
 
     Attributes:
         errors: :data:`QUANTILES` over episodes of the estimate distance, shape (3, F).
         error: the estimate distance of the first episode, shape (F,).
-        estimates: x^i in column i, shape (n, N, F).
+        strategies: x of the first episode, shape (n, F).
+        estimates: x^i in column i, shape (n, N, F); ``None`` where n N is above :data:`MOST_ESTIMATES`.
         inputs: the inputs of the strategies, own block by own block, held from each instant; NaN at the last. (n, F).
         consensus_gains: factor of Σ_j a_ij (x^j − x^i) in the inputs of the others' blocks of x^i, by least
             squares; NaN where a player receives nothing that differs from its own estimate. Shape (N, F).
@@ -44,7 +45,8 @@ class Trace:
 
     errors: FloatArray
     error: FloatArray
-    estimates: FloatArray
+    strategies: FloatArray
+    estimates: FloatArray | None
     inputs: FloatArray
     consensus_gains: FloatArray
 
@@ -54,11 +56,12 @@ class Scene:
     """A world, its first episode, and the trace of every policy there.
 
     Attributes:
-        t: seconds at each instant that is kept, shape (F,).
+        t: seconds at each instant, shape (F,).
         s: transformed time, shape (F,); it ends at the deadline.
         gain: g(t) in 1/s, shape (F,).
         deadline_frame: index of the instant T.
         owners: the player that owns each component, shape (n,).
+        in_plane: whether strategies are positions in the plane, which a map shows.
         equilibrium: x* of the first episode, which moves where the game drifts, shape (n, F).
         links: pairs of players that are ever neighbours, shape (L, 2).
         live: whether each link is up in the first episode, shape (L, F).
@@ -71,6 +74,7 @@ class Scene:
     gain: FloatArray
     deadline_frame: int
     owners: IntArray
+    in_plane: bool
     equilibrium: FloatArray
     links: IntArray
     live: BoolArray
@@ -125,8 +129,6 @@ def scene(
     start: State,
     policies: Mapping[str, PolicySpec],
     teammates: Callable[[World], Member] | None = None,
-    *,
-    frames: int = FRAMES,
 ) -> Scene:
     """The traces of several policies from the same start.
 
@@ -135,42 +137,32 @@ def scene(
         start: of all episodes.
         policies: by name.
         teammates: makes the teammates of each policy; ``None`` where there are none.
-        frames: about as many instants are kept.
 
     Raises:
         ValueError: when a policy cannot act in this world.
     """
     clock = world.clock
-    share = clock.steps / clock.total_steps
-    kept = np.unique(
-        np.concatenate(
-            [
-                np.linspace(0, clock.steps, 1 + max(1, round(frames * share))).round(),
-                np.linspace(clock.steps, clock.total_steps, 1 + round(frames * (1 - share))).round(),
-            ]
-        )
-    ).astype(np.int64)
     links = np.array(world.topology.union.edges, dtype=np.int64).reshape(-1, 2)
-    traces, equilibria = {}, [start.game.nash_equilibria[:, 0]] * kept.size
+    traces, equilibria = {}, [start.game.nash_equilibria[:, 0]] * clock.t.size
     for name, policy in policies.items():
         encoder = make_encoder(world, policy.interface)
-        watch = _Watch(world, kept)
+        watch = _Watch(world)
         team = None if teammates is None else teammates(world)
         with policy.deciding(encoder.layout) as deciding:
             distance = rollout(deciding, encoder, start, team, watch, series=["estimate_distance"])["estimate_distance"]
-        errors = np.quantile(distance[kept], QUANTILES, axis=1)
-        traces[name] = Trace(errors, distance[kept, 0], *watch.arrays())
+        errors = np.quantile(distance, QUANTILES, axis=1)
+        traces[name] = Trace(errors, distance[:, 0], *watch.arrays())
         equilibria = watch.equilibria
-    t, deadline = clock.t[kept], int(np.searchsorted(kept, clock.steps))
     randomness = start.randomness
-    modes = world.modes[kept] if randomness is None or randomness.modes is None else randomness.modes[kept, 0]
+    modes = world.modes if randomness is None or randomness.modes is None else randomness.modes[:, 0]
     live = np.array([world.topology.graphs[mode].adjacency[links[:, 0], links[:, 1]] > 0 for mode in modes])
     return Scene(
-        t=t,
-        s=clock.s[kept],
-        gain=clock.transformation.gain(t, clock.gain),
-        deadline_frame=deadline,
+        t=clock.t,
+        s=clock.s,
+        gain=clock.transformation.gain(clock.t, clock.gain),
+        deadline_frame=clock.steps,
         owners=world.game.owners,
+        in_plane=world.game.in_plane,
         equilibrium=np.stack(equilibria, axis=-1),
         links=links,
         live=live.T,
@@ -180,27 +172,28 @@ def scene(
 
 
 class _Watch:
-    """Keeps some instants of the first episode of a rollout.
+    """Keeps the first episode of a rollout.
 
     Attributes:
-        equilibria: x* at each of them, shape (n,) each.
+        equilibria: x* at each instant, shape (n,) each.
     """
 
-    def __init__(self, world: World, frames: IntArray) -> None:
+    def __init__(self, world: World) -> None:
         self._world = world
         self._owners = world.game.owners
-        self._frames = frozenset(frames.tolist())
         self.equilibria: list[FloatArray] = []
+        self._strategies: list[FloatArray] = []
         self._estimates: list[FloatArray] = []
         self._inputs: list[FloatArray] = []
         self._gains: list[FloatArray] = []
 
     def __call__(self, state: State, inputs: FloatArray | None) -> None:
-        if int(state.step[0]) not in self._frames:
-            return
         self.equilibria.append(state.game.nash_equilibria[:, 0])
-        self._estimates.append(state.estimates[:, :, 0].copy())
-        components, players = np.arange(len(self._owners)), np.arange(state.estimates.shape[1])
+        estimates = state.estimates[:, :, 0]
+        components, players = np.arange(len(self._owners)), np.arange(estimates.shape[1])
+        self._strategies.append(estimates[components, self._owners])
+        if estimates.size <= MOST_ESTIMATES:
+            self._estimates.append(estimates.copy())
         if inputs is None:
             self._inputs.append(np.full(len(components), np.nan))
             self._gains.append(np.full(len(players), np.nan))
@@ -214,6 +207,8 @@ class _Watch:
         with np.errstate(divide="ignore", invalid="ignore"):
             self._gains.append(np.where(squares > 0, (received * first).sum(axis=0) / squares, np.nan))
 
-    def arrays(self) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Estimates, inputs and gains, instants last."""
-        return tuple(np.stack(kept, axis=-1) for kept in (self._estimates, self._inputs, self._gains))  # type: ignore[return-value]
+    def arrays(self) -> tuple[FloatArray, FloatArray | None, FloatArray, FloatArray]:
+        """Strategies, estimates, inputs and gains, instants last."""
+        estimates = np.stack(self._estimates, axis=-1) if self._estimates else None
+        strategies, inputs, gains = (np.stack(kept, axis=-1) for kept in (self._strategies, self._inputs, self._gains))
+        return strategies, estimates, inputs, gains

@@ -46,6 +46,9 @@ class Game(Part, ABC):
     is_affine: bool = False
     """Whether the pseudo-gradient F is affine, so that exact oracles apply."""
 
+    in_plane: bool = False
+    """Whether strategies are positions in the plane, two coordinates per player: pages show them on a map."""
+
     low: FloatArray | None
     high: FloatArray | None
 

@@ -4,6 +4,7 @@ from ptne_env.report.certificates import certificate_tables as certificate_table
 from ptne_env.report.diagrams import save_diagram as save_diagram
 from ptne_env.report.pages import page as page
 from ptne_env.report.terminal import Kind as Kind
+from ptne_env.report.terminal import answer_tables as answer_tables
 from ptne_env.report.terminal import catalogue as catalogue
 from ptne_env.report.terminal import check_tables as check_tables
 from ptne_env.report.terminal import result_tables as result_tables

@@ -15,33 +15,35 @@ import numpy as np
 
 from ptne_env import distances
 from ptne_env.arrays import FloatArray
-from ptne_env.catalogue import CATALOGUE
-from ptne_env.experiments.policy_specs import PolicySpec
+from ptne_env.catalogue import CATALOGUE, DESCRIPTIONS
+from ptne_env.experiments.policy_specs import (
+    PolicySpec,
+    default_policies,
+    foreign_code,
+    get_policy_spec,
+    suite_policies,
+)
 from ptne_env.experiments.provenance import content_hash, versions
 from ptne_env.experiments.results import Results
-from ptne_env.experiments.suite import LAW, PAPER_START, Track
+from ptne_env.experiments.suite import LAW, PAPER_START, Track, comparison, foreign_suites
 from ptne_env.experiments.traces import Scene
+from ptne_env.report.answer import answer, own_policies
 from ptne_env.report.html import render_template
-from ptne_env.report.tables import (
-    FIRST_MARGIN,
-    MARK_NOTES,
-    MARKS,
-    Table,
-    Value,
-    first_places,
-    mean_digits,
-    summary_tables,
-    track_rules,
-    track_tables,
-)
+from ptne_env.report.tables import MARK_NOTES, MARKS, Table, overview, summary_tables, track_rules, track_tables
 from ptne_env.scenario import Scenario
 from ptne_env.style import COLOURS
 
 SHOWN = 5
 """Policies that figures show before the reader chooses: the best, and the paper's law."""
 
-_MOST_LINES = 200
-"""The player keeps the estimates of all players up to this many lines, as ``env.render()`` does."""
+_MOST_COLUMNS = 8
+"""Columns that fit beside the names on a page of 1,440 pixels; tables with more are shown in pieces."""
+
+_FINEST, _STEP = 1e-13, 8e-4
+"""Of the numbers in the player: the smallest, and the resolution of log10; it keeps a number to 0.1 %."""
+
+_NONE = -(10**6)
+"""The code of a number that does not exist."""
 
 _VERSIONS = {"sources": "sources of ptne_env, SHA-256"}
 
@@ -55,18 +57,24 @@ class Section:
 
     Attributes:
         name: of the track.
+        description: of its world, in a sentence that no other track has.
         about: its rules and its physics, in sentences.
         tables: of its metrics.
         shown: policies that its figure shows at first.
-        command: that repeats its numbers.
+        picked: policies that the player shows at first: the closest, and the user's own.
+        command: that repeats its numbers; ``None`` where none does.
+        episodes: that its figures show, and that were run.
         facts: on which its numbers depend.
     """
 
     name: str
+    description: str
     about: str
     tables: tuple[Table, ...]
     shown: tuple[str, ...]
-    command: str
+    picked: tuple[str, ...]
+    command: str | None
+    episodes: tuple[int, int]
     facts: _Facts
 
 
@@ -76,42 +84,46 @@ class Report:
 
     Attributes:
         title: of the page.
-        answer: to the question of the page, in two sentences.
-        overview: the tables over all tracks, the scores first.
+        answer: to the question of the page, in sentences.
+        leaderboard: the entries that play every track, and the specialists.
+        all_tracks: the digits on each track, and the room that each leaves.
         sections: one per track.
         policies: names, in the order of their colours.
         profiles: share of scores above each threshold, by policy; empty where there are no scores.
         thresholds: of the profiles.
         scenes: by name of the track.
-        command: that repeats everything.
+        command: that repeats everything; ``None`` where none does.
         facts: versions, seeds and hashes.
         parameters: of each training seed of every policy: name, policy, interface, files.
     """
 
     title: str
-    answer: str
-    overview: tuple[Table, ...]
+    answer: tuple[str, ...]
+    leaderboard: tuple[Table, ...]
+    all_tracks: tuple[Table, ...]
     sections: tuple[Section, ...]
     policies: tuple[str, ...]
     profiles: Mapping[str, Sequence[float]]
     thresholds: Sequence[float]
     scenes: Mapping[str, Scene]
-    command: str
+    command: str | None
     facts: _Facts
     parameters: tuple[tuple[str, str, str, str], ...]
 
 
-def page(results: Results, scenes: Mapping[str, Scene]) -> str:
+def page(results: Results, scenes: Mapping[str, Scene], words: Sequence[str] | None = None) -> str:
     """Results as one HTML file with everything that it needs inside.
 
     Args:
         results: of a comparison or of another suite.
         scenes: of every track (:func:`~ptne_env.experiments.traces.scenes`).
+        words: the values of ``--policy`` that name the policies, for the command that repeats the results; found from
+            the policies if left out.
 
     Raises:
         ImportError: when Jinja is missing, naming the extra to install.
     """
-    return render_report(report(results, scenes))
+    return render_report(report(results, scenes, words))
 
 
 def render_report(content: Report) -> str:
@@ -120,7 +132,10 @@ def render_report(content: Report) -> str:
     Raises:
         ImportError: when Jinja is missing, naming the extra to install.
     """
-    scenes = {section.name: scene_data(content.scenes[section.name], section.shown) for section in content.sections}
+    scenes = {
+        section.name: scene_data(content.scenes[section.name], section.shown, section.picked)
+        for section in content.sections
+    }
     figures = {
         "colours": COLOURS,
         "policies": content.policies,
@@ -131,8 +146,16 @@ def render_report(content: Report) -> str:
     }
     plotly = resources.files("ptne_env.report") / "plotly" / "plotly-basic.min.js"
     packed = _packed(scenes) | {"plotly": _pack(plotly.read_text(encoding="utf-8"))}
+    divisions = {division for table in content.leaderboard for division in table.sections}
     return render_template(
-        "page.html", report=content, figures=figures, packed=packed, marks=MARKS, mark_notes=MARK_NOTES
+        "page.html",
+        report=content,
+        figures=figures,
+        packed=packed,
+        marks=MARKS,
+        mark_notes=MARK_NOTES,
+        divisions=divisions,
+        most_columns=_MOST_COLUMNS,
     )
 
 
@@ -148,7 +171,7 @@ def render_episode(name: str, scene: Scene) -> str:
     """
     policies = list(scene.traces)
     figures = {"colours": COLOURS, "policies": policies, "scenes": [name]}
-    packed = _packed({name: scene_data(scene, policies)})
+    packed = _packed({name: scene_data(scene, policies, policies)})
     return render_template("episode.html", title=f"{name}: {', '.join(policies)}", figures=figures, packed=packed)
 
 
@@ -167,20 +190,23 @@ def _pack(text: str) -> str:
 # --- content --------------------------------------------------------------------------------------------------------
 
 
-def report(results: Results, scenes: Mapping[str, Scene]) -> Report:
+def report(results: Results, scenes: Mapping[str, Scene], words: Sequence[str] | None = None) -> Report:
     """The content of the page of results; arguments as :func:`page`."""
     suite, board = results.suite, results.leaderboard
+    leading = len(overview(results))
     tables = summary_tables(results)
+    named = _words(results) if words is None else words
     return Report(
         title=f"{suite.name}, seed {results.seed}",
-        answer=_answer(results, tables[0]),
-        overview=tuple(tables),
-        sections=tuple(_section(results, track, scenes[track.name]) for track in results.tracks),
+        answer=answer(results),
+        leaderboard=tuple(tables[:leading]),
+        all_tracks=tuple(tables[leading:]),
+        sections=tuple(_section(results, track, scenes[track.name], named) for track in results.tracks),
         policies=tuple(results.every_policy),
         profiles={} if board is None else {row.policy: row.profile for row in board.overall},
         thresholds=() if board is None else board.thresholds,
         scenes=dict(scenes),
-        command=_command(results, results.tracks),
+        command=_command(results, results.tracks, named),
         facts=(
             ("suite", suite.name),
             ("suite, SHA-256", suite.content_hash),
@@ -193,81 +219,48 @@ def report(results: Results, scenes: Mapping[str, Scene]) -> Report:
     )
 
 
-def _answer(results: Results, table: Table) -> str:
-    """The best policy, and its distance from the paper's law or from the next policy."""
-    firsts, acting = first_places(results), {policy for _, policy in results.samples}
-    sections = (names for division, names in table.sections.items() if division != "oracle")
-    ranked = next(filter(None, ([name for name in names if name in acting] for names in sections)), [])
-    if not ranked and results.failures:
-        failing = sorted({policy for _, policy in results.failures})
-        return f"{_listed(failing)} failed; the tables below name the steps and the errors."
-    if not ranked:
-        return "Only oracles were run, which use information that players lack: no policy can be compared with them."
-    best, *others = ranked
-    values = {column.label: str(column[best]) for column in table.columns if column[best].value is not None}
-    count = len(results.tracks)
-    tied = (
-        [policy for policy in ranked if len(firsts[policy]) == len(firsts[best])] if "score" not in values else [best]
-    )
-    answer = (
-        f"{_listed(tied)} {'is' if len(tied) == 1 else 'are each'} the closest to the equilibrium, or within "
-        f"{FIRST_MARGIN:g} digits of the closest, on {len(firsts[best])} of {count} track{'s' * (count > 1)}, with "
-        f"{values.get('mean digits', 'no')} digits at the deadline on average"
-    )
-    if len(tied) > 1:
-        answer += f" ({best})"
-    if "score" in values:
-        answer += f" and a score of {values['score']}, where 0 is zero input and 1 full marks"
-    return f"{answer}. {_comparison(results, best, others, values.get(f'P(better than {LAW})'))}"
-
-
-def _listed(names: Sequence[str]) -> str:
-    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
-
-
-def _comparison(results: Results, best: str, others: Sequence[str], improvement: str | None) -> str:
-    if LAW not in others:
-        if not others:
-            return "No other policy was run."
-        return f"The next is {others[0]}, with {Value.of(mean_digits(results, others[0]))} digits on average."
-    law, ahead = mean_digits(results, LAW, on=best), mean_digits(results, best, minus=LAW)
-    if ahead.mean is None:
-        return f"The paper's law ({LAW}) was run on none of these tracks."
-    difference = f"gains {Value.of(ahead)} on it"
-    if ahead.mean < 0:  # the first on most tracks, and far behind on the others
-        difference = f"stays {Value.of(mean_digits(results, LAW, minus=best))} behind it"
-    better = "" if improvement is None else f" and is better with probability {improvement}"
-    return f"The paper's law ({LAW}) reaches {Value.of(law)} digits on the same tracks; {best} {difference}{better}."
-
-
-def _section(results: Results, track: Track, scene: Scene) -> Section:
+def _section(results: Results, track: Track, scene: Scene, words: Sequence[str] | None) -> Section:
     tables = tuple(track_tables(results, track))
     world, scenario = track.world, track.scenario
     keys: dict[str, list[str]] = {}
     for job in results.jobs:
         if job.track.name == track.name and job.key is not None:
             keys.setdefault(job.policy.name, []).append(job.key)
+    ranked = [policy for policy, division in tables[0].rows.items() if division != "oracle"]
+    own = [policy for policy in own_policies(results) if policy in ranked]
     return Section(
         name=track.name,
+        description=_description(results, track),
         about=f"{track_rules(results, track)} {type(world.game).__name__} with {world.game.num_players} players; "
         f"T = {scenario.deadline:g} s, c = {scenario.gain:g} per second, {scenario.steps} steps to the deadline, "
         f"{scenario.hold_steps} after it.",
         tables=tables,
-        shown=_shown([policy for policy, division in tables[0].rows.items() if division != "oracle"]),
-        command=_command(results, [track]),
+        shown=_shown(ranked, own),
+        picked=tuple(dict.fromkeys([*ranked[:1], *(own or [name for name in ranked if name == LAW])])),
+        command=_command(results, [track], words),
+        episodes=(scene.episodes, results.episodes[track.name]),
         facts=(
             ("track, SHA-256", content_hash(track.to_dict())),
             ("replay of the player's episode", _replay(results, track)),
-            ("errors against time", f"median and 10–90 % band over the first {scene.episodes} episodes"),
             *((f"job of {policy}", " ".join(found)) for policy, found in keys.items()),
         ),
     )
 
 
-def _shown(ranked: Sequence[str]) -> tuple[str, ...]:
-    """The best of ``ranked``, and the paper's law last: the player starts with the first and the last of them."""
-    others = [name for name in ranked if name != LAW]
-    return tuple([*others[: SHOWN - 1], LAW] if LAW in ranked else others[:SHOWN])
+def _description(results: Results, track: Track) -> str:
+    """One sentence about a track."""
+    name = track.name.removesuffix(PAPER_START)
+    if not results.suite.is_comparison or name not in DESCRIPTIONS:
+        return track.change
+    start = "" if track.name == name else " The paper's own start."
+    return f"{DESCRIPTIONS[name]}{start}"
+
+
+def _shown(ranked: Sequence[str], own: Sequence[str]) -> tuple[str, ...]:
+    """The best of ``ranked``, the user's own policies and the paper's law."""
+    kept = [*own, *(name for name in ranked if name == LAW)]
+    others = [name for name in ranked if name not in kept]
+    return (*others[: max(1, SHOWN - len(kept))], *kept)
 
 
 def _replay(results: Results, track: Track) -> str:
@@ -289,18 +282,36 @@ def _of_catalogue(name: str, **changes: Any) -> Scenario | None:
     return CATALOGUE[name].replace(**changes) if name in CATALOGUE else None
 
 
-def _command(results: Results, tracks: Sequence[Track]) -> str:
-    """The command that repeats the numbers of some tracks."""
-    options: dict[str, list[object]] = {"--seed": [results.seed], "--episodes": [max(results.episodes.values())]}
+def _words(results: Results) -> list[str] | None:
+    """The values of ``--policy`` that name the policies, none for the default ones; ``None`` where names do not do."""
+    usual = [*(default_policies() if results.suite.is_comparison else suite_policies()), *results.suite.references]
+    if results.policies == {spec.name: spec for spec in usual}:
+        return []
+    known = {spec.name: get_policy_spec(spec.name) for spec in suite_policies()}
+    return list(results.policies) if results.policies.items() <= known.items() else None
+
+
+def _command(results: Results, tracks: Sequence[Track], words: Sequence[str] | None) -> str | None:
+    """The command that repeats the numbers of some tracks; ``None`` where something was made in Python."""
+    count, hold_steps = max(results.episodes.values()), tracks[0].scenario.hold_steps
+    options: dict[str, Sequence[object]] = {"--seed": [results.seed], "--episodes": [count]}
     if results.suite.is_comparison:
-        options["--scenario"] = list(dict.fromkeys(track.name.removesuffix(PAPER_START) for track in tracks))
-        options["--hold-steps"] = [tracks[0].scenario.hold_steps]
+        names = list(dict.fromkeys(track.name.removesuffix(PAPER_START) for track in tracks))
+        if not CATALOGUE.keys() >= set(names):
+            return None
+        if not set(tracks) <= set(comparison(names, episodes=count, hold_steps=hold_steps).tracks):
+            return None
+        options["--scenario"] = [] if len(names) == len(CATALOGUE) else names
+        options["--hold-steps"] = [hold_steps]
     else:
-        options["--suite"] = [results.target or results.suite.name]
+        options["--suite"] = [results.target]
         options["--track"] = [track.name for track in tracks if len(tracks) < len(results.suite.tracks)]
-    options["--policy"] = list(results.policies)
-    words = (word for option, values in options.items() for value in values for word in (option, str(value)))
-    return shlex.join(["ptne", "compare", *words])
+    if words is None or results.split != "test" or options.get("--suite") == [None]:
+        return None
+    options["--policy"] = words
+    given = [word for option, values in options.items() for value in values for word in (option, str(value))]
+    foreign = any(map(foreign_code, words)) or foreign_suites(results.target)
+    return shlex.join(["ptne", "compare", *given, *(["--trust"] if foreign else [])])
 
 
 def _parameters(spec: PolicySpec) -> Iterable[tuple[str, str, str, str]]:
@@ -315,38 +326,41 @@ def _parameters(spec: PolicySpec) -> Iterable[tuple[str, str, str, str]]:
 # --- figures --------------------------------------------------------------------------------------------------------
 
 
-def scene_data(scene: Scene, shown: Sequence[str]) -> dict[str, Any]:
-    """A scene for figures and player, as a JSON object; arrays are base64 of little-endian float32 by rows.
+def scene_data(scene: Scene, shown: Sequence[str], picked: Sequence[str]) -> dict[str, Any]:
+    """A scene for figures and player, as a JSON object. Rows of numbers are codes, each less the code before it.
+
+    The code of a number v is round(log10(|v| / 1e-13) / 8e-4) with the sign of v, 0 below 1e-13; of an error e,
+    round(100 log10 e). Neighbours are close, so the differences take less room than numbers.
 
     Args:
         scene: to draw.
-        shown: policies that are drawn before the reader chooses.
+        shown: policies that the figure of errors shows before the reader chooses.
+        picked: policies that the player shows before the reader chooses.
     """
     changes = np.flatnonzero(np.r_[True, (np.diff(scene.live.astype(np.int8), axis=1) != 0).any(axis=0)])
-    components = np.arange(len(scene.owners))
-    offsets = {
-        name: trace.estimates - scene.equilibrium[:, None] for name, trace in scene.traces.items()
-    }  # from x*, so that float32 keeps the last digits of small distances
+    x = scene.equilibrium  # distances from it keep the last digits of small ones
     return {
         "shown": list(shown),
+        "picked": list(picked),
         "t": _rounded(scene.t, 6),
         "s": _rounded(scene.s, 6),
         "gain": _rounded(scene.gain, 3),
         "deadline": scene.deadline_frame,
         "players": scene.num_players,
         "owners": scene.owners.tolist(),
+        "in_plane": scene.in_plane,
         "equilibrium": _rounded(scene.equilibrium[:, 0], 6),
         "links": scene.links.tolist(),
         "live": [[int(frame), np.flatnonzero(scene.live[:, frame]).tolist()] for frame in changes],
         "episodes": scene.episodes,
         "traces": {
             name: {
-                "errors": [_rounded(-distances.digits(row), 2) for row in trace.errors],
-                "error": _rounded(-distances.digits(trace.error), 2),
-                "strategies": _encoded(offsets[name][components, scene.owners]),
-                "estimates": _encoded(offsets[name]) if trace.estimates[..., 0].size <= _MOST_LINES else None,
-                "inputs": _encoded(trace.inputs),
-                "gains": _encoded(trace.consensus_gains),
+                "errors": _differences(-100 * distances.digits(trace.errors)),
+                "error": _differences(-100 * distances.digits(trace.error[None])),
+                "strategies": _coded(trace.strategies - x),
+                "estimates": None if trace.estimates is None else _coded(trace.estimates - x[:, None]),
+                "inputs": _coded(trace.inputs),
+                "gains": _coded(trace.consensus_gains),
             }
             for name, trace in scene.traces.items()
         },
@@ -357,5 +371,15 @@ def _rounded(values: FloatArray, digits: int) -> list[float]:
     return [round(value, digits) + 0.0 for value in values.tolist()]
 
 
-def _encoded(values: FloatArray) -> str:
-    return b64encode(np.ascontiguousarray(values, dtype="<f4").tobytes()).decode("ascii")
+def _coded(values: FloatArray) -> list[list[int]]:
+    """Rows of numbers of any sign and size, the last axis along a row."""
+    sizes = np.abs(values)
+    with np.errstate(invalid="ignore"):
+        codes = np.sign(values) * np.rint(np.log10(np.maximum(sizes, _FINEST) / _FINEST) / _STEP)
+    return _differences(np.where(np.isfinite(values), codes, _NONE))
+
+
+def _differences(codes: FloatArray) -> list[list[int]]:
+    whole = np.rint(codes).astype(np.int64).reshape(-1, codes.shape[-1])
+    differences: list[list[int]] = np.diff(whole, axis=1, prepend=0).tolist()
+    return differences

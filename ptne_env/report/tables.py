@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass
+import math
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import TypeVar
 
@@ -19,6 +20,12 @@ Row = TypeVar("Row")
 FIRST_MARGIN = 0.1
 """A policy whose interval comes within this many digits of the best mean of a track shares the first place there."""
 
+_MOST_NAMED = 3
+"""Tracks of a specialist that a cell names; of more, it says how many."""
+
+_COMPLETE, _SPECIALISTS = "entries that play every track", "specialists"
+"""Words for entries with values on every track, and for all others."""
+
 _PERCENT = "\N{NO-BREAK SPACE}%"
 
 MARKS = {"honest": "", "coded": "†", "oracle": "*"}
@@ -31,6 +38,11 @@ MARK_NOTES = {
 """The meaning of the marks by division."""
 
 _SCORE = "0 is zero input; 1 is the best known when the suite was frozen, or 12 digits where none was recorded"
+
+
+def decimals(value: float | None) -> str:
+    """Digits with two decimals; a dash where there are none."""
+    return "–" if value is None else f"{value:.2f}".replace("-0.00", "0.00").replace("-", "−")
 
 
 @dataclass(frozen=True)
@@ -60,6 +72,14 @@ class Value:
             return cls()
         low, high = write(summary.low), write(summary.high)
         return cls(write(summary.mean), summary.mean, "" if low == high else f"[{low}, {high}]")
+
+    @classmethod
+    def plus_minus(cls, summary: Summary | None) -> Value:
+        """The cell of digits: the mean with two decimals, ± half of its interval."""
+        if summary is None or summary.mean is None or summary.high is None:
+            return cls()
+        half, text = decimals(summary.high - summary.mean), decimals(summary.mean)
+        return cls(text if half == "0.00" else f"{text} ±{half}", summary.mean)
 
     @classmethod
     def count(cls, number: int | None) -> Value:
@@ -121,6 +141,19 @@ class Table:
         for name, division in self.rows.items():
             found.setdefault(division, []).append(name)
         return found
+
+    def pieces(self, most: int) -> list[Table]:
+        """The same rows in as few tables of ``most`` columns or fewer as need be, of about equal width."""
+        count = max(1, math.ceil(len(self.columns) / most))
+        ends = [round(part * len(self.columns) / count) for part in range(count + 1)]
+        return [
+            replace(
+                self,
+                caption=f"{self.caption}, part {part} of {count}" if count > 1 else self.caption,
+                columns=self.columns[ends[part - 1] : ends[part]],
+            )
+            for part in range(1, count + 1)
+        ]
 
 
 def track_tables(results: Results, track: Track) -> list[Table]:
@@ -226,37 +259,32 @@ def call(spec: PolicySpec) -> str:
     return f"{source['target'].partition(':')[2]} ({arguments})".removesuffix(" ()")
 
 
+def complete(results: Results) -> list[str]:
+    """The names of the policies that have values on every track, in the order of tables."""
+    return [name for name in results.policies if all((track.name, name) in results.samples for track in results.tracks)]
+
+
 def summary_tables(results: Results) -> list[Table]:
-    """All tracks: the overview, the metric that scores each track, and the room that each track leaves.
+    """All tracks: complete entries, specialists, the digits on each track, and the room that each track leaves.
 
     Args:
-        results: of a comparison or of another suite; a comparison has no full marks, and so no third table.
+        results: of a comparison or of another suite; a comparison has no full marks, and so no last table.
     """
-    table, board = overview(results), results.leaderboard
-    digits = [
-        _column(
-            track.name,
-            f"{METRICS[track.metric].heading} on {track.name}",
-            {policy: policy for policy in table.rows},
-            partial(_score, results, track),
-        )
-        for track in results.tracks
-    ]
-    by_track = Table(f"{results.suite.name}, seed {results.seed}: digits on each track", tuple(digits), table.rows)
-    return [table, by_track, *([] if board is None else [_room_table(results, board)])]
+    board, tables = results.leaderboard, overview(results)
+    room = [] if board is None else [_room_table(results, board)]
+    return [*tables, *(_digits_table(results, table) for table in tables), *room]
 
 
-def overview(results: Results) -> Table:
-    """All tracks: the overall scores, if there are any, the knowledge of each policy, and the first places.
+def overview(results: Results) -> list[Table]:
+    """The entries that play every track, with means over all of them; then the specialists, with their own tracks.
 
     Args:
         results: of a comparison or of another suite.
     """
     policies, board = results.policies, results.leaderboard
     scores = {} if board is None else {row.policy: row for row in board.overall}
-    firsts = first_places(results)
+    firsts, everywhere = first_places(results), complete(results)
     means = {policy: mean_digits(results, policy) for policy in policies}
-    counts = {policy: sum(name == policy for _, name in results.samples) for policy in policies}
     best = sorted(
         policies,
         key=lambda policy: (
@@ -267,11 +295,28 @@ def overview(results: Results) -> Table:
     )
     order = dict.fromkeys([*scores, *best])
     known = {policy: _knowledge(spec) for policy, spec in policies.items()}
-    columns = [
-        _column("score", f"mean over tracks: {_SCORE}", scores, lambda row: Value.of(row.score, share)),
+    score = _column("score", f"mean over all tracks: {_SCORE}", scores, lambda row: Value.of(row.score, share))
+    first = _column(
+        "first",
+        f"tracks on which no entry of its kind is more than {FIRST_MARGIN:g} digits better, with certainty",
+        firsts,
+        lambda tracks: Value.count(len(tracks)),
+    )
+    shared = [
+        score,
+        first,
         *(
             Column(name, meaning, {policy: values[name] for policy, values in known.items()})
             for name, meaning in KNOWLEDGE.items()
+        ),
+    ]
+    over_all = [
+        _column("mean digits", "over all tracks", means, partial(Value.of, write=decimals)),
+        _column(
+            f"P(better than {LAW})",
+            "probability of improvement, paired by episode",
+            scores,
+            lambda row: Value.of(row.improvement, share),
         ),
         _column(
             "mean rank",
@@ -280,27 +325,83 @@ def overview(results: Results) -> Table:
             lambda row: Value.of(row.mean_rank),
             descending=False,
         ),
-        _column(
-            f"P(better than {LAW})",
-            "probability of improvement, paired by episode",
-            scores,
-            lambda row: Value.of(row.improvement, share),
-        ),
-        _column(
-            "first",
-            f"tracks on which no entry of its kind is more than {FIRST_MARGIN:g} digits better, with certainty",
-            firsts,
-            lambda tracks: Value.count(len(tracks)),
-        ),
-        _column("tracks", "tracks on which the policy was run", counts, Value.count),
-        _column("mean digits", "over the tracks on which the policy was run", means, Value.of),
     ]
-    return Table(
-        f"{results.suite.name}, seed {results.seed}: overall",
-        tuple(column for column in columns if column.values),
-        {policy: policies[policy].division for policy in order},
-        () if board is None else tuple(_scope(board)),
+    played = {policy for _, policy in results.samples | results.failures}
+    specialists = [policy for policy in order if policy not in everywhere and policy in played]
+    against = _against_complete(results, specialists, everywhere)
+    parts = (
+        (_COMPLETE, [policy for policy in order if policy in everywhere], over_all),
+        (f"{_SPECIALISTS}, on the tracks that they play", specialists, against),
     )
+    tables = [_part(results, part, names, [*columns, *shared]) for part, names, columns in parts if names]
+    notes = [] if board is None else [*_scope(board)]
+    if absent := [policy for policy in order if policy not in played]:
+        notes.append(f"n/a on every track: {', '.join(absent)}.")
+    return [replace(table, notes=tuple(notes)) if table is tables[-1] else table for table in tables]
+
+
+def _part(results: Results, part: str, policies: Iterable[str], columns: Iterable[Column]) -> Table:
+    """A table of some policies, without columns that say nothing about them."""
+    rows = {policy: results.policies[policy].division for policy in policies}
+    filled = tuple(column for column in columns if not rows.keys().isdisjoint(column.values))
+    return Table(f"{results.suite.name}, seed {results.seed}: {part}", filled, rows)
+
+
+def _against_complete(results: Results, specialists: Sequence[str], everywhere: Sequence[str]) -> list[Column]:
+    """The tracks of specialists, and their digits beside those of the best complete honest entry on the same tracks."""
+    honest = [name for name in everywhere if results.policies[name].division == "honest"]
+    best = {
+        name: max(honest, key=lambda other: mean_digits(results, other, on=name).mean or 0.0)
+        for name in specialists
+        if honest and mean_digits(results, name).mean is not None
+    }
+    played = {
+        name: [track.name for track in results.tracks if (track.name, name) in results.samples] for name in specialists
+    }
+
+    def means(name: str, **other: str) -> Value:
+        return Value.of(mean_digits(results, name, **other), decimals)
+
+    columns: list[tuple[str, str, Iterable[str], Callable[[str], Value]]] = [
+        ("digits there", "mean over the tracks that it plays", best, means),
+        ("tracks", "that the policy plays", played, lambda name: _names(played[name], len(results.tracks))),
+        (
+            "best of the above there",
+            "the entry that plays every track and has the most digits on these",
+            best,
+            lambda name: Value(best[name]),
+        ),
+        ("its digits there", "mean over the same tracks", best, lambda name: means(best[name], on=name)),
+        (
+            "ahead",
+            "digits of the specialist above these, paired by episode",
+            best,
+            lambda name: means(name, minus=best[name]),
+        ),
+    ]
+    return [_column(label, meaning, {name: name for name in rows}, read) for label, meaning, rows, read in columns]
+
+
+def _names(tracks: Sequence[str], count: int) -> Value:
+    """A cell that names a few tracks, or says how many there are."""
+    text = ",\n".join(tracks) if 0 < len(tracks) <= _MOST_NAMED else f"{len(tracks)} of {count}"
+    return Value(text, len(tracks))
+
+
+def _digits_table(results: Results, table: Table) -> Table:
+    """The metric of each track, a row per track on which any of the policies of ``table`` acts, which are columns."""
+    tracks = {
+        track.name: track
+        for track in results.tracks
+        if any((track.name, name) in results.samples | results.failures for name in table.rows)
+    }
+    columns = (
+        _column(
+            f"{name} {MARKS[division]}".rstrip(), f"digits of {name}", tracks, partial(_score, results, policy=name)
+        )
+        for name, division in table.rows.items()
+    )
+    return Table(f"{table.caption}: digits", tuple(columns), dict.fromkeys(tracks, "honest"), subject="track")
 
 
 def _knowledge(spec: PolicySpec) -> dict[str, Value]:
@@ -336,12 +437,12 @@ def _room_table(results: Results, board: Leaderboard) -> Table:
     )
 
 
-def _score(results: Results, track: Track, policy: str) -> Value:
+def _score(results: Results, track: Track, *, policy: str) -> Value:
     """The digits of a policy on a track, or the reason in a word why there are none."""
     summary = results.summary(track.name, policy, track.metric)
     if summary is None:
         return Value("failed" if (track.name, policy) in results.failures else "n/a")
-    return Value.of(summary)
+    return Value.of(summary, decimals)
 
 
 def _scope(board: Leaderboard) -> Iterator[str]:

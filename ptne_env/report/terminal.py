@@ -20,12 +20,29 @@ from ptne_env.experiments.check import Check, Repetition
 from ptne_env.experiments.metrics import number
 from ptne_env.experiments.policy_specs import PolicySpec, learned_policy
 from ptne_env.experiments.suite import SUITES
-from ptne_env.report.tables import MARK_NOTES, MARKS, Column, Table, call, summary_tables, track_rules, track_tables
+from ptne_env.report.answer import answer, answer_table
+from ptne_env.report.tables import (
+    MARK_NOTES,
+    MARKS,
+    Column,
+    Table,
+    call,
+    overview,
+    summary_tables,
+    track_rules,
+    track_tables,
+)
 from ptne_env.switching import SwitchingTopology
 from ptne_env.world import World
 
 _HEADING_WIDTH = 10
 """Headings of columns are broken into lines of about this length, long ones into three lines."""
+
+_NAME_WIDTH = 24
+"""Names of tracks in the table of the answer are broken at hyphens into lines of at most this length."""
+
+_TEXT_WIDTH = 100
+"""Sentences are broken into lines of at most this length."""
 
 _GAP = 3
 """Columns of the terminal between two columns of a table."""
@@ -51,12 +68,37 @@ def result_tables(results: Results, width: int = 172) -> Group:
         drawn.append(Text.assemble((track.name, "bold"), f": {track_rules(results, track)}\n"))
         for table in track_tables(results, track):
             drawn += _drawn(table, width, intervals=results.leaderboard is None)
-    total, *others = summary_tables(results)
-    for table in others:
+    total = summary_tables(results)
+    overall = len(overview(results))
+    for table in total[overall:]:
         drawn += _drawn(table, width, intervals=results.leaderboard is None)
-    drawn += _drawn(total, width, intervals=True)
-    drawn += [Text(note, style="dim") for division, note in MARK_NOTES.items() if division in total.sections]
+    for table in total[:overall]:
+        drawn += _drawn(table, width, intervals=True)
+    divisions = {policy.division for policy in results.policies.values()}
+    drawn += [Text(note, style="dim") for division, note in MARK_NOTES.items() if division in divisions]
     return Group(*drawn)
+
+
+def answer_tables(results: Results, width: int = 172) -> Group:
+    """One table of digits that fits the terminal, and three sentences on it.
+
+    Args:
+        results: of a comparison or of another suite.
+        width: columns of the terminal; policies that find no room are named below the table.
+    """
+    table = answer_table(results)
+    names = {name: textwrap.fill(name, _NAME_WIDTH) for name in table.rows}
+    drawn: list[RichTable | Text] = [Text(table.caption, style="italic")]
+    shown: list[Column] = []
+    if table.columns:
+        room = width - max(cell_len(line) for name in names.values() for line in name.splitlines()) - _EDGES
+        shown = next(_split(table, room, intervals=False))
+        drawn.append(_piece(table, names, shown, intervals=False))
+    if hidden := [column.label for column in table.columns if column not in shown]:
+        drawn.append(Text(f"Without room here: {', '.join(hidden)}.", style="dim"))
+    drawn += [Text(note, style="dim") for note in table.notes]
+    sentences = (textwrap.fill(sentence, min(width, _TEXT_WIDTH)) for sentence in answer(results))
+    return Group(*drawn, *(Text(f"\n{sentence}") for sentence in sentences), Text())
 
 
 def _drawn(table: Table, width: int, *, intervals: bool) -> list[RichTable | Text]:
@@ -78,7 +120,7 @@ def _split(table: Table, room: int, *, intervals: bool) -> Iterator[list[Column]
     for column in table.columns:
         lines = [*_heading(column).splitlines()]
         for name in table.rows:
-            lines += [column[name].text, column[name].interval * intervals]
+            lines += [*column[name].text.splitlines(), column[name].interval * intervals]
         needed = _GAP + max(map(cell_len, lines))
         if group and needed > left:
             yield group
@@ -108,7 +150,7 @@ def _piece(table: Table, names: dict[str, str], columns: Sequence[Column], *, in
 
 def _heading(column: Column) -> str:
     width = max(_HEADING_WIDTH, len(column.label) // 3 + 2)
-    return textwrap.fill(column.label, width, break_long_words=False, break_on_hyphens=False)
+    return textwrap.fill(column.label, width, break_long_words=False)
 
 
 def empty_table(title: str | None = None, *, show_header: bool = True) -> RichTable:

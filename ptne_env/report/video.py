@@ -53,7 +53,7 @@ def save_video(
         spec: the policy.
         path: the file: ``.gif``, ``.mp4`` (which needs the program ffmpeg) or ``.html`` (the player of the report).
         seed: of the episode, where one is drawn.
-        pictures: number of pictures of a video, or of instants of a page, evenly spaced in steps.
+        pictures: number of pictures of a video, evenly spaced in steps; a page shows every step.
         progress: called with the number of pictures that are drawn and of all.
 
     Raises:
@@ -68,7 +68,7 @@ def save_video(
     world = World(scenario)
     start = EpisodeSet(1, seed).initial_state(world)
     if suffix == ".html":
-        traced = scene(world, start, {spec.name: spec}, frames=pictures)
+        traced = scene(world, start, {spec.name: spec})
         write_atomically(path, render_episode(scenario.name, traced))
         return
     write = _write_gif if suffix == ".gif" else _write_mp4

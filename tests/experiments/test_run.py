@@ -108,9 +108,22 @@ def test_progress_is_reported_once_per_job(monkeypatch, policies):
     monkeypatch.setattr(tuning, "VALIDATION_EPISODES", 2)
     calls = []
     results = evaluate(policies, ["energy"], episodes=1, progress=lambda *arguments: calls.append(arguments))
-    trials = sum(map(len, results.trials.values()))
-    assert len(calls) == calls[-1][1] == len(results.jobs) + trials
+    trials = [trial for found in results.trials.values() for trial in found]
+    assert len(calls) == len(results.jobs) + len(trials)
+    work = [done for _, done, _ in calls]
+    assert work == sorted(set(work))
+    assert work[-1] == calls[-1][2] == sum(job.cost for job in [*results.jobs, *trials])
+    trials = len(trials)
     assert trials == (len(tuning.FIELD) if policies == ["ppo-random-energy"] else 0)
+
+
+def test_quick_jobs_run_first():
+    done = []
+    evaluate(["static", "grounded"], ["robots", "energy"], episodes=2, progress=lambda job, *_: done.append(job))
+    assert done == [
+        *("energy (paper start): static", "energy (paper start): grounded"),
+        *("energy: static", "energy: grounded", "robots: static", "robots: grounded"),
+    ]
 
 
 @pytest.mark.parametrize("rerun", [False, True])

@@ -5,7 +5,7 @@ import pytest
 
 import ptne_env
 from ptne_env import FactorySpec, PolicySpec, distances, evaluate, get_scenario, laws
-from ptne_env.experiments import Suite, Teammates, Track, Workers, episode_seed, run_suite
+from ptne_env.experiments import Suite, Teammates, Track, Workers, episode_seed, get_suite, run_suite
 from ptne_env.experiments.traces import scenes
 from ptne_env.world import World
 
@@ -23,13 +23,17 @@ def test_the_first_episode_is_the_environments_own():
         observations, *_ = env.step(actions)
         kept.append(env.estimates)
     clock = World(scenario).clock
-    instants = [int(np.flatnonzero(clock.t == t)[0]) for t in scene.t]
-    assert instants[0] == 0
-    assert instants[scene.deadline_frame] == clock.steps
-    assert instants[-1] == clock.total_steps
-    for frame, instant in enumerate(instants):
-        np.testing.assert_array_equal(trace.estimates[..., frame], kept[instant].T)
+    np.testing.assert_array_equal(scene.t, clock.t)
+    assert scene.deadline_frame == clock.steps
+    np.testing.assert_array_equal(trace.estimates, np.transpose(kept, (2, 1, 0)))
+    np.testing.assert_array_equal(trace.strategies, trace.estimates[range(5), range(5)])
     np.testing.assert_array_equal(scene.equilibrium, np.tile(env.nash_equilibrium[:, None], scene.t.size))
+
+
+def test_estimates_of_many_players_are_left_out():
+    (scene,) = scenes(evaluate(["static"], [get_suite("ptne-v1").track("large-20").scenario], episodes=1)).values()
+    assert scene.traces["static"].estimates is None
+    assert scene.traces["static"].strategies.shape == (20, scene.t.size)
 
 
 def test_the_equilibrium_of_a_scene_drifts_with_the_game():

@@ -64,7 +64,9 @@ def suite_report(suite, suite_scenes):
 
 @pytest.fixture(scope="session")
 def page_file(comparison, comparison_scenes, suite_report, tmp_path_factory):
-    """Pages by name, as files: ``comparison``, ``suite``, ``episode`` and ``large``, of 20 tracks with 15 policies."""
+    """Pages by name, as files: ``comparison``, ``suite``, ``large``, of 20 tracks with 15 policies, and of one episode
+    ``episode`` and ``held``, which has 30 steps after the deadline.
+    """
     folder = tmp_path_factory.mktemp("pages")
     pages = {
         "comparison": page(comparison, comparison_scenes),
@@ -74,6 +76,7 @@ def page_file(comparison, comparison_scenes, suite_report, tmp_path_factory):
     for name, text in pages.items():
         (folder / f"{name}.html").write_text(text, encoding="utf-8")
     save_video(get_scenario("energy", steps=100), get_policy_spec("static"), folder / "episode.html")
+    save_video(get_scenario("energy", steps=100, hold_steps=30), get_policy_spec("static"), folder / "held.html")
     return lambda name: folder / f"{name}.html"
 
 
@@ -95,7 +98,8 @@ def _enlarged(content, tracks, policies):
     )
     scene = replace(scene, traces={name: scene.traces[original] for name, original in originals.items()})
     sections = [
-        replace(section, name=f"track-{index}", tables=tables, shown=tuple(names[:5])) for index in range(tracks)
+        replace(section, name=f"track-{index}", tables=tables, shown=tuple(names[:5]), picked=tuple(names[:2]))
+        for index in range(tracks)
     ]
     return replace(
         content,

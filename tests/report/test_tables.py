@@ -1,6 +1,7 @@
 """Tables of results, and of the catalogue, in the terminal."""
 
 import io
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -10,13 +11,22 @@ from rich.console import Console
 
 from ptne_env import CATALOGUE, FactorySpec, PolicySpec, evaluate, policies
 from ptne_env.catalogue import DESCRIPTIONS
-from ptne_env.experiments import METRICS, POLICIES, Metric, get_suite, register, suite_policies
+from ptne_env.experiments import (
+    METRICS,
+    POLICIES,
+    Metric,
+    default_policies,
+    get_policy_spec,
+    get_suite,
+    register,
+    suite_policies,
+)
 from ptne_env.experiments.check import Check, Repetition
 from ptne_env.experiments.metrics import number, share
 from ptne_env.experiments.suite import SUITES
 from ptne_env.experiments.traces import scenes
 from ptne_env.observation import Interface
-from ptne_env.report import Kind, catalogue, check_tables, page, result_tables
+from ptne_env.report import Kind, answer_tables, catalogue, check_tables, page, result_tables
 from ptne_env.report.tables import overview, summary_tables, track_tables
 
 
@@ -93,25 +103,72 @@ def test_policy_that_cannot_act_is_listed_with_the_reason(suite):
     assert "ppo-random-energy" in plain.rows
     assert "ppo-random-energy" not in robots.rows
     assert robots.notes[0].startswith("n/a: ppo-random-energy: the policy was made for another layout")
-    column = next(column for column in summary_tables(suite)[1].columns if column.label == "robots")
-    assert column["ppo-random-energy"].text == "n/a"
+    assert "ppo-random-energy" not in [column.label for column in summary_tables(suite)[2].columns]
 
 
 def test_overview_shows_the_scores_of_the_leaderboard(suite, comparison):
-    table = overview(suite)
-    columns = {column.label: column for column in table.columns}
+    tables = overview(suite)
     for row in suite.leaderboard.overall:
+        (table,) = (table for table in tables if row.policy in table.rows)
+        columns = {column.label: column for column in table.columns}
         assert columns["score"][row.policy].value == row.score.mean
         assert columns["graphs"][row.policy].text == ("all" if row.policy == "oracle" else "own links")
         assert columns["memory"][row.policy].text == ("yes" if row.policy == "adaptive" else "no")
         assert columns["estimates"][row.policy].text == "honest"
-    assert list(table.rows)[: len(suite.leaderboard.overall)] == [row.policy for row in suite.leaderboard.overall]
-    assert table.notes == ("Scores are means over 2 tracks; n/a and failed count as zero input.",)
-    assert "score" not in {column.label for column in overview(comparison).columns}
+    ranked = [row.policy for row in suite.leaderboard.overall]
+    assert [name for table in tables for name in table.rows] == sorted(ranked, key="ppo-random-energy".__eq__)
+    assert tables[-1].notes == ("Scores are means over 2 tracks; n/a and failed count as zero input.",)
+    assert "score" not in {column.label for column in overview(comparison)[0].columns}
+
+
+def test_means_are_over_the_same_tracks_and_specialists_stand_apart(suite):
+    complete, specialists = overview(suite)
+    assert set(complete.rows) == {"grounded", "adaptive", "static", "zero-input", "oracle"}
+    for name, value in complete.columns[0].values.items():
+        if name in complete.rows:
+            means = [suite.record(track.name, name, "digits")["mean"] for track in suite.tracks]
+            assert value.value == pytest.approx(np.mean(means))
+    assert list(specialists.rows) == ["ppo-random-energy"]
+    cells = {column.label: column["ppo-random-energy"] for column in specialists.columns}
+    learned, grounded = (suite.record("plain", name, "digits")["mean"] for name in ("ppo-random-energy", "grounded"))
+    assert cells["tracks"].text == "plain"
+    assert cells["digits there"].value == pytest.approx(learned)
+    assert cells["best of the above there"].text == "grounded"
+    assert cells["its digits there"].value == pytest.approx(grounded)
+    assert cells["ahead"].value == pytest.approx(learned - grounded)
+    of_complete, of_specialists = (table for table in summary_tables(suite)[2:4])
+    assert list(of_complete.rows) == ["plain", "robots"]
+    assert list(of_specialists.rows) == ["plain"]
+
+
+def test_policies_that_play_no_track_are_named_below_the_tables():
+    results = evaluate(["static", get_policy_spec("ppo-random-energy")], ["energy", "robots"], episodes=1)
+    tables = overview(results)
+    assert [name for table in tables for name in table.rows] == ["static", "ppo-random-energy"]
+    results = evaluate(default_policies(), ["robots"], episodes=1)
+    (table,) = overview(results)
+    assert table.notes[0].startswith("n/a on every track: ppo-")
+    assert "best specialist" not in written(answer_tables(results))
+
+
+@pytest.mark.parametrize("width", [80, 100, 172])
+def test_the_answer_is_one_table_that_fits_the_terminal(comparison, suite, width):
+    for results in (comparison, suite):
+        text = written(answer_tables(results, width), width)
+        assert "…" not in text
+        assert max(map(cell_len, text.splitlines())) <= width
+        assert text.count("grounded") >= 1
+        (missing,) = re.findall(r"Without room here: (.*?)\.", " ".join(text.split())) or [""]
+        heading = text[: text.index("─")]
+        for name in results.policies:
+            is_specialist = name not in list(overview(results)[0].rows)
+            assert is_specialist or name in missing or all(part in heading for part in re.findall(r"\w+", name))
+        digits = results.record(results.tracks[0].name, "static", "digits")
+        assert f"{digits['mean']:.2f} ±{digits['high'] - digits['mean']:.2f}" in text
 
 
 def test_first_place_is_shared_within_a_tenth_of_a_digit(comparison):
-    column = next(column for column in overview(comparison).columns if column.label == "first")
+    column = next(column for column in overview(comparison)[0].columns if column.label == "first")
     assert column["grounded"].value == len(comparison.tracks)
     assert column["zero-input"].value == 0
     assert column["oracle"].value is None
@@ -120,11 +177,12 @@ def test_first_place_is_shared_within_a_tenth_of_a_digit(comparison):
 def test_coded_entries_stand_apart_from_honest_ones_and_oracles():
     coded = PolicySpec("code", FactorySpec.of("ptne_env.laws:Grounded"), Interface(estimates="coded"))
     results = evaluate([coded, "static", "oracle", "grounded"], ["energy"], episodes=2, against_laws=False)
-    for table in [*summary_tables(results), track_tables(results, results.tracks[0])[0]]:
+    for table in [overview(results)[0], track_tables(results, results.tracks[0])[0]]:
         assert table.sections == {"honest": ["grounded", "static"], "coded": ["code"], "oracle": ["oracle"]}
-    estimates = next(column for column in overview(results).columns if column.label == "estimates")
+    assert [column.label for column in summary_tables(results)[1].columns][2:] == ["code †", "oracle *"]
+    estimates = next(column for column in overview(results)[0].columns if column.label == "estimates")
     assert [estimates[name].text for name in ("grounded", "code")] == ["honest", "coded"]
-    firsts = next(column for column in overview(results).columns if column.label == "first")
+    firsts = next(column for column in overview(results)[0].columns if column.label == "first")
     assert [firsts[name].value for name in ("grounded", "code")] == [2, 2]
     text = written(result_tables(results))
     assert "code †" in text
@@ -132,7 +190,7 @@ def test_coded_entries_stand_apart_from_honest_ones_and_oracles():
 
 
 def test_room_table_names_the_tracks_on_which_little_is_left(suite):
-    room = summary_tables(suite)[2]
+    room = summary_tables(suite)[-1]
     assert list(room.rows) == [track.name for track in suite.tracks]
     columns = {column.label: column for column in room.columns}
     for scale in suite.leaderboard.scales:
@@ -159,9 +217,9 @@ def test_suite_without_scores_has_a_table_over_all_tracks(suite):
     unscored = replace(suite)
     scales = tuple(replace(scale, has_scores=False) for scale in suite.leaderboard.scales)
     unscored.__dict__["leaderboard"] = replace(suite.leaderboard, overall=(), scales=scales)
-    table = overview(unscored)
-    assert table.notes[0].startswith("No track has scores")
-    assert set(table.rows) == set(suite.policies)
+    tables = overview(unscored)
+    assert tables[-1].notes[0].startswith("No track has scores")
+    assert {name for table in tables for name in table.rows} == set(suite.policies)
 
 
 def test_new_metric_is_in_every_table():

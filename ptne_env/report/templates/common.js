@@ -38,6 +38,17 @@ const number = (value, digits = 3) => {
   return plain ? String(Number(value.toPrecision(digits))) : value.toExponential(digits - 1);
 };
 
+const NONE_CHOSEN = "No policy is chosen: tick one above.";
+
+/** The numbers of a row of codes, each less the code before it; ptne_env/report/pages.py explains them. */
+function codesOf(differences) {
+  let code = 0;
+  return differences.map((difference) => { code += difference; return code; });
+}
+const FINEST = 1e-13, STEP = 8e-4, NONE = -1e6;
+const valueOf = (code) => code === NONE ? NaN : Math.sign(code) * FINEST * 10 ** (STEP * Math.abs(code));
+const errorsOf = (differences) => codesOf(differences).map((code) => code / 100);
+
 /** Fill a fieldset with a box per policy; a change calls changed(names of the checked ones). */
 function choices(fieldset, names, chosen, changed, swatches = true) {
   for (const label of fieldset.querySelectorAll("label")) label.remove();

@@ -21,6 +21,11 @@ const layout = (more) => ({
 const settings = { responsive: true, displayModeBar: false };
 const redraws = new Map();  // chart → function that draws it again when the colour scheme changes
 
+/** A sentence in the middle of a figure without lines. */
+const emptied = (chosen) => chosen.length ? {} : {
+  annotations: [{ text: NONE_CHOSEN, showarrow: false, xref: "paper", yref: "paper", x: 0.5, y: 0.5 }],
+};
+
 /** Draw a figure, and draw it again when the reader chooses other policies: draw(names of policies). */
 function drawChosen(chart, fieldset, names, chosen, draw) {
   let shown = chosen;
@@ -46,13 +51,14 @@ function drawProfiles() {
     height: 380,
     xaxis: axis("normalised score τ"),
     yaxis: axis("share of episodes above τ", { range: [0, 1.02] }),
+    ...emptied(chosen),
   }), settings);
   drawChosen(chart, document.getElementById("profiles-choice"), names, best.length ? best : names.slice(0, 5), draw);
 }
 
 /** The median error of a policy with its band, against t in the first panel and against s in the second. */
 function errorLines(scene, name) {
-  const [low, middle, high] = scene.traces[name].errors.map((row) => row.map((value) => 10 ** value));
+  const [low, middle, high] = scene.traces[name].errors.map((row) => errorsOf(row).map((power) => 10 ** power));
   return ["t", "s"].flatMap((clock, panel) => {
     const end = clock === "s" ? scene.deadline + 1 : scene.t.length, x = scene[clock].slice(0, end);
     const common = { mode: "lines", ...(panel ? { xaxis: "x2", yaxis: "y2" } : {}) };
@@ -96,6 +102,7 @@ async function drawErrors(section) {
         type: "line", xref: "x", yref: "y domain", x0: end, x1: end, y0: 0, y1: 1,
         line: { color: colour("faint"), width: 1, dash: "dot" },
       }],
+      ...emptied(chosen),
     }), settings);
   };
   drawChosen(chart, section.querySelector(".choice"), Object.keys(scene.traces), scene.shown, draw);

@@ -2,18 +2,11 @@
 
 const WIDTH = 400, LEFT = 46, RIGHT = 8, TOP = 6, BOTTOM = 20;
 
-const decoded = new Map();
-function floats(text) {
-  if (!decoded.has(text)) {
-    const bytes = Uint8Array.from(atob(text), (letter) => letter.charCodeAt(0));
-    decoded.set(text, new Float32Array(bytes.buffer));
-  }
-  return decoded.get(text);
+const decoded = new Map();  // rows of codes → their numbers
+function rows(coded) {
+  if (!decoded.has(coded)) decoded.set(coded, coded.map((row) => Float64Array.from(codesOf(row), valueOf)));
+  return decoded.get(coded);
 }
-const rows = (text, frames) => {
-  const values = floats(text), count = values.length / frames;
-  return Array.from({ length: count }, (_, row) => values.subarray(row * frames, (row + 1) * frames));
-};
 
 const niceTicks = (low, high, count = 4) => {
   const rough = (high - low) / count || 1, power = 10 ** Math.floor(Math.log10(rough));
@@ -49,8 +42,8 @@ function pathOf(xs, ys) {
 /**
  * A small chart of lines over time with a cursor.
  *
- * The deadline is the index of an instant. y is drawn as scale(y); values beyond low and high are cut. marks are
- * horizontal lines: [value, colour].
+ * The deadline is the index of an instant; s ends there, and so do lines over s. y is drawn as scale(y); values beyond
+ * low and high are cut. marks are horizontal lines: [value, colour].
  */
 function lineChart([axisName, x], deadline, series, options) {
   const { height, low, high, ticks, label, marks = [], scale = (value) => value, written = number } = options;
@@ -76,9 +69,9 @@ function lineChart([axisName, x], deadline, series, options) {
     svg.append(drawn("line", { class: "deadline", x1: px(x[deadline]), x2: px(x[deadline]), y1: TOP, y2: bottom }));
     write("T", px(x[deadline]) - 3, TOP + 11, "end");
   }
-  const xs = x.map(px);
+  const xs = x.map(px), end = axisName === "s" ? deadline + 1 : xs.length;
   for (const { y, stroke, width = 1.8, opacity = 1 } of series) {
-    const d = pathOf(xs, Array.from(y, (value) => Number.isFinite(value) ? py(value) : NaN));
+    const d = pathOf(xs, Array.from(y.subarray(0, end), (value) => Number.isFinite(value) ? py(value) : NaN));
     svg.append(drawn("path", { d, fill: "none", stroke, "stroke-width": width, opacity }));
   }
   svg.append(drawn("rect", { class: "frame", x: LEFT, y: TOP, width: right - LEFT, height: bottom - TOP }));
@@ -101,45 +94,81 @@ function lineChart([axisName, x], deadline, series, options) {
 
 const liveLinks = (scene, frame) => scene.live.filter(([start]) => start <= frame).at(-1)[1];
 
-/** The players on a circle, clockwise from the top, and the links between them. */
-function graph(scene) {
-  const size = 180, radius = 70, crowded = scene.players > 20;
-  const svg = drawn("svg", { viewBox: `0 0 ${WIDTH} ${size}`, role: "img", "aria-label": "Communication graph" });
-  svg.classList.toggle("crowded", crowded);
+/** The places of the players on a circle, clockwise from the top. */
+function circle(scene) {
+  const height = 180, radius = 70;
   const place = (player) => {
     const angle = 2 * Math.PI * player / scene.players;
-    return [WIDTH / 2 + radius * Math.sin(angle), size / 2 - radius * Math.cos(angle)];
+    return [WIDTH / 2 + radius * Math.sin(angle), height / 2 - radius * Math.cos(angle)];
   };
-  const lines = scene.links.map(([i, j]) => {
-    const [[x1, y1], [x2, y2]] = [place(i), place(j)];
-    return svg.appendChild(drawn("line", { x1, y1, x2, y2 }));
+  return { height, place, marks: [], label: "Communication graph" };
+}
+
+/** The places of players whose strategies are positions in the plane, with their paths and the equilibrium. */
+function plane(scene, name) {
+  const height = 300, margin = 18, strategies = rows(scene.traces[name].strategies), nash = scene.equilibrium;
+  const at = (component, frame) => nash[component] + strategies[component][frame];
+  const players = Array.from({ length: scene.players }, (_, player) => scene.owners.indexOf(player));
+  const ranges = [0, 1].map((axis) => extent([players.flatMap((first) => [at(first + axis, 0), nash[first + axis]])]));
+  const scale = Math.min(...ranges.map(([low, high], axis) => ([WIDTH, height][axis] - 2 * margin) / (high - low || 1)));
+  const [[x, y]] = [ranges.map(([low, high]) => (low + high) / 2)];
+  const point = (left, up) => [WIDTH / 2 + scale * (left - x), height / 2 - scale * (up - y)];
+  const place = (player, frame) => point(at(players[player], frame), at(players[player] + 1, frame));
+  const marks = players.flatMap((first, player) => {
+    const track = scene.t.map((_, frame) => place(player, frame)), [cx, cy] = point(nash[first], nash[first + 1]);
+    const d = pathOf(track.map(([left]) => left), track.map(([, base]) => base));
+    const cross = `M${cx - 4} ${cy - 4}l8 8m0 -8l-8 8`, stroke = colourOf(player);
+    return [
+      drawn("path", { d, fill: "none", stroke, "stroke-width": 1.2, opacity: 0.6 }),
+      drawn("path", { d: cross, fill: "none", stroke, "stroke-width": 2 }),
+    ];
   });
+  return { height, place, marks, label: `Map of the players, ${name}` };
+}
+
+/** The players, numbered from 1 as in the paper, and the links between them. */
+function network(scene, { height, place, marks, label }) {
+  const crowded = scene.players > 20;
+  const svg = drawn("svg", { viewBox: `0 0 ${WIDTH} ${height}`, role: "img", "aria-label": label });
+  svg.classList.toggle("crowded", crowded);
+  const lines = scene.links.map(() => svg.appendChild(drawn("line")));
+  svg.append(...marks);
   const r = crowded ? 3 : scene.players > 10 ? 8 : 10;
-  for (let player = 0; player < scene.players; player++) {
-    const [cx, cy] = place(player);
-    svg.append(drawn("circle", { class: "node", cx, cy, r, stroke: colourOf(player) }));
-    if (crowded) continue;
-    svg.append(drawn("text", { class: "name", x: cx, y: cy + 4, "text-anchor": "middle" }, String(player)));
-  }
+  const nodes = Array.from({ length: scene.players }, (_, player) => {
+    const node = svg.appendChild(drawn("circle", { class: "node", r, stroke: colourOf(player) }));
+    if (crowded) return [node];
+    return [node, svg.appendChild(drawn("text", { class: "name", "text-anchor": "middle" }, String(player + 1)))];
+  });
+  const set = (part, attributes) => {
+    for (const [key, value] of Object.entries(attributes)) part.setAttribute(key, value);
+  };
   const move = (frame) => {
-    const up = new Set(liveLinks(scene, frame));
-    lines.forEach((each, index) => each.setAttribute("class", up.has(index) ? "up" : "down"));
+    const up = new Set(liveLinks(scene, frame)), places = nodes.map((_, player) => place(player, frame));
+    lines.forEach((each, index) => {
+      const [[x1, y1], [x2, y2]] = scene.links[index].map((player) => places[player]);
+      set(each, { x1, y1, x2, y2, class: up.has(index) ? "up" : "down" });
+    });
+    nodes.forEach(([node, text], player) => {
+      const [cx, cy] = places[player];
+      set(node, { cx, cy });
+      if (text) set(text, { x: cx, y: cy + 4 });
+    });
   };
   return { svg, move };
 }
 
 /** A chart of strategies and estimates, or of their distances from the equilibrium in powers of ten. */
 function positions(scene, name, x, view) {
-  const trace = scene.traces[name], frames = scene.t.length, nash = scene.equilibrium;
+  const trace = scene.traces[name], nash = scene.equilibrium;
   const isDistance = view === "distance";
   const shown = (row, component) => row.map(
     (offset) => isDistance ? Math.max(-12, Math.log10(Math.abs(offset))) : nash[component] + offset,
   );
   const stroke = (component) => colourOf(scene.owners[component]);
-  const own = rows(trace.strategies, frames).map((row, component) => (
+  const own = rows(trace.strategies).map((row, component) => (
     { y: shown(row, component), stroke: stroke(component), dot: true }
   ));
-  const others = trace.estimates === null ? [] : rows(trace.estimates, frames).flatMap((row, index) => {
+  const others = trace.estimates === null ? [] : rows(trace.estimates).flatMap((row, index) => {
     const component = Math.floor(index / scene.players);
     const isOwn = index % scene.players === scene.owners[component];
     return isOwn ? [] : [{ y: shown(row, component), stroke: stroke(component), width: 0.8, opacity: 0.45 }];
@@ -166,7 +195,7 @@ function positions(scene, name, x, view) {
 const thin = (y, stroke) => ({ y, stroke, width: 1.3, dot: true });
 
 function inputChart(scene, name, x) {
-  const inputs = rows(scene.traces[name].inputs, scene.t.length);
+  const inputs = rows(scene.traces[name].inputs);
   const largest = Math.max(1, ...extent(inputs).map(Math.abs).filter(Number.isFinite));
   const ticks = [-1000, -100, -10, -1, 0, 1, 10, 100, 1000].filter(
     (tick) => Math.abs(tick) <= largest && (largest < 20 || tick === 0 || Math.abs(tick) >= 10),
@@ -177,7 +206,7 @@ function inputChart(scene, name, x) {
 }
 
 function gainChart(scene, name, x) {
-  const gains = rows(scene.traces[name].gains, scene.t.length);
+  const gains = rows(scene.traces[name].gains);
   const sorted = gains.flatMap((row) => [...row]).filter(Number.isFinite).sort((a, b) => a - b);
   const quantile = (share) => sorted.length ? sorted[Math.floor(share * (sorted.length - 1))] : 0;
   const low = Math.min(0, quantile(0.03)), high = Math.max(1, 1.15 * quantile(0.97));
@@ -188,13 +217,13 @@ function gainChart(scene, name, x) {
 
 /** The numbers of an instant, in a table that is written while it is open. */
 function numbersAt(scene, name) {
-  const trace = scene.traces[name], frames = scene.t.length, { owners, equilibrium } = scene;
-  const [offsets, inputs, gains] = [trace.strategies, trace.inputs, trace.gains].map((text) => rows(text, frames));
+  const trace = scene.traces[name], { owners, equilibrium } = scene;
+  const [offsets, inputs, gains] = [trace.strategies, trace.inputs, trace.gains].map(rows);
   const body = element("tbody");
   const cells = offsets.map((_, component) => {
     const owner = owners[component], first = owners.indexOf(owner), alone = owners.lastIndexOf(owner) === first;
     const row = body.insertRow();
-    const textContent = alone ? String(owner) : `${owner} (${component - first})`;
+    const textContent = alone ? String(owner + 1) : `${owner + 1} (${component - first + 1})`;
     row.append(element("th", { scope: "row", textContent }));
     return [0, 1, 2, 3].map(() => row.insertCell());
   });
@@ -209,7 +238,7 @@ function numbersAt(scene, name) {
   const write = () => cells.forEach((row, component) => {
     const strategy = equilibrium[component] + offsets[component][last];
     const values = [strategy, equilibrium[component], inputs[component][last], gains[owners[component]][last]];
-    values.forEach((value, index) => { row[index].textContent = number(value, 4); });
+    values.forEach((value, index) => { row[index].textContent = number(value); });
   });
   details.addEventListener("toggle", write);
   const move = (frame) => {
@@ -219,6 +248,7 @@ function numbersAt(scene, name) {
   return { details, move };
 }
 
+const MAP = "Map of the players: lines are their paths, crosses their places at the equilibrium. ";
 const captions = {
   values: "Strategies and estimates",
   distance: "Distances of strategies and estimates from the equilibrium",
@@ -226,22 +256,23 @@ const captions = {
 
 function card(scene, name, axisName, view) {
   const trace = scene.traces[name], x = [axisName, scene[axisName]];
-  const position = positions(scene, name, x, view), net = graph(scene), numbers = numbersAt(scene, name);
-  const input = inputChart(scene, name, x), gain = gainChart(scene, name, x);
+  const position = positions(scene, name, x, view), numbers = numbersAt(scene, name);
+  const net = network(scene, scene.in_plane ? plane(scene, name) : circle(scene));
+  const input = inputChart(scene, name, x), gain = gainChart(scene, name, x), errors = errorsOf(trace.error[0]);
   const readout = element("output"), links = element("figcaption");
   const figure = (caption, svg) => element("figure", {}, svg, element("figcaption", { textContent: caption }));
   const move = (frame) => {
     for (const part of [position, input, gain, net, numbers]) part.move(frame);
-    const error = trace.error[frame];
+    const error = errors[frame];
     readout.textContent = error <= -12 ? "error below 1e-12" : `error ${number(10 ** error, 2)}`;
-    const up = liveLinks(scene, frame).map((index) => scene.links[index].join("–"));
+    const up = liveLinks(scene, frame).map((index) => scene.links[index].map((player) => player + 1).join("–"));
     const listed = up.length > 12 ? `${up.length} of ${scene.links.length}` : up.join(", ") || "none";
-    links.textContent = `Live links: ${listed}`;
+    links.textContent = `${scene.in_plane ? MAP : ""}Live links: ${listed}`;
   };
+  const places = [figure(captions[view], position.svg), element("figure", {}, net.svg, links)];
   const article = element("article", { className: "card", ariaLabel: name },
     element("header", {}, element("h3", { textContent: name }), readout),
-    figure(captions[view], position.svg),
-    element("figure", {}, net.svg, links),
+    ...(scene.in_plane ? places.reverse() : places),
     figure("Inputs of the strategies (asinh scale)", input.svg),
     figure("Consensus gain on the received estimates, per player", gain.svg),
     numbers.details,
@@ -251,9 +282,9 @@ function card(scene, name, axisName, view) {
 
 function startPlayer() {
   const byId = (id) => document.getElementById(`player-${id}`);
-  const [select, axisSelect, viewSelect, slider, play, instant, holder, choice] =
-    ["scene", "axis", "view", "frame", "play", "instant", "cards", "choice"].map(byId);
-  let cards = [], chosen = [], timer = null;
+  const [select, axisSelect, viewSelect, slider, play, instant, holder, choice, note] =
+    ["scene", "axis", "view", "frame", "play", "instant", "cards", "choice", "note"].map(byId);
+  let cards = [], chosen = [], isChosen = false, timer = null;
   let scene;
   const move = () => {
     const frame = Number(slider.value);
@@ -266,6 +297,11 @@ function startPlayer() {
   const show = () => {
     cards = chosen.map((name) => card(scene, name, axisSelect.value, viewSelect.value));
     holder.replaceChildren(...cards.map(({ article }) => article));
+    if (!cards.length) holder.append(element("p", { className: "note", textContent: NONE_CHOSEN }));
+    const held = scene.t.length - 1 - scene.deadline;
+    note.hidden = axisSelect.value !== "s" || held === 0;
+    note.textContent = `Transformed time s ends at the deadline T. The ${held} steps after T have no place on this axis: `
+      + "lines end at T, and dots stay at the right edge. The axis t shows these steps.";
     move();
   };
   const pause = () => {
@@ -285,8 +321,8 @@ function startPlayer() {
     scene = found;
     decoded.clear();
     const names = Object.keys(scene.traces), kept = chosen.filter((name) => names.includes(name));
-    chosen = kept.length ? kept : [...new Set([scene.shown[0], ...scene.shown.slice(-1)])];
-    choices(choice, names, chosen, (picked) => { chosen = picked; show(); }, false);
+    chosen = isChosen && kept.length ? kept : scene.picked;  // the reader's choice is kept from track to track
+    choices(choice, names, chosen, (picked) => { chosen = picked; isChosen = true; show(); }, false);
     slider.max = scene.t.length - 1;
     slider.value = Math.min(Number(slider.value), scene.t.length - 1);
     show();
@@ -295,7 +331,7 @@ function startPlayer() {
     if (timer !== null) return pause();
     if (slider.value === slider.max) slider.value = 0;
     play.textContent = "Pause";
-    timer = setInterval(advance, 100);
+    timer = setInterval(advance, 40);
   });
   slider.addEventListener("input", () => { pause(); move(); });
   select.addEventListener("change", load);

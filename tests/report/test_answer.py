@@ -1,0 +1,124 @@
+"""The answer of a comparison: three sentences and one table, which follow from the results."""
+
+from dataclasses import replace
+
+import pytest
+
+from ptne_env import FactorySpec, PolicySpec, evaluate, get_scenario
+from ptne_env.experiments import Suite, Track, get_policy_spec, run_suite
+from ptne_env.observation import Interface
+from ptne_env.report.answer import SPECIALIST, answer, answer_table, compared, leaders, own_policies
+
+
+def digits_of(results, track, policy):
+    record = results.record(track, policy, "digits")
+    return f"{record['mean']:.2f} ±{record['high'] - record['mean']:.2f}"
+
+
+@pytest.fixture(scope="module")
+def switching():
+    """A law that plays two worlds, and a learned policy that is closer in the one that it plays."""
+    worlds = [get_scenario(name, hold_steps=0) for name in ("random-energy", "random-energy-switching")]
+    tracks = [Track(world.name, world, f"The world {world.name}.") for world in worlds]
+    suite = Suite("pair", tuple(tracks), episodes=8, is_comparison=True)
+    learned = replace(get_policy_spec("ppo-random-energy-switching"), scenarios=frozenset({"random-energy-switching"}))
+    return run_suite(suite, ["grounded", "static", learned])
+
+
+def test_the_answer_names_every_entry_where_it_is_the_closest(switching):
+    first, others, worth = answer(switching)
+    assert first == (
+        "grounded is the closest to the Nash equilibrium at the deadline, or within 0.1 digits of the closest, on "
+        f"1 of 2 scenarios: random-energy ({digits_of(switching, 'random-energy', 'grounded')} digits)."
+    )
+    reached = digits_of(switching, "random-energy-switching", "ppo-random-energy-switching")
+    assert others == (
+        "Elsewhere the closest is the learned ppo-random-energy-switching on random-energy-switching "
+        f"({reached} digits)."
+    )
+    gaps = [
+        switching.record(track, best, "digits")["mean"] - switching.record(track, "static", "digits")["mean"]
+        for track, best in (
+            ("random-energy-switching", "ppo-random-energy-switching"),
+            ("random-energy", "grounded"),
+        )
+    ]
+    assert worth == (
+        "A digit is a factor of ten in the distance of the players' estimates from the equilibrium; the paper's law "
+        f"(static) ends {gaps[0]:.2f} (random-energy-switching) to {gaps[1]:.2f} digits (random-energy) behind the "
+        "closest entry."
+    )
+
+
+def test_the_table_has_a_row_per_scenario_and_the_leaders_first(switching, comparison):
+    table = answer_table(switching)
+    assert list(table.rows) == ["random-energy", "random-energy-switching"]
+    assert [column.label for column in table.columns] == ["grounded", "static", SPECIALIST]
+    specialist = table.columns[-1]
+    assert specialist["random-energy"].value is None
+    assert str(specialist["random-energy-switching"]) == digits_of(
+        switching, "random-energy-switching", "ppo-random-energy-switching"
+    )
+    assert [column.label for column in answer_table(comparison).columns][-1] == "oracle"
+
+
+def test_the_papers_own_start_is_left_out_of_the_answer(comparison):
+    assert [track.name for track in compared(comparison)] == ["energy", "energy-switching"]
+    assert {track.name for tracks in leaders(comparison).values() for track in tracks} == {"energy", "energy-switching"}
+
+
+def test_the_users_own_policy_is_named_where_it_comes_nearest(comparison, hostile):
+    assert own_policies(comparison) == [hostile]
+    gap = {
+        track: comparison.record(track, "grounded", "digits")["mean"]
+        - comparison.record(track, hostile, "digits")["mean"]
+        for track in ("energy", "energy-switching")
+    }
+    nearest = min(gap, key=gap.get)
+    assert answer(comparison)[1] == (
+        f"{hostile} comes nearest to the closest entry on {nearest}, {gap[nearest]:.2f} digits behind it."
+    )
+
+
+@pytest.mark.parametrize(
+    ("names", "parts"),
+    [
+        (["static", "zero-input"], ["static is the closest", "zero-input ends ", "no entry is more than 0.1 "]),
+        (["zero-input"], ["zero-input is the closest", "No other honest entry was run.", "A digit is"]),
+        (["oracle"], ["No honest entry was run: coded entries stand apart"]),
+        (["adaptive", "zero-input"], ["adaptive is the closest", "zero-input ends ", "A digit is"]),
+    ],
+)
+def test_the_answer_of_few_policies(names, parts):
+    sentences = answer(evaluate(names, ["energy"], episodes=3))
+    assert len(sentences) == len(parts)
+    for sentence, part in zip(sentences, parts, strict=True):
+        assert part in sentence
+
+
+def test_coded_entries_do_not_lead():
+    coded = PolicySpec("code", FactorySpec.of("ptne_env.laws:Grounded"), Interface(estimates="coded"))
+    results = evaluate([coded, "static"], ["energy"], episodes=2, against_laws=False)
+    assert list(leaders(results)) == [("static",)]
+
+
+def test_the_answer_names_every_policy_that_shares_the_first_place():
+    again = replace(get_policy_spec("grounded"), name="again")
+    first, *_ = answer(evaluate(["grounded", again, "static"], ["energy"], episodes=2))
+    assert first.startswith("grounded and again are each the closest to the Nash equilibrium")
+    assert first.endswith("on energy (12.00 digits).")
+
+
+def test_the_answer_of_a_suite_names_the_highest_score(suite):
+    best = suite.leaderboard.overall[0]
+    assert answer(suite)[0].startswith(f"{best.policy} is the closest")
+    assert f"; it has the highest score, {best.score.mean:.3f} [" in answer(suite)[0]
+
+
+def test_the_answer_compares_a_leading_learned_policy_with_the_tuned_law():
+    learned = replace(get_policy_spec("ppo-random-energy"), scenarios=frozenset({"random-energy"}))
+    results = evaluate([learned, "static"], ["random-energy", "robots"], episodes=4)
+    tuned = results.record("random-energy", "best of all laws", "digits")
+    half = tuned["high"] - tuned["mean"]
+    expected = f"{tuned['mean']:.2f}" + f" ±{half:.2f}" * (half >= 0.005)
+    assert any(f"; the best of all laws, tuned for it: {expected})" in sentence for sentence in answer(results))
