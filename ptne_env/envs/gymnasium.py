@@ -1,7 +1,7 @@
 """Gymnasium: all players as one agent, for centralised control and for every single-agent library.
 
-A joint observation is the players' observations one after the other, a joint action their actions likewise; the reward
-is the mean over players. Registered as ``ptne/<scenario>-joint-v0``::
+A joint observation is the players' observations one after the other, or their graph; a joint action is their actions
+one after the other; the reward is the mean over players. Registered as ``ptne/<scenario>-joint-v0``::
 
     env = gymnasium.make("ptne_env:ptne/energy-joint-v0")
     envs = gymnasium.make_vec("ptne_env:ptne/energy-joint-v0", num_envs=64)
@@ -23,6 +23,7 @@ from ptne_env.arrays import BoolArray, Float32Array, FloatArray, as_plain, order
 from ptne_env.envs.parallel import NashSeekingEnv, parallel_env
 from ptne_env.envs.vector import VectorParallelEnv, VectorStep, member_actions
 from ptne_env.observation import ObservationLayout
+from ptne_env.observation_forms import FormName, Shown, make_form
 from ptne_env.scenario import Scenario
 
 
@@ -35,7 +36,7 @@ def _tiled(space: spaces.Box, players: int) -> Any:
     return spaces.Box(np.tile(space.low, players), np.tile(space.high, players), dtype=np.float32)
 
 
-class JointEnv(gymnasium.Env[Float32Array, Float32Array]):
+class JointEnv(gymnasium.Env[Shown, Float32Array]):
     """One environment, one agent that acts for all players; the arguments are those of :func:`ptne_env.parallel_env`.
 
     Info after a step: ``diverged``, ``clipped`` (summed over players), ``reward_terms`` (means over players) and, at
@@ -51,12 +52,18 @@ class JointEnv(gymnasium.Env[Float32Array, Float32Array]):
     }
 
     def __init__(
-        self, scenario: str | Scenario = "energy", *, render_mode: str | None = None, **arguments: Any
+        self,
+        scenario: str | Scenario = "energy",
+        *,
+        render_mode: str | None = None,
+        observation: FormName = "flat",
+        **arguments: Any,
     ) -> None:
         self.parallel: NashSeekingEnv = parallel_env(scenario, render_mode=render_mode, **arguments)
         self.render_mode = render_mode
         players = self.parallel.possible_agents
-        self.observation_space = _tiled(self.parallel.observation_space(players[0]), len(players))
+        self._form = make_form(observation, self.parallel.layout, joint=True)
+        self.observation_space = self._form.space()
         self.action_space = _tiled(self.parallel.action_space(players[0]), len(players))
 
     @property
@@ -64,15 +71,13 @@ class JointEnv(gymnasium.Env[Float32Array, Float32Array]):
         """The layout of each player's part of observations and actions."""
         return self.parallel.layout
 
-    def reset(
-        self, *, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[Float32Array, dict[str, Any]]:
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Shown, dict[str, Any]]:
         """Start an episode; see :meth:`ptne_env.NashSeekingEnv.reset`."""
         super().reset(seed=seed)
         observations, _ = self.parallel.reset(seed, options)
-        return np.concatenate(list(observations.values())), {}
+        return self._joint(observations), {}
 
-    def step(self, action: Float32Array) -> tuple[Float32Array, float, bool, bool, dict[str, Any]]:
+    def step(self, action: Float32Array) -> tuple[Shown, float, bool, bool, dict[str, Any]]:
         """Hold all players' inputs for one step.
 
         Raises:
@@ -97,12 +102,15 @@ class JointEnv(gymnasium.Env[Float32Array, Float32Array]):
             },
         }
         return (
-            np.concatenate(list(observations.values())),
+            self._joint(observations),
             float(_mean(np.array(list(rewards.values())))),
             terminations[agents[0]],
             truncations[agents[0]],
             info,
         )
+
+    def _joint(self, observations: dict[str, Float32Array]) -> Shown:
+        return self._form.show(np.concatenate(list(observations.values())))
 
     def render(self) -> npt.NDArray[np.uint8] | None:
         """See :meth:`ptne_env.NashSeekingEnv.render`."""

@@ -26,6 +26,7 @@ from ptne_env.observation import (
     InterfaceKind,
     ObservationLayout,
 )
+from ptne_env.observation_forms import FormName, Shown, make_form
 from ptne_env.scenario import Scenario
 from ptne_env.world import World
 
@@ -34,7 +35,7 @@ AgentInfo = dict[str, Any]
 _SINGLE = np.dtype(np.float32)
 
 
-class NashSeekingEnv(ParallelEnv[str, Float32Array, Float32Array]):
+class NashSeekingEnv(ParallelEnv[str, Shown, Float32Array]):
     """N players of a noncooperative game that must reach its Nash equilibrium by a deadline.
 
     Agents are ``player_0`` … ``player_{N-1}`` and live until the episode ends, which is ``terminated`` after K steps to
@@ -69,6 +70,7 @@ class NashSeekingEnv(ParallelEnv[str, Float32Array, Float32Array]):
         reward: str | Mapping[str, float] = "digits",
         max_cycles: int | None = None,
         render_mode: str | None = None,
+        observation: FormName = "flat",
     ) -> None:
         if render_mode not in (None, *self.metadata["render_modes"]):
             modes = ", ".join(self.metadata["render_modes"])
@@ -81,7 +83,8 @@ class NashSeekingEnv(ParallelEnv[str, Float32Array, Float32Array]):
         self._simulation = Simulation(encoder, reward=reward, max_cycles=max_cycles)
         self.possible_agents = [f"player_{index}" for index in range(self.world.game.num_players)]
         self.agents: list[str] = []
-        self.observation_spaces = {agent: encoder.layout.observation_space() for agent in self.possible_agents}
+        self._form = make_form(observation, encoder.layout)
+        self.observation_spaces = {agent: self._form.space() for agent in self.possible_agents}
         self.action_spaces = {agent: encoder.layout.action_space() for agent in self.possible_agents}
         n, players = self.world.game.dimension, len(self.possible_agents)
         self.state_space = spaces.Box(
@@ -110,8 +113,8 @@ class NashSeekingEnv(ParallelEnv[str, Float32Array, Float32Array]):
     def max_cycles(self, value: int | None) -> None:
         self._simulation.max_cycles = value
 
-    def observation_space(self, agent: str) -> spaces.Box:
-        """The agent's own Box, the same object on every call."""
+    def observation_space(self, agent: str) -> spaces.Space[Any]:
+        """The agent's own space, the same object on every call."""
         return self.observation_spaces[agent]
 
     def action_space(self, agent: str) -> spaces.Box:
@@ -145,7 +148,7 @@ class NashSeekingEnv(ParallelEnv[str, Float32Array, Float32Array]):
 
     def reset(
         self, seed: int | None = None, options: Mapping[str, Any] | None = None
-    ) -> tuple[dict[str, Float32Array], dict[str, AgentInfo]]:
+    ) -> tuple[dict[str, Shown], dict[str, AgentInfo]]:
         """Start an episode.
 
         Args:
@@ -175,7 +178,7 @@ class NashSeekingEnv(ParallelEnv[str, Float32Array, Float32Array]):
 
     def step(
         self, actions: dict[str, Float32Array]
-    ) -> tuple[dict[str, Float32Array], dict[str, float], dict[str, bool], dict[str, bool], dict[str, AgentInfo]]:
+    ) -> tuple[dict[str, Shown], dict[str, float], dict[str, bool], dict[str, bool], dict[str, AgentInfo]]:
         """Hold all players' inputs for one step.
 
         Args:
@@ -202,11 +205,11 @@ class NashSeekingEnv(ParallelEnv[str, Float32Array, Float32Array]):
         diverged, totals = outcome.diverged.item(), outcome.rewards.ravel().tolist()
         (first, term), *others = outcome.terms.items()
         values = totals if term is outcome.rewards else term.ravel().tolist()
-        observations: dict[str, Float32Array] = {}
+        show, observations = self._form.show, dict[str, Shown]()
         rewards: dict[str, float] = {}
         infos: dict[str, AgentInfo] = {}
         for agent, row, total, count, value in zip(agents, rows, totals, clipped, values, strict=True):
-            observations[agent] = row.copy()
+            observations[agent] = show(row.copy())
             rewards[agent] = total
             infos[agent] = {"diverged": diverged, "clipped": count, "reward_terms": {first: value}}
         for name, term in others:
@@ -282,11 +285,11 @@ class NashSeekingEnv(ParallelEnv[str, Float32Array, Float32Array]):
         if self.render_mode == "human" and self._renderer is not None:
             self._renderer.draw()
 
-    def _observations(self, agents: list[str]) -> dict[str, Float32Array]:
+    def _observations(self, agents: list[str]) -> dict[str, Shown]:
         """Copies of rows, because a row leads to all others of its array by the attribute ``base``."""
         table, rows = self._observed()
         self._simulation.observe(table)
-        return dict(zip(agents, map(np.ndarray.copy, rows), strict=True))
+        return {agent: self._form.show(row.copy()) for agent, row in zip(agents, rows, strict=True)}
 
     def _observed(self) -> tuple[Float32Array, list[Float32Array]]:
         """The table of observations, and its rows: views cost as much as copies, so they are made once."""
@@ -353,6 +356,7 @@ def parallel_env(
     reward: str | Mapping[str, float] = "digits",
     max_cycles: int | None = None,
     render_mode: str | None = None,
+    observation: FormName = "flat",
     **overrides: Any,
 ) -> NashSeekingEnv:
     """The PettingZoo ParallelEnv of a scenario.
@@ -367,6 +371,7 @@ def parallel_env(
         reward: a term's name (``digits``, ``tracking``, ``payoff``, ``regret``) or weights by name.
         max_cycles: steps after which the episode is truncated.
         render_mode: ``None``, ``"human"`` or ``"rgb_array"``.
+        observation: ``"flat"``, ``"graph"`` or ``"padded-graph"``; see :mod:`ptne_env.observation_forms`.
         **overrides: fields of the scenario to change, such as ``start="random"``, ``hold_steps=50``, ``deadline=2.0``.
 
     Raises:
@@ -378,4 +383,5 @@ def parallel_env(
         reward=reward,
         max_cycles=max_cycles,
         render_mode=render_mode,
+        observation=observation,
     )
