@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ptne_env.arrays import FloatArray, ordered_sum
+from ptne_env.arrays import BoolArray, FloatArray, ordered_sum
 from ptne_env.games import Game
 
 FLOOR = 1e-12
@@ -19,6 +19,9 @@ _FLOOR, _DIGITS_PER_NAT = np.array(FLOOR), np.array(-1 / np.log(10))
 
 SUCCESS_DISTANCE = 5e-3
 """Relative distance within which an episode succeeds and a run has settled (the paper's 0.5 %)."""
+
+_FAILED = np.zeros(1, dtype=np.bool_)
+_FAILED.flags.writeable = False
 
 
 def player_distances(estimates: FloatArray, game: Game) -> FloatArray:
@@ -36,7 +39,24 @@ def strategy_distance(strategies: FloatArray, game: Game) -> FloatArray:
 
 def estimate_distance(estimates: FloatArray, game: Game) -> FloatArray:
     """‖𝐱 − 1⊗x*‖/(√N ‖x*‖), the quantity of the theorems: (n, N, B) to (B,)."""
-    return np.sqrt(ordered_sum(player_distances(estimates, game) ** 2) / estimates.shape[1])
+    return _over_players(player_distances(estimates, game))
+
+
+def succeeded(distances: FloatArray) -> BoolArray:
+    """Whether the distance of all estimates is at most :data:`SUCCESS_DISTANCE`, from the d^i: (N, B) to (B,)."""
+    players, batch = distances.shape
+    reach = players * SUCCESS_DISTANCE  # a player alone may be √N times as far away as all are together
+    if batch == 1 and distances.item(0) > reach:
+        return _FAILED
+    result, near = np.zeros(batch, dtype=np.bool_), distances[0] <= reach
+    if np.count_nonzero(near):
+        result[near] = _over_players(distances[:, near]) <= SUCCESS_DISTANCE
+    return result
+
+
+def _over_players(distances: FloatArray) -> FloatArray:
+    """The distance of all estimates, from the d^i: (N, B) to (B,)."""
+    return np.sqrt(ordered_sum(distances**2) / len(distances))
 
 
 def consensus_error(estimates: FloatArray, game: Game) -> FloatArray:

@@ -1,12 +1,12 @@
 """Registration: ``pettingzoo.make("parallel", "ptne/energy-v0")``, ``gymnasium.make("ptne/energy-joint-v0")``.
 
-The registries hold entry points: an environment is imported when it is made.
+The registries hold entry points: an environment is imported when it is made. PettingZoo has registries from 1.27 on.
 """
 
 from __future__ import annotations
 
 import gymnasium
-from pettingzoo import aec_registry, parallel_registry, register
+import pettingzoo
 
 from ptne_env.catalogue import CATALOGUE
 
@@ -15,17 +15,24 @@ NAMESPACE = "ptne"
 
 def register_environments() -> None:
     """Register every scenario with PettingZoo, and its joint view with Gymnasium; a second call changes nothing."""
+    if hasattr(pettingzoo, "register"):
+        _register_with_pettingzoo()
     for scenario in CATALOGUE:
-        arguments = {"scenario": scenario}
-        environment_id, joint_id = f"{NAMESPACE}/{scenario}-v0", f"{NAMESPACE}/{scenario}-joint-v0"
-        if environment_id not in parallel_registry:
-            register("parallel", environment_id, entry_point="ptne_env.envs.parallel:parallel_env", kwargs=arguments)
-        if environment_id not in aec_registry:
-            register("aec", environment_id, entry_point="ptne_env.envs.turn_based:aec_env", kwargs=arguments)
+        joint_id = f"{NAMESPACE}/{scenario}-joint-v0"
         if joint_id not in gymnasium.registry:
             gymnasium.register(
                 joint_id,
                 entry_point="ptne_env.envs.gymnasium:JointEnv",
                 vector_entry_point="ptne_env.envs.gymnasium:JointVectorEnv",
-                kwargs=arguments,
+                kwargs={"scenario": scenario},
             )
+
+
+def _register_with_pettingzoo() -> None:
+    for scenario in CATALOGUE:
+        for kind, registry, entry_point in (
+            ("parallel", pettingzoo.parallel_registry, "ptne_env.envs.parallel:parallel_env"),
+            ("aec", pettingzoo.aec_registry, "ptne_env.envs.turn_based:aec_env"),
+        ):
+            if (environment_id := f"{NAMESPACE}/{scenario}-v0") not in registry:
+                pettingzoo.register(kind, environment_id, entry_point=entry_point, kwargs={"scenario": scenario})

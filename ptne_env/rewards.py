@@ -58,6 +58,8 @@ class Reward:
     Attributes:
         weights: by term.
         needs_state: whether a term depends on more than distances.
+        distances: d^i at the present instant, shape (N, B), with the limit where an environment has diverged; to be
+            read before the next step, which may overwrite them.
 
     Raises:
         ValueError: for an unknown term, or ``regret`` on a game without best response.
@@ -74,11 +76,12 @@ class Reward:
             )
         (self._first, weight), *others = self.weights.items()
         self._is_plain = weight == 1 and not others
-        self._digits = np.empty((0, 0))
+        self.distances = self._digits = np.empty((0, 0))
 
     def reset(self, state: State) -> None:
         """Measure the distances of ``state``, from which the next step is rewarded."""
-        self._digits = distances.digits(self._measured(state))
+        self.distances = self._measured(state)
+        self._digits = distances.digits(self.distances)
 
     def step(self, state: State) -> dict[str, FloatArray]:
         """The value of each term for the step that ended in ``state``, each of shape (N, B)."""
@@ -98,6 +101,7 @@ class Reward:
             distance: d^i after the step, shape (N, B).
             state: after the step; may be left out unless :attr:`needs_state`.
         """
+        self.distances = distance
         before, self._digits = self._digits, distances.digits(distance)
         if self._is_plain:  # a comprehension would take longer
             return {self._first: self._term(self._first, distance, before, state)}

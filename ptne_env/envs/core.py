@@ -3,20 +3,25 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import fields
+from difflib import get_close_matches
+from inspect import signature
 from time import perf_counter
-from typing import NamedTuple
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 import numpy.typing as npt
 
 from ptne_env import distances, dynamics, fused
 from ptne_env.arrays import BoolArray, Float32Array, FloatArray, IntArray, require_count
+from ptne_env.catalogue import get_scenario
 from ptne_env.dynamics import State
 from ptne_env.encoder import Clipped, Encoder, make_encoder
 from ptne_env.observation import Interface
 from ptne_env.random_streams import RandomStreams
 from ptne_env.rewards import Reward
+from ptne_env.scenario import Scenario
 from ptne_env.world import RANGE_LIMIT, World
 
 
@@ -29,6 +34,7 @@ class StepResult(NamedTuple):
         terminated: shape (B,).
         truncated: shape (B,).
         diverged: whether each environment is out of range, shape (B,).
+        is_success: whether all estimates of each environment are within 0.5 % of the equilibrium, shape (B,).
         is_observed: whether the observations were written too, as a compiled step does.
         clipped: entries of each player's action that were outside the box, shape (B, N); ``None`` for none.
     """
@@ -38,6 +44,7 @@ class StepResult(NamedTuple):
     terminated: BoolArray
     truncated: BoolArray
     diverged: BoolArray
+    is_success: BoolArray
     is_observed: bool
     clipped: IntArray | None = None
 
@@ -56,6 +63,29 @@ class ResetResult(NamedTuple):
     mask: BoolArray
 
 
+def changed_scenario(scenario: str | Scenario, changes: Mapping[str, Any], made: Callable[..., Any]) -> Scenario:
+    """The scenario of an environment, with the fields changed that its constructor was given.
+
+    Args:
+        scenario: a name of the catalogue or a scenario.
+        changes: keyword arguments of the constructor that are not its own.
+        made: the constructor.
+
+    Raises:
+        TypeError: for a keyword that is no field, with the one that is most like it.
+        ValueError: for an unknown name, or an invalid value.
+    """
+    names = [field.name for field in fields(Scenario)]
+    for keyword in changes:
+        if keyword not in names:
+            names += signature(made).parameters
+            (nearest,) = get_close_matches(keyword, names, n=1, cutoff=0.0)
+            raise TypeError(
+                f"{made.__name__}() got an unexpected keyword argument {keyword!r}; the most similar one is {nearest!r}"
+            )
+    return get_scenario(scenario, **changes)
+
+
 def player_encoder(world: World, interface: Interface) -> Encoder:
     """The encoder of an environment, which shows no more than players see.
 
@@ -70,6 +100,14 @@ def player_encoder(world: World, interface: Interface) -> Encoder:
     return make_encoder(world, interface)
 
 
+class Duplicable:
+    """A copy of an environment steps on its own: ``copy.copy`` gives the same as ``copy.deepcopy``."""
+
+    def __copy__(self) -> Self:
+        """An environment in the same state, with which this one shares nothing."""
+        return copy.deepcopy(self)
+
+
 class Simulation:
     """B environments that are stepped together and reset one by one.
 
@@ -82,6 +120,7 @@ class Simulation:
     Attributes:
         encoder: as given.
         world: of the encoder.
+        reward_names: the names of the reward terms in infos.
 
     Raises:
         ValueError: for an unknown reward or a count below 1.
@@ -99,6 +138,7 @@ class Simulation:
         self.num_envs = require_count("num_envs", num_envs, 1)
         self.max_cycles = None if max_cycles is None else require_count("max_cycles", max_cycles, 1)
         self._reward = Reward(self.world, reward)
+        self.reward_names = [f"reward_{name}" for name in self._reward.weights]
         self._fused = fused.FusedStep(encoder, self.num_envs) if fused.qualifies(encoder, self.num_envs) else None
         self._never = np.zeros(self.num_envs, dtype=np.bool_)
         self._never.flags.writeable = False
@@ -254,7 +294,8 @@ class Simulation:
             terms = {name: np.where(moves, term, 0.0) for name, term in terms.items()}
             terminated, truncated, diverged = terminated & moves, truncated & moves, diverged & moves
         is_observed = moved is not None and restart is None
-        return StepResult(self._reward.total(terms), terms, terminated, truncated, diverged, is_observed, clipped)
+        total, is_success = self._reward.total(terms), self.succeeded()
+        return StepResult(total, terms, terminated, truncated, diverged, is_success, is_observed, clipped)
 
     def observe(self, out: Float32Array | None = None) -> Float32Array:
         """Observations of all players, shape (B, N, size), float32, owned by the caller."""
@@ -262,6 +303,4 @@ class Simulation:
 
     def succeeded(self) -> BoolArray:
         """Whether each environment is within 0.5 % of the equilibrium in all estimates and in range, shape (B,)."""
-        state = self.current
-        error = distances.estimate_distance(state.estimates, state.game)
-        return (error <= distances.SUCCESS_DISTANCE) & ~state.diverged
+        return distances.succeeded(self._reward.distances)

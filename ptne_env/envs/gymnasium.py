@@ -20,11 +20,18 @@ from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 
 from ptne_env.arrays import BoolArray, Float32Array, FloatArray, as_plain, ordered_sum
+from ptne_env.envs.core import Duplicable
 from ptne_env.envs.parallel import NashSeekingEnv, parallel_env
-from ptne_env.envs.vector import VectorParallelEnv, VectorStep, member_actions
+from ptne_env.envs.vector import VectorParallelEnv, member_actions
 from ptne_env.observation import ObservationLayout
 from ptne_env.observation_forms import FormName, Shown, make_form
 from ptne_env.scenario import Scenario
+
+_SET_BY_HAND = -1
+"""Gymnasium's seed of a generator that was assigned to ``np_random``."""
+
+_FLAGS = ("diverged", "is_success")
+"""Infos that all players of an environment share."""
 
 
 def _mean(values: FloatArray) -> FloatArray:
@@ -32,15 +39,49 @@ def _mean(values: FloatArray) -> FloatArray:
     return ordered_sum(values, axis=-1) / values.shape[-1]
 
 
+def _over_players(infos: dict[str, Any]) -> dict[str, Any]:
+    """Infos of players, the last axis, as those of one agent: clipped entries are summed, and rewards are averaged."""
+    joint = {}
+    for name, values in infos.items():
+        if name in _FLAGS:
+            joint[name] = values
+        else:
+            joint[name] = values.sum(axis=-1) if name == "clipped" else _mean(values)
+    return joint
+
+
+def _joint_info(infos: dict[str, dict[str, Any]]) -> dict[str, Any]:
+    """The info of the agent that acts for all players."""
+    first, *others = infos.values()
+    return _over_players(
+        {
+            name: np.array(value if name in _FLAGS else [value, *(info[name] for info in others)])
+            for name, value in first.items()
+        }
+    )
+
+
+def _masked(infos: dict[str, Any], present: BoolArray) -> dict[str, Any]:
+    """Gymnasium's infos of a vector: each array with a mask ``_name`` of the environments that it is of."""
+    masked: dict[str, Any] = {}
+    for name, values in infos.items():
+        masked |= {name: np.where(present, values, np.zeros_like(values)), f"_{name}": present.copy()}
+    return masked
+
+
 def _tiled(space: spaces.Box, players: int) -> Any:
     return spaces.Box(np.tile(space.low, players), np.tile(space.high, players), dtype=np.float32)
 
 
-class JointEnv(gymnasium.Env[Shown, Float32Array]):
+class JointEnv(Duplicable, gymnasium.Env[Shown, Float32Array]):
     """One environment, one agent that acts for all players; the arguments are those of :func:`ptne_env.parallel_env`.
 
-    Info after a step: ``diverged``, ``clipped`` (summed over players), ``reward_terms`` (means over players) and, at
-    the end, ``is_success``.
+    The info has the same keys and dtypes after a reset and after every step: those of
+    :class:`~ptne_env.NashSeekingEnv`, with ``clipped`` summed over players and ``reward_<term>`` averaged. ``diverged``
+    and ``is_success`` are arrays of shape (), because Gymnasium's vectors give scalars of numpy the dtype object.
+
+    Episodes do not draw from ``np_random``: each source of randomness has a generator of its own. But where
+    ``np_random`` was assigned, a reset without a seed takes its seed from there.
 
     Attributes:
         parallel: the wrapped environment.
@@ -71,11 +112,38 @@ class JointEnv(gymnasium.Env[Shown, Float32Array]):
         """The layout of each player's part of observations and actions."""
         return self.parallel.layout
 
+    @property
+    def strategies(self) -> FloatArray:
+        """See :attr:`ptne_env.NashSeekingEnv.strategies`."""
+        return self.parallel.strategies
+
+    @property
+    def estimates(self) -> FloatArray:
+        """See :attr:`ptne_env.NashSeekingEnv.estimates`."""
+        return self.parallel.estimates
+
+    @property
+    def nash_equilibrium(self) -> FloatArray:
+        """See :attr:`ptne_env.NashSeekingEnv.nash_equilibrium`."""
+        return self.parallel.nash_equilibrium
+
+    @property
+    def time(self) -> float:
+        """See :attr:`ptne_env.NashSeekingEnv.time`."""
+        return self.parallel.time
+
+    def state(self) -> Float32Array:
+        """See :meth:`ptne_env.NashSeekingEnv.state`."""
+        return self.parallel.state()
+
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Shown, dict[str, Any]]:
         """Start an episode; see :meth:`ptne_env.NashSeekingEnv.reset`."""
-        super().reset(seed=seed)
-        observations, _ = self.parallel.reset(seed, options)
-        return self._joint(observations), {}
+        if seed is None and self._np_random_seed == _SET_BY_HAND:
+            observations, infos = self.parallel.reset(int(self.np_random.integers(2**63)), options)
+        else:
+            observations, infos = self.parallel.reset(seed, options)
+            super().reset(seed=seed)
+        return self._joint(observations), _joint_info(infos)
 
     def step(self, action: Float32Array) -> tuple[Shown, float, bool, bool, dict[str, Any]]:
         """Hold all players' inputs for one step.
@@ -92,21 +160,12 @@ class JointEnv(gymnasium.Env[Shown, Float32Array]):
         observations, rewards, terminations, truncations, infos = self.parallel.step(
             dict(zip(agents, rows, strict=False))
         )
-        first = infos[agents[0]]
-        info = {
-            **first,
-            "clipped": sum(info["clipped"] for info in infos.values()),
-            "reward_terms": {
-                name: float(_mean(np.array([info["reward_terms"][name] for info in infos.values()])))
-                for name in first["reward_terms"]
-            },
-        }
         return (
             self._joint(observations),
             float(_mean(np.array(list(rewards.values())))),
             terminations[agents[0]],
             truncations[agents[0]],
-            info,
+            _joint_info(infos),
         )
 
     def _joint(self, observations: dict[str, Float32Array]) -> Shown:
@@ -121,8 +180,11 @@ class JointEnv(gymnasium.Env[Shown, Float32Array]):
         self.parallel.close()
 
 
-class JointVectorEnv(gymnasium.vector.VectorEnv[Float32Array, Float32Array, npt.NDArray[Any]]):
+class JointVectorEnv(Duplicable, gymnasium.vector.VectorEnv[Float32Array, Float32Array, npt.NDArray[Any]]):
     """B environments, one agent in each, stepped together; for ``gymnasium.make_vec``.
+
+    Infos hold the arrays of :class:`JointEnv`'s info, shape (B,), each with a mask ``_name`` of the environments that
+    it is of: those that were reset, or all of them after a step.
 
     Args:
         scenario: a name of the catalogue or a scenario.
@@ -148,7 +210,10 @@ class JointVectorEnv(gymnasium.vector.VectorEnv[Float32Array, Float32Array, npt.
         **arguments: Any,
     ) -> None:
         if render_mode is not None:
-            raise ValueError("the vector environment does not render; make one environment with a render_mode")
+            raise ValueError(
+                f"environments that are stepped together do not render, got render_mode={render_mode!r}: leave it out, "
+                "or step them one by one, with gymnasium.make_vec(…, vectorization_mode='sync')"
+            )
         self.autoreset_mode = AutoresetMode(autoreset_mode)
         self.metadata = {**JointEnv.metadata, "render_modes": [], "autoreset_mode": self.autoreset_mode}
         self.vector = VectorParallelEnv(scenario, num_envs, **arguments)
@@ -185,8 +250,9 @@ class JointVectorEnv(gymnasium.vector.VectorEnv[Float32Array, Float32Array, npt.
         if mask is not None and not np.any(mask):
             raise ValueError("options['reset_mask'] must name at least one environment to reset")
         observations = self.vector.reset(seed, mask, options.get("estimates"))
-        self._over = np.zeros_like(self._over) if mask is None else self._over & ~np.asarray(mask)
-        return self._joint(observations), {}
+        started = np.ones_like(self._over) if mask is None else np.asarray(mask)
+        self._over = self._over & ~started
+        return self._joint(observations), _masked(_over_players(self.vector.first_infos()), started)
 
     def step(self, actions: Float32Array) -> tuple[Float32Array, FloatArray, BoolArray, BoolArray, dict[str, Any]]:
         """Step all environments and reset as the autoreset mode says.
@@ -201,51 +267,37 @@ class JointVectorEnv(gymnasium.vector.VectorEnv[Float32Array, Float32Array, npt.
         actions = actions.reshape(self.num_envs, self.vector.num_players, -1)
         restart = self._over if self.autoreset_mode is AutoresetMode.NEXT_STEP else None
         outcome = self.vector.step(actions, restart)
-        observations = self._joint(outcome.observations)
-        moved = np.ones(self.num_envs, dtype=np.bool_) if restart is None else ~restart
-        infos = self._infos(outcome, moved)
+        observations, infos, final = self._joint(outcome.observations), _over_players(outcome.infos), {}
         over = outcome.terminated | outcome.truncated
         self._over = over
         if self.autoreset_mode is AutoresetMode.SAME_STEP and over.any():
             final_observations = np.full(self.num_envs, None, dtype=object)
             for index in np.flatnonzero(over):
                 final_observations[index] = observations[index].copy()
-            infos = {
+            final = {
                 "final_obs": final_observations,
                 "_final_obs": over.copy(),
-                "final_info": self._infos(outcome, over),
+                "final_info": _masked(infos, over),
                 "_final_info": over.copy(),
-                **self._infos(outcome, moved & ~over),
             }
             observations = self._joint(self.vector.reset(mask=over))
+            first = _over_players(self.vector.first_infos())
+            infos = {name: np.where(over, first[name], values) for name, values in infos.items()}
             self._over = np.zeros_like(over)
+        infos = {**final, **_masked(infos, np.ones_like(over))}
         return observations, _mean(outcome.rewards), outcome.terminated, outcome.truncated, infos
 
     def _joint(self, observations: Float32Array) -> Float32Array:
         return observations.reshape(self.num_envs, -1)
 
-    def _infos(self, outcome: VectorStep, present: BoolArray) -> dict[str, Any]:
-        """Gymnasium's dictionary of arrays, each with a mask ``_name`` of the environments that have it."""
-        over = present & (outcome.terminated | outcome.truncated)
-        terms = {name: np.where(present, _mean(term), 0.0) for name, term in outcome.infos["reward_terms"].items()}
-        return {
-            "diverged": outcome.infos["diverged"] & present,
-            "_diverged": present.copy(),
-            "clipped": np.where(present, outcome.infos["clipped"].sum(axis=1), 0),
-            "_clipped": present.copy(),
-            "reward_terms": {**terms, **{f"_{name}": present.copy() for name in terms}},
-            "_reward_terms": present.copy(),
-            "is_success": outcome.infos["is_success"] & over,
-            "_is_success": over,
-        }
 
-
-class PlayerVectorEnv(gymnasium.vector.VectorEnv[Float32Array, Float32Array, npt.NDArray[Any]]):
+class PlayerVectorEnv(Duplicable, gymnasium.vector.VectorEnv[Float32Array, Float32Array, npt.NDArray[Any]]):
     """Every player of B environments as one of B·N environments, all with one policy; RLlib's single-agent runner.
 
     Member b·N + i is player i of environment b, and the observation holds the player's one-hot. Members of an
     environment end together and start again in the next step, which ignores their actions and has the reward 0
-    (``NEXT_STEP``). Infos of members that end: ``diverged`` and ``is_success``; there are no others.
+    (``NEXT_STEP``). Infos hold the entries of :class:`~ptne_env.NashSeekingEnv`'s as arrays, shape (B·N,), each with a
+    mask ``_name``, which is True for all.
 
     Args:
         scenario: a name of the catalogue or a scenario.
@@ -257,7 +309,8 @@ class PlayerVectorEnv(gymnasium.vector.VectorEnv[Float32Array, Float32Array, npt
         vector: the wrapped environments.
 
     Raises:
-        ValueError: for an unknown name or field, or an invalid value.
+        TypeError: for an unknown keyword, naming the one that is most like it.
+        ValueError: for an unknown name, or an invalid value.
     """
 
     def __init__(self, scenario: str | Scenario = "energy", num_envs: int = 1, **arguments: Any) -> None:
@@ -288,7 +341,7 @@ class PlayerVectorEnv(gymnasium.vector.VectorEnv[Float32Array, Float32Array, npt
         """
         observations = self.vector.reset(seed)
         self._over = np.zeros_like(self._over)
-        return observations.reshape(self.num_envs, -1), {}
+        return observations.reshape(self.num_envs, -1), self._of_members(self.vector.first_infos())
 
     def step(self, actions: Float32Array) -> tuple[Float32Array, FloatArray, BoolArray, BoolArray, dict[str, Any]]:
         """Step all environments, and start those again that ended in the step before.
@@ -300,14 +353,15 @@ class PlayerVectorEnv(gymnasium.vector.VectorEnv[Float32Array, Float32Array, npt
         players = self.vector.num_players
         outcome = self.vector.step(member_actions(self.vector, actions), self._over)
         self._over = outcome.terminated | outcome.truncated
-        infos: dict[str, Any] = {}
-        if self._over.any():
-            for name in ("diverged", "is_success"):
-                infos |= {name: outcome.infos[name].repeat(players), f"_{name}": self._over.repeat(players)}
         return (
             outcome.observations.reshape(self.num_envs, -1),
             outcome.rewards.reshape(self.num_envs),
             outcome.terminated.repeat(players),
             outcome.truncated.repeat(players),
-            infos,
+            self._of_members(outcome.infos),
         )
+
+    def _of_members(self, infos: dict[str, Any]) -> dict[str, Any]:
+        players = self.vector.num_players
+        members = {name: each.repeat(players) if each.ndim == 1 else each.reshape(-1) for name, each in infos.items()}
+        return _masked(members, np.ones(self.num_envs, dtype=np.bool_))

@@ -13,10 +13,9 @@ from pettingzoo import ParallelEnv
 
 from ptne_env import dynamics
 from ptne_env.arrays import Float32Array, FloatArray, as_plain
-from ptne_env.catalogue import get_scenario
 from ptne_env.dynamics import State
 from ptne_env.encoder import NonFiniteActionError
-from ptne_env.envs.core import Simulation, player_encoder
+from ptne_env.envs.core import Duplicable, Simulation, changed_scenario, player_encoder
 from ptne_env.envs.rendering import Renderer
 from ptne_env.observation import (
     OBSERVATION_BOUND,
@@ -35,16 +34,16 @@ AgentInfo = dict[str, Any]
 _SINGLE = np.dtype(np.float32)
 
 
-class NashSeekingEnv(ParallelEnv[str, Shown, Float32Array]):
+class NashSeekingEnv(Duplicable, ParallelEnv[str, Shown, Float32Array]):
     """N players of a noncooperative game that must reach its Nash equilibrium by a deadline.
 
     Agents are ``player_0`` … ``player_{N-1}`` and live until the episode ends, which is ``terminated`` after K steps to
     the deadline and the hold phase (time is observed), or when an estimate or own gradient leaves ±5e5
     (``info["diverged"]``); ``truncated`` only when ``max_cycles`` cuts earlier.
 
-    After a step each agent's info holds ``diverged``, ``clipped`` (entries of its action outside the box) and
-    ``reward_terms`` (unweighted, by name); at the end also ``is_success``, whether the relative distance of all
-    estimates is at most 0.5 %.
+    Each agent's info holds the same numpy scalars after a reset and after every step: ``diverged``, ``clipped``
+    (entries of its action beyond the limits), ``is_success`` (whether the relative distance of all estimates is now at
+    most 0.5 %) and ``reward_<term>``, such as ``reward_digits`` (each reward term, unweighted).
 
     Attributes:
         scenario: the physics.
@@ -92,7 +91,9 @@ class NashSeekingEnv(ParallelEnv[str, Shown, Float32Array]):
         )
         self._renderer = Renderer(self.world, render_mode) if render_mode else None
         self._action_size = encoder.layout.action_size
-        self._unclipped = [0] * players
+        self._first_reward, *self._other_rewards = self._simulation.reward_names
+        self._unclipped = [np.int64(0)] * players
+        self._np_random: np.random.Generator | None = None
         self._table: tuple[Float32Array, list[Float32Array]] | None = None
 
     def __getstate__(self) -> dict[str, Any]:
@@ -103,6 +104,13 @@ class NashSeekingEnv(ParallelEnv[str, Shown, Float32Array]):
     def layout(self) -> ObservationLayout:
         """The layout of observations and actions."""
         return self._simulation.encoder.layout
+
+    @property
+    def np_random(self) -> np.random.Generator:
+        """A generator for wrappers, seeded by :meth:`reset`; no draw from it changes an episode."""
+        if self._np_random is None:
+            self._np_random = np.random.default_rng()
+        return self._np_random
 
     @property
     def max_cycles(self) -> int | None:
@@ -152,7 +160,8 @@ class NashSeekingEnv(ParallelEnv[str, Shown, Float32Array]):
         """Start an episode.
 
         Args:
-            seed: of all random draws from here on; ``None`` continues the generators of the last seed.
+            seed: of all random draws from here on, and of :attr:`np_random`; ``None`` continues the generators of the
+                last seed.
             options: ``{"estimates": table}`` starts from the given estimates, shape (N, n), row i being x^i(0), and
                 draws none. Other keys are ignored.
 
@@ -170,11 +179,15 @@ class NashSeekingEnv(ParallelEnv[str, Shown, Float32Array]):
                 raise ValueError(f"options['estimates'] has the shape (N, n) = {expected}, got {table.shape}")
             estimates = table.T[:, :, None]
         state = self._simulation.reset([seed], estimates=estimates)
+        if seed is not None:
+            self._np_random = np.random.default_rng(seed)
         self.agents = self.possible_agents.copy()
         if self._renderer is not None:
             self._renderer.reset(state)
             self._render_human()
-        return self._observations(self.agents), {agent: {} for agent in self.agents}
+        first = {"diverged": np.False_, "clipped": np.int64(0), "is_success": self._simulation.succeeded()[0]}
+        first |= dict.fromkeys(self._simulation.reward_names, np.float64(0))
+        return self._observations(self.agents), {agent: first.copy() for agent in self.agents}
 
     def step(
         self, actions: dict[str, Float32Array]
@@ -182,50 +195,54 @@ class NashSeekingEnv(ParallelEnv[str, Shown, Float32Array]):
         """Hold all players' inputs for one step.
 
         Args:
-            actions: one per live agent, finite floats of shape (action size,). Entries outside the box are clipped to
-                it and counted in ``info["clipped"]``.
+            actions: one per live agent, finite numbers of shape (action size,). Entries beyond the limits are clipped
+                to them and counted in ``info["clipped"]``.
+
+        Returns:
+            Observations, rewards, terminations, truncations and infos by agent; five empty dictionaries for no actions
+            after the end of an episode.
 
         Raises:
-            RuntimeError: before the first reset and after the end of an episode.
+            RuntimeError: before the first reset, and for actions after the end of an episode.
             ValueError: when an agent is missing or unknown, or an action has a wrong shape, dtype, a mask or is not
                 finite; the state stays as it was.
         """
         agents = self.agents
         if not agents:
-            raise RuntimeError("no episode is running: call reset() before step()")
+            if self._simulation.state is None or actions != {}:
+                raise RuntimeError("no episode is running: call reset() before step()")
+            return {}, {}, {}, {}, {}
         table, rows = self._table or self._observed()
         try:
             outcome = self._simulation.step(self._stack(actions), out=table, has_constants=True, are_inside=False)
         except NonFiniteActionError:
             raise self._complaint(actions) from None
-        clipped = self._unclipped if outcome.clipped is None else outcome.clipped[0].tolist()
+        clipped = self._unclipped if outcome.clipped is None else map(np.int64, outcome.clipped[0].tolist())
         if not outcome.is_observed:
             self._simulation.observe(table)
         terminated, truncated = outcome.terminated.item(), outcome.truncated.item()
-        diverged, totals = outcome.diverged.item(), outcome.rewards.ravel().tolist()
-        (first, term), *others = outcome.terms.items()
-        values = totals if term is outcome.rewards else term.ravel().tolist()
+        diverged, is_success = outcome.diverged[0], outcome.is_success[0]
+        first, (term, *others) = self._first_reward, outcome.terms.values()
         show, observations = self._form.show, dict[str, Shown]()
-        rewards: dict[str, float] = {}
         infos: dict[str, AgentInfo] = {}
-        for agent, row, total, count, value in zip(agents, rows, totals, clipped, values, strict=True):
+        totals = outcome.rewards.ravel().tolist()
+        values = map(
+            np.float64, totals if term is outcome.rewards else term.ravel().tolist()
+        )  # faster than its entries
+        for agent, row, count, value in zip(agents, rows, clipped, values, strict=True):
             observations[agent] = show(row.copy())
-            rewards[agent] = total
-            infos[agent] = {"diverged": diverged, "clipped": count, "reward_terms": {first: value}}
-        for name, term in others:
-            for info, value in zip(infos.values(), term.ravel().tolist(), strict=True):
-                info["reward_terms"][name] = value
+            infos[agent] = {"diverged": diverged, "clipped": count, "is_success": is_success, first: value}
+        for name, term in zip(self._other_rewards, others, strict=True):
+            for info, value in zip(infos.values(), term.ravel(), strict=True):
+                info[name] = value
         if terminated or truncated:
-            success = bool(self._simulation.succeeded()[0])
-            for info in infos.values():
-                info["is_success"] = success
             self.agents = []
         if self._renderer is not None:
             self._renderer.record(self._simulation.current)
             self._render_human()
         return (
             observations,
-            rewards,
+            dict(zip(agents, totals, strict=True)),
             dict.fromkeys(agents, terminated),
             dict.fromkeys(agents, truncated),
             infos,
@@ -311,9 +328,9 @@ class NashSeekingEnv(ParallelEnv[str, Shown, Float32Array]):
             if type(row) is np.ndarray and row.dtype is _SINGLE:  # nearly always, and dtypes are one object
                 continue
             array = np.asanyarray(row)
-            if array.dtype.kind != "f" or isinstance(array, MaskedArray):
+            if array.dtype.kind not in "fiu" or isinstance(array, MaskedArray):
                 raise self._complaint(actions)
-        return stacked
+        return stacked if stacked.dtype.kind == "f" else stacked.astype(np.float64)
 
     def _complaint(self, actions: Mapping[str, Any]) -> ValueError:
         """The faults of ``actions``, agent by agent."""
@@ -338,8 +355,8 @@ def _fault(action: Any, shape: tuple[int, ...]) -> str | None:
         row = np.asarray(action)
     except ValueError:
         return f"is ragged; expected the shape {shape}"
-    if row.dtype.kind != "f":
-        return f"has the dtype {row.dtype}; expected float32"
+    if row.dtype.kind not in "fiu":
+        return f"has the dtype {row.dtype}; expected numbers, such as float32"
     if row.shape != shape:
         return f"has the shape {row.shape}; expected {shape}"
     return None if np.isfinite(row).all() else "is not finite; expected numbers without NaN or infinity"
@@ -375,10 +392,11 @@ def parallel_env(
         **overrides: fields of the scenario to change, such as ``start="random"``, ``hold_steps=50``, ``deadline=2.0``.
 
     Raises:
-        ValueError: for an unknown name or field, or an invalid value; the message says what is expected.
+        TypeError: for an unknown keyword, naming the one that is most like it.
+        ValueError: for an unknown name, or an invalid value; the message says what is expected.
     """
     return NashSeekingEnv(
-        get_scenario(scenario, **overrides),
+        changed_scenario(scenario, overrides, parallel_env),
         interface=Interface(interface, action_mode, action_scale, own_payoff, graph_knowledge=graph_knowledge),
         reward=reward,
         max_cycles=max_cycles,

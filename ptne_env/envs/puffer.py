@@ -55,7 +55,8 @@ class PlayerBufferEnv:
         infos: of the last step.
 
     Raises:
-        ValueError: for an unknown name or field, an invalid value, or arrays that are missing or do not fit.
+        TypeError: for an unknown keyword, naming the one that is most like it.
+        ValueError: for an unknown name, an invalid value, or arrays that are missing or do not fit.
     """
 
     emulated = False

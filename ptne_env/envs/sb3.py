@@ -7,17 +7,20 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from itertools import pairwise
+from time import time
 from typing import Any
 
 import numpy as np
 from gymnasium import spaces
 
 try:
-    from stable_baselines3.common.vec_env import VecEnv
+    from stable_baselines3.common.vec_env import VecEnv, VecMonitor
+    from stable_baselines3.common.vec_env.base_vec_env import VecEnvStepReturn
 except ImportError as error:  # pragma: no cover - exercised in an environment without the extra
     raise ImportError('the Stable-Baselines3 adapter needs an extra: pip install "ptne-env[sb3]"') from error
 
 from ptne_env.arrays import BoolArray, Float32Array
+from ptne_env.envs.core import Duplicable
 from ptne_env.envs.vector import VectorParallelEnv, VectorStep, member_actions
 from ptne_env.observation import ObservationLayout
 from ptne_env.observation_forms import FormName, Shown, make_form
@@ -26,14 +29,36 @@ from ptne_env.scenario import Scenario
 Indices = int | Iterable[int] | None
 
 
-class PlayerVecEnv(VecEnv):
+class _Monitored(Duplicable, VecMonitor):
+    """A ``VecMonitor``, so that Stable-Baselines3 asks for no other; another around it does no harm.
+
+    Attributes of the wrapped ``VecEnv``, such as ``layout``, are found here too.
+    """
+
+    def step_wait(self) -> VecEnvStepReturn:
+        """Step; infos of members that end hold ``episode``: return ``r``, length ``l`` and seconds ``t``."""
+        observations, rewards, dones, infos = self.venv.step_wait()
+        self.episode_returns += rewards
+        self.episode_lengths += 1
+        if np.count_nonzero(dones):  # the loop of VecMonitor is over all members in every step
+            seconds = round(time() - self.t_start, 6)
+            for member in np.flatnonzero(dones).tolist():
+                total, length = self.episode_returns[member], self.episode_lengths[member]
+                infos[member]["episode"] = {"r": total, "l": length, "t": seconds}
+            self.episode_count += int(np.count_nonzero(dones))
+            self.episode_returns[dones], self.episode_lengths[dones] = 0, 0
+        return observations, rewards, dones, infos
+
+
+class PlayerVecEnv(_Monitored):
     """A Stable-Baselines3 ``VecEnv`` of B·N members, one for every player of every environment.
 
     Member b·N + i is player i of environment b. All members share one policy, and the observation holds the player's
     one-hot. Environments are reset in the step that ends them; then ``infos`` of their members hold
-    ``terminal_observation``, ``TimeLimit.truncated``, ``is_success`` and ``diverged``. Of a step that ends nothing the
-    infos are empty, because a dictionary per member and term would cost more than the step; the same empty ones are
-    returned in every step, until the caller writes into one of them.
+    ``terminal_observation``, ``TimeLimit.truncated``, ``episode`` (as a ``VecMonitor`` gives it, so none is needed) and
+    the entries of :class:`~ptne_env.NashSeekingEnv`'s infos. Of a step that ends nothing the infos are empty, because a
+    dictionary per member and term would cost more than the step; the same empty ones are returned in every step, until
+    the caller writes into one of them.
 
     The environments are one object: ``get_attr`` and ``set_attr`` reach its attributes, and ``env_method`` calls a
     method once and returns the answer for each requested member.
@@ -47,9 +72,17 @@ class PlayerVecEnv(VecEnv):
         **arguments: of :class:`~ptne_env.envs.vector.VectorParallelEnv`: interface, action_mode, action_scale, reward,
             max_cycles and fields of the scenario.
 
+    Attributes:
+        vector: the environments.
+        layout: of observations and actions.
+
     Raises:
-        ValueError: for an unknown name or field, or an invalid value.
+        TypeError: for an unknown keyword, naming the one that is most like it.
+        ValueError: for an unknown name, or an invalid value.
     """
+
+    vector: VectorParallelEnv
+    layout: ObservationLayout
 
     def __init__(
         self,
@@ -58,6 +91,21 @@ class PlayerVecEnv(VecEnv):
         *,
         seed: int | None = None,
         observation: FormName = "flat",
+        **arguments: Any,
+    ) -> None:
+        super().__init__(_Players(scenario, num_envs, seed=seed, observation=observation, **arguments))
+
+
+class _Players(VecEnv):
+    """The members of a :class:`PlayerVecEnv`, without statistics of episodes."""
+
+    def __init__(
+        self,
+        scenario: str | Scenario,
+        num_envs: int,
+        *,
+        seed: int | None,
+        observation: FormName,
         **arguments: Any,
     ) -> None:
         if observation == "graph":
@@ -119,13 +167,13 @@ class PlayerVecEnv(VecEnv):
         return self._shown(observations), rewards, dones, infos
 
     def _finish(self, outcome: VectorStep, over: BoolArray, infos: list[dict[str, Any]]) -> None:
+        of_infos = outcome.infos.items()
         for env in np.flatnonzero(over).tolist():
             for player in range(self._players):
                 infos[env * self._players + player] = {
                     "terminal_observation": self._form.show(outcome.observations[env, player].copy()),
                     "TimeLimit.truncated": bool(outcome.truncated[env]),
-                    "is_success": bool(outcome.infos["is_success"][env]),
-                    "diverged": bool(outcome.infos["diverged"][env]),
+                    **{name: each[env] if each.ndim == 1 else each[env, player] for name, each in of_infos},
                 }
 
     def _new_infos(self) -> list[dict[str, Any]]:
@@ -169,18 +217,29 @@ class PlayerVecEnv(VecEnv):
         return self._form.show(observations.reshape(self.num_envs, -1))
 
 
-class MixedPlayerVecEnv(VecEnv):
+class MixedPlayerVecEnv(_Monitored):
     """The members of several :class:`PlayerVecEnv`, one after the other, as one ``VecEnv``.
 
     Args:
         parts: of the same observation and action sizes; each seeds itself from the seed of the whole.
 
     Attributes:
+        parts: as given.
         layout: of the first part; names of slices and sizes are those of all.
 
     Raises:
         ValueError: without parts, or when a policy for one of them could not act in another.
     """
+
+    parts: list[PlayerVecEnv]
+    layout: ObservationLayout
+
+    def __init__(self, parts: Sequence[PlayerVecEnv]) -> None:
+        super().__init__(_Mixture(parts))
+
+
+class _Mixture(VecEnv):
+    """The members of a :class:`MixedPlayerVecEnv`, without statistics of episodes."""
 
     def __init__(self, parts: Sequence[PlayerVecEnv]) -> None:
         if not parts:

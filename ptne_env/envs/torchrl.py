@@ -51,7 +51,8 @@ class TorchRLEnv(EnvBase):
         group_map: the names of the players, by group.
 
     Raises:
-        ValueError: for an unknown name or field, an invalid value, or another device.
+        TypeError: for an unknown keyword, naming the one that is most like it.
+        ValueError: for an unknown name, an invalid value, or another device.
     """
 
     def __init__(

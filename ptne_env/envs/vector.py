@@ -15,8 +15,7 @@ from gymnasium import spaces
 from numpy.ma import MaskedArray
 
 from ptne_env.arrays import BoolArray, Float32Array, FloatArray, IntArray, as_plain, require_count, require_mask
-from ptne_env.catalogue import get_scenario
-from ptne_env.envs.core import ResetResult, Simulation, StepResult, player_encoder
+from ptne_env.envs.core import Duplicable, ResetResult, Simulation, StepResult, changed_scenario, player_encoder
 from ptne_env.observation import ActionMode, GraphKnowledge, Interface, InterfaceKind, ObservationLayout
 from ptne_env.random_streams import require_seed
 from ptne_env.scenario import Scenario
@@ -59,8 +58,9 @@ class VectorStep(NamedTuple):
         rewards: shape (B, N), float64, or as the caller's buffer.
         terminated: shape (B,).
         truncated: shape (B,).
-        infos: ``diverged`` (B,), ``clipped`` (B, N), ``reward_terms`` by name (B, N), and ``is_success`` (B,), which is
-            False for an environment that goes on.
+        infos: ``diverged`` (B,), bool; ``clipped`` (B, N), int64, entries beyond the limits; ``is_success`` (B,), bool,
+            whether the relative distance of all estimates is now at most 0.5 %; and each reward term, unweighted, such
+            as ``reward_digits`` (B, N), float64.
     """
 
     observations: Float32Array
@@ -70,7 +70,7 @@ class VectorStep(NamedTuple):
     infos: dict[str, Any]
 
 
-class VectorParallelEnv:
+class VectorParallelEnv(Duplicable):
     """B environments × N players.
 
     No environment resets itself: an environment that is over starts again with ``reset(mask=...)`` before the next
@@ -94,7 +94,8 @@ class VectorParallelEnv:
         single_action_space: of one player.
 
     Raises:
-        ValueError: for an unknown name or field, or an invalid value.
+        TypeError: for an unknown keyword, naming the one that is most like it.
+        ValueError: for an unknown name, or an invalid value.
     """
 
     def __init__(
@@ -112,7 +113,7 @@ class VectorParallelEnv:
         threads: int = 1,
         **overrides: Any,
     ) -> None:
-        self.scenario = get_scenario(scenario, **overrides)
+        self.scenario = changed_scenario(scenario, overrides, VectorParallelEnv)
         self.num_envs = require_count("num_envs", num_envs, 1)
         self.threads = require_count("threads", threads, 1)
 
@@ -212,7 +213,7 @@ class VectorParallelEnv:
         """Hold all players' inputs for one step.
 
         Args:
-            actions: finite floats of shape (B, N, action size); entries outside the box are clipped and counted.
+            actions: finite numbers of shape (B, N, action size); entries beyond the limits are clipped and counted.
             restart: environments that start afresh in this step instead of moving, shape (B,): their actions are
                 ignored and their rewards are 0; may be over.
             out: the caller's buffers; new arrays for those that are left out.
@@ -233,8 +234,10 @@ class VectorParallelEnv:
             )
         actions = as_plain("actions", actions)
         shape = (self.num_envs, self.num_players, self.layout.action_size)
-        if actions.shape != shape or actions.dtype.kind != "f":
-            raise ValueError(f"actions are floats of shape {shape}, got {actions.dtype} of shape {actions.shape}")
+        if actions.shape != shape or actions.dtype.kind not in "fiu":
+            raise ValueError(f"actions are numbers of shape {shape}, got {actions.dtype} of shape {actions.shape}")
+        if actions.dtype.kind != "f":
+            actions = actions.astype(np.float64)
         given = self._checked(out)
         if out is not None and any(array is not None and np.may_share_memory(actions, array) for array in given):
             actions = actions.copy()
@@ -350,22 +353,33 @@ class VectorParallelEnv:
             for block, part in zip(self._blocks, self._slices, strict=True)
         ]
 
-    def _infos(self, rewards: FloatArray, outcomes: list[StepResult], clipped: IntArray) -> dict[str, Any]:
-        success = np.zeros(self.num_envs, dtype=np.bool_)
-        if np.count_nonzero(self._over):
-            for block, part in zip(self._blocks, self._slices, strict=True):
-                success[part] = self._over[part] & block.succeeded()
-        first = outcomes[0]
-        if first.rewards is next(iter(first.terms.values())) and rewards.dtype == np.float64:
-            terms = {name: rewards.copy() for name in first.terms}  # one term of weight 1, transposed already
-        else:
-            terms = {name: self._by_env([outcome.terms[name].T for outcome in outcomes]) for name in first.terms}
+    def first_infos(self) -> dict[str, Any]:
+        """The infos of environments that have just started, with the keys, shapes and dtypes of :class:`VectorStep`.
+
+        Raises:
+            RuntimeError: before the first reset.
+        """
+        batch, players = self.num_envs, self.num_players
         return {
+            "diverged": np.zeros(batch, dtype=np.bool_),
+            "clipped": np.zeros((batch, players), dtype=np.int64),
+            "is_success": np.concatenate([block.succeeded() for block in self._blocks]),
+            **{name: np.zeros((batch, players)) for name in self._blocks[0].reward_names},
+        }
+
+    def _infos(self, rewards: FloatArray, outcomes: list[StepResult], clipped: IntArray) -> dict[str, Any]:
+        infos = {
             "diverged": np.concatenate([outcome.diverged for outcome in outcomes]),
             "clipped": clipped,
-            "reward_terms": terms,
-            "is_success": success,
+            "is_success": np.concatenate([outcome.is_success for outcome in outcomes]),
         }
+        first, names = outcomes[0], self._blocks[0].reward_names
+        if first.rewards is next(iter(first.terms.values())) and rewards.dtype == np.float64:
+            infos[names[0]] = rewards.copy()  # one term of weight 1, transposed already
+        else:
+            for name, term in zip(names, first.terms, strict=True):
+                infos[name] = self._by_env([outcome.terms[term].T for outcome in outcomes])
+        return infos
 
     def _by_env(self, parts: list[FloatArray], out: npt.NDArray[Any] | None = None) -> FloatArray:
         """The blocks' arrays in one, shape (B, N), C-contiguous whatever the parts are."""
