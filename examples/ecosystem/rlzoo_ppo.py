@@ -5,6 +5,7 @@ Run it with: python examples/ecosystem/rlzoo_ppo.py
 
 import subprocess
 import sys
+from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -13,10 +14,7 @@ import numpy as np
 from stable_baselines3 import PPO
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.env_util import make_vec_env
-from yardstick import EPISODES, SCENARIO, TASK, law, report
-
-import ptne_env
-from ptne_env import distances
+from yardstick import EPISODES, SCENARIO, TASK, joint_digits, law, report
 
 ENVIRONMENT = f"ptne/{SCENARIO}-joint-v0"
 HYPERPARAMETERS = Path(__file__).with_name("rlzoo_hyperparameters.yml")
@@ -34,18 +32,9 @@ def law_digits() -> np.ndarray:
     return gained
 
 
-def digits(model: BaseAlgorithm) -> float:
-    """Mean digits at the deadline over 20 games; a joint policy sees all players, so ``ptne_env.evaluate`` has none."""
-    env = gymnasium.make(ENVIRONMENT, **TASK).unwrapped
-    found = []
-    for seed in range(1_000_000, 1_000_020):
-        (observation, _), over = env.reset(seed=seed), False
-        while not over:
-            observation, _, terminated, truncated, _ = env.step(model.predict(observation, deterministic=True)[0])
-            over = terminated or truncated
-        state = env.parallel.get_state()
-        found.append(distances.digits(distances.estimate_distance(state.estimates, state.game)).item())
-    return float(np.mean(found))
+def act(model: BaseAlgorithm, observations: np.ndarray) -> np.ndarray:
+    """The actions without noise."""
+    return model.predict(observations, deterministic=True)[0]
 
 
 def train() -> tuple[float, float]:
@@ -61,7 +50,7 @@ def train() -> tuple[float, float]:
         subprocess.run(command, check=True, capture_output=True)  # noqa: S603 - the command of the file's head
         (archive,) = Path(folder).rglob(f"{ENVIRONMENT.replace('/', '-')}.zip")
         trained = PPO.load(archive, device="cpu")
-    return digits(untrained), digits(trained)
+    return tuple(joint_digits(partial(act, model)) for model in (untrained, trained))
 
 
 def main() -> None:

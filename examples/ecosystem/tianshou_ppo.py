@@ -21,6 +21,8 @@ from yardstick import EPISODES, SCENARIO, TASK, Acting, digits, law, report
 from ptne_env.envs.turn_based import aec_env
 from ptne_env.envs.vector import VectorParallelEnv
 
+STEPS = 20_000
+
 
 class Players(BaseVectorEnv):
     """Every player of B environments as one of B·N members, stepped by one call; all of them in every step."""
@@ -34,9 +36,7 @@ class Players(BaseVectorEnv):
         """The spaces of the members."""
         return [getattr(self.vector, f"single_{key}")] * len(self._wrap_id(id))
 
-    def reset(
-        self, env_id: Any = None, *, seed: int | None = None, **_: Any
-    ) -> tuple[np.ndarray, np.ndarray]:
+    def reset(self, env_id: Any = None, *, seed: int | None = None, **_: Any) -> tuple[np.ndarray, np.ndarray]:
         """Start the environments of some members, which end together."""
         members = self._wrap_id(env_id)
         mask = np.zeros(self.vector.num_envs, dtype=bool)
@@ -44,7 +44,7 @@ class Players(BaseVectorEnv):
         observations = self.vector.reset(seed, mask).reshape(self.env_num, -1)
         return observations[members], np.array([{} for _ in members])
 
-    def step(self, action: np.ndarray, id: Any = None) -> tuple[np.ndarray, ...]:  # noqa: A002
+    def step(self, action: np.ndarray, id: Any = None) -> tuple[np.ndarray, ...]:  # noqa: A002, ARG002
         """Step all members."""
         outcome = self.vector.step(action.reshape(self.vector.num_envs, self.vector.num_players, -1))
         players = self.vector.num_players
@@ -119,9 +119,6 @@ def train() -> tuple[float, float]:
         )
     )  # fmt: skip
     return before, digits(Acting(act))
-
-
-STEPS = 20_000
 
 
 def main() -> None:
