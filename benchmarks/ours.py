@@ -77,11 +77,17 @@ def dictionaries() -> Contender:
     """The five dictionaries that a step returns, built from given values: the cost of the API alone."""
     env = parallel_env("energy")
     agents, size = env.possible_agents, env.layout.size
-    values, clipped = [0.0] * len(agents), [0] * len(agents)
+    values, clipped = [0.0] * len(agents), [np.int64(0)] * len(agents)
+    told = [np.float64(0)] * len(agents)
 
     def step() -> object:
         infos: dict[str, dict[str, Any]] = {
-            agent: {"diverged": False, "clipped": clipped[index], "reward_terms": {"digits": values[index]}}
+            agent: {
+                "diverged": np.False_,
+                "clipped": clipped[index],
+                "is_success": np.False_,
+                "reward_digits": told[index],
+            }
             for index, agent in enumerate(agents)
         }
         return (

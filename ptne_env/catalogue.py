@@ -30,15 +30,19 @@ _RANDOM_ENERGY = _game("RandomEnergy", players=5)
 _CORRECTED = _game("NonQuadraticGame", variant="corrected")
 _PRINTED = _game("NonQuadraticGame", variant="printed")
 _HVAC = _game("EnergyGame", target=(50.0, 55.0, 60.0, 65.0, 70.0), coupling=0.04, base_price=5.0)
+_TAME = 10.0
+"""Random inputs of this size stay in range in the non-quadratic game; those of 1000 leave it in three steps."""
 
 _SCENARIOS = (
     # The paper's examples.
     Scenario(name="energy", game=_ENERGY, topology=_RING, start=PAPER_START),
     Scenario(name="energy-switching", game=_ENERGY, topology=_PHYSICAL, start=PAPER_START),
     Scenario(name="energy-switching-transformed", game=_ENERGY, topology=_TRANSFORMED, start=PAPER_START),
-    Scenario(name="non-quadratic", game=_CORRECTED, topology=_RING, start=PAPER_START),
-    Scenario(name="non-quadratic-switching", game=_CORRECTED, topology=_PHYSICAL, start=PAPER_START),
-    Scenario(name="non-quadratic-printed", game=_PRINTED, topology=_RING, start=PAPER_START),
+    Scenario(name="non-quadratic", game=_CORRECTED, topology=_RING, start=PAPER_START, action_limit=_TAME),
+    Scenario(
+        name="non-quadratic-switching", game=_CORRECTED, topology=_PHYSICAL, start=PAPER_START, action_limit=_TAME
+    ),
+    Scenario(name="non-quadratic-printed", game=_PRINTED, topology=_RING, start=PAPER_START, action_limit=_TAME),
     # Families of games, for training and evaluation.
     Scenario(name="random-energy", game=_RANDOM_ENERGY, topology=_RING, start=UNIFORM_START, s_end=6.0),
     Scenario(name="random-energy-switching", game=_RANDOM_ENERGY, topology=_PHYSICAL, start=UNIFORM_START, s_end=6.0),

@@ -108,6 +108,7 @@ class Encoder(ABC):
             action_dims=game.action_dims,
             neighbours=tuple(tuple(int(j) for j in column) for column in world.neighbours.T),
             input_limit=world.input_limit,
+            action_limit=world.scenario.action_limit,
             deadline=clock.deadline,
             largest_weight=float(world.mode_weights.max() * world.channel.largest_weight_factor),
             largest_clock=(largest_t, largest_s, largest_theta, largest_dt),

@@ -181,6 +181,7 @@ class ObservationLayout:
         largest_weight: largest a_ij that a player can observe.
         largest_clock: largest t/T, s, Θ_k and Δt_k/T.
         schedule: the links of every step, where the interface declares that they are known; else ``None``.
+        action_limit: of the action space, where it is smaller than the action bound; else ``None``.
     """
 
     interface: Interface
@@ -191,6 +192,7 @@ class ObservationLayout:
     largest_weight: float
     largest_clock: tuple[float, float, float, float]
     schedule: LinkSchedule | None = None
+    action_limit: float | None = None
 
     @property
     def num_players(self) -> int:
@@ -284,11 +286,11 @@ class ObservationLayout:
 
     @cached_property
     def action_bound(self) -> float:
-        """Actions live in the box [−bound, bound]: the input limit under ``physical``, else 1.
+        """Actions beyond ±bound are clipped: the input limit under ``physical``, else 1.
 
-        The limit is rounded down to a float32, so that no action in the box exceeds it.
+        The limit is rounded down to a float32, so that no action within it exceeds it.
         """
-        if self.interface.kind == "local" or self.interface.action_mode == "gains":
+        if not self._has_units:
             return 1.0
         bound = np.float32(self.input_limit)
         return float(bound if float(bound) <= self.input_limit else np.nextafter(bound, np.float32(0)))
@@ -311,8 +313,20 @@ class ObservationLayout:
         return spaces.Box(low, high, dtype=np.float32)
 
     def action_space(self) -> spaces.Box:
-        """A new Box for one player's action, float32, symmetric about 0."""
-        return spaces.Box(-self.action_bound, self.action_bound, (self.action_size,), dtype=np.float32)
+        """A new Box for one player's action, float32, symmetric about 0.
+
+        Its half-width is the action bound, or the action limit of the scenario, if it is smaller and actions have
+        units. Actions between the two are allowed, but random ones would soon leave the range.
+        """
+        bound = self.action_bound
+        if self.action_limit is not None and self._has_units:
+            bound = min(bound, self.action_limit)
+        return spaces.Box(-bound, bound, (self.action_size,), dtype=np.float32)
+
+    @property
+    def _has_units(self) -> bool:
+        """Whether actions are inputs in natural units."""
+        return self.interface.kind != "local" and self.interface.action_mode == "input"
 
     @cached_property
     def own_components(self) -> IntArray:

@@ -57,6 +57,7 @@ class Reward:
 
     Attributes:
         weights: by term.
+        is_plain: whether the reward is one term, of weight 1.
         needs_state: whether a term depends on more than distances.
         distances: d^i at the present instant, shape (N, B), with the limit where an environment has diverged; to be
             read before the next step, which may overwrite them.
@@ -75,7 +76,7 @@ class Reward:
                 "everywhere; choose digits, tracking or payoff"
             )
         (self._first, weight), *others = self.weights.items()
-        self._is_plain = weight == 1 and not others
+        self.is_plain = weight == 1 and not others
         self.distances = self._digits = np.empty((0, 0))
 
     def reset(self, state: State) -> None:
@@ -103,13 +104,13 @@ class Reward:
         """
         self.distances = distance
         before, self._digits = self._digits, distances.digits(distance)
-        if self._is_plain:  # a comprehension would take longer
+        if self.is_plain:  # a comprehension would take longer
             return {self._first: self._term(self._first, distance, before, state)}
         return {name: self._term(name, distance, before, state) for name in self.weights}
 
     def total(self, terms: Mapping[str, FloatArray]) -> FloatArray:
         """The weighted sum of the terms, shape (N, B)."""
-        if self._is_plain:
+        if self.is_plain:
             return terms[self._first]
         (first, weight), *others = self.weights.items()
         total = weight * terms[first]

@@ -81,6 +81,8 @@ class Scenario:
             layout; the largest degree in the union graph if ``None``.
         sensor: builds a :class:`~ptne_env.sensor.Sensor` of the own gradients; exact if ``None``.
         drift: builds a :class:`~ptne_env.drift.Drift` of the game's origin; at rest if ``None``.
+        action_limit: largest |action| of the action spaces under ``physical``, for games that random inputs up to the
+            input limit drive out of range; inputs beyond it are allowed. The input limit if ``None``.
 
     Raises:
         ValueError: when the name is no string, or a part is named in none of the ways above.
@@ -104,6 +106,7 @@ class Scenario:
     slots: int | None = None
     sensor: FactorySpec | None = None
     drift: FactorySpec | None = None
+    action_limit: float | None = None
 
     def __post_init__(self) -> None:
         require_printable("the name of a scenario", self.name)

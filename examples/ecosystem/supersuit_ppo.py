@@ -9,6 +9,7 @@ import numpy as np
 import supersuit
 from pettingzoo import ParallelEnv
 from stable_baselines3 import PPO
+from stable_baselines3.common.utils import set_random_seed
 from yardstick import EPISODES, SCENARIO, TASK, digits, law, report
 
 import ptne_env
@@ -77,6 +78,7 @@ def main() -> None:
     if outside != OUTSIDE:
         raise SystemExit(f"observations of {outside} leave their spaces; expected {OUTSIDE}")
 
+    set_random_seed(0)
     env = vector(16, "stable_baselines3", **TASK)
     env.venv.reset(seed=0)  # SuperSuit's vector has no method seed(), so ``PPO(..., seed=0)`` fails after this
     model = PPO(

@@ -121,6 +121,7 @@ class Simulation:
         encoder: as given.
         world: of the encoder.
         reward_names: the names of the reward terms in infos.
+        has_plain_reward: whether the reward is one term, of weight 1.
 
     Raises:
         ValueError: for an unknown reward or a count below 1.
@@ -138,6 +139,7 @@ class Simulation:
         self.num_envs = require_count("num_envs", num_envs, 1)
         self.max_cycles = None if max_cycles is None else require_count("max_cycles", max_cycles, 1)
         self._reward = Reward(self.world, reward)
+        self.has_plain_reward = self._reward.is_plain
         self.reward_names = [f"reward_{name}" for name in self._reward.weights]
         self._fused = fused.FusedStep(encoder, self.num_envs) if fused.qualifies(encoder, self.num_envs) else None
         self._never = np.zeros(self.num_envs, dtype=np.bool_)

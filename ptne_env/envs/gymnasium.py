@@ -155,10 +155,10 @@ class JointEnv(Duplicable, gymnasium.Env[Shown, Float32Array]):
         joint = as_plain("a joint action", action)
         if joint.shape != self.action_space.shape:
             raise ValueError(f"a joint action has the shape {self.action_space.shape}, got {joint.shape}")
-        agents = self.parallel.agents
-        rows = joint.reshape(len(self.parallel.possible_agents), -1)
+        agents = self.parallel.possible_agents
+        rows = joint.reshape(len(agents), -1)
         observations, rewards, terminations, truncations, infos = self.parallel.step(
-            dict(zip(agents, rows, strict=False))
+            dict(zip(agents, rows, strict=True))
         )
         return (
             self._joint(observations),

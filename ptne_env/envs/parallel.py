@@ -91,7 +91,7 @@ class NashSeekingEnv(Duplicable, ParallelEnv[str, Shown, Float32Array]):
         )
         self._renderer = Renderer(self.world, render_mode) if render_mode else None
         self._action_size = encoder.layout.action_size
-        self._first_reward, *self._other_rewards = self._simulation.reward_names
+        self._reward_names, self._has_plain_reward = self._simulation.reward_names, self._simulation.has_plain_reward
         self._unclipped = [np.int64(0)] * players
         self._np_random: np.random.Generator | None = None
         self._table: tuple[Float32Array, list[Float32Array]] | None = None
@@ -186,7 +186,7 @@ class NashSeekingEnv(Duplicable, ParallelEnv[str, Shown, Float32Array]):
             self._renderer.reset(state)
             self._render_human()
         first = {"diverged": np.False_, "clipped": np.int64(0), "is_success": self._simulation.succeeded()[0]}
-        first |= dict.fromkeys(self._simulation.reward_names, np.float64(0))
+        first |= dict.fromkeys(self._reward_names, np.float64(0))
         return self._observations(self.agents), {agent: first.copy() for agent in self.agents}
 
     def step(
@@ -209,32 +209,29 @@ class NashSeekingEnv(Duplicable, ParallelEnv[str, Shown, Float32Array]):
         """
         agents = self.agents
         if not agents:
-            if self._simulation.state is None or actions != {}:
-                raise RuntimeError("no episode is running: call reset() before step()")
+            self._require_no(actions)
             return {}, {}, {}, {}, {}
         table, rows = self._table or self._observed()
         try:
             outcome = self._simulation.step(self._stack(actions), out=table, has_constants=True, are_inside=False)
         except NonFiniteActionError:
             raise self._complaint(actions) from None
-        clipped = self._unclipped if outcome.clipped is None else map(np.int64, outcome.clipped[0].tolist())
+        clipped = self._unclipped if outcome.clipped is None else outcome.clipped[0]
         if not outcome.is_observed:
             self._simulation.observe(table)
         terminated, truncated = outcome.terminated.item(), outcome.truncated.item()
         diverged, is_success = outcome.diverged[0], outcome.is_success[0]
-        first, (term, *others) = self._first_reward, outcome.terms.values()
         show, observations = self._form.show, dict[str, Shown]()
         infos: dict[str, AgentInfo] = {}
-        totals = outcome.rewards.ravel().tolist()
-        values = map(
-            np.float64, totals if term is outcome.rewards else term.ravel().tolist()
-        )  # faster than its entries
+        totals, first = outcome.rewards.ravel().tolist(), self._reward_names[0]
+        values = map(np.float64, totals)  # faster than the entries of an array
         for agent, row, count, value in zip(agents, rows, clipped, values, strict=True):
             observations[agent] = show(row.copy())
             infos[agent] = {"diverged": diverged, "clipped": count, "is_success": is_success, first: value}
-        for name, term in zip(self._other_rewards, others, strict=True):
-            for info, value in zip(infos.values(), term.ravel(), strict=True):
-                info[name] = value
+        if not self._has_plain_reward:
+            for name, term in zip(self._reward_names, outcome.terms.values(), strict=True):
+                for info, value in zip(infos.values(), term.ravel(), strict=True):
+                    info[name] = value
         if terminated or truncated:
             self.agents = []
         if self._renderer is not None:
@@ -297,6 +294,11 @@ class NashSeekingEnv(Duplicable, ParallelEnv[str, Shown, Float32Array]):
         """Close the window, if one is open."""
         if self._renderer is not None:
             self._renderer.close()
+
+    def _require_no(self, actions: Any) -> None:
+        """Refuse actions where no episode is running, and a step before the first reset."""
+        if self._simulation.state is None or actions != {}:
+            raise RuntimeError("no episode is running: call reset() before step()")
 
     def _render_human(self) -> None:
         if self.render_mode == "human" and self._renderer is not None:

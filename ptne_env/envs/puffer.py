@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from itertools import combinations
-from typing import Any
+from typing import Any, NoReturn
 
 import numpy as np
 import numpy.typing as npt
@@ -174,6 +174,18 @@ class PlayerBufferEnv:
         """Observations, rewards, terminals, truncations, infos, agent_ids and masks."""
         arrays = self.observations, self.rewards, self.terminals, self.truncations
         return *arrays, self.infos, self.agent_ids, self.masks
+
+    def __copy__(self) -> NoReturn:
+        """Refused.
+
+        Raises:
+            TypeError: always, because the arrays belong to the trainer.
+        """
+        raise TypeError("a PlayerBufferEnv writes into arrays of its trainer and cannot be copied: make a new one")
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> NoReturn:
+        """Refused, as :meth:`__copy__`."""
+        self.__copy__()
 
     def close(self) -> None:
         """Nothing to release."""

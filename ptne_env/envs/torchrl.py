@@ -33,7 +33,8 @@ class TorchRLEnv(EnvBase):
     """A TorchRL environment with the batch size (B,), whose keys are those of ``PettingZooWrapper``.
 
     ``("player", "observation")`` has the shape (B, N, size), ``("player", "action")`` (B, N, action size) and
-    ``("player", "reward")`` (B, N, 1), all float32. ``done``, ``terminated`` and ``truncated`` have the shape (B, 1),
+    ``("player", "reward")`` (B, N, 1), all float32; ``("player", "info", …)`` holds each entry of the infos, (B, N),
+    float32. ``done``, ``terminated`` and ``truncated`` have the shape (B, 1),
     and (B, N, 1) in the group. Tensors show the memory of new numpy arrays, without a copy, so no later step changes
     them. A reset starts the environments that ``"_reset"`` names, or all of them.
 
@@ -72,7 +73,10 @@ class TorchRLEnv(EnvBase):
         self._set_seed(seed)
 
         batch, group = (num_envs,), (num_envs, vector.num_players)
-        self.observation_spec = self._grouped({"observation": self._bounded(vector.single_observation_space)})
+        entries = ("diverged", "clipped", "is_success", *vector.reward_names)
+        infos = Composite({name: Unbounded(group, device=self.device) for name in entries}, shape=group)
+        observed = self._bounded(vector.single_observation_space)
+        self.observation_spec = self._grouped({"observation": observed, "info": infos})
         self.action_spec = self._grouped({"action": self._bounded(vector.single_action_space)})
         self.reward_spec = self._grouped({"reward": Unbounded((*group, 1), device=self.device)})
         self.done_spec = self._grouped(self._flags(group), self._flags(batch))
@@ -122,7 +126,7 @@ class TorchRLEnv(EnvBase):
         observations = self.vector.reset(self._seeds, mask)
         self._seeds = [None if start else own for own, start in zip(self._seeds, mask, strict=True)]
         terminated, truncated = np.zeros((2, self.vector.num_envs), dtype=np.bool_)
-        return self._output({"observation": observations}, terminated, truncated)
+        return self._output({"observation": observations}, self.vector.first_infos(), terminated, truncated)
 
     def _step(self, tensordict: TensorDictBase) -> TensorDict:
         """Step all environments.
@@ -146,16 +150,22 @@ class TorchRLEnv(EnvBase):
         rewards = np.empty((self.vector.num_envs, self.vector.num_players), dtype=np.float32)
         outcome = self.vector.step(actions, out=VectorBuffers(rewards=rewards))
         entries = {"observation": outcome.observations, "reward": rewards[:, :, None]}
-        return self._output(entries, outcome.terminated, outcome.truncated)
+        return self._output(entries, outcome.infos, outcome.terminated, outcome.truncated)
 
-    def _output(self, entries: dict[str, Float32Array], terminated: BoolArray, truncated: BoolArray) -> TensorDict:
+    def _output(
+        self, entries: dict[str, Float32Array], infos: dict[str, Any], terminated: BoolArray, truncated: BoolArray
+    ) -> TensorDict:
         """Tensors of the group, and the flags of every environment and of its players."""
         players = self.vector.num_players
         flags = {"done": terminated | truncated, "terminated": terminated, "truncated": truncated}
         whole = {name: torch.from_numpy(flag.reshape(-1, 1)) for name, flag in flags.items()}
         group = {name: torch.from_numpy(array) for name, array in entries.items()}
         group |= {name: torch.from_numpy(flag.repeat(players).reshape(-1, players, 1)) for name, flag in flags.items()}
-        members = TensorDict(group, (*self.batch_size, players), device=self.device)
+        shape = (*self.batch_size, players)
+        wide = {name: each if each.ndim > 1 else np.tile(each[:, None], players) for name, each in infos.items()}
+        tensors = {name: torch.from_numpy(each.astype(np.float32)) for name, each in wide.items()}
+        group["info"] = TensorDict(tensors, shape, device=self.device)
+        members = TensorDict(group, shape, device=self.device)
         return TensorDict({**whole, GROUP: members}, self.batch_size, device=self.device)
 
 

@@ -90,6 +90,7 @@ class VectorParallelEnv(Duplicable):
         num_envs: B.
         threads: as given.
         num_players: N.
+        reward_names: the names of the reward terms in infos.
         single_observation_space: of one player.
         single_action_space: of one player.
 
@@ -136,6 +137,7 @@ class VectorParallelEnv(Duplicable):
             )
             for part in self._slices
         ]
+        self.reward_names = self._blocks[0].reward_names
         self.single_observation_space: spaces.Box = self.layout.observation_space()
         self.single_action_space: spaces.Box = self.layout.action_space()
         self._over = np.ones(self.num_envs, dtype=np.bool_)
@@ -364,7 +366,7 @@ class VectorParallelEnv(Duplicable):
             "diverged": np.zeros(batch, dtype=np.bool_),
             "clipped": np.zeros((batch, players), dtype=np.int64),
             "is_success": np.concatenate([block.succeeded() for block in self._blocks]),
-            **{name: np.zeros((batch, players)) for name in self._blocks[0].reward_names},
+            **{name: np.zeros((batch, players)) for name in self.reward_names},
         }
 
     def _infos(self, rewards: FloatArray, outcomes: list[StepResult], clipped: IntArray) -> dict[str, Any]:
@@ -373,7 +375,7 @@ class VectorParallelEnv(Duplicable):
             "clipped": clipped,
             "is_success": np.concatenate([outcome.is_success for outcome in outcomes]),
         }
-        first, names = outcomes[0], self._blocks[0].reward_names
+        first, names = outcomes[0], self.reward_names
         if first.rewards is next(iter(first.terms.values())) and rewards.dtype == np.float64:
             infos[names[0]] = rewards.copy()  # one term of weight 1, transposed already
         else:

@@ -64,7 +64,7 @@ def to_onnx(
         else:
             raise _unknown(layer)
         last = output
-    bound = np.array(layout.action_bound, dtype=np.float32)
+    bound = layout.action_space().high[0]  # to which Stable-Baselines3 clips
     initializers += [numpy_helper.from_array(value, name) for name, value in (("low", -bound), ("high", bound))]
     nodes.append(helper.make_node("Clip", [last, "low", "high"], ["action"]))
     graph = helper.make_graph(

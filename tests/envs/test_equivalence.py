@@ -84,10 +84,11 @@ def play_alone(env, seed, actions):
             diverged=infos[agents[0]]["diverged"],
             clipped=np.array([infos[agent]["clipped"] for agent in agents]),
             terms={
-                name: np.array([infos[agent]["reward_terms"][name] for agent in agents])
-                for name in infos[agents[0]]["reward_terms"]
+                name: np.array([infos[agent][name] for agent in agents])
+                for name in infos[agents[0]]
+                if name.startswith("reward_")
             },
-            success=infos[agents[0]].get("is_success", False),
+            success=infos[agents[0]]["is_success"],
         )
         step.over = not env.agents
         step.following = observed(env.reset()[0]) if step.over else step.observations
@@ -131,9 +132,9 @@ def check_vector(env, first, steps, actions):
         equal(outcome.infos["diverged"], step.diverged)
         equal(outcome.infos["clipped"], step.clipped)
         equal(outcome.infos["is_success"], step.success)
-        assert list(outcome.infos["reward_terms"]) == list(step.terms)
+        assert env.reward_names == list(step.terms)
         for name, term in step.terms.items():
-            equal(outcome.infos["reward_terms"][name], term)
+            equal(outcome.infos[name], term)
         if step.over.any():
             equal(env.reset(mask=step.over), step.following)
 
@@ -141,7 +142,7 @@ def check_vector(env, first, steps, actions):
 def check_joint(env, index, first, steps, actions):
     observation, info = env.reset(seed=SEED + index)
     equal(observation, first[index].reshape(-1))
-    assert info == {}
+    kinds = {name: value.dtype for name, value in info.items()}
     for step, rows in zip(steps, actions, strict=True):
         observation, reward, terminated, truncated, info = env.step(rows[index].reshape(-1))
         equal(observation, step.observations[index].reshape(-1))
@@ -149,17 +150,19 @@ def check_joint(env, index, first, steps, actions):
         assert (terminated, truncated) == (step.terminated[index], step.truncated[index])
         assert info["diverged"] == step.diverged[index]
         assert info["clipped"] == step.clipped[index].sum()
-        assert info["reward_terms"] == {name: mean_over_players(term)[index] for name, term in step.terms.items()}
-        assert ("is_success" in info) == step.over[index]
+        assert {name: info[name] for name in step.terms} == {
+            name: mean_over_players(term)[index] for name, term in step.terms.items()
+        }
+        assert info["is_success"] == step.success[index]
+        assert {name: value.dtype for name, value in info.items()} == kinds
         if step.over[index]:
-            assert info["is_success"] == step.success[index]
             equal(env.reset()[0], step.following[index].reshape(-1))
 
 
 def check_joint_vector(env, first, steps, actions):
     observations, infos = env.reset(seed=SEED)
     equal(observations, first.reshape(BATCH, -1))
-    assert infos == {}
+    assert all(infos[f"_{name}"].all() for name in infos if not name.startswith("_"))
     for step, rows in zip(steps, actions, strict=True):
         observations, rewards, terminated, truncated, infos = env.step(rows.reshape(BATCH, -1))
         equal(observations, step.following.reshape(BATCH, -1))
@@ -174,7 +177,7 @@ def check_joint_vector(env, first, steps, actions):
             assert final["diverged"][index] == step.diverged[index]
             assert final["clipped"][index] == step.clipped[index].sum()
             for name, term in step.terms.items():
-                assert final["reward_terms"][name][index] == mean_over_players(term)[index]
+                assert final[name][index] == mean_over_players(term)[index]
 
 
 def check_slots(env, first, steps, actions):
@@ -192,10 +195,13 @@ def check_slots(env, first, steps, actions):
                 assert info == {}
                 continue
             equal(info.pop("terminal_observation"), step.observations[index, player])
+            assert info.pop("episode")["l"] > 0
             assert info == {
                 "TimeLimit.truncated": step.truncated[index],
-                "is_success": step.success[index],
                 "diverged": step.diverged[index],
+                "clipped": step.clipped[index, player],
+                "is_success": step.success[index],
+                **{name: term[index, player] for name, term in step.terms.items()},
             }
 
 

@@ -80,8 +80,8 @@ def test_players_parts_follow_each_other_and_rewards_are_averaged():
     assert np.array_equal(observation.reshape(3, size), np.stack([observations[agent] for agent in players]))
     assert reward == pytest.approx(np.mean([rewards[agent] for agent in players]), rel=1e-15)
     assert info["clipped"] == sum(infos[agent]["clipped"] for agent in players) > 0
-    assert info["reward_terms"]["digits"] == reward
-    assert type(reward) is type(info["reward_terms"]["digits"]) is float
+    assert info["reward_digits"] == reward
+    assert type(reward) is float
 
 
 def test_options_reach_the_environment():
@@ -97,7 +97,7 @@ def test_the_end_is_termination_and_a_cut_is_truncation(max_cycles, length, ende
     for k in range(length):
         _, _, *flags, info = env.step(np.zeros(25, dtype=np.float32))
         assert tuple(flags) == (ended if k == length - 1 else (False, False))
-        assert ("is_success" in info) == (k == length - 1)
+        assert info["is_success"].shape == ()
     with pytest.raises(RuntimeError, match=r"call reset\(\)"):
         env.step(np.zeros(25, dtype=np.float32))
 
@@ -108,7 +108,7 @@ def test_the_end_is_termination_and_a_cut_is_truncation(max_cycles, length, ende
         (np.zeros(24, dtype=np.float32), r"a joint action has the shape \(25,\), got \(24,\)"),
         (np.zeros((5, 5), dtype=np.float32), r"shape \(25,\), got \(5, 5\)"),
         (np.ma.zeros(25), "a joint action must be a plain array, got a masked array"),
-        (np.zeros(25, dtype=np.int64), "player_0 has the dtype int64; expected float32"),
+        (np.zeros(25, dtype=np.bool_), "player_0 has the dtype bool; expected numbers, such as float32"),
         (np.array([0.0] * 13 + [np.nan] + [0.0] * 11), "action of player_2 is not finite"),
     ],
 )
@@ -136,6 +136,76 @@ def test_pictures_come_from_the_parallel_environment():
     assert np.array_equal(env.render(), parallel.render())
     env.close()
     parallel.close()
+
+
+# --- the habits of Gymnasium -----------------------------------------------------------------------------------------
+
+
+def test_infos_have_the_same_keys_and_dtypes_from_reset_to_end():
+    env = gymnasium.make("ptne_env:ptne/random-energy-joint-v0", steps=3, reward={"digits": 1.0, "payoff": 1e-3})
+    infos = [env.reset(seed=0)[1], *(env.step(np.zeros(25, dtype=np.float32))[4] for _ in range(3))]
+    kinds = {"diverged": bool, "clipped": np.int64, "is_success": bool, "reward_digits": float, "reward_payoff": float}
+    assert all({name: value.dtype for name, value in info.items()} == kinds for info in infos)
+    assert all(value.shape == () for info in infos for value in info.values())
+
+
+def test_a_time_limit_of_gymnasium_ends_with_success_or_without():
+    env = gymnasium.wrappers.TimeLimit(JointEnv("energy"), 2)
+    near = np.tile(env.unwrapped.nash_equilibrium, (5, 1))
+    for shift, success in ((0.0, True), (1.0, False)):
+        env.reset(options={"estimates": near + shift})
+        for _ in range(2):
+            *_, truncated, info = env.step(np.zeros(25, dtype=np.float32))
+        assert truncated
+        assert info["is_success"] == success
+
+
+def test_an_assigned_generator_seeds_the_next_episodes():
+    env = gymnasium.make("ptne_env:ptne/random-energy-joint-v0")
+    starts = []
+    for seed in (1, 1, 2):
+        env.reset(seed=0)
+        env.unwrapped.np_random = np.random.default_rng(seed)
+        starts.append([env.reset()[0].tobytes() for _ in range(2)])
+    assert starts[0] == starts[1]
+    assert starts[0] != starts[2]
+    assert starts[0][0] != starts[0][1]
+    assert env.reset(seed=0)[0].tobytes() == JointEnv("random-energy").reset(seed=0)[0].tobytes()
+
+
+def test_the_joint_environment_has_the_views_of_the_parallel_one():
+    env = gymnasium.make("ptne_env:ptne/random-energy-joint-v0").unwrapped
+    env.reset(seed=2)
+    env.step(np.ones(25, dtype=np.float32))
+    for name in ("strategies", "estimates", "nash_equilibrium", "time"):
+        assert np.array_equal(getattr(env, name), getattr(env.parallel, name))
+    assert np.array_equal(env.state(), env.parallel.state())
+
+
+def test_integer_actions_are_the_same_as_floats():
+    env, other = JointEnv("energy"), JointEnv("energy")
+    for each in (env, other):
+        each.reset(seed=0)
+    assert same(env.step(np.arange(25)), other.step(np.arange(25, dtype=np.float32)))
+
+
+@pytest.mark.parametrize("make", [JointEnv, JointVectorEnv, PlayerVectorEnv])
+def test_a_shallow_copy_steps_on_its_own(make):
+    env, undisturbed = make("random-energy"), make("random-energy")
+    for each in (env, undisturbed):
+        each.reset(seed=0)
+    twin = copy.copy(env)
+    actions = np.ones(env.action_space.shape, dtype=np.float32)
+    expected = undisturbed.step(actions)
+    assert same(twin.step(actions), expected)
+    assert same(env.step(actions), expected)
+
+
+def test_single_environments_in_a_vector_render():
+    env = gymnasium.make_vec("ptne_env:ptne/energy-joint-v0", 2, vectorization_mode="sync", render_mode="rgb_array")
+    env.reset(seed=0)
+    assert [picture.shape[2] for picture in env.render()] == [3, 3]
+    env.close()
 
 
 # --- vectors ----------------------------------------------------------------------------------------------------------
@@ -195,7 +265,7 @@ def test_vector_is_gymnasiums_own_vector_of_single_environments(mode, case):
     first, infos = ours.reset(seed=5)
     expected, expected_infos = theirs.reset(seed=5)
     np.testing.assert_array_equal(first, expected, strict=True)
-    assert infos == expected_infos == {}
+    assert_same_infos(infos, expected_infos)
     ends = restarts = 0
     for actions in scripted_actions(ours, case, 40):
         step, expected = ours.step(actions), theirs.step(actions)
@@ -208,7 +278,7 @@ def test_vector_is_gymnasiums_own_vector_of_single_environments(mode, case):
             observations, infos = ours.reset(options={"reset_mask": over.copy()})
             expected, expected_infos = theirs.reset(options={"reset_mask": over.copy()})
             np.testing.assert_array_equal(observations, expected, strict=True)
-            assert infos == expected_infos == {}
+            assert_same_infos(infos, expected_infos)
         restarts += 0 < over.sum() < BATCH
     assert ends >= 3 * BATCH
     if case.startswith("crashing"):
@@ -238,8 +308,7 @@ def test_next_step_ignores_the_action_and_starts_with_reward_zero():
     assert not np.array_equal(first, last)
     assert rewards.tolist() == [0, 0]
     assert not (terminated | truncated).any()
-    assert not any(infos[name].any() for name in infos if name.startswith("_"))
-    assert not infos["clipped"].any()
+    assert not any(infos[name].any() for name in infos if not name.startswith("_"))
     clock = env.layout.select(first.reshape(2, 5, -1), "clock")
     assert not clock[..., 0].any()
 
@@ -260,7 +329,7 @@ def test_same_step_mode_returns_the_last_observation_and_info():
     assert infos["final_info"]["clipped"].tolist() == [25, 25]
     assert infos["_final_obs"].all()
     assert infos["_final_info"].all()
-    assert not infos["_is_success"].any()
+    assert not any(infos[name].any() for name in ("clipped", "is_success", "reward_digits"))
     assert not np.array_equal(observations, last)
     assert np.array_equal(observations, plain.reset()[0])
 
@@ -351,7 +420,7 @@ def test_gymnasiums_statistics_give_the_digits_gained(mode):
         (np.zeros((2, 24)), r"joint actions have the shape \(2, 25\), got \(2, 24\)"),
         (np.zeros((25, 2)), r"shape \(2, 25\), got \(25, 2\)"),
         (np.zeros(50), r"shape \(2, 25\), got \(50,\)"),
-        (np.zeros((2, 25), dtype=np.int64), "got int64"),
+        (np.zeros((2, 25), dtype=np.bool_), "got bool"),
         (np.full((2, 25), np.nan), "without NaN or infinity"),
         (np.ma.zeros((2, 25)), "joint actions must be a plain array, got a masked array"),
     ],
@@ -383,7 +452,7 @@ def test_bad_masks_are_refused(mask, message):
 def test_invalid_vectors_are_refused():
     with pytest.raises(ValueError, match="'Sometimes' is not a valid AutoresetMode"):
         JointVectorEnv("energy", 2, autoreset_mode="Sometimes")
-    with pytest.raises(ValueError, match="does not render; make one environment with a render_mode"):
+    with pytest.raises(ValueError, match=r"do not render, got render_mode='rgb_array': .*vectorization_mode='sync'"):
         gymnasium.make_vec("ptne_env:ptne/energy-joint-v0", num_envs=2, render_mode="rgb_array")
 
 
@@ -427,7 +496,8 @@ def test_members_are_the_players_of_the_joint_vector(case):
     assert members.metadata["autoreset_mode"] is AutoresetMode.NEXT_STEP
     observations, infos = members.reset(seed=5)
     np.testing.assert_array_equal(observations, joint.reset(seed=5)[0].reshape(count, -1), strict=True)
-    assert infos == {}
+    assert all(infos[f"_{name}"].all() for name in infos if not name.startswith("_"))
+    kinds = {name: (values.shape, values.dtype) for name, values in infos.items()}
     ends = 0
     for actions in scripted_actions(joint, case, 40):
         observations, rewards, *flags, infos = members.step(actions.reshape(count, -1))
@@ -438,9 +508,8 @@ def test_members_are_the_players_of_the_joint_vector(case):
             np.testing.assert_array_equal(flag, np.repeat(expected_flag, 5), strict=True)
         over = flags[0] | flags[1]
         ends += over.any()
-        assert set(infos) == ({"diverged", "_diverged", "is_success", "_is_success"} if over.any() else set())
-        for name in set(infos) & {"diverged", "is_success"}:
-            np.testing.assert_array_equal(infos[f"_{name}"], over, strict=True)
+        assert {name: (values.shape, values.dtype) for name, values in infos.items()} == kinds
+        for name in ("diverged", "is_success"):
             np.testing.assert_array_equal(infos[name], np.repeat(expected_infos[name], 5), strict=True)
     assert ends > 1
 
@@ -459,7 +528,7 @@ def test_a_second_reset_of_members_starts_all_episodes():
     ("change", "message"),
     [
         (lambda good: good[:9], r"actions of 10 members have the shape \(10, 5\), got \(9, 5\)"),
-        (lambda good: good.astype(int), "actions are floats of shape"),
+        (lambda good: good > 0, "actions are numbers of shape"),
         (lambda good: good * np.nan, "without NaN or infinity"),
         (np.ma.masked_array, "actions must be a plain array"),
     ],

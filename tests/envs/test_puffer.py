@@ -1,5 +1,7 @@
 """The interface of PufferLib: the caller's arrays, equality with the array interface, ends, seeds, and bad input."""
 
+import copy
+
 import numpy as np
 import pytest
 from test_vector import SHORT, random_actions
@@ -137,7 +139,7 @@ def test_arguments_without_sense_are_refused(arguments):
     ("change", "complaint"),
     [
         (lambda good: good[:14], r"actions of 15 agents have the shape \(15, 5\), got \(14, 5\)"),
-        (lambda good: good.astype(int), "actions are floats of shape"),
+        (lambda good: good > 0, "actions are numbers of shape"),
         (lambda good: good * np.nan, "without NaN or infinity"),
         (np.ma.masked_array, "actions must be a plain array"),
     ],
@@ -165,3 +167,9 @@ def test_a_seed_that_is_refused_changes_nothing():
 def test_a_step_before_the_first_reset_is_refused():
     with pytest.raises(RuntimeError, match="3 of 3 environments are over or not started"):
         make().step(np.zeros((AGENTS, 5), dtype=np.float32))
+
+
+@pytest.mark.parametrize("copied", [copy.copy, copy.deepcopy])
+def test_a_copy_is_refused_because_the_arrays_belong_to_the_trainer(copied):
+    with pytest.raises(TypeError, match="cannot be copied: make a new one"):
+        copied(PlayerBufferEnv("energy"))

@@ -98,9 +98,12 @@ def test_the_end_returns_the_last_observation_and_its_kind(arguments, truncated)
     assert np.array_equal(np.stack([info["terminal_observation"] for info in infos]), last)
     for info in infos:
         assert info["TimeLimit.truncated"] is truncated
-        assert info["is_success"] is False
-        assert info["diverged"] is False
-        assert set(info) == {"terminal_observation", "TimeLimit.truncated", "is_success", "diverged"}
+        assert not info["is_success"]
+        assert not info["diverged"]
+        assert set(info) == {
+            *("terminal_observation", "TimeLimit.truncated", "episode"),
+            *("diverged", "clipped", "is_success", "reward_digits"),
+        }
     assert len({id(info) for info in infos}) == 10
 
 
@@ -174,7 +177,7 @@ def test_attributes_and_methods_are_those_of_the_environments():
         (np.zeros((2, 5, 5)), r"actions of 10 members have the shape \(10, 5\), got \(2, 5, 5\)"),
         (np.zeros((5, 10)), r"have the shape \(10, 5\), got \(5, 10\)"),
         (np.zeros(50), r"have the shape \(10, 5\), got \(50,\)"),
-        (np.zeros((10, 5), dtype=np.int64), "got int64"),
+        (np.zeros((10, 5), dtype=np.bool_), "got bool"),
         (np.full((10, 5), np.nan), "without NaN or infinity"),
         (np.ma.zeros((10, 5)), "actions must be a plain array, got a masked array"),
     ],
@@ -282,7 +285,7 @@ def test_the_monitor_reports_returns_and_lengths(arguments, tmp_path):
     for episode, (total, length) in zip(told, expected, strict=True):
         assert episode["r"] == pytest.approx(total, rel=1e-5, abs=1e-4)
         assert episode["l"] == length
-        assert episode["is_success"] is False
+        assert not episode["is_success"]
     env.close()
 
 
@@ -308,6 +311,35 @@ def test_normalisation_changes_observations_only():
     assert ends == 8 * 15
     own = env.obs_rms.mean[env.venv.layout.slices["player"]]
     assert own == pytest.approx(np.full(5, 0.2), abs=1e-3)
+
+
+@pytest.mark.parametrize(
+    "make", [lambda: PlayerVecEnv("random-energy", 2, seed=1, steps=7), lambda: MixedPlayerVecEnv(mixture())]
+)
+def test_members_report_episodes_as_a_monitor_does(make):
+    plain, monitored = make(), VecMonitor(make())
+    for env in (plain, monitored):
+        env.seed(1)
+        env.reset()
+    generators, ends = [np.random.default_rng(0) for _ in range(2)], 0
+    for _ in range(20):
+        infos, expected = (
+            env.step(random_actions(env, each))[3] for env, each in zip((plain, monitored), generators, strict=True)
+        )
+        for info, other in zip(infos, expected, strict=True):
+            assert info.keys() == other.keys()
+            if "episode" in info:
+                ends += 1
+                assert {key: info["episode"][key] for key in "rl"} == {key: other["episode"][key] for key in "rl"}
+    assert ends >= 20
+
+
+def test_evaluation_without_another_monitor_brings_no_warning():
+    env = PlayerVecEnv("energy", 1, steps=3)
+    evaluate_policy(laws.Static(env.layout), env, n_eval_episodes=5)  # a warning would be an error
+    model = A2C("MlpPolicy", PlayerVecEnv("energy", 1, steps=3), n_steps=3)
+    model.learn(30)
+    assert [episode["l"] for episode in model.ep_info_buffer] == [3] * 10
 
 
 # --- evaluation -------------------------------------------------------------------------------------------------------

@@ -1,5 +1,6 @@
 """The batched environment of TorchRL: keys, equality with arrays, memory, partial resets, and bad input."""
 
+import gymnasium
 import numpy as np
 import pytest
 from extras import need_torchrl
@@ -9,7 +10,7 @@ need_torchrl()
 import torch
 from tensordict import TensorDict
 from test_vector import SHORT, random_actions
-from torchrl.envs import PettingZooWrapper, check_env_specs
+from torchrl.envs import GymEnv, GymWrapper, PettingZooWrapper, check_env_specs
 
 import ptne_env
 from ptne_env import VectorParallelEnv
@@ -206,11 +207,11 @@ def test_arguments_without_sense_are_refused(arguments, complaint):
 @pytest.mark.parametrize(
     ("change", "complaint"),
     [
-        (lambda actions: actions[:, :4], "actions are floats of shape"),
-        (lambda actions: actions.int(), "actions are floats of shape"),
+        (lambda actions: actions[:, :4], "actions are numbers of shape"),
+        (lambda actions: actions > 0, "actions are numbers of shape"),
         (lambda actions: actions * torch.nan, "without NaN or infinity"),
     ],
-    ids=["shape", "integers", "no numbers"],
+    ids=["shape", "booleans", "no numbers"],
 )
 def test_actions_that_are_refused_leave_the_state_as_it_was(change, complaint):
     env, untouched = make(), make()
@@ -271,3 +272,23 @@ def test_actions_in_bfloat16_are_taken():
         each.start = each.reset(seed=0)
         each.start[ACTION] = torch.full((3, 5, 5), 0.1).bfloat16().to(dtype)
     assert torch.equal(env.step(env.start)["next"][OBSERVATION], single.step(single.start)["next"][OBSERVATION])
+
+
+# --- Gymnasium's environments through TorchRL -------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("frame_skip", [1, 3])
+def test_the_joint_environment_is_made_by_id_and_its_infos_are_read(frame_skip):
+    env = GymEnv("ptne/energy-joint-v0", frame_skip=frame_skip, steps=12).auto_register_info_dict()
+    check_env_specs(env)
+    read = env.rollout(3)["next"]
+    kinds = {"diverged": torch.bool, "clipped": torch.int64, "is_success": torch.bool, "reward_digits": torch.float64}
+    assert {name: read[name].dtype for name in kinds} == kinds
+
+
+def test_the_joint_vector_of_mode_same_step_is_wrapped():
+    arguments = {"num_envs": 3, "autoreset_mode": gymnasium.vector.AutoresetMode.SAME_STEP, "steps": 4}
+    env = GymWrapper(gymnasium.make_vec("ptne/energy-joint-v0", **arguments))
+    frames = env.rollout(10, break_when_any_done=False)
+    assert frames["next", "done"].sum() == 2 * 3
+    assert frames["next", "reward_digits"].shape == (3, 10)
