@@ -142,13 +142,32 @@ def test_a_complete_run_writes_the_table_between_the_marks(runner):
     assert runner.PAGE.read_text(encoding="utf-8").count(runner.BEGIN) == 1
 
 
-def test_a_run_of_some_frameworks_prints_rows_and_leaves_the_page(runner, capsys):
-    before = runner.PAGE.read_text(encoding="utf-8")
+def test_a_run_of_some_frameworks_replaces_their_rows_alone(runner, capsys):
+    assert runner.main([]) == 0
+    alpha = [line for line in runner.PAGE.read_text(encoding="utf-8").splitlines() if "alpha" in line]
+    assert len(alpha) == 2
+    (runner.FOLDER / "alpha_example.py").write_text(BAD, encoding="utf-8")
+    (runner.FOLDER / "beta_example.py").write_text(GOOD.replace("2.25", "3.75"), encoding="utf-8")
+    capsys.readouterr()
     assert runner.main(["--only", "beta"]) == 0
-    assert runner.PAGE.read_text(encoding="utf-8") == before
-    printed = capsys.readouterr().out
-    assert "beta_example" in printed
-    assert "alpha" not in printed
+    assert "alpha" not in capsys.readouterr().out
+    lines = runner.PAGE.read_text(encoding="utf-8").splitlines()
+    assert [line for line in lines if "alpha" in line] == alpha
+    (result,) = [line for line in lines if "beta_example" in line]
+    assert "| 1.00 | 3.75 |" in result
+    assert [line[:9] for line in lines if line.startswith(("| `", "| ["))] == [
+        "| `alpha`",
+        "| `beta` ",
+        "| [alpha_",
+        "| [beta_e",
+    ]
+
+
+def test_rows_of_a_framework_that_no_longer_exists_are_removed(runner):
+    assert runner.main([]) == 0
+    (runner.FOLDER / "requirements" / "alpha.txt").unlink()
+    assert runner.main(["--only", "beta"]) == 0
+    assert "alpha" not in runner.PAGE.read_text(encoding="utf-8")
 
 
 @pytest.mark.parametrize(

@@ -1,7 +1,7 @@
 """Run the examples of this folder, each in a virtual environment of its framework, because their pins conflict.
 
-An example is ``<framework>_<idea>.py``, and ``requirements/<framework>.txt`` lists its packages. A complete run writes
-the table in docs/ecosystem.md.
+An example is ``<framework>_<idea>.py``, and ``requirements/<framework>.txt`` lists its packages. A run writes the rows
+of its frameworks into the tables of docs/ecosystem.md; those of other frameworks stay.
 
 Run it with: make ecosystem
 or: python examples/ecosystem/run.py --only torchrl
@@ -11,6 +11,7 @@ import argparse
 import json
 import os
 import platform
+import re
 import subprocess
 import sys
 from collections.abc import Sequence
@@ -107,8 +108,16 @@ def run(example: Path, python: Path) -> list[Row]:
     return [{**row, "example": example.stem, "seconds": seconds} for row in rows]
 
 
-def table(rows: Sequence[Row], found_versions: dict[str, dict[str, str]]) -> str:
-    """The rows and the versions as Markdown."""
+def version_lines(found_versions: dict[str, dict[str, str]]) -> list[str]:
+    """Rows of the table of versions."""
+    return [
+        f"| `{framework}` | {', '.join(f'{name} {version}' for name, version in found.items())} |"
+        for framework, found in found_versions.items()
+    ]
+
+
+def result_lines(rows: Sequence[Row]) -> list[str]:
+    """Rows of the table of results."""
 
     def number(value: float | None) -> str:
         return "–" if value is None else f"{value:.2f}"
@@ -116,19 +125,7 @@ def table(rows: Sequence[Row], found_versions: dict[str, dict[str, str]]) -> str
     def rate(value: float | None) -> str:
         return "–" if value is None else f"{float(f'{value:.2g}'):,.0f}"
 
-    lines = [
-        f"Python {platform.python_version()} on {os.cpu_count()} cores of {platform.machine()}.",
-        "",
-        "| Environment | Versions |",
-        "| --- | --- |",
-        *(
-            f"| `{framework}` | {', '.join(f'{name} {version}' for name, version in found.items())} |"
-            for framework, found in found_versions.items()
-        ),
-        "",
-        "| Example | The law's digits | Largest difference | Digits before | and after training | Steps/s | Seconds |",
-        "| --- | --- | --- | --- | --- | ---: | --- |",
-    ]
+    lines = []
     for row in rows:
         link = f"[{row['example']}](../examples/ecosystem/{row['example']}.py)" + (
             f", {row['what']}" if row["what"] else ""
@@ -136,28 +133,50 @@ def table(rows: Sequence[Row], found_versions: dict[str, dict[str, str]]) -> str
         training = f"{number(row['before'])} | {number(row['after'])}"
         measured = f"{training} | {rate(row['speed'])} | {row['seconds']:.0f}"
         lines.append(f"| {link} | {row['law']:.6f} | {row['difference']:.0e} | {measured} |")
-    return "\n".join(lines)
+    return lines
 
 
-def write(page: Path, text: str) -> None:
-    """Put ``text`` between the marks of the page.
+def update(page: Path, rows: Sequence[Row], found_versions: dict[str, dict[str, str]]) -> None:
+    """Write the rows of some frameworks into the tables between the marks of the page, in the frameworks' order.
+
+    Rows of other frameworks stay, if the frameworks still exist.
 
     Raises:
         ValueError: when the page has no marks.
     """
     before, begin, rest = page.read_text(encoding="utf-8").partition(BEGIN)
-    _, end, after = rest.partition(END)
+    present, end, after = rest.partition(END)
     if not begin or not end:
         raise ValueError(f"{page} needs the marks {BEGIN} and {END}")
+    lines: dict[str, list[list[str]]] = {framework: [[], []] for framework in frameworks()}
+    for line in present.splitlines():
+        if found := re.match(r"\| (?:`(\w+)`|\[([^_\]]+)_)", line):
+            framework = found[1] or found[2]
+            if framework in lines and framework not in found_versions:
+                lines[framework][0 if found[1] else 1].append(line)
+    for framework, versions_of in found_versions.items():
+        own = [row for row in rows if row["example"].startswith(f"{framework}_")]
+        lines[framework] = [version_lines({framework: versions_of}), result_lines(own)]
+    text = "\n".join([
+        f"Python {platform.python_version()} on {os.cpu_count()} cores of {platform.machine()}.",
+        "",
+        "| Environment | Versions |",
+        "| --- | --- |",
+        *(line for versions_of, _ in lines.values() for line in versions_of),
+        "",
+        "| Example | The law gains | Largest difference | Digits before | and after training | Steps/s | Seconds |",
+        "| --- | --- | --- | --- | --- | ---: | --- |",
+        *(line for _, results in lines.values() for line in results),
+    ])  # fmt: skip
     page.write_text(f"{before}{BEGIN}\n\n{text}\n\n{END}{after}", encoding="utf-8")
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """The exit code: 0, or 1 after a failure."""
     parser = argparse.ArgumentParser(
-        description="Run the examples of every framework and write docs/ecosystem.md's table."
+        description="Run the examples of every framework and write their rows in docs/ecosystem.md."
     )
-    parser.add_argument("--only", nargs="+", choices=frameworks(), help="these frameworks; the page stays as it is")
+    parser.add_argument("--only", nargs="+", choices=frameworks(), help="these frameworks; other rows of the page stay")
     parser.add_argument("--home", type=Path, default=HOME, help="where the virtual environments are kept")
     chosen = parser.parse_args(arguments)
     rows: list[Row] = []
@@ -180,11 +199,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if failed:
         print(f"failed: {', '.join(failed)}; the page stays as it is", file=sys.stderr)
         return 1
-    if chosen.only:
-        print(table(rows, found_versions))
-    else:
-        write(PAGE, table(rows, found_versions))
-        print(f"the table is in {PAGE}")
+    update(PAGE, rows, found_versions)
+    print(f"the tables are in {PAGE}")
     return 0
 
 

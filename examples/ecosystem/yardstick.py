@@ -12,7 +12,8 @@ from time import perf_counter
 import numpy as np
 
 import ptne_env
-from ptne_env import Interface, PolicySpec, laws
+from ptne_env import Interface, PolicySpec, distances, laws
+from ptne_env.envs.gymnasium import JointEnv
 from ptne_env.policies.blocks import in_blocks
 from ptne_env.policy import Policy
 
@@ -59,6 +60,26 @@ def digits(policy: Policy, interface: Interface = Interface("local", "gains")) -
     return float(results.record(SCENARIO, "policy", "digits")["mean"])
 
 
+def joint_digits(act: Callable[[np.ndarray], np.ndarray]) -> float:
+    """Mean digits at the deadline of a policy that acts for all players, over 20 games outside of the training.
+
+    Such a policy sees the observations of all players, so ``ptne_env.evaluate`` refuses it.
+
+    Args:
+        act: from joint observations (1, N · size) to joint actions (1, N · action size), in the interface of
+            :data:`TASK`.
+    """
+    env, found = JointEnv(SCENARIO, **TASK), []
+    for seed in range(1_000_000, 1_000_020):
+        (observation, _), over = env.reset(seed=seed), False
+        while not over:
+            observation, _, terminated, truncated, _ = env.step(act(observation[None])[0])
+            over = terminated or truncated
+        state = env.parallel.get_state()
+        found.append(distances.digits(distances.estimate_distance(state.estimates, state.game)).item())
+    return statistics.mean(found)
+
+
 def speeds(*routes: Callable[[], int], seconds: float = 1.0, turns: int = 3) -> list[float]:
     """Agent-steps per second of each route, the median of several turns.
 
@@ -103,10 +124,11 @@ def report(
         [PolicySpec("law", law)], [scenario], episodes=len(gained), split="train", against_laws=False
     )
     expected = results.samples[SCENARIO, "law"]["digits_gained"][0]
+    gained = np.asarray(gained, dtype=np.float64)
     difference = float(np.abs(gained - expected).max())
     if not difference < 1e-4:  # some frameworks have rewards in float32
         raise SystemExit(f"through the wrapper the law gained {gained} digits, in ptne_env.evaluate {expected}")
     if before is not None and after is not None and not after > before:
         raise SystemExit(f"training gained no digits: {before} before, {after} after")
-    row = {"what": what, "law": np.mean(gained), "difference": difference, "before": before, "after": after}
+    row = {"what": what, "law": float(gained.mean()), "difference": difference, "before": before, "after": after}
     print(json.dumps({**row, "speed": speed}))

@@ -63,15 +63,17 @@ class NashSeekingTask(TaskClass):
         return env.group_map
 
     def observation_spec(self, env: EnvBase) -> Composite:
-        """Of one environment."""
-        return env.full_observation_spec_unbatched
+        """Of one environment, without the infos: BenchMARL's networks read every entry."""
+        spec = env.full_observation_spec_unbatched.clone()
+        del spec["player", "info"]
+        return spec
 
     def action_spec(self, env: EnvBase) -> Composite:
         """Of one environment."""
         return env.full_action_spec_unbatched
 
     def info_spec(self, env: EnvBase) -> None:
-        """Not given."""
+        """Not given: BenchMARL logs no entries of infos."""
 
     def state_spec(self, env: EnvBase) -> None:
         """Not given: a centralised critic receives the observations of all players."""

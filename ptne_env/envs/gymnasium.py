@@ -1,7 +1,7 @@
 """Gymnasium: all players as one agent, for centralised control and for every single-agent library.
 
-A joint observation is the players' observations one after the other, a joint action their actions likewise; the reward
-is the mean over players. Registered as ``ptne/<scenario>-joint-v0``::
+A joint observation is the players' observations one after the other, or their graph; a joint action is their actions
+one after the other; the reward is the mean over players. Registered as ``ptne/<scenario>-joint-v0``::
 
     env = gymnasium.make("ptne_env:ptne/energy-joint-v0")
     envs = gymnasium.make_vec("ptne_env:ptne/energy-joint-v0", num_envs=64)
@@ -24,6 +24,7 @@ from ptne_env.envs.core import Duplicable
 from ptne_env.envs.parallel import NashSeekingEnv, parallel_env
 from ptne_env.envs.vector import VectorParallelEnv, member_actions
 from ptne_env.observation import ObservationLayout
+from ptne_env.observation_forms import FormName, Shown, make_form
 from ptne_env.scenario import Scenario
 
 _SET_BY_HAND = -1
@@ -72,7 +73,7 @@ def _tiled(space: spaces.Box, players: int) -> Any:
     return spaces.Box(np.tile(space.low, players), np.tile(space.high, players), dtype=np.float32)
 
 
-class JointEnv(Duplicable, gymnasium.Env[Float32Array, Float32Array]):
+class JointEnv(Duplicable, gymnasium.Env[Shown, Float32Array]):
     """One environment, one agent that acts for all players; the arguments are those of :func:`ptne_env.parallel_env`.
 
     The info has the same keys and dtypes after a reset and after every step: those of
@@ -92,12 +93,18 @@ class JointEnv(Duplicable, gymnasium.Env[Float32Array, Float32Array]):
     }
 
     def __init__(
-        self, scenario: str | Scenario = "energy", *, render_mode: str | None = None, **arguments: Any
+        self,
+        scenario: str | Scenario = "energy",
+        *,
+        render_mode: str | None = None,
+        observation: FormName = "flat",
+        **arguments: Any,
     ) -> None:
         self.parallel: NashSeekingEnv = parallel_env(scenario, render_mode=render_mode, **arguments)
         self.render_mode = render_mode
         players = self.parallel.possible_agents
-        self.observation_space = _tiled(self.parallel.observation_space(players[0]), len(players))
+        self._form = make_form(observation, self.parallel.layout, joint=True)
+        self.observation_space = self._form.space()
         self.action_space = _tiled(self.parallel.action_space(players[0]), len(players))
 
     @property
@@ -129,18 +136,16 @@ class JointEnv(Duplicable, gymnasium.Env[Float32Array, Float32Array]):
         """See :meth:`ptne_env.NashSeekingEnv.state`."""
         return self.parallel.state()
 
-    def reset(
-        self, *, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[Float32Array, dict[str, Any]]:
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Shown, dict[str, Any]]:
         """Start an episode; see :meth:`ptne_env.NashSeekingEnv.reset`."""
         if seed is None and self._np_random_seed == _SET_BY_HAND:
             observations, infos = self.parallel.reset(int(self.np_random.integers(2**63)), options)
         else:
             observations, infos = self.parallel.reset(seed, options)
             super().reset(seed=seed)
-        return np.concatenate(list(observations.values())), _joint_info(infos)
+        return self._joint(observations), _joint_info(infos)
 
-    def step(self, action: Float32Array) -> tuple[Float32Array, float, bool, bool, dict[str, Any]]:
+    def step(self, action: Float32Array) -> tuple[Shown, float, bool, bool, dict[str, Any]]:
         """Hold all players' inputs for one step.
 
         Raises:
@@ -156,12 +161,15 @@ class JointEnv(Duplicable, gymnasium.Env[Float32Array, Float32Array]):
             dict(zip(agents, rows, strict=True))
         )
         return (
-            np.concatenate(list(observations.values())),
+            self._joint(observations),
             float(_mean(np.array(list(rewards.values())))),
             terminations[agents[0]],
             truncations[agents[0]],
             _joint_info(infos),
         )
+
+    def _joint(self, observations: dict[str, Float32Array]) -> Shown:
+        return self._form.show(np.concatenate(list(observations.values())))
 
     def render(self) -> npt.NDArray[np.uint8] | None:
         """See :meth:`ptne_env.NashSeekingEnv.render`."""

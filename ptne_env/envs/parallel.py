@@ -25,6 +25,7 @@ from ptne_env.observation import (
     InterfaceKind,
     ObservationLayout,
 )
+from ptne_env.observation_forms import FormName, Shown, make_form
 from ptne_env.scenario import Scenario
 from ptne_env.world import World
 
@@ -33,7 +34,7 @@ AgentInfo = dict[str, Any]
 _SINGLE = np.dtype(np.float32)
 
 
-class NashSeekingEnv(Duplicable, ParallelEnv[str, Float32Array, Float32Array]):
+class NashSeekingEnv(Duplicable, ParallelEnv[str, Shown, Float32Array]):
     """N players of a noncooperative game that must reach its Nash equilibrium by a deadline.
 
     Agents are ``player_0`` … ``player_{N-1}`` and live until the episode ends, which is ``terminated`` after K steps to
@@ -68,6 +69,7 @@ class NashSeekingEnv(Duplicable, ParallelEnv[str, Float32Array, Float32Array]):
         reward: str | Mapping[str, float] = "digits",
         max_cycles: int | None = None,
         render_mode: str | None = None,
+        observation: FormName = "flat",
     ) -> None:
         if render_mode not in (None, *self.metadata["render_modes"]):
             modes = ", ".join(self.metadata["render_modes"])
@@ -80,7 +82,8 @@ class NashSeekingEnv(Duplicable, ParallelEnv[str, Float32Array, Float32Array]):
         self._simulation = Simulation(encoder, reward=reward, max_cycles=max_cycles)
         self.possible_agents = [f"player_{index}" for index in range(self.world.game.num_players)]
         self.agents: list[str] = []
-        self.observation_spaces = {agent: encoder.layout.observation_space() for agent in self.possible_agents}
+        self._form = make_form(observation, encoder.layout)
+        self.observation_spaces = {agent: self._form.space() for agent in self.possible_agents}
         self.action_spaces = {agent: encoder.layout.action_space() for agent in self.possible_agents}
         n, players = self.world.game.dimension, len(self.possible_agents)
         self.state_space = spaces.Box(
@@ -118,8 +121,8 @@ class NashSeekingEnv(Duplicable, ParallelEnv[str, Float32Array, Float32Array]):
     def max_cycles(self, value: int | None) -> None:
         self._simulation.max_cycles = value
 
-    def observation_space(self, agent: str) -> spaces.Box:
-        """The agent's own Box, the same object on every call."""
+    def observation_space(self, agent: str) -> spaces.Space[Any]:
+        """The agent's own space, the same object on every call."""
         return self.observation_spaces[agent]
 
     def action_space(self, agent: str) -> spaces.Box:
@@ -153,7 +156,7 @@ class NashSeekingEnv(Duplicable, ParallelEnv[str, Float32Array, Float32Array]):
 
     def reset(
         self, seed: int | None = None, options: Mapping[str, Any] | None = None
-    ) -> tuple[dict[str, Float32Array], dict[str, AgentInfo]]:
+    ) -> tuple[dict[str, Shown], dict[str, AgentInfo]]:
         """Start an episode.
 
         Args:
@@ -188,7 +191,7 @@ class NashSeekingEnv(Duplicable, ParallelEnv[str, Float32Array, Float32Array]):
 
     def step(
         self, actions: dict[str, Float32Array]
-    ) -> tuple[dict[str, Float32Array], dict[str, float], dict[str, bool], dict[str, bool], dict[str, AgentInfo]]:
+    ) -> tuple[dict[str, Shown], dict[str, float], dict[str, bool], dict[str, bool], dict[str, AgentInfo]]:
         """Hold all players' inputs for one step.
 
         Args:
@@ -218,12 +221,12 @@ class NashSeekingEnv(Duplicable, ParallelEnv[str, Float32Array, Float32Array]):
             self._simulation.observe(table)
         terminated, truncated = outcome.terminated.item(), outcome.truncated.item()
         diverged, is_success = outcome.diverged[0], outcome.is_success[0]
-        observations: dict[str, Float32Array] = {}
+        show, observations = self._form.show, dict[str, Shown]()
         infos: dict[str, AgentInfo] = {}
         totals, first = outcome.rewards.ravel().tolist(), self._reward_names[0]
         values = map(np.float64, totals)  # faster than the entries of an array
         for agent, row, count, value in zip(agents, rows, clipped, values, strict=True):
-            observations[agent] = row.copy()
+            observations[agent] = show(row.copy())
             infos[agent] = {"diverged": diverged, "clipped": count, "is_success": is_success, first: value}
         if not self._has_plain_reward:
             for name, term in zip(self._reward_names, outcome.terms.values(), strict=True):
@@ -301,11 +304,11 @@ class NashSeekingEnv(Duplicable, ParallelEnv[str, Float32Array, Float32Array]):
         if self.render_mode == "human" and self._renderer is not None:
             self._renderer.draw()
 
-    def _observations(self, agents: list[str]) -> dict[str, Float32Array]:
+    def _observations(self, agents: list[str]) -> dict[str, Shown]:
         """Copies of rows, because a row leads to all others of its array by the attribute ``base``."""
         table, rows = self._observed()
         self._simulation.observe(table)
-        return dict(zip(agents, map(np.ndarray.copy, rows), strict=True))
+        return {agent: self._form.show(row.copy()) for agent, row in zip(agents, rows, strict=True)}
 
     def _observed(self) -> tuple[Float32Array, list[Float32Array]]:
         """The table of observations, and its rows: views cost as much as copies, so they are made once."""
@@ -372,6 +375,7 @@ def parallel_env(
     reward: str | Mapping[str, float] = "digits",
     max_cycles: int | None = None,
     render_mode: str | None = None,
+    observation: FormName = "flat",
     **overrides: Any,
 ) -> NashSeekingEnv:
     """The PettingZoo ParallelEnv of a scenario.
@@ -386,6 +390,7 @@ def parallel_env(
         reward: a term's name (``digits``, ``tracking``, ``payoff``, ``regret``) or weights by name.
         max_cycles: steps after which the episode is truncated.
         render_mode: ``None``, ``"human"`` or ``"rgb_array"``.
+        observation: ``"flat"``, ``"graph"`` or ``"padded-graph"``; see :mod:`ptne_env.observation_forms`.
         **overrides: fields of the scenario to change, such as ``start="random"``, ``hold_steps=50``, ``deadline=2.0``.
 
     Raises:
@@ -398,4 +403,5 @@ def parallel_env(
         reward=reward,
         max_cycles=max_cycles,
         render_mode=render_mode,
+        observation=observation,
     )

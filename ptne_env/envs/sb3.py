@@ -23,6 +23,7 @@ from ptne_env.arrays import BoolArray, Float32Array
 from ptne_env.envs.core import Duplicable
 from ptne_env.envs.vector import VectorParallelEnv, VectorStep, member_actions
 from ptne_env.observation import ObservationLayout
+from ptne_env.observation_forms import FormName, Shown, make_form
 from ptne_env.scenario import Scenario
 
 Indices = int | Iterable[int] | None
@@ -66,6 +67,8 @@ class PlayerVecEnv(_Monitored):
         scenario: a name of the catalogue or a scenario.
         num_envs: B, environments; the ``num_envs`` of the VecEnv is B·N.
         seed: of the first reset; environment b gets seed + b.
+        observation: ``"flat"``, or ``"padded-graph"``: a Dict, for ``MultiInputPolicy`` with a features extractor; see
+            :mod:`ptne_env.observation_forms`.
         **arguments: of :class:`~ptne_env.envs.vector.VectorParallelEnv`: interface, action_mode, action_scale, reward,
             max_cycles and fields of the scenario.
 
@@ -87,9 +90,10 @@ class PlayerVecEnv(_Monitored):
         num_envs: int = 1,
         *,
         seed: int | None = None,
+        observation: FormName = "flat",
         **arguments: Any,
     ) -> None:
-        super().__init__(_Players(scenario, num_envs, seed=seed, **arguments))
+        super().__init__(_Players(scenario, num_envs, seed=seed, observation=observation, **arguments))
 
 
 class _Players(VecEnv):
@@ -101,16 +105,20 @@ class _Players(VecEnv):
         num_envs: int,
         *,
         seed: int | None,
+        observation: FormName,
         **arguments: Any,
     ) -> None:
+        if observation == "graph":
+            raise ValueError("Stable-Baselines3 takes no Graph: choose observation='flat' or 'padded-graph'")
         self.vector = VectorParallelEnv(scenario, num_envs, **arguments)
         self.layout = self.vector.layout
+        self._form = make_form(observation, self.layout)
         self.render_mode: str | None = None
         self._players = self.vector.num_players
         self._actions = np.empty(0)
         super().__init__(
             self.vector.num_envs * self._players,
-            self.vector.single_observation_space,
+            self._form.space(),
             self.vector.single_action_space,
         )
         # Of the members that go on, in every step: to make 320 dictionaries takes as long as to step 64 environments.
@@ -125,19 +133,19 @@ class _Players(VecEnv):
         self._seeds = [seed + member // self._players for member in range(self.num_envs)]
         return self._seeds
 
-    def reset(self) -> Float32Array:
+    def reset(self) -> Shown:
         """Start all episodes; observations of shape (B·N, size)."""
         observations = self.vector.reset(self._seeds[:: self._players])
         self.reset_infos = self._new_infos()
         self._reset_seeds()
         self._reset_options()
-        return self._flat(observations)
+        return self._shown(observations)
 
     def step_async(self, actions: np.ndarray) -> None:
         """Remember the actions, shape (B·N, action size)."""
         self._actions = actions
 
-    def step_wait(self) -> tuple[Float32Array, Float32Array, BoolArray, list[dict[str, Any]]]:
+    def step_wait(self) -> tuple[Shown, Float32Array, BoolArray, list[dict[str, Any]]]:
         """Step, and reset the environments that ended.
 
         Raises:
@@ -156,14 +164,14 @@ class _Players(VecEnv):
             observations = self.vector.reset(mask=over)
             dones = np.repeat(over, self._players)
         rewards = outcome.rewards.reshape(-1).astype(np.float32)
-        return self._flat(observations), rewards, dones, infos
+        return self._shown(observations), rewards, dones, infos
 
     def _finish(self, outcome: VectorStep, over: BoolArray, infos: list[dict[str, Any]]) -> None:
         of_infos = outcome.infos.items()
         for env in np.flatnonzero(over).tolist():
             for player in range(self._players):
                 infos[env * self._players + player] = {
-                    "terminal_observation": outcome.observations[env, player].copy(),
+                    "terminal_observation": self._form.show(outcome.observations[env, player].copy()),
                     "TimeLimit.truncated": bool(outcome.truncated[env]),
                     **{name: each[env] if each.ndim == 1 else each[env, player] for name, each in of_infos},
                 }
@@ -205,8 +213,8 @@ class _Players(VecEnv):
     def _count(self, indices: Indices) -> int:
         return len(list(self._get_indices(indices)))
 
-    def _flat(self, observations: Float32Array) -> Float32Array:
-        return observations.reshape(self.num_envs, -1)
+    def _shown(self, observations: Float32Array) -> Shown:
+        return self._form.show(observations.reshape(self.num_envs, -1))
 
 
 class MixedPlayerVecEnv(_Monitored):

@@ -49,6 +49,7 @@ def test_specifications_are_those_of_one_environment(task_class):
     env = task.get_env_fun(3, continuous_actions=True, seed=None, device="cpu")()
     assert task.group_map(env) == {"player": [f"player_{index}" for index in range(5)]}
     assert task.observation_spec(env)["player", "observation"].shape == (5, env.layout.size)
+    assert list(task.observation_spec(env)["player"].keys()) == ["observation"]
     assert task.action_spec(env)["player", "action"].shape == (5, env.layout.action_size)
     assert [spec(env) for spec in (task.info_spec, task.state_spec, task.action_mask_spec)] == [None] * 3
     assert [task.supports_continuous_actions(), task.supports_discrete_actions(), task.has_render(env)] == [1, 0, 0]
