@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict
+import shlex
+from collections.abc import Iterable, Sequence
+from dataclasses import asdict, replace
 from math import isnan
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -14,6 +16,13 @@ from ptne_env.cli import options
 from ptne_env.cli.app import app
 from ptne_env.cli.console import check_writable, json_text, progress, say, write_json
 from ptne_env.experiments.suite import foreign_suites
+
+if TYPE_CHECKING:
+    from ptne_env.training.arguments import Arguments
+    from ptne_env.training.checkpoint import Summary
+    from ptne_env.training.generalist import Generalist
+
+_PICTURE = "learning-curve.png"
 
 
 @app.command()
@@ -26,10 +35,21 @@ def train(
             autocompletion=training.all_configurations,
         ),
     ],
-    out: Annotated[Path, typer.Option(help="Folder for the policy, logs and checkpoints; made if missing.")],
+    out: Annotated[
+        Path,
+        typer.Option(help="Folder for the policy, the learning curve, logs and checkpoints; made if missing."),
+    ],
     seed: Annotated[
         int | None,
         typer.Option(min=0, help="Seed of network, sampling and training games; the configuration's own if left out."),
+    ] = None,
+    seeds: Annotated[
+        int | None,
+        typer.Option(
+            min=1,
+            help="Train this many seeds, one after the other: --seed and the next ones, each in its folder "
+            "DIR/seed-SEED.",
+        ),
     ] = None,
     steps: Annotated[int | None, typer.Option(min=1, help="Agent-steps; the configuration's own if left out.")] = None,
     start: Annotated[
@@ -44,6 +64,8 @@ def train(
 ) -> None:
     """Train a policy and export it as policy.onnx: with PPO, or without sizes, or from such a policy (--from).
 
+    Draws the learning curve, learning-curve.png, and prints the commands that compare the policy and show the logs.
+
     An interrupted run goes on from its last checkpoint when the same command is given again, and ends with the same
     policy as an undisturbed one.
     """
@@ -51,13 +73,13 @@ def train(
         from ptne_env.training import generalist, ppo
         from ptne_env.training.arguments import Arguments, from_toml, values_of
         from ptne_env.training.checkpoint import finished
+        from ptne_env.training.curve import LearningCurve, Run, draw
     except ImportError as error:
         raise ImportError('training needs an extra: pip install "ptne-env[sb3]"') from error
 
-    check_writable(json, out / "policy.onnx")
     given = {"seed": seed, "steps": steps}
     changes: dict[str, Any] = {name: value for name, value in given.items() if value is not None}
-    arguments: Arguments | generalist.Generalist
+    arguments: Arguments | Generalist
     if start is not None:
         changes |= {"scenarios": (configuration,), "start": start}
         arguments = from_toml(generalist.Generalist, "specialist", **changes)
@@ -66,20 +88,77 @@ def train(
     else:
         arguments = from_toml(Arguments, configuration, **changes)
     options.trusted(foreign_suites(*arguments.scenarios), trust=trust)
-    was_finished = finished(arguments, out) is not None
+    runs = {out: arguments}
+    if seeds is not None:
+        all_arguments = [replace(arguments, seed=arguments.seed + index) for index in range(seeds)]
+        runs = {out / f"seed-{each.seed}": each for each in all_arguments}
+    picture = out / _PICTURE
+    check_writable(json, picture, *(folder / "policy.onnx" for folder in runs))
+    ended = [folder for folder, each in runs.items() if finished(each, folder) is not None]
+    curves = {folder: LearningCurve(folder) for folder in runs}
+    summaries: dict[Path, Summary] = {}
     with progress("training") as advance:
+        for folder, each in runs.items():
 
-        def show(done: int, total: int, digits: float, stage: str = "training") -> None:
-            advance(done, total, stage if isnan(digits) else f"{stage}, {digits:.2f} digits")
+            def show(
+                done: int,
+                total: int,
+                digits: float,
+                stage: str = "training",
+                folder: Path = folder,
+                place: str = "" if seeds is None else f"seed {each.seed}, ",
+            ) -> None:
+                curves[folder].add(done, digits)
+                value = stage if isnan(digits) else f"{stage}, {digits:.2f} digits"
+                advance(len(summaries) * total + min(done, total), len(runs) * total, place + value)
 
-        if isinstance(arguments, Arguments):
-            summary = ppo.train(arguments, out, show)
-        else:
-            summary = generalist.train(arguments, out, show)
-    write_json(json, json_text(asdict(summary)))
+            if isinstance(each, Arguments):
+                summaries[folder] = ppo.train(each, folder, show)
+            else:
+                summaries[folder] = generalist.train(each, folder, show)
+    found = list(summaries.values())
+    write_json(json, json_text(asdict(found[0]) if seeds is None else [asdict(summary) for summary in found]))
+    for folder, summary in summaries.items():
+        _say_result(folder, summary, was_finished=folder in ended)
+    if seeds is not None:
+        reached = [summary.validation_digits for summary in found]
+        mean = sum(reached) / len(reached)
+        say(f"Mean of {seeds} seeds: {mean:.2f} digits, from {min(reached):.2f} to {max(reached):.2f}")
+    drawn = {
+        f"seed {summaries[folder].arguments['seed']}": Run(curve.points, summaries[folder].validation_digits)
+        for folder, curve in curves.items()
+        if curve.points
+    }
+    if drawn and (len(ended) < len(runs) or not picture.exists()):
+        unit = "agent-steps" if isinstance(arguments, Arguments) else "segments of training"
+        draw(drawn, picture, title=f"Training of {Path(configuration).stem}", unit=unit)
+        say(f"Learning curve written to {picture}")
+    for line in _next_commands(arguments.scenarios, out, runs, has_seeds=seeds is not None):
+        say(line)
+
+
+def _say_result(folder: Path, summary: Summary, *, was_finished: bool) -> None:
     digits = f"{summary.validation_digits:.2f} digits on the validation episodes"
     if was_finished:
-        say(f"This run has ended before, with {digits}; policy.onnx is in {out}")
+        say(f"This run has ended before, with {digits}; policy.onnx is in {folder}")
     else:
         parts = "" if summary.parts == 1 else f", in {summary.parts} parts"
-        say(f"{digits}, after {summary.seconds:.0f} s{parts}; policy.onnx written to {out}")
+        say(f"{digits}, after {summary.seconds:.0f} s{parts}; policy.onnx written to {folder}")
+
+
+def _next_commands(scenarios: Sequence[str], out: Path, folders: Iterable[Path], *, has_seeds: bool) -> list[str]:
+    """The commands that compare the policy with the paper's law where it was trained, and that show the logs."""
+    match sorted({name.rpartition("/")[0] for name in scenarios}):
+        case [""]:
+            where = " ".join(f"--scenario {name}" for name in scenarios)
+        case [suite]:
+            where = f"--suite {suite} " + " ".join(f"--track {name.rpartition('/')[2]}" for name in scenarios)
+        case ["", suite]:
+            where = f"--suite {suite}"
+        case _:  # trained in random worlds, or on tracks of several suites
+            where = "--suite ptne-v2"
+    trained = f"trained={out}/seed-*/policy.onnx" if has_seeds else str(out / "policy.onnx")
+    lines = [f"To compare:  ptne compare {where} --policy {shlex.quote(f'static,{trained}')}"]
+    if any((folder / "tensorboard").is_dir() for folder in folders):
+        lines.append(f"To see the logs:  tensorboard --logdir {shlex.quote(str(out))}")
+    return lines
