@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, replace
 from math import isnan
 from pathlib import Path
@@ -18,11 +18,10 @@ from ptne_env.cli.console import check_writable, json_text, progress, say, write
 from ptne_env.experiments.suite import foreign_suites
 
 if TYPE_CHECKING:
+    from ptne_env.training import generalist
     from ptne_env.training.arguments import Arguments
     from ptne_env.training.checkpoint import Summary
-    from ptne_env.training.generalist import Generalist
-
-_PICTURE = "learning-curve.png"
+    from ptne_env.training.curve import LearningCurve
 
 
 @app.command()
@@ -70,8 +69,6 @@ def train(
     policy as an undisturbed one.
     """
     try:
-        from ptne_env.training import generalist, ppo
-        from ptne_env.training.arguments import Arguments, from_toml, values_of
         from ptne_env.training.checkpoint import finished
         from ptne_env.training.curve import LearningCurve, Run, draw
     except ImportError as error:
@@ -79,62 +76,81 @@ def train(
 
     given = {"seed": seed, "steps": steps}
     changes: dict[str, Any] = {name: value for name, value in given.items() if value is not None}
-    arguments: Arguments | Generalist
-    if start is not None:
-        changes |= {"scenarios": (configuration,), "start": start}
-        arguments = from_toml(generalist.Generalist, "specialist", **changes)
-    elif "stages" in values_of(configuration)[1]:
-        arguments = from_toml(generalist.Generalist, configuration, **changes)
-    else:
-        arguments = from_toml(Arguments, configuration, **changes)
+    arguments, unit = _arguments(configuration, start, changes)
     options.trusted(foreign_suites(*arguments.scenarios), trust=trust)
     runs = {out: arguments}
     if seeds is not None:
-        all_arguments = [replace(arguments, seed=arguments.seed + index) for index in range(seeds)]
-        runs = {out / f"seed-{each.seed}": each for each in all_arguments}
-    picture = out / _PICTURE
+        series = [replace(arguments, seed=arguments.seed + index) for index in range(seeds)]
+        runs = {out / f"seed-{each.seed}": each for each in series}
+    picture = out / "learning-curve.png"
     check_writable(json, picture, *(folder / "policy.onnx" for folder in runs))
     ended = [folder for folder, each in runs.items() if finished(each, folder) is not None]
     curves = {folder: LearningCurve(folder) for folder in runs}
+    summaries = _train(runs, curves)
+    found = [asdict(summary) for summary in summaries.values()]
+    write_json(json, json_text(found[0] if seeds is None else found))
+    for folder, summary in summaries.items():
+        _say_result(folder, summary, was_finished=folder in ended)
+    reached = [summary.validation_digits for summary in summaries.values()]
+    if seeds is not None:
+        mean = sum(reached) / len(reached)
+        say(f"Mean of {seeds} seeds: {mean:.2f} digits, from {min(reached):.2f} to {max(reached):.2f}")
+    drawn = {
+        f"seed {each.seed}": Run(curve.points, digits)
+        for each, curve, digits in zip(runs.values(), curves.values(), reached, strict=True)
+        if curve.points
+    }
+    if drawn and (len(ended) < len(runs) or not picture.exists()):
+        draw(drawn, picture, title=f"Training of {Path(configuration).stem}", unit=unit)
+        say(f"Learning curve written to {picture}")
+    for line in _next_commands(arguments.scenarios, out, runs, has_seeds=seeds is not None):
+        say(line)
+
+
+def _arguments(
+    configuration: str, start: str | None, changes: dict[str, Any]
+) -> tuple[Arguments | generalist.Generalist, str]:
+    """The arguments of a run, and the unit of its progress."""
+    from ptne_env.training import arguments, generalist
+
+    segments = "segments of training"
+    if start is not None:
+        changes = {**changes, "scenarios": (configuration,), "start": start}
+        return arguments.from_toml(generalist.Generalist, "specialist", **changes), segments
+    if "stages" in arguments.values_of(configuration)[1]:
+        return arguments.from_toml(generalist.Generalist, configuration, **changes), segments
+    return arguments.from_toml(arguments.Arguments, configuration, **changes), "agent-steps"
+
+
+def _train(
+    runs: Mapping[Path, Arguments | generalist.Generalist], curves: Mapping[Path, LearningCurve]
+) -> dict[Path, Summary]:
+    """Train one run after the other, with a progress bar for all of them; their summaries."""
+    from ptne_env.training import generalist, ppo
+
     summaries: dict[Path, Summary] = {}
     with progress("training") as advance:
-        for folder, each in runs.items():
+        for folder, arguments in runs.items():
+            place = "" if len(runs) == 1 else f"seed {arguments.seed}, "
+            curve = curves[folder]
 
             def show(
                 done: int,
                 total: int,
                 digits: float,
                 stage: str = "training",
-                folder: Path = folder,
-                place: str = "" if seeds is None else f"seed {each.seed}, ",
+                place: str = place,
+                curve: LearningCurve = curve,
             ) -> None:
-                curves[folder].add(done, digits)
-                value = stage if isnan(digits) else f"{stage}, {digits:.2f} digits"
-                advance(len(summaries) * total + min(done, total), len(runs) * total, place + value)
+                curve.add(done, digits)
+                now = stage if isnan(digits) else f"{stage}, {digits:.2f} digits"
+                advance(len(summaries) * total + min(done, total), len(runs) * total, place + now)
 
-            if isinstance(each, Arguments):
-                summaries[folder] = ppo.train(each, folder, show)
+            if isinstance(arguments, generalist.Generalist):
+                summaries[folder] = generalist.train(arguments, folder, show)
             else:
-                summaries[folder] = generalist.train(each, folder, show)
-    found = list(summaries.values())
-    write_json(json, json_text(asdict(found[0]) if seeds is None else [asdict(summary) for summary in found]))
-    for folder, summary in summaries.items():
-        _say_result(folder, summary, was_finished=folder in ended)
-    if seeds is not None:
-        reached = [summary.validation_digits for summary in found]
-        mean = sum(reached) / len(reached)
-        say(f"Mean of {seeds} seeds: {mean:.2f} digits, from {min(reached):.2f} to {max(reached):.2f}")
-    drawn = {
-        f"seed {summaries[folder].arguments['seed']}": Run(curve.points, summaries[folder].validation_digits)
-        for folder, curve in curves.items()
-        if curve.points
-    }
-    if drawn and (len(ended) < len(runs) or not picture.exists()):
-        unit = "agent-steps" if isinstance(arguments, Arguments) else "segments of training"
-        draw(drawn, picture, title=f"Training of {Path(configuration).stem}", unit=unit)
-        say(f"Learning curve written to {picture}")
-    for line in _next_commands(arguments.scenarios, out, runs, has_seeds=seeds is not None):
-        say(line)
+                summaries[folder] = ppo.train(arguments, folder, show)
+    return summaries
 
 
 def _say_result(folder: Path, summary: Summary, *, was_finished: bool) -> None:

@@ -19,7 +19,7 @@ except ImportError as error:  # pragma: no cover - exercised in an environment w
 
 from ptne_env.arrays import BoolArray, Float32Array
 from ptne_env.envs.vector import VectorParallelEnv, VectorStep, member_actions
-from ptne_env.observation import ObservationLayout
+from ptne_env.observation import InterfaceKind, ObservationLayout
 from ptne_env.scenario import Scenario
 
 Indices = int | Iterable[int] | None
@@ -40,9 +40,10 @@ class PlayerVecEnv(VecEnv):
     Args:
         scenario: a name of the catalogue or a scenario.
         num_envs: B, environments; the ``num_envs`` of the VecEnv is B·N.
+        interface: ``"learner"``, in which all numbers are of order one, ``"local"`` or ``"physical"``.
         seed: of the first reset; environment b gets seed + b.
-        **arguments: of :class:`~ptne_env.envs.vector.VectorParallelEnv`: interface, action_mode, action_scale, reward,
-            max_cycles and fields of the scenario.
+        **arguments: of :class:`~ptne_env.envs.vector.VectorParallelEnv`: action_mode, action_scale, reward, max_cycles
+            and fields of the scenario.
 
     Raises:
         ValueError: for an unknown name or field, or an invalid value.
@@ -53,10 +54,11 @@ class PlayerVecEnv(VecEnv):
         scenario: str | Scenario = "energy",
         num_envs: int = 1,
         *,
+        interface: InterfaceKind = "learner",
         seed: int | None = None,
         **arguments: Any,
     ) -> None:
-        self.vector = VectorParallelEnv(scenario, num_envs, **arguments)
+        self.vector = VectorParallelEnv(scenario, num_envs, interface=interface, **arguments)
         self.layout = self.vector.layout
         self.render_mode: str | None = None
         self._players = self.vector.num_players

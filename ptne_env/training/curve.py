@@ -15,8 +15,6 @@ from ptne_env.style import COLOURS, INK, drawing
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-_HEADER = ["done", "digits"]
-
 
 class Run(NamedTuple):
     """A finished run in a picture.
@@ -65,17 +63,15 @@ class LearningCurve:
             return
         self.points = {before: value for before, value in self.points.items() if before < done} | {done: digits}
         text = io.StringIO()
-        csv.writer(text, lineterminator="\n").writerows([_HEADER, *self.points.items()])
+        csv.writer(text, lineterminator="\n").writerows([("done", "digits"), *self.points.items()])
         write_atomically(self._path, text.getvalue())
 
 
 def _read(path: Path) -> dict[int, float]:
     try:
-        header, *rows = csv.reader(path.read_text(encoding="utf-8").splitlines())
-        if header != _HEADER:
-            raise ValueError(f"its columns are {', '.join(header)}")
-        return {int(done): float(digits) for done, digits in rows}
-    except ValueError as error:
+        rows = csv.DictReader(path.read_text(encoding="utf-8").splitlines(), strict=True)
+        return {int(row["done"]): float(row["digits"]) for row in rows}
+    except (ValueError, TypeError, KeyError, csv.Error) as error:
         raise ValueError(
             f"{path} is no learning curve: it is damaged or something else ({error}); remove it, and the curve begins "
             "where training goes on"
@@ -112,7 +108,7 @@ def _draw(axes: Axes, runs: Mapping[str, Run]) -> None:
     is_alone = len(runs) == 1
     for index, (name, run) in enumerate(runs.items()):
         colour = COLOURS[index % len(COLOURS)]
-        label = "mean of recent episodes, which explore" if is_alone else f"{name}: {run.digits:.2f}"
+        label = "last episode length of training, with exploration" if is_alone else f"{name}: {run.digits:.2f}"
         axes.plot(*_columns(run.points), color=colour, linewidth=1.6 if is_alone else 1.0, label=label)
         end = max(run.points)
         label = f"exported policy, validation episodes: {run.digits:.2f}" if is_alone else ""
@@ -122,7 +118,8 @@ def _draw(axes: Axes, runs: Mapping[str, Run]) -> None:
         mean = {done: sum(run.points[done] for run in runs.values()) / len(runs) for done in shared}
         axes.plot(*_columns(mean), color=INK, linewidth=2.2, label="mean")
     axes.xaxis.set_major_formatter("{x:,.0f}")
-    axes.legend(title=None if is_alone else "circles: exported policies, validation episodes")
+    title = None if is_alone else "circles: exported policies, validation episodes"
+    axes.legend(title=title, title_fontsize="small", alignment="left")
 
 
 def _columns(points: Mapping[int, float]) -> tuple[list[int], list[float]]:
