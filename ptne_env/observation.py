@@ -313,7 +313,7 @@ class ObservationLayout:
     def action_bound(self) -> float:
         """Actions live in the box [−bound, bound]: the input limit under ``physical``, else 1, or 3 under ``learner``.
 
-        In mode ``gains`` it is 1 under all. The limit is rounded down to a float32, so that no action in the box exceeds it.
+        In mode ``gains`` it is 1 under all. The limit is rounded down to a float32: no action in the box exceeds it.
         """
         if self.interface.action_mode == "gains" or self.interface.kind == "local":
             return 1.0

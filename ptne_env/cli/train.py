@@ -103,7 +103,7 @@ def train(
     if drawn and (len(ended) < len(runs) or not picture.exists()):
         draw(drawn, picture, title=f"Training of {Path(configuration).stem}", unit=unit)
         say(f"Learning curve written to {picture}")
-    for line in _next_commands(arguments.scenarios, out, runs, has_seeds=seeds is not None):
+    for line in next_commands(arguments.scenarios, out, runs, has_seeds=seeds is not None):
         say(line)
 
 
@@ -162,7 +162,7 @@ def _say_result(folder: Path, summary: Summary, *, was_finished: bool) -> None:
         say(f"{digits}, after {summary.seconds:.0f} s{parts}; policy.onnx written to {folder}")
 
 
-def _next_commands(scenarios: Sequence[str], out: Path, folders: Iterable[Path], *, has_seeds: bool) -> list[str]:
+def next_commands(scenarios: Sequence[str], out: Path, folders: Iterable[Path], *, has_seeds: bool) -> list[str]:
     """The commands that compare the policy with the paper's law where it was trained, and that show the logs."""
     match sorted({name.rpartition("/")[0] for name in scenarios}):
         case [""]:
