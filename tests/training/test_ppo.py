@@ -267,7 +267,7 @@ def test_the_command_takes_the_seed_of_the_file_and_says_that_a_run_has_ended(sh
     assert times(whole) == before
 
 
-@pytest.mark.parametrize("kind", ["local", "physical"])
+@pytest.mark.parametrize("kind", ["local", "learner", "physical"])
 @pytest.mark.parametrize("mode", ["input", "gains"])
 @pytest.mark.parametrize("products", [True, False])
 def test_the_exported_policy_acts_like_the_model_over_whole_episodes(kind, mode, products, tmp_path):
