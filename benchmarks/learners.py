@@ -49,9 +49,7 @@ TRAININGS = (
     Training("PPO", "local", has_defaults=False, num_envs=1, steps=100_000),
     Training("PPO", "learner", has_defaults=False, num_envs=1, steps=100_000),
     Training("PPO", "learner", has_defaults=True, num_envs=32, steps=150_000),
-    Training("SAC", "learner", has_defaults=False, num_envs=1, steps=20_000),
-    Training("SAC", "learner", has_defaults=True, num_envs=16, steps=60_000),
-    Training("TD3", "learner", has_defaults=False, num_envs=1, steps=20_000),
+    Training("SAC", "learner", has_defaults=True, num_envs=16, steps=40_000),
     Training("TD3", "learner", has_defaults=True, num_envs=16, steps=60_000),
 )
 
@@ -70,7 +68,7 @@ def main(
         training = TRAININGS[row] if steps is None else TRAININGS[row]._replace(steps=steps)
         found = [training.digits(seed) for seed in range(seeds)]
         settings = f"`defaults.{training.algorithm}`" if training.has_defaults else "none"
-        gained = " ".join(f"{digits:.2f}" for digits, _ in found)
+        gained = " ".join(f"{digits:.1f}" for digits, _ in found)
         seconds = sum(each for _, each in found) / len(found)
         print(
             f"| {training.algorithm} | `{training.interface}` | {settings} | {training.num_envs} | "

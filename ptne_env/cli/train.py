@@ -101,7 +101,7 @@ def train(
         if curve.points
     }
     if drawn and (len(ended) < len(runs) or not picture.exists()):
-        draw(drawn, picture, title=f"Training of {Path(configuration).stem}", unit=unit)
+        draw(drawn, picture, title=f"Training of {configuration.removesuffix('.toml')}", unit=unit)
         say(f"Learning curve written to {picture}")
     for line in next_commands(arguments.scenarios, out, runs, has_seeds=seeds is not None):
         say(line)

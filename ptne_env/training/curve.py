@@ -108,7 +108,7 @@ def _draw(axes: Axes, runs: Mapping[str, Run]) -> None:
     is_alone = len(runs) == 1
     for index, (name, run) in enumerate(runs.items()):
         colour = COLOURS[index % len(COLOURS)]
-        label = "last episode length of training, with exploration" if is_alone else f"{name}: {run.digits:.2f}"
+        label = "training, with exploration" if is_alone else f"{name}: {run.digits:.2f}"
         axes.plot(*_columns(run.points), color=colour, linewidth=1.6 if is_alone else 1.0, label=label)
         end = max(run.points)
         label = f"exported policy, validation episodes: {run.digits:.2f}" if is_alone else ""
@@ -117,6 +117,7 @@ def _draw(axes: Axes, runs: Mapping[str, Run]) -> None:
         shared = sorted(set.intersection(*(set(run.points) for run in runs.values())))
         mean = {done: sum(run.points[done] for run in runs.values()) / len(runs) for done in shared}
         axes.plot(*_columns(mean), color=INK, linewidth=2.2, label="mean")
+    axes.locator_params(axis="x", integer=True, nbins=7)
     axes.xaxis.set_major_formatter("{x:,.0f}")
     title = None if is_alone else "circles: exported policies, validation episodes"
     axes.legend(title=title, title_fontsize="small", alignment="left")

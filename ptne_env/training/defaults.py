@@ -27,9 +27,10 @@ PPO: Mapping[str, Any] = MappingProxyType(
 )
 """For about 32 environments; with B environments of N players a rollout has 50·B·N samples."""
 
-SAC: Mapping[str, Any] = MappingProxyType(
-    {"gamma": 0.9, "learning_rate": 1e-3, "learning_starts": 2000, "gradient_steps": 4, "device": "cpu"}
+TD3: Mapping[str, Any] = MappingProxyType(
+    {"gamma": 0.9, "learning_rate": 1e-3, "learning_starts": 1000, "gradient_steps": 4, "device": "cpu"}
 )
-"""For about 16 environments."""
+"""For about 16 environments. Exploration is that of the first ``learning_starts`` agent-steps, which are random."""
 
-TD3: Mapping[str, Any] = SAC
+SAC: Mapping[str, Any] = MappingProxyType({**TD3, "ent_coef": "auto_0.001"})
+"""For about 16 environments. The reward of a step is of order 0.01, so a larger weight of the entropy would hide it."""
