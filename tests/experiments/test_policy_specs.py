@@ -153,10 +153,11 @@ def test_the_interface_of_an_archive_is_recognised_by_its_spaces(kind, mode, tmp
     from stable_baselines3 import PPO
 
     from ptne_env.envs.sb3 import PlayerVecEnv
+    from ptne_env.policies.archive import load_archive
 
     env = PlayerVecEnv(BASE, interface=kind, action_mode=mode)
     PPO("MlpPolicy", env, device="cpu").save(tmp_path / "model.zip")
-    assert get_policy_spec(str(tmp_path / "model.zip"), trust=True).interface == ptne_env.Interface(kind, mode)
+    assert load_archive(str(tmp_path / "model.zip")).interface == ptne_env.Interface(kind, mode)
 
 
 def test_files_that_are_no_archives_are_refused(tmp_path):
