@@ -80,6 +80,7 @@ class Encoder(ABC):
         interface: as given.
         layout: of observations and actions; policies are built from it.
         clock_table: t/T, s, Θ_k, Δt_k/T and the age of the graph as observed, shape (5, 1 or N, K+H+1), float32.
+        slot_order: the world's neighbour slot in each slot of the layout, shape (D, N); ``None`` for the same slots.
         gradient_rows: row of the own gradients in each place of a player's own block, shape (m, N).
         gradient_mask: False in padded places, shape (m, N, 1); ``None`` where no place is padded.
 
@@ -102,11 +103,12 @@ class Encoder(ABC):
         t, s, theta = world.local_clocks
         shared = [np.broadcast_to(row, t.shape) for row in (clock.dt / clock.deadline, world.time_since_switch)]
         self.clock_table = np.stack([t / clock.deadline, s, theta, *shared]).astype(np.float32)
+        self.slot_order = self._order_slots()
         largest_t, largest_s, largest_theta, largest_dt = self.clock_table[:4].max(axis=(1, 2)).tolist()
         self.layout = layout = ObservationLayout(
             interface=interface,
             action_dims=game.action_dims,
-            neighbours=tuple(tuple(int(j) for j in column) for column in world.neighbours.T),
+            neighbours=tuple(map(tuple, self._in_slots(world.neighbours).T.tolist())),
             input_limit=world.input_limit,
             action_limit=world.scenario.action_limit,
             deadline=clock.deadline,
@@ -114,6 +116,7 @@ class Encoder(ABC):
             largest_clock=(largest_t, largest_s, largest_theta, largest_dt),
             schedule=_link_schedule(world) if interface.graph_knowledge == "schedule" else None,
         )
+        self.clock_table[1] /= layout.units[1]
         own = layout.own_components.T
         self.gradient_rows = np.minimum(own, game.dimension - 1)
         self.gradient_mask = (own < game.dimension)[:, :, None] if (own == game.dimension).any() else None
@@ -147,7 +150,7 @@ class Encoder(ABC):
         link_weights = None if world.has_constant_weights else dynamics.weights(world, state)
         self._write_differences(workspace, state, link_weights)
         if link_weights is not None:
-            fields["weights"][...] = link_weights
+            fields["weights"][...] = self._in_slots(link_weights)
         step = steps.item() if steps.size == 1 else None
         if step is None or step != workspace.step:  # blocks of a vector environment are often in lockstep
             fields["clock_and_age"][...] = self.clock_table.take(steps, axis=2)
@@ -224,6 +227,14 @@ class Encoder(ABC):
         np.minimum(inputs, limit, out=inputs)  # np.clip does the same, but for one environment its wrapper costs more
         return np.maximum(inputs, -limit, out=inputs)
 
+    def _order_slots(self) -> IntArray | None:
+        """See :attr:`slot_order`."""
+        return None
+
+    def _in_slots(self, values: npt.NDArray[Any]) -> npt.NDArray[Any]:
+        """Values by the world's slots, shape (D, N, …), by the layout's slots."""
+        return values if self.slot_order is None else values[self.slot_order, np.arange(self.world.game.num_players)]
+
     def _own_gradients(self, state: State) -> FloatArray:
         """Own gradients per player, padded with 0, shape (m, N, B)."""
         if self.gradient_mask is None and len(self.gradient_rows) == 1:
@@ -249,7 +260,7 @@ class Encoder(ABC):
         fields["everything"] = buffer.reshape(-1, row)[:, :batch].T
         fields["player"][...] = np.eye(players, dtype=np.float32)[:, :, None]
         if world.has_constant_weights:
-            fields["weights"][...] = world.mode_weights
+            fields["weights"][...] = self._in_slots(world.mode_weights)
         while len(self._workspaces) >= _WORKSPACES:
             self._workspaces.pop(next(iter(self._workspaces)))
         at_once = max(1, min(slots, _SCRATCH_ENTRIES // (n * players * batch)))
@@ -319,7 +330,7 @@ class LocalEncoder(Encoder):
         self.remember_scale(state, scale)
         differences *= 1 / scale  # in float64, and cast in a second pass: faster than numpy's casting output
         workspace.fields["gradient_and_relative_estimates"][...] = differences
-        workspace.fields["log_scale"][...] = np.log10(scale)
+        workspace.fields["log_scale"][...] = np.log10(scale) / self.layout.units[0]
 
     def scale(self, state: State) -> FloatArray:
         """σ_i of every player, shape (N, B)."""
@@ -332,7 +343,7 @@ class LocalEncoder(Encoder):
         self._scaled = (state, scale)
 
     def _inputs_from_actions(self, actions: FloatArray, state: State) -> FloatArray:
-        actions *= self.interface.action_scale * self.scale(state)
+        actions *= self.interface.input_per_action * self.scale(state)
         return self._limited(actions.reshape(-1, dynamics.batch_size(state)).take(self._player_rows, axis=0))
 
     def _differences(self, state: State, link_weights: FloatArray | None = None) -> tuple[FloatArray, FloatArray]:
@@ -347,7 +358,28 @@ class LocalEncoder(Encoder):
         return differences, np.maximum(scale, SMALLEST_SCALE, out=scale)
 
 
-_ENCODERS: Mapping[str, type[Encoder]] = {"physical": PhysicalEncoder, "local": LocalEncoder, "full": FullEncoder}
+class LearnerEncoder(LocalEncoder):
+    """The interface ``learner``: ``local``, with neighbour slots in ego order and all numbers of order one."""
+
+    def _order_slots(self) -> IntArray:
+        neighbours, players = self.world.neighbours, self.world.game.num_players
+        distance = (neighbours - np.arange(players)) % players
+        return np.argsort(np.where(distance == 0, players, distance), axis=0, kind="stable")  # padded slots are last
+
+    def _differences(self, state: State, link_weights: FloatArray | None = None) -> tuple[FloatArray, FloatArray]:
+        differences, scale = super()._differences(state, link_weights)
+        slots, n, players = self._slot_shape
+        relative = differences[-slots * n :].reshape(slots, n, players, -1).swapaxes(1, 2)
+        relative[...] = self._in_slots(relative)
+        return differences, scale
+
+
+_ENCODERS: Mapping[str, type[Encoder]] = {
+    "physical": PhysicalEncoder,
+    "local": LocalEncoder,
+    "learner": LearnerEncoder,
+    "full": FullEncoder,
+}
 
 
 def _link_schedule(world: World) -> LinkSchedule:

@@ -16,7 +16,7 @@ from scipy.sparse.csgraph import shortest_path
 
 from ptne_env.arrays import BoolArray, Float32Array, FloatArray, IntArray, require_positive
 
-InterfaceKind: TypeAlias = Literal["physical", "local", "full"]
+InterfaceKind: TypeAlias = Literal["physical", "local", "learner", "full"]
 ActionMode: TypeAlias = Literal["input", "gains"]
 GraphKnowledge: TypeAlias = Literal["links", "union", "schedule"]
 Estimates: TypeAlias = Literal["honest", "coded"]
@@ -26,6 +26,13 @@ OBSERVATION_BOUND = 1e6
 
 SMALLEST_SCALE = 1e-30
 """Under ``local`` the scale σ_i is at least this, so that a player at rest divides by a positive number."""
+
+LEARNER_BOUND = 3.0
+"""Under ``learner`` an action of this size is what an action of 1 is under ``local``. Gaussian policies start with a
+standard deviation of 1, of which this box clips few samples, and which is small enough not to undo all progress."""
+
+LEARNER_LOG_SCALE = 10.0
+"""Under ``learner`` the logarithm of the scale is divided by this, so that it is of order one."""
 
 _READ_APART = frozenset(("clock", "player", "time_since_switch"))
 """Slices of which :meth:`ObservationLayout.read` makes no float64 copy of their own."""
@@ -49,10 +56,12 @@ class Interface:
     """Units and order of observations, the meaning of actions, and knowledge. Every policy has one, the physics none.
 
     Attributes:
-        kind: ``"physical"`` (natural units, player order), ``"local"`` (scale-free, ego order) or ``"full"``
-            (``physical`` and information that players lack; for oracles only).
+        kind: ``"physical"`` (natural units, player order), ``"local"`` (scale-free, ego order), ``"learner"``
+            (``local`` with numbers of order one and neighbour slots in ego order) or ``"full"`` (``physical`` and
+            information that players lack; for oracles only).
         action_mode: ``"input"`` (an action is the input u^i) or ``"gains"`` (two numbers per player).
-        action_scale: under ``local``, an action of 1 is this many times σ_i.
+        action_scale: under ``local``, an action of 1 is this many times σ_i; under ``learner``, an action of
+            :data:`LEARNER_BOUND` is.
         own_payoff: whether a player sees its own cost J_i at the real strategies.
         neighbour_errors: whether it sees its neighbours' consensus errors, which are two links away; oracles only.
         best_response: whether it sees all players' best responses to the real strategies; oracles only.
@@ -74,6 +83,16 @@ class Interface:
     best_response: bool = False
     graph_knowledge: GraphKnowledge = "links"
     estimates: Estimates = "honest"
+
+    @property
+    def is_scale_free(self) -> bool:
+        """Whether differences and actions are in units of σ_i, and components in ego order."""
+        return self.kind in ("local", "learner")
+
+    @property
+    def input_per_action(self) -> float:
+        """The input in units of σ_i of an action of 1, where the interface is scale-free."""
+        return self.action_scale / (LEARNER_BOUND if self.kind == "learner" else 1.0)
 
     def __post_init__(self) -> None:
         for name, value, choices in (
@@ -98,7 +117,7 @@ class Observation(NamedTuple):
         gradient: R_i^T ∂J_i/∂x_i(x^i), zero outside the own block, shape (R, n).
         relative_estimates: x^j − x^i per neighbour slot, shape (R, D, n).
         weights: a_ij per neighbour slot, shape (R, D).
-        unit: natural units per unit of the above, shape (R, 1); 1 under ``physical``, σ_i under ``local``.
+        unit: natural units per unit of the above, shape (R, 1); σ_i where the interface is scale-free, else 1.
         theta: Θ_k of the coming step, shape (R, 1).
         dt: Δt_k of the coming step in seconds, shape (R, 1).
         elapsed: t/T by the player's clock, shape (R, 1).
@@ -106,7 +125,7 @@ class Observation(NamedTuple):
         relative_strategies: x − x^i, shape (R, n); empty (R, 0) unless the interface is ``full``.
         pseudo_gradient: F(x), or in a box (x − Π(x − Θ F(x)))/Θ, which stays inside; shape (R, n), and empty (R, 0)
             unless the interface is ``full``.
-        own_estimate: x^i in natural units, shape (R, n); empty (R, 0) under ``local``.
+        own_estimate: x^i in natural units, shape (R, n); empty (R, 0) where the interface is scale-free.
         own_payoff: J_i(x) in natural units, shape (R, 1); empty (R, 0) unless the interface has it.
         neighbour_errors: Σ_l a_jl (x^j − x^l) of the neighbour j in each slot, shape (R, D, n); empty (R, 0, n) unless
             the interface has it.
@@ -153,11 +172,11 @@ class ObservationLayout:
     name                    size     content
     ======================= ======== =======================================================================
     ``own_gradient``        m        ∂J_i/∂x_i(x^i), padded with 0 to the largest n_i
-    ``own_estimate``        n        x^i (not under ``local``)
+    ``own_estimate``        n        x^i (not under ``local`` and ``learner``)
     ``relative_estimates``  D n      x^j − x^i per neighbour slot, taken in float64; 0 where the link is down; x^j is
                                      what the channel delivers
     ``weights``             D        a_ij per neighbour slot; 0 where the link is down, or the message is lost
-    ``log_scale``           1        log10 σ_i (only under ``local``)
+    ``log_scale``           1        log10 σ_i (only under ``local``, and a tenth of it under ``learner``)
     ``clock``               4        t/T, s, Θ_k, Δt_k/T, the first three by the player's own clock
     ``time_since_switch``   1        over the topology's mean dwell, clipped to 1; 0 for a fixed graph
     ``player``              N        one-hot
@@ -169,7 +188,10 @@ class ObservationLayout:
     ======================= ======== =======================================================================
 
     Under ``local``, gradient and relative estimates are divided by σ_i = max(‖own gradient‖_∞, max over live links
-    ‖x^j − x^i‖_∞, 1e-30), and components are in ego order: the own block first, then cyclically.
+    ‖x^j − x^i‖_∞, 1e-30), and components are in ego order: the own block first, then cyclically. Under ``learner`` they
+    are too, the neighbour slots are in ego order like the components, s in ``clock`` is divided by its largest value,
+    and actions are in a box of ±3. So every entry is of order one, and the same place means the same relation for every
+    player.
 
     Attributes:
         interface: units, order and action mode.
@@ -261,10 +283,10 @@ class ObservationLayout:
         """The named parts of an observation, in order."""
         n, slots, kind = self.dimension, self.slots, self.interface.kind
         sizes = {"own_gradient": max(self.action_dims)}
-        if kind != "local":
+        if not self.interface.is_scale_free:
             sizes["own_estimate"] = n
         sizes |= {"relative_estimates": slots * n, "weights": slots}
-        if kind == "local":
+        if self.interface.is_scale_free:
             sizes["log_scale"] = 1
         sizes |= {"clock": 4, "time_since_switch": 1, "player": self.num_players}
         if kind == "full":
@@ -284,14 +306,22 @@ class ObservationLayout:
         """Length of an action: n in mode ``input``, 2 in mode ``gains``."""
         return self.dimension if self.interface.action_mode == "input" else 2
 
+    @property
+    def units(self) -> tuple[float, float]:
+        """The units in which log10 σ_i and s are observed."""
+        return (LEARNER_LOG_SCALE, self.largest_clock[1] or 1.0) if self.interface.kind == "learner" else (1.0, 1.0)
+
     @cached_property
     def action_bound(self) -> float:
-        """Actions beyond ±bound are clipped: the input limit under ``physical``, else 1.
+        """Actions beyond ±bound are clipped: the input limit under ``physical``, else 1, or 3 under ``learner``.
 
-        The limit is rounded down to a float32, so that no action within it exceeds it.
+        In mode ``gains`` it is 1 under all. The limit is rounded down to a float32, so that no action within it exceeds
+        it.
         """
-        if not self._has_units:
+        if self.interface.action_mode == "gains" or self.interface.kind == "local":
             return 1.0
+        if self.interface.kind == "learner":
+            return LEARNER_BOUND
         bound = np.float32(self.input_limit)
         return float(bound if float(bound) <= self.input_limit else np.nextafter(bound, np.float32(0)))
 
@@ -299,15 +329,16 @@ class ObservationLayout:
         """A new Box for one player's observation, float32."""
         low = np.full(self.size, -OBSERVATION_BOUND, dtype=np.float32)
         high = np.full(self.size, OBSERVATION_BOUND, dtype=np.float32)
+        log_unit, s_unit = self.units
         bounds: dict[str, tuple[npt.ArrayLike, npt.ArrayLike]] = {
             "weights": (0.0, self.largest_weight),
-            "clock": (0.0, self.largest_clock),
+            "clock": (0.0, np.array(self.largest_clock) / [1.0, s_unit, 1.0, 1.0]),
             "time_since_switch": (0.0, 1.0),
             "player": (0.0, 1.0),
         }
-        if self.interface.kind == "local":
+        if self.interface.is_scale_free:
             bounds["own_gradient"] = bounds["relative_estimates"] = (-1.0, 1.0)
-            bounds["log_scale"] = (np.log10(SMALLEST_SCALE), np.log10(OBSERVATION_BOUND))
+            bounds["log_scale"] = (np.log10(SMALLEST_SCALE) / log_unit, np.log10(OBSERVATION_BOUND) / log_unit)
         for name, (lowest, highest) in bounds.items():
             low[self.slices[name]], high[self.slices[name]] = lowest, highest
         return spaces.Box(low, high, dtype=np.float32)
@@ -326,7 +357,7 @@ class ObservationLayout:
     @property
     def _has_units(self) -> bool:
         """Whether actions are inputs in natural units."""
-        return self.interface.kind != "local" and self.interface.action_mode == "input"
+        return not self.interface.is_scale_free and self.interface.action_mode == "input"
 
     @cached_property
     def own_components(self) -> IntArray:
@@ -376,7 +407,7 @@ class ObservationLayout:
         """The neighbours' estimates x^j per slot, (..., size) to (..., D, n), float64; a dead link repeats x^i.
 
         Raises:
-            ValueError: under ``local``, where the own estimate is not observed.
+            ValueError: where the interface is scale-free, and the own estimate is not observed.
         """
         own = np.asarray(self.select(observation, "own_estimate"), dtype=np.float64)
         relative = np.asarray(self.select(observation, "relative_estimates"), dtype=np.float64)
@@ -406,9 +437,10 @@ class ObservationLayout:
         own[self.own_components[player] + np.arange(0, rows * width, width)[:, None]] = values["own_gradient"]
         relative = values["relative_estimates"].reshape(rows, self.slots, self.dimension)
         unit = np.ones((rows, 1))
-        if self.interface.kind == "local":
+        log_unit, s_unit = self.units
+        if self.interface.is_scale_free:
             relative = np.take_along_axis(relative, self.ego_place[player][:, None, :], axis=2)
-            unit = 10.0 ** values["log_scale"]
+            unit = 10.0 ** (log_unit * values["log_scale"])
         unseen = np.empty((rows, 0))
         return Observation(
             player=player,
@@ -419,7 +451,7 @@ class ObservationLayout:
             theta=np.asarray(clock[:, 2:3], dtype=np.float64),
             dt=np.asarray(clock[:, 3:4], dtype=np.float64) * self.deadline,
             elapsed=np.asarray(clock[:, :1], dtype=np.float64),
-            transformed=np.asarray(clock[:, 1:2], dtype=np.float64),
+            transformed=s_unit * np.asarray(clock[:, 1:2], dtype=np.float64),
             relative_strategies=values.get("relative_strategies", unseen),
             pseudo_gradient=values.get("pseudo_gradient", unseen),
             own_estimate=values.get("own_estimate", unseen),
@@ -433,8 +465,7 @@ class ObservationLayout:
 
         Actions are clipped to the action box.
         """
-        if self.interface.kind == "local":
-            inputs = (
-                np.take_along_axis(inputs, self.ego_order[observation.player], axis=1) / self.interface.action_scale
-            )
+        if self.interface.is_scale_free:
+            ego = np.take_along_axis(inputs, self.ego_order[observation.player], axis=1)
+            inputs = ego / self.interface.input_per_action
         return np.clip(inputs, -self.action_bound, self.action_bound).astype(np.float32)

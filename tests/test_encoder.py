@@ -12,7 +12,10 @@ from ptne_env.experiments.suite import find_scenario, get_suite
 from ptne_env.observation import CONSENSUS_GAIN, OBSERVATION_BOUND, LayoutError
 from ptne_env.world import RANGE_LIMIT, World
 
-KINDS = ["physical", "local", "full"]
+KINDS = ["physical", "local", "learner", "full"]
+IN_WORLD_SLOTS = ["physical", "local", "full"]
+"""Kinds whose neighbour slots are those of the world."""
+
 WORLDS = {
     **{name: get_scenario(name, start="random") for name in CATALOGUE},
     "blocks": BLOCKS,
@@ -254,7 +257,7 @@ def test_local_action_is_in_units_of_the_scale_and_in_ego_order(name):
     assert encoder.layout.action_space().high.tolist() == [1.0] * n
 
 
-@pytest.mark.parametrize("kind", ["physical", "local"])
+@pytest.mark.parametrize("kind", ["physical", "local", "learner"])
 @pytest.mark.parametrize("name", ["energy", "energy-switching", "blocks"])
 def test_gains_weigh_gradient_and_consensus(name, kind):
     world, encoder = world_and_encoder(WORLDS[name], kind=kind, action_mode="gains")
@@ -349,7 +352,7 @@ def test_observations_are_owned_by_the_caller():
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ({"kind": "global"}, "unknown interface 'global'; choose from physical, local, full"),
+        ({"kind": "global"}, "unknown interface 'global'; choose from physical, local, learner, full"),
         ({"action_mode": "torque"}, "unknown action mode 'torque'; choose from input, gains"),
         ({"graph_knowledge": "all"}, "unknown knowledge of graphs 'all'; choose from links, union, schedule"),
         ({"estimates": "secret"}, "unknown content of estimates 'secret'; choose from honest, coded"),
@@ -368,7 +371,7 @@ def test_observations_of_another_layout_are_refused_with_both_sizes():
         layout.read(np.zeros((1, 7), dtype=np.float32))
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", IN_WORLD_SLOTS)
 @pytest.mark.parametrize("name", ["energy-switching", "blocks"])
 def test_reading_restores_natural_units_and_player_order(name, kind):
     world, encoder = world_and_encoder(WORLDS[name], kind=kind)
@@ -386,7 +389,40 @@ def test_reading_restores_natural_units_and_player_order(name, kind):
     assert reading.dt[:, 0] == pytest.approx(np.full(layout.num_players, world.clock.dt[k]), rel=2e-7)
 
 
-@pytest.mark.parametrize("kind", ["physical", "local"])
+@pytest.mark.parametrize("name", [*WORLDS, "faulty"])
+def test_learners_read_the_same_as_under_local_with_slots_in_ego_order(name):
+    scenario = {**WORLDS, "faulty": FAULTY}[name]
+    (world, local), (_, learner) = (world_and_encoder(scenario, kind=kind) for kind in ("local", "learner"))
+    state, players = wander(world), world.game.num_players
+    expected = local.layout.read(local.observe(state)[1])._asdict()
+    found = learner.layout.read(learner.observe(state)[1])._asdict()
+    for player, row in enumerate(learner.layout.neighbours):
+        distances = [(other - player) % players or players for other in row]
+        assert distances == sorted(distances)
+        assert sorted(row) == sorted(local.layout.neighbours[player])
+        order = [local.layout.neighbours[player].index(other) for other in row]
+        for part in ("relative_estimates", "weights"):
+            assert np.array_equal(found[part][player], expected[part][player][order])
+    for part in expected.keys() - {"relative_estimates", "weights"}:
+        np.testing.assert_allclose(found[part], expected[part], rtol=5e-6)
+
+
+@pytest.mark.parametrize("name", WORLDS)
+def test_numbers_of_learners_are_of_order_one(name):
+    layout = world_and_encoder(WORLDS[name], kind="learner")[1].layout
+    for space in (layout.observation_space(), layout.action_space()):
+        assert max(np.abs(space.low).max(), np.abs(space.high).max()) <= 3.0
+
+
+def test_actions_at_the_bound_of_learners_are_those_at_the_bound_of_local():
+    world, encoder = world_and_encoder(BLOCKS, kind="learner")
+    state = wander(world, batch=1)
+    actions = encoder.layout.action_bound * np.random.default_rng(0).uniform(-1, 1, (1, 3, 6))
+    expected = world_and_encoder(BLOCKS, kind="local")[1].decode(actions / encoder.layout.action_bound, state)
+    assert encoder.decode(actions, state) == pytest.approx(expected, rel=1e-6)
+
+
+@pytest.mark.parametrize("kind", ["physical", "local", "learner"])
 def test_written_inputs_are_the_inputs_that_arrive(kind):
     world, encoder = world_and_encoder(BLOCKS, kind=kind)
     state = wander(world, batch=1)
@@ -396,7 +432,7 @@ def test_written_inputs_are_the_inputs_that_arrive(kind):
     assert arrived == pytest.approx(wanted * reading.unit, rel=3e-6)
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", IN_WORLD_SLOTS)
 def test_observations_hold_received_messages_and_local_clocks(kind):
     world, encoder = world_and_encoder(FAULTY, kind=kind)
     state, layout = wander(world, steps=25), encoder.layout
@@ -418,7 +454,7 @@ def test_observations_hold_received_messages_and_local_clocks(kind):
     assert len(set(dynamics.time_since_switch(world, state))) == 2  # episodes draw their own topologies
 
 
-@pytest.mark.parametrize("kind", ["physical", "local"])
+@pytest.mark.parametrize("kind", ["physical", "local", "learner"])
 def test_gains_act_on_received_messages(kind):
     world, encoder = world_and_encoder(FAULTY, kind=kind, action_mode="gains")
     state = wander(world)

@@ -16,7 +16,7 @@ from ptne_env.envs.sb3 import PlayerVecEnv
 def main() -> None:
     """Stable-Baselines3's own check, the law's digits by its own evaluation, and a short training."""
     check_env(JointEnv(SCENARIO, **TASK))
-    evaluation_env = PlayerVecEnv(SCENARIO, EPISODES, seed=0)
+    evaluation_env = PlayerVecEnv(SCENARIO, EPISODES, interface="physical", seed=0)
     returns, _ = evaluate_policy(
         law(evaluation_env.layout),
         evaluation_env,

@@ -13,7 +13,7 @@ from ptne_env.envs.sb3 import PlayerVecEnv
 
 def main() -> None:
     """The law's digits by Stable-Baselines3's evaluation, and a short training of an LSTM."""
-    evaluation_env = PlayerVecEnv(SCENARIO, EPISODES, seed=0)
+    evaluation_env = PlayerVecEnv(SCENARIO, EPISODES, interface="physical", seed=0)
     returns, _ = evaluate_policy(
         law(evaluation_env.layout),
         evaluation_env,

@@ -25,6 +25,9 @@ _PIPE_WIDTH = 172
 _BLANKS = "\n\N{NO-BREAK SPACE}"
 """Characters that are written as they are, although Python does not call them printable."""
 
+_SPEED_PERIOD = 600.0
+"""Seconds over which a bar measures its speed; with fewer than two steps in this time it shows no time left."""
+
 STDOUT = "-"
 """The value of ``--json`` for stdout."""
 
@@ -91,7 +94,14 @@ def progress(description: str, total: int | None = None) -> Iterator[Callable[..
         TimeRemainingColumn(),
     )
     disable = output.quiet or not sys.stderr.isatty()
-    with Progress(*columns, console=console(stderr=True), transient=True, expand=True, disable=disable) as bar:
+    with Progress(
+        *columns,
+        console=console(stderr=True),
+        transient=True,
+        expand=True,
+        disable=disable,
+        speed_estimate_period=_SPEED_PERIOD,
+    ) as bar:
         task = bar.add_task(description, total=total)
 
         def advance(done: int | None = None, total: int | None = None, description: str | None = None) -> None:

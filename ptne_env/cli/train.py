@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict
+import shlex
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict, replace
 from math import isnan
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -14,6 +16,12 @@ from ptne_env.cli import options
 from ptne_env.cli.app import app
 from ptne_env.cli.console import check_writable, json_text, progress, say, write_json
 from ptne_env.experiments.suite import foreign_suites
+
+if TYPE_CHECKING:
+    from ptne_env.training import generalist
+    from ptne_env.training.arguments import Arguments
+    from ptne_env.training.checkpoint import Summary
+    from ptne_env.training.curve import LearningCurve
 
 
 @app.command()
@@ -26,10 +34,21 @@ def train(
             autocompletion=training.all_configurations,
         ),
     ],
-    out: Annotated[Path, typer.Option(help="Folder for the policy, logs and checkpoints; made if missing.")],
+    out: Annotated[
+        Path,
+        typer.Option(help="Folder for the policy, the learning curve, logs and checkpoints; made if missing."),
+    ],
     seed: Annotated[
         int | None,
         typer.Option(min=0, help="Seed of network, sampling and training games; the configuration's own if left out."),
+    ] = None,
+    seeds: Annotated[
+        int | None,
+        typer.Option(
+            min=1,
+            help="Train this many seeds, one after the other: --seed and the next ones, each in its folder "
+            "DIR/seed-SEED.",
+        ),
     ] = None,
     steps: Annotated[int | None, typer.Option(min=1, help="Agent-steps; the configuration's own if left out.")] = None,
     start: Annotated[
@@ -44,42 +63,118 @@ def train(
 ) -> None:
     """Train a policy and export it as policy.onnx: with PPO, or without sizes, or from such a policy (--from).
 
+    Draws the learning curve, learning-curve.png, and prints the commands that compare the policy and show the logs.
+
     An interrupted run goes on from its last checkpoint when the same command is given again, and ends with the same
     policy as an undisturbed one.
     """
     try:
-        from ptne_env.training import generalist, ppo
-        from ptne_env.training.arguments import Arguments, from_toml, values_of
         from ptne_env.training.checkpoint import finished
+        from ptne_env.training.curve import LearningCurve, Run, draw
     except ImportError as error:
         raise ImportError('training needs an extra: pip install "ptne-env[sb3]"') from error
 
-    check_writable(json, out / "policy.onnx")
     given = {"seed": seed, "steps": steps}
     changes: dict[str, Any] = {name: value for name, value in given.items() if value is not None}
-    arguments: Arguments | generalist.Generalist
-    if start is not None:
-        changes |= {"scenarios": (configuration,), "start": start}
-        arguments = from_toml(generalist.Generalist, "specialist", **changes)
-    elif "stages" in values_of(configuration)[1]:
-        arguments = from_toml(generalist.Generalist, configuration, **changes)
-    else:
-        arguments = from_toml(Arguments, configuration, **changes)
+    arguments, unit = _arguments(configuration, start, changes)
     options.trusted(foreign_suites(*arguments.scenarios), trust=trust)
-    was_finished = finished(arguments, out) is not None
+    runs = {out: arguments}
+    if seeds is not None:
+        series = [replace(arguments, seed=arguments.seed + index) for index in range(seeds)]
+        runs = {out / f"seed-{each.seed}": each for each in series}
+    picture = out / "learning-curve.png"
+    check_writable(json, picture, *(folder / "policy.onnx" for folder in runs))
+    ended = [folder for folder, each in runs.items() if finished(each, folder) is not None]
+    curves = {folder: LearningCurve(folder) for folder in runs}
+    summaries = _train(runs, curves)
+    found = [asdict(summary) for summary in summaries.values()]
+    write_json(json, json_text(found[0] if seeds is None else found))
+    for folder, summary in summaries.items():
+        _say_result(folder, summary, was_finished=folder in ended)
+    reached = [summary.validation_digits for summary in summaries.values()]
+    if seeds is not None:
+        mean = sum(reached) / len(reached)
+        say(f"Mean of {seeds} seeds: {mean:.2f} digits, from {min(reached):.2f} to {max(reached):.2f}")
+    drawn = {
+        f"seed {each.seed}": Run(curve.points, digits)
+        for each, curve, digits in zip(runs.values(), curves.values(), reached, strict=True)
+        if curve.points
+    }
+    if drawn and (len(ended) < len(runs) or not picture.exists()):
+        draw(drawn, picture, title=f"Training of {configuration.removesuffix('.toml')}", unit=unit)
+        say(f"Learning curve written to {picture}")
+    for line in next_commands(arguments.scenarios, out, runs, has_seeds=seeds is not None):
+        say(line)
+
+
+def _arguments(
+    configuration: str, start: str | None, changes: dict[str, Any]
+) -> tuple[Arguments | generalist.Generalist, str]:
+    """The arguments of a run, and the unit of its progress."""
+    from ptne_env.training import arguments, generalist
+
+    segments = "segments of training"
+    if start is not None:
+        changes = {**changes, "scenarios": (configuration,), "start": start}
+        return arguments.from_toml(generalist.Generalist, "specialist", **changes), segments
+    if "stages" in arguments.values_of(configuration)[1]:
+        return arguments.from_toml(generalist.Generalist, configuration, **changes), segments
+    return arguments.from_toml(arguments.Arguments, configuration, **changes), "agent-steps"
+
+
+def _train(
+    runs: Mapping[Path, Arguments | generalist.Generalist], curves: Mapping[Path, LearningCurve]
+) -> dict[Path, Summary]:
+    """Train one run after the other, with a progress bar for all of them; their summaries."""
+    from ptne_env.training import generalist, ppo
+
+    summaries: dict[Path, Summary] = {}
     with progress("training") as advance:
+        for folder, arguments in runs.items():
+            place = "" if len(runs) == 1 else f"seed {arguments.seed}, "
+            curve = curves[folder]
 
-        def show(done: int, total: int, digits: float, stage: str = "training") -> None:
-            advance(done, total, stage if isnan(digits) else f"{stage}, {digits:.2f} digits")
+            def show(
+                done: int,
+                total: int,
+                digits: float,
+                stage: str = "training",
+                place: str = place,
+                curve: LearningCurve = curve,
+            ) -> None:
+                curve.add(done, digits)
+                now = stage if isnan(digits) else f"{stage}, {digits:.2f} digits"
+                advance(len(summaries) * total + min(done, total), len(runs) * total, place + now)
 
-        if isinstance(arguments, Arguments):
-            summary = ppo.train(arguments, out, show)
-        else:
-            summary = generalist.train(arguments, out, show)
-    write_json(json, json_text(asdict(summary)))
+            if isinstance(arguments, generalist.Generalist):
+                summaries[folder] = generalist.train(arguments, folder, show)
+            else:
+                summaries[folder] = ppo.train(arguments, folder, show)
+    return summaries
+
+
+def _say_result(folder: Path, summary: Summary, *, was_finished: bool) -> None:
     digits = f"{summary.validation_digits:.2f} digits on the validation episodes"
     if was_finished:
-        say(f"This run has ended before, with {digits}; policy.onnx is in {out}")
+        say(f"This run has ended before, with {digits}; policy.onnx is in {folder}")
     else:
         parts = "" if summary.parts == 1 else f", in {summary.parts} parts"
-        say(f"{digits}, after {summary.seconds:.0f} s{parts}; policy.onnx written to {out}")
+        say(f"{digits}, after {summary.seconds:.0f} s{parts}; policy.onnx written to {folder}")
+
+
+def next_commands(scenarios: Sequence[str], out: Path, folders: Iterable[Path], *, has_seeds: bool) -> list[str]:
+    """The commands that compare the policy with the paper's law where it was trained, and that show the logs."""
+    match sorted({name.rpartition("/")[0] for name in scenarios}):
+        case [""]:
+            where = " ".join(f"--scenario {name}" for name in scenarios)
+        case [suite]:
+            where = f"--suite {suite} " + " ".join(f"--track {name.rpartition('/')[2]}" for name in scenarios)
+        case ["", suite]:
+            where = f"--suite {suite}"
+        case _:  # trained in random worlds, or on tracks of several suites
+            where = "--suite ptne-v2"
+    trained = f"trained={out}/seed-*/policy.onnx" if has_seeds else str(out / "policy.onnx")
+    lines = [f"To compare:  ptne compare {where} --policy {shlex.quote(f'static,{trained}')}"]
+    if any((folder / "tensorboard").is_dir() for folder in folders):
+        lines.append(f"To see the logs:  tensorboard --logdir {shlex.quote(str(out))}")
+    return lines

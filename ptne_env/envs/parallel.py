@@ -382,7 +382,7 @@ def parallel_env(
 
     Args:
         scenario: a name of the catalogue (``ptne list`` shows them) or a scenario.
-        interface: ``"physical"`` or ``"local"``; see :class:`ptne_env.observation.ObservationLayout`.
+        interface: ``"physical"``, ``"local"`` or ``"learner"``; see :class:`ptne_env.observation.ObservationLayout`.
         action_mode: ``"input"`` or ``"gains"``.
         action_scale: under ``local``, an action of 1 is this many times σ_i.
         own_payoff: whether players observe their own costs J_i at the real strategies.

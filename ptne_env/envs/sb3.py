@@ -22,7 +22,7 @@ except ImportError as error:  # pragma: no cover - exercised in an environment w
 from ptne_env.arrays import BoolArray, Float32Array
 from ptne_env.envs.core import Duplicable
 from ptne_env.envs.vector import VectorParallelEnv, VectorStep, member_actions
-from ptne_env.observation import ObservationLayout
+from ptne_env.observation import InterfaceKind, ObservationLayout
 from ptne_env.observation_forms import FormName, Shown, make_form
 from ptne_env.scenario import Scenario
 
@@ -66,11 +66,12 @@ class PlayerVecEnv(_Monitored):
     Args:
         scenario: a name of the catalogue or a scenario.
         num_envs: B, environments; the ``num_envs`` of the VecEnv is B·N.
+        interface: ``"learner"``, in which all numbers are of order one, ``"local"`` or ``"physical"``.
         seed: of the first reset; environment b gets seed + b.
         observation: ``"flat"``, or ``"padded-graph"``: a Dict, for ``MultiInputPolicy`` with a features extractor; see
             :mod:`ptne_env.observation_forms`.
-        **arguments: of :class:`~ptne_env.envs.vector.VectorParallelEnv`: interface, action_mode, action_scale, reward,
-            max_cycles and fields of the scenario.
+        **arguments: of :class:`~ptne_env.envs.vector.VectorParallelEnv`: action_mode, action_scale, reward, max_cycles
+            and fields of the scenario.
 
     Attributes:
         vector: the environments.
@@ -89,11 +90,14 @@ class PlayerVecEnv(_Monitored):
         scenario: str | Scenario = "energy",
         num_envs: int = 1,
         *,
+        interface: InterfaceKind = "learner",
         seed: int | None = None,
         observation: FormName = "flat",
         **arguments: Any,
     ) -> None:
-        super().__init__(_Players(scenario, num_envs, seed=seed, observation=observation, **arguments))
+        super().__init__(
+            _Players(scenario, num_envs, interface=interface, seed=seed, observation=observation, **arguments)
+        )
 
 
 class _Players(VecEnv):
@@ -104,13 +108,14 @@ class _Players(VecEnv):
         scenario: str | Scenario,
         num_envs: int,
         *,
+        interface: InterfaceKind,
         seed: int | None,
         observation: FormName,
         **arguments: Any,
     ) -> None:
         if observation == "graph":
             raise ValueError("Stable-Baselines3 takes no Graph: choose observation='flat' or 'padded-graph'")
-        self.vector = VectorParallelEnv(scenario, num_envs, **arguments)
+        self.vector = VectorParallelEnv(scenario, num_envs, interface=interface, **arguments)
         self.layout = self.vector.layout
         self._form = make_form(observation, self.layout)
         self.render_mode: str | None = None

@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from ptne_env.arrays import BoolArray, Float32Array
 from ptne_env.files import require_file
-from ptne_env.observation import SMALLEST_SCALE, Interface, ObservationLayout
+from ptne_env.observation import LEARNER_LOG_SCALE, SMALLEST_SCALE, Interface, InterfaceKind, ObservationLayout
 from ptne_env.policies.blocks import in_blocks
 from ptne_env.policies.metadata import PolicyFileError, PolicyLayoutError
 
@@ -31,11 +31,13 @@ class ArchivePolicy:
         observations, actions = network.observation_space, network.action_space
         if len(observations.shape) != 1 or len(actions.shape or ()) != 1 or not hasattr(actions, "high"):
             raise PolicyFileError(f"{path} was not trained on one player's observations and actions of ptne_env")
-        # The only entry of an observation that goes down to this number is the scale of the local interface.
-        is_local = bool(np.isclose(observations.low, math.log10(SMALLEST_SCALE)).any())
+        # The only entry of an observation that goes down to these numbers is the scale of a scale-free interface.
+        lowest = math.log10(SMALLEST_SCALE)
+        scales: dict[InterfaceKind, float] = {"local": lowest, "learner": lowest / LEARNER_LOG_SCALE}
+        found = [kind for kind, scale in scales.items() if np.isclose(observations.low, scale).any()]
         in_units = bool((actions.high != 1).any())
         has_gains = actions.shape == (2,) and not in_units
-        self.interface = Interface("local" if is_local else "physical", "gains" if has_gains else "input")
+        self.interface = Interface(found[0] if found else "physical", "gains" if has_gains else "input")
 
     def require(self, layout: ObservationLayout) -> None:
         """Check that the policy can act in an environment of this layout.

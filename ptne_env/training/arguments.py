@@ -78,7 +78,7 @@ class Arguments:
     Attributes:
         scenarios: names of scenarios or families of games, or tracks such as ``"ptne-v1/delay"``. Several share the
             environments evenly; their layouts must agree.
-        interface: ``"local"`` or ``"physical"``.
+        interface: ``"local"``, ``"learner"`` or ``"physical"``.
         action_mode: ``"input"`` or ``"gains"``.
         steps: agent-steps of training, below 2^32.
         envs: environments stepped together, of all scenarios.

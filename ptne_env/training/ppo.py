@@ -7,6 +7,7 @@ Run it with ``ptne train random-energy-switching --out DIR`` or ``python baselin
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
@@ -35,7 +36,8 @@ from ptne_env.training.export import to_onnx
 from ptne_env.training.features import Products
 
 Progress = Callable[[int, int, float], None]
-"""Called with agent-steps done, agent-steps in all, and recent mean digits gained (NaN before an episode ends)."""
+"""Called with agent-steps done, agent-steps in all, and the digits that players gain per episode, exploration included:
+the mean over the rollouts of the last episode length, or over those since the start of the process."""
 
 
 def train(arguments: Arguments, out: Path, progress: Progress | None = None) -> Summary:
@@ -187,6 +189,14 @@ class _Segments(BaseCallback):
     def __init__(self, arguments: Arguments, save: Callable[[], None], progress: Progress | None) -> None:
         super().__init__()
         self._arguments, self._save, self._progress = arguments, save, progress
+        self._lengths = np.empty(0)
+        self._gained: deque[float] = deque()
+
+    def _on_training_start(self) -> None:
+        """Members of different scenarios have episodes of different lengths."""
+        scenarios = self.training_env.get_attr("scenario")
+        self._lengths = np.array([scenario.steps + scenario.hold_steps for scenario in scenarios])
+        self._gained = deque(maxlen=-(-int(self._lengths.max()) // self._arguments.rollout))
 
     def _on_step(self) -> bool:
         return True
@@ -202,9 +212,9 @@ class _Segments(BaseCallback):
             self._save()
 
     def _on_rollout_end(self) -> None:
-        episodes: list[dict[str, float]] = list(self.model.ep_info_buffer or [])
-        digits = float(np.mean([episode["r"] for episode in episodes])) if episodes else float("nan")
-        if episodes:
-            self.logger.record("rollout/digits_gained", digits)
+        rewards: np.ndarray = self.locals["rollout_buffer"].rewards  # of every step and member
+        self._gained.append(float((rewards.mean(axis=0) * self._lengths).mean()))
+        digits = float(np.mean(self._gained))
+        self.logger.record("rollout/digits_gained", digits)
         if self._progress is not None:
             self._progress(self.num_timesteps, self._arguments.steps, digits)

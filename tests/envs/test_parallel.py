@@ -489,7 +489,7 @@ def test_properties_before_reset_ask_for_reset(view):
     [
         ({"scenario": "enrgy"}, "unknown scenario 'enrgy'; did you mean 'energy'"),
         ({"interface": "global"}, "unknown interface 'global'; choose from physical, local, full"),
-        ({"interface": "full"}, "for oracles in evaluations only; choose 'physical' or 'local'"),
+        ({"interface": "full"}, "for oracles in evaluations only; choose 'physical', 'local' or 'learner'"),
         ({"action_mode": "torque"}, "unknown action mode 'torque'; choose from input, gains"),
         ({"action_scale": -1.0}, "action_scale must be a finite number above 0"),
         ({"reward": "score"}, "unknown reward 'score'; choose from digits, tracking, payoff, regret"),

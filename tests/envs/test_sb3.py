@@ -41,7 +41,7 @@ def random_actions(env, generator):
 
 
 def test_members_are_the_players_environment_by_environment():
-    slots, vector = PlayerVecEnv(BLOCKS, 4, seed=3), VectorParallelEnv(BLOCKS, 4)
+    slots, vector = PlayerVecEnv(BLOCKS, 4, seed=3), VectorParallelEnv(BLOCKS, 4, interface="learner")
     assert slots.num_envs == 12
     assert slots.observation_space == vector.single_observation_space
     assert slots.action_space == vector.single_action_space
@@ -80,7 +80,7 @@ def test_seed_counts_up_by_environment_and_holds_for_one_reset():
 def test_the_end_returns_the_last_observation_and_its_kind(arguments, truncated):
     env, vector = (
         PlayerVecEnv("random-energy", 2, seed=1, **arguments),
-        VectorParallelEnv("random-energy", 2, **arguments),
+        VectorParallelEnv("random-energy", 2, interface="learner", **arguments),
     )
     env.reset()
     vector.reset(seed=1)
@@ -119,7 +119,7 @@ def test_entries_that_a_caller_writes_into_an_info_are_gone_in_the_next_step():
 
 
 def test_divergence_of_one_environment_ends_only_its_members():
-    env = PlayerVecEnv("random-energy", 3, seed=0, input_limit=1e9)
+    env = PlayerVecEnv("random-energy", 3, interface="physical", seed=0, input_limit=1e9)
     env.reset()
     actions = np.zeros((15, 5), dtype=np.float32)
     actions[7] = 1e9  # the third player of the second environment
@@ -165,7 +165,7 @@ def test_attributes_and_methods_are_those_of_the_environments():
     assert env.get_attr("colour", indices=[0]) == ["blue"]
     answers = env.env_method("reset", seed=5, indices=[2, 3])
     assert len(answers) == 2
-    assert np.array_equal(answers[0], VectorParallelEnv("random-energy", 2).reset(seed=5))
+    assert np.array_equal(answers[0], VectorParallelEnv("random-energy", 2, interface="learner").reset(seed=5))
     assert env.env_is_wrapped(Monitor) == [False] * 10
     assert env.env_is_wrapped(Monitor, indices=[1, 2]) == [False] * 2
     env.close()
@@ -254,7 +254,7 @@ def test_mixture_of_scenarios_that_no_policy_can_share_is_refused():
 
 def episodes_of_slots(env, count, **arguments):
     """Return and length of every episode, slot by slot, from the vector environment itself."""
-    vector = VectorParallelEnv("random-energy", 3, **arguments)
+    vector = VectorParallelEnv("random-energy", 3, interface="learner", **arguments)
     vector.reset(seed=2)
     generator = np.random.default_rng(0)
     total, length, found = np.zeros((3, 5)), np.zeros(3, dtype=int), []
@@ -363,7 +363,7 @@ def test_evaluate_policy_takes_a_law_and_returns_its_digits_gained(name, interfa
 
 
 def test_the_memory_of_a_law_restarts_with_each_episode():
-    env = PlayerVecEnv("energy", 2)
+    env = PlayerVecEnv("energy", 2, interface="physical")
     rewards, lengths = evaluate_policy(
         laws.Adaptive(env.layout), VecMonitor(env), n_eval_episodes=3 * 10, return_episode_rewards=True
     )

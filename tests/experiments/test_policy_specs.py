@@ -146,6 +146,20 @@ def test_an_archive_acts_as_its_model_does(archive):
     assert "observations of length 24" in results.not_applicable["complete", "model"]
 
 
+@pytest.mark.parametrize("mode", ["input", "gains"])
+@pytest.mark.parametrize("kind", ["physical", "local", "learner"])
+def test_the_interface_of_an_archive_is_recognised_by_its_spaces(kind, mode, tmp_path):
+    need_sb3()
+    from stable_baselines3 import PPO
+
+    from ptne_env.envs.sb3 import PlayerVecEnv
+    from ptne_env.policies.archive import load_archive
+
+    env = PlayerVecEnv(BASE, interface=kind, action_mode=mode)
+    PPO("MlpPolicy", env, device="cpu").save(tmp_path / "model.zip")
+    assert load_archive(str(tmp_path / "model.zip")).interface == ptne_env.Interface(kind, mode)
+
+
 def test_files_that_are_no_archives_are_refused(tmp_path):
     need_sb3()
     (tmp_path / "bad.zip").write_bytes(b"no archive")

@@ -190,7 +190,7 @@ def test_relabelling_the_players_permutes_the_results(law, kind):
 
 
 def test_environments_refuse_the_full_interface():
-    with pytest.raises(ValueError, match="'full' shows information that players lack.*choose 'physical' or 'local'"):
+    with pytest.raises(ValueError, match="'full' shows information that players lack.*choose 'physical', 'local' or"):
         make_env("energy", interface="full")
 
 

@@ -38,7 +38,7 @@ from ptne_env.training.arguments import Arguments
         ("seed", -1, "be greater than or equal to 0, got -1"),
         ("validation_episodes", 0, "be greater than 0, got 0"),
         ("checkpoint_rollouts", 0, "be greater than 0, got 0"),
-        ("interface", "lokal", "be 'physical', 'local' or 'full', got 'lokal'"),
+        ("interface", "lokal", "be 'physical', 'local', 'learner' or 'full', got 'lokal'"),
         ("hidden", 64, "be a list, got 64"),
         ("scenarios", [], "have at least 1 item after validation, not 0, got ()"),
     ],

@@ -15,6 +15,7 @@ from stable_baselines3 import PPO
 
 import ptne_env
 from ptne_env import Interface, PolicySpec, evaluate, policies
+from ptne_env.cli.train import next_commands
 from ptne_env.envs.sb3 import PlayerVecEnv
 from ptne_env.training import checkpoint, ppo
 from ptne_env.training.arguments import Arguments
@@ -106,7 +107,7 @@ def test_a_finished_run_is_not_repeated_and_loses_a_checkpoint_left_over(run):
         ({"scenarios": ("random-energy", "ptne-v1/delay"), "envs": 5}, "5 environments cannot be shared evenly by 2"),
         ({"scenarios": "ptne-v1/mixed-team"}, "more than its scenario"),
         ({"scenarios": ("random-energy", "robots"), "envs": 2}, "no policy can act in both"),
-        ({"interface": "full"}, "choose 'physical' or 'local'"),
+        ({"interface": "full"}, "choose 'physical', 'local' or 'learner'"),
         ({"envs": 1, "minibatches": 250}, "minibatches must be fewer than the 250 samples of a rollout, got 250"),
     ],
 )
@@ -266,7 +267,7 @@ def test_the_command_takes_the_seed_of_the_file_and_says_that_a_run_has_ended(sh
     assert times(whole) == before
 
 
-@pytest.mark.parametrize("kind", ["local", "physical"])
+@pytest.mark.parametrize("kind", ["local", "learner", "physical"])
 @pytest.mark.parametrize("mode", ["input", "gains"])
 @pytest.mark.parametrize("products", [True, False])
 def test_the_exported_policy_acts_like_the_model_over_whole_episodes(kind, mode, products, tmp_path):
@@ -318,3 +319,57 @@ def test_environments_are_shared_evenly_by_the_scenarios():
     names = ("random-energy", "ptne-v1/coarse-step")
     env = ppo.make_env(Arguments(names, envs=4))
     assert [scenario.steps for scenario in env.get_attr("scenario")] == [400] * 10 + [150] * 10
+
+
+def test_the_reported_digits_are_those_of_the_steps_of_the_last_episode_length(tmp_path, monkeypatch):
+    rewards, reports = [], []
+    step = ppo.PlayerVecEnv.step_wait
+
+    def watched(env):
+        outcome = step(env)
+        rewards.append(outcome[1].mean())
+        return outcome
+
+    monkeypatch.setattr(ppo.PlayerVecEnv, "step_wait", watched)
+    arguments = dataclasses.replace(SHORT, envs=2, rollout=200, steps=6000, checkpoint_rollouts=2)
+    ppo.train(arguments, tmp_path, lambda *report: reports.append(report[2]))
+    assert reports == pytest.approx(
+        [400 * np.mean(rewards[:200]), *(np.sum(rewards[first : first + 400]) for first in (0, 200))], rel=1e-4
+    )
+
+
+def test_the_command_trains_several_seeds_resumes_them_and_draws_their_curves(tmp_path):
+    command = ("-m", "ptne_env.cli", "train", "random-energy", "--out", tmp_path, "--steps", "1", "--seed", "3")
+    interrupted(Arguments.from_toml("random-energy", steps=1, seed=4), tmp_path / "seed-4", after=1)
+    printed = run_python(*command, "--seeds", "2", "--json", tmp_path / "all.json").stdout
+    summaries = json.loads((tmp_path / "all.json").read_text(encoding="utf-8"))
+    assert [(summary["arguments"]["seed"], summary["parts"]) for summary in summaries] == [(3, 1), (4, 2)]
+    names = sorted(path.name for path in tmp_path.iterdir())
+    assert names == ["all.json", "learning-curve.png", "seed-3", "seed-4"]
+    for folder in ("seed-3", "seed-4"):
+        assert sorted(path.name for path in (tmp_path / folder).iterdir()) == [
+            "curve.csv",
+            "policy.onnx",
+            "summary.json",
+            "tensorboard",
+        ]
+    mean = np.mean([summary["validation_digits"] for summary in summaries])
+    assert f"Mean of 2 seeds: {mean:.2f} digits" in printed
+    pattern = f"static,trained={tmp_path}/seed-*/policy.onnx"
+    assert f"To compare:  ptne compare --scenario random-energy --policy '{pattern}'" in printed
+    assert f"To see the logs:  tensorboard --logdir {tmp_path}" in printed
+
+
+@pytest.mark.parametrize(
+    ("scenarios", "where"),
+    [
+        (["random-energy"], "--scenario random-energy"),
+        (["ptne-v1/noise", "ptne-v1/delay"], "--suite ptne-v1 --track noise --track delay"),
+        (["random-energy", "ptne-v1/delay"], "--suite ptne-v1"),
+        (["ptne-v1/noise", "ptne-v2/delay"], "--suite ptne-v2"),
+        ([], "--suite ptne-v2"),
+    ],
+)
+def test_the_printed_comparison_is_where_the_policy_was_trained(scenarios, where, tmp_path):
+    lines = next_commands(scenarios, tmp_path, [tmp_path], has_seeds=False)
+    assert lines == [f"To compare:  ptne compare {where} --policy static,{tmp_path}/policy.onnx"]
