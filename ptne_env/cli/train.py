@@ -165,10 +165,8 @@ def _say_result(folder: Path, summary: Summary, *, was_finished: bool) -> None:
 def next_commands(scenarios: Sequence[str], out: Path, folders: Iterable[Path], *, has_seeds: bool) -> list[str]:
     """The commands that compare the policy with the paper's law where it was trained, and that show the logs."""
     match sorted({name.rpartition("/")[0] for name in scenarios}):
-        case [""]:
-            where = " ".join(f"--scenario {name}" for name in scenarios)
-        case [suite]:
-            where = f"--suite {suite} " + " ".join(f"--track {name.rpartition('/')[2]}" for name in scenarios)
+        case [_]:
+            where = " ".join(scenarios)
         case ["", suite]:
             where = f"--suite {suite}"
         case _:  # trained in random worlds, or on tracks of several suites

@@ -356,15 +356,15 @@ def test_the_command_trains_several_seeds_resumes_them_and_draws_their_curves(tm
     mean = np.mean([summary["validation_digits"] for summary in summaries])
     assert f"Mean of 2 seeds: {mean:.2f} digits" in printed
     pattern = f"static,trained={tmp_path}/seed-*/policy.onnx"
-    assert f"To compare:  ptne compare --scenario random-energy --policy '{pattern}'" in printed
+    assert f"To compare:  ptne compare random-energy --policy '{pattern}'" in printed
     assert f"To see the logs:  tensorboard --logdir {tmp_path}" in printed
 
 
 @pytest.mark.parametrize(
     ("scenarios", "where"),
     [
-        (["random-energy"], "--scenario random-energy"),
-        (["ptne-v1/noise", "ptne-v1/delay"], "--suite ptne-v1 --track noise --track delay"),
+        (["random-energy"], "random-energy"),
+        (["ptne-v1/noise", "ptne-v1/delay"], "ptne-v1/noise ptne-v1/delay"),
         (["random-energy", "ptne-v1/delay"], "--suite ptne-v1"),
         (["ptne-v1/noise", "ptne-v2/delay"], "--suite ptne-v2"),
         ([], "--suite ptne-v2"),
