@@ -75,7 +75,7 @@ def main(
                 tracks=[track for track, plays in tracks.items() if plays is is_small],
                 folder=out / name,
                 workers=Workers(jobs, ray),
-                progress=lambda job, _: typer.echo(job, err=True),
+                progress=lambda job, *_: typer.echo(job, err=True),
             )
             for is_small, policy in (
                 (False, POLICY),

@@ -52,8 +52,8 @@ _INTRODUCTION = (
     "Written by `python baselines/suite.py {suite}`; do not edit. Suite `{suite}` (content hash `{hash}`), {episodes} "
     "test episodes per track from seed {seed}, learned policies with every training seed; intervals of 95 % as "
     "`docs/protocol.md` explains. `ptne check baselines/{archive}` computes every number again. Learned policies are "
-    "`ppo-<configuration>`, and `size-free` of the configuration `generalist`; configurations in "
-    "`ptne_env/training/configurations`. Below the honest entries stand coded ones and oracles. "
+    "`ppo-<configuration>`, configurations in `ptne_env/training/configurations`, and `size-free`, the shipped seed "
+    "alone ([size-free.md](size-free.md) has all its seeds). Below the honest entries stand coded ones and oracles. "
     + ". ".join(MARK_NOTES.values())
     + "."
 )
@@ -63,7 +63,7 @@ def configurations(runs: Path) -> dict[str, str]:
     """The pattern of the training seeds of every configuration, by name of the policy."""
     return {
         policy_name(name): str(runs / name / "seed-*" / "policy.onnx")
-        for name in [*training.configurations(), GENERALIST]
+        for name in training.configurations()
         if name not in ONE_SEED
     }
 
@@ -144,7 +144,8 @@ def main(
     """Run, rank and write."""
     folder, archive = out / suite, to / f"{suite}{SUFFIX}"
     learned = configurations(runs)
-    names = [*POLICIES, *(f"{name}={pattern}" for name, pattern in learned.items())]
+    alone = policy_name(GENERALIST)
+    names = [*POLICIES, *(f"{name}={pattern}" for name, pattern in learned.items()), alone]
     done: list[str] = []
 
     def advance(job: str, work: int, total: int) -> None:
@@ -163,7 +164,7 @@ def main(
         episodes=results.suite.episodes,
         seed=results.seed,
     )
-    lines = [f"# Leaderboard of {suite}", "", introduction, "", *overview(results, set(learned)), ""]
+    lines = [f"# Leaderboard of {suite}", "", introduction, "", *overview(results, {*learned, alone}), ""]
     lines += ["## Overall", "", *overall_table(board, results.policies)]
     for played in results.tracks:
         lines += track_table(results, board, played.name)
