@@ -40,8 +40,8 @@ _INTRODUCTION = (
     "Written by `python baselines/size_free.py`; do not edit. Digits on the test episodes of both suites (seed 0), "
     "with 95 % intervals: laws, and the policy without sizes with every training seed. The last column is the standard "
     "deviation of the means of its seeds. On tracks marked * the shipped seed plays alone, ten episodes "
-    "or fewer. `best known` is the best honest entry when ptne-v2 was frozen. The last row is a mean over the tracks: of digits/12 on ptne-v1, and of "
-    "digits over the best known on ptne-v2."
+    "or fewer. `best known` is the best honest entry when ptne-v2 was frozen. The last row is a mean over the tracks: "
+    "of digits/12 on ptne-v1, and of digits over the best known on ptne-v2."
 )
 
 
