@@ -133,7 +133,7 @@ def test_tracks_are_those_that_all_players_play_by_themselves(script):
     assert not {"ptne-v1/mixed-team", "ptne-v2/strangers", "ptne-v2/crowd-50"} & set(names)
     with pytest.raises(ValueError, match="some players of ptne-v1/mixed-team follow another policy"):
         script.chosen_tracks(["ptne-v1/mixed-team"])
-    with pytest.raises(ValueError, match="suite ptne-v1 has no track 'x'; choose from nominal"):
+    with pytest.raises(ValueError, match="unknown track of suite ptne-v1 'x'; choose from nominal"):
         script.chosen_tracks(["ptne-v1/x"])
 
 

@@ -6,7 +6,7 @@ import glob
 import inspect
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal, TypeAlias, get_args
 
@@ -465,13 +465,15 @@ def learned_policy(path_or_name: str) -> PolicySpec:
     policy = policies.load(path_or_name)
     source = FactorySpec.of(LOADER, path_or_name=path_or_name)
     trained = policy.metadata.scenarios
+    has_no_size = isinstance(policy, policies.SizeFreeFile)
     places = trained[0] if len(trained) == 1 else f"{len(trained)} scenarios and tracks"
+    kind = "network for games and graphs of any size" if has_no_size else "network"
     return PolicySpec(
         policy.name,
         source,
         policy.interface,
-        None if isinstance(policy, policies.SizeFreeFile) else frozenset(trained),
-        description=f"A network trained on {places}; {policy.metadata.digits:.3g} digits on its validation episodes.",
+        None if has_no_size else frozenset(trained),
+        description=f"A {kind}, trained on {places}; {policy.metadata.digits:.3g} digits on its validation episodes.",
     )
 
 
@@ -524,8 +526,7 @@ def get_policy_spec(policy: str | PolicySpec, *, trust: bool = False) -> PolicyS
     if policy in POLICIES:
         return POLICIES[policy]
     if policy in policies.shipped() or Path(policy).suffix == ".onnx":
-        learned = learned_policy(policy)
-        return PolicySpec(learned.name, learned.policy, learned.interface)  # named, it is run wherever it fits
+        return replace(learned_policy(policy), scenarios=None)  # named, it is run wherever it fits
     if stores_code(policy):
         if not trust:
             raise ValueError(f"loading {policy!r} executes code that is stored in it: say that you trust it (--trust)")

@@ -215,9 +215,10 @@ class Tuning:
 
     @cached_property
     def _parts(self) -> tuple[Any, ...]:
-        """The content of the track on which its metric depends. Digits at the deadline need no steps after it."""
+        """The content of the track on which a law depends: not the action space, nor steps after digits are counted."""
         track, hold_steps = self.track, 0 if self.track.metric == "digits" else self.track.scenario.hold_steps
         scenario = track.scenario.to_dict() | {"hold_steps": hold_steps}
+        scenario.pop("action_limit", None)
         return scenario, track.teammates and track.teammates.to_dict(), track.metric
 
     def trial(self, law: FactorySpec) -> Job:

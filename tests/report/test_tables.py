@@ -255,13 +255,13 @@ def test_every_scenario_policy_and_track_has_a_sentence_of_its_own():
         sentences += changes
     for sentence in sentences:
         assert sentence.endswith(".")
-        assert sentence[0].isupper()
+        assert sentence[0].isupper() or sentence[0].isdigit()
 
 
 def test_the_catalogue_may_be_of_one_kind():
     text = written(catalogue([Kind.SUITES]))
     assert "ptne-v1/delay" in text
-    assert "weakly-monotone" not in text.replace("ptne-v1/weakly-monotone", "")
+    assert "weakly-monotone" not in text.splitlines()
 
 
 @pytest.mark.parametrize(
