@@ -21,6 +21,7 @@ from extras import need_sb3
 from ptne_env.cli import console
 from ptne_env.cli.app import ExitCode, main
 from ptne_env.files import DamagedFileError
+from ptne_env.training.curve import LearningCurve
 
 FILES = {"results.json", "results.csv", "marl-eval.json", "jobs"}
 
@@ -114,9 +115,11 @@ def test_interrupted_work_showed_the_time_left_and_leaves_complete_files(name, t
     files = [path for path in tmp_path.rglob("*") if path.is_file() and "tensorboard" not in path.parts]
     assert [path for path in files if path.name.startswith(".")] == []
     for path in files:
-        assert path.suffix in (".json", ".npz", ".png", ".svg")
+        assert path.suffix in (".json", ".npz", ".png", ".svg") or path.name == "curve.csv"
         if path.suffix == ".json":
             json.loads(path.read_text(encoding="utf-8"))
+        if path.name == "curve.csv":
+            assert LearningCurve(path.parent).points
 
 
 def test_a_terminal_gets_colours_and_none_with_no_color(tmp_path):
@@ -464,7 +467,8 @@ def test_every_kind_of_fault_has_an_exit_code(error, code, monkeypatch, capsys):
     def fail(prog_name):
         raise error
 
-    monkeypatch.setattr("ptne_env.cli.app.app", fail)
+    monkeypatch.setenv("PYTHONSAFEPATH", "1")  # main sets it; later tests run without it again
+    monkeypatch.setattr(sys.modules[main.__module__], "app", fail)  # ptne_env.cli.app is the Typer object
     with pytest.raises(SystemExit) as ended:
         main()
     assert ended.value.code == code
