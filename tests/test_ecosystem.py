@@ -7,10 +7,11 @@ import re
 import sys
 import time
 from pathlib import Path
+from urllib.error import URLError
 
 import numpy as np
 import pytest
-from extras import need_torchrl
+from extras import need_sb3, need_torchrl
 from processes import run_python
 
 ROOT = Path(__file__).parents[1]
@@ -29,11 +30,41 @@ def load(name):
     return module
 
 
+def need_original_of_cleanrl(monkeypatch):
+    """Skip what asks, unless CleanRL's script has its package and is stored, or can be downloaded."""
+    pytest.importorskip("tyro", reason="needs tyro: pip install -r examples/ecosystem/requirements/cleanrl.txt")
+    monkeypatch.syspath_prepend(str(FOLDER))
+    try:
+        load("cleanrl_original").script()
+    except SystemExit as missing:
+        if "needs the network" not in str(missing):
+            raise
+        pytest.skip(str(missing))
+
+
 @pytest.mark.parametrize("example", HERE, ids=lambda path: path.stem)
-def test_example_agrees_with_evaluate_and_training_gains_digits(example, tmp_path):
+def test_example_agrees_with_evaluate_and_training_gains_digits(example, tmp_path, monkeypatch):
+    if example.stem == "cleanrl_original":
+        need_original_of_cleanrl(monkeypatch)
     row = json.loads(run_python(example, folder=tmp_path).stdout.splitlines()[-1])
     assert row["difference"] < 1e-4
     assert (row["before"] is None) == (example.stem.split("_")[0] in ("pettingzoo", "gymnasium"))
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_script_that_cannot_be_downloaded_is_named_with_its_place(tmp_path, monkeypatch):
+    need_sb3()
+    monkeypatch.syspath_prepend(str(FOLDER))
+    example = load("cleanrl_original")
+
+    def fail(address, timeout):
+        raise URLError("Name or service not known")
+
+    monkeypatch.setattr(example, "urlopen", fail)
+    monkeypatch.setattr(sys, "prefix", str(tmp_path))
+    place = re.escape(str(tmp_path / example.SCRIPT))
+    with pytest.raises(SystemExit, match=f"cannot download {example.ADDRESS} .*needs the network, or .* {place}"):
+        example.script()
     assert list(tmp_path.iterdir()) == []
 
 

@@ -25,6 +25,7 @@ from yardstick import EPISODES, SCENARIO, TASK, joint_digits, law, report
 
 SCRIPT = "ppo_continuous_action.py"
 COMMIT = "fe8d8a03c41a7ef5b523e2e354bd01c363e786bb"
+ADDRESS = f"https://raw.githubusercontent.com/vwxyzjn/cleanrl/{COMMIT}/cleanrl/{SCRIPT}"
 HASH = "326dd8678bf9cc51abec833eb551ef2409a3804d604b689e1f0a084eca41f655"
 CHANGES = {
     "lambda obs: np.clip(obs, -10, 10))": "lambda obs: np.clip(obs, -10, 10), env.observation_space)",
@@ -37,12 +38,18 @@ def script() -> str:
     """CleanRL's script at one commit, which is kept in the virtual environment.
 
     Raises:
-        SystemExit: when it has another content.
+        SystemExit: when it cannot be downloaded, or has another content.
     """
     path = Path(sys.prefix) / SCRIPT
     if not path.exists():
-        with urlopen(f"https://raw.githubusercontent.com/vwxyzjn/cleanrl/{COMMIT}/cleanrl/{SCRIPT}") as answer:
-            path.write_bytes(answer.read())
+        try:
+            with urlopen(ADDRESS, timeout=60) as answer:
+                downloaded = answer.read()
+        except OSError as error:  # such as an unknown host, a timeout or the answer 404
+            raise SystemExit(
+                f"cannot download {ADDRESS} ({error}): this example needs the network, or this file as {path}"
+            ) from error
+        path.write_bytes(downloaded)
     content = path.read_bytes()
     if hashlib.sha256(content).hexdigest() != HASH:
         raise SystemExit(f"{path} is not CleanRL's script of the commit {COMMIT}: delete it")
