@@ -1,6 +1,6 @@
 """A game, a graph, a channel, a law and a track of your own, in a module of your own.
 
-Nothing is registered: a scenario takes parts as objects, and the command line names them as "own_parts:Name".
+Nothing is registered: scenarios take objects or functions, and the command line names them as "own_parts:Name".
 
 Run it with: python examples/own_parts.py
 or, in the folder of this file: ptne compare --suite own_parts:suite --policy own_parts:HeavyBall --trust
@@ -29,7 +29,7 @@ class BeautyContest(AffineGame):
         super().__init__(np.eye(len(tastes)) - conformity / (len(tastes) - 1) * others, -np.asarray(tastes))
 
 
-def wheel(players: int) -> switching.SwitchingTopology:
+def wheel(players: int = 5) -> switching.SwitchingTopology:
     """Player 0 in the hub, the others on the rim."""
     return switching.fixed(graphs.from_networkx(nx.wheel_graph(players)))
 
@@ -74,7 +74,7 @@ class HeavyBall(laws.Law):
 
 def suite() -> Suite:
     """Two tracks: the game on the wheel, and the same with clipped messages."""
-    base = get_scenario("energy", name="contest", game=BeautyContest(), topology=wheel(5), start="random")
+    base = get_scenario("energy", name="contest", game=BeautyContest(), topology=wheel, start="random")
     clipped = base.replace(name="clipped", channel=Clipped(bound=10.0))
     return Suite(
         "own-parts-v1",
