@@ -446,7 +446,11 @@ def test_protocol_has_all_tracks_and_laws():
 
 def test_reward_and_info_tables_are_complete():
     assert [row[0].split("`")[1] for row in table(ENVIRONMENT, "Term")] == list(TERMS)
-    env = ptne_env.parallel_env("energy", steps=400, max_cycles=1)
-    env.reset(seed=0)
-    *_, infos = env.step({agent: np.zeros(5, dtype=np.float32) for agent in env.agents})
-    assert set(first_cells(ENVIRONMENT, "Key of an agent's info")) == set(infos["player_0"])
+    rows = {row[0].strip("`"): row[1] for row in table(ENVIRONMENT, "Key of an agent's info")}
+    of_terms = rows.pop("reward_<term>")
+    documented = rows | {f"reward_{term}": of_terms for term in TERMS}
+    env = ptne_env.parallel_env("energy", reward=dict.fromkeys(TERMS, 1.0), max_cycles=1)
+    first = env.reset(seed=0)[1]
+    last = env.step({agent: np.zeros(5, dtype=np.float32) for agent in env.agents})[4]
+    for infos in (first, last):
+        assert {name: value.dtype.name for name, value in infos["player_0"].items()} == documented
