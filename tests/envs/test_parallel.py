@@ -488,7 +488,7 @@ def test_properties_before_reset_ask_for_reset(view):
     ("arguments", "message"),
     [
         ({"scenario": "enrgy"}, "unknown scenario 'enrgy'; did you mean 'energy'"),
-        ({"interface": "global"}, "unknown interface 'global'; choose from physical, local, full"),
+        ({"interface": "global"}, "unknown interface 'global'; choose from physical, local, learner, full"),
         ({"interface": "full"}, "for oracles in evaluations only; choose 'physical', 'local' or 'learner'"),
         ({"action_mode": "torque"}, "unknown action mode 'torque'; choose from input, gains"),
         ({"action_scale": -1.0}, "action_scale must be a finite number above 0"),

@@ -130,7 +130,12 @@ def test_numbers_and_picture_are_written(diagrams, tmp_path):
 
 @pytest.mark.parametrize(
     ("arguments", "phrase"),
-    [({"name": "gain"}, "choose from gain-step"), ({"points": 1}, "points"), ({"episodes": 0}, "episodes")],
+    [
+        ({"name": "gain"}, "unknown diagram 'gain'; did you mean 'gain-step'"),
+        ({"name": "xyz"}, "unknown diagram 'xyz'; choose from gain-step"),
+        ({"points": 1}, "points"),
+        ({"episodes": 0}, "episodes"),
+    ],
 )
 def test_wrong_arguments_raise(arguments, phrase):
     with pytest.raises(ValueError, match=phrase):
