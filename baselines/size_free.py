@@ -18,14 +18,12 @@ from run import GENERALIST, policy_name
 from ptne_env.experiments import Results, Workers, run_suite
 from ptne_env.experiments.metrics import number
 from ptne_env.experiments.suite import SUITES, get_suite
+from ptne_env.experiments.sweep import CEILING
 from ptne_env.files import write_atomically
 
 HERE = Path(__file__).parent
 
 POLICY = policy_name(GENERALIST)
-
-HIGHEST = 12.0
-"""The most digits that count."""
 
 LAWS = ("contact-relay", "observer-relay")
 """Laws beside the policy."""
@@ -52,7 +50,7 @@ def page(name: str, several: Results, alone: Results) -> list[str]:
     for track in get_suite(name).tracks:
         results = several if track.name in {each.name for each in several.tracks} else alone
         found = [results.samples[track.name, entry][track.metric] for entry in (*LAWS, POLICY)]
-        shares.append([float(each.mean()) / (track.best_known or HIGHEST) for each in found])
+        shares.append([float(each.mean()) / (track.best_known or CEILING) for each in found])
         texts = [interval(results.summary(track.name, entry, track.metric)) for entry in (*LAWS, POLICY)]
         deviation = number(float(found[-1].mean(axis=1).std(ddof=1))) if results is several else ""
         mark = "" if results is several else " *"
