@@ -97,8 +97,8 @@ def compare(
             help="A policy by name, an .onnx file, a Stable-Baselines3 .zip, 'module:object' that is called with the "
             "layout and returns something with predict(), or 'name=pattern' for the files of several training seeds; "
             "separate several by commas, or repeat. A .zip and a 'module:object' run their own code. If left out: the "
-            "paper's laws, the law observer-relay, and the learned policies on the scenarios they were trained on; with "
-            "--suite, all laws and all learned policies.",
+            "paper's laws, observer-relay, and the learned policies on the scenarios they were trained on; with --suite, "
+            "all laws and all learned policies.",
             autocompletion=options.complete_policy,
         ),
     ] = None,
@@ -150,8 +150,8 @@ def compare(
     The output is one table and three sentences; the page report.html, and --details, have all metrics.
 
     Every policy is run from the same seeded episodes. Intervals are 95 % intervals of the mean over episodes and
-    training seeds. Learned policies are also compared, paired by episode, with
-    laws that were tuned on validation episodes.
+    training seeds. Learned policies are also compared, paired by episode, with laws that were tuned on validation
+    episodes.
 
     With --suite, run the tracks of a frozen benchmark, with scores and ranks; see docs/protocol.md.
     """
