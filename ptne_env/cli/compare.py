@@ -97,8 +97,8 @@ def compare(
             help="A policy by name, an .onnx file, a Stable-Baselines3 .zip, 'module:object' that is called with the "
             "layout and returns something with predict(), or 'name=pattern' for the files of several training seeds; "
             "separate several by commas, or repeat. A .zip and a 'module:object' run their own code. If left out: the "
-            "paper's laws, observer-relay, and learned policies on the scenarios they were trained on; with --suite, all "
-            "laws and all learned policies.",
+            "paper's laws, observer-relay, and learned policies on scenarios that they were trained on; with --suite, "
+            "all laws and all learned policies.",
             autocompletion=options.complete_policy,
         ),
     ] = None,
