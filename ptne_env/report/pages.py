@@ -27,7 +27,7 @@ from ptne_env.experiments.provenance import content_hash, versions
 from ptne_env.experiments.results import Results
 from ptne_env.experiments.suite import LAW, Track, comparison, foreign_suites
 from ptne_env.experiments.traces import Scene
-from ptne_env.report.answer import answer, own_policies
+from ptne_env.report.answer import answer, leaders, own_policies
 from ptne_env.report.html import render_template
 from ptne_env.report.tables import MARK_NOTES, MARKS, Table, overview, summary_tables, track_rules, track_tables
 from ptne_env.scenario import Scenario
@@ -228,6 +228,8 @@ def _section(results: Results, track: Track, scene: Scene, words: Sequence[str] 
             keys.setdefault(job.policy.name, []).append(job.key)
     ranked = [policy for policy, division in tables[0].rows.items() if division != "oracle"]
     own = [policy for policy in own_policies(results) if policy in ranked]
+    named = next((names for names, tracks in leaders(results).items() if track in tracks), ())
+    winners = [policy for policy in [*named, *ranked] if policy in ranked][:1]
     return Section(
         name=track.name,
         description=_description(results, track),
@@ -236,7 +238,7 @@ def _section(results: Results, track: Track, scene: Scene, words: Sequence[str] 
         f"{scenario.hold_steps} after it.",
         tables=tables,
         shown=_shown(ranked, own),
-        picked=tuple(dict.fromkeys([*ranked[:1], *(own or [name for name in ranked if name == LAW])])),
+        picked=tuple(dict.fromkeys([*winners, *(own or [name for name in ranked if name == LAW])])),
         command=_command(results, [track], words),
         episodes=(scene.episodes, results.episodes[track.name]),
         facts=(
