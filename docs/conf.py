@@ -37,6 +37,8 @@ html_show_copyright = False
 templates_path = ["templates"]
 html_additional_pages = {"index": "redirect.html"}
 html_math_renderer = "mathml"
+pygments_dark_style = "monokai"
+toc_object_entries = False  # thousands of entries, copied for every page, were a fifth of the time of a build
 
 myst_enable_extensions = ["dollarmath"]
 myst_fence_as_directive = ["math"]  # GitHub's syntax for displayed formulas

@@ -45,7 +45,7 @@ def test_result_tables_fit_the_terminal_and_lose_nothing(comparison, suite, widt
         words = set(text.split())
         for record in results.records:
             if record["mean"] is not None:
-                assert number(record["mean"]) in words
+                assert re.sub("^-", "−", number(record["mean"])) in words
 
 
 @pytest.mark.parametrize("width", [80, 120])
