@@ -307,7 +307,7 @@ FIGURES: tuple[FigureSpec, ...] = (
     ),
     FigureSpec(
         "graph",
-        "The fixed graph of the runs, and its Laplacian. The paper's drawing is not available; the 5-cycle is our choice.",
+        "The fixed graph of the runs and its Laplacian. The paper's drawing is not available; the 5-cycle is ours.",
         (6.0, 2.7),
         _graph,
         "Fig. 2",
@@ -354,8 +354,8 @@ FIGURES: tuple[FigureSpec, ...] = (
     ),
     FigureSpec(
         "switching-graphs",
-        "The four modes of the topology of the runs below, each disconnected, jointly connected. The paper's drawing is "
-        "not available; these are our choice.",
+        "The four modes of the topology of these runs, each disconnected, jointly connected. The paper's drawing "
+        "is not available; these are our choice.",
         (8.2, 2.1),
         _switching_graphs,
         "Fig. 7",
