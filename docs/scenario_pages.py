@@ -36,7 +36,7 @@ EPISODES = 10
 
 def write_pages() -> None:
     """Write the pages that are missing or older than the code, and their table of contents."""
-    sources = [*Path(ptne_env.__file__).parent.rglob("*.py"), *Path(__file__).parent.glob("*.py")]
+    sources = [*Path(ptne_env.__file__).parent.rglob("*.py"), Path(__file__), Path(formulas.__file__)]
     newest = max(path.stat().st_mtime for path in sources)
     old = [name for name in CATALOGUE if not _is_newer(FOLDER / f"{name}.md", newest)]
     FOLDER.mkdir(exist_ok=True)

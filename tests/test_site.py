@@ -99,6 +99,26 @@ def test_formulas_are_recognised_in_prose(formulas, text, typeset):
     assert formulas.typeset_markdown(text) == (text if typeset is None else typeset)
 
 
+@pytest.mark.parametrize(
+    ("tex", "shown"),
+    [
+        (r"x \text{ for all } i", "x<mtext>\u00a0for\u00a0all\u00a0</mtext>i"),
+        (r"T \tanh s", "T<mspace/>tanh\u2061<mspace/>s"),
+        (r"\cosh^2 s / \ln 10", "cosh2<mspace/>s/ln\u2061<mspace/>10"),
+        (r"\tanh(s)", "tanh\u2061(s)"),
+    ],
+)
+def test_formulas_keep_the_spaces_of_words_and_functions(formulas, tex, shown):
+    elements, _ = formulas.mathml(tex, block=False)
+    kept = re.sub(r"<mspace[^>]*>", "<mspace/>", re.sub(r"</?(?!mspace|mtext|/mtext)[^>]*>", "", elements))
+    assert kept == shown
+
+
+def test_no_line_begins_with_the_comma_after_a_formula(texts):
+    formulas_of = re.compile(r'<span class="math[^>]*>(?:(?!</span>).)*</span>(.)', re.DOTALL)
+    assert [found for found in formulas_of.findall(texts["docs/protocol"]) if found in ",.;:)"] == []
+
+
 def test_excerpts_show_formulas_as_they_were_written(formulas):
     assert formulas.plain(r"\lVert x^{i}-x_{\mathrm{end}}\rVert \le e^{-r\,s}") == "‖x^i−x_end‖≤e^−r s"
 
