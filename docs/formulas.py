@@ -11,6 +11,7 @@ from collections.abc import Callable
 from typing import NamedTuple
 from xml.etree import ElementTree as ET
 
+from docutils.utils.math import tex2unichar
 from docutils.utils.math.latex2mathml import tex2mathml
 
 # --- Unicode to LaTeX ------------------------------------------------------------------------------------------------
@@ -214,7 +215,7 @@ class _Reader:
     def is_variable(self, place: int, *, product: bool, inside: bool) -> bool:
         """Whether the lone letter a, A or I is a variable and no word, by the operators around it."""
         before, after = self.text[max(0, place - 2) : place], self.text[place + 1 : place + 6]
-        if product:
+        if product and not inside:
             return False
         if re.search(r"[=<>≤≥+−·/⊗]\s?$", before):
             return True
@@ -557,7 +558,9 @@ def _length(element: ET.Element) -> float:
         sign = bool(text) and (text in _RELATION_SIGNS or text in "+−·×")
         return 0.55 * len(text) + 0.15 * sum(map(str.isupper, text)) + 0.7 * sign
     lengths = [_length(child) for child in element]
-    if name in ("mfrac", "munder", "mover", "munderover", "mtable"):
+    if name in ("munder", "mover", "munderover"):  # letters above and below are smaller
+        return max(lengths[0], *(0.7 * length for length in lengths[1:])) + 0.2
+    if name in ("mfrac", "mtable"):
         return max(lengths, default=0.0) + 0.2
     if name == "mtr":
         return sum(lengths) + 0.8 * len(lengths)
@@ -585,6 +588,9 @@ def plain(tex: str) -> str:
     for opening, (left, closing, right) in BRACKETS.items():
         symbols |= {left: opening, right: closing}
     symbols |= {r"\infty": "∞", r"\ldots": "…", r"\ast": "*", r"\prime": "'", r"\,": " ", r"\;": " ", r"\quad": " "}
+    symbols |= {rf"\{name}": sign for name, sign in tex2unichar.mathalpha.items()}
+    group = r"\{((?:[^{}]|\{[^{}]*\})*)\}"
+    tex = re.sub(rf"\\[dt]?frac{group}{group}", r"\1/\2", tex)
     for command in sorted(symbols, key=len, reverse=True):
         if command[:1] == "\\":
             end = r"(?![A-Za-z]) ?" if command.strip()[-1].isalpha() else ""

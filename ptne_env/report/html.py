@@ -25,6 +25,11 @@ def indexed(text: str) -> str:
     return _INDEX.sub(moved, html.escape(text, quote=False))
 
 
+def with_minus_signs(text: str) -> str:
+    """A text with the sign of minus before numbers, such as −0.1 and [−0.2, 0.1]; exponents such as 1e-6 stay."""
+    return re.sub(r"(?<![\w.-])-(?=\d)", "−", text)
+
+
 def render_template(template: str, **values: Any) -> str:
     """A page from a template of ``ptne_env/report/templates``; it needs no network.
 
@@ -47,6 +52,6 @@ def render_template(template: str, **values: Any) -> str:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    environment.filters["indexed"] = indexed
+    environment.filters |= {"indexed": indexed, "with_minus_signs": with_minus_signs}
     environment.policies["json.dumps_kwargs"] = {"allow_nan": False, "ensure_ascii": False, "separators": (",", ":")}
     return environment.get_template(template).render(light=LIGHT, dark=DARK, **values)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -71,9 +70,8 @@ class Value:
         summary = quantity if isinstance(quantity, Summary) else Summary(quantity, quantity, quantity)
         if summary.mean is None:
             return cls()
-        ends = summary.mean, summary.low, summary.high
-        text, low, high = (re.sub("^-", "−", write(part)) for part in ends)
-        return cls(text, summary.mean, "" if low == high else f"[{low}, {high}]")
+        low, high = write(summary.low), write(summary.high)
+        return cls(write(summary.mean), summary.mean, "" if low == high else f"[{low}, {high}]")
 
     @classmethod
     def plus_minus(cls, summary: Summary | None) -> Value:

@@ -15,11 +15,12 @@ import ptne_env
 from ptne_env import Scenario, distances, evaluate, get_scenario
 from ptne_env.catalogue import CATALOGUE, DESCRIPTIONS
 from ptne_env.experiments import default_policies
+from ptne_env.experiments.metrics import number
 from ptne_env.experiments.traces import scenes
 from ptne_env.report import page
 from ptne_env.report.answer import answer
+from ptne_env.report.html import with_minus_signs
 from ptne_env.report.pages import report
-from ptne_env.report.tables import Value
 from ptne_env.style import COLOURS, DARK, LIGHT
 
 VOID = {"meta", "link", "input", "br", "img", "hr"}
@@ -141,7 +142,7 @@ def test_page_shows_every_record(comparison, pages):
     texts = {text for _, text in pages["comparison"].all("td")}
     for record in comparison.records:
         if record["mean"] is not None:
-            assert any(text.startswith(Value.of(record["mean"]).text) for text in texts)
+            assert any(text.startswith(with_minus_signs(number(record["mean"]))) for text in texts)
 
 
 def test_a_page_says_that_no_command_repeats_what_was_made_in_python(comparison, comparison_scenes, pages):

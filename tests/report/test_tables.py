@@ -27,7 +27,7 @@ from ptne_env.experiments.suite import SUITES
 from ptne_env.experiments.traces import scenes
 from ptne_env.observation import Interface
 from ptne_env.report import Kind, answer_tables, catalogue, check_tables, page, result_tables
-from ptne_env.report.tables import Value, overview, summary_tables, track_tables
+from ptne_env.report.tables import overview, summary_tables, track_tables
 
 
 def written(tables, width=172):
@@ -45,7 +45,7 @@ def test_result_tables_fit_the_terminal_and_lose_nothing(comparison, suite, widt
         words = set(text.split())
         for record in results.records:
             if record["mean"] is not None:
-                assert Value.of(record["mean"]).text in words
+                assert number(record["mean"]) in words
 
 
 @pytest.mark.parametrize("width", [80, 120])
