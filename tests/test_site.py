@@ -130,11 +130,12 @@ TOO_WIDE = """() => {
     return [...document.querySelectorAll("article *")].filter(element => {
         if (element.parentElement.closest(".table-wrapper, pre, math, svg") || element.closest("defs")) return false
         const isScroller = getComputedStyle(element).overflowX !== "visible" && !element.matches(".table-wrapper, pre")
-        const right = element.getBoundingClientRect().right - (element.matches("h1, h2, h3, h4") ? 8 : 0)  // padding
-        return right > article.right + 5 || (isScroller && element.scrollWidth > element.clientWidth + 1)
+        const limit = element.matches("math, img") ? article.right + 1 : innerWidth
+        if (isScroller && element.scrollWidth > element.clientWidth + 1) return true
+        return element.getBoundingClientRect().right > limit
     }).map(element => `${element.tagName} ${element.className} ${element.textContent.trim().slice(0, 60)}`)
 }"""
-"""Elements beyond the right edge of the article, and those that scroll; tables and code scroll by themselves."""
+"""Elements beyond the right edge of the page or of its text, and those that scroll; tables and code may scroll."""
 
 
 # A page takes about a second in the browser, and only the browser knows its layout.
