@@ -111,8 +111,8 @@ the graph{modes}; players have the numbers and colours of their agents, 0 is <co
 
 {_digits(name)}
 
-Mean digits at T with 95 % intervals, from {EPISODES} random starts, or from the paper's start. Printed, with all other
-metrics, by `{compare}`.
+Mean digits at T with 95 % intervals, from {EPISODES} random starts. Printed, with all other metrics, by
+`{compare}`.
 
 ## Predictions
 

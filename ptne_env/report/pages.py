@@ -232,15 +232,13 @@ def _section(
             keys.setdefault(job.policy.name, []).append(job.key)
     ranked = [policy for policy, division in tables[0].rows.items() if division != "oracle"]
     own = [policy for policy in own_policies(results) if policy in ranked]
-    leader = first.get(track.name.removesuffix(PAPER_START), "")
-    ranked.sort(key=lambda policy: policy != leader)  # it is the best, or one of the best
+    ranked.sort(key=lambda policy: policy != first.get(track.name))  # it is the best, or one of the best
     return Section(
         name=track.name,
         description=_description(results, track),
         about=f"{track_rules(results, track)} {type(world.game).__name__} with {world.game.num_players} players; "
         f"T\u00a0=\u00a0{scenario.deadline:g}\u00a0s, c\u00a0=\u00a0{scenario.gain:g} per second, "
-        f"{scenario.steps} steps to the deadline, "
-        f"{scenario.hold_steps} after it.",
+        f"{scenario.steps} steps to the deadline, {scenario.hold_steps} after it.",
         tables=tables,
         shown=_shown(ranked, own),
         picked=tuple(dict.fromkeys([*ranked[:1], *(own or [name for name in ranked if name == LAW])])),
