@@ -21,7 +21,7 @@ import ptne_env
 from ptne_env import report, theory
 from ptne_env.catalogue import CATALOGUE, DESCRIPTIONS
 from ptne_env.experiments import POLICIES
-from ptne_env.experiments.episodes import EpisodeSet
+from ptne_env.experiments.suite import comparison
 from ptne_env.experiments.traces import Scene, scene
 from ptne_env.factory import FactorySpec, resolve
 from ptne_env.files import write_atomically
@@ -78,13 +78,13 @@ def page(name: str) -> str:
     """The Markdown text of a scenario's page."""
     scenario = CATALOGUE[name]
     world = World(scenario)
-    shown = scene(world, EpisodeSet(EPISODES).initial_state(world), {law: POLICIES[law] for law in LAWS})
+    suite = comparison([name], episodes=EPISODES)  # the episodes of the table
+    start = suite.episode_set(name, seed=0).initial_state(suite.track(name).world)
+    shown = scene(suite.track(name).world, start, {law: POLICIES[law] for law in LAWS})
     pictures = "\n".join(re.sub(r"\n\s*\n", "\n", panel) for panel in _panels(world, shown))
     certify = f"ptne certify {name}"
     compare = f"ptne compare --scenario {name} --policy {','.join(LAWS)} --episodes {EPISODES}"
     episodes = f"the median of {shown.episodes} episodes, with the band from 10 % to 90 %"
-    if shown.episodes == 1:
-        episodes = "one episode"
     modes = "" if world.topology.is_fixed else ", whose dotted links are down in the first mode"
     return f"""# {name}
 
@@ -224,7 +224,7 @@ def draw_episode(world: World, shown: Scene, strategies: Axes, errors: Axes, gra
         axes.axvline(deadline, color=INK, linewidth=0.8)
         axes.annotate("$T$", (deadline, 1), (0, 2), ("data", "axes fraction"), "offset points", ha="center")
     errors.set(xlabel="time $t$ [s]", ylabel="relative error")
-    errors.set_title(f"relative error, {shown.episodes} episode{'s' * (shown.episodes > 1)}")
+    errors.set_title(f"{len(shown.traces)} laws, {shown.episodes} episodes")
     if len(shown.traces) > 1:
         errors.legend(loc="upper center", bbox_to_anchor=(0.45, -0.2), ncols=4, columnspacing=0.9, handlelength=1.1)
 

@@ -261,3 +261,11 @@ def test_page_declares_both_colour_schemes(page_file):
     text = page_file("comparison").read_text(encoding="utf-8")
     for scheme in (LIGHT, DARK):
         assert f":root {{ {' '.join(f'--{role}: {colour};' for role, colour in scheme.items())}" in text
+
+
+def test_the_player_shows_the_entry_that_the_answer_names_where_several_are_closest():
+    results = evaluate(["grounded", "contact-relay"], ["energy", "energy-switching"], episodes=2)
+    first, second = (results.record("energy", name, "digits")["mean"] for name in results.policies)
+    assert first == second
+    assert answer(results)[0].startswith("contact-relay is the closest")
+    assert [section.picked[0] for section in report(results, scenes(results)).sections] == ["contact-relay"] * 2
