@@ -21,7 +21,7 @@ reproduce: $(VENV)/.bench
 	$(BIN)/ptne reproduce --out $(OUT)/paper
 
 docs: $(VENV)/.docs
-	$(BIN)/sphinx-build --builder html --conf-dir docs --fresh-env --fail-on-warning --keep-going --quiet . $(OUT)/site
+	$(BIN)/sphinx-build --builder html --jobs auto --conf-dir docs --fresh-env --fail-on-warning --keep-going --quiet . $(OUT)/site
 	@echo 'Site written to $(OUT)/site/index.html: open it in a browser'
 
 ecosystem:
