@@ -394,7 +394,7 @@ def parallel_env(
         **overrides: fields of the scenario to change, such as ``start="random"``, ``hold_steps=50``, ``deadline=2.0``.
 
     Raises:
-        TypeError: for an unknown keyword, naming the one that is most like it.
+        TypeError: for an unknown keyword, naming similar ones, or all.
         ValueError: for an unknown name, or an invalid value; the message says what is expected.
     """
     return NashSeekingEnv(
