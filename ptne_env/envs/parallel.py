@@ -321,7 +321,7 @@ class NashSeekingEnv(Duplicable, ParallelEnv[str, Shown, Float32Array]):
         """All actions in the order of the agents, shape (1, N, action size)."""
         try:
             rows = [actions[agent] for agent in self.agents]
-            stacked = np.array([rows])
+            stacked = np.array(rows)[None]
         except (KeyError, IndexError, TypeError, ValueError):
             raise self._complaint(actions) from None
         if stacked.shape != (1, len(actions), self._action_size):
