@@ -29,7 +29,7 @@ from ptne_env.experiments.check import check as run_check
 from ptne_env.experiments.check import foreign_code as foreign_code_of_results
 from ptne_env.experiments.marl_eval import marl_eval_json
 from ptne_env.experiments.policy_specs import foreign_code
-from ptne_env.experiments.suite import EPISODES, SUITES, comparison, foreign_suites, world_names
+from ptne_env.experiments.suite import COMPARED_EPISODES, SUITES, comparison, foreign_suites, world_names
 from ptne_env.experiments.traces import scenes
 from ptne_env.experiments.workers import Workers
 from ptne_env.files import write_atomically
@@ -97,8 +97,8 @@ def compare(
             help="A policy by name, an .onnx file, a Stable-Baselines3 .zip, 'module:object' that is called with the "
             "layout and returns something with predict(), or 'name=pattern' for the files of several training seeds; "
             "separate several by commas, or repeat. A .zip and a 'module:object' run their own code. If left out: the "
-            "paper's laws, and the learned policies on the scenarios they were trained on; with --suite, all laws and "
-            "all learned policies.",
+            "paper's laws, observer-relay, and learned policies on scenarios that they were trained on; with --suite, "
+            "all laws and all learned policies.",
             autocompletion=options.complete_policy,
         ),
     ] = None,
@@ -107,7 +107,7 @@ def compare(
         typer.Option(
             min=1,
             help="Test episodes per scenario or track, the same for every policy.",
-            show_default=f"{EPISODES}, or the suite's own number",
+            show_default=f"{COMPARED_EPISODES}, or the suite's own number",
         ),
     ] = None,
     seed: options.Seed = 0,
@@ -149,9 +149,9 @@ def compare(
 
     The output is one table and three sentences; the page report.html, and --details, have all metrics.
 
-    Every policy is run from the same seeded episodes; the paper's own start is a track of its own. Intervals are 95 %
-    intervals of the mean over episodes and training seeds. Learned policies are also compared, paired by episode, with
-    laws that were tuned on validation episodes.
+    Every policy is run from the same seeded episodes. Intervals are 95 % intervals of the mean over episodes and
+    training seeds. Learned policies are also compared, paired by episode, with laws that were tuned on validation
+    episodes.
 
     With --suite, run the tracks of a frozen benchmark, with scores and ranks; see docs/protocol.md.
     """
@@ -211,7 +211,7 @@ def _chosen(
     for name in places:
         _require_scenario(name)
     held = _HOLD_STEPS if hold_steps is None else hold_steps
-    return comparison(places or CATALOGUE, episodes=episodes or EPISODES, hold_steps=held), None
+    return comparison(places or CATALOGUE, episodes=episodes or COMPARED_EPISODES, hold_steps=held), None
 
 
 def _show(results: Results, files: Mapping[str, Path], page: Path | None, *, details: bool) -> None:

@@ -26,7 +26,7 @@ from ptne_env.experiments.results import read_results
 from ptne_env.experiments.run import assemble
 from ptne_env.experiments.sources import file_hash
 from ptne_env.experiments.store import PublishedStore
-from ptne_env.experiments.suite import PAPER_START, Suite, comparison, foreign_suites, get_suite
+from ptne_env.experiments.suite import Suite, comparison, foreign_suites, get_suite
 from ptne_env.experiments.tuning import CANDIDATE
 from ptne_env.factory import LOADER, FactorySpec
 from ptne_env.files import read_json, require_file
@@ -316,10 +316,9 @@ class _Listing:
             return get_suite(self.target)
         if self.hold_steps is None:
             raise ValueError(f"the suite of {self.path} was an object: pass it to check()")
-        names = list(dict.fromkeys(name.removesuffix(PAPER_START) for name in self.tracks))
-        if unknown := [name for name in names if name not in CATALOGUE]:
+        if unknown := [name for name in self.tracks if name not in CATALOGUE]:
             raise ValueError(f"the scenarios {', '.join(unknown)} are not in the catalogue: pass the suite to check()")
-        return comparison(names, episodes=self.default_episodes, hold_steps=self.hold_steps)
+        return comparison(self.tracks, episodes=self.default_episodes, hold_steps=self.hold_steps)
 
     def policies(self) -> list[PolicySpec]:
         """The policies of the results.

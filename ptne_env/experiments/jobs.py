@@ -73,10 +73,10 @@ class Job:
         return world.clock.total_steps * (numbers + _STEP_COST)
 
     def compute(self, *, thorough: bool = False) -> JobResult:
-        """Run the episodes, and audit the decisions.
+        """Run the episodes, and audit the decisions of policies that do not ship with the library.
 
         Args:
-            thorough: whether a witness per player audits, and not one for all.
+            thorough: whether a witness per player audits, and not one for all, also where the policy ships.
         """
         world = self.track.world
         teammates = None if self.track.teammates is None else self.track.teammates.join(world)
@@ -90,12 +90,14 @@ class Job:
                     return processes.enter_context(self.policy.deciding(layout, self.training_seed))
 
                 policy = fresh(encoder.layout)
-                rows = sample_rows(self.episodes.count, len(deciding), thorough=thorough)
-                witnesses = [Witness(fresh(encoder.layout), chosen) for chosen in rows]
-                if self.policy.interface.graph_knowledge == "links":
-                    place, chosen = rows_of_one(self.episodes.count, len(deciding))
-                    alone = _of_own_links(fresh, encoder.layout.known_to(deciding[place]))
-                    witnesses.append(Witness(alone, chosen, USES_OTHER_LINKS))
+                witnesses = []
+                if thorough or not self.policy.ships:
+                    rows = sample_rows(self.episodes.count, len(deciding), thorough=thorough)
+                    witnesses = [Witness(fresh(encoder.layout), chosen) for chosen in rows]
+                    if self.policy.interface.graph_knowledge == "links":
+                        place, chosen = rows_of_one(self.episodes.count, len(deciding))
+                        alone = _of_own_links(fresh, encoder.layout.known_to(deciding[place]))
+                        witnesses.append(Witness(alone, chosen, USES_OTHER_LINKS))
                 start = _initial_state(world, self.episodes)
                 with _draws(world, self.episodes).kept():
                     samples = measure(rollout(policy, encoder, start, teammates, witnesses=witnesses))

@@ -120,6 +120,14 @@ class PolicySpec:
         return bool(self.foreign_code)
 
     @property
+    def ships(self) -> bool:
+        """Whether code and files of every training seed are of this library, whose tests audit their decisions."""
+        return (
+            all(isinstance(source, FactorySpec) and not _is_own_file(source) for source in self.training_seeds)
+            and not self.is_foreign
+        )
+
+    @property
     def _is_apart(self) -> bool:
         """Whether it decides in a process of its own, which cannot import the program or notebook that runs."""
         first = self.training_seeds[0]
@@ -452,8 +460,8 @@ POLICIES: Mapping[str, PolicySpec] = {
 }
 """The laws and reference policies by name, in the order in which tables list them."""
 
-COMPARED = tuple(POLICIES)[:8]
-"""Names of the default policies of a comparison on the catalogue: the paper's laws and the reference policies."""
+COMPARED = (*tuple(POLICIES)[:8], "observer-relay")
+"""The default policies of a comparison, by name: the paper's laws, reference policies, and the strongest law."""
 
 
 def learned_policy(path_or_name: str) -> PolicySpec:

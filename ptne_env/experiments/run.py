@@ -18,7 +18,7 @@ from ptne_env.experiments.metrics import against_law
 from ptne_env.experiments.policy_specs import PolicySpec, get_policy_spec
 from ptne_env.experiments.results import Results, records, statistics_of
 from ptne_env.experiments.store import Store, run_jobs, run_missing
-from ptne_env.experiments.suite import EPISODES, LEADERBOARD_SEED, SUITES, Suite, Track, comparison, get_suite
+from ptne_env.experiments.suite import COMPARED_EPISODES, LEADERBOARD_SEED, SUITES, Suite, Track, comparison, get_suite
 from ptne_env.experiments.tuning import Tunable, Tuned, Tuning, Tunings
 from ptne_env.experiments.workers import Workers
 from ptne_env.factory import FactorySpec
@@ -29,7 +29,7 @@ def evaluate(
     policies: str | PolicySpec | Iterable[str | PolicySpec],
     scenarios: str | Scenario | Iterable[str | Scenario],
     *,
-    episodes: int = EPISODES,
+    episodes: int = COMPARED_EPISODES,
     seed: int = 0,
     hold_steps: int = 0,
     split: Split = "test",
@@ -41,13 +41,12 @@ def evaluate(
 ) -> Results:
     """Run every policy on every scenario from the same seeded starts.
 
-    A scenario given by name is run from ``episodes`` random starts under its own name, and, unless it draws games,
-    once more from the paper's start, on the track ``"NAME (paper start)"``. A
-    :class:`~ptne_env.scenario.Scenario` is run as it is: ``episodes`` times when something in it is random, else once.
+    A scenario given by name is run from ``episodes`` random starts. A :class:`~ptne_env.scenario.Scenario` is run as it
+    is: ``episodes`` times when something in it is random, else once.
 
     Where something is random, a learned policy is also compared, paired by episode, with the best of the paper's laws
     and the best of all laws. Both are tuned and chosen by the mean of the track's metric on validation episodes
-    (:mod:`ptne_env.experiments.tuning`). The coded law is run beside them.
+    (:mod:`ptne_env.experiments.tuning`).
 
     Args:
         policies: specs, or strings as :func:`~ptne_env.experiments.policy_specs.get_policy_spec` takes them; one of
@@ -237,7 +236,7 @@ def _by_name(suite: Suite, listed: Sequence[PolicySpec]) -> dict[str, PolicySpec
     specs = {spec.name: spec for spec in listed}
     if len(specs) < len(listed):
         raise ValueError(f"a comparison needs different names, got {', '.join(spec.name for spec in listed)}")
-    for name in tuning.NAMES:
+    for name in tuning.GROUPS.values():
         if name in specs:
             raise ValueError(f"{name!r} is the name of a tuned law: give your policy another name")
     for reference in suite.references:
@@ -357,5 +356,5 @@ def _tuned_laws(
     for search, law, mean in laws:
         reached = tuning.mean_of(*next(played)) if mean is None else mean
         digits[search.track.name][search.member] = law, reached
-    chosen = {name: {**tuning.best(found), "coded": tuning.CODED} for name, found in digits.items()}
+    chosen = {name: tuning.best(found) for name, found in digits.items()}
     return chosen, {name: tuple(trial for trial in trials if trial.track.name == name) for name in digits}

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, fields
 from functools import cache, cached_property, lru_cache
 from typing import Any
@@ -35,13 +35,13 @@ SATURATION_MARGIN = 0.1
 """A policy has saturated a track when its mean digits are within this many digits of :data:`MOST_DIGITS`."""
 
 EPISODES = 200
-"""Episodes of a track, in suites and comparisons, unless others are asked for."""
+"""Episodes of a track of a suite, unless the suite has another number."""
+
+COMPARED_EPISODES = 100
+"""Episodes of a scenario in a comparison, unless another number is asked for."""
 
 LEADERBOARD_SEED = 0
 """Seed of the episode sets of published results."""
-
-PAPER_START = " (paper start)"
-"""Suffix of the track that runs a catalogue scenario from the paper's own start."""
 
 
 @dataclass(frozen=True)
@@ -272,12 +272,11 @@ class Suite:
         return content_hash(self.content())
 
 
-def comparison(scenarios: Iterable[str | Scenario], *, episodes: int = EPISODES, hold_steps: int = 0) -> Suite:
+def comparison(scenarios: Iterable[str | Scenario], *, episodes: int = COMPARED_EPISODES, hold_steps: int = 0) -> Suite:
     """The suite of a comparison.
 
-    A scenario given by name is run from random starts under its own name, and, unless it draws games, once more from
-    the paper's start, on a track ``"NAME (paper start)"``. A :class:`~ptne_env.scenario.Scenario` is run as it is. A
-    track in which nothing is random has one episode.
+    A scenario given by name is run from random starts. A :class:`~ptne_env.scenario.Scenario` is run as it is. A track
+    in which nothing is random has one episode.
 
     Args:
         scenarios: names of the catalogue or scenarios.
@@ -288,7 +287,7 @@ def comparison(scenarios: Iterable[str | Scenario], *, episodes: int = EPISODES,
         ValueError: for unknown or repeated names, or none.
     """
     require_count("episodes", episodes, 1)
-    tracks = tuple(track for scenario in scenarios for track in _comparison_tracks(scenario, hold_steps))
+    tracks = tuple(_comparison_track(scenario, hold_steps) for scenario in scenarios)
     names = [track.name for track in tracks]
     if not names:
         raise ValueError("a comparison needs at least one scenario")
@@ -297,21 +296,13 @@ def comparison(scenarios: Iterable[str | Scenario], *, episodes: int = EPISODES,
     return Suite("comparison", tracks, episodes, is_comparison=True)
 
 
-def _comparison_tracks(scenario: str | Scenario, hold_steps: int) -> Iterator[Track]:
-    if isinstance(scenario, Scenario):
-        yield _comparison_track(scenario.name, scenario)
-        return
-    named = get_scenario(scenario, hold_steps=hold_steps)
-    is_random = _world(named).is_random
-    yield _comparison_track(scenario, named if is_random else named.replace(start="random"))
-    if not is_random:
-        yield _comparison_track(scenario + PAPER_START, named)
-
-
-def _comparison_track(name: str, scenario: Scenario) -> Track:
+def _comparison_track(scenario: str | Scenario, hold_steps: int) -> Track:
+    if isinstance(scenario, str):
+        scenario = get_scenario(scenario, hold_steps=hold_steps)
+        scenario = scenario if _world(scenario).is_random else scenario.replace(start="random")
     if _world(scenario).is_random:
-        return Track(name, scenario, "Random episodes.")
-    return Track(name, scenario, "The paper's own start, one episode.", episodes=1)
+        return Track(scenario.name, scenario, "Random episodes.")
+    return Track(scenario.name, scenario, "One episode, because nothing is random.", episodes=1)
 
 
 SUITES: Mapping[str, str] = {

@@ -20,7 +20,7 @@ from ptne_env.encoder import Encoder, make_encoder
 from ptne_env.experiments.episodes import EpisodeSet
 from ptne_env.experiments.jobs import Job, JobResult
 from ptne_env.experiments.metrics import METRICS
-from ptne_env.experiments.policy_specs import POLICIES, PolicySpec
+from ptne_env.experiments.policy_specs import PolicySpec
 from ptne_env.experiments.provenance import content_hash, versions
 from ptne_env.experiments.rollout import Member, Rollout
 from ptne_env.experiments.series import SERIES, Moment
@@ -38,13 +38,7 @@ CANDIDATE = "candidate law"
 """Name of every tuned member while it is tried."""
 
 GROUPS = {"paper": "best of the paper's laws", "all": "best of all laws"}
-"""Groups of laws, and the name under which the best of each stands in tables."""
-
-CODED = PolicySpec("coded law", POLICIES["identify-and-broadcast"].policy)
-"""The coded law, which stands beside the tuned ones because its estimates are no beliefs. It has no gains to tune."""
-
-NAMES = (*GROUPS.values(), CODED.name)
-"""Names in tables that no other policy may have."""
+"""Groups of laws, and the name under which the best of each stands in tables, which no other policy may have."""
 
 PUBLISHED = Path(__file__).with_name("tuned_laws.json")
 """The tuned laws of the catalogue and their trials, written by ``baselines/tune_field.py --suite catalogue``."""

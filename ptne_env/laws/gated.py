@@ -254,7 +254,6 @@ class GatedLaw(ContactRelay):
 
     def __init__(self, layout: ObservationLayout, patience: float = 30.0, forgetting: float = 2.0) -> None:
         self._has_rows = layout.dimension <= LARGEST_ROW
-        self._planes = (*reaction_parts(layout), "steps")
         super().__init__(layout, patience, forgetting)
 
     def _distances(self) -> FloatArray | None:
@@ -402,8 +401,9 @@ class GatedLaw(ContactRelay):
         changed["noisy"] = restless.is_noisy.astype(np.float64)
         changed["samples"] = np.where(uneasy[:, :, None], memory["samples"], 0.0)
         means = Averages(memory["mean"], changed["samples"], memory["variance"])
-        if (rows := np.flatnonzero(uneasy)).size:
-            part = _part(memory, rows)
+        if uneasy.any():
+            rows = _rows(uneasy[:, 0])
+            part = _Part(memory, rows)
             found, news = averages(_taken(observation, rows), part, restless.is_rounded[rows])
             news["lies"] = lies(found, part, observation.own_estimate[rows], is_own[rows])
             changed |= {name: _with_rows(changed.get(name, memory[name]), rows, each) for name, each in news.items()}
@@ -424,12 +424,13 @@ class GatedLaw(ContactRelay):
         joint = Reactions(planned, np.zeros_like(doubt), np.zeros_like(own.failed))
         if not (self._has_rows and calm.any()):
             return joint, {}
-        rows = np.flatnonzero(calm)
-        news = learned_planes(_taken(observation, rows), _part(memory, rows), self.layout, here[rows])
+        rows = _rows(calm)
+        news = learned_planes(_taken(observation, rows), _Part(memory, rows), self.layout, here[rows])
         changed = {name: _with_rows(memory[name], rows, part) for name, part in news.items()}
-        if (rows := rows[memory["broke"][rows, 0] > 0]).size:
+        if (solving := calm & (memory["broke"][:, 0] > 0)).any():
+            rows = _rows(solving)
             condition = Condition(own.model.rows[rows], own.gradient[rows], own.blocks[rows], doubt[rows])
-            planes = _part({name: changed.get(name, memory[name]) for name in self._planes}, rows)
+            planes = _Part({**memory, **changed}, rows)
             found = joint_solution(observation.player[rows], planes, self.layout, here[rows], planned[rows], condition)
             joint = _replaced(joint, rows, found)
         return joint, changed
@@ -441,11 +442,12 @@ class GatedLaw(ContactRelay):
         pull, is_drifting = np.zeros_like(own.gradient), np.zeros_like(own.failed)
         if not self._has_rows:
             return own, pull, is_drifting, {}
-        rows = np.flatnonzero(is_surprised(own, memory))
+        surprised = is_surprised(own, memory)[:, 0]
         parts = {name: memory[name] for name in drift_parts(self.layout)}
         changed = parts | {"pull": pull, "first_dt": np.where(memory["steps"] == 0, observation.dt, parts["first_dt"])}
-        if rows.size:
-            motion, found = drifting(_taken(observation, rows), _part(memory, rows), _taken(own, rows))
+        if surprised.any():
+            rows = _rows(surprised)
+            motion, found = drifting(_taken(observation, rows), _Part(memory, rows), _taken(own, rows))
             changed |= {name: _with_rows(changed[name], rows, part) for name, part in found.items()}
             pull, is_drifting = _with_rows(pull, rows, motion.pull), _with_rows(is_drifting, rows, motion.is_drifting)
             if is_drifting.any():
@@ -717,25 +719,39 @@ def observer_gates(cells: CellEvidence, slots: SlotEvidence) -> tuple[CellGates,
     )
 
 
-def _taken(part: Any, rows: IntArray) -> Any:
+def _rows(mask: BoolArray) -> IntArray | slice:
+    """The rows in a mask (R,) as an index; of all rows, one that copies nothing."""
+    return slice(None) if mask.all() else np.flatnonzero(mask)
+
+
+class _Part(dict[str, FloatArray]):
+    """Some rows of a memory. Each part is taken when it is read first, because most are not read."""
+
+    def __init__(self, memory: Mapping[str, FloatArray], rows: IntArray | slice) -> None:
+        self._memory, self._rows = memory, rows
+
+    def __missing__(self, name: str) -> FloatArray:
+        part = self[name] = self._memory[name][self._rows]
+        return part
+
+
+def _taken(part: Any, rows: IntArray | slice) -> Any:
     """The rows of every array in nested tuples; dictionaries are left out."""
     if isinstance(part, tuple):
         return part._make(_taken(each, rows) for each in part)  # type: ignore[attr-defined]  # all are NamedTuples
     return part if isinstance(part, dict) else part[rows]
 
 
-def _replaced(old: Any, rows: IntArray, fresh: Any) -> Any:
+def _replaced(old: Any, rows: IntArray | slice, fresh: Any) -> Any:
     """Nested tuples of arrays with ``fresh`` in ``rows``, the inverse of :func:`_taken`."""
     if isinstance(old, tuple):
         return old._make(_replaced(before, rows, after) for before, after in zip(old, fresh, strict=True))  # type: ignore[attr-defined]
     return _with_rows(old, rows, fresh)
 
 
-def _part(memory: Mapping[str, FloatArray], rows: IntArray) -> dict[str, FloatArray]:
-    return {name: part[rows] for name, part in memory.items()}
-
-
-def _with_rows(array: Array, rows: IntArray, fresh: Array) -> Array:
+def _with_rows(array: Array, rows: IntArray | slice, fresh: Array) -> Array:
+    if isinstance(rows, slice):  # all of them
+        return fresh
     result = array.copy()
     result[rows] = fresh
     return result

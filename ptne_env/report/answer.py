@@ -3,17 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from math import inf, isfinite
 from typing import TypeAlias
 
 from ptne_env import policies
 from ptne_env.experiments.metrics import share
 from ptne_env.experiments.policy_specs import POLICIES, learned_file
 from ptne_env.experiments.results import Results
-from ptne_env.experiments.suite import LAW, PAPER_START, Track
+from ptne_env.experiments.suite import LAW, Track
+from ptne_env.experiments.tuning import GROUPS
 from ptne_env.report.tables import FIRST_MARGIN, Column, Table, Value, complete, first_places
 
 SPECIALIST = "best specialist"
 """The column of the best policy of each track among those that play some tracks only."""
+
+TUNED = GROUPS["all"]
+"""The column of the law that is tuned for each scenario."""
 
 _MOST_NAMED = 3
 """Leaders, and tracks of a leader, that a sentence names."""
@@ -38,26 +43,18 @@ def answer(results: Results) -> tuple[str, ...]:
     return ("No honest entry was run: coded entries stand apart, and oracles use information that players lack.",)
 
 
-def compared(results: Results) -> tuple[Track, ...]:
-    """The tracks of the answer: all, but of a scenario with random starts not the paper's own start."""
-    return tuple(
-        track
-        for track in results.tracks
-        if not (track.name.endswith(PAPER_START) and track.name.removesuffix(PAPER_START) in results.episodes)
-    )
-
-
 def leaders(results: Results) -> dict[tuple[str, ...], list[Track]]:
-    """The fewest honest entries of which one is first on every track of :func:`compared`, most tracks first.
+    """The fewest honest entries of which one is first on every track, most tracks first.
 
     An entry is first where it is the closest, or within :data:`~ptne_env.report.tables.FIRST_MARGIN` digits of the
-    closest (:func:`~ptne_env.report.tables.first_places`).
+    closest (:func:`~ptne_env.report.tables.first_places`); where a tuned law is closer, none is first.
 
     Returns:
         The tracks by the names of the entries that are first there; several names where they are first on the same.
+        Last come, by the name :data:`TUNED`, the tracks on which no entry is first.
     """
     firsts, honest = first_places(results), _honest(results)
-    left = list(compared(results))
+    left = list(results.tracks)
     found: dict[tuple[str, ...], list[Track]] = {}
     while left and honest:
         led = {name: [track for track in left if track.name in firsts[name]] for name in honest}
@@ -66,6 +63,8 @@ def leaders(results: Results) -> dict[tuple[str, ...], list[Track]]:
             break
         found[tuple(name for name in honest if led[name] == tracks)] = tracks
         left = [track for track in left if track not in tracks]
+    if honest and (tuned := [track for track in left if TUNED in _reached(results, track)]):
+        found[TUNED,] = sorted(tuned, key=lambda track: -_gap(results, track, _nearest(results, track)))
     return found
 
 
@@ -80,38 +79,41 @@ def own_policies(results: Results) -> list[str]:
 
 
 def answer_table(results: Results) -> Table:
-    """The digits of the policies on the tracks of :func:`compared`, a row per track and a column per policy.
+    """The digits of the policies on the tracks, a row per track and a column per policy.
 
-    First stand the leaders, then the paper's law, the user's own policies, the best of the specialists, all other
-    entries that play every track, and oracles last.
+    First stand the leaders, then the law that is tuned for each track, the paper's law, the user's own policies, the
+    best of the specialists, all other entries that play every track, and oracles last.
 
     Args:
         results: of a comparison or of another suite.
     """
-    tracks, everywhere, own = compared(results), complete(results), own_policies(results)
+    tracks, everywhere, own = results.tracks, complete(results), own_policies(results)
     winners = [name for names in leaders(results) for name in names if name in everywhere]
     specialists = [name for name in _honest(results) if name not in everywhere and name not in own]
     rest = sorted(everywhere, key=lambda name: results.policies[name].division != "honest")
-    shown = dict.fromkeys([*winners, *filter(everywhere.__contains__, [LAW]), *own, SPECIALIST, *rest])
+    shown = dict.fromkeys([*winners, TUNED, *filter(everywhere.__contains__, [LAW]), *own, SPECIALIST, *rest])
     columns = []
     for name in shown:
         names = specialists if name == SPECIALIST else [name]
         values = {track.name: _best_of(results, track, names) for track in tracks}
         columns.append(Column(name, "digits ± half of the 95 % interval", values))
-    legend = f"{SPECIALIST}: the best of the policies that play some {_noun(results)}s only."
     columns = [column for column in columns if column.is_filled]
+    legends = {
+        TUNED: f"the best law on validation episodes, with parameters tuned for the {_noun(results)}.",
+        SPECIALIST: f"the best of the policies that play some {_noun(results)}s only.",
+    }
     return Table(
         f"Digits at the deadline ± half of the 95 % interval, {_episodes(results)}; more than 12 are not counted",
         tuple(columns),
         dict.fromkeys((track.name for track in tracks), "honest"),
-        notes=(legend,) * any(column.label == SPECIALIST for column in columns),
+        notes=tuple(f"{column.label}: {legends[column.label]}" for column in columns if column.label in legends),
         subject=_noun(results),
     )
 
 
 def _episodes(results: Results) -> str:
     """The numbers of episodes of the tracks of the answer, in words."""
-    counts = sorted({results.episodes[track.name] for track in compared(results)})
+    counts = sorted({results.episodes[track.name] for track in results.tracks})
     return f"{' to '.join(str(count) for count in dict.fromkeys([counts[0], counts[-1]]))} episodes"
 
 
@@ -148,16 +150,17 @@ def _listed(names: Sequence[str]) -> str:
 
 def _first(results: Results, leading: _Leaders) -> str:
     """The entry that is first most often."""
-    (names, tracks), count = next(iter(leading.items())), len(compared(results))
+    (names, tracks), count = next(iter(leading.items())), len(results.tracks)
     places = ", ".join(_place(results, names[0], track) for track in tracks)
     where = f"{len(tracks)} of {count} {_noun(results)}s"
     if count == 1:
         where = places
     elif len(tracks) <= min(_MOST_NAMED, count - 1):
         where += f": {places}"
+    subject = _named(results, names)
     sentence = (
-        f"{_listed(names)} {'is' if len(names) == 1 else 'are each'} the closest to the Nash equilibrium at the "
-        f"deadline, or within {FIRST_MARGIN:g} digits of the closest, on {where}"
+        f"{subject.capitalize() if TUNED in names else subject} {'is' if len(names) == 1 else 'are each'} the closest "
+        f"to the Nash equilibrium at the deadline, or within {FIRST_MARGIN:g} digits of the closest, on {where}"
     )
     if (board := results.leaderboard) is not None and board.overall:
         best = board.overall[0]
@@ -167,12 +170,14 @@ def _first(results: Results, leading: _Leaders) -> str:
 
 
 def _place(results: Results, policy: str, track: Track) -> str:
-    """A track with the digits of a policy, and those of the best law that was tuned for it."""
-    reached = f"{_value(results, track, policy)} digits"
-    tuned = results.tuned.get(track.name, {}).get("all")
-    if tuned is not None:
-        reached += f"; the {tuned.name}, tuned for it: {_value(results, track, tuned.name)}"
-    return f"{track.name} ({reached})"
+    """A track with the digits of the policy that is first there, and of the tuned law or the entry behind it."""
+    found = f"{_value(results, track, policy)} digits"
+    if policy == TUNED:
+        nearest = _nearest(results, track)
+        found += f"; {nearest}: {_value(results, track, nearest)}"
+    elif TUNED in _reached(results, track):
+        found += f"; the {TUNED}, tuned for it: {_value(results, track, TUNED)}"
+    return f"{track.name} ({found})"
 
 
 def _others(results: Results, leading: _Leaders) -> str:
@@ -181,7 +186,7 @@ def _others(results: Results, leading: _Leaders) -> str:
     clauses = []
     if rest:
         named = [
-            f"{_listed([_kind(results, name) + name for name in names])} on "
+            f"{_named(results, names, kinds=True)} on "
             + ", ".join(_place(results, names[0], track) for track in tracks[:_MOST_NAMED])
             + f" and {len(tracks) - _MOST_NAMED} more" * (len(tracks) > _MOST_NAMED)
             for names, tracks in rest[:_MOST_NAMED]
@@ -194,39 +199,56 @@ def _others(results: Results, leading: _Leaders) -> str:
     own = [name for name in own_policies(results) if name in behind]
     nearest = sorted(behind, key=lambda name: min(behind[name].values()))[:1]
     for name in own or nearest * (not rest):
-        track, count = min(behind[name], key=behind[name].__getitem__), len(compared(results))
-        nearest_on = f"comes nearest to the closest entry on {track}," if count > 1 else "ends"
+        track, count = min(behind[name], key=behind[name].__getitem__), len(results.tracks)
+        nearest_on = f"comes nearest to the closest on {track}," if count > 1 else "ends"
         clauses.append(f"{name} {nearest_on} {behind[name][track]:.2f} digits behind it")
     return f"{'; '.join(clauses) or 'No other honest entry was run'}."
 
 
-def _kind(results: Results, policy: str) -> str:
-    is_file = learned_file(results.policies[policy].training_seeds[0]) is not None
-    return "the learned " if is_file else ""
+def _named(results: Results, names: Sequence[str], *, kinds: bool = False) -> str:
+    """Names in a sentence, with or without the kind of learned entries."""
+    shown = {TUNED: f"a law that is tuned for the {_noun(results)}"}
+    if kinds:
+        files = (name for name in names if name != TUNED and learned_file(results.policies[name].training_seeds[0]))
+        shown |= {name: f"the learned {name}" for name in files}
+    return _listed([shown.get(name, name) for name in names])
+
+
+def _reached(results: Results, track: Track) -> dict[str, float]:
+    """The digits on a track of the honest entries, and of the tuned law, that act there."""
+    names = [*_honest(results), TUNED]
+    return {name: digits for name in names if (digits := _digits(results, track, name)) is not None}
+
+
+def _gap(results: Results, track: Track, policy: str) -> float:
+    """The digits by which the closest is ahead of a policy on a track; infinite where the policy does not act."""
+    reached = _reached(results, track)
+    return max(reached.values()) - reached[policy] if policy in reached else inf
 
 
 def _gaps(results: Results, policy: str) -> dict[str, float]:
-    """The digits by which the closest honest entry is ahead of a policy, by the tracks on which the policy acts."""
-    gaps = {}
-    for track in compared(results):
-        reached = {name: digits for name in _honest(results) if (digits := _digits(results, track, name)) is not None}
-        if policy in reached:
-            gaps[track.name] = max(reached.values()) - reached[policy]
-    return gaps
+    """The same by track, where the policy acts."""
+    gaps = {track.name: _gap(results, track, policy) for track in results.tracks}
+    return {track: gap for track, gap in gaps.items() if isfinite(gap)}
+
+
+def _nearest(results: Results, track: Track) -> str:
+    """The name of the closest honest entry on a track."""
+    return min(_honest(results), key=lambda name: _gap(results, track, name))
 
 
 def _worth(results: Results) -> str:
-    """The meaning of a digit, by the distance of the paper's law from the closest entry."""
+    """The meaning of a digit, by the distance of the paper's law from the closest."""
     meaning = "A digit is a factor of ten in the distance of the players' estimates from the equilibrium"
     gaps = _gaps(results, LAW)
     if not gaps:
         return f"{meaning}."
     least, most = min(gaps, key=gaps.__getitem__), max(gaps, key=gaps.__getitem__)
     if gaps[most] <= FIRST_MARGIN:
-        return f"{meaning}; no entry is more than {FIRST_MARGIN:g} digits ahead of the paper's law ({LAW})."
+        return f"{meaning}; nothing is more than {FIRST_MARGIN:g} digits ahead of the paper's law ({LAW})."
     span = (
         f"{gaps[least]:.2f} ({least}) to {gaps[most]:.2f} digits ({most})"
         if len(gaps) > 1
         else f"{gaps[most]:.2f} digits"
     )
-    return f"{meaning}; the paper's law ({LAW}) ends {span} behind the closest entry."
+    return f"{meaning}; the paper's law ({LAW}) ends {span} behind the closest."

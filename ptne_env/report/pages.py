@@ -25,7 +25,7 @@ from ptne_env.experiments.policy_specs import (
 )
 from ptne_env.experiments.provenance import content_hash, versions
 from ptne_env.experiments.results import Results
-from ptne_env.experiments.suite import LAW, PAPER_START, Track, comparison, foreign_suites
+from ptne_env.experiments.suite import LAW, Track, comparison, foreign_suites
 from ptne_env.experiments.traces import Scene
 from ptne_env.report.answer import answer, own_policies
 from ptne_env.report.html import render_template
@@ -249,11 +249,7 @@ def _section(results: Results, track: Track, scene: Scene, words: Sequence[str] 
 
 def _description(results: Results, track: Track) -> str:
     """One sentence about a track."""
-    name = track.name.removesuffix(PAPER_START)
-    if not results.suite.is_comparison or name not in DESCRIPTIONS:
-        return track.change
-    start = "" if track.name == name else " The paper's own start."
-    return f"{DESCRIPTIONS[name]}{start}"
+    return DESCRIPTIONS.get(track.name, track.change) if results.suite.is_comparison else track.change
 
 
 def _shown(ranked: Sequence[str], own: Sequence[str]) -> tuple[str, ...]:
@@ -266,7 +262,7 @@ def _shown(ranked: Sequence[str], own: Sequence[str]) -> tuple[str, ...]:
 def _replay(results: Results, track: Track) -> str:
     """Python that makes an environment and resets it to the first episode of a track."""
     seed = results.suite.episode_set(track.name, seed=results.seed, split=results.split).episode_seed(0)
-    name, scenario = track.name.removesuffix(PAPER_START), track.scenario
+    name, scenario = track.name, track.scenario
     if not results.suite.is_comparison:
         made = f"get_suite({results.target or results.suite.name!r}).track({name!r}).scenario"
     elif scenario == _of_catalogue(name, hold_steps=scenario.hold_steps):
@@ -296,7 +292,7 @@ def _command(results: Results, tracks: Sequence[Track], words: Sequence[str] | N
     count, hold_steps = max(results.episodes.values()), tracks[0].scenario.hold_steps
     options: dict[str, Sequence[object]] = {"--seed": [results.seed], "--episodes": [count]}
     if results.suite.is_comparison:
-        names = list(dict.fromkeys(track.name.removesuffix(PAPER_START) for track in tracks))
+        names = [track.name for track in tracks]
         if not CATALOGUE.keys() >= set(names):
             return None
         if not set(tracks) <= set(comparison(names, episodes=count, hold_steps=hold_steps).tracks):

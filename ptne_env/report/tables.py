@@ -14,6 +14,7 @@ from ptne_env.experiments.policy_specs import DIVISIONS, KNOWLEDGE, Division, Po
 from ptne_env.experiments.results import Results
 from ptne_env.experiments.statistics import Summary, estimate
 from ptne_env.experiments.suite import LAW, Track
+from ptne_env.experiments.tuning import GROUPS
 
 Row = TypeVar("Row")
 
@@ -458,7 +459,10 @@ def _scope(board: Leaderboard) -> Iterator[str]:
 
 
 def first_places(results: Results) -> dict[str, list[str]]:
-    """The tracks on which each policy, oracles apart, is the best of its division or within :data:`FIRST_MARGIN`."""
+    """The tracks on which each policy, oracles apart, is the best of its division or within :data:`FIRST_MARGIN`.
+
+    A law that is tuned for a track and runs beside the policies counts as an honest opponent there.
+    """
     firsts: dict[str, list[str]] = {name: [] for name, spec in results.policies.items() if not spec.is_oracle}
     for track in results.tracks:
         for division in DIVISIONS:
@@ -468,7 +472,9 @@ def first_places(results: Results) -> dict[str, list[str]]:
                 if results.policies[policy].division == division
                 and (summary := results.summary(track.name, policy, track.metric))
             }
-            best = max((summary.mean or 0.0 for summary in found.values()), default=0.0)
+            tuned = results.summary(track.name, GROUPS["all"], track.metric) if division == "honest" else None
+            opponents = [*found.values(), *filter(None, [tuned])]
+            best = max((summary.mean or 0.0 for summary in opponents), default=0.0)
             for policy, summary in found.items():
                 if (summary.high or 0.0) >= best - FIRST_MARGIN:
                     firsts[policy].append(track.name)

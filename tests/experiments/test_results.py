@@ -33,18 +33,17 @@ def text_of(renderable):
 
 def test_the_short_text_names_few_policies_and_counts_many(results):
     assert repr(results) == (
-        "<Results of comparison: static, zero-input, oracle, random on energy, energy (paper start), non-quadratic, "
-        "non-quadratic (paper start), seed 2>"
+        "<Results of comparison: static, zero-input, oracle, random on energy, non-quadratic, seed 2>"
     )
     many = dataclasses.replace(results, policies={str(number): results.policies["static"] for number in range(9)})
     assert repr(many).startswith("<Results of comparison: 9 policies on energy,")
 
 
 def test_the_printed_text_has_a_line_per_track_and_policy_the_best_first(results):
-    _, energy, paper, *_ = str(results).split("\n\n")
+    _, energy, other, *_ = str(results).split("\n\n")
     title, *lines = energy.splitlines()
     assert title == "energy, 6 episodes: digits"
-    assert paper.startswith("energy (paper start), 1 episode: digits")
+    assert other.startswith("non-quadratic, 6 episodes: digits")
     assert [line.split("  ")[1] for line in lines] == ["oracle (oracle)", "static", "zero-input", "random"]
     mean, low, high = (number(results.record("energy", "static", "digits")[key]) for key in ("mean", "low", "high"))
     assert lines[1].endswith(f"  {mean} [{low}, {high}]")
@@ -67,9 +66,7 @@ def test_the_figure_has_a_panel_per_track_and_a_point_per_policy(results):
     panels = [axes for axes in figure.axes if axes.axison]
     assert [axes.get_title(loc="left") for axes in panels] == [
         "energy, 6 episodes",
-        "energy (paper start), 1 episode",
         "non-quadratic, 6 episodes",
-        "non-quadratic (paper start), 1 episode",
     ]
     labels = [label.get_text() for label in panels[0].get_yticklabels()]
     assert labels == ["oracle (oracle)", "static", "zero-input", "random"]
@@ -113,7 +110,7 @@ def test_a_data_frame_without_pandas_names_what_to_install(results, monkeypatch)
 def test_records_cover_every_track_policy_and_metric_once(results):
     keys = [(record["track"], record["policy"], record["metric"]) for record in results.records]
     measured = [name for name, metric in METRICS.items() if metric.block != "Against tuned laws"]
-    assert len(set(keys)) == len(keys) == 4 * 4 * len(measured)
+    assert len(set(keys)) == len(keys) == 2 * 4 * len(measured)
     assert [metric for track, policy, metric in keys[: len(measured)]] == measured
     fields = ["track", "policy", "metric", "mean", "low", "high", "episodes"]
     assert all(list(record) == fields for record in results.records)

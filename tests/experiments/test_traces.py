@@ -75,7 +75,7 @@ def test_consensus_gains_are_those_of_the_law():
 def test_the_tuned_laws_are_drawn_beside_a_learned_policy():
     results = evaluate(["ppo-random-energy"], [get_scenario("random-energy", steps=40)], episodes=2)
     scene = scenes(results)["random-energy"]
-    assert list(scene.traces) == ["ppo-random-energy", "best of the paper's laws", "best of all laws", "coded law"]
+    assert list(scene.traces) == ["ppo-random-energy", "best of the paper's laws", "best of all laws"]
 
 
 def test_a_suite_is_drawn_with_its_teammates_from_its_own_episodes():

@@ -84,7 +84,6 @@ def test_honest_laws_alone_are_in_the_field():
         PolicySpec("law", member.at(np.full(3, 0.5)[: len(member.ranges)])).interface.estimates == "honest"
         for member in FIELD
     )
-    assert tuning.CODED.interface.estimates == "coded"
 
 
 def test_search_finds_the_gain_of_a_fine_grid():
@@ -202,10 +201,7 @@ def test_a_published_choice_needs_no_trial(monkeypatch):
 
     chosen, trials = tuned_laws(suite, suite.tracks, refuse, lambda searches: [found.find() for found in searches])
     assert trials == {"random-energy": ()}
-    assert {group: law.name for group, law in chosen["random-energy"].items()} == {
-        **tuning.GROUPS,
-        "coded": "coded law",
-    }
+    assert {group: law.name for group, law in chosen["random-energy"].items()} == tuning.GROUPS
 
 
 @pytest.mark.parametrize(
@@ -250,7 +246,7 @@ def test_differences_are_paired_by_episode(results):
 
 def test_the_tuned_laws_stand_in_the_file_with_their_parameters(results):
     written = results.to_dict()["tuned_laws"]["random-energy"]
-    assert set(written) == {*tuning.GROUPS, "coded"}
+    assert set(written) == set(tuning.GROUPS)
     assert written["all"]["training_seeds"][0]["target"].startswith("ptne_env.laws:")
     assert results.to_csv().count("best of all laws") > 10
 

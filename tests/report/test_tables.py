@@ -183,7 +183,7 @@ def test_coded_entries_stand_apart_from_honest_ones_and_oracles():
     estimates = next(column for column in overview(results)[0].columns if column.label == "estimates")
     assert [estimates[name].text for name in ("grounded", "code")] == ["honest", "coded"]
     firsts = next(column for column in overview(results)[0].columns if column.label == "first")
-    assert [firsts[name].value for name in ("grounded", "code")] == [2, 2]
+    assert [firsts[name].value for name in ("grounded", "code")] == [1, 1]
     text = written(result_tables(results))
     assert "code †" in text
     assert "† coded: " in text
