@@ -169,9 +169,8 @@ def test_search_shows_excerpts_without_a_server(open_file, site):
     page = open_file(site / "search.html")
     page.goto(f"{(site / 'search.html').as_uri()}?q=prescribed+gain")
     excerpts = page.locator("#search-results p.context")
-    excerpts.first.wait_for()
+    excerpts.nth(4).wait_for()  # results come one after the other
     texts = excerpts.all_inner_texts()
-    assert len(texts) >= 5
     assert sum("gain" in text.lower() for text in texts) >= len(texts) / 2
     assert "floatfloat" not in (site / "_static" / "texts.js").read_text("utf-8")  # each type by one name
 
