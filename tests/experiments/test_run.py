@@ -1,6 +1,7 @@
 """Runs: comparisons of scenarios, and suites of tracks."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -305,8 +306,13 @@ def test_every_policy_runs_on_every_track_of_ptne_v1_or_has_a_reason():
     from ptne_env.experiments import suite_policies
     from ptne_env.policies import shipped
 
-    suite, policies = get_suite("ptne-v1"), suite_policies()
-    results = run_suite("ptne-v1", policies, episodes=1)
+    # On the large tracks a few steps tell as much as 400: a policy fails on its layout, or in its first decisions.
+    tracks = (
+        replace(track, scenario=track.scenario.replace(steps=40)) if track.name.startswith("large") else track
+        for track in get_suite("ptne-v1").tracks
+    )
+    suite, policies = Suite("short", tuple(tracks)), suite_policies()
+    results = run_suite(suite, policies, episodes=1)
     for (track, _), samples in results.samples.items():
         assert np.isfinite(samples[suite.track(track).metric]).all()
     refused = {}
