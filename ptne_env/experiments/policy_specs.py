@@ -19,6 +19,7 @@ from ptne_env.factory import LOADER, FactorySpec, is_part
 from ptne_env.files import require_file
 from ptne_env.names import unknown_name
 from ptne_env.observation import Interface, ObservationLayout
+from ptne_env.policies.archive import recognised_interface
 from ptne_env.policies.process import PolicySource, build, declared_interface, separate
 from ptne_env.policy import Policy, PolicyError
 
@@ -57,7 +58,7 @@ class PolicySpec:
             the class of a law), or a policy itself, such as a Stable-Baselines3 model; or a tuple of these, one per
             training seed.
         interface: makes its observations and decodes its actions; the policy's own attribute ``interface`` if left
-            out, and ``physical`` if it has none.
+            out, or the one that the spaces of a Stable-Baselines3 model belong to; ``physical`` if it has neither.
         scenarios: names of the scenarios it is run on, "n/a" elsewhere; all if ``None``.
         memory: what :attr:`has_memory` says of a file that is not here.
         description: one sentence, for lists; no part of the policy.
@@ -85,7 +86,7 @@ class PolicySpec:
                 interface = policies.load(file).interface
             else:
                 target = first.resolve() if isinstance(first, FactorySpec) else first
-                interface = getattr(target, "interface", Interface())
+                interface = getattr(target, "interface", None) or recognised_interface(target) or Interface()
             object.__setattr__(self, "interface", interface)
 
     @property

@@ -70,6 +70,13 @@ def build(source: PolicySource, layout: ObservationLayout) -> Policy:
         raise
     except Exception as error:
         raise PolicyError(f"it cannot be built: {describe(error)}") from error
+    expected = getattr(getattr(built, "observation_space", None), "shape", None)  # of a Stable-Baselines3 model
+    if expected not in (None, (layout.size,)):
+        raise LayoutError(
+            f"it was trained on observations of shape {expected}, and this track with the interface "
+            f"{layout.interface.kind!r} has {(layout.size,)}; if it was trained with another interface, give that one: "
+            "PolicySpec(name, model, ptne_env.Interface('learner'))"
+        )
     if not hasattr(built, "predict"):
         raise PolicyError(f"it is a {type(built).__name__} without predict(observation, state, ...)")
     policy: Policy = built

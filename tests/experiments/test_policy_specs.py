@@ -1,5 +1,7 @@
 """Policies by name, file, address and pattern."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from extras import need_sb3
@@ -7,11 +9,13 @@ from small_suite import BASE, SMALL
 
 import ptne_env
 from ptne_env import FactorySpec, PolicySpec, evaluate, laws
+from ptne_env.encoder import make_encoder
 from ptne_env.experiments import COMPARED, default_policies, get_policy_spec, run_suite, suite_policies
 from ptne_env.experiments.policy_specs import ARCHIVE, KNOWLEDGE, foreign_code
 from ptne_env.experiments.suite import REFERENCES
 from ptne_env.observation import Interface
 from ptne_env.policies import shipped_path
+from ptne_env.world import World
 
 
 def test_the_default_policies_leave_out_those_trained_on_no_scenario_of_the_catalogue():
@@ -191,3 +195,26 @@ def test_data_from_before_the_declaration_of_knowledge_are_read():
 )
 def test_the_knowledge_of_a_policy_is_told_in_words(spec, knowledge):
     assert spec.knowledge == dict(zip(KNOWLEDGE, knowledge, strict=True))
+
+
+def trained_model(interface):
+    """The spaces of a model of Stable-Baselines3 that was trained with an interface, and actions of zeros."""
+    layout = make_encoder(World(ptne_env.get_scenario("energy")), interface).layout
+    return SimpleNamespace(
+        observation_space=layout.observation_space(),
+        action_space=layout.action_space(),
+        predict=lambda rows, *_, **__: (np.zeros((len(rows), layout.action_size), np.float32), None),
+    )
+
+
+@pytest.mark.parametrize("mode", ["input", "gains"])
+@pytest.mark.parametrize("kind", ["physical", "local", "learner"])
+def test_the_interface_of_a_model_is_recognised_by_its_spaces(kind, mode):
+    interface = Interface(kind, mode)
+    assert PolicySpec("mine", trained_model(interface)).interface == interface
+
+
+def test_a_model_with_another_interface_is_refused_with_advice():
+    spec = PolicySpec("mine", trained_model(Interface("learner")), Interface("physical"))
+    with pytest.raises(ValueError, match=r"shape \(24,\).*'physical' has \(28,\).*PolicySpec\(name, model, "):
+        evaluate(spec, ptne_env.get_scenario("energy", steps=120), episodes=1)
