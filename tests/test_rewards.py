@@ -248,6 +248,12 @@ def test_regret_is_refused_where_no_best_response_exists(name, reward):
         make_env(name, reward=reward)
 
 
+@pytest.mark.parametrize("reward", [lambda *_: 0.0, ["digits", "payoff"], None])
+def test_a_reward_of_another_type_is_refused_with_the_way_to_define_one(reward):
+    with pytest.raises(TypeError, match="reward is one of digits, .* got .*; another reward is a wrapper"):
+        ptne_env.parallel_env("energy", reward=reward)
+
+
 def test_distances_alone_give_the_rewards_that_need_no_more():
     weights = {"digits": 1.0, "tracking": 0.5}
     world, _, states, terms = episode(GAMES["energy"], weights, steps=3)
