@@ -143,7 +143,6 @@ def get_scenario(scenario: str | Scenario, **overrides: Any) -> Scenario:
             raise ValueError(unknown_name("scenario", scenario, CATALOGUE))
         scenario = CATALOGUE[scenario]
     if not isinstance(scenario, Scenario):  # an environment, for example
-        raise TypeError(
-            f"a scenario is a name or a Scenario, got a {type(scenario).__name__}; an environment has it as env.scenario"
-        )
+        given = type(scenario).__name__
+        raise TypeError(f"a scenario is a name or a Scenario, such as env.scenario of an environment; got a {given}")
     return scenario.replace(**overrides)

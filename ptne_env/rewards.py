@@ -42,7 +42,7 @@ def parse_reward(reward: str | Mapping[str, float]) -> dict[str, float]:
         TypeError: for anything but a name and a mapping.
         ValueError: for an unknown term, no term, or a weight that is negative (divergence would pay) or not finite.
     """
-    if not isinstance(reward, str | Mapping):  # type: ignore[redundant-expr]  # callers may pass any type
+    if not isinstance(reward, str | Mapping):
         raise TypeError(
             f"reward is one of {', '.join(TERMS)}, or weights by name such as {{'digits': 1.0, 'payoff': 0.1}}, got "
             f"{reward!r}; another reward is a wrapper of the environment (docs/adding-parts.md)"

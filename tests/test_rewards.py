@@ -3,6 +3,7 @@ import pytest
 from test_dynamics import large_energy_scenario
 from worlds import BLOCKS, constant_actions, make_env, play, while_running
 
+import ptne_env
 from ptne_env import distances, dynamics, get_scenario, laws
 from ptne_env.games import NoBestResponseError
 from ptne_env.random_streams import RandomStreams

@@ -8,6 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from worlds import BLOCKS, FROM_THE_PAPER, PAPER_START
 
+import ptne_env
 from ptne_env import CATALOGUE, FactorySpec, Scenario, get_scenario
 from ptne_env.games import EnergyGame, NonQuadraticGame
 from ptne_env.graphs import cycle
@@ -294,7 +295,7 @@ def test_invalid_scenarios_are_refused_with_advice(name):
 
 def test_an_environment_in_the_place_of_a_scenario_is_refused():
     env = ptne_env.parallel_env("energy")
-    with pytest.raises(TypeError, match=r"got a NashSeekingEnv; an environment has it as env\.scenario"):
+    with pytest.raises(TypeError, match=r"such as env\.scenario of an environment; got a NashSeekingEnv"):
         get_scenario(env)
     assert get_scenario(env.scenario) == get_scenario("energy")
 
