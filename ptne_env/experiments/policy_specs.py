@@ -537,12 +537,17 @@ def get_policy_spec(policy: str | PolicySpec, *, trust: bool = False) -> PolicyS
     if policy in policies.shipped() or Path(policy).suffix == ".onnx":
         return replace(learned_policy(policy), scenarios=None)  # named, it is run wherever it fits
     if stores_code(policy):
-        if not trust:
-            raise ValueError(f"loading {policy!r} executes code that is stored in it: say that you trust it (--trust)")
         require_file(policy)
+        if not trust:
+            raise ValueError(
+                f"loading {policy!r} executes code that is stored in it; if you trust it: "
+                f"ptne_env.experiments.get_policy_spec({policy!r}, trust=True)"
+            )
         return PolicySpec(Path(policy).stem, FactorySpec.of(ARCHIVE, path=policy))
     if ":" in policy:
         return PolicySpec(policy, FactorySpec.of(policy))
+    if policy in CATALOGUE:
+        raise ValueError(f"{policy!r} is a scenario, no policy")
     raise ValueError(
         unknown_name("policy", policy, [*POLICIES, *policies.shipped()], "an .onnx file or a 'module:object'")
     )
