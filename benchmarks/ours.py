@@ -248,8 +248,6 @@ def training_share(plan: Plan) -> dict[str, Any]:
         MissingPeerError: when Stable-Baselines3 is not installed.
     """
     try:
-        from stable_baselines3.common.vec_env import VecMonitor
-
         from benchmarks.training import shipped
         from ptne_env.envs.sb3 import PlayerVecEnv
         from ptne_env.training.ppo import train
@@ -262,32 +260,29 @@ def training_share(plan: Plan) -> dict[str, Any]:
     if plan.quick:
         arguments = replace(arguments, envs=2, rollout=4)
     arguments = replace(arguments, steps=(updates + 1) * arguments.rollout * arguments.envs * players)
-    shares, monitored, rates = [], [], []
+    shares, rates = [], []
     for _ in range(plan.repeats):
-        environment, with_monitor = [0.0], [0.0]
-        marks: list[tuple[float, float, float, int]] = []
+        environment = [0.0]
+        marks: list[tuple[float, float, int]] = []
 
         def mark(done: int, *_: Any) -> None:
-            marks.append((perf_counter(), environment[0], with_monitor[0], done))  # noqa: B023 - used in this repeat
+            marks.append((perf_counter(), environment[0], done))  # noqa: B023 - used in this repeat
 
         with (
             tempfile.TemporaryDirectory() as folder,
             timed(PlayerVecEnv, "step_wait", environment),
-            timed(VecMonitor, "step_wait", with_monitor),
             warnings.catch_warnings(),
         ):
             warnings.simplefilter("ignore")  # Stable-Baselines3 comments on batch sizes
             train(arguments, Path(folder) / "run", mark)
         (start, *before), (end, *after) = marks[0], marks[-1]
         shares.append((after[0] - before[0]) / (end - start))
-        monitored.append((after[1] - before[1]) / (end - start))
-        rates.append((after[2] - before[2]) / (end - start))
+        rates.append((after[1] - before[1]) / (end - start))
     return {
         "updates": updates,
         "envs": arguments.envs,
         "rollout": arguments.rollout,
         "share": Spread.of(shares).to_dict(),
-        "share_with_monitor": Spread.of(monitored).to_dict(),
         "training_agent_steps_per_second": Spread.of(rates).to_dict(),
     }
 

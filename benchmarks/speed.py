@@ -242,7 +242,7 @@ def tables(results: dict[str, Any]) -> list[Table]:
 
     if results["training"]:
         table = _table("PPO at the shipped settings", "quantity", "median", "range")
-        for name in ("share", "share_with_monitor", "training_agent_steps_per_second"):
+        for name in ("share", "training_agent_steps_per_second"):
             value = results["training"][name]
             cells = (
                 f"{value[key]:.2%}" if "share" in name else _number(value[key]) for key in ("median", "low", "high")

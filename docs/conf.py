@@ -37,6 +37,8 @@ html_show_copyright = False
 templates_path = ["templates"]
 html_additional_pages = {"index": "redirect.html"}
 html_math_renderer = "mathml"
+pygments_dark_style = "monokai"
+toc_object_entries = False  # thousands of entries, copied for every page, were a fifth of the time of a build
 
 myst_enable_extensions = ["dollarmath"]
 myst_fence_as_directive = ["math"]  # GitHub's syntax for displayed formulas
@@ -77,8 +79,23 @@ def _mathml(translator: HTML5Translator, node: nodes.math | nodes.math_block) ->
     tag = "div" if block else "span"
     pieces, length = formulas.mathml(node.astext(), block=block)
     style = {"style": f"--length: {length:.1f}"} if block or length > 12 else {}
-    translator.body += [translator.starttag(node, tag, "", CLASS="math notranslate", **style), pieces, f"</{tag}>"]
+    formula = [translator.starttag(node, tag, "", CLASS="math notranslate", **style), pieces, f"</{tag}>"]
+    if not block:
+        before, after = (_neighbour(node, step) for step in (-1, 1))
+        formula = [_NO_BREAK * before.endswith(("(", "[")), *formula, _NO_BREAK * after.startswith(tuple(",.;:)]!?"))]
+    translator.body += formula
     raise nodes.SkipNode
+
+
+_NO_BREAK = "&#8288;"
+"""The word joiner: browsers may break a line beside a formula, also before a comma."""
+
+
+def _neighbour(node: nodes.Node, step: int) -> str:
+    """The text directly before or after a node; empty where there is none."""
+    place = node.parent.index(node) + step
+    other = node.parent[place] if 0 <= place < len(node.parent) else None
+    return str(other.astext()) if isinstance(other, nodes.Text) else ""
 
 
 def setup(app: Sphinx) -> dict[str, Any]:

@@ -25,12 +25,15 @@ def write_texts(app: Sphinx, error: Exception | None) -> None:
 
 
 def _sections(node: nodes.Node) -> str:
-    """The text below a node; sections keep their elements and identifiers, which search results lead to."""
+    """The text below a node; sections keep their elements and identifiers, which search results lead to.
+
+    Of the two names of a type, the short one and the one with its module (condition ``*``), the short one is kept.
+    """
     if isinstance(node, nodes.Text):
         return escape(node.astext(), quote=False)
     if isinstance(node, nodes.math | nodes.math_block):
         return escape(formulas.plain(node.astext()), quote=False)
-    if isinstance(node, nodes.raw | nodes.Invisible | nodes.comment):
+    if isinstance(node, nodes.raw | nodes.Invisible | nodes.comment) or node.get("condition") == "*":
         return ""
     inner = "".join(_sections(child) for child in node.children)
     if isinstance(node, nodes.section):

@@ -11,6 +11,7 @@ from collections.abc import Callable
 from typing import NamedTuple
 from xml.etree import ElementTree as ET
 
+from docutils.utils.math import tex2unichar
 from docutils.utils.math.latex2mathml import tex2mathml
 
 # --- Unicode to LaTeX ------------------------------------------------------------------------------------------------
@@ -178,7 +179,7 @@ class _Reader:
 
     def brackets(self, place: int) -> Part | None:
         opening, closing, tex_closing = BRACKETS[self.text[place]]
-        words = re.compile(r"‖([A-Za-z ]{3,})‖").match(self.text, place)
+        words = re.compile(r"‖((?=[^‖]*[A-Za-z]{2})[A-Za-z ]+)‖").match(self.text, place)
         if words:
             tex, end = self.scripts(tex_closing, words.end())
             return Part(rf"{opening}\text{{{words[1]}}}{tex}", end, 1)
@@ -214,7 +215,7 @@ class _Reader:
     def is_variable(self, place: int, *, product: bool, inside: bool) -> bool:
         """Whether the lone letter a, A or I is a variable and no word, by the operators around it."""
         before, after = self.text[max(0, place - 2) : place], self.text[place + 1 : place + 6]
-        if product:
+        if product and not inside:
             return False
         if re.search(r"[=<>≤≥+−·/⊗]\s?$", before):
             return True
@@ -245,6 +246,7 @@ class _Reader:
         """The indices and exponents at a place, in the order of LaTeX: one index and one exponent."""
         below: list[str] = []
         above: list[str] = []
+        primes = 0
         while match := _SCRIPT.match(self.text, place):
             if match["sup"]:
                 above.append(match["sup"].translate(SUPERSCRIPTS))
@@ -253,7 +255,7 @@ class _Reader:
             elif match["star"]:
                 above.append(r"\ast ")
             elif match["prime"]:
-                above.append(r"\prime ")
+                primes += 1
             elif match["left"]:
                 tex = rf"\overleftarrow{{{tex}}}"
             else:
@@ -266,8 +268,9 @@ class _Reader:
         if below:
             tex += f"_{{{' '.join(below)}}}"
         if above:
-            tex += f"^{{{' '.join(above)}}}"
-        return tex, place
+            tex += f"^{{{' '.join([*above, *[chr(92) + 'prime'] * primes])}}}"
+            primes = 0
+        return tex + "'" * primes, place
 
 
 def _letter(letter: str) -> str:
@@ -290,7 +293,7 @@ def _script(content: str) -> str:
         return r"\ast "
     if re.fullmatch(rf"[-−]?[\w{GREEK}]+", content):
         return " ".join(content.replace("−", "-"))
-    words = re.sub(r"[A-Za-z]{2,}", lambda word: rf"\text{{{word[0]}}}", content)
+    words = re.sub(r" ?[A-Za-z]{2,} ?", lambda word: rf"\text{{{word[0]}}}", content)
     for table in (RELATIONS, BINARY):
         for symbol, tex in table.items():
             words = words.replace(symbol, tex)
@@ -481,6 +484,7 @@ def mathml(tex: str, *, block: bool) -> tuple[str, float]:
     for element in whole.iter():
         if (element.text or "").strip() == "/":
             element.attrib.update(lspace="0", rspace="0")
+    _space_functions(whole)
     pieces: list[list[ET.Element]] = [[]]
     gaps: set[int] = set()  # pieces before which the formula has a wide space
     depth = 0
@@ -507,6 +511,31 @@ def mathml(tex: str, *, block: bool) -> tuple[str, float]:
     return elements, max(sum(map(_length, piece)) for piece in pieces)
 
 
+def _space_functions(parent: ET.Element) -> None:
+    """Put thin spaces around functions such as tanh, which browsers leave out: before brackets there is none."""
+    for child in parent:
+        _space_functions(child)
+    if parent.tag.rpartition("}")[2] not in ("math", "mrow", "mstyle", "mtd", "msqrt"):
+        return
+    thin = f"{{{_NAMESPACE}}}mspace", {"width": "0.167em"}
+    for place, child in reversed(list(enumerate(parent))):
+        if not _is_function(child):
+            continue
+        after = [each for each in parent[place + 1 : place + 3] if each.text != "\u2061"]
+        if after and _opened(after[0]) <= 0 and after[0].tag.rpartition("}")[2] not in ("mo", "mspace"):
+            parent.insert(list(parent).index(after[0]), ET.Element(*thin))
+        if place and (parent[place - 1].tag.rpartition("}")[2] not in ("mo", "mspace", "mtext")):
+            parent.insert(place, ET.Element(*thin))
+
+
+def _is_function(element: ET.Element) -> bool:
+    """Whether an element is the name of a function, perhaps with an index or exponent."""
+    while element.tag.rpartition("}")[2] in ("msub", "msup", "msubsup", "munder"):
+        element = element[0]
+    text = (element.text or "").strip()
+    return element.tag.rpartition("}")[2] in ("mi", "mo") and len(text) > 1 and text.isalpha()
+
+
 def _may_break_before(sign: str, piece: list[ET.Element], depth: int) -> bool:
     """Before a relation, a plus or a minus, within brackets only where the piece would be very wide."""
     length = sum(map(_length, piece))
@@ -529,7 +558,9 @@ def _length(element: ET.Element) -> float:
         sign = bool(text) and (text in _RELATION_SIGNS or text in "+−·×")
         return 0.55 * len(text) + 0.15 * sum(map(str.isupper, text)) + 0.7 * sign
     lengths = [_length(child) for child in element]
-    if name in ("mfrac", "munder", "mover", "munderover", "mtable"):
+    if name in ("munder", "mover", "munderover"):  # letters above and below are smaller
+        return max(lengths[0], *(0.7 * length for length in lengths[1:])) + 0.2
+    if name in ("mfrac", "mtable"):
         return max(lengths, default=0.0) + 0.2
     if name == "mtr":
         return sum(lengths) + 0.8 * len(lengths)
@@ -542,7 +573,9 @@ def _element(piece: list[ET.Element], attributes: dict[str, str]) -> str:
     root = ET.Element(f"{{{_NAMESPACE}}}math", attributes)
     root.extend(piece)
     for element in root.iter():
-        element.text = element.text and element.text.strip()
+        if element.tag.rpartition("}")[2] == "mtext":
+            element.text = (element.text or "").replace(" ", "\N{NO-BREAK SPACE}")
+        element.text = element.text and element.text.strip(" \n")
         element.tail = None
     return ET.tostring(root, encoding="unicode")
 
@@ -555,6 +588,9 @@ def plain(tex: str) -> str:
     for opening, (left, closing, right) in BRACKETS.items():
         symbols |= {left: opening, right: closing}
     symbols |= {r"\infty": "∞", r"\ldots": "…", r"\ast": "*", r"\prime": "'", r"\,": " ", r"\;": " ", r"\quad": " "}
+    symbols |= {rf"\{name}": sign for name, sign in tex2unichar.mathalpha.items()}
+    group = r"\{((?:[^{}]|\{[^{}]*\})*)\}"
+    tex = re.sub(rf"\\[dt]?frac{group}{group}", r"\1/\2", tex)
     for command in sorted(symbols, key=len, reverse=True):
         if command[:1] == "\\":
             end = r"(?![A-Za-z]) ?" if command.strip()[-1].isalpha() else ""

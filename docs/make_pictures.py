@@ -1,41 +1,42 @@
 # ruff: noqa: INP001, T201 - a script, and it prints
-"""Draw the picture of the README (the last frame of an episode) and those of the routed laws in docs/theory.md.
+"""Draw the picture of the README (an episode) and those of the routed laws in docs/theory.md.
 
 Run it from the project's folder with: python docs/make_pictures.py
 """
 
+import sys
 from pathlib import Path
 
 import numpy as np
-from matplotlib import image
 from matplotlib.figure import Figure
 
 import ptne_env
-from ptne_env import laws, theory
+from ptne_env import theory
 from ptne_env.experiments import POLICIES
 from ptne_env.experiments.episodes import EpisodeSet
 from ptne_env.experiments.traces import scene
 from ptne_env.style import COLOURS, FAINT, drawing
 from ptne_env.world import World
 
+sys.path.insert(0, str(Path(__file__).parent))
+import scenario_pages
+
 IMAGES = Path(__file__).parent / "images"
 SIZE = 4.5, 3.4  # inches, readable on a phone
 
 
 def draw_run(path: Path) -> None:
-    """Run the static law on ``energy-switching-transformed`` with a hold phase and save the last frame."""
-    env = ptne_env.parallel_env("energy-switching-transformed", hold_steps=50, render_mode="rgb_array")
-    observations, _ = env.reset(seed=7)
-    policy, memory = laws.Static(env.layout, kappa=2.0), None
-    while env.agents:
-        agents = env.agents
-        actions, memory = policy.predict(np.stack([observations[agent] for agent in agents]), state=memory)
-        observations, *_ = env.step(dict(zip(agents, actions, strict=True)))
-    frame = env.render()
-    env.close()
-    path.parent.mkdir(parents=True, exist_ok=True)
-    # Without the "Software" entry the same frame gives the same file under every version of matplotlib.
-    image.imsave(path, frame, metadata={"Software": None})
+    """Save the estimates, the error and the graph of an episode of the static law with a hold phase."""
+    world = World(ptne_env.get_scenario("energy-switching-transformed", hold_steps=50))
+    shown = scene(world, EpisodeSet(1).initial_state(world), {"static": POLICIES["static"]})
+    with drawing("pictures"):
+        figure = Figure(figsize=(4.5, 4.6), layout="constrained")  # upright, as a phone is
+        axes = figure.subplot_mosaic("SS;EG", height_ratios=(3, 2), width_ratios=(3, 2))
+        scenario_pages.draw_episode(world, shown, axes["S"], axes["E"], axes["G"])
+        axes["S"].set_title("thick: strategies, thin: estimates of them by others,\ndotted: the equilibrium")
+        axes["E"].set_title("relative error")
+        axes["G"].set_title("links at the start")
+        _save(figure, path)
 
 
 def draw_routed(path: Path, episodes: int = 100) -> None:

@@ -13,14 +13,15 @@ from typing import Any
 
 import formulas
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from rich.console import Console
 
 import ptne_env
 from ptne_env import report, theory
-from ptne_env.catalogue import CATALOGUE
+from ptne_env.catalogue import CATALOGUE, DESCRIPTIONS
 from ptne_env.experiments import POLICIES
-from ptne_env.experiments.episodes import EpisodeSet
+from ptne_env.experiments.suite import comparison
 from ptne_env.experiments.traces import Scene, scene
 from ptne_env.factory import FactorySpec, resolve
 from ptne_env.files import write_atomically
@@ -35,7 +36,7 @@ EPISODES = 10
 
 def write_pages() -> None:
     """Write the pages that are missing or older than the code, and their table of contents."""
-    sources = [*Path(ptne_env.__file__).parent.rglob("*.py"), *Path(__file__).parent.glob("*.py")]
+    sources = [*Path(ptne_env.__file__).parent.rglob("*.py"), Path(__file__), Path(formulas.__file__)]
     newest = max(path.stat().st_mtime for path in sources)
     old = [name for name in CATALOGUE if not _is_newer(FOLDER / f"{name}.md", newest)]
     FOLDER.mkdir(exist_ok=True)
@@ -55,19 +56,13 @@ def _is_newer(path: Path, time: float) -> bool:
 
 
 def _contents() -> str:
-    rows = "".join(f"| [{name}]({name}.md) | {_kind(World(scenario))} |\n" for name, scenario in CATALOGUE.items())
+    rows = "".join(f"| [{name}]({name}.md) | {sentence} |\n" for name, sentence in DESCRIPTIONS.items())
     tree = "\n".join(CATALOGUE)
     return (
         "# The scenarios\n\nOne page for each scenario of the catalogue, with its costs, a picture and its numbers, "
         "computed when this site was built. [The environment](../environment.md) explains their parts.\n\n"
-        f"| Scenario | Game and graph |\n| --- | --- |\n{rows}\n```{{toctree}}\n:hidden:\n\n{tree}\n```\n"
+        f"| Scenario | Description |\n| --- | --- |\n{rows}\n```{{toctree}}\n:hidden:\n\n{tree}\n```\n"
     )
-
-
-def _kind(world: World) -> str:
-    game = type(world.game).__name__
-    drawn = ", a new game in every episode" if world.has_random_game else ""
-    return f"`{game}`{drawn}; {_graph(world)}"
 
 
 def _graph(world: World) -> str:
@@ -83,20 +78,26 @@ def page(name: str) -> str:
     """The Markdown text of a scenario's page."""
     scenario = CATALOGUE[name]
     world = World(scenario)
-    shown = scene(world, EpisodeSet(EPISODES).initial_state(world), {law: POLICIES[law] for law in LAWS})
+    suite = comparison([name], episodes=EPISODES)  # the episodes of the table
+    start = suite.episode_set(name, seed=0).initial_state(suite.track(name).world)
+    shown = scene(suite.track(name).world, start, {law: POLICIES[law] for law in LAWS})
     pictures = "\n".join(re.sub(r"\n\s*\n", "\n", panel) for panel in _panels(world, shown))
     certify = f"ptne certify {name}"
     compare = f"ptne compare --scenario {name} --policy {','.join(LAWS)} --episodes {EPISODES}"
     episodes = f"the median of {shown.episodes} episodes, with the band from 10 % to 90 %"
+    modes = "" if world.topology.is_fixed else ", whose dotted links are down in the first mode"
     return f"""# {name}
 
-{_game(scenario.game, world)}
+{DESCRIPTIONS[name]}
+
+{_game(scenario.game, world)}{_numbering(world)}
 
 ```{{raw}} html
 <figure><div class="panels" role="img" aria-label="Estimates, errors and graph of {name}">
 {pictures}
-</div><figcaption>An episode under the static law: strategies thick, estimates of them thin, the equilibrium dotted. The
-error of all estimates under four laws: {episodes}. The graph: dotted links are down in the first mode.</figcaption>
+</div><figcaption>First: one episode under the static law; strategies thick, estimates of them thin, the equilibrium
+dotted. Second: the error of all estimates under four laws, {episodes}. The vertical lines are the deadline T. Third:
+the graph{modes}; players have the numbers and colours of their agents, 0 is <code>player_0</code>.</figcaption>
 </figure>
 ```
 
@@ -110,8 +111,8 @@ error of all estimates under four laws: {episodes}. The graph: dotted links are 
 
 {_digits(name)}
 
-Mean digits at T with 95 % intervals, from {EPISODES} random starts, or from the paper's start. Printed, with all other
-metrics, by `{compare}`.
+Mean digits at T with 95 % intervals, from {EPISODES} random starts. Printed, with all other metrics, by
+`{compare}`.
 
 ## Predictions
 
@@ -131,6 +132,12 @@ def _game(factory: FactorySpec, world: World) -> str:
     display = f"```{{math}}\n{costs}\n```\n\n" if costs else ""
     rest = re.sub(r":(\w+):`", r"{py:\1}`", rest.lstrip(" ,.:").strip())
     return f"{display}{rest[:1].upper()}{rest[1:]}\n\nThe class is {{py:class}}`{named.__module__}.{named.__name__}`."
+
+
+def _numbering(world: World) -> str:
+    """A sentence for formulas that name single players."""
+    numbered = re.search(r"\b[xJ]_?1\b", _description(type(world.game)))
+    return " Formulas count players from 1, as the paper does: player 1 is the agent `player_0`." if numbered else ""
 
 
 def _description(part: Any) -> str:
@@ -155,11 +162,16 @@ def _settings(world: World) -> str:
         "algebraic connectivity λ2 of the union of all graphs": f"{world.topology.union.algebraic_connectivity:.3g}",
         "strategies confined to a box": "yes" if game.has_bounds else "no",
     }
-    return "\n".join(f"| {name} | {value} |" for name, value in rows.items())
+    return "\n".join(f"| {name} | {_minus(value)} |" for name, value in rows.items())
 
 
 def _numbers(values: np.ndarray) -> str:
-    return ", ".join(f"{value:.4g}".replace("-", "−") for value in values)
+    return ", ".join(f"{value:.4g}" for value in values)
+
+
+def _minus(text: str) -> str:
+    """The text with the sign of minus before numbers."""
+    return re.sub(r"(?<![\w-])-(?=\d)", "−", text)
 
 
 def _digits(name: str) -> str:
@@ -172,41 +184,49 @@ def _digits(name: str) -> str:
 
 
 def _interval(record: dict[str, Any]) -> str:
-    mean, low, high = (f"{record[part]:.3g}".replace("-", "−") for part in ("mean", "low", "high"))
+    mean, low, high = (_minus(f"{record[part]:.3g}") for part in ("mean", "low", "high"))
     return mean if low == high else f"{mean} [{low}, {high}]"
 
 
 def _certificate(name: str) -> str:
-    console = Console(file=io.StringIO(), width=110)
+    console = Console(file=io.StringIO(), width=88)
     console.print(report.certificate_tables(theory.certify(CATALOGUE[name].replace(hold_steps=50))))
     return "\n".join(line.rstrip() for line in console.file.getvalue().strip("\n").splitlines())
 
 
 def _panels(world: World, shown: Scene) -> list[str]:
-    with drawing("pictures"):
+    with drawing("pictures", {"font.size": 10}):
         figure = Figure(figsize=(10.5, 3.1), layout="constrained")
-        strategies, errors, graph = figure.subplots(1, 3, width_ratios=(3, 3, 2))
-        draw_network(graph, world.topology.graphs[0], world.topology.union)
-        graph.set_title("graph")
-        estimates = shown.traces[LAWS[0]].estimates
-        for component, owner in enumerate(shown.owners):
-            colour = COLOURS[owner % len(COLOURS)]
-            others = [player for player in range(shown.num_players) if player != owner]
-            strategies.plot(shown.t, estimates[component, others].T, color=colour, linewidth=0.6, alpha=0.55)
-            strategies.plot(shown.t, estimates[component, owner], color=colour, linewidth=1.7)
-            strategies.plot(shown.t, shown.equilibrium[component], color=colour, linestyle=(0, (1, 2)), linewidth=0.9)
-        strategies.set(xlabel="time $t$ [s]", ylabel="estimates $x^i_j$")
-        strategies.set_title("static law, one episode")
-        for colour, (law, trace) in zip(COLOURS, shown.traces.items(), strict=False):
-            low, median, high = np.maximum(trace.errors, 1e-13)
-            errors.fill_between(shown.t, low, high, color=colour, alpha=0.15, linewidth=0)
-            errors.semilogy(shown.t, median, color=colour, label=law)
-        for axes in (strategies, errors):
-            axes.axvline(world.scenario.deadline, color=INK, linewidth=0.8)
-        errors.set(xlabel="time $t$ [s]", ylabel="relative error")
-        errors.set_title(f"four laws, {shown.episodes} episode{'s' * (shown.episodes > 1)}")
-        errors.legend(loc="lower left")
+        draw_episode(world, shown, *figure.subplots(1, 3, width_ratios=(3, 3, 2)))
         return panels(figure)
+
+
+def draw_episode(world: World, shown: Scene, strategies: Axes, errors: Axes, graph: Axes) -> None:
+    """The estimates under the first law of a scene, the errors under all of its laws, and the graph."""
+    draw_network(graph, world.topology.graphs[0], world.topology.union)
+    graph.set_title("graph")
+    first, *_ = shown.traces
+    estimates = shown.traces[first].estimates
+    for component, owner in enumerate(shown.owners):
+        colour = COLOURS[owner % len(COLOURS)]
+        others = [player for player in range(shown.num_players) if player != owner]
+        strategies.plot(shown.t, estimates[component, others].T, color=colour, linewidth=0.6, alpha=0.55)
+        strategies.plot(shown.t, estimates[component, owner], color=colour, linewidth=1.7)
+        strategies.plot(shown.t, shown.equilibrium[component], color=colour, linestyle=(0, (1, 2)), linewidth=0.9)
+    strategies.set(xlabel="time $t$ [s]", ylabel="estimates $x^i_j$")
+    strategies.set_title(f"{first} law, one episode")
+    for colour, (law, trace) in zip(COLOURS, shown.traces.items(), strict=False):
+        low, median, high = np.maximum(trace.errors, 1e-13)
+        errors.fill_between(shown.t, low, high, color=colour, alpha=0.15, linewidth=0)
+        errors.semilogy(shown.t, median, color=colour, label=law)
+    for axes in (strategies, errors):
+        deadline = world.scenario.deadline
+        axes.axvline(deadline, color=INK, linewidth=0.8)
+        axes.annotate("$T$", (deadline, 1), (0, 2), ("data", "axes fraction"), "offset points", ha="center")
+    errors.set(xlabel="time $t$ [s]", ylabel="relative error")
+    errors.set_title(f"{len(shown.traces)} laws, {shown.episodes} episodes")
+    if len(shown.traces) > 1:
+        errors.legend(loc="upper center", bbox_to_anchor=(0.45, -0.2), ncols=4, columnspacing=0.9, handlelength=1.1)
 
 
 if __name__ == "__main__":

@@ -48,10 +48,10 @@ def succeeded(distances: FloatArray) -> BoolArray:
     reach = players * SUCCESS_DISTANCE  # a player alone may be √N times as far away as all are together
     if batch == 1 and distances.item(0) > reach:
         return _FAILED
-    result, near = np.zeros(batch, dtype=np.bool_), distances[0] <= reach
-    if np.count_nonzero(near):
-        result[near] = _over_players(distances[:, near]) <= SUCCESS_DISTANCE
-    return result
+    within: BoolArray = distances[0] <= reach
+    if np.count_nonzero(within):
+        within[within] = _over_players(distances[:, within]) <= SUCCESS_DISTANCE
+    return within
 
 
 def _over_players(distances: FloatArray) -> FloatArray:

@@ -14,10 +14,21 @@ _SUGGESTIONS = 3
 def unknown_name(kind: str, name: str, known: Iterable[str], otherwise: str = "") -> str:
     """The message that a name does not exist, with similar names, or all where none is similar.
 
+    Args:
+        kind: of the name, such as "scenario".
+        name: as in :func:`suggestion`.
+        known: likewise.
+        otherwise: likewise.
+    """
+    return f"unknown {kind} {name!r}; {suggestion(name, known, otherwise)}"
+
+
+def suggestion(name: str, known: Iterable[str], otherwise: str = "") -> str:
+    """The second half of the message: similar names, or all where none is similar.
+
     Capitals do not count, ``_`` is ``-``, and a name may be the beginning or, after ``/``, the end of the meant one.
 
     Args:
-        kind: of the name, such as "scenario".
         name: that was asked for.
         known: all names of that kind.
         otherwise: another way to say it, such as "a .toml file".
@@ -26,8 +37,8 @@ def unknown_name(kind: str, name: str, known: Iterable[str], otherwise: str = ""
     likeness = {choice: _likeness(_plain(name), _plain(choice)) for choice in choices}
     near = sorted((choice for choice in choices if likeness[choice] >= _LIKE), key=lambda choice: -likeness[choice])
     if near:
-        return f"unknown {kind} {name!r}; did you mean {_alternatives(map(repr, near[:_SUGGESTIONS]))}?"
-    return f"unknown {kind} {name!r}; choose from {', '.join(choices)}" + f", or {otherwise}" * bool(otherwise)
+        return f"did you mean {_alternatives(map(repr, near[:_SUGGESTIONS]))}?"
+    return f"choose from {', '.join(choices)}" + f", or {otherwise}" * bool(otherwise)
 
 
 def _plain(name: str) -> str:

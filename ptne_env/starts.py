@@ -87,8 +87,10 @@ class PaperStart(Start):
                 f"the paper's start is for one component per player, the game has {num_players} players and "
                 f"{dimension} components; choose start='random' or another table"
             )
-        rest = 5.0 * np.arange(num_players - 2, -1, -1)
-        return np.stack([np.insert(rest, player, -2.0 * (player + 1)) for player in range(num_players)], axis=1)
+        player = np.arange(num_players)
+        component = player[:, None]
+        rest = 5.0 * (num_players - 1 - component - (component < player))
+        return np.where(component == player, -2.0 * (player + 1), rest)
 
 
 def paper_start() -> PaperStart:

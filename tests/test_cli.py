@@ -222,8 +222,8 @@ def test_compare_ends_with_the_answer_in_one_screen(tmp_path):
     assert lines[0].startswith("Digits at the deadline ± half of the 95 % interval, 3 episodes")
     text = " ".join(lines)
     assert (
-        "grounded and ppo-random-energy are each the closest to the Nash equilibrium at the deadline, or within 0.1 "
-        "digits of the closest" in text
+        "grounded and ppo-random-energy are each the closest to the Nash equilibrium at the deadline, up to 0.1 digits "
+        "and the 95 % interval, on 1 of 2 scenarios" in text
     )
     assert "Elsewhere the closest is a law that is tuned for the scenario on energy-switching" in text
     assert "how close" not in text

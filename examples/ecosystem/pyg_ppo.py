@@ -73,7 +73,7 @@ def train() -> tuple[float, float]:
 
 def main() -> None:
     """The law's digits, as message passing on the graph of each player, and a short training."""
-    env = PlayerVecEnv(SCENARIO, EPISODES, seed=0, observation="padded-graph")
+    env = PlayerVecEnv(SCENARIO, EPISODES, seed=0, interface="physical", observation="padded-graph")
     returns, _ = evaluate_policy(Law(), env, n_eval_episodes=env.num_envs, return_episode_rewards=True, warn=False)
     report(np.reshape(returns, (EPISODES, env.layout.num_players)).mean(axis=1), *train())
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Mapping
 from math import isfinite
 from pathlib import Path
@@ -37,6 +38,9 @@ from ptne_env.names import unknown_name
 
 _FILES = ("results.json", "results.csv", "marl-eval.json")
 _HOLD_STEPS = 50
+
+_REPORT_SHARE = 25
+"""The part of the bar, in percent, that belongs to the episodes of the report."""
 
 
 def _complete_track(context: typer.Context) -> list[str]:
@@ -97,7 +101,7 @@ def compare(
             help="A policy by name, an .onnx file, a Stable-Baselines3 .zip, 'module:object' that is called with the "
             "layout and returns something with predict(), or 'name=pattern' for the files of several training seeds; "
             "separate several by commas, or repeat. A .zip and a 'module:object' run their own code. If left out: the "
-            "paper's laws, observer-relay, and learned policies on scenarios that they were trained on; with --suite, "
+            "paper's laws, two strong ones, and learned policies on scenarios that they were trained on; with --suite, "
             "all laws and all learned policies.",
             autocompletion=options.complete_policy,
         ),
@@ -168,6 +172,7 @@ def compare(
     named = [get_policy_spec(name, trust=trust) for name in names]
     policies = named or (suite_policies() if suite else default_policies())
     workers = Workers(jobs, ray)
+    jobs_share = 100 if page is None else 100 - _REPORT_SHARE
     with progress(f"{chosen.name}: making the jobs") as advance:
         results = run_suite(
             suite or chosen,
@@ -175,13 +180,13 @@ def compare(
             tracks=tracks,
             episodes=episodes,
             seed=seed,
-            against_laws=suite is None,
+            against_laws=suite is None and "published",
             folder=folder,
             rerun=rerun,
             workers=workers,
-            progress=lambda job, done, total: advance(round(100 * done / total), 100, job),
+            progress=lambda job, done, total: advance(round(jobs_share * done / total), 100, job),
         )
-        advance(0, description="statistics")
+        advance(jobs_share, description="statistics")
         text = results.to_json()
         write_json(json, text)
         if folder is not None:
@@ -189,10 +194,13 @@ def compare(
             write_atomically(files["results.csv"], results.to_csv())
             write_atomically(files["marl-eval.json"], marl_eval_json(results) + "\n")
         if page is not None:
+            finished = itertools.count(1)
             drawn = scenes(
                 results,
                 workers=workers,
-                progress=lambda name, total: advance(total=total, description=f"report: {name}"),
+                progress=lambda name, total: advance(
+                    jobs_share + round((100 - jobs_share) * next(finished) / total), description=f"report: {name}"
+                ),
             )
             write_atomically(page, report.page(results, drawn, names))
     _show(results, files, page, details=details)

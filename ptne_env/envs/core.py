@@ -5,8 +5,7 @@ from __future__ import annotations
 import copy
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import fields
-from difflib import get_close_matches
-from inspect import signature
+from inspect import Parameter, signature
 from time import perf_counter
 from typing import Any, NamedTuple, Self
 
@@ -18,6 +17,7 @@ from ptne_env.arrays import BoolArray, Float32Array, FloatArray, IntArray, requi
 from ptne_env.catalogue import get_scenario
 from ptne_env.dynamics import State
 from ptne_env.encoder import Clipped, Encoder, make_encoder
+from ptne_env.names import suggestion
 from ptne_env.observation import Interface
 from ptne_env.random_streams import RandomStreams
 from ptne_env.rewards import Reward
@@ -72,17 +72,15 @@ def changed_scenario(scenario: str | Scenario, changes: Mapping[str, Any], made:
         made: the constructor.
 
     Raises:
-        TypeError: for a keyword that is no field, with the one that is most like it.
+        TypeError: for a keyword that is no field, with those that are like it, or all where none is.
         ValueError: for an unknown name, or an invalid value.
     """
-    names = [field.name for field in fields(Scenario)]
+    own = [name for name, each in signature(made).parameters.items() if each.kind is not Parameter.VAR_KEYWORD]
+    known = [*own, *(field.name for field in fields(Scenario))]
     for keyword in changes:
-        if keyword not in names:
-            names += signature(made).parameters
-            (nearest,) = get_close_matches(keyword, names, n=1, cutoff=0.0)
-            raise TypeError(
-                f"{made.__name__}() got an unexpected keyword argument {keyword!r}; the most similar one is {nearest!r}"
-            )
+        if keyword not in known:  # TorchRL reads the first half of the message
+            problem = f"{made.__name__}() got an unexpected keyword argument {keyword!r}"
+            raise TypeError(f"{problem}; {suggestion(keyword, known)}")
     return get_scenario(scenario, **changes)
 
 

@@ -309,7 +309,7 @@ class PlayerVectorEnv(Duplicable, gymnasium.vector.VectorEnv[Float32Array, Float
         vector: the wrapped environments.
 
     Raises:
-        TypeError: for an unknown keyword, naming the one that is most like it.
+        TypeError: for an unknown keyword, naming similar ones, or all.
         ValueError: for an unknown name, or an invalid value.
     """
 

@@ -321,7 +321,7 @@ class NashSeekingEnv(Duplicable, ParallelEnv[str, Shown, Float32Array]):
         """All actions in the order of the agents, shape (1, N, action size)."""
         try:
             rows = [actions[agent] for agent in self.agents]
-            stacked = np.array([rows])
+            stacked = np.array(rows)[None]
         except (KeyError, IndexError, TypeError, ValueError):
             raise self._complaint(actions) from None
         if stacked.shape != (1, len(actions), self._action_size):
@@ -394,7 +394,7 @@ def parallel_env(
         **overrides: fields of the scenario to change, such as ``start="random"``, ``hold_steps=50``, ``deadline=2.0``.
 
     Raises:
-        TypeError: for an unknown keyword, naming the one that is most like it.
+        TypeError: for an unknown keyword, naming similar ones, or all.
         ValueError: for an unknown name, or an invalid value; the message says what is expected.
     """
     return NashSeekingEnv(

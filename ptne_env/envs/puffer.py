@@ -55,7 +55,7 @@ class PlayerBufferEnv:
         infos: of the last step.
 
     Raises:
-        TypeError: for an unknown keyword, naming the one that is most like it.
+        TypeError: for an unknown keyword, naming similar ones, or all.
         ValueError: for an unknown name, an invalid value, or arrays that are missing or do not fit.
     """
 

@@ -36,7 +36,7 @@ def pixels(figure: Figure) -> npt.NDArray[np.uint8]:
 
 
 class Renderer:
-    """Draws the episode so far, with players numbered from 1, as in the paper: player 1 is the agent ``player_0``.
+    """Draws the episode so far, with the names of the agents: number 0 in the graph is ``player_0``.
 
     Args:
         world: the world.
@@ -161,7 +161,7 @@ class Renderer:
             if not crowded:
                 thin: dict[str, Any] = {"color": colour, "linewidth": 0.7, "alpha": 0.5}
                 others.append([axes["estimates"].plot([], [], **thin)[0] for _ in range(game.num_players - 1)])
-            label = f"player {owner + 1}" if component == game.offsets[owner] else None
+            label = f"player_{owner}" if component == game.offsets[owner] else None
             thick: dict[str, Any] = {"color": colour, "linewidth": 0.9 if crowded else 2.0, "label": label}
             own.append(axes["estimates"].plot([], [], marker="o", markevery=[-1], markersize=4, **thick)[0])
         reading = "lines: strategies" if crowded else "thick: strategies, thin: others' estimates"
@@ -194,7 +194,7 @@ class Renderer:
         if players <= 14:
             for player in range(players):
                 axes.text(
-                    x[player], y[player], str(player + 1), ha="center", va="center_baseline", fontsize="small", zorder=3
+                    x[player], y[player], str(player), ha="center", va="center_baseline", fontsize="small", zorder=3
                 )
         axes.set(aspect="equal", xlim=(-1.4, 1.4), ylim=(-1.15, 1.15))
         axes.set_title("live links")

@@ -6,6 +6,7 @@ Needs the extra ``pip install "ptne-env[sb3]"``.
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from inspect import getmembers
 from itertools import pairwise
 from time import time
 from typing import Any
@@ -34,6 +35,14 @@ class _Monitored(Duplicable, VecMonitor):
 
     Attributes of the wrapped ``VecEnv``, such as ``layout``, are found here too.
     """
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Copies and pickles leave out the members of the class, which a ``VecEnvWrapper`` keeps: some have no copy."""
+        return {name: value for name, value in vars(self).items() if name != "class_attributes"}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        """Restore a copy or pickle."""
+        vars(self).update(state, class_attributes=dict(getmembers(type(self))))
 
     def step_wait(self) -> VecEnvStepReturn:
         """Step; infos of members that end hold ``episode``: return ``r``, length ``l`` and seconds ``t``."""
@@ -78,7 +87,7 @@ class PlayerVecEnv(_Monitored):
         layout: of observations and actions.
 
     Raises:
-        TypeError: for an unknown keyword, naming the one that is most like it.
+        TypeError: for an unknown keyword, naming similar ones, or all.
         ValueError: for an unknown name, or an invalid value.
     """
 

@@ -20,6 +20,7 @@ except ImportError as error:  # pragma: no cover - exercised in an environment w
 from gymnasium import spaces
 
 from ptne_env.arrays import BoolArray, Float32Array
+from ptne_env.envs.core import Duplicable
 from ptne_env.envs.vector import VectorBuffers, VectorParallelEnv
 from ptne_env.observation import ObservationLayout
 from ptne_env.random_streams import require_seed
@@ -29,7 +30,7 @@ GROUP = "player"
 """The group of all players: the name that TorchRL's ``PettingZooWrapper`` gives it, so a trainer fits both."""
 
 
-class TorchRLEnv(EnvBase):
+class TorchRLEnv(Duplicable, EnvBase):
     """A TorchRL environment with the batch size (B,), whose keys are those of ``PettingZooWrapper``.
 
     ``("player", "observation")`` has the shape (B, N, size), ``("player", "action")`` (B, N, action size) and
@@ -52,7 +53,7 @@ class TorchRLEnv(EnvBase):
         group_map: the names of the players, by group.
 
     Raises:
-        TypeError: for an unknown keyword, naming the one that is most like it.
+        TypeError: for an unknown keyword, naming similar ones, or all.
         ValueError: for an unknown name, an invalid value, or another device.
     """
 

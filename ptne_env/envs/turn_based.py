@@ -2,26 +2,28 @@
 
 from __future__ import annotations
 
-from typing import Any, TypeAlias
+from typing import Any
 
-from pettingzoo import AECEnv
 from pettingzoo.utils.conversions import parallel_to_aec_wrapper
 from pettingzoo.utils.wrappers import OrderEnforcingWrapper
 
+from ptne_env.envs.core import Duplicable
 from ptne_env.envs.parallel import parallel_env
 from ptne_env.scenario import Scenario
 
-TurnBasedEnv: TypeAlias = AECEnv
+
+class TurnBasedEnv(Duplicable, OrderEnforcingWrapper):
+    """The turn-based form, with PettingZoo's check of the order of calls. Make one with :func:`aec_env`."""
 
 
 def aec_env(scenario: str | Scenario = "energy", **arguments: Any) -> TurnBasedEnv:
-    """The turn-based form of a scenario, with PettingZoo's check of the order of calls.
+    """The turn-based form of a scenario.
 
     Args:
         scenario: a name of the catalogue or a scenario.
         **arguments: of :func:`ptne_env.parallel_env`.
 
     Raises:
-        ValueError: as :func:`ptne_env.parallel_env`.
+        TypeError, ValueError: as :func:`ptne_env.parallel_env`.
     """
-    return OrderEnforcingWrapper(parallel_to_aec_wrapper(parallel_env(scenario, **arguments)))
+    return TurnBasedEnv(parallel_to_aec_wrapper(parallel_env(scenario, **arguments)))

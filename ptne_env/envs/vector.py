@@ -95,7 +95,7 @@ class VectorParallelEnv(Duplicable):
         single_action_space: of one player.
 
     Raises:
-        TypeError: for an unknown keyword, naming the one that is most like it.
+        TypeError: for an unknown keyword, naming similar ones, or all.
         ValueError: for an unknown name, or an invalid value.
     """
 

@@ -169,7 +169,7 @@ def check(
                         name: suite.episode_set(name, count, seed=listing.seed, split=listing.split)
                         for name, count in listing.episodes.items()
                     },
-                    against_laws=bool(listing.trials),
+                    is_opposed=lambda track: track.name in listing.trials,
                     run=stored,
                     tune=lambda searches: [search.find() for search in searches],
                 )

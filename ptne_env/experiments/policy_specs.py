@@ -461,8 +461,8 @@ POLICIES: Mapping[str, PolicySpec] = {
 }
 """The laws and reference policies by name, in the order in which tables list them."""
 
-COMPARED = (*tuple(POLICIES)[:8], "observer-relay")
-"""The default policies of a comparison, by name: the paper's laws, reference policies, and the strongest law."""
+COMPARED = (*tuple(POLICIES)[:8], "routed-unknown", "observer-relay")
+"""The default policies of a comparison, by name: the paper's laws, references, and the strongest laws of own links."""
 
 
 def learned_policy(path_or_name: str) -> PolicySpec:

@@ -291,13 +291,17 @@ class Results:
         )
 
     def __str__(self) -> str:
-        """A line per track and policy, the best first: the metric that scores the track, with its 95 % interval."""
+        """A line per track and policy, the best first: the metric that scores the track, with its 95 % interval.
+
+        Policies that failed come last on a track, with the reason.
+        """
         lines = [repr(self)]
         for track in self.tracks:
             lines += ["", f"{track.name}, {self._count(track)}: {METRICS[track.metric].heading}"]
             found = {self._label(name): summary for name, summary in self._ranked(track, track.metric).items()}
             width = max(map(len, found), default=0)
             lines += [f"  {policy:<{width}}  {_digits(summary)}" for policy, summary in found.items()]
+            lines += [f"  {name} failed: {why}" for (on, name), why in self.failures.items() if on == track.name]
         return "\n".join(lines)
 
     def _repr_html_(self) -> str:

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import chain
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any, Literal, TypeAlias
 
 import numpy as np
 
@@ -15,14 +15,26 @@ from ptne_env.experiments import tuning
 from ptne_env.experiments.episodes import EpisodeSet, Split
 from ptne_env.experiments.jobs import Job, JobResult, require_hashed
 from ptne_env.experiments.metrics import against_law
-from ptne_env.experiments.policy_specs import PolicySpec, get_policy_spec
+from ptne_env.experiments.policy_specs import POLICIES, PolicySpec, get_policy_spec
 from ptne_env.experiments.results import Results, records, statistics_of
 from ptne_env.experiments.store import Store, run_jobs, run_missing
-from ptne_env.experiments.suite import COMPARED_EPISODES, LEADERBOARD_SEED, SUITES, Suite, Track, comparison, get_suite
+from ptne_env.experiments.suite import (
+    COMPARED_EPISODES,
+    LAW,
+    LEADERBOARD_SEED,
+    SUITES,
+    Suite,
+    Track,
+    comparison,
+    get_suite,
+)
 from ptne_env.experiments.tuning import Tunable, Tuned, Tuning, Tunings
 from ptne_env.experiments.workers import Workers
 from ptne_env.factory import FactorySpec
 from ptne_env.scenario import Scenario
+
+Opposed: TypeAlias = bool | Literal["published"]
+"""Where policies are compared with tuned laws: everywhere, nowhere, or where these laws ship with the library."""
 
 
 def evaluate(
@@ -33,7 +45,7 @@ def evaluate(
     seed: int = 0,
     hold_steps: int = 0,
     split: Split = "test",
-    against_laws: bool = True,
+    against_laws: Opposed = "published",
     folder: Path | None = None,
     rerun: bool = False,
     workers: Workers = Workers(),  # noqa: B008 - immutable
@@ -44,9 +56,10 @@ def evaluate(
     A scenario given by name is run from ``episodes`` random starts. A :class:`~ptne_env.scenario.Scenario` is run as it
     is: ``episodes`` times when something in it is random, else once.
 
-    Where something is random, a learned policy is also compared, paired by episode, with the best of the paper's laws
-    and the best of all laws. Both are tuned and chosen by the mean of the track's metric on validation episodes
-    (:mod:`ptne_env.experiments.tuning`).
+    Where something is random, every policy but the library's own laws is also compared, paired by episode, with the
+    best of the paper's laws and the best of all laws. Both are tuned and chosen by the mean of the track's metric on
+    validation episodes (:mod:`ptne_env.experiments.tuning`). For the scenarios of the catalogue they ship with the
+    library; ``against_laws=True`` tunes them for other scenarios too, which takes minutes per scenario.
 
     Args:
         policies: specs, or strings as :func:`~ptne_env.experiments.policy_specs.get_policy_spec` takes them; one of
@@ -56,7 +69,8 @@ def evaluate(
         seed: of the episode sets; the remaining arguments are explained at :func:`run_suite`.
         hold_steps: steps after the deadline for the scenarios given by name.
         split: ``"test"``, ``"validation"`` or ``"train"``.
-        against_laws: whether learned policies are compared with tuned laws.
+        against_laws: where policies are compared with tuned laws: ``"published"``, on scenarios whose tuned laws ship
+            with the library; ``True``, on all; ``False``, on none.
         folder: in which finished jobs are stored.
         rerun: whether stored jobs are run again.
         workers: run the jobs.
@@ -87,7 +101,7 @@ def run_suite(
     episodes: int | None = None,
     seed: int = LEADERBOARD_SEED,
     split: Split = "test",
-    against_laws: bool = False,
+    against_laws: Opposed = False,
     folder: Path | None = None,
     rerun: bool = False,
     workers: Workers = Workers(),  # noqa: B008 - immutable
@@ -110,7 +124,7 @@ def run_suite(
         episodes: per track; the suite's own number if left out.
         seed: of the episode sets; the leaderboard's is 0.
         split: ``"test"``, ``"validation"`` or ``"train"``, which share no episode.
-        against_laws: whether learned policies are compared with tuned laws; the tuning takes longer than the rest.
+        against_laws: as for :func:`evaluate`.
         folder: in which the results of finished jobs are stored; nothing is stored if left out.
         rerun: whether stored jobs are run again. Jobs whose sources cannot be hashed need it.
         workers: run the jobs. Only the measured times of policies depend on it.
@@ -130,8 +144,15 @@ def run_suite(
     sets = {name: suite.episode_set(name, episodes, seed=seed, split=split) for name in names}
     runner = _Runner(None if folder is None else Store(folder), workers, progress, rerun=rerun)
     specs = [get_policy_spec(policy) for policy in _several(policies)]
-    tune = runner.tune
-    return assemble(suite, target, specs, sets, against_laws=against_laws, run=runner, tune=tune)
+
+    def is_opposed(track: Track) -> bool:
+        published = (search.is_published for search in _searches(suite, track))
+        return against_laws is True or (against_laws == "published" and all(published))
+
+    if any(spec.is_learned for spec in specs):
+        opposed = [track for track in map(suite.track, names) if track.world.is_random and is_opposed(track)]
+        runner.reserved = sum(_cost_of_opponents(suite, track, sets[track.name]) for track in opposed)
+    return assemble(suite, target, specs, sets, is_opposed=is_opposed, run=runner, tune=runner.tune)
 
 
 def _several(given: Any) -> Iterable[Any]:
@@ -145,7 +166,7 @@ def assemble(
     policies: Sequence[PolicySpec],
     episodes: Mapping[str, EpisodeSet],
     *,
-    against_laws: bool,
+    is_opposed: Callable[[Track], bool],
     run: Callable[[Sequence[Job]], list[JobResult]],
     tune: Callable[[Sequence[Tuning]], list[Tuned]],
 ) -> Results:
@@ -156,7 +177,7 @@ def assemble(
         target: that finds it; ``None`` for an object.
         policies: beside the reference policies.
         episodes: the episode set of each track that is run, by name.
-        against_laws: whether learned policies are compared with tuned laws.
+        is_opposed: whether policies are compared with tuned laws on a track.
         run: gives the results of jobs, in their order.
         tune: gives the results of searches for tuned laws, in their order.
 
@@ -191,9 +212,9 @@ def assemble(
             raise RuntimeError(f"the reference policy {name!r} fails on track {track_name!r}: {reason}")
     tuned: dict[str, dict[str, PolicySpec]] = {}
     trials: dict[str, tuple[Job, ...]] = {}
-    if against_laws:
-        with_learned = {track for track, policy in samples if specs[policy].is_learned}
-        random = [track for track in chosen if track.name in with_learned and track.world.is_random]
+    with_learned = {track for track, policy in samples if specs[policy].is_learned}
+    random = [track for track in chosen if track.name in with_learned and track.world.is_random and is_opposed(track)]
+    if random:
         tuned, trials = _tuned_laws(suite, random, run, tune)
         opposing = [Job(track, law, 0, episodes[track.name]) for track in random for law in tuned[track.name].values()]
         law_samples = _collected(opposing, run(opposing)).samples
@@ -235,7 +256,10 @@ def _by_name(suite: Suite, listed: Sequence[PolicySpec]) -> dict[str, PolicySpec
     """The policies, and the reference policies of the suite, by name."""
     specs = {spec.name: spec for spec in listed}
     if len(specs) < len(listed):
-        raise ValueError(f"a comparison needs different names, got {', '.join(spec.name for spec in listed)}")
+        raise ValueError(
+            f"a comparison needs different names, got {', '.join(spec.name for spec in listed)}; a file gets another "
+            "name by 'name=path'"
+        )
     for name in tuning.GROUPS.values():
         if name in specs:
             raise ValueError(f"{name!r} is the name of a tuned law: give your policy another name")
@@ -253,13 +277,15 @@ def _by_name(suite: Suite, listed: Sequence[PolicySpec]) -> dict[str, PolicySpec
 class _Runner:
     """Runs lists of jobs, and adds up their work for the progress callback.
 
-    Jobs with the same key, such as those of a law under two names, run once, so that all have the same timings.
+    Jobs with the same key, such as those of a law under two names, run once, so that all have the same timings. Work
+    that is known to come after the first list is ``reserved``, so that the progress does not fall back.
     """
 
     store: Store | None
     workers: Workers
     progress: Callable[[str, int, int], None] | None
     rerun: bool
+    reserved: int = 0
     work: int = 0
     total: int = 0
     done: dict[str | tuple[int, int], JobResult] = field(default_factory=dict)
@@ -269,7 +295,7 @@ class _Runner:
         if self.store is not None and not self.rerun:
             require_hashed(jobs)
         names = [job.key or (self.total, index) for index, job in enumerate(jobs)]
-        self.total += sum(job.cost for job in jobs)
+        self._expect(sum(job.cost for job in jobs))
         missing = {name: index for index, name in reversed(list(enumerate(names))) if name not in self.done}
         # Quick jobs first, so that progress shows at once; lists of policies begin with the fastest laws.
         order = sorted(missing.values(), key=lambda index: (jobs[index].cost, index))
@@ -284,17 +310,30 @@ class _Runner:
                 self.progress(f"{jobs[index].track.name}: {jobs[index].policy.name}", self.work, self.total)
         return [self.done[name] for name in names]
 
+    def _expect(self, cost: int) -> None:
+        """Add work to the total, the reserved work first."""
+        if not self.total:
+            self.total = cost + self.reserved
+            return
+        self.total += max(cost - self.reserved, 0)
+        self.reserved = max(self.reserved - cost, 0)
+
     def tune(self, searches: Sequence[Tuning]) -> list[Tuned]:
-        """The results of searches, in their order; none of them counts as a job."""
+        """The results of searches, in their order."""
         store = None if self.store is None else Tunings(self.store.folder)
-        found = dict(
-            run_missing(
-                searches,
-                store,
-                lambda missing: self.workers.run(Tuning.find, [(search,) for search in missing]),
-                rerun=self.rerun,
-            )
+        self._expect(sum(search.cost for search in searches))
+        running = run_missing(
+            searches,
+            store,
+            lambda missing: self.workers.run(Tuning.find, [(search,) for search in missing]),
+            rerun=self.rerun,
         )
+        found = {}
+        for index, result in running:
+            found[index] = result
+            self.work += searches[index].cost
+            if self.progress is not None and searches[index].cost:
+                self.progress(f"{searches[index].track.name}: tuning laws", self.work, self.total)
         return [found[index] for index in range(len(searches))]
 
 
@@ -329,6 +368,19 @@ def _collected(jobs: Sequence[Job], results: Sequence[JobResult]) -> _Outcome:
     return outcome
 
 
+def _searches(suite: Suite, track: Track) -> list[Tuning]:
+    """The searches for the laws with which policies are compared on a track."""
+    return [Tuning(track, member, validation_set(suite, track)) for member in tuning.FIELD]
+
+
+def _cost_of_opponents(suite: Suite, track: Track, episodes: EpisodeSet) -> int:
+    """The work of finding the tuned laws of a track, and of playing them."""
+    law = POLICIES[LAW]
+    unknown = [search for search in _searches(suite, track) if not search.is_published]
+    trials = len(unknown) * Job(track, law, 0, validation_set(suite, track)).cost
+    return sum(search.cost for search in unknown) + trials + len(tuning.GROUPS) * Job(track, law, 0, episodes).cost
+
+
 def validation_set(suite: Suite, track: Track) -> EpisodeSet:
     """The validation episodes on which laws are tuned for a track."""
     return suite.episode_set(track.name, tuning.VALIDATION_EPISODES, split="validation")
@@ -344,7 +396,7 @@ def _tuned_laws(
 
     A trial that is published is not run.
     """
-    searches = [Tuning(track, member, validation_set(suite, track)) for track in tracks for member in tuning.FIELD]
+    searches = [search for track in tracks for search in _searches(suite, track)]
     laws = [
         (search, tuned.law, search.reached(tuned.law))
         for search, tuned in zip(searches, tune(searches), strict=True)

@@ -215,6 +215,28 @@ class Tuning:
         scenario.pop("action_limit", None)
         return scenario, track.teammates and track.teammates.to_dict(), track.metric
 
+    @property
+    def _middle(self) -> FactorySpec:
+        return self.member.at(np.full(len(self.member.ranges), 0.5))
+
+    @property
+    def is_published(self) -> bool:
+        """Whether the law and its mean over the validation episodes ship with the library."""
+        laws = published()["laws"]
+        if self.name not in laws:
+            return False
+        law = self.find().law
+        return law is None or self.reached(law) is not None
+
+    @property
+    def cost(self) -> int:
+        """Its work in the unit of :attr:`~ptne_env.experiments.jobs.Job.cost`; 0 where it is published."""
+        if self.name in published()["laws"]:
+            return 0
+        budget = self.budget
+        episodes = budget.episodes * (budget.generations + 1) + budget.final_episodes
+        return self.trial(self._middle).cost * budget.population * episodes // self.episodes.count
+
     def trial(self, law: FactorySpec) -> Job:
         """The job that plays a tuned law on the validation episodes."""
         return Job(self.track, PolicySpec(CANDIDATE, law), 0, self.episodes)
@@ -247,7 +269,7 @@ class Tuning:
         """
         budget, member = self.budget, self.member
         try:
-            member.at(np.full(len(member.ranges), 0.5)).build(layout=self._encoder().layout)
+            self._middle.build(layout=self._encoder().layout)
         except LayoutError:
             return Tuned(None)
         if not member.ranges:

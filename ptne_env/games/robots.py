@@ -20,7 +20,7 @@ _TOUCH = (
 
 
 class ConnectivityControl(AffineGame):
-    """J_i(x) = w_i ‖x_i − p_i‖² + Σ_j c_ij ‖x_i − x_j‖², x_i in the plane: stay near the post p_i and near each other.
+    """J_i(x) = w_i ‖x_i − p_i‖² + Σ_j c_ij ‖x_i − x_j‖²: robots in the plane stay near their posts p_i.
 
     Connectivity control of mobile sensors, after M. S. Stanković, K. H. Johansson and D. M. Stipanović, "Distributed
     seeking of Nash equilibria with applications to mobile sensor networks", IEEE Transactions on Automatic Control

@@ -161,8 +161,15 @@ def _gains(axes: Axes, run: Run, title: str) -> None:
     _mark_deadline(axes, top=0.86)
 
 
-def draw_network(axes: Axes, graph: Graph, union: Graph) -> None:
-    """The players on a circle, clockwise from the top; links of the union that are down are grey."""
+def draw_network(axes: Axes, graph: Graph, union: Graph, first: int = 0) -> None:
+    """The players on a circle, clockwise from the top; links of the union that are down are grey.
+
+    Args:
+        axes: to draw in.
+        graph: the links that are up.
+        union: all links.
+        first: number of the first player: 0 as in the names of agents, 1 as in the paper.
+    """
     angles = np.pi / 2 - 2 * np.pi * np.arange(graph.num_players) / graph.num_players
     places = {i: np.array([np.cos(angle), np.sin(angle)]) for i, angle in enumerate(angles)}
     down = [edge for edge in union.edges if edge not in graph.edges]
@@ -170,7 +177,7 @@ def draw_network(axes: Axes, graph: Graph, union: Graph) -> None:
     nx.draw_networkx_edges(pair, places, edgelist=down, ax=axes, edge_color=FAINT, style="dotted", width=1.0)
     nx.draw_networkx_edges(pair, places, edgelist=graph.edges, ax=axes, edge_color=INK, width=1.8)
     nx.draw_networkx_nodes(pair, places, ax=axes, node_color=COLOURS[: graph.num_players], node_size=330)
-    labels = {i: str(i + 1) for i in places}
+    labels = {i: str(i + first) for i in places}
     nx.draw_networkx_labels(pair, places, labels, ax=axes, font_size=10, font_color="white", font_weight="bold")
     axes.set_aspect("equal")
     axes.margins(0.18)
@@ -194,13 +201,15 @@ def _time_transformation(figure: Figure, _: Experiments) -> None:
 
 
 def _graph(figure: Figure, _: Experiments) -> None:
+    from matplotlib.colors import to_rgba
+
     left, right = figure.subplots(1, 2)
     graph = cycle(5)
-    draw_network(left, graph, graph)
+    draw_network(left, graph, graph, first=1)
     left.set_title(r"(a) fixed graph $\mathcal{G}$")
     laplacian = graph.laplacian
-    limit = float(np.abs(laplacian).max())
-    right.imshow(laplacian, cmap="RdBu_r", vmin=-2 * limit, vmax=2 * limit)
+    cells = np.array([to_rgba(COLOURS[0], 0.25), (0, 0, 0, 0), to_rgba(COLOURS[1], 0.45)])  # on a light or a dark page
+    right.imshow(cells[np.sign(laplacian).astype(int) + 1])
     for (i, j), value in np.ndenumerate(laplacian):
         right.text(j, i, f"{value:.0f}".replace("-", "−"), ha="center", va="center", color=INK, fontsize=10)
     right.set_xticks(range(5), [str(i + 1) for i in range(5)])
@@ -230,7 +239,7 @@ def _switching_graphs(figure: Figure, experiments: Experiments) -> None:
     topology = experiments.switching["physical"].topology
     period, dwell = topology.period, topology.dwells[0]
     for m, (axes, graph) in enumerate(zip(figure.subplots(1, 4), topology.graphs, strict=True)):
-        draw_network(axes, graph, topology.union)
+        draw_network(axes, graph, topology.union, first=1)
         interval = f"[{m * dwell:.1f}, {(m + 1) * dwell:.1f})"
         axes.set_title(rf"$\mathcal{{G}}_{m + 1}$: $t$ mod {period:g} s in {interval}", fontsize=8.5)
 
@@ -277,6 +286,7 @@ def _erratum_3(figure: Figure, experiments: Experiments) -> None:
 
 _STATIC = f"static law, κ = {KAPPA:g}, c = {GAIN:g}/s, T = {DEADLINE:g} s"
 _READING = "Thick lines: the players' own strategies; thin: the estimates of others; dotted: the Nash equilibrium."
+_ONE, _TWO = "One run from the paper's start.", "Two runs, one per row, from the paper's start."
 
 _SIMULATED = (
     "Simulated results of the proposed {}algorithm in ({}): (a) all players' estimated strategies x^i_j(t), i, j ∈ V; "
@@ -288,7 +298,7 @@ _SWITCHING_CLAIMS = "Theorem 4, dwelling in t (as stated)", "Theorem 4, dwelling
 FIGURES: tuple[FigureSpec, ...] = (
     FigureSpec(
         "time-transformation",
-        "The time transformation λ and its derivative.",
+        "The time transformation λ and its derivative, drawn from their formulas, without a run.",
         (6.6, 2.5),
         _time_transformation,
         "Fig. 1",
@@ -297,7 +307,7 @@ FIGURES: tuple[FigureSpec, ...] = (
     ),
     FigureSpec(
         "graph",
-        "The fixed graph and its Laplacian. The paper's drawing is not available; the 5-cycle is our choice.",
+        "The fixed graph of the runs and its Laplacian. The paper's drawing is not available; the 5-cycle is ours.",
         (6.0, 2.7),
         _graph,
         "Fig. 2",
@@ -306,7 +316,7 @@ FIGURES: tuple[FigureSpec, ...] = (
     ),
     FigureSpec(
         "static",
-        f"Example 1, {_STATIC}. {_READING}",
+        f"Example 1, {_STATIC}. {_ONE} {_READING}",
         (8.2, 3.3),
         lambda figure, experiments: _runs(figure, {"": experiments.static}),
         "Fig. 3",
@@ -315,7 +325,7 @@ FIGURES: tuple[FigureSpec, ...] = (
     ),
     FigureSpec(
         "corollary-one",
-        f"Example 1 without the time gain. {_READING}",
+        f"Example 1 without the time gain. {_TWO} {_READING}",
         (8.2, 6.0),
         _comparison,
         "Fig. 4",
@@ -324,7 +334,7 @@ FIGURES: tuple[FigureSpec, ...] = (
     ),
     FigureSpec(
         "adaptive",
-        f"Example 1, adaptive law. {_READING}",
+        f"Example 1, adaptive law. {_ONE} {_READING}",
         (8.2, 3.3),
         lambda figure, experiments: _runs(figure, {"": experiments.adaptive}),
         "Fig. 5",
@@ -333,7 +343,7 @@ FIGURES: tuple[FigureSpec, ...] = (
     ),
     FigureSpec(
         "adaptive-gains",
-        "The gains of the adaptive law.",
+        "The gains of the adaptive law on the links of Example 1, in the run of Fig. 5.",
         (5.2, 3.0),
         lambda figure, experiments: _gains(
             figure.subplots(), experiments.adaptive, rf"fixed graph, $\gamma={GAMMA:g}$"
@@ -344,8 +354,8 @@ FIGURES: tuple[FigureSpec, ...] = (
     ),
     FigureSpec(
         "switching-graphs",
-        "The four modes of the switching topology, each disconnected, jointly connected. The paper's drawing is not "
-        "available; these are our choice.",
+        "The four modes of the topology of these runs, each disconnected, jointly connected. The paper's drawing "
+        "is not available; these are our choice.",
         (8.2, 2.1),
         _switching_graphs,
         "Fig. 7",
@@ -355,7 +365,7 @@ FIGURES: tuple[FigureSpec, ...] = (
     FigureSpec(
         "switching",
         "Example 1, adaptive law over switching graphs: with dwell times in t the error at T does not vanish. "
-        f"{_READING}",
+        f"{_TWO} {_READING}",
         (8.2, 6.2),
         lambda figure, experiments: _runs(figure, _by_clock(experiments.switching)),
         "Fig. 8",
@@ -364,7 +374,7 @@ FIGURES: tuple[FigureSpec, ...] = (
     ),
     FigureSpec(
         "switching-gains",
-        "The gains of the adaptive law over switching graphs.",
+        "The gains of the adaptive law over switching graphs, in the two runs of Fig. 8.",
         (8.2, 3.0),
         _switching_gains,
         "Fig. 9",
@@ -373,7 +383,7 @@ FIGURES: tuple[FigureSpec, ...] = (
     ),
     FigureSpec(
         "non-quadratic",
-        f"Example 2 (corrected), adaptive law over switching graphs. {_READING}",
+        f"Example 2 (corrected), adaptive law over switching graphs. {_TWO} {_READING}",
         (8.2, 6.2),
         lambda figure, experiments: _runs(figure, _by_clock(experiments.non_quadratic_switching)),
         "Fig. 10",
@@ -382,7 +392,7 @@ FIGURES: tuple[FigureSpec, ...] = (
     ),
     FigureSpec(
         "erratum-2",
-        "The error at T when the topology dwells in t, against its period. Not in the paper.",
+        "The error at T when the topology dwells in t, against its period: a run per point. Not in the paper.",
         (5.2, 3.2),
         _erratum_2,
         "Erratum 2",
@@ -390,7 +400,7 @@ FIGURES: tuple[FigureSpec, ...] = (
     ),
     FigureSpec(
         "erratum-3",
-        f"Input and velocity near T, Example 1, {_STATIC}. Not in the paper.",
+        f"Input and velocity near T, Example 1, {_STATIC}. One run. Not in the paper.",
         (5.2, 3.2),
         _erratum_3,
         "Erratum 3",

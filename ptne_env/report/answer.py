@@ -12,7 +12,7 @@ from ptne_env.experiments.policy_specs import POLICIES, learned_file
 from ptne_env.experiments.results import Results
 from ptne_env.experiments.suite import LAW, Track
 from ptne_env.experiments.tuning import GROUPS
-from ptne_env.report.tables import FIRST_MARGIN, Column, Table, Value, complete, first_places
+from ptne_env.report.tables import FIRST_MARGIN, Column, Table, Value, complete, first_places, mean_digits
 
 SPECIALIST = "best specialist"
 """The column of the best policy of each track among those that play some tracks only."""
@@ -46,8 +46,9 @@ def answer(results: Results) -> tuple[str, ...]:
 def leaders(results: Results) -> dict[tuple[str, ...], list[Track]]:
     """The fewest honest entries of which one is first on every track, most tracks first.
 
-    An entry is first where it is the closest, or within :data:`~ptne_env.report.tables.FIRST_MARGIN` digits of the
-    closest (:func:`~ptne_env.report.tables.first_places`); where a tuned law is closer, none is first.
+    An entry is first where it is the closest, or its interval comes within
+    :data:`~ptne_env.report.tables.FIRST_MARGIN` digits of the closest
+    (:func:`~ptne_env.report.tables.first_places`); where a tuned law is closer, none is first.
 
     Returns:
         The tracks by the names of the entries that are first there; several names where they are first on the same.
@@ -82,7 +83,7 @@ def answer_table(results: Results) -> Table:
     """The digits of the policies on the tracks, a row per track and a column per policy.
 
     First stand the leaders, then the law that is tuned for each track, the paper's law, the user's own policies, the
-    best of the specialists, all other entries that play every track, and oracles last.
+    best of the specialists, all other entries that play every track, the best first, and oracles last.
 
     Args:
         results: of a comparison or of another suite.
@@ -90,7 +91,10 @@ def answer_table(results: Results) -> Table:
     tracks, everywhere, own = results.tracks, complete(results), own_policies(results)
     winners = [name for names in leaders(results) for name in names if name in everywhere]
     specialists = [name for name in _honest(results) if name not in everywhere and name not in own]
-    rest = sorted(everywhere, key=lambda name: results.policies[name].division != "honest")
+    rest = sorted(
+        everywhere,
+        key=lambda name: (results.policies[name].division != "honest", -(mean_digits(results, name).mean or 0.0)),
+    )
     shown = dict.fromkeys([*winners, TUNED, *filter(everywhere.__contains__, [LAW]), *own, SPECIALIST, *rest])
     columns = []
     for name in shown:
@@ -151,7 +155,7 @@ def _listed(names: Sequence[str]) -> str:
 def _first(results: Results, leading: _Leaders) -> str:
     """The entry that is first most often."""
     (names, tracks), count = next(iter(leading.items())), len(results.tracks)
-    places = ", ".join(_place(results, names[0], track) for track in tracks)
+    places = ", ".join(_place(results, names, track) for track in tracks)
     where = f"{len(tracks)} of {count} {_noun(results)}s"
     if count == 1:
         where = places
@@ -160,7 +164,7 @@ def _first(results: Results, leading: _Leaders) -> str:
     subject = _named(results, names)
     sentence = (
         f"{subject.capitalize() if TUNED in names else subject} {'is' if len(names) == 1 else 'are each'} the closest "
-        f"to the Nash equilibrium at the deadline, or within {FIRST_MARGIN:g} digits of the closest, on {where}"
+        f"to the Nash equilibrium at the deadline, up to {FIRST_MARGIN:g} digits and the 95 % interval, on {where}"
     )
     if (board := results.leaderboard) is not None and board.overall:
         best = board.overall[0]
@@ -169,8 +173,15 @@ def _first(results: Results, leading: _Leaders) -> str:
     return f"{sentence}."
 
 
-def _place(results: Results, policy: str, track: Track) -> str:
-    """A track with the digits of the policy that is first there, and of the tuned law or the entry behind it."""
+def _shortened(places: Sequence[str]) -> str:
+    """The first few places, and the number of the others."""
+    more = len(places) - _MOST_NAMED
+    return ", ".join(places[:_MOST_NAMED]) + f" and {more} more" * (more > 0)
+
+
+def _place(results: Results, names: Sequence[str], track: Track) -> str:
+    """A track with the most digits of the policies that are first there, and of the tuned law, or entry, behind."""
+    policy = min(names, key=lambda name: _gap(results, track, name))
     found = f"{_value(results, track, policy)} digits"
     if policy == TUNED:
         nearest = _nearest(results, track)
@@ -186,9 +197,7 @@ def _others(results: Results, leading: _Leaders) -> str:
     clauses = []
     if rest:
         named = [
-            f"{_named(results, names, kinds=True)} on "
-            + ", ".join(_place(results, names[0], track) for track in tracks[:_MOST_NAMED])
-            + f" and {len(tracks) - _MOST_NAMED} more" * (len(tracks) > _MOST_NAMED)
+            f"{_named(results, names, kinds=True)} on {_shortened([_place(results, names, track) for track in tracks])}"
             for names, tracks in rest[:_MOST_NAMED]
         ]
         if left := sum(len(tracks) for _, tracks in rest[_MOST_NAMED:]):
@@ -198,10 +207,12 @@ def _others(results: Results, leading: _Leaders) -> str:
     behind = {name: found for name in _honest(results) if name not in led and (found := _gaps(results, name))}
     own = [name for name in own_policies(results) if name in behind]
     nearest = sorted(behind, key=lambda name: min(behind[name].values()))[:1]
+    firsts = first_places(results)
     for name in own or nearest * (not rest):
         track, count = min(behind[name], key=behind[name].__getitem__), len(results.tracks)
         nearest_on = f"comes nearest to the closest on {track}," if count > 1 else "ends"
-        clauses.append(f"{name} {nearest_on} {behind[name][track]:.2f} digits behind it")
+        clause = f"{nearest_on} {behind[name][track]:.2f} digits behind it"
+        clauses.append(f"{name} {f'is as close on {_shortened(firsts[name])}' if firsts[name] else clause}")
     return f"{'; '.join(clauses) or 'No other honest entry was run'}."
 
 
@@ -243,9 +254,10 @@ def _worth(results: Results) -> str:
     gaps = _gaps(results, LAW)
     if not gaps:
         return f"{meaning}."
+    gaps = {track: gap for track, gap in gaps.items() if track not in first_places(results).get(LAW, ())}
+    if not gaps:
+        return f"{meaning}; nothing is clearly ahead of the paper's law ({LAW})."
     least, most = min(gaps, key=gaps.__getitem__), max(gaps, key=gaps.__getitem__)
-    if gaps[most] <= FIRST_MARGIN:
-        return f"{meaning}; nothing is more than {FIRST_MARGIN:g} digits ahead of the paper's law ({LAW})."
     span = (
         f"{gaps[least]:.2f} ({least}) to {gaps[most]:.2f} digits ({most})"
         if len(gaps) > 1

@@ -37,9 +37,9 @@ def save_diagram(diagram: Diagram, path: Path) -> None:
     with drawing("diagrams", {"font.size": 10, "axes.grid": False}):
         from matplotlib.figure import Figure
 
-        figure = Figure(figsize=(6.4, 4.6), layout="constrained")
+        figure = Figure(figsize=(5.0, 4.6), layout="constrained")
         _draw(diagram, figure)
-        figure.savefig(buffer, format=kind, dpi=110, metadata={"Software": None} if kind == "png" else None)
+        figure.savefig(buffer, format=kind, dpi=140, metadata={"Software": None} if kind == "png" else None)
     write_atomically(path, buffer.getvalue())
 
 
@@ -56,14 +56,14 @@ def _draw(diagram: Diagram, figure: Figure) -> None:
     )
     levels = np.arange(bottom + 1, top)
     contours = axes.contour(x, y, predicted, levels=levels, colors="white", linewidths=0.8, linestyles="solid")
-    axes.clabel(contours, fmt="%g", fontsize=7, inline_spacing=2)
+    axes.clabel(contours, fmt="%g", fontsize=8, inline_spacing=2)
     axes.plot([], [], color="white", linewidth=0.8, label="predicted digits")
     for boundary, colour in zip(diagram.boundaries, _LINES, strict=False):
         axes.plot(boundary.x, boundary.y, color=colour, linewidth=2.2, label=boundary.label)
     axes.set(xlabel=diagram.x.label, ylabel=diagram.y.label, title=diagram.title)
     figure.colorbar(mesh, ax=axes, label=f"measured digits at T, mean of {diagram.episodes}")
     figure.legend(
-        loc="outside lower center", ncols=3, frameon=True, facecolor=INK, edgecolor="none", labelcolor="white"
+        loc="outside lower center", ncols=2, frameon=True, facecolor=INK, edgecolor="none", labelcolor="white"
     )
 
 

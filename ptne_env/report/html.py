@@ -2,9 +2,32 @@
 
 from __future__ import annotations
 
+import html
+import re
 from typing import Any
 
 from ptne_env.style import DARK, LIGHT
+
+_INDEX = re.compile(
+    r"(?<=[\w)*'])(?P<kind>\^|(?<!\w\w)_)"  # an index follows one letter: ptne_env is a name
+    r"(?:\{(?P<braces>[^{}]*)\}|\((?P<round>[^()]*)\)|(?P<plain>[-−]?\d+(?:\.\d+)?|[^\W_]+))"
+)
+
+
+def indexed(text: str) -> str:
+    """A text as HTML, with indices and exponents, such as those of x^i_j and e^{−r s}, below and above the line."""
+
+    def moved(match: re.Match[str]) -> str:
+        tag = "sup" if match["kind"] == "^" else "sub"
+        content = next(part for part in match.group("braces", "round", "plain") if part is not None)
+        return f"<{tag}>{content.replace('-', '−')}</{tag}>"
+
+    return _INDEX.sub(moved, html.escape(text, quote=False))
+
+
+def with_minus_signs(text: str) -> str:
+    """A text with the sign of minus before numbers, such as −0.1 and [−0.2, 0.1]; exponents such as 1e-6 stay."""
+    return re.sub(r"(?<![\w.-])-(?=\d)", "−", text)
 
 
 def render_template(template: str, **values: Any) -> str:
@@ -29,5 +52,6 @@ def render_template(template: str, **values: Any) -> str:
         trim_blocks=True,
         lstrip_blocks=True,
     )
+    environment.filters |= {"indexed": indexed, "with_minus_signs": with_minus_signs}
     environment.policies["json.dumps_kwargs"] = {"allow_nan": False, "ensure_ascii": False, "separators": (",", ":")}
     return environment.get_template(template).render(light=LIGHT, dark=DARK, **values)

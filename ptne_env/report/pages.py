@@ -27,7 +27,7 @@ from ptne_env.experiments.provenance import content_hash, versions
 from ptne_env.experiments.results import Results
 from ptne_env.experiments.suite import LAW, Track, comparison, foreign_suites
 from ptne_env.experiments.traces import Scene
-from ptne_env.report.answer import answer, own_policies
+from ptne_env.report.answer import answer, leaders, own_policies
 from ptne_env.report.html import render_template
 from ptne_env.report.tables import MARK_NOTES, MARKS, Table, overview, summary_tables, track_rules, track_tables
 from ptne_env.scenario import Scenario
@@ -196,12 +196,13 @@ def report(results: Results, scenes: Mapping[str, Scene], words: Sequence[str] |
     leading = len(overview(results))
     tables = summary_tables(results)
     named = _words(results) if words is None else words
+    first = {track.name: names[0] for names, tracks in leaders(results).items() for track in tracks}
     return Report(
         title=f"{suite.name}, seed {results.seed}",
         answer=answer(results),
         leaderboard=tuple(tables[:leading]),
         all_tracks=tuple(tables[leading:]),
-        sections=tuple(_section(results, track, scenes[track.name], named) for track in results.tracks),
+        sections=tuple(_section(results, track, scenes[track.name], named, first) for track in results.tracks),
         policies=tuple(results.every_policy),
         profiles={} if board is None else {row.policy: row.profile for row in board.overall},
         thresholds=() if board is None else board.thresholds,
@@ -219,7 +220,10 @@ def report(results: Results, scenes: Mapping[str, Scene], words: Sequence[str] |
     )
 
 
-def _section(results: Results, track: Track, scene: Scene, words: Sequence[str] | None) -> Section:
+def _section(
+    results: Results, track: Track, scene: Scene, words: Sequence[str] | None, first: Mapping[str, str]
+) -> Section:
+    """The part about a track; ``first`` is the entry that the answer names, by track."""
     tables = tuple(track_tables(results, track))
     world, scenario = track.world, track.scenario
     keys: dict[str, list[str]] = {}
@@ -228,12 +232,13 @@ def _section(results: Results, track: Track, scene: Scene, words: Sequence[str] 
             keys.setdefault(job.policy.name, []).append(job.key)
     ranked = [policy for policy, division in tables[0].rows.items() if division != "oracle"]
     own = [policy for policy in own_policies(results) if policy in ranked]
+    ranked.sort(key=lambda policy: policy != first.get(track.name))  # it is the best, or one of the best
     return Section(
         name=track.name,
         description=_description(results, track),
         about=f"{track_rules(results, track)} {type(world.game).__name__} with {world.game.num_players} players; "
-        f"T = {scenario.deadline:g} s, c = {scenario.gain:g} per second, {scenario.steps} steps to the deadline, "
-        f"{scenario.hold_steps} after it.",
+        f"T\u00a0=\u00a0{scenario.deadline:g}\u00a0s, c\u00a0=\u00a0{scenario.gain:g} per second, "
+        f"{scenario.steps} steps to the deadline, {scenario.hold_steps} after it.",
         tables=tables,
         shown=_shown(ranked, own),
         picked=tuple(dict.fromkeys([*ranked[:1], *(own or [name for name in ranked if name == LAW])])),

@@ -95,7 +95,7 @@ def answer_tables(results: Results, width: int = 172) -> Group:
         shown = next(_split(table, room, intervals=False))
         drawn.append(_piece(table, names, shown, intervals=False))
     if hidden := [column.label for column in table.columns if column not in shown]:
-        drawn.append(Text(f"Without room here: {', '.join(hidden)}.", style="dim"))
+        drawn.append(Text(f"A wider terminal, or --details, also shows {', '.join(hidden)}.", style="dim"))
     drawn += [Text(note, style="dim") for note in table.notes]
     sentences = (textwrap.fill(sentence, min(width, _TEXT_WIDTH)) for sentence in answer(results))
     return Group(*drawn, *(Text(f"\n{sentence}") for sentence in sentences), Text())

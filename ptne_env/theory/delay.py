@@ -64,9 +64,9 @@ def is_stable_for_every_delay(loop: Loop, step: float) -> bool:
 def delay_bound(loop: Loop, step: float) -> float | None:
     """A bound on h d below which the loop is stable with every message d steps late; first order in h d, sufficient.
 
-    With A = I − hM a late message subtracts h message (1 − z^{−d}) from z I − A, and |1 − z^{−d}| ≤ d |z − 1| on
-    |z| = 1. So no eigenvalue crosses the unit circle while h d ρ((z − 1)(z I − A)^{−1} message) < 1 all along it (small
-    gain). For small h the largest ρ is about that of ``message`` itself: h d < 1/(κ ρ(adjacency)) for the static law.
+    With A = I − hM and G = ``message`` a late message subtracts h G (1 − z^{−d}) from z I − A, and |1 − z^{−d}| ≤
+    d |z − 1| on |z| = 1. So no eigenvalue crosses the unit circle while h d ρ((z − 1)(z I − A)^{−1} G) < 1 all along
+    it (small gain). For small h the largest ρ is about that of G: h d < 1/(κ ρ(adjacency)) for the static law.
 
     Returns:
         1/max_z ρ, over a grid of angles, refined; ``None`` where the loop is unstable without delay, no message

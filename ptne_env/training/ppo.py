@@ -21,7 +21,6 @@ import torch
 from stable_baselines3 import PPO
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.utils import LinearSchedule
-from stable_baselines3.common.vec_env import VecMonitor
 from torch import nn
 
 from ptne_env import policies
@@ -93,8 +92,8 @@ def train(arguments: Arguments, out: Path, progress: Progress | None = None) -> 
     return finish(out, export(digits=digits), record(), digits)
 
 
-def make_env(arguments: Arguments) -> VecMonitor:
-    """The environments that a run trains in, monitored.
+def make_env(arguments: Arguments) -> PlayerVecEnv | MixedPlayerVecEnv:
+    """The environments that a run trains in.
 
     Raises:
         ValueError: for an unknown scenario or track, scenarios that no policy can share, or a number of environments
@@ -115,7 +114,7 @@ def make_env(arguments: Arguments) -> VecMonitor:
         )
         for name in arguments.scenarios
     ]
-    return VecMonitor(parts[0] if len(parts) == 1 else MixedPlayerVecEnv(parts))
+    return parts[0] if len(parts) == 1 else MixedPlayerVecEnv(parts)
 
 
 def settings(arguments: Arguments, layout: ObservationLayout) -> dict[str, Any]:

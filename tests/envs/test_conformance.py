@@ -64,6 +64,17 @@ def test_rendering(name):
     render_test(partial(aec_env, SCENARIOS[name]))
 
 
+@pytest.mark.parametrize("name", ["energy", "robots"])
+def test_pictures_name_the_players_as_agents(name):
+    env = parallel_env(name, render_mode="rgb_array")
+    env.reset(seed=0)
+    env.render()
+    axes, graph = env._renderer._figure.axes[0], env._renderer._figure.axes[-1]
+    assert [text.get_text() for text in axes.get_legend().get_texts()] == env.possible_agents
+    assert [f"player_{text.get_text()}" for text in graph.texts] == env.possible_agents
+    env.close()
+
+
 @pytest.mark.parametrize("name", SCENARIOS)
 def test_constructors_make_both_forms(name):
     turn_based, parallel = aec_env(SCENARIOS[name]), parallel_env(SCENARIOS[name])

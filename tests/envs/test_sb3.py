@@ -13,7 +13,7 @@ from stable_baselines3.common.callbacks import EvalCallback
 from stable_baselines3.common.evaluation import evaluate_policy
 from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import VecMonitor, VecNormalize
-from test_parallel import arrays_in, same
+from test_parallel import arrays_in, pickled, same
 from worlds import BLOCKS, make_env
 
 from ptne_env import FactorySpec, Interface, PolicySpec, VectorParallelEnv, evaluate, get_scenario, laws
@@ -144,6 +144,20 @@ def test_returned_arrays_never_change_later():
         kept.append(copy.deepcopy(step))
     assert same(record, kept)
     assert all(array.flags.c_contiguous for step in record for array in arrays_in(step))
+
+
+@pytest.mark.parametrize("copied", [copy.copy, copy.deepcopy, pickled])
+@pytest.mark.parametrize("make", [PlayerVecEnv, lambda name: MixedPlayerVecEnv([PlayerVecEnv(name)])])
+def test_a_copy_steps_on_its_own(make, copied):
+    env, undisturbed = make("energy"), make("energy")
+    for each in (env, undisturbed):
+        each.seed(0)
+        each.reset()
+    twin, actions = copied(env), np.ones((5, 5), dtype=np.float32)
+    expected = undisturbed.step(actions)
+    assert same(twin.step(actions), expected)
+    assert same(env.step(actions), expected)
+    assert twin.get_attr("scenario") == env.get_attr("scenario")
 
 
 def test_attributes_and_methods_are_those_of_the_environments():

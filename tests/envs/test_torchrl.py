@@ -1,4 +1,6 @@
-"""The batched environment of TorchRL: keys, equality with arrays, memory, partial resets, and bad input."""
+"""The batched environment of TorchRL: keys, equality with arrays, memory, partial resets, copies, and bad input."""
+
+import copy
 
 import gymnasium
 import numpy as np
@@ -107,8 +109,8 @@ def test_no_later_step_or_reset_changes_a_frame():
         present, following = env.step_and_maybe_reset(acting(env, following, generator)[0])
         frames.append((present, present.clone()))
     assert sum(bool(frame["next", "done"].any()) for frame, _ in frames) > 2
-    for frame, copy in frames:
-        assert (frame == copy).all()
+    for frame, kept in frames:
+        assert (frame == kept).all()
 
 
 def test_no_two_tensors_share_memory():
@@ -163,6 +165,16 @@ def test_a_seed_counts_up_by_environment_and_holds_for_one_start_of_each():
     assert torch.equal(first[0], starts[0][0])
     assert torch.equal(then[1:], starts[0][1:])
     assert not torch.equal(then[0], starts[0][0])
+
+
+@pytest.mark.parametrize("copied", [copy.copy, copy.deepcopy])
+def test_a_copy_steps_on_its_own(copied):
+    env, undisturbed = make(), make()
+    before, expected = env.reset(seed=0), undisturbed.reset(seed=0)
+    twin = copied(env)
+    for each, tensordict in ((undisturbed, expected), (env, before.clone()), (twin, before)):
+        acting(each, tensordict, np.random.default_rng(0))
+        assert (each.step(tensordict)["next", REWARD] == expected["next", REWARD]).all()
 
 
 # --- devices ----------------------------------------------------------------------------------------------------------

@@ -154,7 +154,7 @@ def test_results_that_ask_for_too_much_work_are_refused(tmp_path, change, messag
 
 def test_a_check_finds_the_suite_of_a_comparison_and_of_a_name_by_itself(tmp_path):
     results = evaluate(["static"], ["energy"], episodes=2, hold_steps=3, folder=tmp_path)
-    assert len(check(written(results, tmp_path)).repetitions) == 2
+    assert len(check(written(results, tmp_path)).repetitions) == 1
     other = tmp_path / "suite"
     written(run_suite("ptne-v1", [], tracks=["nominal"], episodes=1, folder=other), other)
     assert check(other, sample=9).passes()
@@ -162,7 +162,9 @@ def test_a_check_finds_the_suite_of_a_comparison_and_of_a_name_by_itself(tmp_pat
 
 def test_the_choice_of_tuned_laws_is_rebuilt_from_their_trials(tmp_path, monkeypatch):
     monkeypatch.setattr(tuning, "VALIDATION_EPISODES", 3)
-    path = written(evaluate(["ppo-random-energy"], ["random-energy"], episodes=3, folder=tmp_path), tmp_path)
+    path = written(
+        evaluate(["ppo-random-energy"], ["random-energy"], episodes=3, against_laws=True, folder=tmp_path), tmp_path
+    )
     assert check(path, sample=2).passes()
     data = json.loads(path.read_text(encoding="utf-8"))
     weak = data["tuned_laws"]["random-energy"]["all"]
@@ -175,7 +177,9 @@ def test_trials_that_older_results_list_beside_a_published_choice_are_no_fault(t
     paper = tuning.Tunable.of("Static", is_of_paper=True, kappa=(0.05, 50.0))
     monkeypatch.setattr(tuning, "FIELD", (paper, tuning.Tunable.of("Routed", step=(0.003, 3.0))))
     monkeypatch.setattr(tuning, "BUDGET", tuning.Budget())
-    path = written(evaluate(["ppo-random-energy"], ["random-energy"], episodes=3, folder=tmp_path), tmp_path)
+    path = written(
+        evaluate(["ppo-random-energy"], ["random-energy"], episodes=3, against_laws=True, folder=tmp_path), tmp_path
+    )
     data = json.loads(path.read_text(encoding="utf-8"))
     assert data["trials"] == {"random-energy": []}
     data["trials"]["random-energy"] = ["0" * 64]

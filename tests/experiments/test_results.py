@@ -61,6 +61,14 @@ def test_a_notebook_shows_a_table_in_which_names_are_text(results):
     assert "<small>digits, 6 episodes</small>" in html
 
 
+def test_the_printed_text_names_failures_with_their_reasons(results):
+    reason = "step 3: it answered with an action that is not finite"
+    failed = dataclasses.replace(results, failures={("non-quadratic", "mine"): reason})
+    _, energy, other = str(failed).split("\n\n")
+    assert other.splitlines()[-1] == f"  mine failed: {reason}"
+    assert "failed" not in energy
+
+
 def test_the_figure_has_a_panel_per_track_and_a_point_per_policy(results):
     figure = results.plot()
     panels = [axes for axes in figure.axes if axes.axison]

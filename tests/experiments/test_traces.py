@@ -73,7 +73,7 @@ def test_consensus_gains_are_those_of_the_law():
 
 
 def test_the_tuned_laws_are_drawn_beside_a_learned_policy():
-    results = evaluate(["ppo-random-energy"], [get_scenario("random-energy", steps=40)], episodes=2)
+    results = evaluate(["ppo-random-energy"], [get_scenario("random-energy", steps=40)], episodes=2, against_laws=True)
     scene = scenes(results)["random-energy"]
     assert list(scene.traces) == ["ppo-random-energy", "best of the paper's laws", "best of all laws"]
 

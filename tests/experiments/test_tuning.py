@@ -47,7 +47,9 @@ def results():
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(tuning, "VALIDATION_EPISODES", 20)
         scenario = ptne_env.get_scenario("random-energy")
-        return evaluate(["static", "oracle", PolicySpec("copy", Copy)], [scenario], episodes=40, seed=1)
+        return evaluate(
+            ["static", "oracle", PolicySpec("copy", Copy)], [scenario], episodes=40, seed=1, against_laws=True
+        )
 
 
 def search(member, scenario="random-energy", hold_steps=0, **budget):
@@ -253,7 +255,7 @@ def test_the_tuned_laws_stand_in_the_file_with_their_parameters(results):
 
 def test_tuning_does_not_depend_on_the_seed_of_the_comparison(results, monkeypatch):
     monkeypatch.setattr(tuning, "VALIDATION_EPISODES", 20)
-    other = evaluate([PolicySpec("copy", Copy)], [ptne_env.get_scenario("random-energy")], episodes=3, seed=99)
+    other = evaluate([PolicySpec("copy", Copy)], ["random-energy"], episodes=3, seed=99, against_laws=True)
     for group, law in other.tuned["random-energy"].items():
         assert law.policy == results.tuned["random-energy"][group].policy
 

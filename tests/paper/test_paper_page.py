@@ -8,6 +8,7 @@ import pytest
 
 from ptne_env.paper.figures import FIGURES
 from ptne_env.paper.page import render_page
+from ptne_env.report.html import indexed
 from ptne_env.style import INK
 
 
@@ -26,12 +27,27 @@ def test_every_figure_has_the_papers_caption_and_its_verdicts(text, claims):
     for section, spec in zip(sections, FIGURES, strict=True):
         shown = read(section)
         assert f'">{spec.number} ' in shown
-        assert spec.original in shown
-        assert f"Ours: {spec.caption}" in shown
+        assert read(indexed(spec.original)) in shown
+        assert f"Ours: {read(indexed(spec.caption))}" in shown
+        assert re.search(r"\bruns?\b", spec.caption), "a caption says how many runs the figure shows"
         assert spec.claims
         for name in spec.claims:
-            assert re.search(rf"{re.escape(name)} (holds|fails|confirmed) {re.escape(claims[name].finding)}", shown)
+            assert re.search(
+                rf"{re.escape(name)} (holds|fails|confirmed) {re.escape(read(indexed(claims[name].finding)))}", shown
+            )
     assert [spec.number for spec in FIGURES[:10]] == [f"Fig. {number}" for number in range(1, 11)]
+
+
+@pytest.mark.parametrize(
+    ("text", "shown"),
+    [
+        ("x^i_j(t), κ_ij", "x<sup>i</sup><sub>j</sub>(t), κ<sub>ij</sub>"),
+        ("(T−t)^-0.719; e^{(1−2r)s}", "(T−t)<sup>−0.719</sup>; e<sup>(1−2r)s</sup>"),
+        ("e^(0.4 s) < 1 of ptne_env", "e<sup>0.4 s</sup> &lt; 1 of ptne_env"),
+    ],
+)
+def test_indices_and_exponents_stand_below_and_above_the_line(text, shown):
+    assert indexed(text) == shown
 
 
 def test_every_claim_and_erratum_has_its_verdict(text, claims):
@@ -41,7 +57,7 @@ def test_every_claim_and_erratum_has_its_verdict(text, claims):
     for (_, article), claim in zip(articles, claims.values(), strict=True):
         shown = read(article)
         for part in (claim.name, claim.statement, claim.criterion, claim.finding):
-            assert part in shown
+            assert read(indexed(part)) in shown
         assert f'{claim.verdict}">{words[claim.name.startswith("Erratum")][claim.verdict]}</strong>' in article
     assert set(re.findall(r'href="#(claim-\d+)"', text)) <= {identifier for identifier, _ in articles}
 

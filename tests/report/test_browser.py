@@ -81,7 +81,7 @@ def test_player_shows_the_instant_of_the_slider(visit, comparison_report):
         strategies = cards.first.locator("tbody tr td:nth-child(2)").all_text_contents()
         for component, text in enumerate(strategies):
             assert float(text) == pytest.approx(trace.strategies[component, frame], rel=5e-3)  # three digits
-        links = [f"{i + 1}–{j + 1}" for (i, j), up in zip(scene.links, scene.live[:, frame], strict=True) if up]
+        links = [f"{i}–{j}" for (i, j), up in zip(scene.links, scene.live[:, frame], strict=True) if up]
         caption = cards.first.locator("figcaption", has_text="Live links").text_content()
         assert caption == f"Live links: {', '.join(links)}"
         assert cards.first.locator("line.up").count() == len(links)
@@ -114,11 +114,11 @@ def test_a_figure_without_policies_says_so(visit):
     section.locator(".annotation-text", has_text="No policy is chosen").wait_for()
 
 
-def test_players_are_numbered_from_1(visit):
+def test_players_have_the_numbers_of_their_agents(visit):
     page = visit("comparison")
     card = page.locator("#player-cards .card").first
     card.locator("summary").click()
-    numbers = ["1", "2", "3", "4", "5"]
+    numbers = ["0", "1", "2", "3", "4"]  # player_0 …
     assert card.locator("svg text.name").all_text_contents() == numbers
     assert card.locator("tbody th").all_text_contents() == numbers
 

@@ -19,6 +19,7 @@ from ptne_env.experiments.metrics import number
 from ptne_env.experiments.traces import scenes
 from ptne_env.report import page
 from ptne_env.report.answer import answer
+from ptne_env.report.html import with_minus_signs
 from ptne_env.report.pages import report
 from ptne_env.style import COLOURS, DARK, LIGHT
 
@@ -140,7 +141,7 @@ def test_page_shows_every_record(comparison, pages):
     texts = {text for _, text in pages["comparison"].all("td")}
     for record in comparison.records:
         if record["mean"] is not None:
-            assert any(text.startswith(number(record["mean"])) for text in texts)
+            assert any(text.startswith(with_minus_signs(number(record["mean"]))) for text in texts)
 
 
 def test_a_page_says_that_no_command_repeats_what_was_made_in_python(comparison, comparison_scenes, pages):
@@ -260,3 +261,11 @@ def test_page_declares_both_colour_schemes(page_file):
     text = page_file("comparison").read_text(encoding="utf-8")
     for scheme in (LIGHT, DARK):
         assert f":root {{ {' '.join(f'--{role}: {colour};' for role, colour in scheme.items())}" in text
+
+
+def test_the_player_shows_the_entry_that_the_answer_names_where_several_are_closest():
+    results = evaluate(["grounded", "contact-relay"], ["energy", "energy-switching"], episodes=2)
+    first, second = (results.record("energy", name, "digits")["mean"] for name in results.policies)
+    assert first == second
+    assert answer(results)[0].startswith("contact-relay is the closest")
+    assert [section.picked[0] for section in report(results, scenes(results)).sections] == ["contact-relay"] * 2

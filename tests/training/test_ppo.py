@@ -12,6 +12,7 @@ from processes import KILLS, kill_at_random_moments, run_python, start_python
 torch = need_sb3()
 
 from stable_baselines3 import PPO
+from stable_baselines3.common.vec_env import VecMonitor
 
 import ptne_env
 from ptne_env import Interface, PolicySpec, evaluate, policies
@@ -319,6 +320,13 @@ def test_environments_are_shared_evenly_by_the_scenarios():
     names = ("random-energy", "ptne-v1/coarse-step")
     env = ppo.make_env(Arguments(names, envs=4))
     assert [scenario.steps for scenario in env.get_attr("scenario")] == [400] * 10 + [150] * 10
+
+
+@pytest.mark.parametrize("names", [("random-energy",), ("random-energy", "ptne-v1/coarse-step")])
+def test_statistics_of_episodes_are_kept_once(names):
+    env = ppo.make_env(Arguments(names, envs=2))
+    assert isinstance(env, VecMonitor)
+    assert not isinstance(env.venv, VecMonitor)
 
 
 def test_the_reported_digits_are_those_of_the_steps_of_the_last_episode_length(tmp_path, monkeypatch):

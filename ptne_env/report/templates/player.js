@@ -57,7 +57,7 @@ function lineChart([axisName, x], deadline, series, options) {
   };
   for (const tick of ticks) {
     svg.append(drawn("line", { class: "grid", x1: LEFT, x2: right, y1: py(tick), y2: py(tick) }));
-    write(written(tick), LEFT - 5, py(tick) + 4, "end");
+    write(written(tick).replace("-", "−"), LEFT - 5, py(tick) + 4, "end");
   }
   write(number(from), px(from), height - 5, "start");
   write(number(to), px(to), height - 5, "end");
@@ -126,7 +126,7 @@ function plane(scene, name) {
   return { height, place, marks, label: `Map of the players, ${name}` };
 }
 
-/** The players, numbered from 1 as in the paper, and the links between them. */
+/** The players with the numbers of their agents, and the links between them. */
 function network(scene, { height, place, marks, label }) {
   const crowded = scene.players > 20;
   const svg = drawn("svg", { viewBox: `0 0 ${WIDTH} ${height}`, role: "img", "aria-label": label });
@@ -137,7 +137,7 @@ function network(scene, { height, place, marks, label }) {
   const nodes = Array.from({ length: scene.players }, (_, player) => {
     const node = svg.appendChild(drawn("circle", { class: "node", r, stroke: colourOf(player) }));
     if (crowded) return [node];
-    return [node, svg.appendChild(drawn("text", { class: "name", "text-anchor": "middle" }, String(player + 1)))];
+    return [node, svg.appendChild(drawn("text", { class: "name", "text-anchor": "middle" }, String(player)))];
   });
   const set = (part, attributes) => {
     for (const [key, value] of Object.entries(attributes)) part.setAttribute(key, value);
@@ -156,6 +156,8 @@ function network(scene, { height, place, marks, label }) {
   };
   return { svg, move };
 }
+
+const powerOfTen = (power) => `10${[...String(power)].map((sign) => sign === "-" ? "⁻" : "⁰¹²³⁴⁵⁶⁷⁸⁹"[sign]).join("")}`;
 
 /** A chart of strategies and estimates, or of their distances from the equilibrium in powers of ten. */
 function positions(scene, name, x, view) {
@@ -176,7 +178,7 @@ function positions(scene, name, x, view) {
   const series = [...others, ...own], [low, high] = extent(series.map(({ y }) => y));
   if (isDistance) {
     const label = `Distances from the Nash equilibrium of strategies and estimates, ${name}`;
-    const options = { height: 220, low, high, ticks: niceTicks(low, high), written: (power) => `1e${power}`, label };
+    const options = { height: 220, low, high, ticks: niceTicks(low, high), written: powerOfTen, label };
     return lineChart(x, scene.deadline, series, options);
   }
   const [least, most] = extent([nash, ...series.map(({ y }) => [y[0]])]), room = 2 * (most - least) || 1;
@@ -223,7 +225,7 @@ function numbersAt(scene, name) {
   const cells = offsets.map((_, component) => {
     const owner = owners[component], first = owners.indexOf(owner), alone = owners.lastIndexOf(owner) === first;
     const row = body.insertRow();
-    const textContent = alone ? String(owner + 1) : `${owner + 1} (${component - first + 1})`;
+    const textContent = alone ? String(owner) : `${owner}[${component - first}]`;
     row.append(element("th", { scope: "row", textContent }));
     return [0, 1, 2, 3].map(() => row.insertCell());
   });
@@ -265,7 +267,7 @@ function card(scene, name, axisName, view) {
     for (const part of [position, input, gain, net, numbers]) part.move(frame);
     const error = errors[frame];
     readout.textContent = error <= -12 ? "error below 1e-12" : `error ${number(10 ** error, 2)}`;
-    const up = liveLinks(scene, frame).map((index) => scene.links[index].map((player) => player + 1).join("–"));
+    const up = liveLinks(scene, frame).map((index) => scene.links[index].join("–"));
     const listed = up.length > 12 ? `${up.length} of ${scene.links.length}` : up.join(", ") || "none";
     links.textContent = `${scene.in_plane ? MAP : ""}Live links: ${listed}`;
   };
