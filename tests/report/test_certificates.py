@@ -71,7 +71,7 @@ def test_conditions_that_are_necessary_say_that_the_law_does_not_settle():
 
 def test_the_grounded_condition_shows_its_eigenvalue():
     table = rows(certify(get_scenario("energy"), law="Grounded"))
-    assert table["κ > ((ι + √(N−1) ι_F)²/(4ε) + √(N−1) ι)/λ, λ = 0.382"].startswith("2.00 against 18.7: fails")
+    assert table["κ > ((ι + √(N−1) ι_F)²/(4ε) + √(N−1) ι)/λ, λ = 0.586"].startswith("2.00 against 18.7: fails")
 
 
 def test_zero_input_promises_nothing():
