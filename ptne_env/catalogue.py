@@ -129,10 +129,20 @@ def get_scenario(scenario: str | Scenario, **overrides: Any) -> Scenario:
     """A scenario by name (or as it is), with some fields changed: ``get_scenario("energy", start="random")``.
 
     Raises:
+        TypeError: for anything but a name or a scenario.
         ValueError: for an unknown name or field.
     """
     if isinstance(scenario, str):
         if scenario not in CATALOGUE:
+            suite, separator, track = scenario.partition("/")
+            if separator:
+                raise ValueError(
+                    f"{scenario!r} is no scenario; if it is the track of a suite, give "
+                    f"ptne_env.experiments.get_suite({suite!r}).track({track!r}).scenario"
+                )
             raise ValueError(unknown_name("scenario", scenario, CATALOGUE))
         scenario = CATALOGUE[scenario]
+    if not isinstance(scenario, Scenario):  # an environment, for example
+        given = type(scenario).__name__
+        raise TypeError(f"a scenario is a name or a Scenario, such as env.scenario of an environment; got a {given}")
     return scenario.replace(**overrides)

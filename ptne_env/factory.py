@@ -273,7 +273,8 @@ class FactorySpec:
         except (TypeError, AttributeError, LookupError, ArithmeticError) as error:  # typical effects of wrong arguments
             if not arguments and not isinstance(error, TypeError):
                 raise  # without arguments the mistake is in the target
-            raise ValueError(f"part {self.target!r} refuses its arguments {sorted(arguments)}: {error}") from error
+            given = sorted(arguments | extra)
+            raise ValueError(f"part {self.target!r} refuses its arguments {given}: {error}") from error
 
     def to_dict(self) -> dict[str, Any]:
         """A JSON object ``{"target": ..., "arguments": {...}}``."""

@@ -32,6 +32,35 @@ def printable(text: str) -> str:
     return "".join(character if character.isprintable() else " " for character in beginning)
 
 
+def decision(
+    policy: Policy,
+    observation: npt.NDArray[np.float32],
+    state: Any,
+    episode_start: BoolArray | None,
+    *,
+    deterministic: bool,
+) -> tuple[Any, Any]:
+    """The answer of a policy: actions, and the memory for the next call; the arguments are those of ``predict``.
+
+    Raises:
+        PolicyError: when the answer is no pair.
+    """
+    answer = policy.predict(observation, state, episode_start, deterministic=deterministic)
+    return pair(answer, "predict returns (actions, state)")
+
+
+def pair(answer: Any, expected: str) -> tuple[Any, Any]:
+    """An answer of a user's code that must be a pair.
+
+    Raises:
+        PolicyError: when it is something else; the error says what is ``expected``.
+    """
+    if not (isinstance(answer, tuple | list) and len(answer) == 2):
+        found = f"{len(answer)} values" if isinstance(answer, tuple | list) else f"a {type(answer).__name__} alone"
+        raise PolicyError(f"{expected}, got {found}")
+    return answer[0], answer[1]
+
+
 @runtime_checkable
 class Policy(Protocol):
     """Stable-Baselines3's ``predict``: SB3 models are policies, and SB3's tools accept laws as models."""

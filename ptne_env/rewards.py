@@ -39,8 +39,14 @@ def parse_reward(reward: str | Mapping[str, float]) -> dict[str, float]:
     """A reward's weights by term; a bare name means weight 1.
 
     Raises:
+        TypeError: for anything but a name and a mapping.
         ValueError: for an unknown term, no term, or a weight that is negative (divergence would pay) or not finite.
     """
+    if not isinstance(reward, str | Mapping):
+        raise TypeError(
+            f"reward is one of {', '.join(TERMS)}, or weights by name such as {{'digits': 1.0, 'payoff': 0.1}}, got "
+            f"{reward!r}; another reward is a wrapper of the environment (docs/adding-parts.md)"
+        )
     weights = {reward: 1.0} if isinstance(reward, str) else dict(reward)
     unknown = sorted(set(weights) - set(TERMS))
     if unknown or not weights:

@@ -9,6 +9,8 @@ from dataclasses import dataclass
 from types import FunctionType
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from ptne_env.arrays import require_printable
 from ptne_env.factory import FactorySpec, Part
 from ptne_env.names import unknown_name
@@ -36,6 +38,13 @@ SHORT_NAMES: Mapping[str, Mapping[str, FactorySpec]] = {
 """The fields of a scenario that name a part, and the short names that each accepts."""
 
 
+_ARRAYS = {
+    "topology": ("ptne_env.graphs:Graph", "adjacency"),
+    "start": ("ptne_env.starts:FixedStart", "estimates"),
+}
+"""The parts that an array makes: their target, and the argument that is the array."""
+
+
 def _as_factory(field: str, value: Any) -> FactorySpec:
     if isinstance(value, FactorySpec):
         return value
@@ -51,6 +60,9 @@ def _as_factory(field: str, value: Any) -> FactorySpec:
         raise ValueError(f"{field} is {', '.join(choices[:-1])} or {choices[-1]}; got {value!r}")
     if isinstance(value, Part | type | FunctionType):
         return FactorySpec.naming(value)
+    if isinstance(value, np.ndarray) and field in _ARRAYS:
+        target, argument = _ARRAYS[field]
+        return FactorySpec.of(target, **{argument: value})
     raise ValueError(
         f"{field} is an object of the library's class for it, a 'module:object' string or a FactorySpec, "
         f"got a {type(value).__name__}"
@@ -71,8 +83,10 @@ class Scenario:
         name: for tables and files.
         game: builds a :class:`~ptne_env.games.Game`, or a :class:`~ptne_env.games.GameFamily` of which every episode
             draws one game.
-        topology: builds a :class:`~ptne_env.switching.SwitchingTopology` on the game's players.
-        start: builds a :class:`~ptne_env.starts.Start`; ``"paper"`` or ``"random"`` (every estimate U(−20, 20)).
+        topology: builds a :class:`~ptne_env.switching.SwitchingTopology` on the game's players, or a
+            :class:`~ptne_env.graphs.Graph` that never changes; also the array a_ij of such a graph, (N, N).
+        start: builds a :class:`~ptne_env.starts.Start`; ``"paper"`` or ``"random"`` (every estimate U(−20, 20)); also
+            an array (N, n), row i being x^i(0).
         transformation: builds λ from ``deadline``; ``"exponential"`` (paper), ``"rational"`` or ``"tanh"``.
         deadline: T in seconds.
         gain: c in 1/s, the constant part of the prescribed-time gain.

@@ -19,11 +19,12 @@ from ptne_env.disturbances import Disturbance
 from ptne_env.drift import Drift
 from ptne_env.factory import FactorySpec
 from ptne_env.games import Game, GameFamily, SingleGame, require_strong_monotonicity
+from ptne_env.graphs import Graph
 from ptne_env.random_streams import RandomStreams
 from ptne_env.scenario import Scenario
 from ptne_env.sensor import Sensor
 from ptne_env.starts import Start
-from ptne_env.switching import Schedule, SwitchingTopology
+from ptne_env.switching import Schedule, SwitchingTopology, fixed
 
 RANGE_LIMIT = 5e5
 """An estimate or own gradient outside ±RANGE_LIMIT, or not finite, has diverged."""
@@ -123,7 +124,12 @@ class World:
         if isinstance(built, Game):
             built = SingleGame(built)
         self.game_family: GameFamily = self._require(built, scenario.game, GameFamily, "Game or GameFamily")
-        self.topology: SwitchingTopology = self._build(scenario.topology, SwitchingTopology)
+        links = scenario.topology.build()
+        if isinstance(links, Graph):
+            links = fixed(links)
+        self.topology: SwitchingTopology = self._require(
+            links, scenario.topology, SwitchingTopology, "SwitchingTopology or Graph"
+        )
         self.start: Start = self._build(scenario.start, Start)
         self.channel: Channel = self._build(scenario.channel, Channel)
         self.disturbance: Disturbance = self._build(scenario.disturbance, Disturbance)

@@ -313,6 +313,16 @@ def test_json_on_stdout_is_json_alone_when_other_code_prints(command, own_module
     assert "making a policy" not in outcome.stderr  # the output of a foreign policy is not shown
 
 
+def test_a_scenario_of_an_own_module_is_compared(tmp_path):
+    text = (
+        "from ptne_env import get_scenario\n\nmine = get_scenario('energy', name='mine', start='random', steps=120)\n"
+    )
+    (tmp_path / "own_world.py").write_text(text, encoding="utf-8")
+    words = ("compare", "own_world:mine", "energy", "--policy", "static", "--episodes", "2", "--jobs", "1", "--trust")
+    outcome = ptne(*words, "--json", "-", cwd=tmp_path)
+    assert {record["track"] for record in json.loads(outcome.stdout)["records"]} == {"mine", "energy"}
+
+
 def test_a_module_in_the_current_folder_is_found_by_the_installed_command(own_module):
     code = "import sys; sys.argv[0] = 'ptne'; from ptne_env.cli import main; main()"
     arguments = ("render", "energy", "talkative:make", "--trust", "--out", "run.html")

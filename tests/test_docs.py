@@ -172,7 +172,8 @@ def test_commands_exist_with_the_named_scenarios_tracks_and_policies(document):
         scenarios, policies = parameters.get("scenario") or (), parameters.get("policy") or ()
         tracks = [track.name for track in get_suite("ptne-v1").tracks] if parameters.get("suite") else world_names()
         places = [scenarios] if isinstance(scenarios, str) else [*scenarios, *(parameters.get("track") or ())]
-        assert {name for name in places if not name.rpartition("/")[2].isupper()} <= set(tracks), arguments
+        named = {name for name in places if not (":" in name or name.rpartition("/")[2].isupper())}
+        assert named <= set(tracks), arguments
         policies = [policies] if isinstance(policies, str) else policies
         names = {name for names in policies for name in names.split(",") if not re.search(r"[:.=]", name)}
         assert names <= set(POLICIES) | set(shipped()), arguments

@@ -13,8 +13,9 @@ from ptne_env.catalogue import CATALOGUE
 from ptne_env.experiments import get_suite, suite_policies
 from ptne_env.factory import foreign_targets, is_part, resolve
 from ptne_env.games import AffineGame, EnergyGame, RandomEnergy
-from ptne_env.starts import UniformStart
+from ptne_env.starts import FixedStart, UniformStart
 from ptne_env.switching import SwitchingTopology
+from ptne_env.world import World
 
 scalars = st.none() | st.booleans() | st.integers() | st.floats(allow_nan=False, allow_infinity=False) | st.text()
 names = st.from_regex(r"[a-z][a-z_]{0,8}", fullmatch=True)
@@ -96,6 +97,11 @@ def test_missing_target_is_named(target, message):
 def test_refused_arguments_are_named():
     with pytest.raises(ValueError, match=r"refuses its arguments \['colour'\]"):
         FactorySpec.of("ptne_env.graphs:cycle", colour="red").build()
+
+
+def test_arguments_of_the_caller_are_named_too():
+    with pytest.raises(ValueError, match=r"refuses its arguments \['layout'\]: .*no keyword arguments"):
+        FactorySpec.of("builtins:range").build(layout=5)
 
 
 @pytest.mark.parametrize("data", [{}, {"target": "a:b", "argument": {}}, {"arguments": {}}])
@@ -285,6 +291,16 @@ def test_a_scenario_takes_parts_by_object_and_class():
     assert given == named
     assert hash(given) == hash(named)
     assert Scenario.from_json(given.to_json()) == named
+
+
+def test_a_scenario_takes_a_graph_as_topology_and_arrays():
+    ring, table = graphs.cycle(5), np.arange(25.0).reshape(5, 5)
+    expected = World(get_scenario("energy", topology=switching.fixed(ring), start=FixedStart(table)))
+    for topology in (ring, ring.adjacency, FactorySpec.of("ptne_env.graphs:cycle", players=5)):
+        scenario = get_scenario("energy", topology=topology, start=table)
+        world = World(Scenario.from_json(scenario.to_json()))
+        assert world.topology.graphs == expected.topology.graphs
+        assert np.array_equal(world.start.draw(5, 5, None), table.T)
 
 
 def test_something_else_in_the_place_of_a_part_is_refused():

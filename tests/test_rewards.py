@@ -3,6 +3,7 @@ import pytest
 from test_dynamics import large_energy_scenario
 from worlds import BLOCKS, constant_actions, make_env, play, while_running
 
+import ptne_env
 from ptne_env import distances, dynamics, get_scenario, laws
 from ptne_env.games import NoBestResponseError
 from ptne_env.random_streams import RandomStreams
@@ -246,6 +247,12 @@ def test_unknown_rewards_are_refused(reward, message):
 def test_regret_is_refused_where_no_best_response_exists(name, reward):
     with pytest.raises(NoBestResponseError, match="choose digits, tracking or payoff"):
         make_env(name, reward=reward)
+
+
+@pytest.mark.parametrize("reward", [lambda *_: 0.0, ["digits", "payoff"], None])
+def test_a_reward_of_another_type_is_refused_with_the_way_to_define_one(reward):
+    with pytest.raises(TypeError, match="reward is one of digits, .* got .*; another reward is a wrapper"):
+        ptne_env.parallel_env("energy", reward=reward)
 
 
 def test_distances_alone_give_the_rewards_that_need_no_more():

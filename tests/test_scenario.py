@@ -8,6 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from worlds import BLOCKS, FROM_THE_PAPER, PAPER_START
 
+import ptne_env
 from ptne_env import CATALOGUE, FactorySpec, Scenario, get_scenario
 from ptne_env.games import EnergyGame, NonQuadraticGame
 from ptne_env.graphs import cycle
@@ -194,6 +195,7 @@ def test_a_shortfall_above_one_percent_is_a_warning():
 
 REFUSED = {
     "unknown scenario": (lambda: get_scenario("enrgy"), "unknown scenario 'enrgy'; did you mean 'energy'"),
+    "track of a suite": (lambda: get_scenario("ptne-v1/delay"), r"get_suite\('ptne-v1'\).track\('delay'\).scenario"),
     "unknown field": (lambda: get_scenario("energy", kappa=2), "unknown scenario field 'kappa'; choose from name, "),
     "unknown start": (lambda: get_scenario("energy", start="rnd"), "start is 'paper', 'random', a 'module:object'"),
     "unknown transformation": (lambda: get_scenario("energy", transformation="x"), "'exponential', 'rational', 'tanh'"),
@@ -289,6 +291,13 @@ def test_invalid_scenarios_are_refused_with_advice(name):
     build, message = REFUSED[name]
     with pytest.raises(ValueError, match=message):
         World(build())
+
+
+def test_an_environment_in_the_place_of_a_scenario_is_refused():
+    env = ptne_env.parallel_env("energy")
+    with pytest.raises(TypeError, match=r"such as env\.scenario of an environment; got a NashSeekingEnv"):
+        get_scenario(env)
+    assert get_scenario(env.scenario) == get_scenario("energy")
 
 
 def test_dwell_as_long_as_the_longest_step_is_allowed():

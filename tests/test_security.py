@@ -67,6 +67,7 @@ COMMANDS = {
     "archive": "compare --scenario energy --policy evil.zip",
     "pattern": "compare --scenario energy --policy mine=ev*.zip",
     "suite": "compare --suite evil:suite",
+    "scenario": "compare evil:scenario --policy static",
     "law": "certify energy --law evil:Law",
     "scenario of certify": "certify evil:suite/track",
     "scenario of render": "render evil:suite/track static --out run.html",

@@ -62,7 +62,7 @@ def _tracks_of(suite: str | None, names: list[str]) -> tuple[str | None, list[st
 def _require_scenario(name: str) -> None:
     if name in (*POLICIES, *learned.shipped()):
         raise ValueError(f"{name!r} is a policy, no scenario: write --policy {name}")
-    if name not in CATALOGUE:
+    if name not in CATALOGUE and ":" not in name:
         raise ValueError(unknown_name("scenario", name, world_names()))
 
 
@@ -72,8 +72,8 @@ def compare(
         list[str] | None,
         typer.Argument(
             metavar="[SCENARIO]...",
-            help="Scenarios by name, or tracks of one suite, such as ptne-v1/delay; with --suite the names of tracks. "
-            "All if left out. See 'ptne list'.",
+            help="Scenarios by name or 'module:object', or tracks of one suite, such as ptne-v1/delay; with --suite "
+            "the names of tracks. All if left out. See 'ptne list'.",
             autocompletion=_complete_track,
         ),
     ] = None,
@@ -162,7 +162,7 @@ def compare(
     suite, places = _tracks_of(suite, [*(scenario or ()), *(track or ())])
     names = [name for given in policy or () for name in given.split(",") if name]
     trust = options.trusted(
-        [*foreign_suites(suite), *(code for name in names for code in foreign_code(name))], trust=trust
+        [*foreign_suites(suite, *places), *(code for name in names for code in foreign_code(name))], trust=trust
     )
     chosen, tracks = _chosen(suite, places, episodes, hold_steps)
     folder = out or (None if json == STDOUT else Path("results") / chosen.name)

@@ -25,8 +25,8 @@ World: TypeAlias = Annotated[
     str,
     typer.Argument(
         metavar="SCENARIO",
-        help="A scenario by name, or a track such as ptne-v1/delay; see 'ptne list'. A track 'module:object/track' "
-        "runs code of that module.",
+        help="A scenario by name, or a track such as ptne-v1/delay; see 'ptne list'. A scenario 'module:object' and a "
+        "track 'module:object/track' run code of that module.",
         autocompletion=world_names,
     ),
 ]

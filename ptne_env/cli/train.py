@@ -29,8 +29,8 @@ def train(
     configuration: Annotated[
         str,
         typer.Argument(
-            help="A shipped configuration by name (such as random-energy), or a .toml file; with --from a scenario, "
-            "or a track such as ptne-v1/noise.",
+            help="A shipped configuration by name (such as random-energy), or a .toml file; or a scenario or track "
+            "(such as robots or ptne-v1/noise) for the default settings, and with --from.",
             autocompletion=training.all_configurations,
         ),
     ],

@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ptne_env.arrays import Float32Array, IntArray
-from ptne_env.policy import Policy, PolicyError
+from ptne_env.policy import Policy, PolicyError, decision
 
 WITNESSES = 8
 """Most witnesses of a thorough audit."""
@@ -57,8 +57,8 @@ class Witness:
         Raises:
             PolicyError: when a decision differs.
         """
-        again, self._memory = self._policy.predict(
-            observations[self._rows], self._memory, self._starts, deterministic=True
+        again, self._memory = decision(
+            self._policy, observations[self._rows], self._memory, self._starts, deterministic=True
         )
         self._starts = np.zeros_like(self._starts)
         if not np.array_equal(np.asarray(again), actions[self._rows]):

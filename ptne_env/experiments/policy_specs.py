@@ -19,6 +19,7 @@ from ptne_env.factory import LOADER, FactorySpec, is_part
 from ptne_env.files import require_file
 from ptne_env.names import unknown_name
 from ptne_env.observation import Interface, ObservationLayout
+from ptne_env.policies.archive import recognised_interface
 from ptne_env.policies.process import PolicySource, build, declared_interface, separate
 from ptne_env.policy import Policy, PolicyError
 
@@ -57,7 +58,7 @@ class PolicySpec:
             the class of a law), or a policy itself, such as a Stable-Baselines3 model; or a tuple of these, one per
             training seed.
         interface: makes its observations and decodes its actions; the policy's own attribute ``interface`` if left
-            out, and ``physical`` if it has none.
+            out, or the one that the spaces of a Stable-Baselines3 model belong to; ``physical`` if it has neither.
         scenarios: names of the scenarios it is run on, "n/a" elsewhere; all if ``None``.
         memory: what :attr:`has_memory` says of a file that is not here.
         description: one sentence, for lists; no part of the policy.
@@ -85,7 +86,7 @@ class PolicySpec:
                 interface = policies.load(file).interface
             else:
                 target = first.resolve() if isinstance(first, FactorySpec) else first
-                interface = getattr(target, "interface", Interface())
+                interface = getattr(target, "interface", None) or recognised_interface(target) or Interface()
             object.__setattr__(self, "interface", interface)
 
     @property
@@ -536,12 +537,17 @@ def get_policy_spec(policy: str | PolicySpec, *, trust: bool = False) -> PolicyS
     if policy in policies.shipped() or Path(policy).suffix == ".onnx":
         return replace(learned_policy(policy), scenarios=None)  # named, it is run wherever it fits
     if stores_code(policy):
-        if not trust:
-            raise ValueError(f"loading {policy!r} executes code that is stored in it: say that you trust it (--trust)")
         require_file(policy)
+        if not trust:
+            raise ValueError(
+                f"loading {policy!r} executes code that is stored in it; if you trust it: "
+                f"ptne_env.experiments.get_policy_spec({policy!r}, trust=True)"
+            )
         return PolicySpec(Path(policy).stem, FactorySpec.of(ARCHIVE, path=policy))
     if ":" in policy:
         return PolicySpec(policy, FactorySpec.of(policy))
+    if policy in CATALOGUE:
+        raise ValueError(f"{policy!r} is a scenario, no policy")
     raise ValueError(
         unknown_name("policy", policy, [*POLICIES, *policies.shipped()], "an .onnx file or a 'module:object'")
     )

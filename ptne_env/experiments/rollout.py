@@ -16,7 +16,7 @@ from ptne_env.dynamics import State
 from ptne_env.encoder import Encoder
 from ptne_env.experiments.audit import Witness
 from ptne_env.experiments.series import SERIES, Moment
-from ptne_env.policy import Policy, PolicyError, describe
+from ptne_env.policy import Policy, PolicyError, decision, describe
 from ptne_env.world import World
 
 
@@ -105,7 +105,9 @@ class Member:
     def _ask(self, observations: Float32Array) -> npt.NDArray[Any]:
         """The actions for observations of shape (R, size), checked and audited: shape (R, action size)."""
         started = perf_counter()
-        actions, self._memory = self.policy.predict(observations, self._memory, self._episode_start, deterministic=True)
+        actions, self._memory = decision(
+            self.policy, observations, self._memory, self._episode_start, deterministic=True
+        )
         self.seconds += perf_counter() - started
         self._episode_start = np.zeros_like(self._episode_start)
         chosen, expected = np.asarray(actions), (len(observations), self.encoder.layout.action_size)

@@ -275,13 +275,13 @@ class Suite:
 def comparison(scenarios: Iterable[str | Scenario], *, episodes: int = COMPARED_EPISODES, hold_steps: int = 0) -> Suite:
     """The suite of a comparison.
 
-    A scenario given by name is run from random starts. A :class:`~ptne_env.scenario.Scenario` is run as it is. A track
-    in which nothing is random has one episode.
+    A scenario of the catalogue is run from random starts. Any other, also a :class:`~ptne_env.scenario.Scenario`, is
+    run as it is. A track in which nothing is random has one episode.
 
     Args:
-        scenarios: names of the catalogue or scenarios.
+        scenarios: names as :func:`find_scenario` takes them, or scenarios.
         episodes: of every track in which something is random.
-        hold_steps: steps after the deadline for the scenarios given by name.
+        hold_steps: steps after the deadline for the scenarios of the catalogue.
 
     Raises:
         ValueError: for unknown or repeated names, or none.
@@ -297,6 +297,8 @@ def comparison(scenarios: Iterable[str | Scenario], *, episodes: int = COMPARED_
 
 
 def _comparison_track(scenario: str | Scenario, hold_steps: int) -> Track:
+    if isinstance(scenario, str) and (":" in scenario or "/" in scenario):
+        scenario = find_scenario(scenario)
     if isinstance(scenario, str):
         scenario = get_scenario(scenario, hold_steps=hold_steps)
         scenario = scenario if _world(scenario).is_random else scenario.replace(start="random")
@@ -323,11 +325,18 @@ def get_suite(suite: str | Suite) -> Suite:
     if suite not in SUITES and ":" not in suite:
         raise ValueError(unknown_name("suite", suite, SUITES, "a 'module:object'"))
     target = SUITES.get(suite, suite)
-    found = resolve(target)
-    made = _made(found) if callable(found) else found
+    made = _named(target)
+    if isinstance(made, Scenario):
+        raise ValueError(f"{target!r} is a Scenario, not a Suite: name it in the place of a scenario, without --suite")
     if not isinstance(made, Suite):
         raise ValueError(f"{target!r} is a {type(made).__name__}, not a Suite")
     return made
+
+
+def _named(target: str) -> Any:
+    """The object of a ``"module:object"``, or the result of a function without arguments."""
+    found = resolve(target)
+    return _made(found) if callable(found) else found
 
 
 @cache
@@ -336,7 +345,7 @@ def _made(make: Callable[[], Any]) -> Any:
 
 
 def foreign_suites(*names: str | None) -> list[str]:
-    """The ``"module:object"`` of the suites that are not published; nothing is imported.
+    """The ``"module:object"`` of scenarios, and of suites that are not published; nothing is imported.
 
     Args:
         names: of suites, scenarios or tracks, as :func:`get_suite` and :func:`find_scenario` take them.
@@ -351,12 +360,21 @@ def world_names() -> list[str]:
 
 
 def find_scenario(name: str) -> Scenario:
-    """A scenario of the catalogue by name, or of a track, such as ``"ptne-v1/delay"``.
+    """A scenario of the catalogue by name, of a track, such as ``"ptne-v1/delay"``, or by ``"module:object"``.
+
+    The object is a scenario, or a function without arguments that makes one.
 
     Raises:
-        ValueError: for an unknown name, or a track with teammates.
+        ValueError: for an unknown name, an object that is no scenario, or a track with teammates.
     """
     suite, separator, track = name.partition("/")
+    if not separator and ":" in name:
+        made = _named(name)
+        if isinstance(made, Suite):
+            raise ValueError(f"{name!r} is a Suite: name one of its tracks, such as '{name}/{made.tracks[0].name}'")
+        if not isinstance(made, Scenario):
+            raise ValueError(f"{name!r} is a {type(made).__name__}, not a Scenario")
+        return made
     if not separator:
         if name not in CATALOGUE:
             raise ValueError(unknown_name("scenario", name, world_names()))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -32,6 +33,11 @@ class GameReport:
     radially_unbounded: tuple[bool, ...]
     epsilon: float
 
+    def __repr__(self) -> str:
+        """The verdicts before the numbers that decide them."""
+        verdicts = {name: getattr(self, name) for name in ("gradients_agree", "assumption_3_holds")}
+        return f"GameReport({', '.join(f'{name}={value!r}' for name, value in (verdicts | vars(self)).items())})"
+
     @property
     def gradients_agree(self) -> bool:
         """Whether the own-gradients are the derivatives of the costs, to 1e-6."""
@@ -54,9 +60,15 @@ def check_game(game: Game, *, samples: int = 64, radius: float = 5.0, seed: int 
         radius: components are drawn from U(−radius, radius); with two bounds from the whole interval, with one bound
             from an interval of length 2 radius at it.
         seed: of the draws.
+
+    Raises:
+        ValueError: when costs or own gradients of many environments cannot be computed, or have another shape.
     """
     generator = np.random.default_rng(seed)
     points = _points(game, radius, generator.uniform(-radius, radius, (game.dimension, samples)))
+    estimates = np.repeat(points[:, None], game.num_players, axis=1)
+    _require_shape(game.costs, points, "(n, B)", (game.num_players, samples), "(N, B)")
+    _require_shape(game.own_gradients, estimates, "(n, N, B)", points.shape, "(n, B)")
     numerical = _gradients(game, points)
     error = float(np.max(np.abs(game.pseudo_gradient(points) - numerical) / (1 + np.abs(numerical))))
 
@@ -68,6 +80,19 @@ def check_game(game: Game, *, samples: int = 64, radius: float = 5.0, seed: int 
         convex.append(_strictly_convex(game, points, player, block, direction))
         unbounded.append(_radially_unbounded(game, points, player, block, direction))
     return GameReport(error, tuple(convex), tuple(unbounded), _slope(game, points))
+
+
+def _require_shape(
+    method: Callable[[FloatArray], FloatArray], given: FloatArray, axes: str, expected: tuple[int, ...], wanted: str
+) -> None:
+    """Check that a method of a game takes many environments at once; ``ValueError`` where it does not."""
+    rule = f"{method.__qualname__} maps {axes} = {given.shape} to {wanted} = {expected}, environments B last"
+    try:
+        found = np.shape(method(given))
+    except (TypeError, ValueError, LookupError) as error:
+        raise ValueError(f"{rule}; it raised {type(error).__name__}: {error}") from error
+    if found != expected:
+        raise ValueError(f"{rule}; it returned the shape {found}")
 
 
 def _slope(game: Game, points: FloatArray) -> float:

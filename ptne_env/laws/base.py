@@ -16,6 +16,7 @@ import numpy.typing as npt
 
 from ptne_env.arrays import BoolArray, Float32Array, FloatArray, require_non_negative
 from ptne_env.observation import Interface, LayoutError, Observation, ObservationLayout
+from ptne_env.policy import pair
 
 _BLOCK = 2**18
 """Numbers in the observations and memories of the players that decide at a time: their copies fit the cache."""
@@ -48,6 +49,8 @@ class Law(ABC):
 
     def __init__(self, layout: ObservationLayout) -> None:
         name = type(self).__name__
+        if not isinstance(layout, ObservationLayout):
+            raise TypeError(f"{name} is built from a layout, such as env.layout, got a {type(layout).__name__}")
         if layout.interface.action_mode != "input" and not self.acts_through_gains:
             raise LayoutError(f"{name} needs action_mode='input', this layout has {layout.interface.action_mode!r}")
         if self.needs_full_information and layout.interface.kind != "full":
@@ -91,7 +94,7 @@ class Law(ABC):
     def _decide(self, observations: npt.NDArray[np.float32], memory: Any) -> tuple[Float32Array, Any]:
         """Actions of R players, and their memory for the next step."""
         parsed = self.layout.read(observations)
-        inputs, memory = self.inputs(parsed, memory)
+        inputs, memory = pair(self.inputs(parsed, memory), f"{type(self).__name__}.inputs returns (inputs, memory)")
         return self._actions(inputs, parsed), memory
 
     def _continued(self, memory: Any, rows: int, episode_start: BoolArray | None) -> Any:

@@ -45,6 +45,13 @@ class Claim:
     finding: str
     measured: Mapping[str, Any] = field(default_factory=dict)
 
+    @property
+    def word(self) -> str:
+        """The verdict for readers: an erratum is confirmed or not, a claim of the paper holds or fails."""
+        if not self.name.startswith("Erratum"):
+            return self.verdict
+        return "confirmed" if self.verdict == "holds" else "not confirmed"
+
 
 Check: TypeAlias = Callable[[Experiments], Iterator[Claim]]
 """A measurement that decides some claims."""

@@ -134,7 +134,7 @@ def render(reproduction: Reproduction) -> tuple[Table, Table]:
         times.add_row(*cells)
     verdicts = Table(
         title="Claims and errata, each decided by measurement",
-        caption="An erratum holds when the measurement confirms what docs/errata.md says.",
+        caption="An erratum is confirmed when the measurement agrees with docs/errata.md.",
         show_lines=True,
     )
     verdicts.add_column("Claim", ratio=3)
@@ -142,5 +142,5 @@ def render(reproduction: Reproduction) -> tuple[Table, Table]:
     verdicts.add_column("Measured", ratio=6)
     for claim in reproduction.claims:
         colour = "green" if claim.verdict == "holds" else "red"
-        verdicts.add_row(Text(claim.name), Text(claim.verdict, style=colour), Text(claim.finding))
+        verdicts.add_row(Text(claim.name), Text(claim.word, style=colour), Text(claim.finding))
     return times, verdicts

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from gymnasium import spaces
 
 from ptne_env.arrays import BoolArray, Float32Array
 from ptne_env.files import require_file
@@ -28,16 +29,10 @@ class ArchivePolicy:
     def __init__(self, path: Path, network: Any) -> None:
         self.path = path
         self._network = network
-        observations, actions = network.observation_space, network.action_space
-        if len(observations.shape) != 1 or len(actions.shape or ()) != 1 or not hasattr(actions, "high"):
+        interface = recognised_interface(network)
+        if interface is None:
             raise PolicyFileError(f"{path} was not trained on one player's observations and actions of ptne_env")
-        # The only entry of an observation that goes down to these numbers is the scale of a scale-free interface.
-        lowest = math.log10(SMALLEST_SCALE)
-        scales: dict[InterfaceKind, float] = {"local": lowest, "learner": lowest / LEARNER_LOG_SCALE}
-        found = [kind for kind, scale in scales.items() if np.isclose(observations.low, scale).any()]
-        in_units = bool((actions.high != 1).any())
-        has_gains = actions.shape == (2,) and not in_units
-        self.interface = Interface(found[0] if found else "physical", "gains" if has_gains else "input")
+        self.interface = interface
 
     def require(self, layout: ObservationLayout) -> None:
         """Check that the policy can act in an environment of this layout.
@@ -71,6 +66,26 @@ class ArchivePolicy:
         if state is not None:  # of a recurrent network: arrays of shape (layers, rows, units)
             state = tuple(part[:, : len(rows)] for part in state)
         return (actions[0] if np.ndim(observation) == 1 else actions[: len(rows)]), state
+
+
+def recognised_interface(model: Any) -> Interface | None:
+    """The interface that a model was trained with, by its spaces; ``None`` for one without spaces of one player.
+
+    Args:
+        model: with the attributes ``observation_space`` and ``action_space``, as the models and policies of
+            Stable-Baselines3 have them.
+    """
+    observations, actions = getattr(model, "observation_space", None), getattr(model, "action_space", None)
+    if not (isinstance(observations, spaces.Box) and isinstance(actions, spaces.Box)):
+        return None
+    if len(observations.shape) != 1 or len(actions.shape) != 1:
+        return None
+    # The only entry of an observation that goes down to these numbers is the scale of a scale-free interface.
+    lowest = math.log10(SMALLEST_SCALE)
+    scales: dict[InterfaceKind, float] = {"local": lowest, "learner": lowest / LEARNER_LOG_SCALE}
+    found = [kind for kind, scale in scales.items() if np.isclose(observations.low, scale).any()]
+    has_gains = actions.shape == (2,) and bool((actions.high == 1).all())
+    return Interface(found[0] if found else "physical", "gains" if has_gains else "input")
 
 
 def load_archive(path: str, layout: ObservationLayout | None = None) -> ArchivePolicy:

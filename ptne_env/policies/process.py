@@ -26,7 +26,7 @@ from ptne_env.observation import Interface, LayoutError, ObservationLayout
 from ptne_env.policies import probe
 from ptne_env.policies.archive import load_archive
 from ptne_env.policies.learned import LearnedPolicy
-from ptne_env.policy import Policy, PolicyError, describe, printable
+from ptne_env.policy import Policy, PolicyError, decision, describe, printable
 from ptne_env.processes import end_with_parent
 
 PolicySource: TypeAlias = FactorySpec | Policy | Callable[[ObservationLayout], Policy]
@@ -69,7 +69,15 @@ def build(source: PolicySource, layout: ObservationLayout) -> Policy:
     except (LayoutError, MemoryError):
         raise
     except Exception as error:
-        raise PolicyError(f"it cannot be built: {describe(error)}") from error
+        called = "; it is called with the layout" * isinstance(error, TypeError)
+        raise PolicyError(f"it cannot be built: {describe(error)}{called}") from error
+    expected = getattr(getattr(built, "observation_space", None), "shape", None)  # of a Stable-Baselines3 model
+    if expected not in (None, (layout.size,)):
+        raise LayoutError(
+            f"it was trained on observations of shape {expected}, and this track with the interface "
+            f"{layout.interface.kind!r} has {(layout.size,)}; if it was trained with another interface, give that one: "
+            "PolicySpec(name, model, ptne_env.Interface('learner'))"
+        )
     if not hasattr(built, "predict"):
         raise PolicyError(f"it is a {type(built).__name__} without predict(observation, state, ...)")
     policy: Policy = built
@@ -251,7 +259,7 @@ def serve(descriptor: int, caller: int) -> None:
             observations = np.frombuffer(message, np.float32, offset=2 + rows).reshape(rows, layout.size).copy()
             is_first, deterministic = message[:2]
             memory = None if is_first else memory
-            actions, memory = policy.predict(observations, memory, starts, deterministic=bool(deterministic))
+            actions, memory = decision(policy, observations, memory, starts, deterministic=bool(deterministic))
             array = np.asarray(actions)
             array = array if array.dtype.name in _DTYPES else array.astype(np.float64)
             _answer(connection, dtype=array.dtype.name, shape=array.shape)

@@ -40,7 +40,7 @@ _PROMISES = (
         ("predicted digits at T, from the rate", "{digits_from_rate} (first order)"),
         ("predicted digits at T, sampled loop from this start", "{digits_sampled} ({digits_kind})"),
         ("  after the hold phase", "{digits_after_hold} ({digits_kind})"),
-        ("digits gained by T from the worst start", "{worst_digits_gained} ({digits_kind})"),
+        ("digits gained by T from the worst start", "{worst_digits_gained} more than the start has ({digits_kind})"),
         ("digits at T guaranteed by ε, ι, λ2, κ and Θ alone", "≥ {guaranteed_digits} (bound)"),
         ("effective time to the deadline", "{effective_time}"),
         ("short of the deadline, 1 − t_K/T", "{shortfall:.3%}"),

@@ -8,16 +8,19 @@ import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from numbers import Real
+from typing import Any, TypeAlias
 
 import numpy as np
 
+from ptne_env import laws
 from ptne_env.arrays import FloatArray, require_count, require_non_negative
 from ptne_env.channel import AdditiveNoise, Chain, Channel, Delay
 from ptne_env.encoder import make_encoder
 from ptne_env.factory import LOADER, FactorySpec
 from ptne_env.laws import CorollaryOne, FixedGain, Law, Static
 from ptne_env.laws.gated import GatedLaw
+from ptne_env.names import unknown_name
 from ptne_env.observation import Interface
 from ptne_env.scenario import Scenario
 from ptne_env.switching import SwitchingTopology
@@ -39,6 +42,9 @@ from ptne_env.theory.sampled import (
     start_error,
 )
 from ptne_env.world import SHORTFALL_WARNING, World
+
+LawSource: TypeAlias = FactorySpec | Callable[..., Law] | Law
+"""A law, or a factory spec or a callable that builds it from a layout."""
 
 _LARGEST_DIGITS = 308.0
 """Digits are clipped to ± this number, so that a certificate holds no infinity."""
@@ -218,7 +224,7 @@ def certify(
     scenario: Scenario,
     kappa: float = 2.0,
     *,
-    law: FactorySpec | None = None,
+    law: Any = None,
     noise_std: float | None = None,
     delay_steps: int | None = None,
     delay_limit: int = 10,
@@ -228,34 +234,40 @@ def certify(
     Args:
         scenario: the experiment; a random start, topology or game contributes one draw, the first two with seed 0.
         kappa: κ ≥ 0 of the static law, which is certified when ``law`` is left out.
-        law: builds a law from the layout, such as ``FactorySpec.of("ptne_env.laws:Grounded", kappa=4.0)``. Numbers of
-            the closed loop need a law that is linear in gradient and differences, possibly with gains that adapt.
+        law: builds a law from the layout, such as ``FactorySpec.of("ptne_env.laws:Grounded", kappa=4.0)``; also a
+            class or function, ``"module:object"``, the name of a class in ``ptne_env.laws``, a
+            :class:`~ptne_env.PolicySpec`, or the law itself. Numbers of the closed loop need a law that is linear in
+            gradient and differences, possibly with gains that adapt.
         noise_std: σ ≥ 0 of additive noise on every component of every message; the channel's if left out.
         delay_steps: delay of every message in steps; the channel's constant delay if left out.
         delay_limit: largest delay that is tried for the margin.
 
     Raises:
-        TypeError: when ``scenario`` is no :class:`~ptne_env.scenario.Scenario`, such as its name.
-        ValueError: when a number is negative, or the spec does not build a law that can act on the scenario.
+        TypeError: when ``scenario`` is no :class:`~ptne_env.scenario.Scenario`, such as its name, ``kappa`` is a law,
+            or ``law`` is none of the above.
+        ValueError: when a number is negative, a name is unknown, or the spec does not build a law that can act on the
+            scenario.
     """
     if not isinstance(scenario, Scenario):
         raise TypeError(
             f"certify needs a Scenario, got the {type(scenario).__name__} {scenario!r}; "
             "ptne_env.get_scenario returns the scenario of a name"
         )
+    if not isinstance(kappa, Real):
+        raise TypeError(f"the second argument of certify is the number kappa, got {kappa!r}; write law=…")
+    source = _law_source(FactorySpec.of(Static, kappa=require_non_negative("kappa", kappa)) if law is None else law)
     world = World(scenario)
     faults = _ChannelFaults.of(world.channel)
     std = require_non_negative("noise_std", faults.noise_std if noise_std is None else noise_std)
     lag = require_count("delay_steps", faults.delay_steps if delay_steps is None else delay_steps, 0)
     require_count("delay_limit", delay_limit, 0)
-    spec = law or FactorySpec.of("ptne_env.laws:Static", kappa=require_non_negative("kappa", kappa))
-    built = build_law(spec, world)
+    built = build_law(source, world)
     constants = monotonicity_constants(world.game)
     problem = problem_constants(world, constants)
     own_kappa = getattr(built, "kappa", None)
     certificate = Certificate(
         scenario=scenario.name,
-        law=_describe(spec),
+        law=_describe(source),
         kappa=None if own_kappa is None else float(own_kappa),
         lemma=check_lemma(world.clock.transformation),
         assumptions=check_assumptions(world.game, world.topology, constants),
@@ -283,24 +295,46 @@ def certify(
     )
 
 
-def build_law(law: FactorySpec | Callable[..., Law], world: World) -> Law:
+def _law_source(law: Any) -> LawSource:
+    """A spec, a callable or a law of all that :func:`certify` takes."""
+    source = getattr(law, "policy", law)  # of a PolicySpec, which this layer cannot import
+    if isinstance(source, str):
+        classes = {name: value for name, value in vars(laws).items() if isinstance(value, type) and value is not Law}
+        known = [name for name, value in classes.items() if issubclass(value, Law)]
+        if ":" not in source and source not in known:
+            raise ValueError(
+                f"{unknown_name('law', source, known, 'module:object')}; for a law with the name and the parameters of "
+                f"'ptne list', law=ptne_env.experiments.get_policy_spec({source!r})"
+            )
+        return FactorySpec.of(source if ":" in source else f"{laws.__name__}:{source}")
+    if not isinstance(source, FactorySpec | Law) and not callable(source):
+        raise TypeError(f"law is a class, function, law, name, FactorySpec or PolicySpec of one policy, got {source!r}")
+    return source
+
+
+def build_law(law: LawSource, world: World) -> Law:
     """The law, built for the layout of ``world`` under the law's own interface.
 
     Args:
-        law: a law's class, or a spec that builds a law; called with ``layout=``. A spec that loads a policy without
-            sizes from a file builds it under the interface in the file.
+        law: a law's class, or a spec that builds a law; called with the layout. A spec that loads a policy without
+            sizes from a file builds it under the interface in the file. Or a law, which is returned.
         world: the scenario, built.
 
     Raises:
         ValueError: when the law cannot act in the world, or the spec builds something else.
     """
-    if isinstance(law, FactorySpec) and law.target == LOADER:
-        if not callable(loaded := law.build()):
+    if isinstance(law, Law):
+        if law.layout != make_encoder(world, law.layout.interface).layout:
+            raise ValueError(f"this {type(law).__name__} was built for the layout of another scenario: give its class")
+        return law
+    source = law
+    if isinstance(source, FactorySpec) and source.target == LOADER:
+        if not callable(loaded := source.build()):
             raise ValueError(f"{law!r} loads a policy of fixed sizes; the theory is about a ptne_env.laws.Law")
-        law = loaded
-    target = law.resolve() if isinstance(law, FactorySpec) else law
+        source = loaded
+    target = source.resolve() if isinstance(source, FactorySpec) else source
     layout = make_encoder(world, getattr(target, "interface", Interface())).layout
-    built = law.build(layout=layout) if isinstance(law, FactorySpec) else law(layout=layout)
+    built = source.build(layout=layout) if isinstance(source, FactorySpec) else source(layout)
     if not isinstance(built, Law):
         raise ValueError(f"{law!r} built a {type(built).__name__}; the theory is about a ptne_env.laws.Law")
     return built
@@ -643,9 +677,11 @@ def _smallest(margins: Iterable[float | None]) -> float | None:
     return None if None in found else min(margin for margin in found if margin is not None)
 
 
-def _describe(spec: FactorySpec) -> str:
-    arguments = ", ".join(f"{name}={value}" for name, value in spec.to_dict()["arguments"].items())
-    return f"{spec.target.rpartition(':')[2]}({arguments})"
+def _describe(law: LawSource) -> str:
+    if not isinstance(law, FactorySpec):
+        return str(getattr(law, "__name__", type(law).__name__))
+    arguments = ", ".join(f"{name}={value}" for name, value in law.to_dict()["arguments"].items())
+    return f"{law.target.rpartition(':')[2]}({arguments})"
 
 
 def _digits(distances: Any) -> float:

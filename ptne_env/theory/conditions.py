@@ -255,7 +255,8 @@ def grounded_condition(law: Grounded, constants: ProblemConstants) -> Condition:
         others = np.sqrt(constants.num_players - 1)
         cross = constants.iota_estimates + others * constants.iota_strategies
         bound = (cross**2 / (4 * constants.epsilon) + others * constants.iota_estimates) / grounded
-    return Condition.above("κ > ((ι + √(N−1) ι_F)²/(4ε) + √(N−1) ι)/λ", law.kappa, bound, exact=constants.exact)
+    name = f"κ > ((ι + √(N−1) ι_F)²/(4ε) + √(N−1) ι)/λ, λ = {grounded:.3g}"
+    return Condition.above(name, law.kappa, bound, exact=constants.exact)
 
 
 def _grounded_connectivity(constants: ProblemConstants) -> float:

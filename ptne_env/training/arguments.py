@@ -12,6 +12,7 @@ from typing import Annotated, Any, TypeVar
 from pydantic import BeforeValidator, ConfigDict, Field, PositiveInt, ValidationError
 from pydantic.dataclasses import dataclass
 
+from ptne_env.experiments.suite import world_names
 from ptne_env.files import DamagedFileError, require_file
 from ptne_env.names import unknown_name
 from ptne_env.observation import ActionMode, InterfaceKind
@@ -43,7 +44,7 @@ def readable(checked: type[_Class]) -> type[_Class]:
 
 
 def _message(error: ValidationError, names: list[str]) -> str:
-    """One clause for each wrong value, and one for all unknown names."""
+    """One clause for each wrong value and each unknown name."""
     unknown, clauses = [], []
     for detail in error.errors(include_url=False):
         first, *inner = detail["loc"]
@@ -57,8 +58,7 @@ def _message(error: ValidationError, names: list[str]) -> str:
         else:  # the message is such as "Input should be greater than 0" or "Tuple should have at least 1 item"
             expected = detail["msg"].split(" ", 2)[-1].replace("valid tuple", "list")
             clauses.append(f"{name} must {expected}, got {reprlib.repr(detail['input'])}")
-    if unknown:
-        clauses.append(f"unknown {', '.join(sorted(unknown))}; the arguments are {', '.join(sorted(names))}")
+    clauses += [unknown_name("argument", name, sorted(names)) for name in sorted(unknown)]
     return "; ".join(clauses)
 
 
@@ -131,7 +131,7 @@ def from_toml(kind: type[_Class], name_or_path: str | Path, **changes: Any) -> _
 
     Args:
         kind: the class of the arguments.
-        name_or_path: of the configuration.
+        name_or_path: of the configuration, or the name of a scenario or track, on which all arguments are the defaults.
         **changes: arguments by name.
 
     Raises:
@@ -147,7 +147,7 @@ def from_toml(kind: type[_Class], name_or_path: str | Path, **changes: Any) -> _
 
 
 def values_of(name_or_path: str | Path) -> tuple[Path, dict[str, Any]]:
-    """The file of a configuration, and its values, which are not checked.
+    """The file of a configuration, and its values, which are not checked; a scenario or track is the only value.
 
     Raises:
         ValueError: for an unknown configuration, or a file that is not TOML.
@@ -158,6 +158,8 @@ def values_of(name_or_path: str | Path) -> tuple[Path, dict[str, Any]]:
         folder = CONFIGURATIONS if str(name_or_path) in configurations() else SIZE_FREE
         path = folder / f"{name_or_path}.toml"
         if not path.is_file():
+            if ":" in str(name_or_path) or str(name_or_path) in world_names():
+                return path, {"scenarios": [str(name_or_path)]}
             raise ValueError(unknown_name("configuration", str(name_or_path), all_configurations(), "a .toml file"))
     require_file(path)
     try:

@@ -1,5 +1,7 @@
 """Policies by name, file, address and pattern."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from extras import need_sb3
@@ -7,11 +9,13 @@ from small_suite import BASE, SMALL
 
 import ptne_env
 from ptne_env import FactorySpec, PolicySpec, evaluate, laws
+from ptne_env.encoder import make_encoder
 from ptne_env.experiments import COMPARED, default_policies, get_policy_spec, run_suite, suite_policies
 from ptne_env.experiments.policy_specs import ARCHIVE, KNOWLEDGE, foreign_code
 from ptne_env.experiments.suite import REFERENCES
 from ptne_env.observation import Interface
 from ptne_env.policies import shipped_path
+from ptne_env.world import World
 
 
 def test_the_default_policies_leave_out_those_trained_on_no_scenario_of_the_catalogue():
@@ -125,7 +129,7 @@ def archive(tmp_path_factory):
 
 
 def test_an_archive_is_not_loaded_unless_it_is_trusted(archive, tmp_path):
-    with pytest.raises(ValueError, match="executes code"):
+    with pytest.raises(ValueError, match=r"executes code .* if you trust it: .*get_policy_spec\('.*', trust=True\)"):
         run_suite(SMALL, [archive], folder=tmp_path)
     assert not (tmp_path / "jobs").exists()
 
@@ -165,8 +169,6 @@ def test_files_that_are_no_archives_are_refused(tmp_path):
     (tmp_path / "bad.zip").write_bytes(b"no archive")
     with pytest.raises(ValueError, match="not an archive"):
         get_policy_spec(str(tmp_path / "bad.zip"), trust=True)
-    with pytest.raises(FileNotFoundError, match="there is no file"):
-        get_policy_spec(str(tmp_path / "none.zip"), trust=True)
 
 
 def test_data_from_before_the_declaration_of_knowledge_are_read():
@@ -191,3 +193,34 @@ def test_data_from_before_the_declaration_of_knowledge_are_read():
 )
 def test_the_knowledge_of_a_policy_is_told_in_words(spec, knowledge):
     assert spec.knowledge == dict(zip(KNOWLEDGE, knowledge, strict=True))
+
+
+def test_a_missing_archive_and_a_scenario_are_no_policies():
+    for trust in (False, True):
+        with pytest.raises(FileNotFoundError, match="there is no file"):
+            get_policy_spec("none.zip", trust=trust)
+    with pytest.raises(ValueError, match="'energy' is a scenario, no policy"):
+        get_policy_spec("energy")
+
+
+def trained_model(interface):
+    """The spaces of a model of Stable-Baselines3 that was trained with an interface, and actions of zeros."""
+    layout = make_encoder(World(ptne_env.get_scenario("energy")), interface).layout
+    return SimpleNamespace(
+        observation_space=layout.observation_space(),
+        action_space=layout.action_space(),
+        predict=lambda rows, *_, **__: (np.zeros((len(rows), layout.action_size), np.float32), None),
+    )
+
+
+@pytest.mark.parametrize("mode", ["input", "gains"])
+@pytest.mark.parametrize("kind", ["physical", "local", "learner"])
+def test_the_interface_of_a_model_is_recognised_by_its_spaces(kind, mode):
+    interface = Interface(kind, mode)
+    assert PolicySpec("mine", trained_model(interface)).interface == interface
+
+
+def test_a_model_with_another_interface_is_refused_with_advice():
+    spec = PolicySpec("mine", trained_model(Interface("learner")), Interface("physical"))
+    with pytest.raises(ValueError, match=r"shape \(24,\).*'physical' has \(28,\).*PolicySpec\(name, model, "):
+        evaluate(spec, ptne_env.get_scenario("energy", steps=120), episodes=1)

@@ -3,6 +3,7 @@
 import json
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -342,8 +343,15 @@ class Broken(laws.Static):
 
 
 def test_only_a_layout_error_makes_a_policy_not_applicable():
-    broken = [PolicySpec("broken", Broken), PolicySpec("nothing", lambda layout: object())]
+    broken = [
+        PolicySpec("broken", Broken),
+        PolicySpec("nothing", lambda layout: object()),
+        PolicySpec("uncalled", object),
+        PolicySpec("alone", SimpleNamespace(predict=lambda rows, *_, **__: np.zeros((len(rows), 5)))),
+    ]
     results = evaluate(["static", *broken], ["energy"], episodes=1, against_laws=False)
     assert results.failures["energy", "broken"].startswith("it cannot be built: ValueError: a mistake of my own")
     assert results.failures["energy", "nothing"] == "it is a object without predict(observation, state, ...)"
+    assert "; it is called with the layout" in results.failures["energy", "uncalled"]
+    assert results.failures["energy", "alone"] == "step 0: predict returns (actions, state), got a ndarray alone"
     assert not results.not_applicable

@@ -13,7 +13,16 @@ from ptne_env.encoder import make_encoder
 from ptne_env.experiments.episodes import track_seed
 from ptne_env.experiments.provenance import canonical_json
 from ptne_env.experiments.rollout import Member, rollout
-from ptne_env.experiments.suite import SUITES, Suite, Teammates, Track, foreign_suites, get_suite
+from ptne_env.experiments.suite import (
+    SUITES,
+    Suite,
+    Teammates,
+    Track,
+    comparison,
+    find_scenario,
+    foreign_suites,
+    get_suite,
+)
 from ptne_env.observation import Interface
 from ptne_env.world import World
 
@@ -182,6 +191,21 @@ def test_wrong_suites_are_refused():
         small(tracks=())
     with pytest.raises(ValueError, match="is scored by digits, got 'digits_after_hold'"):
         Track("nominal", BASE, "The base.", "digits_after_hold")
+
+
+def test_a_scenario_is_found_by_address_and_as_a_track(monkeypatch):
+    monkeypatch.setitem(sys.modules, "mine", mine := ModuleType("mine"))
+    mine.scenario, mine.suite, mine.number = BASE, small, 5
+    mine.make = lambda: BASE
+    assert find_scenario("mine:scenario") == find_scenario("mine:make") == BASE
+    names = [track.name for track in comparison(["mine:scenario", "ptne-v1/delay", "energy"]).tracks]
+    assert names == [BASE.name, get_suite("ptne-v1").track("delay").scenario.name, "energy"]
+    with pytest.raises(ValueError, match="is a Suite: name one of its tracks, such as 'mine:suite/nominal'"):
+        find_scenario("mine:suite")
+    with pytest.raises(ValueError, match="'mine:number' is a int, not a Scenario"):
+        find_scenario("mine:number")
+    with pytest.raises(ValueError, match="'mine:scenario' is a Scenario, not a Suite: .* without --suite"):
+        get_suite("mine:scenario")
 
 
 def test_a_class_that_a_notebook_defines_again_makes_another_world(monkeypatch):

@@ -1,4 +1,5 @@
 import numpy as np
+import pytest
 from sample_games import BlockGame, CubicGame, ForgetfulEnergyGame
 
 from ptne_env.games import EnergyGame, check_game
@@ -53,3 +54,26 @@ def test_points_are_drawn_within_the_radius():
     near = check_game(ForgetfulEnergyGame(), radius=0.01).gradient_error
     far = check_game(ForgetfulEnergyGame(), radius=5.0).gradient_error
     assert near < 1e-3 < far  # the missing term is 0.1 x_i
+
+
+def test_a_report_shows_its_verdicts():
+    assert repr(check_game(ForgetfulEnergyGame())).startswith("GameReport(gradients_agree=False, assumption_3_holds=")
+    assert "gradients_agree=True, assumption_3_holds=True, gradient_error=" in repr(check_game(EnergyGame()))
+
+
+@pytest.mark.parametrize(
+    ("method", "message"),
+    [
+        (
+            {"own_gradients": np.diag},
+            r"maps \(n, N, B\) = \(5, 5, 8\) to \(n, B\) = \(5, 8\), environments B last; it raised ValueError: Input",
+        ),
+        ({"costs": lambda strategies: strategies[0][0][0]}, r"maps \(n, B\) = \(5, 8\) to .*it raised IndexError"),
+        ({"costs": lambda strategies: strategies.sum(axis=1)}, r"\(N, B\) = \(5, 8\).*it returned the shape \(5,\)"),
+    ],
+)
+def test_a_method_for_one_environment_alone_is_refused_with_the_axes(method, message):
+    game = EnergyGame()
+    vars(game).update(method)
+    with pytest.raises(ValueError, match=message):
+        check_game(game, samples=8)

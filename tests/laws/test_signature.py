@@ -9,6 +9,7 @@ from worlds import BLOCKS, make_env, play, world_and_encoder
 
 from ptne_env import Interface, Policy, dynamics, laws
 from ptne_env.laws import base
+from ptne_env.policy import PolicyError
 from ptne_env.random_streams import RandomStreams
 
 LAWS = [
@@ -68,6 +69,21 @@ def test_laws_have_the_signature_of_stable_baselines3(law):
     assert list(parameters) == ["self", "observation", "state", "episode_start", "deterministic"]
     assert [parameters[name].default for name in list(parameters)[2:]] == [None, None, False]
     assert issubclass(law, Policy)
+
+
+class Forgetful(laws.Static):
+    """A law whose inputs come without a memory."""
+
+    def inputs(self, observation, memory):
+        return super().inputs(observation, memory)[0]
+
+
+def test_a_law_is_built_from_a_layout_and_returns_a_memory():
+    with pytest.raises(TypeError, match=r"Static is built from a layout, such as env\.layout, got a NashSeekingEnv"):
+        laws.Static(make_env("energy"))
+    layout, observations = observe()
+    with pytest.raises(PolicyError, match=r"Forgetful\.inputs returns \(inputs, memory\), got a ndarray alone"):
+        Forgetful(layout).predict(observations)
 
 
 @pytest.mark.parametrize("kind", ["physical", "local"])

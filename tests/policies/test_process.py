@@ -42,6 +42,12 @@ def refusing(layout):
 
 def without_predict(layout):
     return 3
+
+def alone(layout):
+    class Policy:
+        def predict(self, observation, state=None, episode_start=None, deterministic=False):
+            return np.zeros((len(observation), 5))
+    return Policy()
 """
 
 
@@ -104,6 +110,16 @@ def test_a_policy_that_misbehaves_is_an_error_here(layout, text, message):
     with pytest.raises(PolicyError, match=message) as caught:
         answer(layout, text)
     assert str(caught.value).isprintable()
+
+
+def test_an_answer_without_memory_is_refused_with_the_expected_pair(layout):
+    observations = np.zeros((2, layout.size), dtype=np.float32)  # as many rows as the pair has values
+    message = r"predict returns \(actions, state\), got a ndarray alone"
+    with (
+        process.separate(FactorySpec.of("foreign_policies:alone"), layout) as policy,
+        pytest.raises(PolicyError, match=message),
+    ):
+        policy.predict(observations)
 
 
 def test_a_policy_that_never_answers_is_an_error(layout, monkeypatch):

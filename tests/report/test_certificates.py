@@ -34,6 +34,8 @@ def test_static_law_has_every_promise(static):
     assert table["control energy ∫‖g u‖² dt"] == "infinite"
     assert table["predicted digits at T, sampled loop from this start"] == f"{number(static.digits_sampled)} (exact)"
     assert table["after the hold phase"] == f"{number(static.digits_after_hold)} (exact)"
+    gained = f"{number(static.worst_digits_gained)} more than the start has (exact)"
+    assert table["digits gained by T from the worst start"] == gained
     assert table["short of the deadline, 1 − t_K/T"] == f"{static.shortfall:.3%}"
     margin = f"{number(static.largest_stable_step)}, {number(static.step_margin)} times the largest"
     assert table["largest stable step"] == margin
@@ -65,6 +67,11 @@ def test_conditions_that_are_necessary_say_that_the_law_does_not_settle():
     assert fails[name].endswith("against 1.00: fails (the law does not settle)")
     holds = rows(certify(get_scenario("oligopoly"), law=FactorySpec.of("ptne_env.laws:Routed", step=0.2)))
     assert holds[name].endswith("against 1.00: holds")
+
+
+def test_the_grounded_condition_shows_its_eigenvalue():
+    table = rows(certify(get_scenario("energy"), law="Grounded"))
+    assert table["κ > ((ι + √(N−1) ι_F)²/(4ε) + √(N−1) ι)/λ, λ = 0.586"].startswith("2.00 against 18.7: fails")
 
 
 def test_zero_input_promises_nothing():

@@ -9,8 +9,9 @@ import pytest
 from affine_games import SOAK
 from sample_laws import condition_on, spec_of
 
-from ptne_env import CATALOGUE, FactorySpec, Interface, get_scenario, laws, theory
-from ptne_env.experiments import get_suite
+from ptne_env import CATALOGUE, FactorySpec, Interface, PolicySpec, get_scenario, laws, theory
+from ptne_env.encoder import make_encoder
+from ptne_env.experiments import get_policy_spec, get_suite
 from ptne_env.experiments.policy_specs import law_factory
 from ptne_env.graphs import cycle
 from ptne_env.laws.gated import CellGates
@@ -210,6 +211,47 @@ def test_a_law_that_reads_its_step_is_not_judged_by_the_rate_alone():
 def test_a_certificate_needs_a_scenario(scenario):
     with pytest.raises(TypeError, match="certify needs a Scenario, got the (str 'enrgy'|NoneType|World).*get_scenario"):
         theory.certify(scenario)
+
+
+@pytest.mark.parametrize(
+    "law",
+    [
+        laws.Grounded,
+        laws.Grounded(make_encoder(World(get_scenario("energy")), Interface()).layout),
+        lambda layout: laws.Grounded(layout, kappa=2.0),
+        "Grounded",
+        "ptne_env.laws:Grounded",
+        PolicySpec("mine", laws.Grounded),
+        get_policy_spec("grounded"),
+    ],
+    ids=["class", "law", "function", "name", "address", "PolicySpec", "policy of a name"],
+)
+def test_a_law_is_given_by_class_object_name_or_policy(law, energy_grounded):
+    found = theory.certify(get_scenario("energy"), law=law, delay_limit=0)
+    assert replace(found, law="") == replace(energy_grounded, law="")
+
+
+@pytest.fixture(scope="module")
+def energy_grounded():
+    return theory.certify(get_scenario("energy"), law=spec_of("Grounded"), delay_limit=0)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "error", "message"),
+    [
+        ({"law": "gruonded"}, ValueError, r"unknown law 'gruonded'; did you mean 'Grounded'.*get_policy_spec\("),
+        ({"law": 5}, TypeError, "law is a class, function, law, name, FactorySpec or PolicySpec of one policy, got 5"),
+        (
+            {"law": laws.Static(make_encoder(World(get_scenario("oligopoly")), Interface()).layout)},
+            ValueError,
+            "layout",
+        ),
+        ({"kappa": laws.Static}, TypeError, "the second argument of certify is the number kappa.*write law="),
+    ],
+)
+def test_something_else_in_the_place_of_a_law_is_refused_with_advice(arguments, error, message):
+    with pytest.raises(error, match=message):
+        theory.certify(get_scenario("energy"), **arguments)
 
 
 def test_only_steps_below_the_largest_stable_step_have_exact_digits():
