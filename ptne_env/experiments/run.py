@@ -53,8 +53,8 @@ def evaluate(
 ) -> Results:
     """Run every policy on every scenario from the same seeded starts.
 
-    A scenario given by name is run from ``episodes`` random starts. A :class:`~ptne_env.scenario.Scenario` is run as it
-    is: ``episodes`` times when something in it is random, else once.
+    A scenario of the catalogue, given by name, is run from ``episodes`` random starts. Any other is run as it is:
+    ``episodes`` times when something in it is random, else once.
 
     Where something is random, every policy but the library's own laws is also compared, paired by episode, with the
     best of the paper's laws and the best of all laws. Both are tuned and chosen by the mean of the track's metric on
@@ -64,7 +64,8 @@ def evaluate(
     Args:
         policies: specs, or strings as :func:`~ptne_env.experiments.policy_specs.get_policy_spec` takes them; one of
             them, or several.
-        scenarios: names of the catalogue or scenarios; one of them, or several.
+        scenarios: scenarios, or names: of the catalogue, ``"SUITE/TRACK"`` or ``"module:object"``; one of them, or
+            several.
         episodes: number of random starts.
         seed: of the episode sets; the remaining arguments are explained at :func:`run_suite`.
         hold_steps: steps after the deadline for the scenarios given by name.
@@ -157,7 +158,14 @@ def run_suite(
 
 def _several(given: Any) -> Iterable[Any]:
     """Several things, of one or several."""
-    return [given] if isinstance(given, str | PolicySpec | Scenario) else given
+    if isinstance(given, str | PolicySpec | Scenario):
+        return [given]
+    if not isinstance(given, Iterable):
+        raise TypeError(
+            f"expected names, policies or scenarios, got a {type(given).__name__}; the scenario of an environment is "
+            "env.scenario, and a policy of your own is PolicySpec(name, policy)"
+        )
+    return given
 
 
 def assemble(

@@ -115,6 +115,11 @@ def test_progress_is_reported_once_per_job(monkeypatch, policies):
     assert {total for *_, total in calls} == {work[-1]}  # the work of tuned laws is in it from the start
 
 
+def test_an_environment_in_the_place_of_a_scenario_is_refused():
+    with pytest.raises(TypeError, match=r"got a NashSeekingEnv; the scenario of an environment is env\.scenario"):
+        evaluate("static", ptne_env.parallel_env("energy"))
+
+
 def test_an_own_scenario_is_evaluated_without_a_search_for_tuned_laws(monkeypatch):
     monkeypatch.setattr(tuning.Tuning, "find", lambda search: pytest.fail("a search takes minutes"))
     results = evaluate([PolicySpec("mine", laws.Static)], ptne_env.get_scenario("random-energy", steps=50), episodes=2)

@@ -266,8 +266,9 @@ def test_news_that_never_move_reach_players_without_news():
 
 def test_strategies_at_rest_before_their_news_arrive_spoil_no_episode():
     """In the paper's game one strategy comes to rest before two players have heard of it."""
-    results = evaluate(["routed-unknown"], ["non-quadratic-switching"], episodes=10, seed=1, against_laws=False)
-    assert len(results.samples) == 2  # from random starts and from the paper's
+    scenarios = ["non-quadratic-switching", get_scenario("non-quadratic-switching", name="from the paper's start")]
+    results = evaluate(["routed-unknown"], scenarios, episodes=10, seed=1, against_laws=False)
+    assert len(results.samples) == 2
     assert min(samples["digits"].mean() for samples in results.samples.values()) > 6
 
 
