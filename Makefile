@@ -1,6 +1,6 @@
 # Two commands, each complete on a fresh machine with Python 3.11 or newer and make:
 #   make compare   installs, runs laws and learned policies on all scenarios, ends with the answer: 2 minutes on 2 cores
-#   make test      installs the test extra with PyTorch, runs linters, types and tests: 15 minutes on 4 cores
+#   make test      installs the test extra with PyTorch, runs linters, types and tests: 9 minutes on 4 cores
 # Both show their progress: pip its downloads, the comparison and pytest a bar.
 # The pins of other frameworks conflict, so each has an environment of its own in .ecosystem/:
 #   make ecosystem runs the examples of every framework, writes the table of docs/ecosystem.md
