@@ -37,7 +37,7 @@ from ptne_env.files import write_atomically
 from ptne_env.names import unknown_name
 
 _FILES = ("results.json", "results.csv", "marl-eval.json")
-_HOLD_STEPS = 50
+_HOLD_STEPS = 25
 
 _REPORT_SHARE = 25
 """The part of the bar, in percent, that belongs to the episodes of the report."""
