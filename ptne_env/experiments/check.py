@@ -169,7 +169,7 @@ def check(
                         name: suite.episode_set(name, count, seed=listing.seed, split=listing.split)
                         for name, count in listing.episodes.items()
                     },
-                    is_opposed=lambda track: track.name in listing.trials,
+                    opposed=listing.trials,
                     run=stored,
                     tune=lambda searches: [search.find() for search in searches],
                 )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Container, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import chain
 from pathlib import Path
@@ -145,15 +145,17 @@ def run_suite(
     sets = {name: suite.episode_set(name, episodes, seed=seed, split=split) for name in names}
     runner = _Runner(None if folder is None else Store(folder), workers, progress, rerun=rerun)
     specs = [get_policy_spec(policy) for policy in _several(policies)]
-
-    def is_opposed(track: Track) -> bool:
-        published = (search.is_published for search in _searches(suite, track))
-        return against_laws is True or (against_laws == "published" and all(published))
-
-    if any(spec.is_learned for spec in specs):
-        opposed = [track for track in map(suite.track, names) if track.world.is_random and is_opposed(track)]
-        runner.reserved = sum(_cost_of_opponents(suite, track, sets[track.name]) for track in opposed)
-    return assemble(suite, target, specs, sets, is_opposed=is_opposed, run=runner, tune=runner.tune)
+    opposed = []
+    if against_laws and any(spec.is_learned for spec in specs):
+        opposed = [
+            track
+            for track in map(suite.track, names)
+            if track.world.is_random
+            and (against_laws is True or all(search.is_published for search in _searches(suite, track)))
+        ]
+    runner.reserved = sum(_cost_of_opponents(suite, track, sets[track.name]) for track in opposed)
+    opposed_names = {track.name for track in opposed}
+    return assemble(suite, target, specs, sets, opposed=opposed_names, run=runner, tune=runner.tune)
 
 
 def _several(given: Any) -> Iterable[Any]:
@@ -174,7 +176,7 @@ def assemble(
     policies: Sequence[PolicySpec],
     episodes: Mapping[str, EpisodeSet],
     *,
-    is_opposed: Callable[[Track], bool],
+    opposed: Container[str],
     run: Callable[[Sequence[Job]], list[JobResult]],
     tune: Callable[[Sequence[Tuning]], list[Tuned]],
 ) -> Results:
@@ -185,7 +187,7 @@ def assemble(
         target: that finds it; ``None`` for an object.
         policies: beside the reference policies.
         episodes: the episode set of each track that is run, by name.
-        is_opposed: whether policies are compared with tuned laws on a track.
+        opposed: names of the tracks on which policies are compared with tuned laws.
         run: gives the results of jobs, in their order.
         tune: gives the results of searches for tuned laws, in their order.
 
@@ -221,7 +223,9 @@ def assemble(
     tuned: dict[str, dict[str, PolicySpec]] = {}
     trials: dict[str, tuple[Job, ...]] = {}
     with_learned = {track for track, policy in samples if specs[policy].is_learned}
-    random = [track for track in chosen if track.name in with_learned and track.world.is_random and is_opposed(track)]
+    random = [
+        track for track in chosen if track.name in with_learned and track.world.is_random and track.name in opposed
+    ]
     if random:
         tuned, trials = _tuned_laws(suite, random, run, tune)
         opposing = [Job(track, law, 0, episodes[track.name]) for track in random for law in tuned[track.name].values()]

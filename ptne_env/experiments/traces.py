@@ -146,8 +146,8 @@ def scene(
     traces: dict[str, Trace] = {}
     equilibria = [start.game.nash_equilibria[:, 0]] * clock.t.size
     for name, policy in policies.items():
-        same = (other for other in traces if policies[other].policy == policy.policy)
-        if (twin := next(same, None)) is not None and policies[twin].interface == policy.interface:
+        twins = (other for other in traces if _acts_as(policies[other], policy))
+        if (twin := next(twins, None)) is not None:
             traces[name] = traces[twin]
             continue
         encoder = make_encoder(world, policy.interface)
@@ -174,6 +174,10 @@ def scene(
         episodes=dynamics.batch_size(start),
         traces=traces,
     )
+
+
+def _acts_as(other: PolicySpec, policy: PolicySpec) -> bool:
+    return (other.policy, other.interface) == (policy.policy, policy.interface)
 
 
 class _Watch:

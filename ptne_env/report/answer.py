@@ -254,7 +254,8 @@ def _worth(results: Results) -> str:
     gaps = _gaps(results, LAW)
     if not gaps:
         return f"{meaning}."
-    gaps = {track: gap for track, gap in gaps.items() if track not in first_places(results).get(LAW, ())}
+    firsts = first_places(results).get(LAW, ())
+    gaps = {track: gap for track, gap in gaps.items() if track not in firsts}
     if not gaps:
         return f"{meaning}; nothing is clearly ahead of the paper's law ({LAW})."
     least, most = min(gaps, key=gaps.__getitem__), max(gaps, key=gaps.__getitem__)
