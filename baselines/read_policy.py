@@ -218,8 +218,8 @@ def draw(rows: Rows, path: Path) -> None:
     from matplotlib.figure import Figure
 
     with drawing("pictures"):
-        figure = Figure(figsize=(9, 5.2), layout="constrained")
-        for axes, panel in zip(figure.subplots(2, 3).flat, PANELS, strict=True):
+        figure = Figure(figsize=(6.4, 7.4), layout="constrained")
+        for axes, panel in zip(figure.subplots(3, 2).flat, PANELS, strict=True):
             for colour, (name, points) in zip(COLOURS, curves(rows, panel).items(), strict=False):
                 axes.fill_between(points[:, 0], points[:, 1], points[:, 3], color=colour, alpha=0.15)
                 axes.plot(points[:, 0], points[:, 2], "o-", color=colour, label=name, markersize=3)
