@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import torch
@@ -18,12 +19,14 @@ _OWN = ("flow", "step", "response", "push", "dither")
 _OTHERS = ("copies", "track", "belief", "stated", "copy", "mean")
 """Gates that own components follow, and those that components of others follow; both follow the rest."""
 
+_TURN = CELL_FEATURES.index("turn")
+
 
 class GatePolicy(ActorCriticPolicy):
     """Actor and critic on observations of :class:`~ptne_env.training.cells.CellVecEnv`.
 
-    Gates that have no effect, such as the dither of a component of another player or the trust in a dead link, do not
-    count in the probability of an action.
+    Gates that have no effect, such as the dither of a component of another player or the share of a dead link in the
+    copy, do not count in the probability of an action.
 
     Attributes:
         actor: answers the gates.
@@ -98,11 +101,22 @@ class GatePolicy(ActorCriticPolicy):
 
 
 def effects(cell: torch.Tensor, slot: torch.Tensor) -> torch.Tensor:
-    """Whether each gate has an effect, from features (C, F) and (C, D, S): 0 or 1, shape (C, 10 + 3 D)."""
+    """Whether each gate has an effect, from features (C, F) and (C, D, S): 0 or 1, shape (C, 10 + 3 D).
+
+    Messages over dead links are not read, but the private belief keeps their means. A belief without any samples is the
+    copy, and a component that waits for its turn has no response.
+    """
     own = cell[:, CELL_FEATURES.index("own"), None]
-    live = slot[:, :, SLOT_FEATURES.index("live"), None]
-    mine, theirs = _effect(CellGates._fields, own), _effect(SlotGates._fields, own)
-    return torch.cat([mine, (theirs[:, None] * live).flatten(1)], dim=1)
+    live, sampled = ((slot[:, :, SLOT_FEATURES.index(name), None] > 0).float() for name in ("live", "samples"))
+    per_cell = {**dict.fromkeys(("belief", "stated"), sampled.amax(dim=1)), "response": cell[:, [_TURN]]}
+    mine = _effect(CellGates._fields, own) * _joined(CellGates._fields, per_cell, torch.ones_like(own))
+    per_slot = _joined(SlotGates._fields, {"mean": sampled}, live)
+    return torch.cat([mine, (_effect(SlotGates._fields, own)[:, None] * per_slot).flatten(1)], dim=1)
+
+
+def _joined(gates: tuple[str, ...], conditions: Mapping[str, torch.Tensor], otherwise: torch.Tensor) -> torch.Tensor:
+    """The condition of each gate side by side, in the last dimension."""
+    return torch.cat([conditions.get(name, otherwise) for name in gates], dim=-1)
 
 
 def _effect(gates: tuple[str, ...], own: torch.Tensor) -> torch.Tensor:

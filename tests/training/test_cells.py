@@ -12,8 +12,8 @@ from ptne_env import get_scenario
 from ptne_env.encoder import make_encoder
 from ptne_env.experiments.episodes import EpisodeSet
 from ptne_env.experiments.rollout import rollout
-from ptne_env.laws.gated import CellGates, ObserverRelay, SlotGates
-from ptne_env.policies.size_free import CELL_FEATURES, SLOT_FEATURES
+from ptne_env.laws.gated import CellGates, ObserverRelay, SlotGates, evidence
+from ptne_env.policies.size_free import CELL_FEATURES, SLOT_FEATURES, features
 from ptne_env.training.actor import effects
 from ptne_env.training.cells import CELL_GATES, SLOT_GATES, CellBatch, CellVecEnv
 from ptne_env.training.network import GateNetwork
@@ -22,6 +22,8 @@ from ptne_env.training.worlds import training_world
 EPISODES = EpisodeSet(3, 0, "train")
 SEEDS = [EPISODES.episode_seed(episode) for episode in range(3)]
 WORLDS = [training_world(0, 0), get_scenario("random-energy").replace(steps=20)]
+BREAKING, TURNS = (get_scenario("random-energy-switching"), 5), (WORLDS[0], 1)
+"""Worlds and steps: links are dead in the first, and own components wait for their turn in the second."""
 
 
 def gates_of_the_law(batch):
@@ -152,43 +154,70 @@ def test_a_network_that_is_a_law_decides_alike():
         batch.step(mine, theirs)
 
 
-@pytest.mark.parametrize("name", [*CellGates._fields, *SlotGates._fields])
+@pytest.mark.parametrize(
+    ("scenario", "steps", "counts"),
+    [(*BREAKING, True), (*BREAKING, False), (*TURNS, False)],
+    ids=["counts", "does not count", "does not count during turns"],
+)
 @pytest.mark.parametrize("own", [True, False], ids=["own", "of another"])
-def test_a_gate_counts_in_training_exactly_where_the_law_reads_it(name, own):
+@pytest.mark.parametrize("name", [*CellGates._fields, *SlotGates._fields])
+def test_a_gate_counts_in_training_exactly_where_the_law_reads_it(scenario, steps, name, own, counts):
     generator = np.random.default_rng(0)
 
     def drawn(*shape):
         return generator.uniform(0.1, 0.4, shape)
 
-    batch = CellBatch(WORLDS[1], 2)
+    batch = CellBatch(scenario, 2)
     batch.start(SEEDS[:2])
-    for _ in range(5):
+    for _ in range(steps):
         batch.step(*gates_of_the_law(batch))
     found, law = batch._found, batch._law
     cells, links = found.drift.shape, found.means.mean.shape
+    means = type(found.means)(*(drawn(*links) for _ in found.means))
+    is_heard = generator.random((links[0], links[1], 1)) < 0.5  # of live and of dead links; some rows have no samples
     found = found._replace(  # so that all proposals differ
         track=drawn(*cells),
         unrest=found.unrest._replace(width=drawn(cells[0], 1)),
-        means=type(found.means)(*(drawn(*links) for _ in found.means)),
+        means=means._replace(samples=means.samples * is_heard),
         joint=found.joint._replace(point=found.here + drawn(*cells)),
         memory=found.memory | {"push": drawn(*cells)},
     )
+    seen = evidence(batch._observation, law._parts.split(batch._memory), found, batch.layout, None)
+    cell, slot = features(*seen)
+    acts = effects(
+        torch.from_numpy(cell.reshape(batch.cells, -1)), torch.from_numpy(slot.reshape(batch.cells, *slot.shape[2:]))
+    ).numpy()
+    mine, theirs = batch.as_gates(acts[:, :CELL_GATES], acts[:, CELL_GATES:])
     gates = CellGates(*(drawn(*cells) for _ in CellGates._fields))
-    slot_gates = SlotGates(*(drawn(*links) for _ in SlotGates._fields))
-    is_chosen = found.is_own == own
+    is_trusted = generator.random(links) < 0.5  # shares of one message alone matter if they are 0
+    slot_gates = SlotGates(*(drawn(*links) * is_trusted for _ in SlotGates._fields))
+    is_chosen = (found.is_own == own) if name in CellGates._fields else (found.is_own == own)[:, None]
+    place = is_chosen & ((mine._asdict() | theirs._asdict())[name] == counts)
 
     def inputs(more):
         changed = gates._asdict() | slot_gates._asdict()
-        place = is_chosen if name in CellGates._fields else is_chosen[:, None]
         changed[name] = changed[name] + more * drawn(*changed[name].shape) * place
         parts = [kind(*(changed[field] for field in kind._fields)) for kind in (CellGates, SlotGates)]
         return law.follow(batch._observation, batch._memory, found, *parts)[0]
 
-    matters = (np.abs(inputs(1.0) - inputs(0.0)) > 1e-9).any()
-    cell, slot = map(torch.from_numpy, batch.features())
-    counts = effects(cell, slot)[torch.from_numpy(is_chosen.ravel())]
-    if name in CellGates._fields:
-        counts = counts[:, CellGates._fields.index(name)]
+    before, after = inputs(0.0), inputs(1.0)
+    if counts:
+        assert (np.abs(after - before) > 1e-9).any() == place.any()
+    elif name in ("belief", "stated"):  # without samples the belief is the copy plus the estimate minus the estimate
+        np.testing.assert_allclose(after, before, rtol=0, atol=1e-9)
     else:
-        counts = counts[:, CELL_GATES + SlotGates._fields.index(name) :: SLOT_GATES]
-    assert bool(counts.any()) == matters
+        np.testing.assert_array_equal(after, before)
+
+
+def test_the_mean_of_a_dead_link_counts_as_long_as_it_has_samples():
+    batch = CellBatch(get_scenario("random-energy-switching"), 1)
+    batch.start(SEEDS[:1])
+    cell, slot = map(torch.from_numpy, batch.features())
+    is_other = cell[:, CELL_FEATURES.index("own")] == 0
+    slot[:, :, SLOT_FEATURES.index("live")] = 0.0
+    slot[:, 0, SLOT_FEATURES.index("samples")] = 0.3
+    slot[:, 1:, SLOT_FEATURES.index("samples")] = 0.0
+    means = effects(cell, slot)[:, CELL_GATES + SlotGates._fields.index("mean") :: SLOT_GATES]
+    assert means[is_other, 0].all()
+    assert not means[is_other, 1:].any()
+    assert not means[~is_other].any()
