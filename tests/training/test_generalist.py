@@ -194,6 +194,11 @@ def test_a_policy_with_another_network_is_no_start(run, tmp_path):
         size_free_from_onnx(tmp_path / "other.onnx")
 
 
+def test_an_unknown_stage_is_named_once():
+    with pytest.raises(ValueError, match=r"^stages.0 must be 'imitation', 'ppo' or 'evolution', got 'sgd'$"):
+        Generalist(("sgd",))
+
+
 def test_the_shipped_configurations_are_valid():
     assert from_toml(Generalist, "generalist").scenarios == ()
     assert from_toml(Generalist, "specialist", start="x").stages == ("evolution",)
