@@ -9,6 +9,8 @@ from worlds import begin, fixed_part, world_and_encoder
 
 from ptne_env import FactorySpec, PolicySpec, dynamics, get_scenario, laws, policies, theory
 from ptne_env.experiments import get_suite
+from ptne_env.experiments.archive import policy_copy
+from ptne_env.experiments.check import _Copied
 from ptne_env.factory import LOADER
 from ptne_env.laws.gated import CellGates, observer_gates
 from ptne_env.policies import SizeFreePolicy, safeguard
@@ -127,3 +129,16 @@ def test_a_file_is_loaded_with_its_safeguard():
     assert theory.certify(get_scenario("energy"), law=spec).law == "size-free with its safeguard"
     with pytest.raises(ValueError, match="has sizes: only policies without sizes have a safeguard"):
         policies.load("ppo-random-energy", guarded=True)
+
+
+def test_a_copy_of_a_guarded_file_is_guarded_when_results_are_checked(tmp_path):
+    path = tmp_path / "mine.onnx"
+    path.write_bytes(policies.shipped_path("size-free").read_bytes())
+    spec = PolicySpec("guarded", FactorySpec.of(LOADER, path_or_name=str(path), guarded=True))
+    description = spec.to_dict()
+    ((_, digest),) = description["training_seeds"][0]["files"].items()
+    copy = policy_copy(tmp_path / "results", digest)
+    copy.parent.mkdir(parents=True)
+    path.rename(copy)
+    copied = _Copied.of(spec, description, tmp_path / "results")
+    assert copied.sources == (FactorySpec.of(LOADER, path_or_name=str(copy), guarded=True),)

@@ -12,6 +12,7 @@ pytest.importorskip("cma")
 onnx = pytest.importorskip("onnx")
 
 from ptne_env import get_scenario, policies
+from ptne_env.cli.train import _arguments
 from ptne_env.policies.learned import SizeFreeFile
 from ptne_env.training import checkpoint, evolution, generalist, ppo
 from ptne_env.training.arguments import Arguments, from_toml
@@ -192,6 +193,12 @@ def test_a_policy_with_another_network_is_no_start(run, tmp_path):
     assert isinstance(policies.load(tmp_path / "other.onnx"), SizeFreeFile)
     with pytest.raises(ValueError, match=r"other.onnx' has another network .* cannot go on"):
         size_free_from_onnx(tmp_path / "other.onnx")
+
+
+@pytest.mark.parametrize(("start", "expected"), [("generalist", "size-free"), ("mine.onnx", "mine.onnx")])
+def test_a_specialist_starts_with_the_shipped_generalist_or_a_file(start, expected):
+    arguments, _ = _arguments("random-energy", start, {"seed": 3})
+    assert arguments == from_toml(Generalist, "specialist", scenarios=("random-energy",), start=expected, seed=3)
 
 
 def test_an_unknown_stage_is_named_once():
