@@ -7,7 +7,7 @@ Prints a line per policy: the median and the largest local radius without the sa
 diverges), the median and the smallest number of digits without it and with it, and the share of players that handed
 over.
 
-Run it with: python examples/safeguard.py [--games 1] [--policy FILE.onnx]
+Run it with: python examples/safeguard.py [--games 1] [--policy size-free]
 """
 
 import argparse
@@ -99,6 +99,6 @@ def main(games: int, path: str | None) -> None:
 if __name__ == "__main__":
     parser = argparse.ArgumentParser()
     parser.add_argument("--games", type=int, default=1)
-    parser.add_argument("--policy", help="the .onnx file of a policy without sizes")
+    parser.add_argument("--policy", help="a policy without sizes, by name or .onnx file")
     arguments = parser.parse_args()
     main(arguments.games, arguments.policy)

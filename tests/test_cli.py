@@ -420,6 +420,16 @@ def test_compare_takes_a_policy_by_module_and_object():
             ("train", "random-enery", "--out", "out"),
             "unknown configuration 'random-enery'; did you mean 'random-energy'",
         ),
+        (("train", "specialist", "--out", "out"), "ptne train TRACK --from size-free --out DIR"),
+        (
+            ("train", "generalist", "--from", "size-free", "--out", "out"),
+            "such as ptne-v1/noise, and 'generalist' is a",
+        ),
+        (("train", "ptne-v1/noise", "--from", "ppo-random-energy", "--out", "out"), "such as size-free"),
+        (
+            ("train", "generalist", "--steps", "9", "--out", "out"),
+            "--steps counts agent-steps of PPO; a policy without",
+        ),
         (("reproduce", "--points", "3"), "No such option"),
         (("list", "everything"), "'everything' is not one of"),
         (("no-such-command",), "No such command"),

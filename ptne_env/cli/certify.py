@@ -24,7 +24,7 @@ def certify(
         typer.Option(
             help="A law by name (static, adaptive, corollary-one, gadjov-pavel, grounded), by its class in "
             "ptne_env.laws (FixedGain, LocallyImplicit, …), or as 'module:object', which is called with the layout and "
-            "runs its own code.",
+            "runs its own code; or a policy without sizes, by name (size-free) or .onnx file.",
             autocompletion=law_names,
         ),
     ] = "static",

@@ -15,13 +15,17 @@ from ptne_env import training
 from ptne_env.cli import options
 from ptne_env.cli.app import app
 from ptne_env.cli.console import check_writable, json_text, progress, say, write_json
-from ptne_env.experiments.suite import foreign_suites
+from ptne_env.experiments.suite import foreign_suites, world_names
 
 if TYPE_CHECKING:
     from ptne_env.training import generalist
     from ptne_env.training.arguments import Arguments
     from ptne_env.training.checkpoint import Summary
     from ptne_env.training.curve import LearningCurve
+
+
+SHIPPED = "size-free"
+"""The shipped policy of the configuration ``generalist``."""
 
 
 @app.command()
@@ -54,7 +58,9 @@ def train(
     start: Annotated[
         str | None,
         typer.Option(
-            "--from", help="Policy without sizes, by file or name, that is fine-tuned on the scenario or track."
+            "--from",
+            help="Policy without sizes, by file or name, that is fine-tuned on the scenario or track; 'generalist' is "
+            f"the shipped one, {SHIPPED!r}.",
         ),
     ] = None,
     json: options.Json = None,
@@ -103,7 +109,9 @@ def train(
     if drawn and (len(ended) < len(runs) or not picture.exists()):
         draw(drawn, picture, title=f"Training of {configuration.removesuffix('.toml')}", unit=unit)
         say(f"Learning curve written to {picture}")
-    for line in next_commands(arguments.scenarios, out, runs, has_seeds=seeds is not None):
+    for line in next_commands(
+        arguments.scenarios, out, runs, has_seeds=seeds is not None, start=getattr(arguments, "start", "")
+    ):
         say(line)
 
 
@@ -113,13 +121,26 @@ def _arguments(
     """The arguments of a run, and the unit of its progress."""
     from ptne_env.training import arguments, generalist
 
-    segments = "segments of training"
+    if start is None and configuration == training.SPECIALIST:
+        raise ValueError(f"a specialist starts from a policy: ptne train TRACK --from {SHIPPED} --out DIR")
     if start is not None:
-        changes = {**changes, "scenarios": (configuration,), "start": start}
-        return arguments.from_toml(generalist.Generalist, "specialist", **changes), segments
-    if "stages" in arguments.values_of(configuration)[1]:
-        return arguments.from_toml(generalist.Generalist, configuration, **changes), segments
-    return arguments.from_toml(arguments.Arguments, configuration, **changes), "agent-steps"
+        if Path(configuration).suffix == ".toml" or configuration in {*training.all_configurations()} - {
+            *world_names()
+        }:
+            raise ValueError(
+                f"--from fine-tunes on a scenario or track, such as ptne-v1/noise, and {configuration!r} is a "
+                "configuration; a .toml file of your own may say start = 'POLICY'"
+            )
+        changes |= {"scenarios": (configuration,), "start": SHIPPED if start == "generalist" else start}
+        configuration = training.SPECIALIST
+    elif "stages" not in arguments.values_of(configuration)[1]:
+        return arguments.from_toml(arguments.Arguments, configuration, **changes), "agent-steps"
+    if "steps" in changes:
+        raise ValueError(
+            "--steps counts agent-steps of PPO; a policy without sizes trains for rounds, segments and generations, "
+            "which a .toml file of your own may change"
+        )
+    return arguments.from_toml(generalist.Generalist, configuration, **changes), "segments of training"
 
 
 def _train(
@@ -162,8 +183,13 @@ def _say_result(folder: Path, summary: Summary, *, was_finished: bool) -> None:
         say(f"{digits}, after {summary.seconds:.0f} s{parts}; policy.onnx written to {folder}")
 
 
-def next_commands(scenarios: Sequence[str], out: Path, folders: Iterable[Path], *, has_seeds: bool) -> list[str]:
-    """The commands that compare the policy with the paper's law where it was trained, and that show the logs."""
+def next_commands(
+    scenarios: Sequence[str], out: Path, folders: Iterable[Path], *, has_seeds: bool, start: str = ""
+) -> list[str]:
+    """The commands that compare the policy where it was trained, and that show the logs.
+
+    It is compared with the policy with which training started, or with the paper's law.
+    """
     match sorted({name.rpartition("/")[0] for name in scenarios}):
         case [_]:
             where = " ".join(scenarios)
@@ -172,7 +198,8 @@ def next_commands(scenarios: Sequence[str], out: Path, folders: Iterable[Path], 
         case _:  # trained in random worlds, or on tracks of several suites
             where = "--suite ptne-v2"
     trained = f"trained={out}/seed-*/policy.onnx" if has_seeds else str(out / "policy.onnx")
-    lines = [f"To compare:  ptne compare {where} --policy {shlex.quote(f'static,{trained}')}"]
+    other = f"start={start}" if start.endswith(".onnx") else start or "static"
+    lines = [f"To compare:  ptne compare {where} --policy {shlex.quote(f'{other},{trained}')}"]
     if any((folder / "tensorboard").is_dir() for folder in folders):
         lines.append(f"To see the logs:  tensorboard --logdir {shlex.quote(str(out))}")
     return lines

@@ -265,8 +265,9 @@ class _Mixture(VecEnv):
                 part.action_space != parts[0].action_space
             ):
                 raise ValueError(
-                    f"no policy can act in both {parts[0].vector.scenario.name!r} and {part.vector.scenario.name!r}: "
-                    "their layouts differ"
+                    "no policy of one layout can act in both "
+                    f"{parts[0].vector.scenario.name!r} and {part.vector.scenario.name!r}: their layouts differ; a "
+                    "policy without sizes can (docs/learning.md)"
                 )
         boxes = [part.observation_space for part in parts]
         low = np.min([box.low for box in boxes if isinstance(box, spaces.Box)], axis=0)

@@ -367,7 +367,9 @@ class _Copied(PolicySpec):
                 path, digest = found
                 copy = policy_copy(folder, digest)
                 if hashes != {path: digest} and file_hash(copy) == digest:
-                    here, hashes = FactorySpec.of(LOADER, path_or_name=str(copy)), {path: digest}
+                    arguments = dict(source.arguments) if isinstance(source, FactorySpec) else {}
+                    arguments["path_or_name"] = str(copy)
+                    here, hashes = FactorySpec.of(LOADER, **arguments), {path: digest}
                 elif not hashes:
                     here, hashes = None, {path: digest}
             sources.append(here)

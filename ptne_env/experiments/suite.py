@@ -381,5 +381,8 @@ def find_scenario(name: str) -> Scenario:
         return get_scenario(name)
     found = get_suite(suite).track(track)
     if found.teammates is not None:
-        raise ValueError(f"track {name!r} is more than its scenario: some of its players follow a fixed policy")
+        raise ValueError(
+            f"track {name!r} is more than its scenario: some of its players follow a fixed policy; only ptne compare "
+            f"{name} and run_suite play it"
+        )
     return found.scenario

@@ -80,14 +80,16 @@ class SizeFreeFile:
         name: of the file, without its ending.
         metadata: description in the file.
         interface: of the policy.
+        guarded: whether its players have a safeguard, see :class:`~ptne_env.policies.size_free.SizeFreePolicy`.
     """
 
     has_memory: ClassVar[bool] = True
 
-    def __init__(self, name: str, session: Any, metadata: SizeFreeMetadata) -> None:
+    def __init__(self, name: str, session: Any, metadata: SizeFreeMetadata, *, guarded: bool = False) -> None:
         self.name = name
         self.metadata = metadata
         self.interface = metadata.interface
+        self.guarded = guarded
         self._session = session
 
     def __call__(self, layout: ObservationLayout) -> SizeFreePolicy:
@@ -97,7 +99,7 @@ class SizeFreeFile:
             PolicyLayoutError: when the interface of the layout is not that of the policy.
         """
         self.metadata.require(layout)
-        return SizeFreePolicy(layout, self.network)
+        return SizeFreePolicy(layout, self.network, guarded=self.guarded)
 
     def network(self, cell: Float32Array, slot: Float32Array) -> tuple[Float32Array, Float32Array]:
         """The gates; see :data:`ptne_env.policies.size_free.Network`."""
@@ -116,15 +118,17 @@ def shipped_path(name: str) -> Path | None:
 
 
 @overload
-def load(path_or_name: str | Path, layout: None = None) -> LearnedPolicy | SizeFreeFile: ...
+def load(path_or_name: str | Path, layout: None = None, *, guarded: bool = False) -> LearnedPolicy | SizeFreeFile: ...
 
 
 @overload
-def load(path_or_name: str | Path, layout: ObservationLayout) -> LearnedPolicy | SizeFreePolicy: ...
+def load(
+    path_or_name: str | Path, layout: ObservationLayout, *, guarded: bool = False
+) -> LearnedPolicy | SizeFreePolicy: ...
 
 
 def load(
-    path_or_name: str | Path, layout: ObservationLayout | None = None
+    path_or_name: str | Path, layout: ObservationLayout | None = None, *, guarded: bool = False
 ) -> LearnedPolicy | SizeFreeFile | SizeFreePolicy:
     """A learned policy from an ``.onnx`` file, or a shipped policy by name.
 
@@ -134,13 +138,15 @@ def load(
     Args:
         path_or_name: the file or name.
         layout: of the environment in which the policy must be able to act; not checked if left out.
+        guarded: whether the players of a policy without sizes hand over to ``observer-relay`` where it leads them
+            astray, see :mod:`ptne_env.policies.safeguard`.
 
     Returns:
         The policy. A policy without sizes needs a layout: where that is left out, it is built when the result is called
         with one.
 
     Raises:
-        ValueError: for an unknown name.
+        ValueError: for an unknown name, and when a policy with sizes is to be guarded.
         FileNotFoundError: when there is no such file.
         PolicyFileError: when the file is damaged, foreign or of another version, refers to other files, takes too much
             time or memory, or was made for another layout.
@@ -155,6 +161,10 @@ def load(
             raise ValueError(unknown_name("learned policy", str(path_or_name), shipped(), "an .onnx file"))
     require_file(path)
     policy = _read(path)
+    if guarded:
+        if not isinstance(policy, SizeFreeFile):
+            raise ValueError(f"policy {str(path_or_name)!r} has sizes: only policies without sizes have a safeguard")
+        policy.guarded = True
     if layout is None:
         return policy
     if isinstance(policy, SizeFreeFile):

@@ -108,7 +108,13 @@ class Description:
 
     def _needs(self, layout: ObservationLayout) -> dict[str, tuple[Any, Any]]:
         """What policy and environment must have in common: its name, that of the policy, and that of the layout."""
-        return {"interface": (self.interface, layout.interface)}
+        names = [field.name for field in dataclasses.fields(Interface)]
+        different = [name for name in names if getattr(self.interface, name) != getattr(layout.interface, name)]
+        mine, theirs = (
+            ", ".join(f"{name}={getattr(interface, name)!r}" for name in different)
+            for interface in (self.interface, layout.interface)
+        )
+        return {"interface": (mine, theirs)}
 
     def require(self, layout: ObservationLayout) -> None:
         """Check that the policy can act in an environment of this layout.

@@ -276,18 +276,21 @@ def certify(
         condition=condition(built, problem),
         effective_time=world.clock.effective_time,
         shortfall=world.clock.shortfall,
-        notes=tuple(_scenario_notes(world, faults)),
+        notes=(),
     )
+    scenario_notes = tuple(_scenario_notes(world, faults))
     try:
         loop = sampled_loop(world, built)
     except NoClosedLoopError as error:
         radius, local_notes = _local(world, built)
-        notes = (f"{error}: no rates, digits or margins", *local_notes, *certificate.notes)
+        unknown = [name for name, size in (("noise", faults.noise_std), ("delay", faults.delay_steps)) if size]
+        fault_notes = [f"no prediction includes the channel's {' and '.join(unknown)}"] if unknown else []
+        notes = (f"{error}: no rates, digits or margins", *local_notes, *scenario_notes, *fault_notes)
         return dataclasses.replace(certificate, local_radius=radius, notes=notes)
     prediction = _Prediction.of(world, built, loop)
     return dataclasses.replace(
         certificate,
-        notes=(*prediction.notes(), *certificate.notes),
+        notes=(*prediction.notes(), *scenario_notes, *_row_notes(faults)),
         **prediction.fields(),
         **_guarantee(certificate, prediction),
         noise=prediction.noise(std),
@@ -330,7 +333,10 @@ def build_law(law: LawSource, world: World) -> Law:
     source = law
     if isinstance(source, FactorySpec) and source.target == LOADER:
         if not callable(loaded := source.build()):
-            raise ValueError(f"{law!r} loads a policy of fixed sizes; the theory is about a ptne_env.laws.Law")
+            raise ValueError(
+                f"policy {_describe(law)} has fixed sizes: certify takes laws and policies without sizes, such as "
+                "size-free"
+            )
         source = loaded
     target = source.resolve() if isinstance(source, FactorySpec) else source
     layout = make_encoder(world, getattr(target, "interface", Interface())).layout
@@ -600,7 +606,9 @@ def _local(world: World, law: Law) -> tuple[float | None, tuple[str, ...]]:
         except NoClosedLoopError as error:  # gates that depend on the state at rest
             reason = str(error)
     if math.isfinite(radius):
-        return radius, ("the local radius is that of the gates as an episode over perfect links leaves them",)
+        return radius, (
+            "the factor per step, the local radius, is that of the gates as an episode over perfect links leaves them",
+        )
     return None, (f"{reason or 'the episode over perfect links diverges'}: no local radius",)
 
 
@@ -656,8 +664,6 @@ def _scenario_notes(world: World, faults: _ChannelFaults) -> Iterator[str]:
         )
     if faults.others:
         yield f"no prediction includes the channel's {', '.join(faults.others)}"
-    if faults.noise_std or faults.delay_steps:
-        yield "only the rows of noise and delay include the channel's noise and constant delay, each on its own"
     disturbance = None if world.disturbance.is_absent else scenario.disturbance
     parts = {"disturbance": disturbance, "sensor": scenario.sensor, "drift": scenario.drift}
     for name, part in parts.items():
@@ -671,6 +677,11 @@ def _scenario_notes(world: World, faults: _ChannelFaults) -> Iterator[str]:
         yield f"the last step ends {world.clock.shortfall:.2%} of T short of the deadline; raise s_end to come closer"
 
 
+def _row_notes(faults: _ChannelFaults) -> Iterator[str]:
+    if faults.noise_std or faults.delay_steps:
+        yield "only the rows of noise and delay include the channel's noise and constant delay, each on its own"
+
+
 def _smallest(margins: Iterable[float | None]) -> float | None:
     """The smallest; ``None`` when one of them is ``None``."""
     found = list(margins)
@@ -680,7 +691,10 @@ def _smallest(margins: Iterable[float | None]) -> float | None:
 def _describe(law: LawSource) -> str:
     if not isinstance(law, FactorySpec):
         return str(getattr(law, "__name__", type(law).__name__))
-    arguments = ", ".join(f"{name}={value}" for name, value in law.to_dict()["arguments"].items())
+    given = law.to_dict()["arguments"]
+    if law.target == LOADER:
+        return str(given["path_or_name"]) + " with its safeguard" * bool(given.get("guarded"))
+    arguments = ", ".join(f"{name}={value}" for name, value in given.items())
     return f"{law.target.rpartition(':')[2]}({arguments})"
 
 

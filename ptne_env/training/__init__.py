@@ -17,6 +17,10 @@ def configurations() -> list[str]:
     return sorted(path.stem for path in CONFIGURATIONS.glob("*.toml"))
 
 
+SPECIALIST = "specialist"
+"""The configuration in it that fine-tunes a policy, which is no run by itself."""
+
+
 def all_configurations() -> list[str]:
-    """The names of all shipped configurations."""
-    return sorted([*configurations(), *(path.stem for path in SIZE_FREE.glob("*.toml"))])
+    """The names of all shipped configurations that define a run."""
+    return sorted({*configurations(), *(path.stem for path in SIZE_FREE.glob("*.toml"))} - {SPECIALIST})

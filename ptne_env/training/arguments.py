@@ -55,6 +55,8 @@ def _message(error: ValidationError, names: list[str]) -> str:
             unknown.append(name)
         elif detail["type"] == "missing":
             clauses.append(f"{name} is missing")
+        elif detail["type"] == "too_short" and detail["input"]:
+            continue  # pydantic counts valid items alone, and the others have clauses of their own
         else:  # the message is such as "Input should be greater than 0" or "Tuple should have at least 1 item"
             expected = detail["msg"].split(" ", 2)[-1].replace("valid tuple", "list")
             clauses.append(f"{name} must {expected}, got {reprlib.repr(detail['input'])}")

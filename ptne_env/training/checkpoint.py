@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+import reprlib
 from dataclasses import asdict, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol, TypeVar
@@ -27,6 +28,10 @@ CHECKPOINT = "checkpoint.npz"
 
 _RECORD = "record"
 _POLICY, _SUMMARY = "policy.onnx", "summary.json"
+_ANOTHER_FOLDER = "choose another folder, or remove this one to start afresh"
+_SHOWN = 3
+"""The most arguments that a message shows."""
+
 _MOMENTS = ("exp_avg", "exp_avg_sq")
 """The arrays that Adam keeps of each parameter, beside the number of its steps."""
 
@@ -88,10 +93,13 @@ def require_same(arguments: DataclassInstance, theirs: dict[str, Any], out: Path
     mine = plain(arguments)
     different = sorted(name for name in mine.keys() | theirs.keys() if theirs.get(name) != mine.get(name))
     if different:
-        raise ValueError(
-            f"{out} holds a run with another {', '.join(different)}; choose another folder, or remove this one to "
-            "start afresh"
-        )
+        names = [f"{name} is {_shown(theirs, name)} there and {_shown(mine, name)} here" for name in different[:_SHOWN]]
+        more = f", and {len(different) - _SHOWN} more differ" if len(different) > _SHOWN else ""
+        raise ValueError(f"{out} holds another run: {', '.join(names)}{more}; {_ANOTHER_FOLDER}")
+
+
+def _shown(values: dict[str, Any], name: str) -> str:
+    return reprlib.repr(values[name]) if name in values else "missing"
 
 
 def finished(arguments: DataclassInstance, out: Path) -> Summary | None:
@@ -140,15 +148,22 @@ def read(path: Path, kind: type[_Record] = Record) -> tuple[_Record, dict[str, n
 
     Raises:
         OSError: when the file cannot be read.
-        ValueError: naming ``path``, when it is damaged or something else.
+        ValueError: naming ``path``, when it is damaged or something else, or of a run of another kind.
     """
     content = path.read_bytes()
     try:
         with np.load(io.BytesIO(content), allow_pickle=False) as file:
             arrays = dict(file)
-        return kind(**json.loads(str(arrays.pop(_RECORD)))), arrays
+        record: dict[str, Any] = json.loads(str(arrays.pop(_RECORD)))
+        is_of_this_kind = record.keys() == {field.name for field in fields(kind)}
+        if is_of_this_kind or not {field.name for field in fields(Record)} <= record.keys():
+            return kind(**record), arrays
     except Exception as error:  # zip files raise many classes
         raise ValueError(f"{path} is damaged, or no checkpoint: remove it to train afresh ({error!r})") from error
+    raise ValueError(
+        f"{path} is of a run that trains another kind of policy, or of another version of the library; "
+        f"{_ANOTHER_FOLDER}"
+    )
 
 
 def restore(model: Learner, arrays: dict[str, np.ndarray]) -> None:

@@ -20,8 +20,9 @@ from torch import nn
 from ptne_env._version import __version__
 from ptne_env.arrays import Float32Array
 from ptne_env.laws.gated import CellGates, SlotGates
+from ptne_env.names import unknown_name
 from ptne_env.observation import Interface, ObservationLayout
-from ptne_env.policies import Metadata, SizeFreeFile, SizeFreeMetadata, load, shipped_path
+from ptne_env.policies import Metadata, SizeFreeFile, SizeFreeMetadata, load, shipped, shipped_path
 from ptne_env.policies.learned import SIZE_FREE_INPUTS
 from ptne_env.policies.metadata import GATES, Description
 from ptne_env.policies.size_free import CELL_FEATURES, SLOT_FEATURES
@@ -194,17 +195,33 @@ def size_free_from_onnx(path_or_name: str | Path) -> GateNetwork:
 
     Raises:
         FileNotFoundError, PolicyFileError: as :func:`ptne_env.policies.load`.
-        ValueError: when the policy has sizes.
+        ValueError: when the policy has sizes, or another network than training makes.
     """
-    if not isinstance(load(path_or_name), SizeFreeFile):
-        raise ValueError(f"policy {str(path_or_name)!r} has sizes: training continues only policies without sizes")
-    path = shipped_path(str(path_or_name)) or Path(path_or_name)
+    name = str(path_or_name)
+    path = shipped_path(name) or Path(path_or_name)
+    if path.suffix != ".onnx":
+        raise ValueError(unknown_name("policy without sizes", name, _without_sizes(), "an .onnx file"))
+    if not isinstance(load(path), SizeFreeFile):
+        raise ValueError(
+            f"policy {name!r} has sizes: training goes on only from policies without sizes, such as "
+            f"{', '.join(_without_sizes())}"
+        )
     graph = onnx.load_from_string(path.read_bytes()).graph
     constants = {each.name: numpy_helper.to_array(each) for each in graph.initializer}
-    network = GateNetwork(len(constants["first.bias"]), len(constants["encoder.bias"]))
-    state = {name: torch.from_numpy(np.array(constants[name].T)) for name in network.state_dict()}
-    network.load_state_dict(state)
+    try:
+        network = GateNetwork(len(constants["first.bias"]), len(constants["encoder.bias"]))
+        state = {key: torch.from_numpy(np.array(constants[key].T)) for key in network.state_dict()}
+        network.load_state_dict(state)
+    except (KeyError, TypeError, RuntimeError) as error:
+        raise ValueError(
+            f"policy {name!r} has another network than those of ptne train: training cannot go on from it"
+        ) from error
     return network
+
+
+def _without_sizes() -> list[str]:
+    """The names of the shipped policies without sizes."""
+    return [name for name in shipped() if isinstance(load(name), SizeFreeFile)]
 
 
 def _array(tensor: torch.Tensor) -> Float32Array:

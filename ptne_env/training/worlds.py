@@ -2,7 +2,8 @@
 
 The tracks of ptne-v1 and ptne-v2 are tests, so no world is one of them by construction. The constants of this module
 are all that is drawn, and all that is held out. Graphs of tracks cannot occur, because no world has their numbers of
-players.
+players. Not held out is what most worlds share with some track: the families RandomAffine, RandomEnergy and
+RandomSaturating, the kinds of topologies and faults, s_end, the range of starts, and densities of random graphs.
 """
 
 from __future__ import annotations

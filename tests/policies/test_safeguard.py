@@ -7,8 +7,11 @@ import pytest
 from affine_games import affine_scenario, random_affine, run
 from worlds import begin, fixed_part, world_and_encoder
 
-from ptne_env import dynamics, laws, theory
+from ptne_env import FactorySpec, PolicySpec, dynamics, get_scenario, laws, policies, theory
 from ptne_env.experiments import get_suite
+from ptne_env.experiments.archive import policy_copy
+from ptne_env.experiments.check import _Copied
+from ptne_env.factory import LOADER
 from ptne_env.laws.gated import CellGates, observer_gates
 from ptne_env.policies import SizeFreePolicy, safeguard
 
@@ -112,3 +115,30 @@ def test_the_local_radius_after_handing_over_is_that_of_the_law():
     law = theory.local_radius(world, laws.ObserverRelay(encoder.layout))
     assert theory.local_radius(world, Changed(encoder.layout, copies=0.0)) == pytest.approx(law, abs=1e-6)
     assert theory.local_radius(world, Changed(encoder.layout, guarded=False, copies=0.0)) == pytest.approx(1.0)
+
+
+def test_a_file_is_loaded_with_its_safeguard():
+    _, encoder = fixed_world()
+    assert not policies.load("size-free", encoder.layout).guarded
+    assert policies.load("size-free", encoder.layout, guarded=True).guarded
+    assert policies.load("size-free", guarded=True)(encoder.layout).guarded
+    spec = PolicySpec("guarded", FactorySpec.of(LOADER, path_or_name="size-free", guarded=True))
+    assert spec.build(encoder.layout).guarded
+    assert spec.has_memory
+    assert PolicySpec.from_dict(spec.to_dict()) == spec
+    assert theory.certify(get_scenario("energy"), law=spec).law == "size-free with its safeguard"
+    with pytest.raises(ValueError, match="has sizes: only policies without sizes have a safeguard"):
+        policies.load("ppo-random-energy", guarded=True)
+
+
+def test_a_copy_of_a_guarded_file_is_guarded_when_results_are_checked(tmp_path):
+    path = tmp_path / "mine.onnx"
+    path.write_bytes(policies.shipped_path("size-free").read_bytes())
+    spec = PolicySpec("guarded", FactorySpec.of(LOADER, path_or_name=str(path), guarded=True))
+    description = spec.to_dict()
+    ((_, digest),) = description["training_seeds"][0]["files"].items()
+    copy = policy_copy(tmp_path / "results", digest)
+    copy.parent.mkdir(parents=True)
+    path.rename(copy)
+    copied = _Copied.of(spec, description, tmp_path / "results")
+    assert copied.sources == (FactorySpec.of(LOADER, path_or_name=str(copy), guarded=True),)

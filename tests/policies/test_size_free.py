@@ -311,7 +311,7 @@ def test_a_file_decides_the_same_in_its_own_process(file):
 @pytest.mark.parametrize(
     ("interface", "message"),
     [
-        (Interface("local"), "interface: policy .*'physical'.* environment .*'local'"),
+        (Interface("local"), "interface: policy kind='physical', environment kind='local'$"),
         (Interface("physical", "gains"), "interface: policy .*'input'.* environment .*'gains'"),
         (Interface(graph_knowledge="union"), "interface: policy .*'links'.* environment .*'union'"),
     ],

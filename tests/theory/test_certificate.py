@@ -387,5 +387,16 @@ def test_a_file_of_a_policy_without_sizes_has_a_local_radius(tmp_path):
     found = theory.certify(get_scenario("energy"), law=law_factory(str(path)))
     law = theory.certify(get_scenario("energy"), law=spec_of("ObserverRelay"))
     assert found.local_radius == pytest.approx(law.local_radius, abs=1e-6)
-    with pytest.raises(ValueError, match="fixed sizes"):
+    assert found.law == str(path)
+    with pytest.raises(ValueError, match="policy ppo-random-energy has fixed sizes: certify takes laws and policies"):
         theory.certify(get_scenario("energy"), law=law_factory("ppo-random-energy"))
+
+
+def test_a_law_without_rows_of_noise_and_delay_says_that_no_number_includes_them():
+    noise = get_suite("ptne-v1").track("noise").scenario
+    missing, rows = "no prediction includes the channel's noise", "only the rows of noise and delay include"
+    notes = {law: " ".join(theory.certify(noise, law=spec_of(law)).notes) for law in ("ObserverRelay", "Static")}
+    assert missing in notes["ObserverRelay"]
+    assert rows not in notes["ObserverRelay"]
+    assert missing not in notes["Static"]
+    assert rows in notes["Static"]

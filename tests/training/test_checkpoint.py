@@ -138,9 +138,16 @@ def test_arrays_for_another_network_are_refused_and_change_nothing(path):
     assert same(model, untouched)
 
 
-@pytest.mark.parametrize("change", [{"parts": 0}, {"agent_steps": "20"}, {"seconds": -1.0}, {"more": 1}])
+@pytest.mark.parametrize("change", [{"parts": 0}, {"agent_steps": "20"}, {"seconds": -1.0}])
 def test_a_record_with_wrong_numbers_is_refused(change, path, monkeypatch, trained):
     monkeypatch.setattr(checkpoint, "asdict", lambda record: dataclasses.asdict(record) | change)
     checkpoint.save(path, trained, RECORD)
     with pytest.raises(ValueError, match=f"remove it to train afresh.*{next(iter(change))}"):
+        checkpoint.read(path)
+
+
+def test_a_record_with_other_numbers_is_of_another_kind_and_not_called_damaged(path, monkeypatch, trained):
+    monkeypatch.setattr(checkpoint, "asdict", lambda record: dataclasses.asdict(record) | {"more": 1})
+    checkpoint.save(path, trained, RECORD)
+    with pytest.raises(ValueError, match="another kind of policy, or of another version .*; choose another folder"):
         checkpoint.read(path)

@@ -9,14 +9,16 @@ from extras import need_sb3
 
 torch = need_sb3()
 pytest.importorskip("cma")
+onnx = pytest.importorskip("onnx")
 
 from ptne_env import get_scenario, policies
+from ptne_env.cli.train import _arguments
 from ptne_env.policies.learned import SizeFreeFile
-from ptne_env.training import evolution, generalist
-from ptne_env.training.arguments import from_toml
-from ptne_env.training.checkpoint import CHECKPOINT
+from ptne_env.training import checkpoint, evolution, generalist, ppo
+from ptne_env.training.arguments import Arguments, from_toml
+from ptne_env.training.checkpoint import CHECKPOINT, Record
 from ptne_env.training.export import size_free_from_onnx
-from ptne_env.training.generalist import Generalist
+from ptne_env.training.generalist import Course, Generalist
 from ptne_env.training.network import GateNetwork
 
 # Some seconds on one core for all three stages.
@@ -105,20 +107,42 @@ def test_a_finished_run_is_not_repeated(run):
 def test_another_run_in_the_same_folder_is_refused_and_changes_nothing(run, tmp_path):
     out, _, _ = run
     other = dataclasses.replace(ARGUMENTS, seed=1)
-    with pytest.raises(ValueError, match="another seed; choose another folder"):
+    with pytest.raises(ValueError, match="another run: seed is 0 there and 1 here; choose another folder"):
         generalist.train(other, out)
     interrupted(ARGUMENTS, tmp_path, 0)
     before = (tmp_path / CHECKPOINT).read_bytes()
-    with pytest.raises(ValueError, match="another seed; choose another folder"):
+    with pytest.raises(ValueError, match="another run: seed is 0 there and 1 here; choose another folder"):
         generalist.train(other, tmp_path)
     assert (tmp_path / CHECKPOINT).read_bytes() == before
+
+
+def test_the_checkpoint_of_another_kind_of_policy_is_not_called_damaged(tmp_path):
+    interrupted(ARGUMENTS, tmp_path, 0)
+    before = (tmp_path / CHECKPOINT).read_bytes()
+    with pytest.raises(ValueError, match="run that trains another kind of policy, .*; choose another folder"):
+        ppo.train(Arguments("random-energy", envs=1, rollout=4, minibatches=2, steps=40), tmp_path)
+    assert (tmp_path / CHECKPOINT).read_bytes() == before
+    course, _ = checkpoint.read(tmp_path / CHECKPOINT, Course)
+    record = Record(*(getattr(course, field.name) for field in dataclasses.fields(Record)))
+    checkpoint.save(tmp_path / CHECKPOINT, generalist.Run(ARGUMENTS), record)
+    with pytest.raises(ValueError, match="run that trains another kind of policy, .*; choose another folder"):
+        generalist.train(ARGUMENTS, tmp_path)
 
 
 @pytest.mark.parametrize(
     ("changes", "error", "message"),
     [
-        ({"start": "unheard-of"}, ValueError, "unknown learned policy 'unheard-of'"),
-        ({"start": "ppo-random-energy"}, ValueError, "has sizes"),
+        (
+            {"start": "unheard-of"},
+            ValueError,
+            "unknown policy without sizes 'unheard-of'; choose from size-free, or an .onnx file",
+        ),
+        ({"start": "ppo-random-energy"}, ValueError, "has sizes: .* such as size-free"),
+        (
+            {"start": "observer-relay"},
+            ValueError,
+            "unknown policy without sizes 'observer-relay'; choose from size-free",
+        ),
         ({"scenarios": ("ptne-v1/nois",)}, ValueError, "nois"),
         ({"law": "relais"}, ValueError, "no law 'relais'"),
     ],
@@ -157,6 +181,29 @@ def test_a_network_survives_its_file(run):
         network.decide(cell, slot), policies.load(out / "policy.onnx").network(cell, slot), strict=True
     ):
         np.testing.assert_allclose(mine, theirs, atol=1e-5)
+
+
+def test_a_policy_with_another_network_is_no_start(run, tmp_path):
+    out, _, _ = run
+    model = onnx.load(out / "policy.onnx")
+    for node in model.graph.node:
+        node.input[:] = [name.replace("first.bias", "other") for name in node.input]
+    next(each for each in model.graph.initializer if each.name == "first.bias").name = "other"
+    onnx.save(model, tmp_path / "other.onnx")
+    assert isinstance(policies.load(tmp_path / "other.onnx"), SizeFreeFile)
+    with pytest.raises(ValueError, match=r"other.onnx' has another network .* cannot go on"):
+        size_free_from_onnx(tmp_path / "other.onnx")
+
+
+@pytest.mark.parametrize(("start", "expected"), [("generalist", "size-free"), ("mine.onnx", "mine.onnx")])
+def test_a_specialist_starts_with_the_shipped_generalist_or_a_file(start, expected):
+    arguments, _ = _arguments("random-energy", start, {"seed": 3})
+    assert arguments == from_toml(Generalist, "specialist", scenarios=("random-energy",), start=expected, seed=3)
+
+
+def test_an_unknown_stage_is_named_once():
+    with pytest.raises(ValueError, match=r"^stages.0 must be 'imitation', 'ppo' or 'evolution', got 'sgd'$"):
+        Generalist(("sgd",))
 
 
 def test_the_shipped_configurations_are_valid():

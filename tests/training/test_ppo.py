@@ -88,7 +88,9 @@ def times(folder):
 def test_another_run_in_the_same_folder_is_refused_and_changes_nothing(run):
     out, _, _ = run
     before = times(out)
-    with pytest.raises(ValueError, match="another seed; choose another folder, or remove this one"):
+    with pytest.raises(
+        ValueError, match="another run: seed is 0 there and 1 here; choose another folder, or remove this one"
+    ):
         ppo.train(dataclasses.replace(ARGUMENTS, seed=1), out)
     assert times(out) == before
 
@@ -107,7 +109,10 @@ def test_a_finished_run_is_not_repeated_and_loses_a_checkpoint_left_over(run):
         ({"scenarios": "random-enery"}, "unknown scenario 'random-enery'"),
         ({"scenarios": ("random-energy", "ptne-v1/delay"), "envs": 5}, "5 environments cannot be shared evenly by 2"),
         ({"scenarios": "ptne-v1/mixed-team"}, "more than its scenario"),
-        ({"scenarios": ("random-energy", "robots"), "envs": 2}, "no policy can act in both"),
+        (
+            {"scenarios": ("random-energy", "robots"), "envs": 2},
+            "no policy of one layout can act in both .* a policy without sizes can",
+        ),
         ({"interface": "full"}, "choose 'physical', 'local' or 'learner'"),
         ({"envs": 1, "minibatches": 250}, "minibatches must be fewer than the 250 samples of a rollout, got 250"),
     ],
@@ -124,7 +129,7 @@ def test_a_start_that_fails_leaves_no_files(change, message, tmp_path):
         ("{", "summary.json is not the summary of a training run: it is cut off"),
         ("[]", "summary.json is not the summary of a training run: expected a JSON object"),
         ('{"parts": 1}', "summary.json is not the summary of a training run: arguments is missing"),
-        (None, "holds a run with another unheard_of"),
+        (None, "holds another run: unheard_of is 1 there and missing here"),
     ],
 )
 def test_a_damaged_or_later_summary_is_refused_by_name(content, message, run, tmp_path):
@@ -218,7 +223,10 @@ def test_a_policy_that_fails_in_its_validation_is_not_kept(tmp_path, monkeypatch
 def test_an_interrupted_run_with_other_arguments_is_refused(tmp_path):
     interrupted(SHORT, tmp_path, after=1)
     before = times(tmp_path)
-    with pytest.raises(ValueError, match="holds a run with another hidden, seed; choose another folder"):
+    with pytest.raises(
+        ValueError,
+        match="holds another run: hidden is \\[.*\\] there and \\[8\\] here, seed is 0 there and 1 here; choose",
+    ):
         ppo.train(dataclasses.replace(SHORT, seed=1, hidden=(8,)), tmp_path)
     assert times(tmp_path) == before
 
@@ -381,3 +389,11 @@ def test_the_command_trains_several_seeds_resumes_them_and_draws_their_curves(tm
 def test_the_printed_comparison_is_where_the_policy_was_trained(scenarios, where, tmp_path):
     lines = next_commands(scenarios, tmp_path, [tmp_path], has_seeds=False)
     assert lines == [f"To compare:  ptne compare {where} --policy static,{tmp_path}/policy.onnx"]
+
+
+@pytest.mark.parametrize(
+    ("start", "other"), [("size-free", "size-free"), ("runs/policy.onnx", "start=runs/policy.onnx")]
+)
+def test_a_specialist_is_compared_with_the_policy_that_it_started_from(start, other, tmp_path):
+    lines = next_commands(["ptne-v1/noise"], tmp_path, [], has_seeds=False, start=start)
+    assert lines == [f"To compare:  ptne compare ptne-v1/noise --policy {other},{tmp_path}/policy.onnx"]
