@@ -176,6 +176,8 @@ def _train(
 
 def _say_result(folder: Path, summary: Summary, *, was_finished: bool) -> None:
     digits = f"{summary.validation_digits:.2f} digits on the validation episodes"
+    if summary.stage_digits:
+        digits += f" ({summary.stage_digits[0]:.2f} before training)"
     if was_finished:
         say(f"This run has ended before, with {digits}; policy.onnx is in {folder}")
     else:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import io
 import json
 import reprlib
-from dataclasses import asdict, fields
+from dataclasses import asdict, field, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 
@@ -18,7 +18,7 @@ from ptne_env.files import read_json, write_atomically
 from ptne_env.training.arguments import STRICT, readable
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Sequence
 
     from _typeshed import DataclassInstance
     from stable_baselines3.common.policies import BasePolicy
@@ -62,9 +62,12 @@ class Summary(Record):
 
     Attributes:
         validation_digits: mean digits of the exported policy on the validation episodes.
+        stage_digits: these digits before training and after each stage, of the network that was kept; empty where
+            training has no stages.
     """
 
     validation_digits: float
+    stage_digits: list[float] = field(default_factory=list)
 
 
 _Record = TypeVar("_Record", bound=Record)
@@ -120,11 +123,19 @@ def finished(arguments: DataclassInstance, out: Path) -> Summary | None:
     return summary
 
 
-def finish(out: Path, policy: bytes, record: Record, digits: float) -> Summary:
-    """Write the exported policy and the summary of a run, and remove its checkpoint."""
+def finish(out: Path, policy: bytes, record: Record, digits: float, stages: Sequence[float] = ()) -> Summary:
+    """Write the exported policy and the summary of a run, and remove its checkpoint.
+
+    Args:
+        out: folder of the run.
+        policy: content of its file.
+        record: of the run.
+        digits: of the policy on validation.
+        stages: digits before training and after each stage.
+    """
     write_atomically(out / _POLICY, policy)
-    values = {field.name: getattr(record, field.name) for field in fields(Record)}
-    summary = Summary(**values, validation_digits=digits)
+    values = {each.name: getattr(record, each.name) for each in fields(Record)}
+    summary = Summary(**values, validation_digits=digits, stage_digits=list(stages))
     write_atomically(out / _SUMMARY, json.dumps(asdict(summary), indent=2) + "\n")
     (out / CHECKPOINT).unlink(missing_ok=True)
     return summary
@@ -155,8 +166,8 @@ def read(path: Path, kind: type[_Record] = Record) -> tuple[_Record, dict[str, n
         with np.load(io.BytesIO(content), allow_pickle=False) as file:
             arrays = dict(file)
         record: dict[str, Any] = json.loads(str(arrays.pop(_RECORD)))
-        is_of_this_kind = record.keys() == {field.name for field in fields(kind)}
-        if is_of_this_kind or not {field.name for field in fields(Record)} <= record.keys():
+        is_of_this_kind = record.keys() == {each.name for each in fields(kind)}
+        if is_of_this_kind or not {each.name for each in fields(Record)} <= record.keys():
             return kind(**record), arrays
     except Exception as error:  # zip files raise many classes
         raise ValueError(f"{path} is damaged, or no checkpoint: remove it to train afresh ({error!r})") from error

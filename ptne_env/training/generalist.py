@@ -199,7 +199,7 @@ def train(arguments: Generalist, out: Path, progress: Progress | None = None) ->
         seed=arguments.seed,
         digits=digits,
     )
-    return finish(out, content, course, digits)
+    return finish(out, content, course, digits, course.digits)
 
 
 class Outcome(NamedTuple):

@@ -168,6 +168,7 @@ def test_fine_tuning_starts_with_the_policy_of_a_file(run, tmp_path):
     scenario, seed = get_scenario("random-energy"), generalist.episode_seed(0, 0, "validation")
     before = evolution.scores(start, evolution.LINEAR, vector, scenario, [seed])[0]
     assert summary.validation_digits >= before
+    assert summary.stage_digits == [pytest.approx(before), summary.validation_digits]
     assert policies.load(tmp_path / "policy.onnx").metadata.scenarios == ("random-energy",)
 
 
