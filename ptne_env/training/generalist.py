@@ -106,10 +106,10 @@ class Generalist:
     clip: _Rate = 0.2
     log_std: Annotated[float, Field(ge=-20, le=5)] = -2.5
     generations: PositiveInt = 60
-    population: Annotated[int, Field(ge=4)] = 16
-    worlds_each: PositiveInt = 12
+    population: Annotated[int, Field(ge=4)] = 24
+    worlds_each: PositiveInt = 14
     episodes_each: PositiveInt = 1
-    sigma: _Rate = 0.03
+    sigma: _Rate = 0.02
     layers: bool = False
     validation_worlds: PositiveInt = 30
     validation_episodes: PositiveInt = 4

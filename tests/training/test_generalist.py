@@ -11,8 +11,9 @@ torch = need_sb3()
 pytest.importorskip("cma")
 onnx = pytest.importorskip("onnx")
 
-from ptne_env import get_scenario, policies
+from ptne_env import FactorySpec, get_scenario, policies
 from ptne_env.cli.train import _arguments
+from ptne_env.experiments.episodes import episode_seed
 from ptne_env.policies.learned import SizeFreeFile
 from ptne_env.training import checkpoint, evolution, generalist, ppo
 from ptne_env.training.arguments import Arguments, from_toml
@@ -239,3 +240,16 @@ def test_imitation_from_random_weights_reaches_the_law():
         digits.append(evolution.scores(network, evolution.LINEAR, vector, world, [7, 8])[0])
         generalist.imitate(network, optimizer, [(world, law)] * 2, share, np.random.default_rng(0))
     assert digits[-1] > digits[0] + 2
+
+
+def test_the_shipped_policy_stays_the_law_under_small_changes_where_messages_are_rounded():
+    """In the last steps a share of 0.95 in place of 1 costs a digit, so answers must lie far beyond the bounds."""
+    scenario = get_scenario("random-energy").replace(
+        steps=150, channel=FactorySpec.of("ptne_env.channel:UniformQuantiser", width=0.5)
+    )
+    episodes, names = [episode_seed(0, episode, "train") for episode in range(4)], evolution.LINEAR
+    law, shipped = GateNetwork.of_law("observer-relay"), size_free_from_onnx("size-free")
+    weights, generator = evolution.vector(shipped, names), np.random.default_rng(0)
+    changed = weights + 0.05 * generator.standard_normal((4, weights.size)) * [[0], [1], [1], [1]]
+    (digits,) = evolution.scores(law, names, evolution.vector(law, names)[None], scenario, episodes)
+    np.testing.assert_allclose(evolution.scores(shipped, names, changed, scenario, episodes), digits, atol=0.02)
