@@ -26,10 +26,7 @@ RESULTS = HERE / "results.json"
 ONE_SEED = frozenset({"random-energy-switching-long"})
 """Configurations that are trained once, because a run takes many minutes, and do not ship."""
 
-GENERALIST = "generalist"
-"""The configuration of the policy without sizes."""
-
-SUITES = ("ptne-v1", GENERALIST)
+SUITES = ("ptne-v1", training.GENERALIST)
 """Configurations whose names begin with one of these are for suites."""
 
 METRICS = (
@@ -68,7 +65,7 @@ FILES = ("policy.onnx", "summary.json")
 
 def policy_name(configuration: str) -> str:
     """The name under which a configuration ships."""
-    return "size-free" if configuration == GENERALIST else f"ppo-{configuration}"
+    return training.SHIPPED if configuration == training.GENERALIST else f"ppo-{configuration}"
 
 
 def train_one(configuration: str, seed: int, out: Path) -> dict[str, bytes]:
@@ -80,7 +77,7 @@ def train_one(configuration: str, seed: int, out: Path) -> dict[str, bytes]:
     from ptne_env.training import generalist, ppo
     from ptne_env.training.arguments import Arguments, from_toml
 
-    if configuration == GENERALIST:
+    if configuration == training.GENERALIST:
         generalist.train(from_toml(generalist.Generalist, configuration, seed=seed), out)
     else:
         ppo.train(from_toml(Arguments, configuration, seed=seed), out)
@@ -182,7 +179,7 @@ def main(
     episodes: Annotated[int, typer.Option(min=1, help="Test episodes.")] = 1000,
 ) -> None:
     """Train, ship and rank."""
-    chosen = configuration or [*training.configurations(), GENERALIST]
+    chosen = configuration or [*training.configurations(), training.GENERALIST]
     tasks = [(name, seed) for name in chosen for seed in range(1 if name in ONE_SEED else seeds)]
     trained = train_all(tasks, runs, Workers(jobs, ray))
     old = json.loads(RESULTS.read_text(encoding="utf-8"))["rows"] if RESULTS.exists() else []

@@ -26,8 +26,9 @@ MARGIN = 1.0
 """By so much answers should pass a bound that the law's gate has, so that errors leave it there.
 
 Near the end of an episode nothing corrects a wrong gate: where messages are rounded to steps of 0.5, a share of 0.95 in
-place of 1 in the last step costs a digit. Evolution moves weights that its worlds hardly judge at random, by about 0.05
-each with the shipped configuration, and answers by about 0.15.
+place of 1 in the last step costs a digit. Evolution after imitation moves weights that its worlds hardly judge at
+random, by about 0.05 each with the defaults of :class:`~ptne_env.training.generalist.Generalist`, and answers by about
+0.15.
 """
 
 Samples = tuple[Float32Array, Float32Array, Float32Array, Float32Array]
