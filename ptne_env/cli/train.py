@@ -65,8 +65,7 @@ def train(
 ) -> None:
     """Train a policy and export it as policy.onnx: with PPO, or without sizes, or from such a policy (--from).
 
-    Draws the learning curve, learning-curve.png, of all training but imitation, which reports no digits. Prints the
-    commands that compare the policy and show the logs.
+    Draws the learning curve, learning-curve.png, and prints the commands that compare the policy and show the logs.
 
     An interrupted run goes on from its last checkpoint when the same command is given again, and ends with the same
     policy as an undisturbed one.

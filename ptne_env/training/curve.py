@@ -50,7 +50,7 @@ class LearningCurve:
             self.points = _read(self._path)
 
     def add(self, done: int, digits: float) -> None:
-        """Write down a report, and forget those after it; NaN, of a stage that plays no episodes, is left out.
+        """Write down a report, and forget those after it; NaN, where no episode was played, is left out.
 
         Args:
             done: agent-steps or segments.

@@ -78,6 +78,9 @@ def test_a_run_leaves_a_policy_without_sizes_and_a_summary(run):
         *((done, 6, "ppo") for done in (3, 4)),
         *((done, 6, "evolution") for done in (5, 6)),
     ]
+    digits = [found for _, _, found, stage in reports if stage == "imitation"]
+    assert np.isnan(digits[0])  # all episodes of the first round follow the law
+    assert digits[1] <= 12
     policy = policies.load(out / "policy.onnx")
     assert isinstance(policy, SizeFreeFile)
     assert policy.metadata.digits == summary.validation_digits
