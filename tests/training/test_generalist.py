@@ -240,7 +240,7 @@ def test_imitation_from_random_weights_reaches_the_law():
     world = get_scenario("random-energy").replace(steps=30)
     law = GateNetwork.of_law("observer-relay")
     digits = []
-    for share in (1.0, 0.5, 0.0):
+    for share in (1.0, 0.75, 0.5, 0.25, 0.0):
         vector = evolution.vector(network, evolution.LINEAR)[None]
         digits.append(evolution.scores(network, evolution.LINEAR, vector, world, [7, 8])[0])
         generalist.imitate(network, optimizer, [(world, law)] * 2, share, np.random.default_rng(0))
