@@ -11,7 +11,7 @@ from __future__ import annotations
 import json
 import shutil
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from common import Jobs, Ray, interval, table
@@ -20,6 +20,10 @@ from ptne_env import policies, training
 from ptne_env.experiments import COMPARED, PolicySpec, Workers, evaluate
 from ptne_env.experiments.statistics import Summary
 from ptne_env.files import write_atomically
+
+if TYPE_CHECKING:
+    from ptne_env.training.arguments import Arguments
+    from ptne_env.training.generalist import Generalist
 
 HERE = Path(__file__).parent
 RESULTS = HERE / "results.json"
@@ -68,6 +72,14 @@ def policy_name(configuration: str) -> str:
     return training.SHIPPED if configuration == training.GENERALIST else f"ppo-{configuration}"
 
 
+def arguments_of(configuration: str, seed: int) -> Arguments | Generalist:
+    """The arguments of a run."""
+    from ptne_env.training import arguments, generalist
+
+    kind = generalist.Generalist if configuration == training.GENERALIST else arguments.Arguments
+    return arguments.from_toml(kind, configuration, seed=seed)
+
+
 def train_one(configuration: str, seed: int, out: Path) -> dict[str, bytes]:
     """Train one seed on any machine; the content of :data:`FILES`.
 
@@ -75,19 +87,23 @@ def train_one(configuration: str, seed: int, out: Path) -> dict[str, bytes]:
     from its last checkpoint, and elsewhere it starts again.
     """
     from ptne_env.training import generalist, ppo
-    from ptne_env.training.arguments import Arguments, from_toml
 
-    if configuration == training.GENERALIST:
-        generalist.train(from_toml(generalist.Generalist, configuration, seed=seed), out)
-    else:
-        ppo.train(from_toml(Arguments, configuration, seed=seed), out)
+    trainer = generalist if configuration == training.GENERALIST else ppo
+    trainer.train(arguments_of(configuration, seed), out)
     return {name: (out / name).read_bytes() for name in FILES}
 
 
 def train_all(tasks: list[tuple[str, int]], runs: Path, workers: Workers) -> list[dict[str, Any]]:
-    """Train the runs that are not complete; the summaries of all."""
+    """Train the runs that are not complete; the summaries of all.
+
+    Raises:
+        ValueError: when a folder holds a run with other arguments.
+    """
+    from ptne_env.training.checkpoint import finished
+
     folders = [runs.absolute() / name / f"seed-{seed}" for name, seed in tasks]
-    missing = [index for index, folder in enumerate(folders) if not (folder / FILES[-1]).exists()]
+    done = [finished(arguments_of(*task), folder) for task, folder in zip(tasks, folders, strict=True)]
+    missing = [index for index, summary in enumerate(done) if summary is None]
     for place, files in workers.run(train_one, [(*tasks[index], folders[index]) for index in missing]):
         for name, content in files.items():
             write_atomically(folders[missing[place]] / name, content)
