@@ -11,7 +11,7 @@ from __future__ import annotations
 import json
 import shutil
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from common import Jobs, Ray, interval, table
@@ -21,15 +21,16 @@ from ptne_env.experiments import COMPARED, PolicySpec, Workers, evaluate
 from ptne_env.experiments.statistics import Summary
 from ptne_env.files import write_atomically
 
+if TYPE_CHECKING:
+    from ptne_env.training.arguments import Arguments
+    from ptne_env.training.generalist import Generalist
+
 HERE = Path(__file__).parent
 RESULTS = HERE / "results.json"
 ONE_SEED = frozenset({"random-energy-switching-long"})
 """Configurations that are trained once, because a run takes many minutes, and do not ship."""
 
-GENERALIST = "generalist"
-"""The configuration of the policy without sizes."""
-
-SUITES = ("ptne-v1", GENERALIST)
+SUITES = ("ptne-v1", training.GENERALIST)
 """Configurations whose names begin with one of these are for suites."""
 
 METRICS = (
@@ -68,7 +69,15 @@ FILES = ("policy.onnx", "summary.json")
 
 def policy_name(configuration: str) -> str:
     """The name under which a configuration ships."""
-    return "size-free" if configuration == GENERALIST else f"ppo-{configuration}"
+    return training.SHIPPED if configuration == training.GENERALIST else f"ppo-{configuration}"
+
+
+def arguments_of(configuration: str, seed: int) -> Arguments | Generalist:
+    """The arguments of a run."""
+    from ptne_env.training import arguments, generalist
+
+    kind = generalist.Generalist if configuration == training.GENERALIST else arguments.Arguments
+    return arguments.from_toml(kind, configuration, seed=seed)
 
 
 def train_one(configuration: str, seed: int, out: Path) -> dict[str, bytes]:
@@ -78,19 +87,23 @@ def train_one(configuration: str, seed: int, out: Path) -> dict[str, bytes]:
     from its last checkpoint, and elsewhere it starts again.
     """
     from ptne_env.training import generalist, ppo
-    from ptne_env.training.arguments import Arguments, from_toml
 
-    if configuration == GENERALIST:
-        generalist.train(from_toml(generalist.Generalist, configuration, seed=seed), out)
-    else:
-        ppo.train(from_toml(Arguments, configuration, seed=seed), out)
+    trainer = generalist if configuration == training.GENERALIST else ppo
+    trainer.train(arguments_of(configuration, seed), out)
     return {name: (out / name).read_bytes() for name in FILES}
 
 
 def train_all(tasks: list[tuple[str, int]], runs: Path, workers: Workers) -> list[dict[str, Any]]:
-    """Train the runs that are not complete; the summaries of all."""
+    """Train the runs that are not complete; the summaries of all.
+
+    Raises:
+        ValueError: when a folder holds a run with other arguments.
+    """
+    from ptne_env.training.checkpoint import finished
+
     folders = [runs.absolute() / name / f"seed-{seed}" for name, seed in tasks]
-    missing = [index for index, folder in enumerate(folders) if not (folder / FILES[-1]).exists()]
+    done = [finished(arguments_of(*task), folder) for task, folder in zip(tasks, folders, strict=True)]
+    missing = [index for index, summary in enumerate(done) if summary is None]
     for place, files in workers.run(train_one, [(*tasks[index], folders[index]) for index in missing]):
         for name, content in files.items():
             write_atomically(folders[missing[place]] / name, content)
@@ -182,7 +195,7 @@ def main(
     episodes: Annotated[int, typer.Option(min=1, help="Test episodes.")] = 1000,
 ) -> None:
     """Train, ship and rank."""
-    chosen = configuration or [*training.configurations(), GENERALIST]
+    chosen = configuration or [*training.configurations(), training.GENERALIST]
     tasks = [(name, seed) for name in chosen for seed in range(1 if name in ONE_SEED else seeds)]
     trained = train_all(tasks, runs, Workers(jobs, ray))
     old = json.loads(RESULTS.read_text(encoding="utf-8"))["rows"] if RESULTS.exists() else []

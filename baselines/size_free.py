@@ -13,9 +13,8 @@ from typing import Annotated
 import numpy as np
 import typer
 from common import Jobs, Ray, interval, table
-from run import GENERALIST, policy_name
 
-from ptne_env import FactorySpec, policies
+from ptne_env import FactorySpec, policies, training
 from ptne_env.experiments import PolicySpec, Results, Workers, run_suite
 from ptne_env.experiments.metrics import number
 from ptne_env.experiments.suite import SUITES, get_suite
@@ -24,7 +23,7 @@ from ptne_env.files import write_atomically
 
 HERE = Path(__file__).parent
 
-POLICY = policy_name(GENERALIST)
+POLICY = training.SHIPPED
 
 LAWS = ("contact-relay", "observer-relay")
 """Laws beside the policy."""
@@ -61,7 +60,7 @@ def page(name: str, several: Results, alone: Results, shipped: int) -> list[str]
         saved = float((results.samples[track.name, GUARDED.name][track.metric] - unguarded).mean())
         deviation = number(float(found[-1].mean(axis=1).std(ddof=1))) if results is several else ""
         mark, best = "" if results is several else " *", number(track.best_known) if track.best_known else ""
-        rows.append([track.name + mark, best, *texts, deviation, f"{saved:.3f}"])
+        rows.append([track.name + mark, best, *texts, deviation, f"{saved:z.3f}"])
     rows.append(["mean", "", *map(number, np.mean(shares, axis=0).tolist()), "", ""])
     return [f"## {name}", "", *table(headings, rows, texts=("track",)), ""]
 
@@ -74,8 +73,11 @@ def main(
     ray: Ray = None,
 ) -> None:
     """Run and write."""
-    seeds = [path.read_bytes() for path in sorted((runs / GENERALIST).glob("seed-*/policy.onnx"))]
-    shipped = seeds.index((Path(policies.__file__).parent / f"{POLICY}.onnx").read_bytes())
+    folder, pattern = runs / training.GENERALIST, "seed-*/policy.onnx"
+    contents = [path.read_bytes() for path in sorted(folder.glob(pattern))]
+    content = (Path(policies.__file__).parent / f"{POLICY}.onnx").read_bytes()
+    if content not in contents:
+        raise ValueError(f"the shipped {POLICY} is no seed in {folder}: train and ship it with baselines/run.py")
     lines = ["# The policy without sizes", "", _INTRODUCTION, ""]
     for name in SUITES:
         tracks = {track.name: track.world.game.num_players <= SEVERAL_SEEDS for track in get_suite(name).tracks}
@@ -89,12 +91,9 @@ def main(
                 workers=Workers(jobs, ray),
                 progress=lambda job, *_: typer.echo(job, err=True),
             )
-            for is_small, policy in (
-                (False, POLICY),
-                (True, f"{POLICY}={runs / GENERALIST / 'seed-*' / 'policy.onnx'}"),
-            )
+            for is_small, policy in ((False, POLICY), (True, f"{POLICY}={folder / pattern}"))
         ]
-        lines += page(name, found[1], found[0], shipped)
+        lines += page(name, found[1], found[0], contents.index(content))
     write_atomically(to / f"{POLICY}.md", "\n".join(lines))
 
 

@@ -14,7 +14,7 @@ from typing import Annotated
 
 import typer
 from common import Jobs, Ray, board_of, interval, table
-from run import GENERALIST, ONE_SEED, policy_name
+from run import ONE_SEED, policy_name
 
 from ptne_env import training
 from ptne_env.experiments import METRICS, POLICIES, Results, Workers, run_suite
@@ -144,7 +144,7 @@ def main(
     """Run, rank and write."""
     folder, archive = out / suite, to / f"{suite}{SUFFIX}"
     learned = configurations(runs)
-    alone = policy_name(GENERALIST)
+    alone = training.SHIPPED
     names = [*POLICIES, *(f"{name}={pattern}" for name, pattern in learned.items()), alone]
     done: list[str] = []
 

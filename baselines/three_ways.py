@@ -64,7 +64,7 @@ def main(
     # Schedules of learning rates that the budget does not reach the end of.
     endless = {"rounds": 100, "segments": 1000, "jobs": 1}
     with TemporaryDirectory() as folder:
-        generalist.train(replace(common, stages=("imitation",), jobs=jobs), Path(folder))
+        generalist.train(replace(common, jobs=jobs), Path(folder))
         imitated = str(Path(folder) / "policy.onnx")
         tasks = [
             (

@@ -23,6 +23,41 @@ def test_readme_lists_every_example():
     assert set(PRINTED) == {path.name for path in EXAMPLES}
 
 
+def test_averages_of_noisy_messages_obey_their_bound():
+    """Players state and believe any averages; variances are sums of squared weights of the noises of all messages."""
+    example, steps, players = runpy.run_path(str(FOLDER / "noisy_averages.py")), 60, 5
+    links = [(player, player + side) for player in range(1, players) for side in (-1, 1)]
+    noises = np.eye(len(links) * steps).reshape(len(links), steps, -1)
+
+    def variances(stated, believed):
+        heard = {link: [] for link in links}
+        statements = {0: 0 * noises[0, 0], players: 0 * noises[0, 0]}  # those of the owner have no error
+        for step in range(steps):
+            for number, (player, neighbour) in enumerate(links):
+                if neighbour in statements:
+                    heard[player, neighbour].append(statements[neighbour] + noises[number, step])
+            told = {player: (heard[player, player - 1], heard[player, player + 1]) for player in range(1, players)}
+            statements |= {player: stated(player, *both) for player, both in told.items() if any(both)}
+        return [steps * (believed(player, *both) ** 2).sum() for player, both in told.items()]
+
+    def anything(_, *both):
+        return generator.dirichlet([0.5] * len(both[0] + both[1])) @ (both[0] + both[1])
+
+    def copy(player, before, after):
+        return before[-1] if player <= players // 2 else after[-1]
+
+    def best(player, before, after):
+        share = {1: 1.0, 2: 0.6, 3: 0.4, 4: 0.0}[player]
+        return share * np.mean(before, axis=0) + (1 - share) * np.mean(after, axis=0)
+
+    for seed in range(5):
+        generator = np.random.default_rng(seed)
+        assert (np.array(variances(anything, anything)) >= example["BOUND"]).all()
+    found = variances(copy, best)
+    assert (np.array(found) >= example["BOUND"]).all()
+    np.testing.assert_allclose(found, example["SIMPLE"], rtol=0.05)
+
+
 def test_in_one_file_is_the_library_bit_for_bit():
     env = ptne_env.parallel_env("energy-switching-transformed")
     observations, _ = env.reset(seed=0)

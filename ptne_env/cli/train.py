@@ -24,10 +24,6 @@ if TYPE_CHECKING:
     from ptne_env.training.curve import LearningCurve
 
 
-SHIPPED = "size-free"
-"""The shipped policy of the configuration ``generalist``."""
-
-
 @app.command()
 def train(
     configuration: Annotated[
@@ -59,8 +55,8 @@ def train(
         str | None,
         typer.Option(
             "--from",
-            help="Policy without sizes, by file or name, that is fine-tuned on the scenario or track; 'generalist' is "
-            f"the shipped one, {SHIPPED!r}.",
+            help="Policy without sizes, by file or name, that is fine-tuned on the scenario or track; "
+            f"{training.GENERALIST!r} is the shipped one, {training.SHIPPED!r}.",
         ),
     ] = None,
     json: options.Json = None,
@@ -122,16 +118,15 @@ def _arguments(
     from ptne_env.training import arguments, generalist
 
     if start is None and configuration == training.SPECIALIST:
-        raise ValueError(f"a specialist starts from a policy: ptne train TRACK --from {SHIPPED} --out DIR")
+        raise ValueError(f"a specialist starts from a policy: ptne train TRACK --from {training.SHIPPED} --out DIR")
     if start is not None:
-        if Path(configuration).suffix == ".toml" or configuration in {*training.all_configurations()} - {
-            *world_names()
-        }:
+        is_configuration = Path(configuration).suffix == ".toml" or configuration in training.all_configurations()
+        if is_configuration and configuration not in world_names():
             raise ValueError(
                 f"--from fine-tunes on a scenario or track, such as ptne-v1/noise, and {configuration!r} is a "
                 "configuration; a .toml file of your own may say start = 'POLICY'"
             )
-        changes |= {"scenarios": (configuration,), "start": SHIPPED if start == "generalist" else start}
+        changes |= {"scenarios": (configuration,), "start": training.SHIPPED if start == training.GENERALIST else start}
         configuration = training.SPECIALIST
     elif "stages" not in arguments.values_of(configuration)[1]:
         return arguments.from_toml(arguments.Arguments, configuration, **changes), "agent-steps"

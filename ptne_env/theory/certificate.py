@@ -283,8 +283,8 @@ def certify(
         loop = sampled_loop(world, built)
     except NoClosedLoopError as error:
         radius, local_notes = _local(world, built)
-        unknown = [name for name, size in (("noise", faults.noise_std), ("delay", faults.delay_steps)) if size]
-        fault_notes = [f"no prediction includes the channel's {' and '.join(unknown)}"] if unknown else []
+        unknown = [name for name, size in (("noise", std), ("delay", lag)) if size]
+        fault_notes = [f"no prediction includes {' and '.join(unknown)} of messages"] if unknown else []
         notes = (f"{error}: no rates, digits or margins", *local_notes, *scenario_notes, *fault_notes)
         return dataclasses.replace(certificate, local_radius=radius, notes=notes)
     prediction = _Prediction.of(world, built, loop)

@@ -11,14 +11,19 @@ CONFIGURATIONS = Path(__file__).parent / "configurations"
 SIZE_FREE = CONFIGURATIONS / "size_free"
 """Folder of those for policies without sizes."""
 
+GENERALIST = "generalist"
+"""The configuration in it that trains in random worlds."""
+
+SHIPPED = "size-free"
+"""The shipped policy that it trained."""
+
+SPECIALIST = "specialist"
+"""The configuration in it that fine-tunes a policy, which is no run by itself."""
+
 
 def configurations() -> list[str]:
     """The names of the shipped configurations for policies of one layout."""
     return sorted(path.stem for path in CONFIGURATIONS.glob("*.toml"))
-
-
-SPECIALIST = "specialist"
-"""The configuration in it that fine-tunes a policy, which is no run by itself."""
 
 
 def all_configurations() -> list[str]:

@@ -29,7 +29,7 @@ CHECKPOINT = "checkpoint.npz"
 _RECORD = "record"
 _POLICY, _SUMMARY = "policy.onnx", "summary.json"
 _ANOTHER_FOLDER = "choose another folder, or remove this one to start afresh"
-_SHOWN = 3
+_MOST = 3
 """The most arguments that a message shows."""
 
 _MOMENTS = ("exp_avg", "exp_avg_sq")
@@ -96,8 +96,8 @@ def require_same(arguments: DataclassInstance, theirs: dict[str, Any], out: Path
     mine = plain(arguments)
     different = sorted(name for name in mine.keys() | theirs.keys() if theirs.get(name) != mine.get(name))
     if different:
-        names = [f"{name} is {_shown(theirs, name)} there and {_shown(mine, name)} here" for name in different[:_SHOWN]]
-        more = f", and {len(different) - _SHOWN} more differ" if len(different) > _SHOWN else ""
+        names = [f"{name} is {_shown(theirs, name)} there and {_shown(mine, name)} here" for name in different[:_MOST]]
+        more = f", and {len(different) - _MOST} more differ" if len(different) > _MOST else ""
         raise ValueError(f"{out} holds another run: {', '.join(names)}{more}; {_ANOTHER_FOLDER}")
 
 

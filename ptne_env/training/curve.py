@@ -50,7 +50,7 @@ class LearningCurve:
             self.points = _read(self._path)
 
     def add(self, done: int, digits: float) -> None:
-        """Write down a report, and forget those after it; NaN, of a stage that plays no episodes, is left out.
+        """Write down a report, and forget those after it; NaN, where no episode was played, is left out.
 
         Args:
             done: agent-steps or segments.
@@ -108,7 +108,7 @@ def _draw(axes: Axes, runs: Mapping[str, Run]) -> None:
     is_alone = len(runs) == 1
     for index, (name, run) in enumerate(runs.items()):
         colour = COLOURS[index % len(COLOURS)]
-        label = "training, with exploration" if is_alone else f"{name}: {run.digits:.2f}"
+        label = "training" if is_alone else f"{name}: {run.digits:.2f}"
         axes.plot(*_columns(run.points), color=colour, linewidth=1.6 if is_alone else 1.0, label=label)
         end = max(run.points)
         label = f"exported policy, validation episodes: {run.digits:.2f}" if is_alone else ""

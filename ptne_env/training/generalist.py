@@ -38,7 +38,10 @@ from ptne_env.training.worlds import training_world
 from ptne_env.world import World
 
 Progress = Callable[[int, int, float, str], None]
-"""Called with segments done, segments in all, recent mean digits (NaN in imitation), and the name of the stage."""
+"""Called with segments done, segments in all, recent mean digits, and the name of the stage.
+
+Digits are NaN where the network played no episodes.
+"""
 
 Stage = Literal["imitation", "ppo", "evolution"]
 
@@ -267,8 +270,8 @@ class Run:
         chosen = [self._worlds[index] for index in generator.choice(len(self._worlds), count, replace=False)]
         share = 1 - number / max(arguments.rounds - 1, 1)
         tasks = [(scenario, self._law) for scenario in chosen]
-        imitate(self.policy.actor, self.policy.optimizer, tasks, share, generator, self._workers)
-        return Outcome(float("nan"), 0)
+        digits = imitate(self.policy.actor, self.policy.optimizer, tasks, share, generator, self._workers)
+        return Outcome(digits, 0)
 
     @cached_property
     def _env(self) -> CellVecEnv:

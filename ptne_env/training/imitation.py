@@ -13,7 +13,7 @@ import numpy as np
 import torch
 from torch.nn.functional import huber_loss
 
-from ptne_env.arrays import Float32Array
+from ptne_env.arrays import Float32Array, FloatArray
 from ptne_env.experiments.workers import Workers
 from ptne_env.laws.gated import CellGates, SlotGates
 from ptne_env.policies.size_free import HIGH, LOW
@@ -26,7 +26,9 @@ MARGIN = 1.0
 """By so much answers should pass a bound that the law's gate has, so that errors leave it there.
 
 Near the end of an episode nothing corrects a wrong gate: where messages are rounded to steps of 0.5, a share of 0.95 in
-place of 1 in the last step costs a digit.
+place of 1 in the last step costs a digit. Evolution after imitation moves weights that its worlds hardly judge at
+random, by about 0.05 each with the defaults of :class:`~ptne_env.training.generalist.Generalist`, and answers by about
+0.15.
 """
 
 NARROW_MARGIN = 0.25
@@ -70,13 +72,12 @@ def imitate(
         minibatch: cells of one world per step of the optimiser.
 
     Returns:
-        The mean loss in the first pass.
+        The mean digits at the end of the episodes that the network plays; NaN where all follow the law.
     """
     seeds = generator.integers(2**62, size=len(tasks)).tolist()
     plays = [(network, *task, share, seed, episodes, samples) for task, seed in zip(tasks, seeds, strict=True)]
-    data = (workers or Workers()).gather(_play, plays)
-    first: list[float] = []
-    for epoch in range(epochs):
+    data, digits = zip(*(workers or Workers()).gather(_play, plays), strict=True)
+    for _ in range(epochs):
         places = [(index, rows) for index, each in enumerate(data) for rows in _minibatches(each, generator, minibatch)]
         for order in generator.permutation(len(places)):
             index, rows = places[order]
@@ -84,9 +85,8 @@ def imitate(
             optimizer.zero_grad()
             loss.backward()
             optimizer.step()
-            if epoch == 0:
-                first.append(loss.item())
-    return float(np.mean(first))
+    own = np.concatenate(digits)
+    return float(own.mean()) if own.size else float("nan")
 
 
 def _minibatches(samples: Samples, generator: np.random.Generator, size: int) -> Iterator[np.ndarray]:
@@ -102,11 +102,12 @@ def _play(
     seed: int,
     episodes: int,
     samples: int,
-) -> Samples:
-    """Cells of a world, drawn evenly from all steps of episodes that network and law play."""
+) -> tuple[Samples, FloatArray]:
+    """Cells of a world, drawn evenly from all steps of episodes that network and law play; digits of the network's."""
     batch, generator = CellBatch(scenario, episodes), np.random.default_rng(seed)
     batch.start(generator.integers(2**62, size=episodes).tolist())
-    follows = np.repeat(np.arange(episodes) < round(share * episodes), batch.cells // episodes)
+    is_law = np.arange(episodes) < round(share * episodes)
+    follows = np.repeat(is_law, batch.cells // episodes)
     taken: list[Samples] = []
     while not batch.is_over:
         cell, slot = batch.features()
@@ -118,7 +119,7 @@ def _play(
         theirs = np.where(follows[:, None, None], wanted[1], answers[1])
         batch.step(*batch.as_gates(mine, theirs))
     cells, slots, gates, slot_gates = (np.concatenate(parts) for parts in zip(*taken, strict=True))
-    return cells, slots, gates, slot_gates
+    return (cells, slots, gates, slot_gates), batch.digits.mean(axis=0)[~is_law]
 
 
 def _loss(

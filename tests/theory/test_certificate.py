@@ -394,9 +394,11 @@ def test_a_file_of_a_policy_without_sizes_has_a_local_radius(tmp_path):
 
 def test_a_law_without_rows_of_noise_and_delay_says_that_no_number_includes_them():
     noise = get_suite("ptne-v1").track("noise").scenario
-    missing, rows = "no prediction includes the channel's noise", "only the rows of noise and delay include"
+    missing, rows = "no prediction includes noise of messages", "only the rows of noise and delay include"
     notes = {law: " ".join(theory.certify(noise, law=spec_of(law)).notes) for law in ("ObserverRelay", "Static")}
     assert missing in notes["ObserverRelay"]
     assert rows not in notes["ObserverRelay"]
     assert missing not in notes["Static"]
     assert rows in notes["Static"]
+    asked = theory.certify(get_scenario("energy"), law=spec_of("ObserverRelay"), noise_std=0.1, delay_steps=1)
+    assert "no prediction includes noise and delay of messages" in asked.notes

@@ -11,7 +11,7 @@ torch = need_sb3()
 pytest.importorskip("cma")
 onnx = pytest.importorskip("onnx")
 
-from ptne_env import FactorySpec, get_scenario, policies
+from ptne_env import FactorySpec, get_scenario, policies, training
 from ptne_env.cli.train import _arguments
 from ptne_env.experiments.episodes import episode_seed
 from ptne_env.policies.learned import SizeFreeFile
@@ -78,6 +78,9 @@ def test_a_run_leaves_a_policy_without_sizes_and_a_summary(run):
         *((done, 6, "ppo") for done in (3, 4)),
         *((done, 6, "evolution") for done in (5, 6)),
     ]
+    digits = [found for _, _, found, stage in reports if stage == "imitation"]
+    assert np.isnan(digits[0])  # all episodes of the first round follow the law
+    assert digits[1] <= 12
     policy = policies.load(out / "policy.onnx")
     assert isinstance(policy, SizeFreeFile)
     assert policy.metadata.digits == summary.validation_digits
@@ -209,8 +212,10 @@ def test_an_unknown_stage_is_named_once():
 
 
 def test_the_shipped_configurations_are_valid():
-    assert from_toml(Generalist, "generalist").scenarios == ()
-    assert from_toml(Generalist, "specialist", start="x").stages == ("evolution",)
+    assert from_toml(Generalist, training.GENERALIST).scenarios == ()
+    assert from_toml(Generalist, training.SPECIALIST, start="x").stages == ("evolution",)
+    assert training.GENERALIST in training.all_configurations()
+    assert training.SHIPPED in policies.shipped()
 
 
 def test_networks_of_a_population_score_as_alone():
