@@ -160,7 +160,7 @@ def test_the_parts_of_a_training_add_up_and_it_is_not_repeated(trainings, tmp_pa
     assert measured["rollouts"] > measured["environment"] + measured["policy"]
     monkeypatch.setattr(trainings.ppo, "train", lambda *_: pytest.fail("it trains again"))
     assert trainings.measure(few, tmp_path) == measured
-    with pytest.raises(ValueError, match="holds a run with another seed"):
+    with pytest.raises(ValueError, match="holds another run: seed is 0 there and 1 here"):
         trainings.measure(replace(few, seed=1), tmp_path)
 
 
