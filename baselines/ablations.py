@@ -21,11 +21,11 @@ from stable_baselines3 import PPO
 from stable_baselines3.common.vec_env import VecFrameStack
 
 from ptne_env import Interface, PolicySpec, evaluate
-from ptne_env.experiments import Workers, episode_seed
-from ptne_env.files import write_atomically
-from ptne_env.policy import Policy
-from ptne_env.training import ppo
-from ptne_env.training.arguments import Arguments
+from ptne_env.evaluation import Workers, episode_seed
+from ptne_env.learn.training import ppo
+from ptne_env.learn.training.arguments import Arguments
+from ptne_env.perception.policy import Policy
+from ptne_env.shared.files import write_atomically
 
 HERE = Path(__file__).parent
 
@@ -68,7 +68,7 @@ class Remembering:
         episode_start: npt.NDArray[np.bool_] | None = None,
         deterministic: bool = False,  # noqa: FBT001, FBT002 - Stable-Baselines3's signature
     ) -> tuple[npt.NDArray[np.float32], Any]:
-        """See :meth:`ptne_env.policy.Policy.predict`."""
+        """See :meth:`ptne_env.perception.policy.Policy.predict`."""
         past = np.zeros((len(observation), (FRAMES - 1) * observation.shape[1]), np.float32) if state is None else state
         if episode_start is not None:
             past = np.where(episode_start[:, None], np.float32(0), past)

@@ -14,10 +14,10 @@ from typing import Annotated
 import typer
 from common import Jobs, Ray, board_of, table
 
-from ptne_env.experiments import Results, Workers, run_suite
-from ptne_env.experiments.metrics import number
-from ptne_env.experiments.policy_specs import suite_policies
-from ptne_env.experiments.saturation import agreement, closed_tracks
+from ptne_env.evaluation import Results, Workers, run_suite
+from ptne_env.evaluation.metrics import number
+from ptne_env.evaluation.policy_specs import suite_policies
+from ptne_env.evaluation.saturation import agreement, closed_tracks
 
 
 def saturation_table(results: Results) -> list[str]:

@@ -7,10 +7,10 @@ from typing import Annotated, TypeAlias
 
 import typer
 
-from ptne_env.experiments import Results
-from ptne_env.experiments.leaderboard import Leaderboard
-from ptne_env.experiments.metrics import number
-from ptne_env.experiments.statistics import Summary
+from ptne_env.evaluation import Results
+from ptne_env.evaluation.leaderboard import Leaderboard
+from ptne_env.evaluation.metrics import number
+from ptne_env.evaluation.statistics import Summary
 
 Jobs: TypeAlias = Annotated[int, typer.Option(help="Tasks at a time; each takes one core.")]
 Ray: TypeAlias = Annotated[str | None, typer.Option(help="Address of a Ray cluster, such as auto or HOST:6379.")]

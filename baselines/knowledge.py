@@ -13,11 +13,11 @@ import typer
 from common import Jobs, Ray, interval, table
 
 from ptne_env import FactorySpec, PolicySpec
-from ptne_env.arrays import FloatArray
-from ptne_env.experiments import POLICIES, Suite, Track, Workers, get_suite, run_suite
-from ptne_env.experiments.metrics import share
-from ptne_env.experiments.statistics import estimate
-from ptne_env.files import write_atomically
+from ptne_env.evaluation import POLICIES, Suite, Track, Workers, get_suite, run_suite
+from ptne_env.evaluation.metrics import share
+from ptne_env.evaluation.statistics import estimate
+from ptne_env.shared.arrays import FloatArray
+from ptne_env.shared.files import write_atomically
 
 HERE = Path(__file__).parent
 
@@ -43,7 +43,7 @@ BEST_RESPONSE = {
     UNION: _known(UNION, "relay"),
     UNION_REMEMBERED: _known(UNION_REMEMBERED, "route-relay"),
     SCHEDULE: _known(SCHEDULE, "freshest-relay"),
-    CODED_LINKS: PolicySpec(CODED_LINKS, FactorySpec.of("ptne_env.laws:LinkBroadcast")),
+    CODED_LINKS: PolicySpec(CODED_LINKS, FactorySpec.of("ptne_env.field.laws:LinkBroadcast")),
     CODED: _known(CODED, "identify-and-broadcast"),
 }
 """Entries with the best response of ``relay`` to an identified model. They differ in knowledge alone."""
@@ -69,14 +69,14 @@ GAINS = {
 def tracks() -> tuple[Track, ...]:
     """Tracks of ptne-v1, those on fixed graphs with fewer steps: otherwise all entries reach 12 digits there."""
     suite = get_suite("ptne-v1")
-    cycle = FactorySpec.of("ptne_env.graphs:cycle", players=5)
+    cycle = FactorySpec.of("ptne_env.world.graphs:cycle", players=5)
 
     def track(name: str, base: str, change: str, **changes: Any) -> Track:
         return Track(name, suite.track(base).scenario.replace(name=name, **changes), change)
 
     def links(dwell: float, clock: str) -> dict[str, Any]:
         topology = FactorySpec.of(
-            "ptne_env.switching:random_edges", graph=cycle, probability=0.5, dwells=dwell, clock=clock
+            "ptne_env.world.switching:random_edges", graph=cycle, probability=0.5, dwells=dwell, clock=clock
         )
         return {"topology": topology}
 

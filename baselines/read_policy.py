@@ -25,19 +25,19 @@ from scipy.optimize import minimize
 from scipy.sparse.csgraph import shortest_path
 
 from ptne_env import FactorySpec, Scenario
-from ptne_env.arrays import FloatArray
-from ptne_env.experiments import Workers, get_suite
-from ptne_env.experiments.episodes import Split
-from ptne_env.experiments.suite import Suite
-from ptne_env.files import write_atomically
-from ptne_env.laws.gated import CellGates, GatedLaw, SlotEvidence, SlotGates
-from ptne_env.policies.size_free import CELL_FEATURES, HIGH, LOW, SLOT_FEATURES
-from ptne_env.style import COLOURS, drawing
-from ptne_env.training import evolution
-from ptne_env.training.actor import effects
-from ptne_env.training.cells import CELL_GATES, CellBatch
-from ptne_env.training.export import size_free_from_onnx, size_free_to_onnx
-from ptne_env.training.network import ALWAYS, POINTS, GateNetwork
+from ptne_env.evaluation import Workers, get_suite
+from ptne_env.evaluation.episodes import Split
+from ptne_env.evaluation.suite import Suite
+from ptne_env.field.laws.gated import CellGates, GatedLaw, SlotEvidence, SlotGates
+from ptne_env.learn.size_free import CELL_FEATURES, HIGH, LOW, SLOT_FEATURES
+from ptne_env.learn.training import evolution
+from ptne_env.learn.training.actor import effects
+from ptne_env.learn.training.cells import CELL_GATES, CellBatch
+from ptne_env.learn.training.export import size_free_from_onnx, size_free_to_onnx
+from ptne_env.learn.training.network import ALWAYS, POINTS, GateNetwork
+from ptne_env.shared.arrays import FloatArray
+from ptne_env.shared.files import write_atomically
+from ptne_env.shared.style import COLOURS, drawing
 
 Rows: TypeAlias = dict[str, FloatArray]
 """Columns of equal length by name."""

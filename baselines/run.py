@@ -16,14 +16,15 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from common import Jobs, Ray, interval, table
 
-from ptne_env import policies, training
-from ptne_env.experiments import COMPARED, PolicySpec, Workers, evaluate
-from ptne_env.experiments.statistics import Summary
-from ptne_env.files import write_atomically
+from ptne_env import learn as policies
+from ptne_env.evaluation import COMPARED, PolicySpec, Workers, evaluate
+from ptne_env.evaluation.statistics import Summary
+from ptne_env.learn import training
+from ptne_env.shared.files import write_atomically
 
 if TYPE_CHECKING:
-    from ptne_env.training.arguments import Arguments
-    from ptne_env.training.generalist import Generalist
+    from ptne_env.learn.training.arguments import Arguments
+    from ptne_env.learn.training.generalist import Generalist
 
 HERE = Path(__file__).parent
 RESULTS = HERE / "results.json"
@@ -48,7 +49,7 @@ METRICS = (
 _INTRODUCTION = (
     "Written by `python baselines/run.py`; do not edit. Digits on {episodes} test episodes per scenario (seed 0), "
     "with 95 % intervals over episodes. The training seed with the median digits on the validation episodes ships as "
-    "`ppo-<configuration>`. Laws were tuned on the validation episodes (`ptne_env/experiments/tuning.py`)."
+    "`ppo-<configuration>`. Laws were tuned on the validation episodes (`ptne_env/evaluation/tuning.py`)."
 )
 _HEADINGS = (
     "policy",
@@ -74,7 +75,7 @@ def policy_name(configuration: str) -> str:
 
 def arguments_of(configuration: str, seed: int) -> Arguments | Generalist:
     """The arguments of a run."""
-    from ptne_env.training import arguments, generalist
+    from ptne_env.learn.training import arguments, generalist
 
     kind = generalist.Generalist if configuration == training.GENERALIST else arguments.Arguments
     return arguments.from_toml(kind, configuration, seed=seed)
@@ -86,7 +87,7 @@ def train_one(configuration: str, seed: int, out: Path) -> dict[str, bytes]:
     Checkpoints and logs stay there: where the machines share the folder ``out``, a run whose machine was lost goes on
     from its last checkpoint, and elsewhere it starts again.
     """
-    from ptne_env.training import generalist, ppo
+    from ptne_env.learn.training import generalist, ppo
 
     trainer = generalist if configuration == training.GENERALIST else ppo
     trainer.train(arguments_of(configuration, seed), out)
@@ -99,7 +100,7 @@ def train_all(tasks: list[tuple[str, int]], runs: Path, workers: Workers) -> lis
     Raises:
         ValueError: when a folder holds a run with other arguments.
     """
-    from ptne_env.training.checkpoint import finished
+    from ptne_env.learn.training.checkpoint import finished
 
     folders = [runs.absolute() / name / f"seed-{seed}" for name, seed in tasks]
     done = [finished(arguments_of(*task), folder) for task, folder in zip(tasks, folders, strict=True)]

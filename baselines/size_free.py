@@ -14,12 +14,14 @@ import numpy as np
 import typer
 from common import Jobs, Ray, interval, table
 
-from ptne_env import FactorySpec, policies, training
-from ptne_env.experiments import PolicySpec, Results, Workers, run_suite
-from ptne_env.experiments.metrics import number
-from ptne_env.experiments.suite import SUITES, get_suite
-from ptne_env.experiments.sweep import CEILING
-from ptne_env.files import write_atomically
+from ptne_env import FactorySpec
+from ptne_env import learn as policies
+from ptne_env.evaluation import PolicySpec, Results, Workers, run_suite
+from ptne_env.evaluation.metrics import number
+from ptne_env.evaluation.suite import SUITES, get_suite
+from ptne_env.evaluation.sweep import CEILING
+from ptne_env.learn import training
+from ptne_env.shared.files import write_atomically
 
 HERE = Path(__file__).parent
 
@@ -28,7 +30,7 @@ POLICY = training.SHIPPED
 LAWS = ("contact-relay", "observer-relay")
 """Laws beside the policy."""
 
-GUARDED = PolicySpec("guarded", FactorySpec.of("ptne_env.policies:load", path_or_name=POLICY, guarded=True))
+GUARDED = PolicySpec("guarded", FactorySpec.of("ptne_env.learn:load", path_or_name=POLICY, guarded=True))
 """The shipped seed with its safeguard."""
 
 SEVERAL_SEEDS = 20

@@ -16,15 +16,15 @@ import typer
 from common import Jobs, Ray, board_of, interval, table
 from run import ONE_SEED, policy_name
 
-from ptne_env import training
-from ptne_env.experiments import METRICS, POLICIES, Results, Workers, run_suite
-from ptne_env.experiments.archive import SUFFIX, pack
-from ptne_env.experiments.leaderboard import Leaderboard
-from ptne_env.experiments.metrics import number
-from ptne_env.experiments.policy_specs import DIVISIONS, KNOWLEDGE, PolicySpec
-from ptne_env.experiments.suite import LAW, ORACLE
-from ptne_env.files import write_atomically
-from ptne_env.report.tables import MARK_NOTES, MARKS
+from ptne_env.bench.report.tables import MARK_NOTES, MARKS
+from ptne_env.evaluation import METRICS, POLICIES, Results, Workers, run_suite
+from ptne_env.evaluation.archive import SUFFIX, pack
+from ptne_env.evaluation.leaderboard import Leaderboard
+from ptne_env.evaluation.metrics import number
+from ptne_env.evaluation.policy_specs import DIVISIONS, KNOWLEDGE, PolicySpec
+from ptne_env.evaluation.suite import LAW, ORACLE
+from ptne_env.learn import training
+from ptne_env.shared.files import write_atomically
 
 HERE = Path(__file__).parent
 
@@ -52,7 +52,7 @@ _INTRODUCTION = (
     "Written by `python baselines/suite.py {suite}`; do not edit. Suite `{suite}` (content hash `{hash}`), {episodes} "
     "test episodes per track from seed {seed}, learned policies with every training seed; intervals of 95 % as "
     "`docs/protocol.md` explains. `ptne check baselines/{archive}` computes every number again. Learned policies are "
-    "`ppo-<configuration>`, configurations in `ptne_env/training/configurations`, and `size-free`, the shipped seed "
+    "`ppo-<configuration>`, configurations in `ptne_env/learn/training/configurations`, and `size-free`, the shipped seed "
     "alone ([size-free.md](size-free.md) has all its seeds). Below the honest entries stand coded ones and oracles. "
     + ". ".join(MARK_NOTES.values())
     + "."

@@ -18,10 +18,10 @@ import typer
 from common import Jobs, table
 from rich.console import Console
 
-from ptne_env.experiments import Workers
-from ptne_env.training import generalist
-from ptne_env.training.arguments import from_toml
-from ptne_env.training.generalist import Generalist, Run, Stage
+from ptne_env.evaluation import Workers
+from ptne_env.learn.training import generalist
+from ptne_env.learn.training.arguments import from_toml
+from ptne_env.learn.training.generalist import Generalist, Run, Stage
 
 WAYS: dict[str, tuple[Stage, bool, bool]] = {
     "imitation": ("imitation", True, False),

@@ -1,6 +1,6 @@
 """Train one policy: ``python baselines/train.py random-energy --out runs/random-energy --seed 0``.
 
-The same as ``ptne train``. What it does is one file, ``ptne_env/training/ppo.py``, with the configurations beside it.
+The same as ``ptne train``. What it does is one file, ``ptne_env/learn/training/ppo.py``, with the configurations beside it.
 """
 
 import sys

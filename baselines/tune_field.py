@@ -1,6 +1,6 @@
 """Tune every law of the field for every scenario of the catalogue and every track of the suites, and try each law.
 
-Run it as ``python baselines/tune_field.py``. It writes ``ptne_env/experiments/tuned_laws.json``, where comparisons find
+Run it as ``python baselines/tune_field.py``. It writes ``ptne_env/evaluation/tuned_laws.json``, where comparisons find
 the laws and the means of their trials, by which the best law is chosen, and prints which parameters are at the edge of
 their range. Searches and trials with an unchanged hash are kept: a changed law needs ``--again``.
 """
@@ -16,12 +16,12 @@ from common import Jobs, Ray
 from rich.console import Console
 from rich.progress import track as progress
 
-from ptne_env.catalogue import CATALOGUE
-from ptne_env.experiments import Workers
-from ptne_env.experiments.run import validation_set
-from ptne_env.experiments.suite import SUITES, Suite, comparison, get_suite
-from ptne_env.experiments.tuning import FIELD, PUBLISHED, Tuned, Tuning, mean_of, published
-from ptne_env.files import write_atomically
+from ptne_env.evaluation import Workers
+from ptne_env.evaluation.run import validation_set
+from ptne_env.evaluation.suite import SUITES, Suite, comparison, get_suite
+from ptne_env.evaluation.tuning import FIELD, PUBLISHED, Tuned, Tuning, mean_of, published
+from ptne_env.shared.files import write_atomically
+from ptne_env.world.catalogue import CATALOGUE
 
 
 def searches(suites: list[Suite]) -> Iterator[Tuning]:

@@ -1,7 +1,7 @@
 """Tune the laws of the field for a suite: the best mean digits over its tracks, on the validation split.
 
 Run it as ``python baselines/tune_laws.py``. It prints every candidate with its mean, the best of each law first; the
-entries of ``ptne_env/experiments/policy_specs.py`` have these parameters. The paper's laws have the paper's.
+entries of ``ptne_env/evaluation/policy_specs.py`` have these parameters. The paper's laws have the paper's.
 """
 
 from collections.abc import Iterator
@@ -17,7 +17,7 @@ from rich.progress import Progress
 from rich.table import Table
 
 from ptne_env import FactorySpec
-from ptne_env.experiments import PolicySpec, Workers, run_suite
+from ptne_env.evaluation import PolicySpec, Workers, run_suite
 
 GRIDS: dict[str, dict[str, tuple[Any, ...]]] = {
     "Static": {"kappa": (2.0, 2.5, 3.0, 3.5), "gradient_gain": (2.0, 2.5, 3.0, 3.5)},

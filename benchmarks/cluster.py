@@ -22,9 +22,9 @@ import typer
 from ray.cluster_utils import Cluster
 from ray.util.joblib import register_ray
 
-from ptne_env.experiments import POLICIES, Workers, get_suite
-from ptne_env.experiments.jobs import Job, run_job
-from ptne_env.experiments.store import Store
+from ptne_env.evaluation import POLICIES, Workers, get_suite
+from ptne_env.evaluation.jobs import Job, run_job
+from ptne_env.evaluation.store import Store
 
 SUITE = "ptne-v1"
 LAWS = ("static", "adaptive", "grounded", "corollary-one", "fixed-gain", "averaging-integral")

@@ -18,18 +18,19 @@ import numpy as np
 
 from benchmarks.peers import MissingPeerError, iter_forever
 from benchmarks.timing import Contender, Plan, Spread, seconds_per_call
-from ptne_env import dynamics, fused, laws, parallel_env
-from ptne_env.arrays import Float32Array
-from ptne_env.catalogue import get_scenario
-from ptne_env.dynamics import State
-from ptne_env.encoder import Encoder, make_encoder
+from ptne_env import laws, parallel_env
 from ptne_env.envs.vector import VectorBuffers, VectorParallelEnv
-from ptne_env.experiments.episodes import EpisodeSet
-from ptne_env.experiments.rollout import rollout
-from ptne_env.observation import Interface, InterfaceKind
-from ptne_env.rewards import Reward
-from ptne_env.scenario import Scenario
-from ptne_env.world import World
+from ptne_env.evaluation.episodes import EpisodeSet
+from ptne_env.evaluation.rollout import rollout
+from ptne_env.perception.encoder import Encoder, make_encoder
+from ptne_env.perception.observation import Interface, InterfaceKind
+from ptne_env.shared.arrays import Float32Array
+from ptne_env.world import dynamics, fused
+from ptne_env.world.catalogue import get_scenario
+from ptne_env.world.dynamics import State
+from ptne_env.world.rewards import Reward
+from ptne_env.world.scenario import Scenario
+from ptne_env.world.world import World
 
 StepPath = Literal["compiled", "numpy"]
 
@@ -250,7 +251,7 @@ def training_share(plan: Plan) -> dict[str, Any]:
     try:
         from benchmarks.training import shipped
         from ptne_env.envs.sb3 import PlayerVecEnv
-        from ptne_env.training.ppo import train
+        from ptne_env.learn.training.ppo import train
     except ImportError as error:
         raise MissingPeerError(f"the share of a PPO update is left out: {error}") from error
     arguments = shipped("random-energy", validation_episodes=2)

@@ -19,12 +19,13 @@ from rich.console import Console
 from rich.table import Table
 
 from benchmarks.ours import timed
-from ptne_env import dynamics, laws
-from ptne_env.encoder import Encoder
-from ptne_env.experiments import get_suite, jobs
-from ptne_env.experiments.audit import Witness
-from ptne_env.experiments.jobs import Job
-from ptne_env.experiments.policy_specs import get_policy_spec
+from ptne_env import laws
+from ptne_env.evaluation import get_suite, jobs
+from ptne_env.evaluation.audit import Witness
+from ptne_env.evaluation.jobs import Job
+from ptne_env.evaluation.policy_specs import get_policy_spec
+from ptne_env.perception.encoder import Encoder
+from ptne_env.world import dynamics
 
 PARTS: dict[str, tuple[tuple[Any, str], ...]] = {
     "start": ((jobs, "_initial_state"),),

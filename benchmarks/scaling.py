@@ -11,9 +11,9 @@ import numpy as np
 from benchmarks import ours
 from benchmarks.timing import Contender, Plan, Spread, interleave
 from ptne_env.envs.vector import VectorParallelEnv
-from ptne_env.factory import FactorySpec
-from ptne_env.observation import ObservationLayout
-from ptne_env.scenario import Scenario
+from ptne_env.perception.observation import ObservationLayout
+from ptne_env.shared.parts import FactorySpec
+from ptne_env.world.scenario import Scenario
 
 _ENTRIES = 2_000_000
 """Largest number of relative estimates D n N B of a batch, so that large worlds fit into memory."""
@@ -31,7 +31,7 @@ def scenario(players: int, graph: str) -> Scenario:
         name=f"{graph}-{players}",
         game=FactorySpec.of("ptne_env.games:RandomEnergy", players=players),
         topology=FactorySpec.of(
-            "ptne_env.switching:fixed", graph=FactorySpec.of(f"ptne_env.graphs:{graph}", players=players)
+            "ptne_env.world.switching:fixed", graph=FactorySpec.of(f"ptne_env.world.graphs:{graph}", players=players)
         ),
         start="random",  # type: ignore[arg-type]  # a short name
         input_limit=100.0,

@@ -25,7 +25,7 @@ from rich.table import Table
 from benchmarks import ours, peers, scaling
 from benchmarks.timing import QUICK, Contender, Plan, Spread, interleave, ratio
 from ptne_env.envs.vector import VectorParallelEnv
-from ptne_env.files import write_atomically
+from ptne_env.shared.files import write_atomically
 
 INTERFACES = ("physical", "local")
 

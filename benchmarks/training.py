@@ -23,13 +23,14 @@ from stable_baselines3.common.policies import ActorCriticPolicy
 from torch.distributions import Distribution
 
 from benchmarks.ours import timed
-from ptne_env import PolicySpec, evaluate, policies
+from ptne_env import PolicySpec, evaluate
+from ptne_env import learn as policies
 from ptne_env.envs.sb3 import PlayerVecEnv
-from ptne_env.experiments import Workers
-from ptne_env.experiments.metrics import number
-from ptne_env.files import write_atomically
-from ptne_env.training import checkpoint, ppo
-from ptne_env.training.arguments import Arguments
+from ptne_env.evaluation import Workers
+from ptne_env.evaluation.metrics import number
+from ptne_env.learn.training import checkpoint, ppo
+from ptne_env.learn.training.arguments import Arguments
+from ptne_env.shared.files import write_atomically
 
 SHIPPED_STEPS = {
     "random-energy": 4_000_000,

@@ -12,11 +12,11 @@ from matplotlib.figure import Figure
 
 import ptne_env
 from ptne_env import theory
-from ptne_env.experiments import POLICIES
-from ptne_env.experiments.episodes import EpisodeSet
-from ptne_env.experiments.traces import scene
-from ptne_env.style import COLOURS, FAINT, drawing
-from ptne_env.world import World
+from ptne_env.evaluation import POLICIES
+from ptne_env.evaluation.episodes import EpisodeSet
+from ptne_env.evaluation.traces import scene
+from ptne_env.shared.style import COLOURS, FAINT, drawing
+from ptne_env.world.world import World
 
 sys.path.insert(0, str(Path(__file__).parent))
 import scenario_pages
@@ -64,7 +64,7 @@ def draw_radius(path: Path) -> None:
         axes = figure.subplots()
         tracks = {"nominal, 5-cycle": "nominal", "non-quadratic, 5-cycle": "non-quadratic", "large-20": "large-20"}
         for colour, (label, name) in zip(COLOURS[4:], tracks.items(), strict=False):
-            world = World(ptne_env.experiments.get_suite("ptne-v1").track(name).scenario)
+            world = World(ptne_env.evaluation.get_suite("ptne-v1").track(name).scenario)
             constants = theory.problem_constants(world)
             jacobian, delays = constants.jacobian, theory.hop_delays(world.topology.graphs[0], world.game.owners)
             steps = np.linspace(0.005, 1.2, 200)

@@ -18,16 +18,17 @@ from matplotlib.figure import Figure
 from rich.console import Console
 
 import ptne_env
-from ptne_env import report, theory
-from ptne_env.catalogue import CATALOGUE, DESCRIPTIONS
-from ptne_env.experiments import POLICIES
-from ptne_env.experiments.suite import comparison
-from ptne_env.experiments.traces import Scene, scene
-from ptne_env.factory import FactorySpec, resolve
-from ptne_env.files import write_atomically
-from ptne_env.paper.figures import draw_network
-from ptne_env.style import COLOURS, INK, drawing, panels
-from ptne_env.world import World
+from ptne_env import theory
+from ptne_env.bench import report
+from ptne_env.evaluation import POLICIES
+from ptne_env.evaluation.suite import comparison
+from ptne_env.evaluation.traces import Scene, scene
+from ptne_env.shared.files import write_atomically
+from ptne_env.shared.parts import FactorySpec, resolve
+from ptne_env.shared.style import COLOURS, INK, drawing, panels
+from ptne_env.theory.paper.figures import draw_network
+from ptne_env.world.catalogue import CATALOGUE, DESCRIPTIONS
+from ptne_env.world.world import World
 
 FOLDER = Path(__file__).parent / "scenarios"
 LAWS = "static", "adaptive", "grounded", "contact-relay"

@@ -10,7 +10,7 @@ or, for the whole benchmark, from its folder: ptne compare --suite ptne-v1 --pol
 import numpy as np
 
 from ptne_env import ObservationLayout
-from ptne_env.experiments import run_suite
+from ptne_env.evaluation import run_suite
 
 TRACKS = ("nominal", "switching-transformed", "noise", "coarse-step", "short-deadline")
 

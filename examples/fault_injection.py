@@ -14,7 +14,7 @@ from ptne_env import FactorySpec, get_scenario
 
 def channel(name: str, **arguments: Any) -> dict[str, FactorySpec]:
     """The change of a scenario that puts a channel between the players."""
-    return {"channel": FactorySpec.of(f"ptne_env.channel:{name}", **arguments)}
+    return {"channel": FactorySpec.of(f"ptne_env.world.channel:{name}", **arguments)}
 
 
 def chain(*stages: dict[str, FactorySpec]) -> dict[str, FactorySpec]:
@@ -24,7 +24,7 @@ def chain(*stages: dict[str, FactorySpec]) -> dict[str, FactorySpec]:
 
 def push(bound: float) -> dict[str, FactorySpec]:
     """A random velocity that disturbs the strategies; a new draw every 25 steps."""
-    return {"disturbance": FactorySpec.of("ptne_env.disturbances:UniformDisturbance", bound=bound, dwell=25)}
+    return {"disturbance": FactorySpec.of("ptne_env.world.disturbances:UniformDisturbance", bound=bound, dwell=25)}
 
 
 FAULTS: dict[str, dict[str, dict[str, Any]]] = {

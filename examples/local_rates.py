@@ -14,10 +14,11 @@ import argparse
 
 import numpy as np
 
-from ptne_env import FactorySpec, Scenario, laws, theory
+from ptne_env import FactorySpec, Scenario, theory
+from ptne_env.field import laws as field_laws
 from ptne_env.games import Game
 from ptne_env.theory.sampled import play
-from ptne_env.world import World
+from ptne_env.world.world import World
 
 FAMILIES = {"RandomAffine": {"asymmetry": 1.0}, "RandomEnergy": {}}
 DIGITS = 8
@@ -40,11 +41,11 @@ def scenario(family: str, seed: int) -> Scenario:
     """One game of a family on a random connected graph."""
     generator = np.random.default_rng(seed)
     players = int(generator.integers(3, 13))
-    graph = FactorySpec.of("ptne_env.graphs:from_edges", players=players, edges=links(players, generator))
+    graph = FactorySpec.of("ptne_env.world.graphs:from_edges", players=players, edges=links(players, generator))
     return Scenario(
         name="local",
         game=FactorySpec.of("local_rates:drawn", family=family, players=players, seed=seed),
-        topology=FactorySpec.of("ptne_env.switching:fixed", graph=graph),
+        topology=FactorySpec.of("ptne_env.world.switching:fixed", graph=graph),
         start="random",
     )
 
@@ -52,7 +53,7 @@ def scenario(family: str, seed: int) -> Scenario:
 def rates(family: str, seed: int) -> tuple[float, float | None]:
     """The local radius, and the factor per step of an episode; ``None`` where it has too few digits."""
     world = World(scenario(family, seed))
-    law = theory.build_law(laws.ObserverRelay, world)
+    law = theory.build_law(field_laws.ObserverRelay, world)
     radius = theory.local_radius(world, law)
     start = world.start.draw(world.game.num_players, world.game.dimension, np.random.default_rng(0))
     errors = play(law, world, start, 10.0**-DIGITS).errors

@@ -24,10 +24,10 @@ import argparse
 
 import numpy as np
 
-from ptne_env.experiments import run_suite
-from ptne_env.experiments.episodes import EpisodeSet
-from ptne_env.experiments.suite import find_scenario
-from ptne_env.world import World
+from ptne_env.evaluation import run_suite
+from ptne_env.evaluation.episodes import EpisodeSet
+from ptne_env.evaluation.suite import find_scenario
+from ptne_env.world.world import World
 
 PLAYERS = 5
 BOUND = [links * (PLAYERS - links) / PLAYERS for links in range(1, PLAYERS)]

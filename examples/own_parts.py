@@ -12,12 +12,13 @@ import networkx as nx
 import numpy as np
 from rich.console import Console
 
-from ptne_env import get_scenario, graphs, laws, switching
-from ptne_env.channel import Channel, LinkRandomness, Memory, Messages
-from ptne_env.experiments import Suite, Track, run_suite
+from ptne_env import get_scenario, laws
+from ptne_env.bench.report import result_tables
+from ptne_env.evaluation import Suite, Track, run_suite
 from ptne_env.games import AffineGame
-from ptne_env.observation import Observation, ObservationLayout
-from ptne_env.report import result_tables
+from ptne_env.perception.observation import Observation, ObservationLayout
+from ptne_env.world import graphs, switching
+from ptne_env.world.channel import Channel, LinkRandomness, Memory, Messages
 
 
 class BeautyContest(AffineGame):

@@ -15,9 +15,9 @@ Run it with: python examples/planning.py
 import numpy as np
 
 import ptne_env
-from ptne_env import dynamics
-from ptne_env.dynamics import State
-from ptne_env.world import World
+from ptne_env.world import dynamics
+from ptne_env.world.dynamics import State
+from ptne_env.world.world import World
 
 CANDIDATES, HORIZON = 64, 10
 

@@ -17,11 +17,12 @@ from functools import partial
 import numpy as np
 from local_rates import FAMILIES, scenario
 
-from ptne_env import ObservationLayout, Scenario, parallel_env, policies, theory
-from ptne_env.arrays import Float32Array
-from ptne_env.laws.gated import CellEvidence, CellGates, SlotEvidence, SlotGates, observer_gates
-from ptne_env.policies import SizeFreeFile, SizeFreePolicy
-from ptne_env.world import World
+from ptne_env import ObservationLayout, Scenario, parallel_env, theory
+from ptne_env import learn as policies
+from ptne_env.field.laws.gated import CellEvidence, CellGates, SlotEvidence, SlotGates, observer_gates
+from ptne_env.learn import SizeFreeFile, SizeFreePolicy
+from ptne_env.shared.arrays import Float32Array
+from ptne_env.world.world import World
 
 DIGITS = 12
 BENT = {

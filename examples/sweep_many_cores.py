@@ -16,7 +16,7 @@ from joblib import cpu_count
 
 import ptne_env
 from ptne_env import FactorySpec, get_scenario
-from ptne_env.experiments import Suite, Track, Workers, run_suite
+from ptne_env.evaluation import Suite, Track, Workers, run_suite
 
 GAINS = (1.0, 2.0, 4.0, 8.0)
 STEPS = (100, 200, 400)

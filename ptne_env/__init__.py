@@ -8,40 +8,40 @@
 from typing import TYPE_CHECKING
 
 from ptne_env._version import __version__ as __version__
-from ptne_env.registration import register_environments
+from ptne_env.envs.registration import register_environments
 
 if TYPE_CHECKING:
     from ptne_env import laws as laws
-    from ptne_env.catalogue import CATALOGUE as CATALOGUE
-    from ptne_env.catalogue import get_scenario as get_scenario
     from ptne_env.envs.parallel import NashSeekingEnv as NashSeekingEnv
     from ptne_env.envs.parallel import parallel_env as parallel_env
     from ptne_env.envs.vector import VectorParallelEnv as VectorParallelEnv
-    from ptne_env.experiments import PolicySpec as PolicySpec
-    from ptne_env.experiments import Results as Results
-    from ptne_env.experiments import evaluate as evaluate
-    from ptne_env.factory import FactorySpec as FactorySpec
-    from ptne_env.observation import Interface as Interface
-    from ptne_env.observation import ObservationLayout as ObservationLayout
-    from ptne_env.policy import Policy as Policy
-    from ptne_env.scenario import Scenario as Scenario
+    from ptne_env.evaluation import PolicySpec as PolicySpec
+    from ptne_env.evaluation import Results as Results
+    from ptne_env.evaluation import evaluate as evaluate
+    from ptne_env.perception.observation import Interface as Interface
+    from ptne_env.perception.observation import ObservationLayout as ObservationLayout
+    from ptne_env.perception.policy import Policy as Policy
+    from ptne_env.shared.parts import FactorySpec as FactorySpec
+    from ptne_env.world.catalogue import CATALOGUE as CATALOGUE
+    from ptne_env.world.catalogue import get_scenario as get_scenario
+    from ptne_env.world.scenario import Scenario as Scenario
 else:
     # Each name is imported when it is first asked for (PEP 562): together they take long.
     _HOMES = {
-        "CATALOGUE": "catalogue",
-        "PolicySpec": "experiments",
-        "Interface": "observation",
-        "ObservationLayout": "observation",
-        "NashSeekingEnv": "envs",
-        "FactorySpec": "factory",
-        "Policy": "policy",
-        "Results": "experiments",
-        "Scenario": "scenario",
-        "VectorParallelEnv": "envs",
-        "evaluate": "experiments",
-        "get_scenario": "catalogue",
+        "CATALOGUE": "world.catalogue",
+        "PolicySpec": "evaluation",
+        "Interface": "perception.observation",
+        "ObservationLayout": "perception.observation",
+        "NashSeekingEnv": "envs.parallel",
+        "FactorySpec": "shared.parts",
+        "Policy": "perception.policy",
+        "Results": "evaluation",
+        "Scenario": "world.scenario",
+        "VectorParallelEnv": "envs.vector",
+        "evaluate": "evaluation",
+        "get_scenario": "world.catalogue",
         "laws": "laws",
-        "parallel_env": "envs",
+        "parallel_env": "envs.parallel",
     }
     __all__ = list(_HOMES)
 

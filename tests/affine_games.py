@@ -5,7 +5,8 @@ import os
 import numpy as np
 from sample_games import BlockGame, times
 
-from ptne_env import FactorySpec, Scenario, dynamics
+from ptne_env import FactorySpec, Scenario
+from ptne_env.world import dynamics
 
 SOAK = bool(os.environ.get("PTNE_SOAK"))
 """Whether tests draw as many random cases as ``make soak`` asks for."""

@@ -25,7 +25,7 @@ def small_field():
         yield
         return
     with pytest.MonkeyPatch.context() as patch:
-        from ptne_env.experiments import tuning
+        from ptne_env.evaluation import tuning
 
         names = ("Static", "CorollaryOne", "Grounded", "Routed", "Freshest")
         small = tuple(member for member in tuning.FIELD if member.law.split(":")[1] in names)

@@ -16,11 +16,13 @@ from functools import partial
 
 import numpy as np
 
-from ptne_env import FactorySpec, Interface, Scenario, VectorParallelEnv, dynamics, laws, parallel_env
-from ptne_env.encoder import make_encoder
+from ptne_env import FactorySpec, Interface, Scenario, VectorParallelEnv, laws, parallel_env
 from ptne_env.envs import vector
-from ptne_env.random_streams import RandomStreams
-from ptne_env.world import World
+from ptne_env.field import laws as field_laws
+from ptne_env.perception.encoder import make_encoder
+from ptne_env.shared.random_streams import RandomStreams
+from ptne_env.world import dynamics
+from ptne_env.world.world import World
 
 CHAINS = (
     "AdditiveNoise",
@@ -120,7 +122,7 @@ def a_topology(rng, players):
     """The factory spec of a fixed or switching topology of random or named graphs."""
 
     def graph(name, **arguments):
-        return FactorySpec.of(f"ptne_env.graphs:{name}", **arguments)
+        return FactorySpec.of(f"ptne_env.world.graphs:{name}", **arguments)
 
     edges = some_edges(rng, players)
     whole = graph("Graph", adjacency=adjacency(rng, players, edges))
@@ -145,7 +147,7 @@ def a_topology(rng, players):
         "random_graphs": {"players": players, "probability": rng.uniform(0.5, 1), "modes": rng.randint(2, 5)},
     }
     kind = rng.choice(("fixed", *kinds))
-    return FactorySpec.of(f"ptne_env.switching:{kind}", **kinds[kind])
+    return FactorySpec.of(f"ptne_env.world.switching:{kind}", **kinds[kind])
 
 
 def a_channel(rng):
@@ -161,10 +163,10 @@ def a_channel(rng):
             "LogarithmicQuantiser": {"ratio": rng.uniform(0.3, 0.99), "target": target},
             "AsymmetricLinks": {"low": rng.uniform(0, 1), "high": rng.uniform(1, 2)},
         }
-        return FactorySpec.of(f"ptne_env.channel:{kind}", **arguments[kind])
+        return FactorySpec.of(f"ptne_env.world.channel:{kind}", **arguments[kind])
 
     kinds = [rng.choice((*CHAINS, "AsymmetricLinks")) for _ in range(rng.randint(1, 3))]
-    return FactorySpec.of("ptne_env.channel:Chain", stages=[stage(kind) for kind in kinds])
+    return FactorySpec.of("ptne_env.world.channel:Chain", stages=[stage(kind) for kind in kinds])
 
 
 def a_scenario(rng):
@@ -181,7 +183,7 @@ def a_scenario(rng):
         name="fuzz",
         game=game,
         topology=a_topology(rng, players),
-        start=FactorySpec.of("ptne_env.starts:UniformStart", low=-reach, high=rng.uniform(0, 1) * reach),
+        start=FactorySpec.of("ptne_env.world.starts:UniformStart", low=-reach, high=rng.uniform(0, 1) * reach),
         transformation=rng.choice(("exponential", "exponential", "rational", "tanh")),
         deadline=log_uniform(rng, 0.1, 10),
         gain=rng.choice((0.0, 20.0, log_uniform(rng, 0.1, 50))),
@@ -191,7 +193,7 @@ def a_scenario(rng):
         hold_steps=rng.choice((0, 0, rng.randint(1, 6))),
         input_limit=log_uniform(rng, 0.1, 1e6),
         channel=a_channel(rng) if rng.random() < 0.4 else "perfect",
-        disturbance=FactorySpec.of("ptne_env.disturbances:UniformDisturbance", **disturbance)
+        disturbance=FactorySpec.of("ptne_env.world.disturbances:UniformDisturbance", **disturbance)
         if rng.random() < 0.3
         else "none",
         clock_shifts=tuple(rng.uniform(-0.02, 0.02) for _ in range(players)) if wrong_clocks else (),
@@ -247,7 +249,7 @@ def actor(rng, layout):
     generator, bound = np.random.default_rng(rng.getrandbits(32)), layout.action_bound
     if rng.random() < 0.4:
         law = rng.choice(
-            (laws.Static, laws.Adaptive, laws.CorollaryOne, laws.Grounded, laws.CappedGain, laws.ZeroInput)
+            (laws.Static, laws.Adaptive, laws.CorollaryOne, laws.Grounded, field_laws.CappedGain, laws.ZeroInput)
         )
         with contextlib.suppress(ValueError):  # some laws need another interface
             policy, memory = law(layout), [None]
@@ -566,8 +568,8 @@ def relabelled(rng, tally):
                 "ptne_env.games:EnergyGame", curvature=curvature[order], target=target[order], coupling=coupling
             ),
             topology=FactorySpec.of(
-                "ptne_env.switching:fixed",
-                graph=FactorySpec.of("ptne_env.graphs:Graph", adjacency=matrix[np.ix_(order, order)]),
+                "ptne_env.world.switching:fixed",
+                graph=FactorySpec.of("ptne_env.world.graphs:Graph", adjacency=matrix[np.ix_(order, order)]),
             ),
             start="random",
         )

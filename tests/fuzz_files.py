@@ -12,10 +12,10 @@ from pathlib import Path
 import atheris
 
 with atheris.instrument_imports(include=["ptne_env", "json"]):
-    from ptne_env import policies
-    from ptne_env.experiments.results import read_results
-    from ptne_env.experiments.store import Store
-    from ptne_env.policies import Metadata, probe
+    from ptne_env import learn as policies
+    from ptne_env.evaluation.results import read_results
+    from ptne_env.evaluation.store import Store
+    from ptne_env.learn import Metadata, probe
 
 probe.refusal = lambda *_: None  # a process for every input would take too long, and libFuzzer has limits of its own
 FILE = Path(tempfile.mkdtemp()) / "file.onnx"

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 import ptne_env
-from ptne_env.files import write_atomically
+from ptne_env.shared.files import write_atomically
 
 DATA = Path(__file__).parent / "data" / "golden.json"
 

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from ptne_env.arrays import ordered_sum
 from ptne_env.games import EnergyGame, Game, NoBestResponseError
+from ptne_env.shared.arrays import ordered_sum
 
 
 def generators(seeds):

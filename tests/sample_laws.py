@@ -4,7 +4,7 @@ import numpy as np
 
 from ptne_env import FactorySpec, get_scenario, theory
 from ptne_env.laws import Law, Static
-from ptne_env.world import World
+from ptne_env.world.world import World
 
 
 class Damped(Static):

@@ -34,7 +34,7 @@ def play():
 
 def bench():
     """The command line, and a shipped policy."""
-    from ptne_env import policies
+    from ptne_env import learn as policies
 
     command = Path(sysconfig.get_path("scripts")) / "ptne"
     listed = subprocess.run([command, "list"], capture_output=True, text=True, check=True).stdout  # noqa: S603

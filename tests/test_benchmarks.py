@@ -10,7 +10,7 @@ import pytest
 from extras import need_sb3
 from processes import run_python
 
-from ptne_env import policies
+from ptne_env import learn as policies
 
 ROOT = Path(__file__).parents[1]
 

@@ -19,15 +19,15 @@ from matplotlib import image
 from processes import run_python
 
 import ptne_env
-from ptne_env.catalogue import CATALOGUE
 from ptne_env.cli import app
-from ptne_env.experiments import POLICIES, get_suite
-from ptne_env.experiments.suite import world_names
-from ptne_env.paper.numbers import PRINTED
-from ptne_env.policies import shipped
-from ptne_env.rewards import TERMS
-from ptne_env.scenario import Scenario
-from ptne_env.world import World
+from ptne_env.evaluation import POLICIES, get_suite
+from ptne_env.evaluation.suite import world_names
+from ptne_env.learn import shipped
+from ptne_env.theory.paper.numbers import PRINTED
+from ptne_env.world.catalogue import CATALOGUE
+from ptne_env.world.rewards import TERMS
+from ptne_env.world.scenario import Scenario
+from ptne_env.world.world import World
 
 ROOT = Path(__file__).parents[1]
 PACKAGE = ROOT / "ptne_env"
@@ -368,7 +368,7 @@ def test_texts_name_printed_numbers_and_no_labels_of_the_source():
     labels = {label for label in PRINTED if len(label) > 5} - names_here
     texts = {path: text_of(path) for path in [*PAGES, *PACKAGE.rglob("*.py"), *PACKAGE.rglob("*.html")]}
     named = {by_path(path): sorted(labels & set(re.findall(r"\w+", text))) for path, text in texts.items()}
-    assert {path for path, found in named.items() if found} == {"docs/paper-map.md", "ptne_env/paper/numbers.py"}
+    assert {path for path, found in named.items() if found} == {"docs/paper-map.md", "ptne_env/theory/paper/numbers.py"}
     equations = {int(number) for text in texts.values() for number in re.findall(r"\beqs?\. \((\d+)\)", text)}
     assert {9, 10, 15, 50} <= equations <= set(range(1, 52))
 

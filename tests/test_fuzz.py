@@ -9,8 +9,9 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from soak import attempt, main, soak
 
-from ptne_env import VectorParallelEnv, dynamics
-from ptne_env.encoder import Clipped, Encoder
+from ptne_env import VectorParallelEnv
+from ptne_env.perception.encoder import Clipped, Encoder
+from ptne_env.world import dynamics
 
 
 @settings(suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large])

@@ -11,13 +11,14 @@ from worlds import energy_scenario, fixed_part
 torch = need_sb3()
 need_sb3("onnx")
 
-from ptne_env import Interface, policies
-from ptne_env.experiments import get_suite
-from ptne_env.laws.gated import CellGates, SlotEvidence, SlotGates
-from ptne_env.policies.size_free import CELL_FEATURES, SLOT_FEATURES
-from ptne_env.training.cells import CellBatch
-from ptne_env.training.export import size_free_to_onnx
-from ptne_env.training.network import ALWAYS, POINTS, GateNetwork
+from ptne_env import Interface
+from ptne_env import learn as policies
+from ptne_env.evaluation import get_suite
+from ptne_env.field.laws.gated import CellGates, SlotEvidence, SlotGates
+from ptne_env.learn.size_free import CELL_FEATURES, SLOT_FEATURES
+from ptne_env.learn.training.cells import CellBatch
+from ptne_env.learn.training.export import size_free_to_onnx
+from ptne_env.learn.training.network import ALWAYS, POINTS, GateNetwork
 
 SHAPES = ((32, len(CELL_FEATURES)), (32, 2, len(SLOT_FEATURES)))
 NAMES = ["noisy", "closing", "weight", ALWAYS]

@@ -18,12 +18,12 @@ from typer.testing import CliRunner
 
 from ptne_env import FactorySpec, PolicySpec, Scenario, get_scenario
 from ptne_env.cli import app, options
-from ptne_env.experiments import Suite, Track, get_policy_spec, run_suite
-from ptne_env.experiments.check import check, foreign_code
-from ptne_env.experiments.provenance import content_hash
-from ptne_env.factory import foreign_targets
-from ptne_env.observation import Interface
-from ptne_env.world import World
+from ptne_env.evaluation import Suite, Track, get_policy_spec, run_suite
+from ptne_env.evaluation.check import check, foreign_code
+from ptne_env.evaluation.provenance import content_hash
+from ptne_env.perception.observation import Interface
+from ptne_env.shared.parts import foreign_targets
+from ptne_env.world.world import World
 
 TEXT = (Path(__file__).parents[1] / "SECURITY.md").read_text(encoding="utf-8")
 SMALL = Suite("small", (Track("ring", get_scenario("energy", steps=60, deadline=0.1), "The base."),), episodes=1)
@@ -161,8 +161,8 @@ CALL = {"target": "test_security:mark", "arguments": {"word": "called"}}
             "target": "ptne_env.laws:Static",
             "arguments": {"kappa": [1.0, [{"target": "os:getcwd", "arguments": {"of": CALL}}]]},
         },
-        {"target": "ptne_env.factory:resolve", "arguments": {"target": "test_security:mark"}},
-        {"target": "ptne_env.policies.archive:load_archive", "arguments": {"path": "model.zip"}},
+        {"target": "ptne_env.shared.parts:resolve", "arguments": {"target": "test_security:mark"}},
+        {"target": "ptne_env.learn.archive:load_archive", "arguments": {"path": "model.zip"}},
     ],
 )
 def test_a_check_runs_nothing_of_results_without_trust(source, results):

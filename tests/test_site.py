@@ -10,7 +10,7 @@ import pytest
 from processes import run_python
 
 import ptne_env
-from ptne_env.catalogue import CATALOGUE, DESCRIPTIONS
+from ptne_env.world.catalogue import CATALOGUE, DESCRIPTIONS
 
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"

@@ -3,11 +3,12 @@
 import numpy as np
 
 import ptne_env
-from ptne_env import CATALOGUE, FactorySpec, Interface, Scenario, dynamics
-from ptne_env.dynamics import State
-from ptne_env.encoder import make_encoder
-from ptne_env.random_streams import RandomStreams
-from ptne_env.world import World
+from ptne_env import CATALOGUE, FactorySpec, Interface, Scenario
+from ptne_env.perception.encoder import make_encoder
+from ptne_env.shared.random_streams import RandomStreams
+from ptne_env.world import dynamics
+from ptne_env.world.dynamics import State
+from ptne_env.world.world import World
 
 
 def quantity(world, state, name):
@@ -36,7 +37,9 @@ PAPER_START = np.array(
 BLOCKS = Scenario(
     name="blocks",
     game=FactorySpec.of("sample_games:BlockGame", action_dims=(2, 1, 3)),
-    topology=FactorySpec.of("ptne_env.switching:fixed", graph=FactorySpec.of("ptne_env.graphs:path", players=3)),
+    topology=FactorySpec.of(
+        "ptne_env.world.switching:fixed", graph=FactorySpec.of("ptne_env.world.graphs:path", players=3)
+    ),
     start="random",
 )
 """Players of 2, 1 and 3 dimensions on a path."""
@@ -44,10 +47,10 @@ BLOCKS = Scenario(
 BLOCKS_SWITCHING = BLOCKS.replace(
     name="blocks-switching",
     topology=FactorySpec.of(
-        "ptne_env.switching:periodic",
+        "ptne_env.world.switching:periodic",
         graphs=(
-            FactorySpec.of("ptne_env.graphs:from_edges", players=3, edges=((0, 1),)),
-            FactorySpec.of("ptne_env.graphs:from_edges", players=3, edges=((1, 2),)),
+            FactorySpec.of("ptne_env.world.graphs:from_edges", players=3, edges=((0, 1),)),
+            FactorySpec.of("ptne_env.world.graphs:from_edges", players=3, edges=((1, 2),)),
         ),
         dwells=(0.3, 0.5),
         clock="transformed",
@@ -57,7 +60,7 @@ BLOCKS_SWITCHING = BLOCKS.replace(
 
 def channel_part(kind, **arguments):
     """The part that builds a stage of a channel."""
-    return FactorySpec.of(f"ptne_env.channel:{kind}", **arguments)
+    return FactorySpec.of(f"ptne_env.world.channel:{kind}", **arguments)
 
 
 EVERY_FAULT = channel_part(
@@ -83,8 +86,8 @@ EVERY_FAULT = channel_part(
 FAULTY = CATALOGUE["random-energy"].replace(
     name="faulty",
     topology=FactorySpec.of(
-        "ptne_env.switching:random_edges",
-        graph=FactorySpec.of("ptne_env.graphs:cycle", players=5),
+        "ptne_env.world.switching:random_edges",
+        graph=FactorySpec.of("ptne_env.world.graphs:cycle", players=5),
         probability=0.6,
         dwells=(0.3, 0.5),
         clock="transformed",
@@ -94,11 +97,11 @@ FAULTY = CATALOGUE["random-energy"].replace(
     steps=60,
     hold_steps=4,
     channel=EVERY_FAULT,
-    disturbance=FactorySpec.of("ptne_env.disturbances:UniformDisturbance", bound=3.0, dwell=2),
+    disturbance=FactorySpec.of("ptne_env.world.disturbances:UniformDisturbance", bound=3.0, dwell=2),
     clock_shifts=(0.0, 0.01, -0.01, 0.0, 0.02),
     slots=4,
-    sensor=FactorySpec.of("ptne_env.sensor:GradientNoise", std=0.1, relative=0.05, width=0.001),
-    drift=FactorySpec.of("ptne_env.drift:ConstantVelocity", speed=3.0, start=0.2),
+    sensor=FactorySpec.of("ptne_env.world.sensor:GradientNoise", std=0.1, relative=0.05, width=0.001),
+    drift=FactorySpec.of("ptne_env.world.drift:ConstantVelocity", speed=3.0, start=0.2),
 )
 """Everything that can go wrong."""
 
@@ -112,7 +115,7 @@ def energy_scenario(curvature, target, topology, **fields):
 def fixed_part(adjacency):
     """The part that builds the fixed topology of an adjacency matrix."""
     return FactorySpec.of(
-        "ptne_env.switching:fixed", graph=FactorySpec.of("ptne_env.graphs:Graph", adjacency=adjacency)
+        "ptne_env.world.switching:fixed", graph=FactorySpec.of("ptne_env.world.graphs:Graph", adjacency=adjacency)
     )
 
 

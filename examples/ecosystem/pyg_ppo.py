@@ -13,7 +13,7 @@ from torch_geometric.nn import MessagePassing, TransformerConv
 from yardstick import EPISODES, SCENARIO, TASK, Acting, digits, report
 
 from ptne_env.envs.sb3 import PlayerVecEnv
-from ptne_env.observation_forms import make_form
+from ptne_env.perception.observation_forms import make_form
 
 
 def graph(observation: dict[str, torch.Tensor]) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:

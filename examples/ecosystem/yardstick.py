@@ -12,10 +12,11 @@ from time import perf_counter
 import numpy as np
 
 import ptne_env
-from ptne_env import Interface, PolicySpec, distances, laws
+from ptne_env import Interface, PolicySpec, laws
 from ptne_env.envs.gymnasium import JointEnv
-from ptne_env.policies.blocks import in_blocks
-from ptne_env.policy import Policy
+from ptne_env.learn.blocks import in_blocks
+from ptne_env.perception.policy import Policy
+from ptne_env.world import distances
 
 SCENARIO = "random-energy"
 EPISODES = 4

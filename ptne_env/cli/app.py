@@ -11,7 +11,7 @@ from rich.text import Text
 
 from ptne_env._version import __version__
 from ptne_env.cli.console import console, output
-from ptne_env.files import DamagedFileError
+from ptne_env.shared.files import DamagedFileError
 
 
 class ExitCode(IntEnum):

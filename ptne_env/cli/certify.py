@@ -7,12 +7,13 @@ from typing import Annotated
 import typer
 from threadpoolctl import threadpool_limits
 
-from ptne_env import report, theory
+from ptne_env import theory
+from ptne_env.bench import report
 from ptne_env.cli import options
 from ptne_env.cli.app import app
 from ptne_env.cli.console import check_writable, console, json_text, say, write_json
-from ptne_env.experiments.policy_specs import foreign_code, law_factory, law_names
-from ptne_env.experiments.suite import find_scenario, foreign_suites
+from ptne_env.evaluation.policy_specs import foreign_code, law_factory, law_names
+from ptne_env.evaluation.suite import find_scenario, foreign_suites
 
 
 @app.command()

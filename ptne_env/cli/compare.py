@@ -10,13 +10,12 @@ from typing import Annotated
 
 import typer
 
-from ptne_env import policies as learned
-from ptne_env import report
-from ptne_env.catalogue import CATALOGUE
+from ptne_env import learn as learned
+from ptne_env.bench import report
 from ptne_env.cli import options
 from ptne_env.cli.app import ExitCode, app
 from ptne_env.cli.console import STDOUT, check_writable, console, json_text, progress, say, write_json
-from ptne_env.experiments import (
+from ptne_env.evaluation import (
     POLICIES,
     Results,
     Suite,
@@ -26,15 +25,16 @@ from ptne_env.experiments import (
     run_suite,
     suite_policies,
 )
-from ptne_env.experiments.check import check as run_check
-from ptne_env.experiments.check import foreign_code as foreign_code_of_results
-from ptne_env.experiments.marl_eval import marl_eval_json
-from ptne_env.experiments.policy_specs import foreign_code
-from ptne_env.experiments.suite import COMPARED_EPISODES, SUITES, comparison, foreign_suites, world_names
-from ptne_env.experiments.traces import scenes
-from ptne_env.experiments.workers import Workers
-from ptne_env.files import write_atomically
-from ptne_env.names import unknown_name
+from ptne_env.evaluation.check import check as run_check
+from ptne_env.evaluation.check import foreign_code as foreign_code_of_results
+from ptne_env.evaluation.marl_eval import marl_eval_json
+from ptne_env.evaluation.policy_specs import foreign_code
+from ptne_env.evaluation.suite import COMPARED_EPISODES, SUITES, comparison, foreign_suites, world_names
+from ptne_env.evaluation.traces import scenes
+from ptne_env.evaluation.workers import Workers
+from ptne_env.shared.files import write_atomically
+from ptne_env.shared.names import unknown_name
+from ptne_env.world.catalogue import CATALOGUE
 
 _FILES = ("results.json", "results.csv", "marl-eval.json")
 _HOLD_STEPS = 25

@@ -17,7 +17,7 @@ from rich.segment import Segment
 from rich.table import Column
 from rich.text import Text
 
-from ptne_env.files import require_writable, write_atomically
+from ptne_env.shared.files import require_writable, write_atomically
 
 _PIPE_WIDTH = 172
 """Width of tables where the output is no terminal; rich would cut them to 80 columns."""

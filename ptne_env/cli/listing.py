@@ -7,14 +7,14 @@ from typing import Annotated, Any
 
 import typer
 
-from ptne_env import report
-from ptne_env.catalogue import CATALOGUE, DESCRIPTIONS
+from ptne_env.bench import report
 from ptne_env.cli import options
 from ptne_env.cli.app import app
 from ptne_env.cli.console import check_writable, console, json_text, write_json
-from ptne_env.experiments import METRICS, suite_policies
-from ptne_env.experiments.metrics import Metric
-from ptne_env.experiments.suite import SUITES, get_suite
+from ptne_env.evaluation import METRICS, suite_policies
+from ptne_env.evaluation.metrics import Metric
+from ptne_env.evaluation.suite import SUITES, get_suite
+from ptne_env.world.catalogue import CATALOGUE, DESCRIPTIONS
 
 _METRIC_FIELDS = [field.name for field in fields(Metric) if field.name not in ("value", "format")]
 

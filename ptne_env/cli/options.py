@@ -9,10 +9,10 @@ from typing import Annotated, TypeAlias
 
 import typer
 
-from ptne_env import policies
+from ptne_env import learn as policies
 from ptne_env.cli.console import keep_stdout
-from ptne_env.experiments import POLICIES
-from ptne_env.experiments.suite import world_names
+from ptne_env.evaluation import POLICIES
+from ptne_env.evaluation.suite import world_names
 
 
 def complete_policy(incomplete: str) -> list[str]:

@@ -7,13 +7,13 @@ from typing import Annotated
 
 import typer
 
-from ptne_env import report
+from ptne_env.bench import report
 from ptne_env.cli import options
 from ptne_env.cli.app import app
 from ptne_env.cli.console import check_writable, progress, say
-from ptne_env.experiments import get_policy_spec
-from ptne_env.experiments.policy_specs import foreign_code
-from ptne_env.experiments.suite import find_scenario, foreign_suites
+from ptne_env.evaluation import get_policy_spec
+from ptne_env.evaluation.policy_specs import foreign_code
+from ptne_env.evaluation.suite import find_scenario, foreign_suites
 
 
 @app.command()

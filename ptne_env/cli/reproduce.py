@@ -23,7 +23,7 @@ def reproduce(
 
     Simulates the laws in continuous time, with the matrix exponential as the exact reference where the game is affine.
     """
-    from ptne_env import paper
+    from ptne_env.theory import paper
 
     check_writable(json, out / "index.html")
     with progress("reproducing") as advance:

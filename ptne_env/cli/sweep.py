@@ -7,12 +7,12 @@ from typing import Annotated
 
 import typer
 
-from ptne_env import report
+from ptne_env.bench import report
 from ptne_env.cli import options
 from ptne_env.cli.app import app
 from ptne_env.cli.console import check_writable, progress, say, write_json
-from ptne_env.experiments.sweep import SWEEPS, run_sweep
-from ptne_env.experiments.workers import Workers
+from ptne_env.evaluation.sweep import SWEEPS, run_sweep
+from ptne_env.evaluation.workers import Workers
 
 
 @app.command()

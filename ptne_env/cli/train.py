@@ -11,17 +11,17 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from ptne_env import training
 from ptne_env.cli import options
 from ptne_env.cli.app import app
 from ptne_env.cli.console import check_writable, json_text, progress, say, write_json
-from ptne_env.experiments.suite import foreign_suites, world_names
+from ptne_env.evaluation.suite import foreign_suites, world_names
+from ptne_env.learn import training
 
 if TYPE_CHECKING:
-    from ptne_env.training import generalist
-    from ptne_env.training.arguments import Arguments
-    from ptne_env.training.checkpoint import Summary
-    from ptne_env.training.curve import LearningCurve
+    from ptne_env.learn.training import generalist
+    from ptne_env.learn.training.arguments import Arguments
+    from ptne_env.learn.training.checkpoint import Summary
+    from ptne_env.learn.training.curve import LearningCurve
 
 
 @app.command()
@@ -71,8 +71,8 @@ def train(
     policy as an undisturbed one.
     """
     try:
-        from ptne_env.training.checkpoint import finished
-        from ptne_env.training.curve import LearningCurve, Run, draw
+        from ptne_env.learn.training.checkpoint import finished
+        from ptne_env.learn.training.curve import LearningCurve, Run, draw
     except ImportError as error:
         raise ImportError('training needs an extra: pip install "ptne-env[sb3]"') from error
 
@@ -115,7 +115,7 @@ def _arguments(
     configuration: str, start: str | None, changes: dict[str, Any]
 ) -> tuple[Arguments | generalist.Generalist, str]:
     """The arguments of a run, and the unit of its progress."""
-    from ptne_env.training import arguments, generalist
+    from ptne_env.learn.training import arguments, generalist
 
     if start is None and configuration == training.SPECIALIST:
         raise ValueError(f"a specialist starts from a policy: ptne train TRACK --from {training.SHIPPED} --out DIR")
@@ -142,7 +142,7 @@ def _train(
     runs: Mapping[Path, Arguments | generalist.Generalist], curves: Mapping[Path, LearningCurve]
 ) -> dict[Path, Summary]:
     """Train one run after the other, with a progress bar for all of them; their summaries."""
-    from ptne_env.training import generalist, ppo
+    from ptne_env.learn.training import generalist, ppo
 
     summaries: dict[Path, Summary] = {}
     with progress("training") as advance:

@@ -18,7 +18,7 @@ from torchrl.data import Composite
 from torchrl.envs import EnvBase
 
 from ptne_env.envs.torchrl import TorchRLEnv
-from ptne_env.world import World
+from ptne_env.world.world import World
 
 
 class NashSeekingTask(TaskClass):

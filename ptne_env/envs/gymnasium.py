@@ -19,13 +19,13 @@ from gymnasium import spaces
 from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 
-from ptne_env.arrays import BoolArray, Float32Array, FloatArray, as_plain, ordered_sum
-from ptne_env.envs.core import Duplicable
 from ptne_env.envs.parallel import NashSeekingEnv, parallel_env
+from ptne_env.envs.simulation import Duplicable
 from ptne_env.envs.vector import VectorParallelEnv, member_actions
-from ptne_env.observation import ObservationLayout
-from ptne_env.observation_forms import FormName, Shown, make_form
-from ptne_env.scenario import Scenario
+from ptne_env.perception.observation import ObservationLayout
+from ptne_env.perception.observation_forms import FormName, Shown, make_form
+from ptne_env.shared.arrays import BoolArray, Float32Array, FloatArray, as_plain, ordered_sum
+from ptne_env.world.scenario import Scenario
 
 _SET_BY_HAND = -1
 """Gymnasium's seed of a generator that was assigned to ``np_random``."""

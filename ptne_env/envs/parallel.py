@@ -11,13 +11,10 @@ from gymnasium import spaces
 from numpy.ma import MaskedArray
 from pettingzoo import ParallelEnv
 
-from ptne_env import dynamics
-from ptne_env.arrays import Float32Array, FloatArray, as_plain
-from ptne_env.dynamics import State
-from ptne_env.encoder import NonFiniteActionError
-from ptne_env.envs.core import Duplicable, Simulation, changed_scenario, player_encoder
 from ptne_env.envs.rendering import Renderer
-from ptne_env.observation import (
+from ptne_env.envs.simulation import Duplicable, Simulation, changed_scenario, player_encoder
+from ptne_env.perception.encoder import NonFiniteActionError
+from ptne_env.perception.observation import (
     OBSERVATION_BOUND,
     ActionMode,
     GraphKnowledge,
@@ -25,9 +22,12 @@ from ptne_env.observation import (
     InterfaceKind,
     ObservationLayout,
 )
-from ptne_env.observation_forms import FormName, Shown, make_form
-from ptne_env.scenario import Scenario
-from ptne_env.world import World
+from ptne_env.perception.observation_forms import FormName, Shown, make_form
+from ptne_env.shared.arrays import Float32Array, FloatArray, as_plain
+from ptne_env.world import dynamics
+from ptne_env.world.dynamics import State
+from ptne_env.world.scenario import Scenario
+from ptne_env.world.world import World
 
 AgentInfo = dict[str, Any]
 
@@ -258,7 +258,7 @@ class NashSeekingEnv(Duplicable, ParallelEnv[str, Shown, Float32Array]):
         return np.concatenate([state.estimates[:, :, 0].T.ravel(), adjacency.ravel(), times]).astype(np.float32)
 
     def get_state(self) -> State:
-        """The state now, a batch of one, for :func:`ptne_env.dynamics.step` and :meth:`set_state`.
+        """The state now, a batch of one, for :func:`ptne_env.world.dynamics.step` and :meth:`set_state`.
 
         Raises:
             RuntimeError: before the first reset.
@@ -382,15 +382,15 @@ def parallel_env(
 
     Args:
         scenario: a name of the catalogue (``ptne list`` shows them) or a scenario.
-        interface: ``"physical"``, ``"local"`` or ``"learner"``; see :class:`ptne_env.observation.ObservationLayout`.
+        interface: ``"physical"``, ``"local"`` or ``"learner"``; see :class:`ptne_env.perception.observation.ObservationLayout`.
         action_mode: ``"input"`` or ``"gains"``.
         action_scale: under ``local``, an action of 1 is this many times σ_i.
         own_payoff: whether players observe their own costs J_i at the real strategies.
-        graph_knowledge: ``"links"``, ``"union"`` or ``"schedule"``; see :class:`ptne_env.observation.Interface`.
+        graph_knowledge: ``"links"``, ``"union"`` or ``"schedule"``; see :class:`ptne_env.perception.observation.Interface`.
         reward: a term's name (``digits``, ``tracking``, ``payoff``, ``regret``) or weights by name.
         max_cycles: steps after which the episode is truncated.
         render_mode: ``None``, ``"human"`` or ``"rgb_array"``.
-        observation: ``"flat"``, ``"graph"`` or ``"padded-graph"``; see :mod:`ptne_env.observation_forms`.
+        observation: ``"flat"``, ``"graph"`` or ``"padded-graph"``; see :mod:`ptne_env.perception.observation_forms`.
         **overrides: fields of the scenario to change, such as ``start="random"``, ``hold_steps=50``, ``deadline=2.0``.
 
     Raises:

@@ -15,11 +15,11 @@ import numpy as np
 import numpy.typing as npt
 from gymnasium.vector.utils import batch_space
 
-from ptne_env.arrays import BoolArray, Float32Array, IntArray
 from ptne_env.envs.vector import VectorBuffers, VectorParallelEnv, member_actions, require_buffer
-from ptne_env.observation import ObservationLayout
-from ptne_env.random_streams import require_seed
-from ptne_env.scenario import Scenario
+from ptne_env.perception.observation import ObservationLayout
+from ptne_env.shared.arrays import BoolArray, Float32Array, IntArray
+from ptne_env.shared.random_streams import require_seed
+from ptne_env.world.scenario import Scenario
 
 Infos = list[dict[str, float]]
 Step = tuple[Float32Array, Float32Array, BoolArray, BoolArray, Infos]

@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from ptne_env import distances, dynamics
-from ptne_env.arrays import FloatArray
-from ptne_env.dynamics import State
-from ptne_env.style import COLOURS, FAINT, INK, drawing
-from ptne_env.world import World
+from ptne_env.shared.arrays import FloatArray
+from ptne_env.shared.style import COLOURS, FAINT, INK, drawing
+from ptne_env.world import distances, dynamics
+from ptne_env.world.dynamics import State
+from ptne_env.world.world import World
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -20,12 +20,12 @@ try:
 except ImportError as error:  # pragma: no cover - exercised in an environment without the extra
     raise ImportError('the Stable-Baselines3 adapter needs an extra: pip install "ptne-env[sb3]"') from error
 
-from ptne_env.arrays import BoolArray, Float32Array
-from ptne_env.envs.core import Duplicable
+from ptne_env.envs.simulation import Duplicable
 from ptne_env.envs.vector import VectorParallelEnv, VectorStep, member_actions
-from ptne_env.observation import InterfaceKind, ObservationLayout
-from ptne_env.observation_forms import FormName, Shown, make_form
-from ptne_env.scenario import Scenario
+from ptne_env.perception.observation import InterfaceKind, ObservationLayout
+from ptne_env.perception.observation_forms import FormName, Shown, make_form
+from ptne_env.shared.arrays import BoolArray, Float32Array
+from ptne_env.world.scenario import Scenario
 
 Indices = int | Iterable[int] | None
 
@@ -78,7 +78,7 @@ class PlayerVecEnv(_Monitored):
         interface: ``"learner"``, in which all numbers are of order one, ``"local"`` or ``"physical"``.
         seed: of the first reset; environment b gets seed + b.
         observation: ``"flat"``, or ``"padded-graph"``: a Dict, for ``MultiInputPolicy`` with a features extractor; see
-            :mod:`ptne_env.observation_forms`.
+            :mod:`ptne_env.perception.observation_forms`.
         **arguments: of :class:`~ptne_env.envs.vector.VectorParallelEnv`: action_mode, action_scale, reward, max_cycles
             and fields of the scenario.
 

@@ -19,12 +19,12 @@ except ImportError as error:  # pragma: no cover - exercised in an environment w
 
 from gymnasium import spaces
 
-from ptne_env.arrays import BoolArray, Float32Array
-from ptne_env.envs.core import Duplicable
+from ptne_env.envs.simulation import Duplicable
 from ptne_env.envs.vector import VectorBuffers, VectorParallelEnv
-from ptne_env.observation import ObservationLayout
-from ptne_env.random_streams import require_seed
-from ptne_env.scenario import Scenario
+from ptne_env.perception.observation import ObservationLayout
+from ptne_env.shared.arrays import BoolArray, Float32Array
+from ptne_env.shared.random_streams import require_seed
+from ptne_env.world.scenario import Scenario
 
 GROUP = "player"
 """The group of all players: the name that TorchRL's ``PettingZooWrapper`` gives it, so a trainer fits both."""

@@ -7,9 +7,9 @@ from typing import Any
 from pettingzoo.utils.conversions import parallel_to_aec_wrapper
 from pettingzoo.utils.wrappers import OrderEnforcingWrapper
 
-from ptne_env.envs.core import Duplicable
 from ptne_env.envs.parallel import parallel_env
-from ptne_env.scenario import Scenario
+from ptne_env.envs.simulation import Duplicable
+from ptne_env.world.scenario import Scenario
 
 
 class TurnBasedEnv(Duplicable, OrderEnforcingWrapper):

@@ -14,12 +14,12 @@ import numpy.typing as npt
 from gymnasium import spaces
 from numpy.ma import MaskedArray
 
-from ptne_env.arrays import BoolArray, Float32Array, FloatArray, IntArray, as_plain, require_count, require_mask
-from ptne_env.envs.core import Duplicable, ResetResult, Simulation, StepResult, changed_scenario, player_encoder
-from ptne_env.observation import ActionMode, GraphKnowledge, Interface, InterfaceKind, ObservationLayout
-from ptne_env.random_streams import require_seed
-from ptne_env.scenario import Scenario
-from ptne_env.world import RANGE_LIMIT, World
+from ptne_env.envs.simulation import Duplicable, ResetResult, Simulation, StepResult, changed_scenario, player_encoder
+from ptne_env.perception.observation import ActionMode, GraphKnowledge, Interface, InterfaceKind, ObservationLayout
+from ptne_env.shared.arrays import BoolArray, Float32Array, FloatArray, IntArray, as_plain, require_count, require_mask
+from ptne_env.shared.random_streams import require_seed
+from ptne_env.world.scenario import Scenario
+from ptne_env.world.world import RANGE_LIMIT, World
 
 BLOCK_SIZE = 2048
 """Largest number of environments in a block: beyond it the calls of a block cost little beside its arithmetic."""

@@ -8,7 +8,10 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 
-from ptne_env.arrays import (
+from ptne_env.games.base import Game, NoBestResponseError
+from ptne_env.games.family import GameFamily
+from ptne_env.games.variational import solve_box
+from ptne_env.shared.arrays import (
     BoolArray,
     FloatArray,
     frozen,
@@ -18,9 +21,6 @@ from ptne_env.arrays import (
     require_non_negative,
     require_positive,
 )
-from ptne_env.games.base import Game, NoBestResponseError
-from ptne_env.games.family import GameFamily
-from ptne_env.games.variational import solve_box
 
 
 class AffineGame(Game):

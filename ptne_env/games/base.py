@@ -10,9 +10,9 @@ import numpy as np
 import numpy.typing as npt
 import scipy
 
-from ptne_env.arrays import BoolArray, FloatArray, IntArray, frozen, ordered_sum, replaced, require_count
-from ptne_env.factory import Part
 from ptne_env.games.variational import natural_map, solve_box
+from ptne_env.shared.arrays import BoolArray, FloatArray, IntArray, frozen, ordered_sum, replaced, require_count
+from ptne_env.shared.parts import Part
 
 RESIDUAL_TOLERANCE = 1e-10
 """Largest ‖x* − Π(x* − F(x*))‖, relative to 1 + ‖x*‖, of a computed equilibrium."""

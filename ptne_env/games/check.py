@@ -9,8 +9,8 @@ from itertools import pairwise
 import numpy as np
 import scipy
 
-from ptne_env.arrays import FloatArray, IntArray
 from ptne_env.games.base import Game
+from ptne_env.shared.arrays import FloatArray, IntArray
 
 _RADII = np.array([1e2, 1e3, 1e4])
 

@@ -7,8 +7,8 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 
-from ptne_env.arrays import BoolArray, FloatArray, frozen, ordered_sum, replaced
 from ptne_env.games.base import Game
+from ptne_env.shared.arrays import BoolArray, FloatArray, frozen, ordered_sum, replaced
 
 
 class EnergyGame(Game):

@@ -7,10 +7,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ptne_env.arrays import FloatArray, require_count
-from ptne_env.factory import Part
 from ptne_env.games.base import Game
 from ptne_env.games.energy import EnergyGame
+from ptne_env.shared.arrays import FloatArray, require_count
+from ptne_env.shared.parts import Part
 
 
 class GameFamily(Part, ABC):

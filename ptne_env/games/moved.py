@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from functools import cached_property
 
-from ptne_env.arrays import BoolArray, FloatArray, frozen, replaced
 from ptne_env.games.base import Game
+from ptne_env.shared.arrays import BoolArray, FloatArray, frozen, replaced
 
 
 class MovedGame(Game):

@@ -6,8 +6,8 @@ from typing import Literal
 
 import numpy as np
 
-from ptne_env.arrays import FloatArray
 from ptne_env.games.base import Game, NoBestResponseError
+from ptne_env.shared.arrays import FloatArray
 
 _SLOPE_OF_FOURTH = {"printed": 1.0, "corrected": 4.0}
 

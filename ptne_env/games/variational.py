@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from ptne_env.arrays import FloatArray, ordered_sum
+from ptne_env.shared.arrays import FloatArray, ordered_sum
 
 Field = Callable[[FloatArray], FloatArray]
 Jacobian = Callable[[FloatArray], FloatArray | None]

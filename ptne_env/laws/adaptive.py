@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from ptne_env.arrays import FloatArray
 from ptne_env.laws.base import AdaptiveLaw, consensus
-from ptne_env.observation import Observation, ObservationLayout
+from ptne_env.perception.observation import Observation, ObservationLayout
+from ptne_env.shared.arrays import FloatArray
 
 
 def adaptive_inputs(observation: Observation, memory: FloatArray, gamma: float) -> tuple[FloatArray, FloatArray]:

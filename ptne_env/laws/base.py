@@ -1,6 +1,6 @@
 """The base class of all laws, and the terms that their equations share.
 
-The law itself is a pure function of a parsed :class:`~ptne_env.observation.Observation` of R players, of memory with a
+The law itself is a pure function of a parsed :class:`~ptne_env.perception.observation.Observation` of R players, of memory with a
 row per player, and of parameters. It returns the inputs u^i, float64 in the observation's unit, shape (R, n), and the
 memory for the next step. Classes check parameters and adapt the function to ``predict``.
 """
@@ -14,9 +14,9 @@ from typing import Any, ClassVar
 import numpy as np
 import numpy.typing as npt
 
-from ptne_env.arrays import BoolArray, Float32Array, FloatArray, require_non_negative
-from ptne_env.observation import Interface, LayoutError, Observation, ObservationLayout
-from ptne_env.policy import pair
+from ptne_env.perception.observation import Interface, LayoutError, Observation, ObservationLayout
+from ptne_env.perception.policy import pair
+from ptne_env.shared.arrays import BoolArray, Float32Array, FloatArray, require_non_negative
 
 _BLOCK = 2**18
 """Numbers in the observations and memories of the players that decide at a time: their copies fit the cache."""
@@ -70,7 +70,7 @@ class Law(ABC):
         episode_start: BoolArray | None = None,
         deterministic: bool = False,  # noqa: ARG002, FBT001, FBT002 - Stable-Baselines3's signature
     ) -> tuple[Float32Array, Any]:
-        """Actions for observations; see :meth:`ptne_env.policy.Policy.predict`. Laws are deterministic.
+        """Actions for observations; see :meth:`ptne_env.perception.policy.Policy.predict`. Laws are deterministic.
 
         Raises:
             ValueError: when observations or memory have another shape than this law needs.

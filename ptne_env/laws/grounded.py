@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from ptne_env.arrays import FloatArray, require_non_negative
 from ptne_env.laws.base import AdaptiveLaw, Law, consensus
-from ptne_env.observation import Observation, ObservationLayout
+from ptne_env.perception.observation import Observation, ObservationLayout
+from ptne_env.shared.arrays import FloatArray, require_non_negative
 
 
 def grounded_error(observation: Observation, layout: ObservationLayout) -> FloatArray:

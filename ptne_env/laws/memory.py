@@ -8,7 +8,7 @@ from math import prod
 
 import numpy as np
 
-from ptne_env.arrays import FloatArray
+from ptne_env.shared.arrays import FloatArray
 
 
 class Parts:

@@ -6,9 +6,9 @@ from typing import ClassVar
 
 import numpy as np
 
-from ptne_env.arrays import FloatArray, require_non_negative, require_positive
 from ptne_env.laws.base import Law, consensus, per_step
-from ptne_env.observation import Interface, Observation, ObservationLayout
+from ptne_env.perception.observation import Interface, Observation, ObservationLayout
+from ptne_env.shared.arrays import FloatArray, require_non_negative, require_positive
 
 
 def centralised_inputs(observation: Observation, gradient_gain: float) -> FloatArray:

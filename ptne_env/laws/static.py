@@ -6,9 +6,9 @@ from typing import ClassVar
 
 import numpy as np
 
-from ptne_env.arrays import Float32Array, FloatArray, require_non_negative, require_positive
 from ptne_env.laws.base import Law, consensus, step_length
-from ptne_env.observation import CONSENSUS_GAIN, GAIN_OCTAVES, Observation, ObservationLayout
+from ptne_env.perception.observation import CONSENSUS_GAIN, GAIN_OCTAVES, Observation, ObservationLayout
+from ptne_env.shared.arrays import Float32Array, FloatArray, require_non_negative, require_positive
 
 
 def static_inputs(observation: Observation, kappa: float, gradient_gain: float = 1.0) -> FloatArray:

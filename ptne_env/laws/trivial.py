@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from ptne_env.arrays import BoolArray, Float32Array, FloatArray, require_count
-from ptne_env.counter_random import uniforms
 from ptne_env.laws.base import Law
-from ptne_env.observation import Observation, ObservationLayout
+from ptne_env.perception.observation import Observation, ObservationLayout
+from ptne_env.shared.arrays import BoolArray, Float32Array, FloatArray, require_count
+from ptne_env.shared.counter_random import uniforms
 
 
 class ZeroInput(Law):
@@ -25,7 +25,7 @@ class RandomPolicy:
 
     So an observation gets the same action in every batch and place. The hash is the multiply-add of M. Dietzfelbinger,
     "Universal hashing and k-wise independent random variables via integer arithmetic without primes" (STACS 1996), of
-    the observation's bits, and keys a stream of :mod:`ptne_env.counter_random`.
+    the observation's bits, and keys a stream of :mod:`ptne_env.shared.counter_random`.
 
     Args:
         layout: of the environment; any interface and action mode.
@@ -48,7 +48,7 @@ class RandomPolicy:
         episode_start: BoolArray | None = None,  # noqa: ARG002 - Stable-Baselines3's signature
         deterministic: bool = False,  # noqa: ARG002, FBT001, FBT002 - Stable-Baselines3's signature
     ) -> tuple[Float32Array, Any]:
-        """Random actions; see :meth:`ptne_env.policy.Policy.predict`.
+        """Random actions; see :meth:`ptne_env.perception.policy.Policy.predict`.
 
         Raises:
             ValueError: when observations have another length than the layout's.

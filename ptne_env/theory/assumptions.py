@@ -7,10 +7,10 @@ from typing import Literal, TypeAlias
 
 import numpy as np
 
-from ptne_env.clock import LemmaViolationError, TimeTransformation, check_time_transformation
 from ptne_env.games import Game, check_game
-from ptne_env.switching import SwitchingTopology
 from ptne_env.theory.constants import MonotonicityConstants, jacobians, monotonicity_constants
+from ptne_env.world.clock import LemmaViolationError, TimeTransformation, check_time_transformation
+from ptne_env.world.switching import SwitchingTopology
 
 Verdict: TypeAlias = Literal["holds", "fails", "sampled only"]
 
@@ -88,7 +88,7 @@ def check_assumptions(
 
 
 def check_lemma(transformation: TimeTransformation) -> LemmaCheck:
-    """Lemma 1 on λ; see :func:`ptne_env.clock.check_time_transformation`."""
+    """Lemma 1 on λ; see :func:`ptne_env.world.clock.check_time_transformation`."""
     try:
         return LemmaCheck(check_time_transformation(transformation), "holds", "")
     except LemmaViolationError as error:

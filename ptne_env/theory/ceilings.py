@@ -7,7 +7,7 @@ sees, and whose density is symmetric and unimodal. By T. W. Anderson, "The integ
 over a symmetric convex set", Proceedings of the American Mathematical Society 6(2), 1955, P(‖w − a‖ ≤ r) is largest at
 a = 0 for every r. So E[−log10 ‖w − a‖] ≤ E[−log10 ‖w‖], which sampling evaluates.
 
-Where no bound holds, a ceiling is infinite, and results are limited by :data:`~ptne_env.distances.FLOOR` alone. In
+Where no bound holds, a ceiling is infinite, and results are limited by :data:`~ptne_env.world.distances.FLOOR` alone. In
 particular neither noise nor rounding of messages gives a ceiling: see :func:`message_bits`.
 """
 
@@ -17,13 +17,13 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ptne_env.arrays import BoolArray, FloatArray, IntArray, require_non_negative
-from ptne_env.channel import AdditiveNoise, Chain, Channel, UniformQuantiser
-from ptne_env.disturbances import UniformDisturbance
-from ptne_env.dynamics import State
 from ptne_env.games import EnergyGame, RandomEnergy
-from ptne_env.sensor import GradientNoise
-from ptne_env.world import RANGE_LIMIT, World
+from ptne_env.shared.arrays import BoolArray, FloatArray, IntArray, require_non_negative
+from ptne_env.world.channel import AdditiveNoise, Chain, Channel, UniformQuantiser
+from ptne_env.world.disturbances import UniformDisturbance
+from ptne_env.world.dynamics import State
+from ptne_env.world.sensor import GradientNoise
+from ptne_env.world.world import RANGE_LIMIT, World
 
 _SAMPLES = 4000
 """Draws by which a mean of −log10 ‖w‖ is found; its standard error is below 0.01 digits."""

@@ -14,16 +14,13 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from ptne_env import laws
-from ptne_env.arrays import FloatArray, require_count, require_non_negative
-from ptne_env.channel import AdditiveNoise, Chain, Channel, Delay
-from ptne_env.encoder import make_encoder
-from ptne_env.factory import LOADER, FactorySpec
+from ptne_env.field.laws.gated import GatedLaw
 from ptne_env.laws import CorollaryOne, FixedGain, Law, Static
-from ptne_env.laws.gated import GatedLaw
-from ptne_env.names import unknown_name
-from ptne_env.observation import Interface
-from ptne_env.scenario import Scenario
-from ptne_env.switching import SwitchingTopology
+from ptne_env.perception.encoder import make_encoder
+from ptne_env.perception.observation import Interface
+from ptne_env.shared.arrays import FloatArray, require_count, require_non_negative
+from ptne_env.shared.names import unknown_name
+from ptne_env.shared.parts import LOADER, FactorySpec
 from ptne_env.theory.assumptions import AssumptionCheck, LemmaCheck, check_assumptions, check_lemma
 from ptne_env.theory.closed_loop import NoClosedLoopError, gain_growth, input_decay_rate
 from ptne_env.theory.conditions import Condition, condition, problem_constants
@@ -41,7 +38,10 @@ from ptne_env.theory.sampled import (
     sampled_loop,
     start_error,
 )
-from ptne_env.world import SHORTFALL_WARNING, World
+from ptne_env.world.channel import AdditiveNoise, Chain, Channel, Delay
+from ptne_env.world.scenario import Scenario
+from ptne_env.world.switching import SwitchingTopology
+from ptne_env.world.world import SHORTFALL_WARNING, World
 
 LawSource: TypeAlias = FactorySpec | Callable[..., Law] | Law
 """A law, or a factory spec or a callable that builds it from a layout."""
@@ -243,7 +243,7 @@ def certify(
         delay_limit: largest delay that is tried for the margin.
 
     Raises:
-        TypeError: when ``scenario`` is no :class:`~ptne_env.scenario.Scenario`, such as its name, ``kappa`` is a law,
+        TypeError: when ``scenario`` is no :class:`~ptne_env.world.scenario.Scenario`, such as its name, ``kappa`` is a law,
             or ``law`` is none of the above.
         ValueError: when a number is negative, a name is unknown, or the spec does not build a law that can act on the
             scenario.
@@ -307,7 +307,7 @@ def _law_source(law: Any) -> LawSource:
         if ":" not in source and source not in known:
             raise ValueError(
                 f"{unknown_name('law', source, known, 'module:object')}; for a law with the name and the parameters of "
-                f"'ptne list', law=ptne_env.experiments.get_policy_spec({source!r})"
+                f"'ptne list', law=ptne_env.evaluation.get_policy_spec({source!r})"
             )
         return FactorySpec.of(source if ":" in source else f"{laws.__name__}:{source}")
     if not isinstance(source, FactorySpec | Law) and not callable(source):

@@ -15,14 +15,14 @@ from typing import Any
 import numpy as np
 from scipy import linalg
 
-from ptne_env.arrays import BoolArray, FloatArray, IntArray, require_non_negative
-from ptne_env.clock import TimeTransformation
 from ptne_env.games import Game
-from ptne_env.graphs import Graph
 from ptne_env.laws import Law
-from ptne_env.observation import Observation, ObservationLayout
-from ptne_env.switching import MarkovTopology, SwitchingTopology
+from ptne_env.perception.observation import Observation, ObservationLayout
+from ptne_env.shared.arrays import BoolArray, FloatArray, IntArray, require_non_negative
 from ptne_env.theory.constants import ZERO, jacobians
+from ptne_env.world.clock import TimeTransformation
+from ptne_env.world.graphs import Graph
+from ptne_env.world.switching import MarkovTopology, SwitchingTopology
 
 _RANDOM_DWELLS = 2000
 """Number of dwells in the single draw from which the rate of a random topology is estimated."""

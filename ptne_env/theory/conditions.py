@@ -16,31 +16,32 @@ from functools import singledispatch
 import numpy as np
 from scipy import linalg
 
-from ptne_env.arrays import FloatArray, IntArray
-from ptne_env.graphs import Graph, union
-from ptne_env.laws import (
-    Adaptive,
-    AdaptiveGrounded,
+from ptne_env.field.laws import (
     AggregateTracking,
-    BestResponseOracle,
     CappedGain,
-    CorollaryOne,
     ExtremumSeeking,
-    FixedGain,
-    FixedTimeOracle,
-    Grounded,
-    Law,
     LocallyImplicit,
     MultiRate,
-    NodeAdaptiveOracle,
     ObserverRelay,
     ProjectedGradient,
     ProximalBestResponse,
     Relay,
+)
+from ptne_env.field.laws.gated import GatedLaw
+from ptne_env.field.laws.routed import RoutedLaw
+from ptne_env.laws import (
+    Adaptive,
+    AdaptiveGrounded,
+    BestResponseOracle,
+    CorollaryOne,
+    FixedGain,
+    FixedTimeOracle,
+    Grounded,
+    Law,
+    NodeAdaptiveOracle,
     Static,
 )
-from ptne_env.laws.gated import GatedLaw
-from ptne_env.laws.routed import RoutedLaw
+from ptne_env.shared.arrays import FloatArray, IntArray
 from ptne_env.theory.closed_loop import last_modes, loop_matrix
 from ptne_env.theory.constants import ZERO, MonotonicityConstants, gain_bound, jacobians, monotonicity_constants
 from ptne_env.theory.delayed_play import (
@@ -50,7 +51,8 @@ from ptne_env.theory.delayed_play import (
     largest_delayed_step,
     multi_rate_radius,
 )
-from ptne_env.world import World
+from ptne_env.world.graphs import Graph, union
+from ptne_env.world.world import World
 
 _LARGEST_SYSTEM = 1200
 """Delayed play is decided exactly while its matrix has no more rows than this: its eigenvalues take seconds beyond."""
@@ -429,7 +431,7 @@ def gated_condition(law: GatedLaw, constants: ProblemConstants) -> None:
 
 @condition.register
 def observer_relay_condition(law: ObserverRelay, constants: ProblemConstants) -> Condition:
-    """That of :class:`~ptne_env.laws.Relay`, and max_c Σ_d |G_cd| ≤ min_c G_cc, d of others, for the own c of a player.
+    """That of :class:`~ptne_env.field.laws.Relay`, and max_c Σ_d |G_cd| ≤ min_c G_cc, d of others, for the own c of a player.
 
     Then responses are undamped and players do not extrapolate their own gradient, which need not contract. Joint
     solutions contract as best responses do: with the weights v of the norm, B v ≤ ρ v, and errors |e_j| ≤ r v_j of the

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ptne_env.arrays import FloatArray, require_count, require_positive
 from ptne_env.games import Game
+from ptne_env.shared.arrays import FloatArray, require_count, require_positive
 
 ZERO = 1e-10
 """Below this fraction of a matrix's norm a number counts as zero: kernels of disconnected graphs are rounding."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy import optimize
 
-from ptne_env.arrays import require_count
+from ptne_env.shared.arrays import require_count
 from ptne_env.theory.closed_loop import Loop
 
 _LARGEST_SYSTEM = 1200

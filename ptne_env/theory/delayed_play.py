@@ -6,8 +6,8 @@ import numpy as np
 import scipy
 from scipy.sparse.csgraph import shortest_path
 
-from ptne_env.arrays import FloatArray, IntArray
-from ptne_env.graphs import Graph
+from ptne_env.shared.arrays import FloatArray, IntArray
+from ptne_env.world.graphs import Graph
 
 _ACCURACY = 1e-9
 """Relative accuracy of the largest stable step."""
@@ -27,7 +27,7 @@ def hop_delays(graph: Graph, owners: IntArray) -> IntArray:
 def delayed_play_matrix(jacobian: FloatArray, delays: IntArray, step: float) -> FloatArray:
     """The matrix of e_c(k+1) = e_c(k) − η Σ_b dF_cb e_b(k − d_cb) on (e(k), e(k−1), …, e(k−D)), D = max d.
 
-    The loop of :class:`~ptne_env.laws.Routed` on a fixed graph after the first D steps, d_cb being the hop count
+    The loop of :class:`~ptne_env.field.laws.Routed` on a fixed graph after the first D steps, d_cb being the hop count
     between the owners of the components c and b. The estimates of the other players are late copies: they add zeros
     to the eigenvalues.
 
@@ -55,7 +55,7 @@ def delayed_play_radius(jacobian: FloatArray, delays: IntArray, step: float) -> 
 def multi_rate_radius(jacobian: FloatArray, delays: IntArray, steps: FloatArray, leads: FloatArray) -> float:
     """Spectral radius of e_c(k+1) = e_c(k) − η_c [(1 + δ_c) (dF e)_c(k) − δ_c (dF e)_c(k−1)], with delays in dF e.
 
-    The loop of :class:`~ptne_env.laws.MultiRate` on a fixed graph after its first steps, where no bound becomes or
+    The loop of :class:`~ptne_env.field.laws.MultiRate` on a fixed graph after its first steps, where no bound becomes or
     ceases to be active: there, (dF e)_c(k) = Σ_b dF_cb e_b(k − d_cb).
 
     Args:

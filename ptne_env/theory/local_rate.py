@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from ptne_env.laws.gated import GatedLaw
+from ptne_env.field.laws.gated import GatedLaw
 from ptne_env.theory.closed_loop import law_loop
 from ptne_env.theory.sampled import observed, play
-from ptne_env.world import World
+from ptne_env.world.world import World
 
 _CLOSEST = 1e-8
 """Relative distance to x* at which gates are taken: nearer to it, changes of messages by rounding count as noise."""

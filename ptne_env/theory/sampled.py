@@ -12,10 +12,10 @@ from typing import Any, Literal, NamedTuple, TypeAlias
 
 import numpy as np
 
-from ptne_env.arrays import FloatArray, IntArray, require_count, require_non_negative
 from ptne_env.games import Game
 from ptne_env.laws import Law
-from ptne_env.observation import Observation
+from ptne_env.perception.observation import Observation
+from ptne_env.shared.arrays import FloatArray, IntArray, require_count, require_non_negative
 from ptne_env.theory.closed_loop import (
     Loop,
     NoClosedLoopError,
@@ -26,7 +26,7 @@ from ptne_env.theory.closed_loop import (
     largest_stable_step,
     law_loop,
 )
-from ptne_env.world import World
+from ptne_env.world.world import World
 
 LoopClock: TypeAlias = Literal["effective", "physical"]
 

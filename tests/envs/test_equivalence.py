@@ -10,8 +10,8 @@ from worlds import BLOCKS_SWITCHING, FAULTY, channel_part, make_env
 from ptne_env import VectorParallelEnv, get_scenario
 from ptne_env.envs import vector as vector_module
 from ptne_env.envs.gymnasium import JointEnv, JointVectorEnv
-from ptne_env.rewards import TERMS
-from ptne_env.world import World
+from ptne_env.world.rewards import TERMS
+from ptne_env.world.world import World
 
 try:
     from ptne_env.envs.sb3 import PlayerVecEnv

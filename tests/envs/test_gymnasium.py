@@ -16,8 +16,8 @@ from worlds import BLOCKS, make_env
 import ptne_env
 from ptne_env import CATALOGUE, laws
 from ptne_env.envs.gymnasium import JointEnv, JointVectorEnv, PlayerVectorEnv
-from ptne_env.registration import register_environments
-from ptne_env.world import World
+from ptne_env.envs.registration import register_environments
+from ptne_env.world.world import World
 
 BATCH = 4
 MODES = {"NEXT_STEP": AutoresetMode.NEXT_STEP, "SAME_STEP": AutoresetMode.SAME_STEP, "DISABLED": AutoresetMode.DISABLED}

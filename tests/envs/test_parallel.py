@@ -7,9 +7,10 @@ from extras import need_sb3
 from worlds import BLOCKS, PAPER_START, constant_actions, make_env, play, while_running
 
 import ptne_env
-from ptne_env import CATALOGUE, dynamics, get_scenario, laws
+from ptne_env import CATALOGUE, get_scenario, laws
 from ptne_env.envs.turn_based import aec_env
-from ptne_env.experiments.suite import get_suite
+from ptne_env.evaluation.suite import get_suite
+from ptne_env.world import dynamics
 
 INTERFACES = [
     {"interface": interface, "action_mode": mode} for interface in ("physical", "local") for mode in ("input", "gains")

@@ -7,8 +7,8 @@ import pettingzoo
 import pytest
 
 import ptne_env
-from ptne_env import registration
-from ptne_env.registration import register_environments
+from ptne_env.envs import registration
+from ptne_env.envs.registration import register_environments
 
 with_registries = pytest.mark.skipif(not hasattr(pettingzoo, "register"), reason="needs PettingZoo 1.27")
 

@@ -20,8 +20,8 @@ from ptne_env import FactorySpec, Interface, PolicySpec, VectorParallelEnv, eval
 from ptne_env.envs import vector as vector_module
 from ptne_env.envs.gymnasium import JointEnv
 from ptne_env.envs.sb3 import MixedPlayerVecEnv, PlayerVecEnv
-from ptne_env.experiments import episode_seed
-from ptne_env.world import World
+from ptne_env.evaluation import episode_seed
+from ptne_env.world.world import World
 
 
 @pytest.fixture(autouse=True)
@@ -391,7 +391,7 @@ def start_at(distance):
     """Everybody's estimates so far from the equilibrium, relatively, in the scenario ``energy``."""
     equilibrium = World(get_scenario("energy")).game.nash_equilibrium
     shift = distance * np.linalg.norm(equilibrium) / np.sqrt(5)
-    return FactorySpec.of("ptne_env.starts:FixedStart", estimates=np.tile(equilibrium + shift, (5, 1)).tolist())
+    return FactorySpec.of("ptne_env.world.starts:FixedStart", estimates=np.tile(equilibrium + shift, (5, 1)).tolist())
 
 
 @pytest.mark.parametrize(("distance", "success"), [(0.004, True), (0.006, False)])

@@ -8,11 +8,12 @@ from test_parallel import arrays_in, same
 from worlds import BLOCKS_SWITCHING, make_env
 
 import ptne_env
-from ptne_env import FactorySpec, VectorParallelEnv, fused, get_scenario, laws
-from ptne_env.distances import estimate_distance
-from ptne_env.envs import VectorBuffers, VectorStep
+from ptne_env import FactorySpec, VectorParallelEnv, get_scenario, laws
+from ptne_env.envs.vector import VectorBuffers, VectorStep
 from ptne_env.envs import vector as vector_module
-from ptne_env.world import World
+from ptne_env.world import fused
+from ptne_env.world.distances import estimate_distance
+from ptne_env.world.world import World
 
 SHORT = {"steps": 6, "start": "random", "input_limit": 5.0}
 
@@ -262,7 +263,7 @@ def test_success_is_reported_per_environment_at_every_instant(block_size):
 
 def test_a_diverged_environment_reports_no_success(block_size):
     at_rest = np.tile(World(get_scenario("energy")).game.nash_equilibrium, (5, 1)).tolist()
-    start = FactorySpec.of("ptne_env.starts:FixedStart", estimates=at_rest)
+    start = FactorySpec.of("ptne_env.world.starts:FixedStart", estimates=at_rest)
     env = make("energy", num_envs=4, steps=5, start=start, input_limit=1e9)
     env.reset()
     actions = np.zeros((4, 5, 5))

@@ -6,10 +6,12 @@ from sample_games import BlockGame
 from worlds import begin, make_env
 
 import ptne_env
-from ptne_env import FactorySpec, dynamics, get_scenario, theory
-from ptne_env.games import EnergyGame, Game, NetworkedCournot, check_game
+from ptne_env import FactorySpec, get_scenario, theory
+from ptne_env.field.games import NetworkedCournot
+from ptne_env.games import EnergyGame, Game, check_game
 from ptne_env.laws import Static
-from ptne_env.world import World
+from ptne_env.world import dynamics
+from ptne_env.world.world import World
 
 BOXED = ("cournot", "ev-charging", "rate-control")
 

@@ -8,19 +8,17 @@ from sample_games import generators
 from scipy import optimize
 from worlds import make_env
 
-from ptne_env import FactorySpec, distances, evaluate, get_scenario, theory
-from ptne_env.games import (
-    AffineGame,
+from ptne_env import FactorySpec, evaluate, get_scenario, theory
+from ptne_env.field.games import (
     CoordinationGame,
-    EnergyGame,
-    MovedGame,
-    RandomAffine,
     RandomCoordination,
     RandomSaturating,
     RandomSparse,
     SaturatingGame,
     SparseGame,
 )
+from ptne_env.games import AffineGame, EnergyGame, MovedGame, RandomAffine
+from ptne_env.world import distances
 
 FAMILIES = {
     "sparse": RandomSparse(players=20),
@@ -153,14 +151,14 @@ def test_a_point_that_is_no_equilibrium_is_refused():
 
 def test_gradient_play_settles_at_one_of_the_stable_equilibria():
     scenario = get_scenario(
-        "random-energy", name="coordination", game=FactorySpec.of("ptne_env.games:RandomCoordination")
+        "random-energy", name="coordination", game=FactorySpec.of("ptne_env.field.games:RandomCoordination")
     )
     results = evaluate(["routed"], [scenario], episodes=20, against_laws=False)
     assert results.samples["coordination", "routed"]["digits"].min() > 11
 
 
 def test_an_environment_succeeds_at_an_equilibrium_that_is_not_the_first():
-    env = make_env("random-energy", game=FactorySpec.of("ptne_env.games:CoordinationGame"), steps=4)
+    env = make_env("random-energy", game=FactorySpec.of("ptne_env.field.games:CoordinationGame"), steps=4)
     point = CoordinationGame().other_equilibria[1, :, 0]
     env.reset(options={"estimates": np.tile(point, (5, 1))})
     infos = None

@@ -5,25 +5,27 @@ from scipy import optimize
 from worlds import make_env
 
 from ptne_env import FactorySpec, get_scenario
-from ptne_env.games import (
-    AffineGame,
+from ptne_env.field.games import (
     CoordinationGame,
     CoupledConstraint,
-    EnergyGame,
-    NonQuadraticGame,
-    RandomAffine,
     RandomCoordination,
-    RandomEnergy,
     RandomSaturating,
     RandomSparse,
     SaturatingGame,
-    SingleGame,
     SparseGame,
+)
+from ptne_env.games import (
+    AffineGame,
+    EnergyGame,
+    NonQuadraticGame,
+    RandomAffine,
+    RandomEnergy,
+    SingleGame,
     check_game,
     require_strong_monotonicity,
 )
-from ptne_env.random_streams import RandomStreams
-from ptne_env.world import World
+from ptne_env.shared.random_streams import RandomStreams
+from ptne_env.world.world import World
 
 PARAMETERS = ("curvature", "target", "coupling")
 NAMES = {
@@ -325,7 +327,7 @@ FAMILIES = {
 STARTS = {
     "none": "paper",
     "uniform": "random",
-    "narrow": FactorySpec.of("ptne_env.starts:UniformStart", low=0.0, high=1.0),
+    "narrow": FactorySpec.of("ptne_env.world.starts:UniformStart", low=0.0, high=1.0),
 }
 TOPOLOGIES = {
     "fixed": get_scenario("energy").topology,

@@ -5,16 +5,12 @@ import pytest
 from sample_games import BlockGame
 
 from ptne_env import theory
+from ptne_env.field.games import ConnectivityControl, ElectricVehicleCharging, NetworkedCournot, Oligopoly, RateControl
 from ptne_env.games import (
     AffineGame,
-    ConnectivityControl,
-    ElectricVehicleCharging,
     EnergyGame,
-    NetworkedCournot,
     NonQuadraticGame,
-    Oligopoly,
     RandomAffine,
-    RateControl,
     WeaklyMonotoneGame,
     check_game,
     require_strong_monotonicity,

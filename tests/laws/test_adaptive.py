@@ -2,7 +2,8 @@ import numpy as np
 import pytest
 from worlds import make_env, play, while_running, world_and_encoder
 
-from ptne_env import dynamics, laws
+from ptne_env import laws
+from ptne_env.world import dynamics
 
 
 def gains_along(env, law, **reset):

@@ -6,7 +6,7 @@ import reference_implementation
 from worlds import BLOCKS, BLOCKS_SWITCHING, FROM_THE_PAPER, PAPER_START, make_env, play, while_running
 
 from ptne_env import laws
-from ptne_env.world import World
+from ptne_env.world.world import World
 
 GRADIENTS = {
     "energy": reference_implementation.energy_gradient,

@@ -10,8 +10,10 @@ import pytest
 from affine_games import SOAK
 from worlds import energy_scenario, fixed_part, make_env, play, world_and_encoder
 
-from ptne_env import FactorySpec, Interface, dynamics, laws
-from ptne_env.experiments import POLICIES
+from ptne_env import FactorySpec, Interface, laws
+from ptne_env.evaluation import POLICIES
+from ptne_env.field import laws as field_laws
+from ptne_env.world import dynamics
 
 LAWS = {
     "static": laws.Static,
@@ -21,15 +23,15 @@ LAWS = {
     "fixed-gain": laws.FixedGain,
     "averaging-integral": laws.AveragingIntegral,
     "adaptive-grounded": laws.AdaptiveGrounded,
-    "projected-gradient": laws.ProjectedGradient,
-    "aggregate-tracking": laws.AggregateTracking,
-    "extremum-seeking": laws.ExtremumSeeking,
-    "locally-implicit": laws.LocallyImplicit,
-    "capped-gain": laws.CappedGain,
-    "routed-unknown": laws.RoutedUnknown,
-    "link-relay": laws.LinkRelay,
-    "contact-relay": laws.ContactRelay,
-    "observer-relay": laws.ObserverRelay,
+    "projected-gradient": field_laws.ProjectedGradient,
+    "aggregate-tracking": field_laws.AggregateTracking,
+    "extremum-seeking": field_laws.ExtremumSeeking,
+    "locally-implicit": field_laws.LocallyImplicit,
+    "capped-gain": field_laws.CappedGain,
+    "routed-unknown": field_laws.RoutedUnknown,
+    "link-relay": field_laws.LinkRelay,
+    "contact-relay": field_laws.ContactRelay,
+    "observer-relay": field_laws.ObserverRelay,
     "zero-input": laws.ZeroInput,
 }
 INTERFACES = {
@@ -69,10 +71,12 @@ def topology_spec(modes, weights):
         adjacency = np.zeros((5, 5))
         for i, j in edges:
             adjacency[i, j] = adjacency[j, i] = weights[min(i, j), max(i, j)]
-        graphs.append(FactorySpec.of("ptne_env.graphs:Graph", adjacency=adjacency))
+        graphs.append(FactorySpec.of("ptne_env.world.graphs:Graph", adjacency=adjacency))
     if len(graphs) == 1:
-        return FactorySpec.of("ptne_env.switching:fixed", graph=graphs[0])
-    return FactorySpec.of("ptne_env.switching:periodic", graphs=graphs, dwells=[0.1] * len(graphs), clock="physical")
+        return FactorySpec.of("ptne_env.world.switching:fixed", graph=graphs[0])
+    return FactorySpec.of(
+        "ptne_env.world.switching:periodic", graphs=graphs, dwells=[0.1] * len(graphs), clock="physical"
+    )
 
 
 def scrambled_scenario(player, modes, weights, generator):

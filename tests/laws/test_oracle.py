@@ -2,8 +2,9 @@ import numpy as np
 import pytest
 from worlds import BLOCKS, world_and_encoder
 
-from ptne_env import dynamics, get_scenario, laws
-from ptne_env.random_streams import RandomStreams
+from ptne_env import get_scenario, laws
+from ptne_env.shared.random_streams import RandomStreams
+from ptne_env.world import dynamics
 
 
 @pytest.mark.parametrize("kind", ["physical", "local"])

@@ -7,10 +7,12 @@ import numpy as np
 import pytest
 from worlds import BLOCKS, make_env, play, world_and_encoder
 
-from ptne_env import Interface, Policy, dynamics, laws
+from ptne_env import Interface, Policy, laws
+from ptne_env.field import laws as field_laws
 from ptne_env.laws import base
-from ptne_env.policy import PolicyError
-from ptne_env.random_streams import RandomStreams
+from ptne_env.perception.policy import PolicyError
+from ptne_env.shared.random_streams import RandomStreams
+from ptne_env.world import dynamics
 
 LAWS = [
     laws.Static,
@@ -20,32 +22,32 @@ LAWS = [
     laws.FixedGain,
     laws.AveragingIntegral,
     laws.AdaptiveGrounded,
-    laws.ProjectedGradient,
-    laws.LocallyImplicit,
-    laws.CappedGain,
-    laws.RoutedUnknown,
+    field_laws.ProjectedGradient,
+    field_laws.LocallyImplicit,
+    field_laws.CappedGain,
+    field_laws.RoutedUnknown,
     laws.ZeroInput,
     laws.RandomPolicy,
 ]
 SPECIAL = [
-    laws.AggregateTracking,
-    laws.ExtremumSeeking,
-    laws.Relay,
-    laws.LinkRelay,
-    laws.ContactRelay,
-    laws.ObserverRelay,
-    laws.RouteRelay,
-    laws.FreshestRelay,
-    laws.MultiRate,
-    laws.ProximalBestResponse,
-    laws.IdentifyAndBroadcast,
-    laws.LinkBroadcast,
+    field_laws.AggregateTracking,
+    field_laws.ExtremumSeeking,
+    field_laws.Relay,
+    field_laws.LinkRelay,
+    field_laws.ContactRelay,
+    field_laws.ObserverRelay,
+    field_laws.RouteRelay,
+    field_laws.FreshestRelay,
+    field_laws.MultiRate,
+    field_laws.ProximalBestResponse,
+    field_laws.IdentifyAndBroadcast,
+    field_laws.LinkBroadcast,
     laws.CentralisedOracle,
     laws.BestResponseOracle,
     laws.FixedTimeOracle,
     laws.NodeAdaptiveOracle,
-    laws.Routed,
-    laws.Freshest,
+    field_laws.Routed,
+    field_laws.Freshest,
 ]
 """Laws that need an interface of their own."""
 

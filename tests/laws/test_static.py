@@ -2,7 +2,8 @@ import numpy as np
 import pytest
 from worlds import BLOCKS, BLOCKS_SWITCHING, loop_matrix, make_env, play, world_and_encoder
 
-from ptne_env import FactorySpec, Interface, dynamics, get_scenario, laws
+from ptne_env import FactorySpec, Interface, get_scenario, laws
+from ptne_env.world import dynamics
 
 AFFINE = {
     "energy": get_scenario("energy"),

@@ -6,14 +6,15 @@ from dataclasses import dataclass
 import networkx as nx
 import numpy as np
 
-from ptne_env import FactorySpec, Scenario, dynamics, theory
-from ptne_env.distances import estimate_distance
-from ptne_env.encoder import Encoder, make_encoder
-from ptne_env.experiments.rollout import rollout
-from ptne_env.observation import Interface
-from ptne_env.random_streams import RandomStreams
+from ptne_env import FactorySpec, Scenario, theory
+from ptne_env.evaluation.rollout import rollout
+from ptne_env.perception.encoder import Encoder, make_encoder
+from ptne_env.perception.observation import Interface
+from ptne_env.shared.random_streams import RandomStreams
 from ptne_env.theory.closed_loop import blank_observation
-from ptne_env.world import World
+from ptne_env.world import dynamics
+from ptne_env.world.distances import estimate_distance
+from ptne_env.world.world import World
 
 BATCH = 2
 """Starts per scenario, played in one batch: one anywhere, and one that leans towards the slowest mode."""
@@ -51,10 +52,10 @@ class Case:
         halves = [np.zeros_like(adjacency), np.zeros_like(adjacency)]
         for edge, (i, j) in enumerate(np.argwhere(np.triu(adjacency))):
             halves[edge % 2][i, j] = halves[edge % 2][j, i] = adjacency[i, j]
-        graphs = tuple(FactorySpec.of("ptne_env.graphs:Graph", adjacency=half) for half in halves)
+        graphs = tuple(FactorySpec.of("ptne_env.world.graphs:Graph", adjacency=half) for half in halves)
         longest = np.diff(self.world.clock.topology_times[clock]).max()
         dwells = (2.5 * longest, 3.5 * longest)
-        topology = FactorySpec.of("ptne_env.switching:periodic", graphs=graphs, dwells=dwells, clock=clock)
+        topology = FactorySpec.of("ptne_env.world.switching:periodic", graphs=graphs, dwells=dwells, clock=clock)
         self.encoder = encoder_of(self.scenario.replace(topology=topology))
         self.law = theory.build_law(self.spec, self.world)
 
@@ -91,9 +92,9 @@ class Case:
 
         With ``follow``, a vector of the stacked estimates, the size of the error's component along it.
         """
-        stages = [FactorySpec.of("ptne_env.channel:Delay", steps=delay)] if delay else []
-        stages += [FactorySpec.of("ptne_env.channel:AdditiveNoise", std=noise_std)] if noise_std else []
-        channel = FactorySpec.of("ptne_env.channel:Chain", stages=tuple(stages))
+        stages = [FactorySpec.of("ptne_env.world.channel:Delay", steps=delay)] if delay else []
+        stages += [FactorySpec.of("ptne_env.world.channel:AdditiveNoise", std=noise_std)] if noise_std else []
+        channel = FactorySpec.of("ptne_env.world.channel:Chain", stages=tuple(stages))
         encoder = encoder_of(self.scenario.replace(channel=channel))
         world, path, memory, batch = encoder.world, [], None, starts.shape[2]
         randomness = world.draw_randomness([RandomStreams.from_seed(seed) for seed in range(batch)])
@@ -122,7 +123,7 @@ def graph_part(generator, players):
     tree = nx.random_labeled_tree(players, seed=int(generator.integers(1 << 31)))
     adjacency = nx.to_numpy_array(tree) + (generator.random((players, players)) < 0.2)
     adjacency = np.triu((adjacency + adjacency.T > 0) * generator.uniform(0.5, 1.5, (players, players)), 1)
-    return FactorySpec.of("ptne_env.graphs:Graph", adjacency=adjacency + adjacency.T)
+    return FactorySpec.of("ptne_env.world.graphs:Graph", adjacency=adjacency + adjacency.T)
 
 
 def random_game(generator, players, skew, epsilon, spread):
@@ -172,7 +173,7 @@ def random_case(
     values = {
         "name": f"random-{seed}",
         "game": random_game(generator, players, skew, epsilon, spread),
-        "topology": FactorySpec.of("ptne_env.switching:fixed", graph=graph_part(generator, players)),
+        "topology": FactorySpec.of("ptne_env.world.switching:fixed", graph=graph_part(generator, players)),
         "start": "random",
         "deadline": float(generator.uniform(0.5, 2.5)),
         "gain": float(generator.uniform(0.0, 2.0 if spacing == "transformed" else 25.0)),

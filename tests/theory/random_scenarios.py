@@ -8,7 +8,7 @@ from random_affine import graph_part, random_game
 
 from ptne_env import FactorySpec, Scenario, theory
 from ptne_env.theory.closed_loop import NoClosedLoopError
-from ptne_env.world import World
+from ptne_env.world.world import World
 
 LAWS = (
     ("Static", {"kappa": 3.0}),
@@ -58,8 +58,8 @@ def random_scenario(seed):
     scenario = Scenario(
         name=f"random-{seed}",
         game=random_game(generator, players, skew=3.0, epsilon=(0.1, 2.0), spread=(0.3, 4.0)),
-        topology=FactorySpec.of("ptne_env.switching:fixed", graph=graph_part(generator, players)),
-        start=FactorySpec.of("ptne_env.starts:UniformStart", low=-20.0, high=20.0),
+        topology=FactorySpec.of("ptne_env.world.switching:fixed", graph=graph_part(generator, players)),
+        start=FactorySpec.of("ptne_env.world.starts:UniformStart", low=-20.0, high=20.0),
         transformation=kind,
         spacing=spacing,
         deadline=float(generator.uniform(0.3, 3.0)),
@@ -100,9 +100,9 @@ def _switching(scenario, clock):
     halves = np.zeros((2, *adjacency.shape))
     for edge, (i, j) in enumerate(np.argwhere(np.triu(adjacency))):
         halves[edge % 2, i, j] = halves[edge % 2, j, i] = adjacency[i, j]
-    graphs = tuple(FactorySpec.of("ptne_env.graphs:Graph", adjacency=half) for half in halves)
+    graphs = tuple(FactorySpec.of("ptne_env.world.graphs:Graph", adjacency=half) for half in halves)
     longest = np.diff(world.clock.topology_times[clock]).max()
     dwells = (2.5 * longest, 3.5 * longest)
     return scenario.replace(
-        topology=FactorySpec.of("ptne_env.switching:periodic", graphs=graphs, dwells=dwells, clock=clock)
+        topology=FactorySpec.of("ptne_env.world.switching:periodic", graphs=graphs, dwells=dwells, clock=clock)
     )

@@ -3,15 +3,16 @@
 import numpy as np
 import pytest
 
-from ptne_env import FactorySpec, dynamics, get_scenario
-from ptne_env.distances import digits, estimate_distance
-from ptne_env.dynamics import initial_state
-from ptne_env.encoder import make_encoder
-from ptne_env.experiments.episodes import EpisodeSet
+from ptne_env import FactorySpec, get_scenario
+from ptne_env.evaluation.episodes import EpisodeSet
 from ptne_env.laws import Static
-from ptne_env.observation import Interface
+from ptne_env.perception.encoder import make_encoder
+from ptne_env.perception.observation import Interface
 from ptne_env.theory import ceilings
-from ptne_env.world import World
+from ptne_env.world import dynamics
+from ptne_env.world.distances import digits, estimate_distance
+from ptne_env.world.dynamics import initial_state
+from ptne_env.world.world import World
 
 EPISODES = EpisodeSet(300)
 ENERGY = get_scenario("random-energy")
@@ -49,13 +50,13 @@ def test_an_input_limit_that_lets_all_estimates_arrive_is_no_ceiling():
 
 
 def test_the_nearest_of_several_equilibria_bounds_the_reach():
-    world = world_of(game=FactorySpec.of("ptne_env.games:RandomCoordination"), input_limit=1e-9)
+    world = world_of(game=FactorySpec.of("ptne_env.field.games:RandomCoordination"), input_limit=1e-9)
     start = EPISODES.initial_state(world)
     np.testing.assert_allclose(ceilings.reach_digits(world, start, 400), measured(start), rtol=1e-6)
 
 
 def test_a_policy_at_the_equilibrium_has_the_digits_of_the_last_push():
-    pushes = FactorySpec.of("ptne_env.disturbances:UniformDisturbance", bound=3.0, dwell=1)
+    pushes = FactorySpec.of("ptne_env.world.disturbances:UniformDisturbance", bound=3.0, dwell=1)
     world = world_of(disturbance=pushes)
     state = at_equilibrium(world)
     found = measured(dynamics.step(world, state, np.zeros_like(state.estimates)))
@@ -64,7 +65,7 @@ def test_a_policy_at_the_equilibrium_has_the_digits_of_the_last_push():
 
 @pytest.mark.parametrize(("dwell", "instant", "is_bound"), [(1, 5, True), (5, 6, True), (5, 5, False), (5, 7, False)])
 def test_a_push_that_was_drawn_in_an_earlier_step_is_no_ceiling(dwell, instant, is_bound):
-    pushes = FactorySpec.of("ptne_env.disturbances:UniformDisturbance", bound=3.0, dwell=dwell)
+    pushes = FactorySpec.of("ptne_env.world.disturbances:UniformDisturbance", bound=3.0, dwell=dwell)
     world = world_of(disturbance=pushes)
     bound = ceilings.push_digits(world, EPISODES.initial_state(world), instant)
     assert np.isfinite(bound).all() == is_bound
@@ -72,7 +73,7 @@ def test_a_push_that_was_drawn_in_an_earlier_step_is_no_ceiling(dwell, instant, 
 
 def test_pushes_after_the_deadline_are_no_ceiling_at_the_deadline():
     arguments = {"bound": 3.0, "dwell": 1, "after_deadline_only": True}
-    pushes = FactorySpec.of("ptne_env.disturbances:UniformDisturbance", **arguments)
+    pushes = FactorySpec.of("ptne_env.world.disturbances:UniformDisturbance", **arguments)
     world = world_of(disturbance=pushes, hold_steps=5)
     state = EPISODES.initial_state(world)
     assert np.isinf(ceilings.push_digits(world, state, world.clock.steps)).all()
@@ -80,8 +81,8 @@ def test_pushes_after_the_deadline_are_no_ceiling_at_the_deadline():
 
 
 def test_static_teammates_at_the_equilibrium_have_the_digits_of_their_last_noise():
-    noise = FactorySpec.of("ptne_env.channel:AdditiveNoise", std=0.05)
-    graphs = FactorySpec.of("ptne_env.switching:random_graphs", players=5, probability=0.5)
+    noise = FactorySpec.of("ptne_env.world.channel:AdditiveNoise", std=0.05)
+    graphs = FactorySpec.of("ptne_env.world.switching:random_graphs", players=5, probability=0.5)
     world = world_of(channel=noise, topology=graphs)
     state, encoder = at_equilibrium(world), make_encoder(world, Interface())
     law = Static(encoder.layout, kappa=3.0)
@@ -96,7 +97,7 @@ def test_static_teammates_at_the_equilibrium_have_the_digits_of_their_last_noise
 
 def test_the_best_estimate_from_noisy_gradients_stays_at_the_ceiling_of_sensors():
     std, readings = 0.5, 100
-    world = world_of(sensor=FactorySpec.of("ptne_env.sensor:GradientNoise", std=std))
+    world = world_of(sensor=FactorySpec.of("ptne_env.world.sensor:GradientNoise", std=std))
     state = EPISODES.initial_state(world)
     game, noise = state.game, np.random.default_rng(1).normal(size=(5, 300)) * std / np.sqrt(readings)
     inverse = np.linalg.inv(np.moveaxis(game.jacobian(game.nash_equilibria), 2, 0))
@@ -107,10 +108,10 @@ def test_the_best_estimate_from_noisy_gradients_stays_at_the_ceiling_of_sensors(
     assert np.isinf(ceilings.sensor_digits(world_of(), state, readings)).all()
 
 
-@pytest.mark.parametrize("topology", ["ptne_env.switching:paper_topology", "path"])
+@pytest.mark.parametrize("topology", ["ptne_env.world.switching:paper_topology", "path"])
 def test_a_private_number_moves_an_estimate_in_the_step_after_its_news_arrive(topology):
-    path = FactorySpec.of("ptne_env.graphs:path", players=5)
-    fixed = FactorySpec.of("ptne_env.switching:fixed", graph=path)
+    path = FactorySpec.of("ptne_env.world.graphs:path", players=5)
+    fixed = FactorySpec.of("ptne_env.world.switching:fixed", graph=path)
     world = world_of(topology=fixed if topology == "path" else FactorySpec.of(topology), steps=80)
     start = EpisodeSet(1).initial_state(world)
     encoder = make_encoder(world, Interface())
@@ -130,8 +131,8 @@ def test_a_private_number_moves_an_estimate_in_the_step_after_its_news_arrive(to
 
 
 def test_a_policy_that_knows_all_that_it_can_stays_below_the_ceiling_of_missing_news():
-    path = FactorySpec.of("ptne_env.graphs:path", players=5)
-    world = world_of(topology=FactorySpec.of("ptne_env.switching:fixed", graph=path))
+    path = FactorySpec.of("ptne_env.world.graphs:path", players=5)
+    world = world_of(topology=FactorySpec.of("ptne_env.world.switching:fixed", graph=path))
     state = EPISODES.initial_state(world)
     bound = ceilings.news_digits(world, state, 4)
     assert np.isfinite(bound).all()
@@ -148,11 +149,11 @@ def test_a_policy_that_knows_all_that_it_can_stays_below_the_ceiling_of_missing_
 
 
 def test_messages_carry_more_bits_than_ceilings_need():
-    noise = FactorySpec.of("ptne_env.channel:AdditiveNoise", std=0.05).build()
-    levels = FactorySpec.of("ptne_env.channel:UniformQuantiser", width=0.5).build()
+    noise = FactorySpec.of("ptne_env.world.channel:AdditiveNoise", std=0.05).build()
+    levels = FactorySpec.of("ptne_env.world.channel:UniformQuantiser", width=0.5).build()
     assert ceilings.message_bits(noise) == pytest.approx(np.log2(1e7), abs=1e-6)
     assert ceilings.message_bits(levels) == pytest.approx(np.log2(2e6 + 1))
-    chain = FactorySpec.of("ptne_env.channel:perfect").build()
+    chain = FactorySpec.of("ptne_env.world.channel:perfect").build()
     assert ceilings.message_bits(chain) == 32
 
 

@@ -10,15 +10,15 @@ from affine_games import SOAK
 from sample_laws import condition_on, spec_of
 
 from ptne_env import CATALOGUE, FactorySpec, Interface, PolicySpec, get_scenario, laws, theory
-from ptne_env.encoder import make_encoder
-from ptne_env.experiments import get_policy_spec, get_suite
-from ptne_env.experiments.policy_specs import law_factory
-from ptne_env.graphs import cycle
-from ptne_env.laws.gated import CellGates
-from ptne_env.observation import LayoutError
-from ptne_env.policies.size_free import SizeFreePolicy
-from ptne_env.switching import fixed, markov, paper_topology, periodic, random_dwells
-from ptne_env.world import World
+from ptne_env.evaluation import get_policy_spec, get_suite
+from ptne_env.evaluation.policy_specs import law_factory
+from ptne_env.field.laws.gated import CellGates
+from ptne_env.learn.size_free import SizeFreePolicy
+from ptne_env.perception.encoder import make_encoder
+from ptne_env.perception.observation import LayoutError
+from ptne_env.world.graphs import cycle
+from ptne_env.world.switching import fixed, markov, paper_topology, periodic, random_dwells
+from ptne_env.world.world import World
 
 LAWS = sorted(name for name, value in vars(laws).items() if isinstance(value, type) and issubclass(value, laws.Law))
 LAWS.remove("Law")
@@ -45,7 +45,7 @@ WITHOUT_LOOP = {
 }
 """Laws that are not linear in gradient and differences, or read or remember more than these and gains."""
 
-CYCLE = FactorySpec.of("ptne_env.graphs:cycle", players=5)
+CYCLE = FactorySpec.of("ptne_env.world.graphs:cycle", players=5)
 
 
 class Uncoupled(SizeFreePolicy):
@@ -62,7 +62,7 @@ class Uncoupled(SizeFreePolicy):
 
 
 def channel(name, **arguments):
-    return FactorySpec.of(f"ptne_env.channel:{name}", **arguments)
+    return FactorySpec.of(f"ptne_env.world.channel:{name}", **arguments)
 
 
 def energy_matrices(topology, kappa=2.0):
@@ -111,7 +111,7 @@ def test_noise_and_delay_of_a_channel_are_those_that_are_predicted():
         ({"channel": channel("Delay", steps=1, longest=3)}, "no prediction includes the channel's Delay"),
         ({"channel": channel("AdditiveNoise", std=0.1)}, "each on its own"),
         (
-            {"disturbance": FactorySpec.of("ptne_env.disturbances:UniformDisturbance", bound=1.0)},
+            {"disturbance": FactorySpec.of("ptne_env.world.disturbances:UniformDisturbance", bound=1.0)},
             "no prediction includes the disturbance UniformDisturbance",
         ),
         ({"clock_shifts": (0.0, 0.01, 0.0, 0.0, 0.0)}, "clocks disagree"),
@@ -134,9 +134,9 @@ def test_the_digits_of_a_late_channel_are_those_under_its_delay():
 
 @pytest.mark.parametrize("clock", ["physical", "transformed"])
 def test_a_random_topology_gets_estimates_with_a_note(clock):
-    graphs = (CYCLE, FactorySpec.of("ptne_env.graphs:path", players=5))
+    graphs = (CYCLE, FactorySpec.of("ptne_env.world.graphs:path", players=5))
     dwells = (0.1, 0.2) if clock == "physical" else (0.3, 0.5)
-    spec = FactorySpec.of("ptne_env.switching:random_dwells", graphs=graphs, dwells=dwells, clock=clock)
+    spec = FactorySpec.of("ptne_env.world.switching:random_dwells", graphs=graphs, dwells=dwells, clock=clock)
     certificate = theory.certify(get_scenario("energy", topology=spec), delay_limit=0)
     assert not certificate.rate_is_exact
     assert any("the topology is random" in note for note in certificate.notes)
@@ -155,8 +155,8 @@ def test_a_random_topology_gets_estimates_with_a_note(clock):
     ],
 )
 def test_the_note_on_a_random_topology_says_where_the_rate_comes_from(law, clock, phrase):
-    graphs = (CYCLE, FactorySpec.of("ptne_env.graphs:path", players=5))
-    spec = FactorySpec.of("ptne_env.switching:random_dwells", graphs=graphs, dwells=(0.1, 0.3), clock=clock)
+    graphs = (CYCLE, FactorySpec.of("ptne_env.world.graphs:path", players=5))
+    spec = FactorySpec.of("ptne_env.world.switching:random_dwells", graphs=graphs, dwells=(0.1, 0.3), clock=clock)
     notes = theory.certify(get_scenario("energy", topology=spec), law=spec_of(law), delay_limit=0).notes
     found = [note for note in notes if note.startswith("the rate is")]
     assert (not found) if phrase is None else phrase in found[0]
@@ -164,7 +164,7 @@ def test_the_note_on_a_random_topology_says_where_the_rate_comes_from(law, clock
 
 @pytest.mark.parametrize("law", ["Static", "CorollaryOne"])
 def test_a_graph_that_an_episode_draws_has_the_rate_of_the_slowest(law):
-    spec = FactorySpec.of("ptne_env.switching:random_graphs", players=5, probability=0.6, modes=4, seed=1)
+    spec = FactorySpec.of("ptne_env.world.switching:random_graphs", players=5, probability=0.6, modes=4, seed=1)
     certificate = theory.certify(get_scenario("energy", topology=spec), law=spec_of(law), delay_limit=0)
     slowest = min(map(theory.spectral_abscissa, energy_matrices(spec.build(), certificate.kappa)))
     assert certificate.rate == pytest.approx(slowest)
@@ -358,7 +358,7 @@ def test_notes_say_why_a_gated_law_has_no_local_radius(name, reason, monkeypatch
         game, graph = (
             FactorySpec.of(f"ptne_env.{part}", players=25) for part in ("games:RandomEnergy", "graphs:cycle")
         )
-        topology = FactorySpec.of("ptne_env.switching:fixed", graph=graph)
+        topology = FactorySpec.of("ptne_env.world.switching:fixed", graph=graph)
         scenario = scenario.replace(game=game, topology=topology)
     if name == "diverging":
         monkeypatch.setattr("ptne_env.theory.certificate.local_radius", lambda *_: float("inf"))
@@ -378,8 +378,8 @@ def test_a_file_of_a_policy_without_sizes_has_a_local_radius(tmp_path):
     """The network is the law's, and so is the radius."""
     pytest.importorskip("torch")
     pytest.importorskip("onnx")
-    from ptne_env.training.export import size_free_to_onnx
-    from ptne_env.training.network import GateNetwork
+    from ptne_env.learn.training.export import size_free_to_onnx
+    from ptne_env.learn.training.network import GateNetwork
 
     path = tmp_path / "mine.onnx"
     origin = {"scenarios": ("some-family",), "steps": 3, "seed": 1, "digits": 2.5}

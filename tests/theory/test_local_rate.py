@@ -5,17 +5,18 @@ import pytest
 from affine_games import affine_scenario, random_affine
 from worlds import fixed_part
 
-from ptne_env import get_scenario, laws
-from ptne_env.encoder import make_encoder
+from ptne_env import get_scenario
+from ptne_env.field import laws as field_laws
 from ptne_env.laws import settling
+from ptne_env.perception.encoder import make_encoder
 from ptne_env.theory.local_rate import local_radius
 from ptne_env.theory.sampled import play
-from ptne_env.world import World
+from ptne_env.world.world import World
 
 
 def build(scenario):
     world = World(scenario)
-    return world, laws.ObserverRelay(make_encoder(world, laws.ObserverRelay.interface).layout)
+    return world, field_laws.ObserverRelay(make_encoder(world, field_laws.ObserverRelay.interface).layout)
 
 
 @pytest.mark.parametrize("seed", range(6))

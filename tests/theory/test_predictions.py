@@ -181,8 +181,8 @@ def test_guarantees_of_the_gain_condition_hold_on_every_start():
         game, graph, scenario = case.game, case.world.topology.graphs[0], case.scenario
         certifies = seed % 4 == 0  # on a complete graph, where the bound is not vacuous
         if certifies:
-            complete = FactorySpec.of("ptne_env.graphs:complete", players=game.num_players)
-            scenario = scenario.replace(topology=FactorySpec.of("ptne_env.switching:fixed", graph=complete))
+            complete = FactorySpec.of("ptne_env.world.graphs:complete", players=game.num_players)
+            scenario = scenario.replace(topology=FactorySpec.of("ptne_env.world.switching:fixed", graph=complete))
             graph = complete.build()
         constants, connectivity = theory.monotonicity_constants(game), graph.algebraic_connectivity
         bound = theory.gain_bound(constants, connectivity)
@@ -381,7 +381,7 @@ def test_a_law_that_reads_its_step_has_a_loop_for_every_step():
     ("target", "phrase"),
     [
         ("ptne_env.laws:CentralisedOracle", "is an oracle"),
-        ("ptne_env.laws:ProjectedGradient", "remembers more than gains"),
+        ("ptne_env.field.laws:ProjectedGradient", "remembers more than gains"),
         ("sample_laws:Sign", "not linear"),
     ],
 )

@@ -5,8 +5,8 @@ import pytest
 from affine_games import AffineGame
 
 from ptne_env import theory
-from ptne_env.graphs import complete, cycle, path
 from ptne_env.theory import MonotonicityConstants
+from ptne_env.world.graphs import complete, cycle, path
 
 KAPPA = 3.0
 

@@ -11,9 +11,10 @@ from affine_games import SOAK
 from random_affine import encoder_of
 from random_scenarios import random_scenario
 
-from ptne_env import FactorySpec, dynamics, theory
-from ptne_env.experiments.rollout import rollout
-from ptne_env.random_streams import RandomStreams
+from ptne_env import FactorySpec, theory
+from ptne_env.evaluation.rollout import rollout
+from ptne_env.shared.random_streams import RandomStreams
+from ptne_env.world import dynamics
 
 SEEDS = range(500 if SOAK else 30)
 TELLING = {
@@ -94,12 +95,12 @@ def broken_promises(seed, kept):
         promise("digits gained from the worst start", np.all(gained >= worst - CLOSE))
     delay = certificate.delay
     if delay is not None and delay.digits_are_exact and delay.digits is not None and delay.steps:
-        late = FactorySpec.of("ptne_env.channel:Delay", steps=delay.steps)
+        late = FactorySpec.of("ptne_env.world.channel:Delay", steps=delay.steps)
         promise("digits under delay", same(delay.digits, case.digits(case.start, late)[deadline, 0]))
     noise = certificate.noise
     steady = not certificate.frozen_gains  # gains that adapt grow with the noise, as a note says
     if noise is not None and noise.std and certificate.digits_are_exact and steady and unlimited:
-        noisy = FactorySpec.of("ptne_env.channel:AdditiveNoise", std=noise.std)
+        noisy = FactorySpec.of("ptne_env.world.channel:AdditiveNoise", std=noise.std)
         squares = 10 ** (-2 * case.digits(np.repeat(case.start, EPISODES, axis=2), noisy)[deadline])
         spread = squares.std() / np.sqrt(EPISODES)
         promise("digits under noise", abs(squares.mean() - 10 ** (-2 * noise.digits)) <= 6 * spread)

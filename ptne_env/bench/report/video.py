@@ -1,0 +1,132 @@
+"""Videos of an episode: the pictures of ``env.render()``, or the player of the report page."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from subprocess import CalledProcessError
+from tempfile import TemporaryDirectory
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ptne_env.bench.report.pages import render_episode
+from ptne_env.envs.rendering import Renderer, pixels
+from ptne_env.evaluation.episodes import EpisodeSet
+from ptne_env.evaluation.policy_specs import PolicySpec
+from ptne_env.evaluation.rollout import rollout
+from ptne_env.evaluation.traces import scene
+from ptne_env.perception.encoder import make_encoder
+from ptne_env.shared.arrays import FloatArray, require_count
+from ptne_env.shared.files import write_atomically
+from ptne_env.shared.style import drawing
+from ptne_env.world.dynamics import State
+from ptne_env.world.scenario import Scenario
+from ptne_env.world.world import World
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+FORMATS = (".gif", ".mp4", ".html")
+"""Suffixes of the files that videos are written to."""
+
+PER_SECOND = 20
+"""Pictures per second."""
+
+_HOLD = 2
+"""Seconds for which the last picture stays."""
+
+
+def save_video(
+    scenario: Scenario,
+    spec: PolicySpec,
+    path: Path,
+    *,
+    seed: int = 0,
+    pictures: int = 100,
+    progress: Callable[[int, int], None] | None = None,
+) -> None:
+    """Run the first episode of the test split and write it as a video.
+
+    Args:
+        scenario: the world.
+        spec: the policy.
+        path: the file: ``.gif``, ``.mp4`` (which needs the program ffmpeg) or ``.html`` (the player of the report).
+        seed: of the episode, where one is drawn.
+        pictures: number of pictures of a video, evenly spaced in steps; a page shows every step.
+        progress: called with the number of pictures that are drawn and of all.
+
+    Raises:
+        ValueError: for another suffix, or a policy that cannot act in the scenario.
+        ImportError: when a library is missing, naming the extra to install.
+        OSError: when the file cannot be written, or ffmpeg is missing or fails.
+    """
+    suffix = path.suffix.lower()
+    if suffix not in FORMATS:
+        raise ValueError(f"a video is written to {', '.join(FORMATS)}, got {path.name!r}")
+    require_count("pictures", pictures, 2)
+    world = World(scenario)
+    start = EpisodeSet(1, seed).initial_state(world)
+    if suffix == ".html":
+        traced = scene(world, start, {spec.name: spec})
+        write_atomically(path, render_episode(scenario.name, traced))
+        return
+    write = _write_gif if suffix == ".gif" else _write_mp4
+    with TemporaryDirectory() as folder, drawing("videos"):
+        draft = Path(folder) / path.name  # neither Pillow nor ffmpeg replaces files atomically
+        write(draft, _pictures(world, spec, start, pictures, progress))
+        write_atomically(path, draft.read_bytes())
+
+
+def _pictures(
+    world: World, spec: PolicySpec, start: State, count: int, progress: Callable[[int, int], None] | None
+) -> Iterator[Figure]:
+    """The same figure ``count`` times, brought up to date for each."""
+    encoder = make_encoder(world, spec.interface)
+    states: list[State] = []
+
+    def keep(state: State, _: FloatArray | None) -> None:
+        states.append(state)
+
+    with spec.deciding(encoder.layout) as policy:
+        rollout(policy, encoder, start, watch=keep)
+    wanted = np.unique(np.linspace(0, len(states) - 1, count).round().astype(int)).tolist()
+    renderer = Renderer(world, "rgb_array", f"{world.scenario.name}: {spec.name}")
+    renderer.fix_axes(states)
+    renderer.reset(states[0])
+    for step, state in enumerate(states):
+        if step > 0:
+            renderer.record(state)
+        if step in wanted:
+            yield renderer.update()
+            if progress is not None:
+                progress(1 + wanted.index(step), len(wanted))
+
+
+def _write_gif(path: Path, figures: Iterator[Figure]) -> None:
+    from PIL import Image
+
+    # Matplotlib's PillowWriter gives every picture its own palette: colours flicker, and files are ten times larger.
+
+    images = [Image.fromarray(pixels(figure)) for figure in figures]
+    palette = images[-1].quantize(colors=256)  # the last picture has every colour
+    images = [image.quantize(palette=palette, dither=Image.Dither.NONE) for image in images]
+    durations = [1000 // PER_SECOND] * (len(images) - 1) + [1000 * _HOLD]
+    images[0].save(path, save_all=True, append_images=images[1:], duration=durations, loop=0)
+
+
+def _write_mp4(path: Path, figures: Iterator[Figure]) -> None:
+    from matplotlib.animation import FFMpegWriter
+
+    if not FFMpegWriter.isAvailable():
+        raise FileNotFoundError("an .mp4 needs the program ffmpeg in the PATH: install it, or write a .gif or .html")
+    hold = ["-vf", f"tpad=stop_mode=clone:stop_duration={_HOLD}"]
+    writer = FFMpegWriter(PER_SECOND, extra_args=[*hold, "-movflags", "+faststart"])
+    figure = next(figures)
+    try:
+        with writer.saving(figure, str(path), figure.dpi):
+            writer.grab_frame()
+            for _ in figures:
+                writer.grab_frame()
+    except CalledProcessError as error:
+        raise OSError(f"ffmpeg failed: {error.stderr.strip()}") from error

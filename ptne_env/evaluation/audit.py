@@ -1,0 +1,95 @@
+"""The audit of decisions: each row of a batch is decided from that row and its own memory alone."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from ptne_env.perception.policy import Policy, PolicyError, decision
+from ptne_env.shared.arrays import Float32Array, IntArray
+
+WITNESSES = 8
+"""Most witnesses of a thorough audit."""
+
+NOT_ROW_WISE = (
+    "its decisions are not row-wise: with other rows in the batch it decides differently. A decision may depend on the "
+    "player's own observation and memory alone, and must repeat bit for bit"
+)
+"""Reason of a failure: the witness received other rows and decided differently."""
+
+USES_OTHER_LINKS = (
+    "it uses links of other players: with the neighbours of one player alone it decides differently for that player. "
+    "A decision may depend on the player's own row of layout.neighbours alone; a policy that uses others declares "
+    "graph_knowledge='union'"
+)
+"""Reason of a failure: the witness was built from the knowledge of one player, and the other witnesses agreed."""
+
+OWN_LINKS_EPISODES = 16
+"""Most episodes of a witness that was built from the knowledge of one player."""
+
+
+class Witness:
+    """A second, fresh policy that receives a sample of the rows and must decide the same, bit for bit.
+
+    It runs in lockstep with the policy that is measured, and gets no row of a teammate. So decisions that depend on
+    the observations of other players, or on anything else that the rows of a batch share, differ.
+
+    Args:
+        policy: a fresh policy; of foreign code, in a fresh process.
+        rows: indices of the rows of the batch that it receives, in its own order.
+        reason: of the failure when a decision differs.
+    """
+
+    def __init__(self, policy: Policy, rows: IntArray, reason: str = NOT_ROW_WISE) -> None:
+        self._policy, self._rows, self._reason = policy, rows, reason
+        self._memory: Any = None
+        self._starts = np.ones(len(rows), dtype=np.bool_)
+
+    def compare(self, observations: Float32Array, actions: npt.NDArray[Any]) -> None:
+        """Let the witness decide, and compare.
+
+        Args:
+            observations: of the whole batch, shape (R, size).
+            actions: of the policy that is measured, shape (R, action size).
+
+        Raises:
+            PolicyError: when a decision differs.
+        """
+        again, self._memory = decision(
+            self._policy, observations[self._rows], self._memory, self._starts, deterministic=True
+        )
+        self._starts = np.zeros_like(self._starts)
+        if not np.array_equal(np.asarray(again), actions[self._rows]):
+            raise PolicyError(self._reason)
+
+
+def sample_rows(episodes: int, players: int, *, thorough: bool) -> list[IntArray]:
+    """The rows of each witness, chosen afresh: no policy can know them.
+
+    Every witness gets one player of every episode, and over the episodes one player after the other. So with as many
+    episodes as players, every player has a witness in some episode.
+
+    Args:
+        episodes: of the batch, whose row e · players + p is player p of episode e.
+        players: number of players for which the policy decides.
+        thorough: whether there are as many witnesses as players, up to :data:`WITNESSES`, and not one.
+    """
+    generator = np.random.default_rng()
+    witnesses = min(players, WITNESSES) if thorough else 1
+    chosen, order = generator.permutation(episodes), generator.permutation(players)
+    first = np.arange(episodes) * witnesses  # an episode goes on where the one before ends
+    return [chosen * players + order[(first + witness) % players] for witness in range(witnesses)]
+
+
+def rows_of_one(episodes: int, players: int) -> tuple[int, IntArray]:
+    """The place of one player among those for which the policy decides, chosen afresh, and some of its rows.
+
+    Args:
+        episodes: of the batch, as for :func:`sample_rows`.
+        players: number of players for which the policy decides.
+    """
+    generator = np.random.default_rng()
+    place = int(generator.integers(players))
+    return place, generator.permutation(episodes)[:OWN_LINKS_EPISODES] * players + place

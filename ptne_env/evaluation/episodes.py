@@ -1,0 +1,97 @@
+"""Episode sets: the seeded initial states that every policy is run from. They never depend on a policy."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from hashlib import sha256
+from typing import Literal, TypeAlias, get_args
+
+from ptne_env.shared.arrays import require_count
+from ptne_env.shared.random_streams import RandomStreams
+from ptne_env.world.dynamics import State, draw_initial_state
+from ptne_env.world.world import World
+
+Split: TypeAlias = Literal["train", "validation", "test"]
+
+_WORD = 32
+"""Bits of a seed, and of an episode's number, in the seed of an episode."""
+
+_POOL = 4
+"""Words to which numpy's ``SeedSequence`` pads its entropy when a spawn key follows."""
+
+
+def episode_seed(seed: int, episode: int, split: Split = "test") -> int:
+    """The seed of one episode; ``env.reset(seed=episode_seed(S, k))`` starts where episode k of a comparison does.
+
+    Splits share no seed, and the small seeds that people choose by hand belong to ``"train"``. So policies are tested
+    on other episodes than those they were trained on.
+
+    Raises:
+        ValueError: when the split is unknown, or a number is negative or not below 2^32.
+    """
+    _require(split, seed, episode)
+    return (get_args(Split).index(split) << 2 * _WORD) + (seed << _WORD) + episode
+
+
+def track_seed(suite: str, track: str, split: Split, seed: int, episode: int) -> int:
+    """The seed of one episode of a track of a suite; ``env.reset(seed=...)`` starts where the episode does.
+
+    It is the number whose ``SeedSequence`` is ``SeedSequence([seed, episode], spawn_key=(a, b, c))``, where a, b and c
+    are the first four bytes, the highest first, of the SHA-256 of the names of suite, track and split: numpy lays out
+    entropy and spawn key as words of 32 bits, [seed, episode, 0, 0, a, b, c], and a number by its words, the lowest
+    first. So anything that takes a seed can replay the episode.
+
+    Raises:
+        ValueError: as :func:`episode_seed`.
+    """
+    _require(split, seed, episode)
+    key = (int.from_bytes(sha256(name.encode()).digest()[:4], "big") for name in (suite, track, split))
+    return seed + (episode << _WORD) + sum(word << (_POOL + place) * _WORD for place, word in enumerate(key))
+
+
+def _require(split: str, seed: int, episode: int) -> None:
+    if split not in get_args(Split):
+        raise ValueError(f"unknown split {split!r}; choose from {', '.join(get_args(Split))}")
+    for name, value in (("seed", seed), ("episode", episode)):
+        if require_count(name, value, 0) >= 1 << _WORD:
+            raise ValueError(f"a {name} is below 2^{_WORD}, got {value}")
+
+
+@dataclass(frozen=True)
+class EpisodeSet:
+    """A number of seeded episodes.
+
+    Attributes:
+        count: number of episodes.
+        seed: of the set.
+        split: ``"test"``, ``"validation"`` or ``"train"``, which share no episode.
+        track: names of the suite and the track that the seeds depend on (:func:`track_seed`); ``None`` where the seeds
+            are the same in every scenario (:func:`episode_seed`).
+
+    Raises:
+        ValueError: when the split is unknown or a number is out of range.
+    """
+
+    count: int
+    seed: int = 0
+    split: Split = "test"
+    track: tuple[str, str] | None = None
+
+    def __post_init__(self) -> None:
+        require_count("episodes", self.count, 1)
+        _require(self.split, self.seed, self.count - 1)
+
+    def episode_seed(self, episode: int) -> int:
+        """The seed with which an environment of the scenario replays an episode: ``env.reset(seed=...)``."""
+        if self.track is None:
+            return episode_seed(self.seed, episode, self.split)
+        return track_seed(*self.track, self.split, self.seed, episode)
+
+    def initial_state(self, world: World) -> State:
+        """The initial state of all episodes, with games, estimates and randomness drawn.
+
+        Raises:
+            ValueError: when a drawn game is not strongly monotone.
+        """
+        streams = [RandomStreams.from_seed(self.episode_seed(episode)) for episode in range(self.count)]
+        return draw_initial_state(world, streams)

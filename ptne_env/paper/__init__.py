@@ -1,9 +1,0 @@
-"""Reproduction of the paper: continuous-time simulation, Table I, all figures, measured claims and errata."""
-
-from ptne_env.paper.claims import Claim as Claim
-from ptne_env.paper.experiments import Experiments as Experiments
-from ptne_env.paper.reproduction import Reproduction as Reproduction
-from ptne_env.paper.reproduction import render as render
-from ptne_env.paper.reproduction import reproduce as reproduce
-from ptne_env.paper.table import TableRow as TableRow
-from ptne_env.paper.table import table_one as table_one

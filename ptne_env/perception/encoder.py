@@ -1,0 +1,395 @@
+"""Encoders connect a layout to a running world: states to observations, actions to inputs, for every batch size."""
+
+from __future__ import annotations
+
+import copy
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from ptne_env.perception.observation import (
+    CONSENSUS_GAIN,
+    GAIN_OCTAVES,
+    OBSERVATION_BOUND,
+    SMALLEST_SCALE,
+    Interface,
+    LayoutError,
+    LinkSchedule,
+    ObservationLayout,
+)
+from ptne_env.shared.arrays import Float32Array, FloatArray, IntArray
+from ptne_env.world import dynamics
+from ptne_env.world.dynamics import State
+from ptne_env.world.world import World
+
+_PADDING = 16
+"""Columns by which the rows of an observation workspace are longer than a batch that is larger than that."""
+
+_SCRATCH_ENTRIES = 32_768
+"""Numbers in the float64 scratch of a workspace, or one neighbour slot if that is more: it stays in a core's cache."""
+
+_WORKSPACES = 2
+"""Observation workspaces of an encoder, one per batch size: a vector environment has blocks of two sizes."""
+
+
+class NonFiniteActionError(ValueError):
+    """An action holds NaN or infinity."""
+
+
+class Clipped(NamedTuple):
+    """Finite actions within the action box.
+
+    Attributes:
+        actions: shape (B, N, action size).
+        clipped: entries of each player's action that were outside the box, shape (B, N).
+    """
+
+    actions: npt.NDArray[np.floating]
+    clipped: IntArray
+
+
+@dataclass
+class _Workspace:
+    """Memory in which an encoder assembles the observations of one batch size.
+
+    Attributes:
+        fields: views of each slice, environments last; ``everything`` is (B, N size).
+        relative: some neighbour slots at a time: the slots, their part of the fields, and a float64 scratch of that
+            shape (slots, n, N, B), which all of them share.
+        step: of the clock that stands in the fields, where all environments share one.
+    """
+
+    fields: dict[str, Float32Array]
+    relative: list[tuple[slice, Float32Array, FloatArray]]
+    step: int | None = None
+
+
+class Encoder(ABC):
+    """Observations and inputs of one interface in one world. Make one with :func:`make_encoder`.
+
+    Args:
+        world: the world.
+        interface: units, order and action mode.
+
+    Attributes:
+        world: as given.
+        interface: as given.
+        layout: of observations and actions; policies are built from it.
+        clock_table: t/T, s, Θ_k, Δt_k/T and the age of the graph as observed, shape (5, 1 or N, K+H+1), float32.
+        slot_order: the world's neighbour slot in each slot of the layout, shape (D, N); ``None`` for the same slots.
+        gradient_rows: row of the own gradients in each place of a player's own block, shape (m, N).
+        gradient_mask: False in padded places, shape (m, N, 1); ``None`` where no place is padded.
+
+    Raises:
+        LayoutError: when the interface shows best responses and the game has none, or declares that the schedule is
+            known and every episode draws its own.
+    """
+
+    def __init__(self, world: World, interface: Interface) -> None:
+        self.world = world
+        self.interface = interface
+        game, clock = world.game, world.clock
+        if interface.best_response and not game.has_best_response:
+            raise LayoutError(f"best_response cannot be observed: {type(game).__name__} has none everywhere")
+        if interface.graph_knowledge == "schedule" and world.topology.is_random:
+            raise LayoutError(
+                "the schedule cannot be known: every episode draws its own; declare graph_knowledge='union'"
+            )
+        # All observations of an instant share the clock and the age of the graph; (5, 1 or N, K+H+1).
+        t, s, theta = world.local_clocks
+        shared = [np.broadcast_to(row, t.shape) for row in (clock.dt / clock.deadline, world.time_since_switch)]
+        self.clock_table = np.stack([t / clock.deadline, s, theta, *shared]).astype(np.float32)
+        self.slot_order = self._order_slots()
+        largest_t, largest_s, largest_theta, largest_dt = self.clock_table[:4].max(axis=(1, 2)).tolist()
+        self.layout = layout = ObservationLayout(
+            interface=interface,
+            action_dims=game.action_dims,
+            neighbours=tuple(map(tuple, self._in_slots(world.neighbours).T.tolist())),
+            input_limit=world.input_limit,
+            action_limit=world.scenario.action_limit,
+            deadline=clock.deadline,
+            largest_weight=float(world.mode_weights.max() * world.channel.largest_weight_factor),
+            largest_clock=(largest_t, largest_s, largest_theta, largest_dt),
+            schedule=_link_schedule(world) if interface.graph_knowledge == "schedule" else None,
+        )
+        self.clock_table[1] /= layout.units[1]
+        own = layout.own_components.T
+        self.gradient_rows = np.minimum(own, game.dimension - 1)
+        self.gradient_mask = (own < game.dimension)[:, :, None] if (own == game.dimension).any() else None
+        self._slot_shape = (layout.slots, layout.dimension, layout.num_players)
+        self._workspaces: dict[int, _Workspace] = {}
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Copies and pickles have no workspace: its parts are views of one buffer and would come apart."""
+        return {**self.__dict__, "_workspaces": {}}
+
+    def with_shared_tables(self, *, own_workspaces: bool = False) -> Encoder:
+        """An encoder for other environments of the same world, with the same tables.
+
+        Args:
+            own_workspaces: for use on another thread; workspaces that are shared stay in cache.
+        """
+        result = copy.copy(self)
+        result._workspaces = {} if own_workspaces else self._workspaces  # noqa: SLF001 - of the same class
+        return result
+
+    def observe(self, state: State, out: Float32Array | None = None) -> Float32Array:
+        """Observations of all players, shape (B, N, size), float32, C-contiguous and owned by the caller.
+
+        Args:
+            state: the observed state.
+            out: where to write, of that shape and C-contiguous; a new array if left out.
+        """
+        batch, world = dynamics.batch_size(state), self.world
+        workspace = self._workspaces.get(batch) or self._prepare(batch)
+        fields, steps = workspace.fields, dynamics.shared_step(state)
+        link_weights = None if world.has_constant_weights else dynamics.weights(world, state)
+        self._write_differences(workspace, state, link_weights)
+        if link_weights is not None:
+            fields["weights"][...] = self._in_slots(link_weights)
+        step = steps.item() if steps.size == 1 else None
+        if step is None or step != workspace.step:  # blocks of a vector environment are often in lockstep
+            fields["clock_and_age"][...] = self.clock_table.take(steps, axis=2)
+            workspace.step = step
+        if world.topology.is_random:
+            fields["time_since_switch"][...] = dynamics.time_since_switch(world, state)
+        if self.interface.own_payoff:
+            with np.errstate(over="ignore", invalid="ignore"):  # a diverged game may overflow
+                costs = state.game.costs(dynamics.strategies(world, state))
+            fields["own_payoff"][...] = np.clip(np.nan_to_num(costs), -OBSERVATION_BOUND, OBSERVATION_BOUND)
+        if out is None:
+            out = np.empty((batch, self.layout.num_players, self.layout.size), dtype=np.float32)
+        np.copyto(out.reshape(batch, -1), fields["everything"])
+        return out
+
+    def clip(self, actions: npt.NDArray[np.floating]) -> Clipped:
+        """Clip actions of any number of environments, shape (B, N, action size), to the action box, and count.
+
+        Raises:
+            NonFiniteActionError: when an action holds NaN or infinity.
+        """
+        bound = self.layout.action_bound
+        highest, lowest = np.maximum.reduce(actions, axis=None), np.minimum.reduce(actions, axis=None)
+        if highest <= bound and lowest >= -bound:
+            return Clipped(actions, np.zeros(actions.shape[:2], dtype=np.int64))
+        if not np.isfinite(actions).all():
+            raise NonFiniteActionError("actions must be numbers without NaN or infinity")
+        return Clipped(np.clip(actions, -bound, bound), (np.abs(actions) > bound).sum(axis=2))
+
+    def inputs(self, actions: npt.NDArray[np.floating], state: State) -> FloatArray:
+        """Turn clipped actions (B, N, action size) into inputs u within the input limit, shape (n, N, B).
+
+        Actions are rounded to float32, as the space declares.
+        """
+        fields = np.empty(actions.shape[::-1])
+        fields[...] = actions.astype(np.float32, copy=False).T
+        if self.interface.action_mode == "gains":
+            return self._limited(self._inputs_from_gains(fields, state))
+        return self._inputs_from_actions(fields, state)
+
+    def decode(self, actions: npt.NDArray[np.floating], state: State) -> FloatArray:
+        """:meth:`clip`, then :meth:`inputs`.
+
+        Raises:
+            NonFiniteActionError: when an action holds NaN or infinity.
+        """
+        return self.inputs(self.clip(actions).actions, state)
+
+    @abstractmethod
+    def _write_differences(self, workspace: _Workspace, state: State, link_weights: FloatArray | None) -> None:
+        """Write own gradients, relative estimates and the slices that only this kind of interface has."""
+
+    @abstractmethod
+    def _inputs_from_actions(self, actions: FloatArray, state: State) -> FloatArray:
+        """Inputs u (n, N, B) within the input limit, from actions (n, N, B) in mode ``input``."""
+
+    def _inputs_from_gains(self, gains: FloatArray, state: State) -> FloatArray:
+        """−(gradient gain)·gradient − (consensus gain)·Σ a_ij (x^i − x^j), from actions (2, N, B)."""
+        gradient_gain, consensus_gain = np.exp2(GAIN_OCTAVES * gains)
+        inputs = self._consensus(state)
+        inputs *= CONSENSUS_GAIN * consensus_gain
+        own = np.arange(state.game.dimension), state.game.owners
+        inputs[own] -= gradient_gain[state.game.owners] * state.own_gradients
+        return inputs
+
+    def _consensus(self, state: State) -> FloatArray:
+        """Σ_j a_ij (x^j − x^i), shape (n, N, B)."""
+        link_weights = dynamics.weights(self.world, state)
+        relative = dynamics.relative_estimates(self.world, state, link_weights)
+        return np.einsum("dib,dcib->cib", link_weights, relative)
+
+    def _limited(self, inputs: FloatArray) -> FloatArray:
+        limit = self.layout.input_limit
+        np.minimum(inputs, limit, out=inputs)  # np.clip does the same, but for one environment its wrapper costs more
+        return np.maximum(inputs, -limit, out=inputs)
+
+    def _order_slots(self) -> IntArray | None:
+        """See :attr:`slot_order`."""
+        return None
+
+    def _in_slots(self, values: npt.NDArray[Any]) -> npt.NDArray[Any]:
+        """Values by the world's slots, shape (D, N, …), by the layout's slots."""
+        return values if self.slot_order is None else values[self.slot_order, np.arange(self.world.game.num_players)]
+
+    def _own_gradients(self, state: State) -> FloatArray:
+        """Own gradients per player, padded with 0, shape (m, N, B)."""
+        if self.gradient_mask is None and len(self.gradient_rows) == 1:
+            return state.own_gradients[None]
+        gradients = state.own_gradients.take(self.gradient_rows, axis=0)
+        if self.gradient_mask is not None:
+            gradients *= self.gradient_mask
+        return gradients
+
+    def _prepare(self, batch: int) -> _Workspace:
+        """The workspace of a batch size. Slices that never change are written here."""
+        layout, world = self.layout, self.world
+        slots, n, players = self._slot_shape
+        # Rows of a power-of-two length fall on the same cache lines when they are transposed; padding parts them.
+        row = batch + _PADDING if batch > _PADDING else batch
+        buffer = np.zeros((players, layout.size, row), dtype=np.float32)
+        columns = buffer.transpose(1, 0, 2)[:, :, :batch]
+        fields = {name: columns[part] for name, part in layout.slices.items()}
+        for name in {"relative_estimates", "neighbour_errors"} & fields.keys():
+            fields[name] = fields[name].reshape(slots, n, players, batch)
+        fields["gradient_and_relative_estimates"] = columns[: layout.slices["relative_estimates"].stop]
+        fields["clock_and_age"] = columns[layout.slices["clock"].start : layout.slices["time_since_switch"].stop]
+        fields["everything"] = buffer.reshape(-1, row)[:, :batch].T
+        fields["player"][...] = np.eye(players, dtype=np.float32)[:, :, None]
+        if world.has_constant_weights:
+            fields["weights"][...] = self._in_slots(world.mode_weights)
+        while len(self._workspaces) >= _WORKSPACES:
+            self._workspaces.pop(next(iter(self._workspaces)))
+        at_once = max(1, min(slots, _SCRATCH_ENTRIES // (n * players * batch)))
+        scratch = np.empty((at_once, n, players, batch))
+        parts = [slice(first, min(first + at_once, slots)) for first in range(0, slots, at_once)]
+        relative = [(part, fields["relative_estimates"][part], scratch[: part.stop - part.start]) for part in parts]
+        self._workspaces[batch] = workspace = _Workspace(fields, relative)
+        return workspace
+
+
+class PhysicalEncoder(Encoder):
+    """The interface ``physical``: natural units, player order, actions are inputs."""
+
+    def _write_differences(self, workspace: _Workspace, state: State, link_weights: FloatArray | None) -> None:
+        fields = workspace.fields
+        fields["own_estimate"][...] = state.estimates
+        fields["own_gradient"][...] = self._own_gradients(state)
+        for slots, shown, scratch in workspace.relative:
+            shown[...] = dynamics.relative_estimates(self.world, state, link_weights, slots=slots, out=scratch)
+
+    def _inputs_from_actions(self, actions: FloatArray, state: State) -> FloatArray:  # noqa: ARG002 - other kinds need it
+        return actions  # the action box is the input limit
+
+
+class FullEncoder(PhysicalEncoder):
+    """The interface ``full``: ``physical``, and information that players lack; for oracles."""
+
+    def _write_differences(self, workspace: _Workspace, state: State, link_weights: FloatArray | None) -> None:
+        super()._write_differences(workspace, state, link_weights)
+        fields, game, interface = workspace.fields, state.game, self.interface
+        strategies = dynamics.strategies(self.world, state)
+        fields["relative_strategies"][...] = strategies[:, None, :] - state.estimates
+        with np.errstate(over="ignore"):
+            pseudo_gradient = game.pseudo_gradient(strategies)
+        if game.has_bounds:
+            theta = self.world.clock.theta[dynamics.shared_step(state)]
+            theta = np.where(theta > 0, theta, 1.0)  # terminal step: no movement follows
+            pseudo_gradient = (strategies - game.project(strategies - theta * pseudo_gradient)) / theta
+        fields["pseudo_gradient"][...] = np.clip(pseudo_gradient, -OBSERVATION_BOUND, OBSERVATION_BOUND)[:, None]
+        if interface.neighbour_errors:
+            errors = -self._consensus(state)
+            fields["neighbour_errors"][...] = errors[:, self.world.neighbours].swapaxes(0, 1)
+        if interface.best_response:
+            response = game.best_response(strategies) - strategies
+            fields["best_response"][...] = np.clip(response, -OBSERVATION_BOUND, OBSERVATION_BOUND)[:, None]
+
+
+class LocalEncoder(Encoder):
+    """The interface ``local``: differences and actions in units of σ_i, components in ego order.
+
+    σ_i = max(‖own gradient‖_∞, max over live links ‖x^j − x^i‖_∞, 1e-30).
+    """
+
+    def __init__(self, world: World, interface: Interface) -> None:
+        super().__init__(world, interface)
+        self._order = world.order_components(self.layout.ego_order)
+        # Rows of an (n N, B) array in ego order, in the order of the players' components.
+        self._player_rows = self.layout.ego_place.T * self.layout.num_players + np.arange(self.layout.num_players)
+        self._scaled: tuple[State, FloatArray] | None = None
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Copies and pickles have no scale of a state that they never observed."""
+        return {**super().__getstate__(), "_scaled": None}
+
+    def _write_differences(self, workspace: _Workspace, state: State, link_weights: FloatArray | None) -> None:
+        differences, scale = self._differences(state, link_weights)
+        self.remember_scale(state, scale)
+        differences *= 1 / scale  # in float64, and cast in a second pass: faster than numpy's casting output
+        workspace.fields["gradient_and_relative_estimates"][...] = differences
+        workspace.fields["log_scale"][...] = np.log10(scale) / self.layout.units[0]
+
+    def scale(self, state: State) -> FloatArray:
+        """σ_i of every player, shape (N, B)."""
+        if self._scaled is None or self._scaled[0] is not state:
+            self._scaled = (state, self._differences(state)[1])
+        return self._scaled[1]
+
+    def remember_scale(self, state: State, scale: FloatArray) -> None:
+        """Keep the σ_i of a state that was observed elsewhere, shape (N, B)."""
+        self._scaled = (state, scale)
+
+    def _inputs_from_actions(self, actions: FloatArray, state: State) -> FloatArray:
+        actions *= self.interface.input_per_action * self.scale(state)
+        return self._limited(actions.reshape(-1, dynamics.batch_size(state)).take(self._player_rows, axis=0))
+
+    def _differences(self, state: State, link_weights: FloatArray | None = None) -> tuple[FloatArray, FloatArray]:
+        """Own gradients, then x^j − x^i in ego order, (m + D n, N, B), and the scale σ_i, (N, B)."""
+        gradients, (slots, n, players) = self._own_gradients(state), self._slot_shape
+        own, batch = len(gradients), dynamics.batch_size(state)
+        differences = np.empty((own + slots * n, players, batch))
+        differences[:own] = gradients
+        relative = differences[own:].reshape(slots, n, players, batch)
+        dynamics.relative_estimates(self.world, state, link_weights, order=self._order, out=relative)
+        scale = np.maximum.reduce(np.abs(differences), axis=0)
+        return differences, np.maximum(scale, SMALLEST_SCALE, out=scale)
+
+
+class LearnerEncoder(LocalEncoder):
+    """The interface ``learner``: ``local``, with neighbour slots in ego order and all numbers of order one."""
+
+    def _order_slots(self) -> IntArray:
+        neighbours, players = self.world.neighbours, self.world.game.num_players
+        distance = (neighbours - np.arange(players)) % players
+        return np.argsort(np.where(distance == 0, players, distance), axis=0, kind="stable")  # padded slots are last
+
+    def _differences(self, state: State, link_weights: FloatArray | None = None) -> tuple[FloatArray, FloatArray]:
+        differences, scale = super()._differences(state, link_weights)
+        slots, n, players = self._slot_shape
+        relative = differences[-slots * n :].reshape(slots, n, players, -1).swapaxes(1, 2)
+        relative[...] = self._in_slots(relative)
+        return differences, scale
+
+
+_ENCODERS: Mapping[str, type[Encoder]] = {
+    "physical": PhysicalEncoder,
+    "local": LocalEncoder,
+    "learner": LearnerEncoder,
+    "full": FullEncoder,
+}
+
+
+def _link_schedule(world: World) -> LinkSchedule:
+    return LinkSchedule(tuple(tuple(graph.edges) for graph in world.topology.graphs), tuple(world.modes.tolist()))
+
+
+def make_encoder(world: World, interface: Interface) -> Encoder:
+    """The encoder of an interface's kind.
+
+    Raises:
+        LayoutError: as :class:`Encoder`.
+    """
+    return _ENCODERS[interface.kind](world, interface)

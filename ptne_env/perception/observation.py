@@ -1,0 +1,471 @@
+"""Observations and actions: units, named slices, spaces, and how a policy reads and writes them.
+
+A layout is all that a policy knows about the world. An :class:`~ptne_env.perception.encoder.Encoder` connects it to a running one.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Literal, NamedTuple, TypeAlias, get_args
+
+import numpy as np
+import numpy.typing as npt
+from gymnasium import spaces
+from scipy.sparse.csgraph import shortest_path
+
+from ptne_env.shared.arrays import BoolArray, Float32Array, FloatArray, IntArray, require_positive
+
+InterfaceKind: TypeAlias = Literal["physical", "local", "learner", "full"]
+ActionMode: TypeAlias = Literal["input", "gains"]
+GraphKnowledge: TypeAlias = Literal["links", "union", "schedule"]
+Estimates: TypeAlias = Literal["honest", "coded"]
+
+OBSERVATION_BOUND = 1e6
+"""Box bound of every observed entry that carries units."""
+
+SMALLEST_SCALE = 1e-30
+"""Under ``local`` the scale σ_i is at least this, so that a player at rest divides by a positive number."""
+
+LEARNER_BOUND = 3.0
+"""Under ``learner`` an action of this size is what an action of 1 is under ``local``. Gaussian policies start with a
+standard deviation of 1, of which this box clips few samples, and which is small enough not to undo all progress."""
+
+LEARNER_LOG_SCALE = 10.0
+"""Under ``learner`` the logarithm of the scale is divided by this, so that it is of order one."""
+
+_READ_APART = frozenset(("clock", "player", "time_since_switch"))
+"""Slices of which :meth:`ObservationLayout.read` makes no float64 copy of their own."""
+
+GAIN_OCTAVES = 3.0
+"""In action mode ``gains`` an action of ±1 multiplies or divides a gain by 2^3."""
+
+CONSENSUS_GAIN = 2.0
+"""In action mode ``gains`` the action 0 means gradient gain 1 and this consensus gain, the paper's κ."""
+
+
+class LayoutError(ValueError):
+    """A policy cannot act with a layout: it needs other observations, other actions or another game.
+
+    In a comparison such a policy is not applicable to the scenario. Any other error is a failure of the policy there.
+    """
+
+
+@dataclass(frozen=True)
+class Interface:
+    """Units and order of observations, the meaning of actions, and knowledge. Every policy has one, the physics none.
+
+    Attributes:
+        kind: ``"physical"`` (natural units, player order), ``"local"`` (scale-free, ego order), ``"learner"``
+            (``local`` with numbers of order one and neighbour slots in ego order) or ``"full"`` (``physical`` and
+            information that players lack; for oracles only).
+        action_mode: ``"input"`` (an action is the input u^i) or ``"gains"`` (two numbers per player).
+        action_scale: under ``local``, an action of 1 is this many times σ_i; under ``learner``, an action of
+            :data:`LEARNER_BOUND` is.
+        own_payoff: whether a player sees its own cost J_i at the real strategies.
+        neighbour_errors: whether it sees its neighbours' consensus errors, which are two links away; oracles only.
+        best_response: whether it sees all players' best responses to the real strategies; oracles only.
+        graph_knowledge: of the communication graphs, each player knows its own neighbours (``"links"``), also the union
+            of all graphs (``"union"``), or also the graph of every step (``"schedule"``).
+        estimates: the content of estimates, which the neighbours receive: the present belief about the strategies
+            (``"honest"``), or other numbers too (``"coded"``).
+
+    Raises:
+        ValueError: for an unknown word, a scale that is not positive, or an oracle's slice in an interface that is not
+            ``full``.
+    """
+
+    kind: InterfaceKind = "physical"
+    action_mode: ActionMode = "input"
+    action_scale: float = 5.0
+    own_payoff: bool = False
+    neighbour_errors: bool = False
+    best_response: bool = False
+    graph_knowledge: GraphKnowledge = "links"
+    estimates: Estimates = "honest"
+
+    @property
+    def is_scale_free(self) -> bool:
+        """Whether differences and actions are in units of σ_i, and components in ego order."""
+        return self.kind in ("local", "learner")
+
+    @property
+    def input_per_action(self) -> float:
+        """The input in units of σ_i of an action of 1, where the interface is scale-free."""
+        return self.action_scale / (LEARNER_BOUND if self.kind == "learner" else 1.0)
+
+    def __post_init__(self) -> None:
+        for name, value, choices in (
+            ("interface", self.kind, InterfaceKind),
+            ("action mode", self.action_mode, ActionMode),
+            ("knowledge of graphs", self.graph_knowledge, GraphKnowledge),
+            ("content of estimates", self.estimates, Estimates),
+        ):
+            if value not in get_args(choices):
+                raise ValueError(f"unknown {name} {value!r}; choose from {', '.join(get_args(choices))}")
+        require_positive("action_scale", self.action_scale)
+        for name in ("neighbour_errors", "best_response"):
+            if getattr(self, name) and self.kind != "full":
+                raise ValueError(f"{name} is for oracles: it needs the interface 'full', got {self.kind!r}")
+
+
+class Observation(NamedTuple):
+    """Observations of R players, in float64 and player order. Gradients and estimates are in ``unit``.
+
+    Attributes:
+        player: index of the observing player, shape (R,).
+        gradient: R_i^T ∂J_i/∂x_i(x^i), zero outside the own block, shape (R, n).
+        relative_estimates: x^j − x^i per neighbour slot, shape (R, D, n).
+        weights: a_ij per neighbour slot, shape (R, D).
+        unit: natural units per unit of the above, shape (R, 1); σ_i where the interface is scale-free, else 1.
+        theta: Θ_k of the coming step, shape (R, 1).
+        dt: Δt_k of the coming step in seconds, shape (R, 1).
+        elapsed: t/T by the player's clock, shape (R, 1).
+        transformed: s by that clock, shape (R, 1).
+        relative_strategies: x − x^i, shape (R, n); empty (R, 0) unless the interface is ``full``.
+        pseudo_gradient: F(x), or in a box (x − Π(x − Θ F(x)))/Θ, which stays inside; shape (R, n), and empty (R, 0)
+            unless the interface is ``full``.
+        own_estimate: x^i in natural units, shape (R, n); empty (R, 0) where the interface is scale-free.
+        own_payoff: J_i(x) in natural units, shape (R, 1); empty (R, 0) unless the interface has it.
+        neighbour_errors: Σ_l a_jl (x^j − x^l) of the neighbour j in each slot, shape (R, D, n); empty (R, 0, n) unless
+            the interface has it.
+        best_response: y − x with y_i the best response of player i to x, shape (R, n); empty (R, 0) unless the
+            interface has it.
+    """
+
+    player: IntArray
+    gradient: FloatArray
+    relative_estimates: FloatArray
+    weights: FloatArray
+    unit: FloatArray
+    theta: FloatArray
+    dt: FloatArray
+    elapsed: FloatArray
+    transformed: FloatArray
+    relative_strategies: FloatArray
+    pseudo_gradient: FloatArray
+    own_estimate: FloatArray
+    own_payoff: FloatArray
+    neighbour_errors: FloatArray
+    best_response: FloatArray
+
+
+class LinkSchedule(NamedTuple):
+    """The links of every step.
+
+    Attributes:
+        graphs: the links (i, j) with i < j of each graph.
+        modes: index of the graph at each instant, K+H+1 numbers.
+    """
+
+    graphs: tuple[tuple[tuple[int, int], ...], ...]
+    modes: tuple[int, ...]
+
+
+@dataclass(frozen=True)
+class ObservationLayout:
+    """The layout of observations and actions that a policy is built for.
+
+    An observation is a flat float32 vector of named slices, in the order of :attr:`slices`:
+
+    ======================= ======== =======================================================================
+    name                    size     content
+    ======================= ======== =======================================================================
+    ``own_gradient``        m        ∂J_i/∂x_i(x^i), padded with 0 to the largest n_i
+    ``own_estimate``        n        x^i (not under ``local`` and ``learner``)
+    ``relative_estimates``  D n      x^j − x^i per neighbour slot, taken in float64; 0 where the link is down; x^j is
+                                     what the channel delivers
+    ``weights``             D        a_ij per neighbour slot; 0 where the link is down, or the message is lost
+    ``log_scale``           1        log10 σ_i (only under ``local``, and a tenth of it under ``learner``)
+    ``clock``               4        t/T, s, Θ_k, Δt_k/T, the first three by the player's own clock
+    ``time_since_switch``   1        over the topology's mean dwell, clipped to 1; 0 for a fixed graph
+    ``player``              N        one-hot
+    ``relative_strategies`` n        x − x^i (only under ``full``)
+    ``pseudo_gradient``     n        F(x) at the real strategies, as far as a box lets them move (only under ``full``)
+    ``own_payoff``          1        J_i(x) at the real strategies, natural units (only with ``own_payoff``)
+    ``neighbour_errors``    D n      Σ_l a_jl (x^j − x^l) per neighbour slot (only with ``neighbour_errors``)
+    ``best_response``       n        best responses to x, minus x (only with ``best_response``)
+    ======================= ======== =======================================================================
+
+    Under ``local``, gradient and relative estimates are divided by σ_i = max(‖own gradient‖_∞, max over live links
+    ‖x^j − x^i‖_∞, 1e-30), and components are in ego order: the own block first, then cyclically. Under ``learner`` they
+    are too, the neighbour slots are in ego order like the components, s in ``clock`` is divided by its largest value,
+    and actions are in a box of ±3. So every entry is of order one, and the same place means the same relation for every
+    player.
+
+    Attributes:
+        interface: units, order and action mode.
+        action_dims: n_i of each player.
+        neighbours: per player, the player in each of its D slots; a padded slot holds the player itself. A player knows
+            its own row: decisions that depend on other rows need :attr:`hops`.
+        input_limit: largest |u|.
+        deadline: T in seconds.
+        largest_weight: largest a_ij that a player can observe.
+        largest_clock: largest t/T, s, Θ_k and Δt_k/T.
+        schedule: the links of every step, where the interface declares that they are known; else ``None``.
+        action_limit: of the action space, where it is smaller than the action bound; else ``None``.
+    """
+
+    interface: Interface
+    action_dims: tuple[int, ...]
+    neighbours: tuple[tuple[int, ...], ...]
+    input_limit: float
+    deadline: float
+    largest_weight: float
+    largest_clock: tuple[float, float, float, float]
+    schedule: LinkSchedule | None = None
+    action_limit: float | None = None
+
+    @property
+    def num_players(self) -> int:
+        """N."""
+        return len(self.action_dims)
+
+    @cached_property
+    def dimension(self) -> int:
+        """n = Σ n_i."""
+        return sum(self.action_dims)
+
+    @property
+    def slots(self) -> int:
+        """D, neighbour slots per player."""
+        return len(self.neighbours[0])
+
+    def known_to(self, player: int) -> ObservationLayout:
+        """This layout with the row of ``player`` alone in :attr:`neighbours`: the slots of all others are padded.
+
+        With graph knowledge ``"links"``, a policy that is built from it decides the same for that player.
+        """
+        rows = ((index,) * self.slots for index in range(self.num_players))
+        return replace(self, neighbours=tuple(self.neighbours[i] if i == player else row for i, row in enumerate(rows)))
+
+    @cached_property
+    def hops(self) -> IntArray:
+        """The least number of links between each two players in the union of all graphs, shape (N, N), read-only.
+
+        Raises:
+            LayoutError: when the interface declares the knowledge ``"links"``.
+        """
+        if self.interface.graph_knowledge == "links":
+            raise LayoutError(self._unknown("hop counts", "union"))
+        players, slots = np.arange(self.num_players), np.array(self.neighbours)
+        adjacency = np.zeros((self.num_players, self.num_players))
+        adjacency[players[:, None], slots] = 1  # a padded slot adds a loop, which shortens no path
+        result = shortest_path(adjacency, unweighted=True).astype(np.int64)
+        result.flags.writeable = False
+        return result
+
+    @cached_property
+    def live_links(self) -> BoolArray:
+        """Whether two players are linked at each instant, shape (K+H+1, N, N), read-only.
+
+        Raises:
+            LayoutError: when the interface does not declare the knowledge ``"schedule"``.
+        """
+        if self.schedule is None:
+            raise LayoutError(self._unknown("links of every step", "schedule"))
+        live = np.zeros((len(self.schedule.graphs), self.num_players, self.num_players), dtype=np.bool_)
+        for graph, links in zip(live, self.schedule.graphs, strict=True):
+            for i, j in links:
+                graph[i, j] = graph[j, i] = True
+        result = live[list(self.schedule.modes)]
+        result.flags.writeable = False
+        return result
+
+    def _unknown(self, name: str, needed: GraphKnowledge) -> str:
+        return (
+            f"this layout does not hold the {name}: its interface declares graph_knowledge="
+            f"{self.interface.graph_knowledge!r}; declare graph_knowledge={needed!r}"
+        )
+
+    @cached_property
+    def slices(self) -> dict[str, slice]:
+        """The named parts of an observation, in order."""
+        n, slots, kind = self.dimension, self.slots, self.interface.kind
+        sizes = {"own_gradient": max(self.action_dims)}
+        if not self.interface.is_scale_free:
+            sizes["own_estimate"] = n
+        sizes |= {"relative_estimates": slots * n, "weights": slots}
+        if self.interface.is_scale_free:
+            sizes["log_scale"] = 1
+        sizes |= {"clock": 4, "time_since_switch": 1, "player": self.num_players}
+        if kind == "full":
+            sizes |= {"relative_strategies": n, "pseudo_gradient": n}
+        extras = {"own_payoff": 1, "neighbour_errors": slots * n, "best_response": n}
+        sizes |= {name: size for name, size in extras.items() if getattr(self.interface, name)}
+        ends = np.cumsum(list(sizes.values()))
+        return {name: slice(int(end) - size, int(end)) for (name, size), end in zip(sizes.items(), ends, strict=True)}
+
+    @cached_property
+    def size(self) -> int:
+        """Length of an observation."""
+        return max(part.stop for part in self.slices.values())
+
+    @cached_property
+    def action_size(self) -> int:
+        """Length of an action: n in mode ``input``, 2 in mode ``gains``."""
+        return self.dimension if self.interface.action_mode == "input" else 2
+
+    @property
+    def units(self) -> tuple[float, float]:
+        """The units in which log10 σ_i and s are observed."""
+        return (LEARNER_LOG_SCALE, self.largest_clock[1] or 1.0) if self.interface.kind == "learner" else (1.0, 1.0)
+
+    @cached_property
+    def action_bound(self) -> float:
+        """Actions beyond ±bound are clipped: the input limit under ``physical``, else 1, or 3 under ``learner``.
+
+        In mode ``gains`` it is 1 under all. The limit is rounded down to a float32, so that no action within it exceeds
+        it.
+        """
+        if self.interface.action_mode == "gains" or self.interface.kind == "local":
+            return 1.0
+        if self.interface.kind == "learner":
+            return LEARNER_BOUND
+        bound = np.float32(self.input_limit)
+        return float(bound if float(bound) <= self.input_limit else np.nextafter(bound, np.float32(0)))
+
+    def observation_space(self) -> spaces.Box:
+        """A new Box for one player's observation, float32."""
+        low = np.full(self.size, -OBSERVATION_BOUND, dtype=np.float32)
+        high = np.full(self.size, OBSERVATION_BOUND, dtype=np.float32)
+        log_unit, s_unit = self.units
+        bounds: dict[str, tuple[npt.ArrayLike, npt.ArrayLike]] = {
+            "weights": (0.0, self.largest_weight),
+            "clock": (0.0, np.array(self.largest_clock) / [1.0, s_unit, 1.0, 1.0]),
+            "time_since_switch": (0.0, 1.0),
+            "player": (0.0, 1.0),
+        }
+        if self.interface.is_scale_free:
+            bounds["own_gradient"] = bounds["relative_estimates"] = (-1.0, 1.0)
+            bounds["log_scale"] = (np.log10(SMALLEST_SCALE) / log_unit, np.log10(OBSERVATION_BOUND) / log_unit)
+        for name, (lowest, highest) in bounds.items():
+            low[self.slices[name]], high[self.slices[name]] = lowest, highest
+        return spaces.Box(low, high, dtype=np.float32)
+
+    def action_space(self) -> spaces.Box:
+        """A new Box for one player's action, float32, symmetric about 0.
+
+        Its half-width is the action bound, or the action limit of the scenario, if it is smaller and actions have
+        units. Actions between the two are allowed, but random ones would soon leave the range.
+        """
+        bound = self.action_bound
+        if self.action_limit is not None and self._has_units:
+            bound = min(bound, self.action_limit)
+        return spaces.Box(-bound, bound, (self.action_size,), dtype=np.float32)
+
+    @property
+    def _has_units(self) -> bool:
+        """Whether actions are inputs in natural units."""
+        return not self.interface.is_scale_free and self.interface.action_mode == "input"
+
+    @cached_property
+    def own_components(self) -> IntArray:
+        """Components of each player's own block, padded with n to the largest n_i; shape (N, m)."""
+        result = np.full((self.num_players, max(self.action_dims)), self.dimension, dtype=np.int64)
+        offset = 0
+        for player, dim in enumerate(self.action_dims):
+            result[player, :dim] = np.arange(offset, offset + dim)
+            offset += dim
+        return result
+
+    @cached_property
+    def ego_order(self) -> IntArray:
+        """The component at each place of a player's ego order, shape (N, n)."""
+        return (self.own_components[:, :1] + np.arange(self.dimension)) % self.dimension
+
+    @cached_property
+    def ego_place(self) -> IntArray:
+        """The place of each component in a player's ego order, shape (N, n); inverse of ``ego_order``."""
+        return np.argsort(self.ego_order, axis=1)
+
+    @cached_property
+    def neighbour_components(self) -> BoolArray:
+        """Whether component c belongs to the neighbour in slot d of player i, shape (N, D, n)."""
+        owners = np.repeat(np.arange(self.num_players), self.action_dims)
+        neighbours = np.array(self.neighbours)
+        own = neighbours == np.arange(self.num_players)[:, None]
+        return (owners == neighbours[:, :, None]) & ~own[:, :, None]
+
+    @cached_property
+    def own_mask(self) -> BoolArray:
+        """Whether component c is player i's own, shape (N, n)."""
+        owners = np.repeat(np.arange(self.num_players), self.action_dims)
+        return owners == np.arange(self.num_players)[:, None]
+
+    def select(self, observation: npt.NDArray[np.floating], name: str) -> npt.NDArray[np.floating]:
+        """The slice ``name`` of observations of shape (..., size), as a view.
+
+        Raises:
+            ValueError: when this layout has no such slice.
+        """
+        if name not in self.slices:
+            raise ValueError(f"the {self.interface.kind!r} layout has no {name!r}; it has {', '.join(self.slices)}")
+        return observation[..., self.slices[name]]
+
+    def neighbour_estimates(self, observation: npt.NDArray[np.floating]) -> FloatArray:
+        """The neighbours' estimates x^j per slot, (..., size) to (..., D, n), float64; a dead link repeats x^i.
+
+        Raises:
+            ValueError: where the interface is scale-free, and the own estimate is not observed.
+        """
+        own = np.asarray(self.select(observation, "own_estimate"), dtype=np.float64)
+        relative = np.asarray(self.select(observation, "relative_estimates"), dtype=np.float64)
+        return relative.reshape(*own.shape[:-1], self.slots, self.dimension) + own[..., None, :]
+
+    def read(self, observation: npt.NDArray[np.floating]) -> Observation:
+        """Read observations of R players, shape (R, size).
+
+        Raises:
+            ValueError: when the observations have another shape than this layout's.
+        """
+        if observation.ndim != 2 or observation.shape[1] != self.size:
+            raise ValueError(
+                f"this policy was built for observations of length {self.size} ({self.interface.kind!r} layout, "
+                f"{self.num_players} players, {self.slots} neighbour slots), got the shape {observation.shape}"
+            )
+        rows = observation.shape[0]
+        clock, is_player = (observation[:, self.slices[name]] for name in ("clock", "player"))
+        values = {
+            name: np.asarray(observation[:, part], dtype=np.float64)
+            for name, part in self.slices.items()
+            if name not in _READ_APART
+        }
+        player = is_player.argmax(axis=1)
+        width = self.dimension + 1  # one column more, into which padding falls
+        own = np.zeros(rows * width)
+        own[self.own_components[player] + np.arange(0, rows * width, width)[:, None]] = values["own_gradient"]
+        relative = values["relative_estimates"].reshape(rows, self.slots, self.dimension)
+        unit = np.ones((rows, 1))
+        log_unit, s_unit = self.units
+        if self.interface.is_scale_free:
+            relative = np.take_along_axis(relative, self.ego_place[player][:, None, :], axis=2)
+            unit = 10.0 ** (log_unit * values["log_scale"])
+        unseen = np.empty((rows, 0))
+        return Observation(
+            player=player,
+            gradient=own.reshape(rows, width)[:, :-1],
+            relative_estimates=relative,
+            weights=values["weights"],
+            unit=unit,
+            theta=np.asarray(clock[:, 2:3], dtype=np.float64),
+            dt=np.asarray(clock[:, 3:4], dtype=np.float64) * self.deadline,
+            elapsed=np.asarray(clock[:, :1], dtype=np.float64),
+            transformed=s_unit * np.asarray(clock[:, 1:2], dtype=np.float64),
+            relative_strategies=values.get("relative_strategies", unseen),
+            pseudo_gradient=values.get("pseudo_gradient", unseen),
+            own_estimate=values.get("own_estimate", unseen),
+            own_payoff=values.get("own_payoff", unseen),
+            neighbour_errors=values.get("neighbour_errors", unseen).reshape(rows, -1, self.dimension),
+            best_response=values.get("best_response", unseen),
+        )
+
+    def write(self, inputs: FloatArray, observation: Observation) -> Float32Array:
+        """The actions that ask for ``inputs`` (R, n), given in the observation's unit and player order; (R, n) float32.
+
+        Actions are clipped to the action box.
+        """
+        if self.interface.is_scale_free:
+            ego = np.take_along_axis(inputs, self.ego_order[observation.player], axis=1)
+            inputs = ego / self.interface.input_per_action
+        return np.clip(inputs, -self.action_bound, self.action_bound).astype(np.float32)

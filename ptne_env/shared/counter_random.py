@@ -1,0 +1,118 @@
+"""Random numbers without a state: each is a hash of a key and a counter, for any batch size and any policy.
+
+A stream is named by a 64-bit key, and its number c is ``mix(mix(key) + (c + 1) γ)``, where mix is the finaliser of
+splitmix64 and γ = 2^64/φ, odd: Steele, Lea & Flood, "Fast splittable pseudorandom number generators" (OOPSLA 2014).
+The generator is counter-based in the sense of Salmon, Moraes, Dror & Shaw, "Parallel random numbers: as easy as 1, 2,
+3" (SC 2011): each number depends only on its key and counter.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
+from typing import TypeAlias
+
+import numpy as np
+import numpy.typing as npt
+from scipy import special
+
+from ptne_env.shared.arrays import FloatArray
+
+CounterArray: TypeAlias = npt.NDArray[np.uint64]
+"""Keys and counters: unsigned 64-bit numbers, whose arithmetic wraps."""
+
+_GAMMA = np.uint64(0x9E3779B97F4A7C15)
+_FIRST, _SECOND = np.uint64(0xBF58476D1CE4E5B9), np.uint64(0x94D049BB133111EB)
+_SHIFTS = np.uint64(30), np.uint64(27), np.uint64(31)
+_DROPPED_BITS = np.uint64(12)
+
+
+def mix(values: CounterArray) -> CounterArray:
+    """The finaliser of splitmix64, a bijection of the 64-bit numbers; every input bit affects every output bit."""
+    values = np.array(values, dtype=np.uint64, ndmin=1)  # a copy; scalars would warn where arrays wrap
+    shifted = np.empty_like(values)
+    for shift, factor in zip(_SHIFTS, (_FIRST, _SECOND, None), strict=True):
+        values ^= np.right_shift(values, shift, out=shifted)
+        if factor is not None:
+            values *= factor
+    return values
+
+
+def child_keys(keys: CounterArray, index: int) -> CounterArray:
+    """Keys of child stream ``index`` of the streams ``keys``, of the same shape.
+
+    Raises:
+        OverflowError: when ``index`` is negative or not below 2^64.
+    """
+    # Mixed twice, so that a child's key is not a number of its parent's stream.
+    return mix(mix(mix(keys) + np.uint64(index) * np.ones(1, np.uint64) * _GAMMA) ^ _GAMMA)
+
+
+def words(keys: CounterArray, counters: CounterArray) -> CounterArray:
+    """64 random bits for every key and counter; the two arrays are broadcast."""
+    return mix(mix(keys) + (counters + np.uint64(1)) * _GAMMA)
+
+
+def uniforms(keys: CounterArray, counters: CounterArray) -> FloatArray:
+    """U(0, 1) for every key and counter: multiples of 2^−53, never 0 or 1, symmetric about 1/2."""
+    bits = words(keys, counters)
+    bits >>= _DROPPED_BITS  # 52 bits plus ½ are exact in float64; 53 bits plus ½ could round up to 1
+    result = bits.astype(np.float64)
+    result += 0.5
+    result *= 2.0**-52
+    return result
+
+
+def normals(keys: CounterArray, counters: CounterArray) -> FloatArray:
+    """N(0, 1) for every key and counter, by inversion; none is larger than 8.3. A new array."""
+    draws = _kept_draws.get()
+    return _drawn(keys, counters) if draws is None else draws.normals(keys, counters)
+
+
+def _drawn(keys: CounterArray, counters: CounterArray) -> FloatArray:
+    numbers = uniforms(keys, counters)
+    special.ndtri(numbers, out=numbers)
+    return numbers
+
+
+class Draws:
+    """The normal numbers of episodes that run again and again, such as those of a job of each policy.
+
+    Args:
+        limit: bytes of the numbers that are kept: the first ones. Others are drawn again.
+    """
+
+    def __init__(self, limit: int = 2**27) -> None:
+        self._free = limit
+        self._found: dict[bytes, tuple[CounterArray, FloatArray]] = {}
+
+    @contextmanager
+    def kept(self) -> Iterator[None]:
+        """In the block, :func:`normals` copies numbers that are kept, and keeps those that it draws."""
+        token = _kept_draws.set(self)
+        try:
+            yield
+        finally:
+            _kept_draws.reset(token)
+
+    def normals(self, keys: CounterArray, counters: CounterArray) -> FloatArray:
+        """As :func:`normals`."""
+        name = keys.tobytes()
+        if name in self._found:
+            known, numbers = self._found[name]
+            if np.array_equal(known, counters):
+                return numbers.copy()
+        numbers = _drawn(keys, counters)
+        if numbers.nbytes + counters.nbytes <= self._free:
+            self._free -= numbers.nbytes + counters.nbytes
+            self._found[name] = counters.copy(), numbers.copy()
+        return numbers
+
+
+_kept_draws: ContextVar[Draws | None] = ContextVar("kept_draws", default=None)
+
+
+def draw_key(generator: np.random.Generator) -> int:
+    """A key from an ordinary generator."""
+    return int(generator.integers(0, 2**64, dtype=np.uint64))

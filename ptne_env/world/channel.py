@@ -1,0 +1,551 @@
+"""Communication channels: noise, delay, loss, quantisation, asymmetry and falsehood of messages, link by link.
+
+In every step sender j puts its estimate x^j on each of its live links. From the sequence of these messages a channel
+determines, for receiver i in every step, a received value per component, whether a message is present at all, and its
+weight a_ij. Observations contain (received value) − x^i and these weights, and no other information on x^j.
+
+A channel is one stage or a :class:`Chain` of stages; the output of each stage is the input of the next. Below, v is the
+input of a stage on link (i, j) in step k, y its output, σ a parameter, and ξ ~ N(0, 1) and U ~ U(0, 1) are independent
+over episodes, stages, steps, directed links and (for noise) components. Before the start, every stage had the input of
+the start, and receivers hold that.
+
+Random numbers are hashes of an episode's key and of their purpose (:mod:`ptne_env.shared.counter_random`). They do not depend
+on the policy or on the number of environments.
+"""
+
+# ruff: noqa: ARG002 - a stage may ignore arguments of the interface
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Literal, TypeAlias, get_args
+
+import networkx as nx
+import numpy as np
+
+from ptne_env.shared import counter_random
+from ptne_env.shared.arrays import (
+    BoolArray,
+    FloatArray,
+    IntArray,
+    replaced,
+    require_count,
+    require_non_negative,
+    require_positive,
+    require_probability,
+)
+from ptne_env.shared.counter_random import CounterArray
+from ptne_env.shared.parts import Part
+
+Gap: TypeAlias = Literal["hold", "drop"]
+"""Reaction of a receiver to a lost message: ``hold`` the last message received, or ``drop`` the link for the step."""
+
+Target: TypeAlias = Literal["message", "difference"]
+"""The quantised value: the ``message`` x^j, or the ``difference`` x^j − x^i that the receiver measures."""
+
+Memory: TypeAlias = tuple[Any, ...]
+"""Memory of a channel: arrays with environments last, and tuples of them."""
+
+
+@dataclass(frozen=True)
+class Messages:
+    """The messages on all links in one step. Neighbour slots first, environments last; never changed in place.
+
+    Attributes:
+        values: per slot, component and receiver, shape (D, n, N, B).
+        live: whether a message is present on the link, shape (D, N, B).
+        weights: a_ij, shape (D, N, B).
+        own: the receivers' own estimates x^i, shape (n, N, B).
+    """
+
+    values: FloatArray
+    live: BoolArray
+    weights: FloatArray
+    own: FloatArray
+
+
+class LinkRandomness:
+    """The random numbers of one stage in one step: noise, losses and delays per directed link.
+
+    Args:
+        keys: one per environment, shape (B,).
+        step: index of the step, shape (B,).
+        senders: player in each neighbour slot, shape (D, N).
+        owners: player that owns each component, shape (n,).
+
+    Attributes:
+        senders, owners: as given.
+    """
+
+    def __init__(self, keys: CounterArray, step: IntArray, senders: IntArray, owners: IntArray) -> None:
+        self._keys = keys
+        self._step = step
+        self.senders = senders
+        self.owners = owners
+
+    def stage(self, index: int) -> LinkRandomness:
+        """The random numbers of stage ``index`` of a chain, independent of all others."""
+        return LinkRandomness(counter_random.child_keys(self._keys, index), self._step, self.senders, self.owners)
+
+    def uniforms(self, purpose: int = 0) -> FloatArray:
+        """U(0, 1) per directed link, shape (D, N, B); another ``purpose`` gives other numbers."""
+        return counter_random.uniforms(self._base(purpose), self._links()[:, :, None])
+
+    def normals(self, purpose: int = 0) -> FloatArray:
+        """N(0, 1) per component and directed link, shape (D, n, N, B); another ``purpose`` gives other numbers."""
+        components = np.arange(self.owners.size, dtype=np.uint64)
+        numbers = self._links()[:, None, :] * np.uint64(self.owners.size) + components[:, None]
+        return counter_random.normals(self._base(purpose), numbers[..., None])
+
+    def episode_uniforms(self, count: int, purpose: int = 0) -> FloatArray:
+        """U(0, 1), the same in every step of an episode, shape (count, B); another ``purpose`` gives other numbers."""
+        counters = np.arange(count, dtype=np.uint64)[:, None]
+        return counter_random.uniforms(counter_random.child_keys(self._keys, purpose), counters)
+
+    def _links(self) -> CounterArray:
+        """The number i N + j of each link, which is the same in every slot; shape (D, N)."""
+        players = self.senders.shape[1]
+        return (np.arange(players) * players + self.senders).astype(np.uint64)
+
+    def _base(self, purpose: int) -> CounterArray:
+        """A key per environment for this purpose and step, shape (B,)."""
+        return counter_random.words(counter_random.child_keys(self._keys, purpose), self._step.astype(np.uint64))
+
+
+class Channel(Part, ABC):
+    """A map, with memory, from messages sent to messages received.
+
+    Attributes:
+        is_perfect: whether every message is received as it was sent.
+        is_random: whether two episodes differ.
+        largest_weight_factor: the largest factor by which a weight is multiplied.
+    """
+
+    is_perfect: bool = False
+    is_random: bool = True
+    largest_weight_factor: float = 1.0
+
+    @abstractmethod
+    def transmit(
+        self, messages: Messages, memory: Memory | None, randomness: LinkRandomness
+    ) -> tuple[Messages, Memory]:
+        """The messages received in a step, and the memory for the next step.
+
+        Args:
+            messages: the messages sent.
+            memory: the memory that :meth:`transmit` returned in the step before; ``None`` in the first step.
+            randomness: the random numbers of the step.
+        """
+
+
+class Chain(Channel):
+    """Stages in sequence; the perfect channel if there are none.
+
+    Args:
+        stages: channels in the order in which messages pass them; a chain among them stands for its stages.
+
+    Raises:
+        ValueError: when a stage is not a channel.
+    """
+
+    def __init__(self, stages: Sequence[Channel] = ()) -> None:
+        self.stages: tuple[Channel, ...] = ()
+        for stage in stages:
+            if not isinstance(stage, Channel):
+                raise ValueError(f"the stages of a chain are channels, got a {type(stage).__name__}")
+            self.stages += stage.stages if isinstance(stage, Chain) else (stage,)
+        self.is_perfect = all(stage.is_perfect for stage in self.stages)
+        self.is_random = any(stage.is_random for stage in self.stages)
+        self.largest_weight_factor = float(np.prod([stage.largest_weight_factor for stage in self.stages]))
+
+    def transmit(
+        self, messages: Messages, memory: Memory | None, randomness: LinkRandomness
+    ) -> tuple[Messages, Memory]:
+        """The output of the last stage."""
+        remembered = []
+        for index, stage in enumerate(self.stages):
+            before = None if memory is None else memory[index]
+            messages, after = stage.transmit(messages, before, randomness.stage(index))
+            remembered.append(after)
+        return messages, tuple(remembered)
+
+
+def perfect() -> Channel:
+    """The identity: y = v."""
+    return Chain()
+
+
+class _Noise(Channel):
+    """Normal noise on each message."""
+
+    def __init__(self, std: float) -> None:
+        self.std = require_non_negative("std", std)
+
+    def transmit(
+        self, messages: Messages, memory: Memory | None, randomness: LinkRandomness
+    ) -> tuple[Messages, Memory]:
+        """Messages plus noise."""
+        noise = randomness.normals()
+        noise *= self.std
+        self._scale(noise, messages)
+        noise += messages.values
+        return replace(messages, values=noise), ()
+
+    @abstractmethod
+    def _scale(self, noise: FloatArray, messages: Messages) -> None:
+        """Scale the noise, in place."""
+
+
+class AdditiveNoise(_Noise):
+    """Noise on each message: y = v + σ ξ, ξ per component.
+
+    Args:
+        std: σ ≥ 0, in the units of the strategies.
+
+    Raises:
+        ValueError: when σ is negative or not finite.
+    """
+
+    def _scale(self, noise: FloatArray, messages: Messages) -> None:
+        """No scaling."""
+
+
+class MultiplicativeNoise(_Noise):
+    """Noise in proportion to the relative measurement: y − x^i = (v − x^i)(1 + σ ξ), ξ per component.
+
+    Args:
+        std: σ ≥ 0, without a unit.
+
+    Raises:
+        ValueError: when σ is negative or not finite.
+    """
+
+    def _scale(self, noise: FloatArray, messages: Messages) -> None:
+        noise *= messages.values - messages.own
+
+
+class Delay(Channel):
+    """Messages that arrive some steps later, possibly overtaking each other; the receiver holds the last arrival.
+
+    The message sent in step k arrives in step k + d, with d drawn per message uniformly from ``steps``..``longest``. Of
+    messages that arrive in the same step, the one sent last counts. For constant d, y_k = v_{k−d}. A link without a
+    message in a step, because it is down or an earlier stage dropped the message, sends nothing; the receiver keeps
+    the last arrival.
+
+    Args:
+        steps: the shortest delay, ≥ 0.
+        longest: the longest delay; by default ``steps``, so that the delay is constant.
+
+    Raises:
+        ValueError: when a delay is not a whole number of at least 0, or the longest is shorter than the shortest.
+    """
+
+    def __init__(self, steps: int, longest: int | None = None) -> None:
+        self.steps = require_count("steps", steps, 0)
+        self.longest = require_count("longest", steps if longest is None else longest, self.steps)
+        self.is_random = self.longest > self.steps
+
+    def transmit(
+        self, messages: Messages, memory: Memory | None, randomness: LinkRandomness
+    ) -> tuple[Messages, Memory]:
+        """The last arrivals."""
+        lags = np.full(messages.live.shape, self.steps)
+        if self.is_random:
+            lags += (randomness.uniforms() * (self.longest - self.steps + 1)).astype(np.int64)
+        lags[~messages.live] = -1  # never arrives
+        if memory is None:
+            held, received = messages.values, messages.live
+            past, past_lags = (messages.values,) * self.longest, (np.full_like(lags, -1),) * self.longest
+        else:
+            held, received, past, past_lags = memory
+        # Newest first: entry d was sent d steps ago. The arrays never change, so shifting the tuples copies nothing.
+        past, past_lags = (messages.values, *past), (lags, *past_lags)
+        held, received = held.copy(), received.copy()
+        for age in range(self.longest, self.steps - 1, -1):
+            arrives = past_lags[age] == age
+            np.copyto(held, past[age], where=arrives[:, None])
+            received |= arrives
+        last = self.longest
+        return replace(messages, values=held, live=received), (held, received, past[:last], past_lags[:last])
+
+
+class _Losing(Channel):
+    """Reaction of receivers to lost messages."""
+
+    def __init__(self, gap: Gap) -> None:
+        if gap not in get_args(Gap):
+            raise ValueError(f"gap is one of {', '.join(map(repr, get_args(Gap)))}, got {gap!r}")
+        self.gap: Gap = gap
+
+    def _lose(self, messages: Messages, lost: BoolArray, memory: Memory | None) -> tuple[Messages, Memory]:
+        if self.gap == "drop":
+            return replace(messages, live=messages.live & ~lost), ()
+        held, received = (messages.values, messages.live) if memory is None else memory
+        arrives = messages.live & ~lost
+        held = np.where(arrives[:, None], messages.values, held)
+        received = received | arrives
+        return replace(messages, values=held, live=np.where(lost, received, messages.live)), (held, received)
+
+
+class Loss(_Losing):
+    """Messages are lost independently: where U < p, y is the last message received (``hold``) or a_ij = 0 (``drop``).
+
+    Args:
+        probability: p in [0, 1].
+        gap: ``"hold"`` or ``"drop"``.
+
+    Raises:
+        ValueError: when p is not a probability, or the gap is unknown.
+    """
+
+    def __init__(self, probability: float, gap: Gap = "hold") -> None:
+        super().__init__(gap)
+        self.probability = require_probability("probability", probability)
+
+    def transmit(
+        self, messages: Messages, memory: Memory | None, randomness: LinkRandomness
+    ) -> tuple[Messages, Memory]:
+        """Messages, without those lost."""
+        return self._lose(messages, randomness.uniforms() < self.probability, memory or None)
+
+
+class BurstLoss(_Losing):
+    """Losses in bursts: the chain of Gilbert (1960) and Elliott (1963), one per directed link.
+
+    In every step a good link turns bad with probability p, a bad link turns good with probability r; then a message is
+    lost with probability ``loss_bad`` on a bad and ``loss_good`` on a good link. At the start a link is bad with the
+    stationary probability p/(p + r). A burst lasts 1/r steps on average.
+
+    Args:
+        to_bad: p in (0, 1].
+        to_good: r in (0, 1].
+        loss_bad: in [0, 1].
+        loss_good: in [0, 1].
+        gap: as for :class:`Loss`.
+
+    Raises:
+        ValueError: when a number is not a probability, p or r is 0, or the gap is unknown.
+    """
+
+    def __init__(
+        self, to_bad: float, to_good: float, loss_bad: float = 1.0, loss_good: float = 0.0, gap: Gap = "hold"
+    ) -> None:
+        super().__init__(gap)
+        self.to_bad = require_probability("to_bad", require_positive("to_bad", to_bad))
+        self.to_good = require_probability("to_good", require_positive("to_good", to_good))
+        self.loss_bad = require_probability("loss_bad", loss_bad)
+        self.loss_good = require_probability("loss_good", loss_good)
+
+    def transmit(
+        self, messages: Messages, memory: Memory | None, randomness: LinkRandomness
+    ) -> tuple[Messages, Memory]:
+        """Messages, without those lost."""
+        turn = randomness.uniforms()
+        if memory is None:
+            bad = turn < self.to_bad / (self.to_bad + self.to_good)
+        else:
+            bad = np.where(memory[0], turn >= self.to_good, turn < self.to_bad)
+        lost = randomness.uniforms(purpose=1) < np.where(bad, self.loss_bad, self.loss_good)
+        received, held = self._lose(messages, lost, (memory and memory[1]) or None)
+        return received, (bad, held)
+
+
+class _Quantiser(Channel):
+    """Quantisation of a message or of the difference to the receiver's own estimate."""
+
+    is_random = False
+
+    def __init__(self, target: Target) -> None:
+        if target not in get_args(Target):
+            raise ValueError(f"target is one of {', '.join(map(repr, get_args(Target)))}, got {target!r}")
+        self.target: Target = target
+
+    def transmit(
+        self, messages: Messages, memory: Memory | None, randomness: LinkRandomness
+    ) -> tuple[Messages, Memory]:
+        """Quantised messages."""
+        if self.target == "message":
+            return replace(messages, values=self._level(messages.values)), ()
+        return replace(messages, values=messages.own + self._level(messages.values - messages.own)), ()
+
+    @abstractmethod
+    def _level(self, values: FloatArray) -> FloatArray:
+        """The level of each value."""
+
+
+class UniformQuantiser(_Quantiser):
+    """Evenly spaced levels: q(z) = Δ round(z/Δ), so |q(z) − z| ≤ Δ/2; y = q(v), or y − x^i = q(v − x^i).
+
+    Args:
+        width: Δ > 0, in the units of the strategies.
+        target: z is the ``"message"`` v or the ``"difference"`` v − x^i.
+
+    Raises:
+        ValueError: when the width is not positive, or the target is unknown.
+    """
+
+    def __init__(self, width: float, target: Target = "message") -> None:
+        super().__init__(target)
+        self.width = require_positive("width", width)
+
+    def _level(self, values: FloatArray) -> FloatArray:
+        return np.rint(values / self.width) * self.width
+
+
+class LogarithmicQuantiser(_Quantiser):
+    """Levels ±ρ^m, m whole, and 0: |q(z) − z| ≤ δ|z| with δ = (1 − ρ)/(1 + ρ) (Elia & Mitter 2001, Fu & Xie 2005).
+
+    For z > 0, q(z) = ρ^m with m = ⌊ln(z (1 − δ))/ln ρ⌋, that is ρ^m/(1 + δ) < z ≤ ρ^m/(1 − δ); q(−z) = −q(z) and
+    q(0) = 0. y = q(v), or y − x^i = q(v − x^i).
+
+    Args:
+        ratio: ρ in (0, 1); close to 1 is fine.
+        target: z is the ``"message"`` v or the ``"difference"`` v − x^i.
+
+    Raises:
+        ValueError: when the ratio is not in (0, 1), or the target is unknown.
+    """
+
+    def __init__(self, ratio: float, target: Target = "message") -> None:
+        super().__init__(target)
+        self.ratio = require_positive("ratio", ratio)
+        if self.ratio >= 1:
+            raise ValueError(f"ratio must be a number between 0 and 1, got {ratio!r}")
+
+    def _level(self, values: FloatArray) -> FloatArray:
+        sizes = np.abs(values)
+        normal = sizes >= np.finfo(np.float64).tiny  # the level of smaller numbers is 0
+        logarithm = np.log(np.where(normal, sizes, 1.0) * (2 * self.ratio / (1 + self.ratio)))
+        levels = np.exp(np.floor(logarithm / np.log(self.ratio)) * np.log(self.ratio))
+        return np.copysign(levels * normal, values)
+
+
+class AsymmetricLinks(Channel):
+    """Links with different weights in their two directions: a_ij becomes w_ij a_ij, w_ij ~ U(low, high).
+
+    The factor is drawn per episode and direction and is constant over the episode.
+
+    Args:
+        low: ≥ 0.
+        high: > low.
+
+    Raises:
+        ValueError: when the range is empty or negative.
+    """
+
+    def __init__(self, low: float, high: float) -> None:
+        self.low, self.high = require_non_negative("low", low), require_positive("high", high)
+        if self.low >= self.high:
+            raise ValueError(f"AsymmetricLinks needs low < high, got {low!r} and {high!r}")
+        self.largest_weight_factor = self.high
+
+    def transmit(
+        self, messages: Messages, memory: Memory | None, randomness: LinkRandomness
+    ) -> tuple[Messages, Memory]:
+        """Messages with weights multiplied by w_ij."""
+        factors = self.low + (self.high - self.low) * randomness.uniforms() if memory is None else memory[0]
+        return replace(messages, weights=messages.weights * factors), (factors,)
+
+
+class OneWayLinks(Channel):
+    """Links that carry messages in one direction only, drawn per episode; all others carry them in both.
+
+    Each link is chosen with probability ``share``. In random order, each chosen link loses one direction, at random, or
+    the other one, unless the players would no longer all reach each other over directed links. So the directed graph
+    stays strongly connected: that of the links at the start where these connect all players, else the union graph, as
+    in switching topologies. A closed direction has weight 0.
+
+    Args:
+        share: in [0, 1].
+
+    Raises:
+        ValueError: when the share is not in [0, 1].
+    """
+
+    def __init__(self, share: float) -> None:
+        self.share = require_probability("share", share)
+
+    def transmit(
+        self, messages: Messages, memory: Memory | None, randomness: LinkRandomness
+    ) -> tuple[Messages, Memory]:
+        """Messages with weight 0 in closed directions."""
+        closed = self._closed(messages.weights > 0, randomness) if memory is None else memory[0]
+        return replace(messages, weights=messages.weights * ~closed), (closed,)
+
+    def _closed(self, up: BoolArray, randomness: LinkRandomness) -> BoolArray:
+        """Whether each direction of each link is closed, from the links ``up`` at the start; both (D, N, B)."""
+        senders, draws, closed = randomness.senders, randomness.uniforms(), np.zeros_like(up)
+        slots = {(j, i): (slot, i) for slot, row in enumerate(senders.tolist()) for i, j in enumerate(row) if i != j}
+        for episode in range(up.shape[2]):
+            present = [arc for arc, place in slots.items() if up[*place, episode]]
+            unit = {arc: float(draws[*place, episode]) for arc, place in slots.items()}
+            for arc in self._closed_arcs(senders.shape[1], present, unit):
+                closed[*slots[arc], episode] = True
+        return closed
+
+    def _closed_arcs(
+        self, players: int, present: list[tuple[int, int]], unit: dict[tuple[int, int], float]
+    ) -> Iterator[tuple[int, int]]:
+        """The closed arcs (sender, receiver) of one episode: arcs present at the start, a draw for every arc."""
+        arcs: nx.DiGraph[int] = nx.DiGraph()
+        arcs.add_edges_from(present)
+        arcs.add_nodes_from(range(players))
+        if not nx.is_strongly_connected(arcs):
+            arcs.add_edges_from(unit)
+        chosen = [(unit[arc], arc) for arc in unit if arc[0] < arc[1] and unit[arc] < self.share]
+        for _, (i, j) in sorted(chosen):
+            for arc in ((i, j), (j, i)) if unit[j, i] < 0.5 else ((j, i), (i, j)):
+                needed = arcs.has_edge(*arc)
+                if needed:
+                    arcs.remove_edge(*arc)
+                if not needed or nx.has_path(arcs, *arc):
+                    yield arc
+                    break
+                arcs.add_edge(*arc)
+
+
+class Lying(Channel):
+    """One player lies: on components that are not its own, it adds a constant offset to the estimates that it sends.
+
+    The offset is U(−size, size) per component, drawn per episode and the same for every neighbour. The liar sends its
+    own strategy as it is, so the others reach the equilibrium if they do not use its estimates of third players.
+
+    Args:
+        size: > 0, in the units of the strategies.
+        player: the liar; drawn per episode if ``None``.
+
+    Raises:
+        ValueError: when the size is not positive or the player no whole number; in the first step, when there is no
+            such player.
+    """
+
+    def __init__(self, size: float, player: int | None = None) -> None:
+        self.size = require_positive("size", size)
+        self.player = None if player is None else require_count("player", player, 0)
+
+    def transmit(
+        self, messages: Messages, memory: Memory | None, randomness: LinkRandomness
+    ) -> tuple[Messages, Memory]:
+        """Messages, those of the liar with its offset."""
+        senders, owners = randomness.senders, randomness.owners
+        players = senders.shape[1]
+        if self.player is not None and self.player >= players:
+            raise ValueError(f"the lying player is 0..{players - 1} in a game of {players} players, got {self.player}")
+        if self.player is None:
+            liar = (randomness.episode_uniforms(1) * players).astype(np.int64)[0]
+        else:
+            liar = np.full(messages.own.shape[2], self.player)
+        offset = self.size * (2 * randomness.episode_uniforms(owners.size, purpose=1) - 1)
+        foreign = owners[:, None] != senders[:, None, :]
+        lies = foreign[..., None] & (senders[..., None] == liar)[:, None]
+        return replace(messages, values=messages.values + lies * offset[:, None]), ()
+
+
+def merged(old: Memory, fresh: Memory, mask: BoolArray) -> Memory:
+    """The memory ``old`` with the environments in ``mask`` (B,) replaced by those of ``fresh``, in order."""
+    return tuple(
+        merged(before, after, mask) if isinstance(before, tuple) else replaced(before, after, mask)
+        for before, after in zip(old, fresh, strict=True)
+    )

@@ -1,0 +1,381 @@
+"""Time transformations t = λ(s), and the table of an episode's steps."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from typing import Literal, NamedTuple, TypeAlias, get_args
+
+import numpy as np
+import numpy.typing as npt
+import scipy
+
+from ptne_env.shared.arrays import FloatArray, frozen, require_count, require_non_negative, require_positive
+from ptne_env.shared.parts import Part
+
+Spacing: TypeAlias = Literal["effective", "transformed", "physical"]
+
+_GRID = frozen(np.linspace(0.0, 6.0, 2001))
+"""Transformed times s at which a time transformation is checked."""
+
+_LIMIT_TOLERANCE = 1e-4
+"""An extrapolated limit counts as 0 when it is within this fraction of T."""
+
+
+class LemmaViolationError(ValueError):
+    """The function violates a condition of Lemma 1."""
+
+
+class TimeTransformation(Part, ABC):
+    """A function t = λ(s) of Lemma 1, from s ∈ [0, ∞) onto t ∈ [0, T).
+
+    Args:
+        deadline: T in seconds, the prescribed time.
+
+    Raises:
+        ValueError: when T is not positive.
+    """
+
+    def __init__(self, deadline: float) -> None:
+        self.deadline = require_positive("deadline", deadline, " (T, in seconds)")
+
+    @abstractmethod
+    def time(self, s: npt.ArrayLike) -> FloatArray:
+        """t = λ(s), in seconds."""
+
+    @abstractmethod
+    def derivative(self, s: npt.ArrayLike) -> FloatArray:
+        """λ'(s), in seconds per unit of s."""
+
+    @abstractmethod
+    def inverse(self, t: npt.ArrayLike) -> FloatArray:
+        """s = λ^{-1}(t) for t < T."""
+
+    def gain(self, t: npt.ArrayLike, constant: float = 0.0) -> FloatArray:
+        """g(t) = c + 1/λ'(λ^{-1}(t)) for t < T and c from T on: the prescribed-time gain of eq. (10).
+
+        Args:
+            t: instants in seconds.
+            constant: c, in 1/s.
+        """
+        times = np.asarray(t, dtype=np.float64)
+        before = times < self.deadline
+        s = self.inverse(np.where(before, times, 0.0))
+        return np.where(before, constant + 1 / self.derivative(s), constant)
+
+    def effective_time(self, s: npt.ArrayLike, constant: float) -> FloatArray:
+        """τ = s + c λ(s), the time in which every law's loop is dx/dτ = u."""
+        return np.asarray(s, dtype=np.float64) + constant * self.time(s)
+
+    def from_effective_time(self, tau: npt.ArrayLike, constant: float) -> FloatArray:
+        """The s with s + c λ(s) = τ, by root finding; transformations with a closed form override this."""
+        times = np.asarray(tau, dtype=np.float64)
+
+        def solve(value: float) -> float:
+            if value <= 0:
+                return 0.0
+            residual = lambda s: float(self.effective_time(s, constant)) - value  # noqa: E731 - closes over value
+            return float(scipy.optimize.brentq(residual, 0.0, value, xtol=1e-15, rtol=8.9e-16, maxiter=200))
+
+        return np.array([solve(float(value)) for value in times.ravel()]).reshape(times.shape)
+
+
+class Exponential(TimeTransformation):
+    """The paper's λ(s) = T (1 − e^{−s}), eq. (9), for which the gain is c + 1/(T − t)."""
+
+    def time(self, s: npt.ArrayLike) -> FloatArray:
+        """T (1 − e^{−s})."""
+        return np.asarray(-self.deadline * np.expm1(-np.asarray(s, dtype=np.float64)))
+
+    def derivative(self, s: npt.ArrayLike) -> FloatArray:
+        """T e^{−s}."""
+        return np.asarray(self.deadline * np.exp(-np.asarray(s, dtype=np.float64)))
+
+    def inverse(self, t: npt.ArrayLike) -> FloatArray:
+        """−ln(1 − t/T)."""
+        return np.asarray(-np.log1p(-np.asarray(t, dtype=np.float64) / self.deadline))
+
+    def from_effective_time(self, tau: npt.ArrayLike, constant: float) -> FloatArray:
+        """τ − C + ω(ln C + C − τ) with C = cT and Wright's ω."""
+        times = np.asarray(tau, dtype=np.float64)
+        scale = constant * self.deadline
+        if scale == 0:
+            return times.copy()
+        return np.maximum(times - scale + scipy.special.wrightomega(np.log(scale) + scale - times), 0.0)
+
+
+class Rational(TimeTransformation):
+    """λ(s) = T s/(1 + s), whose gain is c + T/(T − t)²."""
+
+    def time(self, s: npt.ArrayLike) -> FloatArray:
+        """T s/(1 + s)."""
+        value = np.asarray(s, dtype=np.float64)
+        return np.asarray(self.deadline * value / (1 + value))
+
+    def derivative(self, s: npt.ArrayLike) -> FloatArray:
+        """T/(1 + s)²."""
+        return np.asarray(self.deadline / (1 + np.asarray(s, dtype=np.float64)) ** 2)
+
+    def inverse(self, t: npt.ArrayLike) -> FloatArray:
+        """t/(T − t)."""
+        value = np.asarray(t, dtype=np.float64)
+        return np.asarray(value / (self.deadline - value))
+
+
+class HyperbolicTangent(TimeTransformation):
+    """λ(s) = T tanh s, whose gain is c + T/(T² − t²)."""
+
+    def time(self, s: npt.ArrayLike) -> FloatArray:
+        """T tanh s."""
+        return np.asarray(self.deadline * np.tanh(np.asarray(s, dtype=np.float64)))
+
+    def derivative(self, s: npt.ArrayLike) -> FloatArray:
+        """T/cosh² s, written with e^{−2s} so that it never overflows."""
+        decay = np.exp(-2 * np.asarray(s, dtype=np.float64))
+        return np.asarray(4 * self.deadline * decay / (1 + decay) ** 2)
+
+    def inverse(self, t: npt.ArrayLike) -> FloatArray:
+        """artanh(t/T)."""
+        return np.asarray(np.arctanh(np.asarray(t, dtype=np.float64) / self.deadline))
+
+
+def check_time_transformation(transformation: TimeTransformation) -> float:
+    """Check the conditions (7a)–(7c) of Lemma 1, and that λ, λ' and λ^{-1} are consistent.
+
+    (7a), (7b) and the inverse are checked on a grid that ends where λ is within 1e-7 T of T, or at s = 6. The limits
+    (7c) are extrapolated from s = e^u − 1 with u = ½, 1, 2, …, 512 by Aitken's Δ² process, which suffices for a λ as
+    slow as T (1 − 1/(1 + ln(1 + s))^p). Values that overflow has spoiled do not count, such as those of s/√(1 + s²)
+    from where s² overflows.
+
+    Returns:
+        The extrapolated limit of 1 − λ(s)/T as s → ∞, 0 up to rounding and extrapolation.
+
+    Raises:
+        LemmaViolationError: naming the first condition that is violated.
+    """
+    deadline = transformation.deadline
+    grid = _resolved_grid(transformation)
+    time, derivative = transformation.time(grid), transformation.derivative(grid)
+    step = grid[1]
+
+    def require(condition: str, *, holds: bool, found: str) -> None:
+        if not holds:
+            raise LemmaViolationError(f"{type(transformation).__name__} violates {condition} of Lemma 1: {found}")
+
+    require("(7a) λ(0) = 0", holds=abs(time[0]) <= 1e-12 * deadline, found=f"λ(0) = {time[0]}")
+    require(
+        "(7a) λ'(0) = T",
+        holds=abs(derivative[0] - deadline) <= 1e-9 * deadline,
+        found=f"λ'(0) = {derivative[0]}, T = {deadline}",
+    )
+    middle = transformation.derivative(grid[:-1] + step / 2)
+    simpson = (derivative[:-1] + 4 * middle + derivative[1:]) / 6
+    mismatch = float(np.max(np.abs(np.diff(time) / step - simpson)))
+    require(
+        "(7a) λ is differentiable with derivative λ'",
+        holds=mismatch <= 1e-5 * deadline,
+        found=f"off by {mismatch:.3g} s",
+    )
+    far = np.expm1(2.0 ** np.arange(-1, 10))
+    with np.errstate(all="ignore"):  # formulas may overflow far out; values that are not finite do not enter the limit
+        slopes = transformation.derivative(far) / deadline
+    remaining = 1 - _far_times(transformation, far) / deadline
+    require(
+        "(7b) λ is strictly increasing",
+        holds=bool(
+            np.all(np.diff(time) > 0) and np.all(transformation.derivative(_GRID) > 0) and not np.any(slopes < 0)
+        ),
+        found="λ decreases or stalls on [0, 6], or λ' is negative further out",
+    )
+    limit = _limit(remaining)
+    require(
+        "(7c) λ(s) → T",
+        holds=abs(limit) <= _LIMIT_TOLERANCE,
+        found=f"T − λ(s) tends to {limit * deadline:.3g} s",
+    )
+    slope = _limit(slopes)
+    require("(7c) λ'(s) → 0", holds=abs(slope) <= _LIMIT_TOLERANCE, found=f"λ'(s) tends to {slope * deadline:.3g}")
+    error = float(np.max(np.abs(transformation.inverse(time) - grid)))
+    require("λ^{-1}(λ(s)) = s", holds=error <= 1e-6, found=f"off by {error:.3g}")
+    return limit
+
+
+def _resolved_grid(transformation: TimeTransformation) -> FloatArray:
+    """A grid from 0 to the s where λ is within 1e-7 T of T, which float64 still resolves, but no further than 6."""
+    reached = np.abs(transformation.deadline - transformation.time(_GRID)) < 1e-7 * transformation.deadline
+    return np.linspace(0.0, float(_GRID[max(int(reached.argmax()), 1)]), _GRID.size) if reached.any() else _GRID
+
+
+def _far_times(transformation: TimeTransformation, far: FloatArray) -> FloatArray:
+    """λ at increasing s far out; NaN from where its formula overflows and λ would fall, as s/√(1 + s²) does with s²."""
+    with np.errstate(all="ignore"):
+        times = np.array(transformation.time(far), dtype=np.float64)
+    for fall in np.flatnonzero(times[1:] < times[:-1] - _LIMIT_TOLERANCE * transformation.deadline) + 1:
+        try:
+            with np.errstate(over="raise"):
+                transformation.time(far[fall])
+        except FloatingPointError:
+            times[fall:] = np.nan
+            break
+    return times
+
+
+def _limit(values: FloatArray) -> float:
+    """The limit of a sequence by Aitken's Δ² process on its last three finite terms; the last one if they are equal.
+
+    NaN with fewer than three finite terms.
+
+    On s = e^u − 1 with u doubling, powers of ln s decrease geometrically, for which the process is exact; powers and
+    exponentials of s decrease faster.
+    """
+    finite = values[np.isfinite(values)]
+    if finite.size < 3:
+        return np.nan
+    first, second, last = finite[-3:]
+    bend = (last - second) - (second - first)
+    extrapolated = last - (last - second) ** 2 / bend if bend else last
+    # A sequence that does not settle is not extrapolated; its last term is the result.
+    return float(extrapolated if abs(last - second) < abs(second - first) else last)
+
+
+class LocalClock(NamedTuple):
+    """A player's own clock, possibly shifted: the times it shows and the steps that follow from them.
+
+    Attributes:
+        t: time shown at each instant in seconds, shape (K+H+1,).
+        s: transformed time of that time, shape (K+H+1,).
+        theta: Θ^i_k, the integral of the player's gain over each step, shape (K+H+1,); 0 at the terminal instant.
+    """
+
+    t: FloatArray
+    s: FloatArray
+    theta: FloatArray
+
+
+class StepClock:
+    """The table of an episode's steps: K steps to the deadline, then an optional hold phase.
+
+    Instant k = 0..K+H is the start of step k; instant K is the deadline, where the clock is set to T with the
+    estimates unchanged. Step k holds its input over Δs_k of transformed time and Δt_k of physical time, and the
+    update x_{k+1} = x_k + Θ_k u_k with Θ_k = Δs_k + c Δt_k is then exact. In the hold phase Θ = c Δt is the mean Θ
+    of the episode.
+
+    Args:
+        transformation: λ, with its deadline T.
+        gain: c ≥ 0 in 1/s, the constant part of the prescribed-time gain.
+        steps: K ≥ 1.
+        s_end: transformed time at which the steps to the deadline stop, > 0.
+        spacing: the time divided evenly: τ (``effective``), s (``transformed``) or t (``physical``).
+        hold_steps: H ≥ 0 steps after the deadline.
+
+    Attributes:
+        t: physical time of each instant in seconds, shape (K+H+1,), with t[K] = T.
+        s: transformed time of each instant, shape (K+H+1,); stays s_end in the hold phase.
+        theta: Θ_k of each step, shape (K+H+1,); 0 at the terminal instant.
+        dt: Δt_k of each step in seconds, shape (K+H+1,); 0 at the terminal instant.
+        time_reached: t_K = λ(s_end) < T, the end of the last step before the deadline.
+
+    Raises:
+        ValueError: for a value outside these ranges, or hold steps with c = 0.
+    """
+
+    def __init__(
+        self,
+        transformation: TimeTransformation,
+        *,
+        gain: float,
+        steps: int,
+        s_end: float,
+        spacing: Spacing = "effective",
+        hold_steps: int = 0,
+    ) -> None:
+        if spacing not in get_args(Spacing):
+            raise ValueError(f"spacing is one of {', '.join(get_args(Spacing))}, got {spacing!r}")
+        self.transformation = transformation
+        self.gain = require_non_negative("gain (c)", gain)
+        self.steps = require_count("steps (K)", steps, 1)
+        self.s_end = require_positive("s_end", s_end)
+        self.spacing: Spacing = spacing
+        self.hold_steps = require_count("hold_steps", hold_steps, 0)
+        if self.hold_steps and self.gain == 0:
+            raise ValueError("hold_steps need a gain c > 0: with c = 0 nothing moves after the deadline")
+
+        deadline = transformation.deadline
+        s = self._grid()
+        t = transformation.time(s)
+        self.time_reached = float(t[-1])
+        if not (self.time_reached < deadline and np.all(np.diff(t) > 0)):
+            raise ValueError(
+                f"s_end = {s_end} is too long: float64 cannot tell T − t from 0 there; shorten it (36 is the limit of "
+                "the exponential transformation)"
+            )
+        dt = np.diff(t)
+        theta = np.diff(s) + self.gain * dt
+        hold_theta = np.full(self.hold_steps, theta.mean())
+        hold_dt = hold_theta / self.gain if self.hold_steps else hold_theta
+        self.t = frozen(np.concatenate([t[:-1], deadline + np.concatenate([[0.0], np.cumsum(hold_dt)])]))
+        self.s = frozen(np.concatenate([s, np.full(self.hold_steps, s[-1])]))
+        self.theta = frozen(np.concatenate([theta, hold_theta, [0.0]]))
+        self.dt = frozen(np.concatenate([dt, hold_dt, [0.0]]))
+
+    def _grid(self) -> FloatArray:
+        fractions = np.linspace(0.0, 1.0, self.steps + 1)
+        if self.spacing == "effective":
+            end = float(self.transformation.effective_time(self.s_end, self.gain))
+            s = self.transformation.from_effective_time(fractions * end, self.gain)
+        elif self.spacing == "transformed":
+            s = fractions * self.s_end
+        else:
+            s = self.transformation.inverse(fractions * float(self.transformation.time(self.s_end)))
+        s[0], s[-1] = 0.0, self.s_end
+        return s
+
+    @property
+    def deadline(self) -> float:
+        """T in seconds."""
+        return self.transformation.deadline
+
+    @property
+    def total_steps(self) -> int:
+        """K + H."""
+        return self.steps + self.hold_steps
+
+    @property
+    def shortfall(self) -> float:
+        """1 − t_K/T, the time between the end of the last step and the deadline, as a fraction of T."""
+        return 1 - self.time_reached / self.deadline
+
+    @property
+    def effective_time(self) -> float:
+        """τ_K = s_end + c t_K = Σ Θ_k over the steps to the deadline."""
+        return self.s_end + self.gain * self.time_reached
+
+    def shifted(self, shift: float) -> LocalClock:
+        """A clock that is ``shift`` seconds fast, or slow where it is negative.
+
+        All players share the instants t_k. A player with this clock reads t + δ and so applies the gain g(t + δ):
+        Θ^i_k = S(t_k + Δt_k + δ) − S(t_k + δ) + c Δt_k, where S(t) = λ^{-1}(t) continues with its slope 1/T before 0
+        and stays s_end from λ(s_end) on, as for all players. So a fast clock reaches the end of its gain before T,
+        with long last steps, and a slow clock has part of its gain left at T. The player observes t + δ, clipped to
+        the episode, and S of that. A shift of 0 gives this table, bit for bit.
+
+        Args:
+            shift: δ in seconds.
+        """
+        if shift == 0:
+            return LocalClock(self.t, self.s, self.theta)
+
+        def transformed(times: FloatArray) -> FloatArray:
+            s = np.minimum(self.transformation.inverse(np.clip(times, 0.0, self.time_reached)), self.s_end)
+            s = np.where(times >= self.time_reached, self.s_end, s)
+            return np.where(times < 0, times / self.deadline, s)
+
+        start = self.t + shift
+        theta = transformed(start + self.dt) - transformed(start) + self.gain * self.dt
+        shown = np.clip(start, 0.0, self.t[-1])
+        return LocalClock(frozen(shown), frozen(transformed(shown)), frozen(theta))
+
+    @property
+    def topology_times(self) -> dict[str, FloatArray]:
+        """The clocks of topologies at each instant: t, and s, which continues as s_end + c (t − T) after T."""
+        hold = self.gain * (self.t[self.steps :] - self.deadline)
+        return {"physical": self.t, "transformed": np.concatenate([self.s[: self.steps], self.s_end + hold])}

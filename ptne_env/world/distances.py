@@ -1,0 +1,74 @@
+"""Relative distances to the equilibrium, shared by rewards, the success criterion and metrics.
+
+Where x* = 0 the scale is 1 instead of ‖x*‖. In a game with several equilibria, distances are those to the nearest of
+them, relative to the norm of the first.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ptne_env.games import Game
+from ptne_env.shared.arrays import BoolArray, FloatArray, ordered_sum
+
+FLOOR = 1e-12
+"""Lower bound of a distance before its logarithm is taken: at most twelve digits count."""
+
+# Arrays, because numpy takes longer to read a number of Python than to multiply by it.
+_FLOOR, _DIGITS_PER_NAT = np.array(FLOOR), np.array(-1 / np.log(10))
+
+SUCCESS_DISTANCE = 5e-3
+"""Relative distance within which an episode succeeds and a run has settled (the paper's 0.5 %)."""
+
+_FAILED = np.zeros(1, dtype=np.bool_)
+_FAILED.flags.writeable = False
+
+
+def player_distances(estimates: FloatArray, game: Game) -> FloatArray:
+    """d^i = ‖x^i − x*‖/‖x*‖ of each player's estimate: (n, N, B) to (N, B)."""
+    errors = estimates - game.nearest_equilibria(estimates)[:, None, :]
+    distances = np.sqrt(np.einsum("cib,cib->ib", errors, errors))
+    distances /= game.equilibrium_scale
+    return distances
+
+
+def strategy_distance(strategies: FloatArray, game: Game) -> FloatArray:
+    """‖x − x*‖/‖x*‖, the paper's relative error: (n, B) to (B,)."""
+    return np.sqrt(ordered_sum((strategies - game.nearest_equilibria(strategies)) ** 2)) / game.equilibrium_scale
+
+
+def estimate_distance(estimates: FloatArray, game: Game) -> FloatArray:
+    """‖𝐱 − 1⊗x*‖/(√N ‖x*‖), the quantity of the theorems: (n, N, B) to (B,)."""
+    return _over_players(player_distances(estimates, game))
+
+
+def succeeded(distances: FloatArray) -> BoolArray:
+    """Whether the distance of all estimates is at most :data:`SUCCESS_DISTANCE`, from the d^i: (N, B) to (B,)."""
+    players, batch = distances.shape
+    reach = players * SUCCESS_DISTANCE  # a player alone may be √N times as far away as all are together
+    if batch == 1 and distances.item(0) > reach:
+        return _FAILED
+    within: BoolArray = distances[0] <= reach
+    if np.count_nonzero(within):
+        within[within] = _over_players(distances[:, within]) <= SUCCESS_DISTANCE
+    return within
+
+
+def _over_players(distances: FloatArray) -> FloatArray:
+    """The distance of all estimates, from the d^i: (N, B) to (B,)."""
+    return np.sqrt(ordered_sum(distances**2) / len(distances))
+
+
+def consensus_error(estimates: FloatArray, game: Game) -> FloatArray:
+    """‖𝐱 − 1⊗x̄‖/(√N ‖x*‖) with x̄ the mean of all estimates: (n, N, B) to (B,)."""
+    players = estimates.shape[1]
+    deviations = estimates - ordered_sum(estimates, axis=1)[:, None] / players
+    return np.sqrt(ordered_sum(ordered_sum(deviations**2)) / players) / game.equilibrium_scale
+
+
+def digits(distance: FloatArray) -> FloatArray:
+    """−log10 of a distance, floored at 1e-12; any shape."""
+    # The natural logarithm is vectorised in numpy and several times as fast as log10.
+    result: FloatArray = np.log(np.maximum(distance, _FLOOR))
+    result *= _DIGITS_PER_NAT
+    return result

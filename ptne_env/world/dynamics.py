@@ -1,0 +1,427 @@
+"""The dynamics: the state of B environments as a frozen record, and the pure transition that advances it.
+
+>>> state = initial_state(world, estimates)
+>>> state = step(world, state, inputs)
+
+Arrays are float64 with environments last. Every function here depends on its arguments alone.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from ptne_env.games import Game, MovedGame
+from ptne_env.shared.arrays import Array, BoolArray, FloatArray, IntArray, ordered_sum, replaced
+from ptne_env.shared.random_streams import RandomStreams
+from ptne_env.world import channel as channels
+from ptne_env.world.channel import LinkRandomness, Memory, Messages
+from ptne_env.world.drift import Drift
+from ptne_env.world.sensor import Sensor
+from ptne_env.world.world import RANGE_LIMIT, ComponentOrder, EpisodeRandomness, World
+
+
+class Received(NamedTuple):
+    """Messages at the receiving end of a channel that is not perfect.
+
+    Attributes:
+        messages: x^j as received in each neighbour slot, shape (D, n, N, B).
+        weights: a_ij of the receiver, shape (D, N, B); 0 where it receives nothing.
+        memory: of the channel.
+    """
+
+    messages: FloatArray
+    weights: FloatArray
+    memory: Memory
+
+
+class State(NamedTuple):
+    """The state of B environments. Its arrays are never changed: a step makes new ones.
+
+    Attributes:
+        step: index of the coming step, 0..K+H, shape (B,), int64.
+        game: the games being played at this instant, one for all or one per environment.
+        estimates: x^i in column i, shape (n, N, B); the diagonal blocks are the strategies.
+        own_gradients: ∂J_i/∂x_i(x^i) as the sensor reads them, blocks stacked, shape (n, B).
+        diverged: whether the environment has left the range; it stays where it is from then on. Shape (B,).
+        any_diverged: whether any environment has.
+        randomness: draws of the episodes besides game and start; ``None`` where a scenario draws nothing else.
+        received: messages that came through the channel; ``None`` where it is perfect.
+    """
+
+    step: IntArray
+    game: Game
+    estimates: FloatArray
+    own_gradients: FloatArray
+    diverged: BoolArray
+    any_diverged: bool = False
+    randomness: EpisodeRandomness | None = None
+    received: Received | None = None
+
+
+def draw_initial_state(world: World, streams: Sequence[RandomStreams], estimates: FloatArray | None = None) -> State:
+    """The state at t = 0 of episodes whose game, start and randomness are drawn, one environment per stream.
+
+    Args:
+        world: the world.
+        streams: the random generators of each environment.
+        estimates: initial estimates instead of drawn ones, shape (n, N, B).
+
+    Raises:
+        ValueError: when a drawn game is not strongly monotone, or as :func:`initial_state`.
+    """
+    game = world.draw_game(streams)
+    if estimates is None:
+        estimates = world.draw_estimates(streams)
+    return initial_state(world, estimates, game, world.draw_randomness(streams))
+
+
+def initial_state(
+    world: World, estimates: FloatArray, game: Game | None = None, randomness: EpisodeRandomness | None = None
+) -> State:
+    """The state at t = 0.
+
+    Args:
+        world: the world.
+        estimates: initial, shape (n, N, B); strategies outside the game's box are projected into it.
+        game: one game or B games; needed where the scenario draws games.
+        randomness: remaining draws of B episodes; needed where :meth:`World.draw_randomness` draws anything.
+
+    Raises:
+        ValueError: when a shape is wrong, an estimate is not finite or outside the range, or a draw is missing.
+    """
+    name, expected = world.scenario.name, (world.game.dimension, world.game.num_players)
+    if estimates.ndim != 3 or estimates.shape[:2] != expected:
+        raise ValueError(f"initial estimates have the shape {(*expected, 'B')}, got {estimates.shape}")
+    if not np.all(np.abs(estimates) <= RANGE_LIMIT):
+        raise ValueError(f"initial estimates must be finite and within ±{RANGE_LIMIT:g}")
+    batch = estimates.shape[2]
+    if game is None:
+        if world.has_random_game:
+            raise ValueError(f"scenario {name!r} draws games: pass the games to play, see World.draw_game()")
+        game = world.game
+    if game.batch_size not in (1, batch) or game.action_dims != world.game.action_dims:
+        raise ValueError(f"{batch} environments need one game or {batch}, got {game.batch_size}")
+    if world.has_episode_randomness and (randomness is None or randomness.channel_keys.shape != (batch,)):
+        raise ValueError(
+            f"scenario {name!r} draws more than games and starts: pass the draws of {batch} environments, see "
+            "World.draw_randomness()"
+        )
+    # A copy, because the state is not the caller's, in the order of a drawn one, on which the last bits of sums depend.
+    estimates = np.array(estimates, dtype=np.float64, order="C")
+    _project_strategies(estimates, game)
+    step, diverged = np.zeros(batch, dtype=np.int64), np.zeros(batch, dtype=np.bool_)
+    return _complete(world, estimates, game, step, diverged, randomness)
+
+
+def require_state(world: World, state: State, batch: int) -> None:
+    """Check that a state, such as a saved state, fits a world.
+
+    The memory of a channel and the numbers of a game are not checked.
+
+    Args:
+        world: the world.
+        state: to be checked.
+        batch: B, the expected number of environments.
+
+    Raises:
+        ValueError: when it is no state, has another shape, a step or estimates out of range, another game's
+            dimensions, or draws and messages that the world lacks or needs.
+    """
+    if not isinstance(state, State):
+        raise ValueError(f"a state is a ptne_env.world.dynamics.State, got {type(state).__name__}")
+    expected, game, last = (world.game.dimension, world.game.num_players, batch), world.game, world.clock.total_steps
+    if state.estimates.shape != expected or state.step.shape != (batch,):
+        raise ValueError(f"a state of this environment has estimates of shape {expected}, got {state.estimates.shape}")
+    if not np.all((state.step >= 0) & (state.step <= last)):
+        raise ValueError(f"a step of this environment is 0 to {last}, got {state.step.tolist()}")
+    if not _in_range(state.estimates):
+        raise ValueError(f"the estimates of a state must be finite and within ±{RANGE_LIMIT:g}")
+    needed = {
+        "players and dimensions": state.game.action_dims == game.action_dims and state.game.batch_size in (1, batch),
+        "drift": isinstance(state.game, MovedGame) == (world.drift is not None),
+        "random draws": (state.randomness is not None) == world.has_episode_randomness,
+        "active graphs": _fits_topology(world, state, batch),
+        "received messages": _fits_channel(world, state, batch),
+    }
+    faults = [name for name, fits in needed.items() if not fits]
+    if faults:
+        raise ValueError(
+            f"the state is of another world: its {', '.join(faults)} are not those of scenario {world.scenario.name!r}"
+        )
+
+
+def step(world: World, state: State, inputs: FloatArray) -> State:
+    """x_{k+1} = x_k + Θ_k u_k, with all parts of the world; exact for the held input.
+
+    Where a box confines the strategies, the players' own blocks of x_k + Θ_k u_k are projected into it.
+
+    Args:
+        world: the world.
+        state: x_k; left as it is.
+        inputs: u_k, held for the step, finite, shape (n, N, B).
+    """
+    theta = world.theta[..., shared_step(state)]
+    if state.any_diverged:
+        theta = np.where(state.diverged, 0.0, theta)
+    estimates = theta * inputs
+    estimates += state.estimates
+    if not world.disturbance.is_absent:
+        _disturb(world, estimates, state)
+    _project_strategies(estimates, state.game)
+    memory = None if state.received is None else state.received.memory
+    return _complete(
+        world,
+        estimates,
+        state.game,
+        world.next_step[state.step],
+        state.diverged,
+        state.randomness,
+        memory,
+        any_diverged=state.any_diverged,
+    )
+
+
+def merge(state: State, fresh: State, mask: BoolArray) -> State:
+    """``state`` with the environments in ``mask`` (B,) replaced by those of ``fresh``, in order."""
+
+    def merged(old: Array, new: Array) -> Array:
+        return replaced(old, new, mask)
+
+    diverged, received, randomness = merged(state.diverged, fresh.diverged), state.received, state.randomness
+    if received is not None and fresh.received is not None:
+        received = Received(*channels.merged(received, fresh.received, mask))
+    if randomness is not None and fresh.randomness is not None:
+        randomness = _merged_randomness(randomness, fresh.randomness, mask)
+    return State(
+        merged(state.step, fresh.step),
+        state.game.merged(fresh.game, mask),
+        merged(state.estimates, fresh.estimates),
+        merged(state.own_gradients, fresh.own_gradients),
+        diverged,
+        bool(diverged.any()),
+        randomness,
+        received,
+    )
+
+
+def batch_size(state: State) -> int:
+    """B."""
+    return state.estimates.shape[2]
+
+
+def shared_step(state: State) -> IntArray:
+    """``state.step``, but one entry for environments in lockstep, the usual case: shape (1,) or (B,)."""
+    steps = state.step
+    in_lockstep = steps.size == 1 or np.count_nonzero(steps != steps[0]) == 0
+    return steps[:1] if in_lockstep else steps
+
+
+def is_over(world: World, state: State) -> BoolArray:
+    """Whether each environment has reached its end or diverged, shape (B,)."""
+    finished = world.is_last_step[state.step]
+    return finished | state.diverged if state.any_diverged else finished
+
+
+def strategies(world: World, state: State) -> FloatArray:
+    """The real strategies x, shape (n, B)."""
+    return _rows(state.estimates).take(world.strategy_rows, axis=0)
+
+
+def active_mode(world: World, state: State) -> IntArray:
+    """Index of the active graph, shape (B,), int64."""
+    if state.randomness is None or state.randomness.modes is None:
+        return world.modes[state.step]
+    return state.randomness.modes[state.step, np.arange(state.step.size)].astype(np.int64)
+
+
+def time_since_switch(world: World, state: State) -> FloatArray:
+    """Over the topology's mean dwell, clipped to 1, 0 for a fixed graph; shape (B,)."""
+    if state.randomness is None or state.randomness.time_since_switch is None:
+        return world.time_since_switch[state.step]
+    return state.randomness.time_since_switch[state.step, np.arange(state.step.size)].astype(np.float64)
+
+
+def graph_weights(world: World, state: State) -> FloatArray:
+    """a_ij of the active graph per neighbour slot, (D, N, B), or (D, N, 1) where all environments agree."""
+    if world.mode_weights.shape[2] == 1:
+        return world.mode_weights
+    modes = active_mode(world, state) if world.topology.is_random else world.modes[shared_step(state)]
+    return world.mode_weights.take(modes, axis=2)
+
+
+def weights(world: World, state: State) -> FloatArray:
+    """a_ij of the receiver per neighbour slot, (D, N, B), or (D, N, 1) where all environments agree."""
+    return graph_weights(world, state) if state.received is None else state.received.weights
+
+
+def sent_messages(world: World, estimates: FloatArray) -> FloatArray:
+    """The x^j of the neighbour in each slot: estimates (n, N, B) to (D, n, N, B)."""
+    return _rows(estimates).take(world.component_order.senders, axis=0)
+
+
+def relative_estimates(
+    world: World,
+    state: State,
+    link_weights: FloatArray | None = None,
+    *,
+    slots: slice = slice(None),
+    order: ComponentOrder | None = None,
+    out: FloatArray | None = None,
+) -> FloatArray:
+    """(x^j as received) − x^i per neighbour slot in float64, 0 where the link is down, shape (D, n, N, B).
+
+    Args:
+        world: the world.
+        state: the state.
+        link_weights: :func:`weights` of the state, where the caller has them.
+        slots: the wanted neighbour slots; all if left out.
+        order: of each player's components; the game's if left out.
+        out: where to write, C-contiguous; a new array if left out.
+    """
+    rows, received = _rows(state.estimates), state.received
+    own = state.estimates if order is None else rows.take(order.own, axis=0)
+    if received is None:
+        senders = (order or world.component_order).senders[slots]
+        relative = rows.take(senders, axis=0, out=out, mode="clip")  # mode "raise" would copy once more
+        relative -= own
+    elif order is None:
+        relative = np.subtract(received.messages[slots], own, out=out)
+    else:
+        messages = received.messages[slots]
+        messages = messages.reshape(len(messages), -1, rows.shape[1])
+        relative = messages.take(order.own, axis=1, out=out, mode="clip")
+        relative -= own
+    if not world.has_constant_weights:
+        link_weights = weights(world, state) if link_weights is None else link_weights
+        relative *= (link_weights[slots] > 0)[:, None]
+    return relative
+
+
+def distance_limit(game: Game) -> FloatArray:
+    """The relative distance charged to a diverged environment, no less than any in range; shape (G,)."""
+    norms = np.sqrt(ordered_sum(game.nash_equilibria**2))  # not the scale where the game has drifted
+    farthest = np.maximum(norms, game.equilibrium_scale)
+    return np.asarray((RANGE_LIMIT * np.sqrt(game.dimension) + farthest) / game.equilibrium_scale)
+
+
+def _complete(
+    world: World,
+    estimates: FloatArray,
+    game: Game,
+    step: IntArray,
+    diverged: BoolArray,
+    randomness: EpisodeRandomness | None = None,
+    memory: Memory | None = None,
+    *,
+    any_diverged: bool = False,
+) -> State:
+    """The state with these estimates: own gradients, divergence and received messages follow from them."""
+    if world.drift is not None:
+        game = _moved(world.drift, world, game, step, randomness)
+    if game.is_affine:
+        gradients = game.own_gradients(estimates)
+    else:
+        with np.errstate(over="ignore", invalid="ignore"):  # a diverging game may overflow; it is caught below
+            gradients = game.own_gradients(estimates)
+    if not (_in_range(estimates) and _in_range(gradients)):
+        farthest = np.maximum(np.abs(estimates).max(axis=(0, 1)), np.abs(gradients).max(axis=0))
+        diverged = diverged | ~(farthest <= RANGE_LIMIT)
+        any_diverged = bool(diverged.any())
+        estimates = np.clip(np.nan_to_num(estimates, nan=RANGE_LIMIT), -RANGE_LIMIT, RANGE_LIMIT)
+        gradients = np.clip(np.nan_to_num(gradients, nan=RANGE_LIMIT), -RANGE_LIMIT, RANGE_LIMIT)
+    if world.sensor is not None:
+        gradients = _sensed(world.sensor, gradients, step, randomness)
+    state = State(step, game, estimates, gradients, diverged, any_diverged, randomness)
+    return state if world.channel.is_perfect else state._replace(received=_transmit(world, state, memory))
+
+
+def _moved(drift: Drift, world: World, game: Game, step: IntArray, randomness: EpisodeRandomness | None) -> MovedGame:
+    """The game at the instants ``step`` (B,) of its drift."""
+    keys = np.zeros(step.size, dtype=np.uint64) if randomness is None else randomness.drift_keys
+    offset = drift.offset(keys, world.clock.t[step], game.dimension)
+    return MovedGame(game.game if isinstance(game, MovedGame) else game, offset)
+
+
+def _sensed(sensor: Sensor, gradients: FloatArray, step: IntArray, randomness: EpisodeRandomness | None) -> FloatArray:
+    """The own gradients (n, B) as players observe them, within the range that observations are bounded by."""
+    keys = np.zeros(step.size, dtype=np.uint64) if randomness is None else randomness.sensor_keys
+    return np.clip(sensor.read(gradients, keys, step), -RANGE_LIMIT, RANGE_LIMIT)
+
+
+def _fits_topology(world: World, state: State, batch: int) -> bool:
+    modes = None if state.randomness is None else state.randomness.modes
+    if modes is None:
+        return not world.topology.is_random
+    expected = (world.clock.total_steps + 1, batch)
+    return world.topology.is_random and modes.shape == expected and bool(modes.max() < len(world.topology.graphs))
+
+
+def _fits_channel(world: World, state: State, batch: int) -> bool:
+    if state.received is None:
+        return world.channel.is_perfect
+    expected = (world.slots, world.game.dimension, world.game.num_players, batch)
+    return not world.channel.is_perfect and state.received.messages.shape == expected
+
+
+def _transmit(world: World, state: State, memory: Memory | None) -> Received:
+    """The messages received in ``state`` through a channel that remembers ``memory`` of the step before."""
+    batch = batch_size(state)
+    keys = np.zeros(batch, dtype=np.uint64) if state.randomness is None else state.randomness.channel_keys
+    link_weights = graph_weights(world, state)
+    link_weights = np.broadcast_to(link_weights, (*link_weights.shape[:2], batch))
+    randomness = LinkRandomness(keys, state.step, world.neighbours, world.game.owners)
+    sent = Messages(sent_messages(world, state.estimates), link_weights > 0, link_weights, state.estimates)
+    received, memory = world.channel.transmit(sent, memory, randomness)
+    values = received.values
+    if not _in_range(values):  # noise may leave the range that observations are bounded by
+        values = np.clip(values, -RANGE_LIMIT, RANGE_LIMIT)
+    # A down link delivers nothing, including messages in transit.
+    return Received(values, received.weights * (received.live & sent.live), memory)
+
+
+def _disturb(world: World, estimates: FloatArray, state: State) -> None:
+    """Add Δt w to the real strategies, in place."""
+    steps, disturbance = shared_step(state), world.disturbance
+    early = steps < world.clock.steps
+    if disturbance.after_deadline_only and early.all():
+        return
+    dt = np.where(state.diverged | (early & disturbance.after_deadline_only), 0.0, world.clock.dt[steps])
+    keys = (
+        np.zeros(batch_size(state), dtype=np.uint64) if state.randomness is None else state.randomness.disturbance_keys
+    )
+    _rows(estimates)[world.strategy_rows] += dt * disturbance.velocity(keys, state.step, world.game.dimension)
+
+
+def _project_strategies(estimates: FloatArray, game: Game) -> None:
+    """Project the real strategies into the game's box, in place; estimates of other players stay."""
+    if game.has_bounds:
+        own = np.arange(game.dimension), game.owners
+        estimates[own] = game.project(estimates[own])
+
+
+def _merged_randomness(old: EpisodeRandomness, fresh: EpisodeRandomness, mask: BoolArray) -> EpisodeRandomness:
+    def merged(before: Array | None, new: Array | None) -> Array | None:
+        return before if before is None or new is None else replaced(before, new, mask)
+
+    return EpisodeRandomness(
+        merged(old.modes, fresh.modes),
+        merged(old.time_since_switch, fresh.time_since_switch),
+        replaced(old.channel_keys, fresh.channel_keys, mask),
+        replaced(old.disturbance_keys, fresh.disturbance_keys, mask),
+    )
+
+
+def _rows(estimates: FloatArray) -> FloatArray:
+    return estimates.reshape(-1, estimates.shape[2])
+
+
+def _in_range(array: FloatArray) -> bool:
+    """Whether every entry is a number within ±RANGE_LIMIT."""
+    flat = array.reshape(-1)
+    # Σ x² ≤ limit² is enough, costs one pass and is False for NaN. (einsum and not dot: BLAS would wake its threads.)
+    if np.einsum("i,i->", flat, flat) <= RANGE_LIMIT**2:
+        return True
+    return bool(np.maximum.reduce(flat) <= RANGE_LIMIT and np.minimum.reduce(flat) >= -RANGE_LIMIT)

@@ -1,0 +1,151 @@
+"""Communication graphs."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from functools import cached_property
+
+import networkx as nx
+import numpy as np
+import numpy.typing as npt
+from scipy.sparse.csgraph import connected_components
+
+from ptne_env.shared.arrays import FloatArray, frozen, require_count
+from ptne_env.shared.parts import Part
+
+
+class Graph(Part):
+    """An undirected weighted graph on players 0..N−1.
+
+    Args:
+        adjacency: a_ij of shape (N, N), symmetric, a_ij ≥ 0, zero diagonal.
+
+    Raises:
+        ValueError: when the matrix is not of this form.
+    """
+
+    def __init__(self, adjacency: npt.ArrayLike) -> None:
+        matrix = frozen(adjacency)
+        if matrix.ndim != 2 or matrix.shape[0] != matrix.shape[1] or matrix.shape[0] < 2:
+            raise ValueError(f"an adjacency matrix is square with at least 2 players, got the shape {matrix.shape}")
+        if not np.all(np.isfinite(matrix)) or matrix.min() < 0:
+            raise ValueError("an adjacency matrix has finite weights a_ij ≥ 0")
+        if np.any(np.diagonal(matrix)):
+            raise ValueError("the graphs of the paper have no self-loops: the adjacency diagonal must be 0")
+        if not np.array_equal(matrix, matrix.T):
+            raise ValueError("the graphs of the paper are undirected: the adjacency matrix must be symmetric")
+        self.adjacency = matrix
+
+    @property
+    def num_players(self) -> int:
+        """N."""
+        return self.adjacency.shape[0]
+
+    @cached_property
+    def laplacian(self) -> FloatArray:
+        """L = diag(Σ_j a_ij) − A, shape (N, N), read-only."""
+        return frozen(np.diag(self.adjacency.sum(axis=1)) - self.adjacency)
+
+    @cached_property
+    def algebraic_connectivity(self) -> float:
+        """λ2(L), positive exactly when the graph is connected; rounding is cut to 0."""
+        second = float(np.linalg.eigvalsh(self.laplacian)[1])
+        return second if second > 1e-10 * max(1.0, float(self.laplacian.max())) else 0.0
+
+    @cached_property
+    def is_connected(self) -> bool:
+        """Assumption 1 of the paper."""
+        return int(connected_components(self.adjacency, directed=False, return_labels=False)) == 1
+
+    @property
+    def largest_degree(self) -> int:
+        """The largest number of neighbours of a player."""
+        return int((self.adjacency > 0).sum(axis=1).max())
+
+    @property
+    def edges(self) -> list[tuple[int, int]]:
+        """Pairs (i, j) with i < j and a_ij > 0."""
+        return [(int(i), int(j)) for i, j in np.argwhere(np.triu(self.adjacency) > 0)]
+
+    def to_networkx(self) -> nx.Graph[int]:
+        """The graph as a networkx graph, weights in ``weight``."""
+        return nx.from_numpy_array(self.adjacency)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Graph) and np.array_equal(self.adjacency, other.adjacency)
+
+    def __hash__(self) -> int:
+        return hash(self.adjacency.tobytes())
+
+    def __repr__(self) -> str:
+        return f"Graph(players={self.num_players}, edges={self.edges})"
+
+
+def cycle(players: int) -> Graph:
+    """The cycle 0-1-…-(N−1)-0, N ≥ 3."""
+    return from_networkx(nx.cycle_graph(require_count("players", players, 3)))
+
+
+def path(players: int) -> Graph:
+    """The path 0-1-…-(N−1), N ≥ 2."""
+    return from_networkx(nx.path_graph(require_count("players", players, 2)))
+
+
+def star(players: int) -> Graph:
+    """Player 0 linked to every other player, N ≥ 2."""
+    return from_networkx(nx.star_graph(require_count("players", players, 2) - 1))
+
+
+def complete(players: int) -> Graph:
+    """All pairs of players linked, N ≥ 2."""
+    return from_networkx(nx.complete_graph(require_count("players", players, 2)))
+
+
+def random_regular(players: int, degree: int, seed: int = 0) -> Graph:
+    """A connected graph, drawn uniformly among those in which every player has ``degree`` neighbours.
+
+    Args:
+        players: N > degree.
+        degree: at least 2, and even where N is odd.
+        seed: of the draw.
+
+    Raises:
+        ValueError: when there is no such graph.
+    """
+    count, wanted = require_count("players", players, 3), require_count("degree", degree, 2)
+    if wanted >= count or count * wanted % 2:
+        raise ValueError(
+            f"no graph of {players} players has {degree} neighbours for each: the degree is below {players} and the "
+            "product of the two is even"
+        )
+    generator = np.random.default_rng(require_count("seed", seed, 0))
+    while True:
+        drawn = nx.random_regular_graph(wanted, count, seed=int(generator.integers(2**32)))
+        graph = from_edges(count, drawn.edges)
+        if graph.is_connected:
+            return graph
+
+
+def from_edges(players: int, edges: Iterable[Sequence[int]]) -> Graph:
+    """The graph with weight 1 on each listed pair of players 0..N−1.
+
+    Raises:
+        ValueError: when a pair names a player outside 0..N−1.
+    """
+    matrix = np.zeros((require_count("players", players, 2),) * 2)
+    for edge in edges:
+        if len(edge) != 2 or not all(0 <= player < players for player in edge):
+            raise ValueError(f"an edge is a pair of players 0..{players - 1}, got {tuple(edge)!r}")
+        i, j = edge
+        matrix[i, j] = matrix[j, i] = 1
+    return Graph(matrix)
+
+
+def from_networkx(graph: nx.Graph[int]) -> Graph:
+    """The undirected networkx graph, nodes in their order; ``weight`` defaults to 1."""
+    return Graph(nx.to_numpy_array(graph))
+
+
+def union(graphs: Iterable[Graph]) -> Graph:
+    """The union graph: every link of any of the graphs, with the largest of its weights."""
+    return Graph(np.max([graph.adjacency for graph in graphs], axis=0))

@@ -1,0 +1,149 @@
+"""Reward terms by name; the reward is their weighted sum.
+
+========== =====================================================================================================
+term       value for player i at step k
+========== =====================================================================================================
+digits     log10 d^i_k − log10 d^i_{k+1} with d^i = ‖x^i − x*‖/‖x*‖ floored at 1e-12; the return is digits gained
+tracking   −d^i_{k+1}
+payoff     −J_i at the real strategies after the step
+regret     −(J_i(x) − min over y of J_i(y, x_{-i})) after the step; over players it sums to minus the Nikaido–Isoda
+           gap. Only for games whose best response exists everywhere.
+========== =====================================================================================================
+
+Rewards use x*, which no observation shows: a privilege of training.
+
+A diverged environment receives, for the step and all remaining steps, the reward at the range limit. No state in range
+has a lower reward, so divergence never pays.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from ptne_env.games import NoBestResponseError
+from ptne_env.shared.arrays import FloatArray, require_non_negative
+from ptne_env.world import distances, dynamics
+from ptne_env.world.dynamics import State
+from ptne_env.world.world import RANGE_LIMIT, World
+
+TERMS = ("digits", "tracking", "payoff", "regret")
+"""The names of the reward terms."""
+
+REWARD_LIMIT = RANGE_LIMIT**2
+"""Payoff and regret are clipped to ±REWARD_LIMIT, the order of a quadratic cost at the range limit."""
+
+
+def parse_reward(reward: str | Mapping[str, float]) -> dict[str, float]:
+    """A reward's weights by term; a bare name means weight 1.
+
+    Raises:
+        TypeError: for anything but a name and a mapping.
+        ValueError: for an unknown term, no term, or a weight that is negative (divergence would pay) or not finite.
+    """
+    if not isinstance(reward, str | Mapping):
+        raise TypeError(
+            f"reward is one of {', '.join(TERMS)}, or weights by name such as {{'digits': 1.0, 'payoff': 0.1}}, got "
+            f"{reward!r}; another reward is a wrapper of the environment (docs/adding-parts.md)"
+        )
+    weights = {reward: 1.0} if isinstance(reward, str) else dict(reward)
+    unknown = sorted(set(weights) - set(TERMS))
+    if unknown or not weights:
+        raise ValueError(f"unknown reward {', '.join(map(repr, unknown)) or '{}'}; choose from {', '.join(TERMS)}")
+    return {name: require_non_negative(f"the weight of reward {name!r}", weight) for name, weight in weights.items()}
+
+
+class Reward:
+    """The reward of one world, with a memory of the distances at the previous instant.
+
+    Args:
+        world: the world.
+        reward: a term's name, or weights by name.
+
+    Attributes:
+        weights: by term.
+        is_plain: whether the reward is one term, of weight 1.
+        needs_state: whether a term depends on more than distances.
+        distances: d^i at the present instant, shape (N, B), with the limit where an environment has diverged; to be
+            read before the next step, which may overwrite them.
+
+    Raises:
+        ValueError: for an unknown term, or ``regret`` on a game without best response.
+    """
+
+    def __init__(self, world: World, reward: str | Mapping[str, float] = "digits") -> None:
+        self.weights = parse_reward(reward)
+        self.world = world
+        self.needs_state = not self.weights.keys() <= {"digits", "tracking"}
+        if "regret" in self.weights and not world.game.has_best_response:
+            raise NoBestResponseError(
+                f"reward 'regret' needs a best response, which {type(world.game).__name__} does not have "
+                "everywhere; choose digits, tracking or payoff"
+            )
+        (self._first, weight), *others = self.weights.items()
+        self.is_plain = weight == 1 and not others
+        self.distances = self._digits = np.empty((0, 0))
+
+    def reset(self, state: State) -> None:
+        """Measure the distances of ``state``, from which the next step is rewarded."""
+        self.distances = self._measured(state)
+        self._digits = distances.digits(self.distances)
+
+    def step(self, state: State) -> dict[str, FloatArray]:
+        """The value of each term for the step that ended in ``state``, each of shape (N, B)."""
+        terms = self.advance(self._measured(state), state)
+        if state.any_diverged:
+            remaining = 1 + self.world.clock.total_steps - state.step
+            worst = self._worst(state)
+            for name, value in terms.items():
+                if name in worst:
+                    terms[name] = np.where(state.diverged, worst[name] * remaining, value)
+        return terms
+
+    def advance(self, distance: FloatArray, state: State | None = None) -> dict[str, FloatArray]:
+        """:meth:`step` of environments that are all in range.
+
+        Args:
+            distance: d^i after the step, shape (N, B).
+            state: after the step; may be left out unless :attr:`needs_state`.
+        """
+        self.distances = distance
+        before, self._digits = self._digits, distances.digits(distance)
+        if self.is_plain:  # a comprehension would take longer
+            return {self._first: self._term(self._first, distance, before, state)}
+        return {name: self._term(name, distance, before, state) for name in self.weights}
+
+    def total(self, terms: Mapping[str, FloatArray]) -> FloatArray:
+        """The weighted sum of the terms, shape (N, B)."""
+        if self.is_plain:
+            return terms[self._first]
+        (first, weight), *others = self.weights.items()
+        total = weight * terms[first]
+        for name, weight in others:
+            total += weight * terms[name]
+        return total
+
+    def _worst(self, state: State) -> dict[str, FloatArray | float]:
+        """Reward per remaining step at the range limit; the digits' is 0 once the distance is at its limit."""
+        limit = dynamics.distance_limit(state.game)
+        return {"tracking": -limit, "payoff": -REWARD_LIMIT, "regret": -REWARD_LIMIT}
+
+    def _measured(self, state: State) -> FloatArray:
+        """d^i, shape (N, B), with the limit where an environment has diverged."""
+        distance = distances.player_distances(state.estimates, state.game)
+        if state.any_diverged:
+            distance = np.where(state.diverged, dynamics.distance_limit(state.game), distance)
+        return distance
+
+    def _term(self, name: str, distance: FloatArray, digits_before: FloatArray, state: State | None) -> FloatArray:
+        if name == "digits":
+            return self._digits - digits_before
+        if name == "tracking":
+            return -distance
+        if state is None:
+            raise ValueError(f"the reward {name!r} needs the state, and not only distances: pass it")
+        game, strategies = state.game, dynamics.strategies(self.world, state)
+        with np.errstate(over="ignore", invalid="ignore"):  # only a diverged environment overflows
+            loss = game.costs(strategies) if name == "payoff" else game.regrets(strategies)
+        return np.clip(-loss, -REWARD_LIMIT, REWARD_LIMIT)

@@ -1,0 +1,190 @@
+"""The schema of a scenario: a frozen, serialisable record that names the parts of a world."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from types import FunctionType
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ptne_env.shared.arrays import require_printable
+from ptne_env.shared.names import unknown_name
+from ptne_env.shared.parts import FactorySpec, Part
+
+if TYPE_CHECKING:  # so that the registries can read the catalogue without importing what builds a world
+    from ptne_env.world.clock import Spacing
+
+PAPER_START = FactorySpec.of("ptne_env.world.starts:paper_start")
+UNIFORM_START = FactorySpec.of("ptne_env.world.starts:UniformStart", low=-20.0, high=20.0)
+
+SHORT_NAMES: Mapping[str, Mapping[str, FactorySpec]] = {
+    "game": {},
+    "topology": {},
+    "start": {"paper": PAPER_START, "random": UNIFORM_START},
+    "transformation": {
+        "exponential": FactorySpec.of("ptne_env.world.clock:Exponential"),
+        "rational": FactorySpec.of("ptne_env.world.clock:Rational"),
+        "tanh": FactorySpec.of("ptne_env.world.clock:HyperbolicTangent"),
+    },
+    "channel": {"perfect": FactorySpec.of("ptne_env.world.channel:perfect")},
+    "disturbance": {"none": FactorySpec.of("ptne_env.world.disturbances:Undisturbed")},
+    "sensor": {},
+    "drift": {},
+}
+"""The fields of a scenario that name a part, and the short names that each accepts."""
+
+
+_ARRAYS = {
+    "topology": ("ptne_env.world.graphs:Graph", "adjacency"),
+    "start": ("ptne_env.world.starts:FixedStart", "estimates"),
+}
+"""The parts that an array makes: their target, and the argument that is the array."""
+
+
+def _as_factory(field: str, value: Any) -> FactorySpec:
+    if isinstance(value, FactorySpec):
+        return value
+    if isinstance(value, Mapping):
+        return FactorySpec.from_dict(value)
+    if isinstance(value, str):
+        known = SHORT_NAMES[field]
+        if value in known:
+            return known[value]
+        if ":" in value:
+            return FactorySpec.of(value)
+        choices = [*map(repr, known), "a 'module:object' string", "a FactorySpec"]
+        raise ValueError(f"{field} is {', '.join(choices[:-1])} or {choices[-1]}; got {value!r}")
+    if isinstance(value, Part | type | FunctionType):
+        return FactorySpec.naming(value)
+    if isinstance(value, np.ndarray) and field in _ARRAYS:
+        target, argument = _ARRAYS[field]
+        return FactorySpec.of(target, **{argument: value})
+    raise ValueError(
+        f"{field} is an object of the library's class for it, a 'module:object' string or a FactorySpec, "
+        f"got a {type(value).__name__}"
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Scenario:
+    """The physics of an experiment. Two scenarios are equal when every field is, and can be dictionary keys.
+
+    A scenario only names its parts; :class:`~ptne_env.world.world.World` builds and checks them. ``game``, ``topology``,
+    ``start``, ``transformation``, ``channel``, ``disturbance``, ``sensor`` and ``drift`` accept a
+    :class:`~ptne_env.shared.parts.FactorySpec`, a ``"module:object"`` string, the short names below, or the part itself
+    (``game=MyGame(2.0)``), its class or a function that makes it, and hold a FactorySpec afterwards, which
+    :meth:`~ptne_env.shared.parts.FactorySpec.naming` explains.
+
+    Attributes:
+        name: for tables and files.
+        game: builds a :class:`~ptne_env.games.Game`, or a :class:`~ptne_env.games.GameFamily` of which every episode
+            draws one game.
+        topology: builds a :class:`~ptne_env.world.switching.SwitchingTopology` on the game's players, or a
+            :class:`~ptne_env.world.graphs.Graph` that never changes; also the array a_ij of such a graph, (N, N).
+        start: builds a :class:`~ptne_env.world.starts.Start`; ``"paper"`` or ``"random"`` (every estimate U(−20, 20)); also
+            an array (N, n), row i being x^i(0).
+        transformation: builds λ from ``deadline``; ``"exponential"`` (paper), ``"rational"`` or ``"tanh"``.
+        deadline: T in seconds.
+        gain: c in 1/s, the constant part of the prescribed-time gain.
+        steps: K, steps to the deadline.
+        s_end: transformed time of the last step's end.
+        spacing: ``"effective"``, ``"transformed"`` or ``"physical"``; see :class:`~ptne_env.world.clock.StepClock`.
+        hold_steps: steps after the deadline.
+        input_limit: largest |u| of every component, the same for every policy.
+        channel: builds a :class:`~ptne_env.world.channel.Channel`, the path of messages; ``"perfect"``.
+        disturbance: builds a :class:`~ptne_env.world.disturbances.Disturbance` of the strategies' velocities; ``"none"``.
+        clock_shifts: seconds by which each player's clock is fast (see :meth:`~ptne_env.world.clock.StepClock.read`); empty
+            where all clocks are right.
+        slots: neighbour slots per player, unused ones being padded, so that graphs of different degrees have one
+            layout; the largest degree in the union graph if ``None``.
+        sensor: builds a :class:`~ptne_env.world.sensor.Sensor` of the own gradients; exact if ``None``.
+        drift: builds a :class:`~ptne_env.world.drift.Drift` of the game's origin; at rest if ``None``.
+        action_limit: largest |action| of the action spaces under ``physical``, for games that random inputs up to the
+            input limit drive out of range; inputs beyond it are allowed. The input limit if ``None``.
+
+    Raises:
+        ValueError: when the name is no string, or a part is named in none of the ways above.
+    """
+
+    name: str
+    game: FactorySpec
+    topology: FactorySpec
+    start: FactorySpec
+    transformation: FactorySpec = SHORT_NAMES["transformation"]["exponential"]
+    deadline: float = 1.2
+    gain: float = 20.0
+    steps: int = 400
+    s_end: float = 8.0
+    spacing: Spacing = "effective"
+    hold_steps: int = 0
+    input_limit: float = 1000.0
+    channel: FactorySpec = SHORT_NAMES["channel"]["perfect"]
+    disturbance: FactorySpec = SHORT_NAMES["disturbance"]["none"]
+    clock_shifts: tuple[float, ...] = ()
+    slots: int | None = None
+    sensor: FactorySpec | None = None
+    drift: FactorySpec | None = None
+    action_limit: float | None = None
+
+    def __post_init__(self) -> None:
+        require_printable("the name of a scenario", self.name)
+        for field in SHORT_NAMES:
+            value = getattr(self, field)
+            if value is not None or field not in ("sensor", "drift"):
+                object.__setattr__(self, field, _as_factory(field, value))
+        if not isinstance(self.clock_shifts, (tuple, list)):
+            raise ValueError(f"clock_shifts is one number of seconds per player, or empty, got {self.clock_shifts!r}")
+        object.__setattr__(self, "clock_shifts", tuple(self.clock_shifts))
+
+    def replace(self, **changes: Any) -> Scenario:
+        """A copy with some fields changed.
+
+        Raises:
+            ValueError: when a key is not a field, naming the fields.
+        """
+        known = [field.name for field in dataclasses.fields(self)]
+        unknown = sorted(set(changes) - set(known))
+        if unknown:
+            raise ValueError(unknown_name("scenario field", unknown[0], known))
+        return dataclasses.replace(self, **changes) if changes else self
+
+    def to_dict(self) -> dict[str, Any]:
+        """A JSON object with one entry per field."""
+        values = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
+        values["clock_shifts"] = list(self.clock_shifts)
+        return {name: value.to_dict() if isinstance(value, FactorySpec) else value for name, value in values.items()}
+
+    @classmethod
+    def from_dict(cls, data: Mapping[str, Any]) -> Scenario:
+        """The inverse of :meth:`to_dict`.
+
+        Raises:
+            ValueError: when a key is unknown or missing, or a value is of another kind.
+        """
+        fields = dataclasses.fields(cls)
+        unknown = sorted(set(data) - {field.name for field in fields})
+        required = {field.name for field in fields if field.default is dataclasses.MISSING}
+        missing = sorted(required - set(data))
+        if unknown or missing:
+            raise ValueError(f"not a scenario: unknown keys {unknown}, missing keys {missing}")
+        return cls(**data)
+
+    def to_json(self) -> str:
+        """The scenario as a JSON text."""
+        return json.dumps(self.to_dict(), indent=2, allow_nan=False)
+
+    @classmethod
+    def from_json(cls, text: str) -> Scenario:
+        """The inverse of :meth:`to_json`.
+
+        Raises:
+            ValueError: when the text is not JSON or not a scenario.
+        """
+        data = json.loads(text)
+        if not isinstance(data, dict):
+            raise ValueError(f"not a scenario: expected a JSON object, got {type(data).__name__}")
+        return cls.from_dict(data)

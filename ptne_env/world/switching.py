@@ -1,0 +1,468 @@
+"""Switching topologies: the graph that acts at each instant, fixed, periodic or random."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Literal, TypeAlias
+
+import networkx as nx
+import numpy as np
+import numpy.typing as npt
+from scipy.sparse.csgraph import minimum_spanning_tree
+
+from ptne_env.shared.arrays import FloatArray, IntArray, frozen, require_count, require_positive, require_probability
+from ptne_env.shared.parts import Part
+from ptne_env.world.graphs import Graph, from_edges, union
+
+TopologyClock: TypeAlias = Literal["physical", "transformed"]
+JointConnectivity: TypeAlias = Literal["always", "almost surely", "never"]
+"""Whether the graphs are jointly connected: within every window of some fixed length (``always``, Assumption 2 of the
+paper); with probability 1 from every instant on, but within no window of fixed length (``almost surely``, which
+Assumption 2 does not cover); or ``never``."""
+
+Dwells: TypeAlias = "float | tuple[float, float]"
+"""A dwell time, or the range (shortest, longest) from which every dwell is drawn uniformly."""
+
+_BOUNDARY_TOLERANCE = 1e-9
+"""An instant closer to the next switch than this fraction of a dwell counts as the switch, as k·Δt is rounded."""
+
+
+@dataclass(frozen=True)
+class Schedule:
+    """A topology sampled on the steps of an episode.
+
+    Attributes:
+        modes: index of the active graph at each instant, shape (instants,), or (instants, B) where episodes differ.
+        time_since_switch: time since the last switch over the mean dwell, clipped to [0, 1]; 0 for a fixed graph. Same
+            shape.
+    """
+
+    modes: IntArray
+    time_since_switch: FloatArray
+
+
+class SwitchingTopology(Part):
+    """A switching topology σ: a periodic sequence of graphs with a dwell time each; a single graph is the fixed case.
+
+    Dwell times are in the unit of the topology's clock. On the ``physical`` clock (t, the paper's) only finitely many
+    switches happen before the deadline; on the ``transformed`` clock (s) infinitely many do (docs/errata.md, 2).
+
+    Args:
+        graphs: the modes, in order, all on the same players.
+        dwells: dwell time of each mode, in seconds of t or in units of s; ``None`` for one fixed graph.
+        clock: ``"physical"`` or ``"transformed"``.
+
+    Raises:
+        ValueError: when numbers of graphs, dwells or players disagree, a dwell is not positive, or the clock is
+            unknown.
+    """
+
+    is_random: bool = False
+    """Whether every episode draws its own schedule."""
+
+    def __init__(
+        self, graphs: Sequence[Graph], dwells: Sequence[float] | None = None, clock: TopologyClock = "physical"
+    ) -> None:
+        if clock not in ("physical", "transformed"):
+            raise ValueError(f"a topology's clock is 'physical' or 'transformed', got {clock!r}")
+        if not graphs or len({graph.num_players for graph in graphs}) != 1:
+            raise ValueError("a topology needs at least one graph, all with the same number of players")
+        if dwells is None and len(graphs) > 1:
+            raise ValueError("a topology with several graphs needs their dwell times")
+        if dwells is not None and len(dwells) != len(graphs):
+            raise ValueError(f"a topology needs one dwell time per graph, got {len(dwells)} for {len(graphs)} graphs")
+        self.graphs = tuple(graphs)
+        self.clock: TopologyClock = clock
+        self.dwells = (
+            tuple(require_positive("a dwell time", dwell) for dwell in dwells or ()) if len(graphs) > 1 else ()
+        )
+
+    @property
+    def is_fixed(self) -> bool:
+        """Whether the graph never changes."""
+        return len(self.graphs) == 1
+
+    @property
+    def num_players(self) -> int:
+        """N."""
+        return self.graphs[0].num_players
+
+    @cached_property
+    def union(self) -> Graph:
+        """The union of all modes."""
+        return union(self.graphs)
+
+    @property
+    def joint_connectivity(self) -> JointConnectivity:
+        """Whether the graphs are jointly connected; for a periodic topology, over one period."""
+        return "always" if self.union.is_connected else "never"
+
+    @property
+    def is_jointly_connected(self) -> bool:
+        """Assumption 2 of the paper (Assumption 1 when fixed), at least with probability 1."""
+        return self.joint_connectivity != "never"
+
+    @property
+    def shortest_dwell(self) -> float:
+        """The shortest time between switches, in the unit of the clock; infinite when fixed."""
+        return min(self.dwells, default=float("inf"))
+
+    @property
+    def period(self) -> float:
+        """Sum of the dwell times, in the unit of the clock; infinite when fixed."""
+        return float(sum(self.dwells)) if self.dwells else float("inf")
+
+    @property
+    def mean_dwell(self) -> float:
+        """Mean dwell time, in the unit of the clock; infinite when fixed."""
+        return self.period / len(self.graphs)
+
+    def schedule(self, instants: npt.ArrayLike) -> Schedule:
+        """The schedule at ``instants`` (any shape) of the topology's clock.
+
+        Raises:
+            ValueError: when an instant is negative.
+        """
+        times = _instants(instants)
+        if self.is_fixed:
+            return Schedule(np.zeros(times.shape, dtype=np.int64), np.zeros(times.shape))
+        ends = np.cumsum(self.dwells)
+        phase = np.mod(times, self.period)
+        slack = _BOUNDARY_TOLERANCE * min(self.dwells)
+        wraps = phase >= self.period - slack
+        phase = np.where(wraps, 0.0, phase)
+        modes = np.searchsorted(ends, phase + slack, side="right").astype(np.int64)
+        starts = np.concatenate([[0.0], ends[:-1]])
+        return Schedule(modes, np.clip((phase - starts[modes]) / self.mean_dwell, 0.0, 1.0))
+
+    def draw(self, instants: npt.ArrayLike, generators: Sequence[np.random.Generator]) -> Schedule:
+        """The schedules of B episodes at increasing ``instants`` (K,) of the clock; arrays of shape (K, B).
+
+        Args:
+            instants: of the clock, from 0 on.
+            generators: one per episode; a topology that is not random draws nothing.
+
+        Raises:
+            ValueError: when an instant is negative.
+        """
+        schedule, repeats = self.schedule(instants), (1, len(generators))
+        return Schedule(
+            np.tile(schedule.modes[:, None], repeats), np.tile(schedule.time_since_switch[:, None], repeats)
+        )
+
+    def switches(self, start: float, end: float) -> FloatArray:
+        """The switching instants in the open interval (start, end), in the unit of the clock."""
+        if self.is_fixed:
+            return np.empty(0)
+        periods = np.arange(np.floor(start / self.period), np.floor(end / self.period) + 1)
+        instants = (periods[:, None] * self.period + np.cumsum(self.dwells)).ravel()
+        slack = _BOUNDARY_TOLERANCE * min(self.dwells)
+        return instants[(instants > start + slack) & (instants < end - slack)]
+
+
+class RandomTopology(SwitchingTopology):
+    """A topology whose schedule every episode draws with :meth:`draw`; it has no schedule of its own."""
+
+    is_random = True
+
+    def schedule(self, instants: npt.ArrayLike) -> Schedule:  # noqa: ARG002 - the signature is the interface
+        """Does not exist without a draw.
+
+        Raises:
+            ValueError: always.
+        """
+        raise ValueError("this topology is random and has no schedule of its own: draw one per episode, see draw()")
+
+    def switches(self, start: float, end: float) -> FloatArray:  # noqa: ARG002 - the signature is the interface
+        """Do not exist without a draw.
+
+        Raises:
+            ValueError: always.
+        """
+        raise ValueError(
+            "this topology is random and has no switching instants of its own: draw a schedule, see draw()"
+        )
+
+
+class MarkovTopology(RandomTopology):
+    """A topology whose modes follow a Markov chain, with every dwell time drawn uniformly from a range.
+
+    In mode m the topology dwells for U(shortest, longest) and then switches to mode m' with probability
+    ``transition[m][m']``; m' may be m again, which counts as a switch.
+
+    Args:
+        graphs: the modes, at least two, all on the same players.
+        transition: row-stochastic matrix of shape (modes, modes), irreducible: every mode can be reached from
+            every other.
+        dwells: a dwell time or a range (shortest, longest), for all modes.
+        clock: ``"physical"`` or ``"transformed"``.
+        first: the mode at the start; drawn uniformly by default.
+
+    Attributes:
+        shortest, longest: range of the dwells, in the unit of the clock.
+        transition: as given, read-only.
+
+    Raises:
+        ValueError: when these do not hold, or as :class:`SwitchingTopology`.
+    """
+
+    def __init__(
+        self,
+        graphs: Sequence[Graph],
+        transition: npt.ArrayLike,
+        dwells: Dwells,
+        clock: TopologyClock = "physical",
+        first: int | None = None,
+    ) -> None:
+        bounds = dwells if isinstance(dwells, Sequence) else (dwells, dwells)
+        if len(bounds) != 2:
+            raise ValueError(f"dwells are a time or a range (shortest, longest), got {dwells!r}")
+        self.shortest, self.longest = (require_positive("a dwell time", bound) for bound in bounds)
+        if self.shortest > self.longest:
+            raise ValueError(f"the shortest dwell comes first, got the range {tuple(bounds)!r}")
+        super().__init__(graphs, [(self.shortest + self.longest) / 2] * len(graphs), clock)
+        modes = len(self.graphs)
+        if modes < 2:
+            raise ValueError("a random topology needs at least two graphs; use fixed() for one")
+        self.transition = frozen(transition)
+        fits = self.transition.shape == (modes, modes) and self.transition.min() >= 0
+        if not (fits and np.allclose(self.transition.sum(axis=1), 1, rtol=0, atol=1e-9)):
+            raise ValueError(f"transition is a {modes} × {modes} matrix of probabilities whose rows sum to 1")
+        if not nx.is_strongly_connected(nx.from_numpy_array(self.transition > 0, create_using=nx.DiGraph)):
+            raise ValueError(
+                "the Markov chain is reducible: some mode cannot be reached from some other; connect every mode to "
+                "every other by positive probabilities, or remove it"
+            )
+        if first is not None and not 0 <= require_count("first", first, 0) < modes:
+            raise ValueError(f"first is a mode 0..{modes - 1}, got {first}")
+        self.first = first
+
+    @property
+    def joint_connectivity(self) -> JointConnectivity:
+        """Decided by the union of all modes, as the chain visits each infinitely often with probability 1.
+
+        The answer is ``always`` where every mode is connected or the order of the modes is certain. Other chains are
+        ``almost surely`` connected, even if each of their paths connects within some window.
+        """
+        if not self.union.is_connected:
+            return "never"
+        certain = bool(np.all((self.transition == 0) | (self.transition == 1)))
+        return "always" if certain or all(graph.is_connected for graph in self.graphs) else "almost surely"
+
+    @property
+    def shortest_dwell(self) -> float:
+        """The shortest dwell that can be drawn."""
+        return self.shortest
+
+    def draw(self, instants: npt.ArrayLike, generators: Sequence[np.random.Generator]) -> Schedule:
+        """The schedules of B episodes, one per generator; see :meth:`SwitchingTopology.draw`."""
+        times = _instants(instants)
+        # The largest possible number of dwells, so that the draws depend on the episode's length alone.
+        count = int(np.max(times, initial=0.0) / self.shortest) + 2
+        choices, unit = np.stack([generator.random((2, count)) for generator in generators], axis=-1)
+        ends = np.cumsum(self.shortest + (self.longest - self.shortest) * unit, axis=0)
+        ladder = np.cumsum(self.transition, axis=1)
+        ladder[:, -1] = 1.0
+        if self.first is None:
+            mode = (choices[0] * len(self.graphs)).astype(np.int64)
+        else:
+            mode = np.full(len(generators), self.first)
+
+        slack = _BOUNDARY_TOLERANCE * self.shortest
+        modes = np.broadcast_to(mode, (times.size, mode.size)).copy()
+        starts = np.zeros(modes.shape)
+        for dwell, end in enumerate(ends[:-1], 1):
+            first = int(np.searchsorted(times, end.min() - slack))
+            if first == times.size:
+                break
+            mode = (choices[dwell] >= ladder[mode].T).sum(axis=0)
+            started = times[first:, None] >= end - slack
+            np.copyto(modes[first:], mode, where=started)
+            np.copyto(starts[first:], end, where=started)
+        return Schedule(modes, np.clip((times[:, None] - starts) / self.mean_dwell, 0.0, 1.0))
+
+
+class EpisodeTopology(RandomTopology):
+    """A topology that draws one graph for a whole episode, uniformly from a pool, and never switches within it.
+
+    Args:
+        graphs: the pool, at least two, all on the same players.
+
+    Raises:
+        ValueError: for fewer graphs, or graphs on different players.
+    """
+
+    def __init__(self, graphs: Sequence[Graph]) -> None:
+        if len(graphs) < 2:
+            raise ValueError("a topology that draws its graph needs at least two graphs; use fixed() for one")
+        super().__init__(graphs, [1.0] * len(graphs))
+        self.dwells = ()
+
+    @property
+    def joint_connectivity(self) -> JointConnectivity:
+        """``always`` where every graph of the pool is connected, else ``never``: some episode does not connect."""
+        return "always" if all(graph.is_connected for graph in self.graphs) else "never"
+
+    @property
+    def mean_dwell(self) -> float:
+        """Infinite."""
+        return float("inf")
+
+    def switches(self, start: float, end: float) -> FloatArray:  # noqa: ARG002 - the signature is the interface
+        """None: an empty array."""
+        return np.empty(0)
+
+    def draw(self, instants: npt.ArrayLike, generators: Sequence[np.random.Generator]) -> Schedule:
+        """The schedules of B episodes: the graph drawn by each generator at all ``instants`` (K,)."""
+        shape = (np.size(instants), len(generators))
+        modes = np.array([generator.integers(len(self.graphs)) for generator in generators], dtype=np.int64)
+        return Schedule(np.broadcast_to(modes, shape).copy(), np.zeros(shape))
+
+
+def fixed(graph: Graph) -> SwitchingTopology:
+    """The topology that never switches."""
+    return SwitchingTopology([graph])
+
+
+def periodic(graphs: Sequence[Graph], dwells: Sequence[float], clock: TopologyClock = "physical") -> SwitchingTopology:
+    """The topology that repeats ``graphs`` with their ``dwells``, in the unit of ``clock``."""
+    return SwitchingTopology(graphs, dwells, clock)
+
+
+def random_dwells(graphs: Sequence[Graph], dwells: Dwells, clock: TopologyClock = "physical") -> SwitchingTopology:
+    """The topology that repeats ``graphs`` in order, each for a time drawn from the range ``dwells``."""
+    following = np.roll(np.eye(len(graphs)), 1, axis=1)
+    return MarkovTopology(graphs, following, dwells, clock, first=0)
+
+
+def markov(
+    graphs: Sequence[Graph], transition: npt.ArrayLike, dwells: Dwells, clock: TopologyClock = "physical"
+) -> SwitchingTopology:
+    """The topology whose next graph after each dwell is drawn from a row of ``transition``."""
+    return MarkovTopology(graphs, transition, dwells, clock)
+
+
+def random_edges(
+    graph: Graph, probability: float, dwells: Dwells, modes: int = 32, seed: int = 0, clock: TopologyClock = "physical"
+) -> SwitchingTopology:
+    """The topology in which each link of ``graph`` is up or down at random in every dwell.
+
+    Every dwell draws uniformly from a pool of ``modes`` graphs, in each of which every link is up with ``probability``
+    independently. The pool is a function of the arguments, so it belongs to the scenario and is the same in every
+    episode.
+
+    Args:
+        graph: all possible links.
+        probability: that a link is up, in (0, 1].
+        dwells: a dwell time or a range (shortest, longest).
+        modes: graphs in the pool, at least 2.
+        seed: of the pool.
+        clock: ``"physical"`` or ``"transformed"``.
+
+    Raises:
+        ValueError: when the probability is not in (0, 1], or as :class:`MarkovTopology`.
+    """
+    require_probability("probability", require_positive("probability", probability))
+    count = require_count("modes", modes, 2)
+    links = np.array(graph.edges).reshape(-1, 2)
+    up = np.random.default_rng(require_count("seed", seed, 0)).random((count, len(links))) < probability
+    pool = []
+    for mask in up:
+        adjacency = np.zeros_like(graph.adjacency)
+        i, j = links[mask].T
+        adjacency[i, j] = adjacency[j, i] = graph.adjacency[i, j]
+        pool.append(Graph(adjacency))
+    return MarkovTopology(pool, np.full((count, count), 1 / count), dwells, clock)
+
+
+def random_graphs(players: int, probability: float, modes: int = 100, seed: int = 0) -> SwitchingTopology:
+    """The topology that draws a connected random graph for every episode and keeps it throughout.
+
+    Graphs come from a pool: the connected ones among graphs of Erdős and Rényi, which link every pair of players with
+    ``probability``. The pool is a function of the arguments, so it belongs to the scenario and is the same in every
+    episode.
+
+    Args:
+        players: N ≥ 2.
+        probability: that a pair is linked, in (0, 1].
+        modes: graphs in the pool, at least 2.
+        seed: of the pool.
+
+    Raises:
+        ValueError: when the probability is not in (0, 1], or so small that hardly any graph is connected.
+    """
+    require_probability("probability", require_positive("probability", probability))
+    count = require_count("modes", modes, 2)
+    i, j = np.triu_indices(require_count("players", players, 2), 1)
+    generator = np.random.default_rng(require_count("seed", seed, 0))
+    pool: list[Graph] = []
+    for _ in range(1000 * count):
+        linked = generator.random(i.size) < probability
+        graph = from_edges(players, zip(i[linked].tolist(), j[linked].tolist(), strict=True))
+        if graph.is_connected:
+            pool.append(graph)
+        if len(pool) == count:
+            return EpisodeTopology(pool)
+    raise ValueError(f"hardly any graph of {players} players is connected with probability {probability}; raise it")
+
+
+def random_subgraphs(
+    graph: Graph,
+    probability: float,
+    dwells: Dwells | None = None,
+    modes: int = 100,
+    seed: int = 0,
+    clock: TopologyClock = "physical",
+) -> SwitchingTopology:
+    """The topology that draws connected subgraphs of ``graph``, one for every episode or one for every dwell.
+
+    Each subgraph has a random spanning tree of ``graph``, and every other link with ``probability``. They come from a
+    pool, which is a function of the arguments, so it belongs to the scenario and is the same in every episode. Players
+    have no more neighbours than in ``graph``: with a sparse one, such as :func:`~ptne_env.world.graphs.random_regular`, games
+    of hundreds of players stay fast.
+
+    Args:
+        graph: all possible links; connected.
+        probability: of a link outside the tree, in [0, 1].
+        dwells: a dwell time or a range (shortest, longest); ``None`` keeps the drawn graph for the whole episode.
+        modes: graphs in the pool, at least 2.
+        seed: of the pool.
+        clock: of the dwells, ``"physical"`` or ``"transformed"``.
+
+    Raises:
+        ValueError: when the graph is disconnected, a number is out of range, or as :class:`MarkovTopology`.
+    """
+    require_probability("probability", probability)
+    count = require_count("modes", modes, 2)
+    if not graph.is_connected:
+        raise ValueError("a disconnected graph has no connected subgraph; add links between its components")
+    i, j = np.nonzero(np.triu(graph.adjacency))
+    generator = np.random.default_rng(require_count("seed", seed, 0))
+    pool = []
+    for _ in range(count):
+        up = np.zeros_like(graph.adjacency)
+        up[i, j] = 1 + generator.random(i.size)  # the spanning tree of least random weights
+        up = (minimum_spanning_tree(up).toarray() > 0) | ((up > 0) & (generator.random(up.shape) < probability))
+        pool.append(Graph(graph.adjacency * (up | up.T)))
+    if dwells is None:
+        return EpisodeTopology(pool)
+    return MarkovTopology(pool, np.full((count, count), 1 / count), dwells, clock)
+
+
+def paper_topology(dwell: float = 0.1, clock: TopologyClock = "physical") -> SwitchingTopology:
+    """The paper's eq. (50): four disconnected modes of ``dwell`` each, Γ = 4·dwell = 0.4 s.
+
+    The paper's figure of the modes is not available; ours are the pairs {12, 34}, {23, 45}, {34, 51}, {45, 12} of edges
+    of the 5-cycle (players 1..5), whose union is the cycle.
+    """
+    pairs = [[(0, 1), (2, 3)], [(1, 2), (3, 4)], [(2, 3), (4, 0)], [(3, 4), (0, 1)]]
+    return SwitchingTopology([from_edges(5, pair) for pair in pairs], [dwell] * 4, clock)
+
+
+def _instants(instants: npt.ArrayLike) -> FloatArray:
+    times = np.asarray(instants, dtype=np.float64)
+    if times.size and times.min() < 0:
+        raise ValueError(f"a topology starts at 0, got the instant {times.min()}")
+    return times

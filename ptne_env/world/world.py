@@ -1,0 +1,299 @@
+"""The world: a scenario's parts, built and checked once, and the tables that every step reads."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from ptne_env.games import Game, GameFamily, SingleGame, require_strong_monotonicity
+from ptne_env.shared import counter_random
+from ptne_env.shared.arrays import FloatArray, IntArray, frozen, require_count, require_finite, require_positive
+from ptne_env.shared.counter_random import CounterArray
+from ptne_env.shared.parts import FactorySpec
+from ptne_env.shared.random_streams import RandomStreams
+from ptne_env.world.channel import Channel
+from ptne_env.world.clock import StepClock, TimeTransformation
+from ptne_env.world.disturbances import Disturbance
+from ptne_env.world.drift import Drift
+from ptne_env.world.graphs import Graph
+from ptne_env.world.scenario import Scenario
+from ptne_env.world.sensor import Sensor
+from ptne_env.world.starts import Start
+from ptne_env.world.switching import Schedule, SwitchingTopology, fixed
+
+RANGE_LIMIT = 5e5
+"""An estimate or own gradient outside ±RANGE_LIMIT, or not finite, has diverged."""
+
+SHORTFALL_WARNING = 0.01
+"""A scenario whose last step ends more than this fraction of T short of the deadline gets a warning."""
+
+_SENSOR, _DRIFT = int.from_bytes(b"sensor"), int.from_bytes(b"drift")
+"""Child streams of sensor and drift: drawing keys of their own would change the draws of existing scenarios."""
+
+
+@dataclass(frozen=True)
+class EpisodeRandomness:
+    """Draws of B episodes besides game and start. Environments last; a field is ``None`` where nothing is drawn.
+
+    Attributes:
+        modes: active graph at each instant, shape (K+H+1, B), int16.
+        time_since_switch: over the mean dwell, clipped to 1, shape (K+H+1, B), float32.
+        channel_keys: keys of the channel's random numbers, shape (B,).
+        disturbance_keys: keys of the disturbance's random numbers, shape (B,); sensor and drift have children of them.
+    """
+
+    modes: npt.NDArray[np.int16] | None
+    time_since_switch: npt.NDArray[np.float32] | None
+    channel_keys: CounterArray
+    disturbance_keys: CounterArray
+
+    @property
+    def sensor_keys(self) -> CounterArray:
+        """Keys of the sensor's random numbers, shape (B,)."""
+        return counter_random.child_keys(self.disturbance_keys, _SENSOR)
+
+    @property
+    def drift_keys(self) -> CounterArray:
+        """Keys of the drift's random numbers, shape (B,)."""
+        return counter_random.child_keys(self.disturbance_keys, _DRIFT)
+
+
+class ComponentOrder(NamedTuple):
+    """Rows of ``estimates.reshape(n N, B)`` that list, per player, components in some order.
+
+    Attributes:
+        own: rows of the players' own estimates, shape (n, N).
+        senders: rows of the estimates of the neighbour in each slot, shape (D, n, N).
+    """
+
+    own: IntArray
+    senders: IntArray
+
+
+class World:
+    """A scenario, built and checked; read-only, so that any number of environments share it.
+
+    Args:
+        scenario: names the parts.
+
+    Attributes:
+        scenario: as given.
+        game_family: draws the game of an episode; a :class:`~ptne_env.games.SingleGame` where all episodes play one.
+        game: the game, or a typical member of the family; states hold the games that are played.
+        topology, start, clock, channel, disturbance: the other parts.
+        sensor: of the own gradients; ``None`` where they are exact.
+        drift: of the game's origin; ``None`` where it rests.
+        neighbours: player in each slot, shape (D, N); D is the largest degree in the union graph unless the scenario
+            gives it, and a padded slot holds the player itself with weight 0.
+        mode_weights: a_ij per slot and mode, shape (D, N, modes).
+        modes: active mode at each instant, shape (K+H+1,); zeros where every episode draws its own.
+        time_since_switch: over the mean dwell, clipped to 1, 0 for a fixed graph; shape (K+H+1,); zeros likewise.
+        theta: Θ_k of each step, shape (K+H+1,), or (N, K+H+1) where the players' clocks disagree.
+        local_clocks: t, s and Θ of each step by the players' clocks, shape (3, 1, K+H+1), or (3, N, K+H+1) where they
+            disagree.
+        has_constant_weights: whether every player has the weights of one graph in every step.
+        component_order: components in the order of the game.
+        strategy_rows: rows of ``estimates.reshape(n N, B)`` that are strategies, shape (n,).
+
+    Raises:
+        ValueError: when a part cannot be built, a number is out of range, the game and the graphs disagree on the
+            number of players, the graphs can never be (jointly) connected, a dwell is shorter than the longest step,
+            there are too few slots, not as many clock shifts as players, or a game with a box drifts.
+    """
+
+    def __init__(self, scenario: Scenario) -> None:
+        self.scenario = scenario
+        self.input_limit = require_positive("input_limit", scenario.input_limit)
+        if scenario.action_limit is not None:
+            require_positive("action_limit", scenario.action_limit)
+        deadline = require_positive("deadline", scenario.deadline, " (T, in seconds)")
+        self.clock = StepClock(
+            self._build(scenario.transformation, TimeTransformation, deadline=deadline),
+            gain=scenario.gain,
+            steps=scenario.steps,
+            s_end=scenario.s_end,
+            spacing=scenario.spacing,
+            hold_steps=scenario.hold_steps,
+        )
+        built = scenario.game.build()
+        if isinstance(built, Game):
+            built = SingleGame(built)
+        self.game_family: GameFamily = self._require(built, scenario.game, GameFamily, "Game or GameFamily")
+        links = scenario.topology.build()
+        if isinstance(links, Graph):
+            links = fixed(links)
+        self.topology: SwitchingTopology = self._require(
+            links, scenario.topology, SwitchingTopology, "SwitchingTopology or Graph"
+        )
+        self.start: Start = self._build(scenario.start, Start)
+        self.channel: Channel = self._build(scenario.channel, Channel)
+        self.disturbance: Disturbance = self._build(scenario.disturbance, Disturbance)
+        self.sensor: Sensor | None = None if scenario.sensor is None else self._build(scenario.sensor, Sensor)
+        self.drift: Drift | None = None if scenario.drift is None else self._build(scenario.drift, Drift)
+        self._check_topology()
+        self._check_drift()
+        # A fixed start whose table has the wrong shape fails here and not at the first reset.
+        self.start.draw(self.game.num_players, self.game.dimension, np.random.default_rng(0))
+        self._tabulate_neighbours()
+        self._tabulate_time()
+        shortfall = self.clock.shortfall
+        if shortfall > SHORTFALL_WARNING:
+            warnings.warn(
+                f"scenario {scenario.name!r}: the last step ends {shortfall:.2%} of T short of the deadline; "
+                "raise s_end to come closer",
+                stacklevel=2,
+            )
+
+    @property
+    def game(self) -> Game:
+        """The game, or a typical member of the family."""
+        return self.game_family.representative
+
+    @property
+    def slots(self) -> int:
+        """D, neighbour slots per player."""
+        return self.neighbours.shape[0]
+
+    @property
+    def has_random_game(self) -> bool:
+        """Whether episodes play different games."""
+        return not isinstance(self.game_family, SingleGame)
+
+    @property
+    def has_episode_randomness(self) -> bool:
+        """Whether an episode draws anything besides its game and its start."""
+        parts = (self.topology, self.channel, self.disturbance, self.sensor, self.drift)
+        return any(part.is_random for part in parts if part is not None)
+
+    @property
+    def is_random(self) -> bool:
+        """Whether two episodes of the same policy differ by chance."""
+        return self.has_random_game or self.start.is_random or self.has_episode_randomness
+
+    def draw_game(self, streams: Sequence[RandomStreams]) -> Game:
+        """The games of an episode, one environment per entry of ``streams``.
+
+        Raises:
+            ValueError: when a drawn game is not strongly monotone, unless the family declares this.
+        """
+        game = self.game_family.draw([stream.game for stream in streams])
+        if self.has_random_game and self.game_family.is_strongly_monotone is None:
+            require_strong_monotonicity(game)
+        return game
+
+    def draw_estimates(self, streams: Sequence[RandomStreams]) -> FloatArray:
+        """Initial estimates, one environment per entry of ``streams``: shape (n, N, B)."""
+        players, dimension = self.game.num_players, self.game.dimension
+        return np.stack([self.start.draw(players, dimension, stream.start) for stream in streams], axis=-1)
+
+    def draw_randomness(self, streams: Sequence[RandomStreams]) -> EpisodeRandomness | None:
+        """Remaining draws of an episode, one environment per entry of ``streams``; ``None`` where there are none."""
+        if not self.has_episode_randomness:
+            return None
+        modes = age = None
+        if self.topology.is_random:
+            schedule = self.topology.draw(self._topology_times, [stream.graph for stream in streams])
+            modes, age = schedule.modes.astype(np.int16), schedule.time_since_switch.astype(np.float32)
+        keys = [[counter_random.draw_key(stream.channel) for stream in streams] for _ in range(2)]
+        return EpisodeRandomness(modes, age, *np.array(keys, dtype=np.uint64))
+
+    def order_components(self, order: IntArray) -> ComponentOrder:
+        """The rows of estimates in another order of components.
+
+        Args:
+            order: component at each place of each player's order, shape (N, n).
+        """
+        first_rows = order.T * self.game.num_players
+        return ComponentOrder(
+            first_rows + np.arange(self.game.num_players), first_rows[None] + self.neighbours[:, None, :]
+        )
+
+    def _build(self, factory: FactorySpec, kind: type[Any], **extra: Any) -> Any:
+        return self._require(factory.build(**extra), factory, kind, kind.__name__)
+
+    def _require(self, built: Any, factory: FactorySpec, kind: type[Any], wanted: str) -> Any:
+        if not isinstance(built, kind):
+            raise ValueError(
+                f"scenario {self.scenario.name!r}: {factory.target!r} built a {type(built).__name__} where a {wanted} "
+                "is needed"
+            )
+        return built
+
+    def _check_topology(self) -> None:
+        name, topology = self.scenario.name, self.topology
+        if topology.num_players != self.game.num_players:
+            raise ValueError(
+                f"scenario {name!r}: the game has {self.game.num_players} players, the graphs {topology.num_players}"
+            )
+        if not topology.is_jointly_connected:
+            kind = "graph is disconnected" if topology.is_fixed else "graphs are not jointly connected over a period"
+            raise ValueError(
+                f"scenario {name!r}: the {kind} (Assumptions 1 and 2), so no law can reach the equilibrium; add links "
+                f"between the components of {topology.union!r}"
+            )
+        if topology.is_fixed:
+            return
+        longest = float(np.diff(self.clock.topology_times[topology.clock]).max())
+        if topology.shortest_dwell < longest * (1 - 1e-9):
+            raise ValueError(
+                f"scenario {name!r}: the shortest dwell, {topology.shortest_dwell:.4g} on the {topology.clock} clock, "
+                f"is shorter than the longest step, {longest:.4g}, so graphs would be skipped; use more steps, another "
+                "spacing or longer dwells"
+            )
+
+    def _check_drift(self) -> None:
+        if self.drift is not None and self.game.has_bounds:
+            raise ValueError(
+                f"scenario {self.scenario.name!r}: {type(self.game).__name__} has a box, and only games without bounds "
+                "can drift; choose such a game or leave out the drift"
+            )
+
+    def _tabulate_neighbours(self) -> None:
+        players, union = self.game.num_players, self.topology.union
+        slots = union.largest_degree if self.scenario.slots is None else require_count("slots", self.scenario.slots, 1)
+        degree = union.largest_degree
+        if slots < degree:
+            raise ValueError(
+                f"scenario {self.scenario.name!r}: a player has {degree} neighbours and slots is {slots}; raise it to "
+                f"{degree} at least"
+            )
+        self.neighbours = np.tile(np.arange(players), (slots, 1))
+        for player, row in enumerate(union.adjacency):
+            others = np.flatnonzero(row)
+            self.neighbours[: others.size, player] = others
+        self.mode_weights = frozen(
+            np.stack([graph.adjacency[np.arange(players), self.neighbours] for graph in self.topology.graphs], axis=-1)
+        )
+        self.has_constant_weights = self.topology.is_fixed and self.channel.is_perfect
+        components = np.arange(self.game.dimension)
+        self.component_order = self.order_components(np.tile(components, (players, 1)))
+        self.strategy_rows = components * players + self.game.owners
+
+    def _tabulate_time(self) -> None:
+        shifts, players = self.scenario.clock_shifts, self.game.num_players
+        if len(shifts) not in (0, players):
+            raise ValueError(
+                f"scenario {self.scenario.name!r}: {players} players need {players} clock_shifts, or none, got "
+                f"{len(shifts)}"
+            )
+        shifts = tuple(require_finite("a clock shift", shift) for shift in shifts)
+        if not any(shifts):
+            shifts = (0.0,)
+        self.local_clocks = frozen(np.stack([self.clock.shifted(shift) for shift in shifts], axis=1))
+        self.theta = self.clock.theta if len(shifts) == 1 else self.local_clocks[2]
+        self._topology_times = self.clock.topology_times[self.topology.clock]
+        if self.topology.is_random:
+            schedule = Schedule(
+                np.zeros(self._topology_times.size, dtype=np.int64), np.zeros(self._topology_times.size)
+            )
+        else:
+            schedule = self.topology.schedule(self._topology_times)
+        self.modes, self.time_since_switch = schedule.modes, schedule.time_since_switch
+        # Looking up an instant's successor costs one environment a quarter of computing it.
+        instants, last = np.arange(self.clock.total_steps + 1), self.clock.total_steps
+        self.next_step, self.is_last_step = np.minimum(instants + 1, last), instants >= last

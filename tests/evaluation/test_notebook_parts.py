@@ -1,0 +1,101 @@
+"""Parts that are defined in a program or a notebook, which other processes cannot import."""
+
+import pytest
+from processes import run_python
+
+DEFINITIONS = """
+import numpy as np
+
+from pathlib import Path
+from ptne_env import FactorySpec, PolicySpec, evaluate, get_scenario, laws
+from ptne_env.evaluation import METRICS
+from ptne_env.evaluation.workers import Workers
+from ptne_env.games import AffineGame
+
+SCALE = 1.0
+
+
+class Contest(AffineGame):
+    def __init__(self, pull=0.5):
+        super().__init__(SCALE * (np.eye(5) - pull / 4 * (1 - np.eye(5))), -np.arange(5.0))
+
+
+class Mine(laws.Static):
+    pass
+
+
+def run(**options):
+    scenario = get_scenario("energy", name="contest", game=Contest(0.25), start="random")
+    three = PolicySpec("three", FactorySpec.of(Mine, kappa=3.0))
+    policies = ["static", "__main__:Mine", three, PolicySpec("own", Mine)]
+    results = evaluate(policies, scenario, episodes=2, against_laws=False, **options)
+    assert not results.failures, results.failures
+    return [record for record in results.records if not METRICS[record["metric"]].is_timing]
+"""
+
+SAME = """
+first = run()
+assert run(workers=Workers(2)) == first
+Contest.__init__.__defaults__ = (0.5,)
+
+
+class Contest(Contest):
+    def __init__(self, pull=0.5):
+        super().__init__(2 * pull)
+
+
+again = run(workers=Workers(2))
+assert again == run() != first
+"""
+
+STORED = """
+try:
+    run(folder=Path("out"))
+except ValueError as error:
+    print(error)
+"""
+
+LOCKED = """
+import threading
+
+LOCK = threading.Lock()
+
+
+class Contest(Contest):
+    def __init__(self, pull):
+        with LOCK:
+            super().__init__(pull)
+
+
+try:
+    run(workers=Workers(2))
+except ValueError as error:
+    print(error)
+"""
+
+
+@pytest.mark.parametrize("kind", ["notebook", "program"])
+def test_workers_get_the_present_definitions(kind, tmp_path):
+    if kind == "notebook":
+        run_python("-W", "error", "-c", DEFINITIONS + SAME, folder=tmp_path)
+    else:
+        (tmp_path / "program.py").write_text(DEFINITIONS + SAME, encoding="utf-8")
+        run_python("-W", "error", "program.py", folder=tmp_path)
+
+
+def test_results_of_a_notebook_are_stored_under_no_key(tmp_path):
+    done = run_python("-c", DEFINITIONS + STORED, folder=tmp_path)
+    assert "a notebook or an interactive session has no source file; define it in a module" in done.stdout
+    assert not any(tmp_path.iterdir())
+
+
+def test_results_of_a_program_are_stored_with_the_hash_of_its_file(tmp_path):
+    (tmp_path / "program.py").write_text(DEFINITIONS + STORED, encoding="utf-8")
+    assert run_python("program.py", folder=tmp_path).stdout == ""
+    assert len(list((tmp_path / "out" / "jobs").iterdir())) == 3  # the object alone has no key
+
+
+def test_a_definition_that_cannot_be_sent_to_workers_is_named(tmp_path):
+    done = run_python("-c", DEFINITIONS + LOCKED, folder=tmp_path)
+    assert "cannot be sent to other processes (TypeError: cannot pickle '_thread.lock' object)" in done.stdout
+    assert "define it in a module, or run one job at a time" in done.stdout

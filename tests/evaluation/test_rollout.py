@@ -1,0 +1,185 @@
+"""The batched rollout against the environment, step by step."""
+
+import numpy as np
+import pytest
+
+import ptne_env
+from ptne_env import laws
+from ptne_env.evaluation.episodes import EpisodeSet, episode_seed
+from ptne_env.evaluation.metrics import measure, settling_time
+from ptne_env.evaluation.rollout import rollout
+from ptne_env.perception.encoder import make_encoder
+from ptne_env.perception.observation import Interface
+from ptne_env.perception.policy import PolicyError
+from ptne_env.world import distances, dynamics
+from ptne_env.world.world import World
+
+
+def run(scenario, policy, interface=None, episodes=4, seed=3):
+    world = World(scenario)
+    encoder = make_encoder(world, interface or Interface())
+    return world, rollout(policy(encoder.layout), encoder, EpisodeSet(episodes, seed).initial_state(world))
+
+
+@pytest.mark.parametrize("name", ["energy", "energy-switching", "non-quadratic-switching", "random-energy-switching"])
+@pytest.mark.parametrize("law", [laws.Static, laws.Adaptive])
+def test_metrics_of_a_batch_are_those_of_single_episodes_in_the_environment(name, law):
+    scenario = ptne_env.get_scenario(name, start="random", hold_steps=7, steps=300)
+    world, batch = run(scenario, law, episodes=3)
+    samples = measure(batch)
+    clock = world.clock
+    for episode in range(3):
+        env = ptne_env.parallel_env(scenario)
+        observations, _ = env.reset(seed=episode_seed(3, episode))
+        policy, memory = law(env.layout), None
+        gained, input_energy, velocity_energy, peak = 0.0, 0.0, 0.0, 0.0
+        for step in range(clock.total_steps):
+            agents = env.agents
+            actions, memory = policy.predict(np.stack([observations[agent] for agent in agents]), memory)
+            observations, rewards, *_ = env.step(dict(zip(agents, actions, strict=True)))
+            gained += np.mean(list(rewards.values()))
+            if step < clock.steps:
+                inputs = actions.astype(float)
+                input_energy += clock.dt[step] * (inputs**2).sum()
+                velocity_energy += clock.theta[step] ** 2 / clock.dt[step] * (inputs**2).sum()
+                peak = max(peak, np.abs(inputs).max())
+            if step + 1 == clock.steps:
+                equilibrium = env.nash_equilibrium
+                scale = np.linalg.norm(equilibrium)
+                strategy = np.linalg.norm(env.strategies - equilibrium) / scale
+                estimate = np.linalg.norm(env.estimates - equilibrium) / (np.sqrt(5) * scale)
+                mean = env.estimates.mean(axis=0)
+                consensus = np.linalg.norm(env.estimates - mean) / (np.sqrt(5) * scale)
+        expected = {
+            "strategy_distance": strategy,
+            "estimate_distance": estimate,
+            "digits": -np.log10(estimate),
+            "consensus_error": consensus,
+            "digits_gained": gained,
+            "input_energy": input_energy,
+            "velocity_energy": velocity_energy,
+            "peak_input": peak,
+        }
+        for metric, value in expected.items():
+            assert samples[metric][episode] == pytest.approx(value, rel=1e-9, abs=1e-12), metric
+
+
+def test_digits_after_hold_exist_only_with_a_hold_phase():
+    _, without = run(ptne_env.get_scenario("energy"), laws.Static, episodes=1)
+    _, with_hold = run(ptne_env.get_scenario("energy", hold_steps=40), laws.Static, episodes=1)
+    assert np.isnan(measure(without)["digits_after_hold"]).all()
+    assert measure(with_hold)["digits_after_hold"][0] > measure(with_hold)["digits"][0] + 0.3
+    assert measure(with_hold)["digits"] == measure(without)["digits"]
+
+
+def test_a_diverged_episode_has_the_digits_of_the_range_limit_and_finite_metrics():
+    scenario = ptne_env.get_scenario("non-quadratic", start="random")
+    world, batch = run(scenario, laws.RandomPolicy)
+    assert batch.diverged.all()
+    samples = measure(batch)
+    np.testing.assert_allclose(samples["digits"], -np.log10(dynamics.distance_limit(world.game)[0]))
+    assert (samples["settled_share"] == 0).all()
+    assert (samples["diverged_share"] == 1).all()
+    missing = {"settling_time", "settling_time_1e_6", "digits_after_hold", "tracking_digits", "regret"}
+    for metric, values in samples.items():
+        if metric not in missing:  # the game has neither hold phase nor drift nor best response
+            assert np.isfinite(values).all(), metric
+
+
+def test_a_diverging_episode_leaves_the_others_of_its_batch_alone():
+    class Reckless:
+        """The static law, but the second episode's players push as hard as they can."""
+
+        def __init__(self, layout):
+            self.law = laws.Static(layout)
+
+        def predict(self, observation, state=None, episode_start=None, deterministic=False):
+            actions, state = self.law.predict(observation, state, episode_start, deterministic)
+            actions[5:10] = 1000.0
+            return actions, state
+
+    scenario = ptne_env.get_scenario("non-quadratic", start="random")
+    _, mixed = run(scenario, Reckless, episodes=3)
+    _, calm = run(scenario, laws.Static, episodes=3)
+    assert mixed.diverged.tolist() == [False, True, False]
+    np.testing.assert_array_equal(mixed["estimate_distance"][:, [0, 2]], calm["estimate_distance"][:, [0, 2]])
+
+
+def test_saturated_share_counts_the_inputs_at_the_limit():
+    _, free = run(ptne_env.get_scenario("energy"), laws.Static, episodes=1)
+    _, tight = run(ptne_env.get_scenario("energy", input_limit=1.3), laws.Static, episodes=1)
+    assert measure(free)["saturated_share"][0] == 0
+    assert 0.05 < measure(tight)["saturated_share"][0] < 1
+    assert measure(tight)["peak_input"][0] == np.float32(1.3)
+
+
+def test_zero_input_spends_and_gains_nothing():
+    _, still = run(ptne_env.get_scenario("energy", start="random"), laws.ZeroInput)
+    samples = measure(still)
+    for metric in ("input_energy", "velocity_energy", "peak_input", "peak_velocity", "digits_gained"):
+        assert (samples[metric] == 0).all(), metric
+
+
+def test_the_oracle_follows_centralised_pseudo_gradient_play_exactly():
+    scenario = ptne_env.get_scenario("energy", start="random", s_end=5.0, gain=1.0)
+    world, batch = run(scenario, laws.CentralisedOracle, Interface("full"), episodes=2)
+    for episode in range(2):
+        estimates = EpisodeSet(2, 3).initial_state(world).estimates[:, :, episode]
+        x = np.diagonal(estimates).copy()[:, None]
+        for theta in world.clock.theta[: world.clock.steps]:
+            x = x - theta * world.game.pseudo_gradient(x)
+        expected = distances.strategy_distance(x, world.game)[0]
+        assert batch["strategy_distance"][-1, episode] == pytest.approx(expected, rel=1e-6)
+
+
+class Answering:
+    def __init__(self, answer):
+        self.answer = answer
+
+    def predict(self, observation, state=None, episode_start=None, deterministic=False):
+        return self.answer(observation), state
+
+
+@pytest.mark.parametrize(
+    ("answer", "message"),
+    [
+        (lambda observation: np.zeros((len(observation), 4), dtype=np.float32), "shape"),
+        (lambda observation: np.full((len(observation), 5), np.nan, dtype=np.float32), "not finite"),
+    ],
+)
+def test_actions_of_a_wrong_shape_or_value_are_refused(answer, message):
+    with pytest.raises(PolicyError, match=f"step 0: .*{message}"):
+        run(ptne_env.get_scenario("energy"), lambda layout: Answering(answer), episodes=1)
+
+
+def test_settling_time_is_the_first_instant_after_which_the_distance_stays_inside():
+    times = np.array([0.0, 1.0, 2.0, 3.0])
+    distance = np.array(
+        [
+            # never outside, in and out again, ends outside, settles at the last instant
+            [0.001, 1.0, 1.0, 1.0],
+            [0.001, 0.001, 0.001, 1.0],
+            [0.001, 1.0, 0.001, 1.0],
+            [0.001, 0.001, 1.0, 0.001],
+        ]
+    )
+    np.testing.assert_array_equal(settling_time(times, distance), [0.0, 3.0, np.nan, 3.0])
+
+
+def test_a_rollout_records_the_series_that_are_named():
+    world = World(ptne_env.get_scenario("energy", start="random"))
+    encoder = make_encoder(world, Interface())
+    start, law = EpisodeSet(3).initial_state(world), laws.Static(encoder.layout)
+    some = rollout(law, encoder, start, series=["estimate_distance"]).series
+    assert list(some) == ["estimate_distance"]
+    np.testing.assert_array_equal(some["estimate_distance"], rollout(law, encoder, start)["estimate_distance"])
+
+
+def test_saturated_components_are_counted_at_the_limit_alone():
+    scenario = ptne_env.get_scenario("energy", start="random", input_limit=20.0)
+    world, found = run(scenario, lambda layout: laws.Static(layout, kappa=4.0))
+    total = found["saturated"].sum(axis=0)
+    assert (total > 0).all()
+    assert (found["saturated"] <= world.game.num_players * world.game.dimension).all()
+    assert (found["saturated"][found["peak_input"] < np.float32(19.9)] == 0).all()
+    assert (found["saturated"][found["peak_input"] >= np.float32(20.0)] > 0).all()

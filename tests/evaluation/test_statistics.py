@@ -1,0 +1,147 @@
+import os
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from ptne_env.evaluation.statistics import estimate, improvements, performance_profile, summaries, tail_values
+
+# Scores of two algorithms, runs in rows and tasks in columns, and the values of rliable 1.2.0
+# (probability_of_improvement, run_score_deviation).
+X = np.array([[1.06, 0.93, 1.32], [1.05, 0.73, 1.18], [1.65, 1.47, 0.65], [0.37, 0.69, 1.02], [-0.16, 0.89, 0.38],
+              [0.63, 0.73, 0.84]])  # fmt: skip
+
+REPETITIONS = 20_000 if os.environ.get("PTNE_SOAK") else 1000
+
+
+def by_task(scores):
+    """rliable's matrix as scores per track, of one training seed."""
+    return [column[None] for column in scores.T]
+
+
+def test_a_constant_sample_has_low_equal_high_equal_mean_exactly():
+    value = 0.1 + 0.2
+    summary = estimate([np.full((2, 7), value), np.full((2, 5), value)])
+    assert (summary.mean, summary.low, summary.high) == (value, value, value)
+
+
+def test_a_metric_without_any_value_has_none():
+    summary = estimate([np.full((2, 4), np.nan)])
+    assert (summary.mean, summary.low, summary.high) == (None, None, None)
+
+
+def test_missing_values_are_left_out_of_mean_and_interval():
+    values = np.random.default_rng(0).normal(size=(1, 50))
+    sparse = np.concatenate([values, np.full((1, 20), np.nan), np.full((1, 10), np.inf)], axis=1)
+    assert estimate([sparse]) == estimate([values])
+
+
+def test_a_training_seed_without_values_is_left_out():
+    values = np.random.default_rng(0).normal(size=(3, 50))
+    assert estimate([np.vstack([values, np.full(50, np.nan)])]) == estimate([values])
+
+
+def test_the_interval_of_one_policy_on_one_track_is_that_of_student():
+    values = np.random.default_rng(1).normal(2.0, 3.0, size=12)
+    low, high = stats.t.interval(0.95, 11, values.mean(), stats.sem(values))
+    summary = estimate([values[None]])
+    assert (summary.mean, summary.low, summary.high) == pytest.approx((values.mean(), low, high))
+
+
+def test_training_seeds_that_alone_differ_have_the_interval_of_student():
+    seeds = np.array([-2.0, -1.0, 0.0, 1.0, 2.0])
+    summary = estimate([np.tile(seeds[:, None], (1, 30))])
+    assert summary.high == pytest.approx(stats.t.interval(0.95, 4, 0, stats.sem(seeds))[1])
+
+
+def test_tracks_of_different_length_count_the_same():
+    assert estimate([np.full((1, 3), 1.0), np.full((1, 300), 2.0)]).mean == 1.5
+
+
+def test_a_failed_track_lowers_the_mean_over_tracks():
+    # The interquartile mean of all scores, which ranked before, is 1 for both.
+    good = [np.ones((1, 10))] * 10
+    bad = [*good[:-2], np.full((1, 10), -5.0), np.full((1, 10), -5.0)]
+    assert stats.trim_mean(np.ravel(bad), 0.25) == estimate(good).mean == 1
+    assert estimate(bad).mean == pytest.approx(-0.2)
+
+
+@pytest.mark.parametrize("episodes", [1, 9, 10, 57, 200])
+def test_tail_values_have_the_mean_of_the_worst_tenth(episodes):
+    samples = np.random.default_rng(0).normal(size=(3, episodes))
+    worst = np.sort(samples, axis=1)[:, : max(1, episodes // 10)]
+    assert tail_values(samples).mean(axis=1) == pytest.approx(worst.mean(axis=1))
+
+
+def test_a_cvar_with_missing_values_has_none():
+    found = summaries({"a": (np.array([[1.0, np.nan]]), "cvar"), "b": (np.array([[1.0, np.nan]]), "mean")})
+    assert found["a"].mean is None
+    assert found["b"].mean == 1.0
+
+
+def test_performance_profile_is_that_of_rliable():
+    profile = performance_profile(by_task(X), np.array([0.0, 0.73, 1.0, 2.0]))
+    assert profile.tolist() == pytest.approx([17 / 18, 10 / 18, 7 / 18, 0], abs=1e-15)
+
+
+def test_paired_improvement_compares_the_same_episodes():
+    x, y = np.array([[1.0, 2.0, 3.0, 4.0]]), np.array([[0.5, 1.5, 3.0, 5.0]])
+    assert improvements(x, y).tolist() == [[1, 1, 0.5, 0]]
+    assert improvements(np.vstack([x, x + 9]), y).mean() == pytest.approx((2.5 / 4 + 1) / 2)
+
+
+def normal(generator, size):
+    return generator.normal(size=size)
+
+
+def exponential(generator, size):
+    return generator.exponential(size=size) - 1
+
+
+def mean_of(scores, others):
+    return estimate([x - y for x, y in zip(scores, others, strict=True)])
+
+
+def improvement_of(scores, others):
+    return estimate([improvements(x, y) for x, y in zip(scores, others, strict=True)])
+
+
+def tail_of(scores, others):
+    return estimate([tail_values(x) for x in scores])
+
+
+TAIL = -np.sqrt(2) * stats.norm.pdf(stats.norm.ppf(0.1)) / 0.1
+
+
+@pytest.mark.parametrize(
+    ("summary_of", "truth", "seeds", "episodes", "tracks", "spread", "effect", "promise"),
+    [
+        pytest.param(mean_of, 0.0, 1, 100, 1, 0.0, normal, (0.93, 0.97), id="nothing trained"),
+        pytest.param(mean_of, 0.0, 5, 40, 2, 0.5, normal, (0.93, 0.97), id="five training seeds, two tracks"),
+        pytest.param(mean_of, 0.0, 5, 40, 1, 2.0, normal, (0.93, 0.97), id="five training seeds far apart"),
+        pytest.param(
+            mean_of, 0.0, 5, 40, 20, 0.1, exponential, (0.93, 0.97), id="skewed training seeds near each other"
+        ),
+        pytest.param(mean_of, 0.0, 5, 40, 1, 2.0, exponential, (0.86, 0.92), id="skewed training seeds far apart"),
+        pytest.param(improvement_of, 0.5, 1, 100, 2, 0.0, normal, (0.93, 0.97), id="probability of improvement"),
+        pytest.param(tail_of, TAIL, 1, 200, 1, 0.0, normal, (0.90, 0.97), id="CVaR"),
+    ],
+)
+def test_intervals_cover_the_truth_as_often_as_promised(
+    summary_of, truth, seeds, episodes, tracks, spread, effect, promise
+):
+    # Two equal policies on shared episodes that are worth N(0, 1), with noise N(0, 1) of their own; the first policy is
+    # trained `seeds` times, with effects of mean 0 and standard deviation `spread`, the same on all tracks.
+    generator = np.random.default_rng(1)
+    covered = 0
+    for _ in range(REPETITIONS):
+        training = spread * effect(generator, (seeds, 1))
+        scores, others = [], []
+        for _ in range(tracks):
+            shared = generator.normal(size=episodes)
+            scores.append(training + shared + generator.normal(size=(seeds, episodes)))
+            others.append(shared + generator.normal(size=(1, episodes)))
+        summary = summary_of(scores, others)
+        covered += summary.low <= truth <= summary.high
+    print(f"covered in {covered} of {REPETITIONS} repetitions")
+    assert promise[0] <= covered / REPETITIONS <= promise[1]

@@ -1,0 +1,212 @@
+"""Workers: the same results for any number of them, and clear errors when one is missing or dies."""
+
+import importlib
+import os
+import signal
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+import pytest
+from processes import run_python, start_python
+from small_suite import SMALL, stored, untimed
+
+import ptne_env
+from ptne_env.evaluation import Suite, Track, Workers, get_policy_spec, run_suite
+from ptne_env.evaluation.jobs import Job, run_job
+from ptne_env.evaluation.suite import REFERENCES
+
+
+def square(number):
+    if number < 0:
+        raise ValueError(f"{number} is negative")
+    return number**2
+
+
+def die(number):
+    if number == 1:
+        os._exit(1)
+    return number
+
+
+def stay(number):
+    return number, os.getpid()
+
+
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_every_result_comes_with_the_index_of_its_task(jobs):
+    assert dict(Workers(jobs).run(square, [(3,), (4,), (5,)])) == {0: 9, 1: 16, 2: 25}
+    assert dict(Workers(jobs).run(square, [])) == {}
+
+
+def test_one_job_stays_in_this_process_and_two_do_not():
+    assert dict(Workers(1).run(stay, [(0,)])) == {0: (0, os.getpid())}
+    assert os.getpid() not in {process for _, (_, process) in Workers(2).run(stay, [(0,), (1,)])}
+
+
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_an_error_of_a_task_is_raised(jobs):
+    with pytest.raises(ValueError, match="-1 is negative"):
+        list(Workers(jobs).run(square, [(1,), (-1,), (2,)]))
+
+
+def test_a_caller_that_needs_no_more_results_ends_the_tasks():
+    results = Workers(2).run(time.sleep, [(0,), (60,), (60,)])
+    began = time.monotonic()
+    assert next(results) == (0, None)
+    results.close()
+    assert dict(Workers(2).run(square, [(2,), (3,)])) == {0: 4, 1: 9}
+    assert time.monotonic() - began < 50
+
+
+def test_a_dead_process_is_an_error():
+    with pytest.raises(ChildProcessError, match="a worker process died.*stored results are kept"):
+        list(Workers(2).run(die, [(0,), (1,), (2,)]))
+    assert dict(Workers(2).run(square, [(2,), (3,)])) == {0: 4, 1: 9}  # and the next run has new ones
+
+
+def test_a_suite_that_lost_a_process_goes_on_with_the_same_results(tmp_path):
+    def kill_one(*_):
+        children = Path(f"/proc/self/task/{os.getpid()}/children").read_text(encoding="utf-8").split()
+        worker = next(child for child in children if b"popen_loky" in Path(f"/proc/{child}/cmdline").read_bytes())
+        os.kill(int(worker), signal.SIGKILL)
+
+    with pytest.raises(ChildProcessError, match="died"):
+        run_suite(SMALL, ["grounded", "adaptive"], folder=tmp_path, workers=Workers(2), progress=kill_one)
+    assert 0 < len(stored(tmp_path)) < len(SMALL.tracks) * (2 + len(REFERENCES))
+    again = run_suite(SMALL, ["grounded", "adaptive"], folder=tmp_path, workers=Workers(2))
+    assert untimed(again) == untimed(run_suite(SMALL, ["grounded", "adaptive"]))
+
+
+SLEEPER = """
+import time
+from ptne_env.evaluation import Workers
+list(Workers(2).run(time.sleep, [(60,), (60,)]))
+"""
+
+
+def working(program):
+    """Wait until the workers of a program are there."""
+    while not any("popen_loky" in command for command in program.alive().values()):
+        assert program.process.poll() is None
+        time.sleep(0.01)
+
+
+@pytest.mark.parametrize(
+    ("number", "of_group"), [(signal.SIGKILL, False), (signal.SIGTERM, False), (signal.SIGKILL, True)]
+)
+@pytest.mark.parametrize("delay", [0, 1])  # the workers are starting, or at work
+def test_workers_end_with_a_program_that_is_killed_and_leave_no_folders(number, of_group, delay):
+    program = start_python("-c", SLEEPER)
+    working(program)
+    time.sleep(delay)
+    program.kill(number, of_group=of_group)
+    for folder in ("/dev/shm", tempfile.gettempdir()):  # noqa: S108 - where joblib has its folders
+        assert not list(Path(folder).glob(f"joblib_memmapping_folder_{program.process.pid}_*"))
+
+
+@pytest.mark.parametrize("delay", [0, 1])
+def test_workers_print_nothing_after_ctrl_c(delay):
+    program = start_python("-c", SLEEPER)
+    working(program)
+    time.sleep(delay)
+    program.kill(signal.SIGINT, of_group=True)
+    assert program.printed.count("KeyboardInterrupt") == 1  # of the program itself
+
+
+def test_a_worker_with_other_files_is_refused():
+    suite = Suite("small", (Track("ring", ptne_env.get_scenario("random-energy", steps=40), "The base."),))
+    job = Job(suite.tracks[0], get_policy_spec("static"), 0, suite.episode_set("ring", 2))
+    assert run_job(job, job.key).samples["digits"].shape == (2,)
+    with pytest.raises(ValueError, match="another version of the library.*'static'.*install the same"):
+        run_job(job, "0" * 64)
+
+
+def test_no_jobs_are_refused():
+    with pytest.raises(ValueError, match="0 jobs"):
+        Workers(0)
+
+
+@pytest.fixture
+def no_cluster(monkeypatch):
+    monkeypatch.delitem(sys.modules, "ptne_env.evaluation.cluster", raising=False)
+
+
+@pytest.mark.usefixtures("no_cluster")
+def test_without_ray_the_error_names_the_extra(monkeypatch):
+    monkeypatch.setitem(sys.modules, "ray", None)
+    with pytest.raises(ImportError, match=r"ptne-env\[ray\]"):
+        list(Workers(2, "auto").run(square, [(1,), (2,)]))
+
+
+@pytest.fixture
+def fake_ray(monkeypatch, no_cluster):
+    monkeypatch.setitem(sys.modules, "ray", importlib.import_module("fake_ray"))
+    yield sys.modules["ray"]
+    sys.modules["ray"].addresses.clear()
+
+
+class Flaky:
+    """Squares, but the machine dies under every task the given number of times."""
+
+    def __init__(self, deaths):
+        self.deaths, self.calls = deaths, {}
+
+    def __call__(self, number):
+        self.calls[number] = self.calls.get(number, 0) + 1
+        if self.calls[number] <= self.deaths:
+            raise SystemExit
+        return square(number)
+
+
+def test_tasks_of_dead_machines_run_again(fake_ray):
+    flaky = Flaky(deaths=2)
+    assert dict(Workers(-1, "auto").run(flaky, [(n,) for n in range(9)])) == {n: n**2 for n in range(9)}
+    assert set(flaky.calls.values()) == {3}
+    assert fake_ray.addresses == ["auto"]
+
+
+@pytest.mark.usefixtures("fake_ray")
+def test_a_task_that_kills_every_machine_ends_the_run():
+    with pytest.raises(ChildProcessError, match="lost 4 times.*the node died"):
+        list(Workers(-1, "auto").run(Flaky(deaths=9), [(1,), (2,)]))
+
+
+@pytest.mark.usefixtures("fake_ray")
+def test_an_address_without_a_cluster_is_named():
+    with pytest.raises(ConnectionError, match=r"no Ray cluster answers at 127.0.0.1:1: "):
+        list(Workers(-1, "127.0.0.1:1").run(square, [(1,), (2,)]))
+
+
+@pytest.mark.usefixtures("fake_ray")
+def test_an_error_of_a_task_on_a_cluster_is_raised():
+    with pytest.raises(ValueError, match="-1 is negative"):
+        list(Workers(4, "auto").run(square, [(1,), (-1,), (2,)]))
+
+
+OWN_SUITE = """
+import numpy as np
+import ptne_env
+from ptne_env.evaluation import Metric, Suite, Track, register
+
+register(Metric("own", "own", "always 7", value=lambda rollout: np.full(len(rollout.diverged), 7.0)))
+SUITE = Suite("own-v1", (Track("ring", ptne_env.get_scenario("random-energy", steps=40), "The base."),), episodes=2)
+"""
+
+
+def test_a_metric_of_a_suites_module_reaches_workers_stored_results_and_checks(tmp_path):
+    def ptne(*arguments):
+        return run_python("-m", "ptne_env.cli", *arguments, folder=tmp_path)
+
+    def compare(jobs):
+        wanted = ["--suite=own_part:SUITE", "--policy=grounded", "--trust"]
+        ptne("compare", *wanted, f"--jobs={jobs}", "--no-report", "--out=out")
+        return (tmp_path / "out" / "results.csv").read_text(encoding="utf-8")
+
+    (tmp_path / "own_part.py").write_text(OWN_SUITE, encoding="utf-8")
+    for _ in range(2):  # the second run finds all jobs stored, and its workers have not imported the module
+        assert compare(jobs=2).count(",own,7.0,") == 4
+    ptne("check", "out", "--sample=99", "--trust")
+    (tmp_path / "own_part.py").write_text(OWN_SUITE.replace("7.0", "8.0"), encoding="utf-8")
+    assert compare(jobs=1).count(",own,8.0,") == 4

@@ -1,0 +1,152 @@
+"""A policy decides every row alike, bit for bit, in every batch: other rows, another order, another number of rows."""
+
+from functools import partial
+
+import numpy as np
+import pytest
+from extras import need_sb3
+
+onnx = need_sb3("onnx")
+
+import torch
+from onnx import helper
+from sb3_contrib import RecurrentPPO
+from stable_baselines3 import PPO, SAC
+from test_learned import metadata
+
+from ptne_env import learn as policies
+from ptne_env.envs.sb3 import PlayerVecEnv
+from ptne_env.evaluation import get_policy_spec, get_suite
+from ptne_env.evaluation.policy_specs import POLICIES
+from ptne_env.learn.archive import load_archive
+from ptne_env.learn.blocks import BLOCK, in_blocks
+from ptne_env.perception.encoder import make_encoder
+from ptne_env.perception.observation import LayoutError
+from ptne_env.shared.random_streams import RandomStreams
+from ptne_env.world import dynamics
+from ptne_env.world.world import World
+
+STEPS, EPISODES = 20, 8
+SUITE = get_suite("ptne-v1")
+WORLDS = [World(SUITE.track(name).scenario) for name in ("nominal", "unseen-graphs", "large-20", "markov", "robots")]
+
+
+def parts_of(rows, rng):
+    """Row numbers of batches that have the same rows as a batch of ``rows``."""
+    order = rng.permutation(rows)
+    cuts = [0, 1, 3, 6, 13, rows]
+    return [order, *np.split(order, cuts), *rng.choice(rows, (5, 1), replace=False)]
+
+
+class Part:
+    """A policy of its own for some rows."""
+
+    def __init__(self, policy, rows):
+        self.policy, self.rows, self.memory = policy, rows, None
+
+    def decide(self, observations, episode_start):
+        actions, self.memory = self.policy.predict(
+            observations[self.rows], self.memory, episode_start[self.rows], deterministic=True
+        )
+        return actions
+
+
+def assert_decides_rows_alike(policy_of, observations_of, rows):
+    """``observations_of`` gives the rows of a step from the actions of the previous step."""
+    rng = np.random.default_rng(0)
+    whole = Part(policy_of(), np.arange(rows))
+    parts = [Part(policy_of(), chosen) for chosen in parts_of(rows, rng) if len(chosen)]
+    actions = None
+    for step in range(STEPS):
+        observations, episode_start = observations_of(actions), np.full(rows, step == 0)
+        actions = whole.decide(observations, episode_start)
+        for part in parts:
+            np.testing.assert_array_equal(part.decide(observations, episode_start), actions[part.rows])
+
+
+@pytest.mark.parametrize("name", [*POLICIES, *policies.shipped()])
+def test_every_policy_of_the_library_decides_rows_alike(name):
+    fitting = 0
+    for world in WORLDS:
+        spec = get_policy_spec(name)
+        try:
+            encoder = make_encoder(world, spec.interface)
+            spec.build(encoder.layout)
+        except LayoutError:
+            continue
+        layout, rows = encoder.layout, EPISODES * encoder.layout.num_players
+        fitting += 1
+        state = dynamics.draw_initial_state(world, [RandomStreams.from_seed(seed) for seed in range(EPISODES)])
+
+        def observations_of(actions, encoder=encoder):
+            nonlocal state
+            if actions is not None:
+                inputs = encoder.decode(actions.reshape(EPISODES, encoder.layout.num_players, -1), state)
+                state = dynamics.step(encoder.world, state, inputs)
+            return encoder.observe(state).reshape(-1, encoder.layout.size)
+
+        assert_decides_rows_alike(partial(spec.build, layout), observations_of, rows)
+    assert fitting
+
+
+def random_rows(size, rows=70):
+    rng = np.random.default_rng(1)
+    scales = rng.choice([0.01, 1.0, 30.0], (STEPS, rows, 1))
+    steps = iter((scales * rng.normal(size=(STEPS, rows, size))).astype(np.float32))
+    return lambda _: next(steps)
+
+
+@pytest.mark.parametrize("operator", ["Elu", "Softplus", "Sin", "Mish"])
+def test_onnx_files_with_vectorised_functions_decide_rows_alike(tmp_path, operator):
+    rng = np.random.default_rng(2)
+    weights = {"w1": (28, 33), "w2": (33, 5)}
+    graph = helper.make_graph(
+        [
+            helper.make_node("MatMul", ["observation", "w1"], ["a"]),
+            helper.make_node(operator, ["a"], ["b"]),
+            helper.make_node("MatMul", ["b", "w2"], ["c"]),
+            helper.make_node(operator, ["c"], ["action"]),
+        ],
+        "policy",
+        [helper.make_tensor_value_info("observation", onnx.TensorProto.FLOAT, ["rows", 28])],
+        [helper.make_tensor_value_info("action", onnx.TensorProto.FLOAT, ["rows", 5])],
+        [
+            onnx.numpy_helper.from_array(rng.normal(size=shape).astype(np.float32), name)
+            for name, shape in weights.items()
+        ],
+    )
+    model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 18)], ir_version=8)
+    helper.set_model_props(model, {"ptne_env": metadata().to_json()})
+    path = tmp_path / "mine.onnx"
+    path.write_bytes(model.SerializeToString())
+    policy = policies.load(path)
+    assert_decides_rows_alike(lambda: policy, random_rows(28), 70)
+
+
+@pytest.mark.parametrize(
+    ("algorithm", "network", "arguments"),
+    [
+        (PPO, "MlpPolicy", {}),
+        (PPO, "MlpPolicy", {"net_arch": [400, 300], "activation_fn": torch.nn.ELU}),
+        (SAC, "MlpPolicy", {}),
+        (RecurrentPPO, "MlpLstmPolicy", {"lstm_hidden_size": 17, "n_lstm_layers": 2}),
+    ],
+)
+def test_archives_decide_rows_alike(tmp_path, algorithm, network, arguments):
+    env = PlayerVecEnv("random-energy", 1, interface="local")
+    path = str(tmp_path / "model.zip")
+    algorithm(network, env, seed=0, device="cpu", policy_kwargs=arguments).save(path)
+    policy = load_archive(path)
+    assert_decides_rows_alike(lambda: policy, random_rows(env.layout.size), 70)
+    one, _ = policy.predict(np.ones(env.layout.size, dtype=np.float32), deterministic=True)
+    two, _ = policy.predict(np.ones((2, env.layout.size), dtype=np.float32), deterministic=True)
+    np.testing.assert_array_equal(np.stack([one, one]), two)
+
+
+@pytest.mark.parametrize("rows", [1, BLOCK - 1, BLOCK, BLOCK + 1])
+def test_blocks_keep_the_rows_and_append_zeros(rows):
+    array = np.random.default_rng(0).normal(size=(2, rows, 3))
+    padded = in_blocks(array, axis=1)
+    assert padded.shape[1] % BLOCK == 0
+    np.testing.assert_array_equal(padded[:, :rows], array)
+    assert not padded[:, rows:].any()

@@ -1,0 +1,528 @@
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from test_dynamics import large_energy_scenario
+from worlds import BLOCKS, BLOCKS_SWITCHING, FAULTY, begin, world_and_encoder
+
+from ptne_env import CATALOGUE, Interface, get_scenario
+from ptne_env.evaluation.episodes import EpisodeSet
+from ptne_env.evaluation.suite import find_scenario, get_suite
+from ptne_env.perception.encoder import make_encoder
+from ptne_env.perception.observation import CONSENSUS_GAIN, OBSERVATION_BOUND, LayoutError
+from ptne_env.world import dynamics
+from ptne_env.world.world import RANGE_LIMIT, World
+
+KINDS = ["physical", "local", "learner", "full"]
+IN_WORLD_SLOTS = ["physical", "local", "full"]
+"""Kinds whose neighbour slots are those of the world."""
+
+WORLDS = {
+    **{name: get_scenario(name, start="random") for name in CATALOGUE},
+    "blocks": BLOCKS,
+    "blocks-switching": BLOCKS_SWITCHING,
+}
+
+
+def wander(world, steps=37, batch=2, seed=0):
+    """A state somewhere along the way."""
+    generator = np.random.default_rng(seed)
+    state = begin(world, range(seed, seed + batch))
+    for _ in range(steps):
+        state = dynamics.step(world, state, 0.1 * generator.normal(size=state.estimates.shape))
+    return state
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("name", WORLDS)
+def test_named_slices_cover_the_observation_without_gaps(name, kind):
+    _, encoder = world_and_encoder(WORLDS[name], kind=kind)
+    parts = list(encoder.layout.slices.values())
+    assert parts[0].start == 0
+    assert all(part.stop == following.start for part, following in pairwise(parts))
+    assert parts[-1].stop == encoder.layout.size == encoder.layout.observation_space().shape[0]
+    assert all(part.stop > part.start for part in parts)
+
+
+@pytest.mark.parametrize("name", WORLDS)
+def test_a_physical_observation_follows_the_table_of_slices(name):
+    world, encoder = world_and_encoder(WORLDS[name])
+    state, layout, game = wander(world), encoder.layout, world.game
+    observations = encoder.observe(state)
+    clock, k = world.clock, int(state.step[0])
+    for b in range(2):
+        adjacency = world.topology.graphs[int(dynamics.active_mode(world, state)[b])].adjacency
+        for i in range(game.num_players):
+            estimate = state.estimates[:, i, b]
+            own = game.owners == i
+            gradient = np.zeros(max(game.action_dims))
+            gradient[: own.sum()] = state.own_gradients[own, b]
+            neighbours = [j for j in range(game.num_players) if world.topology.union.adjacency[i, j] > 0]
+            relative = np.zeros((layout.slots, game.dimension))
+            weights = np.zeros(layout.slots)
+            for slot, j in enumerate(neighbours):
+                weights[slot] = adjacency[i, j]
+                relative[slot] = (state.estimates[:, j, b] - estimate) * (adjacency[i, j] > 0)
+            one_hot = np.eye(game.num_players)[i]
+            time = [clock.t[k] / clock.deadline, clock.s[k], clock.theta[k], clock.dt[k] / clock.deadline]
+            expected = [gradient, estimate, relative.ravel(), weights, time, [world.time_since_switch[k]], one_hot]
+            assert np.array_equal(observations[b, i], np.concatenate(expected).astype(np.float32))
+
+
+@pytest.mark.parametrize("name", WORLDS)
+def test_local_observation_is_scaled_and_in_ego_order(name):
+    world, encoder = world_and_encoder(WORLDS[name], kind="local")
+    state, layout, game = wander(world), encoder.layout, world.game
+    n = game.dimension
+    observations = encoder.observe(state)
+    assert "own_estimate" not in layout.slices
+    for i in range(game.num_players):
+        own = game.owners == i
+        gradient = state.own_gradients[own, 0]
+        scale = max(np.abs(gradient).max(), np.abs(dynamics.relative_estimates(world, state)[:, :, i, 0]).max())
+        row = observations[0, i]
+        padded = np.zeros(max(game.action_dims))
+        padded[: own.sum()] = gradient / scale
+        assert layout.select(row, "own_gradient") == pytest.approx(padded, rel=1e-6)
+        assert layout.select(row, "log_scale")[0] == pytest.approx(np.log10(scale), rel=1e-6)
+        first = int(np.flatnonzero(own)[0])
+        cyclic = [(first + c) % n for c in range(n)]
+        for slot in range(layout.slots):
+            seen = layout.select(row, "relative_estimates").reshape(layout.slots, n)[slot]
+            assert seen == pytest.approx(
+                dynamics.relative_estimates(world, state)[slot, cyclic, i, 0] / scale, rel=1e-6, abs=1e-30
+            )
+        assert np.abs(layout.select(row, "relative_estimates")).max() <= 1
+
+
+@pytest.mark.parametrize("factor", [1e-9, 1e-3, 1e3])
+def test_a_scaled_error_changes_only_the_scale_of_a_local_observation(factor):
+    world, encoder = world_and_encoder("energy", kind="local")
+    equilibrium = world.game.nash_equilibrium[:, None, None]
+    error = np.random.default_rng(0).integers(-8, 8, (5, 5, 1)) / 8
+    near, far = (
+        encoder.observe(dynamics.initial_state(world, equilibrium + scale * error))[0] for scale in (1.0, factor)
+    )
+    part = encoder.layout.slices["log_scale"]
+    assert (far - near)[:, part] == pytest.approx(np.full((5, 1), np.log10(factor)), abs=2e-6)
+    rest = np.ones(encoder.layout.size, dtype=bool)
+    rest[part] = False
+    assert far[:, rest] == pytest.approx(near[:, rest], abs=1e-5)
+
+
+def test_player_at_rest_observes_the_smallest_scale():
+    world, encoder = world_and_encoder(BLOCKS, kind="local")
+    at_rest = np.repeat(np.zeros((6, 1)), 3, axis=1)[:, :, None]
+    moving = dynamics.initial_state(world, at_rest)
+    state = moving._replace(estimates=at_rest, own_gradients=np.zeros((6, 1)))
+    observations = encoder.observe(state)
+    assert encoder.layout.select(observations, "log_scale") == pytest.approx(np.full((1, 3, 1), -30.0))
+    assert encoder.layout.observation_space().contains(observations[0, 0])
+
+
+@pytest.mark.parametrize("name", WORLDS)
+def test_oracle_sees_the_real_strategies_and_the_pseudo_gradient_besides(name):
+    world, encoder = world_and_encoder(WORLDS[name], kind="full")
+    state, layout = wander(world), encoder.layout
+    observations = encoder.observe(state)
+    plain = world_and_encoder(WORLDS[name])[1].observe(state)
+    assert np.array_equal(observations[:, :, : plain.shape[2]], plain)
+    strategies = dynamics.strategies(world, state)
+    for i in range(layout.num_players):
+        relative = (strategies - state.estimates[:, i]).T.astype(np.float32)
+        assert np.array_equal(layout.select(observations, "relative_strategies")[:, i], relative)
+        gradient = state.game.pseudo_gradient(strategies)
+        if state.game.has_bounds:  # as far as the box lets the players follow it
+            theta = world.clock.theta[state.step]
+            gradient = (strategies - state.game.project(strategies - theta * gradient)) / theta
+        assert np.array_equal(layout.select(observations, "pseudo_gradient")[:, i], gradient.T.astype(np.float32))
+
+
+@pytest.mark.parametrize("name", WORLDS)
+def test_neighbour_estimates_repeat_the_own_one_on_a_down_link(name):
+    world, encoder = world_and_encoder(WORLDS[name])
+    state = wander(world)
+    seen = encoder.layout.neighbour_estimates(encoder.observe(state))
+    assert seen.dtype == np.float64
+    for i in range(encoder.layout.num_players):
+        for slot, j in enumerate(encoder.layout.neighbours[i]):
+            for b in range(2):
+                alive = world.topology.graphs[int(dynamics.active_mode(world, state)[b])].adjacency[i, j] > 0
+                expected = state.estimates[:, j if alive else i, b]
+                assert seen[b, i, slot] == pytest.approx(expected, rel=2e-7, abs=4e-6)
+
+
+def test_neighbour_estimates_need_the_own_estimate():
+    world, encoder = world_and_encoder("energy", kind="local")
+    with pytest.raises(ValueError, match="'local' layout has no 'own_estimate'; it has own_gradient, "):
+        encoder.layout.neighbour_estimates(encoder.observe(wander(world)))
+
+
+@pytest.mark.parametrize("name", ["energy-switching", "energy-switching-transformed", "blocks-switching"])
+def test_a_down_link_keeps_its_slot_with_weight_zero(name):
+    world, encoder = world_and_encoder(WORLDS[name])
+    layout, state = encoder.layout, wander(world, steps=0)
+    down = up = 0
+    for _ in range(world.clock.steps):
+        observation = encoder.observe(state)[0]
+        weights = layout.select(observation, "weights")
+        relative = layout.select(observation, "relative_estimates").reshape(*weights.shape, -1)
+        assert not relative[weights == 0].any()
+        assert np.all(np.any(relative[weights > 0], axis=-1))
+        down, up = down + (weights == 0).sum(), up + (weights > 0).sum()
+        state = dynamics.step(world, state, np.zeros_like(state.estimates))
+    assert down > 0
+    assert up > 0
+
+
+def test_differences_are_taken_before_the_cast_to_float32():
+    world, encoder = world_and_encoder("energy")
+    estimates = np.full((5, 5, 1), 12345.678)
+    estimates[2, 1] += 1e-9
+    observation = encoder.observe(dynamics.initial_state(world, estimates))[0]
+    seen = encoder.layout.select(observation[0], "relative_estimates").reshape(2, 5)
+    assert seen[0, 2] == pytest.approx(1e-9, rel=1e-2)  # 12345.678 + 1e-9 has that much rounding in float64
+    assert np.count_nonzero(seen) == 1
+
+
+def test_terminal_observation_has_no_step_left():
+    world, encoder = world_and_encoder(get_scenario("energy", steps=5, hold_steps=3))
+    clock = encoder.layout.select(encoder.observe(wander(world, steps=8)), "clock")[0, 0]
+    assert clock[2:].tolist() == [0, 0]
+    assert clock[0] == pytest.approx(world.clock.t[-1] / 1.2)
+    assert clock[1] == 8.0
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("name", WORLDS)
+def test_space_contains_every_observation_also_at_the_edge_of_the_range(name, kind):
+    world, encoder = world_and_encoder(WORLDS[name], kind=kind)
+    space, players, n = encoder.layout.observation_space(), encoder.layout.num_players, encoder.layout.dimension
+    shape = (n, players, 1)
+    corners = np.random.default_rng(0).choice([-RANGE_LIMIT, RANGE_LIMIT], shape)
+    game = begin(world, [0]).game
+    edge = [dynamics.initial_state(world, estimates, game) for estimates in (corners, np.zeros(shape))]
+    states = [*edge, wander(world), wander(world, steps=400)]
+    crashed = dynamics.step(world, states[1], np.full(shape, 1e9))
+    assert crashed.diverged.all()
+    for state in [*states, crashed]:
+        observations = encoder.observe(state)
+        assert observations.dtype == np.float32
+        for row in observations.reshape(-1, encoder.layout.size):
+            assert space.contains(row)
+
+
+def test_entries_with_units_are_bounded_by_a_million():
+    _, encoder = world_and_encoder("energy")
+    space, layout = encoder.layout.observation_space(), encoder.layout
+    for name in ("own_gradient", "own_estimate", "relative_estimates"):
+        assert np.all(layout.select(space.high, name) == OBSERVATION_BOUND)
+        assert np.all(layout.select(space.low, name) == -OBSERVATION_BOUND)
+    assert space.dtype == encoder.layout.action_space().dtype == np.float32
+    assert np.all(space.low < space.high)
+    assert OBSERVATION_BOUND == 1e6
+
+
+# --- actions ----------------------------------------------------------------------------------------------------------
+
+
+def test_physical_action_is_the_input_clipped_to_the_limit():
+    world, encoder = world_and_encoder(get_scenario("energy", input_limit=7.0))
+    state = wander(world)
+    actions = np.random.default_rng(0).uniform(-10, 10, (2, 5, 5)).astype(np.float32)
+    inputs, clipped = encoder.decode(actions, state), encoder.clip(actions).clipped
+    for b in range(2):
+        for i in range(5):
+            assert np.array_equal(inputs[:, i, b], np.clip(actions[b, i], -7.0, 7.0))
+    assert np.array_equal(clipped, (np.abs(actions) > 7).sum(axis=2))
+    assert encoder.layout.action_space().high.tolist() == [7.0] * 5
+
+
+@pytest.mark.parametrize("name", ["energy", "blocks", "blocks-switching"])
+def test_local_action_is_in_units_of_the_scale_and_in_ego_order(name):
+    world, encoder = world_and_encoder(get_scenario(WORLDS[name], input_limit=30.0), kind="local", action_scale=4.0)
+    state, game, n = wander(world), world.game, encoder.layout.dimension
+    actions = np.random.default_rng(0).uniform(-1.5, 1.5, (2, game.num_players, n)).astype(np.float32)
+    inputs, clipped = encoder.decode(actions, state), encoder.clip(actions).clipped
+    scale = 10.0 ** encoder.layout.select(encoder.observe(state), "log_scale")[..., 0].astype(np.float64)
+    saturated = 0
+    for b in range(2):
+        for i in range(game.num_players):
+            for place in range(n):
+                component = (int(game.offsets[i]) + place) % n
+                wanted = np.clip(actions[b, i, place], -1, 1) * 4.0 * scale[b, i]
+                saturated += abs(wanted) > 30
+                assert inputs[component, i, b] == pytest.approx(np.clip(wanted, -30, 30), rel=2e-5)
+    assert saturated > 0
+    assert np.array_equal(clipped, (np.abs(actions) > 1).sum(axis=2))
+    assert encoder.layout.action_space().high.tolist() == [1.0] * n
+
+
+@pytest.mark.parametrize("kind", ["physical", "local", "learner"])
+@pytest.mark.parametrize("name", ["energy", "energy-switching", "blocks"])
+def test_gains_weigh_gradient_and_consensus(name, kind):
+    world, encoder = world_and_encoder(WORLDS[name], kind=kind, action_mode="gains")
+    state, game = wander(world), world.game
+    actions = np.random.default_rng(0).uniform(-1, 1, (2, game.num_players, 2)).astype(np.float32)
+    inputs = encoder.decode(actions, state)
+    assert encoder.layout.action_size == 2
+    for b in range(2):
+        adjacency = world.topology.graphs[int(dynamics.active_mode(world, state)[b])].adjacency
+        for i in range(game.num_players):
+            first, second = (2.0 ** (3.0 * float(a)) for a in actions[b, i])
+            expected = np.zeros(game.dimension)
+            expected[game.owners == i] = -first * state.own_gradients[game.owners == i, b]
+            for j in range(game.num_players):
+                expected -= 2.0 * second * adjacency[i, j] * (state.estimates[:, i, b] - state.estimates[:, j, b])
+            assert inputs[:, i, b] == pytest.approx(expected, rel=1e-12, abs=1e-12)
+    assert CONSENSUS_GAIN == 2.0
+
+
+def test_a_local_action_uses_the_scale_of_its_own_state():
+    world, encoder = world_and_encoder("energy", kind="local")
+    first, second = wander(world, steps=0), wander(world, steps=80)
+    actions = np.random.default_rng(0).uniform(-1, 1, (2, 5, 5)).astype(np.float32)
+    expected = [world_and_encoder("energy", kind="local")[1].decode(actions, state) for state in (first, second)]
+    assert not np.array_equal(*expected)
+    encoder.observe(first)
+    assert np.array_equal(encoder.decode(actions, second), expected[1])
+    assert np.array_equal(encoder.decode(actions, first), expected[0])
+
+
+@pytest.mark.parametrize("value", [0.0, 1.0, -1.0])
+def test_gains_actions_are_clipped_to_their_box(value):
+    world, encoder = world_and_encoder("energy", action_mode="gains")
+    state = wander(world)
+    inside = np.full((2, 5, 2), value, dtype=np.float32)
+    outside = inside * 3
+    assert np.array_equal(encoder.decode(inside, state), encoder.decode(outside, state))
+    assert not encoder.clip(inside).clipped.any()
+    assert encoder.clip(outside).clipped.tolist() == [[2 * (value != 0)] * 5] * 2
+
+
+def test_a_float64_action_is_rounded_to_float32():
+    world, encoder = world_and_encoder("energy")
+    state = wander(world)
+    actions = np.random.default_rng(0).uniform(-10, 10, (2, 5, 5))
+    assert np.array_equal(
+        encoder.decode(actions, state),
+        encoder.decode(actions.astype(np.float32), state),
+    )
+
+
+def test_input_limit_that_float32_cannot_hold_is_never_exceeded():
+    world, encoder = world_and_encoder(get_scenario("energy", input_limit=0.1))
+    state = wander(world)
+    assert np.abs(encoder.decode(np.full((2, 5, 5), 9.0, dtype=np.float32), state)).max() <= 0.1
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("action_mode", ["input", "gains"])
+@pytest.mark.parametrize("name", [*WORLDS, "large"])
+def test_batch_agrees_bit_for_bit_with_batches_of_one(name, action_mode, kind):
+    scenario = large_energy_scenario() if name == "large" else WORLDS[name]
+    world, encoder = world_and_encoder(scenario, kind=kind, action_mode=action_mode)
+    batch, bound = 7, 1.5 * encoder.layout.action_bound
+    together = begin(world, range(batch))
+    alone = [begin(world, [b]) for b in range(batch)]
+    generator = np.random.default_rng(0)
+    for _ in range(12):
+        actions = generator.uniform(-bound, bound, (batch, encoder.layout.num_players, encoder.layout.action_size))
+        actions = actions.astype(np.float32)
+        observations, inputs = encoder.observe(together), encoder.decode(actions, together)
+        clipped = encoder.clip(actions).clipped
+        together = dynamics.step(world, together, inputs)
+        for b in range(batch):
+            part = actions[b : b + 1]
+            assert np.array_equal(encoder.observe(alone[b])[0], observations[b])
+            own, own_clipped = encoder.decode(part, alone[b]), encoder.clip(part).clipped
+            assert np.array_equal(own_clipped[0], clipped[b])
+            assert np.array_equal(own[..., 0], inputs[..., b])
+            alone[b] = dynamics.step(world, alone[b], own)
+
+
+def test_observations_are_owned_by_the_caller():
+    world, encoder = world_and_encoder("energy")
+    state = wander(world)
+    first = encoder.observe(state)
+    kept = first.copy()
+    first[:] = 99
+    assert np.array_equal(encoder.observe(state), kept)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"kind": "global"}, "unknown interface 'global'; choose from physical, local, learner, full"),
+        ({"action_mode": "torque"}, "unknown action mode 'torque'; choose from input, gains"),
+        ({"graph_knowledge": "all"}, "unknown knowledge of graphs 'all'; choose from links, union, schedule"),
+        ({"estimates": "secret"}, "unknown content of estimates 'secret'; choose from honest, coded"),
+        ({"action_scale": 0.0}, "action_scale must be a finite number above 0"),
+        ({"action_scale": float("nan")}, "action_scale"),
+    ],
+)
+def test_unknown_interfaces_are_refused(arguments, message):
+    with pytest.raises(ValueError, match=message):
+        Interface(**arguments)
+
+
+def test_observations_of_another_layout_are_refused_with_both_sizes():
+    layout = world_and_encoder("energy")[1].layout
+    with pytest.raises(ValueError, match=rf"length {layout.size} .*5 players, 2 neighbour slots.*\(1, 7\)"):
+        layout.read(np.zeros((1, 7), dtype=np.float32))
+
+
+@pytest.mark.parametrize("kind", IN_WORLD_SLOTS)
+@pytest.mark.parametrize("name", ["energy-switching", "blocks"])
+def test_reading_restores_natural_units_and_player_order(name, kind):
+    world, encoder = world_and_encoder(WORLDS[name], kind=kind)
+    state, game, layout = wander(world), world.game, encoder.layout
+    reading = layout.read(encoder.observe(state)[1])
+    assert reading.player.tolist() == list(range(layout.num_players))
+    for i in range(layout.num_players):
+        gradient = np.where(game.owners == i, state.own_gradients[:, 1], 0)
+        assert reading.gradient[i] * reading.unit[i] == pytest.approx(gradient, rel=3e-6)
+        relative = dynamics.relative_estimates(world, state)[:, :, i, 1]
+        assert reading.relative_estimates[i] * reading.unit[i] == pytest.approx(relative, rel=3e-6, abs=1e-12)
+        assert np.array_equal(reading.weights[i], dynamics.weights(world, state)[:, i, -1])
+    k = int(state.step[1])
+    assert reading.theta[:, 0] == pytest.approx(np.full(layout.num_players, world.clock.theta[k]), rel=1e-7)
+    assert reading.dt[:, 0] == pytest.approx(np.full(layout.num_players, world.clock.dt[k]), rel=2e-7)
+
+
+@pytest.mark.parametrize("name", [*WORLDS, "faulty"])
+def test_learners_read_the_same_as_under_local_with_slots_in_ego_order(name):
+    scenario = {**WORLDS, "faulty": FAULTY}[name]
+    (world, local), (_, learner) = (world_and_encoder(scenario, kind=kind) for kind in ("local", "learner"))
+    state, players = wander(world), world.game.num_players
+    expected = local.layout.read(local.observe(state)[1])._asdict()
+    found = learner.layout.read(learner.observe(state)[1])._asdict()
+    for player, row in enumerate(learner.layout.neighbours):
+        distances = [(other - player) % players or players for other in row]
+        assert distances == sorted(distances)
+        assert sorted(row) == sorted(local.layout.neighbours[player])
+        order = [local.layout.neighbours[player].index(other) for other in row]
+        for part in ("relative_estimates", "weights"):
+            assert np.array_equal(found[part][player], expected[part][player][order])
+    for part in expected.keys() - {"relative_estimates", "weights"}:
+        np.testing.assert_allclose(found[part], expected[part], rtol=5e-6)
+
+
+@pytest.mark.parametrize("name", WORLDS)
+def test_numbers_of_learners_are_of_order_one(name):
+    layout = world_and_encoder(WORLDS[name], kind="learner")[1].layout
+    for space in (layout.observation_space(), layout.action_space()):
+        assert max(np.abs(space.low).max(), np.abs(space.high).max()) <= 3.0
+
+
+def test_actions_at_the_bound_of_learners_are_those_at_the_bound_of_local():
+    world, encoder = world_and_encoder(BLOCKS, kind="learner")
+    state = wander(world, batch=1)
+    actions = encoder.layout.action_bound * np.random.default_rng(0).uniform(-1, 1, (1, 3, 6))
+    expected = world_and_encoder(BLOCKS, kind="local")[1].decode(actions / encoder.layout.action_bound, state)
+    assert encoder.decode(actions, state) == pytest.approx(expected, rel=1e-6)
+
+
+@pytest.mark.parametrize("kind", ["physical", "local", "learner"])
+def test_written_inputs_are_the_inputs_that_arrive(kind):
+    world, encoder = world_and_encoder(BLOCKS, kind=kind)
+    state = wander(world, batch=1)
+    reading = encoder.layout.read(encoder.observe(state)[0])
+    wanted = np.random.default_rng(0).uniform(-1, 1, (3, 6))
+    arrived = encoder.decode(encoder.layout.write(wanted, reading)[None], state)[:, :, 0].T
+    assert arrived == pytest.approx(wanted * reading.unit, rel=3e-6)
+
+
+@pytest.mark.parametrize("kind", IN_WORLD_SLOTS)
+def test_observations_hold_received_messages_and_local_clocks(kind):
+    world, encoder = world_and_encoder(FAULTY, kind=kind)
+    state, layout = wander(world, steps=25), encoder.layout
+    reading = layout.read(encoder.observe(state).reshape(10, -1))
+    relative, weights = dynamics.relative_estimates(world, state), dynamics.weights(world, state)
+    for b in range(2):
+        for i, shift in enumerate(FAULTY.clock_shifts):
+            row = 5 * b + i
+            assert reading.weights[row] == pytest.approx(weights[:, i, b], rel=1e-6)
+            found = reading.relative_estimates[row] * reading.unit[row]
+            assert found == pytest.approx(relative[:, :, i, b], rel=1e-5, abs=1e-5)
+            own = world.clock.shifted(shift)
+            observed = layout.select(encoder.observe(state)[b, i], "clock")
+            dt = world.clock.dt[25] / world.clock.deadline
+            expected = [own.t[25] / world.clock.deadline, own.s[25], own.theta[25], dt]
+            assert observed == pytest.approx(expected, rel=1e-6)
+        age = layout.select(encoder.observe(state)[b, 0], "time_since_switch")
+        assert age[0] == np.float32(dynamics.time_since_switch(world, state)[b])
+    assert len(set(dynamics.time_since_switch(world, state))) == 2  # episodes draw their own topologies
+
+
+@pytest.mark.parametrize("kind", ["physical", "local", "learner"])
+def test_gains_act_on_received_messages(kind):
+    world, encoder = world_and_encoder(FAULTY, kind=kind, action_mode="gains")
+    state = wander(world)
+    inputs = encoder.decode(np.zeros((2, 5, 2), dtype=np.float32), state)
+    expected = CONSENSUS_GAIN * np.einsum(
+        "dib,dcib->cib", dynamics.weights(world, state), dynamics.relative_estimates(world, state)
+    )
+    for i in range(5):
+        expected[i, i] -= state.own_gradients[i]
+    assert inputs == pytest.approx(expected, rel=1e-9)
+
+
+@pytest.mark.parametrize("scenario", ["energy", "energy-switching", "ptne-v1/delay"])
+def test_observations_do_not_depend_on_the_size_of_the_scratch(scenario, monkeypatch):
+    world = World(find_scenario(scenario))
+    states = [EpisodeSet(3, 0, "test").initial_state(world)]
+    for _ in range(60):  # past a switch, after which other links are up
+        states.append(dynamics.step(world, states[-1], np.ones_like(states[-1].estimates)))
+    seen = []
+    for entries in (10**6, 1):
+        monkeypatch.setattr("ptne_env.perception.encoder._SCRATCH_ENTRIES", entries)
+        encoder = make_encoder(world, Interface("physical"))
+        seen.append([encoder.observe(state) for state in states])
+        assert len(encoder._workspaces[3].relative) == (1 if entries > 1 else world.slots)
+    assert world.slots > 1
+    np.testing.assert_array_equal(*seen)
+
+
+def test_layouts_hold_the_graphs_that_the_interface_declares():
+    layouts = {
+        knowledge: world_and_encoder("energy-switching", graph_knowledge=knowledge)[1].layout
+        for knowledge in ("links", "union", "schedule")
+    }
+    for knowledge, missing in (("links", ["hops", "live_links"]), ("union", ["live_links"]), ("schedule", [])):
+        for name in missing:
+            with pytest.raises(LayoutError, match=f"declares graph_knowledge='{knowledge}'; declare graph_knowledge="):
+                getattr(layouts[knowledge], name)
+    cycle = np.abs(np.arange(5)[:, None] - np.arange(5))
+    for knowledge in ("union", "schedule"):
+        np.testing.assert_array_equal(layouts[knowledge].hops, np.minimum(cycle, 5 - cycle))
+        assert not layouts[knowledge].hops.flags.writeable
+
+
+def test_links_of_every_step_are_those_of_the_world():
+    world, encoder = world_and_encoder("energy-switching", graph_knowledge="schedule")
+    expected = np.stack([graph.adjacency > 0 for graph in world.topology.graphs])[world.modes]
+    np.testing.assert_array_equal(encoder.layout.live_links, expected)
+    assert not encoder.layout.live_links.flags.writeable
+    assert len({links.tobytes() for links in encoder.layout.live_links}) == 4
+
+
+def test_a_schedule_that_every_episode_draws_cannot_be_known():
+    markov = get_suite("ptne-v1").track("markov").scenario
+    assert world_and_encoder(markov, graph_knowledge="union")[1].layout.hops.max() == 2
+    with pytest.raises(LayoutError, match="the schedule cannot be known: every episode draws its own"):
+        world_and_encoder(markov, graph_knowledge="schedule")
+
+
+def test_observations_do_not_depend_on_knowledge_of_graphs():
+    world, encoder = world_and_encoder("energy-switching")
+    state = wander(world)
+    for knowledge in ("union", "schedule"):
+        other = world_and_encoder("energy-switching", graph_knowledge=knowledge)[1]
+        assert other.layout.slices == encoder.layout.slices
+        np.testing.assert_array_equal(other.observe(state), encoder.observe(state))
+
+
+def test_a_layout_known_to_one_player_has_its_neighbours_alone():
+    layout = world_and_encoder("energy")[1].layout
+    assert layout.known_to(2).neighbours == ((0, 0), (1, 1), layout.neighbours[2], (3, 3), (4, 4))

@@ -1,0 +1,311 @@
+import dataclasses
+import json
+
+import networkx as nx
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from processes import run_python
+
+from ptne_env import FactorySpec, Scenario, get_scenario
+from ptne_env.evaluation import get_suite, suite_policies
+from ptne_env.games import AffineGame, EnergyGame, RandomEnergy
+from ptne_env.shared.parts import foreign_targets, is_part, resolve
+from ptne_env.world import channel, graphs, switching
+from ptne_env.world.catalogue import CATALOGUE
+from ptne_env.world.starts import FixedStart, UniformStart
+from ptne_env.world.switching import SwitchingTopology
+from ptne_env.world.world import World
+
+scalars = st.none() | st.booleans() | st.integers() | st.floats(allow_nan=False, allow_infinity=False) | st.text()
+names = st.from_regex(r"[a-z][a-z_]{0,8}", fullmatch=True)
+targets = st.builds("{}:{}".format, names, names)
+
+
+def part_strategy(arguments):
+    return st.builds(lambda target, items: FactorySpec.of(target, **items), targets, st.dictionaries(names, arguments))
+
+
+arguments = st.recursive(scalars, lambda inner: st.lists(inner, max_size=3) | part_strategy(inner), max_leaves=8)
+parts = part_strategy(arguments)
+
+
+@given(parts)
+def test_json_round_trip_keeps_equality_and_hash(part):
+    again = FactorySpec.from_dict(json.loads(json.dumps(part.to_dict())))
+    assert again == part
+    assert hash(again) == hash(part)
+
+
+@given(targets, st.dictionaries(names, scalars, min_size=2))
+def test_order_of_arguments_does_not_matter(target, items):
+    assert FactorySpec.of(target, **items) == FactorySpec.of(target, **dict(reversed(items.items())))
+
+
+def test_build_calls_the_named_object_with_its_arguments():
+    game = FactorySpec.of("ptne_env.games:EnergyGame", coupling=0.3).build()
+    assert isinstance(game, EnergyGame)
+    assert game.coupling == 0.3
+
+
+@pytest.mark.parametrize("name", ["target", "self", "cls"])
+def test_arguments_may_have_any_name(name):
+    part = FactorySpec.of("builtins:dict", **{name: 3})
+    assert part.build() == {name: 3}
+    assert FactorySpec.from_dict(part.to_dict()) == part
+
+
+def test_game_with_other_targets_can_be_named():
+    part = FactorySpec.of("ptne_env.games:EnergyGame", target=(1.0, 2.0, 3.0))
+    assert part.build().num_players == 3
+
+
+def test_nested_specs_are_built_first():
+    graph = FactorySpec.of("ptne_env.world.graphs:path", players=3)
+    built = FactorySpec.of(
+        "ptne_env.world.switching:SwitchingTopology", graphs=[graph, graph], dwells=[0.5, 0.25]
+    ).build()
+    assert isinstance(built, SwitchingTopology)
+    assert built.graphs[0].edges == [(0, 1), (1, 2)]
+
+
+def test_arrays_are_frozen_so_that_specs_are_keys():
+    adjacency = np.array([[0.0, 2.0], [2.0, 0.0]])
+    part = FactorySpec.of("ptne_env.world.graphs:Graph", adjacency=adjacency)
+    adjacency[:] = 7
+    assert {part: 1}[FactorySpec.of("ptne_env.world.graphs:Graph", adjacency=[[0.0, 2.0], [2.0, 0.0]])] == 1
+
+
+def test_extra_arguments_of_build_are_passed_on():
+    assert FactorySpec.of("ptne_env.world.clock:Exponential").build(deadline=3.0).deadline == 3.0
+
+
+@pytest.mark.parametrize("target", ["json", ":loads", "json:", ""])
+def test_target_of_another_form_is_refused(target):
+    with pytest.raises(ValueError, match="'module:object'"):
+        resolve(target)
+
+
+@pytest.mark.parametrize(
+    ("target", "message"),
+    [("no_such_module_anywhere:thing", "cannot import"), ("json:no_such_function", "has no 'no_such_function'")],
+)
+def test_missing_target_is_named(target, message):
+    with pytest.raises(ValueError, match=message) as caught:
+        FactorySpec.of(target).build()
+    assert target in str(caught.value)
+
+
+def test_refused_arguments_are_named():
+    with pytest.raises(ValueError, match=r"refuses its arguments \['colour'\]"):
+        FactorySpec.of("ptne_env.world.graphs:cycle", colour="red").build()
+
+
+def test_arguments_of_the_caller_are_named_too():
+    with pytest.raises(ValueError, match=r"refuses its arguments \['layout'\]: .*no keyword arguments"):
+        FactorySpec.of("builtins:range").build(layout=5)
+
+
+@pytest.mark.parametrize("data", [{}, {"target": "a:b", "argument": {}}, {"arguments": {}}])
+def test_unknown_or_missing_keys_are_refused(data):
+    with pytest.raises(ValueError, match="'target' and 'arguments'"):
+        FactorySpec.from_dict(data)
+
+
+def test_arguments_that_json_cannot_hold_are_refused():
+    with pytest.raises(TypeError, match="numbers, strings, lists and parts, got object"):
+        FactorySpec.of("a:b", thing=object())
+
+
+@pytest.mark.parametrize("data", [{"target": 5}, {"target": "a:b", "arguments": [1]}, {"target": None}])
+def test_values_of_another_type_are_refused(data):
+    with pytest.raises(ValueError, match="string 'target' and an object 'arguments'"):
+        FactorySpec.from_dict(data)
+
+
+def test_any_error_from_wrong_arguments_is_a_refusal():
+    for part in (
+        FactorySpec.of("ptne_env.world.switching:fixed", graph=None),
+        FactorySpec.of("ptne_env.world.graphs:union", graphs=[1]),
+    ):
+        with pytest.raises(ValueError, match=f"part '{part.target}' refuses its arguments"):
+            part.build()
+
+
+def test_every_part_that_the_library_names_is_one():
+    suite = get_suite("ptne-v1")
+    scenarios = [*CATALOGUE.values(), *(track.scenario for track in suite.tracks)]
+    values = [getattr(scenario, field.name) for scenario in scenarios for field in dataclasses.fields(scenario)]
+    specs = [value for value in values if isinstance(value, FactorySpec)]
+    specs += [seed for policy in suite_policies() for seed in policy.training_seeds]
+    targets = {part.target for spec in specs for part in spec.nested()}
+    assert len(targets) > 40
+    assert [target for target in targets if not is_part(target)] == ["networkx:circulant_graph"]
+
+
+@pytest.mark.parametrize(
+    "target",
+    [
+        "os:system",
+        "builtins:eval",
+        "ptne_env.shared.files:write_atomically",
+        "ptne_env.shared.parts:resolve",
+        "ptne_env.learn.archive:load_archive",
+        "ptne_env.learn.learned:load",
+        "ptne_env.learn:shipped",
+        "ptne_env.evaluation.ptne_v1:ptne_v1",
+        "ptne_env.world.channel:replace",  # imported there from dataclasses
+        "ptne_env.world.graphs:require_count",  # imported there from ptne_env.shared.arrays
+        "ptne_env.world.channel:counter_random",  # a module
+        "ptne_env.world.channel:_Noise",
+        "ptne_env.laws:NoSuchLaw",
+        "ptne_env.laws.no_such_module:Law",
+        "ptne_env.laws./tmp/evil:Law",
+        "ptne_env.lawsuit:Law",
+        "ptne_env.laws",
+        "laws:Static",
+        "",
+    ],
+)
+def test_other_targets_are_foreign(target):
+    assert not is_part(target)
+
+
+def test_nested_foreign_targets_are_found_in_json_without_an_import(tmp_path):
+    (tmp_path / "evil.py").write_text("raise SystemExit('imported')", encoding="utf-8")
+    program = (
+        "import json, sys\n"
+        "from ptne_env.shared.parts import FactorySpec, foreign_targets\n"
+        "print(foreign_targets(FactorySpec.from_dict(json.loads(sys.argv[1]))), 'evil' in sys.modules)"
+    )
+    call = {"target": "evil:run", "arguments": {"word": {"target": "os:system", "arguments": {"command": "ls"}}}}
+    data = {"target": "ptne_env.laws:Static", "arguments": {"kappa": [2.0, [call]], "again": call}}
+    found = run_python("-c", program, json.dumps(data), folder=tmp_path)
+    assert found.stdout.strip() == "['evil:run', 'os:system', 'evil:run', 'os:system'] False"
+    assert foreign_targets(FactorySpec.of("ptne_env.laws:Static", kappa=2.0)) == []
+
+
+def test_parts_that_are_nested_too_deeply_are_refused():
+    data = {"target": "a:b"}
+    for _ in range(3000):
+        data = {"target": "a:b", "arguments": {"inner": data}}
+    with pytest.raises(ValueError, match="nested too deeply"):
+        FactorySpec.from_dict(data)
+
+
+# --- parts that are given as objects ----------------------------------------------------------------------------------
+
+
+class Contest(AffineGame):
+    """A game whose arguments are not its attributes."""
+
+    def __init__(self, pull=0.5, *, tastes=(1.0, 2.0, 4.0)):
+        super().__init__(np.eye(3) - pull / 2 * (1 - np.eye(3)), -np.asarray(tastes))
+
+
+class Unnamed(AffineGame):
+    """A game whose arguments have no names."""
+
+    def __init__(self, *tastes):
+        super().__init__(np.eye(3), np.asarray(tastes))
+
+
+class Unseeded(AffineGame):
+    """A game that is another one whenever it is made."""
+
+    def __init__(self):
+        super().__init__(np.eye(3), np.random.default_rng().normal(size=3))
+
+
+class Drawn(AffineGame):
+    """A game of another object."""
+
+    def __init__(self, generator):
+        super().__init__(np.eye(3), generator.normal(size=3))
+
+
+def wheel():
+    return switching.fixed(graphs.from_networkx(nx.wheel_graph(5)))
+
+
+@pytest.mark.parametrize(
+    ("part", "named"),
+    [
+        (EnergyGame(), FactorySpec.of("ptne_env.games:EnergyGame")),
+        (EnergyGame, FactorySpec.of("ptne_env.games:EnergyGame")),
+        (EnergyGame(2.0, coupling=0.3), FactorySpec.of("ptne_env.games:EnergyGame", curvature=2.0, coupling=0.3)),
+        (EnergyGame(target=np.arange(3.0)), FactorySpec.of("ptne_env.games:EnergyGame", target=(0.0, 1.0, 2.0))),
+        (Contest(0.25), FactorySpec.of(f"{__name__}:Contest", pull=0.25)),
+        (wheel, FactorySpec.of(f"{__name__}:wheel")),
+        (
+            channel.Chain([channel.AdditiveNoise(0.1)]),
+            FactorySpec.of(
+                "ptne_env.world.channel:Chain", stages=[FactorySpec.of("ptne_env.world.channel:AdditiveNoise", std=0.1)]
+            ),
+        ),
+        (RandomEnergy(5), FactorySpec.of("ptne_env.games:RandomEnergy", players=5)),
+    ],
+)
+def test_an_object_is_named_by_the_arguments_that_it_was_made_with(part, named):
+    assert FactorySpec.naming(part) == named
+
+
+def test_a_topology_of_networkx_is_named_with_its_graph():
+    built = FactorySpec.naming(wheel()).build()
+    assert np.array_equal(built.union.adjacency, wheel().union.adjacency)
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: Unnamed(1.0, 2.0, 3.0), "a Unnamed cannot be named by its arguments .argument 'tastes' has no name"),
+        (lambda: Drawn(np.random.default_rng(0)), "cannot be named by its arguments .*got Generator"),
+        (Unseeded, "the arguments of this Unseeded make another one: .*draws random numbers"),
+        (
+            type("Contest", (Unseeded,), {"__module__": __name__}),
+            "has no Contest, or another one since this object was",
+        ),
+    ],
+)
+def test_an_object_that_arguments_do_not_name_is_refused_with_advice(make, message):
+    with pytest.raises(ValueError, match=message):
+        FactorySpec.naming(make())
+
+
+def test_an_object_that_was_changed_is_refused():
+    game = Contest()
+    game.offset = game.offset + 1
+    with pytest.raises(ValueError, match="it was changed later"):
+        FactorySpec.naming(game)
+
+
+def test_a_class_in_a_function_is_refused_with_advice():
+    class Inner(Contest):
+        pass
+
+    with pytest.raises(ValueError, match="Inner is defined inside a function or a class: define it at the top"):
+        get_scenario("energy", game=Inner())
+
+
+def test_a_scenario_takes_parts_by_object_and_class():
+    named = get_scenario("energy", game=FactorySpec.of(Contest, pull=0.25), start=FactorySpec.of(UniformStart))
+    given = get_scenario("energy", game=Contest(0.25), start=UniformStart)
+    assert given == named
+    assert hash(given) == hash(named)
+    assert Scenario.from_json(given.to_json()) == named
+
+
+def test_a_scenario_takes_a_graph_as_topology_and_arrays():
+    ring, table = graphs.cycle(5), np.arange(25.0).reshape(5, 5)
+    expected = World(get_scenario("energy", topology=switching.fixed(ring), start=FixedStart(table)))
+    for topology in (ring, ring.adjacency, FactorySpec.of("ptne_env.world.graphs:cycle", players=5)):
+        scenario = get_scenario("energy", topology=topology, start=table)
+        world = World(Scenario.from_json(scenario.to_json()))
+        assert world.topology.graphs == expected.topology.graphs
+        assert np.array_equal(world.start.draw(5, 5, None), table.T)
+
+
+def test_something_else_in_the_place_of_a_part_is_refused():
+    with pytest.raises(ValueError, match="game is an object of the library's class for it, .*, got a int"):
+        get_scenario("energy", game=5)

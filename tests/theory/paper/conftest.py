@@ -1,0 +1,36 @@
+import pytest
+
+import ptne_env.theory.paper.reproduction as module
+from ptne_env.theory.paper import Experiments, reproduce
+
+
+@pytest.fixture(scope="session")
+def built(build_once, tmp_path_factory):
+    """The paper's runs, a reproduction from them, and the reports of its progress."""
+
+    def build():
+        experiments, reports = Experiments(), []
+        out = tmp_path_factory.mktemp("reproduction") / "new" / "folder"
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(module, "Experiments", lambda: experiments)
+            return experiments, reproduce(out, progress=lambda *report: reports.append(report)), reports
+
+    return build_once("paper", build)
+
+
+@pytest.fixture(scope="session")
+def experiments(built):
+    """The paper's runs."""
+    return built[0]
+
+
+@pytest.fixture(scope="session")
+def reproduction(built):
+    """A reproduction, and the reports of its progress."""
+    return built[1:]
+
+
+@pytest.fixture(scope="session")
+def claims(reproduction):
+    """All claims and errata by name."""
+    return {claim.name: claim for claim in reproduction[0].claims}

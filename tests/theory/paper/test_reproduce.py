@@ -1,0 +1,120 @@
+import builtins
+import io
+import json
+import struct
+import xml.etree.ElementTree as ET
+
+import pytest
+
+from ptne_env.theory.paper import render, reproduce
+from ptne_env.theory.paper.figures import FIGURES, draw, draw_panels
+from ptne_env.theory.paper.reproduction import CHECKS
+
+NAMES = [
+    "time-transformation",
+    "graph",
+    "static",
+    "corollary-one",
+    "adaptive",
+    "adaptive-gains",
+    "switching-graphs",
+    "switching",
+    "switching-gains",
+    "non-quadratic",
+    "erratum-2",
+    "erratum-3",
+]
+
+
+def test_every_figure_is_written_as_png_and_svg(reproduction):
+    result, _ = reproduction
+    assert [spec.name for spec in FIGURES] == NAMES
+    out = result.results.parent
+    expected = sorted([f"{name}.{kind}" for name in NAMES for kind in ("png", "svg")] + ["index.html", "results.json"])
+    assert sorted(path.name for path in out.iterdir()) == expected  # no temporary file is left
+    for path in result.figures:
+        data = path.read_bytes()
+        if path.suffix == ".png":
+            assert data.startswith(b"\x89PNG")
+            width, height = struct.unpack(">II", data[16:24])
+            assert width >= 1000
+            assert height >= 400
+        else:
+            assert ET.fromstring(data).tag.endswith("svg")  # noqa: S314 - our own file
+
+
+def test_captions_name_the_printed_number_of_the_paper(reproduction):
+    for spec in FIGURES[:10]:
+        picture = next(path for path in reproduction[0].figures if path.name == f"{spec.name}.svg")
+        assert f"The paper's {spec.number}. " in picture.read_text(encoding="utf-8")
+    for spec in FIGURES[10:]:
+        assert "Not in the paper" in spec.caption
+
+
+def test_results_file_holds_all_numbers(reproduction):
+    result, _ = reproduction
+
+    def refuse(constant):
+        raise AssertionError(constant)
+
+    data = json.loads(result.results.read_text(encoding="utf-8"), parse_constant=refuse)
+    assert data == json.loads(json.dumps(result.to_dict()))
+    assert [row["paper"] for row in data["table_1"]] == [21.0, 13.0, 1.2]
+    assert [row["ours"] for row in data["table_1"]] == [
+        pytest.approx(21.57, abs=0.01),
+        pytest.approx(13.22, abs=0.01),
+        pytest.approx(0.794, abs=0.01),
+    ]
+    assert len(data["claims"]) == len(result.claims)
+    assert {claim["verdict"] for claim in data["claims"]} == {"holds", "fails"}
+
+
+def test_progress_is_reported(reproduction):
+    _, reports = reproduction
+    total = 1 + len(CHECKS) + len(FIGURES)
+    assert [done for done, _, _ in reports] == list(range(total + 1))
+    assert {most for _, most, _ in reports} == {total}
+    assert (reports[0][2], reports[-1][2]) == ("Table I", "Done")
+
+
+def test_terminal_tables_show_times_and_verdicts(reproduction):
+    from rich.console import Console
+
+    console = Console(width=140, record=True, file=io.StringIO())
+    for table in render(reproduction[0]):
+        console.print(table)
+    text = console.export_text()
+    for phrase in ("Gadjov–Pavel", "21.57", "13.22", "Theorem 4", "Erratum 6", "confirmed", "fails", "holds"):
+        assert phrase in text
+
+
+@pytest.mark.parametrize("kind", ["png", "svg"])
+def test_figures_are_the_same_in_every_run(experiments, kind):
+    assert draw(FIGURES[1], experiments, kind) == draw(FIGURES[1], experiments, kind)
+    assert draw_panels(FIGURES[1], experiments) == draw_panels(FIGURES[1], experiments)
+
+
+def test_existing_file_is_refused_as_directory(tmp_path):
+    target = tmp_path / "file"
+    target.write_text("kept")
+    with pytest.raises(NotADirectoryError, match="name a directory"):
+        reproduce(target)
+    assert target.read_text() == "kept"
+
+
+@pytest.mark.parametrize("missing", ["matplotlib", "rich"])
+def test_a_missing_extra_is_named(monkeypatch, experiments, reproduction, missing):
+    real = builtins.__import__
+
+    def without(name, *args, **kwargs):
+        if name.split(".")[0] == missing:
+            raise ImportError(name)
+        return real(name, *args, **kwargs)
+
+    monkeypatch.setattr(builtins, "__import__", without)
+    calls = {
+        "matplotlib": lambda: draw(FIGURES[0], experiments, "png"),
+        "rich": lambda: render(reproduction[0]),
+    }
+    with pytest.raises(ImportError, match=r'pip install "ptne-env\[bench\]"'):
+        calls[missing]()

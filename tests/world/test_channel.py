@@ -1,0 +1,808 @@
+"""Channels: agreement with a reference in plain Python, statistics, and information hidden from receivers.
+
+Statistical tests have a false-alarm probability of at most ``FALSE_ALARM`` per comparison; seeds are fixed.
+"""
+
+import math
+import re
+from dataclasses import replace
+from statistics import NormalDist
+
+import networkx as nx
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy import stats
+from worlds import BLOCKS_SWITCHING, EVERY_FAULT, FAULTY, begin, channel_part, quantity, world_and_encoder
+
+from ptne_env import FactorySpec, Scenario, get_scenario, laws
+from ptne_env.perception.encoder import make_encoder
+from ptne_env.perception.observation import Interface
+from ptne_env.shared.random_streams import RandomStreams
+from ptne_env.world import dynamics
+from ptne_env.world.channel import Chain, Channel, LinkRandomness, Messages
+from ptne_env.world.world import RANGE_LIMIT, World
+
+FALSE_ALARM = 1e-6
+
+SWITCHING = get_scenario("random-energy-switching-transformed", spacing="transformed", gain=2.0, steps=60, hold_steps=3)
+FIXED = get_scenario("random-energy", steps=60, hold_steps=3)
+
+STAGES = {
+    "additive noise": channel_part("AdditiveNoise", std=0.3),
+    "multiplicative noise": channel_part("MultiplicativeNoise", std=0.3),
+    "constant delay": channel_part("Delay", steps=2),
+    "zero delay": channel_part("Delay", steps=0),
+    "random delay": channel_part("Delay", steps=1, longest=5),
+    "loss, hold": channel_part("Loss", probability=0.4),
+    "loss, drop": channel_part("Loss", probability=0.4, gap="drop"),
+    "bursts, hold": channel_part("BurstLoss", to_bad=0.2, to_good=0.3, loss_good=0.1),
+    "bursts, drop": channel_part("BurstLoss", to_bad=0.2, to_good=0.3, loss_bad=0.8, gap="drop"),
+    "uniform levels": channel_part("UniformQuantiser", width=0.25),
+    "uniform levels of differences": channel_part("UniformQuantiser", width=0.25, target="difference"),
+    "logarithmic levels": channel_part("LogarithmicQuantiser", ratio=0.7),
+    "logarithmic levels of differences": channel_part("LogarithmicQuantiser", ratio=0.7, target="difference"),
+    "asymmetry": channel_part("AsymmetricLinks", low=0.2, high=1.7),
+}
+CHANNELS = STAGES | {
+    "everything": EVERY_FAULT,
+    "everything reversed": channel_part("Chain", stages=tuple(reversed(STAGES.values()))),
+    "nothing": channel_part("Chain", stages=()),
+}
+
+
+# --- the reference: one link at a time, plain Python ------------------------------------------------------------------
+
+GAMMA = 0x9E3779B97F4A7C15
+
+
+def mix(value):
+    value = (value ^ (value >> 30)) * 0xBF58476D1CE4E5B9 % 2**64
+    value = (value ^ (value >> 27)) * 0x94D049BB133111EB % 2**64
+    return value ^ (value >> 31)
+
+
+def word(key, counter):
+    return mix((mix(key) + (counter + 1) * GAMMA) % 2**64)
+
+
+def child(key, index):
+    return mix(mix((mix(key) + index * GAMMA) % 2**64) ^ GAMMA)
+
+
+def uniform(key, counter):
+    return ((word(key, counter) >> 12) + 0.5) / 2**52
+
+
+def stages_of(part):
+    """The stages of a chain and of the chains in it, in order: (kind, arguments)."""
+    kind, arguments = part.target.split(":")[1], dict(part.arguments)
+    if kind == "Chain":
+        return [stage for inner in arguments["stages"] for stage in stages_of(inner)]
+    return [(kind, arguments)]
+
+
+class ReferenceStage:
+    """One stage on one directed link (i, j); its input is (value per component, or None without a message, weight)."""
+
+    def __init__(self, kind, arguments, key, i, j, players):
+        self.kind, self.arguments, self.key = kind, arguments, key
+        self.link = i * players + j
+        self.held = None  # the last message received
+        self.sent = []  # (step of arrival, value)
+        self.bad = None
+        self.step = -1
+
+    def uniform(self, purpose=0):
+        return uniform(word(child(self.key, purpose), self.step), self.link)
+
+    def normal(self, component, dimension):
+        number = uniform(word(child(self.key, 0), self.step), self.link * dimension + component)
+        return NormalDist().inv_cdf(number)
+
+    def feed(self, value, weight, own):
+        self.step += 1
+        first = self.step == 0
+        method = re.sub(r"(?<!^)(?=[A-Z])", "_", self.kind).lower()
+        return getattr(self, method)(value, weight, own, first=first, **self.arguments)
+
+    def additive_noise(self, value, weight, own, *, first, std):
+        return value and [v + std * self.normal(c, len(value)) for c, v in enumerate(value)], weight
+
+    def multiplicative_noise(self, value, weight, own, *, first, std):
+        if value is None:
+            return None, weight
+        y = [
+            x + (v - x) * (1 + std * self.normal(c, len(value)))
+            for c, (v, x) in enumerate(zip(value, own, strict=True))
+        ]
+        return y, weight
+
+    def delay(self, value, weight, own, *, first, steps, longest=None):
+        longest = steps if longest is None else longest
+        lag = steps if longest == steps else steps + math.floor(self.uniform() * (longest - steps + 1))
+        if first:
+            self.held = value
+        self.sent.append((self.step + lag, value))
+        for arrival, message in self.sent:  # in the order of sending: of simultaneous arrivals the last counts
+            if arrival == self.step and message is not None:
+                self.held = message
+        return self.held, weight
+
+    def loss(self, value, weight, own, *, first, probability, gap="hold"):
+        return self.lose(value, weight, first, self.uniform() < probability, gap)
+
+    def burst_loss(self, value, weight, own, *, first, to_bad, to_good, loss_bad=1.0, loss_good=0.0, gap="hold"):
+        turn = self.uniform()
+        if first:
+            self.bad = turn < to_bad / (to_bad + to_good)
+        elif self.bad:
+            self.bad = not turn < to_good
+        else:
+            self.bad = turn < to_bad
+        return self.lose(value, weight, first, self.uniform(purpose=1) < (loss_bad if self.bad else loss_good), gap)
+
+    def lose(self, value, weight, first, lost, gap):
+        if gap == "drop":
+            return None if lost else value, weight
+        if first:
+            self.held = value
+        if lost:
+            return self.held, weight
+        if value is not None:
+            self.held = value
+        return value, weight
+
+    def uniform_quantiser(self, value, weight, own, *, first, width, target="message"):
+        return self.quantised(value, own, target, lambda z: round(z / width) * width), weight
+
+    def logarithmic_quantiser(self, value, weight, own, *, first, ratio, target="message"):
+        delta = (1 - ratio) / (1 + ratio)
+
+        def level(z):
+            if z == 0:
+                return 0.0
+            m = math.floor(math.log(abs(z) * (1 - delta)) / math.log(ratio))
+            return math.copysign(ratio**m, z)
+
+        return self.quantised(value, own, target, level), weight
+
+    def quantised(self, value, own, target, level):
+        if value is None:
+            return None
+        if target == "message":
+            return [level(v) for v in value]
+        return [x + level(v - x) for v, x in zip(value, own, strict=True)]
+
+    def asymmetric_links(self, value, weight, own, *, first, low, high):
+        if first:
+            self.factor = low + (high - low) * self.uniform()
+        return value, weight * self.factor
+
+
+def reference_of(channel, key, i, j, players):
+    return [
+        ReferenceStage(kind, arguments, child(key, index) if is_chain(channel) else key, i, j, players)
+        for index, (kind, arguments) in enumerate(stages_of(channel))
+    ]
+
+
+def is_chain(channel):
+    return channel.target.endswith(":Chain")
+
+
+def wandering(scenario, batch, steps=None, seed=0):
+    """States of an episode under random inputs."""
+    world = World(scenario)
+    generator = np.random.default_rng(seed)
+    states = [begin(world, range(batch))]
+    for _ in range(steps or world.clock.total_steps):
+        inputs = generator.normal(size=(*states[0].estimates.shape[:2], 1)) * 20
+        states.append(dynamics.step(world, states[-1], np.tile(inputs, (1, 1, batch))))
+    return world, states
+
+
+@pytest.mark.parametrize("world", ["fixed", "switching", "blocks"])
+@pytest.mark.parametrize("name", CHANNELS)
+def test_channel_agrees_with_its_reference_link_by_link(name, world):
+    scenario = {"fixed": FIXED, "switching": SWITCHING, "blocks": BLOCKS_SWITCHING}[world]
+    world, states = wandering(scenario.replace(channel=CHANNELS[name]), batch=2, steps=40)
+    players, exact = world.game.num_players, "noise" not in name and "everything" not in name
+    exact = exact and "logarithmic" not in name
+    received = gaps = 0
+    for b in range(2):
+        randomness = states[0].randomness
+        key = 0 if randomness is None else int(randomness.channel_keys[b])
+        for i in range(players):
+            for slot, j in enumerate(world.neighbours[:, i].tolist()):
+                reference = reference_of(CHANNELS[name], key, i, j, players)
+                for state in states:
+                    graph = world.topology.graphs[int(dynamics.active_mode(world, state)[b])].adjacency
+                    own = state.estimates[:, i, b].tolist()
+                    weight = float(graph[i, j])
+                    value = state.estimates[:, j, b].tolist() if weight > 0 else None
+                    for stage in reference:
+                        value, weight = stage.feed(value, weight, own)
+                    if value is None or graph[i, j] == 0:
+                        value, weight = own, 0.0
+                        gaps += j != i
+                    else:
+                        received += 1
+                    relative = [v - x for v, x in zip(value, own, strict=True)]
+                    found = dynamics.relative_estimates(world, state)[slot, :, i, b]
+                    weights = dynamics.weights(world, state)
+                    assert weights[slot, i, b % weights.shape[2]] == weight
+                    if exact:
+                        assert found.tolist() == relative
+                    else:
+                        assert found == pytest.approx(relative, rel=1e-9, abs=1e-9)
+    assert received > 50
+    if world == "switching" or "drop" in name:
+        assert gaps > 100
+
+
+# --- batches, seeds, policies -----------------------------------------------------------------------------------------
+
+FAULTS = {name: SWITCHING.replace(channel=part) for name, part in CHANNELS.items()} | {"all at once": FAULTY}
+RECEIVED = ("weights", "relative_estimates", "messages", "active_mode", "time_since_switch", "estimates")
+
+
+def column(array, b, batch):
+    return array[..., b : b + 1] if array.shape[-1] == batch else array
+
+
+@pytest.mark.parametrize("name", FAULTS)
+def test_batch_equals_single_environments_through_restarts(name):
+    world, batch = World(FAULTS[name]), 5
+    together, alone = begin(world, range(batch)), [begin(world, [b]) for b in range(batch)]
+    generator = np.random.default_rng(0)
+    for k in range(50):
+        if k in (20, 33):  # some environments restart
+            mask = np.arange(batch) % 2 == k % 2
+            seeds = [100 * k + b for b in np.flatnonzero(mask)]
+            together = dynamics.merge(together, begin(world, seeds), mask)
+            for b, seed in zip(np.flatnonzero(mask), seeds, strict=True):
+                alone[b] = begin(world, [seed])
+        inputs = generator.normal(size=together.estimates.shape)
+        together = dynamics.step(world, together, inputs)
+        for b in range(batch):
+            alone[b] = dynamics.step(world, alone[b], inputs[:, :, b : b + 1])
+            for field in RECEIVED:
+                whole, single = quantity(world, together, field), quantity(world, alone[b], field)
+                assert np.array_equal(column(whole, b, batch), single), field
+
+
+def noise_of(seed, inputs_seed, scenario):
+    """The noise of each message, per step, under inputs of another seed."""
+    world = World(scenario)
+    generator, state, result = np.random.default_rng(inputs_seed), begin(world, [seed]), []
+    for _ in range(10):
+        result.append(state.received.messages - dynamics.sent_messages(world, state.estimates))
+        state = dynamics.step(world, state, generator.normal(size=state.estimates.shape))
+    return np.array(result)
+
+
+def test_noise_depends_on_the_seed_and_not_on_the_policy():
+    scenario = FIXED.replace(channel=STAGES["additive noise"])
+    first = noise_of(3, 0, scenario)
+    assert noise_of(3, 0, scenario).tolist() == first.tolist()
+    assert noise_of(3, 1, scenario) == pytest.approx(first, abs=1e-12)
+    assert np.abs(noise_of(4, 0, scenario) - first).max() > 0.1
+
+
+def test_padded_slots_do_not_change_the_noise_of_a_link():
+    noisy = FIXED.replace(channel=STAGES["additive noise"])
+    plain, world = begin(World(noisy), [1]), World(noisy.replace(slots=4))
+    padded = begin(world, [1])
+    assert np.array_equal(padded.received.messages[:2], plain.received.messages)
+    assert not dynamics.relative_estimates(world, padded)[2:].any()
+    assert not padded.received.weights[2:].any()
+
+
+def test_stages_of_a_chain_draw_independently():
+    noise = STAGES["additive noise"]
+    scenario = FIXED.replace(channel=channel_part("Chain", stages=(noise,) * 2), steps=400)
+    one = FIXED.replace(channel=channel_part("Chain", stages=(noise,)), steps=400)
+    both, first = (np.concatenate([noise_of(seed, 0, each) for seed in range(20)]).ravel() for each in (scenario, one))
+    second = both - first
+    limit = stats.norm.isf(FALSE_ALARM / 2) / math.sqrt(second.size)
+    assert abs(np.corrcoef(first, second)[0, 1]) < limit
+    assert stats.kstest(second / 0.3, "norm").pvalue > FALSE_ALARM
+
+
+def test_perfect_channel_has_no_messages_and_no_draws():
+    for scenario in (FIXED, SWITCHING):
+        world, states = wandering(scenario, 2, steps=20)
+        assert world.channel.is_perfect
+        for state in states:
+            assert state.received is None
+            assert state.randomness is None
+    chained = FIXED.replace(channel=channel_part("Chain", stages=(channel_part("Chain", stages=()),)))
+    assert World(chained).channel.is_perfect
+
+
+def test_zero_faults_are_the_perfect_channel():
+    none = channel_part(
+        "Chain",
+        stages=(
+            channel_part("AdditiveNoise", std=0.0),
+            channel_part("MultiplicativeNoise", std=0.0),
+            channel_part("Delay", steps=0),
+            channel_part("Loss", probability=0.0, gap="drop"),
+            channel_part("Loss", probability=0.0),
+        ),
+    )
+    for interface in ("physical", "local"):
+        plain, faulty = (World(SWITCHING.replace(channel=channel)) for channel in ("perfect", none))
+        encoders = [make_encoder(world, Interface(interface)) for world in (plain, faulty)]
+        states = [begin(world, range(3)) for world in (plain, faulty)]
+        for _ in range(40):
+            observations = [encoder.observe(state) for encoder, state in zip(encoders, states, strict=True)]
+            assert np.array_equal(*observations)
+            actions = np.random.default_rng(0).uniform(-1, 1, (3, 5, 5)).astype(np.float32)
+            inputs = [encoder.decode(actions, state) for encoder, state in zip(encoders, states, strict=True)]
+            states = [dynamics.step(plain, states[0], inputs[0]), dynamics.step(faulty, states[1], inputs[1])]
+
+
+# --- one-way links and lies -------------------------------------------------------------------------------------------
+
+
+def open_arcs(world, state, b):
+    """The directed graph of the arcs (sender, receiver) with positive weight in environment b."""
+    arcs = nx.DiGraph()
+    arcs.add_nodes_from(range(world.game.num_players))
+    weights = dynamics.weights(world, state)[:, :, b]
+    arcs.add_edges_from((int(world.neighbours[d, i]), i) for d, i in np.argwhere(weights > 0).tolist())
+    return arcs
+
+
+POOL = FactorySpec.of("ptne_env.world.switching:random_graphs", players=5, probability=0.5)
+
+
+@pytest.mark.parametrize("share", [0.0, 0.5, 1.0])
+@pytest.mark.parametrize("topology", [None, POOL])
+def test_one_way_links_leave_a_strongly_connected_graph(topology, share):
+    part = channel_part("OneWayLinks", share=share)
+    world = World(FIXED.replace(channel=part, **({} if topology is None else {"topology": topology})))
+    state = begin(world, range(40))
+    one_way = total = 0
+    for b in range(40):
+        arcs = open_arcs(world, state, b)
+        assert nx.is_strongly_connected(arcs)
+        links = arcs.to_undirected()
+        assert links.size() == len(world.topology.graphs[int(dynamics.active_mode(world, state)[b])].edges)
+        one_way, total = one_way + sum(not arcs.has_edge(j, i) for i, j in arcs.edges), total + links.size()
+    if topology is None:  # in a cycle all links can be one-way
+        assert stats.binomtest(one_way, total, share).pvalue > FALSE_ALARM
+    assert (one_way == 0) == (share == 0)
+    later = dynamics.step(world, state, np.zeros_like(state.estimates))
+    np.testing.assert_array_equal(dynamics.weights(world, later), dynamics.weights(world, state))
+
+
+def test_every_arc_that_may_close_is_closed_when_all_links_are_chosen():
+    world = World(FIXED.replace(topology=POOL, channel=channel_part("OneWayLinks", share=1.0)))
+    state = begin(world, range(20))
+    for b in range(20):
+        arcs = open_arcs(world, state, b)
+        for i, j in [(i, j) for i, j in arcs.edges if arcs.has_edge(j, i)]:
+            less = arcs.copy()
+            less.remove_edge(i, j)
+            assert not nx.is_strongly_connected(less)
+
+
+def test_one_way_links_of_a_switching_topology_connect_over_time():
+    world = World(SWITCHING.replace(channel=channel_part("OneWayLinks", share=1.0)))
+    state = begin(world, range(10))
+    seen = [open_arcs(world, state, b) for b in range(10)]
+    for _ in range(world.clock.total_steps):
+        state = dynamics.step(world, state, np.zeros_like(state.estimates))
+        seen = [nx.compose(arcs, open_arcs(world, state, b)) for b, arcs in enumerate(seen)]
+    assert all(nx.is_strongly_connected(arcs) for arcs in seen)
+    assert all(not arcs.has_edge(j, i) for arcs in seen for i, j in arcs.edges)
+
+
+def test_a_closed_arc_delivers_nothing():
+    world = World(FIXED.replace(channel=channel_part("OneWayLinks", share=1.0)))
+    state = begin(world, range(5))
+    closed = dynamics.weights(world, state) == 0
+    assert closed.sum() == 25  # one of the two directions of each of the five links, in each of five episodes
+    relative = dynamics.relative_estimates(world, state)
+    assert not relative.swapaxes(0, 1)[:, closed].any()
+    assert relative.swapaxes(0, 1)[:, ~closed].all()
+
+
+@pytest.mark.parametrize("scenario", [FIXED, BLOCKS_SWITCHING])
+def test_one_player_lies_about_components_of_others_alone(scenario):
+    world = World(scenario.replace(channel=channel_part("Lying", size=3.0)))
+    states = [begin(world, range(30))]
+    for _ in range(4):
+        states.append(dynamics.step(world, states[-1], np.ones_like(states[-1].estimates)))
+    liars, told = set(), []
+    for b in range(30):
+        found = {}
+        for state in states:
+            lies = state.received.messages[..., b] - dynamics.sent_messages(world, state.estimates)[..., b]
+            for slot, component, receiver in np.argwhere(np.abs(lies) > 1e-9).tolist():
+                sender = int(world.neighbours[slot, receiver])
+                assert world.game.owners[component] != sender
+                found.setdefault((sender, component), []).append(lies[slot, component, receiver])
+        assert len({sender for sender, _ in found}) == 1
+        liars |= {sender for sender, _ in found}
+        (liar,) = {sender for sender, _ in found}
+        assert len(found) == world.game.dimension - world.game.action_dims[liar]
+        for values in found.values():  # the same for every neighbour and in every step
+            assert np.ptp(values) < 1e-9
+            told.append(values[0])
+    assert liars == set(range(world.game.num_players))
+    assert 2.5 < np.abs(told).max() < 3
+    assert stats.kstest(told, stats.uniform(-3, 6).cdf).pvalue > FALSE_ALARM
+
+
+def test_the_lying_player_can_be_given():
+    world = World(FIXED.replace(channel=channel_part("Lying", size=3.0, player=2)))
+    state = begin(world, range(10))
+    lies = state.received.messages != dynamics.sent_messages(world, state.estimates)
+    assert set(world.neighbours[np.nonzero(lies.any(axis=(1, 3)))].tolist()) == {2}
+    with pytest.raises(ValueError, match=r"the lying player is 0\.\.4 in a game of 5 players, got 5"):
+        begin(World(FIXED.replace(channel=channel_part("Lying", size=3.0, player=5))), [0])
+
+
+@pytest.mark.parametrize(
+    ("kind", "arguments"),
+    [("OneWayLinks", {"share": 1.1}), ("Lying", {"size": 0.0}), ("Lying", {"size": 1, "player": -1})],
+)
+def test_invalid_shares_and_lies_are_refused(kind, arguments):
+    with pytest.raises(ValueError, match=list(arguments)[-1]):
+        channel_part(kind, **arguments).build()
+
+
+def test_new_stages_combine_with_others_through_json_and_merge():
+    stages = [channel_part("Lying", size=3.0), EVERY_FAULT, channel_part("OneWayLinks", share=0.7)]
+    scenario = FAULTY.replace(channel=channel_part("Chain", stages=stages))
+    world = World(Scenario.from_json(scenario.to_json()))
+    first, second = begin(world, [1, 2, 3]), begin(world, [4])
+    mask = np.array([False, True, False])
+    mixed, expected = dynamics.merge(first, second, mask), begin(world, [1, 4, 3])
+    inputs = np.ones_like(mixed.estimates)
+    for _ in range(6):
+        mixed, expected = dynamics.step(world, mixed, inputs), dynamics.step(world, expected, inputs)
+        np.testing.assert_array_equal(mixed.received.messages, expected.received.messages)
+        np.testing.assert_array_equal(mixed.received.weights, expected.received.weights)
+        np.testing.assert_array_equal(mixed.own_gradients, expected.own_gradients)
+
+
+# --- statistics of draws ----------------------------------------------------------------------------------------------
+
+
+def constant_messages(batch=400, slots=2, dimension=5, players=5, value=3.0):
+    own = np.zeros((dimension, players, batch))
+    live = np.ones((slots, players, batch), dtype=bool)
+    return Messages(np.full((slots, dimension, players, batch), value), live, live.astype(float), own)
+
+
+SENDERS = np.array([[1, 2, 3, 4, 0], [4, 0, 1, 2, 3]])
+
+
+def transmit(channel, steps, messages=None, batch=400, seed=0):
+    """The output of each step for the input ``messages(k)``."""
+    keys = np.random.default_rng(seed).integers(0, 2**64, batch, dtype=np.uint64)
+    memory, results = None, []
+    for k in range(steps):
+        sent = constant_messages(batch) if messages is None else messages(k)
+        randomness = LinkRandomness(keys, np.full(batch, k), SENDERS, np.arange(5))
+        out, memory = channel.transmit(sent, memory, randomness)
+        results.append(out)
+    return results
+
+
+def build(name):
+    return CHANNELS[name].build()
+
+
+def test_noises_are_normal_with_their_standard_deviation():
+    additive = np.array([out.values - 3.0 for out in transmit(build("additive noise"), 10)])
+    relative = np.array([out.values / 3.0 - 1 for out in transmit(build("multiplicative noise"), 10)])
+    for noise in (additive, relative):
+        assert stats.kstest(noise.ravel() / 0.3, "norm").pvalue > FALSE_ALARM
+        for axis in range(5):  # neighbours along steps, slots, components, players and episodes are uncorrelated
+            first, second = np.delete(noise, 0, axis), np.delete(noise, -1, axis)
+            limit = stats.norm.isf(FALSE_ALARM / 2) / math.sqrt(first.size)
+            assert abs(np.corrcoef(first.ravel(), second.ravel())[0, 1]) < limit
+
+
+def test_losses_have_the_given_probability():
+    live = np.array([out.live for out in transmit(build("loss, drop"), 30)])
+    assert stats.binomtest(int((~live).sum()), live.size, 0.4).pvalue > FALSE_ALARM
+
+
+def test_bursts_are_the_chain_of_gilbert_and_elliott():
+    channel = channel_part("BurstLoss", to_bad=0.1, to_good=0.4, gap="drop").build()
+    bad = np.array([~out.live for out in transmit(channel, 40)])
+    assert stats.binomtest(int(bad[0].sum()), bad[0].size, 0.2).pvalue > FALSE_ALARM
+    assert stats.binomtest(int(bad[-1].sum()), bad[-1].size, 0.2).pvalue > FALSE_ALARM
+    before, after = bad[:-1], bad[1:]
+    for start, probability in ((False, 0.1), (True, 0.6)):
+        tries = before == start
+        assert stats.binomtest(int(after[tries].sum()), int(tries.sum()), probability).pvalue > FALSE_ALARM
+
+
+def test_delays_are_uniform_and_messages_overtake_each_other():
+    """The message of step k is the number k, so the received value is the time of sending."""
+
+    def numbered(k):
+        return constant_messages(value=float(k))
+
+    received = np.array([out.values[:, 0] for out in transmit(build("random delay"), 60, numbered)])
+    # With delays of 1..5 no message is younger than 1 step, and of simultaneous arrivals the last one sent counts.
+    steps = np.arange(60)[:, None, None, None]
+    assert (received[10:] <= steps[10:] - 1).all()
+    assert (np.diff(received, axis=0) < 0).any()  # an older message arrives after a newer one
+    ages = (steps - received)[10:]
+    # Age 1 means that the message of the step before had delay 1: one in five.
+    assert stats.binomtest(int((ages == 1).sum()), ages.size, 0.2).pvalue > FALSE_ALARM
+    constant = np.array([out.values[:, 0] for out in transmit(build("constant delay"), 10, numbered)])
+    assert constant[:, 0, 0, 0].tolist() == [0, 0, 0, 1, 2, 3, 4, 5, 6, 7]
+
+
+def test_asymmetric_weights_are_uniform_constant_and_directed():
+    out = transmit(build("asymmetry"), 5)
+    weights = out[0].weights
+    assert all(np.array_equal(each.weights, weights) for each in out)
+    assert stats.kstest((weights.ravel() - 0.2) / 1.5, "uniform").pvalue > FALSE_ALARM
+    forth, back = weights[0, 0], weights[1, 1]  # player 1 is in player 0's first slot, player 0 in player 1's second
+    assert SENDERS[0, 0] == 1
+    assert SENDERS[1, 1] == 0
+    assert abs(np.corrcoef(forth, back)[0, 1]) < stats.norm.isf(FALSE_ALARM / 2) / math.sqrt(forth.size)
+
+
+@given(st.floats(0.05, 0.99), st.lists(st.floats(-1e6, 1e6), min_size=25, max_size=25))
+def test_logarithmic_levels_are_within_their_sector(ratio, numbers):
+    channel = channel_part("LogarithmicQuantiser", ratio=ratio).build()
+    values = np.array(numbers).reshape(1, 5, 5, 1)
+    live = np.ones((1, 5, 1), dtype=bool)
+    messages = Messages(values, live, live.astype(float), np.zeros((5, 5, 1)))
+    levels = channel.transmit(messages, None, None)[0].values
+    delta = (1 - ratio) / (1 + ratio)
+    assert np.all(np.abs(levels - values) <= delta * np.abs(values) * (1 + 1e-9) + 1e-300)
+    again = channel.transmit(Messages(levels * (1 + 1e-12), live, live.astype(float), messages.own), None, None)
+    assert again[0].values == pytest.approx(levels, rel=1e-9)  # quantisation is idempotent
+
+
+@given(st.floats(0.001, 10), st.lists(st.floats(-1e6, 1e6), min_size=25, max_size=25))
+def test_uniform_levels_are_the_nearest_multiples_of_the_width(width, numbers):
+    channel = channel_part("UniformQuantiser", width=width).build()
+    values = np.array(numbers).reshape(1, 5, 5, 1)
+    live = np.ones((1, 5, 1), dtype=bool)
+    levels = channel.transmit(Messages(values, live, live.astype(float), np.zeros((5, 5, 1))), None, None)[0].values
+    assert np.all(np.abs(levels - values) <= width / 2 * (1 + 1e-6))
+    assert levels / width == pytest.approx(np.round(levels / width), abs=1e-6)
+
+
+# --- information hidden from receivers --------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", CHANNELS)
+def test_values_on_a_down_link_have_no_effect(name):
+    channel, generator = build(name), np.random.default_rng(1)
+    if not isinstance(channel, Channel):
+        raise AssertionError(name)
+    shape = (2, 5, 5, 6)
+    sequence, garbled = [], []
+    for _ in range(25):
+        live = generator.random((2, 5, 6)) < 0.5
+        values, own = generator.normal(size=shape), generator.normal(size=(5, 5, 6))
+        garbage = np.where(live[:, None], values, generator.normal(size=shape) * 1e3)
+        sequence.append(Messages(values, live, live.astype(float), own))
+        garbled.append(Messages(garbage, live, live.astype(float), own))
+    received = 0
+    for plain, other, sent in zip(
+        transmit(channel, 25, sequence.__getitem__, 6),
+        transmit(channel, 25, garbled.__getitem__, 6),
+        sequence,
+        strict=True,
+    ):
+        assert np.array_equal(plain.live, other.live)
+        assert np.array_equal(plain.weights, other.weights)
+        visible = plain.live & sent.live
+        received += visible.sum()
+        assert np.array_equal(plain.values * visible[:, None], other.values * visible[:, None])
+    assert received > 100
+
+
+@pytest.mark.parametrize("kind", ["physical", "local"])
+def test_observation_does_not_depend_on_players_without_a_link(kind):
+    world = World(FAULTY.replace(disturbance="none"))
+    encoder = make_encoder(world, Interface(kind))
+    generator = np.random.default_rng(0)
+    states = [begin(world, [5])] * 2
+    player = 0
+    unlinked = [j for j in range(5) if j != player and j not in world.neighbours[:, player]]
+    assert len(unlinked) == 2
+    for _ in range(60):
+        inputs = generator.normal(size=(5, 5, 1))
+        others = inputs.copy()
+        others[:, unlinked] = generator.normal(size=(5, 2, 1)) * 10
+        first, second = (encoder.observe(state)[0] for state in states)
+        assert np.array_equal(first[player], second[player])
+        states = [dynamics.step(world, states[0], inputs), dynamics.step(world, states[1], others)]
+    assert not np.array_equal(first[unlinked], second[unlinked])
+
+
+# --- any chain of stages ----------------------------------------------------------------------------------------------
+
+probability = st.floats(0.0, 1.0)
+stage_parts = st.one_of(
+    st.builds(lambda std: channel_part("AdditiveNoise", std=std), st.floats(0, 1e5)),
+    st.builds(lambda std: channel_part("MultiplicativeNoise", std=std), st.floats(0, 1e3)),
+    st.builds(lambda a, b: channel_part("Delay", steps=a, longest=a + b), st.integers(0, 3), st.integers(0, 3)),
+    st.builds(
+        lambda p, gap: channel_part("Loss", probability=p, gap=gap), probability, st.sampled_from(["hold", "drop"])
+    ),
+    st.builds(
+        lambda p, r, gap: channel_part("BurstLoss", to_bad=p, to_good=r, gap=gap),
+        st.floats(0.01, 1),
+        st.floats(0.01, 1),
+        st.sampled_from(["hold", "drop"]),
+    ),
+    st.builds(
+        lambda width, target: channel_part("UniformQuantiser", width=width, target=target),
+        st.floats(1e-9, 1e6),
+        st.sampled_from(["message", "difference"]),
+    ),
+    st.builds(
+        lambda ratio, target: channel_part("LogarithmicQuantiser", ratio=ratio, target=target),
+        st.floats(1e-6, 1, exclude_max=True),
+        st.sampled_from(["message", "difference"]),
+    ),
+    st.builds(
+        lambda low, width: channel_part("AsymmetricLinks", low=low, high=low + width), probability, st.floats(0.1, 9)
+    ),
+)
+
+
+@settings(max_examples=40)
+@given(
+    st.lists(stage_parts, max_size=8), st.sampled_from(["physical", "local"]), st.integers(0, 2**32), st.floats(0, 1e5)
+)
+def test_observations_under_any_chain_are_in_their_space(stages, kind, seed, size):
+    scenario = FAULTY.replace(channel=channel_part("Chain", stages=stages), input_limit=1e6)
+    world, encoder = world_and_encoder(scenario, kind=kind)
+    space = encoder.layout.observation_space()
+    state, generator = begin(world, [seed, seed + 1]), np.random.default_rng(seed)
+    for _ in range(8):
+        observations = encoder.observe(state)
+        assert np.isfinite(dynamics.relative_estimates(world, state)).all()
+        assert np.isfinite(dynamics.weights(world, state)).all()
+        assert dynamics.weights(world, state).min() >= 0
+        assert np.abs(dynamics.relative_estimates(world, state)).max() <= 2 * RANGE_LIMIT
+        assert all(space.contains(row) for env in observations for row in env)
+        state = dynamics.step(world, state, size * generator.normal(size=state.estimates.shape))
+
+
+@pytest.mark.parametrize("name", CHANNELS)
+def test_scenario_with_a_channel_survives_json(name):
+    scenario = FIXED.replace(channel=CHANNELS[name])
+    again = Scenario.from_json(scenario.to_json())
+    assert again == scenario
+    assert hash(again) == hash(scenario)
+    deterministic = {"constant delay", "zero delay", "nothing"} | {name for name in CHANNELS if "levels" in name}
+    assert World(again).channel.is_random == (name not in deterministic)
+
+
+def test_nested_chains_are_one_chain():
+    inner, outer = build("everything"), Chain([build("asymmetry"), Chain([build("loss, drop")])])
+    assert len(inner.stages) == 8
+    assert [type(stage).__name__ for stage in outer.stages] == ["AsymmetricLinks", "Loss"]
+    assert outer.largest_weight_factor == 1.7
+
+
+REFUSED = {
+    "negative noise": ("AdditiveNoise", {"std": -1.0}, "std must be a finite number of at least 0"),
+    "infinite noise": ("MultiplicativeNoise", {"std": math.inf}, "std must be"),
+    "half a step": ("Delay", {"steps": 1.5}, "steps must be a whole number of at least 0"),
+    "delays in the wrong order": ("Delay", {"steps": 3, "longest": 2}, "longest must be a whole number of at least 3"),
+    "more than certain": ("Loss", {"probability": 1.2}, "probability must be a probability"),
+    "unknown gap": ("Loss", {"probability": 0.1, "gap": "zero"}, "gap is one of 'hold', 'drop', got 'zero'"),
+    "no way out": ("BurstLoss", {"to_bad": 0.1, "to_good": 0.0}, "to_good must be a finite number above 0"),
+    "no width": ("UniformQuantiser", {"width": 0.0}, "width must be a finite number above 0"),
+    "unknown target": ("UniformQuantiser", {"width": 1, "target": "x"}, "target is one of 'message', 'difference'"),
+    "ratio of one": ("LogarithmicQuantiser", {"ratio": 1.0}, "ratio must be a number between 0 and 1"),
+    "empty range": ("AsymmetricLinks", {"low": 1.0, "high": 1.0}, "needs low < high"),
+    "no channel": ("Chain", {"stages": (3,)}, "the stages of a chain are channels, got a int"),
+    "unknown argument": ("Loss", {"rate": 0.1}, "refuses its arguments"),
+}
+
+
+@pytest.mark.parametrize("name", REFUSED)
+def test_invalid_channels_are_refused(name):
+    kind, arguments, message = REFUSED[name]
+    with pytest.raises(ValueError, match=message):
+        World(FIXED.replace(channel=channel_part(kind, **arguments)))
+
+
+def test_start_without_the_draws_is_refused():
+    world = World(FAULTY)
+    streams = [RandomStreams.from_seed(0)]
+    with pytest.raises(ValueError, match="'faulty' draws more than games and starts: pass the draws of 1"):
+        dynamics.initial_state(world, world.draw_estimates(streams), world.draw_game(streams))
+
+
+# --- noise near the deadline ------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("k", "amplification"), [(1.5, 1.5), (2.5, 3.1), (6.3, 37.0), (10.5, 600.0)])
+def test_explicit_euler_amplifies_noise_near_the_deadline(k, amplification):
+    """dx = −k/(T − t)(x + η), 400 uniform steps, the gain of a step taken at its start: k h/(T − t_m) = k/(400 − m).
+
+    With η of variance 1, drawn anew in every step, v ← (1 − a)² v + a² for the explicit and v ← (v + a²)/(1 + a)² for
+    the implicit form, a = k/(400 − m); the last step has a = k.
+    """
+    explicit = implicit = 0.0
+    for remaining in range(400, 0, -1):
+        a = k / remaining
+        explicit = (1 - a) ** 2 * explicit + a**2
+        implicit = (implicit + a**2) / (1 + a) ** 2
+    assert math.sqrt(explicit) == pytest.approx(amplification, rel=0.05)
+    assert math.sqrt(implicit) < 1
+
+
+@pytest.mark.parametrize("k", [0.7, 1.5])
+@pytest.mark.parametrize("spacing", ["effective", "transformed", "physical"])
+def test_noise_in_the_sampled_environment_follows_its_recursion(spacing, k):
+    """v ← (1 − k h)² v + (k h)² with h = Θ_k, for an estimate that follows a constant through the noise channel.
+
+    Two players are linked. Player 1 does not move, so its strategy x^1_1 is constant. Player 0 runs the static law
+    with κ = k: its estimate of that strategy has no gradient (it is not its own) and one neighbour, so with noise η of
+    standard deviation 1 on the message, z = x^0_1 − x^1_1 follows z ← z − Θ_k k (z − η) exactly. From z = 0 its
+    variance is v. The sample variance of B episodes times B/v is χ² with B degrees of freedom; one comparison is wrong
+    by chance with probability FALSE_ALARM.
+    """
+    episodes = 3000
+    scenario = Scenario(
+        name="follower",
+        game=FactorySpec.of("ptne_env.games:EnergyGame", curvature=(1.0, 1.0), target=(1.0, 2.0)),
+        topology=FactorySpec.of(
+            "ptne_env.world.switching:fixed", graph=FactorySpec.of("ptne_env.world.graphs:path", players=2)
+        ),
+        start=FactorySpec.of("ptne_env.world.starts:FixedStart", estimates=((0.0, 0.0), (0.0, 0.0))),
+        channel=channel_part("AdditiveNoise", std=1.0),
+        spacing=spacing,
+        steps=60,
+        s_end=5.0,
+    )
+    world, encoder = world_and_encoder(scenario)
+    law, state = laws.Static(encoder.layout, kappa=k), begin(world, range(episodes))
+    bounds = stats.chi2.isf([1 - FALSE_ALARM / 2, FALSE_ALARM / 2], episodes) / episodes
+    variance, largest = 0.0, 0.0
+    for step in range(60):
+        observations = encoder.observe(state).reshape(2 * episodes, -1)
+        actions = law.predict(observations)[0].reshape(episodes, 2, 2)
+        actions[:, 1] = 0.0
+        state = dynamics.step(world, state, encoder.decode(actions, state))
+        h = world.clock.theta[step]
+        largest = max(largest, h)
+        variance = (1 - k * h) ** 2 * variance + (k * h) ** 2
+        z = state.estimates[1, 0]
+        assert bounds[0] < np.mean(z**2) / variance < bounds[1]
+    assert largest > 0.1
+
+
+class EveryLinkLive(Channel):
+    """A channel that reports a message on every link, up or down."""
+
+    is_random = False
+
+    def transmit(self, messages, memory, randomness):
+        return replace(messages, live=np.ones_like(messages.live), weights=np.ones_like(messages.weights)), ()
+
+
+def test_down_links_stay_down_for_any_channel():
+    world = World(SWITCHING.replace(channel=FactorySpec.of("test_channel:EveryLinkLive")))
+    streams = [RandomStreams.from_seed(0)]
+    game, randomness = world.draw_game(streams), world.draw_randomness(streams)
+    state = dynamics.initial_state(world, world.draw_estimates(streams), game, randomness)
+    live, weights = dynamics.graph_weights(world, state) > 0, dynamics.weights(world, state)
+    assert live.any()
+    assert not live.all()
+    assert np.array_equal(weights > 0, np.broadcast_to(live, weights.shape))

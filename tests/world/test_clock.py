@@ -1,0 +1,320 @@
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy import integrate
+
+from ptne_env.world.clock import (
+    Exponential,
+    HyperbolicTangent,
+    LemmaViolationError,
+    Rational,
+    StepClock,
+    TimeTransformation,
+    check_time_transformation,
+)
+
+TRANSFORMATIONS = [Exponential, Rational, HyperbolicTangent]
+SPACINGS = ["effective", "transformed", "physical"]
+transformations = st.builds(lambda kind, deadline: kind(deadline), st.sampled_from(TRANSFORMATIONS), st.floats(0.1, 50))
+
+
+@given(transformations)
+def test_every_transformation_satisfies_the_lemma(transformation):
+    check_time_transformation(transformation)
+
+
+@given(transformations, st.floats(0, 10))
+def test_inverse_and_derivative_agree_with_the_transformation(transformation, s):
+    t = transformation.time(s)
+    assert 0 <= t < transformation.deadline
+    slope = transformation.derivative(s)
+    rounding = 4e-15 * transformation.deadline / slope  # rounding of t, in units of s
+    assert transformation.inverse(t) == pytest.approx(s, abs=rounding + 1e-13)
+    h = 1e-5
+    assert (transformation.time(s + h) - transformation.time(max(s - h, 0))) / (s + h - max(s - h, 0)) == pytest.approx(
+        slope, rel=2e-5, abs=1e-9 * transformation.deadline
+    )
+
+
+@pytest.mark.parametrize("deadline", [0.5, 1.2, 30.0])
+@pytest.mark.parametrize("fraction", [0.0, 0.3, 0.9, 0.9999])
+def test_gain_has_its_closed_form(deadline, fraction):
+    t = fraction * deadline
+    assert Exponential(deadline).gain(t, 20.0) == pytest.approx(20 + 1 / (deadline - t), rel=1e-9)
+    assert Rational(deadline).gain(t, 20.0) == pytest.approx(20 + deadline / (deadline - t) ** 2, rel=1e-9)
+    assert HyperbolicTangent(deadline).gain(t, 20.0) == pytest.approx(20 + deadline / (deadline**2 - t**2), rel=1e-9)
+
+
+@pytest.mark.parametrize("kind", TRANSFORMATIONS)
+def test_gain_is_the_constant_from_the_deadline_on(kind):
+    assert kind(1.2).gain([1.2, 1.3, 100.0], 20.0).tolist() == [20.0, 20.0, 20.0]
+
+
+@given(transformations, st.floats(0, 40), st.floats(0, 40))
+def test_effective_time_has_an_inverse(transformation, constant, s):
+    tau = transformation.effective_time(s, constant)
+    assert transformation.from_effective_time(tau, constant) == pytest.approx(s, rel=1e-9, abs=1e-9)
+
+
+@given(st.floats(0.1, 10), st.floats(0, 100), st.lists(st.floats(0, 200), min_size=1, max_size=5))
+def test_closed_form_of_the_exponential_agrees_with_bracketing(deadline, constant, taus):
+    exponential = Exponential(deadline)
+    generic = TimeTransformation.from_effective_time(exponential, taus, constant)
+    assert exponential.from_effective_time(taus, constant) == pytest.approx(
+        generic, rel=1e-9, abs=1e-12 * (1 + constant * deadline)
+    )
+
+
+class Broken(Exponential):
+    """The exponential for T = 2 with some methods replaced."""
+
+    def __init__(self, **methods):
+        super().__init__(2.0)
+        for name, method in methods.items():
+            setattr(self, name, method)
+
+
+def saturating(limit, rate, start=0.0):
+    """λ(s) = start + limit (1 − e^{−rate s}) and its derivative."""
+    return {
+        "time": lambda s: start + limit * (1 - np.exp(-rate * np.asarray(s))),
+        "derivative": lambda s: limit * rate * np.exp(-rate * np.asarray(s)),
+    }
+
+
+BROKEN = {
+    "does not start at 0": (Broken(**saturating(1.9, 2 / 1.9, start=0.1)), r"\(7a\) λ\(0\) = 0"),
+    "starts with another slope": (Broken(**saturating(2, 2)), r"\(7a\) λ'\(0\) = T"),
+    "has another derivative": (
+        Broken(derivative=lambda s: 2 / (1 + np.asarray(s)) ** 2),
+        r"\(7a\) λ is differentiable with derivative λ'",
+    ),
+    "turns back": (
+        Broken(time=lambda s: 2 * np.sin(np.asarray(s)), derivative=lambda s: 2 * np.cos(np.asarray(s))),
+        r"\(7b\) λ is strictly increasing",
+    ),
+    "stalls": (
+        Broken(
+            time=lambda s: 2 - 2 * np.maximum(1 - np.asarray(s) / 3, 0) ** 3,
+            derivative=lambda s: 2 * np.maximum(1 - np.asarray(s) / 3, 0) ** 2,
+        ),
+        r"\(7b\) λ is strictly increasing",
+    ),
+    "ends beyond the deadline": (Broken(**saturating(4, 0.5)), r"\(7c\) λ\(s\) → T"),
+    "ends before the deadline": (Broken(**saturating(1, 2)), r"\(7c\) λ\(s\) → T"),
+    "never slows down": (
+        Broken(derivative=lambda s: np.where(np.asarray(s) > 100, 1.0, 2 * np.exp(-np.asarray(s)))),
+        r"\(7c\) λ'\(s\) → 0",
+    ),
+    "is not a number": (Broken(time=lambda s: np.asarray(s) * np.nan), r"\(7a\) λ\(0\) = 0"),
+    "is not a number far out": (
+        Broken(time=lambda s: np.where(np.asarray(s) > 6, np.nan, Exponential(2.0).time(s))),
+        r"\(7c\) λ\(s\) → T",
+    ),
+    "has another inverse": (Broken(inverse=lambda t: np.asarray(t) / (2 - np.asarray(t))), r"λ\^\{-1\}\(λ\(s\)\) = s"),
+}
+
+
+NAIVE = {
+    "s/√(1 + s²)": {
+        "time": lambda s: 2 * np.asarray(s) / np.sqrt(1 + np.asarray(s) ** 2),
+        "derivative": lambda s: 2 / (1 + np.asarray(s) ** 2) ** 1.5,
+        "inverse": lambda t: np.asarray(t) / np.sqrt(4 - np.asarray(t) ** 2),
+    },
+    "s/(1 + s³)^(1/3)": {
+        "time": lambda s: 2 * np.asarray(s) / np.cbrt(1 + np.asarray(s) ** 3),
+        "derivative": lambda s: 2 / (1 + np.asarray(s) ** 3) ** (4 / 3),
+        "inverse": lambda t: np.asarray(t) / np.cbrt(8 - np.asarray(t) ** 3),
+    },
+    "sinh s/cosh s": {
+        "time": lambda s: 2 * np.sinh(s) / np.cosh(s),
+        "derivative": lambda s: 2 / np.cosh(s) ** 2,
+        "inverse": lambda t: np.arctanh(np.asarray(t) / 2),
+    },
+}
+"""Transformations whose formulas overflow far out."""
+
+
+@pytest.mark.parametrize("name", NAIVE)
+def test_formula_that_overflows_far_out_satisfies_the_lemma(name):
+    assert abs(check_time_transformation(Broken(**NAIVE[name]))) < 1e-4
+
+
+def test_transformation_that_falls_far_out_without_overflow_is_refused():
+    exponential = Exponential(2.0)
+    falling = Broken(time=lambda s: np.where(np.asarray(s) < 1e100, exponential.time(s), 1.0))
+    with pytest.raises(LemmaViolationError, match="λ\\(s\\) → T"):
+        check_time_transformation(falling)
+
+
+@pytest.mark.parametrize("name", BROKEN)
+def test_violated_condition_of_the_lemma_is_named(name):
+    transformation, condition = BROKEN[name]
+    with pytest.raises(LemmaViolationError, match=f"violates {condition} of Lemma 1"):
+        check_time_transformation(transformation)
+
+
+@pytest.mark.parametrize("deadline", [0.0, -1.0, float("nan"), float("inf")])
+@pytest.mark.parametrize("kind", TRANSFORMATIONS)
+def test_deadline_must_be_positive(kind, deadline):
+    with pytest.raises(ValueError, match="deadline must be a finite number above 0"):
+        kind(deadline)
+
+
+# --- table of steps ---------------------------------------------------------------------------------------------------
+
+clocks = st.builds(
+    lambda transformation, spacing, gain, steps, s_end, hold: StepClock(
+        transformation, gain=gain, steps=steps, s_end=s_end, spacing=spacing, hold_steps=hold
+    ),
+    transformations,
+    st.sampled_from(SPACINGS),
+    st.floats(0.1, 40),
+    st.integers(1, 60),
+    st.floats(0.5, 12),
+    st.integers(0, 5),
+)
+
+
+@given(clocks)
+def test_table_agrees_with_the_transformation(clock):
+    steps, deadline = clock.steps, clock.deadline
+    assert clock.t[:steps] == pytest.approx(clock.transformation.time(clock.s[:steps]), abs=1e-14 * deadline)
+    assert clock.t[0] == clock.s[0] == 0
+    assert clock.s[steps] == clock.s_end
+    assert clock.time_reached == pytest.approx(float(clock.transformation.time(clock.s_end)), rel=1e-14)
+    assert np.all(np.diff(clock.t) > 0)
+    assert np.all(np.diff(clock.s[: steps + 1]) > 0)
+
+
+@given(clocks)
+def test_theta_is_ds_plus_c_dt_and_sums_to_the_effective_time(clock):
+    steps = clock.steps
+    reached = np.append(clock.t[:steps], clock.time_reached)
+    dt, ds = np.diff(reached), np.diff(clock.s[: steps + 1])
+    assert clock.dt[:steps] == pytest.approx(dt, rel=1e-12)
+    assert clock.theta[:steps] == pytest.approx(ds + clock.gain * dt, rel=1e-12)
+    assert clock.theta[:steps].sum() == pytest.approx(clock.s_end + clock.gain * clock.time_reached, rel=1e-12)
+    assert clock.effective_time == pytest.approx(clock.theta[:steps].sum(), rel=1e-12)
+
+
+@given(clocks)
+def test_hold_phase_starts_at_the_deadline_with_the_mean_theta(clock):
+    steps, hold = clock.steps, clock.hold_steps
+    assert clock.total_steps == steps + hold
+    assert clock.t[steps] == clock.deadline
+    mean = clock.theta[:steps].mean()
+    assert clock.theta[steps:-1] == pytest.approx(np.full(hold, mean), rel=1e-12)
+    assert clock.dt[steps:-1] == pytest.approx(np.full(hold, mean / clock.gain), rel=1e-12)
+    assert np.diff(clock.t[steps:]) == pytest.approx(clock.dt[steps:-1], rel=1e-9)
+    assert np.all(clock.s[steps:] == clock.s_end)
+    assert clock.theta[-1] == clock.dt[-1] == 0
+
+
+@given(clocks)
+def test_topology_clocks_continue_after_the_deadline(clock):
+    steps, times = clock.steps, clock.topology_times
+    assert np.array_equal(times["physical"], clock.t)
+    assert np.array_equal(times["transformed"][:steps], clock.s[:steps])
+    assert times["transformed"][steps:] == pytest.approx(
+        clock.s_end + clock.gain * (clock.t[steps:] - clock.deadline), rel=1e-14
+    )
+
+
+@pytest.mark.parametrize("kind", TRANSFORMATIONS)
+def test_each_spacing_divides_its_own_time_evenly(kind):
+    def increments(spacing):
+        clock = StepClock(kind(1.2), gain=20.0, steps=50, s_end=6.0, spacing=spacing)
+        return {"effective": clock.theta[:-1], "transformed": np.diff(clock.s), "physical": clock.dt[:-1]}
+
+    for spacing in SPACINGS:
+        for name, values in increments(spacing).items():
+            even = np.ptp(values) <= 1e-8 * values.mean()
+            assert even == (name == spacing)
+
+
+def test_default_episode_stops_0_03_percent_short_of_the_deadline():
+    clock = StepClock(Exponential(1.2), gain=20.0, steps=400, s_end=8.0)
+    assert clock.shortfall == pytest.approx(np.exp(-8.0), rel=1e-9)
+    assert clock.shortfall == pytest.approx(3.35e-4, rel=2e-3)
+
+
+def test_tables_are_read_only():
+    clock = StepClock(Exponential(1.2), gain=20.0, steps=4, s_end=8.0)
+    for table in (clock.t, clock.s, clock.theta, clock.dt):
+        with pytest.raises(ValueError, match="read-only"):
+            table[0] = 1.0
+
+
+def test_without_constant_gain_theta_is_the_transformed_step():
+    clock = StepClock(Exponential(1.2), gain=0.0, steps=10, s_end=5.0)
+    assert clock.theta[:-1] == pytest.approx(np.full(10, 0.5))
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"gain": -1.0}, r"gain \(c\) must be a finite number of at least 0"),
+        ({"gain": float("nan")}, r"gain \(c\)"),
+        ({"steps": 0}, r"steps \(K\) must be a whole number of at least 1"),
+        ({"steps": 2.5}, r"steps \(K\)"),
+        ({"steps": True}, r"steps \(K\)"),
+        ({"s_end": 0.0}, "s_end must be a finite number above 0"),
+        ({"s_end": 50.0}, "too long"),
+        ({"hold_steps": -1}, "hold_steps must be"),
+        ({"hold_steps": 3, "gain": 0.0}, "hold_steps need a gain c > 0"),
+        ({"spacing": "logarithmic"}, "effective, transformed, physical"),
+    ],
+)
+def test_invalid_clocks_are_refused(arguments, message):
+    with pytest.raises(ValueError, match=message):
+        StepClock(Exponential(1.2), **{"gain": 20.0, "steps": 10, "s_end": 8.0, **arguments})
+
+
+@pytest.mark.parametrize("kind", [Exponential, Rational, HyperbolicTangent])
+@pytest.mark.parametrize("shift", [-0.7, -0.01, 0.01, 0.3])
+def test_shifted_clock_integrates_the_gain_of_its_shown_time(kind, shift):
+    """Θ^i = ∫ g(t + δ) dt over each step, g = c + 1/T before 0 and c once s_end is reached."""
+    clock = StepClock(kind(1.2), gain=5.0, steps=30, s_end=4.0, hold_steps=10)
+    local = clock.shifted(shift)
+    for k in range(clock.total_steps):
+
+        def gain(t):
+            shown = t + shift
+            if shown >= clock.time_reached:
+                return 5.0
+            return float(clock.transformation.gain(max(shown, 0.0), 5.0))
+
+        edges = np.clip([-shift, clock.time_reached - shift], clock.t[k], clock.t[k] + clock.dt[k])
+        bounds = [clock.t[k], *sorted(edges), clock.t[k] + clock.dt[k]]
+        total = sum(integrate.quad(gain, *span)[0] for span in pairwise(bounds) if span[1] - span[0] > 1e-15)
+        assert local.theta[k] == pytest.approx(total, rel=1e-6)
+    assert local.theta[-1] == 0
+    assert local.t == pytest.approx(np.clip(clock.t + shift, 0, clock.t[-1]))
+    assert local.s.min() >= 0
+    assert local.s.max() <= clock.s_end
+    before = local.t < clock.time_reached
+    assert clock.transformation.time(local.s[before]) == pytest.approx(local.t[before], abs=1e-9)
+
+
+def test_clock_without_shift_is_the_table_itself():
+    clock = StepClock(Exponential(1.2), gain=5.0, steps=30, s_end=4.0)
+    local = clock.shifted(0.0)
+    assert local.t is clock.t
+    assert local.s is clock.s
+    assert local.theta is clock.theta
+
+
+def test_small_shift_makes_a_small_difference():
+    clock = StepClock(Exponential(1.2), gain=20.0, steps=400, s_end=8.0, hold_steps=20)
+    for shift in (1e-9, -1e-9):
+        assert clock.shifted(shift).theta == pytest.approx(clock.theta, rel=1e-4)
+
+
+def test_fast_clock_uses_its_gain_early_and_a_slow_clock_late():
+    clock = StepClock(Exponential(1.2), gain=0.0, steps=400, s_end=8.0)
+    assert clock.shifted(0.05).theta.sum() == pytest.approx(8.0 - np.log(1.2 / 1.15), rel=1e-3)
+    assert clock.shifted(-0.05).theta.sum() == pytest.approx(np.log(1.2 / 0.05) + 0.05 / 1.2, rel=1e-2)

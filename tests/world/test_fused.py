@@ -1,0 +1,477 @@
+"""The compiled step and numpy make the same numbers, and nothing but the time depends on numba."""
+
+import copy
+import math
+import pickle
+import warnings
+
+import numpy as np
+import pytest
+from extras import need_numba
+from processes import run_python
+from worlds import BLOCKS, FAULTY
+
+from ptne_env import CATALOGUE, VectorParallelEnv, parallel_env
+from ptne_env.evaluation.ptne_v1 import ptne_v1
+from ptne_env.evaluation.ptne_v2 import ptne_v2
+from ptne_env.world import fused
+
+WITHOUT_FAULTS = {"channel": "perfect", "disturbance": "none", "sensor": None, "drift": None}
+
+
+def _worlds():
+    """Every scenario and track, and every track with faults once more without them, by name."""
+    worlds = dict(CATALOGUE)
+    for suite in (ptne_v1(), ptne_v2()):
+        for track in suite.tracks:
+            worlds[f"{suite.name} {track.name}"] = track.scenario
+            clean = track.scenario.replace(**WITHOUT_FAULTS)
+            if clean != track.scenario:
+                worlds[f"{suite.name} {track.name} without faults"] = clean
+    return worlds
+
+
+WORLDS = _worlds()
+
+NUMPY_ALONE = {
+    "non-quadratic",
+    "non-quadratic-switching",
+    "non-quadratic-printed",
+    "rate-control",
+    "ptne-v1 non-quadratic",
+    *(f"ptne-v2 {name} without faults" for name in ("non-affine", "several-equilibria")),
+    *(name.removesuffix(" without faults") for name in WORLDS if name.endswith("faults")),
+}
+"""The worlds without a compiled step: games that are not affine, and channels, disturbances, sensors and drifts."""
+
+
+@pytest.fixture
+def compiled(monkeypatch):
+    """Steps are compiled from the first on, however large the world."""
+    need_numba()
+    monkeypatch.setattr(fused, "_spent", math.inf)
+    monkeypatch.setattr(fused, "LARGEST_ALONE", math.inf)
+    monkeypatch.setattr(fused, "LARGEST_TOGETHER", math.inf)
+
+
+def vector_env(scenario, num_envs, *, by_numpy=False, **arguments):
+    env = VectorParallelEnv(scenario, num_envs, **arguments)
+    for block in env._blocks:
+        block._fused = None if by_numpy else block._fused
+    return env
+
+
+def bits(array):
+    return array.dtype, array.shape, np.ascontiguousarray(array).tobytes()
+
+
+def check_equal(envs, steps, seed=0):
+    """Step two environments alike, and compare all that they return and hold; some actions are outside the box."""
+    ours, numpys = envs
+    generator = np.random.default_rng(seed)
+    assert bits(ours.reset(seed=seed)) == bits(numpys.reset(seed=seed))
+    for step in range(steps):
+        shape = (ours.num_envs, ours.num_players, ours.layout.action_size)
+        width = ours.layout.action_bound * (1.2 if step % 3 == 0 else 0.01)
+        actions = generator.uniform(-width, width, shape).astype(np.float32)
+        outcome, expected = ours.step(actions), numpys.step(actions)
+        assert bits(outcome.observations) == bits(expected.observations), step
+        np.testing.assert_allclose(outcome.rewards, expected.rewards, rtol=0, atol=1e-12)
+        assert bits(outcome.terminated) == bits(expected.terminated)
+        for block, other in zip(ours._blocks, numpys._blocks, strict=True):
+            for name in ("step", "estimates", "own_gradients", "diverged"):
+                assert bits(getattr(block.state, name)) == bits(getattr(other.state, name)), (step, name)
+        over = outcome.terminated | (np.arange(ours.num_envs) % 3 == step % 7)
+        if over.any():
+            assert bits(ours.reset(mask=over)) == bits(numpys.reset(mask=over))
+
+
+def kernel_calls(monkeypatch):
+    """A list that grows with every call of the compiled step."""
+    kernels, calls = fused.kernels(), []
+    step = kernels.step
+    monkeypatch.setattr(kernels, "step", lambda *arguments: (calls.append(1), step(*arguments))[1])
+    return calls
+
+
+@pytest.mark.parametrize("interface", ["physical", "local"])
+@pytest.mark.parametrize("name", WORLDS)
+def test_a_world_steps_bit_for_bit_the_same_compiled(name, interface, compiled, monkeypatch):
+    calls, num_envs = kernel_calls(monkeypatch), 2 if "crowd" in name else 4
+    envs = [vector_env(WORLDS[name], num_envs, by_numpy=flag, interface=interface) for flag in (False, True)]
+    steps = 3 if "crowd" in name else 12
+    check_equal(envs, steps)
+    assert len(calls) == (0 if name in NUMPY_ALONE else steps * len(envs[0]._blocks))
+
+
+@pytest.mark.parametrize("interface", ["physical", "local"])
+@pytest.mark.parametrize("num_envs", [1, 63, 64, 65, 130])
+@pytest.mark.parametrize("name", ["energy", "random-energy-switching", "ev-charging", "ptne-v2 uneven without faults"])
+def test_batches_of_any_size_are_the_same_compiled(name, num_envs, interface, compiled):
+    envs = [vector_env(WORLDS[name], num_envs, by_numpy=flag, interface=interface) for flag in (False, True)]
+    check_equal(envs, 4)
+
+
+@pytest.mark.parametrize("interface", ["physical", "local"])
+def test_players_with_clocks_of_their_own_and_random_graphs_are_the_same_compiled(interface, compiled, monkeypatch):
+    calls, scenario = kernel_calls(monkeypatch), FAULTY.replace(**WITHOUT_FAULTS)
+    check_equal([vector_env(scenario, 70, by_numpy=flag, interface=interface) for flag in (False, True)], 20)
+    assert len(calls) == 20
+
+
+def test_episodes_end_at_the_same_step_compiled(compiled, monkeypatch):
+    calls, envs = kernel_calls(monkeypatch), [vector_env("energy", 3, by_numpy=flag) for flag in (False, True)]
+    for env in envs:
+        env.reset(seed=0)
+        env.step(np.zeros((3, 5, 5), dtype=np.float32))
+        env.reset(mask=[False, True, False])  # ends one step later
+    for step in range(1, 1000):
+        outcome, expected = (env.step(np.zeros((3, 5, 5), dtype=np.float32)) for env in envs)
+        assert bits(outcome.terminated) == bits(expected.terminated), step
+        if outcome.terminated.any():
+            break
+    assert outcome.terminated.tolist() == [True, False, True]
+    assert len(calls) == step + 1
+
+
+def test_a_game_with_formulas_of_its_own_is_stepped_by_numpy(compiled, monkeypatch):
+    calls = kernel_calls(monkeypatch)
+    vector_env(BLOCKS, 2).reset(seed=0)
+    check_equal([vector_env(BLOCKS, 2, by_numpy=flag) for flag in (False, True)], 3)
+    assert calls == []
+
+
+@pytest.mark.parametrize("arguments", [{"action_mode": "gains"}, {"own_payoff": True}])
+def test_other_actions_and_own_payoffs_are_left_to_numpy(arguments, compiled, monkeypatch):
+    calls = kernel_calls(monkeypatch)
+    check_equal([vector_env("random-energy", 2, by_numpy=flag, **arguments) for flag in (False, True)], 3)
+    assert calls == []
+
+
+def test_every_reward_is_the_same_compiled(compiled):
+    reward = {"digits": 1.0, "tracking": 0.1, "payoff": 1e-3, "regret": 1e-3}
+    check_equal([vector_env("random-energy", 5, by_numpy=flag, reward=reward) for flag in (False, True)], 12)
+
+
+@pytest.mark.parametrize("sign", [-1, 1])
+@pytest.mark.parametrize("interface", ["physical", "local"])
+def test_environments_that_diverge_are_left_to_numpy(interface, sign, compiled):
+    arguments = {"interface": interface, "input_limit": 1e9, "action_scale": 1e9}
+    envs = [vector_env("random-energy", 5, by_numpy=flag, **arguments) for flag in (False, True)]
+    for env in envs:
+        env.reset(seed=0)
+    actions = np.zeros((5, 5, 5), dtype=np.float32)
+    actions[2] = sign * envs[0].layout.action_bound
+    for step in range(3):
+        ours, expected = (env.step(actions, restart=np.arange(5) == 2 if step else None) for env in envs)
+        assert ours.infos["diverged"].tolist() == expected.infos["diverged"].tolist()
+        assert ours.infos["diverged"][2] == (step == 0)
+        assert bits(ours.observations) == bits(expected.observations)
+        assert bits(ours.rewards) == bits(expected.rewards)
+
+
+def test_a_state_out_of_range_is_left_to_numpy(compiled, monkeypatch):
+    calls, block = kernel_calls(monkeypatch), vector_env("energy", 2)._blocks[0]
+    state = block.reset([0, 1])
+    block.set_state(state._replace(diverged=np.array([True, False]), any_diverged=True))
+    outcome = block.step(np.ones((2, 5, 5), dtype=np.float32), out=block.observe())
+    assert outcome.diverged.tolist() == outcome.terminated.tolist() == [True, False]
+    assert bits(block.current.estimates[:, :, 0]) == bits(state.estimates[:, :, 0])
+    assert calls == []
+
+
+def test_a_new_episode_of_the_same_game_has_new_graphs_compiled(compiled, monkeypatch):
+    scenario = WORLDS["ptne-v2 robots without faults"]  # one game, and random graphs
+    calls, envs = kernel_calls(monkeypatch), [vector_env(scenario, 2, by_numpy=flag) for flag in (False, True)]
+    for seed in range(3):
+        check_equal(envs, 8, seed)
+    assert len(calls) == 24
+
+
+@pytest.mark.parametrize("interface", ["physical", "local"])
+def test_numpy_and_the_compiled_step_may_take_turns_in_an_episode(interface, compiled, monkeypatch):
+    mixed, pure = (parallel_env("random-energy", interface=interface) for _ in range(2))
+    pure._simulation._fused = None
+    generator, calls = np.random.default_rng(0), kernel_calls(monkeypatch)
+    mixed.reset(seed=1), pure.reset(seed=1)
+    for step in range(20):
+        monkeypatch.setattr(fused, "_spent", math.inf if step % 3 else 0.0)
+        actions = {agent: generator.uniform(-0.3, 0.3, 5).astype(np.float32) for agent in mixed.agents}
+        (observations, *rest), (expected, *other) = mixed.step(actions), pure.step(actions)
+        assert rest == other
+        assert all(bits(observations[agent]) == bits(expected[agent]) for agent in expected)
+    assert len(calls) == 13
+
+
+@pytest.mark.parametrize("interface", ["physical", "local"])
+def test_actions_outside_the_box_are_clipped_and_counted_alike_compiled(interface, compiled, monkeypatch):
+    calls, (ours, numpys) = kernel_calls(monkeypatch), [parallel_env("energy", interface=interface) for _ in range(2)]
+    numpys._simulation._fused = None
+    ours.reset(seed=0), numpys.reset(seed=0)
+    for dtype in (np.float32, np.float64):
+        actions = {agent: np.zeros(5, dtype=dtype) for agent in ours.agents}
+        actions["player_1"][:2] = -3 * ours.layout.action_bound
+        actions["player_3"][4] = np.nextafter(ours.layout.action_bound, np.inf, dtype=dtype)
+        (observations, *rest), (expected, *other) = ours.step(actions), numpys.step(actions)
+        assert rest == other
+        assert [info["clipped"] for info in rest[-1].values()] == [0, 2, 0, 1, 0]
+        assert all(bits(observations[agent]) == bits(expected[agent]) for agent in expected)
+    assert len(calls) >= 2
+    before = ours.get_state()
+    actions["player_2"][3] = np.nan
+    with pytest.raises(ValueError, match="player_2 is not finite"):
+        ours.step(actions)
+    assert ours.get_state() is before
+
+
+def random_steps(env, seed, count):
+    """Joint actions within the box, and the results of their steps, with the state after each if it is asked for."""
+    generator, bound = np.random.default_rng(seed), env.layout.action_bound
+    for _ in range(count):
+        actions = generator.uniform(-0.02 * bound, 0.02 * bound, (len(env.agents), env.layout.action_size))
+        observations, *rest = env.step(dict(zip(env.agents, actions.astype(np.float32), strict=True)))
+        yield {agent: bits(row) for agent, row in observations.items()}, rest
+
+
+def state_bits(state):
+    return [bits(array) for array in (state.step, state.estimates, state.own_gradients, state.diverged)]
+
+
+@pytest.mark.parametrize("interface", ["physical", "local"])
+@pytest.mark.parametrize("pause", [1, 2, 3])
+def test_a_state_that_was_handed_out_never_changes_compiled(pause, interface, compiled, monkeypatch):
+    calls, (asked, alone) = kernel_calls(monkeypatch), [parallel_env("energy", interface=interface) for _ in range(2)]
+    asked.reset(seed=0), alone.reset(seed=0)
+    handed = [(asked.get_state(), state_bits(asked.get_state()))]
+    for step, (ours, expected) in enumerate(zip(random_steps(asked, 1, 12), random_steps(alone, 1, 12), strict=True)):
+        assert ours == expected
+        if step % pause == 0:
+            state = asked.get_state()
+            assert state is asked.get_state()
+            assert state.step.tolist() == [step + 1]
+            handed.append((state, state_bits(state)))
+    assert [state_bits(state) for state, _ in handed] == [before for _, before in handed]
+    assert state_bits(alone.get_state()) == state_bits(asked.get_state())
+    assert len(calls) == 24
+
+
+@pytest.mark.parametrize("interface", ["physical", "local"])
+@pytest.mark.parametrize("duplicate", [copy.deepcopy, lambda env: pickle.loads(pickle.dumps(env))])  # noqa: S301 - our own bytes
+def test_copies_in_the_middle_of_an_episode_go_on_alone_compiled(duplicate, interface, compiled, monkeypatch):
+    calls, env = kernel_calls(monkeypatch), parallel_env("random-energy", interface=interface)
+    env.reset(seed=0)
+    list(random_steps(env, 1, 3))
+    first, second = duplicate(env), duplicate(env)
+    expected = list(random_steps(env, 2, 5))
+    assert list(random_steps(first, 2, 5)) == expected
+    assert list(random_steps(second, 2, 5)) == expected
+    assert state_bits(first.get_state()) == state_bits(env.get_state())
+    assert len(calls) == 18
+
+
+@pytest.mark.parametrize("interface", ["physical", "local"])
+@pytest.mark.parametrize("width", [0.5, 2.0])
+def test_a_refused_action_leaves_the_state_as_it_was_compiled(width, interface, compiled):
+    ours, expected = [parallel_env("energy", interface=interface) for _ in range(2)]
+    ours.reset(seed=0), expected.reset(seed=0)
+    for turn in range(3):
+        assert list(random_steps(ours, turn, 2)) == list(random_steps(expected, turn, 2))
+        actions = {agent: np.full(5, width * ours.layout.action_bound, dtype=np.float32) for agent in ours.agents}
+        actions["player_4"][4] = np.nan
+        with pytest.raises(ValueError, match="player_4 is not finite"):
+            ours.step(actions)
+        if turn:  # also where nobody has asked for the state
+            assert state_bits(ours.get_state()) == state_bits(expected.get_state())
+
+
+def test_episodes_are_cut_at_the_same_step_compiled(compiled, monkeypatch):
+    calls = kernel_calls(monkeypatch)
+    envs = [vector_env("energy", 3, by_numpy=flag, max_cycles=4) for flag in (False, True)]
+    for env in envs:
+        env.reset(seed=0)
+        env.step(np.zeros((3, 5, 5), dtype=np.float32))
+        env.reset(mask=[False, True, False])
+    cut = []
+    for _ in range(3):
+        outcome, expected = (env.step(np.zeros((3, 5, 5), dtype=np.float32)) for env in envs)
+        assert bits(outcome.truncated) == bits(expected.truncated)
+        cut.append(outcome.truncated.tolist())
+    assert cut == [[False] * 3, [False] * 3, [True, False, True]]
+    assert len(calls) == 4
+
+
+@pytest.mark.parametrize("interface", ["physical", "local"])
+def test_an_episode_goes_on_from_a_state_that_was_set_compiled(interface, compiled):
+    env = parallel_env("random-energy", interface=interface)
+    env.reset(seed=0)
+    start = env.get_state()
+    expected = list(random_steps(env, 1, 4))
+    env.reset(seed=5)
+    list(random_steps(env, 2, 3))
+    env.set_state(start)
+    assert list(random_steps(env, 1, 4)) == expected
+
+
+@pytest.mark.parametrize("interface", ["physical", "local"])
+def test_a_state_from_outside_in_another_memory_order_is_the_same_compiled(interface, compiled):
+    envs = [vector_env("random-energy", 6, by_numpy=flag, interface=interface) for flag in (False, True)]
+    table = np.random.default_rng(0).uniform(-5, 5, (6, 5, 5))
+    first, second = (env.reset(seed=3, estimates=table) for env in envs)
+    assert bits(first) == bits(second)
+    actions = np.full((5, 5, 6), 0.1, dtype=np.float16).T
+    outcome, expected = (env.step(actions) for env in envs)
+    assert bits(outcome.observations) == bits(expected.observations)
+    assert bits(outcome.rewards) == bits(expected.rewards)
+
+
+@pytest.mark.parametrize("interface", ["physical", "local"])
+def test_all_worlds_share_one_compiled_step(interface, compiled):
+    signatures = set()
+    for name in ("energy", "cournot", "ev-charging", "ptne-v1 unseen-graphs", "ptne-v1 markov", "ptne-v1 wrong-clock"):
+        for num_envs in (1, 3):
+            env = vector_env(WORLDS[name], num_envs, interface=interface)
+            known = set(fused.kernels().step.signatures)
+            for estimates in (None, np.zeros((env.num_players, env.layout.dimension))):
+                env.reset(seed=0, estimates=estimates)
+                env.step(np.zeros((num_envs, env.num_players, env.layout.action_size), dtype=np.float32))
+            signatures |= set(fused.kernels().step.signatures) - known
+    assert len(signatures) <= 1
+
+
+def test_one_environment_of_a_large_world_is_left_to_numpy():
+    crowd, pair = (vector_env(WORLDS["ptne-v1 large-50"], num_envs) for num_envs in (1, 2))
+    assert (crowd._blocks[0]._fused is None, pair._blocks[0]._fused is None) == (True, False)
+
+
+# --- the switch -------------------------------------------------------------------------------------------------------
+
+PLAY = """
+import warnings, sys
+warnings.simplefilter("error")
+import numpy as np, ptne_env
+from ptne_env.world import fused
+env = ptne_env.parallel_env("energy")
+def play(steps):
+    env.reset(seed=0)
+    for _ in range(steps):
+        env.step({agent: np.zeros(5, dtype=np.float32) for agent in env.agents})
+"""
+
+
+def test_numba_is_imported_when_steps_have_taken_long_enough_and_silently():
+    need_numba()
+    program = f"{PLAY}\nplay(3)\nprint('numba' in sys.modules)\nfused._spent = fused.PATIENCE\nplay(3)\n"
+    run = run_python("-c", f"{program}print('numba' in sys.modules, fused.kernels() is not None)")
+    assert (run.stdout.split(), run.stderr) == (["False", "True", "True"], "")
+
+
+@pytest.mark.parametrize(
+    "content", ["raise RuntimeError('no LLVM')", "import ptne_nothing", "config = None", "raise SystemError('no LLVM')"]
+)
+def test_a_broken_numba_is_one_warning_and_the_numpy_path(content, tmp_path):
+    (tmp_path / "numba").mkdir()
+    (tmp_path / "numba" / "__init__.py").write_text(content, encoding="utf-8")
+    program = f"""
+sys.path.insert(0, {str(tmp_path)!r})
+fused._spent = fused.PATIENCE
+warnings.simplefilter("always")
+with warnings.catch_warnings(record=True) as caught:
+    play(5)
+print(*[f"{{type(each.message).__name__}}: {{each.message}}" for each in caught], sep="\\n")
+"""
+    lines = run_python("-c", PLAY + program).stdout.splitlines()
+    assert len(lines) == 1
+    assert lines[0].startswith("RuntimeWarning: the compiled step is left out, and numpy makes all steps, because")
+
+
+@pytest.mark.parametrize("why", ["numba is not installed", "its compiler is switched off"])
+def test_without_numba_numpy_makes_all_steps_silently(why, tmp_path):
+    program = "sys.modules['numba'] = None\n"
+    if why != "numba is not installed":
+        need_numba()
+        program = "import os\nos.environ['NUMBA_DISABLE_JIT'] = '1'\n"
+    run = run_python("-c", f"{PLAY}{program}fused._spent = fused.PATIENCE\nplay(5)\nprint(fused.kernels())")
+    assert (run.stdout.strip(), run.stderr) == ("None", "")
+
+
+def test_a_processor_that_rounds_differently_is_one_warning_and_the_numpy_path(compiled, monkeypatch):
+    kernels = fused.kernels()
+    step = kernels.step
+
+    def inexact(actions, *arguments):
+        in_range = step(actions, *arguments)
+        arguments[7][0, 0, 0] = np.nextafter(arguments[7][0, 0, 0], 1)  # the next estimates
+        return in_range
+
+    monkeypatch.setattr(kernels, "step", inexact)
+    ours, expected = vector_env("energy", 3), vector_env("energy", 3, by_numpy=True)
+    ours.reset(seed=0), expected.reset(seed=0)
+    actions = np.zeros((3, 5, 5), dtype=np.float32)
+    with pytest.warns(RuntimeWarning, match="its numbers are not those of numpy") as caught:
+        results = [ours.step(actions) for _ in range(3)]
+    assert len(caught) == 1
+    assert [bits(result.observations) for result in results] == [
+        bits(expected.step(actions).observations) for _ in range(3)
+    ]
+
+
+@pytest.mark.parametrize("folder", ["none can be written", "the disk is full"])
+def test_a_cache_that_cannot_be_written_is_no_error(folder, monkeypatch):
+    need_numba()
+    from numba.core import caching
+
+    from ptne_env.world.kernels import kept_on_disk
+
+    def refuse(*_):
+        raise OSError(28, "No space left on device")
+
+    if folder == "the disk is full":
+        monkeypatch.setattr(caching.IndexDataCacheFile, "save", refuse)
+    else:
+        monkeypatch.setattr(caching.CacheImpl, "_locator_classes", [])
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert fused._first_call(kept_on_disk(lambda value: value > folder.count("n")), 9)
+
+
+def test_a_full_disk_is_met_before_the_first_step_and_not_within_it(compiled, monkeypatch):
+    from ptne_env.world import kernels
+
+    written = []
+
+    def show_entry(*arguments):
+        if not written:
+            written.append(arguments)
+            raise OSError(28, "No space left on device")
+        return whole(*arguments)
+
+    whole = kernels.show_entry
+    monkeypatch.setattr(kernels, "show_entry", show_entry)
+    fused._load.cache_clear()
+    ours, expected = (
+        vector_env("energy", 3, interface="local"),
+        vector_env("energy", 3, by_numpy=True, interface="local"),
+    )
+    assert bits(ours.reset(seed=0)) == bits(expected.reset(seed=0))
+    actions = np.full((3, 5, 5), 0.5, dtype=np.float32)
+    assert bits(ours.step(actions).observations) == bits(expected.step(actions).observations)
+    assert written
+
+
+@pytest.mark.parametrize("interface", ["physical", "local"])
+def test_read_only_actions_and_states_are_not_compiled_for_again(interface, compiled):
+    from ptne_env.world import kernels
+
+    env = vector_env("energy", 3, interface=interface)
+    env.reset(seed=0)
+    actions = np.zeros((3, 5, 5), dtype=np.float32)
+    env.step(actions)
+    functions = kernels.step, kernels.is_inside, kernels.show_entry
+    compilations = [len(function.signatures) for function in functions]
+    actions.flags.writeable = False
+    env.step(actions)
+    state = env._blocks[0].current
+    state.estimates.flags.writeable = state.step.flags.writeable = False
+    env._blocks[0].set_state(state)
+    env.step(np.zeros_like(actions))
+    assert [len(function.signatures) for function in functions] == compilations

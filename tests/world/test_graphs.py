@@ -1,0 +1,135 @@
+import networkx as nx
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from ptne_env.world import graphs
+from ptne_env.world.graphs import Graph
+
+
+@st.composite
+def adjacencies(draw, players=None):
+    count = players or draw(st.integers(2, 7))
+    matrix = np.zeros((count, count))
+    for i in range(count):
+        for j in range(i):
+            matrix[i, j] = matrix[j, i] = draw(st.sampled_from([0.0, 0.0, 0.5, 1.0, 3.0]))
+    return matrix
+
+
+@pytest.mark.parametrize("players", [3, 5, 8])
+def test_named_graphs_have_their_textbook_connectivity(players):
+    circle = 2 * np.pi / players
+    assert graphs.cycle(players).algebraic_connectivity == pytest.approx(2 - 2 * np.cos(circle))
+    assert graphs.path(players).algebraic_connectivity == pytest.approx(2 - 2 * np.cos(circle / 2))
+    assert graphs.star(players).algebraic_connectivity == pytest.approx(1.0)
+    assert graphs.complete(players).algebraic_connectivity == pytest.approx(players)
+
+
+def test_named_graphs_have_their_edges():
+    assert graphs.cycle(4).edges == [(0, 1), (0, 3), (1, 2), (2, 3)]
+    assert graphs.path(4).edges == [(0, 1), (1, 2), (2, 3)]
+    assert graphs.star(4).edges == [(0, 1), (0, 2), (0, 3)]
+    assert graphs.complete(3).edges == [(0, 1), (0, 2), (1, 2)]
+
+
+@given(adjacencies())
+def test_laplacian_is_degree_minus_adjacency_and_sums_to_zero(matrix):
+    graph = Graph(matrix)
+    for i in range(graph.num_players):
+        assert graph.laplacian[i, i] == matrix[i].sum()
+        for j in range(i):
+            assert graph.laplacian[i, j] == -matrix[i, j]
+    assert graph.laplacian.sum(axis=1) == pytest.approx(np.zeros(graph.num_players), abs=1e-12)
+
+
+@given(adjacencies())
+def test_connected_exactly_when_every_player_is_reached(matrix):
+    reached, frontier = {0}, [0]
+    while frontier:
+        for j in np.flatnonzero(matrix[frontier.pop()]).tolist():
+            if j not in reached:
+                reached.add(j)
+                frontier.append(j)
+    graph = Graph(matrix)
+    assert graph.is_connected == (len(reached) == len(matrix))
+    assert graph.is_connected == (graph.algebraic_connectivity > 1e-9)
+
+
+@pytest.mark.parametrize(("players", "degree"), [(3, 2), (50, 6), (200, 3)])
+def test_random_regular_graphs_are_connected_with_equal_degrees(players, degree):
+    drawn = [graphs.random_regular(players, degree, seed=seed) for seed in (0, 0, 1)]
+    assert all(graph.is_connected for graph in drawn)
+    assert (drawn[0].adjacency.sum(axis=0) == degree).all()
+    assert drawn[0] == drawn[1]
+    assert players == 3 or drawn[0] != drawn[2]
+
+
+@pytest.mark.parametrize(("players", "degree"), [(5, 3), (4, 4), (5, 1)])
+def test_impossible_regular_graphs_are_refused(players, degree):
+    with pytest.raises(ValueError, match="degree"):
+        graphs.random_regular(players, degree)
+
+
+@given(adjacencies(players=4), adjacencies(players=4))
+def test_union_has_every_link_with_its_largest_weight(first, second):
+    assert np.array_equal(graphs.union([Graph(first), Graph(second)]).adjacency, np.maximum(first, second))
+
+
+def test_networkx_round_trip_keeps_weights():
+    graph = nx.Graph()
+    graph.add_nodes_from([0, 1, 2])
+    graph.add_edge(0, 2, weight=2.5)
+    graph.add_edge(1, 2)
+    ours = graphs.from_networkx(graph)
+    assert ours.adjacency.tolist() == [[0, 0, 2.5], [0, 0, 1], [2.5, 1, 0]]
+    assert graphs.from_networkx(ours.to_networkx()) == ours
+
+
+def test_equal_graphs_are_equal_keys():
+    assert len({graphs.cycle(5), graphs.cycle(5), graphs.path(5)}) == 2
+
+
+def test_matrices_are_read_only_copies():
+    matrix = np.array([[0.0, 1.0], [1.0, 0.0]])
+    graph = Graph(matrix)
+    matrix[:] = 9
+    assert graph.adjacency.tolist() == [[0, 1], [1, 0]]
+    for array in (graph.adjacency, graph.laplacian):
+        with pytest.raises(ValueError, match="read-only"):
+            array[0, 1] = 5
+
+
+@pytest.mark.parametrize(
+    ("matrix", "message"),
+    [
+        ([[0, 1, 0], [1, 0, 1]], "square"),
+        ([[0.0]], "at least 2 players"),
+        ([[0, -1], [-1, 0]], "finite weights"),
+        ([[0, np.nan], [np.nan, 0]], "finite weights"),
+        ([[0, np.inf], [np.inf, 0]], "finite weights"),
+        ([[1, 1], [1, 0]], "self-loops"),
+        ([[0, 1], [2, 0]], "symmetric"),
+    ],
+)
+def test_invalid_adjacency_matrices_are_refused(matrix, message):
+    with pytest.raises(ValueError, match=message):
+        Graph(matrix)
+
+
+def test_directed_networkx_graph_is_refused():
+    with pytest.raises(ValueError, match="undirected"):
+        graphs.from_networkx(nx.path_graph(3, create_using=nx.DiGraph))
+
+
+@pytest.mark.parametrize("edge", [(0, 3), (-1, 0), (0, 1, 2), (1,)])
+def test_edge_outside_the_players_is_refused(edge):
+    with pytest.raises(ValueError, match=r"players 0\.\.2"):
+        graphs.from_edges(3, [edge])
+
+
+@pytest.mark.parametrize(("name", "players"), [("cycle", 2), ("path", 1), ("star", 1), ("complete", 0)])
+def test_too_few_players_are_refused(name, players):
+    with pytest.raises(ValueError, match="at least"):
+        getattr(graphs, name)(players)

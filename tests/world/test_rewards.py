@@ -1,0 +1,277 @@
+import numpy as np
+import pytest
+from test_dynamics import large_energy_scenario
+from worlds import BLOCKS, constant_actions, make_env, play, while_running
+
+import ptne_env
+from ptne_env import get_scenario, laws
+from ptne_env.games import NoBestResponseError
+from ptne_env.shared.random_streams import RandomStreams
+from ptne_env.world import distances, dynamics
+from ptne_env.world.rewards import REWARD_LIMIT, TERMS, Reward, parse_reward
+from ptne_env.world.world import World
+
+GAMES = {"energy": get_scenario("energy", start="random"), "blocks": BLOCKS}
+
+
+def episode(scenario, reward, steps=25, batch=3):
+    """States along a random walk, and the terms of each step."""
+    world = World(scenario)
+    judge = Reward(world, reward)
+    generator = np.random.default_rng(0)
+    states = [dynamics.initial_state(world, world.draw_estimates([RandomStreams.from_seed(b) for b in range(batch)]))]
+    judge.reset(states[0])
+    terms = []
+    for _ in range(steps):
+        states.append(dynamics.step(world, states[-1], generator.normal(size=states[-1].estimates.shape)))
+        terms.append(judge.step(states[-1]))
+    return world, judge, states, terms
+
+
+def distance(world, state):
+    equilibrium = world.game.nash_equilibrium
+    error = state.estimates - equilibrium[:, None, None]
+    return np.sqrt((error**2).sum(axis=0)) / np.linalg.norm(equilibrium)
+
+
+@pytest.mark.parametrize("name", GAMES)
+def test_digits_telescope_to_the_digits_gained(name):
+    world, _, states, terms = episode(GAMES[name], "digits")
+    gained = sum(term["digits"] for term in terms)
+    expected = np.log10(distance(world, states[0])) - np.log10(distance(world, states[-1]))
+    assert gained == pytest.approx(expected, abs=1e-12)
+
+
+def test_digits_count_no_further_than_twelve():
+    world = World(get_scenario("energy"))
+    judge = Reward(world)
+    equilibrium = np.repeat(world.game.nash_equilibrium[:, None, None], 5, axis=1)
+    state = dynamics.initial_state(world, equilibrium * 1.1)
+    judge.reset(state)
+    arrived = dynamics.step(world, state, (equilibrium - state.estimates) / world.clock.theta[0])
+    first = judge.step(arrived)["digits"]
+    assert first == pytest.approx(np.full((5, 1), 11.0), abs=1e-9)
+    assert judge.step(dynamics.step(world, arrived, np.zeros_like(equilibrium)))["digits"].tolist() == [[0.0]] * 5
+
+
+@pytest.mark.parametrize("name", GAMES)
+def test_tracking_is_minus_the_distance_after_the_step(name):
+    world, _, states, terms = episode(GAMES[name], "tracking")
+    for state, term in zip(states[1:], terms, strict=True):
+        assert term["tracking"] == pytest.approx(-distance(world, state), rel=1e-12)
+
+
+@pytest.mark.parametrize("name", GAMES)
+def test_payoff_is_minus_the_cost_of_the_real_strategies(name):
+    world, _, states, terms = episode(GAMES[name], "payoff")
+    owners = world.game.owners
+    for state, term in zip(states[1:], terms, strict=True):
+        strategies = state.estimates[np.arange(owners.size), owners]
+        assert np.array_equal(term["payoff"], -world.game.costs(strategies))
+
+
+@pytest.mark.parametrize("name", GAMES)
+def test_regret_is_minus_the_gain_of_a_best_response(name):
+    world, _, states, terms = episode(GAMES[name], "regret")
+    game, owners = world.game, world.game.owners
+    for state, term in zip(states[1:], terms, strict=True):
+        strategies = state.estimates[np.arange(owners.size), owners]
+        response = game.best_response(strategies)
+        for i in range(game.num_players):
+            deviated = np.where((owners == i)[:, None], response, strategies)
+            loss = game.costs(strategies)[i] - game.costs(deviated)[i]
+            assert term["regret"][i] == pytest.approx(-loss, abs=1e-10)
+        assert np.all(term["regret"] <= 1e-12)
+
+
+def test_a_mixed_reward_is_the_weighted_sum_of_unweighted_terms():
+    weights = {"digits": 2.0, "tracking": 0.5, "payoff": 1e-3, "regret": 0.25}
+    _, judge, _, terms = episode(GAMES["energy"], weights)
+    alone = {name: episode(GAMES["energy"], name)[3] for name in weights}
+    for k, term in enumerate(terms):
+        assert list(term) == list(weights)
+        for name in weights:
+            assert np.array_equal(term[name], alone[name][k][name])
+        assert judge.total(term) == pytest.approx(sum(weights[name] * term[name] for name in weights), rel=1e-14)
+
+
+def test_the_reward_is_the_weighted_sum_of_the_reported_terms():
+    env = make_env("energy", reward={"digits": 1.0, "tracking": 0.1})
+    env.reset(seed=0)
+    _, rewards, _, _, infos = env.step(constant_actions(env, 1.0))
+    for agent, reward in rewards.items():
+        terms = {name: infos[agent][f"reward_{name}"] for name in ("digits", "tracking")}
+        assert reward == pytest.approx(terms["digits"] + 0.1 * terms["tracking"], rel=1e-12)
+        assert type(reward) is float
+        assert set(map(type, terms.values())) == {np.float64}
+
+
+def test_return_of_an_episode_is_the_digits_gained():
+    env = make_env("energy")
+    states, steps = play(env, laws.Static(env.layout))
+    error = np.linalg.norm(states - env.nash_equilibrium, axis=2) / np.linalg.norm(env.nash_equilibrium)
+    gained = np.log10(error[0] / error[-1])
+    returns = [sum(step[1][agent] for step in steps) for agent in env.possible_agents]
+    assert returns == pytest.approx(gained.tolist(), abs=1e-9)
+    assert min(returns) > 3
+
+
+@pytest.mark.parametrize("reward", TERMS)
+@pytest.mark.parametrize("scenario", [get_scenario("energy", start="random"), large_energy_scenario()])
+def test_batch_agrees_bit_for_bit_with_batches_of_one(scenario, reward):
+    world = World(scenario)
+    batch = 6
+    estimates = world.draw_estimates([RandomStreams.from_seed(b) for b in range(batch)])
+    together, judge = dynamics.initial_state(world, estimates), Reward(world, reward)
+    judge.reset(together)
+    alone = [(dynamics.initial_state(world, estimates[:, :, b : b + 1]), Reward(world, reward)) for b in range(batch)]
+    for state, own in alone:
+        own.reset(state)
+    generator = np.random.default_rng(0)
+    for k in range(10):
+        inputs = generator.normal(size=estimates.shape)
+        if k == 5:
+            inputs[:, :, 2] = 1e9  # the third environment leaves the range
+        together = dynamics.step(world, together, inputs)
+        terms = judge.step(together)[reward]
+        for b, (state, own) in enumerate(alone):
+            following = dynamics.step(world, state, inputs[:, :, b : b + 1])
+            assert np.array_equal(own.step(following)[reward][:, 0], terms[:, b])
+            alone[b] = following, own
+    assert together.diverged.tolist() == [b == 2 for b in range(batch)]
+
+
+def returns_of(env, act):
+    """The sum of rewards per agent when ``act(k)`` is the constant action of all players in step k."""
+    env.reset()
+    total, k, diverged = dict.fromkeys(env.possible_agents, 0.0), 0, False
+    for _ in while_running(env):
+        _, rewards, _, _, infos = env.step(constant_actions(env, act(k)))
+        for agent, reward in rewards.items():
+            total[agent] += reward
+        diverged = infos["player_0"]["diverged"]
+        k += 1
+    return total, diverged, k
+
+
+@pytest.mark.parametrize("crash_at", [0, 3, 18])
+@pytest.mark.parametrize("reward", [*TERMS, {"digits": 1.0, "payoff": 1e-6, "tracking": 0.1}])
+def test_divergence_never_pays(reward, crash_at):
+    env = make_env("energy", steps=20, reward=reward, input_limit=1e7)
+    theta = env.world.clock.theta
+    brink = 1.9e5  # own gradients are 2.6 times a strategy that all share, so this is just inside the range
+
+    def after(continuation):
+        return returns_of(env, lambda k: 0.0 if k < crash_at else continuation(k))
+
+    crash, diverged, length = after(lambda k: 1e7)
+    assert diverged
+    assert length == crash_at + 1
+    for name, continuation in {
+        "nothing": lambda k: 0.0,
+        "to the brink": lambda k: brink / theta[crash_at:].sum(),
+        "to the brink at once": lambda k: brink / theta[k] if k == crash_at else 0.0,
+        "to the other brink": lambda k: -brink / theta[crash_at:].sum(),
+    }.items():
+        survivor, gone, _ = after(continuation)
+        assert not gone, name
+        assert all(crash[agent] < survivor[agent] for agent in env.possible_agents), name
+
+
+@pytest.mark.parametrize("reward", ["digits", "tracking", "payoff"])
+def test_divergence_never_pays_in_the_non_quadratic_game(reward):
+    env = make_env("non-quadratic", steps=40, reward=reward)
+    crash, diverged, _ = returns_of(env, lambda k: 1000.0)
+    survivor, gone, _ = returns_of(env, lambda k: 0.0)
+    assert diverged
+    assert not gone
+    assert all(crash[agent] < survivor[agent] for agent in env.possible_agents)
+
+
+@pytest.mark.parametrize("reward", ["digits", "tracking", "payoff"])
+def test_divergence_of_one_player_is_charged_to_all_players(reward):
+    env = make_env("non-quadratic", steps=40, reward=reward)
+    near = np.tile(env.nash_equilibrium, (5, 1)) + 1e-3
+    totals = []
+    for push in (1000.0, 0.0):
+        env.reset(options={"estimates": near})
+        total = dict.fromkeys(env.possible_agents, 0.0)
+        for _ in while_running(env):
+            actions = constant_actions(env, 0.0)
+            actions["player_1"][1] = push  # its own gradient leaves the range, every other estimate stays
+            _, rewards, _, _, infos = env.step(actions)
+            for agent, value in rewards.items():
+                total[agent] += value
+        assert infos["player_0"]["diverged"] == (push > 0)
+        totals.append(total)
+    crash, survivor = totals
+    assert all(crash[agent] < survivor[agent] - 5 for agent in env.possible_agents)
+
+
+@pytest.mark.parametrize("reward", TERMS)
+def test_divergence_is_charged_for_the_remaining_steps(reward):
+    env = make_env("energy", steps=20, reward=reward, input_limit=1e9)
+    env.reset()
+    env.step(constant_actions(env, 0.0))
+    _, rewards, _, _, _ = env.step(constant_actions(env, 1e9))
+    limit = dynamics.distance_limit(env.world.game)[0]
+    worst = {"tracking": limit, "payoff": REWARD_LIMIT, "regret": REWARD_LIMIT}
+    for value in rewards.values():
+        if reward == "digits":
+            assert -6 < value < 0
+        else:
+            assert value == pytest.approx(-19 * worst[reward], rel=1e-12)
+
+
+def test_a_single_term_is_a_mixture_of_one():
+    assert parse_reward("payoff") == {"payoff": 1.0}
+
+
+@pytest.mark.parametrize(
+    ("reward", "message"),
+    [
+        ("score", "unknown reward 'score'; choose from digits, tracking, payoff, regret"),
+        ({"digits": 1, "score": 2}, "unknown reward 'score'"),
+        ({}, "unknown reward {}; choose from"),
+        ({"digits": float("nan")}, "weight of reward 'digits' must be a finite number of at least 0"),
+        ({"digits": float("inf")}, "weight of reward 'digits' must be a finite number"),
+        ({"digits": 1.0, "payoff": -1.0}, "weight of reward 'payoff' must be a finite number of at least 0"),
+    ],
+)
+def test_unknown_rewards_are_refused(reward, message):
+    with pytest.raises(ValueError, match=message):
+        parse_reward(reward)
+
+
+@pytest.mark.parametrize("reward", ["regret", {"digits": 1.0, "regret": 0.1}])
+@pytest.mark.parametrize("name", ["non-quadratic", "non-quadratic-switching", "non-quadratic-printed"])
+def test_regret_is_refused_where_no_best_response_exists(name, reward):
+    with pytest.raises(NoBestResponseError, match="choose digits, tracking or payoff"):
+        make_env(name, reward=reward)
+
+
+@pytest.mark.parametrize("reward", [lambda *_: 0.0, ["digits", "payoff"], None])
+def test_a_reward_of_another_type_is_refused_with_the_way_to_define_one(reward):
+    with pytest.raises(TypeError, match="reward is one of digits, .* got .*; another reward is a wrapper"):
+        ptne_env.parallel_env("energy", reward=reward)
+
+
+def test_distances_alone_give_the_rewards_that_need_no_more():
+    weights = {"digits": 1.0, "tracking": 0.5}
+    world, _, states, terms = episode(GAMES["energy"], weights, steps=3)
+    judge = Reward(world, weights)
+    judge.reset(states[0])
+    assert not judge.needs_state
+    for state, expected in zip(states[1:], terms, strict=True):
+        found = judge.advance(distances.player_distances(state.estimates, state.game))
+        assert {name: term.tolist() for name, term in found.items()} == {
+            name: term.tolist() for name, term in expected.items()
+        }
+
+
+@pytest.mark.parametrize("reward", ["payoff", "regret"])
+def test_a_reward_that_needs_the_state_says_so(reward):
+    judge = Reward(World(GAMES["energy"]), reward)
+    assert judge.needs_state
+    with pytest.raises(ValueError, match=f"'{reward}' needs the state"):
+        judge.advance(np.ones((5, 1)))

@@ -1,0 +1,311 @@
+import dataclasses
+import json
+import pickle
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from worlds import BLOCKS, FROM_THE_PAPER, PAPER_START
+
+import ptne_env
+from ptne_env import CATALOGUE, FactorySpec, Scenario, get_scenario
+from ptne_env.games import EnergyGame, NonQuadraticGame
+from ptne_env.world.graphs import cycle
+from ptne_env.world.switching import paper_topology
+from ptne_env.world.world import World
+
+
+def edges(count, *pairs):
+    return FactorySpec.of("ptne_env.world.graphs:from_edges", players=count, edges=pairs)
+
+
+@st.composite
+def scenarios(draw):
+    players = draw(st.integers(2, 5))
+    finite = st.floats(0.5, 3, allow_nan=False)
+    target = draw(st.lists(finite, min_size=players, max_size=players))
+    spacing = draw(st.sampled_from(["effective", "transformed", "physical"]))
+    return Scenario(
+        name=draw(st.text(max_size=10).filter(str.isprintable)),
+        game=FactorySpec.of("ptne_env.games:EnergyGame", target=target, coupling=draw(finite)),
+        topology=FactorySpec.of(
+            "ptne_env.world.switching:fixed", graph=FactorySpec.of("ptne_env.world.graphs:complete", players=players)
+        ),
+        start=FactorySpec.of("ptne_env.world.starts:UniformStart", low=-draw(finite), high=draw(finite)),
+        transformation=draw(st.sampled_from(["exponential", "tanh"])),
+        deadline=draw(finite),
+        gain=draw(finite),
+        steps=draw(st.integers(1, 50)),
+        s_end=draw(st.floats(5, 9)),
+        spacing=spacing,
+        hold_steps=draw(st.integers(0, 5)),
+        input_limit=draw(finite),
+        channel=draw(st.sampled_from(["perfect", FactorySpec.of("ptne_env.world.channel:Loss", probability=0.5)])),
+        disturbance=draw(
+            st.sampled_from(["none", FactorySpec.of("ptne_env.world.disturbances:UniformDisturbance", bound=1.0)])
+        ),
+        clock_shifts=draw(st.sampled_from([(), (0.1,) * players])),
+        slots=draw(st.sampled_from([None, 4])),
+    )
+
+
+@given(scenarios())
+def test_json_round_trip_gives_an_equal_scenario(scenario):
+    again = Scenario.from_json(scenario.to_json())
+    assert again == scenario
+    assert hash(again) == hash(scenario)
+    assert np.array_equal(World(again).clock.theta, World(scenario).clock.theta)
+    assert np.array_equal(World(again).game.nash_equilibrium, World(scenario).game.nash_equilibrium)
+
+
+@pytest.mark.parametrize("name", CATALOGUE)
+def test_catalogue_survives_json_and_pickle(name):
+    scenario = CATALOGUE[name]
+    assert Scenario.from_json(scenario.to_json()) == scenario
+    assert pickle.loads(pickle.dumps(scenario)) == scenario  # noqa: S301 - our own bytes
+    assert json.loads(scenario.to_json())["name"] == name
+
+
+def test_the_catalogue_lists_its_scenarios_in_order():
+    assert list(CATALOGUE) == [
+        "energy",
+        "energy-switching",
+        "energy-switching-transformed",
+        "non-quadratic",
+        "non-quadratic-switching",
+        "non-quadratic-printed",
+        "random-energy",
+        "random-energy-switching",
+        "random-energy-switching-transformed",
+        "hvac-ye-hu",
+        "cournot",
+        "oligopoly",
+        "robots",
+        "ev-charging",
+        "rate-control",
+        "random-affine",
+        "weakly-monotone",
+    ]
+    assert list(CATALOGUE)[:6] == FROM_THE_PAPER
+
+
+@pytest.mark.parametrize("name", FROM_THE_PAPER)
+def test_catalogue_has_the_settings_of_the_paper(name):
+    scenario = CATALOGUE[name]
+    clock, game, topology = World(scenario).clock, World(scenario).game, World(scenario).topology
+    assert (clock.deadline, clock.gain, clock.steps, clock.s_end, clock.hold_steps) == (1.2, 20.0, 400, 8.0, 0)
+    assert clock.spacing == "effective"
+    assert type(clock.transformation).__name__ == "Exponential"
+    assert scenario.input_limit == 1000.0
+    assert np.array_equal(World(scenario).start.draw(5, 5, np.random.default_rng(0)), PAPER_START.T)
+    assert isinstance(game, EnergyGame if name.startswith("energy") else NonQuadraticGame)
+    if not name.startswith("energy"):
+        assert game.variant == ("printed" if name.endswith("printed") else "corrected")
+    if "switching" in name:
+        assert topology.graphs == paper_topology().graphs
+        assert topology.clock == ("transformed" if name.endswith("transformed") else "physical")
+        assert topology.dwells == ((0.25,) * 4 if name.endswith("transformed") else (0.1,) * 4)
+    else:
+        assert topology.graphs == (cycle(5),)
+
+
+@pytest.mark.parametrize("name", [name for name in CATALOGUE if name.startswith("random-energy")])
+def test_random_scenarios_draw_game_and_start_on_the_graphs_of_the_paper(name):
+    scenario, paper = CATALOGUE[name], CATALOGUE[name.removeprefix("random-")]
+    changed = {"name": name, "game": scenario.game, "start": get_scenario("energy", start="random").start, "s_end": 6.0}
+    assert scenario == paper.replace(**changed)
+    assert scenario.game == FactorySpec.of("ptne_env.games:RandomEnergy", players=5)
+    assert World(scenario).has_random_game
+    assert World(scenario).is_random
+    assert not World(paper).has_random_game
+
+
+OTHER_GAMES = {
+    "hvac-ye-hu": ("EnergyGame", (1,) * 5),
+    "cournot": ("NetworkedCournot", (2, 1, 2, 2, 1)),
+    "oligopoly": ("Oligopoly", (1,) * 4),
+    "robots": ("ConnectivityControl", (2,) * 5),
+    "ev-charging": ("ElectricVehicleCharging", (4,) * 5),
+    "rate-control": ("RateControl", (1,) * 5),
+    "random-affine": ("AffineGame", (1,) * 5),
+    "weakly-monotone": ("WeaklyMonotoneGame", (1,) * 5),
+}
+
+
+@pytest.mark.parametrize("name", OTHER_GAMES)
+def test_other_games_start_at_random_in_their_box_on_a_cycle(name):
+    scenario, (kind, dims) = CATALOGUE[name], OTHER_GAMES[name]
+    game, clock = World(scenario).game, World(scenario).clock
+    assert (type(game).__name__, game.action_dims) == (kind, dims)
+    assert World(scenario).topology.graphs == (cycle(len(dims)),)
+    assert (clock.deadline, clock.gain, clock.steps, clock.s_end, clock.hold_steps) == (1.2, 20.0, 400, 8.0, 0)
+    start = World(scenario).start
+    assert start.is_random
+    if game.has_bounds:
+        assert (start.low, start.high) == (game.low.min(), game.high.max())
+    assert start.low < game.nash_equilibria.max()
+    assert game.nash_equilibria.min() < start.high
+
+
+def test_random_start_draws_every_estimate_from_minus_20_to_20():
+    start = World(get_scenario("energy", start="random")).start
+    draws = start.draw(40, 50, np.random.default_rng(1))
+    assert start.is_random
+    assert -20 <= draws.min() < -19
+    assert 19 < draws.max() <= 20
+
+
+def test_overrides_change_only_what_they_name():
+    changed = get_scenario("energy", deadline=2.0, hold_steps=5)
+    expected = CATALOGUE["energy"].to_dict() | {"deadline": 2.0, "hold_steps": 5}
+    assert changed.to_dict() == expected
+    assert CATALOGUE["energy"].deadline == 1.2
+
+
+@pytest.mark.parametrize("kind", ["exponential", "rational", "tanh"])
+def test_short_names_are_the_parts_they_stand_for(kind):
+    scenario = get_scenario("energy", transformation=kind, s_end=300.0 if kind == "rational" else 8.0)
+    assert isinstance(scenario.transformation, FactorySpec)
+    assert World(scenario).clock.transformation.deadline == 1.2
+
+
+def test_strings_and_objects_name_parts_too():
+    by_string = get_scenario("energy", game="ptne_env.games:EnergyGame")
+    by_object = get_scenario("energy", game={"target": "ptne_env.games:EnergyGame", "arguments": {}})
+    assert by_string == by_object == get_scenario("energy")
+
+
+def test_scenarios_are_frozen_and_can_be_keys():
+    scenario = get_scenario("energy")
+    with pytest.raises(dataclasses.FrozenInstanceError):
+        scenario.deadline = 3.0
+    assert {scenario: 1}[get_scenario("energy", deadline=1.2)] == 1
+
+
+def test_games_with_unequal_dimensions_are_scenarios_too():
+    assert Scenario.from_json(BLOCKS.to_json()) == BLOCKS
+    assert World(BLOCKS).game.action_dims == (2, 1, 3)
+
+
+def test_a_shortfall_above_one_percent_is_a_warning():
+    with pytest.warns(UserWarning, match=r"11\.11% of T short of the deadline; raise s_end"):
+        World(get_scenario("energy", transformation="rational"))
+
+
+REFUSED = {
+    "unknown scenario": (lambda: get_scenario("enrgy"), "unknown scenario 'enrgy'; did you mean 'energy'"),
+    "track of a suite": (lambda: get_scenario("ptne-v1/delay"), r"get_suite\('ptne-v1'\).track\('delay'\).scenario"),
+    "unknown field": (lambda: get_scenario("energy", kappa=2), "unknown scenario field 'kappa'; choose from name, "),
+    "unknown start": (lambda: get_scenario("energy", start="rnd"), "start is 'paper', 'random', a 'module:object'"),
+    "unknown transformation": (lambda: get_scenario("energy", transformation="x"), "'exponential', 'rational', 'tanh'"),
+    "deadline of zero": (lambda: get_scenario("energy", deadline=0.0), r"deadline must be .* above 0 \(T, in seconds"),
+    "negative deadline": (lambda: get_scenario("energy", deadline=-1.2), "deadline must be"),
+    "infinite deadline": (lambda: get_scenario("energy", deadline=float("inf")), "deadline must be a finite number"),
+    "deadline in words": (lambda: get_scenario("energy", deadline="1.2"), "deadline must be a finite number"),
+    "no gain at all": (lambda: get_scenario("energy", gain=None), r"gain \(c\) must be a finite number"),
+    "limit that is a switch": (lambda: get_scenario("energy", input_limit=True), "input_limit must be a finite number"),
+    "number for a name": (lambda: get_scenario("energy", name=5), "name of a scenario must be a text of printable"),
+    "escape for a name": (lambda: get_scenario("energy", name="\x1b[31m"), "of printable characters, got '.x1b.31m'"),
+    "no steps": (lambda: get_scenario("energy", steps=0), r"steps \(K\) must be a whole number of at least 1"),
+    "half a step": (lambda: get_scenario("energy", steps=1.5), r"steps \(K\) must be a whole number"),
+    "negative gain": (lambda: get_scenario("energy", gain=-1.0), r"gain \(c\) must be"),
+    "hold without gain": (lambda: get_scenario("energy", gain=0.0, hold_steps=3), "hold_steps need a gain c > 0"),
+    "no input": (lambda: get_scenario("energy", input_limit=0.0), "input_limit must be a finite number above 0"),
+    "unknown spacing": (lambda: get_scenario("energy", spacing="even"), "spacing is one of effective, transformed"),
+    "start of another shape": (
+        lambda: get_scenario(
+            "energy", start=FactorySpec.of("ptne_env.world.starts:FixedStart", estimates=[[0.0] * 3] * 3)
+        ),
+        "for 3 players and dimension 3.*choose start='random'",
+    ),
+    "disconnected graph": (
+        lambda: get_scenario(
+            "energy", topology=FactorySpec.of("ptne_env.world.switching:fixed", graph=edges(5, (0, 1), (2, 3)))
+        ),
+        "graph is disconnected.*add links",
+    ),
+    "topology that is not jointly connected": (
+        lambda: get_scenario(
+            "energy",
+            topology=FactorySpec.of(
+                "ptne_env.world.switching:periodic", graphs=[edges(5, (0, 1)), edges(5, (2, 3), (3, 4))], dwells=[1, 1]
+            ),
+        ),
+        "not jointly connected over a period.*add links",
+    ),
+    "dwell shorter than the longest step": (
+        lambda: get_scenario(
+            "energy-switching", topology=FactorySpec.of("ptne_env.world.switching:paper_topology", dwell=0.003)
+        ),
+        "shorter than the longest step.*use more steps, another spacing or longer dwells",
+    ),
+    "transformed dwell shorter than the longest step": (
+        lambda: get_scenario("energy-switching-transformed", steps=20),
+        "dwell, 0.25 on the transformed clock, is shorter than the longest step",
+    ),
+    "game and graph for different numbers": (
+        lambda: get_scenario(
+            "energy", topology="ptne_env.world.switching:paper_topology", game="sample_games:BlockGame"
+        ),
+        "the game has 3 players, the graphs 5",
+    ),
+    "too few slots": (
+        lambda: get_scenario("energy", slots=1),
+        "a player has 2 neighbours and slots is 1; raise it to 2",
+    ),
+    "half a slot": (lambda: get_scenario("energy", slots=2.5), "slots must be a whole number"),
+    "clocks of some players": (
+        lambda: get_scenario("energy", clock_shifts=(0.1, 0.2)),
+        "5 players need 5 clock_shifts, or none, got 2",
+    ),
+    "one clock for all": (lambda: get_scenario("energy", clock_shifts=0.1), "clock_shifts is one number of seconds"),
+    "clock that is infinitely fast": (
+        lambda: get_scenario("energy", clock_shifts=(float("inf"), 0, 0, 0, 0)),
+        "a clock shift must be a finite number",
+    ),
+    "unknown channel": (lambda: get_scenario("energy", channel="noisy"), "channel is 'perfect', a 'module:object'"),
+    "channel of another kind": (
+        lambda: get_scenario("energy", channel="ptne_env.world.starts:paper_start"),
+        "built a PaperStart where a Channel is needed",
+    ),
+    "disturbance without bound": (
+        lambda: get_scenario(
+            "energy", disturbance=FactorySpec.of("ptne_env.world.disturbances:UniformDisturbance", bound=float("inf"))
+        ),
+        "bound must be a finite number above 0",
+    ),
+    "part of another kind": (
+        lambda: get_scenario("energy", game="ptne_env.world.starts:paper_start"),
+        "built a PaperStart where a Game or GameFamily is needed",
+    ),
+    "missing part": (lambda: get_scenario("energy", game="ptne_env.games:ChessGame"), "has no 'ChessGame'"),
+    "unknown key": (
+        lambda: Scenario.from_dict(get_scenario("energy").to_dict() | {"colour": 1}),
+        r"unknown keys \['colour'\]",
+    ),
+    "missing key": (lambda: Scenario.from_dict({"name": "x"}), r"missing keys \['game', 'start', 'topology'\]"),
+    "not an object": (lambda: Scenario.from_json("[1, 2]"), "expected a JSON object, got list"),
+    "not JSON": (lambda: Scenario.from_json("{"), "Expecting"),
+}
+
+
+@pytest.mark.parametrize("name", REFUSED)
+def test_invalid_scenarios_are_refused_with_advice(name):
+    build, message = REFUSED[name]
+    with pytest.raises(ValueError, match=message):
+        World(build())
+
+
+def test_an_environment_in_the_place_of_a_scenario_is_refused():
+    env = ptne_env.parallel_env("energy")
+    with pytest.raises(TypeError, match=r"such as env\.scenario of an environment; got a NashSeekingEnv"):
+        get_scenario(env)
+    assert get_scenario(env.scenario) == get_scenario("energy")
+
+
+def test_dwell_as_long_as_the_longest_step_is_allowed():
+    clock = World(get_scenario("energy")).clock
+    longest = float(np.diff(clock.t).max())
+    topology = FactorySpec.of("ptne_env.world.switching:paper_topology", dwell=longest)
+    assert World(get_scenario("energy-switching", topology=topology)).topology.mean_dwell == longest

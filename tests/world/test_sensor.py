@@ -1,0 +1,112 @@
+"""Sensors: statistics of the noise, true quantities beside it, independence of the other draws."""
+
+import math
+
+import numpy as np
+import pytest
+from scipy import stats
+from worlds import begin
+
+from ptne_env import FactorySpec, get_scenario
+from ptne_env.evaluation.provenance import content_hash
+from ptne_env.perception.encoder import make_encoder
+from ptne_env.perception.observation import Interface
+from ptne_env.world import dynamics
+from ptne_env.world.sensor import GradientNoise
+from ptne_env.world.world import RANGE_LIMIT, World
+
+FALSE_ALARM = 1e-6
+
+
+def noisy(**arguments):
+    return FactorySpec.of("ptne_env.world.sensor:GradientNoise", **arguments)
+
+
+def read(sensor, gradients, steps=50, seed=0):
+    """Readings of the gradients (n,) in each step of 200 episodes, shape (steps, n, 200)."""
+    keys = np.random.default_rng(seed).integers(0, 2**64, 200, dtype=np.uint64)
+    table = np.repeat(np.array(gradients)[:, None], 200, axis=1)
+    return np.array([sensor.read(table, keys, np.full(200, k)) for k in range(steps)])
+
+
+def test_noise_is_normal_with_absolute_and_relative_deviation():
+    gradients = np.array([0.0, 5.0, -40.0])
+    noise = (read(GradientNoise(std=0.3, relative=0.1), gradients) - gradients[:, None]) / np.array(
+        [[0.3], [0.8], [4.3]]
+    )
+    for component in range(3):
+        assert stats.kstest(noise[:, component].ravel(), "norm").pvalue > FALSE_ALARM
+    for axis in range(3):  # neighbours along steps, components and episodes are uncorrelated
+        first, second = np.delete(noise, 0, axis), np.delete(noise, -1, axis)
+        limit = stats.norm.isf(FALSE_ALARM / 2) / math.sqrt(first.size)
+        assert abs(np.corrcoef(first.ravel(), second.ravel())[0, 1]) < limit
+
+
+def test_rounding_alone_is_exact_and_draws_nothing():
+    sensor = GradientNoise(width=0.5)
+    assert not sensor.is_random
+    assert read(sensor, [0.2, 0.3, -7.6], steps=1)[0, :, 0].tolist() == [0.0, 0.5, -7.5]
+    assert not World(get_scenario("energy", sensor=noisy(width=0.5))).is_random
+
+
+@pytest.mark.parametrize("arguments", [{"std": -1}, {"relative": math.nan}, {"width": -0.1}])
+def test_invalid_sensors_are_refused(arguments):
+    with pytest.raises(ValueError, match=next(iter(arguments))):
+        GradientNoise(**arguments)
+
+
+def test_laws_see_the_sensor_and_oracles_see_the_truth():
+    world = World(get_scenario("energy", sensor=noisy(std=2.0)))
+    state = begin(world, [3])
+    truth = world.game.own_gradients(state.estimates)
+    assert np.abs(state.own_gradients - truth).min() > 1e-3
+    oracle = make_encoder(world, Interface("full"))
+    seen, select = oracle.observe(state)[0], oracle.layout.select
+    np.testing.assert_allclose(select(seen, "own_gradient"), state.own_gradients, rtol=1e-6)
+    exact = world.game.pseudo_gradient(dynamics.strategies(world, state))
+    np.testing.assert_allclose(select(seen, "pseudo_gradient"), np.tile(exact.T, (5, 1)), rtol=1e-6)
+    local = make_encoder(world, Interface("local"))
+    scaled, select = local.observe(state)[0], local.layout.select
+    units = 10 ** select(scaled, "log_scale").astype(np.float64)
+    np.testing.assert_allclose(select(scaled, "own_gradient") * units, state.own_gradients, rtol=1e-4)
+
+
+def test_readings_stay_within_the_range():
+    state = begin(World(get_scenario("energy", sensor=noisy(std=1e9))), [0])
+    assert np.abs(state.own_gradients).max() == RANGE_LIMIT
+    assert not state.any_diverged
+
+
+@pytest.mark.parametrize("part", ["sensor", "drift"])
+def test_a_new_source_of_randomness_leaves_all_others_alone(part):
+    parts = {"sensor": noisy(std=1.0), "drift": FactorySpec.of("ptne_env.world.drift:ConstantVelocity", speed=1.0)}
+    scenario = get_scenario(
+        "random-energy-switching",
+        channel=FactorySpec.of("ptne_env.world.channel:AdditiveNoise", std=0.1),
+        disturbance=FactorySpec.of("ptne_env.world.disturbances:UniformDisturbance", bound=1.0),
+        **{name: spec for name, spec in parts.items() if name != part},
+    )
+    first = begin(World(scenario), range(3))
+    second = begin(World(scenario.replace(**{part: parts[part]})), range(3))
+    assert np.array_equal(first.estimates, second.estimates)
+    assert np.array_equal(first.received.messages, second.received.messages)
+    for name in ("channel_keys", "disturbance_keys", "sensor_keys", "drift_keys", "modes"):
+        assert np.array_equal(getattr(first.randomness, name), getattr(second.randomness, name))
+    names = ("channel_keys", "disturbance_keys", "sensor_keys", "drift_keys")
+    assert len(np.unique([getattr(first.randomness, name) for name in names])) == 12
+
+
+def test_scenarios_without_new_parts_keep_their_content_hash():
+    scenario = get_scenario("energy")
+    before = {name: value for name, value in scenario.to_dict().items() if name not in ("sensor", "drift")}
+    assert content_hash(scenario.to_dict()) == content_hash(before)
+    changed = scenario.replace(sensor=noisy(std=1.0))
+    assert type(changed).from_json(changed.to_json()) == changed
+    assert content_hash(changed.to_dict()) != content_hash(before)
+
+
+def test_parts_of_another_kind_are_refused():
+    with pytest.raises(ValueError, match="where a Sensor is needed"):
+        World(get_scenario("energy", sensor="ptne_env.world.disturbances:Undisturbed"))
+    with pytest.raises(ValueError, match="where a Drift is needed"):
+        World(get_scenario("energy", drift="ptne_env.world.disturbances:Undisturbed"))

@@ -1,0 +1,401 @@
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy import stats
+
+from ptne_env import FactorySpec, get_scenario
+from ptne_env.shared.random_streams import RandomStreams
+from ptne_env.world import dynamics, graphs, switching
+from ptne_env.world.graphs import Graph
+from ptne_env.world.switching import EpisodeTopology, MarkovTopology, SwitchingTopology
+from ptne_env.world.world import World
+
+
+def test_paper_topology_has_four_disconnected_modes_with_union_cycle():
+    topology = switching.paper_topology()
+    assert [graph.edges for graph in topology.graphs] == [
+        [(0, 1), (2, 3)],
+        [(1, 2), (3, 4)],
+        [(0, 4), (2, 3)],
+        [(0, 1), (3, 4)],
+    ]
+    assert not any(graph.is_connected for graph in topology.graphs)
+    assert topology.is_jointly_connected
+    assert topology.union == graphs.cycle(5)
+    assert topology.period == pytest.approx(0.4)
+    assert topology.mean_dwell == pytest.approx(0.1)
+
+
+def test_disconnected_union_is_not_jointly_connected():
+    pairs = [graphs.from_edges(4, [(0, 1)]), graphs.from_edges(4, [(2, 3)])]
+    assert not switching.periodic(pairs, [1.0, 1.0]).is_jointly_connected
+
+
+@given(
+    st.lists(st.floats(0.05, 2.0), min_size=2, max_size=5),
+    st.lists(st.floats(0.0, 50.0), min_size=1, max_size=20),
+)
+def test_schedule_agrees_with_a_walk_through_the_dwells(dwells, instants):
+    topology = SwitchingTopology([graphs.path(3)] * len(dwells), dwells)
+    schedule = topology.schedule(instants)
+    for instant, mode, since in zip(instants, schedule.modes, schedule.time_since_switch, strict=True):
+        now, walked = instant, 0
+        while now >= dwells[walked % len(dwells)]:
+            now -= dwells[walked % len(dwells)]
+            walked += 1
+        if min(now, dwells[walked % len(dwells)] - now) < 1e-6:
+            continue  # rounding decides at a switch; see the next test
+        assert mode == walked % len(dwells)
+        assert since == pytest.approx(min(now / np.mean(dwells), 1.0), abs=1e-6)
+
+
+def test_rounded_multiples_of_the_dwell_start_the_next_mode():
+    topology = switching.paper_topology(dwell=0.1)
+    instants = np.concatenate([np.arange(400) * 0.1, np.cumsum(np.full(400, 0.1))])
+    schedule = topology.schedule(instants)
+    expected = np.concatenate([np.arange(400), np.arange(1, 401)]) % 4
+    assert np.array_equal(schedule.modes, expected)
+    assert schedule.time_since_switch == pytest.approx(np.zeros(800), abs=1e-8)
+
+
+def test_time_since_switch_is_relative_to_the_mean_dwell_and_clipped():
+    topology = SwitchingTopology([graphs.path(3)] * 2, [3.0, 1.0])
+    assert topology.schedule([0.0, 1.0, 2.9, 3.0, 3.5]).time_since_switch == pytest.approx([0.0, 0.5, 1.0, 0.0, 0.25])
+
+
+def test_fixed_topology_never_switches():
+    topology = switching.fixed(graphs.cycle(4))
+    schedule = topology.schedule([0.0, 1e9])
+    assert schedule.modes.tolist() == [0, 0]
+    assert schedule.time_since_switch.tolist() == [0, 0]
+    assert topology.switches(0, 1e9).size == 0
+
+
+@given(st.lists(st.floats(0.1, 2.0), min_size=2, max_size=4), st.floats(0, 20), st.floats(0.1, 10))
+def test_mode_changes_at_every_switch_and_nowhere_else(dwells, start, length):
+    topology = SwitchingTopology([graphs.path(3)] * len(dwells), dwells)
+    switches = topology.switches(start, start + length)
+    assert np.all((switches > start) & (switches < start + length))
+    before, after = (topology.schedule(switches + shift).modes for shift in (-1e-6, 1e-6))
+    assert np.array_equal((before + 1) % len(dwells), after)
+    bounds = np.concatenate([[start], switches, [start + length]])
+    middles = topology.schedule((bounds[:-1] + bounds[1:]) / 2).modes
+    assert np.array_equal((middles[:-1] + 1) % len(dwells), middles[1:])
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"graphs": []}, "at least one graph"),
+        ({"graphs": [graphs.path(3), graphs.path(4)], "dwells": [1, 1]}, "same number of players"),
+        ({"graphs": [graphs.path(3)] * 2}, "dwell times"),
+        ({"graphs": [graphs.path(3)] * 2, "dwells": [1.0]}, "one dwell time per graph"),
+        ({"graphs": [graphs.path(3)] * 2, "dwells": [1.0, 0.0]}, "dwell time must be a finite number above 0"),
+        ({"graphs": [graphs.path(3)], "clock": "wall"}, "'physical' or 'transformed'"),
+    ],
+)
+def test_inconsistent_topologies_are_refused(arguments, message):
+    with pytest.raises(ValueError, match=message):
+        SwitchingTopology(**arguments)
+
+
+def test_instant_before_the_start_is_refused():
+    with pytest.raises(ValueError, match="starts at 0"):
+        switching.paper_topology().schedule([-0.1])
+
+
+FALSE_ALARM = 1e-6
+"""Probability of a false alarm of each statistical test below; seeds are fixed."""
+
+PAIRS = [graphs.from_edges(4, [(0, 1)]), graphs.from_edges(4, [(1, 2)]), graphs.from_edges(4, [(2, 3)])]
+CHAIN = [[0.5, 0.3, 0.2], [0.1, 0.2, 0.7], [0.6, 0.4, 0.0]]
+
+
+def generators(count, seed=0):
+    return [RandomStreams.from_seed(seed + index).graph for index in range(count)]
+
+
+def following(row, choice):
+    """The mode that a number from [0, 1) selects in a row of the transition matrix."""
+    total = 0.0
+    for mode, probability in enumerate(row):
+        total += probability
+        if choice < total:
+            return mode
+    return len(row) - 1
+
+
+def walked(topology, instants, generator):
+    """Mode and time since the last switch, by a walk from dwell to dwell with the same draws, in plain Python."""
+    count = int(max(instants) / topology.shortest) + 2
+    choices, units = generator.random((2, count))
+    modes, since = [], []
+    for instant in instants:
+        mode = topology.first if topology.first is not None else int(choices[0] * len(topology.graphs))
+        start, dwell = 0.0, 0
+        while True:
+            end = start + topology.shortest + (topology.longest - topology.shortest) * units[dwell]
+            if instant < end - 1e-9 * topology.shortest:
+                break
+            start, dwell, mode = end, dwell + 1, following(topology.transition[mode].tolist(), choices[dwell + 1])
+        modes.append(mode)
+        since.append(min((instant - start) / topology.mean_dwell, 1.0))
+    return modes, since
+
+
+@pytest.mark.parametrize(
+    "topology",
+    [
+        switching.markov(PAIRS, CHAIN, (0.2, 0.7)),
+        switching.markov(PAIRS, CHAIN, 0.25),
+        switching.random_dwells(PAIRS, (0.2, 0.7)),
+        switching.random_edges(graphs.complete(4), 0.3, (0.2, 0.7), modes=5),
+    ],
+    ids=["markov", "markov, dwells known", "dwells", "edges"],
+)
+def test_drawn_schedule_agrees_with_a_walk_through_the_draws(topology):
+    instants = np.linspace(0, 12, 97)
+    schedule = topology.draw(instants, generators(6))
+    assert schedule.modes.shape == schedule.time_since_switch.shape == (97, 6)
+    for b, generator in enumerate(generators(6)):
+        modes, since = walked(topology, instants.tolist(), generator)
+        assert schedule.modes[:, b].tolist() == modes
+        assert schedule.time_since_switch[:, b] == pytest.approx(np.array(since), abs=1e-9)
+    assert len({tuple(column) for column in schedule.modes.T}) > 1 or topology.first is not None
+
+
+def test_schedules_of_episodes_do_not_depend_on_each_other():
+    topology, instants = switching.markov(PAIRS, CHAIN, (0.2, 0.7)), np.linspace(0, 12, 97)
+    together = topology.draw(instants, generators(5))
+    for b in range(5):
+        alone = topology.draw(instants, generators(1, seed=b))
+        assert np.array_equal(alone.modes[:, 0], together.modes[:, b])
+        assert np.array_equal(alone.time_since_switch[:, 0], together.time_since_switch[:, b])
+
+
+def test_modes_follow_the_chain_and_dwells_are_uniform():
+    topology = switching.markov(PAIRS, CHAIN, 1.0)
+    modes = topology.draw(np.arange(60) + 0.5, generators(300)).modes
+    assert stats.chisquare(np.bincount(modes[0], minlength=3)).pvalue > FALSE_ALARM
+    for mode in range(3):
+        following = np.bincount(modes[1:][modes[:-1] == mode], minlength=3)
+        expected = np.array(CHAIN[mode]) * following.sum()
+        possible = expected > 0
+        assert not following[~possible].any()
+        assert stats.chisquare(following[possible], expected[possible]).pvalue > FALSE_ALARM
+
+    order = switching.random_dwells(PAIRS, (0.5, 1.5))
+    instants = np.linspace(0, 1.5, 3001)
+    first = (order.draw(instants, generators(400)).modes == 0).sum(axis=0) * 0.0005  # the first dwell of each episode
+    assert stats.kstest(first - 0.5, "uniform").pvalue > FALSE_ALARM
+    assert set(np.diff(order.draw(np.linspace(0, 30, 3001), generators(5)).modes, axis=0).ravel()) == {0, 1, -2}
+
+
+def test_links_are_up_with_the_given_probability():
+    topology = switching.random_edges(graphs.complete(6), 0.3, 1.0, modes=400, seed=3)
+    up = sum(len(graph.edges) for graph in topology.graphs)
+    assert stats.binomtest(up, 400 * 15, 0.3).pvalue > FALSE_ALARM
+    again = switching.random_edges(graphs.complete(6), 0.3, 1.0, modes=400, seed=3)
+    assert again.graphs == topology.graphs
+    assert switching.random_edges(graphs.complete(6), 0.3, 1.0, modes=400, seed=4).graphs != topology.graphs
+    weighted = switching.random_edges(Graph([[0, 2.5], [2.5, 0]]), 0.5, 1.0, modes=20)
+    assert {graph.adjacency[0, 1] for graph in weighted.graphs} == {0.0, 2.5}
+
+
+def test_every_episode_draws_its_graph_and_keeps_it():
+    topology, instants = switching.random_graphs(5, 0.5, modes=7, seed=1), np.linspace(0, 3, 11)
+    schedule = topology.draw(instants, generators(2000))
+    assert schedule.modes.shape == schedule.time_since_switch.shape == (11, 2000)
+    assert not schedule.time_since_switch.any()
+    assert not np.diff(schedule.modes, axis=0).any()
+    assert stats.chisquare(np.bincount(schedule.modes[0], minlength=7)).pvalue > FALSE_ALARM
+    for b in range(5):
+        alone = topology.draw(instants, generators(1, seed=b))
+        assert np.array_equal(alone.modes[:, 0], schedule.modes[:, b])
+    assert topology.shortest_dwell == topology.mean_dwell == topology.period == np.inf
+    assert topology.switches(0, 10).size == 0
+
+
+def test_random_graphs_are_uniform_over_connected_graphs():
+    topology = switching.random_graphs(4, 0.5, modes=400, seed=2)
+    assert topology.graphs == switching.random_graphs(4, 0.5, modes=400, seed=2).graphs
+    assert topology.graphs != switching.random_graphs(4, 0.5, modes=400, seed=3).graphs
+    assert all(graph.is_connected for graph in topology.graphs)
+    # At probability 1/2 all connected graphs are equally likely: of 4 players there are 16, 15, 6 and 1 with 3, ..., 6
+    # links.
+    links = np.bincount([len(graph.edges) for graph in topology.graphs], minlength=7)
+    assert not links[:3].any()
+    assert stats.chisquare(links[3:], 400 * np.array([16, 15, 6, 1]) / 38).pvalue > FALSE_ALARM
+    with pytest.raises(ValueError, match="hardly any graph of 5 players is connected"):
+        switching.random_graphs(5, 1e-6, modes=2)
+    with pytest.raises(ValueError, match="between 0 and 1"):
+        switching.random_graphs(5, 1.5)
+    with pytest.raises(ValueError, match="at least two"):
+        EpisodeTopology([graphs.path(3)])
+    with pytest.raises(ValueError, match="draw one per episode"):
+        topology.schedule([0.0])
+
+
+def test_joint_connectivity_of_every_kind_of_topology():
+    connected = [graphs.path(4), graphs.cycle(4)]
+    apart = [graphs.from_edges(4, [(0, 1)]), graphs.from_edges(4, [(2, 3)])]
+    even = np.full((2, 2), 0.5)
+    assert switching.fixed(graphs.path(4)).joint_connectivity == "always"
+    assert switching.fixed(apart[0]).joint_connectivity == "never"
+    assert switching.periodic(PAIRS, [1] * 3).joint_connectivity == "always"
+    assert switching.periodic(apart, [1, 1]).joint_connectivity == "never"
+    assert switching.random_dwells(PAIRS, (0.5, 1)).joint_connectivity == "always"
+    assert switching.markov(PAIRS, CHAIN, 1.0).joint_connectivity == "almost surely"
+    assert switching.markov(connected, even, 1.0).joint_connectivity == "always"
+    assert switching.markov(apart, even, 1.0).joint_connectivity == "never"
+    assert switching.random_edges(graphs.cycle(4), 0.5, 1.0).joint_connectivity == "almost surely"
+    assert switching.random_edges(graphs.cycle(4), 1.0, 1.0, modes=2).joint_connectivity == "always"
+    assert switching.random_edges(graphs.cycle(4), 1e-9, 1.0).joint_connectivity == "never"
+    assert switching.random_graphs(4, 0.5).joint_connectivity == "always"
+    assert EpisodeTopology([graphs.path(4), apart[0]]).joint_connectivity == "never"
+
+
+def test_almost_sure_connectivity_has_no_window():
+    """For every window there is an episode whose union over that window is not connected."""
+    topology = switching.markov(PAIRS, np.full((3, 3), 1 / 3), 1.0)
+    modes = topology.draw(np.arange(40) + 0.5, generators(2000)).modes
+    disconnected = [len(set(modes[:5, b])) < 3 for b in range(2000)]
+    probability = (3 * 2**5 - 3) / 3**5  # a mode or two are missing among five
+    assert stats.binomtest(sum(disconnected), 2000, probability).pvalue > FALSE_ALARM
+
+
+def test_random_topology_has_no_schedule_without_a_draw():
+    topology = switching.markov(PAIRS, CHAIN, (0.2, 0.7))
+    assert topology.is_random
+    assert not topology.is_fixed
+    assert (topology.shortest_dwell, topology.mean_dwell) == (0.2, pytest.approx(0.45))
+    for call in (lambda: topology.schedule([0.0]), lambda: topology.switches(0, 1)):
+        with pytest.raises(ValueError, match="is random and has no"):
+            call()
+    with pytest.raises(ValueError, match="starts at 0"):
+        topology.draw([-1.0, 0.0], generators(1))
+
+
+def test_draw_of_a_periodic_topology_is_its_schedule():
+    topology, instants = switching.paper_topology(), np.linspace(0, 1, 31)
+    drawn, schedule = topology.draw(instants, generators(3)), topology.schedule(instants)
+    for b in range(3):
+        assert np.array_equal(drawn.modes[:, b], schedule.modes)
+        assert np.array_equal(drawn.time_since_switch[:, b], schedule.time_since_switch)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"transition": [[1, 0], [0, 1]]}, "some mode cannot be reached from some other"),
+        ({"transition": [[0.5, 0.5], [0, 1]]}, "some mode cannot be reached"),
+        ({"transition": [[0.5, 0.6], [0.5, 0.5]]}, "2 × 2 matrix of probabilities whose rows sum to 1"),
+        ({"transition": [[1.5, -0.5], [0.5, 0.5]]}, "2 × 2 matrix of probabilities"),
+        ({"transition": [[1.0]]}, "2 × 2 matrix"),
+        ({"dwells": (0.7, 0.2)}, "the shortest dwell comes first"),
+        ({"dwells": (0.1, 0.2, 0.3)}, "a time or a range"),
+        ({"dwells": 0.0}, "dwell time must be a finite number above 0"),
+        ({"first": 2}, "first is a mode 0..1, got 2"),
+        ({"graphs": [graphs.path(3)], "transition": [[1.0]]}, "at least two graphs"),
+    ],
+)
+def test_invalid_markov_topologies_are_refused(arguments, message):
+    defaults = {"graphs": [graphs.path(3)] * 2, "transition": np.full((2, 2), 0.5), "dwells": 1.0}
+    with pytest.raises(ValueError, match=message):
+        MarkovTopology(**(defaults | arguments))
+
+
+@pytest.mark.parametrize("probability", [0.0, 1.1, -0.1])
+def test_invalid_link_probabilities_are_refused(probability):
+    with pytest.raises(ValueError, match="probability must be"):
+        switching.random_edges(graphs.cycle(4), probability, 1.0)
+
+
+@pytest.mark.parametrize("clock", ["physical", "transformed"])
+def test_random_subgraphs_are_connected_and_switch_on_either_clock(clock):
+    host = graphs.random_regular(50, 6, seed=1)
+    kept = switching.random_subgraphs(host, 0.3, modes=20, seed=2)
+    switching_ones = switching.random_subgraphs(host, 0.3, dwells=(0.1, 0.2), modes=20, seed=2, clock=clock)
+    assert kept.graphs == switching_ones.graphs
+    assert kept.joint_connectivity == switching_ones.joint_connectivity == "always"
+    assert len(set(kept.graphs)) == 20
+    assert (kept.union.adjacency <= host.adjacency).all()
+    assert kept.union.largest_degree <= 6
+    assert switching_ones.clock == clock
+    schedules = switching_ones.draw(np.linspace(0, 2, 50), generators(2)).modes.T
+    assert not np.array_equal(*schedules)
+    assert len(set(schedules[0].tolist())) > 5
+    links = np.mean([len(graph.edges) for graph in kept.graphs])
+    tree, others = 49, 150 - 49
+    assert abs(links - (tree + 0.3 * others)) < 6 * np.sqrt(others * 0.21 / 20)
+
+
+def test_random_subgraphs_keep_weights_and_end_in_trees():
+    weighted = graphs.Graph([[0, 2.0, 3.0], [2.0, 0, 5.0], [3.0, 5.0, 0]])
+    trees = switching.random_subgraphs(weighted, 0.0, modes=30)
+    assert {len(graph.edges) for graph in trees.graphs} == {2}
+    assert len(set(trees.graphs)) == 3
+    assert trees.union == weighted
+    assert set(switching.random_subgraphs(weighted, 1.0, modes=2).graphs) == {weighted}
+
+
+def test_random_subgraphs_of_a_disconnected_graph_are_refused():
+    with pytest.raises(ValueError, match="add links between its components"):
+        switching.random_subgraphs(graphs.from_edges(4, [(0, 1), (2, 3)]), 0.5)
+
+
+def test_a_game_of_200_players_on_random_sparse_graphs_is_small():
+    host = FactorySpec.of("ptne_env.world.graphs:random_regular", players=200, degree=4)
+    world = World(
+        get_scenario(
+            "random-energy",
+            topology=FactorySpec.of("ptne_env.world.switching:random_subgraphs", graph=host, probability=0.5, modes=10),
+            game=FactorySpec.of("ptne_env.games:RandomEnergy", players=200),
+        )
+    )
+    assert world.slots <= 4
+    assert world.topology.is_random
+
+
+def random_scenario(**arguments):
+    part = FactorySpec.of(
+        "ptne_env.world.switching:random_edges",
+        graph=FactorySpec.of("ptne_env.world.graphs:cycle", players=5),
+        **arguments,
+    )
+    return get_scenario("energy", topology=part, start="random")
+
+
+def test_world_refuses_unconnected_topologies_and_short_dwells():
+    with pytest.raises(ValueError, match="not jointly connected.*add links"):
+        World(random_scenario(probability=1e-9, dwells=0.1))
+    with pytest.raises(ValueError, match=r"shortest dwell, 0\.001 on the physical clock, is shorter"):
+        World(random_scenario(probability=0.5, dwells=(0.001, 0.5)))
+
+
+def test_every_episode_keeps_its_own_schedule():
+    scenario = random_scenario(probability=0.5, dwells=(0.02, 0.05))
+    assert World(scenario).is_random
+    world = World(scenario)
+
+    def states(seeds):
+        streams = [RandomStreams.from_seed(seed) for seed in seeds]
+        estimates, randomness = world.draw_estimates(streams), world.draw_randomness(streams)
+        state, result = dynamics.initial_state(world, estimates, randomness=randomness), []
+        for _ in range(400):
+            result.append(state)
+            state = dynamics.step(world, state, np.zeros_like(state.estimates))
+        return result
+
+    together = states(range(3))
+    modes = np.array([dynamics.active_mode(world, state) for state in together])
+    assert len({tuple(column) for column in modes.T}) == 3
+    assert np.array_equal(modes[:, [1]], np.array([dynamics.active_mode(world, state) for state in states([1])]))
+    for state in together[::40]:
+        for b in range(3):
+            adjacency = world.topology.graphs[int(dynamics.active_mode(world, state)[b])].adjacency
+            for i in range(5):
+                assert dynamics.weights(world, state)[:, i, b].tolist() == [
+                    adjacency[i, j] for j in world.neighbours[:, i]
+                ]
