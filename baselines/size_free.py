@@ -18,8 +18,7 @@ from ptne_env import FactorySpec
 from ptne_env import learn as policies
 from ptne_env.evaluation import PolicySpec, Results, Workers, run_suite
 from ptne_env.evaluation.metrics import number
-from ptne_env.evaluation.suite import SUITES, get_suite
-from ptne_env.evaluation.sweep import CEILING
+from ptne_env.evaluation.suite import MOST_DIGITS, SUITES, get_suite
 from ptne_env.learn import training
 from ptne_env.shared.files import write_atomically
 
@@ -56,7 +55,7 @@ def page(name: str, several: Results, alone: Results, shipped: int) -> list[str]
     for track in get_suite(name).tracks:
         results = several if track.name in {each.name for each in several.tracks} else alone
         found = [results.samples[track.name, entry][track.metric] for entry in (*LAWS, POLICY)]
-        shares.append([float(each.mean()) / (track.best_known or CEILING) for each in found])
+        shares.append([float(each.mean()) / (track.best_known or MOST_DIGITS) for each in found])
         texts = [interval(results.summary(track.name, entry, track.metric)) for entry in (*LAWS, POLICY)]
         unguarded = found[-1][shipped if results is several else 0]
         saved = float((results.samples[track.name, GUARDED.name][track.metric] - unguarded).mean())

@@ -1,7 +1,4 @@
-"""The store: a folder with one file per finished task, so that an interrupted run goes on where it was.
-
-A task is a job, or a point of a diagram.
-"""
+"""The store: a folder with one file per finished task, so that an interrupted run goes on where it was."""
 
 from __future__ import annotations
 

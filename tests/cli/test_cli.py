@@ -25,13 +25,12 @@ from ptne_env.shared.files import DamagedFileError
 
 FILES = {"results.json", "results.csv", "marl-eval.json", "jobs"}
 
-ROOT = Path(__file__).parents[1]
-COMMANDS = ("compare", "check", "render", "certify", "sweep", "reproduce", "train", "list")
+ROOT = Path(__file__).parents[2]
+COMMANDS = ("compare", "check", "render", "certify", "reproduce", "train", "list")
 LONG = {
     "compare": "compare energy --policy static,adaptive,grounded --episodes 3000 --out out",
     "suite": "compare --suite ptne-v1 --track delay --track noise --policy adaptive,grounded --jobs 2 --out out",
     "render": "render energy static --out out.gif --pictures 400",
-    "sweep": "sweep noise-horizon --points 30 --jobs 2 --out out",
     "reproduce": "reproduce --out out",
     "train": "train random-energy --out out --steps 2000000",
 }
@@ -146,7 +145,6 @@ def test_a_terminal_gets_colours_and_none_with_no_color(tmp_path):
         (["ptne", "render", "energy", "grou"], {"grounded"}),
         (["ptne", "certify", "energy-s"], {"energy-switching", "energy-switching-transformed"}),
         (["ptne", "certify", "energy", "--law", "Loc"], {"LocallyImplicit"}),
-        (["ptne", "sweep", ""], {"gain-step", "noise-horizon", "dwell-gain"}),
         (["ptne", "train", "ptne-v1-m"], {"ptne-v1-markov"}),
         (["ptne", "compare", "--no-r"], {"--no-report"}),
     ],
@@ -301,7 +299,6 @@ def own_module(tmp_path):
         "compare energy --policy talkative:make --episodes 1 --trust",
         "compare --suite ptne-v1 --track nominal --policy talkative:make --trust --episodes 2 --jobs 2 --no-report",
         "certify energy",
-        "sweep dwell-gain --points 2 --episodes 1 --jobs 2 --out out",
         "train random-energy --steps 1 --out out",
         "list",
     ],
@@ -402,7 +399,6 @@ def test_compare_takes_a_policy_by_module_and_object():
         (("certify", "energy", "--kappa", "-1"), "kappa"),
         (("certify", "energy", "--law", "statik"), "unknown law 'statik'; did you mean 'static' or 'Static'?"),
         (("certify", "energy", "--law", "adaptive", "--kappa", "2"), "has no kappa"),
-        (("sweep", "gain-stop"), "unknown diagram 'gain-stop'; did you mean 'gain-step'?"),
         (("compare", "--suite", "ptne-v0"), "unknown suite 'ptne-v0'; did you mean 'ptne-v1' or 'ptne-v2'?"),
         (
             ("compare", "--suite", "ptne-v1", "--track", "nominl"),
@@ -535,7 +531,6 @@ def test_colours_need_a_terminal_or_force_color_and_no_no_color():
         "check blocked --json blocked/x",
         "render energy static --out blocked/x.gif",
         "certify energy --json blocked/x",
-        "sweep --out blocked/x",
         "reproduce --out blocked",
         "train random-energy --out blocked/x",
         "list --json blocked/x",
@@ -575,16 +570,6 @@ def test_certify_takes_a_law_by_name_or_class_with_noise_and_delay():
     without = ptne("certify", "energy", "--law", "oracle").stdout
     assert "Note: CentralisedOracle is an oracle" in without
     assert "closed-loop rate" not in without
-
-
-def test_sweep_draws_and_writes_its_numbers(tmp_path):
-    arguments = ("--points", "3", "--episodes", "1", "--jobs", "1", "--json", "sweep.json")
-    outcome = ptne("sweep", "dwell-gain", "--out", "pictures", *arguments, cwd=tmp_path)
-    assert outcome.returncode == 0, outcome.stderr
-    assert "dwell-gain: measured and predicted digits differ by at most" in outcome.stdout
-    assert (tmp_path / "pictures" / "dwell-gain.png").stat().st_size > 10_000
-    (diagram,) = json.loads((tmp_path / "sweep.json").read_text(encoding="utf-8"))
-    assert [len(row) for row in diagram["measured"]] == [3, 3, 3]
 
 
 @pytest.fixture(scope="module")

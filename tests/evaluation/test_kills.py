@@ -11,7 +11,6 @@ from small_suite import without_timings
 
 COMMANDS = {
     "compare": "compare --suite small_suite:SMALL --trust --policy grounded,adaptive --episodes 200 --no-report",
-    "sweep": "sweep gain-step --points 4 --episodes 4",
 }
 ROUNDS = [KILLS[1::2], KILLS[::2]]
 """Each kind of kill once."""

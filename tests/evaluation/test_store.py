@@ -12,7 +12,6 @@ from ptne_env.evaluation import Suite, Track, get_policy_spec, jobs, run_suite
 from ptne_env.evaluation.provenance import content_hash
 from ptne_env.evaluation.store import Store
 from ptne_env.evaluation.suite import REFERENCES
-from ptne_env.evaluation.sweep import _Point, _PointStore
 from ptne_env.shared.files import DamagedFileError
 
 
@@ -89,16 +88,8 @@ def a_job(folder):
     return Store(folder), next(job for job in results.jobs if job.policy.name == "zero-input")
 
 
-def a_point(folder):
-    point = _Point("noise-horizon", 1e-3, 2.0, 2, 0)
-    store = _PointStore(folder)
-    store.save(point, point.measure())
-    return store, point
-
-
-@pytest.mark.parametrize(("make", "damages"), [(a_job, 3000), (a_point, 1000)])
-def test_a_damaged_result_is_refused_or_gives_exactly_the_stored_numbers(tmp_path, make, damages):
-    store, task = make(tmp_path)
+def test_a_damaged_result_is_refused_or_gives_exactly_the_stored_numbers(tmp_path):
+    (store, task), damages = a_job(tmp_path), 3000
     path = store.path(task.key)
     whole, stored = path.read_bytes(), store.load(task.key).to_dict()
     randomness, refused = random.Random(7), 0  # noqa: S311 - damages

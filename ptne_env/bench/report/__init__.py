@@ -1,7 +1,6 @@
-"""Results for readers: tables for terminals, pages, diagrams and videos."""
+"""Results for readers: tables for terminals, pages and videos."""
 
 from ptne_env.bench.report.certificates import certificate_tables as certificate_tables
-from ptne_env.bench.report.diagrams import save_diagram as save_diagram
 from ptne_env.bench.report.pages import page as page
 from ptne_env.bench.report.terminal import Kind as Kind
 from ptne_env.bench.report.terminal import answer_tables as answer_tables
