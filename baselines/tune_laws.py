@@ -22,15 +22,8 @@ from ptne_env.evaluation import PolicySpec, Workers, run_suite
 GRIDS: dict[str, dict[str, tuple[Any, ...]]] = {
     "Static": {"kappa": (2.0, 2.5, 3.0, 3.5), "gradient_gain": (2.0, 2.5, 3.0, 3.5)},
     "FixedGain": {"kappa": (1.5, 2.0, 2.5, 3.0)},
-    "AveragingIntegral": {"gamma": (0.0003, 0.001, 0.003, 0.01)},
     "AdaptiveGrounded": {"gamma": (0.0001, 0.001, 0.01), "initial_gain": (2.0, 3.0, 4.0, 5.0)},
     "ProjectedGradient": {"step": (0.2, 0.3, 0.4, 0.5), "mixing": (0.2, 0.3, 0.45)},
-    "ExtremumSeeking": {"amplitude": (0.3, 1.0, 2.0), "gain": (0.05, 0.1, 0.2, 0.4)},
-    "LocallyImplicit": {"kappa": (1.0, 2.0, 3.0, 4.0, 8.0), "curvature": (5.0,)},
-    "CappedGain": {"kappa": (1.5, 2.0, 2.5), "largest_gain": (100.0, 200.0, 400.0)},
-    "BestResponseOracle": {"relaxation": (0.5, 0.75, 1.0)},
-    "FixedTimeOracle": {"gain": (0.5, 1.0, 2.0), "largest_step": (0.2, 0.3, 0.4)},
-    "NodeAdaptiveOracle": {"gamma": (0.0001, 0.001, 0.003), "initial_gain": (0.3, 0.5, 0.75, 1.0)},
 }
 """The values of each parameter, by law."""
 

@@ -27,7 +27,7 @@ from ptne_env.evaluation.jobs import Job, run_job
 from ptne_env.evaluation.store import Store
 
 SUITE = "ptne-v1"
-LAWS = ("static", "adaptive", "grounded", "corollary-one", "fixed-gain", "averaging-integral")
+LAWS = ("static", "adaptive", "grounded", "corollary-one", "fixed-gain")
 
 
 def task(track: str, law: str, seed: int = 0) -> tuple[Job, str | None]:

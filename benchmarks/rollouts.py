@@ -38,7 +38,7 @@ PARTS: dict[str, tuple[tuple[Any, str], ...]] = {
 }
 """The functions of each part. What is left are the recorded series and the loop."""
 
-POLICIES = ("static", "adaptive", "grounded", "relay", "contact-relay", "identify-and-broadcast")
+POLICIES = ("static", "adaptive", "grounded", "contact-relay", "observer-relay")
 
 
 def shares(policy: str, track: str, episodes: int) -> dict[str, float]:

@@ -18,7 +18,6 @@ import numpy as np
 
 from ptne_env import FactorySpec, Interface, Scenario, VectorParallelEnv, laws, parallel_env
 from ptne_env.envs import vector
-from ptne_env.field import laws as field_laws
 from ptne_env.perception.encoder import make_encoder
 from ptne_env.shared.random_streams import RandomStreams
 from ptne_env.world import dynamics
@@ -248,9 +247,7 @@ def actor(rng, layout):
     """A function from observations (B, N, size) to actions: those of a law, or random ones of some width."""
     generator, bound = np.random.default_rng(rng.getrandbits(32)), layout.action_bound
     if rng.random() < 0.4:
-        law = rng.choice(
-            (laws.Static, laws.Adaptive, laws.CorollaryOne, laws.Grounded, field_laws.CappedGain, laws.ZeroInput)
-        )
+        law = rng.choice((laws.Static, laws.Adaptive, laws.CorollaryOne, laws.Grounded, laws.ZeroInput))
         with contextlib.suppress(ValueError):  # some laws need another interface
             policy, memory = law(layout), [None]
 

@@ -24,7 +24,7 @@ def certify(
         str,
         typer.Option(
             help="A law by name (static, adaptive, corollary-one, gadjov-pavel, grounded), by its class in "
-            "ptne_env.laws (FixedGain, LocallyImplicit, …), or as 'module:object', which is called with the layout and "
+            "ptne_env.laws (FixedGain, Grounded, …), or as 'module:object', which is called with the layout and "
             "runs its own code; or a policy without sizes, by name (size-free) or .onnx file.",
             autocompletion=law_names,
         ),

@@ -323,12 +323,6 @@ POLICIES: Mapping[str, PolicySpec] = {
             kappa=5.0,
         ),
         _law(
-            "averaging-integral",
-            "AveragingIntegral",
-            "De Persis and Grammatico's law: integral controllers raise the gains of the links from zero.",
-            gamma=0.003,
-        ),
-        _law(
             "adaptive-grounded",
             "AdaptiveGrounded",
             "Ye and Hu's adaptive law: the grounded law, with gains that every player tunes by itself.",
@@ -341,31 +335,6 @@ POLICIES: Mapping[str, PolicySpec] = {
             "Bianchi and Grammatico's discrete law: average with the neighbours, then take a gradient step.",
             step=0.5,
             mixing=0.45,
-        ),
-        _law(
-            "aggregate-tracking",
-            "AggregateTracking",
-            "Koshal, Nedić and Shanbhag's law: players track the mean of all strategies in place of each one.",
-            step=0.5,
-            power=0.6,
-            mixing=0.3,
-        ),
-        _law(
-            "extremum-seeking",
-            "ExtremumSeeking",
-            "Frihauf, Krstić and Başar's law: players see their costs only, and find slopes by oscillating.",
-            amplitude=1.0,
-            gain=0.2,
-        ),
-        _law(
-            "locally-implicit",
-            "LocallyImplicit",
-            "The static law with implicit steps of each player, which stay stable however long a step is.",
-            kappa=2.0,
-            curvature=5.0,
-        ),
-        _law(
-            "capped-gain", "CappedGain", "The static law with a limit on the time gain.", kappa=2.0, largest_gain=200.0
         ),
         _law(
             "routed",
@@ -431,32 +400,6 @@ POLICIES: Mapping[str, PolicySpec] = {
             "Bianchi, Belgioioso and Grammatico's law: proximal best responses, and averages with neighbours.",
             step=4.0,
             mixing=0.45,
-        ),
-        _law(
-            "identify-and-broadcast",
-            "IdentifyAndBroadcast",
-            "Players identify their own equations and send them in code, so that each solves the whole game.",
-            switch=0.65,
-        ),
-        _law(
-            "best-response-oracle",
-            "BestResponseOracle",
-            "Best responses to the true strategies of all players, which players do not have.",
-            relaxation=1.0,
-        ),
-        _law(
-            "fixed-time-oracle",
-            "FixedTimeOracle",
-            "Fixed-time gradient play, scaled by the norm of all gradients, which players do not have.",
-            gain=1.0,
-            largest_step=0.3,
-        ),
-        _law(
-            "node-adaptive-oracle",
-            "NodeAdaptiveOracle",
-            "Bianchi and Grammatico's law with growing gains; a player sees the gains of its neighbours, too.",
-            gamma=0.0001,
-            initial_gain=1.0,
         ),
     ]
 }

@@ -100,7 +100,6 @@ FIELD: tuple[Tunable, ...] = (
     Tunable.of("Static", kappa=(0.05, 50.0), gradient_gain=(0.05, 50.0)),
     Tunable.of("Grounded", kappa=(0.05, 50.0)),
     Tunable.of("AdaptiveGrounded", initial_gain=(0.05, 50.0), gamma=(1e-6, 1.0)),
-    Tunable.of("LocallyImplicit", kappa=(0.05, 500.0), curvature=(0.05, 500.0)),
     Tunable.of("ProjectedGradient", step=(0.003, 3.0), mixing=(0.01, 3.0)),
     Tunable.of("ProximalBestResponse", step=(0.05, 500.0), mixing=(0.01, 3.0)),
     Tunable.of("Routed", step=(0.003, 3.0)),

@@ -4,14 +4,10 @@ All of them act through the interfaces that learned policies use.
 """
 
 from ptne_env.laws.adaptive import Adaptive as Adaptive
-from ptne_env.laws.adaptive import AveragingIntegral as AveragingIntegral
 from ptne_env.laws.base import Law as Law
 from ptne_env.laws.grounded import AdaptiveGrounded as AdaptiveGrounded
 from ptne_env.laws.grounded import Grounded as Grounded
-from ptne_env.laws.oracles import BestResponseOracle as BestResponseOracle
 from ptne_env.laws.oracles import CentralisedOracle as CentralisedOracle
-from ptne_env.laws.oracles import FixedTimeOracle as FixedTimeOracle
-from ptne_env.laws.oracles import NodeAdaptiveOracle as NodeAdaptiveOracle
 from ptne_env.laws.static import CorollaryOne as CorollaryOne
 from ptne_env.laws.static import FixedGain as FixedGain
 from ptne_env.laws.static import Static as Static

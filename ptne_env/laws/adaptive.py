@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ptne_env.laws.base import AdaptiveLaw, consensus
-from ptne_env.perception.observation import Observation, ObservationLayout
+from ptne_env.perception.observation import Observation
 from ptne_env.shared.arrays import FloatArray
 
 
@@ -46,19 +46,3 @@ class Adaptive(AdaptiveLaw):
         """κ_ij of every link, in both directions."""
         neighbours = np.array(self.layout.neighbours)
         return np.asarray(memory[neighbours != np.arange(len(neighbours))[:, None]])
-
-
-class AveragingIntegral(Adaptive):
-    """The adaptive law from gains of zero: integral controllers tune the weights of the links.
-
-    C. De Persis and S. Grammatico, "Distributed averaging integral Nash equilibrium seeking on networks", Automatica,
-    2019, in effective time. It needs neither λ2 nor ι. The paper's adaptive law is this law in its own time.
-
-    Args:
-        layout: of the environment.
-        gamma: γ ≥ 0, the same on all links.
-        initial_gain: κ_ij(0) ≥ 0.
-    """
-
-    def __init__(self, layout: ObservationLayout, gamma: float = 0.01, initial_gain: float = 0.0) -> None:
-        super().__init__(layout, gamma, initial_gain)

@@ -14,13 +14,8 @@ from dataclasses import dataclass
 from functools import singledispatch
 
 import numpy as np
-from scipy import linalg
 
 from ptne_env.field.laws import (
-    AggregateTracking,
-    CappedGain,
-    ExtremumSeeking,
-    LocallyImplicit,
     MultiRate,
     ObserverRelay,
     ProjectedGradient,
@@ -32,17 +27,14 @@ from ptne_env.field.laws.routed import RoutedLaw
 from ptne_env.laws import (
     Adaptive,
     AdaptiveGrounded,
-    BestResponseOracle,
     CorollaryOne,
     FixedGain,
-    FixedTimeOracle,
     Grounded,
     Law,
-    NodeAdaptiveOracle,
     Static,
 )
 from ptne_env.shared.arrays import FloatArray, IntArray
-from ptne_env.theory.closed_loop import last_modes, loop_matrix
+from ptne_env.theory.closed_loop import last_modes
 from ptne_env.theory.constants import ZERO, MonotonicityConstants, gain_bound, jacobians, monotonicity_constants
 from ptne_env.theory.delayed_play import (
     coupling_radius,
@@ -216,14 +208,6 @@ def corollary_one_condition(law: CorollaryOne, constants: ProblemConstants) -> C
 
 
 @condition.register
-def capped_gain_condition(law: CappedGain, constants: ProblemConstants) -> Condition:
-    """That of the static law, and G > c, below which even the constant part of the time gain is cut."""
-    return decisive(
-        Condition.above("the cap leaves c: G > c", law.largest_gain, constants.gain), static_condition(law, constants)
-    )
-
-
-@condition.register
 def fixed_gain_condition(law: FixedGain, constants: ProblemConstants) -> Condition:
     """κ > ((ι_F + ι)²/(4ε) + ι)/λ2, with κ divided by the gradient gain.
 
@@ -278,39 +262,6 @@ def _grounded_connectivity(constants: ProblemConstants) -> float:
 def adaptive_grounded_condition(law: AdaptiveGrounded, constants: ProblemConstants) -> Condition:
     """γ > 0, ε > 0 and every graph connected: with H the grounded Laplacian, V = ½‖x − x*‖² + ½ yᵀ H y + gains."""
     return decisive(_gains_adapt(law.gamma), _always_connected(constants), _strongly_monotone(constants))
-
-
-@condition.register
-def node_adaptive_condition(law: NodeAdaptiveOracle, constants: ProblemConstants) -> Condition:
-    """γ > 0, ε > 0 and every graph connected; the theorem needs neither ι nor λ2."""
-    return decisive(_gains_adapt(law.gamma), _always_connected(constants), _strongly_monotone(constants))
-
-
-@condition.register
-def locally_implicit_condition(law: LocallyImplicit, constants: ProblemConstants) -> Condition:
-    """Stable for every constant Θ: the largest generalised eigenvalue of (Mᵀ D⁻¹ M, M + Mᵀ) is below 1.
-
-    The sampled loop contracts in the norm of 1/Θ + D for every constant Θ where Mᵀ D⁻¹ M ≺ M + Mᵀ, because that norm
-    changes by −eᵀ(M + Mᵀ)e + eᵀMᵀ(1/Θ + D)⁻¹Me. This needs M + Mᵀ ≻ 0, so a κ that satisfies the condition of
-    :class:`~ptne_env.laws.FixedGain` is enough for that half; for other κ, for switching graphs and for steps that vary
-    it proves nothing.
-    """
-    fixed = Condition.below("the graph is fixed: number of modes < 2", len(constants.graphs), 2.0)
-    graph, value = constants.graphs[0], np.inf
-    matrix = loop_matrix(constants.jacobian, constants.owners, graph.laplacian, law.kappa)
-    diagonal = implicit_diagonal(law, constants.owners, graph)
-    symmetric = matrix + matrix.T
-    if diagonal.min() > 0 and np.linalg.eigvalsh(symmetric)[0] > 0:
-        value = float(linalg.eigh(matrix.T @ (matrix / diagonal[:, None]), symmetric, eigvals_only=True)[-1])
-    name = "stable for every Θ: λ_max(Mᵀ D⁻¹ M, M + Mᵀ) < 1"
-    return decisive(fixed, Condition.below(name, value, 1.0, exact=constants.exact))
-
-
-def implicit_diagonal(law: LocallyImplicit, owners: IntArray, graph: Graph) -> FloatArray:
-    """The diagonal of D in the paper's stacking col(x^1 … x^N), shape (Nn,)."""
-    own = owners == np.arange(graph.num_players)[:, None]
-    degree = graph.laplacian.diagonal()[:, None]
-    return np.ravel(law.damping * law.kappa * degree + law.curvature * own)
 
 
 @condition.register
@@ -462,74 +413,3 @@ def _all_links_recur(constants: ProblemConstants) -> Condition:
     name = "all links recur as s → ∞: smallest number of recurring links > all links − 1"
     recurring = min(len(graph.edges) for graph in constants.recurring)
     return Condition.above(name, recurring, len(union(constants.graphs).edges) - 1)
-
-
-@condition.register
-def aggregate_tracking_condition(law: AggregateTracking, constants: ProblemConstants) -> Condition:
-    """An aggregative game, ε > 0, W stochastic, Σ α_k = ∞ and Σ α_k² < ∞, graphs that stay connected."""
-    return decisive(
-        Condition.below("aggregative: spread of ∂²J_i/∂x_i∂x_j over j ≠ i", _spread(constants), 1e-9),
-        Condition.below("W = I − h L is stochastic: h max Σ_j a_ij < 1", law.mixing * constants.largest_degree, 1.0),
-        Condition.above("Σ α_k² is finite: p > 1/2", law.power, 0.5),
-        Condition.below("Σ α_k is infinite: p ≤ 1", law.power, np.nextafter(1.0, 2.0)),
-        _stays_connected(constants),
-        _strongly_monotone(constants),
-    )
-
-
-def _spread(constants: ProblemConstants) -> float:
-    """The largest difference between the couplings of a player to two other players, per place in the block."""
-    owners, players = constants.owners, constants.num_players
-    if len(set(np.bincount(owners))) != 1:
-        return np.inf
-    blocks = constants.jacobian.reshape(players, len(owners) // players, players, -1)
-    return max(float(np.ptp(np.delete(blocks[player], player, axis=1), axis=1).max()) for player in range(players))
-
-
-@condition.register
-def extremum_seeking_condition(law: ExtremumSeeking, constants: ProblemConstants) -> Condition:
-    """DF strictly diagonally dominant, and steps that resolve the cost's fastest ripple: Θ 4ω < π.
-
-    For quadratic games on continuous time the first is the paper's assumption, under which the averaged loop is
-    exponentially stable; the strategies then stay within O(a + 1/ω) of the equilibrium.
-    """
-    diagonal = constants.jacobian.diagonal()
-    off = np.abs(constants.jacobian).sum(axis=1) - np.abs(diagonal)
-    dominance = "dF is diagonally dominant: min_i (F_ii − Σ_j |F_ij|) > 0"
-    return decisive(
-        Condition.below("Θ resolves the probing: 4 ω Θ < π", 4 * law.frequency * constants.largest_step, np.pi),
-        Condition.above(dominance, (diagonal - off).min(), 0.0, exact=constants.exact),
-    )
-
-
-@condition.register
-def best_response_condition(law: BestResponseOracle, constants: ProblemConstants) -> Condition:
-    """ρ(I − ω D⁻¹ dF) < 1 with D the own blocks of dF: for affine games, exactly where it converges."""
-    curved = _own_curvature(constants)
-    if not curved.holds:
-        return curved
-    own = constants.owners[:, None] == constants.owners
-    matrix = np.linalg.solve(np.where(own, constants.jacobian, 0.0), constants.jacobian)
-    radius = np.abs(np.linalg.eigvals(np.eye(len(own)) - law.relaxation * matrix)).max()
-    return Condition.settles("ρ(I − ω D⁻¹ dF) < 1", radius, exact=constants.exact)
-
-
-@condition.register
-def fixed_time_condition(law: FixedTimeOracle, constants: ProblemConstants) -> Condition:
-    """ε > 0, limited steps that contract, and the settling bound (1/ξ1 + 1/|ξ2|)/(k ε) within the episode."""
-    contracts = 2 * constants.epsilon / constants.iota_strategies**2
-    return decisive(
-        _strongly_monotone(constants),
-        Condition.below("limited steps contract: largest step < 2ε/ι_F²", law.largest_step, contracts),
-        Condition.below(
-            "(1/ξ1 + 1/|ξ2|)/(k ε) < τ_K",
-            settling_bound(law, constants.epsilon),
-            constants.effective_time,
-            exact=constants.exact,
-        ),
-    )
-
-
-def settling_bound(law: FixedTimeOracle, epsilon: float) -> float:
-    """(1/ξ1 + 1/|ξ2|)/(k ε), in effective time; infinite when ε is not positive."""
-    return (1 / law.near - 1 / law.far) / (law.gain * epsilon) if epsilon > 0 else np.inf

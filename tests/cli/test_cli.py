@@ -144,7 +144,6 @@ def test_a_terminal_gets_colours_and_none_with_no_color(tmp_path):
         (["ptne", "render", "ptne-v1/d"], {"ptne-v1/delay"}),
         (["ptne", "render", "energy", "grou"], {"grounded"}),
         (["ptne", "certify", "energy-s"], {"energy-switching", "energy-switching-transformed"}),
-        (["ptne", "certify", "energy", "--law", "Loc"], {"LocallyImplicit"}),
         (["ptne", "train", "ptne-v1-m"], {"ptne-v1-markov"}),
         (["ptne", "compare", "--no-r"], {"--no-report"}),
     ],

@@ -120,7 +120,7 @@ def test_a_track_on_which_zero_input_has_full_marks_has_no_scores():
 def test_ranks_of_a_saturated_track_go_by_the_time_to_1e_6():
     fast = PolicySpec("fast", FactorySpec.of("ptne_env.laws:Grounded", kappa=3.0))
     tracks = ["nominal", "short-deadline"]
-    results = run_suite(get_suite("ptne-v1"), ["grounded", fast, "aggregate-tracking"], tracks=tracks, episodes=20)
+    results = run_suite(get_suite("ptne-v1"), ["grounded", fast], tracks=tracks, episodes=20)
     board = results.leaderboard
     assert board.saturated == ("nominal",)
     rows = {name: board.row("nominal", name) for name in ("grounded", "fast", "static", "zero-input")}
@@ -128,10 +128,6 @@ def test_ranks_of_a_saturated_track_go_by_the_time_to_1e_6():
     assert sorted(("grounded", "fast"), key=times.get) == sorted(("grounded", "fast"), key=lambda name: rows[name].rank)
     assert times["zero-input"] == pytest.approx(1.2)
     assert rows["zero-input"].rank == 4
-    # Its strategies settle early, but it is alone in its division: its estimates carry the aggregate.
-    aggregate = board.row("nominal", "aggregate-tracking")
-    assert aggregate.fine_time < times["static"]
-    assert aggregate.rank == 1
     assert board.row("nominal", "oracle").rank is None
     by_digits = sorted(rows, key=lambda name: board.row("short-deadline", name).rank)
     digits = [results.record("short-deadline", name, "digits")["mean"] for name in by_digits]

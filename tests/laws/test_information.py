@@ -21,13 +21,8 @@ LAWS = {
     "corollary-one": laws.CorollaryOne,
     "grounded": laws.Grounded,
     "fixed-gain": laws.FixedGain,
-    "averaging-integral": laws.AveragingIntegral,
     "adaptive-grounded": laws.AdaptiveGrounded,
     "projected-gradient": field_laws.ProjectedGradient,
-    "aggregate-tracking": field_laws.AggregateTracking,
-    "extremum-seeking": field_laws.ExtremumSeeking,
-    "locally-implicit": field_laws.LocallyImplicit,
-    "capped-gain": field_laws.CappedGain,
     "routed-unknown": field_laws.RoutedUnknown,
     "link-relay": field_laws.LinkRelay,
     "contact-relay": field_laws.ContactRelay,
@@ -40,11 +35,7 @@ INTERFACES = {
     "gains": {"kind": "physical", "action_mode": "gains"},
     "local gains": {"kind": "local", "action_mode": "gains"},
 }
-PAYOFF = {law: {"own_payoff": True} if law == "extremum-seeking" else {} for law in LAWS}
-"""Players of extremum seeking observe their own payoff, to which all real strategies contribute."""
-
-
-ABSOLUTE = ("aggregate-tracking", "link-relay", "contact-relay", "observer-relay")
+ABSOLUTE = ("link-relay", "contact-relay", "observer-relay")
 """Laws that read absolute strategies."""
 
 
@@ -104,7 +95,7 @@ def test_scrambling_hidden_information_changes_no_action(player, law, interface,
     generator = np.random.default_rng(player)
     modes = MODES if switching else [RING]
     weights = generator.uniform(0.5, 1.5, (5, 5))
-    interface = INTERFACES[interface] | PAYOFF[law]
+    interface = INTERFACES[interface]
     world, encoder = world_and_encoder(energy_scenario(CURVATURE, TARGET, topology_spec(modes, weights)), **interface)
     other, other_encoder = world_and_encoder(scrambled_scenario(player, modes, weights, generator), **interface)
     assert np.abs(other.game.nash_equilibrium - world.game.nash_equilibrium).max() > 1
@@ -119,8 +110,6 @@ def test_scrambling_hidden_information_changes_no_action(player, law, interface,
         visible = [player, *world.neighbours[:, player][links]]
         estimates = generator.uniform(-20, 20, (5, 5, 1))
         estimates[:, visible] = state.estimates[:, visible]
-        if PAYOFF[law]:
-            estimates[range(5), range(5)] = dynamics.strategies(world, state)
         other_state = dynamics.initial_state(other, estimates)._replace(step=state.step)
 
         observations, other_observations = encoder.observe(state)[0], other_encoder.observe(other_state)[0]
@@ -157,7 +146,7 @@ def test_policies_of_own_links_decide_without_the_links_of_others(name):
 @pytest.mark.parametrize(("law", "kind"), KINDS)
 def test_law_acts_the_same_alone_and_in_a_batch(law, kind):
     scenario = energy_scenario(CURVATURE, TARGET, topology_spec([RING], np.ones((5, 5))))
-    world, encoder = world_and_encoder(scenario, kind=kind, **PAYOFF[law])
+    world, encoder = world_and_encoder(scenario, kind=kind)
     generator = np.random.default_rng(0)
     policy = LAWS[law](encoder.layout)
     memory, alone = None, [None] * 5
@@ -171,7 +160,7 @@ def test_law_acts_the_same_alone_and_in_a_batch(law, kind):
         state = dynamics.step(world, state, encoder.decode(actions[None], state))
 
 
-@pytest.mark.parametrize(("law", "kind"), [case for case in KINDS if case[0] != "extremum-seeking"])  # probes by number
+@pytest.mark.parametrize(("law", "kind"), KINDS)
 def test_relabelling_the_players_permutes_the_results(law, kind):
     adjacency = np.zeros((5, 5))  # a tree with a triangle and unequal weights: no symmetry
     for (i, j), weight in {(0, 1): 1.0, (1, 2): 0.7, (0, 2): 1.2, (2, 3): 0.9, (3, 4): 1.1}.items():

@@ -146,7 +146,6 @@ def test_an_answer_byte_by_byte_is_an_error_in_time(layout, monkeypatch):
         ("foreign_policies:refusing", LayoutError, "I need six players"),
         ("foreign_policies:without_predict", PolicyError, "it is a int without predict"),
         ("foreign_policies:nothing", PolicyError, "it cannot be built: ValueError: .* has no 'nothing'"),
-        ("ptne_env.laws:BestResponseOracle", LayoutError, "needs the interface 'full'"),
     ],
 )
 def test_a_policy_that_cannot_be_built_is_an_error_here(layout, target, error, message):

@@ -16,8 +16,6 @@ LAWS = (
     ("Grounded", {"kappa": 3.0}),
     ("CorollaryOne", {"kappa": 3.0}),
     ("FixedGain", {"kappa": 2.0}),
-    ("LocallyImplicit", {"kappa": 3.0}),
-    ("CappedGain", {"kappa": 2.0, "largest_gain": 60.0}),
     ("Adaptive", {"gamma": 1e-4}),
     ("AdaptiveGrounded", {"gamma": 1e-4}),
 )

@@ -1,10 +1,6 @@
 """Strong laws of the field: of the literature, and of this library."""
 
-from ptne_env.field.laws.broadcast import IdentifyAndBroadcast as IdentifyAndBroadcast
-from ptne_env.field.laws.broadcast import LinkBroadcast as LinkBroadcast
-from ptne_env.field.laws.discrete import AggregateTracking as AggregateTracking
 from ptne_env.field.laws.discrete import ProjectedGradient as ProjectedGradient
-from ptne_env.field.laws.extremum_seeking import ExtremumSeeking as ExtremumSeeking
 from ptne_env.field.laws.gated import ObserverRelay as ObserverRelay
 from ptne_env.field.laws.multi_rate import MultiRate as MultiRate
 from ptne_env.field.laws.proximal import ProximalBestResponse as ProximalBestResponse
@@ -16,5 +12,3 @@ from ptne_env.field.laws.relay import RouteRelay as RouteRelay
 from ptne_env.field.laws.routed import Freshest as Freshest
 from ptne_env.field.laws.routed import Routed as Routed
 from ptne_env.field.laws.routed import RoutedUnknown as RoutedUnknown
-from ptne_env.field.laws.variants import CappedGain as CappedGain
-from ptne_env.field.laws.variants import LocallyImplicit as LocallyImplicit

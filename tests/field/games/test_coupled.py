@@ -106,9 +106,8 @@ def test_operator_has_no_best_response_and_regret_is_unknown():
     assert not game.has_best_response
     with pytest.raises(NoBestResponseError, match="flat direction"):
         game.regrets(np.zeros((7, 1)))
-    results = evaluate(["static", "best-response-oracle"], [SCENARIO], episodes=2, against_laws=False)
+    results = evaluate(["static"], [SCENARIO], episodes=2, against_laws=False)
     assert np.isnan(results.samples[SCENARIO.name, "static"]["regret"]).all()
-    assert (SCENARIO.name, "best-response-oracle") not in results.samples
 
 
 SCENARIO = get_scenario(

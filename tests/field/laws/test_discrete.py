@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from affine_games import SOAK, affine_scenario, loop_start, random_affine, run
 from sample_laws import condition_on
-from worlds import BLOCKS, BLOCKS_SWITCHING, fixed_part, world_and_encoder
+from worlds import BLOCKS, BLOCKS_SWITCHING, world_and_encoder
 
 from ptne_env import FactorySpec, get_scenario, theory
 from ptne_env.field import laws as field_laws
@@ -89,79 +89,8 @@ def test_projected_gradient_solves_the_variational_inequality_in_a_box():
     assert own.max() <= upper + 1e-5
 
 
-def test_aggregate_tracking_is_its_equation_every_two_steps():
-    world, encoder = world_and_encoder(ENERGY)
-    law = field_laws.AggregateTracking(encoder.layout, step=0.3, power=0.7, mixing=0.2, warm_up=1)
-    states = run(world, encoder, law, loop_start(world))[1:, ..., 0]  # after the warm-up
-    x, v = np.diag(states[0]), states[0].mean(axis=0)
-    assert v == pytest.approx(x, abs=1e-5)
-    game, matrix = world.game, mixing(world.topology.graphs[0], 0.2)
-    for k in range(150):
-        mixed = matrix @ v
-        own = 2 * game.curvature[:, 0] * (x - game.target[:, 0])
-        gradient = own + game.coupling[0] * (5 * mixed + x) + game.base_price
-        fresh = x - 0.3 / (k + 1) ** 0.7 * gradient
-        x, v = fresh, mixed + fresh - x
-        assert np.diag(states[2 * k + 2]) == pytest.approx(x, abs=1e-4)
-        assert states[2 * k + 2].mean(axis=0) == pytest.approx(v, abs=1e-4)
-
-
-@pytest.mark.parametrize("scenario", ["energy", "energy-switching-transformed"])
-def test_aggregate_tracking_converges_under_its_conditions(scenario):
-    """The theorem of Koshal, Nedić & Shanbhag: almost sure convergence with a diminishing step, here without noise."""
-    scenario = get_scenario(scenario, start="random", steps=1600)
-    assert condition_on(scenario, field_laws.AggregateTracking).holds
-    world, encoder = world_and_encoder(scenario)
-    state = loop_start(world)
-    target = np.array(world.game.nash_equilibrium)
-    states = run(world, encoder, field_laws.AggregateTracking(encoder.layout), state)[..., 0]
-    strategies = states[:, range(5), range(5)]
-    error = np.linalg.norm(strategies - target, axis=1) / np.linalg.norm(target)
-    assert error[-1] < 0.01
-    averages = states[4:].mean(axis=1)
-    assert averages.mean(axis=1) == pytest.approx(strategies[4:].mean(axis=1), abs=1e-3)  # conserved
-
-
-def test_aggregate_tracking_is_gossip_on_disjoint_pairs():
-    """h = 1/2 on a mode of disjoint pairs: a pair agrees on the mean of its two averages, and no other changes."""
-    world, encoder = world_and_encoder(get_scenario("energy-switching", start="random"))
-    states = run(
-        world, encoder, field_laws.AggregateTracking(encoder.layout, mixing=0.5, warm_up=1), loop_start(world), steps=2
-    )[..., 0]
-    before, after = states[1].mean(axis=0), states[2].mean(axis=0)
-    assert world.modes[1] == 0
-    for i, j in [(0, 1), (2, 3)]:
-        assert after[[i, j]] == pytest.approx([(before[i] + before[j]) / 2] * 2, abs=1e-4)
-    assert after[4] == pytest.approx(before[4], abs=1e-5)
-
-
-@pytest.mark.parametrize(
-    ("arguments", "name", "holds"),
-    [
-        ({"power": 0.6}, "strongly monotone", True),
-        ({"power": 0.4}, "p > 1/2", False),
-        ({"power": 1.5}, "p ≤ 1", False),
-        ({"mixing": 0.6}, "W = I − h L is stochastic", False),
-    ],
-)
-def test_conditions_of_aggregate_tracking(arguments, name, holds):
-    found = condition_on(ENERGY, field_laws.AggregateTracking, **arguments)
-    assert name in found.name
-    assert found.holds is holds
-
-
-def test_condition_of_aggregate_tracking_fails_on_other_games():
-    matrix, offset, adjacency = random_affine(np.random.default_rng(0), 4)
-    found = condition_on(affine_scenario(matrix, offset, fixed_part(adjacency)), field_laws.AggregateTracking)
-    assert "aggregative" in found.name
-    assert found.value > 0.1
-    assert not found.holds
-
-
 def test_laws_that_need_absolute_strategies_refuse_the_local_interface():
     layout = world_and_encoder("energy", kind="local")[1].layout
-    with pytest.raises(ValueError, match="AggregateTracking reads own_estimate, which the layout of Interface.*lacks"):
-        field_laws.AggregateTracking(layout)
     with pytest.raises(ValueError, match="bounds need the own strategy.*use the interface 'physical'"):
         field_laws.ProjectedGradient(layout, lower=0.0)
 
@@ -172,15 +101,8 @@ def test_laws_that_need_absolute_strategies_refuse_the_local_interface():
         (field_laws.ProjectedGradient, {"step": 0.0}, "step must be a finite number above 0"),
         (field_laws.ProjectedGradient, {"mixing": -1.0}, "mixing must be a finite number above 0"),
         (field_laws.ProjectedGradient, {"lower": 2.0, "upper": 1.0}, "needs lower < upper"),
-        (field_laws.AggregateTracking, {"power": -1.0}, "power must be a finite number of at least 0"),
-        (field_laws.AggregateTracking, {"warm_up": -1}, "warm_up must be a whole number"),
     ],
 )
 def test_discrete_laws_refuse_parameters_out_of_range(law, arguments, message):
     with pytest.raises(ValueError, match=message):
         law(world_and_encoder("energy")[1].layout, **arguments)
-
-
-def test_aggregate_tracking_needs_equal_dimensions():
-    with pytest.raises(ValueError, match=r"equal dimensions, got \(2, 1, 3\)"):
-        field_laws.AggregateTracking(world_and_encoder(BLOCKS)[1].layout)
