@@ -68,7 +68,6 @@ _BEST_KNOWN = {
     "strangers": 8.63,  # routed-unknown
     "non-affine": 4.40,  # contact-relay
     "weakly-monotone": 2.70,  # relay
-    "several-equilibria": 4.77,  # contact-relay
     "uneven": 4.61,  # contact-relay
     "robots": 4.17,  # contact-relay
     "coupled": 3.79,  # multi-rate
@@ -200,11 +199,6 @@ def _games() -> tuple[Track, ...]:
             "weakly-monotone",
             "Random affine games that are monotone and not strongly monotone.",
             game=_game("RandomAffine", epsilon=0.0),
-        ),
-        _track(
-            "several-equilibria",
-            "Random games of coordination with three equilibria; the nearest one counts.",
-            game=_game("RandomCoordination"),
         ),
         _track(
             "uneven",

@@ -172,40 +172,10 @@ class Game(Part, ABC):
     def nash_equilibria(self) -> FloatArray:
         """x* with F(x*) = 0, or x* = Π(x* − F(x*)) in a box, of every game; verified. Shape (n, G), read-only.
 
-        In a game with several equilibria, the first of them; see :attr:`other_equilibria`.
-
         Raises:
             ArithmeticError: when the solver's point is not an equilibrium to 1e-10.
         """
         return self._verified(self._solve_nash_equilibria())
-
-    @cached_property
-    def other_equilibria(self) -> FloatArray | None:
-        """The equilibria besides x*, likewise verified, where a game has E > 1; shape (E − 1, n, G). Else ``None``.
-
-        Raises:
-            ArithmeticError: when a point is not an equilibrium to 1e-10.
-        """
-        points = self._solve_other_equilibria()
-        return None if points is None else frozen([self._verified(point) for point in points])
-
-    def nearest_equilibria(self, points: FloatArray) -> FloatArray:
-        """The equilibrium that is nearest to the points of each environment, from which distances are measured.
-
-        Args:
-            points: joint strategies, (n, B), or the estimates of all players, (n, N, B), which share one equilibrium.
-
-        Returns:
-            Shape (n, B); for a game with one equilibrium ``nash_equilibria``, (n, G).
-        """
-        if self.other_equilibria is None:
-            return self.nash_equilibria
-        candidates = np.concatenate([self.nash_equilibria[None], self.other_equilibria])
-        stacked = points.reshape(len(points), -1, points.shape[-1])
-        errors = stacked - candidates[:, :, None]
-        nearest = np.argmin(ordered_sum(ordered_sum(errors**2, axis=2), axis=1), axis=0)
-        candidates = np.broadcast_to(candidates, (*candidates.shape[:2], nearest.size))
-        return np.asarray(candidates[nearest, :, np.arange(nearest.size)].T)
 
     @cached_property
     def held_at_equilibrium(self) -> BoolArray:
@@ -246,10 +216,6 @@ class Game(Part, ABC):
                 "was found"
             )
         return frozen(points)
-
-    def _solve_other_equilibria(self) -> FloatArray | None:
-        """The equilibria besides x*, (E − 1, n, G); ``None`` for a game with one equilibrium."""
-        return None
 
     def _solve_nash_equilibria(self) -> FloatArray:
         """A zero of F by ``scipy.optimize.root``, (n, 1), or the solution of the variational inequality on the box.

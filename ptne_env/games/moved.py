@@ -77,16 +77,6 @@ class MovedGame(Game):
         """
         return frozen(self.game.nash_equilibria + self.offset)
 
-    @cached_property
-    def other_equilibria(self) -> FloatArray | None:
-        """Those of the original, plus δ, shape (E − 1, n, B), read-only; ``None`` where the original has one.
-
-        Raises:
-            ArithmeticError: as the original.
-        """
-        others = self.game.other_equilibria
-        return None if others is None else frozen(others + self.offset)
-
     @property
     def equilibrium_scale(self) -> FloatArray:
         """‖x*‖ of the original, shape (G,), read-only."""

@@ -30,7 +30,6 @@ from ptne_env.theory.delayed_play import delayed_play_radius as delayed_play_rad
 from ptne_env.theory.delayed_play import hop_delays as hop_delays
 from ptne_env.theory.delayed_play import largest_delayed_step as largest_delayed_step
 from ptne_env.theory.delayed_play import multi_rate_radius as multi_rate_radius
-from ptne_env.theory.local_rate import local_radius as local_radius
 from ptne_env.theory.sampled import SampledLoop as SampledLoop
 from ptne_env.theory.sampled import distance as distance
 from ptne_env.theory.sampled import noise_distance as noise_distance

@@ -14,7 +14,6 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from ptne_env import laws
-from ptne_env.field.laws.gated import GatedLaw
 from ptne_env.laws import CorollaryOne, FixedGain, Law, Static
 from ptne_env.perception.encoder import make_encoder
 from ptne_env.perception.observation import Interface
@@ -26,9 +25,7 @@ from ptne_env.theory.closed_loop import NoClosedLoopError, gain_growth, input_de
 from ptne_env.theory.conditions import Condition, condition, problem_constants
 from ptne_env.theory.constants import MonotonicityConstants, guaranteed_rate, monotonicity_constants
 from ptne_env.theory.delay import delay_bound, delay_margin, delays_tried, is_stable_for_every_delay
-from ptne_env.theory.local_rate import local_radius
 from ptne_env.theory.sampled import (
-    LARGEST_PRODUCT,
     LoopClock,
     SampledLoop,
     distance,
@@ -164,10 +161,6 @@ class Certificate:
         velocity_bounded: whether g(t) u stays bounded as t → T: ``input_rate`` ≥ 1 for the paper's λ. ``None`` where
             it is not decided, for a law that reads its step.
         energy_finite: whether ∫‖g u‖² dt is finite: ``input_rate`` > 1/2 for the paper's λ. ``None`` likewise.
-        local_radius: factor by which an error near x* shrinks per step in the long run, of a law whose gates follow
-            evidence, on a fixed graph; see :func:`~ptne_env.theory.local_rate.local_radius`. ``None`` for other laws,
-            on graphs that switch, for strategies with bounds, with more than 600 estimates, and where the episode
-            diverges; then ``notes`` gives the reason.
         noise: effect of noise on messages; ``None`` with more than 600 estimates.
         delay: effect of late messages.
         shortfall: 1 − t_K/T, how far short of the deadline the last step ends, as a fraction of T.
@@ -204,7 +197,6 @@ class Certificate:
     input_rate: float | None = None
     velocity_bounded: bool | None = None
     energy_finite: bool | None = None
-    local_radius: float | None = None
     noise: NoisePrediction | None = None
     delay: DelayPrediction | None = None
 
@@ -282,11 +274,10 @@ def certify(
     try:
         loop = sampled_loop(world, built)
     except NoClosedLoopError as error:
-        radius, local_notes = _local(world, built)
         unknown = [name for name, size in (("noise", std), ("delay", lag)) if size]
         fault_notes = [f"no prediction includes {' and '.join(unknown)} of messages"] if unknown else []
-        notes = (f"{error}: no rates, digits or margins", *local_notes, *scenario_notes, *fault_notes)
-        return dataclasses.replace(certificate, local_radius=radius, notes=notes)
+        notes = (f"{error}: no rates, digits or margins", *scenario_notes, *fault_notes)
+        return dataclasses.replace(certificate, notes=notes)
     prediction = _Prediction.of(world, built, loop)
     return dataclasses.replace(
         certificate,
@@ -587,29 +578,6 @@ class _Prediction:
                 rate=loop.rate(self.world),
                 largest_stable_step=None if margin is None else margin * largest,
             )
-
-
-def _local(world: World, law: Law) -> tuple[float | None, tuple[str, ...]]:
-    """The local radius of a gated law, ``None`` where it has none, and notes on it."""
-    if not isinstance(law, GatedLaw):
-        return None, ()
-    size, radius = world.game.num_players * world.game.dimension, math.inf
-    obstacles = {
-        "the topology switches": not world.topology.is_fixed,
-        "strategies have bounds": world.game.has_bounds,
-        f"{size} estimates are too many": size > LARGEST_PRODUCT,
-    }
-    reason = next((name for name, is_there in obstacles.items() if is_there), "")
-    if not reason:
-        try:
-            radius = local_radius(world, law)
-        except NoClosedLoopError as error:  # gates that depend on the state at rest
-            reason = str(error)
-    if math.isfinite(radius):
-        return radius, (
-            "the factor per step, the local radius, is that of the gates as an episode over perfect links leaves them",
-        )
-    return None, (f"{reason or 'the episode over perfect links diverges'}: no local radius",)
 
 
 def _guarantee(certificate: Certificate, prediction: _Prediction) -> dict[str, Any]:

@@ -16,23 +16,14 @@ from functools import singledispatch
 import numpy as np
 
 from ptne_env.field.laws import (
+    ContactRelay,
     MultiRate,
     ObserverRelay,
     ProjectedGradient,
     ProximalBestResponse,
-    Relay,
+    RoutedUnknown,
 )
-from ptne_env.field.laws.gated import GatedLaw
-from ptne_env.field.laws.routed import RoutedLaw
-from ptne_env.laws import (
-    Adaptive,
-    AdaptiveGrounded,
-    CorollaryOne,
-    FixedGain,
-    Grounded,
-    Law,
-    Static,
-)
+from ptne_env.laws import Adaptive, AdaptiveGrounded, CorollaryOne, FixedGain, Grounded, Law, Static
 from ptne_env.shared.arrays import FloatArray, IntArray
 from ptne_env.theory.closed_loop import last_modes
 from ptne_env.theory.constants import ZERO, MonotonicityConstants, gain_bound, jacobians, monotonicity_constants
@@ -60,18 +51,12 @@ class ProblemConstants(MonotonicityConstants):
         graphs: the modes of the topology.
         recurring: the graphs whose links act again and again as s → ∞: the union of all modes on the transformed clock,
             each mode that may be the last on the physical clock (docs/errata.md, 2).
-        largest_step: largest Θ_k.
-        effective_time: τ_K, the sum of the steps.
-        gain: c in 1/s.
     """
 
     jacobian: FloatArray
     owners: IntArray
     graphs: tuple[Graph, ...]
     recurring: tuple[Graph, ...]
-    largest_step: float
-    effective_time: float
-    gain: float
 
     @property
     def num_players(self) -> int:
@@ -101,7 +86,7 @@ def problem_constants(world: World, constants: MonotonicityConstants | None = No
         world: the scenario, built.
         constants: of its game, when already known.
     """
-    game, topology, clock = world.game, world.topology, world.clock
+    game, topology = world.game, world.topology
     recurring = [topology.union]
     if not topology.is_fixed and topology.clock == "physical":  # one mode is the last before T
         recurring = [topology.graphs[mode] for mode in last_modes(topology, world.scenario.deadline)]
@@ -111,9 +96,6 @@ def problem_constants(world: World, constants: MonotonicityConstants | None = No
         owners=game.owners,
         graphs=tuple(topology.graphs),
         recurring=tuple(recurring),
-        largest_step=float(np.max(clock.theta[: clock.steps])),
-        effective_time=clock.effective_time,
-        gain=clock.gain,
     )
 
 
@@ -287,7 +269,7 @@ def projected_gradient_condition(law: ProjectedGradient, constants: ProblemConst
 
 
 @condition.register
-def routed_condition(law: RoutedLaw, constants: ProblemConstants) -> Condition:
+def routed_condition(law: RoutedUnknown, constants: ProblemConstants) -> Condition:
     """On a fixed graph ρ < 1 of gradient play with delays equal to hop counts, exactly where it converges.
 
     Where the graph switches, η max_c dF_cc ≤ 1 and ρ(D⁻¹ |dF − D|) < 1, which suffice for every delay
@@ -352,7 +334,7 @@ def proximal_condition(law: ProximalBestResponse, constants: ProblemConstants) -
 
 
 @condition.register
-def relay_condition(law: Relay, constants: ProblemConstants) -> Condition:  # noqa: ARG001 - it has no gain
+def relay_condition(law: ContactRelay, constants: ProblemConstants) -> Condition:  # noqa: ARG001 - it has no gain
     """ε > 0, ρ(B) < 1 with B_ij = ‖G_ii⁻¹ G_ij‖ for i ≠ j and G = dF, and all links act again and again.
 
     Then best responses contract in a weighted maximum norm, with copies of any age (D. P. Bertsekas and J. N.
@@ -376,13 +358,8 @@ def relay_condition(law: Relay, constants: ProblemConstants) -> Condition:  # no
 
 
 @condition.register
-def gated_condition(law: GatedLaw, constants: ProblemConstants) -> None:
-    """No theorem: gates may be anything. :func:`~ptne_env.theory.local_rate.local_radius` says what they do at rest."""
-
-
-@condition.register
 def observer_relay_condition(law: ObserverRelay, constants: ProblemConstants) -> Condition:
-    """That of :class:`~ptne_env.field.laws.Relay`, and max_c Σ_d |G_cd| ≤ min_c G_cc, d of others, for the own c of a player.
+    """That of :class:`~ptne_env.field.laws.ContactRelay`, and max_c Σ_d |G_cd| ≤ min_c G_cc, d of others, for the own c of a player.
 
     Then responses are undamped and players do not extrapolate their own gradient, which need not contract. Joint
     solutions contract as best responses do: with the weights v of the norm, B v ≤ ρ v, and errors |e_j| ≤ r v_j of the

@@ -1,7 +1,6 @@
 """Relative distances to the equilibrium, shared by rewards, the success criterion and metrics.
 
-Where x* = 0 the scale is 1 instead of ‖x*‖. In a game with several equilibria, distances are those to the nearest of
-them, relative to the norm of the first.
+Where x* = 0 the scale is 1 instead of ‖x*‖.
 """
 
 from __future__ import annotations
@@ -26,7 +25,7 @@ _FAILED.flags.writeable = False
 
 def player_distances(estimates: FloatArray, game: Game) -> FloatArray:
     """d^i = ‖x^i − x*‖/‖x*‖ of each player's estimate: (n, N, B) to (N, B)."""
-    errors = estimates - game.nearest_equilibria(estimates)[:, None, :]
+    errors = estimates - game.nash_equilibria[:, None, :]
     distances = np.sqrt(np.einsum("cib,cib->ib", errors, errors))
     distances /= game.equilibrium_scale
     return distances
@@ -34,7 +33,7 @@ def player_distances(estimates: FloatArray, game: Game) -> FloatArray:
 
 def strategy_distance(strategies: FloatArray, game: Game) -> FloatArray:
     """‖x − x*‖/‖x*‖, the paper's relative error: (n, B) to (B,)."""
-    return np.sqrt(ordered_sum((strategies - game.nearest_equilibria(strategies)) ** 2)) / game.equilibrium_scale
+    return np.sqrt(ordered_sum((strategies - game.nash_equilibria) ** 2)) / game.equilibrium_scale
 
 
 def estimate_distance(estimates: FloatArray, game: Game) -> FloatArray:

@@ -120,8 +120,6 @@ def _is_known(game: Game) -> bool:
     return (
         kind.own_gradients in (AffineGame.own_gradients, EnergyGame.own_gradients)
         and kind.project is Game.project
-        and kind.nearest_equilibria is Game.nearest_equilibria
-        and game.other_equilibria is None
     )
 
 

@@ -660,7 +660,7 @@ def forge(folder):
 
 def test_list_shows_the_tracks_of_suites():
     printed = ptne("list").stdout
-    for text in ("Suite ptne-v1", "mixed-team", "Suite ptne-v2", "several-equilibria"):
+    for text in ("Suite ptne-v1", "mixed-team", "Suite ptne-v2"):
         assert text in printed
 
 

@@ -6,13 +6,9 @@ from worlds import make_env
 
 from ptne_env import FactorySpec, get_scenario
 from ptne_env.field.games import (
-    CoordinationGame,
     CoupledConstraint,
-    RandomCoordination,
     RandomSaturating,
-    RandomSparse,
     SaturatingGame,
-    SparseGame,
 )
 from ptne_env.games import (
     AffineGame,
@@ -32,8 +28,6 @@ NAMES = {
     EnergyGame: PARAMETERS,
     AffineGame: ("matrix", "offset"),
     SaturatingGame: ("matrix", "prices", "shift", "equilibrium"),
-    SparseGame: ("curvature", "partners", "coupling", "equilibrium"),
-    CoordinationGame: ("middle", "size"),
 }
 """Parameters of a game of each class."""
 
@@ -51,8 +45,6 @@ DRAWN = {
     "coupled constraint on one game": CoupledConstraint(EnergyGame(), lines=1),
     "saturating": RandomSaturating(RandomEnergy(4)),
     "saturating, players of different dimensions": RandomSaturating(RandomAffine(players=3, action_dim=(2, 1, 3))),
-    "sparse": RandomSparse(players=12, reach=2),
-    "several equilibria": RandomCoordination(),
 }
 each_family = pytest.mark.parametrize("family", DRAWN.values(), ids=DRAWN.keys())
 
@@ -112,9 +104,7 @@ def test_batch_of_games_equals_single_draws_bit_for_bit(family):
         assert np.array_equal(alone.nash_equilibrium, games.nash_equilibria[:, b])
         assert alone.equilibrium_scale[0] == games.equilibrium_scale[b]
         responses = ("regrets", "best_response") if games.has_best_response else ()
-        for of in ("costs", "pseudo_gradient", "natural_residual", "jacobian", "nearest_equilibria", *responses):
-            if of == "nearest_equilibria" and games.other_equilibria is None:
-                continue
+        for of in ("costs", "pseudo_gradient", "natural_residual", "jacobian", *responses):
             together = getattr(games, of)(strategies)[..., b]
             assert np.array_equal(getattr(alone, of)(strategies[:, own].copy())[..., 0], together), of
         gradients = alone.own_gradients(np.ascontiguousarray(estimates[..., own]))
@@ -170,10 +160,6 @@ def test_declared_monotonicity_agrees_with_sampled_slopes(family):
         assert min(slopes) > 0.15
         if family.is_strongly_monotone is None:
             require_strong_monotonicity(family.draw(generators(range(10))))
-    elif isinstance(family, RandomCoordination):
-        game = family.representative
-        slopes = game.jacobian(game.middle)[..., 0]
-        assert np.linalg.eigvalsh(slopes + slopes.T)[0] < -0.1
     else:
         smallest = np.linalg.eigvalsh(symmetric_parts(family.draw(generators(range(10)))))[:, 0]
         assert np.abs(smallest).max() < 1e-12
@@ -186,7 +172,7 @@ def symmetric_parts(games):
     return (jacobians + jacobians.transpose(0, 2, 1)) / 2
 
 
-@pytest.mark.parametrize("first", [RandomSparse(players=12), RandomSaturating(), RandomCoordination()])
+@pytest.mark.parametrize("first", [RandomSaturating()])
 def test_games_of_other_families_do_not_merge(first):
     games, mask = first.draw(generators(range(2))), np.array([True, False])
     with pytest.raises(TypeError, match=r"needs games of that class and of the same players, got \w+ and EnergyGame"):
@@ -194,10 +180,9 @@ def test_games_of_other_families_do_not_merge(first):
 
 
 def test_worlds_play_families_that_declare_that_they_are_not_strongly_monotone():
-    for name in ("RandomCoordination", "RandomSaturating"):
-        env = make_env("random-energy", game=FactorySpec.of(f"ptne_env.games:{name}"))
-        env.reset(seed=0)
-        assert np.isfinite(env.nash_equilibrium).all()
+    env = make_env("random-energy", game=FactorySpec.of("ptne_env.field.games:RandomSaturating"))
+    env.reset(seed=0)
+    assert np.isfinite(env.nash_equilibrium).all()
     env = make_env("random-energy", game=FactorySpec.of("ptne_env.games:RandomAffine", epsilon=0.0))
     env.reset(seed=0)
     assert np.isfinite(env.nash_equilibrium).all()
@@ -214,13 +199,7 @@ def test_worlds_play_families_that_declare_that_they_are_not_strongly_monotone()
             "affine games without bounds that are strongly monotone",
         ),
         (RandomSaturating, {"affine": RandomAffine(low=0.0)}, "affine games without bounds"),
-        (RandomSaturating, {"affine": RandomCoordination()}, "affine games without bounds"),
         (RandomSaturating, {"bend": -1.0}, "bend must be"),
-        (RandomSparse, {"players": 4}, "players must be a whole number of at least 5"),
-        (RandomSparse, {"coupling": 1.0}, "coupling must be below 1"),
-        (RandomCoordination, {"size": (0.0, 1.0)}, "size > 0"),
-        (RandomCoordination, {"middle": (1.0, 1.0)}, "finite ranges low < high"),
-        (RandomCoordination, {"steepness": 0.0}, "steepness must be"),
     ],
 )
 def test_families_name_wrong_numbers(family, arguments, message):

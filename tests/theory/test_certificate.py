@@ -306,67 +306,6 @@ def test_gains_that_adapt_are_listed_at_start_and_deadline(law):
     assert certificate.worst_digits_gained is None
 
 
-@pytest.mark.parametrize("law", ["ObserverRelay", "ContactRelay"])
-def test_certificates_of_gated_laws_hold_a_local_radius(law):
-    world = World(get_scenario("energy"))
-    certificate = theory.certify(world.scenario, law=spec_of(law))
-    if law == "ContactRelay":
-        assert certificate.local_radius is None
-        assert not any("local radius" in note for note in certificate.notes)
-    else:
-        assert certificate.local_radius == theory.local_radius(world, theory.build_law(spec_of(law), world))
-        assert 0.2 < certificate.local_radius < 0.4
-
-
-@pytest.mark.parametrize(
-    ("name", "reason"),
-    [
-        ("random-energy-switching", "the topology switches"),
-        ("ev-charging", "strategies have bounds"),
-        ("large", "625 estimates are too many"),
-        ("diverging", "the episode over perfect links diverges"),
-    ],
-)
-def test_notes_say_why_a_gated_law_has_no_local_radius(name, reason, monkeypatch):
-    scenario = get_scenario("energy" if name == "diverging" else "random-energy" if name == "large" else name)
-    if name == "large":
-        game, graph = (
-            FactorySpec.of(f"ptne_env.{part}", players=25) for part in ("games:RandomEnergy", "graphs:cycle")
-        )
-        topology = FactorySpec.of("ptne_env.world.switching:fixed", graph=graph)
-        scenario = scenario.replace(game=game, topology=topology)
-    if name == "diverging":
-        monkeypatch.setattr("ptne_env.theory.certificate.local_radius", lambda *_: float("inf"))
-    certificate = theory.certify(scenario, law=spec_of("ObserverRelay"), delay_limit=0)
-    assert certificate.local_radius is None
-    assert f"{reason}: no local radius" in certificate.notes
-
-
-def test_gates_of_a_network_have_a_local_radius_and_no_theorem():
-    world = World(get_scenario("energy"))
-    law = theory.build_law(Uncoupled, world)
-    assert theory.condition(law, theory.problem_constants(world)) is None
-    assert theory.local_radius(world, law) == pytest.approx(1.0)  # it rests
-
-
-def test_a_file_of_a_policy_without_sizes_has_a_local_radius(tmp_path):
-    """The network is the law's, and so is the radius."""
-    pytest.importorskip("torch")
-    pytest.importorskip("onnx")
-    from ptne_env.learn.training.export import size_free_to_onnx
-    from ptne_env.learn.training.network import GateNetwork
-
-    path = tmp_path / "mine.onnx"
-    origin = {"scenarios": ("some-family",), "steps": 3, "seed": 1, "digits": 2.5}
-    path.write_bytes(size_free_to_onnx(GateNetwork.of_law("observer-relay"), interface=Interface(), **origin))
-    found = theory.certify(get_scenario("energy"), law=law_factory(str(path)))
-    law = theory.certify(get_scenario("energy"), law=spec_of("ObserverRelay"))
-    assert found.local_radius == pytest.approx(law.local_radius, abs=1e-6)
-    assert found.law == str(path)
-    with pytest.raises(ValueError, match="policy ppo-random-energy has fixed sizes: certify takes laws and policies"):
-        theory.certify(get_scenario("energy"), law=law_factory("ppo-random-energy"))
-
-
 def test_a_law_without_rows_of_noise_and_delay_says_that_no_number_includes_them():
     noise = get_suite("ptne-v1").track("noise").scenario
     missing, rows = "no prediction includes noise of messages", "only the rows of noise and delay include"

@@ -39,7 +39,7 @@ NUMPY_ALONE = {
     "non-quadratic-printed",
     "rate-control",
     "ptne-v1 non-quadratic",
-    *(f"ptne-v2 {name} without faults" for name in ("non-affine", "several-equilibria")),
+    *(f"ptne-v2 {name} without faults" for name in ("non-affine",)),
     *(name.removesuffix(" without faults") for name in WORLDS if name.endswith("faults")),
 }
 """The worlds without a compiled step: games that are not affine, and channels, disturbances, sensors and drifts."""

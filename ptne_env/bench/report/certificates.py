@@ -31,7 +31,6 @@ _PROMISES = (
             "  of the sampled loop, second half",
             "{sampled_rate}; its mode is {dominant_share:.0%} of the error half-way",
         ),
-        ("factor of an error near x* per step", "{local_radius} (linearised, at rest)"),
         ("rate at which the input u decays", "{input_rate}"),
         ("velocity g(t) u as t → T", "{velocity}"),
         ("control energy ∫‖g u‖² dt", "{energy}"),

@@ -1,8 +1,6 @@
 """More games: of markets, networks and robots, in which laws and policies are compared."""
 
 from ptne_env.field.games.charging import ElectricVehicleCharging as ElectricVehicleCharging
-from ptne_env.field.games.coordination import CoordinationGame as CoordinationGame
-from ptne_env.field.games.coordination import RandomCoordination as RandomCoordination
 from ptne_env.field.games.coupled import CoupledConstraint as CoupledConstraint
 from ptne_env.field.games.coupled import priced as priced
 from ptne_env.field.games.markets import NetworkedCournot as NetworkedCournot
@@ -11,5 +9,3 @@ from ptne_env.field.games.rates import RateControl as RateControl
 from ptne_env.field.games.robots import ConnectivityControl as ConnectivityControl
 from ptne_env.field.games.saturating import RandomSaturating as RandomSaturating
 from ptne_env.field.games.saturating import SaturatingGame as SaturatingGame
-from ptne_env.field.games.sparse import RandomSparse as RandomSparse
-from ptne_env.field.games.sparse import SparseGame as SparseGame

@@ -51,7 +51,6 @@ GAMES = {
     "RandomAffine": (0.3, -20.0, 20.0),
     "RandomEnergy": (0.2, -20.0, 20.0),
     "RandomSaturating": (0.14, -20.0, 20.0),
-    "RandomSparse": (0.12, -20.0, 20.0),
     "Oligopoly": (0.06, 20.0, 60.0),
     "NetworkedCournot": (0.06, 0.0, 6.0),
     "ElectricVehicleCharging": (0.06, 0.0, 2.0),
@@ -63,7 +62,7 @@ BOXED_GAMES = ("NetworkedCournot", "ElectricVehicleCharging", "RateControl")
 """Games with a box, which cannot drift."""
 
 HELD_OUT_GAMES = frozenset(
-    {"ConnectivityControl", "CoupledConstraint", "NonQuadraticGame", "RandomCoordination", "WeaklyMonotoneGame"}
+    {"ConnectivityControl", "CoupledConstraint", "NonQuadraticGame", "WeaklyMonotoneGame"}
 )
 """Games and families of tracks that no world has."""
 
@@ -201,12 +200,10 @@ def _game(generator: np.random.Generator, name: str, players: int) -> FactorySpe
         "asymmetry": number(0.0, 2.0),
         "spread": number(0.5, 4.0),
     }
-    reach = int(generator.integers(1, (players - 1) // 2, endpoint=True))
     arguments: dict[str, dict[str, Any]] = {
         "RandomAffine": affine,
         "RandomSaturating": {"affine": _part("games", "RandomAffine", **affine), "bend": number(0.5, 6.0)},
         "RandomEnergy": {"players": players, "coupling": number(0.5, 4.0) * crowd * np.array([0.05, 0.3])},
-        "RandomSparse": {"players": players, "reach": reach, "coupling": number(0.3, 0.95)},
         "Oligopoly": {"preference": numbers(0.15, 1.0), "marginal_cost": numbers(20.0, 30.0)},
         "NetworkedCournot": {
             "links": [sorted({firm % 3, *generator.integers(3, size=2).tolist()}) for firm in range(players)],
