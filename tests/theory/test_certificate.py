@@ -11,7 +11,6 @@ from sample_laws import condition_on, spec_of
 
 from ptne_env import CATALOGUE, FactorySpec, Interface, PolicySpec, get_scenario, laws, theory
 from ptne_env.evaluation import get_policy_spec, get_suite
-from ptne_env.evaluation.policy_specs import law_factory
 from ptne_env.field.laws.gated import CellGates
 from ptne_env.learn.size_free import SizeFreePolicy
 from ptne_env.perception.encoder import make_encoder
