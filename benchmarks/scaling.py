@@ -129,7 +129,7 @@ def over_batch(plan: Plan) -> list[dict[str, Any]]:
     """Cost of an agent-step and memory by B, N = 5, both ways and for both interfaces, as rows of a table."""
     sizes = (1, 16) if plan.quick else (1, 4, 16, 64, 256, 1024, 2048, 4096, 8192, 16384)
     rows: list[dict[str, Any]] = []
-    for kind in ("physical", "local"):
+    for kind in ("physical", "scaled"):
         contenders = [each for size in sizes for each in _both(str(size), ours.vector(kind, size))]
         rates = interleave(contenders, _shorter(plan))
         for size in sizes:

@@ -27,7 +27,7 @@ from benchmarks.timing import QUICK, Contender, Plan, Spread, interleave, ratio
 from ptne_env.envs.vector import VectorParallelEnv
 from ptne_env.shared.files import write_atomically
 
-INTERFACES = ("physical", "local")
+INTERFACES = ("physical", "scaled")
 
 BATCHES = (1024, 8192)
 """Environments on the vector path."""

@@ -204,7 +204,7 @@ def some_arguments(rng):
     """Random arguments of an environment: interface, action mode, reward, length."""
     reward = rng.choice(("digits", "tracking", "payoff", "regret", {"digits": 1.0, "tracking": 0.5}, {"payoff": 2.0}))
     return {
-        "interface": rng.choice(("physical", "local")),
+        "interface": rng.choice(("physical", "scaled")),
         "action_mode": rng.choice(("input", "input", "gains")),
         "action_scale": log_uniform(rng, 0.1, 50),
         "own_payoff": rng.random() < 0.3,
@@ -511,7 +511,7 @@ def exact_step(rng, scenario, tally):
     n, players = world.game.dimension, world.game.num_players
     generator = np.random.default_rng(rng.getrandbits(32))
     clock = world.clock
-    encoder = make_encoder(world, Interface())
+    encoder = make_encoder(world, Interface("physical"))
     randomness = None
     if world.topology.is_random:
         randomness = world.draw_randomness([RandomStreams.from_seed(1)])
@@ -553,7 +553,7 @@ def relabelled(rng, tally):
     start = generator.uniform(-10, 10, (players, players))
     new = np.array(rng.sample(range(players), players))  # player i is called new[i]
     old = np.argsort(new)
-    kind = rng.choice(("physical", "local"))
+    kind = rng.choice(("physical", "scaled"))
     law = rng.choice((laws.Static, laws.Adaptive, laws.Grounded, None))
     inputs = generator.uniform(-1, 1, (10, players, players))  # under "local" components are in ego order: no inputs
     law = law or (laws.Static if kind == "local" else None)

@@ -167,7 +167,7 @@ CALL = {"target": "test_security:mark", "arguments": {"word": "called"}}
 )
 def test_a_check_runs_nothing_of_results_without_trust(source, results):
     change, _ = results
-    policy = PolicySpec("static", FactorySpec.of("ptne_env.laws:Static"), Interface()).to_dict()
+    policy = PolicySpec("static", FactorySpec.of("ptne_env.laws:Static"), Interface("physical")).to_dict()
     folder = change(policies=[policy | {"training_seeds": [source | {"files": {}}]}])
     assert foreign_code(folder)
     with pytest.raises(ValueError, match=r"names code outside this library.*--trust"):

@@ -173,11 +173,11 @@ def constant_actions(env, value):
 
 
 def make_env(scenario, **arguments):
-    """The environment of a scenario or of a catalogue name."""
-    return ptne_env.parallel_env(scenario, **arguments)
+    """The environment of a scenario or of a catalogue name, in natural units if ``interface`` is left out."""
+    return ptne_env.parallel_env(scenario, **{"interface": "physical", **arguments})
 
 
 def world_and_encoder(scenario, **interface):
-    """A world and its encoder."""
+    """A world and its encoder, in natural units if ``kind`` is left out."""
     world = World(ptne_env.get_scenario(scenario))
-    return world, make_encoder(world, Interface(**interface))
+    return world, make_encoder(world, Interface(**{"kind": "physical", **interface}))

@@ -20,7 +20,7 @@ NAME = f"ptne/{SCENARIO}/static-v0"
 
 def record() -> None:
     """Write the law's episodes, seeds 0, 1, …, as the dataset of that name."""
-    env = minari.DataCollector(gymnasium.make(f"ptne_env:ptne/{SCENARIO}-joint-v0", interface="local"))
+    env = minari.DataCollector(gymnasium.make(f"ptne_env:ptne/{SCENARIO}-joint-v0", interface="scaled"))
     layout = env.unwrapped.layout
     policy = law(layout)
     for seed in range(EPISODES):
@@ -70,8 +70,8 @@ def main() -> None:
         dataset = minari.load_dataset(NAME)
         gained = replay(dataset)
         weights = clone(dataset, dataset.recover_environment().unwrapped.layout.size)
-    before = digits(Acting(lambda observations: observations @ np.zeros_like(weights)), Interface("local"))
-    report(gained, before, digits(Acting(lambda observations: observations @ weights), Interface("local")))
+    before = digits(Acting(lambda observations: observations @ np.zeros_like(weights)), Interface("scaled"))
+    report(gained, before, digits(Acting(lambda observations: observations @ weights), Interface("scaled")))
 
 
 if __name__ == "__main__":

@@ -53,7 +53,7 @@ class Acting:
         return self.act(in_blocks(observation))[: len(observation)], state
 
 
-def digits(policy: Policy, interface: Interface = Interface("local", "gains")) -> float:  # noqa: B008 - it is frozen
+def digits(policy: Policy, interface: Interface = Interface("scaled", "gains")) -> float:  # noqa: B008 - it is frozen
     """Mean digits at the deadline over 20 games outside of the training; the interface is that of :data:`TASK`."""
     spec = PolicySpec("policy", policy, interface)
     scenario = ptne_env.get_scenario(SCENARIO)

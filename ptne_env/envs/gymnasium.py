@@ -193,7 +193,7 @@ class JointVectorEnv(Duplicable, gymnasium.vector.VectorEnv[Float32Array, Float3
             ``SAME_STEP`` (the last observation and info are in ``final_obs`` and ``final_info``), or on
             ``reset(options={"reset_mask": mask})`` (``DISABLED``).
         render_mode: ``None``; a vector of environments does not render.
-        **arguments: of :class:`~ptne_env.envs.vector.VectorParallelEnv`: interface, action_mode, action_scale, reward,
+        **arguments: of :class:`~ptne_env.envs.vector.VectorParallelEnv`: interface, reward,
             max_cycles and fields of the scenario.
 
     Attributes:
@@ -302,7 +302,7 @@ class PlayerVectorEnv(Duplicable, gymnasium.vector.VectorEnv[Float32Array, Float
     Args:
         scenario: a name of the catalogue or a scenario.
         num_envs: B, environments; the ``num_envs`` of the vector is B·N.
-        **arguments: of :class:`~ptne_env.envs.vector.VectorParallelEnv`: interface, action_mode, action_scale, reward,
+        **arguments: of :class:`~ptne_env.envs.vector.VectorParallelEnv`: interface, reward,
             max_cycles, threads and fields of the scenario.
 
     Attributes:

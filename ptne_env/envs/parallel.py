@@ -16,7 +16,6 @@ from ptne_env.envs.simulation import Duplicable, Simulation, changed_scenario, p
 from ptne_env.perception.encoder import NonFiniteActionError
 from ptne_env.perception.observation import (
     OBSERVATION_BOUND,
-    ActionMode,
     GraphKnowledge,
     Interface,
     InterfaceKind,
@@ -367,10 +366,7 @@ def _fault(action: Any, shape: tuple[int, ...]) -> str | None:
 def parallel_env(
     scenario: str | Scenario = "energy",
     *,
-    interface: InterfaceKind = "physical",
-    action_mode: ActionMode = "input",
-    action_scale: float = 5.0,
-    own_payoff: bool = False,
+    interface: InterfaceKind = "scaled",
     graph_knowledge: GraphKnowledge = "links",
     reward: str | Mapping[str, float] = "digits",
     max_cycles: int | None = None,
@@ -382,10 +378,7 @@ def parallel_env(
 
     Args:
         scenario: a name of the catalogue (``ptne list`` shows them) or a scenario.
-        interface: ``"physical"``, ``"local"`` or ``"learner"``; see :class:`ptne_env.perception.observation.ObservationLayout`.
-        action_mode: ``"input"`` or ``"gains"``.
-        action_scale: under ``local``, an action of 1 is this many times σ_i.
-        own_payoff: whether players observe their own costs J_i at the real strategies.
+        interface: ``"scaled"`` or ``"physical"``; see :class:`ptne_env.perception.observation.ObservationLayout`.
         graph_knowledge: ``"links"``, ``"union"`` or ``"schedule"``; see :class:`ptne_env.perception.observation.Interface`.
         reward: a term's name (``digits``, ``tracking``, ``payoff``, ``regret``) or weights by name.
         max_cycles: steps after which the episode is truncated.
@@ -399,7 +392,7 @@ def parallel_env(
     """
     return NashSeekingEnv(
         changed_scenario(scenario, overrides, parallel_env),
-        interface=Interface(interface, action_mode, action_scale, own_payoff, graph_knowledge=graph_knowledge),
+        interface=Interface(interface, graph_knowledge),
         reward=reward,
         max_cycles=max_cycles,
         render_mode=render_mode,

@@ -40,7 +40,7 @@ class PlayerBufferEnv:
             (B·N,), float32; ``terminals``, ``truncations`` and ``masks`` (B·N,), bool; ``actions`` (B·N, action size),
             float32, which is only kept. New arrays if left out.
         seed: of the first reset.
-        **arguments: of :class:`~ptne_env.envs.vector.VectorParallelEnv`: interface, action_mode, action_scale, reward,
+        **arguments: of :class:`~ptne_env.envs.vector.VectorParallelEnv`: interface, reward,
             max_cycles, threads and fields of the scenario.
 
     Attributes:

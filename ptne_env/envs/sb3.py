@@ -75,11 +75,11 @@ class PlayerVecEnv(_Monitored):
     Args:
         scenario: a name of the catalogue or a scenario.
         num_envs: B, environments; the ``num_envs`` of the VecEnv is B·N.
-        interface: ``"learner"``, in which all numbers are of order one, ``"local"`` or ``"physical"``.
+        interface: ``"scaled"`` or ``"physical"``.
         seed: of the first reset; environment b gets seed + b.
         observation: ``"flat"``, or ``"padded-graph"``: a Dict, for ``MultiInputPolicy`` with a features extractor; see
             :mod:`ptne_env.perception.observation_forms`.
-        **arguments: of :class:`~ptne_env.envs.vector.VectorParallelEnv`: action_mode, action_scale, reward, max_cycles
+        **arguments: of :class:`~ptne_env.envs.vector.VectorParallelEnv`: reward, max_cycles
             and fields of the scenario.
 
     Attributes:
@@ -99,7 +99,7 @@ class PlayerVecEnv(_Monitored):
         scenario: str | Scenario = "energy",
         num_envs: int = 1,
         *,
-        interface: InterfaceKind = "learner",
+        interface: InterfaceKind = "scaled",
         seed: int | None = None,
         observation: FormName = "flat",
         **arguments: Any,

@@ -93,7 +93,7 @@ def player_encoder(world: World, interface: Interface) -> Encoder:
     if interface.kind == "full":
         raise ValueError(
             "the interface 'full' shows information that players lack and is for oracles in evaluations only; choose "
-            "'physical', 'local' or 'learner'"
+            "'scaled' or 'physical'"
         )
     return make_encoder(world, interface)
 

@@ -44,7 +44,7 @@ class TorchRLEnv(Duplicable, EnvBase):
         num_envs: B.
         seed: of the first reset; environment b gets seed + b.
         device: the CPU; collectors move tensors to the device of a policy.
-        **arguments: of :class:`~ptne_env.envs.vector.VectorParallelEnv`: interface, action_mode, action_scale, reward,
+        **arguments: of :class:`~ptne_env.envs.vector.VectorParallelEnv`: interface, reward,
             max_cycles, threads and fields of the scenario.
 
     Attributes:

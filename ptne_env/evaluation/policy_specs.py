@@ -143,7 +143,7 @@ class PolicySpec:
     @property
     def division(self) -> Division:
         """The entries among which it is ranked."""
-        return "oracle" if self.is_oracle else self.interface.estimates
+        return "oracle" if self.is_oracle else "honest"
 
     @property
     def has_memory(self) -> bool | None:
@@ -169,7 +169,7 @@ class PolicySpec:
         return {  # the keys of KNOWLEDGE
             "graphs": "all" if self.is_oracle else GRAPH_KNOWLEDGE[self.interface.graph_knowledge],
             "memory": _MEMORY[self.has_memory],
-            "estimates": self.interface.estimates,
+            "estimates": "honest",
         }
 
     @property

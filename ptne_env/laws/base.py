@@ -31,8 +31,7 @@ class Law(ABC):
         layout: of the environment's observations, ``env.layout``.
 
     Raises:
-        ValueError: when the law cannot act through the layout's action mode or interface, or reads a slice that the
-            layout lacks.
+        LayoutError: when the law cannot act through the layout's interface, or reads a slice that the layout lacks.
     """
 
     needs_full_information: ClassVar[bool] = False
@@ -41,18 +40,13 @@ class Law(ABC):
     needs: ClassVar[tuple[str, ...]] = ()
     """Slices that the law reads and only some layouts have."""
 
-    acts_through_gains: ClassVar[bool] = False
-    """Whether the law can act through the action mode ``gains``."""
-
-    interface: ClassVar[Interface] = Interface()
+    interface: ClassVar[Interface] = Interface("physical")
     """The interface that the law uses in comparisons."""
 
     def __init__(self, layout: ObservationLayout) -> None:
         name = type(self).__name__
         if not isinstance(layout, ObservationLayout):
             raise TypeError(f"{name} is built from a layout, such as env.layout, got a {type(layout).__name__}")
-        if layout.interface.action_mode != "input" and not self.acts_through_gains:
-            raise LayoutError(f"{name} needs action_mode='input', this layout has {layout.interface.action_mode!r}")
         if self.needs_full_information and layout.interface.kind != "full":
             raise LayoutError(f"{name} is an oracle and needs the interface 'full', got {layout.interface.kind!r}")
         missing = [need for need in self.needs if need not in layout.slices]

@@ -2,13 +2,9 @@
 
 from __future__ import annotations
 
-from typing import ClassVar
-
-import numpy as np
-
 from ptne_env.laws.base import Law, consensus, step_length
-from ptne_env.perception.observation import CONSENSUS_GAIN, GAIN_OCTAVES, Observation, ObservationLayout
-from ptne_env.shared.arrays import Float32Array, FloatArray, require_non_negative, require_positive
+from ptne_env.perception.observation import Observation, ObservationLayout
+from ptne_env.shared.arrays import FloatArray, require_non_negative, require_positive
 
 
 def static_inputs(observation: Observation, kappa: float, gradient_gain: float = 1.0) -> FloatArray:
@@ -35,40 +31,22 @@ def corollary_one_inputs(observation: Observation, kappa: float) -> FloatArray:
 class Static(Law):
     """The static law of the paper, :func:`static_inputs`.
 
-    Through the action mode ``gains`` its actions are its two gains, which must lie within a factor 8 of 1 and of 2.
-
     Args:
         layout: of the environment.
         kappa: κ ≥ 0.
         gradient_gain: g > 0.
 
     Raises:
-        ValueError: for a gain out of range, or out of reach in the action mode ``gains``.
+        ValueError: for a gain out of range.
     """
-
-    acts_through_gains: ClassVar[bool] = True
 
     def __init__(self, layout: ObservationLayout, kappa: float = 2.0, gradient_gain: float = 1.0) -> None:
         super().__init__(layout)
         self.kappa = require_non_negative("kappa", kappa)
         self.gradient_gain = require_positive("gradient_gain", gradient_gain)
-        if layout.interface.action_mode == "gains":
-            wanted = np.array([self.gradient_gain, self.kappa / CONSENSUS_GAIN])
-            with np.errstate(divide="ignore"):  # κ = 0 is out of reach and refused below
-                self._gain_action = np.log2(wanted) / GAIN_OCTAVES
-            if np.abs(self._gain_action).max() > 1:
-                raise ValueError(
-                    f"action mode 'gains' reaches gradient gains in [1/8, 8] and kappa in [1/4, 16], got "
-                    f"{gradient_gain} and {kappa}"
-                )
 
     def inputs(self, observation: Observation, memory: None) -> tuple[FloatArray, None]:
         return static_inputs(observation, self.kappa, self.gradient_gain), memory
-
-    def _actions(self, inputs: FloatArray, observation: Observation) -> Float32Array:
-        if self.layout.interface.action_mode == "gains":
-            return np.tile(self._gain_action.astype(np.float32), (len(inputs), 1))
-        return super()._actions(inputs, observation)
 
 
 class FixedGain(Static):

@@ -28,7 +28,7 @@ class RandomPolicy:
     the observation's bits, and keys a stream of :mod:`ptne_env.shared.counter_random`.
 
     Args:
-        layout: of the environment; any interface and action mode.
+        layout: of the environment; any interface.
         seed: of the policy's own draws.
 
     Raises:

@@ -13,10 +13,9 @@ from gymnasium import spaces
 from ptne_env.learn.blocks import in_blocks
 from ptne_env.learn.metadata import PolicyFileError, PolicyLayoutError
 from ptne_env.perception.observation import (
-    LEARNER_LOG_SCALE,
+    LOG_SCALE_UNIT,
     SMALLEST_SCALE,
     Interface,
-    InterfaceKind,
     ObservationLayout,
 )
 from ptne_env.shared.arrays import BoolArray, Float32Array
@@ -86,12 +85,9 @@ def recognised_interface(model: Any) -> Interface | None:
         return None
     if len(observations.shape) != 1 or len(actions.shape) != 1:
         return None
-    # The only entry of an observation that goes down to these numbers is the scale of a scale-free interface.
-    lowest = math.log10(SMALLEST_SCALE)
-    scales: dict[InterfaceKind, float] = {"local": lowest, "learner": lowest / LEARNER_LOG_SCALE}
-    found = [kind for kind, scale in scales.items() if np.isclose(observations.low, scale).any()]
-    has_gains = actions.shape == (2,) and bool((actions.high == 1).all())
-    return Interface(found[0] if found else "physical", "gains" if has_gains else "input")
+    # The only entry of an observation that goes down to this number is the logarithm of the scale.
+    is_scaled = np.isclose(observations.low, math.log10(SMALLEST_SCALE) / LOG_SCALE_UNIT).any()
+    return Interface("scaled" if is_scaled else "physical")
 
 
 def load_archive(path: str, layout: ObservationLayout | None = None) -> ArchivePolicy:

@@ -82,9 +82,6 @@ class Description:
         return metadata
 
     def __post_init__(self) -> None:
-        seen = self.interface
-        if not all(isinstance(flag, bool) for flag in (seen.own_payoff, seen.neighbour_errors, seen.best_response)):
-            raise TypeError(f"the flags of an interface are true or false, got {seen}")
         for name in ("steps", "seed", "layout_version"):
             require_count(name, getattr(self, name), 0)
         require_finite("digits", self.digits)
@@ -152,7 +149,7 @@ class Metadata(Description):
     @property
     def action_size(self) -> int:
         """Length of an action."""
-        return sum(self.action_dims) if self.interface.action_mode == "input" else 2
+        return sum(self.action_dims)
 
     def _needs(self, layout: ObservationLayout) -> dict[str, tuple[Any, Any]]:
         return super()._needs(layout) | {

@@ -75,7 +75,7 @@ def build(source: PolicySource, layout: ObservationLayout) -> Policy:
         raise LayoutError(
             f"it was trained on observations of shape {expected}, and this track with the interface "
             f"{layout.interface.kind!r} has {(layout.size,)}; if it was trained with another interface, give that one: "
-            "PolicySpec(name, model, ptne_env.Interface('learner'))"
+            "PolicySpec(name, model, ptne_env.Interface('scaled'))"
         )
     if not hasattr(built, "predict"):
         raise PolicyError(f"it is a {type(built).__name__} without predict(observation, state, ...)")

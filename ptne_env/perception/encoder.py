@@ -12,8 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ptne_env.perception.observation import (
-    CONSENSUS_GAIN,
-    GAIN_OCTAVES,
+    INPUT_PER_ACTION,
     OBSERVATION_BOUND,
     SMALLEST_SCALE,
     Interface,
@@ -73,7 +72,7 @@ class Encoder(ABC):
 
     Args:
         world: the world.
-        interface: units, order and action mode.
+        interface: what is observed, and in which units and order.
 
     Attributes:
         world: as given.
@@ -85,16 +84,13 @@ class Encoder(ABC):
         gradient_mask: False in padded places, shape (m, N, 1); ``None`` where no place is padded.
 
     Raises:
-        LayoutError: when the interface shows best responses and the game has none, or declares that the schedule is
-            known and every episode draws its own.
+        LayoutError: when the interface declares that the schedule is known and every episode draws its own.
     """
 
     def __init__(self, world: World, interface: Interface) -> None:
         self.world = world
         self.interface = interface
         game, clock = world.game, world.clock
-        if interface.best_response and not game.has_best_response:
-            raise LayoutError(f"best_response cannot be observed: {type(game).__name__} has none everywhere")
         if interface.graph_knowledge == "schedule" and world.topology.is_random:
             raise LayoutError(
                 "the schedule cannot be known: every episode draws its own; declare graph_knowledge='union'"
@@ -157,10 +153,6 @@ class Encoder(ABC):
             workspace.step = step
         if world.topology.is_random:
             fields["time_since_switch"][...] = dynamics.time_since_switch(world, state)
-        if self.interface.own_payoff:
-            with np.errstate(over="ignore", invalid="ignore"):  # a diverged game may overflow
-                costs = state.game.costs(dynamics.strategies(world, state))
-            fields["own_payoff"][...] = np.clip(np.nan_to_num(costs), -OBSERVATION_BOUND, OBSERVATION_BOUND)
         if out is None:
             out = np.empty((batch, self.layout.num_players, self.layout.size), dtype=np.float32)
         np.copyto(out.reshape(batch, -1), fields["everything"])
@@ -187,8 +179,6 @@ class Encoder(ABC):
         """
         fields = np.empty(actions.shape[::-1])
         fields[...] = actions.astype(np.float32, copy=False).T
-        if self.interface.action_mode == "gains":
-            return self._limited(self._inputs_from_gains(fields, state))
         return self._inputs_from_actions(fields, state)
 
     def decode(self, actions: npt.NDArray[np.floating], state: State) -> FloatArray:
@@ -205,22 +195,7 @@ class Encoder(ABC):
 
     @abstractmethod
     def _inputs_from_actions(self, actions: FloatArray, state: State) -> FloatArray:
-        """Inputs u (n, N, B) within the input limit, from actions (n, N, B) in mode ``input``."""
-
-    def _inputs_from_gains(self, gains: FloatArray, state: State) -> FloatArray:
-        """−(gradient gain)·gradient − (consensus gain)·Σ a_ij (x^i − x^j), from actions (2, N, B)."""
-        gradient_gain, consensus_gain = np.exp2(GAIN_OCTAVES * gains)
-        inputs = self._consensus(state)
-        inputs *= CONSENSUS_GAIN * consensus_gain
-        own = np.arange(state.game.dimension), state.game.owners
-        inputs[own] -= gradient_gain[state.game.owners] * state.own_gradients
-        return inputs
-
-    def _consensus(self, state: State) -> FloatArray:
-        """Σ_j a_ij (x^j − x^i), shape (n, N, B)."""
-        link_weights = dynamics.weights(self.world, state)
-        relative = dynamics.relative_estimates(self.world, state, link_weights)
-        return np.einsum("dib,dcib->cib", link_weights, relative)
+        """Inputs u (n, N, B) within the input limit, from actions (n, N, B)."""
 
     def _limited(self, inputs: FloatArray) -> FloatArray:
         limit = self.layout.input_limit
@@ -253,8 +228,7 @@ class Encoder(ABC):
         buffer = np.zeros((players, layout.size, row), dtype=np.float32)
         columns = buffer.transpose(1, 0, 2)[:, :, :batch]
         fields = {name: columns[part] for name, part in layout.slices.items()}
-        for name in {"relative_estimates", "neighbour_errors"} & fields.keys():
-            fields[name] = fields[name].reshape(slots, n, players, batch)
+        fields["relative_estimates"] = fields["relative_estimates"].reshape(slots, n, players, batch)
         fields["gradient_and_relative_estimates"] = columns[: layout.slices["relative_estimates"].stop]
         fields["clock_and_age"] = columns[layout.slices["clock"].start : layout.slices["time_since_switch"].stop]
         fields["everything"] = buffer.reshape(-1, row)[:, :batch].T
@@ -290,7 +264,7 @@ class FullEncoder(PhysicalEncoder):
 
     def _write_differences(self, workspace: _Workspace, state: State, link_weights: FloatArray | None) -> None:
         super()._write_differences(workspace, state, link_weights)
-        fields, game, interface = workspace.fields, state.game, self.interface
+        fields, game = workspace.fields, state.game
         strategies = dynamics.strategies(self.world, state)
         fields["relative_strategies"][...] = strategies[:, None, :] - state.estimates
         with np.errstate(over="ignore"):
@@ -300,16 +274,9 @@ class FullEncoder(PhysicalEncoder):
             theta = np.where(theta > 0, theta, 1.0)  # terminal step: no movement follows
             pseudo_gradient = (strategies - game.project(strategies - theta * pseudo_gradient)) / theta
         fields["pseudo_gradient"][...] = np.clip(pseudo_gradient, -OBSERVATION_BOUND, OBSERVATION_BOUND)[:, None]
-        if interface.neighbour_errors:
-            errors = -self._consensus(state)
-            fields["neighbour_errors"][...] = errors[:, self.world.neighbours].swapaxes(0, 1)
-        if interface.best_response:
-            response = game.best_response(strategies) - strategies
-            fields["best_response"][...] = np.clip(response, -OBSERVATION_BOUND, OBSERVATION_BOUND)[:, None]
 
-
-class LocalEncoder(Encoder):
-    """The interface ``local``: differences and actions in units of σ_i, components in ego order.
+class ScaledEncoder(Encoder):
+    """The interface ``scaled``: differences and actions in units of σ_i, components and slots in ego order.
 
     σ_i = max(‖own gradient‖_∞, max over live links ‖x^j − x^i‖_∞, 1e-30).
     """
@@ -343,7 +310,7 @@ class LocalEncoder(Encoder):
         self._scaled = (state, scale)
 
     def _inputs_from_actions(self, actions: FloatArray, state: State) -> FloatArray:
-        actions *= self.interface.input_per_action * self.scale(state)
+        actions *= INPUT_PER_ACTION * self.scale(state)
         return self._limited(actions.reshape(-1, dynamics.batch_size(state)).take(self._player_rows, axis=0))
 
     def _differences(self, state: State, link_weights: FloatArray | None = None) -> tuple[FloatArray, FloatArray]:
@@ -354,30 +321,20 @@ class LocalEncoder(Encoder):
         differences[:own] = gradients
         relative = differences[own:].reshape(slots, n, players, batch)
         dynamics.relative_estimates(self.world, state, link_weights, order=self._order, out=relative)
+        by_slot = relative.swapaxes(1, 2)
+        by_slot[...] = self._in_slots(by_slot)
         scale = np.maximum.reduce(np.abs(differences), axis=0)
         return differences, np.maximum(scale, SMALLEST_SCALE, out=scale)
-
-
-class LearnerEncoder(LocalEncoder):
-    """The interface ``learner``: ``local``, with neighbour slots in ego order and all numbers of order one."""
 
     def _order_slots(self) -> IntArray:
         neighbours, players = self.world.neighbours, self.world.game.num_players
         distance = (neighbours - np.arange(players)) % players
         return np.argsort(np.where(distance == 0, players, distance), axis=0, kind="stable")  # padded slots are last
 
-    def _differences(self, state: State, link_weights: FloatArray | None = None) -> tuple[FloatArray, FloatArray]:
-        differences, scale = super()._differences(state, link_weights)
-        slots, n, players = self._slot_shape
-        relative = differences[-slots * n :].reshape(slots, n, players, -1).swapaxes(1, 2)
-        relative[...] = self._in_slots(relative)
-        return differences, scale
-
 
 _ENCODERS: Mapping[str, type[Encoder]] = {
+    "scaled": ScaledEncoder,
     "physical": PhysicalEncoder,
-    "local": LocalEncoder,
-    "learner": LearnerEncoder,
     "full": FullEncoder,
 }
 

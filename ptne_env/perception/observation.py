@@ -14,38 +14,30 @@ import numpy.typing as npt
 from gymnasium import spaces
 from scipy.sparse.csgraph import shortest_path
 
-from ptne_env.shared.arrays import BoolArray, Float32Array, FloatArray, IntArray, require_positive
+from ptne_env.shared.arrays import BoolArray, Float32Array, FloatArray, IntArray
 
-InterfaceKind: TypeAlias = Literal["physical", "local", "learner", "full"]
-ActionMode: TypeAlias = Literal["input", "gains"]
+InterfaceKind: TypeAlias = Literal["scaled", "physical", "full"]
 GraphKnowledge: TypeAlias = Literal["links", "union", "schedule"]
-Estimates: TypeAlias = Literal["honest", "coded"]
 
 OBSERVATION_BOUND = 1e6
 """Box bound of every observed entry that carries units."""
 
 SMALLEST_SCALE = 1e-30
-"""Under ``local`` the scale σ_i is at least this, so that a player at rest divides by a positive number."""
+"""Under ``scaled`` the scale σ_i is at least this, so that a player at rest divides by a positive number."""
 
-LEARNER_BOUND = 3.0
-"""Under ``learner`` an action of this size is what an action of 1 is under ``local``. Gaussian policies start with a
-standard deviation of 1, of which this box clips few samples, and which is small enough not to undo all progress."""
+INPUT_PER_ACTION = 5 / 3
+"""Under ``scaled`` an action of 1 is an input of this many σ_i. A Gaussian policy that starts with a standard deviation
+of 1 then makes steps that are large enough to learn from, and small enough not to undo all progress."""
 
-LEARNER_LOG_SCALE = 10.0
-"""Under ``learner`` the logarithm of the scale is divided by this, so that it is of order one."""
+LOG_SCALE_UNIT = 10.0
+"""Under ``scaled`` the logarithm of the scale is divided by this, so that it is of order one."""
 
 _READ_APART = frozenset(("clock", "player", "time_since_switch"))
 """Slices of which :meth:`ObservationLayout.read` makes no float64 copy of their own."""
 
-GAIN_OCTAVES = 3.0
-"""In action mode ``gains`` an action of ±1 multiplies or divides a gain by 2^3."""
-
-CONSENSUS_GAIN = 2.0
-"""In action mode ``gains`` the action 0 means gradient gain 1 and this consensus gain, the paper's κ."""
-
 
 class LayoutError(ValueError):
-    """A policy cannot act with a layout: it needs other observations, other actions or another game.
+    """A policy cannot act with a layout: it needs other observations or another game.
 
     In a comparison such a policy is not applicable to the scenario. Any other error is a failure of the policy there.
     """
@@ -53,60 +45,28 @@ class LayoutError(ValueError):
 
 @dataclass(frozen=True)
 class Interface:
-    """Units and order of observations, the meaning of actions, and knowledge. Every policy has one, the physics none.
+    """What a policy observes, and what its actions mean. Every policy has one, the physics none.
 
     Attributes:
-        kind: ``"physical"`` (natural units, player order), ``"local"`` (scale-free, ego order), ``"learner"``
-            (``local`` with numbers of order one and neighbour slots in ego order) or ``"full"`` (``physical`` and
-            information that players lack; for oracles only).
-        action_mode: ``"input"`` (an action is the input u^i) or ``"gains"`` (two numbers per player).
-        action_scale: under ``local``, an action of 1 is this many times σ_i; under ``learner``, an action of
-            :data:`LEARNER_BOUND` is.
-        own_payoff: whether a player sees its own cost J_i at the real strategies.
-        neighbour_errors: whether it sees its neighbours' consensus errors, which are two links away; oracles only.
-        best_response: whether it sees all players' best responses to the real strategies; oracles only.
+        kind: ``"scaled"`` (scale-free numbers of order one, in ego order), ``"physical"`` (natural units, player order)
+            or ``"full"`` (``physical`` and information that players lack; for oracles only).
         graph_knowledge: of the communication graphs, each player knows its own neighbours (``"links"``), also the union
             of all graphs (``"union"``), or also the graph of every step (``"schedule"``).
-        estimates: the content of estimates, which the neighbours receive: the present belief about the strategies
-            (``"honest"``), or other numbers too (``"coded"``).
 
     Raises:
-        ValueError: for an unknown word, a scale that is not positive, or an oracle's slice in an interface that is not
-            ``full``.
+        ValueError: for an unknown word.
     """
 
-    kind: InterfaceKind = "physical"
-    action_mode: ActionMode = "input"
-    action_scale: float = 5.0
-    own_payoff: bool = False
-    neighbour_errors: bool = False
-    best_response: bool = False
+    kind: InterfaceKind = "scaled"
     graph_knowledge: GraphKnowledge = "links"
-    estimates: Estimates = "honest"
-
-    @property
-    def is_scale_free(self) -> bool:
-        """Whether differences and actions are in units of σ_i, and components in ego order."""
-        return self.kind in ("local", "learner")
-
-    @property
-    def input_per_action(self) -> float:
-        """The input in units of σ_i of an action of 1, where the interface is scale-free."""
-        return self.action_scale / (LEARNER_BOUND if self.kind == "learner" else 1.0)
 
     def __post_init__(self) -> None:
         for name, value, choices in (
             ("interface", self.kind, InterfaceKind),
-            ("action mode", self.action_mode, ActionMode),
             ("knowledge of graphs", self.graph_knowledge, GraphKnowledge),
-            ("content of estimates", self.estimates, Estimates),
         ):
             if value not in get_args(choices):
                 raise ValueError(f"unknown {name} {value!r}; choose from {', '.join(get_args(choices))}")
-        require_positive("action_scale", self.action_scale)
-        for name in ("neighbour_errors", "best_response"):
-            if getattr(self, name) and self.kind != "full":
-                raise ValueError(f"{name} is for oracles: it needs the interface 'full', got {self.kind!r}")
 
 
 class Observation(NamedTuple):
@@ -117,7 +77,7 @@ class Observation(NamedTuple):
         gradient: R_i^T ∂J_i/∂x_i(x^i), zero outside the own block, shape (R, n).
         relative_estimates: x^j − x^i per neighbour slot, shape (R, D, n).
         weights: a_ij per neighbour slot, shape (R, D).
-        unit: natural units per unit of the above, shape (R, 1); σ_i where the interface is scale-free, else 1.
+        unit: natural units per unit of the above, shape (R, 1); σ_i under ``scaled``, else 1.
         theta: Θ_k of the coming step, shape (R, 1).
         dt: Δt_k of the coming step in seconds, shape (R, 1).
         elapsed: t/T by the player's clock, shape (R, 1).
@@ -125,12 +85,7 @@ class Observation(NamedTuple):
         relative_strategies: x − x^i, shape (R, n); empty (R, 0) unless the interface is ``full``.
         pseudo_gradient: F(x), or in a box (x − Π(x − Θ F(x)))/Θ, which stays inside; shape (R, n), and empty (R, 0)
             unless the interface is ``full``.
-        own_estimate: x^i in natural units, shape (R, n); empty (R, 0) where the interface is scale-free.
-        own_payoff: J_i(x) in natural units, shape (R, 1); empty (R, 0) unless the interface has it.
-        neighbour_errors: Σ_l a_jl (x^j − x^l) of the neighbour j in each slot, shape (R, D, n); empty (R, 0, n) unless
-            the interface has it.
-        best_response: y − x with y_i the best response of player i to x, shape (R, n); empty (R, 0) unless the
-            interface has it.
+        own_estimate: x^i in natural units, shape (R, n); empty (R, 0) under ``scaled``.
     """
 
     player: IntArray
@@ -145,9 +100,6 @@ class Observation(NamedTuple):
     relative_strategies: FloatArray
     pseudo_gradient: FloatArray
     own_estimate: FloatArray
-    own_payoff: FloatArray
-    neighbour_errors: FloatArray
-    best_response: FloatArray
 
 
 class LinkSchedule(NamedTuple):
@@ -172,29 +124,25 @@ class ObservationLayout:
     name                    size     content
     ======================= ======== =======================================================================
     ``own_gradient``        m        ∂J_i/∂x_i(x^i), padded with 0 to the largest n_i
-    ``own_estimate``        n        x^i (not under ``local`` and ``learner``)
+    ``own_estimate``        n        x^i (not under ``scaled``)
     ``relative_estimates``  D n      x^j − x^i per neighbour slot, taken in float64; 0 where the link is down; x^j is
                                      what the channel delivers
     ``weights``             D        a_ij per neighbour slot; 0 where the link is down, or the message is lost
-    ``log_scale``           1        log10 σ_i (only under ``local``, and a tenth of it under ``learner``)
+    ``log_scale``           1        log10 σ_i, over 10 (only under ``scaled``)
     ``clock``               4        t/T, s, Θ_k, Δt_k/T, the first three by the player's own clock
     ``time_since_switch``   1        over the topology's mean dwell, clipped to 1; 0 for a fixed graph
     ``player``              N        one-hot
     ``relative_strategies`` n        x − x^i (only under ``full``)
     ``pseudo_gradient``     n        F(x) at the real strategies, as far as a box lets them move (only under ``full``)
-    ``own_payoff``          1        J_i(x) at the real strategies, natural units (only with ``own_payoff``)
-    ``neighbour_errors``    D n      Σ_l a_jl (x^j − x^l) per neighbour slot (only with ``neighbour_errors``)
-    ``best_response``       n        best responses to x, minus x (only with ``best_response``)
     ======================= ======== =======================================================================
 
-    Under ``local``, gradient and relative estimates are divided by σ_i = max(‖own gradient‖_∞, max over live links
-    ‖x^j − x^i‖_∞, 1e-30), and components are in ego order: the own block first, then cyclically. Under ``learner`` they
-    are too, the neighbour slots are in ego order like the components, s in ``clock`` is divided by its largest value,
-    and actions are in a box of ±3. So every entry is of order one, and the same place means the same relation for every
-    player.
+    Under ``scaled``, gradient and relative estimates are divided by σ_i = max(‖own gradient‖_∞, max over live links
+    ‖x^j − x^i‖_∞, 1e-30), components and neighbour slots are in ego order (the own ones first, then cyclically), s in
+    ``clock`` is divided by its largest value, and actions are in the box ±1. So every entry is of order one, and the
+    same place means the same relation for every player.
 
     Attributes:
-        interface: units, order and action mode.
+        interface: units and order.
         action_dims: n_i of each player.
         neighbours: per player, the player in each of its D slots; a padded slot holds the player itself. A player knows
             its own row: decisions that depend on other rows need :attr:`hops`.
@@ -281,18 +229,16 @@ class ObservationLayout:
     @cached_property
     def slices(self) -> dict[str, slice]:
         """The named parts of an observation, in order."""
-        n, slots, kind = self.dimension, self.slots, self.interface.kind
+        n, slots, is_scaled = self.dimension, self.slots, self.interface.kind == "scaled"
         sizes = {"own_gradient": max(self.action_dims)}
-        if not self.interface.is_scale_free:
+        if not is_scaled:
             sizes["own_estimate"] = n
         sizes |= {"relative_estimates": slots * n, "weights": slots}
-        if self.interface.is_scale_free:
+        if is_scaled:
             sizes["log_scale"] = 1
         sizes |= {"clock": 4, "time_since_switch": 1, "player": self.num_players}
-        if kind == "full":
+        if self.interface.kind == "full":
             sizes |= {"relative_strategies": n, "pseudo_gradient": n}
-        extras = {"own_payoff": 1, "neighbour_errors": slots * n, "best_response": n}
-        sizes |= {name: size for name, size in extras.items() if getattr(self.interface, name)}
         ends = np.cumsum(list(sizes.values()))
         return {name: slice(int(end) - size, int(end)) for (name, size), end in zip(sizes.items(), ends, strict=True)}
 
@@ -301,27 +247,24 @@ class ObservationLayout:
         """Length of an observation."""
         return max(part.stop for part in self.slices.values())
 
-    @cached_property
+    @property
     def action_size(self) -> int:
-        """Length of an action: n in mode ``input``, 2 in mode ``gains``."""
-        return self.dimension if self.interface.action_mode == "input" else 2
+        """Length of an action, n."""
+        return self.dimension
 
     @property
     def units(self) -> tuple[float, float]:
         """The units in which log10 σ_i and s are observed."""
-        return (LEARNER_LOG_SCALE, self.largest_clock[1] or 1.0) if self.interface.kind == "learner" else (1.0, 1.0)
+        return (LOG_SCALE_UNIT, self.largest_clock[1] or 1.0) if self.interface.kind == "scaled" else (1.0, 1.0)
 
     @cached_property
     def action_bound(self) -> float:
-        """Actions beyond ±bound are clipped: the input limit under ``physical``, else 1, or 3 under ``learner``.
+        """Actions beyond ±bound are clipped: 1 under ``scaled``, else the input limit.
 
-        In mode ``gains`` it is 1 under all. The limit is rounded down to a float32, so that no action within it exceeds
-        it.
+        The limit is rounded down to a float32, so that no action within it exceeds it.
         """
-        if self.interface.action_mode == "gains" or self.interface.kind == "local":
+        if self.interface.kind == "scaled":
             return 1.0
-        if self.interface.kind == "learner":
-            return LEARNER_BOUND
         bound = np.float32(self.input_limit)
         return float(bound if float(bound) <= self.input_limit else np.nextafter(bound, np.float32(0)))
 
@@ -336,7 +279,7 @@ class ObservationLayout:
             "time_since_switch": (0.0, 1.0),
             "player": (0.0, 1.0),
         }
-        if self.interface.is_scale_free:
+        if self.interface.kind == "scaled":
             bounds["own_gradient"] = bounds["relative_estimates"] = (-1.0, 1.0)
             bounds["log_scale"] = (np.log10(SMALLEST_SCALE) / log_unit, np.log10(OBSERVATION_BOUND) / log_unit)
         for name, (lowest, highest) in bounds.items():
@@ -350,14 +293,9 @@ class ObservationLayout:
         units. Actions between the two are allowed, but random ones would soon leave the range.
         """
         bound = self.action_bound
-        if self.action_limit is not None and self._has_units:
+        if self.action_limit is not None and self.interface.kind != "scaled":
             bound = min(bound, self.action_limit)
         return spaces.Box(-bound, bound, (self.action_size,), dtype=np.float32)
-
-    @property
-    def _has_units(self) -> bool:
-        """Whether actions are inputs in natural units."""
-        return not self.interface.is_scale_free and self.interface.action_mode == "input"
 
     @cached_property
     def own_components(self) -> IntArray:
@@ -407,7 +345,7 @@ class ObservationLayout:
         """The neighbours' estimates x^j per slot, (..., size) to (..., D, n), float64; a dead link repeats x^i.
 
         Raises:
-            ValueError: where the interface is scale-free, and the own estimate is not observed.
+            ValueError: under ``scaled``, where the own estimate is not observed.
         """
         own = np.asarray(self.select(observation, "own_estimate"), dtype=np.float64)
         relative = np.asarray(self.select(observation, "relative_estimates"), dtype=np.float64)
@@ -438,7 +376,7 @@ class ObservationLayout:
         relative = values["relative_estimates"].reshape(rows, self.slots, self.dimension)
         unit = np.ones((rows, 1))
         log_unit, s_unit = self.units
-        if self.interface.is_scale_free:
+        if self.interface.kind == "scaled":
             relative = np.take_along_axis(relative, self.ego_place[player][:, None, :], axis=2)
             unit = 10.0 ** (log_unit * values["log_scale"])
         unseen = np.empty((rows, 0))
@@ -455,9 +393,6 @@ class ObservationLayout:
             relative_strategies=values.get("relative_strategies", unseen),
             pseudo_gradient=values.get("pseudo_gradient", unseen),
             own_estimate=values.get("own_estimate", unseen),
-            own_payoff=values.get("own_payoff", unseen),
-            neighbour_errors=values.get("neighbour_errors", unseen).reshape(rows, -1, self.dimension),
-            best_response=values.get("best_response", unseen),
         )
 
     def write(self, inputs: FloatArray, observation: Observation) -> Float32Array:
@@ -465,7 +400,7 @@ class ObservationLayout:
 
         Actions are clipped to the action box.
         """
-        if self.interface.is_scale_free:
+        if self.interface.kind == "scaled":
             ego = np.take_along_axis(inputs, self.ego_order[observation.player], axis=1)
-            inputs = ego / self.interface.input_per_action
+            inputs = ego / INPUT_PER_ACTION
         return np.clip(inputs, -self.action_bound, self.action_bound).astype(np.float32)

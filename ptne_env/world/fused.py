@@ -17,7 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ptne_env.games import AffineGame, EnergyGame, Game
-from ptne_env.perception.encoder import Encoder, LocalEncoder, PhysicalEncoder
+from ptne_env.perception.encoder import Encoder, PhysicalEncoder
 from ptne_env.perception.observation import SMALLEST_SCALE
 from ptne_env.shared.arrays import BoolArray, Float32Array, FloatArray, IntArray
 from ptne_env.world import dynamics
@@ -97,13 +97,11 @@ def qualifies(encoder: Encoder, num_envs: int) -> bool:
 
     They have one in worlds that are not too large, without channel, disturbance, sensor and drift, for games whose own
     gradients are those of :class:`~ptne_env.games.AffineGame` or :class:`~ptne_env.games.EnergyGame`, under
-    ``physical`` and ``local`` with actions as inputs and without ``own_payoff``.
+    ``physical``.
     """
-    world, interface = encoder.world, encoder.interface
+    world = encoder.world
     return (
-        type(encoder) in (PhysicalEncoder, LocalEncoder)
-        and interface.action_mode == "input"
-        and not interface.own_payoff
+        type(encoder) is PhysicalEncoder
         and world.channel.is_perfect
         and world.disturbance.is_absent
         and world.sensor is None
@@ -136,28 +134,26 @@ class FusedStep:
 
     def __init__(self, encoder: Encoder, num_envs: int) -> None:
         self._encoder = encoder
-        self._local = encoder if isinstance(encoder, LocalEncoder) else None
         world, layout = encoder.world, encoder.layout
         n, players = layout.dimension, layout.num_players
         theta, ages = world.theta.reshape(-1, world.theta.shape[-1]), encoder.clock_table[4, 0]
         self._schedule = world.modes[:, None].astype(np.int16), ages[:, None].copy()
         rows, padded = encoder.gradient_rows, encoder.gradient_mask
         mask = np.ones(rows.shape) if padded is None else padded[:, :, 0]
-        order = np.tile(np.arange(n), (players, 1)) if self._local is None else layout.ego_order
+        order = np.tile(np.arange(n), (players, 1))
         places = np.concatenate([world.neighbours, rows, mask, order.T]).astype(np.int64)
         # Copies, because numba compiles a function once more for arrays that are read-only or in another order.
         self._tables = (
             *(table.copy() for table in (theta, encoder.clock_table, world.mode_weights, world.game.owners)),
             places,
             layout.input_limit,
-            layout.interface.action_scale,
+            1.0,
             SMALLEST_SCALE,
             RANGE_LIMIT,
         )
         self._bound = layout.action_bound
         self._shape = n, players, num_envs
         self._tile = min(_TILE, max(8, _TILE_ENTRIES // (n * players)), num_envs)
-        self._log_scale = layout.slices.get("log_scale", slice(0)).start
         self._none = np.empty((0, 0))
         self._constants: tuple[Any, ...] = ()
         self._is_checked = False
@@ -211,10 +207,8 @@ class FusedStep:
         bound = _ANY if are_inside else self._bound
         if not step(actions, bound, out, has_constants, *self._now, *after, *results, *self._constants):
             return None
-        instants, _, sigma = after
+        instants, _, _ = after
         gradients, distance, is_last = results
-        if self._local is not None:
-            compiled.show_entry(out, self._log_scale, np.log10(sigma))
         if state is not None and not (self._is_checked or self._is_confirmed(state, after, gradients, actions, out)):
             return None
         self._now = after
@@ -225,11 +219,9 @@ class FusedStep:
         """The state that the last step has reached, whose arrays no step will change; ``None`` before the first."""
         if self._game is None:
             return None
-        (instants, estimates, sigma), (gradients, *_) = self._sets[1]
+        (instants, estimates, _), (gradients, *_) = self._sets[1]
         state = State(instants, self._game, estimates, gradients, self._diverged, randomness=self._draws)
         self._sets[1] = self._new_arrays()
-        if self._local is not None:
-            self._local.remember_scale(state, sigma)
         return state
 
     def _load(self, state: State) -> bool:
@@ -246,16 +238,15 @@ class FusedStep:
                 graphs = draws.modes, draws.time_since_switch
             self._constants = *graphs, *self._read(game), *self._tables
         self._diverged = state.diverged
-        sigma = self._none if self._local is None else self._local.scale(state)
-        self._now = *(np.require(array, requirements=["C", "A", "W"]) for array in (state.step, state.estimates)), sigma
+        step, estimates = (np.require(array, requirements=["C", "A", "W"]) for array in (state.step, state.estimates))
+        self._now = step, estimates, self._none
         self._sets = self._sets or [self._new_arrays(), self._new_arrays()]
         return True
 
     def _new_arrays(self) -> _Arrays:
         """Memory for the instants, estimates and σ of a state, and the own gradients, d^i and ends of a step."""
         n, players, batch = self._shape
-        sigma = self._none if self._local is None else np.empty((players, batch))
-        state = np.empty(batch, np.int64), np.empty(self._shape), sigma
+        state = np.empty(batch, np.int64), np.empty(self._shape), self._none
         return state, (np.empty((n, batch)), np.empty((batch, players)), np.empty(batch, np.bool_))
 
     def _first_step(self, *arguments: Any) -> bool:

@@ -39,7 +39,7 @@ def test_a_task_makes_one_batched_environment_of_its_scenario(task_class):
     env = task.get_env_fun(3, continuous_actions=True, seed=4, device="cpu")()
     assert isinstance(env, TorchRLEnv)
     assert (env.batch_size, env.vector.scenario.steps, env.layout.interface.kind) == ((3,), 6, "local")
-    expected = TorchRLEnv("random-energy", 3, seed=4, **SHORT, interface="local").reset()
+    expected = TorchRLEnv("random-energy", 3, seed=4, **SHORT, interface="scaled").reset()
     assert (env.reset() == expected).all()
     check_env_specs(env)
 

@@ -26,7 +26,7 @@ with warnings.catch_warnings():
 SCENARIOS = {name: name for name in CATALOGUE} | {scenario.name: scenario for scenario in (BLOCKS, BLOCKS_SWITCHING)}
 VARIANTS = {
     "physical": {},
-    "local": {"interface": "local"},
+    "local": {"interface": "scaled"},
     "gains": {"action_mode": "gains"},
     "held": {"hold_steps": 10, "start": "random", "input_limit": 5.0},
 }

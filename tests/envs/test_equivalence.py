@@ -206,7 +206,7 @@ def check_slots(env, first, steps, actions):
 
 
 @pytest.mark.parametrize("mode", ["input", "gains"])
-@pytest.mark.parametrize("interface", ["physical", "local"])
+@pytest.mark.parametrize("interface", ["physical", "scaled"])
 @pytest.mark.parametrize(("world", "reward"), CASES)
 def test_all_adapters_agree_bit_for_bit_step_by_step_through_resets(world, reward, interface, mode, monkeypatch):
     scenario, fields = WORLDS[world]

@@ -28,10 +28,10 @@ MODES = {"NEXT_STEP": AutoresetMode.NEXT_STEP, "SAME_STEP": AutoresetMode.SAME_S
 
 @pytest.mark.parametrize("name", CATALOGUE)
 def test_make_finds_every_scenario_by_module_and_id(name):
-    env = gymnasium.make(f"ptne_env:ptne/{name}-joint-v0", hold_steps=3, interface="local", reward="tracking")
+    env = gymnasium.make(f"ptne_env:ptne/{name}-joint-v0", hold_steps=3, interface="scaled", reward="tracking")
     assert isinstance(env.unwrapped, JointEnv)
     assert env.unwrapped.parallel.scenario == ptne_env.get_scenario(name, hold_steps=3)
-    assert env.unwrapped.layout.interface == ptne_env.Interface("local")
+    assert env.unwrapped.layout.interface == ptne_env.Interface("scaled")
     assert env.spec.id == f"ptne/{name}-joint-v0"
     game = World(env.unwrapped.parallel.scenario).game
     assert env.observation_space.shape == (game.num_players * env.unwrapped.layout.size,)
@@ -41,7 +41,7 @@ def test_make_finds_every_scenario_by_module_and_id(name):
 @pytest.mark.parametrize("mode", ["input", "gains"])
 @pytest.mark.parametrize("name", ["energy", "energy-switching", "random-energy-switching-transformed"])
 def test_checkers_of_gymnasium_and_sb3_pass_without_a_warning(name, mode):
-    env = gymnasium.make(f"ptne_env:ptne/{name}-joint-v0", interface="local", action_mode=mode, steps=150)
+    env = gymnasium.make(f"ptne_env:ptne/{name}-joint-v0", interface="scaled", action_mode=mode, steps=150)
     check_env(env.unwrapped)  # a warning would be an error
     check_env_of_sb3(env.unwrapped)
 

@@ -13,7 +13,7 @@ from ptne_env.evaluation.suite import get_suite
 from ptne_env.world import dynamics
 
 INTERFACES = [
-    {"interface": interface, "action_mode": mode} for interface in ("physical", "local") for mode in ("input", "gains")
+    {"interface": interface, "action_mode": mode} for interface in ("physical", "scaled") for mode in ("input", "gains")
 ]
 
 
@@ -187,7 +187,7 @@ def crash(env):
     return env.step(constant_actions(env, env.layout.action_bound))
 
 
-@pytest.mark.parametrize("interface", ["physical", "local"])
+@pytest.mark.parametrize("interface", ["physical", "scaled"])
 def test_divergence_ends_the_episode_with_finite_values(interface):
     env = make_env("non-quadratic", input_limit=1e7, interface=interface, action_scale=1e7)
     observations, rewards, terminations, truncations, infos = crash(env)
@@ -312,7 +312,7 @@ def test_estimates_at_the_deadline_are_those_of_the_last_step():
 # --- aliasing ---------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("interface", ["physical", "local"])
+@pytest.mark.parametrize("interface", ["physical", "scaled"])
 @pytest.mark.parametrize("name", ["energy", "energy-switching", BLOCKS], ids=name_of)
 def test_returned_arrays_never_change_and_are_not_shared(name, interface):
     env = make_env(name, interface=interface, steps=30, start="random", input_limit=5.0)

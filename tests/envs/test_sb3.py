@@ -41,7 +41,7 @@ def random_actions(env, generator):
 
 
 def test_members_are_the_players_environment_by_environment():
-    slots, vector = PlayerVecEnv(BLOCKS, 4, seed=3), VectorParallelEnv(BLOCKS, 4, interface="learner")
+    slots, vector = PlayerVecEnv(BLOCKS, 4, seed=3), VectorParallelEnv(BLOCKS, 4, interface="scaled")
     assert slots.num_envs == 12
     assert slots.observation_space == vector.single_observation_space
     assert slots.action_space == vector.single_action_space
@@ -80,7 +80,7 @@ def test_seed_counts_up_by_environment_and_holds_for_one_reset():
 def test_the_end_returns_the_last_observation_and_its_kind(arguments, truncated):
     env, vector = (
         PlayerVecEnv("random-energy", 2, seed=1, **arguments),
-        VectorParallelEnv("random-energy", 2, interface="learner", **arguments),
+        VectorParallelEnv("random-energy", 2, interface="scaled", **arguments),
     )
     env.reset()
     vector.reset(seed=1)
@@ -179,7 +179,7 @@ def test_attributes_and_methods_are_those_of_the_environments():
     assert env.get_attr("colour", indices=[0]) == ["blue"]
     answers = env.env_method("reset", seed=5, indices=[2, 3])
     assert len(answers) == 2
-    assert np.array_equal(answers[0], VectorParallelEnv("random-energy", 2, interface="learner").reset(seed=5))
+    assert np.array_equal(answers[0], VectorParallelEnv("random-energy", 2, interface="scaled").reset(seed=5))
     assert env.env_is_wrapped(Monitor) == [False] * 10
     assert env.env_is_wrapped(Monitor, indices=[1, 2]) == [False] * 2
     env.close()
@@ -268,7 +268,7 @@ def test_mixture_of_scenarios_that_no_policy_can_share_is_refused():
 
 def episodes_of_slots(env, count, **arguments):
     """Return and length of every episode, slot by slot, from the vector environment itself."""
-    vector = VectorParallelEnv("random-energy", 3, interface="learner", **arguments)
+    vector = VectorParallelEnv("random-energy", 3, interface="scaled", **arguments)
     vector.reset(seed=2)
     generator = np.random.default_rng(0)
     total, length, found = np.zeros((3, 5)), np.zeros(3, dtype=int), []
@@ -419,7 +419,7 @@ TRAINERS = {
 }
 
 
-@pytest.mark.parametrize("interface", ["physical", "local"])
+@pytest.mark.parametrize("interface", ["physical", "scaled"])
 @pytest.mark.parametrize("algorithm", TRAINERS)
 def test_algorithms_learn_on_the_joint_environment_without_a_warning(algorithm, interface):
     env = JointEnv("random-energy", interface=interface, steps=25)
@@ -440,7 +440,7 @@ def test_algorithms_learn_on_the_joint_environment_without_a_warning(algorithm, 
 def test_algorithms_learn_without_a_warning_and_reproducibly(algorithm):
     trained = []
     for _ in range(2):
-        env = VecMonitor(PlayerVecEnv("random-energy", 2, interface="local", steps=25))
+        env = VecMonitor(PlayerVecEnv("random-energy", 2, interface="scaled", steps=25))
         model = TRAINERS[algorithm](env)
         before = parameters_of(model)
         model.learn(400)
@@ -454,7 +454,7 @@ def test_algorithms_learn_without_a_warning_and_reproducibly(algorithm):
 
 def test_only_truncated_episodes_are_bootstrapped():
     def run(**arguments):
-        env = PlayerVecEnv("random-energy", 1, interface="local", **arguments)
+        env = PlayerVecEnv("random-energy", 1, interface="scaled", **arguments)
         model = A2C("MlpPolicy", env, n_steps=3, gamma=0.5, learning_rate=0.0, seed=0)
         model.learn(15)
         return model, model.rollout_buffer.rewards
@@ -475,7 +475,7 @@ def through_supersuit(copies, **arguments):
     return supersuit.concat_vec_envs_v1(env, copies, num_cpus=1, base_class="stable_baselines3")
 
 
-@pytest.mark.parametrize("interface", ["physical", "local"])
+@pytest.mark.parametrize("interface", ["physical", "scaled"])
 def test_supersuit_gives_the_same_steps(interface):
     arguments = {"interface": interface, "max_cycles": 6, "input_limit": 5.0}
     theirs, ours = through_supersuit(3, **arguments), PlayerVecEnv("random-energy", 3, seed=4, **arguments)
@@ -497,7 +497,7 @@ def test_supersuit_gives_the_same_steps(interface):
 
 
 def test_an_algorithm_learns_through_supersuit():
-    env = through_supersuit(2, interface="local", steps=25)
+    env = through_supersuit(2, interface="scaled", steps=25)
     with pytest.warns(UserWarning, match="The `render_mode` attribute is not defined"):  # SuperSuit's wrapper lacks it
         model = PPO("MlpPolicy", VecMonitor(env), n_steps=40, batch_size=40, n_epochs=1)
     before = parameters_of(model)

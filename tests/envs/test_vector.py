@@ -50,7 +50,7 @@ def go_on(env, steps, seed=1):
 
 
 @pytest.mark.parametrize("mode", ["input", "gains"])
-@pytest.mark.parametrize("interface", ["physical", "local"])
+@pytest.mark.parametrize("interface", ["physical", "scaled"])
 @pytest.mark.parametrize("name", ["energy", "energy-switching-transformed", "random-energy", BLOCKS_SWITCHING])
 def test_shapes_dtypes_and_memory_order_are_as_documented(name, interface, mode, block_size):
     env = make(name, steps=400, interface=interface, action_mode=mode, reward={"digits": 1.0, "payoff": 1e-3})
@@ -81,7 +81,7 @@ def test_shapes_dtypes_and_memory_order_are_as_documented(name, interface, mode,
     assert all(env.single_observation_space.contains(row) for row in outcome.observations.reshape(-1, size))
 
 
-@pytest.mark.parametrize("interface", ["physical", "local"])
+@pytest.mark.parametrize("interface", ["physical", "scaled"])
 @pytest.mark.parametrize("name", ["energy", "energy-switching-transformed", "random-energy"])
 def test_returned_arrays_never_change_and_are_not_shared(name, interface, block_size):
     env = make(name, steps=400, max_cycles=7, interface=interface, reward={"digits": 1.0, "tracking": 0.1})
@@ -128,7 +128,7 @@ def test_writing_into_returned_or_passed_arrays_changes_nothing(block_size):
 
 @pytest.mark.parametrize("duplicate", [copy.deepcopy, lambda env: pickle.loads(pickle.dumps(env))])  # noqa: S301
 def test_a_copy_continues_identically_and_independently(duplicate, block_size):
-    env = make("random-energy-switching-transformed", steps=400, max_cycles=9, interface="local")
+    env = make("random-energy-switching-transformed", steps=400, max_cycles=9, interface="scaled")
     env.reset(seed=0)
     go_on(env, 5)
     twin = duplicate(env)
@@ -469,7 +469,7 @@ def buffers_of(env, rewards=np.float64, fill=7):
 
 
 @pytest.mark.parametrize("threads", [1, 2, 3])
-@pytest.mark.parametrize("interface", ["physical", "local"])
+@pytest.mark.parametrize("interface", ["physical", "scaled"])
 def test_steps_and_resets_write_into_the_buffers_of_the_caller(interface, threads, block_size, path):
     env, fresh = make(max_cycles=4, interface=interface, threads=threads), make(max_cycles=4, interface=interface)
     generators, out = [np.random.default_rng(0) for _ in range(2)], buffers_of(env)
@@ -583,7 +583,7 @@ def test_a_wrong_buffer_is_refused_and_nothing_changes(case, path):
 # --- threads ----------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("interface", ["physical", "local"])
+@pytest.mark.parametrize("interface", ["physical", "scaled"])
 @pytest.mark.parametrize("name", ["random-energy-switching-transformed", "non-quadratic"])
 def test_numbers_do_not_depend_on_the_number_of_threads(name, interface, path):
     fields = {"interface": interface, "num_envs": 7, "max_cycles": 5, "steps": 400, "start": "random"}

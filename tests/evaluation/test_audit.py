@@ -70,7 +70,7 @@ def test_a_run_audits_every_policy_that_does_not_ship(tmp_path):
     for policy in (
         get_policy_spec(str(own)),
         PolicySpec("class", laws.Static),
-        PolicySpec("object", FactorySpec.of("elsewhere:Law"), Interface()),
+        PolicySpec("object", FactorySpec.of("elsewhere:Law"), Interface("physical")),
         PolicySpec("part", FactorySpec.of("ptne_env.laws:Static", kappa=FactorySpec.of("elsewhere:gain"))),
     ):
         assert not policy.ships

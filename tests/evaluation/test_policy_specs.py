@@ -90,7 +90,7 @@ def test_a_spec_lists_its_foreign_code():
     bad = FactorySpec.of("os:system", command="ls")
     archive = FactorySpec.of(ARCHIVE, path="model.zip")
     law = FactorySpec.of("ptne_env.laws:Static", kappa=bad)
-    spec = PolicySpec("several", (REFERENCES[1].policy, archive, law), Interface())
+    spec = PolicySpec("several", (REFERENCES[1].policy, archive, law), Interface("physical"))
     assert spec.foreign_code == ["model.zip", "os:system"]
     assert spec.is_foreign
     assert not any(policy.is_foreign for policy in suite_policies())
@@ -104,7 +104,7 @@ def test_a_spec_lists_its_foreign_code():
         {"training_seeds": [{"target": 3, "arguments": {}}]},
         {"training_seeds": [3]},
         {"training_seeds": []},
-        {"interface": {"kind": "local", "colour": "red"}},
+        {"interface": {"kind": "scaled", "colour": "red"}},
         {"interface": None},
         {"scenarios": 7},
     ],
@@ -123,7 +123,7 @@ def archive(tmp_path_factory):
     from ptne_env.envs.sb3 import PlayerVecEnv
 
     path = tmp_path_factory.mktemp("archive") / "model.zip"
-    env = PlayerVecEnv(BASE, 2, interface="local")
+    env = PlayerVecEnv(BASE, 2, interface="scaled")
     PPO("MlpPolicy", env, n_steps=20, batch_size=20, device="cpu", seed=0).save(path)
     return str(path)
 
@@ -138,8 +138,8 @@ def test_an_archive_acts_as_its_model_does(archive):
     from stable_baselines3 import PPO
 
     policy = get_policy_spec(archive, trust=True)
-    assert policy.interface == ptne_env.Interface("local")
-    env = ptne_env.parallel_env(BASE, interface="local")
+    assert policy.interface == ptne_env.Interface("scaled")
+    env = ptne_env.parallel_env(BASE, interface="scaled")
     observations, _ = env.reset(seed=0)
     rows = np.stack(list(observations.values()))
     ours, _ = policy.build(env.layout).predict(rows, deterministic=True)
@@ -221,6 +221,6 @@ def test_the_interface_of_a_model_is_recognised_by_its_spaces(kind, mode):
 
 
 def test_a_model_with_another_interface_is_refused_with_advice():
-    spec = PolicySpec("mine", trained_model(Interface("learner")), Interface("physical"))
+    spec = PolicySpec("mine", trained_model(Interface("scaled")), Interface("physical"))
     with pytest.raises(ValueError, match=r"shape \(24,\).*'physical' has \(28,\).*PolicySpec\(name, model, "):
         evaluate(spec, ptne_env.get_scenario("energy", steps=120), episodes=1)

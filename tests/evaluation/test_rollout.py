@@ -17,7 +17,7 @@ from ptne_env.world.world import World
 
 def run(scenario, policy, interface=None, episodes=4, seed=3):
     world = World(scenario)
-    encoder = make_encoder(world, interface or Interface())
+    encoder = make_encoder(world, interface or Interface("physical"))
     return world, rollout(policy(encoder.layout), encoder, EpisodeSet(episodes, seed).initial_state(world))
 
 
@@ -168,7 +168,7 @@ def test_settling_time_is_the_first_instant_after_which_the_distance_stays_insid
 
 def test_a_rollout_records_the_series_that_are_named():
     world = World(ptne_env.get_scenario("energy", start="random"))
-    encoder = make_encoder(world, Interface())
+    encoder = make_encoder(world, Interface("physical"))
     start, law = EpisodeSet(3).initial_state(world), laws.Static(encoder.layout)
     some = rollout(law, encoder, start, series=["estimate_distance"]).series
     assert list(some) == ["estimate_distance"]

@@ -69,10 +69,10 @@ def test_a_policy_may_be_a_class_a_factory_spec_a_callable_or_an_object():
 def test_the_two_interfaces_agree_where_no_action_saturates():
     policies = [
         PolicySpec("physical", laws.Static),
-        PolicySpec("local", laws.Static, ptne_env.Interface("local")),
+        PolicySpec("local", laws.Static, ptne_env.Interface("scaled")),
     ]
     results = evaluate(policies, [ptne_env.get_scenario("energy", start="random")], episodes=5)
-    physical, local = (results.record("energy", name, "digits")["mean"] for name in ("physical", "local"))
+    physical, local = (results.record("energy", name, "digits")["mean"] for name in ("physical", "scaled"))
     assert local == pytest.approx(physical, abs=1e-5)
 
 
@@ -175,7 +175,7 @@ def test_results_do_not_depend_on_the_number_of_processes(monkeypatch):
         (["static"], [], "needs at least one scenario"),
         (["no.such.module:thing"], ["energy"], "cannot import"),
         (["ptne_env.laws:NoSuchLaw"], ["energy"], "has no 'NoSuchLaw'"),
-        ([PolicySpec("blind", laws.CentralisedOracle, ptne_env.Interface())], ["energy"], "interface 'full'"),
+        ([PolicySpec("blind", laws.CentralisedOracle, ptne_env.Interface("physical"))], ["energy"], "interface 'full'"),
         (["ppo-random-energy"], ["robots"], "fits no track: the policy was made for another layout"),
     ],
 )

@@ -79,7 +79,7 @@ def test_every_track_is_a_valid_world_with_a_sentence():
     for track in suite.tracks:
         assert track.change.endswith(".")
         assert "\n" not in track.change
-        make_encoder(World(track.scenario), Interface())
+        make_encoder(World(track.scenario), Interface("physical"))
     names = [track.name for track in suite.tracks]
     assert names[0] == "nominal"
     assert suite.track("nominal").scenario == BASE.replace(name="nominal")
@@ -114,7 +114,7 @@ def test_an_environment_replays_an_episode_of_a_track(name):
     suite = get_suite("ptne-v1")
     track = suite.track(name)
     world = World(track.scenario)
-    encoder = make_encoder(world, Interface())
+    encoder = make_encoder(world, Interface("physical"))
     start = suite.episode_set(name, 3).initial_state(world)
     found = rollout(laws.Static(encoder.layout), encoder, start)
 
@@ -131,7 +131,7 @@ def test_an_environment_replays_an_episode_of_a_track(name):
 
 def test_a_team_of_two_static_laws_is_the_static_law():
     world = World(BASE)
-    encoder = make_encoder(world, Interface())
+    encoder = make_encoder(world, Interface("physical"))
     start = get_suite("ptne-v1").episode_set("mixed-team", 4).initial_state(world)
     alone = rollout(laws.Static(encoder.layout), encoder, start)
     team = rollout(laws.Static(encoder.layout), encoder, start, Member(laws.Static(encoder.layout), encoder, (1, 3)))
@@ -151,7 +151,7 @@ class Watching:
 
 def test_members_of_a_team_see_their_own_players_through_their_own_interface():
     world = World(BASE)
-    physical, local = make_encoder(world, Interface()), make_encoder(world, Interface("local"))
+    physical, local = make_encoder(world, Interface("physical")), make_encoder(world, Interface("scaled"))
     one, other = Watching(physical.layout), Watching(local.layout)
     start = get_suite("ptne-v1").episode_set("mixed-team", 2).initial_state(world)
     rollout(one, physical, start, Member(other, local, (1, 3)))
@@ -163,7 +163,7 @@ def test_members_of_a_team_see_their_own_players_through_their_own_interface():
 
 def test_teammates_act_in_place_of_the_policy():
     world = World(BASE)
-    encoder = make_encoder(world, Interface())
+    encoder = make_encoder(world, Interface("physical"))
     start = get_suite("ptne-v1").episode_set("mixed-team", 2).initial_state(world)
     zero, law = laws.ZeroInput(encoder.layout), laws.Static(encoder.layout)
     none, some, others = (

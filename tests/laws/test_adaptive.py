@@ -16,7 +16,7 @@ def gains_along(env, law, **reset):
     return np.array(gains)
 
 
-@pytest.mark.parametrize("kind", ["physical", "local"])
+@pytest.mark.parametrize("kind", ["physical", "scaled"])
 @pytest.mark.parametrize("name", ["energy", "energy-switching"])
 def test_gains_start_at_the_initial_gain_and_never_fall(name, kind):
     env = make_env(name, interface=kind)

@@ -46,7 +46,7 @@ OTHER_GAINS = {
 }
 CASES = [*((name, law) for name in FROM_THE_PAPER for law in LAWS), *(("energy", law) for law in OTHER_GAINS)]
 LAWS |= OTHER_GAINS
-KINDS = ["physical", "local"]
+KINDS = ["physical", "scaled"]
 IN_REACH = 40.0
 """Under ``local``, κ = 10 asks for up to 41 σ_i, so the action scale is raised, as a user would."""
 

@@ -18,7 +18,7 @@ HVAC = energy_scenario(1.0, (50.0, 55.0, 60.0, 65.0, 70.0), RING).replace(
 HVAC_EQUILIBRIUM = (41.535, 46.437, 51.339, 56.241, 61.143)
 
 
-@pytest.mark.parametrize("kind", ["physical", "local"])
+@pytest.mark.parametrize("kind", ["physical", "scaled"])
 def test_twelve_digits_survive_float32_observations_and_actions(kind):
     env = make_env("energy", interface=kind)
     states, steps = play(env, laws.Grounded(env.layout, kappa=2.0))
@@ -58,7 +58,7 @@ def grounded_errors(estimates, adjacency, owners):
     return result
 
 
-@pytest.mark.parametrize("kind", ["physical", "local"])
+@pytest.mark.parametrize("kind", ["physical", "scaled"])
 @pytest.mark.parametrize("scenario", [get_scenario("energy", start="random"), BLOCKS], ids=lambda world: world.name)
 def test_adaptive_grounded_law_is_its_equation(scenario, kind):
     world, encoder = world_and_encoder(scenario, kind=kind, action_scale=1e3)

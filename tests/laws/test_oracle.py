@@ -7,7 +7,7 @@ from ptne_env.shared.random_streams import RandomStreams
 from ptne_env.world import dynamics
 
 
-@pytest.mark.parametrize("kind", ["physical", "local"])
+@pytest.mark.parametrize("kind", ["physical", "scaled"])
 def test_oracle_needs_the_interface_full(kind):
     with pytest.raises(
         ValueError, match=f"CentralisedOracle is an oracle and needs the interface 'full', got '{kind}'"

@@ -43,7 +43,7 @@ SPECIAL = [
 
 
 def observe_for(law, scenario="energy", batch=3):
-    return observe(scenario, batch, **asdict(getattr(law, "interface", Interface())))
+    return observe(scenario, batch, **asdict(getattr(law, "interface", Interface("physical"))))
 
 
 def observe(scenario="energy", batch=3, **interface):
@@ -78,7 +78,7 @@ def test_a_law_is_built_from_a_layout_and_returns_a_memory():
         Forgetful(layout).predict(observations)
 
 
-@pytest.mark.parametrize("kind", ["physical", "local"])
+@pytest.mark.parametrize("kind", ["physical", "scaled"])
 @pytest.mark.parametrize("law", LAWS)
 @pytest.mark.parametrize(
     "scenario", ["energy", "energy-switching", BLOCKS], ids=lambda world: getattr(world, "name", world)
@@ -190,7 +190,7 @@ def test_zero_input_stays_at_the_start():
     assert [reward for step in steps for reward in step[1].values()] == [0.0] * 50
 
 
-@pytest.mark.parametrize("interface", [{}, {"kind": "local"}, {"action_mode": "gains"}])
+@pytest.mark.parametrize("interface", [{}, {"kind": "scaled"}, {"action_mode": "gains"}])
 def test_random_policy_fills_the_action_box_and_repeats_with_its_seed(interface):
     layout = world_and_encoder("energy", **interface)[1].layout
     observations = np.zeros((4000, layout.size), dtype=np.float32)

@@ -14,7 +14,7 @@ AFFINE = {
 }
 
 
-@pytest.mark.parametrize("kind", ["physical", "local"])
+@pytest.mark.parametrize("kind", ["physical", "scaled"])
 @pytest.mark.parametrize("name", AFFINE)
 def test_environment_is_the_product_of_the_step_matrices_through_float32(name, kind):
     env = make_env(AFFINE[name], interface=kind, hold_steps=20)
@@ -37,7 +37,7 @@ def test_readme_example_ends_at_the_printed_distance():
     assert error == pytest.approx(6.5e-5, rel=0.05)
 
 
-@pytest.mark.parametrize("kind", ["physical", "local"])
+@pytest.mark.parametrize("kind", ["physical", "scaled"])
 @pytest.mark.parametrize("name", ["energy", "energy-switching", "non-quadratic", "blocks"])
 def test_gains_at_zero_are_the_static_law_at_kappa_two(name, kind):
     scenario = BLOCKS if name == "blocks" else name
@@ -109,7 +109,7 @@ def test_laws_refuse_the_action_mode_gains(law):
         law(layout)
 
 
-@pytest.mark.parametrize("kind", ["physical", "local"])
+@pytest.mark.parametrize("kind", ["physical", "scaled"])
 def test_corollary_one_is_the_static_input_over_the_time_gain(kind):
     world, encoder = world_and_encoder("energy", **vars(Interface(kind, action_scale=100.0)))
     state = dynamics.initial_state(world, np.random.default_rng(0).uniform(-20, 20, (5, 5, 1)))

@@ -86,7 +86,7 @@ def test_damaged_onnx_files_are_refused_or_decide(tmp_path):
 @pytest.mark.filterwarnings("ignore")  # of Stable-Baselines3, torch and pickle about what they find
 def test_damaged_archives_that_are_trusted_are_refused_or_decide(tmp_path):
     rng = np.random.default_rng(0)
-    env = PlayerVecEnv("random-energy", 1, interface="local")
+    env = PlayerVecEnv("random-energy", 1, interface="scaled")
     PPO("MlpPolicy", env, policy_kwargs={"net_arch": [4]}, device="cpu", seed=0).save(tmp_path / "model.zip")
     content, paths = (tmp_path / "model.zip").read_bytes(), [tmp_path / "model.zip"]
     for number in range(ARCHIVES):

@@ -28,7 +28,7 @@ from ptne_env.world.world import World
 
 def metadata(**changes):
     values = {
-        "interface": Interface("local"),
+        "interface": Interface("scaled"),
         "action_dims": (1,) * 5,
         "slots": 2,
         "scenarios": ("random-energy",),
@@ -60,7 +60,7 @@ def write(path, size=28, actions=5, properties=None):
 
 @pytest.fixture
 def layout():
-    return ptne_env.parallel_env("random-energy", interface="local").layout
+    return ptne_env.parallel_env("random-energy", interface="scaled").layout
 
 
 def test_a_policy_acts_in_the_environment_of_its_layout(tmp_path, layout):
@@ -92,7 +92,7 @@ def test_metadata_from_before_the_declaration_of_knowledge_declare_own_links():
     ("changes", "named"),
     [
         ({"interface": Interface("physical")}, "interface"),
-        ({"interface": Interface("local", action_scale=4.0)}, "interface"),
+        ({"interface": Interface("scaled", action_scale=4.0)}, "interface"),
         ({"action_dims": (1,) * 6}, "action_dims"),
         ({"slots": 3}, "neighbour slots"),
     ],
@@ -104,7 +104,7 @@ def test_another_layout_is_refused_and_named(tmp_path, layout, changes, named):
     with pytest.raises(PolicyFileError, match=named):
         policies.load(tmp_path / "mine.onnx", layout)
     with pytest.raises(PolicyFileError, match="another layout"):
-        ptne_env.PolicySpec("mine", policy, Interface("local")).build(layout)
+        ptne_env.PolicySpec("mine", policy, Interface("scaled")).build(layout)
 
 
 def test_observations_of_another_length_are_refused(tmp_path):
@@ -150,7 +150,7 @@ def test_a_foreign_file_is_refused(tmp_path, content):
                 {"versions": {"torch": 2}},
                 {"scenarios": [3]},
                 {"scenarios": ["\x1b[31mred"]},
-                {"interface": {"kind": "local", "own_payoff": [1]}},
+                {"interface": {"kind": "scaled", "own_payoff": [1]}},
                 {"interface": {"kind": ["local"]}},
             )
         ),

@@ -133,7 +133,7 @@ def test_onnx_files_with_vectorised_functions_decide_rows_alike(tmp_path, operat
     ],
 )
 def test_archives_decide_rows_alike(tmp_path, algorithm, network, arguments):
-    env = PlayerVecEnv("random-energy", 1, interface="local")
+    env = PlayerVecEnv("random-energy", 1, interface="scaled")
     path = str(tmp_path / "model.zip")
     algorithm(network, env, seed=0, device="cpu", policy_kwargs=arguments).save(path)
     policy = load_archive(path)

@@ -71,7 +71,7 @@ def test_a_physical_observation_follows_the_table_of_slices(name):
 
 @pytest.mark.parametrize("name", WORLDS)
 def test_local_observation_is_scaled_and_in_ego_order(name):
-    world, encoder = world_and_encoder(WORLDS[name], kind="local")
+    world, encoder = world_and_encoder(WORLDS[name], kind="scaled")
     state, layout, game = wander(world), encoder.layout, world.game
     n = game.dimension
     observations = encoder.observe(state)
@@ -97,7 +97,7 @@ def test_local_observation_is_scaled_and_in_ego_order(name):
 
 @pytest.mark.parametrize("factor", [1e-9, 1e-3, 1e3])
 def test_a_scaled_error_changes_only_the_scale_of_a_local_observation(factor):
-    world, encoder = world_and_encoder("energy", kind="local")
+    world, encoder = world_and_encoder("energy", kind="scaled")
     equilibrium = world.game.nash_equilibrium[:, None, None]
     error = np.random.default_rng(0).integers(-8, 8, (5, 5, 1)) / 8
     near, far = (
@@ -111,7 +111,7 @@ def test_a_scaled_error_changes_only_the_scale_of_a_local_observation(factor):
 
 
 def test_player_at_rest_observes_the_smallest_scale():
-    world, encoder = world_and_encoder(BLOCKS, kind="local")
+    world, encoder = world_and_encoder(BLOCKS, kind="scaled")
     at_rest = np.repeat(np.zeros((6, 1)), 3, axis=1)[:, :, None]
     moving = dynamics.initial_state(world, at_rest)
     state = moving._replace(estimates=at_rest, own_gradients=np.zeros((6, 1)))
@@ -153,7 +153,7 @@ def test_neighbour_estimates_repeat_the_own_one_on_a_down_link(name):
 
 
 def test_neighbour_estimates_need_the_own_estimate():
-    world, encoder = world_and_encoder("energy", kind="local")
+    world, encoder = world_and_encoder("energy", kind="scaled")
     with pytest.raises(ValueError, match="'local' layout has no 'own_estimate'; it has own_gradient, "):
         encoder.layout.neighbour_estimates(encoder.observe(wander(world)))
 
@@ -240,7 +240,7 @@ def test_physical_action_is_the_input_clipped_to_the_limit():
 
 @pytest.mark.parametrize("name", ["energy", "blocks", "blocks-switching"])
 def test_local_action_is_in_units_of_the_scale_and_in_ego_order(name):
-    world, encoder = world_and_encoder(get_scenario(WORLDS[name], input_limit=30.0), kind="local", action_scale=4.0)
+    world, encoder = world_and_encoder(get_scenario(WORLDS[name], input_limit=30.0), kind="scaled", action_scale=4.0)
     state, game, n = wander(world), world.game, encoder.layout.dimension
     actions = np.random.default_rng(0).uniform(-1.5, 1.5, (2, game.num_players, n)).astype(np.float32)
     inputs, clipped = encoder.decode(actions, state), encoder.clip(actions).clipped
@@ -279,10 +279,10 @@ def test_gains_weigh_gradient_and_consensus(name, kind):
 
 
 def test_a_local_action_uses_the_scale_of_its_own_state():
-    world, encoder = world_and_encoder("energy", kind="local")
+    world, encoder = world_and_encoder("energy", kind="scaled")
     first, second = wander(world, steps=0), wander(world, steps=80)
     actions = np.random.default_rng(0).uniform(-1, 1, (2, 5, 5)).astype(np.float32)
-    expected = [world_and_encoder("energy", kind="local")[1].decode(actions, state) for state in (first, second)]
+    expected = [world_and_encoder("energy", kind="scaled")[1].decode(actions, state) for state in (first, second)]
     assert not np.array_equal(*expected)
     encoder.observe(first)
     assert np.array_equal(encoder.decode(actions, second), expected[1])
@@ -419,7 +419,7 @@ def test_actions_at_the_bound_of_learners_are_those_at_the_bound_of_local():
     world, encoder = world_and_encoder(BLOCKS, kind="learner")
     state = wander(world, batch=1)
     actions = encoder.layout.action_bound * np.random.default_rng(0).uniform(-1, 1, (1, 3, 6))
-    expected = world_and_encoder(BLOCKS, kind="local")[1].decode(actions / encoder.layout.action_bound, state)
+    expected = world_and_encoder(BLOCKS, kind="scaled")[1].decode(actions / encoder.layout.action_bound, state)
     assert encoder.decode(actions, state) == pytest.approx(expected, rel=1e-6)
 
 

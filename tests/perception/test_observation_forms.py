@@ -63,7 +63,7 @@ def flat_from_graph(graph, layout, observers):
     return flat_from_padded(padded, layout, observers)
 
 
-@pytest.mark.parametrize("interface", ["physical", "local"])
+@pytest.mark.parametrize("interface", ["physical", "scaled"])
 @pytest.mark.parametrize("arguments", CASES, ids=NAMES)
 def test_graphs_hold_the_numbers_of_the_flat_observation(arguments, interface):
     arguments = {**arguments, "interface": interface}
@@ -143,10 +143,10 @@ def test_pettingzoo_accepts_the_environment(arguments, form, capsys):
 
 @pytest.mark.parametrize("form", FORMS)
 def test_gymnasium_accepts_the_joint_environment(form):
-    env = gymnasium.make("ptne/random-energy-switching-joint-v0", interface="local", observation=form)
+    env = gymnasium.make("ptne/random-energy-switching-joint-v0", interface="scaled", observation=form)
     check_env(env.unwrapped, skip_render_check=True)
     vector = gymnasium.make_vec(
-        "ptne/energy-joint-v0", num_envs=2, vectorization_mode="sync", interface="local", observation=form
+        "ptne/energy-joint-v0", num_envs=2, vectorization_mode="sync", interface="scaled", observation=form
     )
     observations, _ = vector.reset(seed=0)
     assert observations in vector.observation_space
@@ -156,7 +156,7 @@ def test_stable_baselines3_accepts_padded_graphs():
     sb3 = need_sb3("stable_baselines3.common.env_checker")
     # It recommends vectors, or a policy of one's own for other arrays, which a graph network is.
     with pytest.warns(UserWarning, match="unconventional shape") as caught:
-        sb3.check_env(JointEnv("energy", interface="local", observation="padded-graph"))
+        sb3.check_env(JointEnv("energy", interface="scaled", observation="padded-graph"))
     assert {str(each.message).split()[2] for each in caught} == {"nodes", "edges", "edge_links"}
 
 
@@ -165,7 +165,7 @@ def test_members_of_the_vecenv_see_the_graph_of_their_flat_observation():
     from ptne_env.envs.sb3 import PlayerVecEnv
 
     flat, graph = (
-        PlayerVecEnv("random-energy", 2, seed=0, interface="local", max_cycles=3, observation=form)
+        PlayerVecEnv("random-energy", 2, seed=0, interface="scaled", max_cycles=3, observation=form)
         for form in ("flat", "padded-graph")
     )
     rows, shown = flat.reset(), graph.reset()
@@ -197,7 +197,7 @@ def test_an_unknown_form_is_an_error():
 
 
 def test_a_form_makes_graphs_of_any_batch_of_flat_observations():
-    vector = VectorParallelEnv("random-energy-switching", 3, interface="local")
+    vector = VectorParallelEnv("random-energy-switching", 3, interface="scaled")
     rows = vector.reset(seed=0)
     form = make_form("padded-graph", vector.layout)
     assert np.array_equal(flat_from_padded(form.show(rows), vector.layout, 1)[:, :, 0], rows)

@@ -141,7 +141,7 @@ def encoder_of(scenario):
     """The encoder of the default interface, without the warning that evenly spaced steps in t end early."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        return make_encoder(World(scenario), Interface())
+        return make_encoder(World(scenario), Interface("physical"))
 
 
 def slowest_mode(matrix):

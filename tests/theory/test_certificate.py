@@ -198,7 +198,7 @@ def test_a_certificate_needs_a_scenario(scenario):
     "law",
     [
         laws.Grounded,
-        laws.Grounded(make_encoder(World(get_scenario("energy")), Interface()).layout),
+        laws.Grounded(make_encoder(World(get_scenario("energy")), Interface("physical")).layout),
         lambda layout: laws.Grounded(layout, kappa=2.0),
         "Grounded",
         "ptne_env.laws:Grounded",
@@ -223,7 +223,7 @@ def energy_grounded():
         ({"law": "gruonded"}, ValueError, r"unknown law 'gruonded'; did you mean 'Grounded'.*get_policy_spec\("),
         ({"law": 5}, TypeError, "law is a class, function, law, name, FactorySpec or PolicySpec of one policy, got 5"),
         (
-            {"law": laws.Static(make_encoder(World(get_scenario("oligopoly")), Interface()).layout)},
+            {"law": laws.Static(make_encoder(World(get_scenario("oligopoly")), Interface("physical")).layout)},
             ValueError,
             "layout",
         ),

@@ -333,7 +333,7 @@ def test_zero_faults_are_the_perfect_channel():
             channel_part("Loss", probability=0.0),
         ),
     )
-    for interface in ("physical", "local"):
+    for interface in ("physical", "scaled"):
         plain, faulty = (World(SWITCHING.replace(channel=channel)) for channel in ("perfect", none))
         encoders = [make_encoder(world, Interface(interface)) for world in (plain, faulty)]
         states = [begin(world, range(3)) for world in (plain, faulty)]
@@ -610,7 +610,7 @@ def test_values_on_a_down_link_have_no_effect(name):
     assert received > 100
 
 
-@pytest.mark.parametrize("kind", ["physical", "local"])
+@pytest.mark.parametrize("kind", ["physical", "scaled"])
 def test_observation_does_not_depend_on_players_without_a_link(kind):
     world = World(FAULTY.replace(disturbance="none"))
     encoder = make_encoder(world, Interface(kind))
@@ -663,7 +663,7 @@ stage_parts = st.one_of(
 
 @settings(max_examples=40)
 @given(
-    st.lists(stage_parts, max_size=8), st.sampled_from(["physical", "local"]), st.integers(0, 2**32), st.floats(0, 1e5)
+    st.lists(stage_parts, max_size=8), st.sampled_from(["physical", "scaled"]), st.integers(0, 2**32), st.floats(0, 1e5)
 )
 def test_observations_under_any_chain_are_in_their_space(stages, kind, seed, size):
     scenario = FAULTY.replace(channel=channel_part("Chain", stages=stages), input_limit=1e6)

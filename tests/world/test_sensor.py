@@ -65,7 +65,7 @@ def test_laws_see_the_sensor_and_oracles_see_the_truth():
     np.testing.assert_allclose(select(seen, "own_gradient"), state.own_gradients, rtol=1e-6)
     exact = world.game.pseudo_gradient(dynamics.strategies(world, state))
     np.testing.assert_allclose(select(seen, "pseudo_gradient"), np.tile(exact.T, (5, 1)), rtol=1e-6)
-    local = make_encoder(world, Interface("local"))
+    local = make_encoder(world, Interface("scaled"))
     scaled, select = local.observe(state)[0], local.layout.select
     units = 10 ** select(scaled, "log_scale").astype(np.float64)
     np.testing.assert_allclose(select(scaled, "own_gradient") * units, state.own_gradients, rtol=1e-4)

@@ -320,8 +320,7 @@ def _parameters(spec: PolicySpec) -> Iterable[tuple[str, str, str, str]]:
     for seed in spec.to_dict()["training_seeds"]:
         arguments = ", ".join(f"{key}={value!r}" for key, value in seed.get("arguments", {}).items())
         files = ", ".join(f"{name} {digest[:12]}" for name, digest in seed.get("files", {}).items())
-        interface = f"{spec.interface.kind}, {spec.interface.action_mode}"
-        yield spec.name, f"{seed['target']}({arguments})", interface, files
+        yield spec.name, f"{seed['target']}({arguments})", spec.interface.kind, files
 
 
 # --- figures --------------------------------------------------------------------------------------------------------

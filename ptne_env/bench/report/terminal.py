@@ -269,15 +269,14 @@ def _policies() -> Iterator[RenderableType]:
 
 def _acts(spec: PolicySpec) -> str:
     """The interface where it is another one than that of most laws."""
-    kind, mode = spec.interface.kind, spec.interface.action_mode
-    return f"interface {kind}" * (kind != "physical") + f", actions {mode}" * (mode != "input")
+    return f"interface {spec.interface.kind}" * (spec.interface.kind != "physical")
 
 
 def _knows(spec: PolicySpec) -> str:
     """The graphs that a policy knows, with all that other policies do not have."""
     known = spec.knowledge
     memory = {"yes": ", memory", "no": "", "unknown": ", memory unknown"}[known["memory"]]
-    return f"knows {known['graphs']}{memory}" + ", coded estimates" * (known["estimates"] == "coded")
+    return f"knows {known['graphs']}{memory}"
 
 
 def _metrics() -> Iterator[RenderableType]:

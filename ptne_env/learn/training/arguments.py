@@ -14,7 +14,7 @@ from pydantic.dataclasses import dataclass
 
 from ptne_env.evaluation.suite import world_names
 from ptne_env.learn.training import CONFIGURATIONS, SIZE_FREE, all_configurations, configurations
-from ptne_env.perception.observation import ActionMode, InterfaceKind
+from ptne_env.perception.observation import InterfaceKind
 from ptne_env.shared.files import DamagedFileError, require_file
 from ptne_env.shared.names import unknown_name
 
@@ -80,8 +80,7 @@ class Arguments:
     Attributes:
         scenarios: names of scenarios or families of games, or tracks such as ``"ptne-v1/delay"``. Several share the
             environments evenly; their layouts must agree.
-        interface: ``"local"``, ``"learner"`` or ``"physical"``.
-        action_mode: ``"input"`` or ``"gains"``.
+        interface: ``"scaled"`` or ``"physical"``.
         steps: agent-steps of training, below 2^32.
         envs: environments stepped together, of all scenarios.
         rollout: steps of every environment between updates.
@@ -104,8 +103,7 @@ class Arguments:
     """
 
     scenarios: Annotated[tuple[str, ...], Field(min_length=1), BeforeValidator(as_tuple)]
-    interface: InterfaceKind = "local"
-    action_mode: ActionMode = "input"
+    interface: InterfaceKind = "scaled"
     steps: Annotated[int, Field(gt=0, lt=WORD)] = 6_000_000
     envs: PositiveInt = 128
     rollout: PositiveInt = 50

@@ -1,6 +1,6 @@
 """Settings with which algorithms of Stable-Baselines3 learn in seconds to minutes in ``PlayerVecEnv``.
 
-They are for the interface ``learner``, the default of :class:`~ptne_env.envs.sb3.PlayerVecEnv`::
+They are for the interface ``scaled``, the default of :class:`~ptne_env.envs.sb3.PlayerVecEnv`::
 
     env = PlayerVecEnv("random-energy", num_envs=32, seed=0)
     model = PPO("MlpPolicy", env, **defaults.PPO).learn(300_000)

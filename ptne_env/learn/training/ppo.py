@@ -109,7 +109,6 @@ def make_env(arguments: Arguments) -> PlayerVecEnv | MixedPlayerVecEnv:
             find_scenario(name),
             share,
             interface=arguments.interface,
-            action_mode=arguments.action_mode,
             max_cycles=None,
         )
         for name in arguments.scenarios

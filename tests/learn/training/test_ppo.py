@@ -41,11 +41,11 @@ def run(tmp_path_factory, build_once):
 
 def test_training_gains_digits_over_its_own_start(run):
     _, summary, _ = run
-    env = PlayerVecEnv("random-energy", interface="local")
+    env = PlayerVecEnv("random-energy", interface="scaled")
     torch.manual_seed(0)
     untrained = PPO("MlpPolicy", env, policy_kwargs={"activation_fn": torch.nn.Tanh}, device="cpu", seed=0)
     results = evaluate(
-        [PolicySpec("untrained", untrained, Interface("local"))],
+        [PolicySpec("untrained", untrained, Interface("scaled"))],
         [ptne_env.get_scenario("random-energy")],
         episodes=50,
         split="validation",
@@ -304,7 +304,7 @@ def test_the_exported_policy_acts_like_the_model_over_whole_episodes(kind, mode,
 
 
 def test_a_layer_that_cannot_be_exported_is_named():
-    env = PlayerVecEnv("random-energy", interface="local")
+    env = PlayerVecEnv("random-energy", interface="scaled")
     model = PPO("MlpPolicy", env, policy_kwargs={"activation_fn": torch.nn.ReLU}, device="cpu")
     with pytest.raises(ValueError, match="ReLU"):
         to_onnx(model, env.layout, scenarios=("random-energy",), seed=0, digits=0.0)
