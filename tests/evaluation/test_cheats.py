@@ -61,7 +61,7 @@ UNTESTED = ("EndsParent", "ChangesResults", "Forges", "Complex", "Booleans", "Ma
 
 
 def spec(name, target, **arguments):
-    return PolicySpec(name, FactorySpec.of(f"cheats.{target}", **arguments), Interface())
+    return PolicySpec(name, FactorySpec.of(f"cheats.{target}", **arguments), Interface("physical"))
 
 
 def digits(results, policy):
@@ -71,7 +71,7 @@ def digits(results, policy):
 def mixing_file(folder):
     """The path of a policy file that mixes rows."""
     path = folder / "mixing.onnx"
-    path.write_bytes(row_mixing_file(make_encoder(RING.tracks[0].world, Interface()).layout))
+    path.write_bytes(row_mixing_file(make_encoder(RING.tracks[0].world, Interface("physical")).layout))
     return path
 
 
@@ -106,7 +106,7 @@ def test_cheats_that_mix_rows_fail_the_audit(honest, tmp_path):
 )
 def test_policies_that_use_links_of_others_fail_unless_they_declare_it(target, reason):
     declared = dataclasses.replace(
-        spec("declared", f"other_links:{target}"), interface=Interface(graph_knowledge="union")
+        spec("declared", f"other_links:{target}"), interface=Interface("physical", "union")
     )
     results = run_suite(RING, [spec("hidden", f"other_links:{target}"), declared])
     assert list(results.failures) == [("ring", "hidden")]

@@ -28,7 +28,7 @@ def published(tmp_path_factory, build_once):
     def build():
         folder = tmp_path_factory.mktemp("published")
         policy = folder / "mixed.onnx"
-        layout = make_encoder(get_suite("ptne-v1").track("coarse-step").world, Interface()).layout
+        layout = make_encoder(get_suite("ptne-v1").track("coarse-step").world, Interface("physical")).layout
         policy.write_bytes(row_mixing_file(layout))
         policies = ["grounded", "ppo-random-energy", str(policy)]
         written(run_suite("ptne-v1", policies, tracks=TRACKS, episodes=2, folder=folder), folder)

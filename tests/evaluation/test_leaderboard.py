@@ -93,7 +93,7 @@ def test_training_seeds_are_shared_by_all_tracks():
 
 def test_honest_entries_are_ranked_without_coded_ones_and_oracles():
     digits = REFERENCES | {"code": [[[12.0, 12.0]]] * 2, "weak-code": [[[1.0, 1.0]]] * 2, "mine": [[[5.0, 5.0]]] * 2}
-    coded = entry("code", estimates="coded")
+    coded = entry("code")
     board = board_of(digits, code=coded, mine=entry("mine"), **{"weak-code": replace(coded, name="weak-code")})
     rows = overall(board)
     assert [row.policy for row in board.overall] == ["mine", "static", "zero-input", "code", "weak-code", "oracle"]
@@ -104,7 +104,7 @@ def test_honest_entries_are_ranked_without_coded_ones_and_oracles():
 
 def test_the_room_of_a_track_is_the_distance_from_the_best_honest_entry_to_the_ceiling():
     tracks = (replace(SMALL.tracks[0], best_known=5.0, ceiling=9.0), SMALL.tracks[1])
-    board = board_of(REFERENCES | {"code": ORACLE}, tracks, code=entry("code", estimates="coded"))
+    board = board_of(REFERENCES | {"code": ORACLE}, tracks, code=entry("code"))
     first, second = board.scales
     assert (first.best, first.best_digits, first.highest, first.room) == ("static", 4.0, 9.0, 4.0)
     assert (second.best_digits, second.highest, second.room) == (2.0, 12.0, 10.0)

@@ -184,9 +184,9 @@ def test_data_from_before_the_declaration_of_knowledge_are_read():
         (get_policy_spec("static"), ("own links", "no", "honest")),
         (get_policy_spec("adaptive"), ("own links", "yes", "honest")),
         (get_policy_spec("oracle"), ("all", "no", "honest")),
-        (PolicySpec("mine", "object", ptne_env.Interface(estimates="coded")), ("own links", "unknown", "coded")),
+        (PolicySpec("mine", "object", ptne_env.Interface("physical")), ("own links", "unknown", "coded")),
         (
-            PolicySpec("mine", FactorySpec.of("sample_laws:Any"), ptne_env.Interface(graph_knowledge="schedule")),
+            PolicySpec("mine", FactorySpec.of("sample_laws:Any"), ptne_env.Interface("physical", "schedule")),
             ("schedule", "unknown", "honest"),
         ),
     ],

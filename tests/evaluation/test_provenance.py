@@ -41,7 +41,7 @@ def write(tmp_path, monkeypatch):
 
 
 def key(target, **arguments):
-    policy = PolicySpec("mine", FactorySpec.of(target, **arguments), Interface())  # else the module is asked for one
+    policy = PolicySpec("mine", FactorySpec.of(target, **arguments), Interface("physical"))  # else the module is asked for one
     return jobs.Job(SUITE.tracks[0], policy, 0, SUITE.episode_set("ring")).key
 
 

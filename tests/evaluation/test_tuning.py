@@ -72,7 +72,7 @@ def test_groups_hold_the_laws_of_their_names():
 
 def test_every_member_acts_at_all_corners_of_its_ranges():
     scenario = ptne_env.get_scenario("random-energy")
-    layout = make_encoder(World(scenario), ptne_env.Interface(graph_knowledge="schedule")).layout
+    layout = make_encoder(World(scenario), ptne_env.Interface("physical", "schedule")).layout
     for member in FIELD:
         for corner in np.ndindex(*(2,) * len(member.ranges)):
             law = member.at(np.array(corner, dtype=float))

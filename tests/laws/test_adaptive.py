@@ -16,10 +16,9 @@ def gains_along(env, law, **reset):
     return np.array(gains)
 
 
-@pytest.mark.parametrize("kind", ["physical", "scaled"])
 @pytest.mark.parametrize("name", ["energy", "energy-switching"])
-def test_gains_start_at_the_initial_gain_and_never_fall(name, kind):
-    env = make_env(name, interface=kind)
+def test_gains_start_at_the_initial_gain_and_never_fall(name):
+    env = make_env(name)
     gains = gains_along(env, laws.Adaptive(env.layout, initial_gain=0.75))
     assert gains[0].min() >= 0.75
     assert np.diff(gains, axis=0).min() >= 0

@@ -46,9 +46,7 @@ OTHER_GAINS = {
 }
 CASES = [*((name, law) for name in FROM_THE_PAPER for law in LAWS), *(("energy", law) for law in OTHER_GAINS)]
 LAWS |= OTHER_GAINS
-KINDS = ["physical", "scaled"]
-IN_REACH = 40.0
-"""Under ``local``, κ = 10 asks for up to 41 σ_i, so the action scale is raised, as a user would."""
+KINDS = ["physical"]
 
 
 def assert_same_trajectory(ours, reference, tolerance=2e-6):
@@ -69,7 +67,7 @@ def test_law_follows_its_reference_from_the_paper_start(name, law):
         table=reference_implementation.step_table(),
     )
     for kind in KINDS:
-        env = make_env(name, interface=kind, action_scale=IN_REACH)
+        env = make_env(name, interface=kind)
         ours, steps = play(env, make(env.layout))
         assert not steps[-1][4]["player_0"]["diverged"]
         assert_same_trajectory(ours, reference)
@@ -112,7 +110,7 @@ def test_players_of_unequal_dimensions_follow_the_reference(scenario, law):
         table=reference_implementation.step_table(),
     )
     for kind in KINDS:
-        env = make_env(scenario, interface=kind, action_scale=IN_REACH)
+        env = make_env(scenario, interface=kind)
         ours, _ = play(env, make(env.layout), options={"estimates": start})
         assert_same_trajectory(ours, reference)
 

@@ -18,9 +18,8 @@ HVAC = energy_scenario(1.0, (50.0, 55.0, 60.0, 65.0, 70.0), RING).replace(
 HVAC_EQUILIBRIUM = (41.535, 46.437, 51.339, 56.241, 61.143)
 
 
-@pytest.mark.parametrize("kind", ["physical", "scaled"])
-def test_twelve_digits_survive_float32_observations_and_actions(kind):
-    env = make_env("energy", interface=kind)
+def test_twelve_digits_survive_float32_observations_and_actions():
+    env = make_env("energy")
     states, steps = play(env, laws.Grounded(env.layout, kappa=2.0))
     equilibrium = env.nash_equilibrium
     scale = np.linalg.norm(equilibrium)
@@ -58,10 +57,9 @@ def grounded_errors(estimates, adjacency, owners):
     return result
 
 
-@pytest.mark.parametrize("kind", ["physical", "scaled"])
 @pytest.mark.parametrize("scenario", [get_scenario("energy", start="random"), BLOCKS], ids=lambda world: world.name)
-def test_adaptive_grounded_law_is_its_equation(scenario, kind):
-    world, encoder = world_and_encoder(scenario, kind=kind, action_scale=1e3)
+def test_adaptive_grounded_law_is_its_equation(scenario):
+    world, encoder = world_and_encoder(scenario)
     law = laws.AdaptiveGrounded(encoder.layout, gamma=0.003, initial_gain=0.2)
     states = run(world, encoder, law, loop_start(world), steps=40)[..., 0]
     game, adjacency = world.game, world.topology.graphs[0].adjacency

@@ -29,25 +29,12 @@ LAWS = {
     "observer-relay": field_laws.ObserverRelay,
     "zero-input": laws.ZeroInput,
 }
-INTERFACES = {
-    "physical": {"kind": "physical"},
-    "local": {"kind": "local"},
-    "gains": {"kind": "physical", "action_mode": "gains"},
-    "local gains": {"kind": "local", "action_mode": "gains"},
-}
 ABSOLUTE = ("link-relay", "contact-relay", "observer-relay")
 """Laws that read absolute strategies."""
 
 
-def acts_through(law, interface):
-    if "gains" in interface:
-        return law in ("static", "fixed-gain")
-    return not ("local" in interface and law in ABSOLUTE)
-
-
 STEPS = 150 if SOAK else 60
-CASES = [(law, interface) for law in LAWS for interface in INTERFACES if acts_through(law, interface)]
-KINDS = [(law, kind) for law, kind in CASES if kind in ("physical", "local")]
+KINDS = [(law, kind) for law in LAWS for kind in ("physical", "scaled") if kind == "physical" or law not in ABSOLUTE]
 
 RING = [(0, 1), (1, 2), (2, 3), (3, 4), (4, 0)]
 MODES = [[(0, 1), (2, 3)], [(1, 2), (3, 4)], [(2, 3), (4, 0)], [(3, 4), (0, 1)]]
@@ -89,15 +76,14 @@ def scrambled_scenario(player, modes, weights, generator):
 
 
 @pytest.mark.parametrize("switching", [False, True], ids=["fixed", "switching"])
-@pytest.mark.parametrize(("law", "interface"), CASES)
+@pytest.mark.parametrize(("law", "kind"), KINDS)
 @pytest.mark.parametrize("player", range(5) if SOAK else (0, 3))
-def test_scrambling_hidden_information_changes_no_action(player, law, interface, switching):
+def test_scrambling_hidden_information_changes_no_action(player, law, kind, switching):
     generator = np.random.default_rng(player)
     modes = MODES if switching else [RING]
     weights = generator.uniform(0.5, 1.5, (5, 5))
-    interface = INTERFACES[interface]
-    world, encoder = world_and_encoder(energy_scenario(CURVATURE, TARGET, topology_spec(modes, weights)), **interface)
-    other, other_encoder = world_and_encoder(scrambled_scenario(player, modes, weights, generator), **interface)
+    world, encoder = world_and_encoder(energy_scenario(CURVATURE, TARGET, topology_spec(modes, weights)), kind=kind)
+    other, other_encoder = world_and_encoder(scrambled_scenario(player, modes, weights, generator), kind=kind)
     assert np.abs(other.game.nash_equilibrium - world.game.nash_equilibrium).max() > 1
     assert not np.array_equal(other.mode_weights, world.mode_weights)
 
@@ -173,7 +159,7 @@ def test_relabelling_the_players_permutes_the_results(law, kind):
     def run(order):
         topology = fixed_part(adjacency[np.ix_(order, order)])
         scenario = energy_scenario(CURVATURE[order], TARGET[order], topology, steps=120, gain=4.0, s_end=4.7)
-        env = make_env(scenario, interface=kind, action_scale=20.0)
+        env = make_env(scenario, interface=kind)
         return play(env, LAWS[law](env.layout), options={"estimates": start[np.ix_(order, order)]})[0]
 
     plain, relabelled = run(np.arange(5)), run(old)
@@ -183,7 +169,7 @@ def test_relabelling_the_players_permutes_the_results(law, kind):
 
 
 def test_environments_refuse_the_full_interface():
-    with pytest.raises(ValueError, match="'full' shows information that players lack.*choose 'physical', 'local' or"):
+    with pytest.raises(ValueError, match="'full' shows information that players lack.*choose 'scaled' or 'physical'"):
         make_env("energy", interface="full")
 
 
@@ -191,4 +177,4 @@ def test_layouts_of_players_do_not_depend_on_the_game():
     _, encoder = world_and_encoder(energy_scenario(CURVATURE, TARGET, topology_spec([RING], np.ones((5, 5)))))
     _, other = world_and_encoder(energy_scenario(CURVATURE + 1, TARGET * 2, topology_spec([RING], np.ones((5, 5)))))
     assert encoder.layout == other.layout
-    assert encoder.layout.interface == Interface()
+    assert encoder.layout.interface == Interface("physical")

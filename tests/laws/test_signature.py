@@ -190,7 +190,7 @@ def test_zero_input_stays_at_the_start():
     assert [reward for step in steps for reward in step[1].values()] == [0.0] * 50
 
 
-@pytest.mark.parametrize("interface", [{}, {"kind": "scaled"}, {"action_mode": "gains"}])
+@pytest.mark.parametrize("interface", [{}, {"kind": "scaled"}])
 def test_random_policy_fills_the_action_box_and_repeats_with_its_seed(interface):
     layout = world_and_encoder("energy", **interface)[1].layout
     observations = np.zeros((4000, layout.size), dtype=np.float32)

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from worlds import BLOCKS, BLOCKS_SWITCHING, loop_matrix, make_env, play, world_and_encoder
 
-from ptne_env import FactorySpec, Interface, get_scenario, laws
+from ptne_env import FactorySpec, get_scenario, laws
 from ptne_env.world import dynamics
 
 AFFINE = {
@@ -14,10 +14,9 @@ AFFINE = {
 }
 
 
-@pytest.mark.parametrize("kind", ["physical", "scaled"])
 @pytest.mark.parametrize("name", AFFINE)
-def test_environment_is_the_product_of_the_step_matrices_through_float32(name, kind):
-    env = make_env(AFFINE[name], interface=kind, hold_steps=20)
+def test_environment_is_the_product_of_the_step_matrices_through_float32(name):
+    env = make_env(AFFINE[name], hold_steps=20)
     states, _ = play(env, laws.Static(env.layout, kappa=1.0), seed=5)
     game, clock, world = env.world.game, env.world.clock, env.world
     equilibrium = np.tile(game.nash_equilibrium, game.num_players)
@@ -35,40 +34,6 @@ def test_readme_example_ends_at_the_printed_distance():
     play(env, laws.Static(env.layout, kappa=2.0), seed=7)
     error = np.linalg.norm(env.strategies - env.nash_equilibrium) / np.linalg.norm(env.nash_equilibrium)
     assert error == pytest.approx(6.5e-5, rel=0.05)
-
-
-@pytest.mark.parametrize("kind", ["physical", "scaled"])
-@pytest.mark.parametrize("name", ["energy", "energy-switching", "non-quadratic", "blocks"])
-def test_gains_at_zero_are_the_static_law_at_kappa_two(name, kind):
-    scenario = BLOCKS if name == "blocks" else name
-    gains = make_env(scenario, interface=kind, action_mode="gains")
-    direct = make_env(scenario)
-
-    class Zero:
-        def predict(self, observation, state=None):
-            return np.zeros((len(observation), 2), dtype=np.float32), state
-
-    through_gains, _ = play(gains, Zero(), seed=3)
-    through_law, _ = play(gains, laws.Static(gains.layout, kappa=2.0), seed=3)
-    through_input, _ = play(direct, laws.Static(direct.layout, kappa=2.0), seed=3)
-    assert np.array_equal(through_gains, through_law)
-    assert np.abs(through_gains - through_input).max() <= 2e-6 * np.abs(through_input).max()
-
-
-@pytest.mark.parametrize(("kappa", "gradient_gain"), [(4.0, 0.5), (0.25, 8.0), (16.0, 0.125), (3.0, 1.5)])
-def test_static_law_through_gains_is_the_static_law(kappa, gradient_gain):
-    short = get_scenario("energy", gain=1.0, s_end=4.7)  # κ = 16 needs steps below 0.03
-    env, direct = make_env(short, action_mode="gains"), make_env(short)
-    through_gains, _ = play(env, laws.Static(env.layout, kappa, gradient_gain))
-    through_input, _ = play(direct, laws.Static(direct.layout, kappa, gradient_gain))
-    assert np.abs(through_gains - through_input).max() <= 2e-6 * np.abs(through_input).max()
-
-
-@pytest.mark.parametrize(("kappa", "gradient_gain"), [(0.2, 1.0), (17.0, 1.0), (2.0, 9.0), (2.0, 0.1), (0.0, 1.0)])
-def test_gains_out_of_reach_are_refused_with_the_reach(kappa, gradient_gain):
-    layout = world_and_encoder("energy", action_mode="gains")[1].layout
-    with pytest.raises(ValueError, match=r"gradient gains in \[1/8, 8\] and kappa in \[1/4, 16\]"):
-        laws.Static(layout, kappa, gradient_gain)
 
 
 def test_gradient_gain_is_the_law_for_scaled_costs():
@@ -102,16 +67,8 @@ def test_gradient_gain_must_be_positive(gain):
         laws.Static(world_and_encoder("energy")[1].layout, gradient_gain=gain)
 
 
-@pytest.mark.parametrize("law", [laws.Adaptive, laws.CorollaryOne, laws.Grounded, laws.ZeroInput])
-def test_laws_refuse_the_action_mode_gains(law):
-    layout = world_and_encoder("energy", action_mode="gains")[1].layout
-    with pytest.raises(ValueError, match=f"{law.__name__} needs action_mode='input', this layout has 'gains'"):
-        law(layout)
-
-
-@pytest.mark.parametrize("kind", ["physical", "scaled"])
-def test_corollary_one_is_the_static_input_over_the_time_gain(kind):
-    world, encoder = world_and_encoder("energy", **vars(Interface(kind, action_scale=100.0)))
+def test_corollary_one_is_the_static_input_over_the_time_gain():
+    world, encoder = world_and_encoder("energy")
     state = dynamics.initial_state(world, np.random.default_rng(0).uniform(-20, 20, (5, 5, 1)))
     for _ in range(200):
         state = dynamics.step(world, state, np.zeros_like(state.estimates))

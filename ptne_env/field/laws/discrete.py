@@ -51,7 +51,7 @@ class ProjectedGradient(Law):
         lower, upper: box Π_i, a number or an entry per component, shape (n,); no projection if left out.
 
     Raises:
-        ValueError: for a parameter out of range, or bounds under ``local``, where strategies are not observed.
+        ValueError: for a parameter out of range, or bounds under ``scaled``, where strategies are not observed.
     """
 
     def __init__(
@@ -70,7 +70,7 @@ class ProjectedGradient(Law):
             raise ValueError("ProjectedGradient needs lower < upper for every component")
         self._is_bounded = bool(np.isfinite(self.lower).any() or np.isfinite(self.upper).any())
         if self._is_bounded and "own_estimate" not in layout.slices:
-            raise LayoutError("bounds need the own strategy, which 'local' does not show; use the interface 'physical'")
+            raise LayoutError("bounds need the own strategy, which 'scaled' does not show; use the interface 'physical'")
 
     def initial_memory(self, rows: int) -> FloatArray:
         """Number of steps done: 0, shape (R, 1)."""

@@ -96,7 +96,7 @@ class MultiRate(Law):
     """
 
     needs: ClassVar[tuple[str, ...]] = ("own_estimate",)
-    interface: ClassVar[Interface] = Interface(graph_knowledge="union")
+    interface: ClassVar[Interface] = Interface("physical", "union")
 
     def __init__(
         self, layout: ObservationLayout, step: float = 0.2, price_step: float = 0.2, lead: float = 2.0

@@ -271,7 +271,7 @@ class Relay(Law):
     """
 
     needs: ClassVar[tuple[str, ...]] = ("own_estimate",)
-    interface: ClassVar[Interface] = Interface(graph_knowledge="union")
+    interface: ClassVar[Interface] = Interface("physical", "union")
 
     mixes: ClassVar[bool] = True
     """Whether a component of which no source was ever heard moves to the mean of all neighbours and the player."""
@@ -348,7 +348,7 @@ class LinkRelay(Relay):
     estimate and the estimates of all live neighbours.
     """
 
-    interface: ClassVar[Interface] = Interface()
+    interface: ClassVar[Interface] = Interface("physical")
 
     def _known_sources(self) -> BoolArray:
         return self.layout.neighbour_components
@@ -396,7 +396,7 @@ class RouteRelay(ContactRelay):
         LayoutError: for a layout without hop counts.
     """
 
-    interface: ClassVar[Interface] = Interface(graph_knowledge="union")
+    interface: ClassVar[Interface] = Interface("physical", "union")
 
     def _distances(self) -> FloatArray:
         return nearness(self.layout)
@@ -409,7 +409,7 @@ class FreshestRelay(LinkRelay):
         LayoutError: for a layout without the schedule.
     """
 
-    interface: ClassVar[Interface] = Interface(graph_knowledge="schedule")
+    interface: ClassVar[Interface] = Interface("physical", "schedule")
     mixes: ClassVar[bool] = False
 
     def __init__(self, layout: ObservationLayout, patience: float = 30.0, forgetting: float = 2.0) -> None:

@@ -128,7 +128,7 @@ class RoutedLaw(Law):
 class Routed(RoutedLaw):
     """Copies along shortest paths and a gradient step: the sources are the nearer neighbours, :func:`nearer_slots`."""
 
-    interface: ClassVar[Interface] = Interface(graph_knowledge="union")
+    interface: ClassVar[Interface] = Interface("physical", "union")
 
     def __init__(self, layout: ObservationLayout, step: float = 0.3) -> None:
         super().__init__(layout, step)
@@ -170,7 +170,7 @@ class Freshest(RoutedLaw):
     of steps done, shape (R, 1). :class:`RoutedUnknown` has the same idea without the schedule.
     """
 
-    interface: ClassVar[Interface] = Interface(graph_knowledge="schedule")
+    interface: ClassVar[Interface] = Interface("physical", "schedule")
 
     def __init__(self, layout: ObservationLayout, step: float = 0.32) -> None:
         super().__init__(layout, step)

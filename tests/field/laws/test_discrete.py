@@ -19,10 +19,9 @@ def mixing(graph, h):
     return np.eye(graph.num_players) - h * graph.laplacian
 
 
-@pytest.mark.parametrize("kind", ["physical", "local"])
 @pytest.mark.parametrize("scenario", [ENERGY, BLOCKS, BLOCKS_SWITCHING], ids=lambda scenario: scenario.name)
-def test_projected_gradient_is_its_equation_every_two_steps(scenario, kind):
-    world, encoder = world_and_encoder(scenario, kind=kind, action_scale=1e3)
+def test_projected_gradient_is_its_equation_every_two_steps(scenario):
+    world, encoder = world_and_encoder(scenario)
     law = field_laws.ProjectedGradient(encoder.layout, step=0.2, mixing=0.25)
     states = run(world, encoder, law, loop_start(world))[..., 0]
     game, modes = world.game, world.modes
@@ -90,7 +89,7 @@ def test_projected_gradient_solves_the_variational_inequality_in_a_box():
 
 
 def test_laws_that_need_absolute_strategies_refuse_the_local_interface():
-    layout = world_and_encoder("energy", kind="local")[1].layout
+    layout = world_and_encoder("energy", kind="scaled")[1].layout
     with pytest.raises(ValueError, match="bounds need the own strategy.*use the interface 'physical'"):
         field_laws.ProjectedGradient(layout, lower=0.0)
 

@@ -124,9 +124,9 @@ def test_own_blocks_are_enough_in_large_games(scenario, monkeypatch):
 def test_other_interfaces_are_refused():
     world = World(RANDOM)
     with pytest.raises(LayoutError, match="ObserverRelay"):
-        ObserverRelay(make_encoder(world, Interface("local")).layout)
+        ObserverRelay(make_encoder(world, Interface("scaled")).layout)
     with pytest.raises(ValueError, match="patience must be a finite number above 0"):
-        spec_of("ObserverRelay", patience=0.0).build(layout=make_encoder(world, Interface()).layout)
+        spec_of("ObserverRelay", patience=0.0).build(layout=make_encoder(world, Interface("physical")).layout)
 
 
 # --- the displacement -----------------------------------------------------------------------------------------------

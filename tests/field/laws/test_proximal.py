@@ -69,7 +69,7 @@ def test_players_with_several_components_solve_for_their_block():
 def test_large_games_identify_the_own_block_alone(monkeypatch):
     monkeypatch.setattr(proximal, "LARGEST_ROW", 1)
     world = World(get_scenario("energy", start="random"))
-    law = field_laws.ProximalBestResponse(make_encoder(world, Interface()).layout)
+    law = field_laws.ProximalBestResponse(make_encoder(world, Interface("physical")).layout)
     assert law.initial_memory(2).shape == (2, 1 + 1 + 5 + 1 + 1 + 1)
     states = played(world)
     errors = np.abs(states - world.game.nash_equilibrium[:, None]).max(axis=(1, 2))
@@ -122,9 +122,9 @@ def test_players_know_their_own_links_and_are_honest():
 
 def test_wrong_numbers_and_interfaces_are_named():
     world = World(get_scenario("energy"))
-    layout = make_encoder(world, Interface()).layout
+    layout = make_encoder(world, Interface("physical")).layout
     for name in ("step", "mixing", "spread"):
         with pytest.raises(ValueError, match=f"{name} must be"):
             field_laws.ProximalBestResponse(layout, **{name: 0.0})
     with pytest.raises(ValueError, match="reads own_estimate"):
-        field_laws.ProximalBestResponse(make_encoder(world, Interface("local")).layout)
+        field_laws.ProximalBestResponse(make_encoder(world, Interface("scaled")).layout)

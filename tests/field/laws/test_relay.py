@@ -173,7 +173,7 @@ def test_condition_of_observer_relay_asks_for_undamped_responses_too():
 def test_relay_needs_own_estimates_and_hop_counts():
     world = World(RANDOM)
     with pytest.raises(ValueError, match="Relay reads own_estimate"):
-        field_laws.Relay(make_encoder(world, Interface("local", graph_knowledge="union")).layout)
+        field_laws.Relay(make_encoder(world, Interface("scaled", graph_knowledge="union")).layout)
     with pytest.raises(ValueError, match="hop counts"):
         field_laws.Relay(make_encoder(world, laws.Grounded.interface).layout)
     with pytest.raises(ValueError, match="patience must be a finite number above 0"):
