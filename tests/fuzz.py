@@ -205,9 +205,6 @@ def some_arguments(rng):
     reward = rng.choice(("digits", "tracking", "payoff", "regret", {"digits": 1.0, "tracking": 0.5}, {"payoff": 2.0}))
     return {
         "interface": rng.choice(("physical", "scaled")),
-        "action_mode": rng.choice(("input", "input", "gains")),
-        "action_scale": log_uniform(rng, 0.1, 50),
-        "own_payoff": rng.random() < 0.3,
         "reward": reward,
         "max_cycles": rng.choice((None, None, rng.randint(1, 50))),
     }
@@ -555,8 +552,8 @@ def relabelled(rng, tally):
     old = np.argsort(new)
     kind = rng.choice(("physical", "scaled"))
     law = rng.choice((laws.Static, laws.Adaptive, laws.Grounded, None))
-    inputs = generator.uniform(-1, 1, (10, players, players))  # under "local" components are in ego order: no inputs
-    law = law or (laws.Static if kind == "local" else None)
+    inputs = generator.uniform(-1, 1, (10, players, players))  # under "scaled" components are in ego order: no inputs
+    law = law or (laws.Static if kind == "scaled" else None)
 
     def run(order):
         scenario = Scenario(
@@ -570,7 +567,7 @@ def relabelled(rng, tally):
             ),
             start="random",
         )
-        env = parallel_env(scenario, interface=kind, action_scale=50.0)
+        env = parallel_env(scenario, interface=kind)
         policy, memory = law(env.layout) if law else None, None
         observations, _ = env.reset(seed=0, options={"estimates": start[np.ix_(order, order)]})
         path, returns = [], 0.0

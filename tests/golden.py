@@ -17,15 +17,8 @@ from ptne_env.shared.files import write_atomically
 
 DATA = Path(__file__).parent / "data" / "golden.json"
 
-MODES = {
-    "physical": ({}, 2.0),
-    "local": ({"interface": "local", "max_cycles": 300}, 0.2),
-    "gains": ({"interface": "local", "action_mode": "gains", "hold_steps": 5}, 0.3),
-}
-"""Action modes: arguments of the environment, and the half-width of the random actions.
-
-Random inputs show the game, the clock and the switching; random gains close the loop around the paper's law.
-"""
+MODES = {"physical": ({"interface": "physical"}, 2.0)}
+"""Interfaces: arguments of the environment, and the half-width of the random actions."""
 
 SEED = 20260101
 INSTANTS = (1, 2, 5, 20, 100, 250)

@@ -94,7 +94,7 @@ def kernel_calls(monkeypatch):
     return calls
 
 
-@pytest.mark.parametrize("interface", ["physical", "scaled"])
+@pytest.mark.parametrize("interface", ["physical"])
 @pytest.mark.parametrize("name", WORLDS)
 def test_a_world_steps_bit_for_bit_the_same_compiled(name, interface, compiled, monkeypatch):
     calls, num_envs = kernel_calls(monkeypatch), 2 if "crowd" in name else 4
@@ -104,7 +104,7 @@ def test_a_world_steps_bit_for_bit_the_same_compiled(name, interface, compiled, 
     assert len(calls) == (0 if name in NUMPY_ALONE else steps * len(envs[0]._blocks))
 
 
-@pytest.mark.parametrize("interface", ["physical", "scaled"])
+@pytest.mark.parametrize("interface", ["physical"])
 @pytest.mark.parametrize("num_envs", [1, 63, 64, 65, 130])
 @pytest.mark.parametrize("name", ["energy", "random-energy-switching", "ev-charging", "ptne-v2 uneven without faults"])
 def test_batches_of_any_size_are_the_same_compiled(name, num_envs, interface, compiled):
@@ -112,7 +112,7 @@ def test_batches_of_any_size_are_the_same_compiled(name, num_envs, interface, co
     check_equal(envs, 4)
 
 
-@pytest.mark.parametrize("interface", ["physical", "scaled"])
+@pytest.mark.parametrize("interface", ["physical"])
 def test_players_with_clocks_of_their_own_and_random_graphs_are_the_same_compiled(interface, compiled, monkeypatch):
     calls, scenario = kernel_calls(monkeypatch), FAULTY.replace(**WITHOUT_FAULTS)
     check_equal([vector_env(scenario, 70, by_numpy=flag, interface=interface) for flag in (False, True)], 20)
@@ -141,22 +141,15 @@ def test_a_game_with_formulas_of_its_own_is_stepped_by_numpy(compiled, monkeypat
     assert calls == []
 
 
-@pytest.mark.parametrize("arguments", [{"action_mode": "gains"}, {"own_payoff": True}])
-def test_other_actions_and_own_payoffs_are_left_to_numpy(arguments, compiled, monkeypatch):
-    calls = kernel_calls(monkeypatch)
-    check_equal([vector_env("random-energy", 2, by_numpy=flag, **arguments) for flag in (False, True)], 3)
-    assert calls == []
-
-
 def test_every_reward_is_the_same_compiled(compiled):
     reward = {"digits": 1.0, "tracking": 0.1, "payoff": 1e-3, "regret": 1e-3}
     check_equal([vector_env("random-energy", 5, by_numpy=flag, reward=reward) for flag in (False, True)], 12)
 
 
 @pytest.mark.parametrize("sign", [-1, 1])
-@pytest.mark.parametrize("interface", ["physical", "scaled"])
+@pytest.mark.parametrize("interface", ["physical"])
 def test_environments_that_diverge_are_left_to_numpy(interface, sign, compiled):
-    arguments = {"interface": interface, "input_limit": 1e9, "action_scale": 1e9}
+    arguments = {"interface": interface, "input_limit": 1e9}
     envs = [vector_env("random-energy", 5, by_numpy=flag, **arguments) for flag in (False, True)]
     for env in envs:
         env.reset(seed=0)
@@ -188,7 +181,7 @@ def test_a_new_episode_of_the_same_game_has_new_graphs_compiled(compiled, monkey
     assert len(calls) == 24
 
 
-@pytest.mark.parametrize("interface", ["physical", "scaled"])
+@pytest.mark.parametrize("interface", ["physical"])
 def test_numpy_and_the_compiled_step_may_take_turns_in_an_episode(interface, compiled, monkeypatch):
     mixed, pure = (parallel_env("random-energy", interface=interface) for _ in range(2))
     pure._simulation._fused = None
@@ -203,7 +196,7 @@ def test_numpy_and_the_compiled_step_may_take_turns_in_an_episode(interface, com
     assert len(calls) == 13
 
 
-@pytest.mark.parametrize("interface", ["physical", "scaled"])
+@pytest.mark.parametrize("interface", ["physical"])
 def test_actions_outside_the_box_are_clipped_and_counted_alike_compiled(interface, compiled, monkeypatch):
     calls, (ours, numpys) = kernel_calls(monkeypatch), [parallel_env("energy", interface=interface) for _ in range(2)]
     numpys._simulation._fused = None
@@ -237,7 +230,7 @@ def state_bits(state):
     return [bits(array) for array in (state.step, state.estimates, state.own_gradients, state.diverged)]
 
 
-@pytest.mark.parametrize("interface", ["physical", "scaled"])
+@pytest.mark.parametrize("interface", ["physical"])
 @pytest.mark.parametrize("pause", [1, 2, 3])
 def test_a_state_that_was_handed_out_never_changes_compiled(pause, interface, compiled, monkeypatch):
     calls, (asked, alone) = kernel_calls(monkeypatch), [parallel_env("energy", interface=interface) for _ in range(2)]
@@ -255,7 +248,7 @@ def test_a_state_that_was_handed_out_never_changes_compiled(pause, interface, co
     assert len(calls) == 24
 
 
-@pytest.mark.parametrize("interface", ["physical", "scaled"])
+@pytest.mark.parametrize("interface", ["physical"])
 @pytest.mark.parametrize("duplicate", [copy.deepcopy, lambda env: pickle.loads(pickle.dumps(env))])  # noqa: S301 - our own bytes
 def test_copies_in_the_middle_of_an_episode_go_on_alone_compiled(duplicate, interface, compiled, monkeypatch):
     calls, env = kernel_calls(monkeypatch), parallel_env("random-energy", interface=interface)
@@ -269,7 +262,7 @@ def test_copies_in_the_middle_of_an_episode_go_on_alone_compiled(duplicate, inte
     assert len(calls) == 18
 
 
-@pytest.mark.parametrize("interface", ["physical", "scaled"])
+@pytest.mark.parametrize("interface", ["physical"])
 @pytest.mark.parametrize("width", [0.5, 2.0])
 def test_a_refused_action_leaves_the_state_as_it_was_compiled(width, interface, compiled):
     ours, expected = [parallel_env("energy", interface=interface) for _ in range(2)]
@@ -300,7 +293,7 @@ def test_episodes_are_cut_at_the_same_step_compiled(compiled, monkeypatch):
     assert len(calls) == 4
 
 
-@pytest.mark.parametrize("interface", ["physical", "scaled"])
+@pytest.mark.parametrize("interface", ["physical"])
 def test_an_episode_goes_on_from_a_state_that_was_set_compiled(interface, compiled):
     env = parallel_env("random-energy", interface=interface)
     env.reset(seed=0)
@@ -312,7 +305,7 @@ def test_an_episode_goes_on_from_a_state_that_was_set_compiled(interface, compil
     assert list(random_steps(env, 1, 4)) == expected
 
 
-@pytest.mark.parametrize("interface", ["physical", "scaled"])
+@pytest.mark.parametrize("interface", ["physical"])
 def test_a_state_from_outside_in_another_memory_order_is_the_same_compiled(interface, compiled):
     envs = [vector_env("random-energy", 6, by_numpy=flag, interface=interface) for flag in (False, True)]
     table = np.random.default_rng(0).uniform(-5, 5, (6, 5, 5))
@@ -324,7 +317,7 @@ def test_a_state_from_outside_in_another_memory_order_is_the_same_compiled(inter
     assert bits(outcome.rewards) == bits(expected.rewards)
 
 
-@pytest.mark.parametrize("interface", ["physical", "scaled"])
+@pytest.mark.parametrize("interface", ["physical"])
 def test_all_worlds_share_one_compiled_step(interface, compiled):
     signatures = set()
     for name in ("energy", "cournot", "ev-charging", "ptne-v1 unseen-graphs", "ptne-v1 markov", "ptne-v1 wrong-clock"):
@@ -458,7 +451,7 @@ def test_a_full_disk_is_met_before_the_first_step_and_not_within_it(compiled, mo
     assert written
 
 
-@pytest.mark.parametrize("interface", ["physical", "scaled"])
+@pytest.mark.parametrize("interface", ["physical"])
 def test_read_only_actions_and_states_are_not_compiled_for_again(interface, compiled):
     from ptne_env.world import kernels
 
