@@ -1,9 +1,6 @@
 # Two commands, each complete on a fresh machine with Python 3.11 or newer and make:
-#   make compare   installs, runs laws and learned policies on all scenarios, ends with the answer: 2 minutes on 2 cores
-#   make test      installs the test extra with PyTorch, runs linters, types and tests: 9 minutes on 4 cores
-# Both show their progress: pip its downloads, the comparison and pytest a bar.
-# The pins of other frameworks conflict, so each has an environment of its own in .ecosystem/:
-#   make ecosystem runs the examples of every framework, writes the table of docs/ecosystem.md
+#   make compare   installs the package in .venv, runs laws and learned policies, ends with the answer
+#   make test      installs test tools with PyTorch, runs linters, types and tests
 
 PYTHON ?= python3
 VENV   ?= .venv
@@ -11,21 +8,12 @@ BIN    := $(VENV)/bin
 OUT    ?= results
 PIP     = $(BIN)/pip install --no-compile --disable-pip-version-check --constraint constraints.txt
 PYTEST  = $(BIN)/pytest --numprocesses auto --dist worksteal
+CORE    = tests/shared tests/games tests/world tests/perception tests/laws tests/envs tests/evaluation tests/test_import.py
 
-.PHONY: compare reproduce test lint types unit docs ecosystem ray soak lowest newest smoke audit clean
+.PHONY: compare test lint types unit core publish reproduce docs soak smoke ray lowest newest clean
 
 compare: $(VENV)/.bench
 	$(BIN)/ptne compare --out $(OUT)/comparison
-
-reproduce: $(VENV)/.bench
-	$(BIN)/ptne reproduce --out $(OUT)/paper
-
-docs: $(VENV)/.docs
-	$(BIN)/sphinx-build --builder html --jobs auto --conf-dir docs --fresh-env --fail-on-warning --keep-going --quiet . $(OUT)/site
-	@echo 'Site written to $(OUT)/site/index.html: open it in a browser'
-
-ecosystem:
-	$(PYTHON) examples/ecosystem/run.py
 
 test: lint types unit
 
@@ -40,25 +28,31 @@ types: $(VENV)/.test
 unit: $(VENV)/.test
 	$(PYTEST)
 
-# All tests with large counts of random cases, then 100,000 random episodes in random worlds.
-soak: $(VENV)/.test
-	PTNE_SOAK=1 $(PYTEST)
-	$(BIN)/python tests/soak.py --episodes 100000
+# The tests of the core with nothing installed but its five packages and pytest.
+core:
+	$(PYTHON) -m venv --clear $(VENV)-core
+	$(VENV)-core/bin/pip install --quiet --disable-pip-version-check --editable . hypothesis pytest
+	$(VENV)-core/bin/pytest $(CORE)
 
-# The tests that need neither torch nor the whole source tree, with the oldest packages that pyproject.toml admits, or
-# with the newest: make newest PYTHON=python3.13
-# Searches of gains were published with numpy 2: numpy 1.26 rounds logarithms otherwise, and switching laws amplify it.
-lowest: RESOLUTION := lowest-direct
-lowest: DESELECT := --deselect tests/experiments/test_tuning.py::test_published_trials_are_those_of_their_jobs
-newest: RESOLUTION := highest
-lowest newest:
-	$(PYTHON) -m venv --clear $(VENV)-$@
-	$(VENV)-$@/bin/pip install --quiet --disable-pip-version-check uv
-	$(VENV)-$@/bin/uv pip install --quiet --compile-bytecode --python $(VENV)-$@/bin/python --resolution $(RESOLUTION) \
-		--editable '.[bench]' 'filelock>=3.13' 'hypothesis>=6.100' 'pytest>=8.3' 'pytest-xdist>=3.6'
-	$(VENV)-$@/bin/pytest --numprocesses auto --dist worksteal \
-		--ignore tests/test_docs.py --ignore tests/test_examples.py --ignore tests/test_ecosystem.py \
-		--ignore tests/test_benchmarks.py --ignore tests/test_site.py $(DESELECT)
+# Run the suites and train the policies again, and write every table of README, docs and baselines.
+publish: $(VENV)/.test
+	$(BIN)/python baselines/publish.py
+
+reproduce: $(VENV)/.bench
+	$(BIN)/ptne reproduce --out $(OUT)/paper
+
+docs: $(VENV)/.docs
+	$(BIN)/sphinx-build --builder html --jobs auto --conf-dir docs --quiet . $(OUT)/site
+	@echo 'Site written to $(OUT)/site/docs/index.html: open it in a browser'
+
+# All tests with large counts of random cases, then with other arithmetic (the kernels of another processor, numpy
+# without the SIMD extensions that it found here), then random episodes in random worlds.
+SIMD = import numpy; print(*numpy.show_config("dicts")["SIMD Extensions"]["found"])
+soak: core $(VENV)/.test
+	PTNE_SOAK=1 $(PYTEST)
+	OPENBLAS_CORETYPE=Haswell $(PYTEST)
+	NPY_DISABLE_CPU_FEATURES="$$($(BIN)/python -c '$(SIMD)')" $(PYTEST)
+	$(BIN)/python tests/soak.py --episodes 100000
 
 # Wheel and source archive, each installed in an empty environment and used outside the source tree.
 smoke: SMOKE := $(abspath $(VENV)-smoke)
@@ -72,39 +66,31 @@ smoke:
 		bin/pip install --quiet --disable-pip-version-check "$$archive[bench]" && bin/python smoke.py bench) || exit 1; \
 	done
 
-# Published vulnerabilities of the packages that users install; a package without an answer is a failure.
-audit:
-	$(PYTHON) -m venv --clear $(VENV)-audit
-	$(VENV)-audit/bin/pip install --quiet --disable-pip-version-check --constraint constraints.txt \
-		--editable '.[fast,sb3]' pip-audit
-	$(VENV)-audit/bin/pip freeze --exclude-editable > $(VENV)-audit/requirements.txt
-	$(VENV)-audit/bin/pip-audit --strict --no-deps --disable-pip --requirement $(VENV)-audit/requirements.txt
+# The tests of a Ray cluster of two nodes on this machine, whose second node is killed in the middle.
+ray: $(VENV)/.test
+	$(PIP) --editable '.[test,ray]'
+	$(BIN)/pytest --show-capture=no tests/bench/test_cluster.py
+
+# The tests that need neither torch nor the source tree, with the oldest packages that pyproject.toml admits, or with
+# the newest: make newest PYTHON=python3.13
+lowest: RESOLUTION := lowest-direct
+newest: RESOLUTION := highest
+lowest newest:
+	$(PYTHON) -m venv --clear $(VENV)-$@
+	$(VENV)-$@/bin/pip install --quiet --disable-pip-version-check uv
+	$(VENV)-$@/bin/uv pip install --quiet --python $(VENV)-$@/bin/python --resolution $(RESOLUTION) \
+		--editable '.[bench]' 'hypothesis>=6.100' 'pytest>=8.3' 'pytest-xdist>=3.6'
+	$(VENV)-$@/bin/pytest --numprocesses auto --dist worksteal --ignore tests/test_docs.py --ignore tests/test_examples.py
 
 $(VENV)/bin/python:
 	@$(PYTHON) -c 'import sys; sys.exit("ptne_env needs Python 3.11 or newer, $(PYTHON) is " + sys.version.split()[0] + "; set PYTHON=...") if sys.version_info < (3, 11) else 0'
 	$(PYTHON) -m venv $(VENV)
 
-$(VENV)/.bench: pyproject.toml constraints.txt | $(VENV)/bin/python
-	@echo 'Installing in $(VENV), about 15 seconds'
-	$(PIP) --editable '.[bench]'
-	touch $@
-
-$(VENV)/.docs: pyproject.toml constraints.txt | $(VENV)/bin/python
-	$(PIP) --editable '.[docs]'
-	touch $@ $(VENV)/.bench
-
-$(VENV)/.test: pyproject.toml constraints.txt | $(VENV)/bin/python
-	@echo 'Installing in $(VENV) with PyTorch, about two minutes'
-	$(PIP) --editable '.[test]'
-	touch $@ $(VENV)/.docs $(VENV)/.bench
-
-# The tests on a Ray cluster of two nodes on this machine, whose second node is killed in the middle.
-ray: $(VENV)/.ray
-	$(BIN)/pytest --show-capture=no tests/experiments/test_cluster.py
-
-$(VENV)/.ray: $(VENV)/.test
-	$(PIP) --editable '.[test,ray]'
+# One stamp per extra that `make` installs.
+$(VENV)/.bench $(VENV)/.docs $(VENV)/.test: $(VENV)/.%: pyproject.toml constraints.txt | $(VENV)/bin/python
+	@echo 'Installing the extra "$*" in $(VENV)'
+	$(PIP) --editable '.[$*]'
 	touch $@
 
 clean:
-	rm -rf $(VENV) $(VENV)-* $(OUT) .ecosystem
+	rm -rf $(VENV) $(VENV)-* $(OUT)
