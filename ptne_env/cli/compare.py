@@ -154,8 +154,7 @@ def compare(
     The output is one table and three sentences; the page report.html, and --details, have all metrics.
 
     Every policy is run from the same seeded episodes. Intervals are 95 % intervals of the mean over episodes and
-    training seeds. Learned policies are also compared, paired by episode, with laws that were tuned on validation
-    episodes.
+    training seeds.
 
     With --suite, run the tracks of a frozen benchmark, with scores and ranks; see docs/protocol.md.
     """
@@ -180,7 +179,6 @@ def compare(
             tracks=tracks,
             episodes=episodes,
             seed=seed,
-            against_laws=suite is None and "published",
             folder=folder,
             rerun=rerun,
             workers=workers,

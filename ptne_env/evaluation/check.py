@@ -5,33 +5,23 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from scipy import stats
 
-from ptne_env.evaluation.archive import policy_copy, unpacked
 from ptne_env.evaluation.episodes import EpisodeSet, Split
 from ptne_env.evaluation.jobs import Job, JobResult
-from ptne_env.evaluation.leaderboard import NEEDED
-from ptne_env.evaluation.metrics import METRICS, measured
-from ptne_env.evaluation.policy_specs import PolicySpec, learned_file
-from ptne_env.evaluation.provenance import file_hashes
+from ptne_env.evaluation.metrics import METRICS
+from ptne_env.evaluation.policy_specs import PolicySpec
 from ptne_env.evaluation.results import read_results
 from ptne_env.evaluation.run import assemble
-from ptne_env.evaluation.sources import file_hash
 from ptne_env.evaluation.store import PublishedStore
 from ptne_env.evaluation.suite import Suite, comparison, foreign_suites, get_suite
-from ptne_env.evaluation.tuning import CANDIDATE
-from ptne_env.learn.process import PolicySource
-from ptne_env.perception.observation import ObservationLayout
-from ptne_env.perception.policy import Policy, PolicyError
 from ptne_env.shared.arrays import FloatArray, require_count
 from ptne_env.shared.files import read_json, require_file
-from ptne_env.shared.parts import LOADER, FactorySpec
 from ptne_env.world.catalogue import CATALOGUE
 
 SIGNIFICANCE = 1e-3
@@ -48,7 +38,6 @@ _REBUILT = (
     "split",
     "episodes",
     "policies",
-    "tuned_laws",
     "records",
     "not_applicable",
     "failures",
@@ -95,13 +84,11 @@ class Check:
         differences: between the tables of the results and those that follow from the stored jobs, one text each.
         repetitions: the jobs that were run again.
         missing: policies whose jobs cannot run again here, one text each, with the files that are missing.
-        left_out: metrics that were measured and not published, so that no table and no repetition shows them.
     """
 
     differences: tuple[str, ...]
     repetitions: tuple[Repetition, ...]
     missing: tuple[str, ...] = ()
-    left_out: tuple[str, ...] = ()
 
     def agrees(self, tolerance: float = 0.0) -> bool:
         """Whether the tables follow from the jobs and all repeated jobs pass."""
@@ -144,57 +131,52 @@ def check(
             the results name foreign code and ``trust`` is not set, or a policy was an object of another process.
     """
     require_count("sample", sample, 1)
-    with unpacked(results) as place:
-        path, data, listing = _read(place)
-        if not trust and (foreign := listing.foreign_code(suite)):
-            raise ValueError(
-                f"{path} names code outside this library, which a check executes: {', '.join(foreign)}. Say that you "
-                "trust it (--trust)"
+    path, data, listing = _read(results)
+    if not trust and (foreign := listing.foreign_code(suite)):
+        raise ValueError(
+            f"{path} names code outside this library, which a check executes: {', '.join(foreign)}. Say that you "
+            "trust it (--trust)"
+        )
+    policies = listing.policies()
+    suite = listing.suite() if suite is None else suite
+    if suite.content_hash != listing.content_hash:
+        raise ValueError(
+            f"{path} is of a {suite.name} with the content hash {listing.content_hash}; this library's is "
+            f"{suite.content_hash}"
+        )
+    stored = _Stored(listing)
+    try:
+        with np.errstate(over="ignore", invalid="ignore"):  # forged numbers may overflow
+            rebuilt = assemble(
+                suite,
+                listing.target,
+                policies,
+                {
+                    name: suite.episode_set(name, count, seed=listing.seed, split=listing.split)
+                    for name, count in listing.episodes.items()
+                },
+                run=stored,
             )
-        policies = listing.policies()
-        suite = listing.suite() if suite is None else suite
-        if suite.content_hash != listing.content_hash:
-            raise ValueError(
-                f"{path} is of a {suite.name} with the content hash {listing.content_hash}; this library's is "
-                f"{suite.content_hash}"
-            )
-        stored = _Stored(listing)
-        try:
-            with np.errstate(over="ignore", invalid="ignore"):  # forged numbers may overflow
-                rebuilt = assemble(
-                    suite,
-                    listing.target,
-                    policies,
-                    {
-                        name: suite.episode_set(name, count, seed=listing.seed, split=listing.split)
-                        for name, count in listing.episodes.items()
-                    },
-                    opposed=listing.trials,
-                    run=stored,
-                    tune=lambda searches: [search.find() for search in searches],
-                )
-        except RuntimeError as error:
-            raise ValueError(f"{path} cannot be the results of a run: {error}") from error
-        tables = json.loads(rebuilt.to_json())
-        differences = [
-            *(text for key in _REBUILT for text in _differences(key, data[key], tables[key], tolerance)),
-            *(f"{key} is no part of results" for key in sorted(data.keys() - tables.keys())),
-            *stored.unused(rebuilt.trials),
-        ]
-        generator = np.random.default_rng(seed)
-        present = [job for job in rebuilt.jobs if not _lacks_file(job)]
-        without = [job for job in present if not stored.of(job).samples]
-        others = [job for job in present if stored.of(job).samples]
-        chosen = [*without, *(others[index] for index in sorted(generator.permutation(len(others))[:sample].tolist()))]
-        repetitions = []
-        for job in chosen:
-            fresh = replace(job.episodes, seed=int(generator.integers(1 << 32)))
-            repetitions.append(_repeat(job, stored.of(job), fresh, SIGNIFICANCE / len(chosen)))
-            if progress is not None:
-                progress(f"{job.track.name}: {job.policy.name}", len(chosen))
-        missing = tuple(text for policy in policies if isinstance(policy, _Copied) for text in policy.missing.values())
-        left_out = tuple(name for name in METRICS if name in measured() - listing.metrics)
-        return Check(tuple(differences), tuple(repetitions), missing, left_out)
+    except RuntimeError as error:
+        raise ValueError(f"{path} cannot be the results of a run: {error}") from error
+    tables = json.loads(rebuilt.to_json())
+    differences = [
+        *(text for key in _REBUILT for text in _differences(key, data[key], tables[key], tolerance)),
+        *(f"{key} is no part of results" for key in sorted(data.keys() - tables.keys())),
+        *stored.unused(),
+    ]
+    generator = np.random.default_rng(seed)
+    present = rebuilt.jobs
+    without = [job for job in present if not stored.of(job).samples]
+    others = [job for job in present if stored.of(job).samples]
+    chosen = [*without, *(others[index] for index in sorted(generator.permutation(len(others))[:sample].tolist()))]
+    repetitions = []
+    for job in chosen:
+        fresh = replace(job.episodes, seed=int(generator.integers(1 << 32)))
+        repetitions.append(_repeat(job, stored.of(job), fresh, SIGNIFICANCE / len(chosen)))
+        if progress is not None:
+            progress(f"{job.track.name}: {job.policy.name}", len(chosen))
+    return Check(tuple(differences), tuple(repetitions))
 
 
 def foreign_code(results: Path) -> list[str]:
@@ -209,8 +191,7 @@ def foreign_code(results: Path) -> list[str]:
         FileNotFoundError: when there are no results.
         ValueError: when the file is damaged, of another kind or of another version, or a policy was an object.
     """
-    with unpacked(results) as place:
-        return _read(place)[2].foreign_code(None)
+    return _read(results)[2].foreign_code(None)
 
 
 def _read(results: Path) -> tuple[Path, dict[str, Any], _Listing]:
@@ -235,7 +216,6 @@ class _Listing:
         episodes: number of episodes by name of the track.
         seed, split: of the episode sets.
         keys: of the stored jobs, by track, policy and training seed.
-        trials: keys of the stored trials, by track.
         failures: reasons, by track and policy.
         metrics: whose samples were published.
         versions: of the libraries that computed the jobs.
@@ -252,7 +232,6 @@ class _Listing:
     seed: int
     split: Split
     keys: dict[tuple[str, str, int], str | None]
-    trials: dict[str, list[str]]
     failures: dict[tuple[str, str], str]
     metrics: frozenset[str]
     versions: dict[str, str]
@@ -279,7 +258,6 @@ class _Listing:
                 seed=data["seed"],
                 split=data["split"],
                 keys={job[:3]: job[3] for job in jobs},
-                trials={track: list(keys) for track, keys in data["trials"].items()},
                 failures={(item["track"], item["policy"]): str(item["reason"]) for item in data["failures"]},
                 metrics=frozenset(_source(record["metric"]) for record in data["records"]),
                 versions=dict(data["versions"]),
@@ -288,8 +266,6 @@ class _Listing:
             raise ValueError(f"{path} is not a file of results: {error!r}") from error
         if len(listing.keys) < len(jobs):
             raise ValueError(f"{path} is not a file of results: a job is listed twice")
-        if listing.metrics and (needed := sorted(NEEDED - listing.metrics)):
-            raise ValueError(f"{path} is not a file of results: it has no records of {', '.join(needed)}")
         sizes = {f"episodes of track {track!r}": count for track, count in listing.episodes.items()}
         for name, size in (sizes | {"hold_steps": listing.hold_steps or 0}).items():
             if require_count(name, size, 0) > LARGEST:
@@ -332,93 +308,12 @@ class _Listing:
         for spec in self.specs:
             policy = PolicySpec.from_dict(spec)
             if policy.to_dict() != spec:
-                policy = _Copied.of(policy, spec, self.path.parent)
-            if policy.to_dict() != spec:
                 raise ValueError(
                     f"the files of policy {policy.name!r} are not those that were run: bring those back, "
                     "or run the suite again"
                 )
             found.append(policy)
         return found
-
-
-@dataclass(frozen=True)
-class _Copied(PolicySpec):
-    """A learned policy of which files are not where they were: copies decide, and those without a copy are missing.
-
-    Attributes:
-        sources: the policy of each training seed, as it decides here; ``None`` where its file is missing.
-        files: the hashes of the files of each training seed, as published.
-    """
-
-    sources: tuple[PolicySource | None, ...] = ()
-    files: tuple[tuple[tuple[str, str], ...], ...] = ()
-
-    @classmethod
-    def of(cls, policy: PolicySpec, spec: Mapping[str, Any], folder: Path) -> _Copied:
-        """The policy with copies from a folder of results, where it is described as in ``spec``."""
-        sources: list[PolicySource | None] = []
-        files = []
-        for source, data in zip(policy.training_seeds, spec["training_seeds"], strict=True):
-            found = _file_of(source, data.get("files"))
-            here: PolicySource | None = source
-            hashes = file_hashes(source) if isinstance(source, FactorySpec) else {}
-            if found is not None:
-                path, digest = found
-                copy = policy_copy(folder, digest)
-                if hashes != {path: digest} and file_hash(copy) == digest:
-                    arguments = dict(source.arguments) if isinstance(source, FactorySpec) else {}
-                    arguments["path_or_name"] = str(copy)
-                    here, hashes = FactorySpec.of(LOADER, **arguments), {path: digest}
-                elif not hashes:
-                    here, hashes = None, {path: digest}
-            sources.append(here)
-            files.append(tuple(hashes.items()))
-        return cls(
-            **{each.name: getattr(policy, each.name) for each in fields(policy)},
-            sources=tuple(sources),
-            files=tuple(files),
-        )
-
-    @property
-    def has_memory(self) -> bool | None:
-        source = self.sources[0]
-        return super().has_memory if source is None else PolicySpec(self.name, source, self.interface).has_memory
-
-    @property
-    def missing(self) -> dict[int, str]:
-        """By training seed, which file is missing."""
-        return {
-            seed: f"policy {self.name!r}: the file {path} is not here (expected SHA-256 {digest})"
-            for seed, (source, ((path, digest), *_)) in enumerate(zip(self.sources, self.files, strict=True))
-            if source is None
-        }
-
-    def to_dict(self) -> dict[str, Any]:
-        data = super().to_dict()
-        seeds = zip(data["training_seeds"], self.files, strict=True)
-        return {**data, "training_seeds": [{**seed, "files": dict(files)} for seed, files in seeds]}
-
-    @contextmanager
-    def deciding(self, layout: ObservationLayout, training_seed: int = 0) -> Iterator[Policy]:
-        source = self.sources[training_seed]
-        if source is None:
-            raise PolicyError(self.missing[training_seed])
-        with PolicySpec(self.name, source, self.interface).deciding(layout) as policy:
-            yield policy
-
-
-def _file_of(source: PolicySource, files: Any) -> tuple[str, str] | None:
-    """The path of the one file of a learned policy, and its published SHA-256; ``None`` for another policy."""
-    path = learned_file(source)
-    if path is None or not isinstance(files, dict):
-        return None
-    digest = files.get(path)
-    return (path, digest) if isinstance(digest, str) and _DIGEST.fullmatch(digest) else None
-
-
-def _lacks_file(job: Job) -> bool:
-    return isinstance(job.policy, _Copied) and job.training_seed in job.policy.missing
 
 
 def _source(metric: Any) -> str:
@@ -432,7 +327,6 @@ class _Stored:
     def __init__(self, listing: _Listing) -> None:
         self._store = PublishedStore(listing.path.parent, listing.metrics)
         self._keys = dict(listing.keys)
-        self._trials = {track: iter(keys) for track, keys in listing.trials.items()}
         self._failures, self._versions = listing.failures, listing.versions
         self._found: dict[Job, JobResult] = {}
 
@@ -448,10 +342,7 @@ class _Stored:
     def _load(self, job: Job) -> JobResult:
         track, policy = job.track.name, job.policy.name
         failure = self._failures.get((track, policy))
-        if policy == CANDIDATE:
-            key = next(self._trials.get(track, iter(())), None)
-        else:
-            key = self._keys.pop((track, policy, job.training_seed), None)
+        key = self._keys.pop((track, policy, job.training_seed), None)
         if failure is not None:
             return JobResult({}, {}, None, failure)
         if key is None:
@@ -475,18 +366,10 @@ class _Stored:
             )
         return result
 
-    def unused(self, trials: Mapping[str, Sequence[Job]]) -> Iterator[str]:
-        """A text for each listed job that no table needs.
-
-        Args:
-            trials: by which the tuned laws were chosen, by track; none where the choice is published. Older results
-                list trials there too.
-        """
+    def unused(self) -> Iterator[str]:
+        """A text for each listed job that no table needs."""
         for track, policy, training_seed in self._keys:
             yield f"jobs: {policy} (training seed {training_seed}) on {track} belongs to no table"
-        for track, keys in self._trials.items():
-            if trials.get(track) and any(True for _ in keys):
-                yield f"trials: there are more of {track} than candidates"
 
 
 def _repeat(job: Job, stored: JobResult, fresh: EpisodeSet, significance: float) -> Repetition:

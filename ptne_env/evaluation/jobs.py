@@ -48,11 +48,10 @@ class Job:
     episodes: EpisodeSet
 
     def to_dict(self) -> dict[str, Any]:
-        """Everything the numbers depend on, as a JSON object. Names of policies and scales of scores do not count."""
+        """Everything the numbers depend on, as a JSON object. Names of policies do not count."""
         policy = self.policy.to_dict()
-        track = {name: value for name, value in self.track.to_dict().items() if name not in ("best_known", "ceiling")}
         return {
-            "track": {**track, "files": self.track.files()},
+            "track": {**self.track.to_dict(), "files": self.track.files()},
             "policy": {"interface": policy["interface"], **policy["training_seeds"][self.training_seed]},
             "episodes": asdict(self.episodes),
             "metrics": sorted(name for name, metric in METRICS.items() if metric.value is not None),

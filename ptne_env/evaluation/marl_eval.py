@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from ptne_env.evaluation.leaderboard import scores
 from ptne_env.evaluation.results import Results
 from ptne_env.evaluation.suite import ZERO
 from ptne_env.shared.arrays import FloatArray
@@ -19,7 +20,7 @@ def marl_eval_json(results: Results) -> str:
     """Results as a JSON text of marl-eval: environment → task → algorithm → run → step or absolute metrics → metric.
 
     The environment is the suite, a task a track, an algorithm a policy and a run a training seed. Metrics are
-    ``digits`` (the metric of the track) and, in a suite with full marks, ``score``. ``step_1`` holds the mean of a run,
+    ``digits`` (the metric of the track) and, in a suite, ``score``. ``step_1`` holds the mean of a run,
     ``absolute_metrics`` every episode. ``step_count`` is 0, because policies are evaluated once, after training.
 
     marl-eval needs the same algorithms on all tasks and the same number of runs of all algorithms. Therefore a policy
@@ -31,8 +32,6 @@ def marl_eval_json(results: Results) -> str:
         results: of a comparison or of another suite.
     """
     board = results.leaderboard
-    scales = {} if board is None else {scale.track: scale for scale in board.scales if scale.has_scores}
-    with_scores = len(scales) == len(results.tracks)
     runs = max(len(spec.training_seeds) for spec in results.policies.values())
     tasks: dict[str, Any] = {}
     for track in results.tracks:
@@ -42,7 +41,9 @@ def marl_eval_json(results: Results) -> str:
                 continue
             acting = name if (track.name, name) in results.samples else ZERO
             digits = results.samples[track.name, acting][track.metric]
-            metrics = {"digits": digits} | ({"score": scales[track.name].scores(digits)} if with_scores else {})
+            metrics = {"digits": digits}
+            if board is not None:
+                metrics["score"] = scores(digits, results.samples[track.name, ZERO][track.metric])
             algorithms[name.replace(",", ";")] = {
                 f"run_{run + 1}": _run({metric: values[run % len(values)] for metric, values in metrics.items()})
                 for run in range(runs)

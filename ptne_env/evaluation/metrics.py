@@ -29,7 +29,7 @@ CVAR_SHARE = 0.1
 Statistic: TypeAlias = Literal["mean", "cvar"]
 """Over episodes: the mean, or the mean of the worst tenth."""
 
-Block: TypeAlias = Literal["How close", "At what cost", "Against tuned laws"]
+Block: TypeAlias = Literal["How close", "At what cost"]
 """The tables in which metrics stand."""
 
 
@@ -184,13 +184,6 @@ def _tracking_digits(rollout: Rollout) -> FloatArray:
     return distances.digits(_area(times, rollout["estimate_distance"][first:]) / (times[-1] - times[0]))
 
 
-def _unexplained_share(rollout: Rollout) -> FloatArray:
-    shares = rollout["unexplained"]
-    found = np.isfinite(shares)
-    count = ordered_sum(found)
-    return np.where(count > 0, ordered_sum(np.where(found, shares, 0.0)) / np.maximum(count, 1), np.nan)
-
-
 def _saturated_share(rollout: Rollout) -> FloatArray:
     return ordered_sum(rollout["saturated"]) / np.maximum(ordered_sum(rollout["components"]), 1)
 
@@ -239,9 +232,6 @@ for _metric in (
            value=lambda rollout: rollout["mean_digits"][1] - rollout["mean_digits"][0]),
     Metric("log_error_area", "mean log10 error", "mean of log10 of the estimate distance over [0, T]", "lower",
            value=_log_error_area),
-    Metric("unexplained_share", "unexplained moves",
-           "share of the moves of estimates of others beyond the own and all received estimates (of every fifth step)",
-           "lower", value=_unexplained_share),
     Metric("input_energy", "input energy", "Σ Δt ‖u‖² to the deadline", "lower", "At what cost",
            lambda rollout: ordered_sum(rollout["input_energy"])),
     Metric("velocity_energy", "velocity energy", "Σ Θ² ‖u‖²/Δt to the deadline", "lower", "At what cost",
@@ -260,16 +250,6 @@ for _metric in (
     Metric("microseconds_per_decision", "µs per decision",
            "microseconds of the policy per player and step, all episodes in one batch", "lower", "At what cost",
            _microseconds, is_timing=True),
-    Metric("digits_over_paper_laws", "digits over the best paper law",
-           "digits beyond the best of the paper's laws, paired by episode", "higher", "Against tuned laws"),
-    Metric("probability_of_beating_paper_laws", "P(beats the best paper law)",
-           "share of episodes with more digits than that law; a tie counts half", "higher", "Against tuned laws",
-           format=share),
-    Metric("digits_over_all_laws", "digits over the best law", "digits beyond the best of all laws, paired by episode",
-           "higher", "Against tuned laws"),
-    Metric("probability_of_beating_all_laws", "P(beats the best law)",
-           "share of episodes with more digits than that law; a tie counts half", "higher", "Against tuned laws",
-           format=share),
 ):
     register(_metric)
 # fmt: on
@@ -278,18 +258,3 @@ for _metric in (
 def measured() -> frozenset[str]:
     """The names of the metrics that have a value per episode of their own: no timings, summaries and comparisons."""
     return frozenset(name for name, metric in METRICS.items() if metric.value is not None and not metric.is_timing)
-
-
-def against_law(group: str, digits: FloatArray, law: FloatArray) -> dict[str, FloatArray]:
-    """The metrics of a learned policy against the tuned law of a group, paired by episode.
-
-    Args:
-        group: ``"paper"`` or ``"all"``.
-        digits: of the policy, shape (training seeds, episodes).
-        law: digits of the law, shape (1, episodes).
-    """
-    difference = digits - law
-    return {
-        f"digits_over_{group}_laws": difference,
-        f"probability_of_beating_{group}_laws": (np.sign(difference) + 1) / 2,
-    }

@@ -8,7 +8,7 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
-from typing import Any, Literal, TypeAlias, get_args
+from typing import Any
 
 from ptne_env import laws
 from ptne_env import learn as policies
@@ -26,28 +26,11 @@ from ptne_env.world.catalogue import CATALOGUE
 
 _LAWS = "ptne_env.laws:"
 _AVERAGING = {"patience": 30.0, "forgetting": 2.0}
+DIVISIONS = ("honest", "oracle")
+"""The kinds of entries, in the order of tables: oracles use information that players lack."""
+
 ARCHIVE = "ptne_env.learn.archive:load_archive"
 """Target of the policies whose making executes code that is stored in a file."""
-
-GRAPH_KNOWLEDGE = {"links": "own links", "union": "union graph", "schedule": "schedule"}
-"""The knowledge of graphs that an interface declares, in words; more knowledge comes later."""
-
-
-KNOWLEDGE = {
-    "graphs": "graphs that its players know: their own links, the union of all graphs, or the graph of every step",
-    "memory": "whether it keeps numbers from step to step",
-    "estimates": "honest: present beliefs about strategies; coded: anything else",
-}
-"""What an entry declares: name and meaning."""
-
-Division: TypeAlias = Literal["honest", "coded", "oracle"]
-"""Honest entries, whose estimates are beliefs about strategies; coded ones; oracles, which have no rank."""
-
-_MEMORY = {True: "yes", False: "no", None: "unknown"}
-
-DIVISIONS: tuple[Division, ...] = get_args(Division)
-"""All of them, in the order of tables."""
-
 
 @dataclass(frozen=True)
 class PolicySpec:
@@ -61,7 +44,6 @@ class PolicySpec:
         interface: makes its observations and decodes its actions; the policy's own attribute ``interface`` if left
             out, or the one that the spaces of a Stable-Baselines3 model belong to; ``physical`` if it has neither.
         scenarios: names of the scenarios it is run on, "n/a" elsewhere; all if ``None``.
-        memory: what :attr:`has_memory` says of a file that is not here.
         description: one sentence, for lists; no part of the policy.
     """
 
@@ -69,7 +51,6 @@ class PolicySpec:
     policy: PolicySource | tuple[PolicySource, ...]
     interface: Interface = None  # type: ignore[assignment]  # filled in below, so that readers never see None
     scenarios: frozenset[str] | None = None
-    memory: bool | None = field(default=None, compare=False, repr=False)
     description: str = field(default="", compare=False, repr=False)
 
     def __post_init__(self) -> None:
@@ -141,36 +122,9 @@ class PolicySpec:
         return self.interface.kind == "full"
 
     @property
-    def division(self) -> Division:
-        """The entries among which it is ranked."""
-        return "oracle" if self.is_oracle else "honest"
-
-    @property
-    def has_memory(self) -> bool | None:
-        """Whether it keeps numbers from step to step; ``None`` for code and files that do not say so."""
-        made: Any = self.training_seeds[0]
-        if (file := learned_file(made)) is not None:
-            try:
-                made = policies.load(file)
-            except (OSError, ValueError, ImportError):  # it may have been moved since it was run
-                return self.memory
-        if isinstance(made, policies.LearnedPolicy | policies.SizeFreeFile):
-            return made.has_memory
-        if isinstance(made, FactorySpec):
-            made = None if self.is_foreign else made.resolve()
-        law = _named(made)
-        if issubclass(law, laws.Law):
-            return law.initial_memory is not laws.Law.initial_memory
-        return None if self.is_learned else False
-
-    @property
-    def knowledge(self) -> dict[str, str]:
-        """What it declares, in words: a value for each of :data:`KNOWLEDGE`."""
-        return {  # the keys of KNOWLEDGE
-            "graphs": "all" if self.is_oracle else GRAPH_KNOWLEDGE[self.interface.graph_knowledge],
-            "memory": _MEMORY[self.has_memory],
-            "estimates": "honest",
-        }
+    def division(self) -> str:
+        """One of :data:`DIVISIONS`."""
+        return DIVISIONS[self.is_oracle]
 
     @property
     def is_repeatable(self) -> bool:
@@ -207,7 +161,6 @@ class PolicySpec:
         return {
             "name": self.name,
             "interface": asdict(self.interface),
-            "knowledge": self.knowledge,
             "scenarios": None if self.scenarios is None else sorted(self.scenarios),
             "training_seeds": [_source_to_dict(policy) for policy in self.training_seeds],
         }
@@ -230,11 +183,9 @@ class PolicySpec:
             )
             scenarios = None if data["scenarios"] is None else frozenset(data["scenarios"])
             name, interface = str(data["name"]), Interface(**data["interface"])
-            stated = data.get("knowledge", {}).get("memory")
-            memory = next((value for value, word in _MEMORY.items() if word == stated), None)
         except (KeyError, TypeError, AttributeError) as error:
             raise ValueError(f"not a policy: {type(error).__name__}: {error}") from None
-        return cls(name, seeds if len(seeds) != 1 else seeds[0], interface, scenarios, memory)
+        return cls(name, seeds if len(seeds) != 1 else seeds[0], interface, scenarios)
 
 
 def _source_to_dict(policy: PolicySource) -> dict[str, Any]:

@@ -7,7 +7,7 @@ import io
 import json
 import re
 from collections.abc import Collection, Iterator, Mapping
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from functools import cached_property
 from html import escape
 from itertools import cycle
@@ -17,9 +17,9 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 from ptne_env._version import __version__
 from ptne_env.evaluation.episodes import Split
 from ptne_env.evaluation.jobs import Job
-from ptne_env.evaluation.leaderboard import NEEDED, Leaderboard, leaderboard
-from ptne_env.evaluation.metrics import METRICS, Statistic, measured, number
-from ptne_env.evaluation.policy_specs import KNOWLEDGE, PolicySpec
+from ptne_env.evaluation.leaderboard import Leaderboard, leaderboard
+from ptne_env.evaluation.metrics import METRICS, Statistic, number
+from ptne_env.evaluation.policy_specs import PolicySpec
 from ptne_env.evaluation.provenance import content_hash, is_hash_of, versions
 from ptne_env.evaluation.statistics import Summary, summaries
 from ptne_env.evaluation.suite import Suite, Track
@@ -52,13 +52,11 @@ class Results:
         suite: whose tracks were run.
         target: by which :func:`~ptne_env.evaluation.suite.get_suite` finds the suite; ``None`` for an object.
         policies: by name, in the order of tables.
-        tuned: per track with learned policies, the tuned law of each group of laws (keys "paper" and "all").
         seed: of the episode sets.
         split: of the episode sets.
         episodes: number of episodes by name of each track that was run, in the order of the suite.
-        jobs: those of the policies and of the tuned laws.
-        trials: per track with learned policies, the jobs by whose validation digits the tuned laws were chosen.
-        samples: by (track, policy), of policies and tuned laws.
+        jobs: of the policies.
+        samples: by (track, policy).
         not_applicable: by (track, policy), why the policy cannot act or was not run there.
         failures: by (track, policy), the error of the policy there.
         records: one per track, policy and metric, with the mean (or CVaR) and its 95 % interval.
@@ -67,12 +65,10 @@ class Results:
     suite: Suite
     target: str | None
     policies: dict[str, PolicySpec]
-    tuned: dict[str, dict[str, PolicySpec]]
     seed: int
     split: Split
     episodes: dict[str, int]
     jobs: tuple[Job, ...]
-    trials: dict[str, tuple[Job, ...]]
     samples: dict[tuple[str, str], Samples]
     not_applicable: dict[tuple[str, str], str]
     failures: dict[tuple[str, str], str]
@@ -83,39 +79,9 @@ class Results:
         """The tracks that were run, in the order of the suite."""
         return tuple(track for track in self.suite.tracks if track.name in self.episodes)
 
-    @property
-    def every_policy(self) -> dict[str, PolicySpec]:
-        """The policies and the tuned laws by name."""
-        return self.policies | {law.name: law for laws in self.tuned.values() for law in laws.values()}
-
     def policies_on(self, track: str) -> dict[str, PolicySpec]:
-        """The policies and tuned laws that were run on a track, by name, in the order of tables."""
-        chosen = self.policies | {law.name: law for law in self.tuned.get(track, {}).values()}
-        return {name: policy for name, policy in chosen.items() if (track, name) in self.samples}
-
-    def of_metrics(self, names: Collection[str]) -> Results:
-        """The same results with the samples and records of some metrics alone, and those that follow from them.
-
-        Args:
-            names: of metrics that are measured. Timings, and comparisons with tuned laws, are always kept.
-
-        Raises:
-            ValueError: for a name that is none, or when one is left out that leaderboards need.
-        """
-        known = measured()
-        if unknown := sorted(set(names) - known):
-            raise ValueError(f"no measured metrics: {', '.join(unknown)}; choose from {', '.join(sorted(known))}")
-        if needed := sorted(NEEDED - set(names)):
-            raise ValueError(f"leaderboards need {', '.join(needed)}: keep these metrics too")
-        left_out = known - set(names)
-        return replace(
-            self,
-            samples={
-                place: {name: values for name, values in found.items() if name not in left_out}
-                for place, found in self.samples.items()
-            },
-            records=tuple(record for record in self.records if METRICS[record["metric"]].source not in left_out),
-        )
+        """The policies that were run on a track, by name, in the order of tables."""
+        return {name: policy for name, policy in self.policies.items() if (track, name) in self.samples}
 
     def record(self, track: str, policy: str, metric: str) -> Record:
         """The record of one track, policy and metric.
@@ -160,9 +126,6 @@ class Results:
             "split": self.split,
             "episodes": self.episodes,
             "policies": [policy.to_dict() for policy in self.policies.values()],
-            "tuned_laws": {
-                track: {group: law.to_dict() for group, law in laws.items()} for track, laws in self.tuned.items()
-            },
             "records": [record for record, is_timing in zip(self.records, timed, strict=True) if not is_timing],
             "not_applicable": _reasons(self.not_applicable),
             "failures": _reasons(self.failures),
@@ -176,7 +139,6 @@ class Results:
                 }
                 for job in self.jobs
             ],
-            "trials": {track: [job.key for job in jobs] for track, jobs in self.trials.items()},
             "versions": versions(),
         }
         timings = [record for record, is_timing in zip(self.records, timed, strict=True) if is_timing]
@@ -187,7 +149,7 @@ class Results:
         return json.dumps(self.to_dict(), indent=2, allow_nan=False, ensure_ascii=False)
 
     def to_csv(self) -> str:
-        """The records as CSV, each with the policy's knowledge, the version, the suite's content hash, seed and split.
+        """The records as CSV, each with the version, the suite's content hash, seed and split.
 
         A text that a spreadsheet would read as a formula is preceded by ``'``.
         """
@@ -214,13 +176,12 @@ class Results:
     @property
     def _columns(self) -> list[str]:
         common = ["seed", "split", "version", "suite", "content_hash"]
-        return ["track", "policy", "metric", "mean", "low", "high", "episodes", *KNOWLEDGE, *common]
+        return ["track", "policy", "metric", "mean", "low", "high", "episodes", *common]
 
     def _rows(self) -> Iterator[Record]:
         common = (self.seed, self.split, __version__, self.suite.name, self.suite.content_hash)
-        known = {name: tuple(spec.knowledge.values()) for name, spec in self.every_policy.items()}
         for record in self.records:
-            values = (*record.values(), *known[record["policy"]], *common)
+            values = (*record.values(), *common)
             yield dict(zip(self._columns, values, strict=True))
 
     def plot(self, metric: str | None = None) -> Figure:
@@ -241,7 +202,7 @@ class Results:
         panels = {track: found for track in self.tracks if (found := self._ranked(track, metric or track.metric))}
         if not panels:
             raise ValueError(f"no policy has a value of {metric or 'the metric of a track'}: there is nothing to plot")
-        colours = dict(zip(self.every_policy, cycle(COLOURS), strict=False))
+        colours = dict(zip(self.policies, cycle(COLOURS), strict=False))
         across = min(len(panels), 3)
         down = -(-len(panels) // across)
         height = 0.9 + 0.22 * max(map(len, panels.values()))
@@ -274,9 +235,8 @@ class Results:
         return {policy: values[policy] for policy in sorted(order, key=lambda name: sign * (values[name].mean or 0.0))}
 
     def _label(self, policy: str) -> str:
-        """The name of a policy, with its division where it is not honest."""
-        division = self.every_policy[policy].division
-        return policy if division == "honest" else f"{policy} ({division})"
+        """The name of a policy, marked where it is an oracle."""
+        return f"{policy} (oracle)" if self.policies[policy].is_oracle else policy
 
     def _count(self, track: Track) -> str:
         episodes = self.episodes[track.name]
@@ -398,6 +358,6 @@ def read_results(path: Path) -> dict[str, Any]:
             f"{path} was damaged or changed after it was written: run the suite again, which writes it anew from the "
             "stored jobs"
         )
-    require("seed", "split", "episodes", "policies", "tuned_laws", "trials", "versions", "timings")
+    require("seed", "split", "episodes", "policies", "versions", "timings")
     require("records", "not_applicable", "failures", "leaderboard")
     return data

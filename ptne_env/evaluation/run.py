@@ -2,39 +2,30 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Container, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import chain
 from pathlib import Path
-from typing import Any, Literal, TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 
-from ptne_env.evaluation import tuning
 from ptne_env.evaluation.episodes import EpisodeSet, Split
 from ptne_env.evaluation.jobs import Job, JobResult, require_hashed
-from ptne_env.evaluation.metrics import against_law
-from ptne_env.evaluation.policy_specs import POLICIES, PolicySpec, get_policy_spec
+from ptne_env.evaluation.policy_specs import PolicySpec, get_policy_spec
 from ptne_env.evaluation.results import Results, records, statistics_of
-from ptne_env.evaluation.store import Store, run_jobs, run_missing
+from ptne_env.evaluation.store import Store, run_jobs
 from ptne_env.evaluation.suite import (
     COMPARED_EPISODES,
-    LAW,
     LEADERBOARD_SEED,
     SUITES,
     Suite,
-    Track,
     comparison,
     get_suite,
 )
-from ptne_env.evaluation.tuning import Tunable, Tuned, Tuning, Tunings
 from ptne_env.evaluation.workers import Workers
 from ptne_env.shared.arrays import FloatArray
-from ptne_env.shared.parts import FactorySpec
 from ptne_env.world.scenario import Scenario
-
-Opposed: TypeAlias = bool | Literal["published"]
-"""Where policies are compared with tuned laws: everywhere, nowhere, or where these laws ship with the library."""
 
 
 def evaluate(
@@ -45,7 +36,6 @@ def evaluate(
     seed: int = 0,
     hold_steps: int = 0,
     split: Split = "test",
-    against_laws: Opposed = "published",
     folder: Path | None = None,
     rerun: bool = False,
     workers: Workers = Workers(),  # noqa: B008 - immutable
@@ -56,11 +46,6 @@ def evaluate(
     A scenario of the catalogue, given by name, is run from ``episodes`` random starts. Any other is run as it is:
     ``episodes`` times when something in it is random, else once.
 
-    Where something is random, every policy but the library's own laws is also compared, paired by episode, with the
-    best of the paper's laws and the best of all laws. Both are tuned and chosen by the mean of the track's metric on
-    validation episodes (:mod:`ptne_env.evaluation.tuning`). For the scenarios of the catalogue they ship with the
-    library; ``against_laws=True`` tunes them for other scenarios too, which takes minutes per scenario.
-
     Args:
         policies: specs, or strings as :func:`~ptne_env.evaluation.policy_specs.get_policy_spec` takes them; one of
             them, or several.
@@ -70,8 +55,6 @@ def evaluate(
         seed: of the episode sets; the remaining arguments are explained at :func:`run_suite`.
         hold_steps: steps after the deadline for the scenarios given by name.
         split: ``"test"``, ``"validation"`` or ``"train"``.
-        against_laws: where policies are compared with tuned laws: ``"published"``, on scenarios whose tuned laws ship
-            with the library; ``True``, on all; ``False``, on none.
         folder: in which finished jobs are stored.
         rerun: whether stored jobs are run again.
         workers: run the jobs.
@@ -86,7 +69,6 @@ def evaluate(
         policies,
         seed=seed,
         split=split,
-        against_laws=against_laws,
         folder=folder,
         rerun=rerun,
         workers=workers,
@@ -102,7 +84,6 @@ def run_suite(
     episodes: int | None = None,
     seed: int = LEADERBOARD_SEED,
     split: Split = "test",
-    against_laws: Opposed = False,
     folder: Path | None = None,
     rerun: bool = False,
     workers: Workers = Workers(),  # noqa: B008 - immutable
@@ -125,7 +106,6 @@ def run_suite(
         episodes: per track; the suite's own number if left out.
         seed: of the episode sets; the leaderboard's is 0.
         split: ``"test"``, ``"validation"`` or ``"train"``, which share no episode.
-        against_laws: as for :func:`evaluate`.
         folder: in which the results of finished jobs are stored; nothing is stored if left out.
         rerun: whether stored jobs are run again. Jobs whose sources cannot be hashed need it.
         workers: run the jobs. Only the measured times of policies depend on it.
@@ -145,17 +125,7 @@ def run_suite(
     sets = {name: suite.episode_set(name, episodes, seed=seed, split=split) for name in names}
     runner = _Runner(None if folder is None else Store(folder), workers, progress, rerun=rerun)
     specs = [get_policy_spec(policy) for policy in _several(policies)]
-    opposed = []
-    if against_laws and any(spec.is_learned for spec in specs):
-        opposed = [
-            track
-            for track in map(suite.track, names)
-            if track.world.is_random
-            and (against_laws is True or all(search.is_published for search in _searches(suite, track)))
-        ]
-    runner.reserved = sum(_cost_of_opponents(suite, track, sets[track.name]) for track in opposed)
-    opposed_names = {track.name for track in opposed}
-    return assemble(suite, target, specs, sets, opposed=opposed_names, run=runner, tune=runner.tune)
+    return assemble(suite, target, specs, sets, run=runner)
 
 
 def _several(given: Any) -> Iterable[Any]:
@@ -176,9 +146,7 @@ def assemble(
     policies: Sequence[PolicySpec],
     episodes: Mapping[str, EpisodeSet],
     *,
-    opposed: Container[str],
     run: Callable[[Sequence[Job]], list[JobResult]],
-    tune: Callable[[Sequence[Tuning]], list[Tuned]],
 ) -> Results:
     """The results of a suite from the results of its jobs, of which there may be stored ones only.
 
@@ -187,9 +155,7 @@ def assemble(
         target: that finds it; ``None`` for an object.
         policies: beside the reference policies.
         episodes: the episode set of each track that is run, by name.
-        opposed: names of the tracks on which policies are compared with tuned laws.
         run: gives the results of jobs, in their order.
-        tune: gives the results of searches for tuned laws, in their order.
 
     Raises:
         ValueError: for repeated names, or when no policy fits any track.
@@ -220,26 +186,10 @@ def assemble(
     for (track_name, name), reason in outcome.failures.items():
         if name in references:
             raise RuntimeError(f"the reference policy {name!r} fails on track {track_name!r}: {reason}")
-    tuned: dict[str, dict[str, PolicySpec]] = {}
-    trials: dict[str, tuple[Job, ...]] = {}
-    with_learned = {track for track, policy in samples if specs[policy].is_learned}
-    random = [
-        track for track in chosen if track.name in with_learned and track.world.is_random and track.name in opposed
-    ]
-    if random:
-        tuned, trials = _tuned_laws(suite, random, run, tune)
-        opposing = [Job(track, law, 0, episodes[track.name]) for track in random for law in tuned[track.name].values()]
-        law_samples = _collected(opposing, run(opposing)).samples
-        for (track_name, policy), measured in samples.items():
-            if track_name in tuned and specs[policy].is_learned:
-                metric = suite.track(track_name).metric
-                for group, name in tuning.GROUPS.items():
-                    measured.update(against_law(group, measured[metric], law_samples[track_name, name][metric]))
-        jobs, samples = [*jobs, *opposing], {**samples, **law_samples}
     ordered = {
         (track.name, name): samples[track.name, name]
         for track in chosen
-        for name in [*specs, *(law.name for law in tuned.get(track.name, {}).values())]
+        for name in specs
         if (track.name, name) in samples
     }
     first = next(iter(episodes.values()))
@@ -247,12 +197,10 @@ def assemble(
         suite=suite,
         target=target,
         policies=specs,
-        tuned=tuned,
         seed=first.seed,
         split=first.split,
         episodes={name: found.count for name, found in episodes.items()},
         jobs=tuple(jobs),
-        trials=trials,
         samples=ordered,
         not_applicable=not_applicable,
         failures=outcome.failures,
@@ -272,9 +220,6 @@ def _by_name(suite: Suite, listed: Sequence[PolicySpec]) -> dict[str, PolicySpec
             f"a comparison needs different names, got {', '.join(spec.name for spec in listed)}; a file gets another "
             "name by 'name=path'"
         )
-    for name in tuning.GROUPS.values():
-        if name in specs:
-            raise ValueError(f"{name!r} is the name of a tuned law: give your policy another name")
     for reference in suite.references:
         if specs.setdefault(reference.name, reference) != reference:
             raise ValueError(
@@ -289,15 +234,13 @@ def _by_name(suite: Suite, listed: Sequence[PolicySpec]) -> dict[str, PolicySpec
 class _Runner:
     """Runs lists of jobs, and adds up their work for the progress callback.
 
-    Jobs with the same key, such as those of a law under two names, run once, so that all have the same timings. Work
-    that is known to come after the first list is ``reserved``, so that the progress does not fall back.
+    Jobs with the same key, such as those of a law under two names, run once, so that all have the same timings.
     """
 
     store: Store | None
     workers: Workers
     progress: Callable[[str, int, int], None] | None
     rerun: bool
-    reserved: int = 0
     work: int = 0
     total: int = 0
     done: dict[str | tuple[int, int], JobResult] = field(default_factory=dict)
@@ -307,7 +250,7 @@ class _Runner:
         if self.store is not None and not self.rerun:
             require_hashed(jobs)
         names = [job.key or (self.total, index) for index, job in enumerate(jobs)]
-        self._expect(sum(job.cost for job in jobs))
+        self.total += sum(job.cost for job in jobs)
         missing = {name: index for index, name in reversed(list(enumerate(names))) if name not in self.done}
         # Quick jobs first, so that progress shows at once; lists of policies begin with the fastest laws.
         order = sorted(missing.values(), key=lambda index: (jobs[index].cost, index))
@@ -321,32 +264,6 @@ class _Runner:
             if self.progress is not None:
                 self.progress(f"{jobs[index].track.name}: {jobs[index].policy.name}", self.work, self.total)
         return [self.done[name] for name in names]
-
-    def _expect(self, cost: int) -> None:
-        """Add work to the total, the reserved work first."""
-        if not self.total:
-            self.total = cost + self.reserved
-            return
-        self.total += max(cost - self.reserved, 0)
-        self.reserved = max(self.reserved - cost, 0)
-
-    def tune(self, searches: Sequence[Tuning]) -> list[Tuned]:
-        """The results of searches, in their order."""
-        store = None if self.store is None else Tunings(self.store.folder)
-        self._expect(sum(search.cost for search in searches))
-        running = run_missing(
-            searches,
-            store,
-            lambda missing: self.workers.run(Tuning.find, [(search,) for search in missing]),
-            rerun=self.rerun,
-        )
-        found = {}
-        for index, result in running:
-            found[index] = result
-            self.work += searches[index].cost
-            if self.progress is not None and searches[index].cost:
-                self.progress(f"{searches[index].track.name}: tuning laws", self.work, self.total)
-        return [found[index] for index in range(len(searches))]
 
 
 _Place: TypeAlias = tuple[str, str]
@@ -378,47 +295,3 @@ def _collected(jobs: Sequence[Job], results: Sequence[JobResult]) -> _Outcome:
             columns = [result.by_metric() for result in found]
             outcome.samples[place] = {name: np.stack([column[name] for column in columns]) for name in columns[0]}
     return outcome
-
-
-def _searches(suite: Suite, track: Track) -> list[Tuning]:
-    """The searches for the laws with which policies are compared on a track."""
-    return [Tuning(track, member, validation_set(suite, track)) for member in tuning.FIELD]
-
-
-def _cost_of_opponents(suite: Suite, track: Track, episodes: EpisodeSet) -> int:
-    """The work of finding the tuned laws of a track, and of playing them."""
-    law = POLICIES[LAW]
-    unknown = [search for search in _searches(suite, track) if not search.is_published]
-    trials = len(unknown) * Job(track, law, 0, validation_set(suite, track)).cost
-    return sum(search.cost for search in unknown) + trials + len(tuning.GROUPS) * Job(track, law, 0, episodes).cost
-
-
-def validation_set(suite: Suite, track: Track) -> EpisodeSet:
-    """The validation episodes on which laws are tuned for a track."""
-    return suite.episode_set(track.name, tuning.VALIDATION_EPISODES, split="validation")
-
-
-def _tuned_laws(
-    suite: Suite,
-    tracks: Sequence[Track],
-    run: Callable[[Sequence[Job]], list[JobResult]],
-    tune: Callable[[Sequence[Tuning]], list[Tuned]],
-) -> tuple[dict[str, dict[str, PolicySpec]], dict[str, tuple[Job, ...]]]:
-    """The best law of each group on the validation episodes of each track, and the jobs that show it.
-
-    A trial that is published is not run.
-    """
-    searches = [search for track in tracks for search in _searches(suite, track)]
-    laws = [
-        (search, tuned.law, search.reached(tuned.law))
-        for search, tuned in zip(searches, tune(searches), strict=True)
-        if tuned.law is not None
-    ]
-    trials = [search.trial(law) for search, law, mean in laws if mean is None]
-    played = zip(trials, run(trials), strict=True)
-    digits: dict[str, dict[Tunable, tuple[FactorySpec, float]]] = {track.name: {} for track in tracks}
-    for search, law, mean in laws:
-        reached = tuning.mean_of(*next(played)) if mean is None else mean
-        digits[search.track.name][search.member] = law, reached
-    chosen = {name: tuning.best(found) for name, found in digits.items()}
-    return chosen, {name: tuple(trial for trial in trials if trial.track.name == name) for name in digits}

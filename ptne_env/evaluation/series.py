@@ -16,11 +16,8 @@ from ptne_env.world.dynamics import State
 from ptne_env.world.rewards import REWARD_LIMIT
 from ptne_env.world.world import World
 
-When: TypeAlias = Literal["instants", "steps", "samples", "deadline", "ends"]
-"""Every instant, every step to the deadline, every fifth of them, the instant T, or the first and the last instant."""
-
-SAMPLING = 5
-"""Steps from one sample to the next. It has no factor in common with short periods of 2, 3, 4, 6 or 8 steps."""
+When: TypeAlias = Literal["instants", "steps", "deadline", "ends"]
+"""Every instant, every step to the deadline, the instant T, or the first and the last instant."""
 
 
 class Moment:
@@ -100,7 +97,6 @@ class Series:
         return {
             "instants": range(clock.total_steps + 1),
             "steps": range(clock.steps),
-            "samples": range(0, clock.steps, SAMPLING),
             "deadline": range(clock.steps, clock.steps + 1),
             "ends": (0, clock.total_steps),
         }[self.when]
@@ -177,21 +173,6 @@ def _messages(moment: Moment) -> IntArray:
     return ~moment.state.diverged * links
 
 
-def _unexplained(moment: Moment) -> FloatArray:
-    """Of the moves of estimates of others' strategies, the share beyond all estimates at hand; NaN where none moves.
-
-    A belief may move to anywhere between x^i_c and the x^j_c that player i receives, for every component c.
-    """
-    world, state = moment.world, moment.state
-    moves = moment.inputs * (world.theta[moment.step] if world.theta.ndim == 1 else world.theta[:, [moment.step]])
-    moves[np.arange(len(moves)), state.game.owners] = 0.0  # own strategies may move anywhere
-    received = dynamics.relative_estimates(world, state)
-    beyond = np.maximum(moves - np.maximum(received.max(axis=0), 0.0), np.minimum(received.min(axis=0), 0.0) - moves)
-    total = ordered_sum(ordered_sum(np.abs(moves)))
-    share = ordered_sum(ordered_sum(np.maximum(beyond, 0.0))) / np.where(total > 0, total, np.nan)
-    return np.where(state.diverged, np.nan, share)
-
-
 SERIES: dict[str, Series] = {
     series.name: series
     for series in [
@@ -207,7 +188,6 @@ SERIES: dict[str, Series] = {
         Series("saturated", _saturated),
         Series("components", _components),
         Series("messages", _messages),
-        Series("unexplained", _unexplained, "samples"),
     ]
 }
 """The recorded series by name. Efforts are those of the episodes in range."""

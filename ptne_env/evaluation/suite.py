@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, fields
 from functools import cache, cached_property, lru_cache
@@ -28,11 +27,8 @@ ZERO, LAW, ORACLE = "zero-input", "static", "oracle"
 REFERENCES = tuple(POLICIES[name] for name in (ZERO, LAW, ORACLE))
 """These policies."""
 
-MOST_DIGITS = -math.log10(distances.FLOOR)
+MOST_DIGITS = 12.0
 """The digits of a distance at the floor: no more are counted."""
-
-SATURATION_MARGIN = 0.1
-"""A policy has saturated a track when its mean digits are within this many digits of :data:`MOST_DIGITS`."""
 
 EPISODES = 200
 """Episodes of a track of a suite, unless the suite has another number."""
@@ -83,13 +79,10 @@ class Track:
             ``"tracking_digits"``.
         teammates: players that follow a fixed policy; ``None`` where every player follows the policy that is run.
         episodes: its own number of episodes; the suite's if ``None``.
-        best_known: digits of the best known honest entry when the suite was frozen, which are worth the score 1;
-            :data:`MOST_DIGITS` if ``None``.
-        ceiling: digits that no policy passes; :data:`MOST_DIGITS` if ``None``.
 
     Raises:
-        ValueError: for another metric, a metric that the scenario does not have, teammates that are not some of the
-            players, or digits above :data:`MOST_DIGITS` or the ceiling.
+        ValueError: for another metric, a metric that the scenario does not have, or teammates that are not some of the
+            players.
     """
 
     name: str
@@ -98,8 +91,6 @@ class Track:
     metric: str = "digits"
     teammates: Teammates | None = None
     episodes: int | None = None
-    best_known: float | None = None
-    ceiling: float | None = None
 
     def __post_init__(self) -> None:
         require_printable("the name of a track", self.name)
@@ -109,14 +100,6 @@ class Track:
             raise ValueError(f"track {self.name!r} is scored by {' or '.join(choices)}, got {self.metric!r}")
         if self.episodes is not None:
             require_count(f"episodes of track {self.name!r}", self.episodes, 1)
-        limits = {"ceiling": MOST_DIGITS, "best_known": self.highest}
-        for name, limit in limits.items():
-            digits = getattr(self, name)
-            if digits is not None and not -MOST_DIGITS <= digits <= limit:
-                raise ValueError(
-                    f"{name} of track {self.name!r} is a number of digits from {-MOST_DIGITS:g} to {limit:g}, "
-                    f"got {digits!r}"
-                )
         if self.teammates is not None:
             chosen, players = set(self.teammates.players), set(range(self.world.game.num_players))
             if not (chosen < players and 0 < len(chosen) == len(self.teammates.players)):
@@ -139,19 +122,7 @@ class Track:
             "metric": self.metric,
             "teammates": None if self.teammates is None else self.teammates.to_dict(),
             "episodes": self.episodes,
-            "best_known": self.best_known,
-            "ceiling": self.ceiling,
         }
-
-    @property
-    def full_marks(self) -> float:
-        """The digits that are worth the score 1."""
-        return MOST_DIGITS if self.best_known is None else self.best_known
-
-    @property
-    def highest(self) -> float:
-        """The digits that no policy passes."""
-        return MOST_DIGITS if self.ceiling is None else self.ceiling
 
     def files(self) -> dict[str, str]:
         """The hashes of what its parts need, as :func:`~ptne_env.evaluation.provenance.file_hashes`."""
@@ -181,24 +152,22 @@ def _definitions(scenario: Scenario) -> list[Any]:
 
 @dataclass(frozen=True)
 class Suite:
-    """Tracks and the rules by which they are run. The content of a published suite is frozen.
+    """Tracks and the rules by which they are run.
 
     Attributes:
         name: such as ``"ptne-v1"``; part of the seeds of all episodes in a published suite.
         tracks: in the order of tables.
         episodes: of every track without a number of its own.
-        frozen: the content hash that it was published with; ``None`` while it is being made.
         is_comparison: whether it is a comparison: all tracks have the same seeds, no reference policies are added, and
             there are no scores.
 
     Raises:
-        ValueError: when names repeat, there is no track, a count is below 1, or the content is not the frozen one.
+        ValueError: when names repeat, there is no track, or a count is below 1.
     """
 
     name: str
     tracks: tuple[Track, ...]
     episodes: int = EPISODES
-    frozen: str | None = None
     is_comparison: bool = False
 
     def __post_init__(self) -> None:
@@ -207,11 +176,6 @@ class Suite:
         names = [track.name for track in self.tracks]
         if not names or len(set(names)) < len(names):
             raise ValueError(f"a suite needs tracks with different names, got {names}")
-        if self.frozen not in (None, self.content_hash):
-            raise ValueError(
-                f"the content of suite {self.name} has the hash {self.content_hash}, but it was frozen as "
-                f"{self.frozen}: a change of content is a new version"
-            )
 
     @property
     def references(self) -> tuple[PolicySpec, ...]:
@@ -259,7 +223,6 @@ class Suite:
                 "reference_policies": {spec.name: spec.to_dict()["training_seeds"] for spec in self.references},
                 "distance_floor": distances.FLOOR,
                 "fine_distance": FINE_DISTANCE,
-                "saturation_margin": SATURATION_MARGIN,
             },
         }
 
@@ -309,7 +272,6 @@ def _comparison_track(scenario: str | Scenario, hold_steps: int) -> Track:
 
 SUITES: Mapping[str, str] = {
     "ptne-v1": "ptne_env.evaluation.ptne_v1:ptne_v1",
-    "ptne-v2": "ptne_env.evaluation.ptne_v2:ptne_v2",
 }
 """The published suites: name, and the ``"module:object"`` that makes each."""
 
@@ -318,7 +280,7 @@ def get_suite(suite: str | Suite) -> Suite:
     """A suite by name, by ``"module:object"`` (a suite, or a function without arguments that makes one), or as it is.
 
     Raises:
-        ValueError: for an unknown name, an object that is no suite, or content that is not the frozen one.
+        ValueError: for an unknown name, or an object that is no suite.
     """
     if isinstance(suite, Suite):
         return suite

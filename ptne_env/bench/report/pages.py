@@ -203,7 +203,7 @@ def report(results: Results, scenes: Mapping[str, Scene], words: Sequence[str] |
         leaderboard=tuple(tables[:leading]),
         all_tracks=tuple(tables[leading:]),
         sections=tuple(_section(results, track, scenes[track.name], named, first) for track in results.tracks),
-        policies=tuple(results.every_policy),
+        policies=tuple(results.policies),
         profiles={} if board is None else {row.policy: row.profile for row in board.overall},
         thresholds=() if board is None else board.thresholds,
         scenes=dict(scenes),

@@ -8,13 +8,12 @@ from dataclasses import dataclass, replace
 from functools import partial
 from typing import TypeVar
 
-from ptne_env.evaluation.leaderboard import ROOM, Leaderboard, Scale, TrackRow
+from ptne_env.evaluation.leaderboard import TrackRow
 from ptne_env.evaluation.metrics import METRICS, number, share
-from ptne_env.evaluation.policy_specs import DIVISIONS, KNOWLEDGE, Division, PolicySpec
+from ptne_env.evaluation.policy_specs import DIVISIONS, PolicySpec
 from ptne_env.evaluation.results import Results
 from ptne_env.evaluation.statistics import Summary, estimate
 from ptne_env.evaluation.suite import LAW, Track
-from ptne_env.evaluation.tuning import GROUPS
 
 Row = TypeVar("Row")
 
@@ -29,16 +28,15 @@ _COMPLETE, _SPECIALISTS = "entries that play every track", "specialists"
 
 _PERCENT = "\N{NO-BREAK SPACE}%"
 
-MARKS = {"honest": "", "coded": "†", "oracle": "*"}
+MARKS = {"honest": "", "oracle": "*"}
 """The marks of policies by division."""
 
 MARK_NOTES = {
-    "coded": "† coded: its estimates are more than present beliefs about strategies; ranked apart",
     "oracle": "* an oracle: it uses information that players lack, and has no rank",
 }
 """The meaning of the marks by division."""
 
-_SCORE = "0 is zero input; 1 is the best known when the suite was frozen, or 12 digits where none was recorded"
+_SCORE = "0 is zero input; 1 is 12 digits"
 
 
 def decimals(value: float | None) -> str:
@@ -131,14 +129,14 @@ class Table:
 
     caption: str
     columns: tuple[Column, ...]
-    rows: Mapping[str, Division]
+    rows: Mapping[str, str]
     notes: tuple[str, ...] = ()
     subject: str = "policy"
 
     @property
-    def sections(self) -> dict[Division, list[str]]:
+    def sections(self) -> dict[str, list[str]]:
         """The names by division, in order."""
-        found: dict[Division, list[str]] = {}
+        found: dict[str, list[str]] = {}
         for name, division in self.rows.items():
             found.setdefault(division, []).append(name)
         return found
@@ -182,7 +180,6 @@ def track_tables(results: Results, track: Track) -> list[Table]:
         blocks.setdefault(metric.block, []).append(Column(label, metric.meaning, values, descending))
     notes = {
         "How close": _without_values(results, name),
-        "Against tuned laws": [f"{law.name}: {call(law)}" for law in results.tuned.get(name, {}).values()],
     }
     tables = [
         Table(
@@ -204,7 +201,7 @@ def _is_filled(policy: str, columns: Iterable[Column]) -> bool:
 def track_rules(results: Results, track: Track) -> str:
     """The number of episodes of a track, the metric that ranks its policies, and its physics, in sentences."""
     board, count = results.leaderboard, results.episodes[track.name]
-    by = "time to 1e-6" if board and track.name in board.saturated else METRICS[track.metric].heading
+    by = METRICS[track.metric].heading
     return f"{count} episode{'s' * (count > 1)}, ranked by {by}. {track.change}"
 
 
@@ -223,13 +220,6 @@ def _ranking_columns(rows: Mapping[str, TrackRow]) -> list[Column]:
             "probability of improvement, paired by episode",
             rows,
             lambda row: Value.of(row.improvement, share),
-        ),
-        _column(
-            "time to 1e-6 [s]",
-            "mean; an episode that never settles counts as its whole length",
-            rows,
-            lambda row: Value.of(row.fine_time),
-            descending=False,
         ),
     ]
 
@@ -271,9 +261,8 @@ def summary_tables(results: Results) -> list[Table]:
     Args:
         results: of a comparison or of another suite; a comparison has no full marks, and so no last table.
     """
-    board, tables = results.leaderboard, overview(results)
-    room = [] if board is None else [_room_table(results, board)]
-    return [*tables, *(_digits_table(results, table) for table in tables), *room]
+    tables = overview(results)
+    return [*tables, *(_digits_table(results, table) for table in tables)]
 
 
 def overview(results: Results) -> list[Table]:
@@ -295,7 +284,6 @@ def overview(results: Results) -> list[Table]:
         ),
     )
     order = dict.fromkeys([*scores, *best])
-    known = {policy: _knowledge(spec) for policy, spec in policies.items()}
     score = _column("score", f"mean over all tracks: {_SCORE}", scores, lambda row: Value.of(row.score, share))
     first = _column(
         "first",
@@ -306,10 +294,6 @@ def overview(results: Results) -> list[Table]:
     shared = [
         score,
         first,
-        *(
-            Column(name, meaning, {policy: values[name] for policy, values in known.items()})
-            for name, meaning in KNOWLEDGE.items()
-        ),
     ]
     over_all = [
         _column("mean digits", "over all tracks", means, partial(Value.of, write=decimals)),
@@ -335,7 +319,7 @@ def overview(results: Results) -> list[Table]:
         (f"{_SPECIALISTS}, on the tracks that they play", specialists, against),
     )
     tables = [_part(results, part, names, [*columns, *shared]) for part, names, columns in parts if names]
-    notes = [] if board is None else [*_scope(board)]
+    notes = [] if board is None else [*_scope()]
     if absent := [policy for policy in order if policy not in played]:
         notes.append(f"n/a on every track: {', '.join(absent)}.")
     return [replace(table, notes=tuple(notes)) if table is tables[-1] else table for table in tables]
@@ -405,64 +389,14 @@ def _digits_table(results: Results, table: Table) -> Table:
     return Table(f"{table.caption}: digits", tuple(columns), dict.fromkeys(tracks, "honest"), subject="track")
 
 
-def _knowledge(spec: PolicySpec) -> dict[str, Value]:
-    """What a policy knows, in words, sorted from little to much."""
-    orders = {"graphs": ["own links", "union graph", "schedule", "all"], "memory": ["no", "yes", "unknown"]}
-    orders["estimates"] = list(DIVISIONS)
-    return {name: Value(word, orders[name].index(word)) for name, word in spec.knowledge.items()}
-
-
-def _room_table(results: Results, board: Leaderboard) -> Table:
-    """The digits that scores mean on each track, and whether the track can still tell good from better."""
-    rows = {scale.track: scale for scale in board.scales}
-    columns: list[tuple[str, str, Callable[[Scale], Value]]] = [
-        ("zero input", "mean digits, score 0", lambda scale: Value.of(scale.zero)),
-        ("full marks", "digits of score 1", lambda scale: Value.of(scale.full_marks)),
-        ("best honest", "most mean digits of an honest entry in this run", lambda scale: Value.of(scale.best_digits)),
-        ("by", "this entry", lambda scale: Value(scale.best)),
-        ("at most", "digits that no policy passes", lambda scale: Value.of(scale.highest)),
-        (
-            "room",
-            "digits from the best honest entry, in this run or when the suite was frozen, to what can be reached",
-            lambda scale: Value.of(scale.room),
-        ),
-    ]
-    saturated = [scale.track for scale in board.scales if scale.room < ROOM]
-    note = f"Less than {ROOM:g} digit is left on: {', '.join(saturated)}." if saturated else "Every track leaves room."
-    return Table(
-        f"{results.suite.name}: room for better policies",
-        tuple(_column(label, meaning, rows, read) for label, meaning, read in columns),
-        dict.fromkeys(rows, "honest"),
-        (note,),
-        subject="track",
-    )
-
-
-def _score(results: Results, track: Track, *, policy: str) -> Value:
-    """The digits of a policy on a track, or the reason in a word why there are none."""
-    summary = results.summary(track.name, policy, track.metric)
-    if summary is None:
-        return Value("failed" if (track.name, policy) in results.failures else "n/a")
-    return Value.of(summary, decimals)
-
-
-def _scope(board: Leaderboard) -> Iterator[str]:
+def _scope() -> Iterator[str]:
     """The tracks of the scores."""
-    scored = [scale.track for scale in board.scales if scale.has_scores]
-    without = [scale.track for scale in board.scales if not scale.has_scores]
-    if not scored:
-        yield "No track has scores: zero input has full marks on all of them."
-        return
-    yield f"Scores are means over {len(scored)} track{'s' * (len(scored) > 1)}; n/a and failed count as zero input."
-    if without:
-        yield f"Without scores, because zero input has full marks: {', '.join(without)}."
+    yield "Scores are means over all tracks; n/a and failed count as zero input."
 
 
 def first_places(results: Results) -> dict[str, list[str]]:
     """The tracks on which each policy, oracles apart, is the best of its division or within :data:`FIRST_MARGIN`.
-
-    A law that is tuned for a track and runs beside the policies counts as an honest opponent there.
-    """
+"""
     firsts: dict[str, list[str]] = {name: [] for name, spec in results.policies.items() if not spec.is_oracle}
     for track in results.tracks:
         for division in DIVISIONS:
@@ -472,9 +406,7 @@ def first_places(results: Results) -> dict[str, list[str]]:
                 if results.policies[policy].division == division
                 and (summary := results.summary(track.name, policy, track.metric))
             }
-            tuned = results.summary(track.name, GROUPS["all"], track.metric) if division == "honest" else None
-            opponents = [*found.values(), *filter(None, [tuned])]
-            best = max((summary.mean or 0.0 for summary in opponents), default=0.0)
+            best = max((summary.mean or 0.0 for summary in found.values()), default=0.0)
             for policy, summary in found.items():
                 if (summary.high or 0.0) >= best - FIRST_MARGIN:
                     firsts[policy].append(track.name)

@@ -263,20 +263,13 @@ def _policies() -> Iterator[RenderableType]:
     yield Text("Policies: laws, references, and learned policies\n", style="italic")
     for spec in [*POLICIES.values(), *map(learned_policy, policies.shipped())]:
         made = f"learned on {', '.join(sorted(spec.scenarios))}" if spec.scenarios else call(spec)
-        yield from _entry(spec.name, spec.description, "; ".join(filter(None, (made, _acts(spec), _knows(spec)))))
+        yield from _entry(spec.name, spec.description, "; ".join(filter(None, (made, _acts(spec)))))
     yield Text()
 
 
 def _acts(spec: PolicySpec) -> str:
     """The interface where it is another one than that of most laws."""
     return f"interface {spec.interface.kind}" * (spec.interface.kind != "physical")
-
-
-def _knows(spec: PolicySpec) -> str:
-    """The graphs that a policy knows, with all that other policies do not have."""
-    known = spec.knowledge
-    memory = {"yes": ", memory", "no": "", "unknown": ", memory unknown"}[known["memory"]]
-    return f"knows {known['graphs']}{memory}"
 
 
 def _metrics() -> Iterator[RenderableType]:
