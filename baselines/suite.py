@@ -18,7 +18,6 @@ from run import ONE_SEED, policy_name
 
 from ptne_env.bench.report.tables import MARK_NOTES, MARKS
 from ptne_env.evaluation import METRICS, POLICIES, Results, Workers, run_suite
-from ptne_env.evaluation.archive import SUFFIX, pack
 from ptne_env.evaluation.leaderboard import Leaderboard
 from ptne_env.evaluation.metrics import number
 from ptne_env.evaluation.policy_specs import DIVISIONS, KNOWLEDGE, PolicySpec

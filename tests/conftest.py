@@ -18,22 +18,6 @@ settings.register_profile("soak", deadline=None, max_examples=1000)
 settings.load_profile("soak" if os.environ.get("PTNE_SOAK") else "fast")
 
 
-@pytest.fixture(scope="session", autouse=True)
-def small_field():
-    """Tests tune few laws with a small budget; with PTNE_SOAK=1 they tune the whole field as users do."""
-    if os.environ.get("PTNE_SOAK"):
-        yield
-        return
-    with pytest.MonkeyPatch.context() as patch:
-        from ptne_env.evaluation import tuning
-
-        names = ("Static", "CorollaryOne", "Grounded", "Routed", "Freshest")
-        small = tuple(member for member in tuning.FIELD if member.law.split(":")[1] in names)
-        patch.setattr(tuning, "FIELD", small)
-        patch.setattr(tuning, "BUDGET", tuning.Budget(population=5, generations=1, episodes=2, final_episodes=2))
-        yield
-
-
 QUIET = ("--disable-gpu", "--disable-quic", "--disable-background-networking", "--disable-component-update")
 
 

@@ -193,7 +193,7 @@ def next_commands(
         case ["", suite]:
             where = f"--suite {suite}"
         case _:  # trained in random worlds, or on tracks of several suites
-            where = "--suite ptne-v2"
+            where = "--suite ptne-v1"
     trained = f"trained={out}/seed-*/policy.onnx" if has_seeds else str(out / "policy.onnx")
     other = f"start={start}" if start.endswith(".onnx") else start or "static"
     lines = [f"To compare:  ptne compare {where} --policy {shlex.quote(f'{other},{trained}')}"]

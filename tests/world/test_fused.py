@@ -13,7 +13,6 @@ from worlds import BLOCKS, FAULTY
 
 from ptne_env import CATALOGUE, VectorParallelEnv, parallel_env
 from ptne_env.evaluation.ptne_v1 import ptne_v1
-from ptne_env.evaluation.ptne_v2 import ptne_v2
 from ptne_env.world import fused
 
 WITHOUT_FAULTS = {"channel": "perfect", "disturbance": "none", "sensor": None, "drift": None}
@@ -22,7 +21,7 @@ WITHOUT_FAULTS = {"channel": "perfect", "disturbance": "none", "sensor": None, "
 def _worlds():
     """Every scenario and track, and every track with faults once more without them, by name."""
     worlds = dict(CATALOGUE)
-    for suite in (ptne_v1(), ptne_v2()):
+    for suite in (ptne_v1(),):
         for track in suite.tracks:
             worlds[f"{suite.name} {track.name}"] = track.scenario
             clean = track.scenario.replace(**WITHOUT_FAULTS)
@@ -39,7 +38,6 @@ NUMPY_ALONE = {
     "non-quadratic-printed",
     "rate-control",
     "ptne-v1 non-quadratic",
-    *(f"ptne-v2 {name} without faults" for name in ("non-affine",)),
     *(name.removesuffix(" without faults") for name in WORLDS if name.endswith("faults")),
 }
 """The worlds without a compiled step: games that are not affine, and channels, disturbances, sensors and drifts."""
@@ -106,7 +104,7 @@ def test_a_world_steps_bit_for_bit_the_same_compiled(name, interface, compiled, 
 
 @pytest.mark.parametrize("interface", ["physical"])
 @pytest.mark.parametrize("num_envs", [1, 63, 64, 65, 130])
-@pytest.mark.parametrize("name", ["energy", "random-energy-switching", "ev-charging", "ptne-v2 uneven without faults"])
+@pytest.mark.parametrize("name", ["energy", "random-energy-switching", "ev-charging"])
 def test_batches_of_any_size_are_the_same_compiled(name, num_envs, interface, compiled):
     envs = [vector_env(WORLDS[name], num_envs, by_numpy=flag, interface=interface) for flag in (False, True)]
     check_equal(envs, 4)
@@ -174,7 +172,7 @@ def test_a_state_out_of_range_is_left_to_numpy(compiled, monkeypatch):
 
 
 def test_a_new_episode_of_the_same_game_has_new_graphs_compiled(compiled, monkeypatch):
-    scenario = WORLDS["ptne-v2 robots without faults"]  # one game, and random graphs
+    scenario = WORLDS["ptne-v1 unseen-graphs without faults"]  # one game, and random graphs
     calls, envs = kernel_calls(monkeypatch), [vector_env(scenario, 2, by_numpy=flag) for flag in (False, True)]
     for seed in range(3):
         check_equal(envs, 8, seed)

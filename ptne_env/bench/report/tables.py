@@ -200,7 +200,7 @@ def _is_filled(policy: str, columns: Iterable[Column]) -> bool:
 
 def track_rules(results: Results, track: Track) -> str:
     """The number of episodes of a track, the metric that ranks its policies, and its physics, in sentences."""
-    board, count = results.leaderboard, results.episodes[track.name]
+    count = results.episodes[track.name]
     by = METRICS[track.metric].heading
     return f"{count} episode{'s' * (count > 1)}, ranked by {by}. {track.change}"
 
@@ -387,6 +387,14 @@ def _digits_table(results: Results, table: Table) -> Table:
         for name, division in table.rows.items()
     )
     return Table(f"{table.caption}: digits", tuple(columns), dict.fromkeys(tracks, "honest"), subject="track")
+
+
+def _score(results: Results, track: Track, *, policy: str) -> Value:
+    """The digits of a policy on a track, or the reason in a word why there are none."""
+    summary = results.summary(track.name, policy, track.metric)
+    if summary is None:
+        return Value("failed" if (track.name, policy) in results.failures else "n/a")
+    return Value.of(summary, decimals)
 
 
 def _scope() -> Iterator[str]:
