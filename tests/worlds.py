@@ -47,7 +47,7 @@ BLOCKS = Scenario(
 BLOCKS_SWITCHING = BLOCKS.replace(
     name="blocks-switching",
     topology=FactorySpec.of(
-        "ptne_env.world.switching:periodic",
+        "topology:periodic",
         graphs=(
             FactorySpec.of("ptne_env.world.graphs:from_edges", players=3, edges=((0, 1),)),
             FactorySpec.of("ptne_env.world.graphs:from_edges", players=3, edges=((1, 2),)),

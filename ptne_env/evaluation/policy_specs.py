@@ -81,7 +81,7 @@ class PolicySpec:
         """Whether it is compared with the tuned laws: everything but the library's own laws and reference policies."""
         first = self.training_seeds[0]
         target = first.target if isinstance(first, FactorySpec) else f"{_named(first).__module__}:"
-        return not target.startswith(("ptne_env.laws", "ptne_env.field.laws"))
+        return not target.startswith(("law:", "ptne_env.laws", "ptne_env.field.laws"))
 
     @property
     def foreign_code(self) -> list[str]:

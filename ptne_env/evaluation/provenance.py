@@ -16,7 +16,7 @@ from typing import Any
 from ptne_env._version import __version__
 from ptne_env.evaluation.sources import UNHASHED, file_hash, is_file, module_hashes, pickled_names
 from ptne_env.learn import shipped_path
-from ptne_env.shared.parts import FactorySpec, is_part
+from ptne_env.shared.parts import PARTS, FactorySpec, is_part
 
 _PACKAGE = Path(__file__).parents[1]
 _NOT_COMPUTING = ("cli", "paper", "report", "training")
@@ -85,7 +85,7 @@ def file_hashes(value: FactorySpec | tuple[FactorySpec, ...]) -> dict[str, str]:
     texts = [(part, text) for part in specs for text in _texts(tuple(argument for _, argument in part.arguments))]
     archives = {text for _, text in texts if text.endswith(".zip")}
     found = module_hashes(
-        (part.target.partition(":")[0] for part in specs), (name for path in archives for name in pickled_names(path))
+        (PARTS.get(part.target, part.target).partition(":")[0] for part in specs), (name for path in archives for name in pickled_names(path))
     )
     for part, text in texts:
         found |= _argument_hashes(text, with_folders=not is_part(part.target))

@@ -18,8 +18,7 @@ def ptne_v1() -> Suite:
 
     def many(players: int, stride: int) -> dict[str, Any]:
         """Players on a circulant graph of degree 4, their total coupling that of five."""
-        graph = FactorySpec.of("networkx:circulant_graph", n=players, offsets=(1, stride))
-        graph = FactorySpec.of("ptne_env.world.graphs:from_networkx", graph=graph)
+        graph = FactorySpec.of("topology:circulant", players=players, offsets=(1, stride))
         coupling = (0.25 / players, 1.5 / players)
         return {
             "game": FactorySpec.of("ptne_env.games:RandomEnergy", players=players, coupling=coupling),
@@ -55,7 +54,7 @@ def ptne_v1() -> Suite:
             "markov",
             "Every 0.1 of transformed time one of the same four graphs is drawn, independently of the one before.",
             topology=FactorySpec.of(
-                "ptne_env.world.switching:markov", graphs=modes, transition=uniformly, dwells=0.1, clock="transformed"
+                "topology:markov", graphs=modes, transition=uniformly, dwells=0.1, clock="transformed"
             ),
         ),
         track(

@@ -21,7 +21,6 @@ from pathlib import Path
 from pickletools import genops
 from zipfile import ZipFile
 
-from ptne_env.shared.parts import main_file
 
 UNHASHED = "cannot be hashed: "
 """Beginning of the text that stands in place of a hash; the reason follows."""
@@ -200,7 +199,7 @@ def _find(name: str) -> ModuleSpec | None:
         folders = None if parent is None else parent.submodule_search_locations
         return None if folders is None else PathFinder.find_spec(last, list(folders))
     if name == "__main__":
-        path = main_file()
+        path = getattr(sys.modules["__main__"], "__file__", None)
         return None if path is None else spec_from_file_location(name, path)
     finders = (getattr(finder, "find_spec", None) for finder in sys.meta_path)  # editable installations have their own
     return next((found for find in finders if find is not None and (found := find(name, None)) is not None), None)

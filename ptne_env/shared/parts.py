@@ -1,4 +1,8 @@
-"""Factory specs: an object named by ``module:object`` and the arguments to call it with. The extension mechanism."""
+"""Parts: what scenarios and comparisons are made of, each named by a string and the arguments to call it with.
+
+A part of this library has an id such as ``game:random-energy``, so that moving its file changes nothing that is stored.
+Any other callable is named by ``module:object``.
+"""
 
 from __future__ import annotations
 
@@ -7,34 +11,165 @@ import inspect
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cache
 from types import FunctionType
 from typing import Any, Self
 
 import numpy as np
 
-_PARTS = ("games", "world", "laws", "field")
-"""Modules and packages of the library in which parts are defined."""
+from ptne_env.shared.names import unknown_name
+
+PARTS: Mapping[str, str] = {
+    "game:affine": "ptne_env.games:AffineGame",
+    "game:coordination": "ptne_env.field.games:CoordinationGame",
+    "game:coupled": "ptne_env.field.games:CoupledConstraint",
+    "game:cournot": "ptne_env.field.games:NetworkedCournot",
+    "game:energy": "ptne_env.games:EnergyGame",
+    "game:ev-charging": "ptne_env.field.games:ElectricVehicleCharging",
+    "game:non-quadratic": "ptne_env.games:NonQuadraticGame",
+    "game:oligopoly": "ptne_env.field.games:Oligopoly",
+    "game:priced": "ptne_env.field.games:priced",
+    "game:random-affine": "ptne_env.games:RandomAffine",
+    "game:random-coordination": "ptne_env.field.games:RandomCoordination",
+    "game:random-energy": "ptne_env.games:RandomEnergy",
+    "game:random-saturating": "ptne_env.field.games:RandomSaturating",
+    "game:random-sparse": "ptne_env.field.games:RandomSparse",
+    "game:rate-control": "ptne_env.field.games:RateControl",
+    "game:robots": "ptne_env.field.games:ConnectivityControl",
+    "game:saturating": "ptne_env.field.games:SaturatingGame",
+    "game:single": "ptne_env.games:SingleGame",
+    "game:sparse": "ptne_env.field.games:SparseGame",
+    "game:weakly-monotone": "ptne_env.games:WeaklyMonotoneGame",
+    "topology:circulant": "ptne_env.world.graphs:circulant",
+    "topology:complete": "ptne_env.world.graphs:complete",
+    "topology:cycle": "ptne_env.world.graphs:cycle",
+    "topology:edges": "ptne_env.world.graphs:from_edges",
+    "topology:episode": "ptne_env.world.switching:EpisodeTopology",
+    "topology:fixed": "ptne_env.world.switching:fixed",
+    "topology:graph": "ptne_env.world.graphs:Graph",
+    "topology:markov": "ptne_env.world.switching:MarkovTopology",
+    "topology:networkx": "ptne_env.world.graphs:from_networkx",
+    "topology:paper": "ptne_env.world.switching:paper_topology",
+    "topology:path": "ptne_env.world.graphs:path",
+    "topology:periodic": "ptne_env.world.switching:SwitchingTopology",
+    "topology:random-dwells": "ptne_env.world.switching:random_dwells",
+    "topology:random-edges": "ptne_env.world.switching:random_edges",
+    "topology:random-graphs": "ptne_env.world.switching:random_graphs",
+    "topology:random-regular": "ptne_env.world.graphs:random_regular",
+    "topology:random-subgraphs": "ptne_env.world.switching:random_subgraphs",
+    "topology:star": "ptne_env.world.graphs:star",
+    "topology:union": "ptne_env.world.graphs:union",
+    "start:fixed": "ptne_env.world.starts:FixedStart",
+    "start:paper": "ptne_env.world.starts:PaperStart",
+    "start:uniform": "ptne_env.world.starts:UniformStart",
+    "transformation:exponential": "ptne_env.world.clock:Exponential",
+    "transformation:rational": "ptne_env.world.clock:Rational",
+    "transformation:tanh": "ptne_env.world.clock:HyperbolicTangent",
+    "channel:bursts": "ptne_env.world.channel:BurstLoss",
+    "channel:chain": "ptne_env.world.channel:Chain",
+    "channel:delay": "ptne_env.world.channel:Delay",
+    "channel:liar": "ptne_env.world.channel:Lying",
+    "channel:loss": "ptne_env.world.channel:Loss",
+    "channel:noise": "ptne_env.world.channel:AdditiveNoise",
+    "channel:one-way": "ptne_env.world.channel:OneWayLinks",
+    "channel:perfect": "ptne_env.world.channel:perfect",
+    "channel:rounding": "ptne_env.world.channel:UniformQuantiser",
+    "disturbance:none": "ptne_env.world.disturbances:Undisturbed",
+    "disturbance:uniform": "ptne_env.world.disturbances:UniformDisturbance",
+    "sensor:noise": "ptne_env.world.sensor:GradientNoise",
+    "law:adaptive": "ptne_env.laws:Adaptive",
+    "law:adaptive-grounded": "ptne_env.laws:AdaptiveGrounded",
+    "law:aggregate-tracking": "ptne_env.field.laws:AggregateTracking",
+    "law:averaging-integral": "ptne_env.laws:AveragingIntegral",
+    "law:best-response-oracle": "ptne_env.laws:BestResponseOracle",
+    "law:capped-gain": "ptne_env.field.laws:CappedGain",
+    "law:contact-relay": "ptne_env.field.laws:ContactRelay",
+    "law:corollary-one": "ptne_env.laws:CorollaryOne",
+    "law:extremum-seeking": "ptne_env.field.laws:ExtremumSeeking",
+    "law:fixed-gain": "ptne_env.laws:FixedGain",
+    "law:fixed-time-oracle": "ptne_env.laws:FixedTimeOracle",
+    "law:freshest": "ptne_env.field.laws:Freshest",
+    "law:freshest-relay": "ptne_env.field.laws:FreshestRelay",
+    "law:grounded": "ptne_env.laws:Grounded",
+    "law:identify-and-broadcast": "ptne_env.field.laws:IdentifyAndBroadcast",
+    "law:link-broadcast": "ptne_env.field.laws:LinkBroadcast",
+    "law:link-relay": "ptne_env.field.laws:LinkRelay",
+    "law:locally-implicit": "ptne_env.field.laws:LocallyImplicit",
+    "law:multi-rate": "ptne_env.field.laws:MultiRate",
+    "law:node-adaptive-oracle": "ptne_env.laws:NodeAdaptiveOracle",
+    "law:observer-relay": "ptne_env.field.laws:ObserverRelay",
+    "law:oracle": "ptne_env.laws:CentralisedOracle",
+    "law:projected-gradient": "ptne_env.field.laws:ProjectedGradient",
+    "law:proximal-best-response": "ptne_env.field.laws:ProximalBestResponse",
+    "law:random": "ptne_env.laws:RandomPolicy",
+    "law:relay": "ptne_env.field.laws:Relay",
+    "law:route-relay": "ptne_env.field.laws:RouteRelay",
+    "law:routed": "ptne_env.field.laws:Routed",
+    "law:routed-unknown": "ptne_env.field.laws:RoutedUnknown",
+    "law:static": "ptne_env.laws:Static",
+    "law:zero-input": "ptne_env.laws:ZeroInput",
+    "policy:file": "ptne_env.learn:load",
+}
+"""The parts that ship, by id. Adding one takes its class or function and one line here; tests import each."""
+
+_IDS = {target: name for name, target in PARTS.items()}
+
+LOADER = "policy:file"
+"""The part that reads a policy file, which is data."""
 
 _MAIN = "__main__"
 """Name of the module of the program or notebook that runs."""
 
-LOADER = "ptne_env.learn:load"
-"""The other part: it reads an ``.onnx`` file, which is data."""
+
+def part_id(target: str) -> str:
+    """The id of a part of this library that is named by ``module:object``; any other target as it is."""
+    return _IDS.get(target, target)
+
+
+def is_part(target: str) -> bool:
+    """Whether a target is a part of this library; any other target may run any code."""
+    return part_id(target) in PARTS
+
+
+def foreign_targets(data: Any) -> list[str]:
+    """The targets in a spec, or in JSON data at any depth, that are no parts of this library; nothing is imported.
+
+    Args:
+        data: a :class:`FactorySpec`, or the content of a file: a scenario, a suite or results. In all of these, what
+            names a callable is an object with the key ``target``.
+
+    Returns:
+        The targets, sorted, each once.
+    """
+    found, pending = set(), [data]
+    while pending:
+        value = pending.pop()
+        if isinstance(value, FactorySpec):
+            value = value.to_dict()
+        if isinstance(value, Mapping):
+            target = value.get("target")
+            if isinstance(target, str) and not is_part(target):
+                found.add(target)
+            pending.extend(value.values())
+        elif isinstance(value, list | tuple):
+            pending.extend(value)
+    return sorted(found)
 
 
 def resolve(target: str) -> Any:
-    """Import the object named by ``module:object``.
+    """Import the object that an id or ``module:object`` names.
 
     Raises:
         ValueError: when the string has another form, or the module cannot be imported or has no such object.
     """
-    module_name, separator, attribute = target.partition(":")
+    module_name, separator, attribute = PARTS.get(target, target).partition(":")
     if not (separator and module_name and attribute):
-        raise ValueError(f"a part is named as 'module:object', got {target!r}")
+        raise ValueError(f"a part is named by an id such as 'law:static' or by 'module:object', got {target!r}")
     try:
         module = importlib.import_module(module_name)
     except (ImportError, TypeError) as error:  # a relative name is a TypeError
+        alike = [name for name in PARTS if name.startswith(f"{module_name}:")]
+        if alike:
+            raise ValueError(unknown_name("part", target, alike)) from error
         raise ValueError(f"cannot import the module of part {target!r}: {error}") from error
     try:
         return getattr(module, attribute)
@@ -47,34 +182,6 @@ def resolve(target: str) -> Any:
         raise ValueError(f"module {module_name!r} has no {attribute!r}; part {target!r} cannot be built") from error
 
 
-@cache
-def is_part(target: str) -> bool:
-    """Whether a target is a part of this library; it imports modules of the library alone.
-
-    Parts are the public classes and functions that are defined in, not only imported into, the modules of games,
-    graphs, switching topologies, clocks, starts, channels, disturbances and laws, and the loader of ``.onnx`` files.
-    Every other target may run any code.
-    """
-    module, _, name = target.partition(":")
-    if not _defines_parts(module) or name.startswith("_"):
-        return target == LOADER
-    try:
-        found = resolve(target)
-    except ValueError:
-        return False
-    return isinstance(found, type | FunctionType) and _defines_parts(found.__module__)
-
-
-def _defines_parts(module: str) -> bool:
-    library, _, name = module.partition(".")
-    return library == "ptne_env" and name.partition(".")[0] in _PARTS
-
-
-def foreign_targets(spec: FactorySpec) -> list[str]:
-    """The targets of a spec, nested ones too, that are no part of this library; nothing foreign is imported."""
-    return [part.target for part in spec.nested() if not is_part(part.target)]
-
-
 class Part:
     """The base class of parts: an instance remembers the arguments that it is made with, so that a spec can name it."""
 
@@ -85,12 +192,6 @@ class Part:
         made = super().__new__(cls)
         object.__setattr__(made, "_made_with", (arguments, named))
         return made
-
-
-def main_file() -> str | None:
-    """The path of the program that runs; ``None`` for a notebook or an interactive session."""
-    path = getattr(sys.modules[_MAIN], "__file__", None)
-    return None if sys.flags.interactive or hasattr(sys, "ps1") else path
 
 
 def _target(definition: Any) -> str:
@@ -158,46 +259,36 @@ def _freeze(value: Any) -> Any:
     raise TypeError(f"arguments of a part are numbers, strings, lists and parts, got {type(value).__name__}")
 
 
-def _build(value: Any) -> Any:
+def _mapped(value: Any, change: Callable[[FactorySpec], Any], sequence: type[Any] = tuple) -> Any:
+    """An argument with every spec in it changed, and every tuple a ``sequence``."""
     if isinstance(value, FactorySpec):
-        return value.build()
-    if isinstance(value, tuple):
-        return tuple(_build(item) for item in value)
-    return value
-
-
-def _specs(value: Any) -> Iterator[FactorySpec]:
-    if isinstance(value, FactorySpec):
-        yield from value.nested()
-    elif isinstance(value, tuple):
-        for item in value:
-            yield from _specs(item)
-
-
-def _to_json(value: Any) -> Any:
-    if isinstance(value, FactorySpec):
-        return value.to_dict()
-    if isinstance(value, tuple):
-        return [_to_json(item) for item in value]
-    return value
+        return change(value)
+    return sequence(_mapped(item, change, sequence) for item in value) if isinstance(value, tuple) else value
 
 
 @dataclass(frozen=True)
 class FactorySpec:
-    """A callable named by ``module:object`` with keyword arguments; hashable and JSON-serialisable.
+    """A callable, named by the id of a part or by ``module:object``, with keyword arguments; hashable, as JSON too.
 
     Arguments may be numbers, strings, lists and other specs. :meth:`of` is the constructor to use.
+
+    Attributes:
+        target: the id of a part that ships, also where ``module:object`` of one was given; else ``module:object``.
+        arguments: names and values, sorted.
     """
 
     target: str
     arguments: tuple[tuple[str, Any], ...] = ()
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "target", part_id(self.target))
 
     @classmethod
     def of(cls, target: str | Callable[..., Any], /, **arguments: Any) -> FactorySpec:
         """The spec of ``target`` with keyword ``arguments``; lists and arrays become tuples.
 
         Args:
-            target: ``module:object``, or the class or function itself.
+            target: an id, ``module:object``, or the class or function itself.
             **arguments: to call it with.
 
         Raises:
@@ -244,13 +335,18 @@ class FactorySpec:
         """A spec with a local target takes the definition along: cloudpickle, which workers use, sends it by value."""
         if not self.is_local:
             return FactorySpec, (self.target, self.arguments)
-        return _arrived, (self.target, self.arguments, self.resolve(), main_file())
+        return _arrived, (self.target, self.arguments, self.resolve())
 
     def nested(self) -> Iterator[FactorySpec]:
         """This spec, and the specs among its arguments at any depth."""
-        yield self
-        for _, value in self.arguments:
-            yield from _specs(value)
+        pending: list[Any] = [self]
+        while pending:
+            value = pending.pop()
+            if isinstance(value, FactorySpec):
+                yield value
+                pending.extend(argument for _, argument in value.arguments)
+            elif isinstance(value, tuple):
+                pending.extend(value)
 
     def resolve(self) -> Any:
         """Import the target without calling it.
@@ -267,7 +363,7 @@ class FactorySpec:
             ValueError: when the target cannot be imported or refuses the arguments.
         """
         target = self.resolve()
-        arguments = {name: _build(value) for name, value in self.arguments}
+        arguments = {name: _mapped(value, FactorySpec.build) for name, value in self.arguments}
         try:
             return target(**arguments, **extra)
         except (TypeError, AttributeError, LookupError, ArithmeticError) as error:  # typical effects of wrong arguments
@@ -278,7 +374,8 @@ class FactorySpec:
 
     def to_dict(self) -> dict[str, Any]:
         """A JSON object ``{"target": ..., "arguments": {...}}``."""
-        return {"target": self.target, "arguments": {name: _to_json(value) for name, value in self.arguments}}
+        arguments = {name: _mapped(value, FactorySpec.to_dict, list) for name, value in self.arguments}
+        return {"target": self.target, "arguments": arguments}
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any]) -> FactorySpec:
@@ -299,10 +396,7 @@ class FactorySpec:
             raise ValueError(f"the arguments of part {target!r} are nested too deeply") from None
 
 
-def _arrived(target: str, arguments: tuple[tuple[str, Any], ...], definition: Any, file: str | None) -> FactorySpec:
-    """The spec with a local target in another process, whose ``__main__`` gets the definition, and the file to hash."""
-    main = sys.modules[_MAIN]
-    setattr(main, target.partition(":")[2], definition)
-    if main_file() != file:
-        main.__file__ = file
+def _arrived(target: str, arguments: tuple[tuple[str, Any], ...], definition: Any) -> FactorySpec:
+    """The spec with a local target in another process, whose ``__main__`` gets the definition."""
+    setattr(sys.modules[_MAIN], target.partition(":")[2], definition)
     return FactorySpec(target, arguments)

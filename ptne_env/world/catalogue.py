@@ -11,26 +11,25 @@ from ptne_env.world.scenario import PAPER_START, UNIFORM_START, Scenario
 
 
 def _game(name: str, **arguments: Any) -> FactorySpec:
-    return FactorySpec.of(f"ptne_env.games:{name}", **arguments)
+    return FactorySpec.of(f"game:{name}", **arguments)
 
 
 def _cycle(players: int) -> FactorySpec:
-    graph = FactorySpec.of("ptne_env.world.graphs:cycle", players=players)
-    return FactorySpec.of("ptne_env.world.switching:fixed", graph=graph)
+    return FactorySpec.of("topology:cycle", players=players)
 
 
 def _between(low: float, high: float) -> FactorySpec:
-    return FactorySpec.of("ptne_env.world.starts:UniformStart", low=low, high=high)
+    return FactorySpec.of("start:uniform", low=low, high=high)
 
 
 _RING = _cycle(players=5)
-_PHYSICAL = FactorySpec.of("ptne_env.world.switching:paper_topology", dwell=0.1, clock="physical")
-_TRANSFORMED = FactorySpec.of("ptne_env.world.switching:paper_topology", dwell=0.25, clock="transformed")
-_ENERGY = _game("EnergyGame")
-_RANDOM_ENERGY = _game("RandomEnergy", players=5)
-_CORRECTED = _game("NonQuadraticGame", variant="corrected")
-_PRINTED = _game("NonQuadraticGame", variant="printed")
-_HVAC = _game("EnergyGame", target=(50.0, 55.0, 60.0, 65.0, 70.0), coupling=0.04, base_price=5.0)
+_PHYSICAL = FactorySpec.of("topology:paper", dwell=0.1, clock="physical")
+_TRANSFORMED = FactorySpec.of("topology:paper", dwell=0.25, clock="transformed")
+_ENERGY = _game("energy")
+_RANDOM_ENERGY = _game("random-energy", players=5)
+_CORRECTED = _game("non-quadratic", variant="corrected")
+_PRINTED = _game("non-quadratic", variant="printed")
+_HVAC = _game("energy", target=(50.0, 55.0, 60.0, 65.0, 70.0), coupling=0.04, base_price=5.0)
 _TAME = 10.0
 """Random inputs of this size stay in range in the non-quadratic game; those of 1000 leave it in three steps."""
 
@@ -89,31 +88,31 @@ _SCENARIOS = (
         "Ye and Hu's energy game: five buildings choose the power of heating, ventilation and air conditioning.",
     ),
     (
-        Scenario(name="cournot", game=_game("NetworkedCournot"), topology=_RING, start=_between(0.0, 6.0)),
+        Scenario(name="cournot", game=_game("cournot"), topology=_RING, start=_between(0.0, 6.0)),
         "Five firms choose the amounts that they sell in several markets, at most their capacities.",
     ),
     (
-        Scenario(name="oligopoly", game=_game("Oligopoly"), topology=_cycle(players=4), start=_between(20.0, 60.0)),
+        Scenario(name="oligopoly", game=_game("oligopoly"), topology=_cycle(players=4), start=_between(20.0, 60.0)),
         "Four firms choose prices; customers share their demand among them.",
     ),
     (
-        Scenario(name="robots", game=_game("ConnectivityControl"), topology=_RING, start=_between(-10.0, 10.0)),
+        Scenario(name="robots", game=_game("robots"), topology=_RING, start=_between(-10.0, 10.0)),
         "Five robots in the plane stay near their posts and near each other.",
     ),
     (
-        Scenario(name="ev-charging", game=_game("ElectricVehicleCharging"), topology=_RING, start=_between(0.0, 2.0)),
+        Scenario(name="ev-charging", game=_game("ev-charging"), topology=_RING, start=_between(0.0, 2.0)),
         "Five electric vehicles choose when to charge; the price of an interval rises with its load.",
     ),
     (
-        Scenario(name="rate-control", game=_game("RateControl"), topology=_RING, start=_between(0.0, 4.0)),
+        Scenario(name="rate-control", game=_game("rate-control"), topology=_RING, start=_between(0.0, 4.0)),
         "Five users of a network choose their data rates; the price of a link rises with its load.",
     ),
     (
-        Scenario(name="random-affine", game=_game("RandomAffine", players=5), topology=_RING, start=UNIFORM_START),
+        Scenario(name="random-affine", game=_game("random-affine", players=5), topology=_RING, start=UNIFORM_START),
         "A strongly monotone game with random linear gradients, another one in every episode.",
     ),
     (
-        Scenario(name="weakly-monotone", game=_game("WeaklyMonotoneGame"), topology=_RING, start=UNIFORM_START),
+        Scenario(name="weakly-monotone", game=_game("weakly-monotone"), topology=_RING, start=UNIFORM_START),
         "A leader and four followers in a game that is monotone, but not strongly, as the theorems need it.",
     ),
 )

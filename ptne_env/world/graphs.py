@@ -101,6 +101,11 @@ def complete(players: int) -> Graph:
     return from_networkx(nx.complete_graph(require_count("players", players, 2)))
 
 
+def circulant(players: int, offsets: Sequence[int]) -> Graph:
+    """Each player linked to those that are one of the ``offsets`` before or behind it on a circle, N ≥ 2."""
+    return from_networkx(nx.circulant_graph(require_count("players", players, 2), list(offsets)))
+
+
 def random_regular(players: int, degree: int, seed: int = 0) -> Graph:
     """A connected graph, drawn uniformly among those in which every player has ``degree`` neighbours.
 

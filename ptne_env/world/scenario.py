@@ -13,34 +13,20 @@ import numpy as np
 
 from ptne_env.shared.arrays import require_printable
 from ptne_env.shared.names import unknown_name
-from ptne_env.shared.parts import FactorySpec, Part
+from ptne_env.shared.parts import PARTS, FactorySpec, Part
 
 if TYPE_CHECKING:  # so that the registries can read the catalogue without importing what builds a world
     from ptne_env.world.clock import Spacing
 
-PAPER_START = FactorySpec.of("ptne_env.world.starts:paper_start")
-UNIFORM_START = FactorySpec.of("ptne_env.world.starts:UniformStart", low=-20.0, high=20.0)
+PAPER_START = FactorySpec.of("start:paper")
+UNIFORM_START = FactorySpec.of("start:uniform", low=-20.0, high=20.0)
 
-SHORT_NAMES: Mapping[str, Mapping[str, FactorySpec]] = {
-    "game": {},
-    "topology": {},
-    "start": {"paper": PAPER_START, "random": UNIFORM_START},
-    "transformation": {
-        "exponential": FactorySpec.of("ptne_env.world.clock:Exponential"),
-        "rational": FactorySpec.of("ptne_env.world.clock:Rational"),
-        "tanh": FactorySpec.of("ptne_env.world.clock:HyperbolicTangent"),
-    },
-    "channel": {"perfect": FactorySpec.of("ptne_env.world.channel:perfect")},
-    "disturbance": {"none": FactorySpec.of("ptne_env.world.disturbances:Undisturbed")},
-    "sensor": {},
-    "drift": {},
-}
-"""The fields of a scenario that name a part, and the short names that each accepts."""
-
+PART_FIELDS = ("game", "topology", "start", "transformation", "channel", "disturbance", "sensor", "drift")
+"""The fields that name a part; each is the kind of the ids of its parts."""
 
 _ARRAYS = {
-    "topology": ("ptne_env.world.graphs:Graph", "adjacency"),
-    "start": ("ptne_env.world.starts:FixedStart", "estimates"),
+    "topology": ("topology:graph", "adjacency"),
+    "start": ("start:fixed", "estimates"),
 }
 """The parts that an array makes: their target, and the argument that is the array."""
 
@@ -51,13 +37,15 @@ def _as_factory(field: str, value: Any) -> FactorySpec:
     if isinstance(value, Mapping):
         return FactorySpec.from_dict(value)
     if isinstance(value, str):
-        known = SHORT_NAMES[field]
-        if value in known:
-            return known[value]
+        if (field, value) == ("start", "random"):
+            return UNIFORM_START
         if ":" in value:
             return FactorySpec.of(value)
-        choices = [*map(repr, known), "a 'module:object' string", "a FactorySpec"]
-        raise ValueError(f"{field} is {', '.join(choices[:-1])} or {choices[-1]}; got {value!r}")
+        known = [name.partition(":")[2] for name in PARTS if name.startswith(f"{field}:")]
+        if value in known:
+            return FactorySpec.of(f"{field}:{value}")
+        known += ["random"] * (field == "start")
+        raise ValueError(unknown_name(field, value, known, "'module:object', an object or a FactorySpec"))
     if isinstance(value, Part | type | FunctionType):
         return FactorySpec.naming(value)
     if isinstance(value, np.ndarray) and field in _ARRAYS:
@@ -75,9 +63,9 @@ class Scenario:
 
     A scenario only names its parts; :class:`~ptne_env.world.world.World` builds and checks them. ``game``, ``topology``,
     ``start``, ``transformation``, ``channel``, ``disturbance``, ``sensor`` and ``drift`` accept a
-    :class:`~ptne_env.shared.parts.FactorySpec`, a ``"module:object"`` string, the short names below, or the part itself
-    (``game=MyGame(2.0)``), its class or a function that makes it, and hold a FactorySpec afterwards, which
-    :meth:`~ptne_env.shared.parts.FactorySpec.naming` explains.
+    :class:`~ptne_env.shared.parts.FactorySpec`, the id of a part, whole or without its kind (``game="energy"``), a
+    ``"module:object"`` string, or the part itself (``game=MyGame(2.0)``), its class or a function that makes it, and
+    hold a FactorySpec afterwards, which :meth:`~ptne_env.shared.parts.FactorySpec.naming` explains.
 
     Attributes:
         name: for tables and files.
@@ -114,7 +102,7 @@ class Scenario:
     game: FactorySpec
     topology: FactorySpec
     start: FactorySpec
-    transformation: FactorySpec = SHORT_NAMES["transformation"]["exponential"]
+    transformation: FactorySpec = FactorySpec("transformation:exponential")
     deadline: float = 1.2
     gain: float = 20.0
     steps: int = 400
@@ -122,8 +110,8 @@ class Scenario:
     spacing: Spacing = "effective"
     hold_steps: int = 0
     input_limit: float = 1000.0
-    channel: FactorySpec = SHORT_NAMES["channel"]["perfect"]
-    disturbance: FactorySpec = SHORT_NAMES["disturbance"]["none"]
+    channel: FactorySpec = FactorySpec("channel:perfect")
+    disturbance: FactorySpec = FactorySpec("disturbance:none")
     clock_shifts: tuple[float, ...] = ()
     slots: int | None = None
     sensor: FactorySpec | None = None
@@ -132,7 +120,7 @@ class Scenario:
 
     def __post_init__(self) -> None:
         require_printable("the name of a scenario", self.name)
-        for field in SHORT_NAMES:
+        for field in PART_FIELDS:
             value = getattr(self, field)
             if value is not None or field not in ("sensor", "drift"):
                 object.__setattr__(self, field, _as_factory(field, value))
@@ -171,6 +159,10 @@ class Scenario:
         missing = sorted(required - set(data))
         if unknown or missing:
             raise ValueError(f"not a scenario: unknown keys {unknown}, missing keys {missing}")
+        # A part is an object here, in which foreign_targets() sees what it names.
+        named = [field for field in PART_FIELDS if isinstance(data.get(field), str)]
+        if named:
+            raise ValueError(f"not a scenario: {named[0]} is an object with the key 'target', got {data[named[0]]!r}")
         return cls(**data)
 
     def to_json(self) -> str:

@@ -53,7 +53,7 @@ def topology_spec(modes, weights):
     if len(graphs) == 1:
         return FactorySpec.of("ptne_env.world.switching:fixed", graph=graphs[0])
     return FactorySpec.of(
-        "ptne_env.world.switching:periodic", graphs=graphs, dwells=[0.1] * len(graphs), clock="physical"
+        "topology:periodic", graphs=graphs, dwells=[0.1] * len(graphs), clock="physical"
     )
 
 

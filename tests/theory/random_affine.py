@@ -55,7 +55,7 @@ class Case:
         graphs = tuple(FactorySpec.of("ptne_env.world.graphs:Graph", adjacency=half) for half in halves)
         longest = np.diff(self.world.clock.topology_times[clock]).max()
         dwells = (2.5 * longest, 3.5 * longest)
-        topology = FactorySpec.of("ptne_env.world.switching:periodic", graphs=graphs, dwells=dwells, clock=clock)
+        topology = FactorySpec.of("topology:periodic", graphs=graphs, dwells=dwells, clock=clock)
         self.encoder = encoder_of(self.scenario.replace(topology=topology))
         self.law = theory.build_law(self.spec, self.world)
 

@@ -102,5 +102,5 @@ def _switching(scenario, clock):
     longest = np.diff(world.clock.topology_times[clock]).max()
     dwells = (2.5 * longest, 3.5 * longest)
     return scenario.replace(
-        topology=FactorySpec.of("ptne_env.world.switching:periodic", graphs=graphs, dwells=dwells, clock=clock)
+        topology=FactorySpec.of("topology:periodic", graphs=graphs, dwells=dwells, clock=clock)
     )

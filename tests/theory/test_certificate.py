@@ -104,7 +104,7 @@ def test_noise_and_delay_of_a_channel_are_those_that_are_predicted():
         ({"channel": channel("AdditiveNoise", std=0.1)}, "each on its own"),
         (
             {"disturbance": FactorySpec.of("ptne_env.world.disturbances:UniformDisturbance", bound=1.0)},
-            "no prediction includes the disturbance UniformDisturbance",
+            "no prediction includes the disturbance uniform",
         ),
         ({"clock_shifts": (0.0, 0.01, 0.0, 0.0, 0.0)}, "clocks disagree"),
         ({"game": FactorySpec.of("ptne_env.games:RandomEnergy", players=5), "start": "random"}, "draws games"),

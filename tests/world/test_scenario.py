@@ -197,8 +197,11 @@ REFUSED = {
     "unknown scenario": (lambda: get_scenario("enrgy"), "unknown scenario 'enrgy'; did you mean 'energy'"),
     "track of a suite": (lambda: get_scenario("ptne-v1/delay"), r"get_suite\('ptne-v1'\).track\('delay'\).scenario"),
     "unknown field": (lambda: get_scenario("energy", kappa=2), "unknown scenario field 'kappa'; choose from name, "),
-    "unknown start": (lambda: get_scenario("energy", start="rnd"), "start is 'paper', 'random', a 'module:object'"),
-    "unknown transformation": (lambda: get_scenario("energy", transformation="x"), "'exponential', 'rational', 'tanh'"),
+    "unknown start": (lambda: get_scenario("energy", start="rnd"), "unknown start 'rnd'; did you mean 'random'"),
+    "unknown transformation": (
+        lambda: get_scenario("energy", transformation="x"),
+        "choose from exponential, rational, tanh",
+    ),
     "deadline of zero": (lambda: get_scenario("energy", deadline=0.0), r"deadline must be .* above 0 \(T, in seconds"),
     "negative deadline": (lambda: get_scenario("energy", deadline=-1.2), "deadline must be"),
     "infinite deadline": (lambda: get_scenario("energy", deadline=float("inf")), "deadline must be a finite number"),
@@ -229,7 +232,7 @@ REFUSED = {
         lambda: get_scenario(
             "energy",
             topology=FactorySpec.of(
-                "ptne_env.world.switching:periodic", graphs=[edges(5, (0, 1)), edges(5, (2, 3), (3, 4))], dwells=[1, 1]
+                "topology:periodic", graphs=[edges(5, (0, 1)), edges(5, (2, 3), (3, 4))], dwells=[1, 1]
             ),
         ),
         "not jointly connected over a period.*add links",
@@ -264,9 +267,12 @@ REFUSED = {
         lambda: get_scenario("energy", clock_shifts=(float("inf"), 0, 0, 0, 0)),
         "a clock shift must be a finite number",
     ),
-    "unknown channel": (lambda: get_scenario("energy", channel="noisy"), "channel is 'perfect', a 'module:object'"),
+    "unknown channel": (
+        lambda: get_scenario("energy", channel="noisy"),
+        "unknown channel 'noisy'; did you mean 'noise'",
+    ),
     "channel of another kind": (
-        lambda: get_scenario("energy", channel="ptne_env.world.starts:paper_start"),
+        lambda: get_scenario("energy", channel="start:paper"),
         "built a PaperStart where a Channel is needed",
     ),
     "disturbance without bound": (
@@ -276,7 +282,7 @@ REFUSED = {
         "bound must be a finite number above 0",
     ),
     "part of another kind": (
-        lambda: get_scenario("energy", game="ptne_env.world.starts:paper_start"),
+        lambda: get_scenario("energy", game="start:paper"),
         "built a PaperStart where a Game or GameFamily is needed",
     ),
     "missing part": (lambda: get_scenario("energy", game="ptne_env.games:ChessGame"), "has no 'ChessGame'"),

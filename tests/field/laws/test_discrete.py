@@ -36,7 +36,7 @@ def test_projected_gradient_is_its_equation_every_two_steps(scenario):
 
 def switching_part(adjacencies):
     graphs = tuple(FactorySpec.of("ptne_env.world.graphs:Graph", adjacency=adjacency) for adjacency in adjacencies)
-    return FactorySpec.of("ptne_env.world.switching:periodic", graphs=graphs, dwells=(0.3, 0.7), clock="transformed")
+    return FactorySpec.of("topology:periodic", graphs=graphs, dwells=(0.3, 0.7), clock="transformed")
 
 
 @pytest.mark.parametrize("seed", range(20 if SOAK else 5))

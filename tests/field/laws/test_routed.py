@@ -241,7 +241,7 @@ def test_owner_is_the_only_source_from_the_first_meeting_on():
     modes = [[(1, 2)], [(0, 2)], [(1, 2), (0, 2)], [(0, 1)], [(0, 2)], [(1, 2)]]
     graphs = tuple(FactorySpec.of("ptne_env.world.graphs:from_edges", players=3, edges=tuple(mode)) for mode in modes)
     topology = FactorySpec.of(
-        "ptne_env.world.switching:periodic", graphs=graphs, dwells=(0.1,) * 6, clock="transformed"
+        "topology:periodic", graphs=graphs, dwells=(0.1,) * 6, clock="transformed"
     )
     scenario = affine_scenario(
         np.eye(3) + 0.1, np.ones(3), topology, spacing="transformed", s_end=20.0, input_limit=1e5
@@ -262,7 +262,7 @@ def test_news_that_never_move_reach_players_without_news():
     modes = [[(1, 2)], [(0, 1)]]
     graphs = tuple(FactorySpec.of("ptne_env.world.graphs:from_edges", players=3, edges=tuple(mode)) for mode in modes)
     topology = FactorySpec.of(
-        "ptne_env.world.switching:periodic", graphs=graphs, dwells=(10.0, 10.0), clock="transformed"
+        "topology:periodic", graphs=graphs, dwells=(10.0, 10.0), clock="transformed"
     )
     scenario = affine_scenario(np.eye(3), np.ones(3), topology, spacing="transformed", s_end=20.0, input_limit=1e5)
     _, states = episode(field_laws.RoutedUnknown, scenario, step=1.0)
