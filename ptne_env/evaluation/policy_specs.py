@@ -288,45 +288,15 @@ POLICIES: Mapping[str, PolicySpec] = {
             mixing=0.45,
         ),
         _law(
-            "routed",
-            "Routed",
-            "Copies news from the neighbour that is nearest to its source, and takes gradient steps.",
-            step=0.3,
-        ),
-        _law(
             "routed-unknown",
             "RoutedUnknown",
-            "The routed law of players that find the nearest neighbours by themselves.",
+            "Copies news of each player from the neighbours that have them first, and takes gradient steps.",
             step=0.3,
-        ),
-        _law(
-            "freshest",
-            "Freshest",
-            "Copies the freshest news of the known schedule of links, and takes gradient steps.",
-            step=0.32,
-        ),
-        _law(
-            "relay",
-            "Relay",
-            "Copies news as the routed law, and takes best responses by an identified model of the own gradient.",
-            **_AVERAGING,
-        ),
-        _law(
-            "link-relay",
-            "LinkRelay",
-            "The relay of players that know the present links of their own alone.",
-            **_AVERAGING,
         ),
         _law(
             "contact-relay",
             "ContactRelay",
-            "The relay of players that remember when each of their own links was up.",
-            **_AVERAGING,
-        ),
-        _law(
-            "route-relay",
-            "RouteRelay",
-            "The contact relay of players that also know their distances in the union of all graphs.",
+            "Copies news as routed-unknown, and takes best responses by an identified model of the own gradient.",
             **_AVERAGING,
         ),
         _law(
@@ -335,12 +305,9 @@ POLICIES: Mapping[str, PolicySpec] = {
             "The contact relay with filters against noise, rounding, pushes and reactions of others.",
         ),
         _law(
-            "freshest-relay", "FreshestRelay", "The relay of players that know the schedule of all links.", **_AVERAGING
-        ),
-        _law(
             "multi-rate",
             "MultiRate",
-            "Gradient play with prices for a shared constraint, on copies along shortest paths.",
+            "Gradient play with prices for a shared constraint, on copies as those of routed-unknown.",
             step=0.2,
             price_step=0.2,
             lead=2.0,

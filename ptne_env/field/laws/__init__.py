@@ -5,10 +5,4 @@ from ptne_env.field.laws.gated import ObserverRelay as ObserverRelay
 from ptne_env.field.laws.multi_rate import MultiRate as MultiRate
 from ptne_env.field.laws.proximal import ProximalBestResponse as ProximalBestResponse
 from ptne_env.field.laws.relay import ContactRelay as ContactRelay
-from ptne_env.field.laws.relay import FreshestRelay as FreshestRelay
-from ptne_env.field.laws.relay import LinkRelay as LinkRelay
-from ptne_env.field.laws.relay import Relay as Relay
-from ptne_env.field.laws.relay import RouteRelay as RouteRelay
-from ptne_env.field.laws.routed import Freshest as Freshest
-from ptne_env.field.laws.routed import Routed as Routed
 from ptne_env.field.laws.routed import RoutedUnknown as RoutedUnknown

@@ -58,7 +58,6 @@ def contacts(
     memory: Mapping[str, FloatArray],
     drift: FloatArray,
     leaders: BoolArray,
-    nearer: FloatArray | None = None,
     noise: FloatArray | float = 0.0,
 ) -> tuple[BoolArray, dict[str, FloatArray]]:
     """The neighbours that have fresher copies of each component.
@@ -71,8 +70,7 @@ def contacts(
     when its copy moves by more than noise while the own copy rests, unless there is a live source and the neighbour's
     copy moves towards the own copy. An owner is the only source as soon as the player has met it.
 
-    On a fixed graph with perfect messages the sources are the neighbours that are nearer to the owner, as in
-    :class:`~ptne_env.field.laws.relay.Relay`.
+    On a fixed graph with perfect messages the sources are the neighbours that are nearer to the owner.
 
     Args:
         observation: of R players.
@@ -80,9 +78,6 @@ def contacts(
             before and were ever ``heard``, shape (R, D), and the number of ``steps``, shape (R, 1).
         drift: the last moves of the estimates of others, 0 for own components, shape (R, n).
         leaders: whether j owns c, shape (R, D, n).
-        nearer: by how many links j is nearer to the owner of c than i, shape (R, D, n); ``None`` where that is unknown.
-            Once a nearer neighbour was heard, this counts more than all votes, and during a contact only nearer
-            neighbours become sources.
         noise: the largest change of messages that may be noise, in natural units, shape (R, 1, 1).
 
     Returns:
@@ -107,9 +102,6 @@ def contacts(
     wakes &= np.abs(drift)[:, None] <= floor
     wakes &= j_moved > floor + noise
     wakes &= (links & linked)[:, :, None]
-    if nearer is not None:
-        has_nearer = _any_slot(heard & (nearer > 0))
-        wakes &= ~(has_nearer & (nearer <= 0))
 
     # At the start of a contact, of few links in most steps.
     votes, starts = memory["votes"], np.nonzero(links & ~linked)
@@ -119,8 +111,6 @@ def contacts(
         votes = votes.copy()
         votes[starts] += np.where(first, 0, j_has.astype(np.int64) - i_has)
         judgement = votes[starts]
-        if nearer is not None:
-            judgement = np.where(has_nearer[rows, 0] & (nearer[starts] != 0), nearer[starts], judgement)
         both = np.where(judgement == 0, j_moved[starts] > i_moved[starts], judgement > 0)
         is_newcomer = (memory["steps"] > 0) & (memory["news"] == 0)
         wakes[starts] = np.where(first, is_newcomer[rows], np.where(i_has & j_has, both, j_has & ~i_has))

@@ -54,7 +54,7 @@ from ptne_env.field.laws.reactions import (
     reckoned_estimate,
 )
 from ptne_env.field.laws.relay import SPREAD, ContactRelay, Own, copy_weight, own_memory, own_side
-from ptne_env.field.laws.routed import nearness, totals
+from ptne_env.field.laws.routed import totals
 from ptne_env.field.laws.settling import PARTS as SETTLING_PARTS
 from ptne_env.field.laws.settling import Settling, settle, settling
 from ptne_env.laws.base import Law, per_step, step_length
@@ -91,7 +91,7 @@ class SlotEvidence(NamedTuple):
         live: whether the link is live.
         owner: whether the neighbour owns the component.
         source: whether its copy is fresher, as far as contacts show.
-        nearer: by how many links it is nearer to the owner; 0 where hop counts are not declared.
+        nearer: 0.
         age: steps since its last message.
         contact: steps of the present contact, 0 where the link is not live.
         relative: x^j − x^i.
@@ -247,17 +247,14 @@ class GatedLaw(ContactRelay):
     :func:`~ptne_env.field.laws.averages.dither`, and the push v.
 
     Args:
-        layout: of the environment, interface ``physical``. Hop counts are used where they are declared.
-        patience: as for :class:`~ptne_env.field.laws.relay.Relay`.
-        forgetting: as for :class:`~ptne_env.field.laws.relay.Relay`.
+        layout: of the environment, interface ``physical``.
+        patience: as for :class:`~ptne_env.field.laws.relay.ContactRelay`.
+        forgetting: as for :class:`~ptne_env.field.laws.relay.ContactRelay`.
     """
 
     def __init__(self, layout: ObservationLayout, patience: float = 30.0, forgetting: float = 2.0) -> None:
         self._has_rows = layout.dimension <= LARGEST_ROW
         super().__init__(layout, patience, forgetting)
-
-    def _distances(self) -> FloatArray | None:
-        return None if self.layout.interface.graph_knowledge == "links" else nearness(self.layout)
 
     def sources(
         self, observation: Observation, memory: Mapping[str, FloatArray]
@@ -311,7 +308,7 @@ class GatedLaw(ContactRelay):
         """The first half of a decision: what R players find out, and the evidence that their gates see."""
         parts = self._parts.split(memory)
         found = self._estimates(observation, parts)
-        return found, *evidence(observation, parts, found, self.layout, self._nearness)
+        return found, *evidence(observation, parts, found, self.layout)
 
     def follow(
         self, observation: Observation, memory: FloatArray, found: Estimates, gates: CellGates, slot_gates: SlotGates
@@ -601,7 +598,6 @@ def evidence(
     memory: Mapping[str, FloatArray],
     found: Estimates,
     layout: ObservationLayout,
-    nearer: FloatArray | None,
 ) -> tuple[CellEvidence, SlotEvidence]:
     """The evidence of R players.
 
@@ -610,8 +606,6 @@ def evidence(
         memory: before this step, by name.
         found: estimates of this step.
         layout: of the observations.
-        nearer: by how many links a neighbour is nearer to an owner, :func:`~ptne_env.field.laws.routed.nearness`; ``None``
-            where hop counts are not declared.
     """
     player, own, estimate = observation.player, found.own, observation.own_estimate
     live, fresh = observation.weights > 0, found.memory
@@ -621,7 +615,7 @@ def evidence(
         live=live[:, :, None].astype(np.float64),
         owner=owner,
         source=found.sources.astype(np.float64),
-        nearer=np.zeros((1, 1, 1)) if nearer is None else nearer[player],
+        nearer=np.zeros((1, 1, 1)),
         age=fresh["age"][:, :, None],
         contact=fresh["contact"][:, :, None],
         relative=observation.relative_estimates,

@@ -9,11 +9,10 @@ import numpy as np
 
 from ptne_env.field.laws.best_response import largest
 from ptne_env.field.laws.identification import RESOLUTION
-from ptne_env.field.laws.routed import nearer_slots, routed_inputs
-from ptne_env.laws.base import Law, per_step
-from ptne_env.laws.memory import Parts
-from ptne_env.perception.observation import Interface, Observation, ObservationLayout
-from ptne_env.shared.arrays import BoolArray, FloatArray, require_non_negative, require_positive
+from ptne_env.field.laws.routed import RoutedUnknown, routed_inputs
+from ptne_env.laws.base import per_step
+from ptne_env.perception.observation import Observation, ObservationLayout
+from ptne_env.shared.arrays import FloatArray, require_non_negative, require_positive
 
 _PROBES = 2
 """Steps in which a player learns its role: one along its gradient, and one back."""
@@ -28,7 +27,7 @@ _VISIBLE = 8.0
 def multi_rate_inputs(
     observation: Observation,
     memory: Mapping[str, FloatArray],
-    sources: BoolArray,
+    drift: FloatArray,
     step: float,
     price_step: float,
     lead: float,
@@ -48,7 +47,7 @@ def multi_rate_inputs(
     Args:
         observation: of R players.
         memory: the parts of :class:`MultiRate` by name.
-        sources: from which neighbours each component is copied where they are live, shape (R, D, n).
+        drift: displacements of the others' estimates by copies, shape (R, n).
         step: η.
         price_step: η_μ.
         lead: δ.
@@ -63,18 +62,17 @@ def multi_rate_inputs(
     is_informative = (count > 0) & (count <= _PROBES) & (_FLAT * moved > _VISIBLE * resolution)
     is_price = np.where(is_informative, change <= _FLAT * moved, memory["is_price"] > 0)
     ahead = np.where(is_price, gradient + lead * (gradient - before), gradient)
-    inputs = routed_inputs(observation._replace(gradient=ahead), sources, np.where(is_price, price_step, step))
+    inputs = routed_inputs(observation._replace(gradient=ahead), drift, np.where(is_price, price_step, step))
     probe = per_step(np.where(count == 0, -gradient, before) * step, observation)
     return np.where(count < _PROBES, probe, inputs), {
         "gradient": gradient,
         "estimate": estimate,
         "is_price": is_price.astype(np.float64),
-        "steps": count + 1,
     }
 
 
-class MultiRate(Law):
-    """Primal-dual gradient play with copies along shortest paths, :func:`multi_rate_inputs`.
+class MultiRate(RoutedUnknown):
+    """Primal-dual gradient play with copies from live sources, :func:`multi_rate_inputs`.
 
     For games with a coupled constraint C x ≤ b and prices μ ≥ 0, :func:`ptne_env.field.games.priced`, in the spirit of L.
     Mudrik, I. Kaminer, S. Kragelund and A. H. Clark, "Prescribed-time distributed generalized Nash equilibrium
@@ -82,43 +80,33 @@ class MultiRate(Law):
     strategies. The construction is ours: they descend along Hessian-gradient products of a Fischer–Burmeister function
     in continuous time, with a copy of the multipliers per player, and their theorem is not claimed for this law.
 
-    In games without operator it is :class:`~ptne_env.field.laws.Routed` after its two probing steps.
+    In games without operator it is :class:`~ptne_env.field.laws.RoutedUnknown` after its two probing steps.
 
     Args:
-        layout: of the environment, interface ``physical``, with hop counts.
+        layout: of the environment, interface ``physical``.
         step: η > 0 of the players.
         price_step: η_μ > 0 of the operators.
         lead: δ ≥ 0 of the operators.
 
     Raises:
-        LayoutError: for a layout without hop counts or own estimates.
+        LayoutError: for a layout without own estimates.
         ValueError: for a number out of range.
     """
 
     needs: ClassVar[tuple[str, ...]] = ("own_estimate",)
-    interface: ClassVar[Interface] = Interface("physical", "union")
 
     def __init__(
         self, layout: ObservationLayout, step: float = 0.2, price_step: float = 0.2, lead: float = 2.0
     ) -> None:
-        super().__init__(layout)
-        self.step, self.price_step = require_positive("step", step), require_positive("price_step", price_step)
-        self.lead = require_non_negative("lead", lead)
-        self._nearer = nearer_slots(layout)
-        n = layout.dimension
-        self._parts = Parts({"gradient": (n,), "estimate": (n,), "is_price": (1,), "steps": (1,)})
+        super().__init__(layout, step)
+        self.price_step, self.lead = require_positive("price_step", price_step), require_non_negative("lead", lead)
 
-    def initial_memory(self, rows: int) -> FloatArray:
-        """Nothing seen, shape (R, 2 n + 2)."""
-        return self._parts.join(self._parts.zeros(rows))
+    def _shapes(self) -> dict[str, tuple[int, ...]]:
+        n = self.layout.dimension
+        return super()._shapes() | {"gradient": (n,), "estimate": (n,), "is_price": (1,)}
 
     def inputs(self, observation: Observation, memory: FloatArray) -> tuple[FloatArray, FloatArray]:
-        inputs, parts = multi_rate_inputs(
-            observation,
-            self._parts.split(memory),
-            self._nearer[observation.player],
-            self.step,
-            self.price_step,
-            self.lead,
-        )
-        return inputs, self._parts.join(parts)
+        parts = self._parts.split(memory)
+        drift, fresh = self.copied(observation, parts, moves=parts["steps"] >= _PROBES)
+        inputs, role = multi_rate_inputs(observation, parts, drift, self.step, self.price_step, self.lead)
+        return inputs, self._parts.join(fresh | role)

@@ -1,10 +1,4 @@
-"""Relays: best responses from an identified model of the own gradient, and copies of estimates, one link per step.
-
-Players choose the neighbours from which they copy by their knowledge of the communication graphs: hop counts on the
-union graph in :class:`Relay`, their own links without memory in :class:`LinkRelay`, memory of their own links in
-:class:`ContactRelay`, hop counts and this memory in :class:`RouteRelay`, the links of every step in
-:class:`FreshestRelay`.
-"""
+"""The relay: best responses from an identified model of the own gradient, and copies of estimates, one link per step."""
 
 from __future__ import annotations
 
@@ -26,11 +20,11 @@ from ptne_env.field.laws.best_response import (
 )
 from ptne_env.field.laws.contacts import contact_parts, contacts, noise_level
 from ptne_env.field.laws.identification import RESOLUTION, Model, blank, identify
-from ptne_env.field.laws.routed import Freshest, nearer_slots, nearness, totals
+from ptne_env.field.laws.routed import copies
 from ptne_env.laws.base import Law, per_step
 from ptne_env.laws.memory import Parts
-from ptne_env.perception.observation import Interface, Observation, ObservationLayout
-from ptne_env.shared.arrays import BoolArray, FloatArray, IntArray, fold, require_positive, row_maxima
+from ptne_env.perception.observation import Observation, ObservationLayout
+from ptne_env.shared.arrays import BoolArray, FloatArray, IntArray, require_positive, row_maxima
 
 SPREAD = 10.0
 """Standard deviation of the entries of dF before anything is identified, in units of gradient per strategy.
@@ -55,7 +49,7 @@ _LOUDEST = 0.03
 
 
 class Averaging(NamedTuple):
-    """When and how relays average noisy messages; see :class:`Relay`."""
+    """When and how relays average noisy messages; see :class:`ContactRelay`."""
 
     patience: float
     forgetting: float
@@ -101,7 +95,7 @@ class Own(NamedTuple):
 
 
 def own_side(observation: Observation, memory: Mapping[str, FloatArray], layout: ObservationLayout) -> Own:
-    """The own side of R players, from the last displacement and the parts of the memory of :class:`Relay`."""
+    """The own side of R players, from the last displacement and the parts of the memory of :class:`ContactRelay`."""
     model = Model(memory["rows"], memory["covariance"])
     estimate, step = observation.own_estimate, memory["steps"]
     blocks, is_own = layout.own_components[observation.player], layout.own_mask[observation.player]
@@ -147,7 +141,7 @@ def copy_weight(
 
     Args:
         observation: of R players.
-        memory: the parts ``heard`` to ``restless`` of :class:`Relay`.
+        memory: the parts ``heard`` to ``restless`` of :class:`ContactRelay`.
         mean: of the differences to the sources, shape (R, n).
         averaging: of noisy messages.
     """
@@ -171,68 +165,35 @@ def copy_weight(
     }
 
 
-def averaged_copies(
-    observation: Observation,
-    memory: Mapping[str, FloatArray],
-    sources: BoolArray,
-    averaging: Averaging,
-    *,
-    mixes: bool = True,
-) -> tuple[FloatArray, dict[str, FloatArray]]:
-    """w_k × mean of (x^j_c − x^i_c) over the live sources j of component c: the displacements (R, n), and the memory.
-
-    A component of which no source was ever heard moves to the mean of all live neighbours and the player itself, if
-    ``mixes``; else it rests. The weight is that of :func:`copy_weight`.
-
-    Args:
-        observation: of R players.
-        memory: the parts ``heard`` to ``restless`` of :class:`Relay`.
-        sources: from which neighbours each component is copied where they are live, shape (R, D, n).
-        averaging: of noisy messages.
-        mixes: whether a component without sources moves.
-    """
-    heard = np.maximum(memory["heard"], observation.weights > 0)
-    lost: BoolArray | int = 0
-    if mixes:
-        lost = ~fold(np.logical_or, sources & (heard > 0)[:, :, None], axis=1)
-        sources = sources | lost[:, None]
-    total, count = totals(observation, sources)
-    mean = total / np.maximum(count + lost, 1)
-    weight, fresh = copy_weight(observation, memory, mean, averaging)
-    return weight * mean, fresh
-
-
 def relay_displacement(
     observation: Observation,
     memory: Mapping[str, FloatArray],
     layout: ObservationLayout,
     sources: BoolArray,
     averaging: Averaging,
-    *,
-    mixes: bool = True,
 ) -> tuple[FloatArray, dict[str, FloatArray]]:
-    """Copies of the others' estimates, :func:`averaged_copies`, and the best response to them, :meth:`Own.response`.
+    """w_k × mean of (x^j_c − x^i_c) over the live sources j of c, and the best response to it, :meth:`Own.response`.
 
-    In the first m steps the others' estimates rest, and one own component after the other moves, so that the own block
-    of dF is known at once; the rest of the rows follows from the displacements that the copies cause,
-    :func:`~ptne_env.field.laws.identification.identify`.
-
-    After the first m steps, no own displacement is longer than :func:`~ptne_env.field.laws.best_response.trust_radius`.
+    The weight w_k is that of :func:`copy_weight`; a component without a source rests. In the first m steps the others'
+    estimates rest, and one own component after the other moves, so that the own block of dF is known at once; the rest
+    of the rows follows from the displacements that the copies cause,
+    :func:`~ptne_env.field.laws.identification.identify`. After the first m steps, no own displacement is longer than
+    :func:`~ptne_env.field.laws.best_response.trust_radius`.
 
     Args:
         observation: of R players.
-        memory: the parts of :class:`Relay` by name.
+        memory: the parts of :class:`ContactRelay` by name.
         layout: of the observations.
         sources: from which neighbours each component is copied where they are live, shape (R, D, n).
         averaging: of noisy messages.
-        mixes: as for :func:`averaged_copies`.
 
     Returns:
         The displacements Δx^i, shape (R, n), and the memory for the next step.
     """
     own, is_own = own_side(observation, memory, layout), layout.own_mask[observation.player]
-    drift, heard = averaged_copies(observation, memory, sources, averaging, mixes=mixes)
-    drift = np.where(own.is_probe | is_own, 0.0, drift)
+    mean = copies(observation, sources)
+    weight, heard = copy_weight(observation, memory, mean, averaging)
+    drift = np.where(own.is_probe | is_own, 0.0, weight * mean)
     displacement = with_own(drift, own.response(drift), own.blocks)
     return displacement, own_memory(own, observation, memory, displacement, layout) | heard
 
@@ -244,7 +205,7 @@ def own_memory(
     displacement: FloatArray,
     layout: ObservationLayout,
 ) -> dict[str, FloatArray]:
-    """The parts of the memory of :class:`Relay` that :func:`own_side` reads, after ``displacement`` (R, n)."""
+    """The parts of the memory of :class:`ContactRelay` that :func:`own_side` reads, after ``displacement`` (R, n)."""
     return {
         "rows": own.model.rows,
         "covariance": own.model.covariance,
@@ -257,8 +218,10 @@ def own_memory(
     }
 
 
-class Relay(Law):
+class ContactRelay(Law):
     """Best response from an identified model of the own gradient, and copies hop by hop, :func:`relay_displacement`.
+
+    Players remember their own links, which shows the sources, :func:`~ptne_env.field.laws.contacts.contacts`.
 
     Args:
         layout: of the environment, interface ``physical``.
@@ -271,36 +234,11 @@ class Relay(Law):
     """
 
     needs: ClassVar[tuple[str, ...]] = ("own_estimate",)
-    interface: ClassVar[Interface] = Interface("physical", "union")
-
-    mixes: ClassVar[bool] = True
-    """Whether a component of which no source was ever heard moves to the mean of all neighbours and the player."""
 
     def __init__(self, layout: ObservationLayout, patience: float = 30.0, forgetting: float = 2.0) -> None:
         super().__init__(layout)
         self.averaging = Averaging(require_positive("patience", patience), require_positive("forgetting", forgetting))
-        self._fixed_sources = self._known_sources()
         self._parts = Parts(self._shapes())
-
-    def _known_sources(self) -> BoolArray:
-        """From which neighbours each component is copied where they are live, by the layout; shape (N, D, n)."""
-        return nearer_slots(self.layout)
-
-    def sources(
-        self,
-        observation: Observation,
-        memory: Mapping[str, FloatArray],  # noqa: ARG002 - subclasses read it
-    ) -> tuple[BoolArray, dict[str, FloatArray]]:
-        """From which neighbours each component is copied where they are live, and the changed parts of the memory.
-
-        Args:
-            observation: of R players.
-            memory: the parts of the law's memory by name.
-
-        Returns:
-            The sources, shape (R, D, n), and changed parts of the memory that :func:`relay_displacement` leaves alone.
-        """
-        return self._fixed_sources[observation.player], {}
 
     def _shapes(self) -> dict[str, tuple[int, ...]]:
         """Shapes of the parts of the memory."""
@@ -321,103 +259,41 @@ class Relay(Law):
             "least": (1,),
             "mark": (1,),
             "restless": (1,),
-        }
+            "noise": (1,),
+        } | contact_parts(self.layout)
 
     def initial_memory(self, rows: int) -> FloatArray:
-        """A model of zeros with the standard deviation :data:`SPREAD`, and nothing heard; shape (R, size)."""
+        """A model of zeros with the standard deviation :data:`SPREAD`, nothing heard, no contact; shape (R, size)."""
         parts = self._parts.zeros(rows)
         _, outputs, regressors = parts["rows"].shape
         parts |= blank(rows, outputs, regressors, SPREAD)._asdict()
         parts["least"] += UNLIMITED
         parts["mark"] += UNLIMITED
+        parts["seen"] += np.inf
         return self._parts.join(parts)
+
+    def sources(
+        self, observation: Observation, memory: Mapping[str, FloatArray]
+    ) -> tuple[BoolArray, dict[str, FloatArray]]:
+        """From which neighbours each component is copied where they are live, and the changed parts of the memory.
+
+        Args:
+            observation: of R players.
+            memory: the parts of the law's memory by name.
+
+        Returns:
+            The sources, shape (R, D, n), and changed parts of the memory that :func:`relay_displacement` leaves alone.
+        """
+        is_own = self.layout.own_mask[observation.player]
+        leaders = self.layout.neighbour_components[observation.player]
+        noise = noise_level(observation, memory, leaders | is_own[:, None])
+        loudest = np.minimum(_ABOVE_NOISE * noise, _LOUDEST * largest(observation.own_estimate))
+        drift = np.where(is_own, 0.0, memory["asked"])
+        sources, news = contacts(observation, memory, drift, leaders, loudest[:, :, None])
+        return sources, news | {"noise": noise}
 
     def inputs(self, observation: Observation, memory: FloatArray) -> tuple[FloatArray, FloatArray]:
         parts = self._parts.split(memory)
         sources, news = self.sources(observation, parts)
-        displacement, fresh = relay_displacement(
-            observation, parts, self.layout, sources, self.averaging, mixes=self.mixes
-        )
+        displacement, fresh = relay_displacement(observation, parts, self.layout, sources, self.averaging)
         return per_step(displacement, observation), self._parts.join(fresh | news)
-
-
-class LinkRelay(Relay):
-    """:class:`Relay` of players that know their own links alone.
-
-    A component is copied from its owner, where this is a neighbour that was heard; else it moves to the mean of the own
-    estimate and the estimates of all live neighbours.
-    """
-
-    interface: ClassVar[Interface] = Interface("physical")
-
-    def _known_sources(self) -> BoolArray:
-        return self.layout.neighbour_components
-
-
-class ContactRelay(LinkRelay):
-    """:class:`Relay` of players that remember their own links, :func:`~ptne_env.field.laws.contacts.contacts`."""
-
-    mixes: ClassVar[bool] = False
-
-    def __init__(self, layout: ObservationLayout, patience: float = 30.0, forgetting: float = 2.0) -> None:
-        super().__init__(layout, patience, forgetting)
-        self._nearness = self._distances()
-
-    def _distances(self) -> FloatArray | None:
-        """By how many links the neighbour in slot d of player i is nearer to the owner of c than i, shape (N, D, n)."""
-        return None
-
-    def _shapes(self) -> dict[str, tuple[int, ...]]:
-        return super()._shapes() | contact_parts(self.layout) | {"noise": (1,)}
-
-    def initial_memory(self, rows: int) -> FloatArray:
-        """As that of :class:`Relay`, and no contact; shape (R, size)."""
-        parts = self._parts.split(super().initial_memory(rows))
-        parts["seen"] = np.full_like(parts["seen"], np.inf)
-        return self._parts.join(parts)
-
-    def sources(
-        self, observation: Observation, memory: Mapping[str, FloatArray]
-    ) -> tuple[BoolArray, dict[str, FloatArray]]:
-        player = observation.player
-        is_own, leaders = self.layout.own_mask[player], self._fixed_sources[player]
-        noise = noise_level(observation, memory, leaders | is_own[:, None])
-        loudest = np.minimum(_ABOVE_NOISE * noise, _LOUDEST * largest(observation.own_estimate))
-        drift = np.where(is_own, 0.0, memory["asked"])
-        nearer = None if self._nearness is None else self._nearness[player]
-        sources, news = contacts(observation, memory, drift, leaders, nearer, loudest[:, :, None])
-        return sources, news | {"noise": noise}
-
-
-class RouteRelay(ContactRelay):
-    """:class:`ContactRelay` of players that know hop counts on the union graph too.
-
-    Raises:
-        LayoutError: for a layout without hop counts.
-    """
-
-    interface: ClassVar[Interface] = Interface("physical", "union")
-
-    def _distances(self) -> FloatArray:
-        return nearness(self.layout)
-
-
-class FreshestRelay(LinkRelay):
-    """:class:`Relay` of players that know the schedule: copies as in :class:`~ptne_env.field.laws.routed.Freshest`.
-
-    Raises:
-        LayoutError: for a layout without the schedule.
-    """
-
-    interface: ClassVar[Interface] = Interface("physical", "schedule")
-    mixes: ClassVar[bool] = False
-
-    def __init__(self, layout: ObservationLayout, patience: float = 30.0, forgetting: float = 2.0) -> None:
-        super().__init__(layout, patience, forgetting)
-        self._freshest = Freshest(layout)
-
-    def sources(
-        self, observation: Observation, memory: Mapping[str, FloatArray]
-    ) -> tuple[BoolArray, dict[str, FloatArray]]:
-        sources, _ = self._freshest.sources(observation, memory["steps"])
-        return sources, {}

@@ -1,14 +1,6 @@
-"""Routed laws: each component of the estimates travels from its owner to all other players, one link per step.
-
-They move estimates to their next value within a step, so they count steps and not time. They differ in the neighbours
-from which a player copies a component, and so in the knowledge that they need: hop counts on the union graph
-(:class:`Routed`), own links (:class:`RoutedUnknown`), or the links of every step (:class:`Freshest`).
-"""
+"""Routed play: each component of the estimates travels from its owner to all other players, one link per step."""
 
 from __future__ import annotations
-
-from abc import abstractmethod
-from typing import Any, ClassVar
 
 import numpy as np
 
@@ -16,27 +8,8 @@ from ptne_env.field.laws.best_response import within_reach
 from ptne_env.field.laws.contacts import contact_parts, contacts
 from ptne_env.laws.base import Law, per_step
 from ptne_env.laws.memory import Parts
-from ptne_env.perception.observation import Interface, Observation, ObservationLayout
+from ptne_env.perception.observation import Observation, ObservationLayout
 from ptne_env.shared.arrays import BoolArray, FloatArray, IntArray, fold, ordered_sum, require_positive
-
-
-def nearness(layout: ObservationLayout) -> FloatArray:
-    """By how many links the neighbour in slot d of player i is nearer to the owner of component c than i, (N, D, n).
-
-    Raises:
-        LayoutError: when the layout does not hold hop counts.
-    """
-    hops = layout.hops[:, _owners(layout)].astype(np.float64)
-    return np.asarray(hops[:, None] - hops[np.array(layout.neighbours)])
-
-
-def nearer_slots(layout: ObservationLayout) -> BoolArray:
-    """Whether the neighbour in slot d of player i is nearer than i to the owner of component c, shape (N, D, n).
-
-    Raises:
-        LayoutError: when the layout does not hold hop counts.
-    """
-    return np.asarray(nearness(layout) > 0)
 
 
 def totals(observation: Observation, sources: BoolArray) -> tuple[FloatArray, IntArray]:
@@ -56,7 +29,7 @@ def copies(observation: Observation, sources: BoolArray) -> FloatArray:
     return total / np.maximum(count, 1)
 
 
-def routed_inputs(observation: Observation, sources: BoolArray, step: float | FloatArray) -> FloatArray:
+def routed_inputs(observation: Observation, drift: FloatArray, step: float | FloatArray) -> FloatArray:
     """x^i_c ← mean of x^j_c over the live sources j of c, else x^i_c; and x^i_i ← x^i_i − η ∂J_i/∂x_i(x^i).
 
     The whole law, with η = ``step``. A player has no source of its own components. Where the sources are the neighbours
@@ -65,86 +38,35 @@ def routed_inputs(observation: Observation, sources: BoolArray, step: float | Fl
 
     Args:
         observation: of R players.
-        sources: from which neighbours each component is copied where they are live, shape (R, D, n).
+        drift: displacements of the others' estimates by :func:`copies`, shape (R, n).
         step: η, one number for all or one per player, shape (R, 1).
 
     Returns:
         Inputs, shape (R, n).
     """
-    return per_step(copies(observation, sources) - step * observation.gradient, observation)
+    return per_step(drift - step * observation.gradient, observation)
 
 
-def stamps(live_links: BoolArray) -> IntArray:
-    """The instant of the freshest copy of each player's strategy that a player can have.
-
-    Copies travel one live link per instant, t^i_o(k+1) = max over i and its live neighbours j of t^j_o(k), with
-    t^o_o(k) = k.
+class RoutedUnknown(Law):
+    """Copies and a gradient step, :func:`routed_inputs`; own links show the sources, :func:`contacts`.
 
     Args:
-        live_links: whether two players are linked at each instant, shape (K+H+1, N, N).
-
-    Returns:
-        The instant by holder and owner, −1 where no news has arrived, shape (K+H+1, N, N).
-    """
-    instants, players = len(live_links), np.arange(live_links.shape[1])
-    result = np.full(live_links.shape, -1, dtype=np.int64)
-    result[0, players, players] = 0
-    for k in range(1, instants):
-        before, (holders, neighbours) = result[k - 1], np.nonzero(live_links[k - 1])
-        result[k] = before
-        if holders.size:  # they are sorted
-            linked, first = np.unique(holders, return_index=True)
-            heard = np.maximum.reduceat(before[neighbours], first)
-            result[k, linked] = np.maximum(before[linked], heard)
-        result[k, players, players] = k
-    return result
-
-
-class RoutedLaw(Law):
-    """The base class of the routed laws: :func:`routed_inputs` with the sources that a subclass chooses.
-
-    Args:
-        layout: of the environment, with the knowledge of the law's interface.
+        layout: of the environment.
         step: η > 0.
 
     Raises:
-        LayoutError: for a layout without that knowledge.
         ValueError: for a step that is not positive.
     """
 
     def __init__(self, layout: ObservationLayout, step: float = 0.3) -> None:
         super().__init__(layout)
         self.step = require_positive("step", step)
+        self._parts = Parts(self._shapes())
 
-    @abstractmethod
-    def sources(self, observation: Observation, memory: Any) -> tuple[BoolArray, Any]:
-        """From which neighbours each component is copied where they are live, shape (R, D, n), and the memory."""
-
-    def inputs(self, observation: Observation, memory: Any) -> tuple[FloatArray, Any]:
-        sources, memory = self.sources(observation, memory)
-        return routed_inputs(observation, sources, self.step), memory
-
-
-class Routed(RoutedLaw):
-    """Copies along shortest paths and a gradient step: the sources are the nearer neighbours, :func:`nearer_slots`."""
-
-    interface: ClassVar[Interface] = Interface("physical", "union")
-
-    def __init__(self, layout: ObservationLayout, step: float = 0.3) -> None:
-        super().__init__(layout, step)
-        self._nearer = nearer_slots(layout)
-
-    def sources(self, observation: Observation, memory: None) -> tuple[BoolArray, None]:
-        return self._nearer[observation.player], memory
-
-
-class RoutedUnknown(RoutedLaw):
-    """:class:`Routed` without hop counts: own links show the sources, :func:`~ptne_env.field.laws.contacts.contacts`."""
-
-    def __init__(self, layout: ObservationLayout, step: float = 0.3) -> None:
-        super().__init__(layout, step)
-        links = dict.fromkeys(("live", "heard"), (layout.slots,))
-        self._parts = Parts(contact_parts(layout) | links | {"drift": (layout.dimension,), "steps": (1,)})
+    def _shapes(self) -> dict[str, tuple[int, ...]]:
+        """Shapes of the parts of the memory."""
+        links = dict.fromkeys(("live", "heard"), (self.layout.slots,))
+        return contact_parts(self.layout) | links | {"drift": (self.layout.dimension,), "steps": (1,)}
 
     def initial_memory(self, rows: int) -> FloatArray:
         """No contact and no step done, shape (R, size)."""
@@ -152,43 +74,24 @@ class RoutedUnknown(RoutedLaw):
         parts["seen"] += np.inf
         return self._parts.join(parts)
 
-    def sources(self, observation: Observation, memory: FloatArray) -> tuple[BoolArray, FloatArray]:
-        player, parts = observation.player, self._parts.split(memory)
-        leaders, live = self.layout.neighbour_components[player], observation.weights > 0
+    def inputs(self, observation: Observation, memory: FloatArray) -> tuple[FloatArray, FloatArray]:
+        drift, parts = self.copied(observation, self._parts.split(memory), moves=True)
+        return routed_inputs(observation, drift, self.step), self._parts.join(parts)
+
+    def copied(
+        self, observation: Observation, parts: dict[str, FloatArray], *, moves: BoolArray | bool
+    ) -> tuple[FloatArray, dict[str, FloatArray]]:
+        """Displacements of the others' estimates, shape (R, n), and the parts of the memory for the next step.
+
+        Args:
+            observation: of R players.
+            parts: of the memory by name.
+            moves: whether the others' estimates move in this step, shape (R, 1).
+        """
+        player, live = observation.player, observation.weights > 0
+        leaders = self.layout.neighbour_components[player]
         sources, fresh = contacts(observation, parts, parts["drift"], leaders)
-        sources &= ~self.layout.own_mask[player][:, None]
-        fresh["drift"] = within_reach(copies(observation, sources), observation, self.layout)
+        drift = np.where(moves, copies(observation, sources & ~self.layout.own_mask[player][:, None]), 0.0)
         fresh |= {"live": live.astype(np.float64), "heard": np.maximum(parts["heard"], live)}
-        return sources, self._parts.join(fresh | {"steps": parts["steps"] + 1})
-
-
-class Freshest(RoutedLaw):
-    """Copies of the freshest estimates along time-respecting paths, and a gradient step; the schedule is known.
-
-    The sources of a component are the live neighbours with the copy of the latest instant, :func:`stamps`, if that is
-    later than the instant of the own copy. On no schedule can copies along links be fresher. The memory is the number
-    of steps done, shape (R, 1). :class:`RoutedUnknown` has the same idea without the schedule.
-    """
-
-    interface: ClassVar[Interface] = Interface("physical", "schedule")
-
-    def __init__(self, layout: ObservationLayout, step: float = 0.32) -> None:
-        super().__init__(layout, step)
-        self._stamps = stamps(layout.live_links)
-        self._neighbours, self._owners = np.array(layout.neighbours), _owners(layout)
-
-    def initial_memory(self, rows: int) -> FloatArray:
-        """Number of steps done: 0, shape (R, 1)."""
-        return np.zeros((rows, 1))
-
-    def sources(self, observation: Observation, memory: FloatArray) -> tuple[BoolArray, FloatArray]:
-        player, instant = observation.player, memory[:, 0].astype(np.int64)
-        own = self._stamps[instant, player][:, None, self._owners]
-        theirs = self._stamps[instant[:, None], self._neighbours[player]][:, :, self._owners]
-        theirs = np.where((observation.weights > 0)[:, :, None], theirs, -1)
-        return (theirs > own) & (theirs == fold(np.maximum, theirs, axis=1)[:, None]), memory + 1
-
-
-def _owners(layout: ObservationLayout) -> IntArray:
-    """The player that owns each component, shape (n,)."""
-    return np.repeat(np.arange(layout.num_players), layout.action_dims)
+        fresh |= {"drift": within_reach(drift, observation, self.layout), "steps": parts["steps"] + 1}
+        return drift, fresh
