@@ -16,7 +16,6 @@ from ptne_env.envs.simulation import Duplicable, Simulation, changed_scenario, p
 from ptne_env.perception.encoder import NonFiniteActionError
 from ptne_env.perception.observation import (
     OBSERVATION_BOUND,
-    GraphKnowledge,
     Interface,
     InterfaceKind,
     ObservationLayout,
@@ -367,7 +366,6 @@ def parallel_env(
     scenario: str | Scenario = "energy",
     *,
     interface: InterfaceKind = "scaled",
-    graph_knowledge: GraphKnowledge = "links",
     reward: str | Mapping[str, float] = "digits",
     max_cycles: int | None = None,
     render_mode: str | None = None,
@@ -379,7 +377,6 @@ def parallel_env(
     Args:
         scenario: a name of the catalogue (``ptne list`` shows them) or a scenario.
         interface: ``"scaled"`` or ``"physical"``; see :class:`ptne_env.perception.observation.ObservationLayout`.
-        graph_knowledge: ``"links"``, ``"union"`` or ``"schedule"``; see :class:`ptne_env.perception.observation.Interface`.
         reward: a term's name (``digits``, ``tracking``, ``payoff``, ``regret``) or weights by name.
         max_cycles: steps after which the episode is truncated.
         render_mode: ``None``, ``"human"`` or ``"rgb_array"``.
@@ -392,7 +389,7 @@ def parallel_env(
     """
     return NashSeekingEnv(
         changed_scenario(scenario, overrides, parallel_env),
-        interface=Interface(interface, graph_knowledge),
+        interface=Interface(interface),
         reward=reward,
         max_cycles=max_cycles,
         render_mode=render_mode,

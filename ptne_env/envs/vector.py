@@ -15,7 +15,7 @@ from gymnasium import spaces
 from numpy.ma import MaskedArray
 
 from ptne_env.envs.simulation import Duplicable, ResetResult, Simulation, StepResult, changed_scenario, player_encoder
-from ptne_env.perception.observation import GraphKnowledge, Interface, InterfaceKind, ObservationLayout
+from ptne_env.perception.observation import Interface, InterfaceKind, ObservationLayout
 from ptne_env.shared.arrays import BoolArray, Float32Array, FloatArray, IntArray, as_plain, require_count, require_mask
 from ptne_env.shared.random_streams import require_seed
 from ptne_env.world.scenario import Scenario
@@ -79,7 +79,7 @@ class VectorParallelEnv(Duplicable):
     Args:
         scenario: a name of the catalogue or a scenario.
         num_envs: B.
-        interface, graph_knowledge, reward, max_cycles: as in
+        interface, reward, max_cycles: as in
             :func:`ptne_env.parallel_env`.
         threads: that step blocks of environments side by side; the numbers do not depend on it. A second thread pays
             from several thousand environments on.
@@ -105,7 +105,6 @@ class VectorParallelEnv(Duplicable):
         num_envs: int = 1,
         *,
         interface: InterfaceKind = "scaled",
-        graph_knowledge: GraphKnowledge = "links",
         reward: str | Mapping[str, float] = "digits",
         max_cycles: int | None = None,
         threads: int = 1,
@@ -115,7 +114,7 @@ class VectorParallelEnv(Duplicable):
         self.num_envs = require_count("num_envs", num_envs, 1)
         self.threads = require_count("threads", threads, 1)
 
-        seen = Interface(interface, graph_knowledge)
+        seen = Interface(interface)
         encoder = player_encoder(World(self.scenario), seen)
         self.layout: ObservationLayout = encoder.layout
         self.num_players = self.layout.num_players

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from ptne_env.perception.observation import ObservationLayout
 from ptne_env.perception.policy import Policy, PolicyError, decision
 from ptne_env.shared.arrays import Float32Array, IntArray
 
@@ -21,8 +23,7 @@ NOT_ROW_WISE = (
 
 USES_OTHER_LINKS = (
     "it uses links of other players: with the neighbours of one player alone it decides differently for that player. "
-    "A decision may depend on the player's own row of layout.neighbours alone; a policy that uses others declares "
-    "graph_knowledge='union'"
+    "A decision may depend on the player's own row of layout.neighbours alone"
 )
 """Reason of a failure: the witness was built from the knowledge of one player, and the other witnesses agreed."""
 
@@ -93,3 +94,10 @@ def rows_of_one(episodes: int, players: int) -> tuple[int, IntArray]:
     generator = np.random.default_rng()
     place = int(generator.integers(players))
     return place, generator.permutation(episodes)[:OWN_LINKS_EPISODES] * players + place
+
+
+def layout_of_one(layout: ObservationLayout, player: int) -> ObservationLayout:
+    """The layout with the neighbours of one player alone: the slots of all others are padded."""
+    rows = [(index,) * layout.slots for index in range(layout.num_players)]
+    rows[player] = layout.neighbours[player]
+    return replace(layout, neighbours=tuple(rows))

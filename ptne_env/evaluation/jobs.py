@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from ptne_env.evaluation.audit import USES_OTHER_LINKS, Witness, rows_of_one, sample_rows
+from ptne_env.evaluation.audit import USES_OTHER_LINKS, Witness, layout_of_one, rows_of_one, sample_rows
 from ptne_env.evaluation.episodes import EpisodeSet
 from ptne_env.evaluation.metrics import METRICS, Metric, adopt, measure, own_metrics
 from ptne_env.evaluation.policy_specs import PolicySpec
@@ -93,10 +93,9 @@ class Job:
                 if thorough or not self.policy.ships:
                     rows = sample_rows(self.episodes.count, len(deciding), thorough=thorough)
                     witnesses = [Witness(fresh(encoder.layout), chosen) for chosen in rows]
-                    if self.policy.interface.graph_knowledge == "links":
-                        place, chosen = rows_of_one(self.episodes.count, len(deciding))
-                        alone = _of_own_links(fresh, encoder.layout.known_to(deciding[place]))
-                        witnesses.append(Witness(alone, chosen, USES_OTHER_LINKS))
+                    place, chosen = rows_of_one(self.episodes.count, len(deciding))
+                    alone = _of_own_links(fresh, layout_of_one(encoder.layout, deciding[place]))
+                    witnesses.append(Witness(alone, chosen, USES_OTHER_LINKS))
                 start = _initial_state(world, self.episodes)
                 with _draws(world, self.episodes).kept():
                     samples = measure(rollout(policy, encoder, start, teammates, witnesses=witnesses))

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import ClassVar
 
-
 from ptne_env.laws.base import Law, per_step
 from ptne_env.perception.observation import Interface, Observation, ObservationLayout
 from ptne_env.shared.arrays import FloatArray, require_positive

@@ -16,8 +16,6 @@ from ptne_env.perception.observation import (
     OBSERVATION_BOUND,
     SMALLEST_SCALE,
     Interface,
-    LayoutError,
-    LinkSchedule,
     ObservationLayout,
 )
 from ptne_env.shared.arrays import Float32Array, FloatArray, IntArray
@@ -82,19 +80,12 @@ class Encoder(ABC):
         slot_order: the world's neighbour slot in each slot of the layout, shape (D, N); ``None`` for the same slots.
         gradient_rows: row of the own gradients in each place of a player's own block, shape (m, N).
         gradient_mask: False in padded places, shape (m, N, 1); ``None`` where no place is padded.
-
-    Raises:
-        LayoutError: when the interface declares that the schedule is known and every episode draws its own.
     """
 
     def __init__(self, world: World, interface: Interface) -> None:
         self.world = world
         self.interface = interface
         game, clock = world.game, world.clock
-        if interface.graph_knowledge == "schedule" and world.topology.is_random:
-            raise LayoutError(
-                "the schedule cannot be known: every episode draws its own; declare graph_knowledge='union'"
-            )
         # All observations of an instant share the clock and the age of the graph; (5, 1 or N, K+H+1).
         t, s, theta = world.local_clocks
         shared = [np.broadcast_to(row, t.shape) for row in (clock.dt / clock.deadline, world.time_since_switch)]
@@ -110,7 +101,6 @@ class Encoder(ABC):
             deadline=clock.deadline,
             largest_weight=float(world.mode_weights.max() * world.channel.largest_weight_factor),
             largest_clock=(largest_t, largest_s, largest_theta, largest_dt),
-            schedule=_link_schedule(world) if interface.graph_knowledge == "schedule" else None,
         )
         self.clock_table[1] /= layout.units[1]
         own = layout.own_components.T
@@ -339,14 +329,6 @@ _ENCODERS: Mapping[str, type[Encoder]] = {
 }
 
 
-def _link_schedule(world: World) -> LinkSchedule:
-    return LinkSchedule(tuple(tuple(graph.edges) for graph in world.topology.graphs), tuple(world.modes.tolist()))
-
-
 def make_encoder(world: World, interface: Interface) -> Encoder:
-    """The encoder of an interface's kind.
-
-    Raises:
-        LayoutError: as :class:`Encoder`.
-    """
+    """The encoder of an interface's kind."""
     return _ENCODERS[interface.kind](world, interface)

@@ -5,19 +5,17 @@ A layout is all that a policy knows about the world. An :class:`~ptne_env.percep
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Literal, NamedTuple, TypeAlias, get_args
 
 import numpy as np
 import numpy.typing as npt
 from gymnasium import spaces
-from scipy.sparse.csgraph import shortest_path
 
 from ptne_env.shared.arrays import BoolArray, Float32Array, FloatArray, IntArray
 
 InterfaceKind: TypeAlias = Literal["scaled", "physical", "full"]
-GraphKnowledge: TypeAlias = Literal["links", "union", "schedule"]
 
 OBSERVATION_BOUND = 1e6
 """Box bound of every observed entry that carries units."""
@@ -50,23 +48,16 @@ class Interface:
     Attributes:
         kind: ``"scaled"`` (scale-free numbers of order one, in ego order), ``"physical"`` (natural units, player order)
             or ``"full"`` (``physical`` and information that players lack; for oracles only).
-        graph_knowledge: of the communication graphs, each player knows its own neighbours (``"links"``), also the union
-            of all graphs (``"union"``), or also the graph of every step (``"schedule"``).
 
     Raises:
-        ValueError: for an unknown word.
+        ValueError: for another kind.
     """
 
     kind: InterfaceKind = "scaled"
-    graph_knowledge: GraphKnowledge = "links"
 
     def __post_init__(self) -> None:
-        for name, value, choices in (
-            ("interface", self.kind, InterfaceKind),
-            ("knowledge of graphs", self.graph_knowledge, GraphKnowledge),
-        ):
-            if value not in get_args(choices):
-                raise ValueError(f"unknown {name} {value!r}; choose from {', '.join(get_args(choices))}")
+        if self.kind not in get_args(InterfaceKind):
+            raise ValueError(f"unknown interface {self.kind!r}; choose from {', '.join(get_args(InterfaceKind))}")
 
 
 class Observation(NamedTuple):
@@ -102,18 +93,6 @@ class Observation(NamedTuple):
     own_estimate: FloatArray
 
 
-class LinkSchedule(NamedTuple):
-    """The links of every step.
-
-    Attributes:
-        graphs: the links (i, j) with i < j of each graph.
-        modes: index of the graph at each instant, K+H+1 numbers.
-    """
-
-    graphs: tuple[tuple[tuple[int, int], ...], ...]
-    modes: tuple[int, ...]
-
-
 @dataclass(frozen=True)
 class ObservationLayout:
     """The layout of observations and actions that a policy is built for.
@@ -145,12 +124,11 @@ class ObservationLayout:
         interface: units and order.
         action_dims: n_i of each player.
         neighbours: per player, the player in each of its D slots; a padded slot holds the player itself. A player knows
-            its own row: decisions that depend on other rows need :attr:`hops`.
+            its own row alone, and evaluation tries it: its decisions may depend on no other.
         input_limit: largest |u|.
         deadline: T in seconds.
         largest_weight: largest a_ij that a player can observe.
         largest_clock: largest t/T, s, Θ_k and Δt_k/T.
-        schedule: the links of every step, where the interface declares that they are known; else ``None``.
         action_limit: of the action space, where it is smaller than the action bound; else ``None``.
     """
 
@@ -161,7 +139,6 @@ class ObservationLayout:
     deadline: float
     largest_weight: float
     largest_clock: tuple[float, float, float, float]
-    schedule: LinkSchedule | None = None
     action_limit: float | None = None
 
     @property
@@ -178,53 +155,6 @@ class ObservationLayout:
     def slots(self) -> int:
         """D, neighbour slots per player."""
         return len(self.neighbours[0])
-
-    def known_to(self, player: int) -> ObservationLayout:
-        """This layout with the row of ``player`` alone in :attr:`neighbours`: the slots of all others are padded.
-
-        With graph knowledge ``"links"``, a policy that is built from it decides the same for that player.
-        """
-        rows = ((index,) * self.slots for index in range(self.num_players))
-        return replace(self, neighbours=tuple(self.neighbours[i] if i == player else row for i, row in enumerate(rows)))
-
-    @cached_property
-    def hops(self) -> IntArray:
-        """The least number of links between each two players in the union of all graphs, shape (N, N), read-only.
-
-        Raises:
-            LayoutError: when the interface declares the knowledge ``"links"``.
-        """
-        if self.interface.graph_knowledge == "links":
-            raise LayoutError(self._unknown("hop counts", "union"))
-        players, slots = np.arange(self.num_players), np.array(self.neighbours)
-        adjacency = np.zeros((self.num_players, self.num_players))
-        adjacency[players[:, None], slots] = 1  # a padded slot adds a loop, which shortens no path
-        result = shortest_path(adjacency, unweighted=True).astype(np.int64)
-        result.flags.writeable = False
-        return result
-
-    @cached_property
-    def live_links(self) -> BoolArray:
-        """Whether two players are linked at each instant, shape (K+H+1, N, N), read-only.
-
-        Raises:
-            LayoutError: when the interface does not declare the knowledge ``"schedule"``.
-        """
-        if self.schedule is None:
-            raise LayoutError(self._unknown("links of every step", "schedule"))
-        live = np.zeros((len(self.schedule.graphs), self.num_players, self.num_players), dtype=np.bool_)
-        for graph, links in zip(live, self.schedule.graphs, strict=True):
-            for i, j in links:
-                graph[i, j] = graph[j, i] = True
-        result = live[list(self.schedule.modes)]
-        result.flags.writeable = False
-        return result
-
-    def _unknown(self, name: str, needed: GraphKnowledge) -> str:
-        return (
-            f"this layout does not hold the {name}: its interface declares graph_knowledge="
-            f"{self.interface.graph_knowledge!r}; declare graph_knowledge={needed!r}"
-        )
 
     @cached_property
     def slices(self) -> dict[str, slice]:

@@ -27,7 +27,7 @@ def hop_delays(graph: Graph, owners: IntArray) -> IntArray:
 def delayed_play_matrix(jacobian: FloatArray, delays: IntArray, step: float) -> FloatArray:
     """The matrix of e_c(k+1) = e_c(k) − η Σ_b dF_cb e_b(k − d_cb) on (e(k), e(k−1), …, e(k−D)), D = max d.
 
-    The loop of :class:`~ptne_env.field.laws.Routed` on a fixed graph after the first D steps, d_cb being the hop count
+    The loop of :class:`~ptne_env.field.laws.RoutedUnknown` on a fixed graph after the first D steps, d_cb being the hop count
     between the owners of the components c and b. The estimates of the other players are late copies: they add zeros
     to the eigenvalues.
 

@@ -10,7 +10,7 @@ from small_suite import BASE, SMALL
 import ptne_env
 from ptne_env import FactorySpec, PolicySpec, evaluate, laws
 from ptne_env.evaluation import COMPARED, default_policies, get_policy_spec, run_suite, suite_policies
-from ptne_env.evaluation.policy_specs import ARCHIVE, KNOWLEDGE, foreign_code
+from ptne_env.evaluation.policy_specs import ARCHIVE, foreign_code
 from ptne_env.evaluation.suite import REFERENCES
 from ptne_env.learn import shipped_path
 from ptne_env.perception.encoder import make_encoder
@@ -169,30 +169,6 @@ def test_files_that_are_no_archives_are_refused(tmp_path):
     (tmp_path / "bad.zip").write_bytes(b"no archive")
     with pytest.raises(ValueError, match="not an archive"):
         get_policy_spec(str(tmp_path / "bad.zip"), trust=True)
-
-
-def test_data_from_before_the_declaration_of_knowledge_are_read():
-    data = get_policy_spec("static").to_dict()
-    for name in ("graph_knowledge", "estimates"):
-        del data["interface"][name]
-    assert PolicySpec.from_dict(data) == get_policy_spec("static")
-
-
-@pytest.mark.parametrize(
-    ("spec", "knowledge"),
-    [
-        (get_policy_spec("static"), ("own links", "no", "honest")),
-        (get_policy_spec("adaptive"), ("own links", "yes", "honest")),
-        (get_policy_spec("oracle"), ("all", "no", "honest")),
-        (PolicySpec("mine", "object", ptne_env.Interface("physical")), ("own links", "unknown", "coded")),
-        (
-            PolicySpec("mine", FactorySpec.of("sample_laws:Any"), ptne_env.Interface("physical", "schedule")),
-            ("schedule", "unknown", "honest"),
-        ),
-    ],
-)
-def test_the_knowledge_of_a_policy_is_told_in_words(spec, knowledge):
-    assert spec.knowledge == dict(zip(KNOWLEDGE, knowledge, strict=True))
 
 
 def test_a_missing_archive_and_a_scenario_are_no_policies():

@@ -12,6 +12,7 @@ from worlds import energy_scenario, fixed_part, make_env, play, world_and_encode
 
 from ptne_env import FactorySpec, Interface, laws
 from ptne_env.evaluation import POLICIES
+from ptne_env.evaluation.audit import layout_of_one
 from ptne_env.field import laws as field_laws
 from ptne_env.world import dynamics
 
@@ -24,12 +25,11 @@ LAWS = {
     "adaptive-grounded": laws.AdaptiveGrounded,
     "projected-gradient": field_laws.ProjectedGradient,
     "routed-unknown": field_laws.RoutedUnknown,
-    "link-relay": field_laws.LinkRelay,
     "contact-relay": field_laws.ContactRelay,
     "observer-relay": field_laws.ObserverRelay,
     "zero-input": laws.ZeroInput,
 }
-ABSOLUTE = ("link-relay", "contact-relay", "observer-relay")
+ABSOLUTE = ("contact-relay", "observer-relay")
 """Laws that read absolute strategies."""
 
 
@@ -108,7 +108,7 @@ def test_scrambling_hidden_information_changes_no_action(player, law, kind, swit
     assert compared == STEPS  # the worlds did look different to others
 
 
-LINKS = [name for name, spec in POLICIES.items() if spec.interface.graph_knowledge == "links"]
+LINKS = [name for name, spec in POLICIES.items() if not spec.is_oracle]
 
 
 @pytest.mark.parametrize("name", LINKS)
@@ -118,7 +118,7 @@ def test_policies_of_own_links_decide_without_the_links_of_others(name):
     world, encoder = world_and_encoder(scenario, **asdict(spec.interface))
     layout = encoder.layout
     policy, memory = spec.build(layout), None
-    alone, memories = [spec.build(layout.known_to(player)) for player in range(5)], [None] * 5
+    alone, memories = [spec.build(layout_of_one(layout, player)) for player in range(5)], [None] * 5
     state = dynamics.initial_state(world, np.random.default_rng(0).uniform(-20, 20, (5, 5, 1)))
     for _ in range(STEPS):
         observations = encoder.observe(state)[0]

@@ -27,17 +27,11 @@ LAWS = [
     laws.RandomPolicy,
 ]
 SPECIAL = [
-    field_laws.Relay,
-    field_laws.LinkRelay,
     field_laws.ContactRelay,
     field_laws.ObserverRelay,
-    field_laws.RouteRelay,
-    field_laws.FreshestRelay,
     field_laws.MultiRate,
     field_laws.ProximalBestResponse,
     laws.CentralisedOracle,
-    field_laws.Routed,
-    field_laws.Freshest,
 ]
 """Laws that need an interface of their own."""
 

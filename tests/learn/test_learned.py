@@ -80,14 +80,6 @@ def test_metadata_survive_the_round_trip():
     assert Metadata.from_json(original.to_json()) == original
 
 
-def test_metadata_from_before_the_declaration_of_knowledge_declare_own_links():
-    data = json.loads(metadata().to_json())
-    for name in ("graph_knowledge", "estimates"):
-        del data["interface"][name]
-    assert Metadata.from_json(json.dumps(data)) == metadata()
-    assert metadata().interface.graph_knowledge == "links"
-
-
 @pytest.mark.parametrize(
     ("changes", "named"),
     [

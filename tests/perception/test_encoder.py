@@ -7,9 +7,9 @@ from worlds import BLOCKS, BLOCKS_SWITCHING, FAULTY, begin, world_and_encoder
 
 from ptne_env import CATALOGUE, Interface, get_scenario
 from ptne_env.evaluation.episodes import EpisodeSet
-from ptne_env.evaluation.suite import find_scenario, get_suite
+from ptne_env.evaluation.suite import find_scenario
 from ptne_env.perception.encoder import make_encoder
-from ptne_env.perception.observation import CONSENSUS_GAIN, OBSERVATION_BOUND, LayoutError
+from ptne_env.perception.observation import CONSENSUS_GAIN, OBSERVATION_BOUND
 from ptne_env.world import dynamics
 from ptne_env.world.world import RANGE_LIMIT, World
 
@@ -355,7 +355,6 @@ def test_observations_are_owned_by_the_caller():
     [
         ({"kind": "global"}, "unknown interface 'global'; choose from physical, local, learner, full"),
         ({"action_mode": "torque"}, "unknown action mode 'torque'; choose from input, gains"),
-        ({"graph_knowledge": "all"}, "unknown knowledge of graphs 'all'; choose from links, union, schedule"),
         ({"estimates": "secret"}, "unknown content of estimates 'secret'; choose from honest, coded"),
         ({"action_scale": 0.0}, "action_scale must be a finite number above 0"),
         ({"action_scale": float("nan")}, "action_scale"),
@@ -482,47 +481,3 @@ def test_observations_do_not_depend_on_the_size_of_the_scratch(scenario, monkeyp
         assert len(encoder._workspaces[3].relative) == (1 if entries > 1 else world.slots)
     assert world.slots > 1
     np.testing.assert_array_equal(*seen)
-
-
-def test_layouts_hold_the_graphs_that_the_interface_declares():
-    layouts = {
-        knowledge: world_and_encoder("energy-switching", graph_knowledge=knowledge)[1].layout
-        for knowledge in ("links", "union", "schedule")
-    }
-    for knowledge, missing in (("links", ["hops", "live_links"]), ("union", ["live_links"]), ("schedule", [])):
-        for name in missing:
-            with pytest.raises(LayoutError, match=f"declares graph_knowledge='{knowledge}'; declare graph_knowledge="):
-                getattr(layouts[knowledge], name)
-    cycle = np.abs(np.arange(5)[:, None] - np.arange(5))
-    for knowledge in ("union", "schedule"):
-        np.testing.assert_array_equal(layouts[knowledge].hops, np.minimum(cycle, 5 - cycle))
-        assert not layouts[knowledge].hops.flags.writeable
-
-
-def test_links_of_every_step_are_those_of_the_world():
-    world, encoder = world_and_encoder("energy-switching", graph_knowledge="schedule")
-    expected = np.stack([graph.adjacency > 0 for graph in world.topology.graphs])[world.modes]
-    np.testing.assert_array_equal(encoder.layout.live_links, expected)
-    assert not encoder.layout.live_links.flags.writeable
-    assert len({links.tobytes() for links in encoder.layout.live_links}) == 4
-
-
-def test_a_schedule_that_every_episode_draws_cannot_be_known():
-    markov = get_suite("ptne-v1").track("markov").scenario
-    assert world_and_encoder(markov, graph_knowledge="union")[1].layout.hops.max() == 2
-    with pytest.raises(LayoutError, match="the schedule cannot be known: every episode draws its own"):
-        world_and_encoder(markov, graph_knowledge="schedule")
-
-
-def test_observations_do_not_depend_on_knowledge_of_graphs():
-    world, encoder = world_and_encoder("energy-switching")
-    state = wander(world)
-    for knowledge in ("union", "schedule"):
-        other = world_and_encoder("energy-switching", graph_knowledge=knowledge)[1]
-        assert other.layout.slices == encoder.layout.slices
-        np.testing.assert_array_equal(other.observe(state), encoder.observe(state))
-
-
-def test_a_layout_known_to_one_player_has_its_neighbours_alone():
-    layout = world_and_encoder("energy")[1].layout
-    assert layout.known_to(2).neighbours == ((0, 0), (1, 1), layout.neighbours[2], (3, 3), (4, 4))

@@ -24,15 +24,10 @@ LAWS.remove("Law")
 WITHOUT_LOOP = {
     "CentralisedOracle",
     "ContactRelay",
-    "Freshest",
-    "FreshestRelay",
-    "LinkRelay",
     "MultiRate",
     "ObserverRelay",
     "ProjectedGradient",
     "ProximalBestResponse",
-    "Relay",
-    "RouteRelay",
     "RoutedUnknown",
 }
 """Laws that are not linear in gradient and differences, or read or remember more than these and gains."""

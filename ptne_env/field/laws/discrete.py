@@ -8,7 +8,6 @@ them.
 
 from __future__ import annotations
 
-
 import numpy as np
 import numpy.typing as npt
 

@@ -63,9 +63,9 @@ def test_larger_gain_has_guarantees():
 
 def test_conditions_that_are_necessary_say_that_the_law_does_not_settle():
     name = "gradient play with delays settles (up to η = 0.264): ρ < 1"
-    fails = rows(certify(get_scenario("oligopoly"), law=FactorySpec.of("ptne_env.field.laws:Routed", step=0.3)))
+    fails = rows(certify(get_scenario("oligopoly"), law=FactorySpec.of("ptne_env.field.laws:RoutedUnknown", step=0.3)))
     assert fails[name].endswith("against 1.00: fails (the law does not settle)")
-    holds = rows(certify(get_scenario("oligopoly"), law=FactorySpec.of("ptne_env.field.laws:Routed", step=0.2)))
+    holds = rows(certify(get_scenario("oligopoly"), law=FactorySpec.of("ptne_env.field.laws:RoutedUnknown", step=0.2)))
     assert holds[name].endswith("against 1.00: holds")
 
 
