@@ -25,7 +25,7 @@ def certify(
         typer.Option(
             help="A law by name (static, adaptive, corollary-one, gadjov-pavel, grounded), by its class in "
             "ptne_env.laws (FixedGain, Grounded, …), or as 'module:object', which is called with the layout and "
-            "runs its own code; or a policy without sizes, by name (size-free) or .onnx file.",
+            "runs its own code.",
             autocompletion=law_names,
         ),
     ] = "static",

@@ -1,11 +1,10 @@
-"""``ptne train``: training a policy for one interface, one without sizes, or one for a track from such a one."""
+"""``ptne train``: training a policy with PPO."""
 
 from __future__ import annotations
 
 import shlex
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, replace
-from math import isnan
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -14,11 +13,10 @@ import typer
 from ptne_env.cli import options
 from ptne_env.cli.app import app
 from ptne_env.cli.console import check_writable, json_text, progress, say, write_json
-from ptne_env.evaluation.suite import foreign_suites, world_names
+from ptne_env.evaluation.suite import foreign_suites
 from ptne_env.learn import training
 
 if TYPE_CHECKING:
-    from ptne_env.learn.training import generalist
     from ptne_env.learn.training.arguments import Arguments
     from ptne_env.learn.training.checkpoint import Summary
     from ptne_env.learn.training.curve import LearningCurve
@@ -30,8 +28,8 @@ def train(
         str,
         typer.Argument(
             help="A shipped configuration by name (such as random-energy), or a .toml file; or a scenario or track "
-            "(such as robots or ptne-v1/noise) for the default settings, and with --from.",
-            autocompletion=training.all_configurations,
+            "(such as robots or ptne-v1/noise) for the default settings.",
+            autocompletion=training.configurations,
         ),
     ],
     out: Annotated[
@@ -51,19 +49,11 @@ def train(
         ),
     ] = None,
     steps: Annotated[int | None, typer.Option(min=1, help="Agent-steps; the configuration's own if left out.")] = None,
-    start: Annotated[
-        str | None,
-        typer.Option(
-            "--from",
-            help="Policy without sizes, by file or name, that is fine-tuned on the scenario or track; "
-            f"{training.GENERALIST!r} is the shipped one, {training.SHIPPED!r}.",
-        ),
-    ] = None,
     json: options.Json = None,
     *,
     trust: options.Trust = False,
 ) -> None:
-    """Train a policy and export it as policy.onnx: with PPO, or without sizes, or from such a policy (--from).
+    """Train a policy with PPO, and export it as policy.onnx.
 
     Draws the learning curve, learning-curve.png, and prints the commands that compare the policy and show the logs.
 
@@ -71,6 +61,7 @@ def train(
     policy as an undisturbed one.
     """
     try:
+        from ptne_env.learn.training.arguments import Arguments
         from ptne_env.learn.training.checkpoint import finished
         from ptne_env.learn.training.curve import LearningCurve, Run, draw
     except ImportError as error:
@@ -78,7 +69,7 @@ def train(
 
     given = {"seed": seed, "steps": steps}
     changes: dict[str, Any] = {name: value for name, value in given.items() if value is not None}
-    arguments, unit = _arguments(configuration, start, changes)
+    arguments = Arguments.from_toml(configuration, **changes)
     options.trusted(foreign_suites(*arguments.scenarios), trust=trust)
     runs = {out: arguments}
     if seeds is not None:
@@ -103,46 +94,17 @@ def train(
         if curve.points
     }
     if drawn and (len(ended) < len(runs) or not picture.exists()):
-        draw(drawn, picture, title=f"Training of {configuration.removesuffix('.toml')}", unit=unit)
+        draw(drawn, picture, title=f"Training of {configuration.removesuffix('.toml')}", unit="agent-steps")
         say(f"Learning curve written to {picture}")
-    for line in next_commands(
-        arguments.scenarios, out, runs, has_seeds=seeds is not None, start=getattr(arguments, "start", "")
-    ):
+    for line in next_commands(arguments.scenarios, out, runs, has_seeds=seeds is not None):
         say(line)
 
 
-def _arguments(
-    configuration: str, start: str | None, changes: dict[str, Any]
-) -> tuple[Arguments | generalist.Generalist, str]:
-    """The arguments of a run, and the unit of its progress."""
-    from ptne_env.learn.training import arguments, generalist
-
-    if start is None and configuration == training.SPECIALIST:
-        raise ValueError(f"a specialist starts from a policy: ptne train TRACK --from {training.SHIPPED} --out DIR")
-    if start is not None:
-        is_configuration = Path(configuration).suffix == ".toml" or configuration in training.all_configurations()
-        if is_configuration and configuration not in world_names():
-            raise ValueError(
-                f"--from fine-tunes on a scenario or track, such as ptne-v1/noise, and {configuration!r} is a "
-                "configuration; a .toml file of your own may say start = 'POLICY'"
-            )
-        changes |= {"scenarios": (configuration,), "start": training.SHIPPED if start == training.GENERALIST else start}
-        configuration = training.SPECIALIST
-    elif "stages" not in arguments.values_of(configuration)[1]:
-        return arguments.from_toml(arguments.Arguments, configuration, **changes), "agent-steps"
-    if "steps" in changes:
-        raise ValueError(
-            "--steps counts agent-steps of PPO; a policy without sizes trains for rounds, segments and generations, "
-            "which a .toml file of your own may change"
-        )
-    return arguments.from_toml(generalist.Generalist, configuration, **changes), "segments of training"
-
-
 def _train(
-    runs: Mapping[Path, Arguments | generalist.Generalist], curves: Mapping[Path, LearningCurve]
+    runs: Mapping[Path, Arguments], curves: Mapping[Path, LearningCurve]
 ) -> dict[Path, Summary]:
     """Train one run after the other, with a progress bar for all of them; their summaries."""
-    from ptne_env.learn.training import generalist, ppo
+    from ptne_env.learn.training import ppo
 
     summaries: dict[Path, Summary] = {}
     with progress("training") as advance:
@@ -154,25 +116,19 @@ def _train(
                 done: int,
                 total: int,
                 digits: float,
-                stage: str = "training",
                 place: str = place,
                 curve: LearningCurve = curve,
             ) -> None:
                 curve.add(done, digits)
-                now = stage if isnan(digits) else f"{stage}, {digits:.2f} digits"
-                advance(len(summaries) * total + min(done, total), len(runs) * total, place + now)
+                now = f"{place}training, {digits:.2f} digits"
+                advance(len(summaries) * total + min(done, total), len(runs) * total, now)
 
-            if isinstance(arguments, generalist.Generalist):
-                summaries[folder] = generalist.train(arguments, folder, show)
-            else:
-                summaries[folder] = ppo.train(arguments, folder, show)
+            summaries[folder] = ppo.train(arguments, folder, show)
     return summaries
 
 
 def _say_result(folder: Path, summary: Summary, *, was_finished: bool) -> None:
     digits = f"{summary.validation_digits:.2f} digits on the validation episodes"
-    if summary.stage_digits:
-        digits += f" ({summary.stage_digits[0]:.2f} before training)"
     if was_finished:
         say(f"This run has ended before, with {digits}; policy.onnx is in {folder}")
     else:
@@ -181,12 +137,9 @@ def _say_result(folder: Path, summary: Summary, *, was_finished: bool) -> None:
 
 
 def next_commands(
-    scenarios: Sequence[str], out: Path, folders: Iterable[Path], *, has_seeds: bool, start: str = ""
+    scenarios: Sequence[str], out: Path, folders: Iterable[Path], *, has_seeds: bool
 ) -> list[str]:
-    """The commands that compare the policy where it was trained, and that show the logs.
-
-    It is compared with the policy with which training started, or with the paper's law.
-    """
+    """The commands that compare the policy with the paper's law where it was trained, and that show the logs."""
     match sorted({name.rpartition("/")[0] for name in scenarios}):
         case [_]:
             where = " ".join(scenarios)
@@ -195,8 +148,7 @@ def next_commands(
         case _:  # trained in random worlds, or on tracks of several suites
             where = "--suite ptne-v1"
     trained = f"trained={out}/seed-*/policy.onnx" if has_seeds else str(out / "policy.onnx")
-    other = f"start={start}" if start.endswith(".onnx") else start or "static"
-    lines = [f"To compare:  ptne compare {where} --policy {shlex.quote(f'{other},{trained}')}"]
+    lines = [f"To compare:  ptne compare {where} --policy {shlex.quote(f'static,{trained}')}"]
     if any((folder / "tensorboard").is_dir() for folder in folders):
         lines.append(f"To see the logs:  tensorboard --logdir {shlex.quote(str(out))}")
     return lines

@@ -4,20 +4,19 @@ from __future__ import annotations
 
 import glob
 import inspect
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 from ptne_env import laws
 from ptne_env import learn as policies
 from ptne_env.evaluation.provenance import file_hashes
 from ptne_env.evaluation.sources import is_file
 from ptne_env.learn.archive import recognised_interface
-from ptne_env.learn.process import PolicySource, build, declared_interface, separate
-from ptne_env.perception.observation import Interface, ObservationLayout
-from ptne_env.perception.policy import Policy, PolicyError
+from ptne_env.perception.observation import Interface, LayoutError, ObservationLayout
+from ptne_env.perception.policy import Policy, PolicyError, describe
 from ptne_env.shared.arrays import require_printable
 from ptne_env.shared.files import require_file
 from ptne_env.shared.names import unknown_name
@@ -31,6 +30,10 @@ DIVISIONS = ("honest", "oracle")
 
 ARCHIVE = "ptne_env.learn.archive:load_archive"
 """Target of the policies whose making executes code that is stored in a file."""
+
+PolicySource: TypeAlias = FactorySpec | Policy | Callable[[ObservationLayout], Policy]
+"""A factory spec or a callable that builds the policy from a layout, or the policy itself."""
+
 
 @dataclass(frozen=True)
 class PolicySpec:
@@ -59,12 +62,7 @@ class PolicySpec:
             raise ValueError(f"policy {self.name!r} has no training seed")
         if self.interface is None:
             first = self.training_seeds[0]
-            if self._is_apart and isinstance(first, FactorySpec):
-                try:
-                    interface = declared_interface(first)
-                except PolicyError as error:
-                    raise ValueError(f"policy {self.name!r}: {error}") from error
-            elif (file := learned_file(first)) is not None:
+            if (file := learned_file(first)) is not None:
                 interface = policies.load(file).interface
             else:
                 target = first.resolve() if isinstance(first, FactorySpec) else first
@@ -111,12 +109,6 @@ class PolicySpec:
         )
 
     @property
-    def _is_apart(self) -> bool:
-        """Whether it decides in a process of its own, which cannot import the program or notebook that runs."""
-        first = self.training_seeds[0]
-        return self.is_foreign and not (isinstance(first, FactorySpec) and first.is_local)
-
-    @property
     def is_oracle(self) -> bool:
         """Whether it uses information that players lack."""
         return self.interface.kind == "full"
@@ -142,19 +134,12 @@ class PolicySpec:
 
     @contextmanager
     def deciding(self, layout: ObservationLayout, training_seed: int = 0) -> Iterator[Policy]:
-        """The same, ready to decide: foreign code in a process of its own, which ends with the context.
-
-        So does an ``.onnx`` file that is not shipped: it is data, but its decisions may take any time and memory.
+        """The same, ready to decide.
 
         Raises:
             LayoutError, PolicyError: as :meth:`build`.
         """
-        source = self.training_seeds[training_seed]
-        if isinstance(source, FactorySpec) and (self._is_apart or _is_own_file(source)):
-            with separate(source, layout) as policy:
-                yield policy
-        else:
-            yield self.build(layout, training_seed)
+        yield self.build(layout, training_seed)
 
     def to_dict(self) -> dict[str, Any]:
         """A JSON object with the parameters, and the hashes of the files, of every training seed."""
@@ -186,6 +171,43 @@ class PolicySpec:
         except (KeyError, TypeError, AttributeError) as error:
             raise ValueError(f"not a policy: {type(error).__name__}: {error}") from None
         return cls(name, seeds if len(seeds) != 1 else seeds[0], interface, scenarios)
+
+
+def build(source: PolicySource, layout: ObservationLayout) -> Policy:
+    """Build a policy.
+
+    Args:
+        source: of the policy.
+        layout: of its observations.
+
+    Raises:
+        LayoutError: when it was made for another layout.
+        PolicyError: when building it raises anything else, or the result has no ``predict``.
+    """
+    built: Any = source
+    try:
+        if isinstance(source, FactorySpec):
+            built = source.build(layout=layout)
+        elif isinstance(source, type) or not hasattr(source, "predict"):
+            built = source(layout)
+        if hasattr(built, "require"):
+            built.require(layout)
+    except (LayoutError, MemoryError):
+        raise
+    except Exception as error:
+        called = "; it is called with the layout" * isinstance(error, TypeError)
+        raise PolicyError(f"it cannot be built: {describe(error)}{called}") from error
+    expected = getattr(getattr(built, "observation_space", None), "shape", None)  # of a Stable-Baselines3 model
+    if expected not in (None, (layout.size,)):
+        raise LayoutError(
+            f"it was trained on observations of shape {expected}, and this track with the interface "
+            f"{layout.interface.kind!r} has {(layout.size,)}; if it was trained with another interface, give that one: "
+            "PolicySpec(name, model, ptne_env.Interface('scaled'))"
+        )
+    if not hasattr(built, "predict"):
+        raise PolicyError(f"it is a {type(built).__name__} without predict(observation, state, ...)")
+    policy: Policy = built
+    return policy
 
 
 def _source_to_dict(policy: PolicySource) -> dict[str, Any]:
@@ -328,7 +350,7 @@ COMPARED = (*tuple(POLICIES)[:8], "routed-unknown", "observer-relay")
 
 
 def learned_policy(path_or_name: str) -> PolicySpec:
-    """The spec of a learned policy, for the scenarios that it was trained on, or all where it has no size.
+    """The spec of a learned policy, for the scenarios that it was trained on.
 
     Raises:
         ValueError, FileNotFoundError, PolicyFileError, ImportError: as :func:`ptne_env.learn.load`.
@@ -336,27 +358,25 @@ def learned_policy(path_or_name: str) -> PolicySpec:
     policy = policies.load(path_or_name)
     source = FactorySpec.of(LOADER, path_or_name=path_or_name)
     trained = policy.metadata.scenarios
-    has_no_size = isinstance(policy, policies.SizeFreeFile)
     places = trained[0] if len(trained) == 1 else f"{len(trained)} scenarios and tracks"
-    kind = "network for games and graphs of any size" if has_no_size else "network"
     return PolicySpec(
         policy.name,
         source,
         policy.interface,
-        None if has_no_size else frozenset(trained),
-        description=f"A {kind}, trained on {places}; {policy.metadata.digits:.3g} digits on its validation episodes.",
+        frozenset(trained),
+        description=f"A network, trained on {places}; {policy.metadata.digits:.3g} digits on its validation episodes.",
     )
 
 
 def default_policies() -> list[PolicySpec]:
     """The default policies of a comparison: :data:`COMPARED`, and the policies trained on a scenario of the catalogue.
 
-    A learned policy is run on the scenarios that it was trained on; a policy without sizes is run on all.
+    A learned policy is run on the scenarios that it was trained on.
     """
     learned = map(learned_policy, policies.shipped())
     return [
         *(POLICIES[name] for name in COMPARED),
-        *(policy for policy in learned if policy.scenarios is None or not policy.scenarios.isdisjoint(CATALOGUE)),
+        *(policy for policy in learned if policy.scenarios and not policy.scenarios.isdisjoint(CATALOGUE)),
     ]
 
 
@@ -469,16 +489,16 @@ def law_names() -> list[str]:
 
 
 def law_factory(law: str, kappa: float | None = None) -> FactorySpec:
-    """The factory spec of a law: by name, class in ``ptne_env.laws``, ``"module:object"``, or file.
+    """The factory spec of a law: by name, class in ``ptne_env.laws``, or ``"module:object"``.
 
     Args:
-        law: its name, class or address, or the ``.onnx`` file of a policy without sizes.
+        law: its name, class or address.
         kappa: κ in place of the law's own.
 
     Raises:
         ValueError: for an unknown name, a policy that is no law, or κ for a law that has none.
     """
-    if law in POLICIES or ":" in law or Path(law).suffix == ".onnx" or law in policies.shipped():
+    if law in POLICIES or ":" in law:
         factory = get_policy_spec(law).policy
     else:
         if law not in law_names():

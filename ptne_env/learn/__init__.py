@@ -1,12 +1,9 @@
 """Learned policies: small networks in ONNX files, run by onnxruntime without torch."""
 
 from ptne_env.learn.learned import LearnedPolicy as LearnedPolicy
-from ptne_env.learn.learned import SizeFreeFile as SizeFreeFile
 from ptne_env.learn.learned import load as load
 from ptne_env.learn.learned import shipped as shipped
 from ptne_env.learn.learned import shipped_path as shipped_path
 from ptne_env.learn.metadata import Metadata as Metadata
 from ptne_env.learn.metadata import PolicyFileError as PolicyFileError
 from ptne_env.learn.metadata import PolicyLayoutError as PolicyLayoutError
-from ptne_env.learn.metadata import SizeFreeMetadata as SizeFreeMetadata
-from ptne_env.learn.size_free import SizeFreePolicy as SizeFreePolicy

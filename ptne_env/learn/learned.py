@@ -1,29 +1,47 @@
-"""Loading a learned policy. An ONNX file is data: loading one cannot execute code."""
+"""Learned policies in ONNX files, which are read as data: no file executes code, and no file is large.
+
+onnxruntime runs the networks, without torch.
+"""
 
 from __future__ import annotations
 
+import hashlib
 import importlib.util
+import math
 from pathlib import Path
-from typing import Any, ClassVar, overload
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
 
-from ptne_env.field.laws.gated import CellGates, SlotGates
-from ptne_env.learn import probe
-from ptne_env.learn.blocks import BLOCK, in_blocks
-from ptne_env.learn.metadata import Description, Metadata, PolicyFileError, SizeFreeMetadata
-from ptne_env.learn.size_free import CELL_FEATURES, SLOT_FEATURES, SizeFreePolicy
+from ptne_env.learn.blocks import in_blocks
+from ptne_env.learn.metadata import Metadata, PolicyFileError
 from ptne_env.perception.observation import ObservationLayout
 from ptne_env.shared.arrays import BoolArray, Float32Array
 from ptne_env.shared.files import require_file
 from ptne_env.shared.names import unknown_name
 
-_METADATA_KEY = "ptne_env"
-_FOLDER = Path(__file__).parent
+if TYPE_CHECKING:
+    import onnx
 
-SIZE_FREE_INPUTS = ("cell", "slot")
-"""Names of the inputs of the network of a policy without sizes: features of components, and of messages."""
+_FOLDER = Path(__file__).parent
+_METADATA, _DIGEST, _UNKNOWN = "ptne_env", "sha256", "0" * 64
+
+LARGEST_FILE = 16 << 20
+"""Bytes of the largest file that is read; the shipped ones have 0.1 MB."""
+
+LARGEST_VALUE = 1 << 20
+"""Numbers in the largest array that a network may compute for a row."""
+
+MOST_NODES = 1000
+"""Operations in the largest network."""
+
+OPERATORS = frozenset(
+    "Abs Add Cast Clip Concat Constant Div Elu Exp Flatten Gather Gemm Identity LayerNormalization LeakyRelu MatMul Max "
+    "Mean Min Mul Neg Pow ReduceMax ReduceMean ReduceSum Relu Reshape Selu Sigmoid Slice Softmax Softplus Split Sqrt "
+    "Squeeze Sub Sum Tanh Transpose Unsqueeze".split()
+)
+"""The operations of a network: arithmetic, without loops, branches, other files, and arrays out of nothing."""
 
 
 class LearnedPolicy:
@@ -38,8 +56,6 @@ class LearnedPolicy:
         observation_size: length of an observation.
     """
 
-    has_memory: ClassVar[bool] = False
-
     def __init__(self, name: str, session: Any, metadata: Metadata) -> None:
         self.name = name
         self.metadata = metadata
@@ -48,7 +64,7 @@ class LearnedPolicy:
         self._input, (_, self.observation_size) = session.get_inputs()[0].name, session.get_inputs()[0].shape
 
     def require(self, layout: ObservationLayout) -> None:
-        """Check that the policy can act in an environment of this layout; see :meth:`Description.require`."""
+        """Check that the policy can act in an environment of this layout; see :meth:`Metadata.require`."""
         self.metadata.require(layout)
 
     def predict(
@@ -71,42 +87,6 @@ class LearnedPolicy:
         return (actions[0] if np.ndim(observation) == 1 else actions[: len(rows)]), state
 
 
-class SizeFreeFile:
-    """A policy without sizes in a file: called with a layout, it gives the policy for it.
-
-    :func:`load` makes one.
-
-    Attributes:
-        name: of the file, without its ending.
-        metadata: description in the file.
-        interface: of the policy.
-        guarded: whether its players have a safeguard, see :class:`~ptne_env.learn.size_free.SizeFreePolicy`.
-    """
-
-    has_memory: ClassVar[bool] = True
-
-    def __init__(self, name: str, session: Any, metadata: SizeFreeMetadata, *, guarded: bool = False) -> None:
-        self.name = name
-        self.metadata = metadata
-        self.interface = metadata.interface
-        self.guarded = guarded
-        self._session = session
-
-    def __call__(self, layout: ObservationLayout) -> SizeFreePolicy:
-        """The policy for a layout.
-
-        Raises:
-            PolicyLayoutError: when the interface of the layout is not that of the policy.
-        """
-        self.metadata.require(layout)
-        return SizeFreePolicy(layout, self.network, guarded=self.guarded)
-
-    def network(self, cell: Float32Array, slot: Float32Array) -> tuple[Float32Array, Float32Array]:
-        """The gates; see :data:`ptne_env.learn.size_free.Network`."""
-        mine, theirs = self._session.run(None, dict(zip(SIZE_FREE_INPUTS, (cell, slot), strict=True)))
-        return mine, theirs
-
-
 def shipped() -> list[str]:
     """The names of the policies in the library."""
     return sorted(path.stem for path in _FOLDER.glob("*.onnx"))
@@ -117,43 +97,34 @@ def shipped_path(name: str) -> Path | None:
     return _FOLDER / f"{name}.onnx" if name in shipped() else None
 
 
-@overload
-def load(path_or_name: str | Path, layout: None = None, *, guarded: bool = False) -> LearnedPolicy | SizeFreeFile: ...
+def sealed(model: onnx.ModelProto, metadata: Metadata) -> bytes:
+    """The content of a policy file: a network from observations (R, size) to actions, float32, and its description.
+
+    The SHA-256 of the content is in it, so that :func:`load` detects damage.
+    """
+    from onnx import helper
+
+    helper.set_model_props(model, {_METADATA: metadata.to_json(), _DIGEST: _UNKNOWN})
+    content: bytes = model.SerializeToString()
+    return content.replace(_UNKNOWN.encode(), hashlib.sha256(content).hexdigest().encode())
 
 
-@overload
-def load(
-    path_or_name: str | Path, layout: ObservationLayout, *, guarded: bool = False
-) -> LearnedPolicy | SizeFreePolicy: ...
-
-
-def load(
-    path_or_name: str | Path, layout: ObservationLayout | None = None, *, guarded: bool = False
-) -> LearnedPolicy | SizeFreeFile | SizeFreePolicy:
+def load(path_or_name: str | Path, layout: ObservationLayout | None = None) -> LearnedPolicy:
     """A learned policy from an ``.onnx`` file, or a shipped policy by name.
-
-    The first time, a file that is not shipped is loaded in a process with limited time and memory
-    (:mod:`ptne_env.learn.probe`), and in this process only if that worked.
 
     Args:
         path_or_name: the file or name.
         layout: of the environment in which the policy must be able to act; not checked if left out.
-        guarded: whether the players of a policy without sizes hand over to ``observer-relay`` where it leads them
-            astray, see :mod:`ptne_env.learn.safeguard`.
-
-    Returns:
-        The policy. A policy without sizes needs a layout: where that is left out, it is built when the result is called
-        with one.
 
     Raises:
-        ValueError: for an unknown name, and when a policy with sizes is to be guarded.
+        ValueError: for an unknown name.
         FileNotFoundError: when there is no such file.
-        PolicyFileError: when the file is damaged, foreign or of another version, refers to other files, takes too much
-            time or memory, or was made for another layout.
-        ImportError: without onnxruntime, naming the extra to install.
+        PolicyFileError: when the file is damaged, foreign, too large or of another version, refers to other files, has
+            other operations than :data:`OPERATORS`, or was made for another layout.
+        ImportError: without onnx and onnxruntime, naming the extra to install.
     """
-    if importlib.util.find_spec("onnxruntime") is None:
-        raise ImportError('learned policies need onnxruntime: pip install "ptne-env[bench]"')
+    if not all(map(importlib.util.find_spec, ("onnx", "onnxruntime"))):
+        raise ImportError('learned policies need onnx and onnxruntime: pip install "ptne-env[bench]"')
     path = Path(path_or_name)
     if path.suffix != ".onnx":
         path = _FOLDER / f"{path_or_name}.onnx"
@@ -161,65 +132,71 @@ def load(
             raise ValueError(unknown_name("learned policy", str(path_or_name), shipped(), "an .onnx file"))
     require_file(path)
     policy = _read(path)
-    if guarded:
-        if not isinstance(policy, SizeFreeFile):
-            raise ValueError(f"policy {str(path_or_name)!r} has sizes: only policies without sizes have a safeguard")
-        policy.guarded = True
-    if layout is None:
-        return policy
-    if isinstance(policy, SizeFreeFile):
-        return policy(layout)
-    policy.require(layout)
+    if layout is not None:
+        policy.require(layout)
     return policy
 
 
-def _read(path: Path) -> LearnedPolicy | SizeFreeFile:
-    """The policy in a file; see :func:`load`."""
+def _read(path: Path) -> LearnedPolicy:
+    """The policy in a file, after a trial with one row."""
+    import onnx
+
+    if path.stat().st_size > LARGEST_FILE:
+        raise PolicyFileError(f"{path} has more than {LARGEST_FILE >> 20} MiB")
     content = path.read_bytes()
-    reason = None if path.parent == _FOLDER else probe.refusal(content, BLOCK)
-    if reason is not None:
-        raise PolicyFileError(f"{path} is not a readable ONNX file: it is damaged or something else ({reason})")
     try:
-        session = probe.open_session(content)
-        text = session.get_modelmeta().custom_metadata_map.get(_METADATA_KEY)
-    except Exception as error:  # onnxruntime raises its own classes, which are not public
+        model = onnx.load_model_from_string(content)
+    except Exception as error:  # of protobuf
         raise PolicyFileError(f"{path} is not a readable ONNX file: it is damaged or something else") from error
-    if text is None:
-        raise PolicyFileError(f"{path} is an ONNX file without the metadata of a ptne_env policy")
-    metadata = Description.from_json(text)
-    if isinstance(metadata, Metadata):
-        return _flat(path, session, metadata)
-    return _size_free(path, session, metadata)
-
-
-def _flat(path: Path, session: Any, metadata: Metadata) -> LearnedPolicy:
-    """A policy that maps observations to actions, after a trial with one row."""
-    inputs, outputs = session.get_inputs(), session.get_outputs()
-    if len(inputs) != 1 or len(outputs) != 1 or len(inputs[0].shape) != 2:
-        raise PolicyFileError(f"{path} does not map one batch of observations to one batch of actions")
-    policy = LearnedPolicy(path.stem, session, metadata)
+    properties = {each.key: each.value for each in model.metadata_props}
+    if not {_METADATA, _DIGEST} <= properties.keys():
+        raise PolicyFileError(f"{path} is damaged, or an ONNX file without the metadata of a ptne_env policy")
+    digest = properties[_DIGEST].encode()
+    if hashlib.sha256(content.replace(digest, _UNKNOWN.encode())).hexdigest().encode() != digest:
+        raise PolicyFileError(f"{path} is damaged: its content has another SHA-256 than it says")
+    metadata = Metadata.from_json(properties[_METADATA])
+    if reason := _refusal(model):
+        raise PolicyFileError(f"{path} {reason}")
     try:
-        actions, _ = policy.predict(np.zeros((1, inputs[0].shape[1]), dtype=np.float32))
-    except Exception as error:
-        raise PolicyFileError(f"{path} cannot decide a batch of any number of rows of observations") from error
+        policy = LearnedPolicy(path.stem, _open(content), metadata)
+        actions, _ = policy.predict(np.zeros((1, policy.observation_size), dtype=np.float32))
+    except Exception as error:  # onnxruntime raises its own classes, which are not public
+        raise PolicyFileError(f"{path} cannot decide a batch of any number of rows of observations: {error}") from error
     if getattr(actions, "dtype", None) != np.float32 or actions.shape != (1, metadata.action_size):
         raise PolicyFileError(f"{path} does not answer with actions of {metadata.action_size} float32 numbers")
     return policy
 
 
-def _size_free(path: Path, session: Any, metadata: SizeFreeMetadata) -> SizeFreeFile:
-    """A policy without sizes, after trials with two numbers of cells and slots."""
-    policy = SizeFreeFile(path.stem, session, metadata)
-    for cells, slots in ((BLOCK, 1), (2 * BLOCK, 3)):
-        shapes = ((cells, len(CELL_FEATURES)), (cells, slots, len(SLOT_FEATURES)))
-        try:
-            answers = policy.network(*(np.zeros(shape, dtype=np.float32) for shape in shapes))
-        except Exception as error:
-            raise PolicyFileError(
-                f"{path} cannot decide from features {' and '.join(SIZE_FREE_INPUTS)} of shapes {shapes}: {error}"
-            ) from error
-        expected = ((cells, len(CellGates._fields)), (cells, slots, len(SlotGates._fields)))
-        found = tuple((getattr(answer, "dtype", None), np.shape(answer)) for answer in answers)
-        if found != tuple((np.float32, shape) for shape in expected):
-            raise PolicyFileError(f"{path} answers with gates {found}, expected float32 arrays of shapes {expected}")
-    return policy
+def _refusal(model: onnx.ModelProto) -> str | None:
+    """Why a network is not run; ``None`` for one that takes little memory, and reads no other file."""
+    import onnx
+
+    graph = model.graph
+    tensors = [*graph.initializer, *(each.t for node in graph.node for each in node.attribute)]
+    if any(tensor.data_location == onnx.TensorProto.EXTERNAL for tensor in tensors):
+        return "refers to other files"
+    if others := {f"{node.domain}.{node.op_type}".strip(".") for node in graph.node} - OPERATORS:
+        return f"has operations that are not allowed: {', '.join(sorted(others))}"
+    if len(graph.node) > MOST_NODES or model.functions or graph.sparse_initializer:
+        return f"has more than {MOST_NODES} operations, functions or sparse arrays"
+    try:
+        graph = onnx.shape_inference.infer_shapes(model, check_type=True, strict_mode=True, data_prop=True).graph
+    except Exception as error:  # noqa: BLE001 - of onnx
+        return f"is no valid network: {error}"
+    shapes = {
+        each.name: each.type.tensor_type.shape.dim for each in (*graph.input, *graph.value_info, *graph.output)
+    }
+    for name in [each.name for each in graph.input] + [name for node in graph.node for name in node.output]:
+        if name not in shapes or math.prod(max(dim.dim_value, 1) for dim in shapes[name]) > LARGEST_VALUE:
+            return f"computes an array of unknown size, or of more than {LARGEST_VALUE} numbers, {name!r}"
+    return None
+
+
+def _open(content: bytes) -> Any:
+    """The ``onnxruntime.InferenceSession`` of a file's content, on one thread."""
+    import onnxruntime
+
+    options = onnxruntime.SessionOptions()
+    options.intra_op_num_threads = 1  # the networks are small, and one thread gives the same bits in every run
+    options.log_severity_level = 4
+    return onnxruntime.InferenceSession(content, options, providers=["CPUExecutionProvider"], enable_fallback=0)

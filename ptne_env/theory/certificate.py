@@ -19,7 +19,7 @@ from ptne_env.perception.encoder import make_encoder
 from ptne_env.perception.observation import Interface
 from ptne_env.shared.arrays import FloatArray, require_count, require_non_negative
 from ptne_env.shared.names import unknown_name
-from ptne_env.shared.parts import LOADER, FactorySpec
+from ptne_env.shared.parts import FactorySpec
 from ptne_env.theory.assumptions import AssumptionCheck, LemmaCheck, check_assumptions, check_lemma
 from ptne_env.theory.closed_loop import NoClosedLoopError, gain_growth, input_decay_rate
 from ptne_env.theory.conditions import Condition, condition, problem_constants
@@ -321,17 +321,9 @@ def build_law(law: LawSource, world: World) -> Law:
         if law.layout != make_encoder(world, law.layout.interface).layout:
             raise ValueError(f"this {type(law).__name__} was built for the layout of another scenario: give its class")
         return law
-    source = law
-    if isinstance(source, FactorySpec) and source.target == LOADER:
-        if not callable(loaded := source.build()):
-            raise ValueError(
-                f"policy {_describe(law)} has fixed sizes: certify takes laws and policies without sizes, such as "
-                "size-free"
-            )
-        source = loaded
-    target = source.resolve() if isinstance(source, FactorySpec) else source
+    target = law.resolve() if isinstance(law, FactorySpec) else law
     layout = make_encoder(world, getattr(target, "interface", Interface())).layout
-    built = source.build(layout=layout) if isinstance(source, FactorySpec) else source(layout)
+    built = law.build(layout=layout) if isinstance(law, FactorySpec) else law(layout)
     if not isinstance(built, Law):
         raise ValueError(f"{law!r} built a {type(built).__name__}; the theory is about a ptne_env.laws.Law")
     return built
@@ -660,8 +652,6 @@ def _describe(law: LawSource) -> str:
     if not isinstance(law, FactorySpec):
         return str(getattr(law, "__name__", type(law).__name__))
     given = law.to_dict()["arguments"]
-    if law.target == LOADER:
-        return str(given["path_or_name"]) + " with its safeguard" * bool(given.get("guarded"))
     arguments = ", ".join(f"{name}={value}" for name, value in given.items())
     return f"{law.target.rpartition(':')[2]}({arguments})"
 

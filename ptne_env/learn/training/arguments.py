@@ -13,7 +13,7 @@ from pydantic import BeforeValidator, ConfigDict, Field, PositiveInt, Validation
 from pydantic.dataclasses import dataclass
 
 from ptne_env.evaluation.suite import world_names
-from ptne_env.learn.training import CONFIGURATIONS, SIZE_FREE, all_configurations, configurations
+from ptne_env.learn.training import CONFIGURATIONS, configurations
 from ptne_env.perception.observation import InterfaceKind
 from ptne_env.shared.files import DamagedFileError, require_file
 from ptne_env.shared.names import unknown_name
@@ -155,12 +155,11 @@ def values_of(name_or_path: str | Path) -> tuple[Path, dict[str, Any]]:
     """
     path = Path(name_or_path)
     if path.suffix != ".toml":
-        folder = CONFIGURATIONS if str(name_or_path) in configurations() else SIZE_FREE
-        path = folder / f"{name_or_path}.toml"
+        path = CONFIGURATIONS / f"{name_or_path}.toml"
         if not path.is_file():
             if ":" in str(name_or_path) or str(name_or_path) in world_names():
                 return path, {"scenarios": [str(name_or_path)]}
-            raise ValueError(unknown_name("configuration", str(name_or_path), all_configurations(), "a .toml file"))
+            raise ValueError(unknown_name("configuration", str(name_or_path), configurations(), "a .toml file"))
     require_file(path)
     try:
         return path, tomllib.loads(path.read_text(encoding="utf-8"))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import io
 import json
 import reprlib
-from dataclasses import asdict, field, fields
+from dataclasses import asdict, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 
@@ -18,7 +18,7 @@ from ptne_env.learn.training.arguments import STRICT, readable
 from ptne_env.shared.files import read_json, write_atomically
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Iterator
 
     from _typeshed import DataclassInstance
     from stable_baselines3.common.policies import BasePolicy
@@ -62,12 +62,9 @@ class Summary(Record):
 
     Attributes:
         validation_digits: mean digits of the exported policy on the validation episodes.
-        stage_digits: these digits before training and after each stage, of the network that was kept; empty where
-            training has no stages.
     """
 
     validation_digits: float
-    stage_digits: list[float] = field(default_factory=list)
 
 
 _Record = TypeVar("_Record", bound=Record)
@@ -123,7 +120,7 @@ def finished(arguments: DataclassInstance, out: Path) -> Summary | None:
     return summary
 
 
-def finish(out: Path, policy: bytes, record: Record, digits: float, stages: Sequence[float] = ()) -> Summary:
+def finish(out: Path, policy: bytes, record: Record, digits: float) -> Summary:
     """Write the exported policy and the summary of a run, and remove its checkpoint.
 
     Args:
@@ -131,11 +128,10 @@ def finish(out: Path, policy: bytes, record: Record, digits: float, stages: Sequ
         policy: content of its file.
         record: of the run.
         digits: of the policy on validation.
-        stages: digits before training and after each stage.
     """
     write_atomically(out / _POLICY, policy)
     values = {each.name: getattr(record, each.name) for each in fields(Record)}
-    summary = Summary(**values, validation_digits=digits, stage_digits=list(stages))
+    summary = Summary(**values, validation_digits=digits)
     write_atomically(out / _SUMMARY, json.dumps(asdict(summary), indent=2) + "\n")
     (out / CHECKPOINT).unlink(missing_ok=True)
     return summary
