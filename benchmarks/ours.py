@@ -1,23 +1,19 @@
-"""Our contenders, the parts of a step, the share of a PPO update, and law rollouts."""
+"""Our contenders, the parts of a step, and law rollouts."""
 
 from __future__ import annotations
 
 import math
-import tempfile
 import tracemalloc
 import warnings
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from dataclasses import replace
 from functools import partial
-from pathlib import Path
-from time import perf_counter
 from typing import Any, Literal
 
 import numpy as np
 
 from benchmarks.peers import MissingPeerError, iter_forever
-from benchmarks.timing import Contender, Plan, Spread, seconds_per_call
+from benchmarks.timing import Contender, Plan, seconds_per_call
 from ptne_env import laws, parallel_env
 from ptne_env.envs.vector import VectorBuffers, VectorParallelEnv
 from ptne_env.evaluation.episodes import EpisodeSet
@@ -218,74 +214,6 @@ def memory(interface: InterfaceKind, num_envs: int, scenario: str | Scenario = "
     finally:
         tracemalloc.stop()
     return {"held": held / num_envs, "peak": peak / num_envs}
-
-
-@contextmanager
-def timed(owner: Any, name: str, spent: list[float], clock: Callable[[], float] = perf_counter) -> Iterator[None]:
-    """Add the seconds in a method, or in a function of a module, to ``spent[0]`` while the context lasts."""
-    method = getattr(owner, name)
-
-    def measured(*arguments: Any, **keywords: Any) -> Any:
-        began = clock()
-        try:
-            return method(*arguments, **keywords)
-        finally:
-            spent[0] += clock() - began
-
-    setattr(owner, name, measured)
-    try:
-        yield
-    finally:
-        setattr(owner, name, method)
-
-
-def training_share(plan: Plan) -> dict[str, Any]:
-    """The share of the environment in the wall time of PPO with the settings of the shipped ``ppo-random-energy``.
-
-    Each repeat is a new training run. The first update is left out; the following updates cover one whole episode of
-    every environment, with its end and the draw of new games.
-
-    Raises:
-        MissingPeerError: when Stable-Baselines3 is not installed.
-    """
-    try:
-        from benchmarks.training import shipped
-        from ptne_env.envs.sb3 import PlayerVecEnv
-        from ptne_env.learn.training.ppo import train
-    except ImportError as error:
-        raise MissingPeerError(f"the share of a PPO update is left out: {error}") from error
-    arguments = shipped("random-energy", validation_episodes=2)
-    world = World(get_scenario("random-energy"))
-    players, episode = world.game.num_players, world.clock.total_steps
-    updates = 2 if plan.quick else -(-episode // arguments.rollout)
-    if plan.quick:
-        arguments = replace(arguments, envs=2, rollout=4)
-    arguments = replace(arguments, steps=(updates + 1) * arguments.rollout * arguments.envs * players)
-    shares, rates = [], []
-    for _ in range(plan.repeats):
-        environment = [0.0]
-        marks: list[tuple[float, float, int]] = []
-
-        def mark(done: int, *_: Any) -> None:
-            marks.append((perf_counter(), environment[0], done))  # noqa: B023 - used in this repeat
-
-        with (
-            tempfile.TemporaryDirectory() as folder,
-            timed(PlayerVecEnv, "step_wait", environment),
-            warnings.catch_warnings(),
-        ):
-            warnings.simplefilter("ignore")  # Stable-Baselines3 comments on batch sizes
-            train(arguments, Path(folder) / "run", mark)
-        (start, *before), (end, *after) = marks[0], marks[-1]
-        shares.append((after[0] - before[0]) / (end - start))
-        rates.append((after[1] - before[1]) / (end - start))
-    return {
-        "updates": updates,
-        "envs": arguments.envs,
-        "rollout": arguments.rollout,
-        "share": Spread.of(shares).to_dict(),
-        "training_agent_steps_per_second": Spread.of(rates).to_dict(),
-    }
 
 
 def law_rollouts(plan: Plan) -> list[Contender]:

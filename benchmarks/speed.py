@@ -52,9 +52,6 @@ TARGETS: dict[tuple[str, str], float] = {
 }
 """Wanted speed as a multiple of the peer's."""
 
-SHARE_TARGET = 0.008
-"""Largest share of a PPO update that the environment may take."""
-
 ROOFLINE_TARGET = 2.5
 """Largest time of a step as a multiple of the time of a copy of the bytes that it must move."""
 
@@ -108,11 +105,6 @@ class _Report:
             name = f"{group}, physical: times as long as {copy.name}"
             self._judge(name, times, ROOFLINE_TARGET, times.median <= ROOFLINE_TARGET, at_most=True)
 
-    def share(self, measured: dict[str, Any]) -> None:
-        """Judge the share of the environment in a PPO update."""
-        share = Spread(**measured["share"])
-        self._judge("share of a PPO update", share, SHARE_TARGET, share.median <= SHARE_TARGET, at_most=True)
-
     def _judge(self, name: str, measured: Spread, target: float, met: bool, *, at_most: bool = False) -> None:  # noqa: FBT001 - a verdict
         self.targets.append({"name": name, "target": target, **measured.to_dict(), "met": met, "at_most": at_most})
 
@@ -151,11 +143,6 @@ def measure(plan: Plan, console: Console) -> dict[str, Any]:
     ours.use("compiled")
     console.print("measuring: law rollouts", style="dim")
     laws = {name: Spread.of(rates).to_dict() for name, rates in interleave(ours.law_rollouts(plan), plan).items()}
-    console.print("measuring: share of a PPO update", style="dim")
-    training = report.available(lambda: ours.training_share(plan))
-    if training:
-        report.share(training)
-
     console.print("measuring: growth", style="dim")
     copied = scaling.copy_speed(plan)
     return {
@@ -164,7 +151,6 @@ def measure(plan: Plan, console: Console) -> dict[str, Any]:
         "comparisons": report.comparisons,
         "targets": report.targets,
         "laws": laws,
-        "training": training,
         "parts_microseconds": {
             f"{kind}, {batch} env{'s' * (batch > 1)}": ours.parts(kind, batch, plan)
             for batch in (1, 16 if plan.quick else 1024)
@@ -239,17 +225,6 @@ def tables(results: dict[str, Any]) -> list[Table]:
     for name, rate in results["laws"].items():
         table.add_row(name, _number(rate["median"]), _range(rate))
     shown.append(table)
-
-    if results["training"]:
-        table = _table("PPO at the shipped settings", "quantity", "median", "range")
-        for name in ("share", "training_agent_steps_per_second"):
-            value = results["training"][name]
-            cells = (
-                f"{value[key]:.2%}" if "share" in name else _number(value[key]) for key in ("median", "low", "high")
-            )
-            median, low, high = cells
-            table.add_row(name.replace("_", " "), median, f"{low} – {high}")
-        shown.append(table)
 
     table = _table(
         "Microseconds of the parts of a step, each alone", "batch", *next(iter(results["parts_microseconds"].values()))

@@ -100,9 +100,7 @@ def train(
         say(line)
 
 
-def _train(
-    runs: Mapping[Path, Arguments], curves: Mapping[Path, LearningCurve]
-) -> dict[Path, Summary]:
+def _train(runs: Mapping[Path, Arguments], curves: Mapping[Path, LearningCurve]) -> dict[Path, Summary]:
     """Train one run after the other, with a progress bar for all of them; their summaries."""
     from ptne_env.learn.training import ppo
 
@@ -136,9 +134,7 @@ def _say_result(folder: Path, summary: Summary, *, was_finished: bool) -> None:
         say(f"{digits}, after {summary.seconds:.0f} s{parts}; policy.onnx written to {folder}")
 
 
-def next_commands(
-    scenarios: Sequence[str], out: Path, folders: Iterable[Path], *, has_seeds: bool
-) -> list[str]:
+def next_commands(scenarios: Sequence[str], out: Path, folders: Iterable[Path], *, has_seeds: bool) -> list[str]:
     """The commands that compare the policy with the paper's law where it was trained, and that show the logs."""
     match sorted({name.rpartition("/")[0] for name in scenarios}):
         case [_]:

@@ -183,9 +183,7 @@ def _refusal(model: onnx.ModelProto) -> str | None:
         graph = onnx.shape_inference.infer_shapes(model, check_type=True, strict_mode=True, data_prop=True).graph
     except Exception as error:  # noqa: BLE001 - of onnx
         return f"is no valid network: {error}"
-    shapes = {
-        each.name: each.type.tensor_type.shape.dim for each in (*graph.input, *graph.value_info, *graph.output)
-    }
+    shapes = {each.name: each.type.tensor_type.shape.dim for each in (*graph.input, *graph.value_info, *graph.output)}
     for name in [each.name for each in graph.input] + [name for node in graph.node for name in node.output]:
         if name not in shapes or math.prod(max(dim.dim_value, 1) for dim in shapes[name]) > LARGEST_VALUE:
             return f"computes an array of unknown size, or of more than {LARGEST_VALUE} numbers, {name!r}"

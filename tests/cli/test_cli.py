@@ -137,7 +137,7 @@ def test_a_terminal_gets_colours_and_none_with_no_color(tmp_path):
         (["ptne", ""], set(COMMANDS)),
         (["ptne", "compare", "random-energy-"], {"random-energy-switching"}),
         (["ptne", "compare", "--scenario", "random-energy-"], {"random-energy-switching"}),
-        (["ptne", "compare", "--policy", "ppo-random"], {"ppo-random-energy", "ppo-random-energy-gains"}),
+        (["ptne", "compare", "--policy", "ppo-random"], {"ppo-random-energy", "ppo-random-energy-switching-transformed"}),
         (["ptne", "compare", "--policy", "static,gr"], {"static,grounded"}),
         (["ptne", "compare", "--suite", ""], {"ptne-v1", "ptne-v2"}),
         (["ptne", "compare", "--suite", "ptne-v1", "--track", "large"], {"large-20", "large-50"}),
@@ -414,16 +414,6 @@ def test_compare_takes_a_policy_by_module_and_object():
         (
             ("train", "random-enery", "--out", "out"),
             "unknown configuration 'random-enery'; did you mean 'random-energy'",
-        ),
-        (("train", "specialist", "--out", "out"), "ptne train TRACK --from size-free --out DIR"),
-        (
-            ("train", "generalist", "--from", "size-free", "--out", "out"),
-            "such as ptne-v1/noise, and 'generalist' is a",
-        ),
-        (("train", "ptne-v1/noise", "--from", "ppo-random-energy", "--out", "out"), "such as size-free"),
-        (
-            ("train", "generalist", "--steps", "9", "--out", "out"),
-            "--steps counts agent-steps of PPO; a policy without",
         ),
         (("reproduce", "--points", "3"), "No such option"),
         (("list", "everything"), "'everything' is not one of"),

@@ -19,7 +19,7 @@ from ptne_env.evaluation.workers import Workers
 ray = pytest.importorskip("ray")
 pytestmark = pytest.mark.filterwarnings("default")  # Ray's own
 
-TRACKS, POLICIES = ("nominal", "switching-physical"), ("grounded", "adaptive", "ppo-ptne-v1-generalist")
+TRACKS, POLICIES = ("nominal", "switching-physical"), ("grounded", "adaptive", "ppo-random-energy")
 
 
 @pytest.fixture

@@ -11,8 +11,6 @@ from sample_laws import condition_on, spec_of
 
 from ptne_env import CATALOGUE, FactorySpec, Interface, PolicySpec, get_scenario, laws, theory
 from ptne_env.evaluation import get_policy_spec, get_suite
-from ptne_env.field.laws.gated import CellGates
-from ptne_env.learn.size_free import SizeFreePolicy
 from ptne_env.perception.encoder import make_encoder
 from ptne_env.perception.observation import LayoutError
 from ptne_env.world.graphs import cycle
@@ -33,19 +31,6 @@ WITHOUT_LOOP = {
 """Laws that are not linear in gradient and differences, or read or remember more than these and gains."""
 
 CYCLE = FactorySpec.of("ptne_env.world.graphs:cycle", players=5)
-
-
-class Uncoupled(SizeFreePolicy):
-    """A policy without sizes whose network closes all gates."""
-
-    def __init__(self, layout):
-        super().__init__(
-            layout,
-            lambda cells, slots: (
-                np.zeros((len(cells), len(CellGates._fields)), np.float32),
-                np.zeros((*slots.shape[:2], 3), np.float32),
-            ),
-        )
 
 
 def channel(name, **arguments):
