@@ -55,7 +55,9 @@ class Metadata:
 
     def to_json(self) -> str:
         """The description as a JSON text."""
-        return json.dumps(dataclasses.asdict(self), allow_nan=False, sort_keys=True)
+        return json.dumps(
+            dataclasses.asdict(self) | {"interface": self.interface.kind}, allow_nan=False, sort_keys=True
+        )
 
     @classmethod
     def from_json(cls, text: str) -> Metadata:
@@ -66,7 +68,7 @@ class Metadata:
         """
         try:
             data: dict[str, Any] = json.loads(text)
-            data["interface"] = Interface(**data["interface"])
+            data["interface"] = Interface(data["interface"])
             arguments: dict[str, Any] = {
                 name: tuple(value) if isinstance(value, list) else value for name, value in data.items()
             }
@@ -102,14 +104,8 @@ class Metadata:
 
     def _needs(self, layout: ObservationLayout) -> dict[str, tuple[Any, Any]]:
         """What policy and environment must have in common: its name, that of the policy, and that of the layout."""
-        names = [field.name for field in dataclasses.fields(Interface)]
-        different = [name for name in names if getattr(self.interface, name) != getattr(layout.interface, name)]
-        mine, theirs = (
-            ", ".join(f"{name}={getattr(interface, name)!r}" for name in different)
-            for interface in (self.interface, layout.interface)
-        )
         return {
-            "interface": (mine, theirs),
+            "interface": (self.interface.kind, layout.interface.kind),
             "action_dims": (self.action_dims, layout.action_dims),
             "neighbour slots": (self.slots, layout.slots),
         }

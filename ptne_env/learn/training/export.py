@@ -18,6 +18,7 @@ from torch import nn
 
 from ptne_env._version import __version__
 from ptne_env.learn import Metadata
+from ptne_env.learn.learned import sealed
 from ptne_env.learn.training.features import Products
 from ptne_env.perception.observation import ObservationLayout
 from ptne_env.shared.arrays import Float32Array
@@ -104,10 +105,8 @@ def _versions() -> dict[str, str]:
 def _content(graph: onnx.GraphProto, metadata: Metadata) -> bytes:
     """The file of a graph, after ONNX's own check."""
     exported = helper.make_model(graph, opset_imports=[helper.make_opsetid("", _OPSET)], ir_version=_IR)
-    helper.set_model_props(exported, {"ptne_env": metadata.to_json()})
     onnx.checker.check_model(exported)
-    content: bytes = exported.SerializeToString()
-    return content
+    return sealed(exported, metadata)
 
 
 def _features(extractor: nn.Module) -> tuple[list[onnx.NodeProto], list[onnx.TensorProto], str]:

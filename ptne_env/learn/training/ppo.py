@@ -164,7 +164,6 @@ def _validate(exported: bytes, arguments: Arguments) -> float:
         [find_scenario(name) for name in arguments.scenarios],
         episodes=arguments.validation_episodes,
         split="validation",
-        against_laws=False,
     )
     for (name, _), reason in results.failures.items():
         raise ValueError(f"the trained policy fails on {name!r}: {reason}")
