@@ -101,7 +101,6 @@ FAULTY = CATALOGUE["random-energy"].replace(
     clock_shifts=(0.0, 0.01, -0.01, 0.0, 0.02),
     slots=4,
     sensor=FactorySpec.of("ptne_env.world.sensor:GradientNoise", std=0.1, relative=0.05, width=0.001),
-    drift=FactorySpec.of("ptne_env.world.drift:ConstantVelocity", speed=3.0, start=0.2),
 )
 """Everything that can go wrong."""
 

@@ -210,10 +210,8 @@ class Renderer:
                 rest = np.delete(estimates[:, component], owner, axis=1)
                 for other, values in zip(artists.others[component], rest.T, strict=True):
                     other.set_data(times, values)
-        at_rest = self.world.drift is None
-        shown = self._equilibria[:1] * 2 if at_rest else self._equilibria
-        for target, values in zip(artists.targets, np.transpose(shown), strict=True):
-            target.set_data(self.world.clock.t[[0, -1]] if at_rest else times, values)
+        for target, value in zip(artists.targets, self._equilibria[0], strict=True):
+            target.set_data(self.world.clock.t[[0, -1]], [value, value])
         artists.distance.set_data(times, np.maximum(far, distances.FLOOR))
         values_limits, distance_limits = self._limits or self._needed(estimates, self._equilibria, far)
         artists.values_axes.set_ylim(values_limits)

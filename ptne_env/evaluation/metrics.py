@@ -175,15 +175,6 @@ def _area(times: FloatArray, values: FloatArray) -> FloatArray:
     return ordered_sum(np.diff(times)[:, None] * (values[1:] + values[:-1]) / 2)
 
 
-def _tracking_digits(rollout: Rollout) -> FloatArray:
-    clock = rollout.world.clock
-    if rollout.world.drift is None:
-        return np.full(rollout.diverged.shape, np.nan)
-    first = clock.steps if clock.hold_steps else int(np.searchsorted(clock.t, clock.deadline / 2))
-    times = clock.t[first:]
-    return distances.digits(_area(times, rollout["estimate_distance"][first:]) / (times[-1] - times[0]))
-
-
 def _saturated_share(rollout: Rollout) -> FloatArray:
     return ordered_sum(rollout["saturated"]) / np.maximum(ordered_sum(rollout["components"]), 1)
 
@@ -224,9 +215,6 @@ for _metric in (
            value=lambda rollout: _settled(rollout, FINE_DISTANCE)),
     Metric("digits_after_hold", "digits after hold", "−log10 of the estimate distance after the hold phase, at most 12",
            "higher", value=_digits_after_hold),
-    Metric("tracking_digits", "tracking digits",
-           "−log10 of the mean over time of the estimate distance from a drifting equilibrium, after the deadline or, "
-           "without a hold phase, in the second half of [0, T]", "higher", value=_tracking_digits),
     Metric("digits_gained", "digits gained",
            "mean over players of the summed digits reward, to the end of the episode", "higher",
            value=lambda rollout: rollout["mean_digits"][1] - rollout["mean_digits"][0]),

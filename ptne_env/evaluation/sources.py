@@ -21,7 +21,6 @@ from pathlib import Path
 from pickletools import genops
 from zipfile import ZipFile
 
-
 UNHASHED = "cannot be hashed: "
 """Beginning of the text that stands in place of a hash; the reason follows."""
 

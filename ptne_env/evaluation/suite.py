@@ -75,8 +75,7 @@ class Track:
         name: unique in the suite; part of the seeds of its episodes in a published suite.
         scenario: the physics.
         change: its difference from the base, in one sentence.
-        metric: by which policies are scored, higher being better: ``"digits"``, ``"digits_after_hold"`` or
-            ``"tracking_digits"``.
+        metric: by which policies are scored, higher being better: ``"digits"`` or ``"digits_after_hold"``.
         teammates: players that follow a fixed policy; ``None`` where every player follows the policy that is run.
         episodes: its own number of episodes; the suite's if ``None``.
 
@@ -94,8 +93,7 @@ class Track:
 
     def __post_init__(self) -> None:
         require_printable("the name of a track", self.name)
-        others = {"digits_after_hold": self.scenario.hold_steps, "tracking_digits": self.scenario.drift}
-        choices = ("digits", *(name for name, exists in others.items() if exists))
+        choices = ("digits", "digits_after_hold") if self.scenario.hold_steps else ("digits",)
         if self.metric not in choices:
             raise ValueError(f"track {self.name!r} is scored by {' or '.join(choices)}, got {self.metric!r}")
         if self.episodes is not None:

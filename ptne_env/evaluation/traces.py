@@ -62,7 +62,7 @@ class Scene:
         deadline_frame: index of the instant T.
         owners: the player that owns each component, shape (n,).
         in_plane: whether strategies are positions in the plane, which a map shows.
-        equilibrium: x* of the first episode, which moves where the game drifts, shape (n, F).
+        equilibrium: x* of the first episode at each instant, shape (n, F).
         links: pairs of players that are ever neighbours, shape (L, 2).
         live: whether each link is up in the first episode, shape (L, F).
         episodes: number of episodes behind the errors.

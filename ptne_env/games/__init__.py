@@ -12,5 +12,4 @@ from ptne_env.games.family import GameFamily as GameFamily
 from ptne_env.games.family import RandomEnergy as RandomEnergy
 from ptne_env.games.family import SingleGame as SingleGame
 from ptne_env.games.family import require_strong_monotonicity as require_strong_monotonicity
-from ptne_env.games.moved import MovedGame as MovedGame
 from ptne_env.games.non_quadratic import NonQuadraticGame as NonQuadraticGame

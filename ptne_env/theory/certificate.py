@@ -146,7 +146,7 @@ class Certificate:
             perfect links: −log10 ‖**x** − 1⊗x*‖/(√N ‖x*‖); ``None`` when the loop is not linear.
         digits_are_exact: whether an episode has these digits, up to 12 of them: ``step_margin``, with the hold phase,
             is above 1, the start asks for no input above the limit, and the scenario has no faulty links, disturbance,
-            sensor, drift or clocks that disagree. Otherwise they are those of exact arithmetic without limits and
+            sensor or clocks that disagree. Otherwise they are those of exact arithmetic without limits and
             faults, and ``notes`` gives the reason. The same holds of ``digits_after_hold`` and
             ``worst_digits_gained``.
         digits_after_hold: the same after the hold phase; ``None`` also where there is none.
@@ -427,7 +427,7 @@ class _Prediction:
     def would_be_exact(self) -> bool:
         """Whether an episode has the digits of the path, if no message were late."""
         world, faults = self.world, _ChannelFaults.of(self.world.channel)
-        calm = world.disturbance.is_absent and world.sensor is None and world.drift is None
+        calm = world.disturbance.is_absent and world.sensor is None
         disturbed = not calm or any(world.scenario.clock_shifts)
         faulty = disturbed or faults.noise_std > 0 or bool(faults.others)
         return self.path is not None and not (self.amplifies or self.saturates or faulty)
@@ -625,12 +625,10 @@ def _scenario_notes(world: World, faults: _ChannelFaults) -> Iterator[str]:
     if faults.others:
         yield f"no prediction includes the channel's {', '.join(faults.others)}"
     disturbance = None if world.disturbance.is_absent else scenario.disturbance
-    parts = {"disturbance": disturbance, "sensor": scenario.sensor, "drift": scenario.drift}
+    parts = {"disturbance": disturbance, "sensor": scenario.sensor}
     for name, part in parts.items():
         if part is not None:
             yield f"no prediction includes the {name} {part.target.rpartition(':')[2]}"
-    if scenario.drift is not None:
-        yield "the theorems are about an equilibrium at rest and promise nothing while the game drifts"
     if any(scenario.clock_shifts):
         yield "the players' clocks disagree; the predictions are for clocks that are right"
     if world.clock.shortfall > SHORTFALL_WARNING:

@@ -13,12 +13,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ptne_env.games import Game, MovedGame
-from ptne_env.shared.arrays import Array, BoolArray, FloatArray, IntArray, ordered_sum, replaced
+from ptne_env.games import Game
+from ptne_env.shared.arrays import Array, BoolArray, FloatArray, IntArray, replaced
 from ptne_env.shared.random_streams import RandomStreams
 from ptne_env.world import channel as channels
 from ptne_env.world.channel import LinkRandomness, Memory, Messages
-from ptne_env.world.drift import Drift
 from ptne_env.world.sensor import Sensor
 from ptne_env.world.world import RANGE_LIMIT, ComponentOrder, EpisodeRandomness, World
 
@@ -141,7 +140,6 @@ def require_state(world: World, state: State, batch: int) -> None:
         raise ValueError(f"the estimates of a state must be finite and within ±{RANGE_LIMIT:g}")
     needed = {
         "players and dimensions": state.game.action_dims == game.action_dims and state.game.batch_size in (1, batch),
-        "drift": isinstance(state.game, MovedGame) == (world.drift is not None),
         "random draws": (state.randomness is not None) == world.has_episode_randomness,
         "active graphs": _fits_topology(world, state, batch),
         "received messages": _fits_channel(world, state, batch),
@@ -302,9 +300,8 @@ def relative_estimates(
 
 def distance_limit(game: Game) -> FloatArray:
     """The relative distance charged to a diverged environment, no less than any in range; shape (G,)."""
-    norms = np.sqrt(ordered_sum(game.nash_equilibria**2))  # not the scale where the game has drifted
-    farthest = np.maximum(norms, game.equilibrium_scale)
-    return np.asarray((RANGE_LIMIT * np.sqrt(game.dimension) + farthest) / game.equilibrium_scale)
+    scale = game.equilibrium_scale
+    return (RANGE_LIMIT * np.sqrt(game.dimension) + scale) / scale
 
 
 def _complete(
@@ -319,8 +316,6 @@ def _complete(
     any_diverged: bool = False,
 ) -> State:
     """The state with these estimates: own gradients, divergence and received messages follow from them."""
-    if world.drift is not None:
-        game = _moved(world.drift, world, game, step, randomness)
     if game.is_affine:
         gradients = game.own_gradients(estimates)
     else:
@@ -336,13 +331,6 @@ def _complete(
         gradients = _sensed(world.sensor, gradients, step, randomness)
     state = State(step, game, estimates, gradients, diverged, any_diverged, randomness)
     return state if world.channel.is_perfect else state._replace(received=_transmit(world, state, memory))
-
-
-def _moved(drift: Drift, world: World, game: Game, step: IntArray, randomness: EpisodeRandomness | None) -> MovedGame:
-    """The game at the instants ``step`` (B,) of its drift."""
-    keys = np.zeros(step.size, dtype=np.uint64) if randomness is None else randomness.drift_keys
-    offset = drift.offset(keys, world.clock.t[step], game.dimension)
-    return MovedGame(game.game if isinstance(game, MovedGame) else game, offset)
 
 
 def _sensed(sensor: Sensor, gradients: FloatArray, step: IntArray, randomness: EpisodeRandomness | None) -> FloatArray:

@@ -95,7 +95,7 @@ def _refuse(reason: Exception | str) -> None:
 def qualifies(encoder: Encoder, num_envs: int) -> bool:
     """Whether a number of environments of a world, under an interface, have a compiled step.
 
-    They have one in worlds that are not too large, without channel, disturbance, sensor and drift, for games whose own
+    They have one in worlds that are not too large, without channel, disturbance and sensor, for games whose own
     gradients are those of :class:`~ptne_env.games.AffineGame` or :class:`~ptne_env.games.EnergyGame`, under
     ``physical``.
     """
@@ -105,7 +105,6 @@ def qualifies(encoder: Encoder, num_envs: int) -> bool:
         and world.channel.is_perfect
         and world.disturbance.is_absent
         and world.sensor is None
-        and world.drift is None
         and world.slots * encoder.layout.dimension * encoder.layout.num_players
         <= (LARGEST_ALONE if num_envs == 1 else LARGEST_TOGETHER)
         and _is_known(world.game)

@@ -21,7 +21,7 @@ if TYPE_CHECKING:  # so that the registries can read the catalogue without impor
 PAPER_START = FactorySpec.of("start:paper")
 UNIFORM_START = FactorySpec.of("start:uniform", low=-20.0, high=20.0)
 
-PART_FIELDS = ("game", "topology", "start", "transformation", "channel", "disturbance", "sensor", "drift")
+PART_FIELDS = ("game", "topology", "start", "transformation", "channel", "disturbance", "sensor")
 """The fields that name a part; each is the kind of the ids of its parts."""
 
 _ARRAYS = {
@@ -62,7 +62,7 @@ class Scenario:
     """The physics of an experiment. Two scenarios are equal when every field is, and can be dictionary keys.
 
     A scenario only names its parts; :class:`~ptne_env.world.world.World` builds and checks them. ``game``, ``topology``,
-    ``start``, ``transformation``, ``channel``, ``disturbance``, ``sensor`` and ``drift`` accept a
+    ``start``, ``transformation``, ``channel``, ``disturbance`` and ``sensor`` accept a
     :class:`~ptne_env.shared.parts.FactorySpec`, the id of a part, whole or without its kind (``game="energy"``), a
     ``"module:object"`` string, or the part itself (``game=MyGame(2.0)``), its class or a function that makes it, and
     hold a FactorySpec afterwards, which :meth:`~ptne_env.shared.parts.FactorySpec.naming` explains.
@@ -90,7 +90,6 @@ class Scenario:
         slots: neighbour slots per player, unused ones being padded, so that graphs of different degrees have one
             layout; the largest degree in the union graph if ``None``.
         sensor: builds a :class:`~ptne_env.world.sensor.Sensor` of the own gradients; exact if ``None``.
-        drift: builds a :class:`~ptne_env.world.drift.Drift` of the game's origin; at rest if ``None``.
         action_limit: largest |action| of the action spaces under ``physical``, for games that random inputs up to the
             input limit drive out of range; inputs beyond it are allowed. The input limit if ``None``.
 
@@ -115,14 +114,13 @@ class Scenario:
     clock_shifts: tuple[float, ...] = ()
     slots: int | None = None
     sensor: FactorySpec | None = None
-    drift: FactorySpec | None = None
     action_limit: float | None = None
 
     def __post_init__(self) -> None:
         require_printable("the name of a scenario", self.name)
         for field in PART_FIELDS:
             value = getattr(self, field)
-            if value is not None or field not in ("sensor", "drift"):
+            if value is not None or field != "sensor":
                 object.__setattr__(self, field, _as_factory(field, value))
         if not isinstance(self.clock_shifts, (tuple, list)):
             raise ValueError(f"clock_shifts is one number of seconds per player, or empty, got {self.clock_shifts!r}")

@@ -19,7 +19,6 @@ from ptne_env.shared.random_streams import RandomStreams
 from ptne_env.world.channel import Channel
 from ptne_env.world.clock import StepClock, TimeTransformation
 from ptne_env.world.disturbances import Disturbance
-from ptne_env.world.drift import Drift
 from ptne_env.world.graphs import Graph
 from ptne_env.world.scenario import Scenario
 from ptne_env.world.sensor import Sensor
@@ -32,8 +31,8 @@ RANGE_LIMIT = 5e5
 SHORTFALL_WARNING = 0.01
 """A scenario whose last step ends more than this fraction of T short of the deadline gets a warning."""
 
-_SENSOR, _DRIFT = int.from_bytes(b"sensor"), int.from_bytes(b"drift")
-"""Child streams of sensor and drift: drawing keys of their own would change the draws of existing scenarios."""
+_SENSOR = int.from_bytes(b"sensor")
+"""Child stream of the sensor: drawing a key of its own would change the draws of existing scenarios."""
 
 
 @dataclass(frozen=True)
@@ -44,7 +43,7 @@ class EpisodeRandomness:
         modes: active graph at each instant, shape (K+H+1, B), int16.
         time_since_switch: over the mean dwell, clipped to 1, shape (K+H+1, B), float32.
         channel_keys: keys of the channel's random numbers, shape (B,).
-        disturbance_keys: keys of the disturbance's random numbers, shape (B,); sensor and drift have children of them.
+        disturbance_keys: keys of the disturbance's random numbers, shape (B,); the sensor has children of them.
     """
 
     modes: npt.NDArray[np.int16] | None
@@ -56,11 +55,6 @@ class EpisodeRandomness:
     def sensor_keys(self) -> CounterArray:
         """Keys of the sensor's random numbers, shape (B,)."""
         return counter_random.child_keys(self.disturbance_keys, _SENSOR)
-
-    @property
-    def drift_keys(self) -> CounterArray:
-        """Keys of the drift's random numbers, shape (B,)."""
-        return counter_random.child_keys(self.disturbance_keys, _DRIFT)
 
 
 class ComponentOrder(NamedTuple):
@@ -87,7 +81,6 @@ class World:
         game: the game, or a typical member of the family; states hold the games that are played.
         topology, start, clock, channel, disturbance: the other parts.
         sensor: of the own gradients; ``None`` where they are exact.
-        drift: of the game's origin; ``None`` where it rests.
         neighbours: player in each slot, shape (D, N); D is the largest degree in the union graph unless the scenario
             gives it, and a padded slot holds the player itself with weight 0.
         mode_weights: a_ij per slot and mode, shape (D, N, modes).
@@ -103,7 +96,7 @@ class World:
     Raises:
         ValueError: when a part cannot be built, a number is out of range, the game and the graphs disagree on the
             number of players, the graphs can never be (jointly) connected, a dwell is shorter than the longest step,
-            there are too few slots, not as many clock shifts as players, or a game with a box drifts.
+            there are too few slots, or not as many clock shifts as players.
     """
 
     def __init__(self, scenario: Scenario) -> None:
@@ -134,9 +127,7 @@ class World:
         self.channel: Channel = self._build(scenario.channel, Channel)
         self.disturbance: Disturbance = self._build(scenario.disturbance, Disturbance)
         self.sensor: Sensor | None = None if scenario.sensor is None else self._build(scenario.sensor, Sensor)
-        self.drift: Drift | None = None if scenario.drift is None else self._build(scenario.drift, Drift)
         self._check_topology()
-        self._check_drift()
         # A fixed start whose table has the wrong shape fails here and not at the first reset.
         self.start.draw(self.game.num_players, self.game.dimension, np.random.default_rng(0))
         self._tabulate_neighbours()
@@ -167,7 +158,7 @@ class World:
     @property
     def has_episode_randomness(self) -> bool:
         """Whether an episode draws anything besides its game and its start."""
-        parts = (self.topology, self.channel, self.disturbance, self.sensor, self.drift)
+        parts = (self.topology, self.channel, self.disturbance, self.sensor)
         return any(part.is_random for part in parts if part is not None)
 
     @property
@@ -244,13 +235,6 @@ class World:
                 f"scenario {name!r}: the shortest dwell, {topology.shortest_dwell:.4g} on the {topology.clock} clock, "
                 f"is shorter than the longest step, {longest:.4g}, so graphs would be skipped; use more steps, another "
                 "spacing or longer dwells"
-            )
-
-    def _check_drift(self) -> None:
-        if self.drift is not None and self.game.has_bounds:
-            raise ValueError(
-                f"scenario {self.scenario.name!r}: {type(self.game).__name__} has a box, and only games without bounds "
-                "can drift; choose such a game or leave out the drift"
             )
 
     def _tabulate_neighbours(self) -> None:

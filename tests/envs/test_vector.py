@@ -9,8 +9,8 @@ from worlds import BLOCKS_SWITCHING, make_env
 
 import ptne_env
 from ptne_env import FactorySpec, VectorParallelEnv, get_scenario, laws
-from ptne_env.envs.vector import VectorBuffers, VectorStep
 from ptne_env.envs import vector as vector_module
+from ptne_env.envs.vector import VectorBuffers, VectorStep
 from ptne_env.world import fused
 from ptne_env.world.distances import estimate_distance
 from ptne_env.world.world import World

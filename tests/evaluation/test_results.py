@@ -86,8 +86,8 @@ def test_the_figure_has_a_panel_per_track_and_a_point_per_policy(results):
 def test_a_figure_of_an_unknown_metric_is_refused(results):
     with pytest.raises(ValueError, match="unknown metric 'digit'; did you mean 'digits'"):
         results.plot("digit")
-    with pytest.raises(ValueError, match="no policy has a value of tracking_digits"):
-        results.plot("tracking_digits")
+    with pytest.raises(ValueError, match="no policy has a value of digits_after_hold"):
+        results.plot("digits_after_hold")
 
 
 def test_the_data_frame_has_the_rows_of_the_csv_file(results, monkeypatch):

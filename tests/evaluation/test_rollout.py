@@ -80,9 +80,9 @@ def test_a_diverged_episode_has_the_digits_of_the_range_limit_and_finite_metrics
     np.testing.assert_allclose(samples["digits"], -np.log10(dynamics.distance_limit(world.game)[0]))
     assert (samples["settled_share"] == 0).all()
     assert (samples["diverged_share"] == 1).all()
-    missing = {"settling_time", "settling_time_1e_6", "digits_after_hold", "tracking_digits", "regret"}
+    missing = {"settling_time", "settling_time_1e_6", "digits_after_hold", "regret"}
     for metric, values in samples.items():
-        if metric not in missing:  # the game has neither hold phase nor drift nor best response
+        if metric not in missing:  # the game has neither hold phase nor best response
             assert np.isfinite(values).all(), metric
 
 

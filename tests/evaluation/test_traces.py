@@ -37,16 +37,6 @@ def test_estimates_of_many_players_are_left_out():
     assert scene.traces["static"].strategies.shape == (20, scene.t.size)
 
 
-def test_the_equilibrium_of_a_scene_drifts_with_the_game():
-    drift = FactorySpec.of("ptne_env.world.drift:ConstantVelocity", speed=2.0)
-    results = evaluate(["static"], [get_scenario("energy", name="drifting", drift=drift)], episodes=2)
-    (scene,) = scenes(results).values()
-    errors = scene.traces["static"].estimates - scene.equilibrium[:, None]
-    found = np.sqrt((errors**2).sum(axis=(0, 1)) / 5) / np.linalg.norm(scene.equilibrium[:, 0])
-    np.testing.assert_allclose(found, scene.traces["static"].error, rtol=1e-9)
-    assert np.abs(np.diff(scene.equilibrium)).max() > 0
-
-
 def test_errors_are_quantiles_of_the_samples():
     results = evaluate(["adaptive"], ["energy"], episodes=5)
     drawn = scenes(results)

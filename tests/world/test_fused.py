@@ -15,7 +15,7 @@ from ptne_env import CATALOGUE, VectorParallelEnv, parallel_env
 from ptne_env.evaluation.ptne_v1 import ptne_v1
 from ptne_env.world import fused
 
-WITHOUT_FAULTS = {"channel": "perfect", "disturbance": "none", "sensor": None, "drift": None}
+WITHOUT_FAULTS = {"channel": "perfect", "disturbance": "none", "sensor": None}
 
 
 def _worlds():
@@ -40,7 +40,7 @@ NUMPY_ALONE = {
     "ptne-v1 non-quadratic",
     *(name.removesuffix(" without faults") for name in WORLDS if name.endswith("faults")),
 }
-"""The worlds without a compiled step: games that are not affine, and channels, disturbances, sensors and drifts."""
+"""The worlds without a compiled step: games that are not affine, and channels, disturbances, and sensors."""
 
 
 @pytest.fixture
