@@ -12,10 +12,10 @@ from benchmarl.algorithms import MappoConfig
 from benchmarl.experiment import Experiment, ExperimentConfig
 from benchmarl.models.mlp import MlpConfig
 from tensordict import TensorDict
-from tensordicts import ACTION, law_digits, stepping
-from torchrl.envs import EnvBase, PettingZooWrapper, SerialEnv, check_env_specs
+from tensordicts import ACTION, law_digits
+from torchrl.envs import EnvBase, PettingZooWrapper, check_env_specs
 from torchrl.envs.utils import ExplorationType, set_exploration_type
-from yardstick import ENVIRONMENTS, EPISODES, SCENARIO, TASK, Acting, digits, report, speeds
+from yardstick import EPISODES, LAW, SCENARIO, Acting, digits, report
 
 import ptne_env
 from ptne_env.envs.benchmarl import NashSeekingTask
@@ -83,16 +83,9 @@ def make(task: NashSeekingTask, num_envs: int) -> EnvBase:
 
 
 def main() -> None:
-    """TorchRL's check, the law's digits, a short training, and the speed, of each of the two tasks."""
-    slow, fast = speeds(
-        stepping(SerialEnv(ENVIRONMENTS, lambda: make(OneAtATime(SCENARIO, TASK), 1))),
-        stepping(make(NashSeekingTask(SCENARIO, TASK), ENVIRONMENTS)),
-    )
-    for task, num_envs, what, speed in (
-        (OneAtATime, 2, "one at a time", slow),
-        (NashSeekingTask, 8, "stepped together", fast),
-    ):
-        report(law_digits(make(task(SCENARIO), EPISODES)), *train(task(SCENARIO, TASK), num_envs), what, speed)
+    """TorchRL's check, the law's digits and a short training, of each of the two tasks."""
+    for task, num_envs, what in ((OneAtATime, 2, "one at a time"), (NashSeekingTask, 8, "stepped together")):
+        report(law_digits(make(task(SCENARIO, LAW), EPISODES)), *train(task(SCENARIO), num_envs), what)
 
 
 if __name__ == "__main__":

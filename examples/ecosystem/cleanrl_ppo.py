@@ -12,7 +12,7 @@ import numpy as np
 import torch
 from torch import nn
 from torch.distributions import Normal
-from yardstick import EPISODES, SCENARIO, TASK, Acting, digits, law, report
+from yardstick import EPISODES, LAW, SCENARIO, Acting, digits, law, report
 
 from ptne_env import VectorParallelEnv
 
@@ -60,7 +60,7 @@ def network(inputs: int, outputs: int) -> nn.Sequential:
 
 def law_digits() -> np.ndarray:
     """The digits that the law gains in the same loop."""
-    env = VectorParallelEnv(SCENARIO, EPISODES)
+    env = VectorParallelEnv(SCENARIO, EPISODES, **LAW)
     policy, observations = law(env.layout), env.reset(seed=0)
     gained, over = np.zeros(EPISODES), np.zeros(EPISODES, dtype=bool)
     while not over.any():  # the episodes of a scenario end together unless one diverges
@@ -75,7 +75,7 @@ def main() -> None:
     args = parse()
     torch.manual_seed(args.seed)
     torch.set_num_threads(1)
-    env = VectorParallelEnv(SCENARIO, args.num_envs, **TASK)
+    env = VectorParallelEnv(SCENARIO, args.num_envs)
     rows = args.num_envs * env.num_players
     size, action_size = env.layout.size, env.layout.action_size
     actor, critic = network(size, action_size), network(size, 1)

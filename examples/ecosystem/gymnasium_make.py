@@ -5,13 +5,13 @@ Run it with: python examples/ecosystem/gymnasium_make.py
 
 import gymnasium
 from gymnasium.utils.env_checker import check_env
-from yardstick import EPISODES, SCENARIO, TASK, law, report
+from yardstick import EPISODES, LAW, SCENARIO, law, report
 
 
 def main() -> None:
     """Gymnasium's own check, and the law's digits."""
-    check_env(gymnasium.make(f"ptne_env:ptne/{SCENARIO}-joint-v0", **TASK).unwrapped, skip_render_check=True)
-    env = gymnasium.make(f"ptne_env:ptne/{SCENARIO}-joint-v0")
+    check_env(gymnasium.make(f"ptne_env:ptne/{SCENARIO}-joint-v0").unwrapped, skip_render_check=True)
+    env = gymnasium.make(f"ptne_env:ptne/{SCENARIO}-joint-v0", **LAW)
     layout = env.unwrapped.layout
     policy = law(layout)
     gained = []

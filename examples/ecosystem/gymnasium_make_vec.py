@@ -5,12 +5,12 @@ Run it with: python examples/ecosystem/gymnasium_make_vec.py
 
 import gymnasium
 import numpy as np
-from yardstick import EPISODES, SCENARIO, law, report
+from yardstick import EPISODES, LAW, SCENARIO, law, report
 
 
 def main() -> None:
     """The law's digits, through the end of the first episodes and into the second ones."""
-    envs = gymnasium.make_vec(f"ptne_env:ptne/{SCENARIO}-joint-v0", num_envs=EPISODES)
+    envs = gymnasium.make_vec(f"ptne_env:ptne/{SCENARIO}-joint-v0", num_envs=EPISODES, **LAW)
     layout = envs.unwrapped.layout
     policy = law(layout)
     observations, _ = envs.reset(seed=0)  # environment b gets seed 0 + b

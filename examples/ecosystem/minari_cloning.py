@@ -1,6 +1,6 @@
 """Minari: the law's episodes as a dataset, loaded again and cloned.
 
-Under the interface "local" the law is linear in the observation of a player, so least squares can clone it.
+The law is linear in the observation of a player, so least squares can clone it.
 
 Run it with: python examples/ecosystem/minari_cloning.py
 """
@@ -11,7 +11,7 @@ from tempfile import TemporaryDirectory
 import gymnasium
 import minari
 import numpy as np
-from yardstick import EPISODES, SCENARIO, Acting, digits, law, report
+from yardstick import EPISODES, LAW, SCENARIO, Acting, digits, law, report
 
 from ptne_env import Interface
 
@@ -20,7 +20,7 @@ NAME = f"ptne/{SCENARIO}/static-v0"
 
 def record() -> None:
     """Write the law's episodes, seeds 0, 1, …, as the dataset of that name."""
-    env = minari.DataCollector(gymnasium.make(f"ptne_env:ptne/{SCENARIO}-joint-v0", interface="scaled"))
+    env = minari.DataCollector(gymnasium.make(f"ptne_env:ptne/{SCENARIO}-joint-v0", **LAW))
     layout = env.unwrapped.layout
     policy = law(layout)
     for seed in range(EPISODES):
@@ -70,8 +70,8 @@ def main() -> None:
         dataset = minari.load_dataset(NAME)
         gained = replay(dataset)
         weights = clone(dataset, dataset.recover_environment().unwrapped.layout.size)
-    before = digits(Acting(lambda observations: observations @ np.zeros_like(weights)), Interface("scaled"))
-    report(gained, before, digits(Acting(lambda observations: observations @ weights), Interface("scaled")))
+    before = digits(Acting(lambda observations: observations @ np.zeros_like(weights)), Interface("physical"))
+    report(gained, before, digits(Acting(lambda observations: observations @ weights), Interface("physical")))
 
 
 if __name__ == "__main__":

@@ -5,14 +5,14 @@ Run it with: python examples/ecosystem/pettingzoo_aec.py
 
 import pettingzoo
 from pettingzoo.test import api_test
-from yardstick import EPISODES, SCENARIO, law, report
+from yardstick import EPISODES, LAW, SCENARIO, law, report
 
 import ptne_env  # noqa: F401 - registers the environments
 
 
 def main() -> None:
     """PettingZoo's own check, and the law's digits."""
-    env = pettingzoo.make("aec", f"ptne/{SCENARIO}-v0")
+    env = pettingzoo.make("aec", f"ptne/{SCENARIO}-v0", **LAW)
     api_test(env, num_cycles=1000)
     policy = law(env.unwrapped.layout)
     gained = []

@@ -10,7 +10,7 @@ from stable_baselines3 import PPO
 from stable_baselines3.common.evaluation import evaluate_policy
 from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 from torch_geometric.nn import MessagePassing, TransformerConv
-from yardstick import EPISODES, SCENARIO, TASK, Acting, digits, report
+from yardstick import EPISODES, SCENARIO, Acting, digits, report
 
 from ptne_env.envs.sb3 import PlayerVecEnv
 from ptne_env.perception.observation_forms import make_form
@@ -59,7 +59,7 @@ class Messages(BaseFeaturesExtractor):
 
 def train() -> tuple[float, float]:
     """Digits before and after a short training; in the comparison the form makes graphs of flat observations."""
-    env = PlayerVecEnv(SCENARIO, num_envs=16, seed=0, observation="padded-graph", **TASK)
+    env = PlayerVecEnv(SCENARIO, num_envs=16, seed=0, observation="padded-graph")
     model = PPO(
         "MultiInputPolicy", env, n_steps=50, batch_size=500, n_epochs=5, learning_rate=1e-3, gamma=0.9, gae_lambda=0.9,
         policy_kwargs={"features_extractor_class": Messages, "log_std_init": -1.0}, seed=0, device="cpu",

@@ -1,4 +1,4 @@
-"""Ray RLlib: PPO with one policy for all players, with one policy per player, and with environments stepped together.
+"""Ray RLlib: PPO with one policy for all players, through its multi-agent runner and through its single-agent runner.
 
 RLlib's multi-agent runner steps one environment at a time. Its single-agent runner takes a vector of Gymnasium, whose
 members are here the players of all environments, so one policy acts for all.
@@ -7,7 +7,6 @@ Run it with: python examples/ecosystem/rllib_ppo.py
 """
 
 import logging
-from collections.abc import Callable
 
 import gymnasium
 import numpy as np
@@ -23,7 +22,7 @@ from ray.rllib.core.rl_module.rl_module import RLModuleSpec
 from ray.rllib.env.wrappers.pettingzoo_env import ParallelPettingZooEnv
 from ray.rllib.utils.pre_checks.env import check_multiagent_environments
 from ray.tune.registry import register_env
-from yardstick import ENVIRONMENTS, EPISODES, SCENARIO, TASK, Acting, digits, law, report, speeds
+from yardstick import EPISODES, LAW, SCENARIO, Acting, digits, law, report
 
 import ptne_env
 from ptne_env.envs.gymnasium import PlayerVectorEnv
@@ -44,7 +43,7 @@ def make_players(arguments: dict) -> PlayerVectorEnv:
 
 def law_digits_of_players() -> list[float]:
     """The digits that the law gains where all players of all episodes are members of one vector."""
-    env = PlayerVectorEnv(SCENARIO, EPISODES)
+    env = PlayerVectorEnv(SCENARIO, EPISODES, **LAW)
     policy = law(env.layout)
     observations, _ = env.reset(seed=0)
     total, over = np.zeros(env.num_envs), np.zeros(env.num_envs, dtype=bool)
@@ -57,7 +56,7 @@ def law_digits_of_players() -> list[float]:
 
 def law_digits() -> list[float]:
     """The digits that the law gains through the wrapper, whose dictionaries have an additional entry ``__all__``."""
-    env = make_env({})
+    env = make_env(LAW)
     policy = law(env.par_env.layout)
     gained = []
     for seed in range(EPISODES):
@@ -89,7 +88,7 @@ def settings(env: str, frames: int) -> PPOConfig:
     """PPO that trains on a number of frames at a time."""
     return (
         PPOConfig()
-        .environment(env, env_config=TASK)
+        .environment(env)
         .env_runners(num_env_runners=0)
         .learners(num_learners=0)
         .training(
@@ -99,16 +98,12 @@ def settings(env: str, frames: int) -> PPOConfig:
     )
 
 
-def one_at_a_time(policies: list[str], num_envs: int = 1) -> Algorithm:
-    """One policy per player, named like the player, or one policy for all, ``shared``; frames have five players."""
+def one_at_a_time() -> Algorithm:
+    """One policy for all, ``shared``; a frame has five players."""
     return (
         settings("ptne", 800)
-        .env_runners(num_envs_per_env_runner=num_envs)
-        .multi_agent(
-            policies=policies,
-            policy_mapping_fn=lambda agent, *_, **__: agent if agent in policies else "shared",
-        )
-        .rl_module(rl_module_spec=MultiRLModuleSpec(rl_module_specs=dict.fromkeys(policies, SPEC)))
+        .multi_agent(policies=["shared"], policy_mapping_fn=lambda *_, **__: "shared")
+        .rl_module(rl_module_spec=MultiRLModuleSpec(rl_module_specs={"shared": SPEC}))
         .build_algo()
     )
 
@@ -124,50 +119,33 @@ def stepped_together(num_envs: int) -> Algorithm:
     )
 
 
-def sampling(algorithm: Algorithm, players: int) -> Callable[[], int]:
-    """A function that lets the runner sample, and returns the number of agent-steps."""
-    runner = algorithm.env_runner
-
-    def sample() -> int:
-        return players * sum(len(episode) for episode in runner.sample(num_timesteps=runner.num_envs))
-
-    return sample
-
-
 def acting(algorithm: Algorithm) -> Acting:
-    """The means of the policies' actions; the one-hot in the observation selects the player."""
-    layout = ptne_env.parallel_env(SCENARIO, **TASK).layout
-    shared = algorithm.get_module("shared" if algorithm.config.is_multi_agent else DEFAULT_MODULE_ID)
-    modules = [shared or algorithm.get_module(player) for player in PLAYERS]
+    """The means of the policy's actions."""
+    size = ptne_env.parallel_env(SCENARIO).layout.action_size
+    module = algorithm.get_module("shared" if algorithm.config.is_multi_agent else DEFAULT_MODULE_ID)
 
     @torch.no_grad()
     def act(observations: np.ndarray) -> np.ndarray:
-        rows = {Columns.OBS: torch.from_numpy(observations)}
-        outputs = torch.stack([module.forward_inference(rows)[Columns.ACTION_DIST_INPUTS] for module in modules])
-        players = layout.select(observations, "player").argmax(axis=1)
-        own = outputs[players, np.arange(len(observations))]
-        return own[:, : layout.action_size].numpy()  # means first, then log deviations
+        outputs = module.forward_inference({Columns.OBS: torch.from_numpy(observations)})
+        return outputs[Columns.ACTION_DIST_INPUTS][:, :size].numpy()  # means first, then log deviations
 
     return Acting(act)
 
 
 def main() -> None:
-    """RLlib's own check, the law's digits, three short trainings, and the speed of both runners."""
+    """RLlib's own check, the law's digits and a short training, by each of the two runners."""
     logging.getLogger("ray").setLevel(logging.ERROR)
-    check_multiagent_environments(make_env(TASK))
+    check_multiagent_environments(make_env({}))
     register_env("ptne", make_env)
     register_env("ptne-players", make_players)
-    pair = one_at_a_time(["shared"], ENVIRONMENTS), stepped_together(ENVIRONMENTS)
-    slow, fast = speeds(sampling(pair[0], len(PLAYERS)), sampling(pair[1], 1))
-    for what, algorithm, gained, speed in (
-        ("one policy for all", one_at_a_time(["shared"]), law_digits(), slow),
-        ("one policy per player", one_at_a_time(PLAYERS), law_digits(), None),
-        ("one policy for all, stepped together", stepped_together(8), law_digits_of_players(), fast),
+    for what, algorithm, gained in (
+        ("one at a time", one_at_a_time(), law_digits()),
+        ("stepped together", stepped_together(8), law_digits_of_players()),
     ):
         before = digits(acting(algorithm))
         for _ in range(8):
             algorithm.train()
-        report(gained, before, digits(acting(algorithm)), what, speed)
+        report(gained, before, digits(acting(algorithm)), what)
         algorithm.stop()
 
 

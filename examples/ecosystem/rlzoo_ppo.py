@@ -14,7 +14,7 @@ import numpy as np
 from stable_baselines3 import PPO
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.env_util import make_vec_env
-from yardstick import EPISODES, SCENARIO, TASK, joint_digits, law, report
+from yardstick import EPISODES, LAW, SCENARIO, joint_digits, law, report
 
 ENVIRONMENT = f"ptne/{SCENARIO}-joint-v0"
 HYPERPARAMETERS = Path(__file__).with_name("rlzoo_hyperparameters.yml")
@@ -22,7 +22,7 @@ HYPERPARAMETERS = Path(__file__).with_name("rlzoo_hyperparameters.yml")
 
 def law_digits() -> np.ndarray:
     """Digits that the law gains in the episodes of :func:`yardstick.report`, in a vector as rl_zoo3 makes it."""
-    env = make_vec_env(ENVIRONMENT, EPISODES, seed=0)
+    env = make_vec_env(ENVIRONMENT, EPISODES, seed=0, env_kwargs=LAW)
     (layout, *_), rows = env.get_attr("layout"), env.reset()
     policy, memory, over, gained = law(layout), None, np.zeros(1), np.zeros(EPISODES)
     while not over.all():
@@ -40,7 +40,7 @@ def act(model: BaseAlgorithm, observations: np.ndarray) -> np.ndarray:
 def train() -> tuple[float, float]:
     """Digits of an untrained network, and of the network that rl_zoo3 trains."""
     policy_kwargs = {"log_std_init": -1.0}
-    untrained = PPO("MlpPolicy", gymnasium.make(ENVIRONMENT, **TASK), policy_kwargs=policy_kwargs, seed=0, device="cpu")
+    untrained = PPO("MlpPolicy", gymnasium.make(ENVIRONMENT), policy_kwargs=policy_kwargs, seed=0, device="cpu")
     with TemporaryDirectory() as folder:
         command = [
             sys.executable, "-m", "rl_zoo3.train", "--algo", "ppo", "--env", ENVIRONMENT, "--gym-packages", "ptne_env",

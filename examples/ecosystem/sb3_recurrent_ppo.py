@@ -6,14 +6,14 @@ Run it with: python examples/ecosystem/sb3_recurrent_ppo.py
 import numpy as np
 from sb3_contrib import RecurrentPPO
 from stable_baselines3.common.evaluation import evaluate_policy
-from yardstick import EPISODES, SCENARIO, TASK, digits, law, report
+from yardstick import EPISODES, LAW, SCENARIO, digits, law, report
 
 from ptne_env.envs.sb3 import PlayerVecEnv
 
 
 def main() -> None:
     """The law's digits by Stable-Baselines3's evaluation, and a short training of an LSTM."""
-    evaluation_env = PlayerVecEnv(SCENARIO, EPISODES, interface="physical", seed=0)
+    evaluation_env = PlayerVecEnv(SCENARIO, EPISODES, seed=0, **LAW)
     returns, _ = evaluate_policy(
         law(evaluation_env.layout),
         evaluation_env,
@@ -23,7 +23,7 @@ def main() -> None:
     )
     gained = np.reshape(returns, (EPISODES, evaluation_env.layout.num_players)).mean(axis=1)
 
-    env = PlayerVecEnv(SCENARIO, num_envs=16, seed=0, **TASK)
+    env = PlayerVecEnv(SCENARIO, num_envs=16, seed=0)
     model = RecurrentPPO(
         "MlpLstmPolicy", env, n_steps=50, batch_size=500, n_epochs=5, learning_rate=1e-3, gamma=0.9, gae_lambda=0.9,
         policy_kwargs={"log_std_init": -1.0, "lstm_hidden_size": 32}, seed=0, device="cpu",

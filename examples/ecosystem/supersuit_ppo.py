@@ -10,7 +10,7 @@ import supersuit
 from pettingzoo import ParallelEnv
 from stable_baselines3 import PPO
 from stable_baselines3.common.utils import set_random_seed
-from yardstick import EPISODES, SCENARIO, TASK, digits, law, report
+from yardstick import EPISODES, LAW, SCENARIO, digits, law, report
 
 import ptne_env
 
@@ -59,8 +59,8 @@ def vector(num_envs: int, base_class: str, **arguments: str) -> supersuit.vector
 
 def law_digits() -> np.ndarray:
     """Digits that the law gains in the episodes of :func:`yardstick.report`."""
-    layout = ptne_env.parallel_env(SCENARIO).layout
-    env, policy = vector(EPISODES, "gymnasium"), law(layout)
+    layout = ptne_env.parallel_env(SCENARIO, **LAW).layout
+    env, policy = vector(EPISODES, "gymnasium", **LAW), law(layout)
     observations, _ = env.reset(seed=0)
     gained, memory, over = np.zeros(env.num_envs), None, np.zeros(1)
     while not over.all():
@@ -72,14 +72,12 @@ def law_digits() -> np.ndarray:
 
 def main() -> None:
     """Every wrapper, the law's digits, and a short training."""
-    outside = {
-        name for name, wrap in WRAPPERS.items() if not stays_inside(wrap(ptne_env.parallel_env(SCENARIO, **TASK)))
-    }
+    outside = {name for name, wrap in WRAPPERS.items() if not stays_inside(wrap(ptne_env.parallel_env(SCENARIO)))}
     if outside != OUTSIDE:
         raise SystemExit(f"observations of {outside} leave their spaces; expected {OUTSIDE}")
 
     set_random_seed(0)
-    env = vector(16, "stable_baselines3", **TASK)
+    env = vector(16, "stable_baselines3")
     env.venv.reset(seed=0)  # SuperSuit's vector has no method seed(), so ``PPO(..., seed=0)`` fails after this
     model = PPO(
         "MlpPolicy", env, n_steps=50, batch_size=500, n_epochs=5, learning_rate=1e-3, gamma=0.9, gae_lambda=0.9,

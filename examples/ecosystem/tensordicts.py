@@ -1,6 +1,4 @@
-"""Shared by the examples for TorchRL and BenchMARL: the law and random actions in an environment of tensordicts."""
-
-from collections.abc import Callable
+"""Shared by the examples for TorchRL and BenchMARL: the law in an environment of tensordicts."""
 
 import torch
 from tensordict.nn import TensorDictModule
@@ -27,15 +25,3 @@ def law_digits(env: EnvBase) -> list[float]:
         rewards = episode["next", "player", "reward"].double()  # (steps, players, 1), or (environments, steps, ...)
         gained += rewards.sum(dim=-3).mean(dim=(-2, -1)).reshape(-1).tolist()
     return gained
-
-
-def stepping(env: EnvBase) -> Callable[[], int]:
-    """A function that steps all environments by random actions and returns the number of agent-steps."""
-    following, actions = env.reset(), env.full_action_spec.rand()
-
-    def step() -> int:
-        nonlocal following
-        _, following = env.step_and_maybe_reset(following.update(actions))
-        return actions[ACTION].shape[:-1].numel()
-
-    return step

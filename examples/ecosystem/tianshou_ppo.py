@@ -16,7 +16,7 @@ from tianshou.trainer import OnPolicyTrainerParams
 from tianshou.utils.net.common import Net
 from tianshou.utils.net.continuous import ContinuousActorProbabilistic, ContinuousCritic
 from torch.distributions import Independent, Normal
-from yardstick import EPISODES, SCENARIO, TASK, Acting, digits, law, report
+from yardstick import EPISODES, LAW, SCENARIO, Acting, digits, law, report
 
 from ptne_env.envs.turn_based import aec_env
 from ptne_env.envs.vector import VectorParallelEnv
@@ -62,7 +62,7 @@ class Players(BaseVectorEnv):
 
 def law_digits() -> np.ndarray:
     """Digits that the law gains in the episodes of :func:`yardstick.report`."""
-    env = Players(EPISODES)
+    env = Players(EPISODES, **LAW)
     policy, (rows, _) = law(env.vector.layout), env.reset(seed=0)
     gained, memory, over = np.zeros(env.env_num), None, np.zeros(1)
     while not over.all():
@@ -74,11 +74,11 @@ def law_digits() -> np.ndarray:
 
 def rewards_of_turns() -> np.ndarray:
     """The reward that Tianshou's ``PettingZooEnv`` gives each player for its own step, summed over ten turns."""
-    env = PettingZooEnv(aec_env(SCENARIO, **TASK))
+    env = PettingZooEnv(aec_env(SCENARIO))
     env.reset(seed=0)
     total = np.zeros(len(env.agents))
     for turn in range(10 * len(env.agents)):
-        _, rewards, *_ = env.step(np.zeros(2, dtype=np.float32))
+        _, rewards, *_ = env.step(np.ones(len(env.agents), dtype=np.float32))
         total[turn % len(env.agents)] += rewards[turn % len(env.agents)]
     return total
 
@@ -87,7 +87,7 @@ def train() -> tuple[float, float]:
     """Digits before and after a short training."""
     torch.manual_seed(0)
     np.random.seed(0)  # noqa: NPY002 - Tianshou draws from it
-    env = Players(16, **TASK)
+    env = Players(16)
     env.reset(seed=0)  # the training resets without a seed, which continues these generators
     box, actions = env.observation_space[0], env.action_space[0]
 

@@ -8,13 +8,13 @@ Run it with: python examples/ecosystem/torchrl_ppo.py
 import numpy as np
 import torch
 from tensordict.nn import NormalParamExtractor, TensorDictModule
-from tensordicts import ACTION, OBSERVATION, law_digits, stepping
+from tensordicts import ACTION, OBSERVATION, law_digits
 from torch import nn
 from torchrl.collectors import Collector
-from torchrl.envs import EnvBase, PettingZooWrapper, SerialEnv, check_env_specs
+from torchrl.envs import EnvBase, PettingZooWrapper, check_env_specs
 from torchrl.modules import ProbabilisticActor, TanhNormal, ValueOperator
 from torchrl.objectives import ClipPPOLoss
-from yardstick import ENVIRONMENTS, EPISODES, SCENARIO, TASK, Acting, digits, report, speeds
+from yardstick import EPISODES, LAW, SCENARIO, Acting, digits, report
 
 import ptne_env
 from ptne_env.envs.torchrl import TorchRLEnv
@@ -73,14 +73,11 @@ def one_at_a_time(**arguments: str) -> EnvBase:
 
 
 def main() -> None:
-    """TorchRL's own check, the law's digits, a short training, and the speed, of each of the two."""
-    slow, fast = speeds(
-        stepping(SerialEnv(ENVIRONMENTS, lambda: one_at_a_time(**TASK))),
-        stepping(TorchRLEnv(SCENARIO, ENVIRONMENTS, seed=0, **TASK)),
+    """TorchRL's own check, the law's digits and a short training, of each of the two."""
+    report(law_digits(one_at_a_time(**LAW)), *train(one_at_a_time()), "one at a time")
+    report(
+        law_digits(TorchRLEnv(SCENARIO, EPISODES, **LAW)), *train(TorchRLEnv(SCENARIO, 8, seed=0)), "stepped together"
     )
-    report(law_digits(one_at_a_time()), *train(one_at_a_time(**TASK)), "one at a time", slow)
-    together = TorchRLEnv(SCENARIO, 8, seed=0, **TASK)
-    report(law_digits(TorchRLEnv(SCENARIO, EPISODES)), *train(together), "stepped together", fast)
 
 
 if __name__ == "__main__":

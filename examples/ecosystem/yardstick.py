@@ -1,4 +1,4 @@
-"""Shared by the examples of this folder: the task, the digits that they must reproduce, the speed, and the report.
+"""Shared by the examples of this folder: the task, the digits that they must reproduce, and the report.
 
 An episode that starts with ``reset(seed=k)`` is episode k of ``ptne_env.evaluate(..., seed=0, split="train")``. So a
 law that acts through a framework's wrapper must gain the digits of ``evaluate``, episode by episode.
@@ -7,7 +7,6 @@ law that acts through a framework's wrapper must gain the digits of ``evaluate``
 import json
 import statistics
 from collections.abc import Callable, Sequence
-from time import perf_counter
 
 import numpy as np
 
@@ -20,10 +19,8 @@ from ptne_env.world import distances
 
 SCENARIO = "random-energy"
 EPISODES = 4
-ENVIRONMENTS = 64
-"""Environments of which the speed is measured."""
-TASK = {"interface": "local", "action_mode": "gains"}
-"""The interface of the trained policies: two gains per player in [−1, 1], where 0 is the paper's law."""
+LAW = {"interface": "physical"}
+"""The argument of environments in which the law acts; trained policies act in the default, ``scaled``."""
 
 
 def law(layout: ptne_env.ObservationLayout) -> Policy:
@@ -53,11 +50,11 @@ class Acting:
         return self.act(in_blocks(observation))[: len(observation)], state
 
 
-def digits(policy: Policy, interface: Interface = Interface("scaled", "gains")) -> float:  # noqa: B008 - it is frozen
-    """Mean digits at the deadline over 20 games outside of the training; the interface is that of :data:`TASK`."""
+def digits(policy: Policy, interface: Interface = Interface()) -> float:  # noqa: B008 - it is frozen
+    """Mean digits at the deadline over 20 games outside of the training."""
     spec = PolicySpec("policy", policy, interface)
     scenario = ptne_env.get_scenario(SCENARIO)
-    results = ptne_env.evaluate([spec], [scenario], episodes=20, split="validation", against_laws=False)
+    results = ptne_env.evaluate([spec], [scenario], episodes=20, split="validation")
     return float(results.record(SCENARIO, "policy", "digits")["mean"])
 
 
@@ -67,10 +64,9 @@ def joint_digits(act: Callable[[np.ndarray], np.ndarray]) -> float:
     Such a policy sees the observations of all players, so ``ptne_env.evaluate`` refuses it.
 
     Args:
-        act: from joint observations (1, N · size) to joint actions (1, N · action size), in the interface of
-            :data:`TASK`.
+        act: from joint observations (1, N · size) to joint actions (1, N · action size).
     """
-    env, found = JointEnv(SCENARIO, **TASK), []
+    env, found = JointEnv(SCENARIO), []
     for seed in range(1_000_000, 1_000_020):
         (observation, _), over = env.reset(seed=seed), False
         while not over:
@@ -81,31 +77,11 @@ def joint_digits(act: Callable[[np.ndarray], np.ndarray]) -> float:
     return statistics.mean(found)
 
 
-def speeds(*routes: Callable[[], int], seconds: float = 1.0, turns: int = 3) -> list[float]:
-    """Agent-steps per second of each route, the median of several turns.
-
-    Args:
-        routes: each makes some steps and returns their number, summed over players and environments.
-        seconds: of a turn.
-        turns: of each route, one after the other, so that a busy machine slows them all.
-    """
-    rates: list[list[float]] = [[] for _ in routes]
-    for turn in range(turns + 1):
-        for own, route in zip(rates, routes, strict=True):
-            began, steps = perf_counter(), 0
-            while perf_counter() - began < seconds:
-                steps += route()
-            if turn:  # the first turn loads and compiles
-                own.append(steps / (perf_counter() - began))
-    return [statistics.median(own) for own in rates]
-
-
 def report(
     gained: Sequence[float],
     before: float | None = None,
     after: float | None = None,
     what: str = "",
-    speed: float | None = None,
 ) -> None:
     """Print one line of JSON, which ``run.py`` collects.
 
@@ -115,16 +91,13 @@ def report(
         before: :func:`digits` of the untrained policy.
         after: of the trained one.
         what: the route or the trained policy, where an example has several.
-        speed: agent-steps per second, where an example measures them.
 
     Raises:
         SystemExit: when the law gained other digits than in ``ptne_env.evaluate``, or the training gained none.
     """
     scenario = ptne_env.get_scenario(SCENARIO)
-    results = ptne_env.evaluate(
-        [PolicySpec("law", law)], [scenario], episodes=len(gained), split="train", against_laws=False
-    )
-    expected = results.samples[SCENARIO, "law"]["digits_gained"][0]
+    results = ptne_env.evaluate("static", scenario, episodes=len(gained), split="train")
+    expected = results.samples[SCENARIO, "static"]["digits_gained"][0]
     gained = np.asarray(gained, dtype=np.float64)
     difference = float(np.abs(gained - expected).max())
     if not difference < 1e-4:  # some frameworks have rewards in float32
@@ -132,4 +105,4 @@ def report(
     if before is not None and after is not None and not after > before:
         raise SystemExit(f"training gained no digits: {before} before, {after} after")
     row = {"what": what, "law": float(gained.mean()), "difference": difference, "before": before, "after": after}
-    print(json.dumps({**row, "speed": speed}))
+    print(json.dumps(row))
