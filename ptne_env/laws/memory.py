@@ -1,43 +1,80 @@
-"""Memories of several parts: one flat row per player, as laws pass it from step to step."""
+"""Memories as records: named arrays with a row per player, which travel from step to step as one flat row per player."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from itertools import accumulate
-from math import prod
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 
-from ptne_env.shared.arrays import FloatArray
+from ptne_env.shared.arrays import BoolArray, FloatArray, IntArray
+
+Record = TypeVar("Record", bound=tuple[Any, ...])
 
 
-class Parts:
-    """The parts of a memory by name.
+class Memory(Generic[Record]):
+    """Records of one kind as flat memories.
 
     Args:
-        shapes: of each part, per player.
+        start: the record of one player at the start of an episode: a named tuple of arrays (1, ...) and of such tuples.
     """
 
-    def __init__(self, shapes: Mapping[str, tuple[int, ...]]) -> None:
-        self._shapes = dict(shapes)
-        ends = list(accumulate(prod(shape) for shape in self._shapes.values()))
-        self._places = dict(zip(self._shapes, map(slice, [0, *ends], ends), strict=False))
-        self._size = ends[-1]
+    def __init__(self, start: Record) -> None:
+        self._start, self._row = start, self.pack(start)
 
-    def split(self, memory: FloatArray) -> dict[str, FloatArray]:
-        """The parts of a memory of R players, each of shape (R, ...), as views."""
-        return {name: self._part(memory, name) for name in self._shapes}
+    def initial(self, rows: int) -> FloatArray:
+        """The memory of R = ``rows`` players at the start of an episode, shape (R, size)."""
+        return np.repeat(self._row, rows, axis=0)
 
-    def join(self, parts: Mapping[str, FloatArray]) -> FloatArray:
-        """The inverse of :meth:`split`, a new array; parts broadcast over their shape."""
-        memory = np.empty((max(len(part) for part in parts.values()), self._size))
-        for name in self._shapes:
-            self._part(memory, name)[...] = parts[name]
-        return memory
+    def pack(self, record: Record) -> FloatArray:
+        """The memory (R, size) that holds a record of R players; a new array."""
+        parts = [np.asarray(part, dtype=np.float64) for part in _arrays(record)]
+        return np.concatenate([part.reshape(len(part), part[:1].size) for part in parts], axis=1)
 
-    def _part(self, memory: FloatArray, name: str) -> FloatArray:
-        return memory[:, self._places[name]].reshape(len(memory), *self._shapes[name])
+    def unpack(self, memory: FloatArray) -> Record:
+        """The inverse of :meth:`pack`; the arrays are views."""
+        first = 0
 
-    def zeros(self, rows: int) -> dict[str, FloatArray]:
-        """Parts of ``rows`` players, all 0."""
-        return {name: np.zeros((rows, *shape)) for name, shape in self._shapes.items()}
+        def taken(like: Any) -> Any:
+            nonlocal first
+            if isinstance(like, tuple):
+                return _like(like, map(taken, like))
+            part = memory[:, first : first + like.size].reshape(len(memory), *like.shape[1:])
+            first += like.size
+            return part
+
+        return taken(self._start)  # type: ignore[no-any-return]
+
+
+def rows_in(mask: BoolArray) -> IntArray | slice:
+    """The rows in a mask (R,) as an index; of all rows, one that copies nothing."""
+    return slice(None) if mask.all() else np.flatnonzero(mask)
+
+
+def taken_rows(record: Record, rows: IntArray | slice) -> Record:
+    """The rows of every array in a record."""
+    return _like(record, (taken_rows(part, rows) if isinstance(part, tuple) else part[rows] for part in record))
+
+
+def with_rows(record: Record, rows: IntArray | slice, fresh: Record) -> Record:
+    """A record with the arrays of ``fresh`` in ``rows``, the inverse of :func:`taken_rows`."""
+    if isinstance(rows, slice):  # all of them
+        return fresh
+
+    def replaced(old: Any, new: Any) -> Any:
+        if isinstance(old, tuple):
+            return with_rows(old, rows, new)
+        result = old.copy()
+        result[rows] = new
+        return result
+
+    return _like(record, map(replaced, record, fresh))
+
+
+def _arrays(record: tuple[Any, ...]) -> list[Any]:
+    """The arrays of a record in order."""
+    return [array for part in record for array in (_arrays(part) if isinstance(part, tuple) else [part])]
+
+
+def _like(record: Any, parts: Any) -> Any:
+    """A tuple of the kind of ``record`` with other parts."""
+    return record._make(parts) if hasattr(record, "_make") else tuple(parts)

@@ -2,64 +2,105 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from typing import NamedTuple
 
 import numpy as np
 
 from ptne_env.perception.observation import Observation, ObservationLayout
-from ptne_env.shared.arrays import BoolArray, FloatArray, fold, row_maxima
+from ptne_env.shared.arrays import BoolArray, FloatArray, IntArray, fold, ordered_sum, row_maxima
 
 _MOVED = 1e-5
 """Relative change of a float32 message above which it has moved, and is not only rounded otherwise."""
-
 
 _DIFFERENT = 1e-3
 """Copies at rest that differ by more than this share of the largest own estimate are different."""
 
 
-def contact_parts(layout: ObservationLayout) -> dict[str, tuple[int, ...]]:
-    """Shapes of the parts of the memory that :func:`contacts` changes; at the start ``seen`` is infinite, others 0."""
-    n, slots = layout.dimension, layout.slots
-    return {
-        "moved": (slots, n),  # own moves since the last contact
-        "seen": (slots, n),  # relative estimates at its end, infinite before the first
-        "source": (slots, n),
-        "votes": (slots, n),
-        "news": (n,),  # of which components
-    }
+class Messages(NamedTuple):
+    """What R players hear in a step, in natural units.
+
+    Attributes:
+        live: live links, shape (R, D).
+        was_live: links that were live in the step before, shape (R, D).
+        content: the neighbours' estimates x^j, shape (R, D, n).
+        change: their change since the step before, absolute; it means something where the link lasted, shape (R, D, n).
+    """
+
+    live: BoolArray
+    was_live: BoolArray
+    content: FloatArray
+    change: FloatArray
+
+    @property
+    def lasted(self) -> BoolArray:
+        """Links that are live in both steps, shape (R, D)."""
+        return self.live & self.was_live
 
 
-def noise_level(observation: Observation, memory: Mapping[str, FloatArray], owned: BoolArray) -> FloatArray:
+def heard_messages(observation: Observation, was_live: FloatArray, before: FloatArray) -> Messages:
+    """The messages of this step, compared with those of the step ``before``, when links ``was_live``."""
+    live = observation.weights > 0
+    content = observation.own_estimate[:, None] + observation.relative_estimates
+    return Messages(live, was_live > 0, content, np.abs(content - before))
+
+
+class Contacts(NamedTuple):
+    """What :func:`contacts` remembers, per player.
+
+    Attributes:
+        live: whether links were live in the step before, shape (D,).
+        heard: whether they ever were, shape (D,).
+        moved: own moves since the last contact, shape (D, n).
+        seen: relative estimates at its end, infinite before the first, shape (D, n).
+        source: whether the neighbour is a source, shape (D, n).
+        votes: for the neighbour less those against it, shape (D, n).
+        news: whether there is news of a component, shape (n,).
+    """
+
+    live: FloatArray
+    heard: FloatArray
+    moved: FloatArray
+    seen: FloatArray
+    source: FloatArray
+    votes: FloatArray
+    news: FloatArray
+
+
+def no_contacts(layout: ObservationLayout) -> Contacts:
+    """The contacts of one player at the start of an episode."""
+    links, slots = np.zeros((1, layout.slots)), np.zeros((1, layout.slots, layout.dimension))
+    return Contacts(links, links, slots, slots + np.inf, slots, slots, np.zeros((1, layout.dimension)))
+
+
+def noise_level(messages: Messages, noise: FloatArray, steps: FloatArray, owned: BoolArray) -> FloatArray:
     """σ_i, the smallest change of messages from step to step about components that their sender does not own.
 
     The first one is that of the first step, in which these estimates rest; a player without links then takes messages
     for perfect. Of several neighbours, the one with the smallest change counts.
 
     Args:
-        observation: of R players, with own estimates.
-        memory: σ_i as ``noise``, shape (R, 1), and of the step before: whether links were ``live``, shape (R, D), and
-            the ``messages``, shape (R, D, n); the number of ``steps``, shape (R, 1).
+        messages: of this step.
+        noise: σ_i so far, shape (R, 1).
+        steps: number of steps so far, shape (R, 1).
         owned: whether j or i owns c, shape (R, D, n).
 
     Returns:
         σ_i in natural units, shape (R, 1).
     """
-    lasts = (observation.weights > 0) & (memory["live"] > 0)
-    messages = observation.own_estimate[:, None] + observation.relative_estimates
-    messages -= memory["messages"]
-    change = row_maxima(np.where(owned, 0.0, np.abs(messages, out=messages)))
-    least = np.where(lasts, change, np.inf).min(axis=1, keepdims=True)
+    change = row_maxima(np.where(owned, 0.0, messages.change))
+    least = np.where(messages.lasted, change, np.inf).min(axis=1, keepdims=True)
     first = np.where(np.isfinite(least), least, 0.0)
-    return np.where(memory["steps"] <= 1, first, np.minimum(memory["noise"], least))
+    return np.where(steps <= 1, first, np.minimum(noise, least))
 
 
 def contacts(
     observation: Observation,
-    memory: Mapping[str, FloatArray],
+    was: Contacts,
+    has_begun: BoolArray,
     drift: FloatArray,
     leaders: BoolArray,
     noise: FloatArray | float = 0.0,
-) -> tuple[BoolArray, dict[str, FloatArray]]:
+) -> tuple[BoolArray, Contacts]:
     """The neighbours that have fresher copies of each component.
 
     A *contact* is a time in which a link is live without a break. At its start, player i compares how far its own copy
@@ -74,20 +115,20 @@ def contacts(
 
     Args:
         observation: of R players.
-        memory: the parts of :func:`contact_parts`, and before this step: whether links were ``live`` in the step
-            before and were ever ``heard``, shape (R, D), and the number of ``steps``, shape (R, 1).
+        was: the contacts so far.
+        has_begun: whether a step has been done, shape (R, 1).
         drift: the last moves of the estimates of others, 0 for own components, shape (R, n).
         leaders: whether j owns c, shape (R, D, n).
         noise: the largest change of messages that may be noise, in natural units, shape (R, 1, 1).
 
     Returns:
-        The sources, shape (R, D, n), and the changed parts of the memory.
+        The sources, shape (R, D, n), and the contacts for the next step.
     """
-    links, linked = observation.weights > 0, memory["live"] > 0
-    live, heard = links[:, :, None], memory["heard"][:, :, None] > 0
+    links, linked = observation.weights > 0, was.live > 0
+    live, heard = links[:, :, None], was.heard[:, :, None] > 0
     relative = observation.relative_estimates * observation.unit[:, :, None]
-    mine, met = memory["moved"] + drift[:, None], np.isfinite(memory["seen"])
-    seen = np.where(met, memory["seen"], relative)
+    mine, met = was.moved + drift[:, None], np.isfinite(was.seen)
+    seen = np.where(met, was.seen, relative)
     theirs = relative + mine
     theirs -= seen
     i_moved, j_moved = np.abs(mine), np.abs(np.where(met, theirs, 0.0))
@@ -97,14 +138,14 @@ def contacts(
     floor *= _MOVED
 
     # During a contact.
-    source = (memory["source"] > 0) & live
+    source = (was.source > 0) & live
     wakes = (distance > distance_before) | ~_any_slot(source)
     wakes &= np.abs(drift)[:, None] <= floor
     wakes &= j_moved > floor + noise
     wakes &= (links & linked)[:, :, None]
 
     # At the start of a contact, of few links in most steps.
-    votes, starts = memory["votes"], np.nonzero(links & ~linked)
+    votes, starts = was.votes, np.nonzero(links & ~linked)
     if starts[0].size:
         rows, first = starts[0], ~met[starts]
         i_has, j_has = i_moved[starts] > floor[starts], j_moved[starts] > floor[starts]
@@ -112,23 +153,30 @@ def contacts(
         votes[starts] += np.where(first, 0, j_has.astype(np.int64) - i_has)
         judgement = votes[starts]
         both = np.where(judgement == 0, j_moved[starts] > i_moved[starts], judgement > 0)
-        is_newcomer = (memory["steps"] > 0) & (memory["news"] == 0)
+        is_newcomer = has_begun & (was.news == 0)
         wakes[starts] = np.where(first, is_newcomer[rows], np.where(i_has & j_has, both, j_has & ~i_has))
 
     source = np.where(_any_slot(wakes), wakes, source)
     owners = leaders & (live | heard)
     source = np.where(_any_slot(owners), owners & live, source)
-    return source, {
-        "moved": np.where(live, 0.0, mine),
-        "seen": np.where(live, relative, memory["seen"]),
-        "source": source.astype(np.float64),
-        "votes": votes,
-        "news": np.maximum(memory["news"], _any_slot(source)[:, 0]),
-    }
+    return source, Contacts(
+        live=links.astype(np.float64),
+        heard=np.maximum(was.heard, links),
+        moved=np.where(live, 0.0, mine),
+        seen=np.where(live, relative, was.seen),
+        source=source.astype(np.float64),
+        votes=votes,
+        news=np.maximum(was.news, _any_slot(source)[:, 0]),
+    )
 
 
 def contradictions(
-    observation: Observation, memory: Mapping[str, FloatArray], drift: FloatArray, sources: BoolArray, own: BoolArray
+    observation: Observation,
+    messages: Messages,
+    steps: FloatArray,
+    drift: FloatArray,
+    sources: BoolArray,
+    own: BoolArray,
 ) -> FloatArray:
     """Steps for which a neighbour has contradicted the own copy and its sources, while all of them rested, (R, D, n).
 
@@ -138,22 +186,27 @@ def contradictions(
 
     Args:
         observation: of R players.
-        memory: these steps as ``contradicted``, shape (R, D, n); of the step before whether links were ``live``, shape
-            (R, D), and the ``messages``, shape (R, D, n).
+        messages: of this step.
+        steps: this number so far, shape (R, D, n).
         drift: the last moves of the estimates of others, 0 for own components, shape (R, n).
         sources: the live sources, shape (R, D, n).
         own: own components, shape (R, n).
     """
-    lasts = (observation.weights > 0) & (memory["live"] > 0)
-    messages = observation.own_estimate[:, None] + observation.relative_estimates
     scale = np.abs(observation.own_estimate).max(axis=1)[:, None, None]
-    rests = np.abs(messages - memory["messages"]) <= _MOVED * scale
+    rests = messages.change <= _MOVED * scale
     is_other = np.abs(observation.relative_estimates) > _DIFFERENT * scale
     rests &= (np.abs(drift)[:, None] <= _MOVED * scale) & ~own[:, None]
     knows = ~(is_other & own[:, None]).any(axis=2)
     agrees = ~_any_slot(sources & (is_other | ~rests))
-    contradicts = rests & is_other & agrees & (lasts & knows)[:, :, None] & ~sources
-    return np.where(contradicts, memory["contradicted"] + 1, 0.0)
+    contradicts = rests & is_other & agrees & (messages.lasted & knows)[:, :, None] & ~sources
+    return np.where(contradicts, steps + 1, 0.0)
+
+
+def copies(observation: Observation, sources: BoolArray) -> FloatArray:
+    """Mean of x^j_c − x^i_c over the live sources j of component c, 0 without one, shape (R, n)."""
+    live = sources & (observation.weights > 0)[:, :, None]
+    count: IntArray = fold(np.add, live.astype(np.int32), axis=1).astype(np.int64)
+    return ordered_sum(np.where(live, observation.relative_estimates, 0.0), axis=1) / np.maximum(count, 1)
 
 
 def _any_slot(array: BoolArray) -> BoolArray:

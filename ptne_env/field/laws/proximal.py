@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import ClassVar
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
@@ -21,19 +20,37 @@ from ptne_env.field.laws.best_response import (
 )
 from ptne_env.field.laws.identification import RESOLUTION, Model, blank, identify
 from ptne_env.laws.base import Law, consensus, per_step
-from ptne_env.laws.memory import Parts
+from ptne_env.laws.memory import Memory
 from ptne_env.perception.observation import Observation, ObservationLayout
 from ptne_env.shared.arrays import FloatArray, require_positive
 
 
+class LastStep(NamedTuple):
+    """What a player of :class:`ProximalBestResponse` remembers.
+
+    Attributes:
+        model: the identified rows of dF.
+        estimate: the own estimates in the step before, shape (n,).
+        gradient: the own gradient in the step before, shape (m,).
+        radius: of the trust region, shape (1,).
+        started: whether there was a step before, shape (1,).
+    """
+
+    model: Model
+    estimate: FloatArray
+    gradient: FloatArray
+    radius: FloatArray
+    started: FloatArray
+
+
 def proximal_displacement(
     observation: Observation,
-    memory: Mapping[str, FloatArray],
+    was: LastStep,
     layout: ObservationLayout,
     step: float,
     mixing: float,
     spread: float,
-) -> tuple[FloatArray, dict[str, FloatArray]]:
+) -> tuple[FloatArray, LastStep]:
     """x^i_j ← ½ (x^i_j + x̂^i_j), x^i_i ← argmin_y J_i(y, new x^i_{-i}) + (‖y − x^i_i‖² + ‖y − x̂^i_i‖²)/(2α).
 
     With x̂^i = Σ_j w_ij x^j, W = I − h L, α = ``step`` and h = ``mixing``. M. Bianchi, G. Belgioioso and S. Grammatico,
@@ -49,7 +66,7 @@ def proximal_displacement(
 
     Args:
         observation: of R players.
-        memory: the parts of :class:`ProximalBestResponse` by name.
+        was: the memory so far.
         layout: of the observations.
         step: α.
         mixing: h.
@@ -61,18 +78,17 @@ def proximal_displacement(
     estimate, blocks = observation.own_estimate, layout.own_components[observation.player]
     is_own = layout.own_mask[observation.player]
     gradient = own_entries(observation.gradient, blocks)
-    is_whole = memory["rows"].shape[2] == layout.dimension
+    is_whole = was.model.rows.shape[2] == layout.dimension
 
-    moved = np.where(memory["started"] > 0, estimate - memory["estimate"], 0.0)
-    scale = largest(estimate) + largest(memory["estimate"])
+    moved = np.where(was.started > 0, estimate - was.estimate, 0.0)
+    scale = largest(estimate) + largest(was.estimate)
     deviation = RESOLUTION * (largest(gradient) + spread * scale)
     if not is_whole:
         deviation = deviation + spread * largest(np.where(is_own, 0.0, moved))
     regressors = moved if is_whole else own_entries(moved, blocks)
-    model = Model(memory["rows"], memory["covariance"])
-    model, error, failed = identify(model, regressors, gradient - memory["gradient"], deviation**2)
+    model, error, failed = identify(was.model, regressors, gradient - was.gradient, deviation**2)
     own_moved = own_entries(moved, blocks)
-    radius = trust_radius(memory["radius"], own_moved, (error, failed), memory["gradient"], estimate)
+    radius = trust_radius(was.radius, own_moved, (error, failed), was.gradient, estimate)
 
     pull = mixing * consensus(observation.weights, observation.relative_estimates)
     drift = np.where(is_own, 0.0, pull / 2)
@@ -83,15 +99,9 @@ def proximal_displacement(
     curvature = np.maximum(curvature, 0.0) + doubt
     wanted = own_entries(pull, blocks) - step * (gradient + foreseen)
     own_step = np.einsum("rab,rb->ra", vectors, np.einsum("rba,rb->ra", vectors, wanted) / (2 + step * curvature))
-    longest = np.where(memory["started"] > 0, radius, UNLIMITED)
-    return with_own(drift, shortened(own_step, longest), blocks), {
-        "rows": model.rows,
-        "covariance": model.covariance,
-        "estimate": estimate,
-        "gradient": gradient,
-        "radius": radius,
-        "started": np.ones((len(estimate), 1)),
-    }
+    longest = np.where(was.started > 0, radius, UNLIMITED)
+    displacement = with_own(drift, shortened(own_step, longest), blocks)
+    return displacement, LastStep(model, estimate, gradient, radius, np.ones((len(estimate), 1)))
 
 
 class ProximalBestResponse(Law):
@@ -121,26 +131,16 @@ class ProximalBestResponse(Law):
         self.spread = require_positive("spread", spread)
         outputs, dimension = max(layout.action_dims), layout.dimension
         regressors = dimension if dimension <= LARGEST_ROW else outputs
-        self._parts = Parts(
-            {
-                "rows": (outputs, regressors),
-                "covariance": (regressors, regressors),
-                "estimate": (dimension,),
-                "gradient": (outputs,),
-                "radius": (1,),
-                "started": (1,),
-            }
+        start, none = blank(1, outputs, regressors, self.spread), np.zeros((1, 1))
+        self._memory: Memory[Any] = Memory(
+            LastStep(start, np.zeros((1, dimension)), np.zeros((1, outputs)), none, none)
         )
 
     def initial_memory(self, rows: int) -> FloatArray:
         """A model of zeros with the standard deviation ``spread``, and nothing seen; shape (R, size)."""
-        parts = self._parts.zeros(rows)
-        _, outputs, regressors = parts["rows"].shape
-        return self._parts.join(parts | blank(rows, outputs, regressors, self.spread)._asdict())
+        return self._memory.initial(rows)
 
     def inputs(self, observation: Observation, memory: FloatArray) -> tuple[FloatArray, FloatArray]:
-        parts = self._parts.split(memory)
-        displacement, parts = proximal_displacement(
-            observation, parts, self.layout, self.step, self.mixing, self.spread
-        )
-        return per_step(displacement, observation), self._parts.join(parts)
+        was = self._memory.unpack(memory)
+        displacement, fresh = proximal_displacement(observation, was, self.layout, self.step, self.mixing, self.spread)
+        return per_step(displacement, observation), self._memory.pack(fresh)

@@ -8,73 +8,48 @@ answers (overlapping Schwarz iteration over the players).
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
 
 from ptne_env.field.laws.best_response import largest, own_block, with_own
+from ptne_env.field.laws.constants import C
+from ptne_env.field.laws.contacts import Messages
 from ptne_env.field.laws.identification import Model, identify
 from ptne_env.perception.observation import Observation, ObservationLayout
 from ptne_env.shared.arrays import BoolArray, FloatArray, IntArray, row_maxima
 
-START = 20
-"""Steps after which planes count."""
 
-_WARM_UP = 3
-"""Steps in which players move for identification, not in answer to messages."""
+class Planes(NamedTuple):
+    """What a player knows of its neighbours' reactions, with the m components of the largest own block.
 
-_SPREAD = 0.15
-"""Standard deviation of the entries of R before anything is identified: players barely react to each other."""
+    Attributes:
+        slopes: R, shape (D, m, n).
+        covariance: of the rows of R, shape (D, n, n).
+        anchor: the last sample, shape (D, n).
+        samples: their number, shape (D,).
+        error: the recent error of predictions by the plane, shape (D,).
+    """
 
-_COMMON = 1000.0
-"""Variance that all entries share, as a multiple of that of each: players of a game tend to react alike to all."""
-
-_REST = (1e-2, 1e-7)
-"""A message that changed less than this share of its change since the last sample, or of the scale, is at rest."""
-
-_NEW = 1e-10
-"""A displacement from the last sample below this share of the scale is no new sample."""
-
-_RESOLUTION = 1e-7
-"""Standard deviation of the entries of a sample, relative to the largest own estimate."""
-
-_SOFT = 0.3
-"""The share of a plane's recent error that counts as deviation of its samples."""
-
-_FADE = 0.7
-"""The share of a plane's recent error that is left after a step."""
-
-_WORST = 0.1
-"""A plane with a recent error above this share of the scale does not count."""
-
-_SAMPLES = 3
-"""Samples after which a plane counts."""
-
-_CURVED = 1e-3
-"""An own curvature below this is not known."""
-
-_TRUSTED = (1e-7, 3.0, 0.5)
-"""A joint solution counts where it is at least this share of the scale away, at least this multiple of the largest
-recent error of its planes, and at most this share of the scale."""
+    slopes: FloatArray
+    covariance: FloatArray
+    anchor: FloatArray
+    samples: FloatArray
+    error: FloatArray
 
 
-def reaction_parts(layout: ObservationLayout) -> dict[str, tuple[int, ...]]:
-    """Shapes of the parts of the memory of :func:`react`, with the m components of the largest own block."""
+def no_planes(layout: ObservationLayout) -> Planes:
+    """The planes of one player at the start of an episode."""
     slots, n, m = layout.slots, layout.dimension, max(layout.action_dims)
-    return {
-        "planes": (slots, m, n),
-        "plane_covariance": (slots, n, n),
-        "anchor": (slots, n),  # the last sample
-        "plane_samples": (slots,),
-        "plane_error": (slots,),
-    }
-
-
-def initial_covariance(layout: ObservationLayout) -> FloatArray:
-    """The covariance of the rows of R before any sample, shape (n, n)."""
-    n = layout.dimension
-    return np.asarray(_SPREAD**2 * (np.eye(n) + _COMMON * np.ones((n, n))))
+    covariance = C.plane_spread**2 * (np.eye(n) + C.plane_common * np.ones((n, n)))
+    none = np.zeros((1, slots))
+    return Planes(
+        slopes=np.zeros((1, slots, m, n)),
+        covariance=np.tile(covariance, (1, slots, 1, 1)),
+        anchor=np.zeros((1, slots, n)),
+        samples=none,
+        error=none,
+    )
 
 
 class Reactions(NamedTuple):
@@ -107,88 +82,93 @@ class Condition(NamedTuple):
     doubt: FloatArray
 
 
-def reckoned_estimate(observation: Observation, memory: Mapping[str, FloatArray]) -> FloatArray:
-    """The own estimates by dead reckoning where they agree with the observed ones, which have float32, shape (R, n)."""
-    seen, reckoned = observation.own_estimate, memory["reckoned"]
-    is_off = (memory["steps"] == 0) | (np.abs(reckoned - seen) > 1e-5 * largest(seen))
+def reckoned_estimate(seen: FloatArray, reckoned: FloatArray, steps: FloatArray) -> FloatArray:
+    """The own estimates by dead reckoning where they agree with those ``seen``, which have float32, shape (R, n)."""
+    is_off = (steps == 0) | (np.abs(reckoned - seen) > 1e-5 * largest(seen))
     return np.where(is_off, seen, reckoned)
 
 
 def learned_planes(
-    observation: Observation, memory: Mapping[str, FloatArray], layout: ObservationLayout, here: FloatArray
-) -> dict[str, FloatArray]:
-    """The planes of the neighbours with the present messages: the changed parts of the memory.
+    observation: Observation,
+    messages: Messages,
+    was: Planes,
+    steps: FloatArray,
+    here: FloatArray,
+    layout: ObservationLayout,
+) -> Planes:
+    """The planes of the neighbours with the present messages.
 
     Args:
         observation: of R players.
-        memory: the parts of :func:`reaction_parts`; of the step before whether links were ``live``, shape (R, D), and
-            the ``messages``, shape (R, D, n); the number of ``steps``, shape (R, 1).
-        layout: of the observations.
+        messages: of this step.
+        was: the planes so far.
+        steps: number of steps so far, shape (R, 1).
         here: own estimates, shape (R, n).
+        layout: of the observations.
     """
-    live, neighbours = observation.weights > 0, np.array(layout.neighbours)[observation.player]
-    scale, is_warm = largest(here), memory["steps"] >= _WARM_UP
-    messages = here[:, None] + observation.relative_estimates
-    change = observation.own_estimate[:, None] + observation.relative_estimates - memory["messages"]
-    rest = np.where(memory["live"] > 0, row_maxima(np.abs(change)), np.inf)
-    moved = messages - memory["anchor"]
+    neighbours, scale, is_warm = np.array(layout.neighbours)[observation.player], largest(here), steps >= C.warm_up
+    content = here[:, None] + observation.relative_estimates
+    rest = np.where(messages.was_live, row_maxima(messages.change), np.inf)
+    moved = content - was.anchor
     length = row_maxima(np.abs(moved))
-    is_first = memory["plane_samples"] == 0
-    is_rest = live & is_warm & (rest <= np.maximum(_REST[0] * length, _REST[1] * scale))
-    is_sample = is_rest & ~is_first & (length > _NEW * scale)
+    is_first = was.samples == 0
+    is_rest = messages.live & is_warm & (rest <= np.maximum(C.rest_change * length, C.rest * scale))
+    is_sample = is_rest & ~is_first & (length > C.new_sample * scale)
     is_kept = is_sample | (is_rest & is_first)
 
-    blocks, planes = layout.own_components[neighbours], memory["planes"]
+    blocks = layout.own_components[neighbours]
     regressors = np.where(layout.own_mask[neighbours], 0.0, moved)
     theirs = _entries(moved, blocks)
-    error = row_maxima(np.abs(theirs - np.einsum("rdmn,rdn->rdm", planes, regressors)))
-    is_known = live & is_warm & (memory["plane_samples"] >= _SAMPLES)
-    fresh = {"plane_error": np.where(is_known, np.maximum(_FADE * memory["plane_error"], error), memory["plane_error"])}
-    if is_kept.any():
-        fresh["anchor"] = np.where(is_kept[:, :, None], messages, memory["anchor"])
-        fresh["plane_samples"] = memory["plane_samples"] + is_kept
-    if is_sample.any():
-        covariance = memory["plane_covariance"]
-        resolution = (np.broadcast_to(scale, is_sample.shape)[is_sample] * _RESOLUTION) ** 2
-        variance = resolution + (_SOFT * memory["plane_error"][is_sample]) ** 2
-        model = Model(planes[is_sample], covariance[is_sample])
-        model, _, _ = identify(model, regressors[is_sample], theirs[is_sample], variance[:, None])
-        fresh["planes"], fresh["plane_covariance"] = planes.copy(), covariance.copy()
-        fresh["planes"][is_sample], fresh["plane_covariance"][is_sample] = model
-    return fresh
+    error = row_maxima(np.abs(theirs - np.einsum("rdmn,rdn->rdm", was.slopes, regressors)))
+    is_known = messages.live & is_warm & (was.samples >= C.plane_samples)
+    fresh = was._replace(
+        anchor=np.where(is_kept[:, :, None], content, was.anchor),
+        samples=was.samples + is_kept,
+        error=np.where(is_known, np.maximum(C.fade * was.error, error), was.error),
+    )
+    if not is_sample.any():
+        return fresh
+    resolution = (np.broadcast_to(scale, is_sample.shape)[is_sample] * C.resolution) ** 2
+    variance = resolution + (C.soft * was.error[is_sample]) ** 2
+    model = Model(was.slopes[is_sample], was.covariance[is_sample])
+    model, _, _ = identify(model, regressors[is_sample], theirs[is_sample], variance[:, None])
+    slopes, covariance = was.slopes.copy(), was.covariance.copy()
+    slopes[is_sample], covariance[is_sample] = model
+    return fresh._replace(slopes=slopes, covariance=covariance)
 
 
 def joint_solution(
     player: IntArray,
-    memory: Mapping[str, FloatArray],
-    layout: ObservationLayout,
+    known: Planes,
+    steps: FloatArray,
     here: FloatArray,
     planned: FloatArray,
     own: Condition,
+    layout: ObservationLayout,
 ) -> Reactions:
     """The joint solution of the own first-order condition and the planes of the neighbours.
 
     Args:
         player: index of each of R players, shape (R,).
-        memory: the parts that :func:`learned_planes` changes, after this step's messages, and the number of ``steps``.
-        layout: of the observations.
+        known: the planes with this step's messages.
+        steps: number of steps so far, shape (R, 1).
         here: own estimates, shape (R, n).
         planned: the next estimates without the joint solution, which fixes all components that no plane does, (R, n).
         own: the own first-order condition at ``here``.
+        layout: of the observations.
     """
     neighbours, scale = np.array(layout.neighbours)[player], largest(here)
-    planes = np.where(layout.own_mask[neighbours][:, :, None], 0.0, memory["planes"])  # own components react to others
-    error, is_known = memory["plane_error"], memory["plane_samples"] >= _SAMPLES
+    planes = np.where(layout.own_mask[neighbours][:, :, None], 0.0, known.slopes)  # own components react to others
+    error, is_known = known.error, known.samples >= C.plane_samples
     is_tame = np.abs(planes).sum(axis=3).max(axis=2) < 1
-    counts = is_known & is_tame & (error < _WORST * scale) & (neighbours != player[:, None])
+    counts = is_known & is_tame & (error < C.worst * scale) & (neighbours != player[:, None])
     blocks = np.where(counts[:, :, None], layout.own_components[neighbours], layout.dimension)
-    point = _joint(planes, memory["anchor"], blocks, planned, here, own)
+    point = _joint(planes, known.anchor, blocks, planned, here, own)
     largest_error = np.where(is_known, error, 0.0).max(axis=1, keepdims=True)
     jump = largest(point - planned)
-    nearest, multiple, farthest = _TRUSTED
     doubt = np.maximum(largest_error, own.doubt)
-    is_trusted = (jump >= np.maximum(nearest * scale, multiple * doubt)) & (jump <= farthest * scale)
-    return Reactions(point, doubt, is_trusted & _is_dominant(own) & (memory["steps"] >= START))
+    is_trusted = (jump >= np.maximum(C.nearest * scale, C.trusted * doubt)) & (jump <= C.farthest * scale)
+    return Reactions(point, doubt, is_trusted & _is_dominant(own) & (steps >= C.start))
 
 
 def _is_dominant(own: Condition) -> BoolArray:
@@ -221,7 +201,7 @@ def _joint(
         right = np.einsum("rmn,rn->rm", plane, anchor[:, slot])
         equations, values = with_own(equations, plane, places), with_own(values, right, places)
     curvature = own_block(own.rows, own.blocks).diagonal(axis1=1, axis2=2)
-    places = np.where(np.abs(curvature) > _CURVED, own.blocks, n)
+    places = np.where(np.abs(curvature) > C.curved, own.blocks, n)
     right = np.einsum("rmn,rn->rm", own.rows, here) - own.gradient
     return _solve(with_own(equations, own.rows, places), with_own(values, right, places), planned)
 

@@ -69,7 +69,9 @@ class ProjectedGradient(Law):
             raise ValueError("ProjectedGradient needs lower < upper for every component")
         self._is_bounded = bool(np.isfinite(self.lower).any() or np.isfinite(self.upper).any())
         if self._is_bounded and "own_estimate" not in layout.slices:
-            raise LayoutError("bounds need the own strategy, which 'scaled' does not show; use the interface 'physical'")
+            raise LayoutError(
+                "bounds need the own strategy, which 'scaled' does not show; use the interface 'physical'"
+            )
 
     def initial_memory(self, rows: int) -> FloatArray:
         """Number of steps done: 0, shape (R, 1)."""

@@ -1,0 +1,293 @@
+"""The relay: best responses from an identified model of the own gradient, and copies of estimates, one link per step."""
+
+from __future__ import annotations
+
+from typing import Any, ClassVar, NamedTuple
+
+import numpy as np
+
+from ptne_env.field.laws.best_response import (
+    LARGEST_ROW,
+    UNLIMITED,
+    best_response,
+    largest,
+    own_entries,
+    own_places,
+    trust_radius,
+    with_own,
+    within_reach,
+)
+from ptne_env.field.laws.contacts import (
+    Contacts,
+    Messages,
+    contacts,
+    copies,
+    heard_messages,
+    no_contacts,
+    noise_level,
+)
+from ptne_env.field.laws.identification import RESOLUTION, Model, blank, identify
+from ptne_env.laws.base import Law, per_step
+from ptne_env.laws.memory import Memory
+from ptne_env.perception.observation import Observation, ObservationLayout
+from ptne_env.shared.arrays import BoolArray, FloatArray, IntArray, require_positive, row_maxima
+
+SPREAD = 10.0
+"""Standard deviation of the entries of dF before anything is identified, in units of gradient per strategy.
+
+1/(3 ``SPREAD``) is the step of the first gradient steps. A tenth and ten times as much give the same digits.
+"""
+
+_SIGNAL = 8.0
+"""A difference to the neighbours above this many times their smallest change is no noise."""
+
+_HELD = 0.1
+"""A component that moved less than this share of the displacement that it was asked for is held by a bound."""
+
+_RESOLVED = 1e-6
+"""Smallest displacement, relative to the largest own estimates, at which that is judged."""
+
+_ABOVE_NOISE = 20.0
+"""A change of messages above this many times σ_i is no noise: σ_i is the smallest of many changes."""
+
+_LOUDEST = 0.03
+"""A change of messages above this share of the largest own estimate is no noise."""
+
+
+class LastMove(NamedTuple):
+    """What :func:`own_side` remembers of the step before, per player.
+
+    Attributes:
+        model: the identified rows of dF.
+        estimate: the own estimates, shape (n,).
+        gradient: the own gradient, shape (m,).
+        asked: the displacement that was asked for, shape (n,).
+        radius: of the trust region, shape (1,).
+    """
+
+    model: Model
+    estimate: FloatArray
+    gradient: FloatArray
+    asked: FloatArray
+    radius: FloatArray
+
+
+class Own(NamedTuple):
+    """The own side of R players: their models of their own gradients, and the limits of their own displacements.
+
+    Attributes:
+        model: the identified rows of dF.
+        gradient: ∂J_i/∂x_i(x^i), 0 where padded, shape (R, m).
+        blocks: own components, padded with n, shape (R, m).
+        moved: the last displacement of the estimates, shape (R, n).
+        held: own components that a bound holds, shape (R, m).
+        radius: of the trust region, shape (R, 1).
+        error: of the last prediction of the own gradient, shape (R, 1).
+        failed: whether it failed, shape (R, 1).
+        is_probe: whether the own components move one after the other, in the first m steps, shape (R, 1).
+        turn: the own components that move in this step, shape (R, m).
+    """
+
+    model: Model
+    gradient: FloatArray
+    blocks: IntArray
+    moved: FloatArray
+    held: BoolArray
+    radius: FloatArray
+    error: FloatArray
+    failed: BoolArray
+    is_probe: BoolArray
+    turn: BoolArray
+
+    def response(self, drift: FloatArray) -> FloatArray:
+        """The best response Δx_i to the own estimates after a displacement ``drift`` (R, n) of the others, (R, m)."""
+        outputs, is_whole = self.blocks.shape[1], self.model.rows.shape[2] == drift.shape[1]
+        places = own_places(self.blocks, self.model, drift.shape[1])
+        shift = drift if is_whole else np.zeros((len(drift), outputs))
+        radius = np.where(self.is_probe, UNLIMITED, self.radius)
+        step = best_response(self.model, self.gradient, shift, places, self.held, radius)
+        return np.where(self.turn, step, 0.0)
+
+    def remembered(self, observation: Observation, displacement: FloatArray, layout: ObservationLayout) -> LastMove:
+        """What the next step needs, after ``displacement`` (R, n)."""
+        asked = within_reach(displacement, observation, layout)
+        return LastMove(self.model, observation.own_estimate, self.gradient, asked, self.radius)
+
+
+def own_side(observation: Observation, was: LastMove, steps: FloatArray, layout: ObservationLayout) -> Own:
+    """The own side of R players, from the last displacement and the number of ``steps`` so far, shape (R, 1)."""
+    estimate = observation.own_estimate
+    blocks, is_own = layout.own_components[observation.player], layout.own_mask[observation.player]
+    outputs, is_whole = blocks.shape[1], was.model.rows.shape[2] == layout.dimension
+    gradient = own_entries(observation.gradient, blocks)
+    moved = np.where(steps == 0, 0.0, estimate - was.estimate)
+    own_moved = own_entries(moved, blocks)
+
+    scale = largest(estimate) + largest(was.estimate)
+    deviation = RESOLUTION * (largest(gradient) + largest(was.gradient) + SPREAD * scale)
+    if not is_whole:
+        deviation = deviation + SPREAD * largest(np.where(is_own, 0.0, moved))
+    shift = moved if is_whole else own_moved
+    model, error, failed = identify(was.model, shift, gradient - was.gradient, deviation**2)
+
+    radius = trust_radius(was.radius, own_moved, (error, failed), was.gradient, estimate)
+    asked = np.abs(own_entries(was.asked, blocks))
+    held = (np.abs(own_moved) < _HELD * asked) & (asked > _RESOLVED * scale)
+    is_probe = steps < outputs
+    turn = ~is_probe | (np.arange(outputs) == steps)
+    return Own(model, gradient, blocks, moved, held, radius, error, failed, is_probe, turn)
+
+
+def no_move(layout: ObservationLayout) -> LastMove:
+    """The own memory of one player at the start of an episode: a model of zeros with the deviation :data:`SPREAD`."""
+    outputs, n = max(layout.action_dims), layout.dimension
+    model = blank(1, outputs, n if n <= LARGEST_ROW else outputs, SPREAD)
+    return LastMove(model, np.zeros((1, n)), np.zeros((1, outputs)), np.zeros((1, n)), np.zeros((1, 1)))
+
+
+class Unrest(NamedTuple):
+    """What :func:`copy_weight` remembers, shapes (1,).
+
+    Attributes:
+        least: the smallest change of messages from step to step.
+        mark: the smallest change when the count of steps last began.
+        steps: in which messages have not come to rest.
+    """
+
+    least: FloatArray
+    mark: FloatArray
+    steps: FloatArray
+
+
+def copy_weight(
+    messages: Messages, was: Unrest, mean: FloatArray, patience: float, forgetting: float
+) -> tuple[FloatArray, Unrest]:
+    """The weight w_k of a copy, (R, 1), and the memory: 1 until messages show noise, which never comes to rest.
+
+    Where the smallest change of messages from step to step, σ, has not halved for ``patience`` steps, w_k = p/(p + k)
+    averages over the k steps since, where p is ``forgetting``. A difference above 8 σ is no noise, and starts the count
+    again; so does an eighth of the σ at which it began.
+
+    Args:
+        messages: of this step.
+        was: the memory so far.
+        mean: of the differences to the sources, shape (R, n).
+        patience: steps.
+        forgetting: p.
+    """
+    lasts = messages.lasted
+    change = np.where(lasts, row_maxima(messages.change), 0.0)
+    change = np.where(lasts.any(axis=1, keepdims=True), largest(change), np.inf)
+    least = np.minimum(was.least, change)
+    calmer = least <= was.mark / np.where(was.steps > patience, _SIGNAL, 2.0)
+    steps = np.where(calmer | (largest(mean) > _SIGNAL * least), 0.0, was.steps + 1)
+    weight = np.where(steps > patience, forgetting / (forgetting + steps), 1.0)
+    return weight, Unrest(least, np.where(calmer, least, was.mark), steps)
+
+
+def no_unrest() -> Unrest:
+    """The memory of :func:`copy_weight` of one player at the start of an episode."""
+    return Unrest(np.full((1, 1), UNLIMITED), np.full((1, 1), UNLIMITED), np.zeros((1, 1)))
+
+
+def fresher_copies(
+    observation: Observation,
+    was: Contacts,
+    asked: FloatArray,
+    steps: FloatArray,
+    noise: FloatArray,
+    layout: ObservationLayout,
+) -> tuple[BoolArray, Contacts]:
+    """The neighbours with fresher copies, :func:`~ptne_env.field.laws.contacts.contacts`, where noise is no news.
+
+    Args:
+        observation: of R players.
+        was: the contacts so far.
+        asked: the last displacement that was asked for, shape (R, n).
+        steps: number of steps so far, shape (R, 1).
+        noise: σ_i, shape (R, 1).
+        layout: of the observations.
+    """
+    player = observation.player
+    loudest = np.minimum(_ABOVE_NOISE * noise, _LOUDEST * largest(observation.own_estimate))
+    drift = np.where(layout.own_mask[player], 0.0, asked)
+    return contacts(observation, was, steps > 0, drift, layout.neighbour_components[player], loudest[:, :, None])
+
+
+class RelayMemory(NamedTuple):
+    """What a player of :class:`ContactRelay` remembers.
+
+    Attributes:
+        own: its last move.
+        contacts: with its neighbours.
+        messages: of the step before, shape (D, n).
+        unrest: of messages.
+        noise: σ_i, shape (1,).
+        steps: number of steps so far, shape (1,).
+    """
+
+    own: LastMove
+    contacts: Contacts
+    messages: FloatArray
+    unrest: Unrest
+    noise: FloatArray
+    steps: FloatArray
+
+
+class ContactRelay(Law):
+    """Best response from an identified model of the own gradient, and copies hop by hop.
+
+    A component of another player moves by w_k × mean of (x^j_c − x^i_c) over the live sources j, which
+    :func:`~ptne_env.field.laws.contacts.contacts` finds from own links, with the weight of :func:`copy_weight`; without
+    a source it rests. The own strategy answers with :meth:`Own.response`. In the first m steps the others' estimates
+    rest, and one own component after the other moves, so that the own block of dF is known at once; the rest of the
+    rows follows from the displacements that the copies cause, :func:`~ptne_env.field.laws.identification.identify`.
+    After the first m steps, no own displacement is longer than
+    :func:`~ptne_env.field.laws.best_response.trust_radius`.
+
+    Args:
+        layout: of the environment, interface ``physical``.
+        patience: steps in which the smallest change of messages does not halve, > 0, after which it is taken for noise.
+        forgetting: p of the weights p/(p + k) of an average over k steps of noisy messages, > 0: larger numbers forget
+            the first messages faster. 1 is the mean of all.
+
+    Raises:
+        ValueError: for a patience or forgetting that is not positive, or another interface.
+    """
+
+    needs: ClassVar[tuple[str, ...]] = ("own_estimate",)
+
+    def __init__(self, layout: ObservationLayout, patience: float = 30.0, forgetting: float = 2.0) -> None:
+        super().__init__(layout)
+        self.patience = require_positive("patience", patience)
+        self.forgetting = require_positive("forgetting", forgetting)
+        none, messages = np.zeros((1, 1)), np.zeros((1, layout.slots, layout.dimension))
+        self._memory: Memory[Any] = Memory(
+            RelayMemory(no_move(layout), no_contacts(layout), messages, no_unrest(), none, none)
+        )
+
+    def initial_memory(self, rows: int) -> FloatArray:
+        """Nothing identified, nothing heard; shape (R, size)."""
+        return self._memory.initial(rows)
+
+    def inputs(self, observation: Observation, memory: FloatArray) -> tuple[FloatArray, FloatArray]:
+        layout, was = self.layout, self._memory.unpack(memory)
+        is_own, leaders = layout.own_mask[observation.player], layout.neighbour_components[observation.player]
+        messages = heard_messages(observation, was.contacts.live, was.messages)
+        noise = noise_level(messages, was.noise, was.steps, leaders | is_own[:, None])
+        sources, met = fresher_copies(observation, was.contacts, was.own.asked, was.steps, noise, layout)
+        mean = copies(observation, sources)
+        weight, unrest = copy_weight(messages, was.unrest, mean, self.patience, self.forgetting)
+
+        own = own_side(observation, was.own, was.steps, layout)
+        drift = np.where(own.is_probe | is_own, 0.0, weight * mean)
+        displacement = with_own(drift, own.response(drift), own.blocks)
+        fresh = RelayMemory(
+            own=own.remembered(observation, displacement, layout),
+            contacts=met,
+            messages=messages.content,
+            unrest=unrest,
+            noise=noise,
+            steps=was.steps + 1,
+        )
+        return per_step(displacement, observation), self._memory.pack(fresh)

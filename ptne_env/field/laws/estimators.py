@@ -1,0 +1,316 @@
+"""Estimators of :class:`~ptne_env.field.laws.ObserverRelay`: noise and rounding, private means, damping, pushes.
+
+Each has a record of what it remembers per player; constants are those of :mod:`ptne_env.field.laws.constants`.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from ptne_env.field.laws.best_response import UNLIMITED, largest, own_block, own_places
+from ptne_env.field.laws.constants import C
+from ptne_env.field.laws.contact_relay import Own
+from ptne_env.field.laws.contacts import Messages
+from ptne_env.perception.observation import Observation
+from ptne_env.shared.arrays import BoolArray, FloatArray, fold, row_maxima
+
+_GOLDEN_RATIO = (5**0.5 - 1) / 2
+
+
+class Damage(NamedTuple):
+    """Why messages do not come to rest, shapes (R, 1); lengths are in natural units.
+
+    Attributes:
+        width: the smallest change of a message, the step of rounding where messages are rounded.
+        level: σ_i when it last halved.
+        since: steps since then.
+        noisy: whether messages carry noise.
+    """
+
+    width: FloatArray
+    level: FloatArray
+    since: FloatArray
+    noisy: FloatArray
+
+
+NO_DAMAGE = Damage(np.full((1, 1), UNLIMITED), np.full((1, 1), UNLIMITED), np.zeros((1, 1)), np.zeros((1, 1)))
+"""The damage that one player has seen at the start of an episode."""
+
+
+def damage(
+    observation: Observation, messages: Messages, was: Damage, noise: FloatArray, steps: FloatArray
+) -> tuple[Damage, BoolArray, BoolArray]:
+    """Whether messages carry noise, and whether all messages of this step are multiples of a step of rounding.
+
+    Args:
+        observation: of R players.
+        messages: of this step.
+        was: the damage so far.
+        noise: σ_i of :func:`~ptne_env.field.laws.contacts.noise_level`, shape (R, 1).
+        steps: number of steps so far, shape (R, 1).
+
+    Returns:
+        What is remembered, whether messages carry noise and whether they are rounded, shapes (R, 1).
+    """
+    live, scale = messages.live, largest(observation.own_estimate)
+    moved = messages.lasted[:, :, None] & (messages.change > C.moved * scale[:, :, None])
+    smallest = np.where(moved, messages.change, UNLIMITED).min(axis=(1, 2))[:, None]
+    width = np.minimum(was.width, smallest)
+    ticks = messages.content / width[:, :, None]
+    off = row_maxima(np.where(live[:, :, None], np.abs(ticks - np.round(ticks)), 0.0)).max(axis=1, keepdims=True)
+
+    is_late, halved = steps >= C.start, (noise < was.level / 2) | (steps < 2)
+    level, since = np.where(halved, noise, was.level), np.where(halved, 0.0, was.since + 1)
+    is_noisy = is_late & (noise > C.noisy * scale) & (since >= C.calm)
+    is_noisy |= (was.noisy > 0) & (noise > C.still_noisy * C.noisy * scale)
+    is_seen = (width > C.coarse * scale) & (width < UNLIMITED / 10) & live.any(axis=1, keepdims=True)
+    is_rounded = is_late & ~is_noisy & is_seen & (off < C.on_grid)
+    return Damage(width, level, since, is_noisy.astype(np.float64)), is_noisy, is_rounded
+
+
+class Samples(NamedTuple):
+    """What a player knows of its neighbours' messages, in natural units, shapes (R, D, n); all 0 at the start.
+
+    Attributes:
+        mean: private mean.
+        smooth: mean of means, for rounded messages.
+        quick: mean of the last messages.
+        count: the number of messages that the mean counts for.
+        variance: of the messages.
+        present: variance of the last messages.
+        lies: steps in which statements about the own strategy were far off, less the others, shape (R, D).
+    """
+
+    mean: FloatArray
+    smooth: FloatArray
+    quick: FloatArray
+    count: FloatArray
+    variance: FloatArray
+    present: FloatArray
+    lies: FloatArray
+
+
+def sampled(
+    messages: Messages, was: Samples, estimate: FloatArray, is_own: BoolArray, is_rounded: BoolArray
+) -> tuple[Samples, FloatArray]:
+    """Private means of messages that never come to rest, with those of this step, and the means to believe, (R, D, n).
+
+    Averages that are stated would be averaged again by their receivers, and arrive late and correlated. So the
+    estimates carry raw copies, every player averages in its own memory, and means are stated near the end alone.
+
+    The weight of the k-th sample is p/(p + k). Where a quick mean leaves the mean, the mean lags and becomes the quick
+    mean. Rounded messages of a dithered strategy are averaged twice, so that the weights vanish at both ends: the
+    dither is no noise, and its mean over a smooth window is closer to 0.
+
+    Args:
+        messages: of this step.
+        was: the samples so far.
+        estimate: own estimates, shape (R, n).
+        is_own: own components, shape (R, n).
+        is_rounded: whether messages are rounded, shape (R, 1).
+    """
+    live, lasted, content = messages.live[:, :, None], messages.was_live[:, :, None], messages.content
+    rounded = is_rounded[:, :, None]
+    old = np.where(lasted, was.count, np.minimum(was.count, C.reconnected))
+    forgetting = np.where(rounded, C.forgetting_rounded, C.forgetting_noisy)
+    mean = np.where(live, was.mean + forgetting / (forgetting + old) * (content - was.mean), was.mean)
+    count = np.where(live, old + 1, old)
+
+    change = messages.change**2 / 2
+    weight, heard = 1 / (1 + old), live & lasted
+    variance = was.variance + np.where(heard, np.maximum(C.recent, weight), 0.0) * (change - was.variance)
+    present = was.present + np.where(heard, np.maximum(C.present, weight), 0.0) * (change - was.present)
+    quick = was.quick + C.quick * (content - was.quick)
+    quick = np.where(live, np.where(old < 1 / C.quick, mean, quick), was.quick)
+    limit = C.lag**2 * C.quick / (2 - C.quick) * np.minimum(variance, C.present_limit * present)
+    lags = ((quick - mean) ** 2 > limit) & live & (count > 2 / C.quick) & ~rounded
+    mean, count = np.where(lags, quick, mean), np.where(lags, 1 / C.quick, count)
+    smooth = was.smooth + C.forgetting_smooth / (C.forgetting_smooth + old) * (mean - was.smooth)
+    smooth = np.where(live, np.where((old == 0) | lags, mean, smooth), was.smooth)
+    shown = np.where(rounded, smooth, mean)
+
+    gap = np.where(is_own[:, None] & (count > C.lying_samples), np.abs(shown - estimate[:, None]), 0.0)
+    is_off = (gap > C.lying_deviations * np.sqrt(variance + C.smallest_variance)).any(axis=2)
+    lies = np.where(is_off, np.minimum(was.lies + 1, C.lying_limit), np.maximum(was.lies - 1, 0.0))
+    return Samples(mean, smooth, quick, count, variance, present, lies), shown
+
+
+def belief(weights: FloatArray, samples: Samples, means: FloatArray, otherwise: FloatArray) -> FloatArray:
+    """Σ_j w_j m_j / Σ_j w_j with w_j = weights × count/variance, and ``otherwise`` (R, n) where that is 0/0.
+
+    Args:
+        weights: ≥ 0, shape (R, D, n).
+        samples: of the messages.
+        means: m_j, shape (R, D, n).
+        otherwise: values without a mean.
+    """
+    weights = weights * samples.count / np.maximum(samples.variance, C.smallest_variance)
+    total = fold(np.add, weights, axis=1)
+    mean = fold(np.add, weights * means, axis=1) / np.where(total > 0, total, 1.0)
+    return np.where(total > 0, mean, otherwise)
+
+
+def without_liars(sources: BoolArray, others: BoolArray, owners: BoolArray, lies: FloatArray) -> BoolArray:
+    """Sources of which none lies, as far as there are any; else live neighbours that do not lie; else all sources.
+
+    Args:
+        sources: live neighbours with fresher copies, shape (R, D, n).
+        others: live neighbours, without own components, shape (R, D, n).
+        owners: whether j owns c: owners do not lie about themselves, shape (R, D, n).
+        lies: of each neighbour, as in :class:`Samples`, shape (R, D).
+    """
+    suspect = (lies >= C.lying_steps)[:, :, None] & ~owners
+    if not suspect.any():
+        return sources
+    clean, other = sources & ~suspect, others & ~suspect
+    has_source, has_clean, has_other = (fold(np.logical_or, part, axis=1)[:, None] for part in (sources, clean, other))
+    return np.where(has_clean, clean, np.where(has_source & has_other, other, sources))
+
+
+def mature(count: FloatArray, sources: BoolArray, is_own: BoolArray, lies: FloatArray) -> BoolArray:
+    """Whether a mean of a neighbour that is no source counts: it is old, and so are all sources' means, (R, D, n).
+
+    Args:
+        count: the number of messages that each mean counts for, shape (R, D, n).
+        sources: live neighbours with fresher copies, shape (R, D, n).
+        is_own: own components, shape (R, n).
+        lies: of each neighbour, as in :class:`Samples`, shape (R, D): no neighbour counts that seems to lie.
+    """
+    is_old = count > C.old
+    has_young = fold(np.logical_or, sources & ~is_old, axis=1)[:, None]
+    return np.asarray(is_old & ~has_young & ~is_own[:, None] & (lies == 0)[:, :, None])
+
+
+def dither(step: FloatArray) -> FloatArray:
+    """Evenly spread numbers in [−½, ½), shape (R, 1): the fractional part of step × golden ratio, minus ½.
+
+    A strategy that moves by ``dither`` × the step of rounding is rounded up in the share of steps by which it lies
+    above the multiple below, so the mean of its rounded messages is the strategy.
+    """
+    return (step * _GOLDEN_RATIO) % 1.0 - 0.5
+
+
+class Damping(NamedTuple):
+    """What :func:`settled` remembers, shapes (R, 1).
+
+    Attributes:
+        factor: of the best response, in (0, 1].
+        before: the largest response of the window before.
+        now: the largest response of this window so far.
+    """
+
+    factor: FloatArray
+    before: FloatArray
+    now: FloatArray
+
+
+class Settling(NamedTuple):
+    """How R players respond in this step, where best responses of all at once need not settle.
+
+    Attributes:
+        factor: of the best response, in (0, 1], shape (R, 1).
+        expected: the expected change of the own gradient, shape (R, m).
+        is_loose: whether the own rows of dF are not diagonally dominant, shape (R, 1).
+    """
+
+    factor: FloatArray
+    expected: FloatArray
+    is_loose: BoolArray
+
+    def response(self, own: Own, drift: FloatArray) -> FloatArray:
+        """The damped best response to the own estimates after a displacement ``drift`` (R, n) of the others, (R, m)."""
+        return self.factor * own._replace(gradient=own.gradient + self.expected).response(drift)
+
+
+def settling(own: Own, was: Damping, last_gradient: FloatArray, steps: FloatArray, dimension: int) -> Settling:
+    """The damping of this step; see :func:`settled`.
+
+    Args:
+        own: the own side of R players.
+        was: the damping so far.
+        last_gradient: the own gradient of the step before, shape (R, m).
+        steps: number of steps so far, shape (R, 1).
+        dimension: n.
+    """
+    _, outputs, regressors = own.model.rows.shape
+    rest = np.zeros_like(own.gradient)
+    if regressors != dimension:  # own blocks alone are known
+        return Settling(np.ones_like(own.radius), rest, np.zeros_like(own.is_probe))
+    size = np.abs(own.model.rows)
+    is_padding = own.blocks == dimension
+    block = np.abs(own_block(own.model.rows, own_places(own.blocks, own.model, dimension)))
+    inside = np.where(is_padding[:, None, :], 0.0, block).sum(axis=2)
+    beside = np.where(is_padding, 0.0, size.sum(axis=2) - inside).max(axis=1, keepdims=True)
+    curvature = np.where(is_padding, np.inf, block.diagonal(axis1=1, axis2=2)).min(axis=1, keepdims=True)
+    is_loose = (beside > curvature) & (steps > outputs + 1)
+    factor = np.where(is_loose, was.factor, 1.0)
+    is_optimistic = is_loose & (factor < C.optimistic)
+    return Settling(factor, np.where(is_optimistic, own.gradient - last_gradient, 0.0), is_loose)
+
+
+def settled(
+    was: Damping,
+    is_loose: BoolArray,
+    response: FloatArray,
+    steps: FloatArray,
+    noise: FloatArray,
+    scale: FloatArray,
+    doubt: FloatArray,
+) -> Damping:
+    """The damping after a step.
+
+    It falls by a fifth where own rows are loose and the largest response of ten steps is not smaller than 0.8 times
+    that of the ten steps before, unless noise or a gradient that changes by itself explains it. It rises again where
+    that response is smaller than half of the one before.
+
+    Args:
+        was: the damping so far.
+        is_loose: of this step, shape (R, 1).
+        response: the own displacement, shape (R, n).
+        steps: number of steps so far, shape (R, 1).
+        noise: σ_i, shape (R, 1).
+        scale: the largest own estimate, shape (R, 1).
+        doubt: the recent error of predictions of the own gradient, as a displacement, shape (R, 1).
+    """
+    size = np.maximum(was.now, largest(response))
+    ends = (steps % C.window == 0) & (steps > 0)
+    least = np.maximum(C.audible_noise * noise, C.audible * scale)
+    is_audible = size > np.maximum(least, C.audible_errors * doubt)
+    is_stuck = ends & is_loose & (steps > 2 * C.window) & is_audible & (size > C.shrinks * was.before)
+    recovers = ends & (size < C.recovered * was.before)
+    factor = np.where(is_stuck, C.damps, np.where(recovers, 1 / C.damps, 1.0)) * was.factor
+    factor = np.clip(factor, C.least_damping, 1.0)
+    return Damping(factor, np.where(ends, size, was.before), np.where(ends, 0.0, size))
+
+
+class Push(NamedTuple):
+    """What moves the own strategy beside the own inputs; all 0 at the start.
+
+    Attributes:
+        velocity: shape (R, n).
+        steps: since it last changed, shape (R, 1).
+    """
+
+    velocity: FloatArray
+    steps: FloatArray
+
+
+def observed_push(was: Push, residual: FloatArray, last_dt: FloatArray, scale: FloatArray) -> Push:
+    """The velocity of the push as the mean of ``residual``/Δt over the steps since it last changed.
+
+    Args:
+        was: the push so far.
+        residual: the last displacement of own components beside the displacement that was asked for, 0 for the others
+            and for components that a bound holds; natural units, shape (R, n).
+        last_dt: Δt of the last step, shape (R, 1).
+        scale: the largest own estimate, shape (R, 1).
+    """
+    resolution = C.push_seen * scale
+    velocity = residual / np.where(last_dt > 0, last_dt, np.inf)
+    changes = largest(velocity - was.velocity) * last_dt > 2 * resolution
+    steps = np.where(changes, 1.0, was.steps + 1)
+    is_pushed = (np.abs(residual) > resolution) | (was.velocity != 0)
+    mean = was.velocity + (velocity - was.velocity) / np.minimum(steps, C.push_steps)
+    return Push(np.where(is_pushed, mean, 0.0), steps)
