@@ -24,7 +24,7 @@ def chain(*stages: dict[str, FactorySpec]) -> dict[str, FactorySpec]:
 
 def push(bound: float) -> dict[str, FactorySpec]:
     """A random velocity that disturbs the strategies; a new draw every 25 steps."""
-    return {"disturbance": FactorySpec.of("ptne_env.world.disturbances:UniformDisturbance", bound=bound, dwell=25)}
+    return {"disturbance": FactorySpec.of("disturbance:uniform", bound=bound, dwell=25)}
 
 
 FAULTS: dict[str, dict[str, dict[str, Any]]] = {

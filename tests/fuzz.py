@@ -23,15 +23,6 @@ from ptne_env.shared.random_streams import RandomStreams
 from ptne_env.world import dynamics
 from ptne_env.world.world import World
 
-CHAINS = (
-    "AdditiveNoise",
-    "MultiplicativeNoise",
-    "Delay",
-    "Loss",
-    "BurstLoss",
-    "UniformQuantiser",
-    "LogarithmicQuantiser",
-)
 REFUSALS = (ValueError, RuntimeError)
 """The errors that the library raises at wrong input and wrong calls."""
 
@@ -75,30 +66,30 @@ def a_game(rng):
         return [rng.uniform(low, high) for _ in range(count)]
 
     def game(name, **arguments):
-        return FactorySpec.of(f"ptne_env.games:{name}", **arguments)
+        return FactorySpec.of(f"game:{name}", **arguments)
 
     players = rng.randint(2, 6)
     kind = rng.choice(("energy", "energy", "random energy", "random affine", "box", "shipped"))
     if kind == "energy":
         curvature, target = numbers(0.3, 3, players), numbers(-40, 40, players)
-        return game("EnergyGame", curvature=curvature, target=target, coupling=rng.uniform(0, 0.5)), players
+        return game("energy", curvature=curvature, target=target, coupling=rng.uniform(0, 0.5)), players
     if kind == "random energy":
-        return game("RandomEnergy", players=players), players
+        return game("random-energy", players=players), players
     if kind in ("random affine", "box"):
         bounds = {"low": -rng.uniform(1, 20), "high": rng.uniform(1, 20)} if kind == "box" else {}
         shape = {"players": players, "action_dim": rng.randint(1, 3), "asymmetry": rng.uniform(0, 3)}
-        return game("RandomAffine", **shape, **bounds), players
+        return game("random-affine", **shape, **bounds), players
     shipped = {
-        "NonQuadraticGame": {"variant": rng.choice(("printed", "corrected"))},
-        "NetworkedCournot": {},
-        "Oligopoly": {},
-        "ConnectivityControl": {},
-        "ElectricVehicleCharging": {"limit": rng.uniform(0.5, 3)},
-        "RateControl": {},
-        "WeaklyMonotoneGame": {"rotation": rng.uniform(0.1, 2)},
+        "non-quadratic": {"variant": rng.choice(("printed", "corrected"))},
+        "cournot": {},
+        "oligopoly": {},
+        "robots": {},
+        "ev-charging": {"limit": rng.uniform(0.5, 3)},
+        "rate-control": {},
+        "weakly-monotone": {"rotation": rng.uniform(0.1, 2)},
     }
     name = rng.choice(sorted(shipped))
-    return game(name, **shipped[name]), 4 if name == "Oligopoly" else 5
+    return game(name, **shipped[name]), 4 if name == "oligopoly" else 5
 
 
 def some_edges(rng, players):
@@ -150,22 +141,21 @@ def a_topology(rng, players):
 
 
 def a_channel(rng):
-    def stage(kind):
-        gap, target = rng.choice(("hold", "drop")), rng.choice(("message", "difference"))
+    def stage():
+        gap = rng.choice(("hold", "drop"))
         arguments = {
             "AdditiveNoise": {"std": log_uniform(rng, 1e-6, 10)},
-            "MultiplicativeNoise": {"std": rng.uniform(0, 0.5)},
             "Delay": {"steps": rng.randint(0, 3), "longest": rng.randint(3, 5)},
             "Loss": {"probability": rng.choice((0.0, rng.random(), 1.0)), "gap": gap},
             "BurstLoss": {"to_bad": 0.2, "to_good": rng.uniform(0.1, 1), "loss_bad": 1.0, "loss_good": 0.1, "gap": gap},
-            "UniformQuantiser": {"width": log_uniform(rng, 1e-6, 10), "target": target},
-            "LogarithmicQuantiser": {"ratio": rng.uniform(0.3, 0.99), "target": target},
-            "AsymmetricLinks": {"low": rng.uniform(0, 1), "high": rng.uniform(1, 2)},
+            "UniformQuantiser": {"width": log_uniform(rng, 1e-6, 10)},
+            "OneWayLinks": {"share": rng.random()},
+            "Lying": {"size": log_uniform(rng, 1e-3, 10)},
         }
+        kind = rng.choice(sorted(arguments))
         return FactorySpec.of(f"ptne_env.world.channel:{kind}", **arguments[kind])
 
-    kinds = [rng.choice((*CHAINS, "AsymmetricLinks")) for _ in range(rng.randint(1, 3))]
-    return FactorySpec.of("ptne_env.world.channel:Chain", stages=[stage(kind) for kind in kinds])
+    return FactorySpec.of("channel:chain", stages=[stage() for _ in range(rng.randint(1, 3))])
 
 
 def a_scenario(rng):
@@ -192,9 +182,7 @@ def a_scenario(rng):
         hold_steps=rng.choice((0, 0, rng.randint(1, 6))),
         input_limit=log_uniform(rng, 0.1, 1e6),
         channel=a_channel(rng) if rng.random() < 0.4 else "perfect",
-        disturbance=FactorySpec.of("ptne_env.world.disturbances:UniformDisturbance", **disturbance)
-        if rng.random() < 0.3
-        else "none",
+        disturbance=FactorySpec.of("disturbance:uniform", **disturbance) if rng.random() < 0.3 else None,
         clock_shifts=tuple(rng.uniform(-0.02, 0.02) for _ in range(players)) if wrong_clocks else (),
         slots=rng.choice((None, None, players)),
     )
@@ -501,7 +489,7 @@ def check_step(env, outcome):
 
 def exact_step(rng, scenario, tally):
     """x_{k+1} = x_k + (Δs_k + c Δt_k) u_k and u = −κ L x − ∇J, to rounding, with κ = 2."""
-    plain = scenario.replace(channel="perfect", disturbance="none", clock_shifts=())
+    plain = scenario.replace(channel="perfect", disturbance=None, clock_shifts=())
     world = World(plain)
     if world.has_random_game or world.game.has_bounds:
         return
@@ -558,9 +546,7 @@ def relabelled(rng, tally):
     def run(order):
         scenario = Scenario(
             name="relabelled",
-            game=FactorySpec.of(
-                "ptne_env.games:EnergyGame", curvature=curvature[order], target=target[order], coupling=coupling
-            ),
+            game=FactorySpec.of("game:energy", curvature=curvature[order], target=target[order], coupling=coupling),
             topology=FactorySpec.of(
                 "ptne_env.world.switching:fixed",
                 graph=FactorySpec.of("ptne_env.world.graphs:Graph", adjacency=matrix[np.ix_(order, order)]),

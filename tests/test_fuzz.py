@@ -4,10 +4,10 @@ import random
 
 import numpy as np
 import pytest
-from fuzz import Tally, a_world, play, session
+from fuzz import a_world, session
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from soak import attempt, main, soak
+from soak import attempt, main
 
 from ptne_env import VectorParallelEnv
 from ptne_env.perception.encoder import Clipped, Encoder
@@ -32,7 +32,7 @@ def test_random_worlds_cover_every_kind_of_part():
     for field in ("game", "topology"):
         assert len({getattr(scenario, field).target for scenario in scenarios}) >= 4
     stages = {stage.target for scenario in scenarios for _, stages in scenario.channel.arguments for stage in stages}
-    assert len(stages) == 8
+    assert len(stages) == 7
     for field in ("disturbance", "transformation", "spacing", "slots"):
         assert len({getattr(scenario, field) for scenario in scenarios}) >= 2
     assert any(scenario.clock_shifts for scenario in scenarios)
@@ -54,7 +54,7 @@ FAULTS = {
     "NaN is accepted": (Encoder, "clip", clip_nan),
     "a step is too long": (dynamics, "step", lambda world, state, inputs: STEP(world, state, inputs * (1 + 1e-7))),
     "observations are overwritten": (VectorParallelEnv, "_new_observations", share_observations),
-    "episodes end late": (dynamics, "is_over", lambda world, state: IS_OVER(world, state) & (state.step > 1)),
+    "episodes end late": (dynamics, "is_over", lambda world, state: IS_OVER(world, state) & (state.step % 2 == 0)),
     "player 0 is special": (Encoder, "observe", lambda encoder, state, out=None: special(OBSERVE(encoder, state, out))),
 }
 
@@ -71,33 +71,9 @@ def test_random_sessions_find_the_fault(fault, monkeypatch):
     assert any(attempt(seed, 10)[1] for seed in range(40))
 
 
-def test_the_tally_of_a_soak_is_the_sum_over_its_worlds():
-    total, violations = soak(300, 5, 20, 1)
-    assert not violations
-    again = Tally()
-    for seed in range(5, 5 + total.worlds):
-        again.add(play(seed, 20))
-    assert again == total
-    assert total.episodes >= 300
-    assert min(total.parallel_episodes, total.errors, total.diverged, total.clipped, total.comparisons) > 0
-
-
-def test_a_soak_prints_violations_with_their_world(monkeypatch, capsys):
+def test_a_soak_prints_violations_with_their_world_and_fails(monkeypatch, capsys):
     monkeypatch.setattr(Encoder, "clip", clip_nan)
-    arguments = ["--episodes", "1000", "--each", "5", "--jobs", "1"]
     monkeypatch.setattr("soak.CHUNK", 8)
     monkeypatch.setattr("soak.ENOUGH", 1)
-    assert main(arguments) == 1
-    printed = capsys.readouterr().out
-    assert "AssertionError: a wrong call was accepted (--world 0)" in printed
-    with pytest.raises(AssertionError, match="a wrong call was accepted"):
-        main(["--world", "0", "--each", "5"])
-
-
-def test_a_soak_in_which_most_worlds_are_refused_fails(monkeypatch, capsys):
-    def refuse(rng):
-        raise ValueError("no such part")
-
-    monkeypatch.setattr("fuzz.a_world", refuse)
-    assert main(["--episodes", "1000", "--jobs", "1"]) == 1
-    assert "128 of 128 worlds were refused" in capsys.readouterr().out
+    assert main(["--episodes", "1000", "--each", "5", "--jobs", "1"]) == 1
+    assert "AssertionError: a wrong call was accepted (--world 0)" in capsys.readouterr().out

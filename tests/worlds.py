@@ -74,11 +74,9 @@ EVERY_FAULT = channel_part(
             "Chain",
             stages=(
                 channel_part("BurstLoss", to_bad=0.1, to_good=0.4, loss_good=0.05, gap="drop"),
-                channel_part("LogarithmicQuantiser", ratio=0.8, target="difference"),
+                channel_part("UniformQuantiser", width=0.03),
             ),
         ),
-        channel_part("MultiplicativeNoise", std=0.1),
-        channel_part("AsymmetricLinks", low=0.5, high=1.5),
     ),
 )
 """A channel of all stages."""
@@ -97,10 +95,10 @@ FAULTY = CATALOGUE["random-energy"].replace(
     steps=60,
     hold_steps=4,
     channel=EVERY_FAULT,
-    disturbance=FactorySpec.of("ptne_env.world.disturbances:UniformDisturbance", bound=3.0, dwell=2),
+    disturbance=FactorySpec.of("disturbance:uniform", bound=3.0, dwell=2),
     clock_shifts=(0.0, 0.01, -0.01, 0.0, 0.02),
     slots=4,
-    sensor=FactorySpec.of("ptne_env.world.sensor:GradientNoise", std=0.1, relative=0.05, width=0.001),
+    sensor=FactorySpec.of("sensor:noise", std=0.1, width=0.001),
 )
 """Everything that can go wrong."""
 

@@ -32,7 +32,7 @@ def ptne_v1() -> Suite:
     modes = [FactorySpec.of("ptne_env.world.graphs:from_edges", players=5, edges=pair) for pair in pairs]
     uniformly = [[0.25] * 4] * 4
     pushes = FactorySpec.of(
-        "ptne_env.world.disturbances:UniformDisturbance", bound=1.0, dwell=25, after_deadline_only=True
+        "ptne_env.world.faults:UniformDisturbance", bound=1.0, dwell=25, after_deadline_only=True
     )
 
     def channel(name: str, **arguments: Any) -> FactorySpec:

@@ -99,7 +99,7 @@ class Encoder(ABC):
             input_limit=world.input_limit,
             action_limit=world.scenario.action_limit,
             deadline=clock.deadline,
-            largest_weight=float(world.mode_weights.max() * world.channel.largest_weight_factor),
+            largest_weight=float(world.mode_weights.max()),
             largest_clock=(largest_t, largest_s, largest_theta, largest_dt),
         )
         self.clock_table[1] /= layout.units[1]

@@ -427,7 +427,7 @@ class _Prediction:
     def would_be_exact(self) -> bool:
         """Whether an episode has the digits of the path, if no message were late."""
         world, faults = self.world, _ChannelFaults.of(self.world.channel)
-        calm = world.disturbance.is_absent and world.sensor is None
+        calm = world.disturbance is None and world.sensor is None
         disturbed = not calm or any(world.scenario.clock_shifts)
         faulty = disturbed or faults.noise_std > 0 or bool(faults.others)
         return self.path is not None and not (self.amplifies or self.saturates or faulty)
@@ -624,7 +624,7 @@ def _scenario_notes(world: World, faults: _ChannelFaults) -> Iterator[str]:
         )
     if faults.others:
         yield f"no prediction includes the channel's {', '.join(faults.others)}"
-    disturbance = None if world.disturbance.is_absent else scenario.disturbance
+    disturbance = None if world.disturbance is None else scenario.disturbance
     parts = {"disturbance": disturbance, "sensor": scenario.sensor}
     for name, part in parts.items():
         if part is not None:

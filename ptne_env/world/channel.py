@@ -1,4 +1,4 @@
-"""Communication channels: noise, delay, loss, quantisation, asymmetry and falsehood of messages, link by link.
+"""Communication channels: noise, delay, loss, rounding and falsehood of messages, link by link.
 
 In every step sender j puts its estimate x^j on each of its live links. From the sequence of these messages a channel
 determines, for receiver i in every step, a received value per component, whether a message is present at all, and its
@@ -41,9 +41,6 @@ from ptne_env.shared.parts import Part
 
 Gap: TypeAlias = Literal["hold", "drop"]
 """Reaction of a receiver to a lost message: ``hold`` the last message received, or ``drop`` the link for the step."""
-
-Target: TypeAlias = Literal["message", "difference"]
-"""The quantised value: the ``message`` x^j, or the ``difference`` x^j − x^i that the receiver measures."""
 
 Memory: TypeAlias = tuple[Any, ...]
 """Memory of a channel: arrays with environments last, and tuples of them."""
@@ -120,12 +117,10 @@ class Channel(Part, ABC):
     Attributes:
         is_perfect: whether every message is received as it was sent.
         is_random: whether two episodes differ.
-        largest_weight_factor: the largest factor by which a weight is multiplied.
     """
 
     is_perfect: bool = False
     is_random: bool = True
-    largest_weight_factor: float = 1.0
 
     @abstractmethod
     def transmit(
@@ -158,7 +153,6 @@ class Chain(Channel):
             self.stages += stage.stages if isinstance(stage, Chain) else (stage,)
         self.is_perfect = all(stage.is_perfect for stage in self.stages)
         self.is_random = any(stage.is_random for stage in self.stages)
-        self.largest_weight_factor = float(np.prod([stage.largest_weight_factor for stage in self.stages]))
 
     def transmit(
         self, messages: Messages, memory: Memory | None, randomness: LinkRandomness
@@ -177,8 +171,15 @@ def perfect() -> Channel:
     return Chain()
 
 
-class _Noise(Channel):
-    """Normal noise on each message."""
+class AdditiveNoise(Channel):
+    """Noise on each message: y = v + σ ξ, ξ per component.
+
+    Args:
+        std: σ ≥ 0, in the units of the strategies.
+
+    Raises:
+        ValueError: when σ is negative or not finite.
+    """
 
     def __init__(self, std: float) -> None:
         self.std = require_non_negative("std", std)
@@ -189,41 +190,8 @@ class _Noise(Channel):
         """Messages plus noise."""
         noise = randomness.normals()
         noise *= self.std
-        self._scale(noise, messages)
         noise += messages.values
         return replace(messages, values=noise), ()
-
-    @abstractmethod
-    def _scale(self, noise: FloatArray, messages: Messages) -> None:
-        """Scale the noise, in place."""
-
-
-class AdditiveNoise(_Noise):
-    """Noise on each message: y = v + σ ξ, ξ per component.
-
-    Args:
-        std: σ ≥ 0, in the units of the strategies.
-
-    Raises:
-        ValueError: when σ is negative or not finite.
-    """
-
-    def _scale(self, noise: FloatArray, messages: Messages) -> None:
-        """No scaling."""
-
-
-class MultiplicativeNoise(_Noise):
-    """Noise in proportion to the relative measurement: y − x^i = (v − x^i)(1 + σ ξ), ξ per component.
-
-    Args:
-        std: σ ≥ 0, without a unit.
-
-    Raises:
-        ValueError: when σ is negative or not finite.
-    """
-
-    def _scale(self, noise: FloatArray, messages: Messages) -> None:
-        noise *= messages.values - messages.own
 
 
 class Delay(Channel):
@@ -352,101 +320,26 @@ class BurstLoss(_Losing):
         return received, (bad, held)
 
 
-class _Quantiser(Channel):
-    """Quantisation of a message or of the difference to the receiver's own estimate."""
-
-    is_random = False
-
-    def __init__(self, target: Target) -> None:
-        if target not in get_args(Target):
-            raise ValueError(f"target is one of {', '.join(map(repr, get_args(Target)))}, got {target!r}")
-        self.target: Target = target
-
-    def transmit(
-        self, messages: Messages, memory: Memory | None, randomness: LinkRandomness
-    ) -> tuple[Messages, Memory]:
-        """Quantised messages."""
-        if self.target == "message":
-            return replace(messages, values=self._level(messages.values)), ()
-        return replace(messages, values=messages.own + self._level(messages.values - messages.own)), ()
-
-    @abstractmethod
-    def _level(self, values: FloatArray) -> FloatArray:
-        """The level of each value."""
-
-
-class UniformQuantiser(_Quantiser):
-    """Evenly spaced levels: q(z) = Δ round(z/Δ), so |q(z) − z| ≤ Δ/2; y = q(v), or y − x^i = q(v − x^i).
+class UniformQuantiser(Channel):
+    """Messages are rounded to evenly spaced levels: y = Δ round(v/Δ), so |y − v| ≤ Δ/2.
 
     Args:
         width: Δ > 0, in the units of the strategies.
-        target: z is the ``"message"`` v or the ``"difference"`` v − x^i.
 
     Raises:
-        ValueError: when the width is not positive, or the target is unknown.
+        ValueError: when the width is not positive.
     """
 
-    def __init__(self, width: float, target: Target = "message") -> None:
-        super().__init__(target)
+    is_random = False
+
+    def __init__(self, width: float) -> None:
         self.width = require_positive("width", width)
-
-    def _level(self, values: FloatArray) -> FloatArray:
-        return np.rint(values / self.width) * self.width
-
-
-class LogarithmicQuantiser(_Quantiser):
-    """Levels ±ρ^m, m whole, and 0: |q(z) − z| ≤ δ|z| with δ = (1 − ρ)/(1 + ρ) (Elia & Mitter 2001, Fu & Xie 2005).
-
-    For z > 0, q(z) = ρ^m with m = ⌊ln(z (1 − δ))/ln ρ⌋, that is ρ^m/(1 + δ) < z ≤ ρ^m/(1 − δ); q(−z) = −q(z) and
-    q(0) = 0. y = q(v), or y − x^i = q(v − x^i).
-
-    Args:
-        ratio: ρ in (0, 1); close to 1 is fine.
-        target: z is the ``"message"`` v or the ``"difference"`` v − x^i.
-
-    Raises:
-        ValueError: when the ratio is not in (0, 1), or the target is unknown.
-    """
-
-    def __init__(self, ratio: float, target: Target = "message") -> None:
-        super().__init__(target)
-        self.ratio = require_positive("ratio", ratio)
-        if self.ratio >= 1:
-            raise ValueError(f"ratio must be a number between 0 and 1, got {ratio!r}")
-
-    def _level(self, values: FloatArray) -> FloatArray:
-        sizes = np.abs(values)
-        normal = sizes >= np.finfo(np.float64).tiny  # the level of smaller numbers is 0
-        logarithm = np.log(np.where(normal, sizes, 1.0) * (2 * self.ratio / (1 + self.ratio)))
-        levels = np.exp(np.floor(logarithm / np.log(self.ratio)) * np.log(self.ratio))
-        return np.copysign(levels * normal, values)
-
-
-class AsymmetricLinks(Channel):
-    """Links with different weights in their two directions: a_ij becomes w_ij a_ij, w_ij ~ U(low, high).
-
-    The factor is drawn per episode and direction and is constant over the episode.
-
-    Args:
-        low: ≥ 0.
-        high: > low.
-
-    Raises:
-        ValueError: when the range is empty or negative.
-    """
-
-    def __init__(self, low: float, high: float) -> None:
-        self.low, self.high = require_non_negative("low", low), require_positive("high", high)
-        if self.low >= self.high:
-            raise ValueError(f"AsymmetricLinks needs low < high, got {low!r} and {high!r}")
-        self.largest_weight_factor = self.high
 
     def transmit(
         self, messages: Messages, memory: Memory | None, randomness: LinkRandomness
     ) -> tuple[Messages, Memory]:
-        """Messages with weights multiplied by w_ij."""
-        factors = self.low + (self.high - self.low) * randomness.uniforms() if memory is None else memory[0]
-        return replace(messages, weights=messages.weights * factors), (factors,)
+        """Rounded messages."""
+        return replace(messages, values=np.rint(messages.values / self.width) * self.width), ()
 
 
 class OneWayLinks(Channel):

@@ -18,7 +18,7 @@ from ptne_env.shared.arrays import Array, BoolArray, FloatArray, IntArray, repla
 from ptne_env.shared.random_streams import RandomStreams
 from ptne_env.world import channel as channels
 from ptne_env.world.channel import LinkRandomness, Memory, Messages
-from ptne_env.world.sensor import Sensor
+from ptne_env.world.faults import Disturbance, Sensor
 from ptne_env.world.world import RANGE_LIMIT, ComponentOrder, EpisodeRandomness, World
 
 
@@ -166,8 +166,8 @@ def step(world: World, state: State, inputs: FloatArray) -> State:
         theta = np.where(state.diverged, 0.0, theta)
     estimates = theta * inputs
     estimates += state.estimates
-    if not world.disturbance.is_absent:
-        _disturb(world, estimates, state)
+    if world.disturbance is not None:
+        _disturb(world, world.disturbance, estimates, state)
     _project_strategies(estimates, state.game)
     memory = None if state.received is None else state.received.memory
     return _complete(
@@ -370,9 +370,9 @@ def _transmit(world: World, state: State, memory: Memory | None) -> Received:
     return Received(values, received.weights * (received.live & sent.live), memory)
 
 
-def _disturb(world: World, estimates: FloatArray, state: State) -> None:
+def _disturb(world: World, disturbance: Disturbance, estimates: FloatArray, state: State) -> None:
     """Add Δt w to the real strategies, in place."""
-    steps, disturbance = shared_step(state), world.disturbance
+    steps = shared_step(state)
     early = steps < world.clock.steps
     if disturbance.after_deadline_only and early.all():
         return

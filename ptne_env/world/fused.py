@@ -103,7 +103,7 @@ def qualifies(encoder: Encoder, num_envs: int) -> bool:
     return (
         type(encoder) is PhysicalEncoder
         and world.channel.is_perfect
-        and world.disturbance.is_absent
+        and world.disturbance is None
         and world.sensor is None
         and world.slots * encoder.layout.dimension * encoder.layout.num_players
         <= (LARGEST_ALONE if num_envs == 1 else LARGEST_TOGETHER)
@@ -114,10 +114,7 @@ def qualifies(encoder: Encoder, num_envs: int) -> bool:
 def _is_known(game: Game) -> bool:
     """Whether the kernels hold the formulas of a game, which a subclass may have changed."""
     kind = type(game)
-    return (
-        kind.own_gradients in (AffineGame.own_gradients, EnergyGame.own_gradients)
-        and kind.project is Game.project
-    )
+    return kind.own_gradients in (AffineGame.own_gradients, EnergyGame.own_gradients) and kind.project is Game.project
 
 
 class FusedStep:

@@ -84,12 +84,12 @@ class Scenario:
         hold_steps: steps after the deadline.
         input_limit: largest |u| of every component, the same for every policy.
         channel: builds a :class:`~ptne_env.world.channel.Channel`, the path of messages; ``"perfect"``.
-        disturbance: builds a :class:`~ptne_env.world.disturbances.Disturbance` of the strategies' velocities; ``"none"``.
+        disturbance: builds a :class:`~ptne_env.world.faults.Disturbance` of the strategies' velocities; none if ``None``.
         clock_shifts: seconds by which each player's clock is fast (see :meth:`~ptne_env.world.clock.StepClock.read`); empty
             where all clocks are right.
         slots: neighbour slots per player, unused ones being padded, so that graphs of different degrees have one
             layout; the largest degree in the union graph if ``None``.
-        sensor: builds a :class:`~ptne_env.world.sensor.Sensor` of the own gradients; exact if ``None``.
+        sensor: builds a :class:`~ptne_env.world.faults.Sensor` of the own gradients; exact if ``None``.
         action_limit: largest |action| of the action spaces under ``physical``, for games that random inputs up to the
             input limit drive out of range; inputs beyond it are allowed. The input limit if ``None``.
 
@@ -110,7 +110,7 @@ class Scenario:
     hold_steps: int = 0
     input_limit: float = 1000.0
     channel: FactorySpec = FactorySpec("channel:perfect")
-    disturbance: FactorySpec = FactorySpec("disturbance:none")
+    disturbance: FactorySpec | None = None
     clock_shifts: tuple[float, ...] = ()
     slots: int | None = None
     sensor: FactorySpec | None = None
@@ -120,7 +120,7 @@ class Scenario:
         require_printable("the name of a scenario", self.name)
         for field in PART_FIELDS:
             value = getattr(self, field)
-            if value is not None or field != "sensor":
+            if value is not None or field not in ("disturbance", "sensor"):
                 object.__setattr__(self, field, _as_factory(field, value))
         if not isinstance(self.clock_shifts, (tuple, list)):
             raise ValueError(f"clock_shifts is one number of seconds per player, or empty, got {self.clock_shifts!r}")

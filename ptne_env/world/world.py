@@ -18,10 +18,9 @@ from ptne_env.shared.parts import FactorySpec
 from ptne_env.shared.random_streams import RandomStreams
 from ptne_env.world.channel import Channel
 from ptne_env.world.clock import StepClock, TimeTransformation
-from ptne_env.world.disturbances import Disturbance
+from ptne_env.world.faults import Disturbance, Sensor
 from ptne_env.world.graphs import Graph
 from ptne_env.world.scenario import Scenario
-from ptne_env.world.sensor import Sensor
 from ptne_env.world.starts import Start
 from ptne_env.world.switching import Schedule, SwitchingTopology, fixed
 
@@ -79,7 +78,8 @@ class World:
         scenario: as given.
         game_family: draws the game of an episode; a :class:`~ptne_env.games.SingleGame` where all episodes play one.
         game: the game, or a typical member of the family; states hold the games that are played.
-        topology, start, clock, channel, disturbance: the other parts.
+        topology, start, clock, channel: the other parts.
+        disturbance: of the velocities; ``None`` where there is none.
         sensor: of the own gradients; ``None`` where they are exact.
         neighbours: player in each slot, shape (D, N); D is the largest degree in the union graph unless the scenario
             gives it, and a padded slot holds the player itself with weight 0.
@@ -125,8 +125,9 @@ class World:
         )
         self.start: Start = self._build(scenario.start, Start)
         self.channel: Channel = self._build(scenario.channel, Channel)
-        self.disturbance: Disturbance = self._build(scenario.disturbance, Disturbance)
-        self.sensor: Sensor | None = None if scenario.sensor is None else self._build(scenario.sensor, Sensor)
+        disturbance, sensor = scenario.disturbance, scenario.sensor
+        self.disturbance: Disturbance | None = None if disturbance is None else self._build(disturbance, Disturbance)
+        self.sensor: Sensor | None = None if sensor is None else self._build(sensor, Sensor)
         self._check_topology()
         # A fixed start whose table has the wrong shape fails here and not at the first reset.
         self.start.draw(self.game.num_players, self.game.dimension, np.random.default_rng(0))

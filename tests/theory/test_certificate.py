@@ -83,7 +83,7 @@ def test_noise_and_delay_of_a_channel_are_those_that_are_predicted():
         ({"channel": channel("Delay", steps=1, longest=3)}, "no prediction includes the channel's Delay"),
         ({"channel": channel("AdditiveNoise", std=0.1)}, "each on its own"),
         (
-            {"disturbance": FactorySpec.of("ptne_env.world.disturbances:UniformDisturbance", bound=1.0)},
+            {"disturbance": FactorySpec.of("disturbance:uniform", bound=1.0)},
             "no prediction includes the disturbance uniform",
         ),
         ({"clock_shifts": (0.0, 0.01, 0.0, 0.0, 0.0)}, "clocks disagree"),

@@ -4,7 +4,7 @@ Statistical tests have a false-alarm probability of at most ``FALSE_ALARM`` per 
 """
 
 import math
-import re
+import os
 from dataclasses import replace
 from statistics import NormalDist
 
@@ -25,13 +25,13 @@ from ptne_env.world.channel import Chain, Channel, LinkRandomness, Messages
 from ptne_env.world.world import RANGE_LIMIT, World
 
 FALSE_ALARM = 1e-6
+SOAK = "PTNE_SOAK" in os.environ
 
 SWITCHING = get_scenario("random-energy-switching-transformed", spacing="transformed", gain=2.0, steps=60, hold_steps=3)
 FIXED = get_scenario("random-energy", steps=60, hold_steps=3)
 
 STAGES = {
     "additive noise": channel_part("AdditiveNoise", std=0.3),
-    "multiplicative noise": channel_part("MultiplicativeNoise", std=0.3),
     "constant delay": channel_part("Delay", steps=2),
     "zero delay": channel_part("Delay", steps=0),
     "random delay": channel_part("Delay", steps=1, longest=5),
@@ -40,14 +40,9 @@ STAGES = {
     "bursts, hold": channel_part("BurstLoss", to_bad=0.2, to_good=0.3, loss_good=0.1),
     "bursts, drop": channel_part("BurstLoss", to_bad=0.2, to_good=0.3, loss_bad=0.8, gap="drop"),
     "uniform levels": channel_part("UniformQuantiser", width=0.25),
-    "uniform levels of differences": channel_part("UniformQuantiser", width=0.25, target="difference"),
-    "logarithmic levels": channel_part("LogarithmicQuantiser", ratio=0.7),
-    "logarithmic levels of differences": channel_part("LogarithmicQuantiser", ratio=0.7, target="difference"),
-    "asymmetry": channel_part("AsymmetricLinks", low=0.2, high=1.7),
 }
 CHANNELS = STAGES | {
     "everything": EVERY_FAULT,
-    "everything reversed": channel_part("Chain", stages=tuple(reversed(STAGES.values()))),
     "nothing": channel_part("Chain", stages=()),
 }
 
@@ -78,7 +73,7 @@ def uniform(key, counter):
 def stages_of(part):
     """The stages of a chain and of the chains in it, in order: (kind, arguments)."""
     kind, arguments = part.target.split(":")[1], dict(part.arguments)
-    if kind == "Chain":
+    if kind == "chain":
         return [stage for inner in arguments["stages"] for stage in stages_of(inner)]
     return [(kind, arguments)]
 
@@ -104,20 +99,10 @@ class ReferenceStage:
     def feed(self, value, weight, own):
         self.step += 1
         first = self.step == 0
-        method = re.sub(r"(?<!^)(?=[A-Z])", "_", self.kind).lower()
-        return getattr(self, method)(value, weight, own, first=first, **self.arguments)
+        return getattr(self, self.kind)(value, weight, own, first=first, **self.arguments)
 
-    def additive_noise(self, value, weight, own, *, first, std):
+    def noise(self, value, weight, own, *, first, std):
         return value and [v + std * self.normal(c, len(value)) for c, v in enumerate(value)], weight
-
-    def multiplicative_noise(self, value, weight, own, *, first, std):
-        if value is None:
-            return None, weight
-        y = [
-            x + (v - x) * (1 + std * self.normal(c, len(value)))
-            for c, (v, x) in enumerate(zip(value, own, strict=True))
-        ]
-        return y, weight
 
     def delay(self, value, weight, own, *, first, steps, longest=None):
         longest = steps if longest is None else longest
@@ -133,7 +118,7 @@ class ReferenceStage:
     def loss(self, value, weight, own, *, first, probability, gap="hold"):
         return self.lose(value, weight, first, self.uniform() < probability, gap)
 
-    def burst_loss(self, value, weight, own, *, first, to_bad, to_good, loss_bad=1.0, loss_good=0.0, gap="hold"):
+    def bursts(self, value, weight, own, *, first, to_bad, to_good, loss_bad=1.0, loss_good=0.0, gap="hold"):
         turn = self.uniform()
         if first:
             self.bad = turn < to_bad / (to_bad + to_good)
@@ -154,31 +139,8 @@ class ReferenceStage:
             self.held = value
         return value, weight
 
-    def uniform_quantiser(self, value, weight, own, *, first, width, target="message"):
-        return self.quantised(value, own, target, lambda z: round(z / width) * width), weight
-
-    def logarithmic_quantiser(self, value, weight, own, *, first, ratio, target="message"):
-        delta = (1 - ratio) / (1 + ratio)
-
-        def level(z):
-            if z == 0:
-                return 0.0
-            m = math.floor(math.log(abs(z) * (1 - delta)) / math.log(ratio))
-            return math.copysign(ratio**m, z)
-
-        return self.quantised(value, own, target, level), weight
-
-    def quantised(self, value, own, target, level):
-        if value is None:
-            return None
-        if target == "message":
-            return [level(v) for v in value]
-        return [x + level(v - x) for v, x in zip(value, own, strict=True)]
-
-    def asymmetric_links(self, value, weight, own, *, first, low, high):
-        if first:
-            self.factor = low + (high - low) * self.uniform()
-        return value, weight * self.factor
+    def rounding(self, value, weight, own, *, first, width):
+        return value and [round(v / width) * width for v in value], weight
 
 
 def reference_of(channel, key, i, j, players):
@@ -189,7 +151,7 @@ def reference_of(channel, key, i, j, players):
 
 
 def is_chain(channel):
-    return channel.target.endswith(":Chain")
+    return channel.target == "channel:chain"
 
 
 def wandering(scenario, batch, steps=None, seed=0):
@@ -209,7 +171,6 @@ def test_channel_agrees_with_its_reference_link_by_link(name, world):
     scenario = {"fixed": FIXED, "switching": SWITCHING, "blocks": BLOCKS_SWITCHING}[world]
     world, states = wandering(scenario.replace(channel=CHANNELS[name]), batch=2, steps=40)
     players, exact = world.game.num_players, "noise" not in name and "everything" not in name
-    exact = exact and "logarithmic" not in name
     received = gaps = 0
     for b in range(2):
         randomness = states[0].randomness
@@ -244,7 +205,7 @@ def test_channel_agrees_with_its_reference_link_by_link(name, world):
 
 # --- batches, seeds, policies -----------------------------------------------------------------------------------------
 
-FAULTS = {name: SWITCHING.replace(channel=part) for name, part in CHANNELS.items()} | {"all at once": FAULTY}
+FAULTS = {"bursts": SWITCHING.replace(channel=STAGES["bursts, hold"]), "all at once": FAULTY}
 RECEIVED = ("weights", "relative_estimates", "messages", "active_mode", "time_since_switch", "estimates")
 
 
@@ -327,7 +288,6 @@ def test_zero_faults_are_the_perfect_channel():
         "Chain",
         stages=(
             channel_part("AdditiveNoise", std=0.0),
-            channel_part("MultiplicativeNoise", std=0.0),
             channel_part("Delay", steps=0),
             channel_part("Loss", probability=0.0, gap="drop"),
             channel_part("Loss", probability=0.0),
@@ -357,7 +317,7 @@ def open_arcs(world, state, b):
     return arcs
 
 
-POOL = FactorySpec.of("ptne_env.world.switching:random_graphs", players=5, probability=0.5)
+POOL = FactorySpec.of("topology:random-graphs", players=5, probability=0.5)
 
 
 @pytest.mark.parametrize("share", [0.0, 0.5, 1.0])
@@ -448,15 +408,6 @@ def test_the_lying_player_can_be_given():
         begin(World(FIXED.replace(channel=channel_part("Lying", size=3.0, player=5))), [0])
 
 
-@pytest.mark.parametrize(
-    ("kind", "arguments"),
-    [("OneWayLinks", {"share": 1.1}), ("Lying", {"size": 0.0}), ("Lying", {"size": 1, "player": -1})],
-)
-def test_invalid_shares_and_lies_are_refused(kind, arguments):
-    with pytest.raises(ValueError, match=list(arguments)[-1]):
-        channel_part(kind, **arguments).build()
-
-
 def test_new_stages_combine_with_others_through_json_and_merge():
     stages = [channel_part("Lying", size=3.0), EVERY_FAULT, channel_part("OneWayLinks", share=0.7)]
     scenario = FAULTY.replace(channel=channel_part("Chain", stages=stages))
@@ -500,20 +451,13 @@ def build(name):
     return CHANNELS[name].build()
 
 
-def test_noises_are_normal_with_their_standard_deviation():
-    additive = np.array([out.values - 3.0 for out in transmit(build("additive noise"), 10)])
-    relative = np.array([out.values / 3.0 - 1 for out in transmit(build("multiplicative noise"), 10)])
-    for noise in (additive, relative):
-        assert stats.kstest(noise.ravel() / 0.3, "norm").pvalue > FALSE_ALARM
-        for axis in range(5):  # neighbours along steps, slots, components, players and episodes are uncorrelated
-            first, second = np.delete(noise, 0, axis), np.delete(noise, -1, axis)
-            limit = stats.norm.isf(FALSE_ALARM / 2) / math.sqrt(first.size)
-            assert abs(np.corrcoef(first.ravel(), second.ravel())[0, 1]) < limit
-
-
-def test_losses_have_the_given_probability():
-    live = np.array([out.live for out in transmit(build("loss, drop"), 30)])
-    assert stats.binomtest(int((~live).sum()), live.size, 0.4).pvalue > FALSE_ALARM
+def test_noise_is_normal_with_its_standard_deviation():
+    noise = np.array([out.values - 3.0 for out in transmit(build("additive noise"), 10)])
+    assert stats.kstest(noise.ravel() / 0.3, "norm").pvalue > FALSE_ALARM
+    for axis in range(5):  # neighbours along steps, slots, components, players and episodes are uncorrelated
+        first, second = np.delete(noise, 0, axis), np.delete(noise, -1, axis)
+        limit = stats.norm.isf(FALSE_ALARM / 2) / math.sqrt(first.size)
+        assert abs(np.corrcoef(first.ravel(), second.ravel())[0, 1]) < limit
 
 
 def test_bursts_are_the_chain_of_gilbert_and_elliott():
@@ -545,30 +489,7 @@ def test_delays_are_uniform_and_messages_overtake_each_other():
     assert constant[:, 0, 0, 0].tolist() == [0, 0, 0, 1, 2, 3, 4, 5, 6, 7]
 
 
-def test_asymmetric_weights_are_uniform_constant_and_directed():
-    out = transmit(build("asymmetry"), 5)
-    weights = out[0].weights
-    assert all(np.array_equal(each.weights, weights) for each in out)
-    assert stats.kstest((weights.ravel() - 0.2) / 1.5, "uniform").pvalue > FALSE_ALARM
-    forth, back = weights[0, 0], weights[1, 1]  # player 1 is in player 0's first slot, player 0 in player 1's second
-    assert SENDERS[0, 0] == 1
-    assert SENDERS[1, 1] == 0
-    assert abs(np.corrcoef(forth, back)[0, 1]) < stats.norm.isf(FALSE_ALARM / 2) / math.sqrt(forth.size)
-
-
-@given(st.floats(0.05, 0.99), st.lists(st.floats(-1e6, 1e6), min_size=25, max_size=25))
-def test_logarithmic_levels_are_within_their_sector(ratio, numbers):
-    channel = channel_part("LogarithmicQuantiser", ratio=ratio).build()
-    values = np.array(numbers).reshape(1, 5, 5, 1)
-    live = np.ones((1, 5, 1), dtype=bool)
-    messages = Messages(values, live, live.astype(float), np.zeros((5, 5, 1)))
-    levels = channel.transmit(messages, None, None)[0].values
-    delta = (1 - ratio) / (1 + ratio)
-    assert np.all(np.abs(levels - values) <= delta * np.abs(values) * (1 + 1e-9) + 1e-300)
-    again = channel.transmit(Messages(levels * (1 + 1e-12), live, live.astype(float), messages.own), None, None)
-    assert again[0].values == pytest.approx(levels, rel=1e-9)  # quantisation is idempotent
-
-
+@settings(max_examples=20)
 @given(st.floats(0.001, 10), st.lists(st.floats(-1e6, 1e6), min_size=25, max_size=25))
 def test_uniform_levels_are_the_nearest_multiples_of_the_width(width, numbers):
     channel = channel_part("UniformQuantiser", width=width).build()
@@ -585,8 +506,6 @@ def test_uniform_levels_are_the_nearest_multiples_of_the_width(width, numbers):
 @pytest.mark.parametrize("name", CHANNELS)
 def test_values_on_a_down_link_have_no_effect(name):
     channel, generator = build(name), np.random.default_rng(1)
-    if not isinstance(channel, Channel):
-        raise AssertionError(name)
     shape = (2, 5, 5, 6)
     sequence, garbled = [], []
     for _ in range(25):
@@ -612,7 +531,7 @@ def test_values_on_a_down_link_have_no_effect(name):
 
 @pytest.mark.parametrize("kind", ["physical", "scaled"])
 def test_observation_does_not_depend_on_players_without_a_link(kind):
-    world = World(FAULTY.replace(disturbance="none"))
+    world = World(FAULTY.replace(disturbance=None))
     encoder = make_encoder(world, Interface(kind))
     generator = np.random.default_rng(0)
     states = [begin(world, [5])] * 2
@@ -634,7 +553,6 @@ def test_observation_does_not_depend_on_players_without_a_link(kind):
 probability = st.floats(0.0, 1.0)
 stage_parts = st.one_of(
     st.builds(lambda std: channel_part("AdditiveNoise", std=std), st.floats(0, 1e5)),
-    st.builds(lambda std: channel_part("MultiplicativeNoise", std=std), st.floats(0, 1e3)),
     st.builds(lambda a, b: channel_part("Delay", steps=a, longest=a + b), st.integers(0, 3), st.integers(0, 3)),
     st.builds(
         lambda p, gap: channel_part("Loss", probability=p, gap=gap), probability, st.sampled_from(["hold", "drop"])
@@ -645,23 +563,11 @@ stage_parts = st.one_of(
         st.floats(0.01, 1),
         st.sampled_from(["hold", "drop"]),
     ),
-    st.builds(
-        lambda width, target: channel_part("UniformQuantiser", width=width, target=target),
-        st.floats(1e-9, 1e6),
-        st.sampled_from(["message", "difference"]),
-    ),
-    st.builds(
-        lambda ratio, target: channel_part("LogarithmicQuantiser", ratio=ratio, target=target),
-        st.floats(1e-6, 1, exclude_max=True),
-        st.sampled_from(["message", "difference"]),
-    ),
-    st.builds(
-        lambda low, width: channel_part("AsymmetricLinks", low=low, high=low + width), probability, st.floats(0.1, 9)
-    ),
+    st.builds(lambda width: channel_part("UniformQuantiser", width=width), st.floats(1e-9, 1e6)),
 )
 
 
-@settings(max_examples=40)
+@settings(max_examples=300 if SOAK else 12)
 @given(
     st.lists(stage_parts, max_size=8), st.sampled_from(["physical", "scaled"]), st.integers(0, 2**32), st.floats(0, 1e5)
 )
@@ -680,35 +586,24 @@ def test_observations_under_any_chain_are_in_their_space(stages, kind, seed, siz
         state = dynamics.step(world, state, size * generator.normal(size=state.estimates.shape))
 
 
-@pytest.mark.parametrize("name", CHANNELS)
-def test_scenario_with_a_channel_survives_json(name):
-    scenario = FIXED.replace(channel=CHANNELS[name])
-    again = Scenario.from_json(scenario.to_json())
-    assert again == scenario
-    assert hash(again) == hash(scenario)
-    deterministic = {"constant delay", "zero delay", "nothing"} | {name for name in CHANNELS if "levels" in name}
-    assert World(again).channel.is_random == (name not in deterministic)
-
-
 def test_nested_chains_are_one_chain():
-    inner, outer = build("everything"), Chain([build("asymmetry"), Chain([build("loss, drop")])])
-    assert len(inner.stages) == 8
-    assert [type(stage).__name__ for stage in outer.stages] == ["AsymmetricLinks", "Loss"]
-    assert outer.largest_weight_factor == 1.7
+    outer = Chain([build("uniform levels"), Chain([build("loss, drop")])])
+    assert [type(stage).__name__ for stage in outer.stages] == ["UniformQuantiser", "Loss"]
+    assert outer.is_random
+    assert not Chain([build("constant delay"), build("uniform levels")]).is_random
 
 
 REFUSED = {
     "negative noise": ("AdditiveNoise", {"std": -1.0}, "std must be a finite number of at least 0"),
-    "infinite noise": ("MultiplicativeNoise", {"std": math.inf}, "std must be"),
     "half a step": ("Delay", {"steps": 1.5}, "steps must be a whole number of at least 0"),
     "delays in the wrong order": ("Delay", {"steps": 3, "longest": 2}, "longest must be a whole number of at least 3"),
     "more than certain": ("Loss", {"probability": 1.2}, "probability must be a probability"),
     "unknown gap": ("Loss", {"probability": 0.1, "gap": "zero"}, "gap is one of 'hold', 'drop', got 'zero'"),
     "no way out": ("BurstLoss", {"to_bad": 0.1, "to_good": 0.0}, "to_good must be a finite number above 0"),
     "no width": ("UniformQuantiser", {"width": 0.0}, "width must be a finite number above 0"),
-    "unknown target": ("UniformQuantiser", {"width": 1, "target": "x"}, "target is one of 'message', 'difference'"),
-    "ratio of one": ("LogarithmicQuantiser", {"ratio": 1.0}, "ratio must be a number between 0 and 1"),
-    "empty range": ("AsymmetricLinks", {"low": 1.0, "high": 1.0}, "needs low < high"),
+    "share above one": ("OneWayLinks", {"share": 1.1}, "share must be a probability"),
+    "no lie": ("Lying", {"size": 0.0}, "size must be"),
+    "no player": ("Lying", {"size": 1, "player": -1}, "player must be"),
     "no channel": ("Chain", {"stages": (3,)}, "the stages of a chain are channels, got a int"),
     "unknown argument": ("Loss", {"rate": 0.1}, "refuses its arguments"),
 }
@@ -731,24 +626,7 @@ def test_start_without_the_draws_is_refused():
 # --- noise near the deadline ------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("k", "amplification"), [(1.5, 1.5), (2.5, 3.1), (6.3, 37.0), (10.5, 600.0)])
-def test_explicit_euler_amplifies_noise_near_the_deadline(k, amplification):
-    """dx = −k/(T − t)(x + η), 400 uniform steps, the gain of a step taken at its start: k h/(T − t_m) = k/(400 − m).
-
-    With η of variance 1, drawn anew in every step, v ← (1 − a)² v + a² for the explicit and v ← (v + a²)/(1 + a)² for
-    the implicit form, a = k/(400 − m); the last step has a = k.
-    """
-    explicit = implicit = 0.0
-    for remaining in range(400, 0, -1):
-        a = k / remaining
-        explicit = (1 - a) ** 2 * explicit + a**2
-        implicit = (implicit + a**2) / (1 + a) ** 2
-    assert math.sqrt(explicit) == pytest.approx(amplification, rel=0.05)
-    assert math.sqrt(implicit) < 1
-
-
-@pytest.mark.parametrize("k", [0.7, 1.5])
-@pytest.mark.parametrize("spacing", ["effective", "transformed", "physical"])
+@pytest.mark.parametrize(("spacing", "k"), [("effective", 1.5), ("physical", 0.7)])
 def test_noise_in_the_sampled_environment_follows_its_recursion(spacing, k):
     """v ← (1 − k h)² v + (k h)² with h = Θ_k, for an estimate that follows a constant through the noise channel.
 
@@ -758,14 +636,12 @@ def test_noise_in_the_sampled_environment_follows_its_recursion(spacing, k):
     variance is v. The sample variance of B episodes times B/v is χ² with B degrees of freedom; one comparison is wrong
     by chance with probability FALSE_ALARM.
     """
-    episodes = 3000
+    episodes = 2000
     scenario = Scenario(
         name="follower",
-        game=FactorySpec.of("ptne_env.games:EnergyGame", curvature=(1.0, 1.0), target=(1.0, 2.0)),
-        topology=FactorySpec.of(
-            "ptne_env.world.switching:fixed", graph=FactorySpec.of("ptne_env.world.graphs:path", players=2)
-        ),
-        start=FactorySpec.of("ptne_env.world.starts:FixedStart", estimates=((0.0, 0.0), (0.0, 0.0))),
+        game=FactorySpec.of("game:energy", curvature=(1.0, 1.0), target=(1.0, 2.0)),
+        topology=FactorySpec.of("topology:path", players=2),
+        start=FactorySpec.of("start:fixed", estimates=((0.0, 0.0), (0.0, 0.0))),
         channel=channel_part("AdditiveNoise", std=1.0),
         spacing=spacing,
         steps=60,

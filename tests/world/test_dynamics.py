@@ -168,7 +168,7 @@ def test_neighbour_slots_are_padded_to_the_scenarios_number():
     assert not dynamics.relative_estimates(world, state)[2:].any()
 
 
-PUSH = "ptne_env.world.disturbances:UniformDisturbance"
+PUSH = "disturbance:uniform"
 
 
 def test_a_disturbance_is_bounded_and_pushes_only_the_strategies():

@@ -15,7 +15,7 @@ from ptne_env import CATALOGUE, VectorParallelEnv, parallel_env
 from ptne_env.evaluation.ptne_v1 import ptne_v1
 from ptne_env.world import fused
 
-WITHOUT_FAULTS = {"channel": "perfect", "disturbance": "none", "sensor": None}
+WITHOUT_FAULTS = {"channel": "perfect", "disturbance": None, "sensor": None}
 
 
 def _worlds():

@@ -42,9 +42,7 @@ def scenarios(draw):
         hold_steps=draw(st.integers(0, 5)),
         input_limit=draw(finite),
         channel=draw(st.sampled_from(["perfect", FactorySpec.of("ptne_env.world.channel:Loss", probability=0.5)])),
-        disturbance=draw(
-            st.sampled_from(["none", FactorySpec.of("ptne_env.world.disturbances:UniformDisturbance", bound=1.0)])
-        ),
+        disturbance=draw(st.sampled_from([None, FactorySpec.of("disturbance:uniform", bound=1.0)])),
         clock_shifts=draw(st.sampled_from([(), (0.1,) * players])),
         slots=draw(st.sampled_from([None, 4])),
     )
@@ -276,9 +274,7 @@ REFUSED = {
         "built a PaperStart where a Channel is needed",
     ),
     "disturbance without bound": (
-        lambda: get_scenario(
-            "energy", disturbance=FactorySpec.of("ptne_env.world.disturbances:UniformDisturbance", bound=float("inf"))
-        ),
+        lambda: get_scenario("energy", disturbance=FactorySpec.of("disturbance:uniform", bound=float("inf"))),
         "bound must be a finite number above 0",
     ),
     "part of another kind": (

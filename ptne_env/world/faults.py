@@ -1,4 +1,4 @@
-"""Disturbances of the players' velocities."""
+"""Faults of the players' own devices: pushes of their strategies, and errors of their measured gradients."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from abc import ABC, abstractmethod
 import numpy as np
 
 from ptne_env.shared import counter_random
-from ptne_env.shared.arrays import FloatArray, IntArray, require_count, require_positive
+from ptne_env.shared.arrays import FloatArray, IntArray, require_count, require_non_negative, require_positive
 from ptne_env.shared.counter_random import CounterArray
 from ptne_env.shared.parts import Part
 
@@ -18,12 +18,10 @@ class Disturbance(Part, ABC):
     Estimates of other players are memory and are not disturbed.
 
     Attributes:
-        is_absent: whether w = 0 always.
         is_random: whether two episodes differ.
         after_deadline_only: whether w = 0 before the deadline.
     """
 
-    is_absent: bool = False
     is_random: bool = True
     after_deadline_only: bool = False
 
@@ -36,17 +34,6 @@ class Disturbance(Part, ABC):
             step: index of the step, shape (B,).
             dimension: n.
         """
-
-
-class Undisturbed(Disturbance):
-    """The disturbance w = 0."""
-
-    is_absent = True
-    is_random = False
-
-    def velocity(self, keys: CounterArray, step: IntArray, dimension: int) -> FloatArray:  # noqa: ARG002 - the signature is the interface
-        """Zeros."""
-        return np.zeros((dimension, keys.size))
 
 
 class UniformDisturbance(Disturbance):
@@ -73,3 +60,53 @@ class UniformDisturbance(Disturbance):
         numbers -= 0.5
         numbers *= 2 * self.bound
         return numbers
+
+
+class Sensor(Part, ABC):
+    """A map from the own gradients ∂J_i/∂x_i(x^i) to the values that players observe and laws use.
+
+    Equilibrium, costs, regrets and distances, and what oracles observe beside the own gradient, are the true ones.
+
+    Attributes:
+        is_random: whether two episodes differ.
+    """
+
+    is_random: bool = True
+
+    @abstractmethod
+    def read(self, gradients: FloatArray, keys: CounterArray, step: IntArray) -> FloatArray:
+        """The measured own gradients, shape (n, B), float64.
+
+        Args:
+            gradients: the true own gradients, shape (n, B); never changed in place.
+            keys: keys of the random numbers, one per environment, shape (B,).
+            step: index of the step, shape (B,).
+        """
+
+
+class GradientNoise(Sensor):
+    """Normal noise and rounding of each component: y = q(g + σ ξ), ξ ~ N(0, 1), q(z) = Δ round(z/Δ).
+
+    ξ is independent over episodes, steps and components.
+
+    Args:
+        std: σ ≥ 0, in the units of the gradient.
+        width: Δ ≥ 0, in the units of the gradient; 0 rounds nothing.
+
+    Raises:
+        ValueError: when a number is negative or not finite.
+    """
+
+    def __init__(self, std: float = 0.0, width: float = 0.0) -> None:
+        self.std = require_non_negative("std", std)
+        self.width = require_non_negative("width", width)
+        self.is_random = self.std > 0
+
+    def read(self, gradients: FloatArray, keys: CounterArray, step: IntArray) -> FloatArray:
+        """Gradients plus noise, rounded, shape (n, B)."""
+        measured = gradients
+        if self.is_random:
+            components = np.arange(len(gradients), dtype=np.uint64)[:, None]
+            counters = step.astype(np.uint64) * np.uint64(len(gradients)) + components
+            measured = gradients + self.std * counter_random.normals(keys, counters)
+        return measured if self.width == 0 else np.rint(measured / self.width) * self.width
