@@ -1,310 +1,166 @@
-// The episode player: a card per policy with strategies, live links, inputs and gains at the instant of the slider.
+// The episode player: a card per policy with strategies, errors, inputs and live links at the instant of the slider.
 
 const WIDTH = 400, LEFT = 46, RIGHT = 8, TOP = 6, BOTTOM = 20;
+const colourOf = (player) => COLOURS[player % COLOURS.length];
 
-const decoded = new Map();  // rows of codes → their numbers
-function rows(coded) {
-  if (!decoded.has(coded)) decoded.set(coded, coded.map((row) => Float64Array.from(codesOf(row), valueOf)));
-  return decoded.get(coded);
-}
+const element = (name, properties = {}, ...children) => {
+  const made = Object.assign(document.createElement(name), properties);
+  made.append(...children);
+  return made;
+};
 
-const niceTicks = (low, high, count = 4) => {
-  const rough = (high - low) / count || 1, power = 10 ** Math.floor(Math.log10(rough));
+const drawn = (name, attributes = {}, ...children) => {
+  const made = document.createElementNS("http://www.w3.org/2000/svg", name);
+  for (const [key, value] of Object.entries(attributes)) made.setAttribute(key, value);
+  made.append(...children);
+  return made;
+};
+
+const number = (value, digits = 3) => {
+  if (value === null) return "–";
+  const size = Math.abs(value), plain = size === 0 || (size >= 1e-3 && size < 1e5);
+  return (plain ? String(Number(value.toPrecision(digits))) : value.toExponential(digits - 1)).replace(/^-/, "−");
+};
+
+/** About four round numbers between two. */
+function niceTicks(low, high) {
+  const rough = (high - low) / 4 || 1, power = 10 ** Math.floor(Math.log10(rough));
   const step = [1, 2, 5, 10].map((factor) => factor * power).find((each) => each >= rough);
   const ticks = [];
-  for (let tick = Math.ceil(low / step) * step; tick <= high + 1e-9 * step; tick += step) {
-    ticks.push(Number(tick.toPrecision(6)));
-  }
+  for (let tick = Math.ceil(low / step); tick <= high / step; tick += 1) ticks.push(Number((tick * step).toPrecision(6)));
   return ticks;
-};
-
-/** The smallest and the largest finite value of several series. */
-const extent = (series) => {
-  let [low, high] = [Infinity, -Infinity];
-  for (const values of series) {
-    for (const value of values) {
-      if (Number.isFinite(value)) [low, high] = [Math.min(low, value), Math.max(high, value)];
-    }
-  }
-  return [low, high];
-};
-
-/** An SVG path through points; values that are not finite interrupt it. */
-function pathOf(xs, ys) {
-  let path = "", pen = "M";
-  ys.forEach((y, index) => {
-    if (Number.isFinite(y)) path += `${pen}${xs[index].toFixed(1)} ${y.toFixed(1)}`;
-    pen = Number.isFinite(y) ? "L" : "M";
-  });
-  return path;
 }
 
-/**
- * A small chart of lines over time with a cursor.
- *
- * The deadline is the index of an instant; s ends there, and so do lines over s. y is drawn as scale(y); values beyond
- * low and high are cut. marks are horizontal lines: [value, colour].
- */
-function lineChart([axisName, x], deadline, series, options) {
-  const { height, low, high, ticks, label, marks = [], scale = (value) => value, written = number } = options;
-  const right = WIDTH - RIGHT, bottom = height - BOTTOM, from = x[0], to = x[x.length - 1];
-  const px = (value) => LEFT + (value - from) / (to - from || 1) * (right - LEFT);
+/** A small chart of lines over time with a cursor; y is drawn as scale(y), and values beyond low and high are cut. */
+function lineChart(scene, lines, { height, low, high, ticks, label, scale = (value) => value, written = number }) {
+  const right = WIDTH - RIGHT, bottom = height - BOTTOM, end = scene.t.at(-1), deadline = scene.t[scene.deadline];
+  const px = (time) => LEFT + time / end * (right - LEFT);
   const share = (value) => (scale(value) - scale(low)) / (scale(high) - scale(low) || 1);
   const py = (value) => bottom - share(Math.min(high, Math.max(low, value))) * (bottom - TOP);
   const svg = drawn("svg", { viewBox: `0 0 ${WIDTH} ${height}`, role: "img", "aria-label": label });
-  const write = (text, left, base, anchor) => {
-    svg.append(drawn("text", { x: left, y: base, "text-anchor": anchor }, text));
-  };
+  const write = (text, x, y, anchor) => svg.append(drawn("text", { x, y, "text-anchor": anchor }, text));
   for (const tick of ticks) {
     svg.append(drawn("line", { class: "grid", x1: LEFT, x2: right, y1: py(tick), y2: py(tick) }));
-    write(written(tick).replace("-", "−"), LEFT - 5, py(tick) + 4, "end");
+    write(written(tick), LEFT - 5, py(tick) + 4, "end");
   }
-  write(number(from), px(from), height - 5, "start");
-  write(number(to), px(to), height - 5, "end");
-  write(axisName === "t" ? "t [s]" : "s", (LEFT + right) / 2, height - 5, "middle");
-  for (const [value, stroke] of marks) {
-    svg.append(drawn("line", { x1: LEFT, x2: right, y1: py(value), y2: py(value), stroke, "stroke-dasharray": "1 3" }));
+  write("0", LEFT, height - 5, "start");
+  write(`t = ${number(end)} s`, right, height - 5, "end");
+  if (deadline < end) {
+    svg.append(drawn("line", { class: "deadline", x1: px(deadline), x2: px(deadline), y1: TOP, y2: bottom }));
+    write("T", px(deadline) - 3, TOP + 11, "end");
   }
-  if (x[deadline] < to) {
-    svg.append(drawn("line", { class: "deadline", x1: px(x[deadline]), x2: px(x[deadline]), y1: TOP, y2: bottom }));
-    write("T", px(x[deadline]) - 3, TOP + 11, "end");
-  }
-  const xs = x.map(px), end = axisName === "s" ? deadline + 1 : xs.length;
-  for (const { y, stroke, width = 1.8, opacity = 1 } of series) {
-    const d = pathOf(xs, Array.from(y.subarray(0, end), (value) => Number.isFinite(value) ? py(value) : NaN));
-    svg.append(drawn("path", { d, fill: "none", stroke, "stroke-width": width, opacity }));
+  for (const { y, ...style } of lines) {
+    let d = "";
+    y.forEach((value, frame) => {
+      if (value === null) return;
+      d += `${d && y[frame - 1] !== null ? "L" : "M"}${px(scene.t[frame]).toFixed(1)} ${py(value).toFixed(1)}`;
+    });
+    svg.append(drawn("path", { d, fill: "none", ...style }));
   }
   svg.append(drawn("rect", { class: "frame", x: LEFT, y: TOP, width: right - LEFT, height: bottom - TOP }));
-  const cursor = drawn("line", { class: "cursor", y1: TOP, y2: bottom });
-  const marked = series.filter((one) => one.dot);
-  const dots = marked.map((one) => ({ one, dot: drawn("circle", { r: 3.5, fill: one.stroke }) }));
-  svg.append(cursor, ...dots.map(({ dot }) => dot));
+  const cursor = svg.appendChild(drawn("line", { class: "cursor", y1: TOP, y2: bottom }));
   const move = (frame) => {
-    for (const end of ["x1", "x2"]) cursor.setAttribute(end, xs[frame]);
-    for (const { one, dot } of dots) {
-      const visible = Number.isFinite(one.y[frame]);
-      dot.setAttribute("visibility", visible ? "visible" : "hidden");
-      if (!visible) continue;
-      dot.setAttribute("cx", xs[frame]);
-      dot.setAttribute("cy", py(one.y[frame]));
-    }
+    for (const side of ["x1", "x2"]) cursor.setAttribute(side, px(scene.t[frame]));
   };
   return { svg, move };
 }
 
-const liveLinks = (scene, frame) => scene.live.filter(([start]) => start <= frame).at(-1)[1];
+/** Strategies as thick lines, estimates of other players as thin ones, the equilibrium dotted. */
+function strategyChart(scene, name) {
+  const { strategies, estimates } = scene.traces[name], { equilibrium, owners } = scene;
+  const shifted = (offsets, component) => offsets.map((offset) => offset === null ? null : equilibrium[component] + offset);
+  const stroke = (component) => colourOf(owners[component]);
+  const lines = [
+    ...estimates.flatMap((players, component) => players.map((offsets) => (
+      { y: shifted(offsets, component), stroke: stroke(component), "stroke-width": 0.8, opacity: 0.45 }
+    ))),
+    ...equilibrium.map((value, component) => (
+      { y: scene.t.map(() => value), stroke: stroke(component), "stroke-dasharray": "1 3" }
+    )),
+    ...strategies.map((offsets, component) => (
+      { y: shifted(offsets, component), stroke: stroke(component), "stroke-width": 1.8 }
+    )),
+  ];
+  const starts = [...equilibrium, ...lines.map(({ y }) => y[0])];  // lines that run far beyond these are cut
+  const room = (Math.max(...starts) - Math.min(...starts)) / 2 || 1;
+  const low = Math.min(...starts) - room, high = Math.max(...starts) + room;
+  const label = `Strategies and estimates of ${name}`;
+  return lineChart(scene, lines, { height: 220, low, high, ticks: niceTicks(low, high), label });
+}
 
-/** The places of the players on a circle, clockwise from the top. */
-function circle(scene) {
-  const height = 180, radius = 70;
-  const place = (player) => {
+const superscript = (power) => [...String(power)].map((sign) => sign === "-" ? "⁻" : "⁰¹²³⁴⁵⁶⁷⁸⁹"[sign]).join("");
+
+function errorChart(scene, name) {
+  const y = scene.traces[name].error.map((value) => Math.log10(Math.max(value, 1e-12)));
+  const low = Math.min(...y), high = Math.max(...y), ticks = niceTicks(low, high).filter(Number.isInteger);
+  const written = (power) => `10${superscript(power)}`;
+  const lines = [{ y, stroke: "var(--accent)", "stroke-width": 1.8 }];
+  return lineChart(scene, lines, { height: 120, low, high, ticks, written, label: `Error of the estimates of ${name}` });
+}
+
+function inputChart(scene, name) {
+  const { inputs } = scene.traces[name];
+  const largest = Math.max(1, ...inputs.flat().map(Math.abs)), ticks = [-1000, -100, -10, 0, 10, 100, 1000];
+  const lines = inputs.map((y, component) => ({ y, stroke: colourOf(scene.owners[component]), "stroke-width": 1.3 }));
+  const shown = ticks.filter((tick) => Math.abs(tick) <= largest);
+  const options = { height: 130, low: -largest, high: largest, ticks: shown, scale: Math.asinh, label: `Inputs of ${name}` };
+  return lineChart(scene, lines, options);
+}
+
+/** The players on a circle, clockwise from the top, and the links between them. */
+function network(scene) {
+  const isCrowded = scene.players > 20, radius = isCrowded ? 3 : 10;
+  const svg = drawn("svg", { viewBox: `0 0 ${WIDTH} 180`, role: "img", "aria-label": "Communication graph" });
+  const places = Array.from({ length: scene.players }, (_, player) => {
     const angle = 2 * Math.PI * player / scene.players;
-    return [WIDTH / 2 + radius * Math.sin(angle), height / 2 - radius * Math.cos(angle)];
-  };
-  return { height, place, marks: [], label: "Communication graph" };
-}
-
-/** The places of players whose strategies are positions in the plane, with their paths and the equilibrium. */
-function plane(scene, name) {
-  const height = 300, margin = 18, strategies = rows(scene.traces[name].strategies), nash = scene.equilibrium;
-  const at = (component, frame) => nash[component] + strategies[component][frame];
-  const players = Array.from({ length: scene.players }, (_, player) => scene.owners.indexOf(player));
-  const ranges = [0, 1].map((axis) => extent([players.flatMap((first) => [at(first + axis, 0), nash[first + axis]])]));
-  const scale = Math.min(...ranges.map(([low, high], axis) => ([WIDTH, height][axis] - 2 * margin) / (high - low || 1)));
-  const [[x, y]] = [ranges.map(([low, high]) => (low + high) / 2)];
-  const point = (left, up) => [WIDTH / 2 + scale * (left - x), height / 2 - scale * (up - y)];
-  const place = (player, frame) => point(at(players[player], frame), at(players[player] + 1, frame));
-  const marks = players.flatMap((first, player) => {
-    const track = scene.t.map((_, frame) => place(player, frame)), [cx, cy] = point(nash[first], nash[first + 1]);
-    const d = pathOf(track.map(([left]) => left), track.map(([, base]) => base));
-    const cross = `M${cx - 4} ${cy - 4}l8 8m0 -8l-8 8`, stroke = colourOf(player);
-    return [
-      drawn("path", { d, fill: "none", stroke, "stroke-width": 1.2, opacity: 0.6 }),
-      drawn("path", { d: cross, fill: "none", stroke, "stroke-width": 2 }),
-    ];
+    return [WIDTH / 2 + 70 * Math.sin(angle), 90 - 70 * Math.cos(angle)];
   });
-  return { height, place, marks, label: `Map of the players, ${name}` };
-}
-
-/** The players with the numbers of their agents, and the links between them. */
-function network(scene, { height, place, marks, label }) {
-  const crowded = scene.players > 20;
-  const svg = drawn("svg", { viewBox: `0 0 ${WIDTH} ${height}`, role: "img", "aria-label": label });
-  svg.classList.toggle("crowded", crowded);
-  const lines = scene.links.map(() => svg.appendChild(drawn("line")));
-  svg.append(...marks);
-  const r = crowded ? 3 : scene.players > 10 ? 8 : 10;
-  const nodes = Array.from({ length: scene.players }, (_, player) => {
-    const node = svg.appendChild(drawn("circle", { class: "node", r, stroke: colourOf(player) }));
-    if (crowded) return [node];
-    return [node, svg.appendChild(drawn("text", { class: "name", "text-anchor": "middle" }, String(player)))];
+  const lines = scene.links.map(([one, other]) => {
+    const [[x1, y1], [x2, y2]] = [places[one], places[other]];
+    return svg.appendChild(drawn("line", { x1, y1, x2, y2 }));
   });
-  const set = (part, attributes) => {
-    for (const [key, value] of Object.entries(attributes)) part.setAttribute(key, value);
-  };
+  places.forEach(([cx, cy], player) => {
+    svg.append(drawn("circle", { class: "node", cx, cy, r: radius, stroke: colourOf(player) }));
+    if (!isCrowded) svg.append(drawn("text", { x: cx, y: cy + 4, "text-anchor": "middle" }, String(player)));
+  });
   const move = (frame) => {
-    const up = new Set(liveLinks(scene, frame)), places = nodes.map((_, player) => place(player, frame));
-    lines.forEach((each, index) => {
-      const [[x1, y1], [x2, y2]] = scene.links[index].map((player) => places[player]);
-      set(each, { x1, y1, x2, y2, class: up.has(index) ? "up" : "down" });
-    });
-    nodes.forEach(([node, text], player) => {
-      const [cx, cy] = places[player];
-      set(node, { cx, cy });
-      if (text) set(text, { x: cx, y: cy + 4 });
-    });
+    const up = scene.live.findLast(([start]) => start <= frame)[1];
+    lines.forEach((line, index) => line.setAttribute("class", up.includes(index) ? "up" : "down"));
   };
   return { svg, move };
 }
 
-const powerOfTen = (power) => `10${[...String(power)].map((sign) => sign === "-" ? "⁻" : "⁰¹²³⁴⁵⁶⁷⁸⁹"[sign]).join("")}`;
-
-/** A chart of strategies and estimates, or of their distances from the equilibrium in powers of ten. */
-function positions(scene, name, x, view) {
-  const trace = scene.traces[name], nash = scene.equilibrium;
-  const isDistance = view === "distance";
-  const shown = (row, component) => row.map(
-    (offset) => isDistance ? Math.max(-12, Math.log10(Math.abs(offset))) : nash[component] + offset,
-  );
-  const stroke = (component) => colourOf(scene.owners[component]);
-  const own = rows(trace.strategies).map((row, component) => (
-    { y: shown(row, component), stroke: stroke(component), dot: true }
+function card(scene, name) {
+  const readout = element("output");
+  const parts = [
+    [strategyChart(scene, name), "Strategies (thick), estimates of others (thin), equilibrium (dotted)"],
+    [errorChart(scene, name), "Relative error of all estimates"],
+    [inputChart(scene, name), "Inputs of the strategies (asinh scale)"],
+    [network(scene), "Live links"],
+  ];
+  const move = (frame) => {
+    for (const [part] of parts) part.move(frame);
+    readout.textContent = `error ${number(scene.traces[name].error[frame], 2)}`;
+  };
+  const figures = parts.map(([{ svg }, textContent]) => (
+    element("figure", {}, svg, element("figcaption", { textContent }))
   ));
-  const others = trace.estimates === null ? [] : rows(trace.estimates).flatMap((row, index) => {
-    const component = Math.floor(index / scene.players);
-    const isOwn = index % scene.players === scene.owners[component];
-    return isOwn ? [] : [{ y: shown(row, component), stroke: stroke(component), width: 0.8, opacity: 0.45 }];
-  });
-  const series = [...others, ...own], [low, high] = extent(series.map(({ y }) => y));
-  if (isDistance) {
-    const label = `Distances from the Nash equilibrium of strategies and estimates, ${name}`;
-    const options = { height: 220, low, high, ticks: niceTicks(low, high), written: powerOfTen, label };
-    return lineChart(x, scene.deadline, series, options);
-  }
-  const [least, most] = extent([nash, ...series.map(({ y }) => [y[0]])]), room = 2 * (most - least) || 1;
-  const [bottom, top] = [Math.max(low, least - room), Math.min(high, most + room)];  // lines that run away are cut
-  const margin = 0.04 * (top - bottom || 1);
-  return lineChart(x, scene.deadline, series, {
-    height: 220,
-    low: bottom - margin,
-    high: top + margin,
-    ticks: niceTicks(bottom, top),
-    marks: nash.map((value, component) => [value, stroke(component)]),
-    label: `Strategies and estimates against the Nash equilibrium, ${name}`,
-  });
-}
-
-const thin = (y, stroke) => ({ y, stroke, width: 1.3, dot: true });
-
-function inputChart(scene, name, x) {
-  const inputs = rows(scene.traces[name].inputs);
-  const largest = Math.max(1, ...extent(inputs).map(Math.abs).filter(Number.isFinite));
-  const ticks = [-1000, -100, -10, -1, 0, 1, 10, 100, 1000].filter(
-    (tick) => Math.abs(tick) <= largest && (largest < 20 || tick === 0 || Math.abs(tick) >= 10),
-  );
-  return lineChart(x, scene.deadline, inputs.map((y, component) => thin(y, colourOf(scene.owners[component]))), {
-    height: 130, low: -largest, high: largest, scale: Math.asinh, ticks, label: `Inputs of ${name}`,
-  });
-}
-
-function gainChart(scene, name, x) {
-  const gains = rows(scene.traces[name].gains);
-  const sorted = gains.flatMap((row) => [...row]).filter(Number.isFinite).sort((a, b) => a - b);
-  const quantile = (share) => sorted.length ? sorted[Math.floor(share * (sorted.length - 1))] : 0;
-  const low = Math.min(0, quantile(0.03)), high = Math.max(1, 1.15 * quantile(0.97));
-  return lineChart(x, scene.deadline, gains.map((y, player) => thin(y, colourOf(player))), {
-    height: 110, low, high, ticks: niceTicks(low, high, 3), label: `Consensus gains of ${name}`,
-  });
-}
-
-/** The numbers of an instant, in a table that is written while it is open. */
-function numbersAt(scene, name) {
-  const trace = scene.traces[name], { owners, equilibrium } = scene;
-  const [offsets, inputs, gains] = [trace.strategies, trace.inputs, trace.gains].map(rows);
-  const body = element("tbody");
-  const cells = offsets.map((_, component) => {
-    const owner = owners[component], first = owners.indexOf(owner), alone = owners.lastIndexOf(owner) === first;
-    const row = body.insertRow();
-    const textContent = alone ? String(owner) : `${owner}[${component - first}]`;
-    row.append(element("th", { scope: "row", textContent }));
-    return [0, 1, 2, 3].map(() => row.insertCell());
-  });
-  const headings = ["player", "strategy", "equilibrium", "input", "gain"];
-  const head = element("tr", {}, ...headings.map((textContent) => element("th", { scope: "col", textContent })));
-  const caption = element("caption", { textContent: `${name} at this instant` });
-  const table = element("table", {}, caption, element("thead", {}, head), body);
-  const region = { className: "scroll", tabIndex: 0, role: "region", ariaLabel: `Numbers of ${name}` };
-  const summary = element("summary", { textContent: "Numbers at this instant" });
-  const details = element("details", {}, summary, element("div", region, table));
-  let last = 0;
-  const write = () => cells.forEach((row, component) => {
-    const strategy = equilibrium[component] + offsets[component][last];
-    const values = [strategy, equilibrium[component], inputs[component][last], gains[owners[component]][last]];
-    values.forEach((value, index) => { row[index].textContent = number(value); });
-  });
-  details.addEventListener("toggle", write);
-  const move = (frame) => {
-    last = frame;
-    if (details.open) write();
-  };
-  return { details, move };
-}
-
-const MAP = "Map of the players: lines are their paths, crosses their places at the equilibrium. ";
-const captions = {
-  values: "Strategies and estimates",
-  distance: "Distances of strategies and estimates from the equilibrium",
-};
-
-function card(scene, name, axisName, view) {
-  const trace = scene.traces[name], x = [axisName, scene[axisName]];
-  const position = positions(scene, name, x, view), numbers = numbersAt(scene, name);
-  const net = network(scene, scene.in_plane ? plane(scene, name) : circle(scene));
-  const input = inputChart(scene, name, x), gain = gainChart(scene, name, x), errors = errorsOf(trace.error[0]);
-  const readout = element("output"), links = element("figcaption");
-  const figure = (caption, svg) => element("figure", {}, svg, element("figcaption", { textContent: caption }));
-  const move = (frame) => {
-    for (const part of [position, input, gain, net, numbers]) part.move(frame);
-    const error = errors[frame];
-    readout.textContent = error <= -12 ? "error below 1e-12" : `error ${number(10 ** error, 2)}`;
-    const up = liveLinks(scene, frame).map((index) => scene.links[index].join("–"));
-    const listed = up.length > 12 ? `${up.length} of ${scene.links.length}` : up.join(", ") || "none";
-    links.textContent = `${scene.in_plane ? MAP : ""}Live links: ${listed}`;
-  };
-  const places = [figure(captions[view], position.svg), element("figure", {}, net.svg, links)];
-  const article = element("article", { className: "card", ariaLabel: name },
-    element("header", {}, element("h3", { textContent: name }), readout),
-    ...(scene.in_plane ? places.reverse() : places),
-    figure("Inputs of the strategies (asinh scale)", input.svg),
-    figure("Consensus gain on the received estimates, per player", gain.svg),
-    numbers.details,
-  );
-  return { article, move };
+  const header = element("header", {}, element("h3", { textContent: name }), readout);
+  return { article: element("article", { className: "card", ariaLabel: name }, header, ...figures), move };
 }
 
 function startPlayer() {
-  const byId = (id) => document.getElementById(`player-${id}`);
-  const [select, axisSelect, viewSelect, slider, play, instant, holder, choice, note] =
-    ["scene", "axis", "view", "frame", "play", "instant", "cards", "choice", "note"].map(byId);
-  let cards = [], chosen = [], isChosen = false, timer = null;
-  let scene;
+  const [select, play, slider, instant, holder] = ["scene", "play", "frame", "instant", "cards"].map(
+    (id) => document.getElementById(`player-${id}`),
+  );
+  if (!select) return;
+  let scene = null, cards = [], timer = null;
   const move = () => {
     const frame = Number(slider.value);
     const clocks = `t = ${scene.t[frame].toFixed(3)} s, s = ${scene.s[frame].toFixed(2)}`;
-    const text = `${clocks}, g(t) = ${number(scene.gain[frame])}/s`;
-    instant.textContent = text;
-    slider.setAttribute("aria-valuetext", text);
+    instant.textContent = `${clocks}, g(t) = ${number(scene.gain[frame])}/s`;
+    slider.setAttribute("aria-valuetext", instant.textContent);
     for (const each of cards) each.move(frame);
-  };
-  const show = () => {
-    cards = chosen.map((name) => card(scene, name, axisSelect.value, viewSelect.value));
-    holder.replaceChildren(...cards.map(({ article }) => article));
-    if (!cards.length) holder.append(element("p", { className: "note", textContent: NONE_CHOSEN }));
-    const held = scene.t.length - 1 - scene.deadline;
-    note.hidden = axisSelect.value !== "s" || held === 0;
-    note.textContent = `Transformed time s ends at the deadline T. The ${held} steps after T have no place on this axis: `
-      + "lines end at T, and dots stay at the right edge. The axis t shows these steps.";
-    move();
   };
   const pause = () => {
     clearInterval(timer);
@@ -318,16 +174,13 @@ function startPlayer() {
   };
   const load = async () => {
     pause();
-    const asked = Number(select.value), found = await sceneAt(asked);
-    if (asked !== Number(select.value)) return;  // another choice was made meanwhile
+    const asked = select.value, found = JSON.parse(await unpack(`scene-${asked}`));
+    if (asked !== select.value) return;  // another choice was made meanwhile
     scene = found;
-    decoded.clear();
-    const names = Object.keys(scene.traces), kept = chosen.filter((name) => names.includes(name));
-    chosen = isChosen && kept.length ? kept : scene.picked;  // the reader's choice is kept from track to track
-    choices(choice, names, chosen, (picked) => { chosen = picked; isChosen = true; show(); }, false);
+    cards = Object.keys(scene.traces).map((name) => card(scene, name));
+    holder.replaceChildren(...cards.map(({ article }) => article));
     slider.max = scene.t.length - 1;
-    slider.value = Math.min(Number(slider.value), scene.t.length - 1);
-    show();
+    move();
   };
   play.addEventListener("click", () => {
     if (timer !== null) return pause();
@@ -337,6 +190,7 @@ function startPlayer() {
   });
   slider.addEventListener("input", () => { pause(); move(); });
   select.addEventListener("change", load);
-  for (const each of [axisSelect, viewSelect]) each.addEventListener("change", show);
-  return load();
+  load();
 }
+
+startPlayer();
