@@ -12,8 +12,10 @@ from ptne_env.bench import report
 from ptne_env.cli import options
 from ptne_env.cli.app import app
 from ptne_env.cli.console import check_writable, console, json_text, say, write_json
-from ptne_env.evaluation.policy_specs import foreign_code, law_factory, law_names
+from ptne_env.evaluation import POLICIES, get_policy_spec
+from ptne_env.evaluation.policy_specs import foreign_code
 from ptne_env.evaluation.suite import find_scenario, foreign_suites
+from ptne_env.shared.parts import FactorySpec
 
 
 @app.command()
@@ -23,45 +25,46 @@ def certify(
     law: Annotated[
         str,
         typer.Option(
-            help="A law by name (static, adaptive, corollary-one, gadjov-pavel, grounded), by its class in "
-            "ptne_env.laws (FixedGain, Grounded, …), or as 'module:object', which is called with the layout and "
-            "runs its own code.",
-            autocompletion=law_names,
+            help="A law by name, such as static or grounded, or as 'module:object', which is called with the layout "
+            "and runs its own code.",
+            autocompletion=lambda: list(POLICIES),
         ),
     ] = "static",
     kappa: Annotated[
-        float | None, typer.Option(help="Consensus gain κ of the law; the law's own if left out (static: 2).")
+        float | None, typer.Option(help="Consensus gain κ of the law.", show_default="the law's own; static: 2")
     ] = None,
-    noise: Annotated[
-        float | None,
-        typer.Option(
-            min=0.0,
-            help="Standard deviation σ of additive noise on every message, to be predicted.",
-            show_default="the channel's",
-        ),
-    ] = None,
-    delay: Annotated[
-        int | None,
-        typer.Option(min=0, help="Steps that every message is late, to be predicted.", show_default="the channel's"),
-    ] = None,
-    hold_steps: Annotated[int, typer.Option(min=0, help="Steps after the deadline, for the digits there.")] = 50,
+    hold_steps: options.HoldSteps = None,
     json: options.Json = None,
     trust: options.Trust = False,
 ) -> None:
     """Predict the result of a law on a scenario before anything runs.
 
-    Prints the assumptions of the paper with the number that decides each, the gain condition, rates, the digits
-    predicted at the deadline, the largest stable step, and the effect of noise and late messages. docs/theory.md
-    explains which of them are exact and which are bounds.
+    Prints the assumptions of the paper with the number that decides each, the law's own condition, the rate, the digits
+    predicted at the deadline, and the largest stable step. docs/theory.md explains which of them are exact.
     """
     check_writable(json)
     options.trusted([*foreign_suites(scenario), *foreign_code(law)], trust=trust)
     chosen = find_scenario(scenario)
-    if hold_steps and chosen.gain > 0:
+    if hold_steps is not None:
         chosen = chosen.replace(hold_steps=hold_steps)
     with threadpool_limits(1):  # on matrices of this size several BLAS threads wait for each other
-        certificate = theory.certify(chosen, law=law_factory(law, kappa), noise_std=noise, delay_steps=delay)
+        certificate = theory.certify(chosen, law=_law(law, kappa))
     write_json(json, json_text(certificate.to_dict()))
-    console().print(report.certificate_tables(certificate))
+    screen = console()
+    for table in report.certificate_tables(certificate):
+        screen.print(report.show(table, screen.width))
     if json is not None:
         say(f"Certificate written to {json}")
+
+
+def _law(name: str, kappa: float | None) -> FactorySpec:
+    """The spec of a law, with another κ if one is given."""
+    spec = get_policy_spec(name).policy
+    if not isinstance(spec, FactorySpec):
+        raise ValueError(f"{name!r} is no law: choose from {', '.join(POLICIES)}, or a 'module:object'")
+    if kappa is None:
+        return spec
+    arguments = dict(spec.arguments)
+    if "kappa" not in arguments and ":" not in name:
+        raise ValueError(f"the law {name!r} has no kappa: leave out --kappa")
+    return FactorySpec.of(spec.target, **{**arguments, "kappa": kappa})

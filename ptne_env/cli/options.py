@@ -9,40 +9,30 @@ from typing import Annotated, TypeAlias
 
 import typer
 
-from ptne_env import learn as policies
+from ptne_env import learn
 from ptne_env.cli.console import keep_stdout
 from ptne_env.evaluation import POLICIES
 from ptne_env.evaluation.suite import world_names
-
-
-def complete_policy(incomplete: str) -> list[str]:
-    """Names of policies, after a comma too."""
-    done, comma, _ = incomplete.rpartition(",")
-    return [f"{done}{comma}{name}" for name in [*POLICIES, *policies.shipped()]]
-
 
 World: TypeAlias = Annotated[
     str,
     typer.Argument(
         metavar="SCENARIO",
-        help="A scenario by name, or a track such as ptne-v1/delay; see 'ptne list'. A scenario 'module:object' and a "
-        "track 'module:object/track' run code of that module.",
+        help="A scenario by name, or a track such as ptne-v1/delay; see 'ptne list'. 'module:object' runs code of that "
+        "module.",
         autocompletion=world_names,
     ),
 ]
 Policy: TypeAlias = Annotated[
     str,
     typer.Argument(
-        help="A policy by name, an .onnx file, or a Stable-Baselines3 .zip or a 'module:object', which run their own "
-        "code.",
-        autocompletion=complete_policy,
+        help="A policy by name or .onnx file; a Stable-Baselines3 .zip and a 'module:object' run their own code.",
+        autocompletion=lambda: [*POLICIES, *learn.shipped()],
     ),
 ]
 Seed: TypeAlias = Annotated[int, typer.Option(min=0, help="Seed of the random starts, games and noise.")]
-Jobs: TypeAlias = Annotated[int, typer.Option(help="Tasks at a time; -1 for one per core.")]
-Ray: TypeAlias = Annotated[
-    str | None,
-    typer.Option(metavar="ADDRESS", help="Run the tasks on a Ray cluster: auto, local, or HOST:6379."),
+HoldSteps: TypeAlias = Annotated[
+    int | None, typer.Option(min=0, help="Steps after the deadline.", show_default="the scenario's own")
 ]
 Trust: TypeAlias = Annotated[
     bool,

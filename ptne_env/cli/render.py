@@ -26,9 +26,7 @@ def render(
         typer.Option(help="The video: .gif, .mp4 (needs ffmpeg), or .html, a page to scrub through. Made if missing."),
     ],
     seed: options.Seed = 0,
-    hold_steps: Annotated[
-        int | None, typer.Option(min=0, help="Steps after the deadline.", show_default="the scenario's own")
-    ] = None,
+    hold_steps: options.HoldSteps = None,
     pictures: Annotated[int, typer.Option(min=2, help="Pictures of a video; a page shows every step.")] = 100,
     trust: options.Trust = False,
 ) -> None:

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import shlex
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
+from ptne_env.bench import report
 from ptne_env.cli import options
 from ptne_env.cli.app import app
 from ptne_env.cli.console import check_writable, console, json_text, progress, say, write_json
+from ptne_env.shared.files import write_atomically
 
 
 @app.command()
@@ -25,10 +28,14 @@ def reproduce(
     """
     from ptne_env.theory import paper
 
-    check_writable(json, out / "index.html")
+    page = out / "index.html"
+    check_writable(json, page)
     with progress("reproducing") as advance:
         reproduction = paper.reproduce(out, progress=advance)
+    write_atomically(page, report.paper_page(reproduction, shlex.join(["ptne", "reproduce", "--out", str(out)])))
     write_json(json, json_text(reproduction.to_dict()))
-    console().print(*paper.render(reproduction))
+    screen = console()
+    for table in report.paper_tables(reproduction):
+        screen.print(report.show(table, screen.width))
     say(f"{len(reproduction.figures)} figures and {reproduction.results.name} written to {out}")
-    say(f"Report written to {reproduction.page}: open it in a browser")
+    say(f"Report written to {page}: open it in a browser")

@@ -2,15 +2,10 @@
 
 from __future__ import annotations
 
-import io
-import re
 from collections.abc import Mapping
 from contextlib import AbstractContextManager
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
+from typing import Any
 
 COLOURS = (
     "#0072b2", "#d55e00", "#009e73", "#c46a9b", "#b58900", "#2f93cf", "#8c6bb1", "#7f7f7f", "#a0522d", "#e7298a",
@@ -83,41 +78,3 @@ def drawing(purpose: str, changes: Mapping[Any, Any] = MappingProxyType({})) -> 
     except ImportError as error:
         raise ImportError(f'{purpose} need matplotlib: pip install "ptne-env[bench]"') from error
     return rc_context({**_STYLE, **changes})
-
-
-_ROLES = {**{colour: role for role, colour in LIGHT.items()}, "#000000": "ink"}
-
-
-def panels(figure: Figure) -> list[str]:
-    """Every axes of a figure as an SVG for a page, which puts them side by side or below each other.
-
-    Letters are outlines, as readers have other fonts, and colours of :data:`LIGHT` are the variables of the page, such
-    as ``var(--ink)``. So a page that defines the variables shows the figure in its own colours, light or dark.
-    ``--width`` is the width that the figure asks for.
-
-    Args:
-        figure: drawn within :func:`drawing`; its layout stays, and nothing may stand outside of its axes.
-
-    Returns:
-        SVG elements in the order of the axes.
-    """
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-
-    FigureCanvasAgg(figure).draw()  # type: ignore[no-untyped-call]
-    figure.set_layout_engine("none")
-    boxes: list[Any] = [axes.get_tightbbox() for axes in figure.axes]
-    pictures = []
-    for shown, box in zip(figure.axes, boxes, strict=True):
-        for axes in figure.axes:
-            axes.set_visible(axes is shown)
-        buffer = io.StringIO()
-        inches = box.padded(3).transformed(figure.dpi_scale_trans.inverted())
-        figure.savefig(buffer, format="svg", bbox_inches=inches, transparent=True, metadata={"Date": None})
-        picture = re.sub(r"^.*?(?=<svg)|<metadata>.*?</metadata>", "", buffer.getvalue(), flags=re.DOTALL)
-        picture = re.sub(r' width="([\d.]+pt)" height="[\d.]+pt"', r' style="--width: \1"', picture, count=1)
-        pictures.append(
-            re.sub(
-                "#[0-9a-f]{6}", lambda match: f"var(--{_ROLES[match[0]]})" if match[0] in _ROLES else match[0], picture
-            )
-        )
-    return pictures

@@ -137,7 +137,10 @@ def test_a_terminal_gets_colours_and_none_with_no_color(tmp_path):
         (["ptne", ""], set(COMMANDS)),
         (["ptne", "compare", "random-energy-"], {"random-energy-switching"}),
         (["ptne", "compare", "--scenario", "random-energy-"], {"random-energy-switching"}),
-        (["ptne", "compare", "--policy", "ppo-random"], {"ppo-random-energy", "ppo-random-energy-switching-transformed"}),
+        (
+            ["ptne", "compare", "--policy", "ppo-random"],
+            {"ppo-random-energy", "ppo-random-energy-switching-transformed"},
+        ),
         (["ptne", "compare", "--policy", "static,gr"], {"static,grounded"}),
         (["ptne", "compare", "--suite", ""], {"ptne-v1", "ptne-v2"}),
         (["ptne", "compare", "--suite", "ptne-v1", "--track", "large"], {"large-20", "large-50"}),

@@ -123,7 +123,9 @@ def answer_table(results: Results) -> Table:
     mean = f"mean of {len(results.tracks)}"
     columns = []
     for name in ranked(results):
-        cells = {track.name: Cell.plus_minus(results.summary(track.name, name, track.metric)) for track in results.tracks}
+        cells = {
+            track.name: Cell.plus_minus(results.summary(track.name, name, track.metric)) for track in results.tracks
+        }
         cells |= {track: Cell("failed") for track, policy in results.failures if policy == name}
         if len(cells) > 1 and all(cell.value is not None for cell in cells.values()):
             cells[mean] = Cell.plus_minus(mean_digits(results, name))
@@ -154,31 +156,25 @@ def answer(results: Results) -> tuple[str, ...]:
     where = f"{len(firsts[best])} of {count} {noun}s" if count > 1 else results.tracks[0].name
     sentence = f"{best} comes closest to the Nash equilibrium by the deadline on {where}"
     sentences = [f"{sentence}, or within {FIRST_MARGIN:g} digits of the closest." if count > 1 else f"{sentence}."]
-    gaps = {track.name: _gap(results, track) for track in results.tracks if _gap(results, track) is not None}
+    reached = [digits for track in results.tracks if LAW in (digits := _reached(results, track))]
+    gaps = [max(digits.values())[0] - digits[LAW][0] for digits in reached]
     if gaps and best != LAW:
-        mean = sum(gaps.values()) / len(gaps)
         sentences.append(
-            f"The paper's law ({LAW}) is {mean:.2f} digits behind the closest"
-            + f" on average, {max(gaps.values()):.2f} at most" * (len(gaps) > 1)
+            f"The paper's law ({LAW}) is {sum(gaps) / len(gaps):.2f} digits behind the closest"
+            + f" on average, {max(gaps):.2f} at most" * (len(gaps) > 1)
             + "; a digit is a factor of ten in the distance from the equilibrium."
         )
     return tuple(sentences)
 
 
-def _gap(results: Results, track: Track) -> float:
-    """The digits by which the closest policy, oracles apart, is ahead of the paper's law; ``nan`` without the law."""
-    reached = _reached(results, track)
-    return max(reached.values()) - reached[LAW] if LAW in reached else None
-
-
-def _reached(results: Results, track: Track) -> dict[str, Summary]:
-    """The summaries of the policies with values on a track, oracles apart."""
-    found = {name: results.summary(track.name, name, track.metric) for name in results.policies}
-    return {
-        name: summary
-        for name, summary in found.items()
-        if summary is not None and summary.mean is not None and not results.policies[name].is_oracle
-    }
+def _reached(results: Results, track: Track) -> dict[str, tuple[float, float]]:
+    """The mean, and the upper end of its interval, of the policies with values on a track, oracles apart."""
+    found = {}
+    for name, spec in results.policies.items():
+        summary = results.summary(track.name, name, track.metric)
+        if summary is not None and summary.mean is not None and summary.high is not None and not spec.is_oracle:
+            found[name] = summary.mean, summary.high
+    return found
 
 
 def first_places(results: Results) -> dict[str, list[str]]:
@@ -186,9 +182,9 @@ def first_places(results: Results) -> dict[str, list[str]]:
     firsts: dict[str, list[str]] = {name: [] for name, spec in results.policies.items() if not spec.is_oracle}
     for track in results.tracks:
         found = _reached(results, track)
-        best = max((summary.mean or 0.0 for summary in found.values()), default=0.0)
-        for name, summary in found.items():
-            if (summary.high or 0.0) >= best - FIRST_MARGIN:
+        best = max((mean for mean, _ in found.values()), default=0.0)
+        for name, (_, high) in found.items():
+            if high >= best - FIRST_MARGIN:
                 firsts[name].append(track.name)
     return firsts
 
@@ -272,7 +268,9 @@ def leaderboard_table(results: Results) -> Table | None:
             column("score", "mean over tracks: 0 is zero input, 1 is 12 digits", lambda row: Cell.of(row.score, share)),
             column("mean rank", "over tracks, oracles apart", lambda row: Cell.of(row.mean_rank)),
             column(
-                f"P(better than {LAW})", "paired by episode, mean over tracks", lambda row: Cell.of(row.improvement, share)
+                f"P(better than {LAW})",
+                "paired by episode, mean over tracks",
+                lambda row: Cell.of(row.improvement, share),
             ),
         ),
     )

@@ -12,7 +12,6 @@ from ptne_env.evaluation.policy_specs import PolicySpec
 from ptne_env.evaluation.rollout import Member, rollout
 from ptne_env.perception.encoder import make_encoder
 from ptne_env.shared.arrays import BoolArray, FloatArray, IntArray
-from ptne_env.world import dynamics
 from ptne_env.world.dynamics import State
 from ptne_env.world.world import World
 
@@ -120,8 +119,8 @@ def _trace(world: World, start: State, spec: PolicySpec, teammates: Callable[[Wo
         inputs.append(np.full(len(owners), np.nan) if held is None else held[:, :, 0][own])
 
     team = None if teammates is None else teammates(world)
-    with spec.deciding(encoder.layout) as policy:
-        distance = rollout(policy, encoder, start, team, watch, series=["estimate_distance"])["estimate_distance"]
+    policy = spec.build(encoder.layout)
+    distance = rollout(policy, encoder, start, team, watch, series=["estimate_distance"])["estimate_distance"]
     every = np.stack(estimates, axis=-1)
     return Trace(
         errors=np.quantile(distance, QUANTILES, axis=1),

@@ -10,12 +10,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ptne_env.bench.report.pages import render_episode
+from ptne_env.bench.report.page import Page, Part
+from ptne_env.bench.report.traces import scene
 from ptne_env.envs.rendering import Renderer, pixels
 from ptne_env.evaluation.episodes import EpisodeSet
 from ptne_env.evaluation.policy_specs import PolicySpec
 from ptne_env.evaluation.rollout import rollout
-from ptne_env.evaluation.traces import scene
 from ptne_env.perception.encoder import make_encoder
 from ptne_env.shared.arrays import FloatArray, require_count
 from ptne_env.shared.files import write_atomically
@@ -66,15 +66,16 @@ def save_video(
         raise ValueError(f"a video is written to {', '.join(FORMATS)}, got {path.name!r}")
     require_count("pictures", pictures, 2)
     world = World(scenario)
-    start = EpisodeSet(1, seed).initial_state(world)
+    episode = EpisodeSet(1, seed)
     if suffix == ".html":
-        traced = scene(world, start, {spec.name: spec})
-        write_atomically(path, render_episode(scenario.name, traced))
+        player = Part("Episode player", has_player=True)
+        page = Page(f"{scenario.name}: {spec.name}", (player,), scenes={scenario.name: scene(world, episode, [spec])})
+        write_atomically(path, page.html())
         return
     write = _write_gif if suffix == ".gif" else _write_mp4
     with TemporaryDirectory() as folder, drawing("videos"):
         draft = Path(folder) / path.name  # neither Pillow nor ffmpeg replaces files atomically
-        write(draft, _pictures(world, spec, start, pictures, progress))
+        write(draft, _pictures(world, spec, episode.initial_state(world), pictures, progress))
         write_atomically(path, draft.read_bytes())
 
 
@@ -88,8 +89,7 @@ def _pictures(
     def keep(state: State, _: FloatArray | None) -> None:
         states.append(state)
 
-    with spec.deciding(encoder.layout) as policy:
-        rollout(policy, encoder, start, watch=keep)
+    rollout(spec.build(encoder.layout), encoder, start, watch=keep)
     wanted = np.unique(np.linspace(0, len(states) - 1, count).round().astype(int)).tolist()
     renderer = Renderer(world, "rgb_array", f"{world.scenario.name}: {spec.name}")
     renderer.fix_axes(states)

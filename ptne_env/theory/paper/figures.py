@@ -12,7 +12,7 @@ import networkx as nx
 import numpy as np
 
 from ptne_env.shared.arrays import FloatArray
-from ptne_env.shared.style import COLOURS, FAINT, INK, drawing, panels
+from ptne_env.shared.style import COLOURS, FAINT, INK, drawing
 from ptne_env.theory.paper.continuous import Run
 from ptne_env.theory.paper.experiments import DEADLINE, DWELLS, GAIN, GAMMA, HOLD, KAPPA, Experiments
 from ptne_env.world.clock import Exponential
@@ -75,12 +75,6 @@ def draw(spec: FigureSpec, experiments: Experiments, kind: Literal["png", "svg"]
         figure.text(*place, "\n".join(lines), ha="center", va="bottom", color=INK, fontsize=8.5)
         figure.savefig(buffer, format=kind, **options)
     return buffer.getvalue()
-
-
-def draw_panels(spec: FigureSpec, experiments: Experiments) -> list[str]:
-    """The parts of the figure as SVG for a page in light or dark colours (:func:`ptne_env.shared.style.panels`)."""
-    with drawing("figures"):
-        return panels(_drawn(spec, experiments, 0.0))
 
 
 def _drawn(spec: FigureSpec, experiments: Experiments, band: float) -> Figure:
