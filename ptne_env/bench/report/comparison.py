@@ -14,7 +14,7 @@ from ptne_env.evaluation.results import Results
 from ptne_env.evaluation.suite import LAW, Track
 from ptne_env.world.catalogue import DESCRIPTIONS
 
-SHOWN = 4
+SHOWN = 3
 """Policies that the figures of a track show: the paper's law, the user's own and learned ones, then the best."""
 
 EPISODES = 20

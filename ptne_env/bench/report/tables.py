@@ -229,11 +229,11 @@ def track_tables(results: Results, track: Track) -> list[Table]:
         if (column := Column(metric.label, cells, metric.meaning)).is_filled:
             blocks.setdefault(metric.block, []).append(column)
     rows = tuple(_marked(results, name) for name in names)
-    tables = [
-        Table(f"{track.name}: {block.lower()}", "policy", rows, tuple(columns)) for block, columns in blocks.items()
-    ]
     notes = _without_values(results, track.name)
-    return [*tables, Table(f"{track.name}: policies without values", "policy", (), (), notes)] if notes else tables
+    return [
+        Table(f"{track.name}: {block.lower()}", "policy", rows, tuple(columns), () if index else notes)
+        for index, (block, columns) in enumerate(blocks.items())
+    ] or [Table(f"{track.name}: no policy has values", "policy", (), (), notes)]
 
 
 def _without_values(results: Results, track: str) -> tuple[str, ...]:

@@ -1,4 +1,4 @@
-"""Tables of results, and of the catalogue, in the terminal."""
+"""Tables of results as data, and in the terminal."""
 
 import io
 import re
@@ -9,260 +9,172 @@ import pytest
 from rich.cells import cell_len
 from rich.console import Console
 
-from ptne_env import CATALOGUE, FactorySpec, PolicySpec, evaluate
-from ptne_env import learn as policies
-from ptne_env.bench.report import Kind, answer_tables, catalogue, check_tables, page, result_tables
-from ptne_env.bench.report.tables import overview, summary_tables, track_tables
-from ptne_env.evaluation import (
-    METRICS,
-    POLICIES,
-    Metric,
-    default_policies,
-    get_policy_spec,
-    get_suite,
-    register,
-    suite_policies,
+from ptne_env import evaluate, get_scenario, laws, theory
+from ptne_env.bench.report import answer_tables, certificate_tables, check_tables, result_tables, show
+from ptne_env.bench.report.tables import (
+    Cell,
+    answer,
+    answer_table,
+    first_places,
+    leaderboard_table,
+    text_table,
+    track_tables,
 )
+from ptne_env.evaluation import METRICS, get_policy_spec
 from ptne_env.evaluation.check import Check, Repetition
 from ptne_env.evaluation.metrics import number, share
-from ptne_env.evaluation.suite import SUITES
-from ptne_env.evaluation.traces import scenes
-from ptne_env.perception.observation import Interface
-from ptne_env.world.catalogue import DESCRIPTIONS
+from ptne_env.evaluation.statistics import Summary
 
 
 def written(tables, width=172):
     stream = io.StringIO()
     Console(file=stream, width=width).print(tables)
-    return stream.getvalue()
+    text = stream.getvalue()
+    assert "…" not in text
+    assert max(map(cell_len, text.splitlines())) <= width
+    return text
 
 
-@pytest.mark.parametrize("width", [80, 100, 172])
-def test_result_tables_fit_the_terminal_and_lose_nothing(comparison, suite, width):
+def digits_of(results, track, policy):
+    record = results.record(track, policy, "digits")
+    return f"{record['mean']:.2f} ±{record['high'] - record['mean']:.2f}".removesuffix(" ±0.00")
+
+
+@pytest.mark.parametrize("width", [80, 120, 172])
+def test_tables_of_results_fit_the_terminal_and_lose_no_number(comparison, suite, width):
     for results in (comparison, suite):
-        text = written(result_tables(results, width), width)
-        assert "…" not in text
-        assert max(map(cell_len, text.splitlines())) <= width
-        words = set(text.split())
+        words = set(written(result_tables(results, width), width).split())
         for record in results.records:
             if record["mean"] is not None:
                 assert number(record["mean"]) in words
 
 
 @pytest.mark.parametrize("width", [80, 120])
-def test_tables_of_a_check_fit_the_terminal_and_lose_nothing(suite, width):
-    job = replace(suite.jobs[0], policy=replace(suite.jobs[0].policy, name="ppo-random-energy-switching-transformed"))
-    reason = f"step 0: {60 * 'long '}reason"
-    repetitions = [
-        Repetition(job, 0.0, None, -1.23, -0.0996, 0.0571, knows_episodes=False),
-        Repetition(
-            replace(job, policy=replace(job.policy, name="zero-input")), 0.0, None, 1.2, 1.2, 0.5, knows_episodes=False
-        ),
-        Repetition(job, 1.23e-10, None, 11.23, -0.0996, 1.23e-5, knows_episodes=True),
-        Repetition(job, 0.0, reason, None, None, None, knows_episodes=False),
-        Repetition(job, np.inf, reason, 3.21, None, None, knows_episodes=False),
-    ]
-    text = written(check_tables(Check((), tuple(repetitions)), 0.0), width)
-    assert "…" not in text
-    assert max(map(cell_len, text.splitlines())) <= width
-    assert {"reproduces", "better", "fails", "again"} <= set(text.split())
-    assert text.count("long") == 2 * 60
-    assert "zero-input" in text.split()  # a short name stays whole
-
-
-def test_blocks_hold_the_metrics_of_the_registry(comparison):
-    track = comparison.tracks[0]
-    tables = track_tables(comparison, track)
-    labels = [column.label.replace("\N{NO-BREAK SPACE}", " ") for table in tables for column in table.columns]
-    assert labels == [
-        metric.label
-        for metric in METRICS.values()
-        if any(
-            record["metric"] == metric.name and record["track"] == track.name and record["mean"] is not None
-            for record in comparison.records
-        )
-    ]
-    digits = tables[0].columns[0]
-    for policy in tables[0].rows:
-        assert digits[policy].value == comparison.record(track.name, policy, "digits")["mean"]
-
-
-def test_best_policy_comes_first_and_oracles_are_marked(comparison, suite):
+def test_the_answer_fits_the_terminal_and_keeps_the_papers_law(comparison, suite, width):
     for results in (comparison, suite):
+        text = written(answer_tables(results, width), width)
         for track in results.tracks:
-            table = track_tables(results, track)[0]
-            ranked = [policy for policy, division in table.rows.items() if division == "honest"]
-            means = [results.record(track.name, policy, "digits")["mean"] for policy in ranked]
-            assert means == sorted(means, reverse=True)
-            assert table.sections["oracle"] == ["oracle"]
-            assert list(table.rows)[-1] == "oracle"
-        assert "oracle *" in written(result_tables(results))
+            assert digits_of(results, track.name, "static") in text
+        hidden = re.findall(r"--details, also shows (.*?)\.", " ".join(text.split()))
+        heading = text[: text.index("─")]
+        for name in results.policies:
+            assert name in str(hidden) or all(part in heading for part in re.findall(r"\w+", name))
 
 
-def test_policy_that_cannot_act_is_listed_with_the_reason(suite):
+def test_the_answer_has_a_row_per_track_and_their_mean(comparison, suite):
+    table = answer_table(comparison)
+    assert table.rows == ("energy", "energy-switching", "mean of 2")
+    columns = {column.label: column for column in table.columns}
+    assert next(iter(columns)) == "static"
+    assert list(columns)[-1] == "oracle *"
+    for name in ("static", "grounded"):
+        means = [comparison.record(track, name, "digits")["mean"] for track in table.rows[:2]]
+        assert columns[name]["energy"].text == digits_of(comparison, "energy", name)
+        assert columns[name]["mean of 2"].value == pytest.approx(np.mean(means))
+    learned = next(column for column in answer_table(suite).columns if column.label == "ppo-random-energy")
+    assert (learned["robots"], learned["mean of 2"]) == (Cell(), Cell())
+
+
+def test_the_answer_names_the_closest_policy_and_the_distance_of_the_papers_law(comparison):
+    first, second = answer(comparison)
+    assert first == (
+        "grounded comes closest to the Nash equilibrium by the deadline on 2 of 2 scenarios, or within 0.1 digits of "
+        "the closest."
+    )
+    means = {
+        (track, name): comparison.record(track, name, "digits")["mean"]
+        for track in ("energy", "energy-switching")
+        for name in ("static", "grounded")
+    }
+    gaps = [means[track, "grounded"] - means[track, "static"] for track in ("energy", "energy-switching")]
+    assert second.startswith(
+        f"The paper's law (static) is {np.mean(gaps):.2f} digits behind the closest on average, {max(gaps):.2f} at most"
+    )
+
+
+@pytest.mark.parametrize(
+    ("names", "expected"),
+    [
+        (["static", "zero-input"], ["static comes closest to the Nash equilibrium by the deadline on energy."]),
+        (["oracle"], ["No policy without an oracle's information has a result."]),
+        (["zero-input"], ["zero-input comes closest to the Nash equilibrium by the deadline on energy."]),
+    ],
+)
+def test_the_answer_of_few_policies(names, expected):
+    assert list(answer(evaluate(names, ["energy"], episodes=2))) == expected
+
+
+def test_first_places_are_shared_within_a_tenth_of_a_digit():
+    again = replace(get_policy_spec("grounded"), name="again")
+    results = evaluate(["zero-input", again, "grounded", "oracle"], ["energy"], episodes=2)
+    assert first_places(results) == {"zero-input": [], "again": ["energy"], "grounded": ["energy"]}
+
+
+def test_tables_of_a_track_hold_the_metrics_that_have_values(comparison):
+    tables = track_tables(comparison, comparison.tracks[0])
+    valued = {
+        record["metric"] for record in comparison.records if record["track"] == "energy" and record["mean"] is not None
+    }
+    labels = [column.label for table in tables for column in table.columns]
+    assert sorted(labels) == sorted(METRICS[name].label for name in valued)
+    digits = tables[0].columns[0]
+    for row in tables[0].rows:
+        name = row.removesuffix(" *")
+        assert digits[row].value == comparison.record("energy", name, "digits")["mean"]
+    assert tables[0].rows[-1] == "oracle *"
+
+
+def test_a_policy_that_cannot_act_is_named_with_the_reason(suite):
     plain, robots = (track_tables(suite, track)[0] for track in suite.tracks)
     assert "ppo-random-energy" in plain.rows
     assert "ppo-random-energy" not in robots.rows
     assert robots.notes[0].startswith("n/a: ppo-random-energy: the policy was made for another layout")
-    assert "ppo-random-energy" not in [column.label for column in summary_tables(suite)[2].columns]
 
 
-def test_overview_shows_the_scores_of_the_leaderboard(suite, comparison):
-    tables = overview(suite)
-    for row in suite.leaderboard.overall:
-        (table,) = (table for table in tables if row.policy in table.rows)
-        columns = {column.label: column for column in table.columns}
-        assert columns["score"][row.policy].value == row.score.mean
-        assert columns["graphs"][row.policy].text == ("all" if row.policy == "oracle" else "own links")
-        assert columns["memory"][row.policy].text == ("yes" if row.policy == "adaptive" else "no")
-        assert columns["estimates"][row.policy].text == "honest"
-    ranked = [row.policy for row in suite.leaderboard.overall]
-    assert [name for table in tables for name in table.rows] == sorted(ranked, key="ppo-random-energy".__eq__)
-    assert tables[-1].notes == ("Scores are means over 2 tracks; n/a and failed count as zero input.",)
-    assert "score" not in {column.label for column in overview(comparison)[0].columns}
+def test_the_leaderboard_has_the_scores_of_a_suite_alone(suite, comparison):
+    assert leaderboard_table(comparison) is None
+    table = leaderboard_table(suite)
+    scores = {row.policy: row.score.mean for row in suite.leaderboard.overall}
+    assert {row.removesuffix(" *"): table.columns[0][row].value for row in table.rows} == scores
 
 
-def test_means_are_over_the_same_tracks_and_specialists_stand_apart(suite):
-    complete, specialists = overview(suite)
-    assert set(complete.rows) == {"grounded", "adaptive", "static", "zero-input", "oracle"}
-    for name, value in complete.columns[0].values.items():
-        if name in complete.rows:
-            means = [suite.record(track.name, name, "digits")["mean"] for track in suite.tracks]
-            assert value.value == pytest.approx(np.mean(means))
-    assert list(specialists.rows) == ["ppo-random-energy"]
-    cells = {column.label: column["ppo-random-energy"] for column in specialists.columns}
-    learned, grounded = (suite.record("plain", name, "digits")["mean"] for name in ("ppo-random-energy", "grounded"))
-    assert cells["tracks"].text == "plain"
-    assert cells["digits there"].value == pytest.approx(learned)
-    assert cells["best of the above there"].text == "grounded"
-    assert cells["its digits there"].value == pytest.approx(grounded)
-    assert cells["ahead"].value == pytest.approx(learned - grounded)
-    of_complete, of_specialists = (table for table in summary_tables(suite)[2:4])
-    assert list(of_complete.rows) == ["plain", "robots"]
-    assert list(of_specialists.rows) == ["plain"]
-
-
-def test_policies_that_play_no_track_are_named_below_the_tables():
-    results = evaluate(["static", get_policy_spec("ppo-random-energy")], ["energy", "robots"], episodes=1)
-    tables = overview(results)
-    assert [name for table in tables for name in table.rows] == ["static", "ppo-random-energy"]
-    results = evaluate(default_policies(), ["robots"], episodes=1)
-    (table,) = overview(results)
-    assert table.notes[0].startswith("n/a on every track: ppo-")
-    assert "best specialist" not in written(answer_tables(results))
-
-
-@pytest.mark.parametrize("width", [80, 100, 172])
-def test_the_answer_is_one_table_that_fits_the_terminal(comparison, suite, width):
-    for results in (comparison, suite):
-        text = written(answer_tables(results, width), width)
-        assert "…" not in text
-        assert max(map(cell_len, text.splitlines())) <= width
-        assert text.count("grounded") >= 1
-        (missing,) = re.findall(r"--details, also shows (.*?)\.", " ".join(text.split())) or [""]
-        heading = text[: text.index("─")]
-        for name in results.policies:
-            is_specialist = name not in list(overview(results)[0].rows)
-            assert is_specialist or name in missing or all(part in heading for part in re.findall(r"\w+", name))
-        digits = results.record(results.tracks[0].name, "static", "digits")
-        assert f"{digits['mean']:.2f} ±{digits['high'] - digits['mean']:.2f}" in text
-
-
-def test_first_place_is_shared_within_a_tenth_of_a_digit(comparison):
-    column = next(column for column in overview(comparison)[0].columns if column.label == "first")
-    assert column["grounded"].value == len(comparison.tracks)
-    assert column["zero-input"].value == 0
-    assert column["oracle"].value is None
-
-
-def test_coded_entries_stand_apart_from_honest_ones_and_oracles():
-    coded = PolicySpec("code", FactorySpec.of("ptne_env.laws:Grounded"), Interface(estimates="coded"))
-    results = evaluate([coded, "static", "oracle", "grounded"], ["energy"], episodes=2, against_laws=False)
-    for table in [overview(results)[0], track_tables(results, results.tracks[0])[0]]:
-        assert table.sections == {"honest": ["grounded", "static"], "coded": ["code"], "oracle": ["oracle"]}
-    assert [column.label for column in summary_tables(results)[1].columns][2:] == ["code †", "oracle *"]
-    estimates = next(column for column in overview(results)[0].columns if column.label == "estimates")
-    assert [estimates[name].text for name in ("grounded", "code")] == ["honest", "coded"]
-    firsts = next(column for column in overview(results)[0].columns if column.label == "first")
-    assert [firsts[name].value for name in ("grounded", "code")] == [1, 1]
-    text = written(result_tables(results))
-    assert "code †" in text
-    assert "† coded: " in text
-
-
-def test_room_table_names_the_tracks_on_which_little_is_left(suite):
-    room = summary_tables(suite)[-1]
-    assert list(room.rows) == [track.name for track in suite.tracks]
-    columns = {column.label: column for column in room.columns}
-    for scale in suite.leaderboard.scales:
-        assert columns["best honest"][scale.track].value == scale.best_digits
-        assert columns["room"][scale.track].value == scale.room == pytest.approx(12 - scale.best_digits)
-        assert (scale.track in room.notes[0]) == (scale.room < 1)
-
-
-def test_learned_policy_stands_beside_the_tuned_laws():
-    results = evaluate(["ppo-random-energy"], ["random-energy"], episodes=3, against_laws=True)
-    table = track_tables(results, results.tracks[0])[-1]
-    assert list(table.rows) == ["ppo-random-energy"]
-    assert [column.values["ppo-random-energy"].value for column in table.columns] == [
-        results.record("random-energy", "ppo-random-energy", metric.name)["mean"]
-        for metric in METRICS.values()
-        if metric.block == "Against tuned laws"
+@pytest.mark.parametrize("width", [80, 120])
+def test_the_table_of_a_check_shows_every_verdict(suite, width):
+    job = suite.jobs[0]
+    jobs = [replace(job, policy=replace(job.policy, name=f"policy-{index}")) for index in range(5)]
+    repetitions = [
+        Repetition(jobs[0], 0.0, None, 1.0, 1.0, 0.5, knows_episodes=False),
+        Repetition(jobs[1], 0.0, None, 1.0, 1.0, 1e-5, knows_episodes=True),
+        Repetition(jobs[2], 0.1, None, 1.0, 1.0, 0.5, knows_episodes=False),
+        Repetition(jobs[3], np.inf, "step 0: no number", 1.0, None, None, knows_episodes=False),
+        Repetition(jobs[4], 0.0, "step 0: no number", None, None, None, knows_episodes=False),
     ]
-    assert [note.partition(": ")[0] for note in table.notes] == [
-        law.name for law in results.tuned["random-energy"].values()
-    ]
+    _, table = check_tables(Check((), tuple(repetitions)), 0.0)
+    verdicts = [table.columns[-1][row].text.partition(":")[0] for row in table.rows]
+    assert verdicts == ["reproduces", "too good", "differs", "fails", "fails again"]
+    assert len(table.notes) == 2
+    rebuilt, _ = check_tables(Check(tuple(map(str, range(12))), (), ("a file",)), 0.0)
+    texts = [tuple(column[row].text for column in rebuilt.columns) for row in rebuilt.rows]
+    assert texts[-2:] == [("differs", "2 more numbers or texts"), ("not repeated", "a file")]
+    written(show(table, width), width)
 
 
-def test_suite_without_scores_has_a_table_over_all_tracks(suite):
-    unscored = replace(suite)
-    scales = tuple(replace(scale, has_scores=False) for scale in suite.leaderboard.scales)
-    unscored.__dict__["leaderboard"] = replace(suite.leaderboard, overall=(), scales=scales)
-    tables = overview(unscored)
-    assert tables[-1].notes[0].startswith("No track has scores")
-    assert {name for table in tables for name in table.rows} == set(suite.policies)
+@pytest.mark.parametrize("width", [80, 120])
+def test_a_certificate_shows_what_decides(width):
+    certificate = theory.certify(get_scenario("energy"), law=laws.Static)
+    assumptions, predictions = certificate_tables(certificate)
+    text = written(show(assumptions, width), width) + written(show(predictions, width), width)
+    words = " ".join(text.split())
+    for expected in ("Assumption 4", "holds", "0.280", "fails (sufficient, not necessary)", "exact"):
+        assert expected in words
+    without = certificate_tables(theory.certify(get_scenario("energy"), law=laws.CentralisedOracle))[1]
+    assert not any("rate" in row for row in without.rows)
+    assert without.notes
 
 
-def test_new_metric_is_in_every_table():
-    try:
-        register(
-            Metric("brightness", "brightness", "always 7", value=lambda rollout: np.full(len(rollout.diverged), 7.0))
-        )
-        results = evaluate(["static"], ["energy"], episodes=2)
-        for text in (written(result_tables(results)), written(catalogue()), page(results, scenes(results))):
-            assert "brightness" in text
-    finally:
-        METRICS.pop("brightness", None)
-
-
-def test_the_catalogue_splits_no_word_in_a_narrow_terminal():
-    narrow, wide = (written(catalogue(), width) for width in (80, 400))
-    assert max(map(cell_len, narrow.splitlines())) <= 80
-    assert narrow.split() == wide.split()
-    names = narrow.splitlines()
-    assert {*CATALOGUE, *POLICIES, *policies.shipped(), *METRICS} <= set(names)
-    assert {f"{suite}/{track.name}" for suite in SUITES for track in get_suite(suite).tracks} <= set(names)
-
-
-def test_every_scenario_policy_and_track_has_a_sentence_of_its_own():
-    sentences = [
-        *DESCRIPTIONS.values(),
-        *(spec.description for spec in suite_policies()),
-    ]
-    assert len(set(sentences)) == len(sentences) == len(CATALOGUE) + len(POLICIES) + len(policies.shipped())
-    for suite in map(get_suite, SUITES):
-        changes = [track.change for track in suite.tracks]
-        assert len(set(changes)) == len(changes)
-        sentences += changes
-    for sentence in sentences:
-        assert sentence.endswith(".")
-        assert sentence[0].isupper() or sentence[0].isdigit()
-
-
-def test_the_catalogue_may_be_of_one_kind():
-    text = written(catalogue([Kind.SUITES]))
-    assert "ptne-v1/delay" in text
-    assert "weakly-monotone" not in text.splitlines()
+def test_words_are_wrapped_and_no_column_is_lost():
+    table = text_table("Claims", "claim", ("says",), [("one", 40 * "long "), ("two", "short")])
+    assert written(show(table, 80), 80).split().count("long") == 40
 
 
 @pytest.mark.parametrize(
@@ -281,5 +193,7 @@ def test_numbers_have_three_digits(value, text):
     assert number(value) == text
 
 
-def test_shares_have_three_decimals_and_no_negative_zero():
+def test_shares_have_three_decimals_and_digits_two_without_a_negative_zero():
     assert [share(value) for value in (None, 0.5, -1e-9)] == ["–", "0.500", "0.000"]
+    summaries = [Summary(-0.001, -0.001, -0.001), Summary(-1.5, -1.75, -1.25), Summary(None, None, None), None]
+    assert [Cell.plus_minus(summary).text for summary in summaries] == ["0.00", "−1.50 ±0.25", "–", "–"]

@@ -22,9 +22,9 @@ const number = (value, digits = 3) => {
   return (plain ? String(Number(value.toPrecision(digits))) : value.toExponential(digits - 1)).replace(/^-/, "−");
 };
 
-/** About four round numbers between two. */
+/** Some round numbers between two. */
 function niceTicks(low, high) {
-  const rough = (high - low) / 4 || 1, power = 10 ** Math.floor(Math.log10(rough));
+  const rough = (high - low) / 6 || 1, power = 10 ** Math.floor(Math.log10(rough));
   const step = [1, 2, 5, 10].map((factor) => factor * power).find((each) => each >= rough);
   const ticks = [];
   for (let tick = Math.ceil(low / step); tick <= high / step; tick += 1) ticks.push(Number((tick * step).toPrecision(6)));
