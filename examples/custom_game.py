@@ -11,7 +11,7 @@ import numpy as np
 from scipy.optimize import elementwise
 
 import ptne_env
-from ptne_env import get_scenario, theory
+from ptne_env import FactorySpec, get_scenario, theory
 from ptne_env.games import Game, check_game
 
 Array = np.ndarray
@@ -65,7 +65,7 @@ def main() -> None:
     constants = theory.monotonicity_constants(game)
     print(f"ε = {constants.epsilon:.3f}, ι = {constants.iota:.3f} on {constants.samples} samples")
     for kappa in (2.0, 10.0):
-        certificate = theory.certify(scenario, kappa)
+        certificate = theory.certify(scenario, FactorySpec.of("law:static", kappa=kappa))
         condition = certificate.condition
         verdict = "holds" if condition.holds else "fails"
         print(

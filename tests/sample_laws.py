@@ -23,11 +23,11 @@ class Sign(Law):
 
 
 def spec_of(law, **arguments):
-    """The spec of a law of the library, by class or name."""
-    return FactorySpec.of(f"ptne_env.laws:{law if isinstance(law, str) else law.__name__}", **arguments)
+    """The spec of a law of the library, by class or id."""
+    return FactorySpec.of(law, **arguments)
 
 
 def condition_on(scenario, law, **arguments):
-    """The condition of a law of the library on a scenario, by class or name."""
+    """The condition of a law of the library on a scenario, by class or id."""
     world = World(get_scenario(scenario))
     return theory.condition(theory.build_law(spec_of(law, **arguments), world), theory.problem_constants(world))

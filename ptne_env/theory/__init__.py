@@ -1,20 +1,19 @@
-"""Predictions: assumptions, conditions of theorems, rates, digits, and margins for steps, noise and delay.
+"""Predictions: assumptions, conditions of theorems, rates, digits and stable steps.
 
 docs/theory.md says of each prediction whether it is exact or a bound, and where it comes from.
 """
 
+from ptne_env.theory.assumptions import AssumptionCheck as AssumptionCheck
+from ptne_env.theory.assumptions import check_assumptions as check_assumptions
 from ptne_env.theory.certificate import Certificate as Certificate
 from ptne_env.theory.certificate import build_law as build_law
 from ptne_env.theory.certificate import certify as certify
-from ptne_env.theory.certificate import channel_noise as channel_noise
-from ptne_env.theory.closed_loop import Loop as Loop
 from ptne_env.theory.closed_loop import closed_loop_matrix as closed_loop_matrix
 from ptne_env.theory.closed_loop import decay_rate as decay_rate
 from ptne_env.theory.closed_loop import decay_rate_in_time as decay_rate_in_time
 from ptne_env.theory.closed_loop import gain_growth as gain_growth
-from ptne_env.theory.closed_loop import input_decay_rate as input_decay_rate
 from ptne_env.theory.closed_loop import largest_stable_step as largest_stable_step
-from ptne_env.theory.closed_loop import law_loop as law_loop
+from ptne_env.theory.closed_loop import law_matrix as law_matrix
 from ptne_env.theory.closed_loop import spectral_abscissa as spectral_abscissa
 from ptne_env.theory.conditions import Condition as Condition
 from ptne_env.theory.conditions import ProblemConstants as ProblemConstants
@@ -22,16 +21,12 @@ from ptne_env.theory.conditions import condition as condition
 from ptne_env.theory.conditions import problem_constants as problem_constants
 from ptne_env.theory.constants import MonotonicityConstants as MonotonicityConstants
 from ptne_env.theory.constants import gain_bound as gain_bound
-from ptne_env.theory.constants import guaranteed_rate as guaranteed_rate
 from ptne_env.theory.constants import monotonicity_constants as monotonicity_constants
 from ptne_env.theory.constants import proof_matrix as proof_matrix
 from ptne_env.theory.delayed_play import coupling_radius as coupling_radius
-from ptne_env.theory.delayed_play import delayed_play_radius as delayed_play_radius
 from ptne_env.theory.delayed_play import hop_delays as hop_delays
-from ptne_env.theory.delayed_play import largest_delayed_step as largest_delayed_step
 from ptne_env.theory.delayed_play import multi_rate_radius as multi_rate_radius
 from ptne_env.theory.sampled import SampledLoop as SampledLoop
 from ptne_env.theory.sampled import distance as distance
-from ptne_env.theory.sampled import noise_distance as noise_distance
 from ptne_env.theory.sampled import sampled_loop as sampled_loop
 from ptne_env.theory.sampled import start_error as start_error

@@ -1,4 +1,4 @@
-"""The paper's assumptions on one scenario, each with the number that decides it."""
+"""Lemma 1 and Assumptions 1–4 of the paper on one scenario, each with the number that decides it."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ from typing import Literal, TypeAlias
 import numpy as np
 
 from ptne_env.games import Game, check_game
-from ptne_env.theory.constants import MonotonicityConstants, jacobians, monotonicity_constants
-from ptne_env.world.clock import LemmaViolationError, TimeTransformation, check_time_transformation
-from ptne_env.world.switching import SwitchingTopology
+from ptne_env.theory.constants import MonotonicityConstants, jacobian_at_equilibrium
+from ptne_env.world.clock import LemmaViolationError, check_time_transformation
+from ptne_env.world.world import World
 
 Verdict: TypeAlias = Literal["holds", "fails", "sampled only"]
 
@@ -20,89 +20,75 @@ class AssumptionCheck:
     """One assumption of the paper on one scenario.
 
     Attributes:
-        number: 1 to 4.
+        name: ``"Lemma 1"`` or ``"Assumption 1"`` to ``"Assumption 4"``.
         statement: in words.
-        value: the number that decides.
+        value: the number that decides; ``None`` where λ violates Lemma 1 before there is a number.
         meaning: name of that number.
         verdict: ``"holds"``, ``"fails"``, or ``"sampled only"`` where no sample refutes it and nothing proves it.
     """
 
-    number: int
+    name: str
     statement: str
-    value: float
+    value: float | None
     meaning: str
     verdict: Verdict
 
 
-@dataclass(frozen=True)
-class LemmaCheck:
-    """Whether λ is a time transformation of Lemma 1.
-
-    Attributes:
-        remaining: the limit of 1 − λ(s)/T as s → ∞, extrapolated; ``None`` where λ fails an earlier condition.
-        verdict: ``"holds"`` or ``"fails"``.
-        reason: the first condition that is violated; empty when none is.
-    """
-
-    remaining: float | None
-    verdict: Verdict
-    reason: str
-
-
-def check_assumptions(
-    game: Game, topology: SwitchingTopology, constants: MonotonicityConstants | None = None
-) -> tuple[AssumptionCheck, ...]:
-    """Assumptions 1–4 of the paper, each with the number that decides it.
+def check_assumptions(world: World, constants: MonotonicityConstants) -> tuple[AssumptionCheck, ...]:
+    """Lemma 1 on λ and Assumptions 1–4 on the graphs and the game (of a family: its representative).
 
     Args:
-        game: the game of Assumptions 3 and 4.
-        topology: the graphs of Assumptions 1 and 2.
-        constants: of the game, when already known.
+        world: the scenario, built.
+        constants: of its game.
     """
-    constants = constants or monotonicity_constants(game)
+    topology = world.topology
     smallest = min(graph.algebraic_connectivity for graph in topology.graphs)
     joint = topology.union.algebraic_connectivity
-    convexity, meaning, verdict = _check_convexity(game)
+    connected = "the fixed graph is connected" if topology.is_fixed else "every graph is connected at every instant"
+    union = "λ2 of the union graph" + ", almost surely" * (topology.joint_connectivity == "almost surely")
+    curvature, meaning, convex = _check_convexity(world.game)
+    kind = "exact" if constants.exact else f"from {constants.samples} samples within {constants.radius:g} of x*"
     monotone: Verdict = "fails" if constants.epsilon <= 0 else "holds" if constants.exact else "sampled only"
-    kind = "exact" if constants.exact else f"smallest of {constants.samples} samples within {constants.radius:g} of x*"
     return (
+        _check_lemma(world),
+        AssumptionCheck("Assumption 1", connected, smallest, "smallest λ2 over the modes", _holds(smallest > 0)),
         AssumptionCheck(
-            1,
-            "the fixed graph is connected" if topology.is_fixed else "every graph is connected at every instant",
-            smallest,
-            "smallest λ2 over the modes",
-            "holds" if smallest > 0 else "fails",
+            "Assumption 2", "the graphs are jointly connected over a period", joint, union, _holds(joint > 0)
         ),
         AssumptionCheck(
-            2,
-            "the graphs are jointly connected over a period",
-            joint,
-            "λ2 of the union graph" + (", almost surely" if topology.joint_connectivity == "almost surely" else ""),
-            "holds" if joint > 0 else "fails",
+            "Assumption 3", "each J_i is strictly convex and radially unbounded in x_i", curvature, meaning, convex
         ),
-        AssumptionCheck(3, "each J_i is strictly convex and radially unbounded in x_i", convexity, meaning, verdict),
         AssumptionCheck(
-            4, "F is strongly monotone and Lipschitz continuous", constants.epsilon, f"ε ({kind})", monotone
+            "Assumption 4",
+            "F is strongly monotone and Lipschitz continuous",
+            constants.epsilon,
+            f"ε; ι = {constants.iota:.3g} ({kind})",
+            monotone,
         ),
     )
 
 
-def check_lemma(transformation: TimeTransformation) -> LemmaCheck:
-    """Lemma 1 on λ; see :func:`ptne_env.world.clock.check_time_transformation`."""
+def _holds(is_met: bool) -> Verdict:  # noqa: FBT001
+    return "holds" if is_met else "fails"
+
+
+def _check_lemma(world: World) -> AssumptionCheck:
+    statement = "λ is strictly increasing, λ → T, λ' → 0"
     try:
-        return LemmaCheck(check_time_transformation(transformation), "holds", "")
+        remaining = check_time_transformation(world.clock.transformation)
     except LemmaViolationError as error:
-        return LemmaCheck(None, "fails", str(error))
+        return AssumptionCheck("Lemma 1", f"{statement} ({error})", None, "limit of 1 − λ/T", "fails")
+    return AssumptionCheck("Lemma 1", statement, remaining, "limit of 1 − λ/T", "holds")
 
 
 def _check_convexity(game: Game) -> tuple[float, str, Verdict]:
     """Assumption 3: the deciding number, its meaning and the verdict."""
     if game.is_affine:
         # With F affine J_i is quadratic in x_i with this Hessian, so its definiteness decides both properties.
-        jacobian = jacobians(game, game.nash_equilibrium[:, None])[:, :, 0]
+        jacobian = jacobian_at_equilibrium(game)
         blocks = [jacobian[np.ix_(game.owners == i, game.owners == i)] for i in range(game.num_players)]
         curvature = min(float(np.linalg.eigvalsh((block + block.T) / 2)[0]) for block in blocks)
-        return curvature, "smallest curvature of a J_i in x_i (exact)", "holds" if curvature > 0 else "fails"
+        return curvature, "smallest curvature of a J_i in x_i (exact)", _holds(curvature > 0)
     report = check_game(game)
     pairs = zip(report.strictly_convex, report.radially_unbounded, strict=True)
     refuted = sum(not (convex and unbounded) for convex, unbounded in pairs)

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -19,61 +18,18 @@ from ptne_env.games import Game
 from ptne_env.laws import Law
 from ptne_env.perception.observation import Observation, ObservationLayout
 from ptne_env.shared.arrays import BoolArray, FloatArray, IntArray, require_non_negative
-from ptne_env.theory.constants import ZERO, jacobians
+from ptne_env.theory.constants import ZERO, jacobian_at_equilibrium
 from ptne_env.world.clock import TimeTransformation
 from ptne_env.world.graphs import Graph
-from ptne_env.world.switching import MarkovTopology, SwitchingTopology
-
-_RANDOM_DWELLS = 2000
-"""Number of dwells in the single draw from which the rate of a random topology is estimated."""
+from ptne_env.world.switching import SwitchingTopology
 
 
 class NoClosedLoopError(ValueError):
     """A law is not of the form that has a closed loop dx/dτ = −M (x − 1⊗x*)."""
 
 
-@dataclass(frozen=True)
-class Loop:
-    """One law on one graph: u = −(local e + message ê + noise), with e = x − 1⊗x* and ê the error in messages.
-
-    Attributes:
-        local: response to the own estimate and gradient, shape (Nn, Nn), block diagonal.
-        message: response to the estimates that neighbours sent, shape (Nn, Nn), zero diagonal blocks.
-        noise: covariance of u when every component of every message carries independent noise of variance 1, shape
-            (Nn, Nn), block diagonal.
-    """
-
-    local: FloatArray
-    message: FloatArray
-    noise: FloatArray
-
-    @property
-    def matrix(self) -> FloatArray:
-        """M = local + message, the loop over perfect links."""
-        return self.local + self.message
-
-
-def loop_matrix(jacobian: FloatArray, owners: IntArray, laplacian: FloatArray, kappa: float) -> FloatArray:
-    """M = Rᵀ dF + κ L⊗I_n of the static law.
-
-    Args:
-        jacobian: dF, shape (n, n).
-        owners: the player that owns each component, shape (n,).
-        laplacian: L, shape (N, N).
-        kappa: κ.
-
-    Returns:
-        Shape (Nn, Nn), over all entries of the stacking.
-    """
-    n = len(owners)
-    matrix = kappa * np.kron(laplacian, np.eye(n))
-    for component, owner in enumerate(owners):
-        matrix[owner * n + component, owner * n : (owner + 1) * n] += jacobian[component]
-    return np.asarray(matrix)
-
-
 def closed_loop_matrix(game: Game, graph: Graph, kappa: float) -> FloatArray:
-    """M of the static law around x*, :func:`loop_matrix` without the entries that bounds hold at x*.
+    """M = Rᵀ dF + κ L⊗I_n of the static law around x*, without the entries that bounds hold at x*.
 
     Args:
         game: the game; its F is linearised at x* unless it is affine.
@@ -88,8 +44,11 @@ def closed_loop_matrix(game: Game, graph: Graph, kappa: float) -> FloatArray:
     """
     require_non_negative("kappa", kappa)
     _require_players(game, graph)
-    jacobian = jacobians(game, game.nash_equilibrium[:, None])[:, :, 0]
-    return _restricted(loop_matrix(jacobian, game.owners, graph.laplacian, kappa), free_entries(game))
+    n, jacobian = game.dimension, jacobian_at_equilibrium(game)
+    matrix = np.asarray(kappa * np.kron(graph.laplacian, np.eye(n)))
+    for component, owner in enumerate(game.owners):
+        matrix[owner * n + component, owner * n : (owner + 1) * n] += jacobian[component]
+    return _restricted(matrix, free_entries(game))
 
 
 def free_entries(game: Game) -> BoolArray:
@@ -98,8 +57,8 @@ def free_entries(game: Game) -> BoolArray:
     return ~(own & game.held_at_equilibrium[:, 0]).ravel()
 
 
-def law_loop(law: Law, game: Game, graph: Graph, memory: Any = None, *, theta: float = 1.0, dt: float = 1.0) -> Loop:
-    """The loop of any law that is linear in gradient and differences, measured on the law itself.
+def law_matrix(law: Law, game: Game, graph: Graph, memory: Any = None) -> FloatArray:
+    """M of any law that is linear in gradient and differences, measured on the law itself: u = −M (x − 1⊗x*).
 
     Each player observes unit errors of its own estimate, and unit messages, at x*; its inputs are the columns of M. So
     M is that of the code that acts in the environment, and a new law needs nothing added here.
@@ -109,8 +68,9 @@ def law_loop(law: Law, game: Game, graph: Graph, memory: Any = None, *, theta: f
         game: the game; its F is linearised at x* unless it is affine.
         graph: the active graph.
         memory: the law's, one row per player; its initial memory if left out. For the adaptive law: the frozen κ_ij.
-        theta: Θ of the step, for laws that read it.
-        dt: Δt of the step in seconds, likewise.
+
+    Returns:
+        Shape (Nn, Nn), less the entries that are not in :func:`free_entries`.
 
     Raises:
         NoClosedLoopError: for a law that is not linear in gradient and differences, reads more than these and its own
@@ -124,7 +84,6 @@ def law_loop(law: Law, game: Game, graph: Graph, memory: Any = None, *, theta: f
     neighbours = np.array(layout.neighbours)  # (N, D)
     weights = graph.adjacency[np.arange(players)[:, None], neighbours]
     live = weights > 0
-    jacobian = jacobians(game, game.nash_equilibrium[:, None])[:, :, 0]
     own = game.owners == np.arange(players)[:, None]
 
     # Rows per player: n errors of its own estimate, D n messages, one mixture of all of them, and rest.
@@ -133,7 +92,7 @@ def law_loop(law: Law, game: Game, graph: Graph, memory: Any = None, *, theta: f
     gradient, error = np.zeros((2, players, kinds, n))
     relative = np.zeros((players, kinds, slots, n))
     error[:, :n] = np.eye(n)
-    gradient[:, :n] = np.where(own[:, None], jacobian.T, 0.0)  # R_iᵀ dF_i, one error per row
+    gradient[:, :n] = np.where(own[:, None], jacobian_at_equilibrium(game).T, 0.0)  # R_iᵀ dF_i, one error per row
     relative[:, :n] = -np.eye(n)[:, None] * live[:, None, :, None]
     messages = np.eye(slots * n).reshape(slots * n, slots, n)
     relative[:, n:-2] = messages * live[:, None, :, None]
@@ -145,8 +104,8 @@ def law_loop(law: Law, game: Game, graph: Graph, memory: Any = None, *, theta: f
         gradient=gradient.reshape(-1, n),
         relative_estimates=relative.reshape(-1, slots, n),
         weights=weights[player],
-        theta=np.full((player.size, 1), theta),
-        dt=np.full((player.size, 1), dt),
+        theta=np.ones((player.size, 1)),
+        dt=np.ones((player.size, 1)),
         own_estimate=error.reshape(-1, n) + game.nash_equilibrium,
     )
     inputs = inputs_of(law, observation, memory).reshape(players, kinds, n)
@@ -155,14 +114,12 @@ def law_loop(law: Law, game: Game, graph: Graph, memory: Any = None, *, theta: f
     if np.abs(inputs[:, -1]).max() > scale or np.abs(mixed - inputs[:, -2]).max() > scale:
         raise NoClosedLoopError(f"{name} is not linear in gradient and differences, so it has no closed-loop matrix")
 
-    local, message, noise = np.zeros((3, players, n, players, n))
+    matrix = np.zeros((players, n, players, n))
     for i in range(players):
-        local[i, :, i] = -inputs[i, :n].T
-        noise[i, :, i] = inputs[i, n:-2].T @ inputs[i, n:-2]
+        matrix[i, :, i] = -inputs[i, :n].T
         for slot in np.flatnonzero(live[i]):
-            message[i, :, neighbours[i, slot]] -= inputs[i, n + slot * n : n + (slot + 1) * n].T
-    free, size = free_entries(game), players * n
-    return Loop(*(_restricted(matrix.reshape(size, size), free) for matrix in (local, message, noise)))
+            matrix[i, :, neighbours[i, slot]] -= inputs[i, n + slot * n : n + (slot + 1) * n].T
+    return _restricted(matrix.reshape(players * n, -1), free_entries(game))
 
 
 def _require_loop(law: Law, game: Game) -> None:
@@ -203,46 +160,38 @@ def spectral_abscissa(matrix: FloatArray) -> float:
 def decay_rate(matrices: Sequence[FloatArray], topology: SwitchingTopology, deadline: float) -> float:
     """The rate r with which the error of dx/dτ = −M x decays like e^{−r s} as t → T.
 
-    A fixed graph gives the spectral abscissa of M. A topology on the transformed clock gives the Floquet rate
-    −ln ρ(Π e^{−M_m Δ_m})/period, since dτ/ds → 1; a random one its Lyapunov exponent, estimated from one draw of 2000
-    dwells. A topology on the physical clock switches finitely often before T, so only its last graph counts, and the
-    rate is 0 when that graph is disconnected (docs/errata.md, 2); a random one may end with any mode, and its rate is
-    the smallest.
+    A fixed graph gives the spectral abscissa of M. A periodic topology on the transformed clock gives the Floquet rate
+    −ln ρ(Π e^{−M_m Δ_m})/period, since dτ/ds → 1. One on the physical clock switches finitely often before T, so only
+    its last graph counts, and the rate is 0 when that graph is disconnected (docs/errata.md, 2).
 
     Args:
         matrices: M of every mode of the topology.
-        topology: the switching topology.
+        topology: not random.
         deadline: T in seconds.
     """
     if topology.is_fixed or topology.clock == "physical":
-        return min(spectral_abscissa(matrices[mode]) for mode in last_modes(topology, deadline))
-    return _switching_rate(matrices, topology)
+        return spectral_abscissa(matrices[last_modes(topology, deadline)[0]])
+    return _floquet_rate(matrices, topology)
 
 
 def decay_rate_in_time(matrices: Sequence[FloatArray], topology: SwitchingTopology) -> float:
     """The rate r with which the error of dx/dt = −M x, a law without the time gain, decays like e^{−r t}.
 
-    A fixed graph gives the spectral abscissa, and a graph that an episode draws the smallest over the modes. A topology
-    on the physical clock gives the Floquet rate (a random one its Lyapunov exponent), and one on the transformed clock,
-    which switches ever faster in t, the spectral abscissa of the mean of M.
+    A fixed graph gives the spectral abscissa, a periodic topology on the physical clock the Floquet rate, and one on
+    the transformed clock, which switches ever faster in t, the spectral abscissa of the mean of M.
     """
-    if math.isinf(topology.mean_dwell):
-        return min(map(spectral_abscissa, matrices))
+    if topology.is_fixed:
+        return spectral_abscissa(matrices[0])
     if topology.clock == "physical":
-        return _switching_rate(matrices, topology)
-    return spectral_abscissa(np.average(matrices, axis=0, weights=_shares(topology)))
+        return _floquet_rate(matrices, topology)
+    return spectral_abscissa(np.average(matrices, axis=0, weights=topology.dwells))
 
 
-def input_decay_rate(matrices: Sequence[FloatArray], topology: SwitchingTopology, deadline: float) -> float:
-    """The rate with which u decays as t → T, for a law with the time gain.
-
-    It is the error's, except that on a frozen disconnected graph the error stops short of x* while u still vanishes,
-    at the smallest positive real part.
-    """
-    rate = decay_rate(matrices, topology, deadline)
-    if topology.is_fixed or topology.clock == "transformed" or rate != 0:
-        return rate
-    return min(float(_moving(matrices[mode]).real.min(initial=math.inf)) for mode in last_modes(topology, deadline))
+def _floquet_rate(matrices: Sequence[FloatArray], topology: SwitchingTopology) -> float:
+    monodromy = np.eye(len(matrices[0]))
+    for matrix, dwell in zip(matrices, topology.dwells, strict=True):
+        monodromy = linalg.expm(-matrix * dwell) @ monodromy
+    return -math.log(float(np.abs(np.linalg.eigvals(monodromy)).max())) / topology.period
 
 
 def largest_stable_step(matrix: FloatArray) -> float | None:
@@ -253,7 +202,8 @@ def largest_stable_step(matrix: FloatArray) -> float | None:
     Returns:
         The step in units of τ; ``None`` when every step amplifies some error, or M = 0.
     """
-    eigenvalues = _moving(matrix)
+    eigenvalues = np.linalg.eigvals(matrix)
+    eigenvalues = eigenvalues[np.abs(eigenvalues) > ZERO * np.linalg.norm(matrix)]
     if eigenvalues.size == 0 or eigenvalues.real.min() <= 0:
         return None
     return float((2 * eigenvalues.real / np.abs(eigenvalues) ** 2).min())
@@ -279,42 +229,8 @@ def last_modes(topology: SwitchingTopology, deadline: float) -> Sequence[int]:
     return (int(topology.schedule((last_switch + deadline) / 2).modes),)
 
 
-def _switching_rate(matrices: Sequence[FloatArray], topology: SwitchingTopology) -> float:
-    if not topology.is_random:
-        monodromy = np.eye(len(matrices[0]))
-        for matrix, dwell in zip(matrices, topology.dwells, strict=True):
-            monodromy = linalg.expm(-matrix * dwell) @ monodromy
-        return -math.log(float(np.abs(np.linalg.eigvals(monodromy)).max())) / topology.period
-    step = topology.shortest_dwell / 4
-    instants = step * np.arange(math.ceil(_RANDOM_DWELLS * topology.mean_dwell / step))
-    modes = topology.draw(instants, [np.random.default_rng(0)]).modes[:, 0]
-    moves = [linalg.expm(-matrix * step) for matrix in matrices]
-    error, growths = np.random.default_rng(1).normal(size=len(matrices[0])), []
-    for mode in modes:
-        error = moves[mode] @ (error / np.linalg.norm(error))
-        growths.append(math.log(float(np.linalg.norm(error))))
-    settled = growths[len(growths) // 4 :]  # by then the start is forgotten
-    return -float(np.mean(settled)) / step
-
-
-def _shares(topology: SwitchingTopology) -> FloatArray:
-    """The share of the time that a topology spends in each mode."""
-    if not isinstance(topology, MarkovTopology):
-        return np.asarray(topology.dwells) / topology.period
-    # All dwells are drawn from one range, so it is the stationary distribution of the chain.
-    size = len(topology.graphs)
-    balance = np.vstack([topology.transition.T - np.eye(size), np.ones(size)])
-    return np.linalg.lstsq(balance, np.eye(size + 1)[-1], rcond=None)[0]
-
-
 def _restricted(matrix: FloatArray, free: BoolArray) -> FloatArray:
     return matrix if free.all() else np.asarray(matrix[np.ix_(free, free)])
-
-
-def _moving(matrix: FloatArray) -> Any:
-    """The eigenvalues that are not zero."""
-    eigenvalues = np.linalg.eigvals(matrix)
-    return eigenvalues[np.abs(eigenvalues) > ZERO * np.linalg.norm(matrix)]
 
 
 def _require_players(game: Game, graph: Graph) -> None:

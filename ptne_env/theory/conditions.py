@@ -26,19 +26,15 @@ from ptne_env.field.laws import (
 from ptne_env.laws import Adaptive, AdaptiveGrounded, CorollaryOne, FixedGain, Grounded, Law, Static
 from ptne_env.shared.arrays import FloatArray, IntArray
 from ptne_env.theory.closed_loop import last_modes
-from ptne_env.theory.constants import ZERO, MonotonicityConstants, gain_bound, jacobians, monotonicity_constants
-from ptne_env.theory.delayed_play import (
-    coupling_radius,
-    delayed_play_radius,
-    hop_delays,
-    largest_delayed_step,
-    multi_rate_radius,
+from ptne_env.theory.constants import (
+    MonotonicityConstants,
+    gain_bound,
+    jacobian_at_equilibrium,
+    monotonicity_constants,
 )
+from ptne_env.theory.delayed_play import coupling_radius, hop_delays, multi_rate_radius
 from ptne_env.world.graphs import Graph, union
 from ptne_env.world.world import World
-
-_LARGEST_SYSTEM = 1200
-"""Delayed play is decided exactly while its matrix has no more rows than this: its eigenvalues take seconds beyond."""
 
 
 @dataclass(frozen=True)
@@ -69,30 +65,20 @@ class ProblemConstants(MonotonicityConstants):
         return min(graph.algebraic_connectivity for graph in self.graphs)
 
     @property
-    def recurring_connectivity(self) -> float:
-        """The smallest λ2 of the recurring graphs."""
-        return min(graph.algebraic_connectivity for graph in self.recurring)
-
-    @property
     def largest_degree(self) -> float:
         """The largest Σ_j a_ij over players and modes."""
         return max(float(graph.laplacian.diagonal().max()) for graph in self.graphs)
 
 
-def problem_constants(world: World, constants: MonotonicityConstants | None = None) -> ProblemConstants:
-    """The numbers of ``world`` that conditions use; for a family of games, those of its representative member.
-
-    Args:
-        world: the scenario, built.
-        constants: of its game, when already known.
-    """
+def problem_constants(world: World) -> ProblemConstants:
+    """The numbers of ``world`` that conditions use; for a family of games, those of its representative member."""
     game, topology = world.game, world.topology
     recurring = [topology.union]
     if not topology.is_fixed and topology.clock == "physical":  # one mode is the last before T
         recurring = [topology.graphs[mode] for mode in last_modes(topology, world.scenario.deadline)]
     return ProblemConstants(
-        **vars(constants or monotonicity_constants(game)),
-        jacobian=jacobians(game, game.nash_equilibrium[:, None])[:, :, 0],
+        **vars(monotonicity_constants(game)),
+        jacobian=jacobian_at_equilibrium(game),
         owners=game.owners,
         graphs=tuple(topology.graphs),
         recurring=tuple(recurring),
@@ -106,7 +92,7 @@ class Condition:
     Attributes:
         name: the condition in words or symbols, with the direction in which ``value`` is compared with ``bound``.
         value: the number that decides.
-        bound: the number that it is compared with; infinite or NaN where no number would do.
+        bound: the number that it is compared with; infinite where no number would do.
         holds: whether the scenario meets the condition.
         exact: whether the numbers are exact; otherwise they come from samples or a linearisation and prove nothing.
         necessary: whether the law does not settle where the condition fails (if no bound is active).
@@ -125,45 +111,14 @@ class Condition:
         return cls(name, float(value), float(bound), bool(value > bound), exact)
 
     @classmethod
-    def below(cls, name: str, value: float, bound: float, *, exact: bool = True) -> Condition:
+    def below(cls, name: str, value: float, bound: float, *, exact: bool = True, necessary: bool = False) -> Condition:
         """The condition value < bound."""
-        return cls(name, float(value), float(bound), bool(value < bound), exact)
-
-    @classmethod
-    def settles(cls, name: str, radius: float, *, exact: bool) -> Condition:
-        """The condition ρ < 1 on the loop of an affine game, which is necessary too; ``exact``: F is affine."""
-        return cls(name, float(radius), 1.0, bool(radius < 1), exact, necessary=exact)
+        return cls(name, float(value), float(bound), bool(value < bound), exact, necessary)
 
 
 def decisive(*conditions: Condition) -> Condition:
     """All of several conditions as one: the first that fails, or else the last."""
     return next((condition for condition in conditions if not condition.holds), conditions[-1])
-
-
-def _strongly_monotone(constants: ProblemConstants) -> Condition:
-    """Assumption 4."""
-    return Condition.above("F is strongly monotone: ε > 0", constants.epsilon, 0.0, exact=constants.exact)
-
-
-def _stays_connected(constants: ProblemConstants) -> Condition:
-    """Assumptions 1 and 2 for the graphs that act as s → ∞."""
-    return Condition.above("the graphs are connected as s → ∞: λ2 > 0", constants.recurring_connectivity, 0.0)
-
-
-def _always_connected(constants: ProblemConstants) -> Condition:
-    return Condition.above("every graph is connected: λ2 > 0", constants.connectivity, 0.0)
-
-
-def _gains_adapt(gamma: float) -> Condition:
-    return Condition.above("the gains adapt: γ > 0", gamma, 0.0)
-
-
-def _gain_condition(kappa: float, constants: ProblemConstants) -> Condition:
-    bound = gain_bound(constants, constants.connectivity)
-    return Condition.above("κ > (ι²/ε + ι)/λ2", kappa, bound, exact=constants.exact)
-
-
-# --- the condition of each law --------------------------------------------------------------------------------------
 
 
 @singledispatch
@@ -175,6 +130,29 @@ def condition(law: Law, constants: ProblemConstants) -> Condition | None:  # noq
         constants: of the scenario, see :func:`problem_constants`.
     """
     return None
+
+
+def _strongly_monotone(constants: ProblemConstants) -> Condition:
+    """Assumption 4."""
+    return Condition.above("F is strongly monotone: ε > 0", constants.epsilon, 0.0, exact=constants.exact)
+
+
+def _fixed_graph(constants: ProblemConstants) -> Condition:
+    return Condition.below("the graph is fixed: number of graphs < 2", len(constants.graphs), 2)
+
+
+def _all_links_recur(constants: ProblemConstants) -> Condition:
+    name = "all links recur as s → ∞: smallest number of recurring links > all links − 1"
+    recurring = min(len(graph.edges) for graph in constants.recurring)
+    return Condition.above(name, recurring, len(union(constants.graphs).edges) - 1)
+
+
+def _gain_condition(kappa: float, constants: ProblemConstants) -> Condition:
+    bound = gain_bound(constants, constants.connectivity)
+    return Condition.above("κ > (ι²/ε + ι)/λ2", kappa, bound, exact=constants.exact)
+
+
+# --- the condition of each law --------------------------------------------------------------------------------------
 
 
 @condition.register
@@ -207,7 +185,12 @@ def fixed_gain_condition(law: FixedGain, constants: ProblemConstants) -> Conditi
 @condition.register
 def adaptive_condition(law: Adaptive, constants: ProblemConstants) -> Condition:
     """ε > 0, and the graphs that act as s → ∞ are (jointly) connected (Theorems 3 and 4); γ > 0 on all links."""
-    return decisive(_gains_adapt(law.gamma), _stays_connected(constants), _strongly_monotone(constants))
+    connectivity = min(graph.algebraic_connectivity for graph in constants.recurring)
+    return decisive(
+        Condition.above("the gains adapt: γ > 0", law.gamma, 0.0),
+        Condition.above("the graphs are connected as s → ∞: λ2 > 0", connectivity, 0.0),
+        _strongly_monotone(constants),
+    )
 
 
 @condition.register
@@ -243,7 +226,11 @@ def _grounded_connectivity(constants: ProblemConstants) -> float:
 @condition.register
 def adaptive_grounded_condition(law: AdaptiveGrounded, constants: ProblemConstants) -> Condition:
     """γ > 0, ε > 0 and every graph connected: with H the grounded Laplacian, V = ½‖x − x*‖² + ½ yᵀ H y + gains."""
-    return decisive(_gains_adapt(law.gamma), _always_connected(constants), _strongly_monotone(constants))
+    return decisive(
+        Condition.above("the gains adapt: γ > 0", law.gamma, 0.0),
+        Condition.above("every graph is connected: λ2 > 0", constants.connectivity, 0.0),
+        _strongly_monotone(constants),
+    )
 
 
 @condition.register
@@ -258,10 +245,8 @@ def projected_gradient_condition(law: ProjectedGradient, constants: ProblemConst
         return _strongly_monotone(constants)
     alpha, players = law.step, constants.num_players
     iota_strategies, iota = constants.iota_strategies, constants.iota_estimates
-    sigma = max(
-        float(np.linalg.norm(np.eye(players) - law.mixing * graph.laplacian - 1 / players, 2))
-        for graph in constants.graphs
-    )
+    mixed = [np.eye(players) - law.mixing * graph.laplacian - 1 / players for graph in constants.graphs]
+    sigma = max(float(np.linalg.norm(matrix, 2)) for matrix in mixed)
     mean = 1 - 2 * alpha * constants.epsilon / players + (alpha * iota_strategies) ** 2 / players
     cross = alpha * sigma * (iota + iota_strategies + alpha * iota * iota_strategies) / np.sqrt(players)
     contraction = np.array([[mean, cross], [cross, sigma**2 * (1 + alpha * iota) ** 2]])
@@ -270,52 +255,36 @@ def projected_gradient_condition(law: ProjectedGradient, constants: ProblemConst
 
 @condition.register
 def routed_condition(law: RoutedUnknown, constants: ProblemConstants) -> Condition:
-    """On a fixed graph ρ < 1 of gradient play with delays equal to hop counts, exactly where it converges.
-
-    Where the graph switches, η max_c dF_cc ≤ 1 and ρ(D⁻¹ |dF − D|) < 1, which suffice for every delay
-    (:func:`~ptne_env.theory.delayed_play.coupling_radius`), and all links act again and again.
-    """
-    delays = hop_delays(union(constants.graphs), constants.owners)
-    monotone, curvature = _strongly_monotone(constants), float(constants.jacobian.diagonal().max())
-    if len(constants.graphs) == 1 and len(delays) * (delays.max() + 1) <= _LARGEST_SYSTEM:
-        radius = delayed_play_radius(constants.jacobian, delays, law.step)
-        largest = largest_delayed_step(constants.jacobian, delays)
-        limit = "for no η" if largest is None else f"up to η = {largest:.3g}"
-        name = f"gradient play with delays settles ({limit}): ρ < 1"
-        return decisive(monotone, Condition.settles(name, radius, exact=constants.exact))
+    """A fixed graph, ε > 0, and ρ < 1 of gradient play with delays equal to hop counts, exactly where it converges."""
+    steps = np.full(len(constants.owners), law.step)
     return decisive(
-        monotone,
-        _all_links_recur(constants),
-        Condition.below("η max dF_cc ≤ 1", law.step * curvature, np.nextafter(1.0, 2.0), exact=constants.exact),
-        Condition.below(
-            "ρ(D⁻¹ |dF − D|) < 1, with D the diagonal", coupling_radius(constants.jacobian), 1.0, exact=constants.exact
-        ),
+        _fixed_graph(constants), _strongly_monotone(constants), _delayed_play_settles(constants, steps, 0 * steps)
     )
 
 
 @condition.register
 def multi_rate_condition(law: MultiRate, constants: ProblemConstants) -> Condition:
-    """F monotone, a fixed graph, and ρ < 1 of primal-dual play with delays, the hop counts, as if no bound were active.
+    """A fixed graph, F monotone, and ρ < 1 of primal-dual play with delays, the hop counts, as if no bound were active.
 
     Operators are the players whose own block of dF is 0. The loop is exact where all prices of x* are positive and no
     other bound is active.
     """
-    delays = hop_delays(union(constants.graphs), constants.owners)
-    monotone = Condition.above(
-        "F is monotone: ε ≥ 0", constants.epsilon, np.nextafter(0.0, -1.0), exact=constants.exact
-    )
-    needed = decisive(monotone, _fixed_graph(constants))
-    if not needed.holds or len(delays) * (delays.max() + 2) > _LARGEST_SYSTEM:
-        return needed
     own = constants.owners[:, None] == constants.owners
     is_price = ~np.any(np.where(own, constants.jacobian, 0.0), axis=1)
     steps, leads = np.where(is_price, law.price_step, law.step), np.where(is_price, law.lead, 0.0)
+    monotone = Condition.above("F is monotone: ε ≥ 0", constants.epsilon, -np.finfo(float).tiny, exact=constants.exact)
+    return decisive(_fixed_graph(constants), monotone, _delayed_play_settles(constants, steps, leads))
+
+
+def _delayed_play_settles(constants: ProblemConstants, steps: FloatArray, leads: FloatArray) -> Condition:
+    """ρ < 1 of :func:`~ptne_env.theory.delayed_play.multi_rate_radius`, necessary too where F is affine."""
+    together = union(constants.graphs)
+    if not together.is_connected:
+        return Condition.above("the graphs are jointly connected: λ2 > 0", together.algebraic_connectivity, 0.0)
+    delays = hop_delays(together, constants.owners)
     radius = multi_rate_radius(constants.jacobian, delays, steps, leads)
-    return Condition.settles("primal-dual play with delays settles: ρ < 1", radius, exact=constants.exact)
-
-
-def _fixed_graph(constants: ProblemConstants) -> Condition:
-    return Condition.below("the graph is fixed: number of graphs < 2", len(constants.graphs), 2)
+    name = "gradient play with delays settles: ρ < 1"
+    return Condition.below(name, radius, 1.0, exact=constants.exact, necessary=constants.exact)
 
 
 @condition.register
@@ -337,19 +306,10 @@ def proximal_condition(law: ProximalBestResponse, constants: ProblemConstants) -
 def relay_condition(law: ContactRelay, constants: ProblemConstants) -> Condition:  # noqa: ARG001 - it has no gain
     """ε > 0, ρ(B) < 1 with B_ij = ‖G_ii⁻¹ G_ij‖ for i ≠ j and G = dF, and all links act again and again.
 
-    Then best responses contract in a weighted maximum norm, with copies of any age (D. P. Bertsekas and J. N.
-    Tsitsiklis, "Parallel and distributed computation", 1989, section 6.2), so also along paths that switch.
+    Then best responses contract in a weighted maximum norm, with copies of any age
+    (:func:`~ptne_env.theory.delayed_play.coupling_radius`), so also along paths that switch.
     """
-    curved = _own_curvature(constants)
-    if not curved.holds:
-        return curved
-    blocks = [np.flatnonzero(constants.owners == player) for player in range(constants.num_players)]
-    coupling = np.zeros((len(blocks), len(blocks)))
-    for i, own in enumerate(blocks):
-        response = np.linalg.solve(constants.jacobian[np.ix_(own, own)], constants.jacobian[own])
-        for j, other in enumerate(blocks):
-            coupling[i, j] = 0.0 if i == j else np.linalg.norm(response[:, other], 2)
-    radius = float(np.abs(np.linalg.eigvals(coupling)).max())
+    radius = coupling_radius(constants.jacobian, constants.owners)
     return decisive(
         _strongly_monotone(constants),
         _all_links_recur(constants),
@@ -358,35 +318,5 @@ def relay_condition(law: ContactRelay, constants: ProblemConstants) -> Condition
 
 
 @condition.register
-def observer_relay_condition(law: ObserverRelay, constants: ProblemConstants) -> Condition:
-    """That of :class:`~ptne_env.field.laws.ContactRelay`, and max_c Σ_d |G_cd| ≤ min_c G_cc, d of others, for the own c of a player.
-
-    Then responses are undamped and players do not extrapolate their own gradient, which need not contract. Joint
-    solutions contract as best responses do: with the weights v of the norm, B v ≤ ρ v, and errors |e_j| ≤ r v_j of the
-    components that a solution leaves alone, those that it fixes obey |z_i| ≤ Σ_j B_ij max(|z_j|, r v_j) ≤ ρ r v_i, as
-    soon as model and planes are identified.
-    """
-    size, own = np.abs(constants.jacobian), constants.owners[:, None] == constants.owners
-    beside, curvature = np.where(own, 0.0, size).sum(axis=1), size.diagonal()
-    players = range(constants.num_players)
-    ratios = [
-        beside[mine].max() / curvature[mine].min() if curvature[mine].min() > 0 else np.inf
-        for mine in (constants.owners == player for player in players)
-    ]
-    name = "responses stay undamped: max_c Σ_d |G_cd| / min_c |G_cc| ≤ 1, d of others"
-    undamped = Condition.below(name, max(ratios), np.nextafter(1.0, 2.0), exact=constants.exact)
-    return decisive(undamped, relay_condition(law, constants))
-
-
-def _own_curvature(constants: ProblemConstants) -> Condition:
-    """Whether best responses exist: no own block of dF is singular."""
-    own = constants.owners[:, None] == constants.owners
-    smallest = float(np.linalg.svd(np.where(own, constants.jacobian, 0.0), compute_uv=False)[-1])
-    name = "each J_i is curved in x_i: smallest singular value of G_ii > 0"
-    return Condition.above(name, smallest, ZERO * constants.iota_strategies, exact=constants.exact)
-
-
-def _all_links_recur(constants: ProblemConstants) -> Condition:
-    name = "all links recur as s → ∞: smallest number of recurring links > all links − 1"
-    recurring = min(len(graph.edges) for graph in constants.recurring)
-    return Condition.above(name, recurring, len(union(constants.graphs).edges) - 1)
+def observer_relay_condition(law: ObserverRelay, constants: ProblemConstants) -> None:
+    """No theorem: its gates follow evidence, and it extrapolates its own gradient."""

@@ -90,46 +90,17 @@ def gain_bound(constants: MonotonicityConstants, algebraic_connectivity: float) 
 
 
 def proof_matrix(
-    constants: MonotonicityConstants,
-    algebraic_connectivity: float,
-    players: int,
-    kappa: float,
-    gradient_gain: float = 1.0,
+    constants: MonotonicityConstants, algebraic_connectivity: float, players: int, kappa: float
 ) -> FloatArray:
-    """O/2 = [[ε/N, −ι/√N], [−ι/√N, κ λ2 − ι]] with the matrix O of the proof of Theorem 1, eq. (24).
+    """O/2 = [[ε/N, −ι/√N], [−ι/√N, κ λ2 − ι]] with the matrix O of the proof of Theorem 1, eq. (24), shape (2, 2).
 
-    With a the norm of the mean part 1⊗ē of an error e, and b that of the rest, eᵀ M e ≥ (a, b) O/2 (a, b)ᵀ.
-
-    Args:
-        constants: ε and ι.
-        algebraic_connectivity: λ2.
-        players: N.
-        kappa: κ.
-        gradient_gain: scales ε and ι.
-
-    Returns:
-        Shape (2, 2), symmetric.
+    With a the norm of the mean part 1⊗ē of an error e, and b that of the rest, eᵀ M e ≥ (a, b) O/2 (a, b)ᵀ. So
+    ‖**x** − 1⊗x*‖ falls at least like e^{−λ_min(O/2) τ} from every start. λ_min(O/2) is positive exactly when the gain
+    condition holds; it is a bound, and the rate itself is the spectral abscissa.
     """
-    epsilon, iota = gradient_gain * constants.epsilon, gradient_gain * constants.iota
-    coupling = iota / np.sqrt(players)
-    return np.array([[epsilon / players, -coupling], [-coupling, kappa * algebraic_connectivity - iota]])
-
-
-def guaranteed_rate(
-    constants: MonotonicityConstants,
-    algebraic_connectivity: float,
-    players: int,
-    kappa: float,
-    gradient_gain: float = 1.0,
-) -> float:
-    """λ_min(O/2) of the proof of Theorem 1: ‖**x** − 1⊗x*‖ falls at least like e^{−λ_min(O/2) τ} from every start.
-
-    It is the smallest eigenvalue of :func:`proof_matrix`, which has the same arguments, and bounds λ_min of the
-    symmetric part of M from below. It is positive exactly when the gain condition holds, and a bound: the rate itself
-    is the spectral abscissa.
-    """
-    matrix = proof_matrix(constants, algebraic_connectivity, players, kappa, gradient_gain)
-    return float(np.linalg.eigvalsh(matrix)[0])
+    coupling = constants.iota / np.sqrt(players)
+    corner = kappa * algebraic_connectivity - constants.iota
+    return np.array([[constants.epsilon / players, -coupling], [-coupling, corner]])
 
 
 def jacobians(game: Game, points: FloatArray) -> FloatArray:
@@ -147,6 +118,11 @@ def jacobians(game: Game, points: FloatArray) -> FloatArray:
         width = forward[component] - backward[component]
         result[:, component] = (game.pseudo_gradient(forward) - game.pseudo_gradient(backward)) / width
     return result
+
+
+def jacobian_at_equilibrium(game: Game) -> FloatArray:
+    """dF(x*), shape (n, n)."""
+    return jacobians(game, game.nash_equilibrium[:, None])[:, :, 0]
 
 
 def _largest_norm(matrices: FloatArray) -> float:

@@ -1,16 +1,13 @@
-"""Gradient play with delays: the loop of the routed laws, its largest stable step, and a bound for every delay."""
+"""Gradient play and best responses with late messages: the loop of routed laws, and a bound for every delay."""
 
 from __future__ import annotations
 
 import numpy as np
-import scipy
 from scipy.sparse.csgraph import shortest_path
 
 from ptne_env.shared.arrays import FloatArray, IntArray
+from ptne_env.theory.constants import ZERO
 from ptne_env.world.graphs import Graph
-
-_ACCURACY = 1e-9
-"""Relative accuracy of the largest stable step."""
 
 
 def hop_delays(graph: Graph, owners: IntArray) -> IntArray:
@@ -24,39 +21,13 @@ def hop_delays(graph: Graph, owners: IntArray) -> IntArray:
     return hops[np.ix_(owners, owners)].astype(np.int64)
 
 
-def delayed_play_matrix(jacobian: FloatArray, delays: IntArray, step: float) -> FloatArray:
-    """The matrix of e_c(k+1) = e_c(k) − η Σ_b dF_cb e_b(k − d_cb) on (e(k), e(k−1), …, e(k−D)), D = max d.
-
-    The loop of :class:`~ptne_env.field.laws.RoutedUnknown` on a fixed graph after the first D steps, d_cb being the hop count
-    between the owners of the components c and b. The estimates of the other players are late copies: they add zeros
-    to the eigenvalues.
-
-    Args:
-        jacobian: dF, shape (n, n).
-        delays: d_cb, shape (n, n).
-        step: η.
-
-    Returns:
-        Shape (n (D+1), n (D+1)).
-    """
-    n, longest = len(jacobian), int(delays.max())
-    matrix = np.eye(n * (longest + 1), k=-n)
-    matrix[:n, :n] = np.eye(n)
-    for delay in range(longest + 1):
-        matrix[:n, delay * n : (delay + 1) * n] -= step * np.where(delays == delay, jacobian, 0.0)
-    return matrix
-
-
-def delayed_play_radius(jacobian: FloatArray, delays: IntArray, step: float) -> float:
-    """Spectral radius of :func:`delayed_play_matrix`: below 1 exactly where gradient play with these delays settles."""
-    return float(np.abs(np.linalg.eigvals(delayed_play_matrix(jacobian, delays, step))).max())
-
-
 def multi_rate_radius(jacobian: FloatArray, delays: IntArray, steps: FloatArray, leads: FloatArray) -> float:
     """Spectral radius of e_c(k+1) = e_c(k) − η_c [(1 + δ_c) (dF e)_c(k) − δ_c (dF e)_c(k−1)], with delays in dF e.
 
-    The loop of :class:`~ptne_env.field.laws.MultiRate` on a fixed graph after its first steps, where no bound becomes or
-    ceases to be active: there, (dF e)_c(k) = Σ_b dF_cb e_b(k − d_cb).
+    There (dF e)_c(k) = Σ_b dF_cb e_b(k − d_cb). It is the loop of :class:`~ptne_env.field.laws.MultiRate` and, with
+    one η and δ = 0, of :class:`~ptne_env.field.laws.RoutedUnknown`, on a fixed graph after the first steps, where no
+    bound becomes or ceases to be active: below 1 exactly where the law settles. The estimates of the other players are
+    late copies, which add zeros to the eigenvalues.
 
     Args:
         jacobian: dF, shape (n, n).
@@ -65,52 +36,39 @@ def multi_rate_radius(jacobian: FloatArray, delays: IntArray, steps: FloatArray,
         leads: δ_c, shape (n,).
     """
     n = len(jacobian)
-    matrix = delayed_play_matrix((-steps * leads)[:, None] * jacobian, delays + 1, 1.0)
-    ahead = delayed_play_matrix((steps * (1 + leads))[:, None] * jacobian, delays, 1.0)[:n]
-    ahead[:, :n] -= np.eye(n)
-    matrix[:n, : ahead.shape[1]] += ahead
+    longest = int(delays.max()) + bool(np.any(leads))
+    matrix = np.eye(n * (longest + 1), k=-n)  # of (e(k), e(k−1), …)
+    matrix[:n, :n] = np.eye(n)
+    for extra, weights in ((0, steps * (1 + leads)), (1, -steps * leads)):
+        for delay in range(extra, longest + 1):
+            here = np.where(delays + extra == delay, jacobian, 0.0)
+            matrix[:n, delay * n : (delay + 1) * n] -= weights[:, None] * here
     return float(np.abs(np.linalg.eigvals(matrix)).max())
 
 
-def largest_delayed_step(jacobian: FloatArray, delays: IntArray) -> float | None:
-    """The step η up to which gradient play with delays settles.
+def coupling_radius(jacobian: FloatArray, owners: IntArray) -> float:
+    """ρ(B) with B_ij = ‖G_ii⁻¹ G_ij‖ for i ≠ j, G = dF; below 1, best-response play settles for every delay.
+
+    With v > 0 the Perron vector, B v ≤ ρ v: best responses to copies with errors ‖e_j‖ ≤ r v_j, however late, have
+    errors ‖e_i‖ ≤ ρ r v_i. As soon as all older copies are gone, all errors are within the smaller box, and so on: the
+    errors vanish for delays that change and differ, as long as every copy is renewed again and again (D. P. Bertsekas
+    and J. N. Tsitsiklis, "Parallel and Distributed Computation", 1989, Section 6.2). With an owner per component, so do
+    those of gradient play with steps η dF_cc ≤ 1.
 
     Args:
-        jacobian: dF, shape (n, n), with a positive diagonal.
-        delays: d_cb, shape (n, n).
+        jacobian: dF, shape (n, n).
+        owners: the player of each component, shape (n,).
 
     Returns:
-        η with the radius 1, where it passes 1 for larger steps; ``None`` where no step above 1e-6/max dF_cc settles.
+        The radius; infinite where some G_ii is singular, so that no best response exists.
     """
-    stable = 1 / float(jacobian.diagonal().max())
-    smallest = 1e-6 * stable
-    while delayed_play_radius(jacobian, delays, stable) >= 1:
-        stable /= 2
-        if stable < smallest:
-            return None
-    unstable = 2 * stable
-    while delayed_play_radius(jacobian, delays, unstable) < 1:
-        stable, unstable = unstable, 2 * unstable
-    return float(
-        scipy.optimize.brentq(
-            lambda step: delayed_play_radius(jacobian, delays, step) - 1, stable, unstable, xtol=_ACCURACY * stable
-        )
-    )
-
-
-def coupling_radius(jacobian: FloatArray) -> float:
-    """ρ(D⁻¹ |dF − D|) with D the diagonal of dF; below 1, gradient play settles for every delay.
-
-    With v > 0 the Perron vector, Σ_{b≠c} |dF_cb| v_b ≤ ρ dF_cc v_c. So where η dF_cc ≤ 1 for all c, a step maps the box
-    |e_b| ≤ r v_b of all copies of e_b, however late, to |e_c| ≤ (1 − η (1 − ρ) dF_cc) r v_c. Means of copies stay in
-    the box. As soon as all older copies are gone, all errors are within a smaller box, and so on: the errors vanish for
-    delays that change and differ, as long as every copy is renewed again and again (D. P. Bertsekas and J. N.
-    Tsitsiklis, "Parallel and Distributed Computation", 1989, Section 6.2).
-
-    Args:
-        jacobian: dF, shape (n, n); infinite where its diagonal is not positive.
-    """
-    diagonal = jacobian.diagonal()
-    if diagonal.min() <= 0:
-        return np.inf
-    return float(np.abs(np.linalg.eigvals(np.abs(jacobian / diagonal[:, None]) - np.eye(len(diagonal)))).max())
+    blocks = [np.flatnonzero(owners == player) for player in range(int(owners.max()) + 1)]
+    coupling = np.zeros((len(blocks), len(blocks)))
+    for i, own in enumerate(blocks):
+        square = jacobian[np.ix_(own, own)]
+        if np.linalg.svd(square, compute_uv=False)[-1] <= ZERO * np.linalg.norm(jacobian):
+            return np.inf
+        response = np.linalg.solve(square, jacobian[own])
+        for j, other in enumerate(blocks):
+            coupling[i, j] = 0.0 if i == j else np.linalg.norm(response[:, other], 2)
+    return float(np.abs(np.linalg.eigvals(coupling)).max())

@@ -11,8 +11,8 @@ import numpy as np
 
 from ptne_env.games import AffineGame, NonQuadraticGame, check_game
 from ptne_env.shared.arrays import FloatArray
-from ptne_env.theory import closed_loop_matrix, guaranteed_rate, monotonicity_constants, spectral_abscissa
-from ptne_env.theory.constants import jacobians
+from ptne_env.theory import closed_loop_matrix, monotonicity_constants, proof_matrix, spectral_abscissa
+from ptne_env.theory.constants import jacobian_at_equilibrium
 from ptne_env.theory.paper.claims import VANISHED, Check, Claim, decided, near_deadline
 from ptne_env.theory.paper.continuous import Run, exact_static, plain_timeline, simulate
 from ptne_env.theory.paper.experiments import DEADLINE, GAIN, GAMMA, KAPPA, Experiments
@@ -255,7 +255,7 @@ def _missing_constant(experiments: Experiments) -> Claim:
 def _misprinted_bounds(experiments: Experiments) -> Iterator[Claim]:
     # At a large κ the proof's λ_min(O) is nearly tight.
     kappa, constants, graph = 100.0, experiments.constants, cycle(5)
-    decay = 2 * guaranteed_rate(constants, graph.algebraic_connectivity, 5, kappa)  # that is λ_min(O/2)
+    decay = 2 * float(np.linalg.eigvalsh(proof_matrix(constants, graph.algebraic_connectivity, 5, kappa))[0])
     run = experiments.exact_approach(kappa, s_end=60.0, samples=601)
     norms = np.linalg.norm(run.errors, axis=(1, 2))
     printed, right = (float((norms / (norms[0] * np.exp(-rate * run.timeline.s))).max()) for rate in (decay, decay / 2))
@@ -338,7 +338,7 @@ def _missing_theta(experiments: Experiments) -> Claim:
     # At s = 0, in an error whose mean is the eigenvector of ε and whose rest is small and along their coupling.
     constants, gradients, mean = experiments.constants, experiments.loop_matrix(0.0), _mean_part()
     theta, gain = 1 + GAIN * DEADLINE, 10.0
-    jacobian = jacobians(experiments.energy, experiments.energy.nash_equilibrium[:, None])[:, :, 0]
+    jacobian = jacobian_at_equilibrium(experiments.energy)
     together = np.kron(np.ones(5), np.linalg.eigh((jacobian + jacobian.T) / 2)[1][:, 0])
     rest = -(np.eye(25) - mean) @ (gradients + gradients.T) @ together
     rest *= 0.01 / np.linalg.norm(rest)

@@ -112,14 +112,6 @@ def test_the_loop_decides_where_the_law_settles():
             assert (errors[60] / errors[20]) ** (1 / 40) == pytest.approx(condition.value, rel=0.03)
 
 
-def test_loop_of_a_single_rate_is_gradient_play_with_delays():
-    generator = np.random.default_rng(0)
-    jacobian, delays = generator.normal(size=(4, 4)) + 3 * np.eye(4), generator.integers(0, 3, (4, 4))
-    one, zero = np.full(4, 0.2), np.zeros(4)
-    expected = theory.delayed_play_radius(jacobian, delays, 0.2)
-    assert theory.multi_rate_radius(jacobian, delays, one, zero) == pytest.approx(expected)
-
-
 def test_loop_takes_the_steps_of_its_recursion():
     generator = np.random.default_rng(1)
     jacobian, delays = generator.normal(size=(3, 3)) + 2 * np.eye(3), generator.integers(0, 3, (3, 3))

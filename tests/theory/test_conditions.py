@@ -2,11 +2,14 @@
 
 import numpy as np
 import pytest
-from affine_games import SOAK, affine_scenario, random_affine
+from affine_games import SOAK, affine_scenario, loop_start, random_affine, run
 from sample_laws import condition_on
 from worlds import fixed_part, loop_matrix
 
 from ptne_env import CATALOGUE, get_scenario, laws, theory
+from ptne_env.field import laws as field_laws
+from ptne_env.perception.encoder import make_encoder
+from ptne_env.shared.parts import PARTS
 from ptne_env.world.world import World
 
 RANDOM = range(200 if SOAK else 20)
@@ -23,10 +26,11 @@ def positive_definite(matrix):
 
 
 def test_conditions_are_decided_by_the_constants_of_the_theory():
-    certificate = theory.certify(get_scenario("energy"), kappa=2.0)
+    certificate = theory.certify(get_scenario("energy"))
     static = condition_on("energy", laws.Static)
+    constants = theory.problem_constants(World(get_scenario("energy")))
     assert static == certificate.condition
-    assert static.bound == theory.gain_bound(certificate.constants, certificate.algebraic_connectivity)
+    assert static.bound == theory.gain_bound(constants, constants.connectivity)
     assert (static.value, static.holds, static.exact) == (2.0, False, True)
     assert condition_on("energy", laws.Static, kappa=static.bound * 1.001).holds
     scaled = condition_on("energy", laws.Static, kappa=8.0, gradient_gain=4.0)
@@ -48,33 +52,63 @@ def test_a_law_of_a_user_registers_its_condition(scenario):
     assert condition_on(scenario, laws.ZeroInput) is None
 
 
-def test_recurring_graphs_depend_on_the_clock_of_the_topology():
-    assert theory.problem_constants(World(CATALOGUE["energy-switching"])).recurring_connectivity == 0
+def test_only_links_that_act_again_and_again_count_as_s_grows():
     transformed = theory.problem_constants(World(CATALOGUE["energy-switching-transformed"]))
-    assert transformed.recurring_connectivity == pytest.approx(4 * np.sin(np.pi / 5) ** 2)
     assert transformed.connectivity == 0
-    assert not condition_on("energy-switching", laws.Adaptive).holds
+    assert [graph.is_connected for graph in transformed.recurring] == [True]
+    assert not condition_on("energy-switching", laws.Adaptive).holds  # its last graph is disconnected
     assert condition_on("energy-switching-transformed", laws.Adaptive).holds
     assert not condition_on("energy-switching-transformed", laws.Static).holds
 
 
-LAWS = [
-    law for law in vars(laws).values() if isinstance(law, type) and issubclass(law, laws.Law) and law is not laws.Law
-]
+LAWS = [law for law in PARTS if law.startswith("law:") and law != "law:random"]
+WITHOUT_THEOREM = {"law:zero-input", "law:oracle", "law:observer-relay"}
 
 
-@pytest.mark.parametrize("scenario", CATALOGUE)
+@pytest.mark.parametrize("scenario", ["energy", "energy-switching", "non-quadratic", "ev-charging"])
 @pytest.mark.parametrize("law", LAWS)
 def test_every_law_has_a_condition_on_every_scenario_or_none_at_all(law, scenario):
     found = condition_on(scenario, law)
-    if law in (laws.ZeroInput, laws.CentralisedOracle):
+    if law in WITHOUT_THEOREM:
         assert found is None
         return
-    assert isinstance(found, theory.Condition)
     assert found.name
     assert found.holds in (True, False)
-    if "non-quadratic" in scenario:
+    if scenario == "non-quadratic":
         assert not found.holds  # F is not monotone there
+
+
+@pytest.mark.parametrize(("step", "settles"), [(0.2, True), (0.3, False)])
+def test_the_routed_law_settles_exactly_where_its_condition_holds(step, settles):
+    """Gradient play with delays equal to hop counts, on four firms: ρ = 1 at η = 0.264."""
+    scenario = get_scenario("oligopoly", input_limit=1e9, steps=300)
+    found = condition_on(scenario, "law:routed-unknown", step=step)
+    assert found.holds is settles
+    assert found.necessary
+    world = World(scenario)
+    encoder = make_encoder(world, field_laws.RoutedUnknown.interface)
+    states = run(world, encoder, field_laws.RoutedUnknown(encoder.layout, step), loop_start(world, size=1.0))[..., 0]
+    errors = np.linalg.norm(states - world.game.nash_equilibrium[:, None], axis=(1, 2))
+    assert bool(errors[-1] < 1e-3 * errors[20]) is settles
+
+
+def test_the_coupling_radius_promises_that_late_best_responses_settle():
+    generator = np.random.default_rng(0)
+    owners = np.array([0, 0, 1, 2, 2, 2])
+    matrix = generator.uniform(-0.3, 0.3, (6, 6)) + np.diag(generator.uniform(1.5, 2.5, 6))
+    assert theory.coupling_radius(matrix, owners) < 1
+    errors = [generator.normal(size=6)] * 4
+    for _ in range(200):
+        late = errors[-1 - generator.integers(4)]
+        blocks = [owners == player for player in range(3)]
+        errors.append(
+            np.concatenate([-np.linalg.solve(matrix[own][:, own], matrix[own][:, ~own] @ late[~own]) for own in blocks])
+        )
+    assert np.abs(errors[-1]).max() < 1e-6
+    assert theory.coupling_radius(np.zeros((2, 2)), np.arange(2)) == np.inf
+    diagonal = np.diag(np.diag(matrix))
+    by_component = np.abs(np.linalg.eigvals(np.linalg.inv(diagonal) @ np.abs(matrix - diagonal))).max()
+    assert theory.coupling_radius(matrix, np.arange(6)) == pytest.approx(by_component)
 
 
 @pytest.mark.parametrize("seed", RANDOM)
