@@ -106,7 +106,7 @@ def test_operator_has_no_best_response_and_regret_is_unknown():
     assert not game.has_best_response
     with pytest.raises(NoBestResponseError, match="flat direction"):
         game.regrets(np.zeros((7, 1)))
-    results = evaluate(["static"], [SCENARIO], episodes=2, against_laws=False)
+    results = evaluate(["static"], [SCENARIO], episodes=2)
     assert np.isnan(results.samples[SCENARIO.name, "static"]["regret"]).all()
 
 
