@@ -15,7 +15,7 @@ import numpy as np
 from benchmarks.peers import MissingPeerError, iter_forever
 from benchmarks.timing import Contender, Plan, seconds_per_call
 from ptne_env import laws, parallel_env
-from ptne_env.envs.vector import VectorBuffers, VectorParallelEnv
+from ptne_env.envs.vector import VectorParallelEnv
 from ptne_env.evaluation.episodes import EpisodeSet
 from ptne_env.evaluation.rollout import rollout
 from ptne_env.perception.encoder import Encoder, make_encoder
@@ -98,28 +98,19 @@ def dictionaries() -> Contender:
     return Contender("five dictionaries alone", len(agents), step)
 
 
-def vector(
-    interface: InterfaceKind,
-    num_envs: int,
-    scenario: str | Scenario = "energy",
-    *,
-    threads: int = 1,
-    has_buffers: bool = False,
-) -> Contender:
-    """The vector environment; finished episodes are reset. It writes into one set of buffers, or into new arrays."""
-    env = VectorParallelEnv(scenario, num_envs, interface=interface, threads=threads)
+def vector(interface: InterfaceKind, num_envs: int, scenario: str | Scenario = "energy") -> Contender:
+    """The vector environment; finished episodes are reset."""
+    env = VectorParallelEnv(scenario, num_envs, interface=interface)
     env.reset(seed=0)
     turn = actions(env.layout.action_bound, (num_envs, env.num_players, env.layout.action_size))
-    out = VectorBuffers(*env.step(next(turn))[:4]) if has_buffers else None
-    name = f"ptne_env, {interface}" + f", {threads} threads" * (threads > 1) + ", buffers" * has_buffers
 
     def step() -> None:
-        outcome = env.step(next(turn), out=out)
+        outcome = env.step(next(turn))
         over = outcome.terminated | outcome.truncated
         if over.any():
-            env.reset(mask=over, out=out)
+            env.reset(mask=over)
 
-    return Contender(name, num_envs * env.num_players, step)
+    return Contender(f"ptne_env, {interface}", num_envs * env.num_players, step)
 
 
 def slots(interface: InterfaceKind, num_envs: int) -> Contender:

@@ -122,9 +122,6 @@ def measure(plan: Plan, console: Console) -> dict[str, Any]:
     for batch in (8, 16) if plan.quick else BATCHES:
         theirs = report.available(lambda batch=batch: peers.vmas(batch)) or []
         own = _both(lambda kind, batch=batch: ours.vector(kind, batch))
-        for kind in INTERFACES:
-            own.append(ours.by("compiled", ours.vector(kind, batch, has_buffers=True)))
-            own.append(ours.by("compiled", ours.vector(kind, batch, threads=2)))
         layout = VectorParallelEnv("energy", 1).layout
         report.compare(f"vector {batch}", own, theirs, scaling.copy_of(layout, batch))
 

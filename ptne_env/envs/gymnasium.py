@@ -1,7 +1,7 @@
 """Gymnasium: all players as one agent, for centralised control and for every single-agent library.
 
-A joint observation is the players' observations one after the other, or their graph; a joint action is their actions
-one after the other; the reward is the mean over players. Registered as ``ptne/<scenario>-joint-v0``::
+A joint observation is the players' observations one after the other, a joint action is their actions one after the
+other, and the reward is the mean over players. Registered as ``ptne/<scenario>-joint-v0``::
 
     env = gymnasium.make("ptne_env:ptne/energy-joint-v0")
     envs = gymnasium.make_vec("ptne_env:ptne/energy-joint-v0", num_envs=64)
@@ -19,16 +19,11 @@ from gymnasium import spaces
 from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 
-from ptne_env.envs.parallel import NashSeekingEnv, parallel_env
-from ptne_env.envs.simulation import Duplicable
-from ptne_env.envs.vector import VectorParallelEnv, member_actions
+from ptne_env.envs.parallel import NashSeekingEnv
+from ptne_env.envs.vector import VectorParallelEnv
 from ptne_env.perception.observation import ObservationLayout
-from ptne_env.perception.observation_forms import FormName, Shown, make_form
 from ptne_env.shared.arrays import BoolArray, Float32Array, FloatArray, as_plain, ordered_sum
 from ptne_env.world.scenario import Scenario
-
-_SET_BY_HAND = -1
-"""Gymnasium's seed of a generator that was assigned to ``np_random``."""
 
 _FLAGS = ("diverged", "is_success")
 """Infos that all players of an environment share."""
@@ -73,15 +68,14 @@ def _tiled(space: spaces.Box, players: int) -> Any:
     return spaces.Box(np.tile(space.low, players), np.tile(space.high, players), dtype=np.float32)
 
 
-class JointEnv(Duplicable, gymnasium.Env[Shown, Float32Array]):
+class JointEnv(gymnasium.Env[Float32Array, Float32Array]):
     """One environment, one agent that acts for all players; the arguments are those of :func:`ptne_env.parallel_env`.
 
     The info has the same keys and dtypes after a reset and after every step: those of
     :class:`~ptne_env.NashSeekingEnv`, with ``clipped`` summed over players and ``reward_<term>`` averaged. ``diverged``
     and ``is_success`` are arrays of shape (), because Gymnasium's vectors give scalars of numpy the dtype object.
 
-    Episodes do not draw from ``np_random``: each source of randomness has a generator of its own. But where
-    ``np_random`` was assigned, a reset without a seed takes its seed from there.
+    Episodes do not draw from ``np_random``: each source of randomness has a generator of its own.
 
     Attributes:
         parallel: the wrapped environment.
@@ -93,59 +87,28 @@ class JointEnv(Duplicable, gymnasium.Env[Shown, Float32Array]):
     }
 
     def __init__(
-        self,
-        scenario: str | Scenario = "energy",
-        *,
-        render_mode: str | None = None,
-        observation: FormName = "flat",
-        **arguments: Any,
+        self, scenario: str | Scenario = "energy", *, render_mode: str | None = None, **arguments: Any
     ) -> None:
-        self.parallel: NashSeekingEnv = parallel_env(scenario, render_mode=render_mode, **arguments)
+        self.parallel = NashSeekingEnv(scenario, render_mode=render_mode, **arguments)
         self.render_mode = render_mode
-        players = self.parallel.possible_agents
-        self._form = make_form(observation, self.parallel.layout, joint=True)
-        self.observation_space = self._form.space()
-        self.action_space = _tiled(self.parallel.action_space(players[0]), len(players))
+        players = len(self.parallel.possible_agents)
+        self.observation_space = _tiled(self.layout.observation_space(), players)
+        self.action_space = _tiled(self.layout.action_space(), players)
 
     @property
     def layout(self) -> ObservationLayout:
         """The layout of each player's part of observations and actions."""
         return self.parallel.layout
 
-    @property
-    def strategies(self) -> FloatArray:
-        """See :attr:`ptne_env.NashSeekingEnv.strategies`."""
-        return self.parallel.strategies
-
-    @property
-    def estimates(self) -> FloatArray:
-        """See :attr:`ptne_env.NashSeekingEnv.estimates`."""
-        return self.parallel.estimates
-
-    @property
-    def nash_equilibrium(self) -> FloatArray:
-        """See :attr:`ptne_env.NashSeekingEnv.nash_equilibrium`."""
-        return self.parallel.nash_equilibrium
-
-    @property
-    def time(self) -> float:
-        """See :attr:`ptne_env.NashSeekingEnv.time`."""
-        return self.parallel.time
-
-    def state(self) -> Float32Array:
-        """See :meth:`ptne_env.NashSeekingEnv.state`."""
-        return self.parallel.state()
-
-    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Shown, dict[str, Any]]:
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Float32Array, dict[str, Any]]:
         """Start an episode; see :meth:`ptne_env.NashSeekingEnv.reset`."""
-        if seed is None and self._np_random_seed == _SET_BY_HAND:
-            observations, infos = self.parallel.reset(int(self.np_random.integers(2**63)), options)
-        else:
-            observations, infos = self.parallel.reset(seed, options)
-            super().reset(seed=seed)
-        return self._joint(observations), _joint_info(infos)
+        observations, infos = self.parallel.reset(seed, options)
+        super().reset(seed=seed)
+        return np.concatenate(list(observations.values())), _joint_info(infos)
 
-    def step(self, action: Float32Array) -> tuple[Shown, float, bool, bool, dict[str, Any]]:
+    def step(self, action: Float32Array) -> tuple[Float32Array, float, bool, bool, dict[str, Any]]:
         """Hold all players' inputs for one step.
 
         Raises:
@@ -156,20 +119,11 @@ class JointEnv(Duplicable, gymnasium.Env[Shown, Float32Array]):
         if joint.shape != self.action_space.shape:
             raise ValueError(f"a joint action has the shape {self.action_space.shape}, got {joint.shape}")
         agents = self.parallel.possible_agents
-        rows = joint.reshape(len(agents), -1)
-        observations, rewards, terminations, truncations, infos = self.parallel.step(
-            dict(zip(agents, rows, strict=True))
-        )
-        return (
-            self._joint(observations),
-            float(_mean(np.array(list(rewards.values())))),
-            terminations[agents[0]],
-            truncations[agents[0]],
-            _joint_info(infos),
-        )
-
-    def _joint(self, observations: dict[str, Float32Array]) -> Shown:
-        return self._form.show(np.concatenate(list(observations.values())))
+        actions = dict(zip(agents, joint.reshape(len(agents), -1), strict=True))
+        observations, rewards, terminations, truncations, infos = self.parallel.step(actions)
+        reward = float(_mean(np.array(list(rewards.values()))))
+        ends = terminations[agents[0]], truncations[agents[0]]
+        return np.concatenate(list(observations.values())), reward, *ends, _joint_info(infos)
 
     def render(self) -> npt.NDArray[np.uint8] | None:
         """See :meth:`ptne_env.NashSeekingEnv.render`."""
@@ -180,7 +134,7 @@ class JointEnv(Duplicable, gymnasium.Env[Shown, Float32Array]):
         self.parallel.close()
 
 
-class JointVectorEnv(Duplicable, gymnasium.vector.VectorEnv[Float32Array, Float32Array, npt.NDArray[Any]]):
+class JointVectorEnv(gymnasium.vector.VectorEnv[Float32Array, Float32Array, npt.NDArray[Any]]):
     """B environments, one agent in each, stepped together; for ``gymnasium.make_vec``.
 
     Infos hold the arrays of :class:`JointEnv`'s info, shape (B,), each with a mask ``_name`` of the environments that
@@ -290,78 +244,3 @@ class JointVectorEnv(Duplicable, gymnasium.vector.VectorEnv[Float32Array, Float3
     def _joint(self, observations: Float32Array) -> Float32Array:
         return observations.reshape(self.num_envs, -1)
 
-
-class PlayerVectorEnv(Duplicable, gymnasium.vector.VectorEnv[Float32Array, Float32Array, npt.NDArray[Any]]):
-    """Every player of B environments as one of B·N environments, all with one policy; RLlib's single-agent runner.
-
-    Member b·N + i is player i of environment b, and the observation holds the player's one-hot. Members of an
-    environment end together and start again in the next step, which ignores their actions and has the reward 0
-    (``NEXT_STEP``). Infos hold the entries of :class:`~ptne_env.NashSeekingEnv`'s as arrays, shape (B·N,), each with a
-    mask ``_name``, which is True for all.
-
-    Args:
-        scenario: a name of the catalogue or a scenario.
-        num_envs: B, environments; the ``num_envs`` of the vector is B·N.
-        **arguments: of :class:`~ptne_env.envs.vector.VectorParallelEnv`: interface, reward,
-            max_cycles, threads and fields of the scenario.
-
-    Attributes:
-        vector: the wrapped environments.
-
-    Raises:
-        TypeError: for an unknown keyword, naming similar ones, or all.
-        ValueError: for an unknown name, or an invalid value.
-    """
-
-    def __init__(self, scenario: str | Scenario = "energy", num_envs: int = 1, **arguments: Any) -> None:
-        self.metadata = {"render_modes": [], "autoreset_mode": AutoresetMode.NEXT_STEP}
-        self.vector = VectorParallelEnv(scenario, num_envs, **arguments)
-        self.num_envs = self.vector.num_envs * self.vector.num_players
-        self.single_observation_space = self.vector.single_observation_space
-        self.single_action_space = self.vector.single_action_space
-        self.observation_space = batch_space(self.single_observation_space, self.num_envs)
-        self.action_space = batch_space(self.single_action_space, self.num_envs)
-        self._over = np.zeros(self.vector.num_envs, dtype=np.bool_)
-
-    @property
-    def layout(self) -> ObservationLayout:
-        """The layout of observations and actions."""
-        return self.vector.layout
-
-    def reset(
-        self,
-        *,
-        seed: int | Sequence[int | None] | None = None,
-        options: dict[str, Any] | None = None,  # noqa: ARG002 - Gymnasium's signature
-    ) -> tuple[Float32Array, dict[str, Any]]:
-        """Start all episodes; ``seed`` is S for S, S + 1, …, or one per environment.
-
-        Raises:
-            ValueError: for an invalid seed or a wrong number of seeds.
-        """
-        observations = self.vector.reset(seed)
-        self._over = np.zeros_like(self._over)
-        return observations.reshape(self.num_envs, -1), self._of_members(self.vector.first_infos())
-
-    def step(self, actions: Float32Array) -> tuple[Float32Array, FloatArray, BoolArray, BoolArray, dict[str, Any]]:
-        """Step all environments, and start those again that ended in the step before.
-
-        Raises:
-            RuntimeError: before the first reset.
-            ValueError: when the actions have another shape or dtype, or are not finite; no environment is stepped.
-        """
-        players = self.vector.num_players
-        outcome = self.vector.step(member_actions(self.vector, actions), self._over)
-        self._over = outcome.terminated | outcome.truncated
-        return (
-            outcome.observations.reshape(self.num_envs, -1),
-            outcome.rewards.reshape(self.num_envs),
-            outcome.terminated.repeat(players),
-            outcome.truncated.repeat(players),
-            self._of_members(outcome.infos),
-        )
-
-    def _of_members(self, infos: dict[str, Any]) -> dict[str, Any]:
-        players = self.vector.num_players
-        members = {name: each.repeat(players) if each.ndim == 1 else each.reshape(-1) for name, each in infos.items()}
-        return _masked(members, np.ones(self.num_envs, dtype=np.bool_))

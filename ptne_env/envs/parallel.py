@@ -12,16 +12,10 @@ from numpy.ma import MaskedArray
 from pettingzoo import ParallelEnv
 
 from ptne_env.envs.rendering import Renderer
-from ptne_env.envs.simulation import Duplicable, Simulation, changed_scenario, player_encoder
+from ptne_env.envs.simulation import Simulation, changed_scenario, initial_estimates, player_encoder
 from ptne_env.perception.encoder import NonFiniteActionError
-from ptne_env.perception.observation import (
-    OBSERVATION_BOUND,
-    Interface,
-    InterfaceKind,
-    ObservationLayout,
-)
-from ptne_env.perception.observation_forms import FormName, Shown, make_form
-from ptne_env.shared.arrays import Float32Array, FloatArray, as_plain
+from ptne_env.perception.observation import OBSERVATION_BOUND, Interface, InterfaceKind, ObservationLayout
+from ptne_env.shared.arrays import Float32Array, FloatArray
 from ptne_env.world import dynamics
 from ptne_env.world.dynamics import State
 from ptne_env.world.scenario import Scenario
@@ -32,7 +26,7 @@ AgentInfo = dict[str, Any]
 _SINGLE = np.dtype(np.float32)
 
 
-class NashSeekingEnv(Duplicable, ParallelEnv[str, Shown, Float32Array]):
+class NashSeekingEnv(ParallelEnv[str, Float32Array, Float32Array]):
     """N players of a noncooperative game that must reach its Nash equilibrium by a deadline.
 
     Agents are ``player_0`` … ``player_{N-1}`` and live until the episode ends, which is ``terminated`` after K steps to
@@ -43,13 +37,23 @@ class NashSeekingEnv(Duplicable, ParallelEnv[str, Shown, Float32Array]):
     (entries of its action beyond the limits), ``is_success`` (whether the relative distance of all estimates is now at
     most 0.5 %) and ``reward_<term>``, such as ``reward_digits`` (each reward term, unweighted).
 
+    Args:
+        scenario: a name of the catalogue (``ptne list`` shows them) or a scenario.
+        interface: ``"scaled"`` or ``"physical"``; see :class:`~ptne_env.perception.observation.ObservationLayout`.
+        reward: a term's name (``digits``, ``tracking``, ``payoff``, ``regret``) or weights by name.
+        max_cycles: steps after which the episode is truncated.
+        render_mode: ``None``, ``"human"`` or ``"rgb_array"``.
+        **overrides: fields of the scenario to change, such as ``start="random"``, ``hold_steps=50``, ``deadline=2.0``.
+
     Attributes:
         scenario: the physics.
         world: the scenario, built.
-        layout: of observations and actions; laws and learned policies are built from it.
-        max_cycles: steps after which the episode is truncated, or ``None``.
-        render_mode: ``None``, ``"human"`` or ``"rgb_array"``.
+        render_mode: as given.
         state_space: of :meth:`state`, a float32 Box.
+
+    Raises:
+        TypeError: for an unknown keyword, naming similar ones, or all.
+        ValueError: for an unknown name, or an invalid value; the message says what is expected.
     """
 
     metadata: ClassVar[dict[str, Any]] = {
@@ -61,46 +65,39 @@ class NashSeekingEnv(Duplicable, ParallelEnv[str, Shown, Float32Array]):
 
     def __init__(
         self,
-        scenario: Scenario,
+        scenario: str | Scenario = "energy",
         *,
-        interface: Interface,
+        interface: InterfaceKind = "scaled",
         reward: str | Mapping[str, float] = "digits",
         max_cycles: int | None = None,
         render_mode: str | None = None,
-        observation: FormName = "flat",
+        **overrides: Any,
     ) -> None:
         if render_mode not in (None, *self.metadata["render_modes"]):
             modes = ", ".join(self.metadata["render_modes"])
             raise ValueError(f"unknown render_mode {render_mode!r}; choose None or one of {modes}")
-        self.scenario = scenario
-        self.metadata = {**type(self).metadata, "name": f"ptne_{scenario.name.replace('-', '_')}_v0"}  # type: ignore[misc]  # PettingZoo reads the name from each instance
+        self.scenario = changed_scenario(scenario, overrides, NashSeekingEnv)
+        name = f"ptne_{self.scenario.name.replace('-', '_')}_v0"
+        self.metadata = {**type(self).metadata, "name": name}  # type: ignore[misc]  # PettingZoo reads the name from each instance
         self.render_mode = render_mode
-        self.world = World(scenario)
-        encoder = player_encoder(self.world, interface)
+        self.world = World(self.scenario)
+        encoder = player_encoder(self.world, Interface(interface))
         self._simulation = Simulation(encoder, reward=reward, max_cycles=max_cycles)
         self.possible_agents = [f"player_{index}" for index in range(self.world.game.num_players)]
         self.agents: list[str] = []
-        self._form = make_form(observation, encoder.layout)
-        self.observation_spaces = {agent: self._form.space() for agent in self.possible_agents}
-        self.action_spaces = {agent: encoder.layout.action_space() for agent in self.possible_agents}
+        self.observation_spaces = {agent: self.layout.observation_space() for agent in self.possible_agents}
+        self.action_spaces = {agent: self.layout.action_space() for agent in self.possible_agents}
         n, players = self.world.game.dimension, len(self.possible_agents)
         self.state_space = spaces.Box(
             -OBSERVATION_BOUND, OBSERVATION_BOUND, (players * (n + players) + 4,), dtype=np.float32
         )
         self._renderer = Renderer(self.world, render_mode) if render_mode else None
-        self._action_size = encoder.layout.action_size
-        self._reward_names, self._has_plain_reward = self._simulation.reward_names, self._simulation.has_plain_reward
-        self._unclipped = [np.int64(0)] * players
+        self._table_shape, self._actions_shape = (1, players, self.layout.size), (1, players, self.layout.action_size)
         self._np_random: np.random.Generator | None = None
-        self._table: tuple[Float32Array, list[Float32Array]] | None = None
-
-    def __getstate__(self) -> dict[str, Any]:
-        """Copies and pickles have no table of observations, whose rows would come apart."""
-        return {**self.__dict__, "_table": None}
 
     @property
     def layout(self) -> ObservationLayout:
-        """The layout of observations and actions."""
+        """The layout of observations and actions; laws and learned policies are built from it."""
         return self._simulation.encoder.layout
 
     @property
@@ -112,15 +109,15 @@ class NashSeekingEnv(Duplicable, ParallelEnv[str, Shown, Float32Array]):
 
     @property
     def max_cycles(self) -> int | None:
-        """Steps after which the episode is truncated, or ``None``."""
+        """Steps after which the episode is truncated, or ``None``; may be set at any time."""
         return self._simulation.max_cycles
 
     @max_cycles.setter
     def max_cycles(self, value: int | None) -> None:
         self._simulation.max_cycles = value
 
-    def observation_space(self, agent: str) -> spaces.Space[Any]:
-        """The agent's own space, the same object on every call."""
+    def observation_space(self, agent: str) -> spaces.Box:
+        """The agent's own Box, the same object on every call."""
         return self.observation_spaces[agent]
 
     def action_space(self, agent: str) -> spaces.Box:
@@ -154,7 +151,7 @@ class NashSeekingEnv(Duplicable, ParallelEnv[str, Shown, Float32Array]):
 
     def reset(
         self, seed: int | None = None, options: Mapping[str, Any] | None = None
-    ) -> tuple[dict[str, Shown], dict[str, AgentInfo]]:
+    ) -> tuple[dict[str, Float32Array], dict[str, AgentInfo]]:
         """Start an episode.
 
         Args:
@@ -166,30 +163,22 @@ class NashSeekingEnv(Duplicable, ParallelEnv[str, Shown, Float32Array]):
         Raises:
             ValueError: for an invalid seed, or estimates of the wrong shape or out of range.
         """
-        estimates = None
-        if options and options.get("estimates") is not None:
-            try:
-                table = as_plain("initial estimates", options["estimates"]).astype(np.float64)
-            except (TypeError, ValueError) as error:
-                raise ValueError(f"options['estimates'] must be an (N, n) table of numbers: {error}") from error
-            expected = (self.world.game.num_players, self.world.game.dimension)
-            if table.shape != expected:
-                raise ValueError(f"options['estimates'] has the shape (N, n) = {expected}, got {table.shape}")
-            estimates = table.T[:, :, None]
-        state = self._simulation.reset([seed], estimates=estimates)
+        given = (options or {}).get("estimates")
+        estimates = None if given is None else initial_estimates(self.layout, 1, given)
+        self._simulation.begin(self._simulation.draw([seed], estimates=estimates))
         if seed is not None:
             self._np_random = np.random.default_rng(seed)
         self.agents = self.possible_agents.copy()
         if self._renderer is not None:
-            self._renderer.reset(state)
+            self._renderer.reset(self._simulation.current)
             self._render_human()
         first = {"diverged": np.False_, "clipped": np.int64(0), "is_success": self._simulation.succeeded()[0]}
-        first |= dict.fromkeys(self._reward_names, np.float64(0))
-        return self._observations(self.agents), {agent: first.copy() for agent in self.agents}
+        first |= dict.fromkeys(self._simulation.reward_names, np.float64(0))
+        return self._by_agent(self._simulation.observe()), {agent: first.copy() for agent in self.agents}
 
     def step(
         self, actions: dict[str, Float32Array]
-    ) -> tuple[dict[str, Shown], dict[str, float], dict[str, bool], dict[str, bool], dict[str, AgentInfo]]:
+    ) -> tuple[dict[str, Float32Array], dict[str, float], dict[str, bool], dict[str, bool], dict[str, AgentInfo]]:
         """Hold all players' inputs for one step.
 
         Args:
@@ -207,41 +196,32 @@ class NashSeekingEnv(Duplicable, ParallelEnv[str, Shown, Float32Array]):
         """
         agents = self.agents
         if not agents:
-            self._require_no(actions)
+            if self._simulation.state is None or actions != {}:
+                raise RuntimeError("no episode is running: call reset() before step()")
             return {}, {}, {}, {}, {}
-        table, rows = self._table or self._observed()
         try:
-            outcome = self._simulation.step(self._stack(actions), out=table, has_constants=True, are_inside=False)
+            inside, clipped = self._simulation.clip(self._stack(actions))
         except NonFiniteActionError:
             raise self._complaint(actions) from None
-        clipped = self._unclipped if outcome.clipped is None else outcome.clipped[0]
-        if not outcome.is_observed:
-            self._simulation.observe(table)
-        terminated, truncated = outcome.terminated.item(), outcome.truncated.item()
+        table = np.empty(self._table_shape, dtype=np.float32)
+        outcome = self._simulation.step(inside, table)
+        observations = self._by_agent(table)
         diverged, is_success = outcome.diverged[0], outcome.is_success[0]
-        show, observations = self._form.show, dict[str, Shown]()
-        infos: dict[str, AgentInfo] = {}
-        totals, first = outcome.rewards.ravel().tolist(), self._reward_names[0]
-        values = map(np.float64, totals)  # faster than the entries of an array
-        for agent, row, count, value in zip(agents, rows, clipped, values, strict=True):
-            observations[agent] = show(row.copy())
-            infos[agent] = {"diverged": diverged, "clipped": count, "is_success": is_success, first: value}
-        if not self._has_plain_reward:
-            for name, term in zip(self._reward_names, outcome.terms.values(), strict=True):
-                for info, value in zip(infos.values(), term.ravel(), strict=True):
-                    info[name] = value
+        infos: dict[str, AgentInfo] = {
+            agent: {"diverged": diverged, "clipped": count, "is_success": is_success}
+            for agent, count in zip(agents, clipped[0], strict=True)
+        }
+        for name, term in zip(self._simulation.reward_names, outcome.terms.values(), strict=True):
+            for info, value in zip(infos.values(), term.ravel(), strict=True):
+                info[name] = value
+        rewards = dict(zip(agents, outcome.rewards.ravel().tolist(), strict=True))
+        terminated, truncated = outcome.terminated.item(), outcome.truncated.item()
         if terminated or truncated:
             self.agents = []
         if self._renderer is not None:
             self._renderer.record(self._simulation.current)
             self._render_human()
-        return (
-            observations,
-            dict(zip(agents, totals, strict=True)),
-            dict.fromkeys(agents, terminated),
-            dict.fromkeys(agents, truncated),
-            infos,
-        )
+        return observations, rewards, dict.fromkeys(agents, terminated), dict.fromkeys(agents, truncated), infos
 
     def state(self) -> Float32Array:
         """A global view for centralised critics: all estimates (player by player), the active adjacency, the clock.
@@ -293,27 +273,13 @@ class NashSeekingEnv(Duplicable, ParallelEnv[str, Shown, Float32Array]):
         if self._renderer is not None:
             self._renderer.close()
 
-    def _require_no(self, actions: Any) -> None:
-        """Refuse actions where no episode is running, and a step before the first reset."""
-        if self._simulation.state is None or actions != {}:
-            raise RuntimeError("no episode is running: call reset() before step()")
-
     def _render_human(self) -> None:
         if self.render_mode == "human" and self._renderer is not None:
             self._renderer.draw()
 
-    def _observations(self, agents: list[str]) -> dict[str, Shown]:
+    def _by_agent(self, table: Float32Array) -> dict[str, Float32Array]:
         """Copies of rows, because a row leads to all others of its array by the attribute ``base``."""
-        table, rows = self._observed()
-        self._simulation.observe(table)
-        return {agent: self._form.show(row.copy()) for agent, row in zip(agents, rows, strict=True)}
-
-    def _observed(self) -> tuple[Float32Array, list[Float32Array]]:
-        """The table of observations, and its rows: views cost as much as copies, so they are made once."""
-        if self._table is None:
-            table = self._simulation.observe()
-            self._table = table, list(table[0])
-        return self._table
+        return {agent: row.copy() for agent, row in zip(self.possible_agents, table[0], strict=True)}
 
     def _stack(self, actions: Mapping[str, Any]) -> npt.NDArray[np.floating]:
         """All actions in the order of the agents, shape (1, N, action size)."""
@@ -322,7 +288,7 @@ class NashSeekingEnv(Duplicable, ParallelEnv[str, Shown, Float32Array]):
             stacked = np.array(rows)[None]
         except (KeyError, IndexError, TypeError, ValueError):
             raise self._complaint(actions) from None
-        if stacked.shape != (1, len(actions), self._action_size):
+        if stacked.shape != self._actions_shape or len(actions) != len(rows):
             raise self._complaint(actions)
         for row in rows:
             if type(row) is np.ndarray and row.dtype is _SINGLE:  # nearly always, and dtypes are one object
@@ -343,7 +309,7 @@ class NashSeekingEnv(Duplicable, ParallelEnv[str, Shown, Float32Array]):
                 f"step() needs one action per live agent; missing: {', '.join(missing) or 'none'}; unknown: "
                 f"{', '.join(map(str, unknown)) or 'none'}; live: {', '.join(self.agents)}"
             )
-        faults = {agent: _fault(actions[agent], (self.layout.action_size,)) for agent in self.agents}
+        faults = {agent: _fault(actions[agent], self._actions_shape[2:]) for agent in self.agents}
         return ValueError("; ".join(f"the action of {agent} {fault}" for agent, fault in faults.items() if fault))
 
 
@@ -362,36 +328,5 @@ def _fault(action: Any, shape: tuple[int, ...]) -> str | None:
     return None if np.isfinite(row).all() else "is not finite; expected numbers without NaN or infinity"
 
 
-def parallel_env(
-    scenario: str | Scenario = "energy",
-    *,
-    interface: InterfaceKind = "scaled",
-    reward: str | Mapping[str, float] = "digits",
-    max_cycles: int | None = None,
-    render_mode: str | None = None,
-    observation: FormName = "flat",
-    **overrides: Any,
-) -> NashSeekingEnv:
-    """The PettingZoo ParallelEnv of a scenario.
-
-    Args:
-        scenario: a name of the catalogue (``ptne list`` shows them) or a scenario.
-        interface: ``"scaled"`` or ``"physical"``; see :class:`ptne_env.perception.observation.ObservationLayout`.
-        reward: a term's name (``digits``, ``tracking``, ``payoff``, ``regret``) or weights by name.
-        max_cycles: steps after which the episode is truncated.
-        render_mode: ``None``, ``"human"`` or ``"rgb_array"``.
-        observation: ``"flat"``, ``"graph"`` or ``"padded-graph"``; see :mod:`ptne_env.perception.observation_forms`.
-        **overrides: fields of the scenario to change, such as ``start="random"``, ``hold_steps=50``, ``deadline=2.0``.
-
-    Raises:
-        TypeError: for an unknown keyword, naming similar ones, or all.
-        ValueError: for an unknown name, or an invalid value; the message says what is expected.
-    """
-    return NashSeekingEnv(
-        changed_scenario(scenario, overrides, parallel_env),
-        interface=Interface(interface),
-        reward=reward,
-        max_cycles=max_cycles,
-        render_mode=render_mode,
-        observation=observation,
-    )
+parallel_env = NashSeekingEnv
+"""PettingZoo's name for what makes a ParallelEnv."""

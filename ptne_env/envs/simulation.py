@@ -7,14 +7,14 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import fields
 from inspect import Parameter, signature
 from time import perf_counter
-from typing import Any, NamedTuple, Self
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from ptne_env.perception.encoder import Clipped, Encoder, make_encoder
-from ptne_env.perception.observation import Interface
-from ptne_env.shared.arrays import BoolArray, Float32Array, FloatArray, IntArray, require_count
+from ptne_env.perception.observation import Interface, ObservationLayout
+from ptne_env.shared.arrays import BoolArray, Float32Array, FloatArray, as_plain, require_count
 from ptne_env.shared.names import suggestion
 from ptne_env.shared.random_streams import RandomStreams
 from ptne_env.world import distances, dynamics, fused
@@ -35,8 +35,6 @@ class StepResult(NamedTuple):
         truncated: shape (B,).
         diverged: whether each environment is out of range, shape (B,).
         is_success: whether all estimates of each environment are within 0.5 % of the equilibrium, shape (B,).
-        is_observed: whether the observations were written too, as a compiled step does.
-        clipped: entries of each player's action that were outside the box, shape (B, N); ``None`` for none.
     """
 
     rewards: FloatArray
@@ -45,11 +43,9 @@ class StepResult(NamedTuple):
     truncated: BoolArray
     diverged: BoolArray
     is_success: BoolArray
-    is_observed: bool
-    clipped: IntArray | None = None
 
 
-class ResetResult(NamedTuple):
+class Start(NamedTuple):
     """The draws with which episodes start.
 
     Attributes:
@@ -98,12 +94,27 @@ def player_encoder(world: World, interface: Interface) -> Encoder:
     return make_encoder(world, interface)
 
 
-class Duplicable:
-    """A copy of an environment steps on its own: ``copy.copy`` gives the same as ``copy.deepcopy``."""
+def initial_estimates(layout: ObservationLayout, num_envs: int, given: npt.ArrayLike) -> FloatArray:
+    """The initial estimates of B environments, with environments last, (n, N, B), read-only.
 
-    def __copy__(self) -> Self:
-        """An environment in the same state, with which this one shares nothing."""
-        return copy.deepcopy(self)
+    Args:
+        layout: of the environments.
+        num_envs: B.
+        given: by the caller, shape (N, n) for all or (B, N, n), row i being x^i(0).
+
+    Raises:
+        ValueError: for another shape, no numbers, or numbers out of range.
+    """
+    try:
+        table = as_plain("initial estimates", given).astype(np.float64)
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"initial estimates are an (N, n) or (B, N, n) table of numbers: {error}") from error
+    shape = (num_envs, layout.num_players, layout.dimension)
+    if table.shape not in (shape, shape[1:]):
+        raise ValueError(f"initial estimates have the shape (N, n) = {shape[1:]} or {shape}, got {table.shape}")
+    if not np.all(np.abs(table) <= RANGE_LIMIT):
+        raise ValueError(f"initial estimates must be finite and within ±{RANGE_LIMIT:g}")
+    return np.broadcast_to(table, shape).transpose(2, 1, 0)
 
 
 class Simulation:
@@ -118,8 +129,9 @@ class Simulation:
     Attributes:
         encoder: as given.
         world: of the encoder.
+        max_cycles: as given; may be set at any time.
+        num_envs: B.
         reward_names: the names of the reward terms in infos.
-        has_plain_reward: whether the reward is one term, of weight 1.
 
     Raises:
         ValueError: for an unknown reward or a count below 1.
@@ -137,7 +149,6 @@ class Simulation:
         self.num_envs = require_count("num_envs", num_envs, 1)
         self.max_cycles = None if max_cycles is None else require_count("max_cycles", max_cycles, 1)
         self._reward = Reward(self.world, reward)
-        self.has_plain_reward = self._reward.is_plain
         self.reward_names = [f"reward_{name}" for name in self._reward.weights]
         self._fused = fused.FusedStep(encoder, self.num_envs) if fused.qualifies(encoder, self.num_envs) else None
         self._never = np.zeros(self.num_envs, dtype=np.bool_)
@@ -174,26 +185,13 @@ class Simulation:
         self._state = state
         self._reward.reset(state)
 
-    def reset(
-        self,
-        seeds: Sequence[int | None] | None = None,
-        mask: BoolArray | None = None,
-        estimates: FloatArray | None = None,
-    ) -> State:
-        """Start episodes: :meth:`draw` and :meth:`begin`.
-
-        Raises:
-            ValueError: as :meth:`draw`; the state stays as it was.
-        """
-        return self.begin(self.draw(seeds, mask, estimates))
-
     def draw(
         self,
         seeds: Sequence[int | None] | None = None,
         mask: BoolArray | None = None,
         estimates: FloatArray | None = None,
-    ) -> ResetResult:
-        """Draw the start of episodes; none has started yet.
+    ) -> Start:
+        """Draw the start of episodes, which :meth:`begin` starts.
 
         Args:
             seeds: one per environment; ``None`` continues the present generators. Only those in ``mask`` count.
@@ -203,84 +201,50 @@ class Simulation:
         Raises:
             ValueError: for an invalid seed or estimates, or a drawn game that is not strongly monotone.
         """
-        if self.state is None and mask is not None and not mask.all():
-            raise ValueError("the first reset() starts every environment: leave out the mask")
-        chosen = np.arange(self.num_envs) if mask is None else np.flatnonzero(mask)
-        streams = self._seeded(chosen, seeds or [None] * self.num_envs)
+        mask = np.ones(self.num_envs, dtype=np.bool_) if mask is None else mask
+        chosen = np.flatnonzero(mask).tolist()
+        seeds = seeds or [None] * self.num_envs
+        streams = list(self._streams) or [RandomStreams.from_seed(seed) for seed in seeds]
+        for index in chosen:
+            if seeds[index] is not None:
+                streams[index] = RandomStreams.from_seed(seeds[index])
         if estimates is not None:  # they may be refused, and then nothing has been drawn
             streams = copy.deepcopy(streams)
         fresh = dynamics.draw_initial_state(self.world, [streams[index] for index in chosen], estimates)
         if fresh.any_diverged:
             raise ValueError(f"own gradients at the initial estimates must be within ±{RANGE_LIMIT:g}: start closer")
-        return ResetResult(streams, fresh, np.ones(self.num_envs, dtype=np.bool_) if mask is None else mask)
+        return Start(streams, fresh, mask)
 
-    def begin(self, drawn: ResetResult) -> State:
-        """Start the episodes that were drawn."""
-        self._streams, state, mask = drawn
-        if not mask.all():
-            state = dynamics.merge(self.current, state, mask)
-        self._state = state
-        self._reward.reset(state)
-        return state
-
-    def _seeded(self, chosen: IntArray, seeds: Sequence[int | None]) -> list[RandomStreams]:
-        """The generators of all environments, new ones for those among ``chosen`` that have a seed."""
-        if len(seeds) != self.num_envs:
-            raise ValueError(f"{self.num_envs} environments need as many seeds, got {len(seeds)}")
-        streams = list(self._streams) or [RandomStreams.from_seed(seed) for seed in seeds]
-        for index in chosen.tolist():
-            if seeds[index] is not None:
-                streams[index] = RandomStreams.from_seed(seeds[index])
-        return streams
-
-    @property
-    def is_compiled(self) -> bool:
-        """Whether the next step will be compiled, if all environments are in range."""
-        return self._fused is not None and fused.kernels() is not None
+    def begin(self, start: Start) -> None:
+        """Start the episodes that were drawn; the first start is that of every environment."""
+        self._streams, state, mask = start
+        self._state = state if mask.all() else dynamics.merge(self.current, state, mask)
+        self._reward.reset(self._state)
 
     def clip(self, actions: npt.NDArray[np.floating]) -> Clipped:
-        """Clip actions; as :meth:`Encoder.clip`, of any number of environments."""
+        """Clip actions to the action box and count, as :meth:`Encoder.clip`; of any number of environments."""
         if self._fused is not None and self._fused.accepts(actions):
             return Clipped(actions, np.zeros(actions.shape[:2], dtype=np.int64))
         return self.encoder.clip(actions)
 
-    def step(
-        self,
-        actions: npt.NDArray[np.floating],
-        restart: ResetResult | None = None,
-        out: Float32Array | None = None,
-        *,
-        has_constants: bool = False,
-        are_inside: bool = True,
-    ) -> StepResult:
+    def step(self, actions: npt.NDArray[np.floating], out: Float32Array, restart: Start | None = None) -> StepResult:
         """Hold all players' inputs for one step.
 
         Args:
-            actions: shape (B, N, action size).
+            actions: clipped, shape (B, N, action size).
+            out: where the observations are written, (B, N, size), float32 and C-contiguous.
             restart: the start of environments that start afresh instead of moving: their rewards are 0.
-            out: where a compiled step writes the observations, (B, N, size) and C-contiguous; numpy makes the step if
-                it is left out.
-            has_constants: whether ``out`` has held observations of this simulation before.
-            are_inside: whether the actions are known to be finite and within the action box (see :meth:`clip`); they
-                are clipped otherwise.
 
         Raises:
             RuntimeError: before the first reset.
-            NonFiniteActionError: when an action that has to be clipped holds NaN or infinity; nothing is stepped.
         """
-        compiled, moved, clipped = self._fused, None, None
-        if compiled is not None and out is not None:
-            moved = compiled.move(self._state, actions, out, has_constants=has_constants, are_inside=are_inside)
-        if moved is None and not are_inside:
-            actions, clipped = self.encoder.clip(actions)
-            if compiled is not None and out is not None:
-                moved = compiled.move(self._state, actions, out, has_constants=has_constants)
+        moved = None if self._fused is None else self._fused.move(self._state, actions, out)
         if moved is None:
             began, before = perf_counter(), self.current
             self._state = state = dynamics.step(self.world, before, self.encoder.inputs(actions, before))
             terms = self._reward.step(state)
             instants, terminated, diverged = state.step, dynamics.is_over(self.world, state), state.diverged
-            if compiled is not None and not fused.spend(perf_counter() - began):
+            if self._fused is not None and not fused.spend(perf_counter() - began):
                 self._fused = None
         else:
             self._state = None
@@ -293,9 +257,9 @@ class Simulation:
             moves = ~restart.mask
             terms = {name: np.where(moves, term, 0.0) for name, term in terms.items()}
             terminated, truncated, diverged = terminated & moves, truncated & moves, diverged & moves
-        is_observed = moved is not None and restart is None
-        total, is_success = self._reward.total(terms), self.succeeded()
-        return StepResult(total, terms, terminated, truncated, diverged, is_success, is_observed, clipped)
+        if moved is None or restart is not None:
+            self.encoder.observe(self.current, out)
+        return StepResult(self._reward.total(terms), terms, terminated, truncated, diverged, self.succeeded())
 
     def observe(self, out: Float32Array | None = None) -> Float32Array:
         """Observations of all players, shape (B, N, size), float32, owned by the caller."""

@@ -8,6 +8,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+from gymnasium import spaces
 
 try:
     import torch
@@ -17,12 +18,9 @@ try:
 except ImportError as error:  # pragma: no cover - exercised in an environment without the package
     raise ImportError('the TorchRL adapter needs an extra: pip install "ptne-env[torchrl]"') from error
 
-from gymnasium import spaces
-
-from ptne_env.envs.simulation import Duplicable
-from ptne_env.envs.vector import VectorBuffers, VectorParallelEnv
+from ptne_env.envs.vector import VectorParallelEnv
 from ptne_env.perception.observation import ObservationLayout
-from ptne_env.shared.arrays import BoolArray, Float32Array
+from ptne_env.shared.arrays import BoolArray, FloatArray
 from ptne_env.shared.random_streams import require_seed
 from ptne_env.world.scenario import Scenario
 
@@ -30,22 +28,21 @@ GROUP = "player"
 """The group of all players: the name that TorchRL's ``PettingZooWrapper`` gives it, so a trainer fits both."""
 
 
-class TorchRLEnv(Duplicable, EnvBase):
-    """A TorchRL environment with the batch size (B,), whose keys are those of ``PettingZooWrapper``.
+class TorchRLEnv(EnvBase):
+    """A TorchRL environment on the CPU with the batch size (B,), whose keys are those of ``PettingZooWrapper``.
 
     ``("player", "observation")`` has the shape (B, N, size), ``("player", "action")`` (B, N, action size) and
     ``("player", "reward")`` (B, N, 1), all float32; ``("player", "info", …)`` holds each entry of the infos, (B, N),
-    float32. ``done``, ``terminated`` and ``truncated`` have the shape (B, 1),
-    and (B, N, 1) in the group. Tensors show the memory of new numpy arrays, without a copy, so no later step changes
-    them. A reset starts the environments that ``"_reset"`` names, or all of them.
+    float32. ``done``, ``terminated`` and ``truncated`` have the shape (B, 1), and (B, N, 1) in the group. Tensors show
+    the memory of new numpy arrays, so no later step changes them. A reset starts the environments that ``"_reset"``
+    names, or all of them.
 
     Args:
         scenario: a name of the catalogue or a scenario.
         num_envs: B.
         seed: of the first reset; environment b gets seed + b.
-        device: the CPU; collectors move tensors to the device of a policy.
-        **arguments: of :class:`~ptne_env.envs.vector.VectorParallelEnv`: interface, reward,
-            max_cycles, threads and fields of the scenario.
+        **arguments: of :class:`~ptne_env.envs.vector.VectorParallelEnv`: interface, reward, max_cycles and fields of
+            the scenario.
 
     Attributes:
         vector: the environments.
@@ -54,20 +51,14 @@ class TorchRLEnv(Duplicable, EnvBase):
 
     Raises:
         TypeError: for an unknown keyword, naming similar ones, or all.
-        ValueError: for an unknown name, an invalid value, or another device.
+        ValueError: for an unknown name or an invalid value.
     """
 
     def __init__(
-        self,
-        scenario: str | Scenario = "energy",
-        num_envs: int = 1,
-        *,
-        seed: int | None = None,
-        device: str | torch.device = "cpu",
-        **arguments: Any,
+        self, scenario: str | Scenario = "energy", num_envs: int = 1, *, seed: int | None = None, **arguments: Any
     ) -> None:
         vector = VectorParallelEnv(scenario, num_envs, **arguments)
-        super().__init__(device=_require_cpu(device), batch_size=(vector.num_envs,))
+        super().__init__(device="cpu", batch_size=(vector.num_envs,))
         self.vector = vector
         self.layout: ObservationLayout = vector.layout
         self.group_map = {GROUP: [f"player_{index}" for index in range(vector.num_players)]}
@@ -75,35 +66,25 @@ class TorchRLEnv(Duplicable, EnvBase):
 
         batch, group = (num_envs,), (num_envs, vector.num_players)
         entries = ("diverged", "clipped", "is_success", *vector.reward_names)
-        infos = Composite({name: Unbounded(group, device=self.device) for name in entries}, shape=group)
+        infos = Composite({name: Unbounded(group) for name in entries}, shape=group)
         observed = self._bounded(vector.single_observation_space)
         self.observation_spec = self._grouped({"observation": observed, "info": infos})
         self.action_spec = self._grouped({"action": self._bounded(vector.single_action_space)})
-        self.reward_spec = self._grouped({"reward": Unbounded((*group, 1), device=self.device)})
+        self.reward_spec = self._grouped({"reward": Unbounded((*group, 1))})
         self.done_spec = self._grouped(self._flags(group), self._flags(batch))
 
     def _grouped(self, members: dict[str, Any], whole: dict[str, Any] | None = None) -> Composite:
         """The specification of entries of the group, and of those of an environment as a whole."""
-        shape = (*self.batch_size, self.vector.num_players)
-        group = Composite(members, shape=shape, device=self.device)
+        group = Composite(members, shape=(*self.batch_size, self.vector.num_players))
         return Composite({**(whole or {}), GROUP: group}, shape=self.batch_size, device=self.device)
 
     def _bounded(self, space: spaces.Box) -> Bounded:
         shape = (*self.batch_size, self.vector.num_players, *space.shape)
         low, high = (torch.from_numpy(np.broadcast_to(bound, shape).copy()) for bound in (space.low, space.high))
-        return Bounded(low, high, shape=shape, device=self.device, dtype=torch.float32)
+        return Bounded(low, high, shape=shape, dtype=torch.float32)
 
     def _flags(self, shape: tuple[int, ...]) -> dict[str, Categorical]:
-        names = ("done", "terminated", "truncated")
-        return {name: Categorical(2, (*shape, 1), dtype=torch.bool, device=self.device) for name in names}
-
-    def to(self, device: str | torch.device) -> TorchRLEnv:
-        """This environment, which stays on the CPU.
-
-        Raises:
-            ValueError: for another device.
-        """
-        return super().to(_require_cpu(device))
+        return {name: Categorical(2, (*shape, 1), dtype=torch.bool) for name in ("done", "terminated", "truncated")}
 
     def _set_seed(self, seed: int | None) -> None:
         """Seed the next start of every environment: environment b gets seed + b.
@@ -144,38 +125,20 @@ class TorchRLEnv(Duplicable, EnvBase):
                 "all environments are stepped together, and _step leaves some out: roll out with "
                 "break_when_any_done=False, which resets an environment at its end, and without break_when_all_done"
             )
-        given = tensordict[GROUP, "action"]
-        if given.dtype is torch.bfloat16:  # which numpy does not have
-            given = given.float()
-        actions = given.numpy(force=True)
-        rewards = np.empty((self.vector.num_envs, self.vector.num_players), dtype=np.float32)
-        outcome = self.vector.step(actions, out=VectorBuffers(rewards=rewards))
-        entries = {"observation": outcome.observations, "reward": rewards[:, :, None]}
+        outcome = self.vector.step(tensordict[GROUP, "action"].numpy(force=True))
+        entries = {"observation": outcome.observations, "reward": outcome.rewards[:, :, None]}
         return self._output(entries, outcome.infos, outcome.terminated, outcome.truncated)
 
     def _output(
-        self, entries: dict[str, Float32Array], infos: dict[str, Any], terminated: BoolArray, truncated: BoolArray
+        self, entries: dict[str, FloatArray], infos: dict[str, Any], terminated: BoolArray, truncated: BoolArray
     ) -> TensorDict:
         """Tensors of the group, and the flags of every environment and of its players."""
         players = self.vector.num_players
+        shape = (*self.batch_size, players)
         flags = {"done": terminated | truncated, "terminated": terminated, "truncated": truncated}
         whole = {name: torch.from_numpy(flag.reshape(-1, 1)) for name, flag in flags.items()}
-        group = {name: torch.from_numpy(array) for name, array in entries.items()}
-        group |= {name: torch.from_numpy(flag.repeat(players).reshape(-1, players, 1)) for name, flag in flags.items()}
-        shape = (*self.batch_size, players)
+        group: dict[str, Any] = {name: torch.from_numpy(np.float32(array)) for name, array in entries.items()}
+        group |= {name: torch.from_numpy(flag.repeat(players).reshape(*shape, 1)) for name, flag in flags.items()}
         wide = {name: each if each.ndim > 1 else np.tile(each[:, None], players) for name, each in infos.items()}
-        tensors = {name: torch.from_numpy(each.astype(np.float32)) for name, each in wide.items()}
-        group["info"] = TensorDict(tensors, shape, device=self.device)
-        members = TensorDict(group, shape, device=self.device)
-        return TensorDict({**whole, GROUP: members}, self.batch_size, device=self.device)
-
-
-def _require_cpu(device: str | torch.device) -> torch.device:
-    """The device, or ``ValueError`` when it is not the CPU."""
-    wanted = torch.device(device)
-    if wanted.type != "cpu":
-        raise ValueError(
-            f"the environments compute on the CPU, got the device {wanted}: leave them there, and give the other "
-            "device to the policy; collectors move tensors between the two"
-        )
-    return wanted
+        group["info"] = TensorDict({name: torch.from_numpy(np.float32(each)) for name, each in wide.items()}, shape)
+        return TensorDict({**whole, GROUP: TensorDict(group, shape)}, self.batch_size, device=self.device)

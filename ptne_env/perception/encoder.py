@@ -113,14 +113,10 @@ class Encoder(ABC):
         """Copies and pickles have no workspace: its parts are views of one buffer and would come apart."""
         return {**self.__dict__, "_workspaces": {}}
 
-    def with_shared_tables(self, *, own_workspaces: bool = False) -> Encoder:
-        """An encoder for other environments of the same world, with the same tables.
-
-        Args:
-            own_workspaces: for use on another thread; workspaces that are shared stay in cache.
-        """
+    def with_shared_tables(self) -> Encoder:
+        """An encoder for other environments of the same world, with the same tables and workspaces."""
         result = copy.copy(self)
-        result._workspaces = {} if own_workspaces else self._workspaces  # noqa: SLF001 - of the same class
+        result._workspaces = self._workspaces  # noqa: SLF001 - of the same class
         return result
 
     def observe(self, state: State, out: Float32Array | None = None) -> Float32Array:

@@ -24,7 +24,7 @@ from stable_baselines3.common.utils import LinearSchedule
 from torch import nn
 
 from ptne_env import learn as policies
-from ptne_env.envs.sb3 import MixedPlayerVecEnv, PlayerVecEnv
+from ptne_env.envs.sb3 import PlayerVecEnv
 from ptne_env.evaluation import PolicySpec, episode_seed, evaluate
 from ptne_env.evaluation.suite import find_scenario
 from ptne_env.learn.training import checkpoint
@@ -92,7 +92,7 @@ def train(arguments: Arguments, out: Path, progress: Progress | None = None) -> 
     return finish(out, export(digits=digits), record(), digits)
 
 
-def make_env(arguments: Arguments) -> PlayerVecEnv | MixedPlayerVecEnv:
+def make_env(arguments: Arguments) -> PlayerVecEnv:
     """The environments that a run trains in.
 
     Raises:
@@ -113,7 +113,9 @@ def make_env(arguments: Arguments) -> PlayerVecEnv | MixedPlayerVecEnv:
         )
         for name in arguments.scenarios
     ]
-    return parts[0] if len(parts) == 1 else MixedPlayerVecEnv(parts)
+    if len(parts) > 1:
+        raise ValueError("a policy is trained on one scenario")
+    return parts[0]
 
 
 def settings(arguments: Arguments, layout: ObservationLayout) -> dict[str, Any]:
