@@ -15,7 +15,7 @@ import ptne_env
 SOURCE = Path(ptne_env.__file__)
 HEAVY = (
     *("torch", "matplotlib", "plotly", "scipy.stats", "stable_baselines3", "pandas", "onnxruntime", "networkx"),
-    *("numba", "torchrl", "tensordict", "benchmarl", "pufferlib"),
+    *("numba", "torchrl", "tensordict"),
 )
 
 PUBLIC = {
@@ -49,7 +49,6 @@ def test_making_an_environment_imports_no_extra():
     ("framework", "module", "advice"),
     [
         ("torchrl", "torchrl", r'pip install "ptne-env\[torchrl\]"'),
-        ("benchmarl", "benchmarl", "pip install benchmarl"),
         ("stable_baselines3", "sb3", r'pip install "ptne-env\[sb3\]"'),
     ],
 )

@@ -1,42 +1,88 @@
-"""BenchMARL: MAPPO on ``NashSeekingTask``, whose environments are stepped together, and on a task with one at a time.
+"""BenchMARL: MAPPO on a task whose environments are stepped together.
 
 Run it with: python examples/ecosystem/benchmarl_mappo.py
 """
 
 from collections.abc import Callable
+from functools import partial
 from tempfile import TemporaryDirectory
 
 import numpy as np
 import torch
 from benchmarl.algorithms import MappoConfig
+from benchmarl.environments import TaskClass
 from benchmarl.experiment import Experiment, ExperimentConfig
 from benchmarl.models.mlp import MlpConfig
 from tensordict import TensorDict
 from tensordicts import ACTION, law_digits
-from torchrl.envs import EnvBase, PettingZooWrapper, check_env_specs
+from torchrl.data import Composite
+from torchrl.envs import EnvBase, check_env_specs
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 from yardstick import EPISODES, LAW, SCENARIO, Acting, digits, report
 
-import ptne_env
-from ptne_env.envs.benchmarl import NashSeekingTask
+from ptne_env.envs.torchrl import TorchRLEnv
+from ptne_env.world.world import World
 
 
-class OneAtATime(NashSeekingTask):
-    """The same task through TorchRL's wrapper of PettingZoo; BenchMARL puts such environments in series."""
+class NashSeekingTask(TaskClass):
+    """A scenario as a task of BenchMARL, whose environments are stepped together.
+
+    The name is that of a scenario, and the configuration holds the arguments of ``TorchRLEnv``.
+    """
 
     def get_env_fun(
         self,
-        num_envs: int,  # noqa: ARG002
-        continuous_actions: bool,  # noqa: ARG002, FBT001
+        num_envs: int,
+        continuous_actions: bool,
         seed: int | None,
-        device: str,
+        device: str,  # noqa: ARG002, FBT001
     ) -> Callable[[], EnvBase]:
-        """A function that makes one environment."""
-        return lambda: PettingZooWrapper(ptne_env.parallel_env(self.name, **self.config), seed=seed, device=device)
+        """A function that makes one batched environment, which stays on the CPU."""
+        return partial(TorchRLEnv, self.name, num_envs, seed=seed, **self.config)
+
+    def supports_continuous_actions(self) -> bool:
+        """Always."""
+        return True
+
+    def supports_discrete_actions(self) -> bool:
+        """Never."""
+        return False
+
+    def has_render(self, env: EnvBase) -> bool:  # noqa: ARG002
+        """Never, because batches are not drawn."""
+        return False
 
     def max_steps(self, env: EnvBase) -> int:
         """The number of steps of an episode, with the hold phase."""
-        return env.world.clock.total_steps
+        return World(env.vector.scenario).clock.total_steps
+
+    def group_map(self, env: EnvBase) -> dict[str, list[str]]:
+        """All players in one group."""
+        return env.group_map
+
+    def observation_spec(self, env: EnvBase) -> Composite:
+        """Of one environment, without the infos: BenchMARL's networks read every entry."""
+        spec = env.full_observation_spec_unbatched.clone()
+        del spec["player", "info"]
+        return spec
+
+    def action_spec(self, env: EnvBase) -> Composite:
+        """Of one environment."""
+        return env.full_action_spec_unbatched
+
+    def info_spec(self, env: EnvBase) -> None:
+        """Not given: BenchMARL logs no entries of infos."""
+
+    def state_spec(self, env: EnvBase) -> None:
+        """Not given: a centralised critic receives the observations of all players."""
+
+    def action_mask_spec(self, env: EnvBase) -> None:
+        """Not given: all actions are allowed."""
+
+    @staticmethod
+    def env_name() -> str:
+        """The name of the family of tasks."""
+        return "ptne"
 
 
 def acting(experiment: Experiment) -> Acting:
@@ -78,14 +124,13 @@ def train(task: NashSeekingTask, num_envs: int) -> tuple[float, float]:
 
 
 def make(task: NashSeekingTask, num_envs: int) -> EnvBase:
-    """The environment, or the first of those that BenchMARL would put in series."""
+    """The batched environment of a task."""
     return task.get_env_fun(num_envs, True, 0, "cpu")()  # noqa: FBT003
 
 
 def main() -> None:
-    """TorchRL's check, the law's digits and a short training, of each of the two tasks."""
-    for task, num_envs, what in ((OneAtATime, 2, "one at a time"), (NashSeekingTask, 8, "stepped together")):
-        report(law_digits(make(task(SCENARIO, LAW), EPISODES)), *train(task(SCENARIO), num_envs), what)
+    """TorchRL's check, the law's digits and a short training."""
+    report(law_digits(make(NashSeekingTask(SCENARIO, LAW), EPISODES)), *train(NashSeekingTask(SCENARIO, {}), 8))
 
 
 if __name__ == "__main__":

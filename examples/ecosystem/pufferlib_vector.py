@@ -13,21 +13,50 @@ from pufferlib.emulation import PettingZooPufferEnv
 from yardstick import EPISODES, LAW, SCENARIO, law, report
 
 import ptne_env
-from ptne_env.envs.puffer import PlayerBufferEnv
+from ptne_env.envs.vector import VectorParallelEnv
 
 LAYOUT = ptne_env.parallel_env(SCENARIO, **LAW).layout
 Buffers = Mapping[str, np.ndarray]
 
 
-class Players(PlayerBufferEnv, pufferlib.PufferEnv):
-    """Ours, with the type that PufferLib asks for."""
+class Players(pufferlib.PufferEnv):
+    """Every player of B environments as one of B·N agents, in the arrays of the trainer."""
+
+    def __init__(self, num_envs: int, buf: Buffers | None = None, seed: int | None = None) -> None:
+        self.vector, self.start = VectorParallelEnv(SCENARIO, num_envs, **LAW), seed
+        self.num_agents = num_envs * self.vector.num_players
+        self.single_observation_space = self.vector.single_observation_space
+        self.single_action_space = self.vector.single_action_space
+        super().__init__(buf)
+
+    def reset(self, seed: int | None = None) -> tuple[np.ndarray, list]:
+        """Start all episodes; successive seeds of workers have no episode in common."""
+        seed, self.start = self.start if seed is None else seed, None
+        first = None if seed is None else seed * self.vector.num_envs
+        self.observations[:] = self.vector.reset(first).reshape(self.num_agents, -1)
+        return self.observations, []
+
+    def step(self, actions: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, list]:
+        """Step all environments, and reset those that end."""
+        players = self.vector.num_players
+        outcome = self.vector.step(np.reshape(actions, (self.vector.num_envs, players, -1)))
+        over, observations = outcome.terminated | outcome.truncated, outcome.observations
+        if over.any():
+            observations = self.vector.reset(mask=over)
+        self.observations[:] = observations.reshape(self.num_agents, -1)
+        self.rewards[:] = outcome.rewards.reshape(-1)
+        self.terminals[:], self.truncations[:] = outcome.terminated.repeat(players), outcome.truncated.repeat(players)
+        return self.observations, self.rewards, self.terminals, self.truncations, []
+
+    def close(self) -> None:
+        """Nothing to release."""
 
 
 def stepped_together(num_envs: int, workers: int) -> pufferlib.vector.Serial:
     """Workers that step their share of the environments by one call."""
 
     def make(buf: Buffers | None = None, seed: int | None = None) -> Players:
-        return Players(SCENARIO, num_envs // workers, buf=buf, seed=seed, **LAW)
+        return Players(num_envs // workers, buf, seed)
 
     return pufferlib.vector.make(make, backend=pufferlib.vector.Serial, num_envs=workers)
 

@@ -11,6 +11,8 @@ import logging
 import gymnasium
 import numpy as np
 import torch
+from gymnasium.vector import AutoresetMode
+from gymnasium.vector.utils import batch_space
 from ray.rllib.algorithms.algorithm import Algorithm
 from ray.rllib.algorithms.ppo import PPOConfig
 from ray.rllib.algorithms.ppo.torch.default_ppo_torch_rl_module import DefaultPPOTorchRLModule
@@ -25,9 +27,36 @@ from ray.tune.registry import register_env
 from yardstick import EPISODES, LAW, SCENARIO, Acting, digits, law, report
 
 import ptne_env
-from ptne_env.envs.gymnasium import PlayerVectorEnv
+from ptne_env.envs.vector import VectorParallelEnv
 
 PLAYERS = [f"player_{index}" for index in range(5)]
+
+
+class PlayerVectorEnv(gymnasium.vector.VectorEnv):
+    """Every player of B environments as one of B·N members, which start again in the step after their end."""
+
+    def __init__(self, num_envs: int, **arguments: str) -> None:
+        self.metadata = {"autoreset_mode": AutoresetMode.NEXT_STEP}
+        self.vector = VectorParallelEnv(SCENARIO, num_envs, **arguments)
+        self.num_envs = num_envs * self.vector.num_players
+        self.single_observation_space = self.vector.single_observation_space
+        self.single_action_space = self.vector.single_action_space
+        self.observation_space = batch_space(self.single_observation_space, self.num_envs)
+        self.action_space = batch_space(self.single_action_space, self.num_envs)
+        self.over = np.zeros(num_envs, dtype=np.bool_)
+
+    def reset(self, *, seed: int | None = None, options: dict | None = None) -> tuple[np.ndarray, dict]:  # noqa: ARG002
+        """Start all episodes; environment b gets seed + b."""
+        self.over[:] = False
+        return self.vector.reset(seed).reshape(self.num_envs, -1), {}
+
+    def step(self, actions: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, dict]:
+        """Step all environments, and start those again that ended in the step before."""
+        players = self.vector.num_players
+        outcome = self.vector.step(np.reshape(actions, (-1, players, actions.shape[-1])), self.over)
+        self.over = outcome.terminated | outcome.truncated
+        ends = outcome.terminated.repeat(players), outcome.truncated.repeat(players)
+        return outcome.observations.reshape(self.num_envs, -1), outcome.rewards.reshape(-1), *ends, {}
 
 
 def make_env(arguments: dict) -> ParallelPettingZooEnv:
@@ -38,13 +67,13 @@ def make_env(arguments: dict) -> ParallelPettingZooEnv:
 def make_players(arguments: dict) -> PlayerVectorEnv:
     """The members of RLlib's single-agent runner, of which it counts ``num_envs``: every player is one."""
     others = {name: value for name, value in arguments.items() if name != "num_envs"}
-    return PlayerVectorEnv(SCENARIO, arguments["num_envs"] // len(PLAYERS), **others)
+    return PlayerVectorEnv(arguments["num_envs"] // len(PLAYERS), **others)
 
 
 def law_digits_of_players() -> list[float]:
     """The digits that the law gains where all players of all episodes are members of one vector."""
-    env = PlayerVectorEnv(SCENARIO, EPISODES, **LAW)
-    policy = law(env.layout)
+    env = PlayerVectorEnv(EPISODES, **LAW)
+    policy = law(env.vector.layout)
     observations, _ = env.reset(seed=0)
     total, over = np.zeros(env.num_envs), np.zeros(env.num_envs, dtype=bool)
     while not over.all():

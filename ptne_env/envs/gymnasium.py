@@ -243,4 +243,3 @@ class JointVectorEnv(gymnasium.vector.VectorEnv[Float32Array, Float32Array, npt.
 
     def _joint(self, observations: Float32Array) -> Float32Array:
         return observations.reshape(self.num_envs, -1)
-

@@ -261,6 +261,7 @@ class FullEncoder(PhysicalEncoder):
             pseudo_gradient = (strategies - game.project(strategies - theta * pseudo_gradient)) / theta
         fields["pseudo_gradient"][...] = np.clip(pseudo_gradient, -OBSERVATION_BOUND, OBSERVATION_BOUND)[:, None]
 
+
 class ScaledEncoder(Encoder):
     """The interface ``scaled``: differences and actions in units of σ_i, components and slots in ego order.
 
