@@ -38,7 +38,7 @@ class Witness:
     the observations of other players, or on anything else that the rows of a batch share, differ.
 
     Args:
-        policy: a fresh policy; of foreign code, in a fresh process.
+        policy: a fresh policy.
         rows: indices of the rows of the batch that it receives, in its own order.
         reason: of the failure when a decision differs.
     """
@@ -96,8 +96,9 @@ def rows_of_one(episodes: int, players: int) -> tuple[int, IntArray]:
     return place, generator.permutation(episodes)[:OWN_LINKS_EPISODES] * players + place
 
 
-def layout_of_one(layout: ObservationLayout, player: int) -> ObservationLayout:
-    """The layout with the neighbours of one player alone: the slots of all others are padded."""
-    rows = [(index,) * layout.slots for index in range(layout.num_players)]
-    rows[player] = layout.neighbours[player]
-    return replace(layout, neighbours=tuple(rows))
+def with_links_of(layout: ObservationLayout, player: int) -> ObservationLayout:
+    """A layout with the row of one player alone in ``neighbours``: the slots of all others are padded."""
+    rows = tuple(
+        row if index == player else (index,) * layout.slots for index, row in enumerate(layout.neighbours)
+    )
+    return replace(layout, neighbours=rows)

@@ -1,21 +1,25 @@
-"""Metrics: each declared once, with its name, meaning, unit, direction, format, and how it follows from a rollout.
+"""Metrics: each declared once, with its name, meaning, unit, direction, range, and how it follows from a rollout.
 
-Tables, CSV files, pages, ``ptne list`` and docs read :data:`METRICS`. :func:`register` adds a metric.
+A rollout records the :data:`SERIES`, one number per episode at each instant or step, and a metric is a function of
+them. Tables, CSV files, pages, ``ptne list`` and docs read :data:`METRICS`. :func:`register` adds a metric.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from importlib import import_module
+from functools import cached_property
 from typing import Literal, TypeAlias
 
 import numpy as np
 
-from ptne_env.evaluation.rollout import Rollout
-from ptne_env.shared.arrays import FloatArray, ordered_sum
-from ptne_env.world import distances
+from ptne_env.shared.arrays import BoolArray, FloatArray, IntArray, ordered_sum
+from ptne_env.world import distances, dynamics
+from ptne_env.world.clock import StepClock
+from ptne_env.world.dynamics import State
+from ptne_env.world.rewards import REWARD_LIMIT
+from ptne_env.world.world import World
 
 FINE_DISTANCE = 1e-6
 """The relative distance of fine settling."""
@@ -23,14 +27,188 @@ FINE_DISTANCE = 1e-6
 NUMBER_BITS = 32
 """Bits of a number in a message: estimates are sent as float32."""
 
-CVAR_SHARE = 0.1
-"""The share of the worst episodes over which the conditional value at risk (CVaR) is the mean."""
+MOST_DIGITS = 12.0
+"""The digits of a distance at the floor: no more are counted."""
 
 Statistic: TypeAlias = Literal["mean", "cvar"]
 """Over episodes: the mean, or the mean of the worst tenth."""
 
 Block: TypeAlias = Literal["How close", "At what cost"]
 """The tables in which metrics stand."""
+
+
+@dataclass(frozen=True)
+class Rollout:
+    """B episodes of one policy.
+
+    Attributes:
+        world: in which they ran.
+        series: by name of :data:`SERIES`, each of shape (instants or steps, B).
+        diverged: whether the episode left the range, shape (B,).
+        seconds_per_decision: wall time of the policy per player and step.
+    """
+
+    world: World
+    series: dict[str, FloatArray]
+    diverged: BoolArray
+    seconds_per_decision: float
+
+    def __getitem__(self, series: str) -> FloatArray:
+        """A series by name, shape (instants or steps, B).
+
+        Raises:
+            KeyError: when there is no such series.
+        """
+        return self.series[series]
+
+
+# --- series ---------------------------------------------------------------------------------------------------------
+
+
+class Moment:
+    """One instant of a rollout of B episodes, with the intermediate results that several series share.
+
+    Attributes:
+        world: of the rollout.
+        state: at the instant.
+        step: index of the instant.
+        player_distances: ‖x^i − x*‖/‖x*‖, at the range limit in a diverged episode; shape (N, B).
+        inputs: u that are held from the instant on, shape (n, N, B). They, and what follows from them, exist before
+            the deadline only.
+    """
+
+    def __init__(self, world: World, state: State, inputs: FloatArray | None, step: int) -> None:
+        self.world, self.state, self.step = world, state, step
+        self._has_diverged = state.any_diverged
+        self.player_distances = self.limited(distances.player_distances(state.estimates, state.game))
+        if inputs is not None and step < world.clock.steps:
+            self.inputs = inputs
+
+    @cached_property
+    def magnitudes(self) -> FloatArray:
+        """|u|, 0 in a diverged episode; shape (n, N, B)."""
+        magnitudes = np.abs(self.inputs)
+        if self._has_diverged:
+            magnitudes *= ~self.state.diverged
+        return magnitudes
+
+    @cached_property
+    def squared_input(self) -> FloatArray:
+        """‖u‖², shape (B,)."""
+        return _squared(self.magnitudes)
+
+    @cached_property
+    def largest_input(self) -> FloatArray:
+        """The largest |u| of any component, shape (B,)."""
+        largest: FloatArray = self.magnitudes.max(axis=(0, 1))
+        return largest
+
+    @property
+    def strategies(self) -> FloatArray:
+        """The real strategies x, shape (n, B)."""
+        return dynamics.strategies(self.world, self.state)
+
+    @property
+    def scaled_magnitudes(self) -> FloatArray | None:
+        """|u| times each player's own Θ over the true Θ; ``None`` where all clocks are right."""
+        theta = self.world.theta
+        if theta.ndim == 1:
+            return None
+        return self.magnitudes * (theta[:, [self.step]] / self.world.clock.theta[self.step])
+
+    def limited(self, distance: FloatArray) -> FloatArray:
+        """``distance`` (..., B) with the range limit where an episode has diverged."""
+        if not self._has_diverged:
+            return distance
+        return np.where(self.state.diverged, dynamics.distance_limit(self.state.game), distance)
+
+
+When: TypeAlias = Literal["instants", "steps", "deadline", "ends"]
+"""Every instant, every step to the deadline, the instant T, or the first and the last instant."""
+
+SERIES: dict[str, tuple[When, Callable[[Moment], FloatArray | IntArray]]] = {
+    "strategy_distance": ("instants", lambda at: at.limited(_strategy_distance(at))),
+    "estimate_distance": ("instants", lambda at: _estimate_distance(at)),
+    "mean_digits": ("ends", lambda at: _mean_digits(at)),
+    "consensus_error": ("deadline", lambda at: at.limited(_consensus_error(at))),
+    "regret": ("deadline", lambda at: _regret(at)),
+    "input_energy": ("steps", lambda at: at.world.clock.dt[at.step] * at.squared_input),
+    "velocity_energy": ("steps", lambda at: _velocity_energy(at)),
+    "peak_input": ("steps", lambda at: at.largest_input),
+    "peak_velocity": ("steps", lambda at: _peak_velocity(at)),
+    "saturated": ("steps", lambda at: _saturated(at)),
+    "components": ("steps", lambda at: ~at.state.diverged * at.magnitudes[..., 0].size),
+    "messages": ("steps", lambda at: _messages(at)),
+}
+"""The recorded series by name: when, and a number per episode, shape (B,). Efforts are those of episodes in range."""
+
+
+def instants(series: str, clock: StepClock) -> Sequence[int]:
+    """The indices of the instants at which a series is recorded, in order."""
+    return {
+        "instants": range(clock.total_steps + 1),
+        "steps": range(clock.steps),
+        "deadline": range(clock.steps, clock.steps + 1),
+        "ends": (0, clock.total_steps),
+    }[SERIES[series][0]]
+
+
+def _squared(array: FloatArray) -> FloatArray:
+    """The sum of squares over components and players: (n, N, B) to (B,)."""
+    total: FloatArray = (array**2).sum(axis=(0, 1))
+    return total
+
+
+def _strategy_distance(at: Moment) -> FloatArray:
+    return distances.strategy_distance(at.strategies, at.state.game)
+
+
+def _estimate_distance(at: Moment) -> FloatArray:
+    return np.sqrt(ordered_sum(at.player_distances**2) / len(at.player_distances))
+
+
+def _mean_digits(at: Moment) -> FloatArray:
+    return ordered_sum(distances.digits(at.player_distances)) / len(at.player_distances)
+
+
+def _consensus_error(at: Moment) -> FloatArray:
+    return distances.consensus_error(at.state.estimates, at.state.game)
+
+
+def _regret(at: Moment) -> FloatArray:
+    state = at.state
+    if not state.game.has_best_response:
+        return np.full(dynamics.batch_size(state), np.nan)
+    with np.errstate(over="ignore", invalid="ignore"):  # only a diverged environment overflows
+        regrets = np.clip(state.game.regrets(at.strategies), 0, REWARD_LIMIT)
+    return ordered_sum(np.where(state.diverged, REWARD_LIMIT, regrets))
+
+
+def _velocity_energy(at: Moment) -> FloatArray:
+    theta, dt, scaled = at.world.clock.theta[at.step], at.world.clock.dt[at.step], at.scaled_magnitudes
+    energy: FloatArray = theta**2 / dt * (at.squared_input if scaled is None else _squared(scaled))
+    return energy
+
+
+def _peak_velocity(at: Moment) -> FloatArray:
+    theta, dt, scaled = at.world.clock.theta[at.step], at.world.clock.dt[at.step], at.scaled_magnitudes
+    peak: FloatArray = theta / dt * (at.largest_input if scaled is None else scaled.max(axis=(0, 1)))
+    return peak
+
+
+def _saturated(at: Moment) -> IntArray:
+    # The action box is float32, so an input at the limit may be the float32 just below it.
+    limit = np.nextafter(np.float32(at.world.input_limit), np.float32(0))
+    count: IntArray = (at.magnitudes >= limit).sum(axis=(0, 1))
+    return count
+
+
+def _messages(at: Moment) -> IntArray:
+    links: IntArray = (dynamics.weights(at.world, at.state) > 0).sum(axis=(0, 1))
+    return ~at.state.diverged * links
+
+
+# --- metrics --------------------------------------------------------------------------------------------------------
 
 
 def number(value: float | None) -> str:
@@ -64,9 +242,9 @@ class Metric:
         block: the table in which it stands.
         value: of a rollout, shape (B,), NaN in an episode without a value; ``None`` where it follows from others.
         unit: empty for a pure number.
+        range: the least and the largest value that an episode can have.
         source: the metric whose episodes it summarises; its own where left out.
         statistic: over episodes: the mean, or the mean of the worst tenth ("cvar").
-        format: makes the text of a value, a dash where there is none.
         is_timing: whether it is a measured time, which another run does not repeat; such metrics are kept apart.
     """
 
@@ -77,9 +255,9 @@ class Metric:
     block: Block = "How close"
     value: Callable[[Rollout], FloatArray] | None = None
     unit: str = ""
+    range: tuple[float, float] = (-math.inf, math.inf)
     source: str = ""
     statistic: Statistic = "mean"
-    format: Callable[[float | None], str] = number
     is_timing: bool = False
 
     def __post_init__(self) -> None:
@@ -89,6 +267,17 @@ class Metric:
     def label(self) -> str:
         """The heading with the unit, such as ``"settling time [s]"``."""
         return f"{self.heading} [{self.unit}]" if self.unit else self.heading
+
+    @property
+    def is_own(self) -> bool:
+        """Whether the user registered it."""
+        return self.value is not None and not self.value.__module__.startswith("ptne_env.")
+
+    def admits(self, values: FloatArray) -> bool:
+        """Whether all values, NaN apart, lie in the range, up to rounding."""
+        low, high = self.range
+        found = values[~np.isnan(values)]
+        return bool(((found >= low - 1e-6) & (found <= high + 1e-6)).all())
 
 
 METRICS: dict[str, Metric] = {}
@@ -105,20 +294,6 @@ def register(metric: Metric) -> Metric:
         raise ValueError(f"there is a metric {metric.name!r} already: choose another name")
     METRICS[metric.name] = metric
     return metric
-
-
-def own_metrics() -> tuple[Metric, ...]:
-    """The registered metrics that follow from a rollout and are defined outside this module, for :func:`adopt`."""
-    measured = (metric for metric in METRICS.values() if metric.value is not None)
-    return tuple(metric for metric in measured if metric.value.__module__ != __name__)
-
-
-def adopt(metrics: Iterable[Metric]) -> None:
-    """Register the metrics of another process, by importing the modules that define them where they can be imported."""
-    for metric in metrics:
-        if metric.value is not None and metric.value.__module__ != "__main__":
-            import_module(metric.value.__module__)
-        METRICS.setdefault(metric.name, metric)
 
 
 def measure(rollout: Rollout) -> dict[str, FloatArray]:
@@ -164,15 +339,12 @@ def _digits_after_hold(rollout: Rollout) -> FloatArray:
 
 
 def _log_error_area(rollout: Rollout) -> FloatArray:
+    """The mean over [0, T] by the trapezoidal rule."""
     clock = rollout.world.clock
     to_deadline = slice(clock.steps + 1)
     log_errors = -distances.digits(rollout["estimate_distance"][to_deadline])
-    return _area(clock.t[to_deadline], log_errors) / clock.deadline
-
-
-def _area(times: FloatArray, values: FloatArray) -> FloatArray:
-    """The integral of ``values`` (I, B) over ``times`` (I,) by the trapezoidal rule, shape (B,)."""
-    return ordered_sum(np.diff(times)[:, None] * (values[1:] + values[:-1]) / 2)
+    area = ordered_sum(np.diff(clock.t[to_deadline])[:, None] * (log_errors[1:] + log_errors[:-1]) / 2)
+    return area / clock.deadline
 
 
 def _saturated_share(rollout: Rollout) -> FloatArray:
@@ -187,62 +359,66 @@ def _microseconds(rollout: Rollout) -> FloatArray:
     return np.full(rollout.diverged.shape, 1e6 * rollout.seconds_per_decision)
 
 
+_DIGITS, _SHARE, _POSITIVE = (-math.inf, MOST_DIGITS), (0.0, 1.0), (0.0, math.inf)
+
 # fmt: off
 for _metric in (
-    Metric("digits", "digits", "−log10 of the estimate distance at the deadline, at most 12", "higher",
+    Metric("digits", "digits", "−log10 of the estimate distance at the deadline, at most 12", "higher", range=_DIGITS,
            value=lambda rollout: distances.digits(_at_deadline(rollout, "estimate_distance"))),
     Metric("digits_cvar", "CVaR (10 %)", "mean digits of the worst tenth of the episodes (conditional value at risk)",
-           "higher", source="digits", statistic="cvar"),
+           "higher", source="digits", statistic="cvar", range=_DIGITS),
     Metric("strategy_distance", "strategy distance", "‖x − x*‖/‖x*‖ at the deadline (the paper's plots)", "lower",
-           value=lambda rollout: _at_deadline(rollout, "strategy_distance")),
+           value=lambda rollout: _at_deadline(rollout, "strategy_distance"), range=_POSITIVE),
     Metric("estimate_distance", "estimate distance",
            "‖𝐱 − 1⊗x*‖/(√N ‖x*‖) at the deadline (as in the theorems)", "lower",
-           value=lambda rollout: _at_deadline(rollout, "estimate_distance")),
+           value=lambda rollout: _at_deadline(rollout, "estimate_distance"), range=_POSITIVE),
     Metric("consensus_error", "consensus error", "‖𝐱 − 1⊗x̄‖/(√N ‖x*‖) at the deadline", "lower",
-           value=lambda rollout: rollout["consensus_error"][0]),
+           value=lambda rollout: rollout["consensus_error"][0], range=_POSITIVE),
     Metric("regret", "regret",
            "Nikaido–Isoda regret Σ_i [J_i(x) − min over y of J_i(y, x_{-i})] at the deadline", "lower",
-           value=lambda rollout: rollout["regret"][0]),
+           value=lambda rollout: rollout["regret"][0], range=_POSITIVE),
     Metric("settling_time", "settling time",
            "first instant after which the strategy distance stays within 0.5 %, in seconds", "lower", unit="s",
-           value=lambda rollout: _settling(rollout, distances.SUCCESS_DISTANCE)),
+           value=lambda rollout: _settling(rollout, distances.SUCCESS_DISTANCE), range=_POSITIVE),
     Metric("settled_share", "settled share", "share of episodes that settled by the end", "higher",
-           value=lambda rollout: _settled(rollout, distances.SUCCESS_DISTANCE)),
+           value=lambda rollout: _settled(rollout, distances.SUCCESS_DISTANCE), range=_SHARE),
     Metric("settling_time_1e_6", "settling to 1e-6",
            "first instant after which the strategy distance stays within 1e-6, in seconds", "lower", unit="s",
-           value=lambda rollout: _settling(rollout, FINE_DISTANCE)),
+           value=lambda rollout: _settling(rollout, FINE_DISTANCE), range=_POSITIVE),
     Metric("settled_share_1e_6", "settled to 1e-6", "share of episodes that settled to 1e-6 by the end", "higher",
-           value=lambda rollout: _settled(rollout, FINE_DISTANCE)),
+           value=lambda rollout: _settled(rollout, FINE_DISTANCE), range=_SHARE),
     Metric("digits_after_hold", "digits after hold", "−log10 of the estimate distance after the hold phase, at most 12",
-           "higher", value=_digits_after_hold),
+           "higher", value=_digits_after_hold, range=_DIGITS),
     Metric("digits_gained", "digits gained",
            "mean over players of the summed digits reward, to the end of the episode", "higher",
            value=lambda rollout: rollout["mean_digits"][1] - rollout["mean_digits"][0]),
     Metric("log_error_area", "mean log10 error", "mean of log10 of the estimate distance over [0, T]", "lower",
-           value=_log_error_area),
+           value=_log_error_area, range=(-MOST_DIGITS, math.inf)),
     Metric("input_energy", "input energy", "Σ Δt ‖u‖² to the deadline", "lower", "At what cost",
-           lambda rollout: ordered_sum(rollout["input_energy"])),
+           lambda rollout: ordered_sum(rollout["input_energy"]), range=_POSITIVE),
     Metric("velocity_energy", "velocity energy", "Σ Θ² ‖u‖²/Δt to the deadline", "lower", "At what cost",
-           lambda rollout: ordered_sum(rollout["velocity_energy"])),
+           lambda rollout: ordered_sum(rollout["velocity_energy"]), range=_POSITIVE),
     Metric("peak_input", "peak |u|", "largest |u| to the deadline", "lower", "At what cost",
-           lambda rollout: rollout["peak_input"].max(axis=0)),
+           lambda rollout: rollout["peak_input"].max(axis=0), range=_POSITIVE),
     Metric("peak_velocity", "peak velocity", "largest Θ|u|/Δt to the deadline, per second", "lower", "At what cost",
-           lambda rollout: rollout["peak_velocity"].max(axis=0), unit="1/s"),
+           lambda rollout: rollout["peak_velocity"].max(axis=0), unit="1/s", range=_POSITIVE),
     Metric("saturated_share", "saturated share", "share of input components at the input limit", "lower",
-           "At what cost", _saturated_share),
+           "At what cost", _saturated_share, range=_SHARE),
     Metric("diverged_share", "diverged share", "share of episodes that left the range", "lower", "At what cost",
-           lambda rollout: rollout.diverged.astype(np.float64)),
+           lambda rollout: rollout.diverged.astype(np.float64), range=_SHARE),
     Metric("messages", "messages", "estimates sent over live links until the deadline", "lower", "At what cost",
-           lambda rollout: ordered_sum(rollout["messages"])),
-    Metric("bits", "bits", f"bits in these messages, {NUMBER_BITS} per number", "lower", "At what cost", _bits),
+           lambda rollout: ordered_sum(rollout["messages"]), range=_POSITIVE),
+    Metric("bits", "bits", f"bits in these messages, {NUMBER_BITS} per number", "lower", "At what cost", _bits,
+           range=_POSITIVE),
     Metric("microseconds_per_decision", "µs per decision",
            "microseconds of the policy per player and step, all episodes in one batch", "lower", "At what cost",
-           _microseconds, is_timing=True),
+           _microseconds, is_timing=True, range=_POSITIVE),
 ):
     register(_metric)
 # fmt: on
 
 
-def measured() -> frozenset[str]:
-    """The names of the metrics that have a value per episode of their own: no timings, summaries and comparisons."""
-    return frozenset(name for name, metric in METRICS.items() if metric.value is not None and not metric.is_timing)
+def adopt(metrics: Mapping[str, Metric]) -> None:
+    """Register the metrics of another process."""
+    for name, metric in metrics.items():
+        METRICS.setdefault(name, metric)

@@ -1,28 +1,22 @@
-"""Content hashes, versions and file hashes: everything that a number depends on."""
+"""Provenance: hashes of content and files, versions of libraries, and the arithmetic of this machine."""
 
 from __future__ import annotations
 
 import json
-import os
 import platform
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Mapping
 from functools import cache
 from hashlib import sha256
 from importlib import metadata
 from pathlib import Path
-from types import FunctionType
 from typing import Any
 
+import numpy as np
+
 from ptne_env._version import __version__
-from ptne_env.evaluation.sources import UNHASHED, file_hash, is_file, module_hashes, pickled_names
-from ptne_env.learn import shipped_path
-from ptne_env.shared.parts import PARTS, FactorySpec, is_part
 
-_PACKAGE = Path(__file__).parents[1]
-_NOT_COMPUTING = ("cli", "paper", "report", "training")
-"""Parts of the library on which no result of a job depends."""
-
-_LIBRARIES = ("numpy", "scipy", "networkx", "onnxruntime", "stable_baselines3", "torch")
+LIBRARIES = ("numpy", "scipy", "networkx")
+"""The libraries that every result depends on."""
 
 
 def canonical_json(value: Any) -> str:
@@ -41,24 +35,16 @@ def content_hash(value: Any) -> str:
     return sha256(canonical_json(value).encode()).hexdigest()
 
 
-def is_hash_of(digest: Any, content: Any) -> bool:
-    """Whether ``digest`` is the content hash of ``content``; content without a hash has no digest."""
-    try:
-        return bool(digest == content_hash(content))
-    except (ValueError, RecursionError):  # NaN, or too deeply nested
-        return False
+def file_hash(path: str | Path) -> str | None:
+    """SHA-256 of a file, in hexadecimal; ``None`` where there is none."""
+    path = Path(path)
+    return sha256(path.read_bytes()).hexdigest() if path.is_file() else None
 
 
-@cache
-def versions() -> dict[str, str]:
-    """Versions of the library, Python and the libraries it computes with, and a hash of the computing sources."""
-    sources = sha256()
-    for path in sorted(_PACKAGE.rglob("*.py")):
-        name = path.relative_to(_PACKAGE)
-        if name.parts[0] not in _NOT_COMPUTING:
-            sources.update(name.as_posix().encode() + path.read_bytes())
-    found = {"ptne_env": __version__, "sources": sources.hexdigest(), "python": platform.python_version()}
-    for library in _LIBRARIES:
+def versions(others: Iterable[str] = ()) -> dict[str, str]:
+    """Versions of the library, of :data:`LIBRARIES`, and of those of ``others`` that are installed."""
+    found = {"ptne_env": __version__, **{library: metadata.version(library) for library in LIBRARIES}}
+    for library in others:
         try:
             found[library] = metadata.version(library)
         except metadata.PackageNotFoundError:
@@ -66,67 +52,23 @@ def versions() -> dict[str, str]:
     return found
 
 
-def file_hashes(value: FactorySpec | tuple[FactorySpec, ...]) -> dict[str, str]:
-    """SHA-256 of the modules and files that factory specs need; nothing is imported.
+@cache
+def arithmetic() -> dict[str, str]:
+    """What the last bits of results depend on: the processor, numpy's SIMD extensions and the kernels of BLAS.
 
-    The modules of all targets, nested ones too, are hashed by :func:`~ptne_env.evaluation.sources.module_hashes`. A
-    string argument that names a file is hashed with the file; where the target is no part of the library, one that
-    names a folder is hashed with all files in it. An archive of Stable-Baselines3 is hashed with the modules of the
-    user that its pickles name. Names that a program computes are not seen.
-
-    Args:
-        value: a factory spec, or a tuple of them.
-
-    Returns:
-        By the name of a module, by ``"module/path"`` of a file that a module names, and by the path of another file as
-        it was written. A text with the reason stands for what cannot be hashed: see :func:`unhashed`.
+    The kernels are unknown without the package threadpoolctl.
     """
-    specs = [part for spec in (value if isinstance(value, tuple) else (value,)) for part in spec.nested()]
-    texts = [(part, text) for part in specs for text in _texts(tuple(argument for _, argument in part.arguments))]
-    archives = {text for _, text in texts if text.endswith(".zip")}
-    found = module_hashes(
-        (PARTS.get(part.target, part.target).partition(":")[0] for part in specs), (name for path in archives for name in pickled_names(path))
-    )
-    for part, text in texts:
-        found |= _argument_hashes(text, with_folders=not is_part(part.target))
-    return found
+    simd = np.show_config(mode="dicts").get("SIMD Extensions", {})
+    found = {"machine": platform.machine(), "simd": " ".join([*simd.get("baseline", ()), *simd.get("found", ())])}
+    try:
+        from threadpoolctl import threadpool_info
+    except ImportError:
+        return found | {"blas": "unknown"}
+    import scipy.linalg  # noqa: F401 - loads the BLAS of scipy, so that it is listed
 
-
-def source_hashes(definitions: Iterable[Any]) -> dict[str, str]:
-    """SHA-256 of the modules and files that functions and classes need, as those of :func:`file_hashes`."""
-    found, modules = {}, []
-    for definition in definitions:
-        if isinstance(definition, type | FunctionType):
-            modules.append(definition.__module__)
-        else:
-            found[f"a {type(definition).__name__}"] = f"{UNHASHED}it is neither a function nor a class"
-    return found | module_hashes(modules)
-
-
-def unhashed(hashes: Mapping[str, str]) -> dict[str, str]:
-    """The names in hashes of files of which nothing could be hashed, each with the reason."""
-    return {name: value.removeprefix(UNHASHED) for name, value in hashes.items() if value.startswith(UNHASHED)}
-
-
-def _texts(value: Any) -> Iterator[str]:
-    """The strings in arguments; those of specs among the arguments are not in it."""
-    if isinstance(value, str):
-        yield value
-    elif isinstance(value, tuple):
-        for item in value:
-            yield from _texts(item)
-
-
-def _is_content(path: Path) -> bool:
-    """Whether a path in a folder is hashed; a link to another folder is, as one of which nothing can be hashed."""
-    return path.is_file() or (path.is_symlink() and path.is_dir())
-
-
-def _argument_hashes(text: str, *, with_folders: bool) -> dict[str, str]:
-    path = shipped_path(text) or Path(text)
-    if is_file(path):
-        return {text: file_hash(path)}
-    if with_folders and path.name not in ("", "..") and os.path.isdir(path):  # noqa: PTH112 - as is_file
-        inside = (each for each in path.rglob("*") if _is_content(each) and "__pycache__" not in each.parts)
-        return {f"{text}/{each.relative_to(path).as_posix()}": file_hash(each) for each in sorted(inside)}
-    return {}
+    kernels = {
+        f"{library['internal_api']} {library.get('architecture')}"
+        for library in threadpool_info()
+        if library["user_api"] == "blas"
+    }
+    return found | {"blas": ", ".join(sorted(kernels))}

@@ -1,4 +1,4 @@
-"""Results of a run: samples per track and policy, records with intervals, and the file ``results.json``."""
+"""Results of a comparison or suite: samples per track and policy, their means with intervals, ``results.json``."""
 
 from __future__ import annotations
 
@@ -6,33 +6,31 @@ import csv
 import io
 import json
 import re
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import asdict, dataclass
 from functools import cached_property
 from html import escape
-from itertools import cycle
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import Any, TypeAlias
+
+import numpy as np
 
 from ptne_env._version import __version__
-from ptne_env.evaluation.episodes import Split
-from ptne_env.evaluation.jobs import Job
-from ptne_env.evaluation.leaderboard import Leaderboard, leaderboard
-from ptne_env.evaluation.metrics import METRICS, Statistic, number
-from ptne_env.evaluation.policy_specs import PolicySpec
-from ptne_env.evaluation.provenance import content_hash, is_hash_of, versions
-from ptne_env.evaluation.statistics import Summary, summaries
-from ptne_env.evaluation.suite import Suite, Track
+from ptne_env.evaluation.entries import PolicySpec
+from ptne_env.evaluation.episodes import EpisodeSet, Split
+from ptne_env.evaluation.jobs import to_json_list
+from ptne_env.evaluation.metrics import METRICS, number
+from ptne_env.evaluation.provenance import arithmetic, content_hash, versions
+from ptne_env.evaluation.statistics import Summary, estimate, tail_values
+from ptne_env.evaluation.tracks import Track
 from ptne_env.shared.arrays import FloatArray
-from ptne_env.shared.files import read_json
-from ptne_env.shared.names import unknown_name
-from ptne_env.shared.style import COLOURS, drawing
+from ptne_env.shared.files import DamagedFileError, read_json
 
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
-FORMAT = 5
+FORMAT = 6
 """Version of the meaning of ``results.json``; a file of another one is refused."""
+
+LARGEST_FILE = 32 * 2**20
+"""Most bytes of a file of results."""
 
 _FORMULA = re.compile(r"(^|[,;\t]\s*)([=+\-@\t\r])")
 """The beginning of a text, or of a part of it, that a spreadsheet reads as a formula."""
@@ -43,45 +41,74 @@ Record: TypeAlias = dict[str, Any]
 Samples: TypeAlias = dict[str, FloatArray]
 """Per metric, shape (training seeds, episodes), NaN where an episode has no value; a timing is repeated."""
 
+Place: TypeAlias = tuple[str, str]
+"""Names of a track and of a policy."""
+
 
 @dataclass(frozen=True, eq=False)
 class Results:
-    """The outcome of a comparison or of another suite.
+    """The outcome of a comparison or of a suite.
 
     Attributes:
-        suite: whose tracks were run.
-        target: by which :func:`~ptne_env.evaluation.suite.get_suite` finds the suite; ``None`` for an object.
+        name: of the suite; ``"comparison"`` for a comparison of scenarios.
+        target: by which the suite is found again; ``None`` for a comparison and for a suite that was an object.
+        tracks: that were run, in the order of tables.
         policies: by name, in the order of tables.
-        seed: of the episode sets.
-        split: of the episode sets.
-        episodes: number of episodes by name of each track that was run, in the order of the suite.
-        jobs: of the policies.
+        episode_sets: by name of the track.
         samples: by (track, policy).
-        not_applicable: by (track, policy), why the policy cannot act or was not run there.
+        not_applicable: by (track, policy), why the policy cannot act there.
         failures: by (track, policy), the error of the policy there.
-        records: one per track, policy and metric, with the mean (or CVaR) and its 95 % interval.
     """
 
-    suite: Suite
+    name: str
     target: str | None
+    tracks: tuple[Track, ...]
     policies: dict[str, PolicySpec]
-    seed: int
-    split: Split
-    episodes: dict[str, int]
-    jobs: tuple[Job, ...]
-    samples: dict[tuple[str, str], Samples]
-    not_applicable: dict[tuple[str, str], str]
-    failures: dict[tuple[str, str], str]
-    records: tuple[Record, ...]
+    episode_sets: dict[str, EpisodeSet]
+    samples: dict[Place, Samples]
+    not_applicable: dict[Place, str]
+    failures: dict[Place, str]
 
     @property
-    def tracks(self) -> tuple[Track, ...]:
-        """The tracks that were run, in the order of the suite."""
-        return tuple(track for track in self.suite.tracks if track.name in self.episodes)
+    def episodes(self) -> dict[str, int]:
+        """The number of episodes by name of the track."""
+        return {track: chosen.count for track, chosen in self.episode_sets.items()}
+
+    @property
+    def seed(self) -> int:
+        """Of the episode sets."""
+        return next(iter(self.episode_sets.values())).seed
+
+    @property
+    def split(self) -> Split:
+        """Of the episode sets."""
+        return next(iter(self.episode_sets.values())).split
+
+    @property
+    def is_comparison(self) -> bool:
+        """Whether it is a comparison of scenarios, which has no reference policies and no scores."""
+        return all(chosen.track is None for chosen in self.episode_sets.values())
 
     def policies_on(self, track: str) -> dict[str, PolicySpec]:
         """The policies that were run on a track, by name, in the order of tables."""
         return {name: policy for name, policy in self.policies.items() if (track, name) in self.samples}
+
+    @cached_property
+    def records(self) -> tuple[Record, ...]:
+        """One per track, policy and metric, with the mean (or CVaR) and its 95 % interval."""
+        return tuple(
+            {"track": track, "policy": policy, "metric": metric.name, **asdict(summary), "episodes": count}
+            for (track, policy), samples in self.samples.items()
+            for count in [self.episodes[track]]
+            for metric in METRICS.values()
+            if metric.source in samples
+            for found in [samples[metric.source]]
+            for summary in [estimate([found if metric.statistic == "mean" else tail_values(found)])]
+        )
+
+    @cached_property
+    def _records(self) -> dict[tuple[str, str, str], Record]:
+        return {(record["track"], record["policy"], record["metric"]): record for record in self.records}
 
     def record(self, track: str, policy: str, metric: str) -> Record:
         """The record of one track, policy and metric.
@@ -101,63 +128,79 @@ class Results:
         record = self._records.get((track, policy, metric))
         return None if record is None else Summary(record["mean"], record["low"], record["high"])
 
-    @cached_property
-    def _records(self) -> dict[tuple[str, str, str], Record]:
-        return {(record["track"], record["policy"], record["metric"]): record for record in self.records}
-
-    @cached_property
-    def leaderboard(self) -> Leaderboard | None:
-        """Scores, ranks and profiles; ``None`` for a comparison, which has no reference policies."""
-        if self.suite.is_comparison:
-            return None
-        return leaderboard(self.tracks, self.policies, self.samples)
+    # --- files ------------------------------------------------------------------------------------------------------
 
     def to_dict(self) -> dict[str, Any]:
-        """All that is needed to read the results and to repeat them, as a JSON object; timings in one place.
+        """All that is needed to read the results and to repeat them, as a JSON object.
 
         ``format`` is the version of the meaning, ``checksum`` the hash of all but itself and the timings.
         """
-        timed = [METRICS[record["metric"]].is_timing for record in self.records]
-        board = self.leaderboard
+        libraries = {library for policy in self.policies.values() for library in policy.libraries}
+        samples: dict[str, dict[str, dict[str, Any]]] = {"samples": {}, "timings": {}}
+        for (track, policy), found in self.samples.items():
+            for metric, values in found.items():
+                kind = "timings" if METRICS[metric].is_timing else "samples"
+                kept = values[:, :1] if METRICS[metric].is_timing else values
+                samples[kind].setdefault(track, {}).setdefault(policy, {})[metric] = to_json_list(kept)
         content = {
             "format": FORMAT,
-            "suite": {"target": self.target, "content_hash": self.suite.content_hash, **self.suite.content()},
-            "seed": self.seed,
-            "split": self.split,
-            "episodes": self.episodes,
+            "name": self.name,
+            "suite": self.target,
+            "tracks": [track.to_dict() for track in self.tracks],
+            "episodes": {track: asdict(chosen) for track, chosen in self.episode_sets.items()},
             "policies": [policy.to_dict() for policy in self.policies.values()],
-            "records": [record for record, is_timing in zip(self.records, timed, strict=True) if not is_timing],
             "not_applicable": _reasons(self.not_applicable),
             "failures": _reasons(self.failures),
-            "leaderboard": None if board is None else asdict(board),
-            "jobs": [
-                {
-                    "track": job.track.name,
-                    "policy": job.policy.name,
-                    "training_seed": job.training_seed,
-                    "key": job.key,
-                }
-                for job in self.jobs
-            ],
-            "versions": versions(),
+            "records": [record for record in self.records if not METRICS[record["metric"]].is_timing],
+            "samples": samples["samples"],
+            "versions": versions(sorted(libraries)),
+            "arithmetic": arithmetic(),
         }
-        timings = [record for record, is_timing in zip(self.records, timed, strict=True) if is_timing]
-        return {**content, "checksum": content_hash(content), "timings": timings}
+        return {**content, "checksum": content_hash(content), "timings": samples["timings"]}
 
     def to_json(self) -> str:
         """:meth:`to_dict` as a JSON text without NaN or Infinity."""
-        return json.dumps(self.to_dict(), indent=2, allow_nan=False, ensure_ascii=False)
+        return json.dumps(self.to_dict(), separators=(",", ":"), allow_nan=False, ensure_ascii=False)
+
+    @classmethod
+    def from_dict(cls, data: Mapping[str, Any]) -> Results:
+        """The inverse of :meth:`to_dict`; what follows from samples is computed again. Parts that it names are imported.
+
+        Raises:
+            ValueError: when the data are no results, or a policy or scenario was an object of another process.
+        """
+        try:
+            policies = [PolicySpec.from_dict(policy) for policy in data["policies"]]
+            samples: dict[Place, Samples] = {}
+            for kind in ("samples", "timings"):
+                for track, found in data[kind].items():
+                    for policy, metrics in found.items():
+                        count, known = data["episodes"][track]["count"], samples.setdefault((track, policy), {})
+                        for metric, values in metrics.items():
+                            array = np.array(values, dtype=np.float64)
+                            known[metric] = np.repeat(array, count, axis=1) if kind == "timings" else array
+            return cls(
+                data["name"],
+                data["suite"],
+                tuple(Track.from_dict(track) for track in data["tracks"]),
+                {policy.name: policy for policy in policies},
+                {name: _episode_set(chosen) for name, chosen in data["episodes"].items()},
+                samples,
+                {(item["track"], item["policy"]): item["reason"] for item in data["not_applicable"]},
+                {(item["track"], item["policy"]): item["reason"] for item in data["failures"]},
+            )
+        except (KeyError, TypeError, AttributeError, IndexError) as error:
+            raise ValueError(f"not results: {type(error).__name__}: {error}") from error
 
     def to_csv(self) -> str:
-        """The records as CSV, each with the version, the suite's content hash, seed and split.
+        """The records as CSV, each with the version, the name of the suite, the seed and the split.
 
         A text that a spreadsheet would read as a formula is preceded by ``'``.
         """
         buffer = io.StringIO()
-        writer = csv.DictWriter(buffer, self._columns, lineterminator="\n")
+        writer = csv.DictWriter(buffer, list(self._rows()[0]), lineterminator="\n")
         writer.writeheader()
-        for row in self._rows():
-            writer.writerow({key: _cell(value) for key, value in row.items()})
+        writer.writerows({key: _cell(value) for key, value in row.items()} for row in self._rows())
         return buffer.getvalue()
 
     def to_dataframe(self) -> Any:
@@ -170,118 +213,57 @@ class Results:
             import pandas as pd
         except ImportError as error:
             raise ImportError("a data frame needs pandas: pip install pandas (or use to_csv or records)") from error
-        numbers = ("mean", "low", "high")
-        return pd.DataFrame(list(self._rows()), columns=self._columns).astype(dict.fromkeys(numbers, float))
+        return pd.DataFrame(self._rows()).astype(dict.fromkeys(("mean", "low", "high"), float))
 
-    @property
-    def _columns(self) -> list[str]:
-        common = ["seed", "split", "version", "suite", "content_hash"]
-        return ["track", "policy", "metric", "mean", "low", "high", "episodes", *common]
+    def _rows(self) -> list[Record]:
+        common = {"seed": self.seed, "split": self.split, "version": __version__, "suite": self.name}
+        return [record | common for record in self.records]
 
-    def _rows(self) -> Iterator[Record]:
-        common = (self.seed, self.split, __version__, self.suite.name, self.suite.content_hash)
-        for record in self.records:
-            values = (*record.values(), *common)
-            yield dict(zip(self._columns, values, strict=True))
+    # --- texts ------------------------------------------------------------------------------------------------------
 
-    def plot(self, metric: str | None = None) -> Figure:
-        """A figure with a panel per track: the mean of every policy, and its 95 % interval, the best first.
-
-        Args:
-            metric: its name; the metric that scores the track, such as digits, if left out.
-
-        Returns:
-            A matplotlib figure, which a notebook shows, and ``plot().savefig("digits.png")`` writes.
-
-        Raises:
-            ValueError: for an unknown metric, or one that no policy has a value of.
-            ImportError: when matplotlib is missing, naming the extra to install.
-        """
-        if metric is not None and metric not in METRICS:
-            raise ValueError(unknown_name("metric", metric, METRICS))
-        panels = {track: found for track in self.tracks if (found := self._ranked(track, metric or track.metric))}
-        if not panels:
-            raise ValueError(f"no policy has a value of {metric or 'the metric of a track'}: there is nothing to plot")
-        colours = dict(zip(self.policies, cycle(COLOURS), strict=False))
-        across = min(len(panels), 3)
-        down = -(-len(panels) // across)
-        height = 0.9 + 0.22 * max(map(len, panels.values()))
-        with drawing("plots"):
-            from matplotlib import pyplot as plt  # notebooks show the figures of a program that imports it
-
-            figure, grid = plt.subplots(
-                down, across, squeeze=False, figsize=(4.2 * across, height * down), layout="constrained"
-            )
-            plt.close(figure)  # so that a notebook shows it once, as the value of the cell
-            places = list(grid.flat)
-            for axes in places[len(panels) :]:
-                axes.set_axis_off()
-            for axes, (track, found) in zip(places, panels.items(), strict=False):
-                for place, (policy, summary) in enumerate(found.items()):
-                    axes.plot([summary.low, summary.high], [place, place], color=colours[policy], linewidth=2)
-                    axes.plot(summary.mean, place, "o", color=colours[policy])
-                axes.set_yticks(range(len(found)), map(self._label, found))
-                axes.invert_yaxis()
-                axes.set_title(f"{track.name}, {self._count(track)}", loc="left")
-                axes.set_xlabel(METRICS[metric or track.metric].label)
-        return figure
-
-    def _ranked(self, track: Track, metric: str) -> dict[str, Summary]:
-        """The summaries of the policies that have a value on a track, the best first."""
-        found = {policy: self.summary(track.name, policy, metric) for policy in self.policies_on(track.name)}
-        sign = -1 if METRICS[metric].direction == "higher" else 1
-        values = {policy: summary for policy, summary in found.items() if summary is not None}
-        order = [policy for policy, summary in values.items() if summary.mean is not None]
-        return {policy: values[policy] for policy in sorted(order, key=lambda name: sign * (values[name].mean or 0.0))}
+    def ranked(self, track: Track) -> dict[str, Summary]:
+        """The metric that ranks a track, of the policies that have a value there, the best first."""
+        found = {policy: self.summary(track.name, policy, track.metric) for policy in self.policies_on(track.name)}
+        means = {policy: summary.mean for policy, summary in found.items() if summary and summary.mean is not None}
+        return {policy: found[policy] for policy in sorted(means, key=lambda policy: -means[policy])}  # type: ignore[misc]
 
     def _label(self, policy: str) -> str:
-        """The name of a policy, marked where it is an oracle."""
         return f"{policy} (oracle)" if self.policies[policy].is_oracle else policy
-
-    def _count(self, track: Track) -> str:
-        episodes = self.episodes[track.name]
-        return f"{episodes} episode{'s' * (episodes > 1)}"
 
     def __repr__(self) -> str:
         return (
-            f"<Results of {self.suite.name}: {_counted(self.policies, 'policies')} on "
+            f"<Results of {self.name}: {_counted(self.policies, 'policies')} on "
             f"{_counted(self.episodes, 'tracks')}, seed {self.seed}"
             + f", {len(self.failures)} failed" * bool(self.failures)
             + ">"
         )
 
     def __str__(self) -> str:
-        """A line per track and policy, the best first: the metric that scores the track, with its 95 % interval.
+        """A line per track and policy, the best first: the metric that ranks the track, with its 95 % interval.
 
         Policies that failed come last on a track, with the reason.
         """
         lines = [repr(self)]
         for track in self.tracks:
-            lines += ["", f"{track.name}, {self._count(track)}: {METRICS[track.metric].heading}"]
-            found = {self._label(name): summary for name, summary in self._ranked(track, track.metric).items()}
+            lines += ["", f"{track.name}, {self.episodes[track.name]} episodes: {METRICS[track.metric].heading}"]
+            found = {self._label(name): summary for name, summary in self.ranked(track).items()}
             width = max(map(len, found), default=0)
-            lines += [f"  {policy:<{width}}  {_digits(summary)}" for policy, summary in found.items()]
+            lines += [f"  {policy:<{width}}  {_with_interval(summary)}" for policy, summary in found.items()]
             lines += [f"  {name} failed: {why}" for (on, name), why in self.failures.items() if on == track.name]
         return "\n".join(lines)
 
     def _repr_html_(self) -> str:
-        """A table for notebooks: policies × tracks, the metric that scores each track, with its 95 % interval."""
-        ranked = [self._ranked(track, track.metric) for track in self.tracks]
-        head = "".join(
-            f"<th>{escape(track.name)}<br><small>{escape(METRICS[track.metric].heading)}, "
-            f"{self._count(track)}</small></th>"
-            for track in self.tracks
-        )
+        """A table for notebooks: policies × tracks, the metric that ranks each track, with its 95 % interval."""
+        ranked = [self.ranked(track) for track in self.tracks]
+        head = "".join(f"<th>{escape(track.name)}</th>" for track in self.tracks)
         rows = "".join(
             f"<tr><th>{escape(self._label(policy))}</th>"
-            + "".join(
-                f"<td>{escape(_digits(found[policy]))}</td>" if policy in found else "<td>–</td>" for found in ranked
-            )
+            + "".join(f"<td>{_with_interval(found[policy]) if policy in found else '–'}</td>" for found in ranked)
             + "</tr>"
             for policy in dict.fromkeys(policy for found in ranked for policy in found)
         )
         return (
-            f"<table><caption>{escape(repr(self))}; means with 95 % intervals</caption>"
+            f"<table><caption>{escape(repr(self))}; digits with 95 % intervals</caption>"
             f"<thead><tr><th>policy</th>{head}</tr></thead><tbody>{rows}</tbody></table>"
         )
 
@@ -295,7 +277,7 @@ def _counted(names: Collection[str], kind: str) -> str:
     return ", ".join(names) if len(names) <= _NAMED else f"{len(names)} {kind}"
 
 
-def _digits(summary: Summary) -> str:
+def _with_interval(summary: Summary) -> str:
     """A mean with its interval, where the two differ."""
     mean, low, high = map(number, (summary.mean, summary.low, summary.high))
     return mean if low == high else f"{mean} [{low}, {high}]"
@@ -309,55 +291,31 @@ def _cell(value: Any) -> Any:
     return _FORMULA.sub(r"\1'\2", value) if isinstance(value, str) else value
 
 
-def _reasons(reasons: Mapping[tuple[str, str], str]) -> list[dict[str, str]]:
+def _reasons(reasons: Mapping[Place, str]) -> list[dict[str, str]]:
     return [{"track": track, "policy": policy, "reason": reason} for (track, policy), reason in reasons.items()]
 
 
-def statistics_of(samples: Samples) -> dict[str, tuple[FloatArray, Statistic]]:
-    """The samples and the statistic of each metric of which there are samples, in the order of :data:`METRICS`."""
-    return {
-        metric.name: (samples[metric.source], metric.statistic)
-        for metric in METRICS.values()
-        if metric.source in samples
-    }
-
-
-def records(
-    track: str, policy: str, statistics: Mapping[str, tuple[FloatArray, Statistic]], episodes: int
-) -> list[Record]:
-    """One record per metric."""
-    return [
-        {"track": track, "policy": policy, "metric": metric, **asdict(summary), "episodes": episodes}
-        for metric, summary in summaries(statistics).items()
-    ]
+def _episode_set(data: Mapping[str, Any]) -> EpisodeSet:
+    return EpisodeSet(**{**data, "track": data["track"] and tuple(data["track"])})
 
 
 def read_results(path: Path) -> dict[str, Any]:
-    """The content of a file that holds :meth:`Results.to_dict`.
+    """The content of a file that holds :meth:`Results.to_dict`; nothing that it names is imported.
+
+    Args:
+        path: of the file, or of its folder.
 
     Raises:
         OSError: when it cannot be read.
-        ValueError: when it is damaged, something else or of another format.
+        ValueError: when it is damaged, too large, something else or of another format.
     """
-    kind = "a file of results"
-    data = read_json(path, kind)
-
-    def require(*keys: str) -> None:
-        if missing := sorted(set(keys) - data.keys()):
-            raise ValueError(f"{path} is not {kind}: it has no {', '.join(missing)}")
-
-    require("format", "suite", "jobs")
-    if data["format"] != FORMAT:
-        raise ValueError(
-            f"{path} is of format {data['format']!r}, this library reads {FORMAT}: use the version of ptne_env that "
-            "wrote it, or run the suite again"
-        )
+    path = path / "results.json" if path.is_dir() else path
+    if path.is_file() and path.stat().st_size > LARGEST_FILE:
+        raise ValueError(f"{path} is larger than {LARGEST_FILE // 2**20} MiB: it is no file of results")
+    data = read_json(path, "a file of results")
+    if data.get("format") != FORMAT:
+        raise ValueError(f"{path} is no file of results of format {FORMAT}, which this library reads: run it again")
     content = {key: value for key, value in data.items() if key not in ("checksum", "timings")}
-    if not is_hash_of(data.get("checksum"), content):
-        raise ValueError(
-            f"{path} was damaged or changed after it was written: run the suite again, which writes it anew from the "
-            "stored jobs"
-        )
-    require("seed", "split", "episodes", "policies", "versions", "timings")
-    require("records", "not_applicable", "failures", "leaderboard")
+    if data.get("checksum") != content_hash(content):
+        raise DamagedFileError(f"{path} was damaged or changed after it was written: run it again")
     return data

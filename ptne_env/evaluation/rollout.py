@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
 from time import perf_counter
 from typing import Any
 
@@ -11,38 +10,12 @@ import numpy as np
 import numpy.typing as npt
 
 from ptne_env.evaluation.audit import Witness
-from ptne_env.evaluation.series import SERIES, Moment
+from ptne_env.evaluation.metrics import SERIES, Moment, Rollout, instants
 from ptne_env.perception.encoder import Encoder
 from ptne_env.perception.policy import Policy, PolicyError, decision, describe
 from ptne_env.shared.arrays import BoolArray, Float32Array, FloatArray
 from ptne_env.world import dynamics
 from ptne_env.world.dynamics import State
-from ptne_env.world.world import World
-
-
-@dataclass(frozen=True)
-class Rollout:
-    """B episodes of one policy.
-
-    Attributes:
-        world: in which they ran.
-        series: by name of :data:`~ptne_env.evaluation.series.SERIES`, each of shape (instants or steps, B).
-        diverged: whether the episode left the range, shape (B,).
-        seconds_per_decision: wall time of the policy per player and step.
-    """
-
-    world: World
-    series: dict[str, FloatArray]
-    diverged: BoolArray
-    seconds_per_decision: float
-
-    def __getitem__(self, series: str) -> FloatArray:
-        """A series by name, shape (instants or steps, B).
-
-        Raises:
-            KeyError: when there is no such series.
-        """
-        return self.series[series]
 
 
 class Member:
@@ -150,8 +123,8 @@ def rollout(
     clock, players = world.clock, range(world.game.num_players)
     taken = set() if teammates is None else set(teammates.players.tolist())
     member = Member(policy, encoder, [player for player in players if player not in taken], witnesses)
-    instants = {name: SERIES[name].instants(clock) for name in (SERIES if series is None else series)}
-    values = {name: np.empty((len(chosen), batch)) for name, chosen in instants.items()}
+    recorded = {name: instants(name, clock) for name in (SERIES if series is None else series)}
+    values = {name: np.empty((len(chosen), batch)) for name, chosen in recorded.items()}
     state = start
     for step in range(clock.total_steps + 1):
         inputs = member.decide(state) if step < clock.total_steps else None
@@ -160,9 +133,9 @@ def rollout(
         if watch is not None:
             watch(state, inputs)
         moment = Moment(world, state, inputs, step)
-        for name, chosen in instants.items():
+        for name, chosen in recorded.items():
             if step in chosen:
-                values[name][chosen.index(step)] = SERIES[name].value(moment)
+                values[name][chosen.index(step)] = SERIES[name][1](moment)
         if inputs is not None:
             state = dynamics.step(world, state, inputs)
     seconds = member.seconds / (clock.total_steps * len(member.players) * batch)

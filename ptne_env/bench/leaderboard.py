@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
-from ptne_env.evaluation.policy_specs import PolicySpec
+from ptne_env.bench.suite import LAW, ZERO
+from ptne_env.evaluation.entries import PolicySpec
+from ptne_env.evaluation.metrics import MOST_DIGITS
+from ptne_env.evaluation.results import Results
 from ptne_env.evaluation.statistics import Summary, estimate, improvements, performance_profile
-from ptne_env.evaluation.suite import LAW, MOST_DIGITS, ZERO, Track
 from ptne_env.shared.arrays import FloatArray
 
 THRESHOLDS = tuple(round(0.05 * step, 2) for step in range(25))
@@ -76,19 +78,14 @@ def scores(digits: FloatArray, zero: FloatArray) -> FloatArray:
     return (digits - zero.mean()) / (MOST_DIGITS - zero.mean())
 
 
-def leaderboard(
-    tracks: Sequence[Track],
-    policies: Mapping[str, PolicySpec],
-    samples: Mapping[tuple[str, str], Mapping[str, FloatArray]],
-) -> Leaderboard:
-    """Scores, ranks and comparisons.
+def leaderboard(results: Results) -> Leaderboard | None:
+    """Scores, ranks and comparisons of a suite; ``None`` for a comparison, which has no reference policies.
 
-    Args:
-        tracks: that were run.
-        policies: by name, the reference policies among them.
-        samples: by (track, policy) and metric, shape (training seeds, episodes); nothing where a policy cannot act or
-            failed, which counts as zero input.
+    Where a policy cannot act or failed, it counts as zero input.
     """
+    if results.is_comparison:
+        return None
+    tracks, policies, samples = results.tracks, results.policies, results.samples
     digits: dict[tuple[str, str], FloatArray] = {}
     for track in tracks:
         for name, policy in policies.items():

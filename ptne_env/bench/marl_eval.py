@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from ptne_env.evaluation.leaderboard import scores
+from ptne_env.bench.leaderboard import scores
+from ptne_env.bench.suite import ZERO
 from ptne_env.evaluation.results import Results
-from ptne_env.evaluation.suite import ZERO
 from ptne_env.shared.arrays import FloatArray
 
 _DECIMALS = 6
@@ -31,24 +31,23 @@ def marl_eval_json(results: Results) -> str:
     Args:
         results: of a comparison or of another suite.
     """
-    board = results.leaderboard
     runs = max(len(spec.training_seeds) for spec in results.policies.values())
     tasks: dict[str, Any] = {}
     for track in results.tracks:
         algorithms = tasks.setdefault(track.name, {})
         for name in results.policies:
-            if board is None and not all((other.name, name) in results.samples for other in results.tracks):
+            if results.is_comparison and not all((other.name, name) in results.samples for other in results.tracks):
                 continue
             acting = name if (track.name, name) in results.samples else ZERO
             digits = results.samples[track.name, acting][track.metric]
             metrics = {"digits": digits}
-            if board is not None:
+            if not results.is_comparison:
                 metrics["score"] = scores(digits, results.samples[track.name, ZERO][track.metric])
             algorithms[name.replace(",", ";")] = {
                 f"run_{run + 1}": _run({metric: values[run % len(values)] for metric, values in metrics.items()})
                 for run in range(runs)
             }
-    return json.dumps({results.suite.name: tasks}, allow_nan=False, ensure_ascii=False, separators=(",", ":"))
+    return json.dumps({results.name: tasks}, allow_nan=False, ensure_ascii=False, separators=(",", ":"))
 
 
 def _run(metrics: dict[str, FloatArray]) -> dict[str, Any]:

@@ -1,0 +1,148 @@
+"""Runs of suites: jobs that are stored in a folder and run on workers, and the results of a suite."""
+
+from __future__ import annotations
+
+import platform
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from ptne_env.bench.store import Store
+from ptne_env.bench.suite import Suite, get_suite
+from ptne_env.bench.workers import Workers
+from ptne_env.evaluation.entries import PolicySpec, get_policy_spec
+from ptne_env.evaluation.episodes import Split
+from ptne_env.evaluation.jobs import Job, JobResult, run_serially
+from ptne_env.evaluation.metrics import METRICS, Metric, adopt
+from ptne_env.evaluation.provenance import content_hash
+from ptne_env.evaluation.results import Results
+from ptne_env.evaluation.run import compare, several
+from ptne_env.shared.files import require_writable
+
+
+@dataclass
+class Runner:
+    """Runs jobs, ``evaluate(..., run=Runner(folder, Workers(4)))``.
+
+    Workers return results, and only this process writes: they may be machines that share no folder with it, but they
+    need the same library, and the same files of policies and parts.
+
+    Attributes:
+        folder: in which the results of finished jobs are stored, so that they are not run again; nothing is stored if
+            ``None``.
+        workers: run the jobs. Only the measured times of policies depend on it.
+        progress: called with ``"track: policy"``, the work that is done and all work when a job is done, both in
+            :attr:`~ptne_env.evaluation.jobs.Job.cost`.
+        rerun: whether stored jobs are run again.
+    """
+
+    folder: Path | None = None
+    workers: Workers = Workers()  # noqa: RUF009 - immutable
+    progress: Callable[[str, int, int], None] | None = None
+    rerun: bool = False
+
+    def __call__(self, jobs: Sequence[Job]) -> list[JobResult]:
+        """The results of jobs, in their order.
+
+        Raises:
+            OSError: when the folder cannot be written, before a job is run.
+            ValueError, ImportError, ConnectionError, ChildProcessError: as
+                :meth:`~ptne_env.bench.workers.Workers.run`.
+        """
+        store = None if self.folder is None else Store(self.folder)
+        found: dict[int, JobResult] = {}
+        total, done = sum(job.cost for job in jobs), 0
+
+        def finish(index: int, result: JobResult) -> None:
+            nonlocal done
+            found[index] = result
+            done += jobs[index].cost
+            if self.progress is not None:
+                self.progress(f"{jobs[index].track.name}: {jobs[index].policy.name}", done, total)
+
+        missing = []
+        for index, job in enumerate(jobs):
+            stored = None if store is None or self.rerun else store.find(job)
+            if stored is None:
+                missing.append(index)
+            else:
+                finish(index, stored)
+        if store is not None and missing:
+            require_writable(store.path("0"))
+        missing.sort(key=lambda index: jobs[index].cost)  # quick jobs first, so that progress shows at once
+        own = {name: metric for name, metric in METRICS.items() if metric.is_own}
+        for place, result in self.workers.run(_run_job, [(jobs[index], jobs[index].key, own) for index in missing]):
+            if store is not None:
+                store.save(jobs[missing[place]], result)
+            finish(missing[place], result)
+        return [found[index] for index in range(len(jobs))]
+
+
+def _run_job(job: Job, key: str | None, metrics: dict[str, Metric]) -> JobResult:
+    """Run a job on a worker, which gets the metrics that the user registered.
+
+    Raises:
+        ValueError: when the job has another ``key`` there, because the worker's libraries or files differ.
+    """
+    adopt(metrics)
+    if key is not None and content_hash(job.to_dict()) != key:
+        raise ValueError(
+            f"a worker on {platform.node()} has another version of the library, its dependencies or the files of "
+            f"policy {job.policy.name!r} than the machine that asks: install the same on both"
+        )
+    try:
+        (result,) = run_serially([job])
+    except Exception as error:
+        error.add_note(f"in track {job.track.name!r}, policy {job.policy.name!r}")
+        raise
+    return result
+
+
+def run_suite(
+    suite: str | Suite,
+    policies: str | PolicySpec | Iterable[str | PolicySpec],
+    *,
+    tracks: str | Iterable[str] | None = None,
+    episodes: int | None = None,
+    seed: int = 0,
+    split: Split = "test",
+    folder: Path | None = None,
+    workers: Workers = Workers(),  # noqa: B008 - immutable
+    progress: Callable[[str, int, int], None] | None = None,
+    rerun: bool = False,
+) -> Results:
+    """Run policies, and the reference policies of the suite, on the tracks of a suite.
+
+    Args:
+        suite: by name, ``"module:object"`` or as it is.
+        policies: as for :func:`ptne_env.evaluate`.
+        tracks: one name or several; all if left out.
+        episodes: per track; the suite's own number if left out.
+        seed: of the episode sets; that of published results is 0.
+        split: ``"test"``, ``"validation"`` or ``"train"``, which share no episode.
+        folder: as the following arguments, of the :class:`Runner`.
+        workers: run the jobs.
+        progress: called when a job is done.
+        rerun: whether stored jobs are run again.
+
+    Raises:
+        ValueError: for unknown or repeated names, or a policy with the name of a reference policy.
+        RuntimeError: when a reference policy fails.
+        OSError, ImportError, ConnectionError, ChildProcessError: as :class:`Runner`.
+    """
+    chosen = get_suite(suite)
+    target = suite if isinstance(suite, str) else None
+    names = [track.name for track in chosen.tracks] if tracks is None else list(dict.fromkeys(several(tracks)))
+    sets = {name: chosen.episode_set(name, episodes, seed=seed, split=split) for name in names}
+    specs = [get_policy_spec(policy) for policy in several(policies)]
+    for reference in chosen.references:
+        same = [spec for spec in specs if spec.name == reference.name]
+        if any(spec != reference for spec in same):
+            raise ValueError(f"{reference.name!r} is the name of a reference policy: give your policy another name")
+        specs += [] if same else [reference]
+    runner = Runner(folder, workers, progress, rerun)
+    results = compare(chosen.name, [chosen.track(name) for name in names], specs, sets, runner, target)
+    for (track, policy), reason in results.failures.items():
+        if policy in {reference.name for reference in chosen.references}:
+            raise RuntimeError(f"the reference policy {policy!r} fails on track {track!r}: {reason}")
+    return results

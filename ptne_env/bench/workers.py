@@ -1,0 +1,163 @@
+"""Workers: many tasks at once, on the cores of this machine through joblib, or on a Ray cluster."""
+
+from __future__ import annotations
+
+import os
+import signal
+import socket
+import tempfile
+import warnings
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
+from dataclasses import dataclass
+from multiprocessing.resource_tracker import ensure_running
+from pickle import PicklingError
+from typing import Any, TypeVar
+
+from ptne_env.shared.processes import end_with_parent
+
+Result = TypeVar("Result")
+
+RETRIES = 3
+"""How often Ray runs a task again whose worker or machine died."""
+
+_LOST = "a worker process died, often for lack of memory (fewer jobs need less); stored results are kept"
+
+
+@dataclass(frozen=True)
+class Workers:
+    """Processes that run tasks. The results do not depend on their number or place.
+
+    Processes of this machine end with this process, even if it is killed, and leave Ctrl-C to it.
+
+    Attributes:
+        jobs: tasks at a time; −1 for one per core. A cluster runs one per core of its own.
+        ray: address of a Ray cluster: ``"auto"`` (the one that this machine or ``RAY_ADDRESS`` belongs to),
+            ``"local"`` (a new one on this machine) or such as ``"10.0.0.1:6379"``; processes of this machine if
+            ``None``.
+
+    Raises:
+        ValueError: for no jobs.
+    """
+
+    jobs: int = 1
+    ray: str | None = None
+
+    def __post_init__(self) -> None:
+        if self.jobs == 0:
+            raise ValueError("0 jobs would do nothing; ask for at least one, or for -1, one per core")
+
+    def run(self, function: Callable[..., Result], tasks: Sequence[tuple[Any, ...]]) -> Iterator[tuple[int, Result]]:
+        """Call ``function(*task)`` for every task, and yield (index of the task, result) as they are finished.
+
+        The function and its arguments are pickled, and may run on another machine: the caller writes the results.
+
+        Raises:
+            ValueError: when a task cannot be pickled.
+            ImportError: when joblib or ray is missing and needed.
+            ConnectionError: when there is no cluster at the address.
+            ChildProcessError: when a worker died, on a cluster more often than Ray repeats its task. An error
+                of a task is raised here.
+        """
+        if self.ray is not None:
+            yield from _on_cluster(self.ray, function, tasks)
+        elif self.jobs == 1:
+            for index, task in enumerate(tasks):
+                yield index, function(*task)
+        else:
+            yield from _on_processes(self.jobs, function, tasks)
+
+
+def _on_processes(
+    jobs: int, function: Callable[..., Result], tasks: Sequence[tuple[Any, ...]]
+) -> Iterator[tuple[int, Result]]:
+    try:
+        from joblib import Parallel, delayed
+    except ImportError as error:
+        raise ImportError('several jobs need joblib: pip install "ptne-env[bench]"') from error
+    run = Parallel(
+        jobs,
+        return_as="generator_unordered",
+        batch_size=1,
+        backend="loky",
+        initializer=end_with_parent,
+        initargs=(os.getpid(),),
+        max_nbytes=None,  # joblib makes no folders for large arrays then, which stay behind when processes are killed
+        temp_folder=tempfile.gettempdir(),
+    )
+    calls = (delayed(_numbered)(index, function, task) for index, task in enumerate(tasks))
+    try:
+        with _ctrl_c_waits():
+            results = run(calls)
+        try:
+            for result in results:  # noqa: UP028 - yield from would close them with joblib's warnings
+                yield result
+        finally:
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")  # joblib counts the results that are lost
+                results.close()
+    except BrokenProcessPool as error:
+        raise ChildProcessError(_LOST) from error
+    except PicklingError as error:
+        *_, reason = str(error.__cause__ or error).strip(' \n"').splitlines()
+        raise ValueError(
+            f"a class or function of this program or notebook cannot be sent to other processes ({reason}): define "
+            "it in a module, or run one job at a time"
+        ) from error
+
+
+def _numbered(index: int, function: Callable[..., Result], task: tuple[Any, ...]) -> tuple[int, Result]:
+    return index, function(*task)
+
+
+@contextmanager
+def _ctrl_c_waits() -> Iterator[None]:
+    """Delay Ctrl-C to the end of the block; processes that start in it never see it, not even while they import."""
+    if not hasattr(signal, "pthread_sigmask"):  # on Windows
+        yield
+        return
+    ensure_running()  # it unblocks Ctrl-C when joblib starts it, in Python 3.11
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+def _on_cluster(
+    address: str, function: Callable[..., Result], tasks: Sequence[tuple[Any, ...]]
+) -> Iterator[tuple[int, Result]]:
+    """Every task is one of Ray's on one core: Ray shares them out, and runs those of a dead machine again elsewhere."""
+    try:
+        import ray
+        from ray import exceptions
+    except ImportError as error:
+        raise ImportError('a Ray cluster needs an extra: pip install "ptne-env[ray]"') from error
+    if not ray.is_initialized():
+        _require_answer(address)
+        ray.init(address=address, log_to_driver=False, logging_level="error")
+    remote = ray.remote(num_cpus=1, max_retries=RETRIES)(_numbered)
+    running = [remote.remote(index, function, task) for index, task in enumerate(tasks)]
+    try:
+        while running:
+            (done,), running = ray.wait(running, num_returns=1)
+            yield ray.get(done)
+    except exceptions.RayTaskError as error:
+        raise error.cause from error
+    except exceptions.RayError as error:
+        raise ChildProcessError(f"a task was lost {1 + RETRIES} times, with its worker or machine: {error}") from error
+    finally:
+        for task in running:
+            ray.cancel(task)
+
+
+def _require_answer(address: str) -> None:
+    """Fail at once where nothing listens, where Ray itself would try for minutes."""
+    host, _, port = address.removeprefix("ray://").rpartition(":")
+    if not (host and port.isdigit()):
+        return
+    try:
+        socket.create_connection((host, int(port)), timeout=10).close()
+    except OSError as error:
+        raise ConnectionError(f"no Ray cluster answers at {address}: {error}") from error

@@ -1,0 +1,384 @@
+"""Entries of comparisons: a name, a policy per training seed, and the interface that it acts through."""
+
+from __future__ import annotations
+
+import glob
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import asdict, dataclass, field
+from functools import cache
+from pathlib import Path
+from typing import Any, TypeAlias
+
+from ptne_env.evaluation.provenance import file_hash
+from ptne_env.perception.observation import Interface, LayoutError, ObservationLayout
+from ptne_env.perception.policy import Policy, PolicyError, describe
+from ptne_env.shared.arrays import require_printable
+from ptne_env.shared.files import require_file
+from ptne_env.shared.names import unknown_name
+from ptne_env.shared.parts import LOADER, FactorySpec, foreign_targets, is_part
+
+PolicySource: TypeAlias = FactorySpec | Policy | Callable[[ObservationLayout], Policy]
+"""A factory spec or a callable that builds the policy from a layout, or the policy itself."""
+
+ARCHIVE = "ptne_env.learn.archive:load_archive"
+"""Target of the policies in Stable-Baselines3 archives. It is no part: loading one executes code in the file."""
+
+_LIBRARIES = {LOADER: ("onnxruntime",), ARCHIVE: ("stable_baselines3", "torch")}
+"""The libraries that the policies in files compute with."""
+
+
+@dataclass(frozen=True)
+class PolicySpec:
+    """A policy of a comparison.
+
+    Attributes:
+        name: for tables and files.
+        policy: a :class:`~ptne_env.shared.parts.FactorySpec` or a callable that builds the policy from a layout (such
+            as the class of a law), or a policy itself, such as a Stable-Baselines3 model; or a tuple of these, one per
+            training seed.
+        interface: makes its observations and decodes its actions. What the policy declares as its attribute
+            ``interface`` cannot be overridden; if it declares nothing and this is left out, it is ``scaled``.
+        description: one sentence, for lists; no part of the policy.
+
+    Raises:
+        ValueError: when there is no training seed, training seeds have different interfaces, the policy declares
+            another interface, or its factory spec cannot be imported.
+    """
+
+    name: str
+    policy: PolicySource | tuple[PolicySource, ...]
+    interface: Interface = None  # type: ignore[assignment]  # filled in below, so that readers never see None
+    description: str = field(default="", compare=False, repr=False)
+
+    def __post_init__(self) -> None:
+        require_printable("the name of a policy", self.name)
+        if not self.training_seeds:
+            raise ValueError(f"policy {self.name!r} has no training seed")
+        declared = {_declared_interface(source) for source in self.training_seeds}
+        if len(declared) > 1:
+            raise ValueError(f"the training seeds of policy {self.name!r} have different interfaces: they are no one policy")
+        (own,) = declared
+        if own is not None and self.interface not in (None, own):
+            raise ValueError(f"policy {self.name!r} declares the interface {own}: it cannot act through {self.interface}")
+        object.__setattr__(self, "interface", own or self.interface or Interface())
+
+    @property
+    def training_seeds(self) -> tuple[PolicySource, ...]:
+        """The policy of each training seed; one where nothing was trained."""
+        return self.policy if isinstance(self.policy, tuple) else (self.policy,)
+
+    @property
+    def specs(self) -> list[FactorySpec]:
+        """The factory specs of the training seeds, nested ones too; none of policies that were given as objects."""
+        sources = (source for source in self.training_seeds if isinstance(source, FactorySpec))
+        return [part for source in sources for part in source.nested()]
+
+    @property
+    def is_oracle(self) -> bool:
+        """Whether it uses information that players lack."""
+        return self.interface.kind == "full"
+
+    @property
+    def is_learned(self) -> bool:
+        """Whether it was trained: the policies in files."""
+        return any(spec.target in _LIBRARIES for spec in self.specs)
+
+    @property
+    def is_repeatable(self) -> bool:
+        """Whether every training seed is a factory spec, so that another process can make it again."""
+        return all(isinstance(source, FactorySpec) for source in self.training_seeds)
+
+    @property
+    def is_own(self) -> bool:
+        """Whether any of it is the user's: an object, code from outside the library, or a file that does not ship."""
+        foreign = not self.is_repeatable or any(map(foreign_targets, self.specs))
+        return foreign or any(Path(path).suffix for path in self.files)  # shipped files go by their names
+
+    @property
+    def files(self) -> list[str]:
+        """The paths, or the names of shipped files, that policies are loaded from, one per training seed in a file."""
+        return [str(dict(spec.arguments)[_argument(spec)]) for spec in self.specs if spec.target in _LIBRARIES]
+
+    @property
+    def libraries(self) -> tuple[str, ...]:
+        """The libraries that it computes with, beside those that every result depends on."""
+        return tuple(library for spec in self.specs for library in _LIBRARIES.get(spec.target, ()))
+
+    def build(self, layout: ObservationLayout, training_seed: int = 0) -> Policy:
+        """The policy of a training seed for a layout.
+
+        Raises:
+            LayoutError: when it was made for another layout.
+            PolicyError: when building it raises anything else, or the result has no ``predict``.
+        """
+        source = self.training_seeds[training_seed]
+        built: Any = source
+        try:
+            if isinstance(source, FactorySpec):
+                built = source.build(layout=layout)
+            elif isinstance(source, type) or not hasattr(source, "predict"):
+                built = source(layout)
+            if hasattr(built, "require"):
+                built.require(layout)
+        except (LayoutError, MemoryError):
+            raise
+        except Exception as error:
+            called = "; it is called with the layout" * isinstance(error, TypeError)
+            raise PolicyError(f"it cannot be built: {describe(error)}{called}") from error
+        expected = getattr(getattr(built, "observation_space", None), "shape", None)  # of a Stable-Baselines3 model
+        if expected not in (None, (layout.size,)):
+            raise LayoutError(
+                f"it was trained on observations of shape {expected}, and this track with the interface "
+                f"{layout.interface.kind!r} has {(layout.size,)}; if it was trained with another interface, give that "
+                "one: PolicySpec(name, model, ptne_env.Interface('physical'))"
+            )
+        if not hasattr(built, "predict"):
+            raise PolicyError(f"it is a {type(built).__name__} without predict(observation, state, ...)")
+        policy: Policy = built
+        return policy
+
+    def to_dict(self) -> dict[str, Any]:
+        """A JSON object with the parameters of every training seed, and the SHA-256 of its file."""
+        return {
+            "name": self.name,
+            "interface": asdict(self.interface),
+            "training_seeds": [_source_to_dict(source) for source in self.training_seeds],
+        }
+
+    @classmethod
+    def from_dict(cls, data: Mapping[str, Any]) -> PolicySpec:
+        """The inverse of :meth:`to_dict` for a repeatable policy.
+
+        Raises:
+            ValueError: when a policy was an object of another process, or the data are no policy.
+        """
+        try:
+            seeds = data["training_seeds"]
+            if any("arguments" not in seed for seed in seeds):
+                raise ValueError(f"policy {data['name']!r} was an object, no factory spec: nothing can make it again")
+            sources = tuple(FactorySpec.from_dict({key: seed[key] for key in ("target", "arguments")}) for seed in seeds)
+            interface = Interface(**data["interface"])
+            return cls(data["name"], sources if len(sources) != 1 else sources[0], interface)
+        except (KeyError, TypeError, AttributeError) as error:
+            raise ValueError(f"not a policy: {type(error).__name__}: {error}") from None
+
+
+def _declared_interface(source: PolicySource) -> Interface | None:
+    """The interface that a policy declares, as a class, as an object or in its file."""
+    found: Any = source
+    if isinstance(source, FactorySpec):
+        found = source.build() if source.target in _LIBRARIES else source.resolve()
+    return getattr(found, "interface", None)
+
+
+def _argument(spec: FactorySpec) -> str:
+    """The argument that names the file of a policy."""
+    return "path" if spec.target == ARCHIVE else "path_or_name"
+
+
+def _source_to_dict(source: PolicySource) -> dict[str, Any]:
+    if isinstance(source, FactorySpec):
+        path = dict(source.arguments).get(_argument(source)) if source.target in _LIBRARIES else None
+        return {**source.to_dict(), "sha256": path and file_hash(_shipped_file(path))}
+    named = source if isinstance(source, type) else type(source)
+    return {"target": f"{named.__module__}:{named.__qualname__}"}
+
+
+def _shipped_file(path_or_name: str) -> Path:
+    """The path of a policy's file: of a shipped one by its name."""
+    shipped = Path(__file__).parents[1] / "learn" / f"{path_or_name}.onnx"
+    return shipped if shipped.is_file() else Path(path_or_name)
+
+
+_TABLE: Mapping[str, tuple[str, dict[str, Any], str]] = {
+    "static": (
+        "law:static",
+        {"kappa": 2.0},
+        "The paper's static law: down the slope of the own cost, and towards the neighbours with the gain κ.",
+    ),
+    "adaptive": (
+        "law:adaptive",
+        {"gamma": 0.01, "initial_gain": 0.5},
+        "The paper's adaptive law: the gain of a link grows as long as its two players disagree.",
+    ),
+    "corollary-one": (
+        "law:corollary-one",
+        {"kappa": 10.0},
+        "The static law without the time gain, with a κ as large as its corollary needs.",
+    ),
+    "gadjov-pavel": (
+        "law:corollary-one",
+        {"kappa": 1.0},
+        "Gadjov and Pavel's law: the static law without the time gain, with κ = 1.",
+    ),
+    "grounded": (
+        "law:grounded",
+        {"kappa": 2.0},
+        "Ye and Hu's law: estimates follow the neighbours, and the own strategy follows the own cost alone.",
+    ),
+    "zero-input": ("law:zero-input", {}, "Does nothing: strategies stay at the start."),
+    "random": ("law:random", {"seed": 0}, "Random inputs."),
+    "oracle": (
+        "law:oracle",
+        {"gradient_gain": 1.0},
+        "Gradient play with the true strategies of all players, which players do not have.",
+    ),
+    "routed-unknown": (
+        "law:routed-unknown",
+        {"step": 0.3},
+        "Copies news from the neighbours that turn out to be nearest to their source, and takes gradient steps.",
+    ),
+    "observer-relay": (
+        "law:observer-relay",
+        {},
+        "The contact relay with filters against noise, rounding, pushes and reactions of others.",
+    ),
+    "ppo-random-energy": (
+        LOADER,
+        {"path_or_name": "ppo-random-energy"},
+        "A network that PPO trained on random-energy.",
+    ),
+    "ppo-random-energy-switching-transformed": (
+        LOADER,
+        {"path_or_name": "ppo-random-energy-switching-transformed"},
+        "A network that PPO trained on random-energy-switching-transformed.",
+    ),
+    # The policies above are compared by default; suites run those below too.
+    "static-tuned": (
+        "law:static",
+        {"kappa": 3.0, "gradient_gain": 3.5},
+        "The static law with tuned weights of the own cost and of the neighbours.",
+    ),
+    "fixed-gain": (
+        "law:fixed-gain",
+        {"kappa": 5.0},
+        "The static law with the κ that Bianchi and Grammatico's weaker condition asks for.",
+    ),
+    "adaptive-grounded": (
+        "law:adaptive-grounded",
+        {"gamma": 0.0001, "initial_gain": 3.0},
+        "Ye and Hu's adaptive law: the grounded law, with gains that every player tunes by itself.",
+    ),
+    "projected-gradient": (
+        "law:projected-gradient",
+        {"step": 0.5, "mixing": 0.45},
+        "Bianchi and Grammatico's discrete law: average with the neighbours, then take a gradient step.",
+    ),
+    "contact-relay": (
+        "law:contact-relay",
+        {"patience": 30.0, "forgetting": 2.0},
+        "Copies news along the links that were up last, and takes best responses by an identified model.",
+    ),
+    "multi-rate": (
+        "law:multi-rate",
+        {"step": 0.2, "price_step": 0.2, "lead": 2.0},
+        "Gradient play with prices for a shared constraint, on copies that neighbours pass on.",
+    ),
+    "proximal-best-response": (
+        "law:proximal-best-response",
+        {"step": 4.0, "mixing": 0.45},
+        "Bianchi, Belgioioso and Grammatico's law: proximal best responses, and averages with neighbours.",
+    ),
+}
+"""By name: the part, its arguments, and a sentence."""
+
+COMPARED = tuple(_TABLE)[: tuple(_TABLE).index("static-tuned")]
+"""The default policies of a comparison, by name: the paper's laws, references, the strongest laws, and learned ones."""
+
+
+class _Policies(Mapping[str, PolicySpec]):
+    """The named policies. Each is made when it is asked for: laws of the field and files need not be imported before."""
+
+    def __getitem__(self, name: str) -> PolicySpec:
+        return _named_policy(name)
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(_TABLE)
+
+    def __len__(self) -> int:
+        return len(_TABLE)
+
+    def __contains__(self, name: object) -> bool:
+        return name in _TABLE
+
+
+@cache
+def _named_policy(name: str) -> PolicySpec:
+    target, arguments, description = _TABLE[name]
+    return PolicySpec(name, FactorySpec.of(target, **arguments), description=description)
+
+
+POLICIES: Mapping[str, PolicySpec] = _Policies()
+"""The laws, reference policies and learned policies by name, in the order in which tables list them."""
+
+
+def get_policy_spec(policy: str | PolicySpec, *, trust: bool = False) -> PolicySpec:
+    """A policy by name, file, part, ``"module:object"`` or ``"name=pattern"``, or as it is.
+
+    A string of the caller is code of the caller: a ``"module:object"`` is imported without a question. The command
+    line, whose strings may be copied from elsewhere, asks for all that :func:`foreign_names` finds.
+
+    Args:
+        policy: a name of :data:`POLICIES`, an ``.onnx`` file, a Stable-Baselines3 ``.zip``, the id of a law
+            (``"law:grounded"``) or a ``"module:object"`` that is called with the layout, or ``"name=pattern"`` (such as
+            ``"mine=runs/seed-*/policy.onnx"``), whose files are the training seeds of one policy.
+        trust: whether code that is stored in a ``.zip`` may be executed.
+
+    Raises:
+        ValueError: for an unknown name, an object that is no string and no spec, an object that cannot be imported, a
+            file of another kind, or a ``.zip`` that is not trusted.
+        FileNotFoundError: also for a pattern without files.
+        PolicyFileError, ImportError: as :func:`ptne_env.learn.load`.
+    """
+    if isinstance(policy, PolicySpec):
+        return policy
+    if not isinstance(policy, str):
+        raise ValueError(
+            f"a policy is a string or a PolicySpec, got {policy!r}: wrap a class, function or model as "
+            "PolicySpec(name, policy)"
+        )
+    if policy in POLICIES:
+        return POLICIES[policy]
+    name, separator, pattern = policy.partition("=")
+    if separator and name and Path(name).name == name and not Path(policy).is_file():
+        found = sorted(glob.glob(pattern))  # noqa: PTH207 - it may be absolute
+        if not found:
+            raise FileNotFoundError(f"there is no file {pattern!r}, which '{policy}' asks for")
+        return PolicySpec(name, tuple(_file(path, trust=trust) for path in found))
+    if Path(policy).suffix in (".onnx", ".zip"):
+        return PolicySpec(Path(policy).stem, _file(policy, trust=trust))
+    if ":" in policy:
+        return PolicySpec(policy, FactorySpec.of(policy))
+    raise ValueError(unknown_name("policy", policy, POLICIES, "an .onnx file or a 'module:object'"))
+
+
+def _file(path: str, *, trust: bool) -> FactorySpec:
+    """The spec of the policy in a file."""
+    require_file(path)
+    if path.endswith(".onnx"):
+        return FactorySpec.of(LOADER, path_or_name=path)
+    if not path.endswith(".zip"):
+        raise ValueError(f"{path!r} is no policy: policy files end in .onnx or .zip")
+    if not trust:
+        raise ValueError(
+            f"loading {path!r} executes code that is stored in it; if you trust it: "
+            f"ptne_env.evaluation.get_policy_spec({path!r}, trust=True)"
+        )
+    return FactorySpec.of(ARCHIVE, path=path)
+
+
+def foreign_names(*names: str | None) -> list[str]:
+    """The names that run code from outside the library: a ``"module:object"``, or an archive. Nothing is imported.
+
+    Args:
+        names: of policies, scenarios, suites and tracks (``"module:object/track"``), as commands take them.
+    """
+    found = []
+    for name in filter(None, names):
+        path = name.partition("=")[2] or name
+        target = name.partition("/")[0]
+        if path.endswith(".zip"):
+            found.append(path)
+        elif ":" in target and not path.endswith(".onnx") and not is_part(target):
+            found.append(target)
+    return found

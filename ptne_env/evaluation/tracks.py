@@ -1,0 +1,172 @@
+"""Tracks: scenarios on which policies are compared, with the rules of their episodes."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, fields
+from functools import lru_cache
+from typing import Any
+
+from ptne_env.evaluation.entries import PolicySpec
+from ptne_env.evaluation.rollout import Member
+from ptne_env.perception.encoder import make_encoder
+from ptne_env.shared.arrays import require_count, require_printable
+from ptne_env.shared.parts import FactorySpec, resolve
+from ptne_env.world.catalogue import get_scenario
+from ptne_env.world.scenario import Scenario
+from ptne_env.world.world import World
+
+
+@dataclass(frozen=True)
+class Teammates:
+    """The team rule of a track: these players follow a fixed policy.
+
+    Attributes:
+        policy: that they follow, built for its own interface.
+        players: their indices.
+    """
+
+    policy: FactorySpec
+    players: tuple[int, ...]
+
+    def join(self, world: World) -> Member:
+        """The teammates as they act in a world.
+
+        Raises:
+            ValueError: when their policy cannot act there.
+        """
+        spec = PolicySpec("teammates", self.policy)
+        encoder = make_encoder(world, spec.interface)
+        return Member(spec.build(encoder.layout), encoder, self.players)
+
+    def to_dict(self) -> dict[str, Any]:
+        """A JSON object."""
+        return {"policy": self.policy.to_dict(), "players": list(self.players)}
+
+    @classmethod
+    def from_dict(cls, data: Mapping[str, Any]) -> Teammates:
+        """The inverse of :meth:`to_dict`."""
+        return cls(FactorySpec.from_dict(data["policy"]), tuple(data["players"]))
+
+
+@dataclass(frozen=True)
+class Track:
+    """A scenario, with the rules of its episodes.
+
+    Attributes:
+        name: unique in a comparison or suite; part of the seeds of its episodes in a suite.
+        scenario: the physics.
+        change: its difference from the base of the suite, in one sentence.
+        metric: by which policies are ranked, higher being better: ``"digits"`` or ``"digits_after_hold"``.
+        teammates: players that follow a fixed policy; ``None`` where every player follows the policy that is run.
+        episodes: its own number of episodes; that of the comparison or suite if ``None``.
+
+    Raises:
+        ValueError: for another metric, a metric that the scenario does not have, or teammates that are not some of the
+            players.
+    """
+
+    name: str
+    scenario: Scenario
+    change: str
+    metric: str = "digits"
+    teammates: Teammates | None = None
+    episodes: int | None = None
+
+    def __post_init__(self) -> None:
+        require_printable("the name of a track", self.name)
+        choices = ("digits", "digits_after_hold") if self.scenario.hold_steps else ("digits",)
+        if self.metric not in choices:
+            raise ValueError(f"track {self.name!r} is ranked by {' or '.join(choices)}, got {self.metric!r}")
+        if self.episodes is not None:
+            require_count(f"episodes of track {self.name!r}", self.episodes, 1)
+        if self.teammates is not None:
+            chosen, players = set(self.teammates.players), set(range(self.world.game.num_players))
+            if not (chosen < players and 0 < len(chosen) == len(self.teammates.players)):
+                raise ValueError(
+                    f"track {self.name!r}: teammates are some, not all, of the players {sorted(players)}, each once; "
+                    f"got {list(self.teammates.players)}"
+                )
+
+    @property
+    def world(self) -> World:
+        """The scenario's world, built once per process; again where a notebook defined a part of it again."""
+        parts = (getattr(self.scenario, field.name) for field in fields(self.scenario))
+        nested = (each for part in parts if isinstance(part, FactorySpec) for each in part.nested())
+        return _world(self.scenario, tuple(each.resolve() for each in nested))
+
+    def to_dict(self) -> dict[str, Any]:
+        """A JSON object."""
+        return {
+            "name": self.name,
+            "scenario": self.scenario.to_dict(),
+            "change": self.change,
+            "metric": self.metric,
+            "teammates": None if self.teammates is None else self.teammates.to_dict(),
+            "episodes": self.episodes,
+        }
+
+    @classmethod
+    def from_dict(cls, data: Mapping[str, Any]) -> Track:
+        """The inverse of :meth:`to_dict`."""
+        team = data["teammates"]
+        changes = {"scenario": Scenario.from_dict(data["scenario"]), "teammates": team and Teammates.from_dict(team)}
+        return cls(**{**data, **changes})
+
+
+@lru_cache(maxsize=100)
+def _world(scenario: Scenario, definitions: tuple[Any, ...]) -> World:  # noqa: ARG001 - part of the key
+    return World(scenario)
+
+
+def compared_track(scenario: str | Scenario | Track, hold_steps: int = 0) -> Track:
+    """The track of a comparison. A track in which nothing is random has one episode.
+
+    Args:
+        scenario: a name of the catalogue, which is run from random starts; a ``"module:object"`` that is a scenario or
+            a function that makes one, or a scenario, which is run as it is; or a track.
+        hold_steps: steps after the deadline for a scenario of the catalogue.
+
+    Raises:
+        ValueError: for an unknown name, or an object that is no scenario.
+    """
+    if isinstance(scenario, Track):
+        return scenario
+    if isinstance(scenario, str) and ":" in scenario:
+        scenario = named_scenario(scenario)
+    elif isinstance(scenario, str):
+        scenario = get_scenario(scenario, hold_steps=hold_steps)
+        if not Track(scenario.name, scenario, "").world.is_random:
+            scenario = scenario.replace(start="random")
+    track = Track(scenario.name, scenario, "Random episodes.")
+    if track.world.is_random:
+        return track
+    return Track(scenario.name, scenario, "One episode, because nothing is random.", episodes=1)
+
+
+def named_scenario(target: str) -> Scenario:
+    """The scenario that a ``"module:object"`` is or makes.
+
+    Raises:
+        ValueError: when it is something else.
+    """
+    found = resolve(target)
+    made = found() if callable(found) else found
+    if not isinstance(made, Scenario):
+        raise ValueError(f"{target!r} is a {type(made).__name__}, not a Scenario")
+    return made
+
+
+def compared_tracks(scenarios: Iterable[str | Scenario | Track], hold_steps: int = 0) -> tuple[Track, ...]:
+    """The tracks of a comparison, as :func:`compared_track` makes them.
+
+    Raises:
+        ValueError: for repeated names, or none.
+    """
+    tracks = tuple(compared_track(scenario, hold_steps) for scenario in scenarios)
+    names = [track.name for track in tracks]
+    if not names:
+        raise ValueError("a comparison needs at least one scenario")
+    if repeated := sorted({name for name in names if names.count(name) > 1}):
+        raise ValueError(f"a comparison needs different scenarios; {', '.join(repeated)} would be run more than once")
+    return tracks
