@@ -89,7 +89,9 @@ TRACKS = (
         "A game whose pseudo-gradient is monotone but not strongly monotone.",
         game=part("game:weakly-monotone"),
     ),
-    _track("wrong-clock", "The players' clocks are up to 0.2 s fast or slow.", clock_shifts=(-0.2, 0.1, 0.0, 0.2, -0.1)),
+    _track(
+        "wrong-clock", "The players' clocks are up to 0.2 s fast or slow.", clock_shifts=(-0.2, 0.1, 0.0, 0.2, -0.1)
+    ),
     _track("short-deadline", "A quarter of the time: T = 0.3 at the same c.", deadline=0.3),
     _track(
         "hold",

@@ -98,7 +98,5 @@ def rows_of_one(episodes: int, players: int) -> tuple[int, IntArray]:
 
 def with_links_of(layout: ObservationLayout, player: int) -> ObservationLayout:
     """A layout with the row of one player alone in ``neighbours``: the slots of all others are padded."""
-    rows = tuple(
-        row if index == player else (index,) * layout.slots for index, row in enumerate(layout.neighbours)
-    )
+    rows = tuple(row if index == player else (index,) * layout.slots for index, row in enumerate(layout.neighbours))
     return replace(layout, neighbours=rows)

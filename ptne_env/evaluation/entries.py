@@ -56,10 +56,14 @@ class PolicySpec:
             raise ValueError(f"policy {self.name!r} has no training seed")
         declared = {_declared_interface(source) for source in self.training_seeds}
         if len(declared) > 1:
-            raise ValueError(f"the training seeds of policy {self.name!r} have different interfaces: they are no one policy")
+            raise ValueError(
+                f"the training seeds of policy {self.name!r} have different interfaces: they are no one policy"
+            )
         (own,) = declared
         if own is not None and self.interface not in (None, own):
-            raise ValueError(f"policy {self.name!r} declares the interface {own}: it cannot act through {self.interface}")
+            raise ValueError(
+                f"policy {self.name!r} declares the interface {own}: it cannot act through {self.interface}"
+            )
         object.__setattr__(self, "interface", own or self.interface or Interface())
 
     @property
@@ -156,7 +160,9 @@ class PolicySpec:
             seeds = data["training_seeds"]
             if any("arguments" not in seed for seed in seeds):
                 raise ValueError(f"policy {data['name']!r} was an object, no factory spec: nothing can make it again")
-            sources = tuple(FactorySpec.from_dict({key: seed[key] for key in ("target", "arguments")}) for seed in seeds)
+            sources = tuple(
+                FactorySpec.from_dict({key: seed[key] for key in ("target", "arguments")}) for seed in seeds
+            )
             interface = Interface(**data["interface"])
             return cls(data["name"], sources if len(sources) != 1 else sources[0], interface)
         except (KeyError, TypeError, AttributeError) as error:
@@ -226,7 +232,7 @@ _TABLE: Mapping[str, tuple[str, dict[str, Any], str]] = {
     "routed-unknown": (
         "law:routed-unknown",
         {"step": 0.3},
-        "Copies news from the neighbours that turn out to be nearest to their source, and takes gradient steps.",
+        "Copies news of each player from the neighbours that have them first, and takes gradient steps.",
     ),
     "observer-relay": (
         "law:observer-relay",
@@ -267,12 +273,12 @@ _TABLE: Mapping[str, tuple[str, dict[str, Any], str]] = {
     "contact-relay": (
         "law:contact-relay",
         {"patience": 30.0, "forgetting": 2.0},
-        "Copies news along the links that were up last, and takes best responses by an identified model.",
+        "Copies news as routed-unknown, and takes best responses by an identified model of the own gradient.",
     ),
     "multi-rate": (
         "law:multi-rate",
         {"step": 0.2, "price_step": 0.2, "lead": 2.0},
-        "Gradient play with prices for a shared constraint, on copies that neighbours pass on.",
+        "Gradient play with prices for a shared constraint, on copies as those of routed-unknown.",
     ),
     "proximal-best-response": (
         "law:proximal-best-response",
@@ -283,11 +289,11 @@ _TABLE: Mapping[str, tuple[str, dict[str, Any], str]] = {
 """By name: the part, its arguments, and a sentence."""
 
 COMPARED = tuple(_TABLE)[: tuple(_TABLE).index("static-tuned")]
-"""The default policies of a comparison, by name: the paper's laws, references, the strongest laws, and learned ones."""
+"""The default policies of a comparison, by name: laws of the paper, references, the strongest laws, learned policies."""
 
 
 class _Policies(Mapping[str, PolicySpec]):
-    """The named policies. Each is made when it is asked for: laws of the field and files need not be imported before."""
+    """The named policies. Each is made when it is asked for: nothing of the field or of learning is imported before."""
 
     def __getitem__(self, name: str) -> PolicySpec:
         return _named_policy(name)

@@ -123,36 +123,6 @@ class Moment:
         return np.where(self.state.diverged, dynamics.distance_limit(self.state.game), distance)
 
 
-When: TypeAlias = Literal["instants", "steps", "deadline", "ends"]
-"""Every instant, every step to the deadline, the instant T, or the first and the last instant."""
-
-SERIES: dict[str, tuple[When, Callable[[Moment], FloatArray | IntArray]]] = {
-    "strategy_distance": ("instants", lambda at: at.limited(_strategy_distance(at))),
-    "estimate_distance": ("instants", lambda at: _estimate_distance(at)),
-    "mean_digits": ("ends", lambda at: _mean_digits(at)),
-    "consensus_error": ("deadline", lambda at: at.limited(_consensus_error(at))),
-    "regret": ("deadline", lambda at: _regret(at)),
-    "input_energy": ("steps", lambda at: at.world.clock.dt[at.step] * at.squared_input),
-    "velocity_energy": ("steps", lambda at: _velocity_energy(at)),
-    "peak_input": ("steps", lambda at: at.largest_input),
-    "peak_velocity": ("steps", lambda at: _peak_velocity(at)),
-    "saturated": ("steps", lambda at: _saturated(at)),
-    "components": ("steps", lambda at: ~at.state.diverged * at.magnitudes[..., 0].size),
-    "messages": ("steps", lambda at: _messages(at)),
-}
-"""The recorded series by name: when, and a number per episode, shape (B,). Efforts are those of episodes in range."""
-
-
-def instants(series: str, clock: StepClock) -> Sequence[int]:
-    """The indices of the instants at which a series is recorded, in order."""
-    return {
-        "instants": range(clock.total_steps + 1),
-        "steps": range(clock.steps),
-        "deadline": range(clock.steps, clock.steps + 1),
-        "ends": (0, clock.total_steps),
-    }[SERIES[series][0]]
-
-
 def _squared(array: FloatArray) -> FloatArray:
     """The sum of squares over components and players: (n, N, B) to (B,)."""
     total: FloatArray = (array**2).sum(axis=(0, 1))
@@ -160,7 +130,7 @@ def _squared(array: FloatArray) -> FloatArray:
 
 
 def _strategy_distance(at: Moment) -> FloatArray:
-    return distances.strategy_distance(at.strategies, at.state.game)
+    return at.limited(distances.strategy_distance(at.strategies, at.state.game))
 
 
 def _estimate_distance(at: Moment) -> FloatArray:
@@ -172,7 +142,7 @@ def _mean_digits(at: Moment) -> FloatArray:
 
 
 def _consensus_error(at: Moment) -> FloatArray:
-    return distances.consensus_error(at.state.estimates, at.state.game)
+    return at.limited(distances.consensus_error(at.state.estimates, at.state.game))
 
 
 def _regret(at: Moment) -> FloatArray:
@@ -206,6 +176,36 @@ def _saturated(at: Moment) -> IntArray:
 def _messages(at: Moment) -> IntArray:
     links: IntArray = (dynamics.weights(at.world, at.state) > 0).sum(axis=(0, 1))
     return ~at.state.diverged * links
+
+
+When: TypeAlias = Literal["instants", "steps", "deadline", "ends"]
+"""Every instant, every step to the deadline, the instant T, or the first and the last instant."""
+
+SERIES: dict[str, tuple[When, Callable[[Moment], FloatArray | IntArray]]] = {
+    "strategy_distance": ("instants", _strategy_distance),
+    "estimate_distance": ("instants", _estimate_distance),
+    "mean_digits": ("ends", _mean_digits),
+    "consensus_error": ("deadline", _consensus_error),
+    "regret": ("deadline", _regret),
+    "input_energy": ("steps", lambda at: at.world.clock.dt[at.step] * at.squared_input),
+    "velocity_energy": ("steps", _velocity_energy),
+    "peak_input": ("steps", lambda at: at.largest_input),
+    "peak_velocity": ("steps", _peak_velocity),
+    "saturated": ("steps", _saturated),
+    "components": ("steps", lambda at: ~at.state.diverged * at.magnitudes[..., 0].size),
+    "messages": ("steps", _messages),
+}
+"""The recorded series by name: when, and a number per episode, shape (B,). Efforts are those of episodes in range."""
+
+
+def instants(series: str, clock: StepClock) -> Sequence[int]:
+    """The indices of the instants at which a series is recorded, in order."""
+    return {
+        "instants": range(clock.total_steps + 1),
+        "steps": range(clock.steps),
+        "deadline": range(clock.steps, clock.steps + 1),
+        "ends": (0, clock.total_steps),
+    }[SERIES[series][0]]
 
 
 # --- metrics --------------------------------------------------------------------------------------------------------

@@ -164,7 +164,7 @@ class Results:
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any]) -> Results:
-        """The inverse of :meth:`to_dict`; what follows from samples is computed again. Parts that it names are imported.
+        """The inverse of :meth:`to_dict`; tables are computed again from the samples. Parts that it names are imported.
 
         Raises:
             ValueError: when the data are no results, or a policy or scenario was an object of another process.

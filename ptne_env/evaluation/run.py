@@ -107,7 +107,9 @@ def compare(
     for job, result in zip(jobs, run(jobs), strict=True):
         found.setdefault((job.track.name, job.policy.name), []).append(result)
     failures = {place: each.failure for place, results in found.items() for each in results if each.failure}
-    refusals = {place: each.not_applicable for place, results in found.items() for each in results if each.not_applicable}
+    refusals = {
+        place: each.not_applicable for place, results in found.items() for each in results if each.not_applicable
+    }
     samples = {
         place: {metric: np.stack([each.samples[metric] for each in results]) for metric in results[0].samples}
         for place, results in found.items()

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal, TypeAlias
+from typing import TypeAlias
 
 import numpy as np
 from scipy import special
@@ -75,19 +75,6 @@ def _variance_of_mean(values: FloatArray) -> tuple[float, int]:
     """The variance of the mean of independent values, and its degrees of freedom; 0 for one value."""
     count = len(values)
     return (float(values.var(ddof=1)) / count, count - 1) if count > 1 else (0.0, 0)
-
-
-def summaries(statistics: Mapping[str, tuple[FloatArray, Literal["mean", "cvar"]]]) -> dict[str, Summary]:
-    """A summary of each metric of one policy on one track.
-
-    Args:
-        statistics: by metric, its samples of shape (training seeds, episodes), NaN where an episode has no value, and
-            the statistic over episodes. A CVaR with missing values has none.
-    """
-    return {
-        metric: estimate([samples if statistic == "mean" else tail_values(samples)])
-        for metric, (samples, statistic) in statistics.items()
-    }
 
 
 def tail_values(samples: FloatArray) -> FloatArray:

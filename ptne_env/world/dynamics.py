@@ -21,6 +21,9 @@ from ptne_env.world.channel import LinkRandomness, Memory, Messages
 from ptne_env.world.faults import Disturbance, Sensor
 from ptne_env.world.world import RANGE_LIMIT, ComponentOrder, EpisodeRandomness, World
 
+PHYSICS = 1
+"""Version of the behaviour of worlds. Golden trajectories force it up when it changes; stored results depend on it."""
+
 
 class Received(NamedTuple):
     """Messages at the receiving end of a channel that is not perfect.
