@@ -7,7 +7,8 @@ Run it with: python examples/mixed_team.py
 """
 
 from ptne_env import FactorySpec, get_scenario
-from ptne_env.evaluation import Suite, Teammates, Track, run_suite
+from ptne_env.bench import Suite, run_suite
+from ptne_env.evaluation import Teammates, Track
 
 PAPER = FactorySpec.of("ptne_env.laws:Static", kappa=2.0)
 POLICY = "static-tuned"

@@ -13,8 +13,9 @@ import numpy as np
 from rich.console import Console
 
 from ptne_env import get_scenario, laws
+from ptne_env.bench import Suite, run_suite
 from ptne_env.bench.report import result_tables
-from ptne_env.evaluation import Suite, Track, run_suite
+from ptne_env.evaluation import Track
 from ptne_env.games import AffineGame
 from ptne_env.perception.observation import Observation, ObservationLayout
 from ptne_env.world import graphs, switching

@@ -17,9 +17,10 @@ from processes import run_python
 from typer.testing import CliRunner
 
 from ptne_env import FactorySpec, PolicySpec, Scenario, get_scenario
+from ptne_env.bench import Suite, run_suite
+from ptne_env.bench.check import check, foreign_code
 from ptne_env.cli import app, options
-from ptne_env.evaluation import Suite, Track, get_policy_spec, run_suite
-from ptne_env.evaluation.check import check, foreign_code
+from ptne_env.evaluation import Track, get_policy_spec
 from ptne_env.evaluation.provenance import content_hash
 from ptne_env.perception.observation import Interface
 from ptne_env.shared.parts import foreign_targets

@@ -12,7 +12,7 @@ from ptne_env.bench.suite import Suite, get_suite
 from ptne_env.bench.workers import Workers
 from ptne_env.evaluation.entries import PolicySpec, get_policy_spec
 from ptne_env.evaluation.episodes import Split
-from ptne_env.evaluation.jobs import Job, JobResult, run_serially
+from ptne_env.evaluation.jobs import Job, JobResult, Run, run_serially
 from ptne_env.evaluation.metrics import METRICS, Metric, adopt
 from ptne_env.evaluation.provenance import content_hash
 from ptne_env.evaluation.results import Results
@@ -106,10 +106,7 @@ def run_suite(
     episodes: int | None = None,
     seed: int = 0,
     split: Split = "test",
-    folder: Path | None = None,
-    workers: Workers = Workers(),  # noqa: B008 - immutable
-    progress: Callable[[str, int, int], None] | None = None,
-    rerun: bool = False,
+    run: Run = run_serially,
 ) -> Results:
     """Run policies, and the reference policies of the suite, on the tracks of a suite.
 
@@ -120,10 +117,7 @@ def run_suite(
         episodes: per track; the suite's own number if left out.
         seed: of the episode sets; that of published results is 0.
         split: ``"test"``, ``"validation"`` or ``"train"``, which share no episode.
-        folder: as the following arguments, of the :class:`Runner`.
-        workers: run the jobs.
-        progress: called when a job is done.
-        rerun: whether stored jobs are run again.
+        run: gives the results of jobs: one after the other in this process, or a :class:`Runner`.
 
     Raises:
         ValueError: for unknown or repeated names, or a policy with the name of a reference policy.
@@ -140,8 +134,7 @@ def run_suite(
         if any(spec != reference for spec in same):
             raise ValueError(f"{reference.name!r} is the name of a reference policy: give your policy another name")
         specs += [] if same else [reference]
-    runner = Runner(folder, workers, progress, rerun)
-    results = compare(chosen.name, [chosen.track(name) for name in names], specs, sets, runner, target)
+    results = compare(chosen.name, [chosen.track(name) for name in names], specs, sets, run, target)
     for (track, policy), reason in results.failures.items():
         if policy in {reference.name for reference in chosen.references}:
             raise RuntimeError(f"the reference policy {policy!r} fails on track {track!r}: {reason}")

@@ -8,13 +8,12 @@ import typer
 from threadpoolctl import threadpool_limits
 
 from ptne_env import theory
-from ptne_env.bench import report
+from ptne_env.bench import find_scenario, report
 from ptne_env.cli import options
 from ptne_env.cli.app import app
 from ptne_env.cli.console import check_writable, console, json_text, say, write_json
 from ptne_env.evaluation import POLICIES, get_policy_spec
-from ptne_env.evaluation.policy_specs import foreign_code
-from ptne_env.evaluation.suite import find_scenario, foreign_suites
+from ptne_env.evaluation.entries import foreign_names
 from ptne_env.shared.parts import FactorySpec
 
 
@@ -43,7 +42,7 @@ def certify(
     predicted at the deadline, and the largest stable step. docs/theory.md explains which of them are exact.
     """
     check_writable(json)
-    options.trusted([*foreign_suites(scenario), *foreign_code(law)], trust=trust)
+    options.trusted(foreign_names(scenario, law), trust=trust)
     chosen = find_scenario(scenario)
     if hold_steps is not None:
         chosen = chosen.replace(hold_steps=hold_steps)

@@ -10,15 +10,14 @@ from typing import Annotated
 
 import typer
 
-from ptne_env import learn
-from ptne_env.bench import report
+from ptne_env.bench import Runner, Workers, report, run_suite
+from ptne_env.bench.suite import SUITES, get_suite, world_names
 from ptne_env.cli import options
 from ptne_env.cli.app import ExitCode, app
 from ptne_env.cli.console import STDOUT, check_writable, console, progress, say, write_json
-from ptne_env.evaluation import POLICIES, Suite, default_policies, get_policy_spec, get_suite, run_suite, suite_policies
-from ptne_env.evaluation.policy_specs import foreign_code
-from ptne_env.evaluation.suite import COMPARED_EPISODES, SUITES, comparison, foreign_suites, world_names
-from ptne_env.evaluation.workers import Workers
+from ptne_env.evaluation import COMPARED, POLICIES, PolicySpec, Results, evaluate, get_policy_spec
+from ptne_env.evaluation.entries import foreign_names
+from ptne_env.evaluation.run import EPISODES
 from ptne_env.shared.files import write_atomically
 from ptne_env.world.catalogue import CATALOGUE
 
@@ -36,7 +35,7 @@ def _complete_track(context: typer.Context) -> list[str]:
 def _complete_policy(incomplete: str) -> list[str]:
     """Names of policies, after a comma too."""
     done, comma, _ = incomplete.rpartition(",")
-    return [f"{done}{comma}{name}" for name in [*POLICIES, *learn.shipped()]]
+    return [f"{done}{comma}{name}" for name in POLICIES]
 
 
 @app.command()
@@ -74,7 +73,7 @@ def compare(
         typer.Option(
             min=1,
             help="Test episodes per scenario or track, the same for every policy.",
-            show_default=f"{COMPARED_EPISODES}, or the suite's own number",
+            show_default=f"{EPISODES}, or the suite's own number",
         ),
     ] = None,
     seed: options.Seed = 0,
@@ -111,27 +110,19 @@ def compare(
     """
     suite, places = _tracks_of(suite, scenario or [])
     names = [name for given in policy or () for name in given.split(",") if name]
-    foreign = [*foreign_suites(suite, *places), *(code for name in names for code in foreign_code(name))]
-    trust = options.trusted(foreign, trust=trust)
-    chosen = _suite(suite, places, episodes, hold_steps)
-    folder = out or (None if json == STDOUT else Path("results") / chosen.name)
+    trust = options.trusted(foreign_names(suite, *places, *names), trust=trust)
+    title = "comparison" if suite is None else get_suite(suite).name
+    folder = out or (None if json == STDOUT else Path("results") / title)
     files = [] if folder is None else [folder / "results.json", folder / "results.csv"]
     page = None if folder is None or not with_report else folder / "report.html"
     check_writable(json, page, *files)
     named = [get_policy_spec(name, trust=trust) for name in names]
     share = 100 if page is None else 100 - _PAGE_SHARE
-    with progress(f"{chosen.name}: making the jobs") as advance:
-        results = run_suite(
-            suite or chosen,
-            named or (suite_policies() if suite else default_policies()),
-            tracks=places if suite and places else None,
-            episodes=episodes,
-            seed=seed,
-            folder=folder,
-            rerun=rerun,
-            workers=Workers(jobs, ray),
-            progress=lambda job, done, total: advance(round(share * done / total), 100, job),
+    with progress(f"{title}: making the jobs") as advance:
+        runner = Runner(
+            folder, Workers(jobs, ray), lambda job, done, total: advance(round(share * done / total), 100, job), rerun
         )
+        results = _results(suite, places, named, episodes, seed, hold_steps, runner)
         text = results.to_json()
         write_json(json, text)
         if folder is not None:
@@ -170,14 +161,29 @@ def _tracks_of(suite: str | None, names: list[str]) -> tuple[str | None, list[st
     return suites.pop(), [name.rpartition("/")[2] for name in names]
 
 
-def _suite(suite: str | None, places: list[str], episodes: int | None, hold_steps: int | None) -> Suite:
-    """The suite of that name, or of a comparison of scenarios, all without places."""
+def _results(
+    suite: str | None,
+    places: list[str],
+    policies: list[PolicySpec],
+    episodes: int | None,
+    seed: int,
+    hold_steps: int | None,
+    run: Runner,
+) -> Results:
+    """The results on tracks of a suite, or on scenarios; on all without places, and of the default policies without."""
     if suite is not None:
         if hold_steps is not None:
             raise ValueError("a suite fixes the steps after the deadline: leave out --hold-steps")
-        return get_suite(suite)
+        chosen = policies or list(POLICIES.values())
+        return run_suite(suite, chosen, tracks=places or None, episodes=episodes, seed=seed, run=run)
     for name in places:
-        if name in (*POLICIES, *learn.shipped()):
+        if name in POLICIES:
             raise ValueError(f"{name!r} is a policy, no scenario: write --policy {name}")
-    held = _HOLD_STEPS if hold_steps is None else hold_steps
-    return comparison(places or CATALOGUE, episodes=episodes or COMPARED_EPISODES, hold_steps=held)
+    return evaluate(
+        policies or COMPARED,
+        places or CATALOGUE,
+        episodes=episodes or EPISODES,
+        seed=seed,
+        hold_steps=_HOLD_STEPS if hold_steps is None else hold_steps,
+        run=run,
+    )

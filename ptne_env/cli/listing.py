@@ -10,11 +10,11 @@ import typer
 from rich.padding import Padding
 from rich.text import Text
 
+from ptne_env.bench.suite import SUITES, get_suite
 from ptne_env.cli import options
 from ptne_env.cli.app import app
 from ptne_env.cli.console import check_writable, console, json_text, write_json
-from ptne_env.evaluation import METRICS, suite_policies
-from ptne_env.evaluation.suite import SUITES, get_suite
+from ptne_env.evaluation import METRICS, POLICIES
 from ptne_env.world.catalogue import CATALOGUE, DESCRIPTIONS
 from ptne_env.world.world import World
 
@@ -40,14 +40,13 @@ def _scenarios() -> dict[str, dict[str, Any]]:
 
 def _policies() -> dict[str, dict[str, Any]]:
     found = {}
-    for spec in suite_policies():
+    for spec in POLICIES.values():
         data = spec.to_dict()
         source = data["training_seeds"][0]
         arguments = ", ".join(f"{name} = {value}" for name, value in source.get("arguments", {}).items())
-        places = "" if spec.scenarios is None else f"; for {', '.join(sorted(spec.scenarios))}"
         found[spec.name] = {
             "description": spec.description,
-            "facts": f"{source['target']} ({arguments}){places}",
+            "facts": f"{source['target']} ({arguments})",
             **data,
         }
     return found

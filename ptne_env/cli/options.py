@@ -9,10 +9,9 @@ from typing import Annotated, TypeAlias
 
 import typer
 
-from ptne_env import learn
+from ptne_env.bench.suite import world_names
 from ptne_env.cli.console import keep_stdout
 from ptne_env.evaluation import POLICIES
-from ptne_env.evaluation.suite import world_names
 
 World: TypeAlias = Annotated[
     str,
@@ -27,7 +26,7 @@ Policy: TypeAlias = Annotated[
     str,
     typer.Argument(
         help="A policy by name or .onnx file; a Stable-Baselines3 .zip and a 'module:object' run their own code.",
-        autocompletion=lambda: [*POLICIES, *learn.shipped()],
+        autocompletion=lambda: list(POLICIES),
     ),
 ]
 Seed: TypeAlias = Annotated[int, typer.Option(min=0, help="Seed of the random starts, games and noise.")]

@@ -7,13 +7,12 @@ from typing import Annotated
 
 import typer
 
-from ptne_env.bench import report
+from ptne_env.bench import find_scenario, report
 from ptne_env.cli import options
 from ptne_env.cli.app import app
 from ptne_env.cli.console import check_writable, progress, say
 from ptne_env.evaluation import get_policy_spec
-from ptne_env.evaluation.policy_specs import foreign_code
-from ptne_env.evaluation.suite import find_scenario, foreign_suites
+from ptne_env.evaluation.entries import foreign_names
 
 
 @app.command()
@@ -32,7 +31,7 @@ def render(
 ) -> None:
     """Write an episode as a video: strategies, estimates, distances and live links over time."""
     check_writable(out)
-    trust = options.trusted([*foreign_suites(scenario), *foreign_code(policy)], trust=trust)
+    trust = options.trusted(foreign_names(scenario, policy), trust=trust)
     chosen, spec = find_scenario(scenario), get_policy_spec(policy, trust=trust)
     if hold_steps is not None:
         chosen = chosen.replace(hold_steps=hold_steps)

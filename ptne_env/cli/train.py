@@ -13,7 +13,7 @@ import typer
 from ptne_env.cli import options
 from ptne_env.cli.app import app
 from ptne_env.cli.console import check_writable, json_text, progress, say, write_json
-from ptne_env.evaluation.suite import foreign_suites
+from ptne_env.evaluation.entries import foreign_names
 from ptne_env.learn import training
 
 if TYPE_CHECKING:
@@ -70,7 +70,7 @@ def train(
     given = {"seed": seed, "steps": steps}
     changes: dict[str, Any] = {name: value for name, value in given.items() if value is not None}
     arguments = Arguments.from_toml(configuration, **changes)
-    options.trusted(foreign_suites(*arguments.scenarios), trust=trust)
+    options.trusted(foreign_names(*arguments.scenarios), trust=trust)
     runs = {out: arguments}
     if seeds is not None:
         series = [replace(arguments, seed=arguments.seed + index) for index in range(seeds)]

@@ -289,7 +289,7 @@ _TABLE: Mapping[str, tuple[str, dict[str, Any], str]] = {
 """By name: the part, its arguments, and a sentence."""
 
 COMPARED = tuple(_TABLE)[: tuple(_TABLE).index("static-tuned")]
-"""The default policies of a comparison, by name: laws of the paper, references, the strongest laws, learned policies."""
+"""The default policies of a comparison: laws of the paper, references, the strongest laws, learned policies."""
 
 
 class _Policies(Mapping[str, PolicySpec]):

@@ -613,7 +613,7 @@ def test_the_exit_code_of_check_is_0_when_results_reproduce(suite_run):
 def test_a_check_of_an_archive_says_which_policy_files_are_missing(tmp_path):
     from ptne_env.evaluation.archive import pack
 
-    from ptne_env.evaluation import run_suite
+    from ptne_env.bench import run_suite
     from ptne_env.learn import shipped_path
     from ptne_env.shared.files import write_atomically
 

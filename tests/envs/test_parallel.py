@@ -8,8 +8,8 @@ from worlds import BLOCKS, PAPER_START, constant_actions, make_env, play, while_
 
 import ptne_env
 from ptne_env import CATALOGUE, get_scenario, laws
+from ptne_env.bench import get_suite
 from ptne_env.envs.turn_based import aec_env
-from ptne_env.evaluation.suite import get_suite
 from ptne_env.world import dynamics
 
 INTERFACES = [

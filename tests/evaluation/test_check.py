@@ -6,15 +6,15 @@ import os
 
 import numpy as np
 import pytest
+from ptne_env.evaluation.check import check
+from ptne_env.evaluation.store import Store
+from ptne_env.evaluation.suite import comparison
 from small_suite import SMALL, stored, written
 
 from ptne_env import FactorySpec, PolicySpec, evaluate, laws
 from ptne_env.evaluation import Suite, run_suite, tuning
-from ptne_env.evaluation.check import check
 from ptne_env.evaluation.jobs import JobResult
 from ptne_env.evaluation.provenance import content_hash
-from ptne_env.evaluation.store import Store
-from ptne_env.evaluation.suite import comparison
 
 
 @pytest.fixture

@@ -10,11 +10,11 @@ import uuid
 from pathlib import Path
 
 import pytest
+from ptne_env.evaluation.workers import Workers
 from small_suite import outcome, untimed
 
 from ptne_env import evaluate
 from ptne_env.evaluation import tuning
-from ptne_env.evaluation.workers import Workers
 
 ray = pytest.importorskip("ray")
 pytestmark = pytest.mark.filterwarnings("default")  # Ray's own

@@ -5,11 +5,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from ptne_env.evaluation.leaderboard import leaderboard
 from small_suite import SMALL
 
 from ptne_env import FactorySpec, PolicySpec
 from ptne_env.evaluation import Suite, get_policy_spec, get_suite, run_suite
-from ptne_env.evaluation.leaderboard import leaderboard
 from ptne_env.perception.observation import Interface
 
 

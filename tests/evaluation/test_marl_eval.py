@@ -5,11 +5,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from ptne_env.evaluation.marl_eval import marl_eval_json
 from small_suite import BASE, SMALL
 
 from ptne_env import evaluate
 from ptne_env.evaluation import get_policy_spec, run_suite
-from ptne_env.evaluation.marl_eval import marl_eval_json
 
 
 @pytest.fixture(scope="module")

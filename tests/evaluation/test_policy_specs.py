@@ -5,13 +5,13 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from extras import need_sb3
+from ptne_env.evaluation.policy_specs import ARCHIVE, foreign_code
+from ptne_env.evaluation.suite import REFERENCES
 from small_suite import BASE, SMALL
 
 import ptne_env
 from ptne_env import FactorySpec, PolicySpec, evaluate, laws
 from ptne_env.evaluation import COMPARED, default_policies, get_policy_spec, run_suite, suite_policies
-from ptne_env.evaluation.policy_specs import ARCHIVE, foreign_code
-from ptne_env.evaluation.suite import REFERENCES
 from ptne_env.learn import shipped_path
 from ptne_env.perception.encoder import make_encoder
 from ptne_env.perception.observation import Interface

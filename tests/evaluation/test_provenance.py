@@ -10,11 +10,11 @@ from zipfile import ZipFile
 
 import pytest
 from processes import run_python
+from ptne_env.evaluation.policy_specs import ARCHIVE
 from small_suite import BASE, stored
 
 from ptne_env import FactorySpec, PolicySpec
 from ptne_env.evaluation import Suite, Track, get_policy_spec, jobs, run_suite
-from ptne_env.evaluation.policy_specs import ARCHIVE
 from ptne_env.evaluation.provenance import file_hashes, source_hashes, unhashed, versions
 from ptne_env.perception.observation import Interface
 

@@ -7,12 +7,12 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from ptne_env.evaluation.check import check
 from small_suite import BASE, SMALL, untimed
 
 import ptne_env
 from ptne_env import FactorySpec, PolicySpec, evaluate, laws
 from ptne_env.evaluation import COMPARED, Suite, Track, Workers, get_policy_spec, get_suite, run_suite, tuning
-from ptne_env.evaluation.check import check
 
 
 @pytest.fixture(scope="module")

@@ -5,13 +5,13 @@ import random
 
 import numpy as np
 import pytest
+from ptne_env.evaluation.store import Store
+from ptne_env.evaluation.suite import REFERENCES
 from small_suite import SMALL, stored, without_timings
 
 from ptne_env import FactorySpec, PolicySpec, laws
 from ptne_env.evaluation import Suite, Track, get_policy_spec, jobs, run_suite
 from ptne_env.evaluation.provenance import content_hash
-from ptne_env.evaluation.store import Store
-from ptne_env.evaluation.suite import REFERENCES
 from ptne_env.shared.files import DamagedFileError
 
 

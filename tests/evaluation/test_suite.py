@@ -6,12 +6,6 @@ from types import ModuleType
 
 import numpy as np
 import pytest
-
-import ptne_env
-from ptne_env import FactorySpec, laws
-from ptne_env.evaluation.episodes import track_seed
-from ptne_env.evaluation.provenance import canonical_json
-from ptne_env.evaluation.rollout import Member, rollout
 from ptne_env.evaluation.suite import (
     Suite,
     Teammates,
@@ -21,6 +15,12 @@ from ptne_env.evaluation.suite import (
     foreign_suites,
     get_suite,
 )
+
+import ptne_env
+from ptne_env import FactorySpec, laws
+from ptne_env.evaluation.episodes import track_seed
+from ptne_env.evaluation.provenance import canonical_json
+from ptne_env.evaluation.rollout import Member, rollout
 from ptne_env.perception.encoder import make_encoder
 from ptne_env.perception.observation import Interface
 from ptne_env.world import graphs

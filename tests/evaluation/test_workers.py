@@ -10,12 +10,12 @@ from pathlib import Path
 
 import pytest
 from processes import run_python, start_python
+from ptne_env.evaluation.suite import REFERENCES
 from small_suite import SMALL, stored, untimed
 
 import ptne_env
 from ptne_env.evaluation import Suite, Track, Workers, get_policy_spec, run_suite
 from ptne_env.evaluation.jobs import Job, run_job
-from ptne_env.evaluation.suite import REFERENCES
 
 
 def square(number):

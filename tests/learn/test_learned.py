@@ -13,7 +13,7 @@ from onnx import helper
 import ptne_env
 from ptne_env import Interface
 from ptne_env import learn as policies
-from ptne_env.evaluation.suite import find_scenario
+from ptne_env.bench import find_scenario
 from ptne_env.learn import Metadata, PolicyFileError
 from ptne_env.learn.learned import sealed
 

@@ -15,9 +15,10 @@ from stable_baselines3 import PPO, SAC
 from test_learned import metadata
 
 from ptne_env import learn as policies
+from ptne_env.bench import get_suite
 from ptne_env.envs.sb3 import PlayerVecEnv
-from ptne_env.evaluation import get_policy_spec, get_suite
-from ptne_env.evaluation.policy_specs import POLICIES
+from ptne_env.evaluation import get_policy_spec
+from ptne_env.evaluation.entries import POLICIES
 from ptne_env.learn.archive import load_archive
 from ptne_env.learn.blocks import BLOCK, in_blocks
 from ptne_env.perception.encoder import make_encoder

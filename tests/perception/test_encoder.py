@@ -6,8 +6,8 @@ from test_dynamics import large_energy_scenario
 from worlds import BLOCKS, BLOCKS_SWITCHING, FAULTY, begin, world_and_encoder
 
 from ptne_env import CATALOGUE, Interface, get_scenario
+from ptne_env.bench import find_scenario
 from ptne_env.evaluation.episodes import EpisodeSet
-from ptne_env.evaluation.suite import find_scenario
 from ptne_env.perception.encoder import make_encoder
 from ptne_env.perception.observation import CONSENSUS_GAIN, OBSERVATION_BOUND
 from ptne_env.world import dynamics

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from processes import run_python
 
 from ptne_env import FactorySpec, Scenario, get_scenario
-from ptne_env.evaluation import get_suite
+from ptne_env.bench import get_suite
 from ptne_env.games import AffineGame, EnergyGame, RandomEnergy
 from ptne_env.shared.parts import PARTS, foreign_targets, is_part, resolve
 from ptne_env.world import channel, graphs, switching

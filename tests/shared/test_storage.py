@@ -16,11 +16,12 @@ from hypothesis import strategies as st
 import ptne_env
 from ptne_env import Scenario
 from ptne_env import learn as policies
-from ptne_env.evaluation import Suite, Track, run_suite
-from ptne_env.evaluation.check import check
+from ptne_env.bench import Suite, run_suite
+from ptne_env.bench.check import check
+from ptne_env.bench.store import Store
+from ptne_env.evaluation import Track
 from ptne_env.evaluation.provenance import content_hash
 from ptne_env.evaluation.results import FORMAT, read_results
-from ptne_env.evaluation.store import Store
 from ptne_env.learn import Metadata, PolicyFileError
 from ptne_env.shared.files import read_json, write_atomically
 from ptne_env.world.world import World

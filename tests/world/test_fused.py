@@ -12,7 +12,7 @@ from processes import run_python
 from worlds import BLOCKS, FAULTY
 
 from ptne_env import CATALOGUE, VectorParallelEnv, parallel_env
-from ptne_env.evaluation.ptne_v1 import ptne_v1
+from ptne_env.bench.suite import ptne_v1
 from ptne_env.world import fused
 
 WITHOUT_FAULTS = {"channel": "perfect", "disturbance": None, "sensor": None}

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from ptne_env.bench.check import Check, Repetition
 from ptne_env.bench.report.tables import Cell, Column, Table, text_table
-from ptne_env.evaluation.check import Check, Repetition
 from ptne_env.evaluation.metrics import number
 from ptne_env.theory import Certificate
 
@@ -47,23 +47,20 @@ def certificate_tables(certificate: Certificate) -> tuple[Table, Table]:
     return assumptions, Table(predictions.caption, predictions.subject, predictions.rows, predictions.columns, notes)
 
 
-def check_tables(check: Check, tolerance: float) -> tuple[Table, Table]:
-    """Whether the tables of results follow from their jobs, and the jobs that were run again.
+def check_tables(check: Check) -> tuple[Table, Table]:
+    """Whether the tables of results follow from their samples, and the jobs that were run again.
 
     Args:
-        check: of :func:`~ptne_env.evaluation.check.check`.
-        tolerance: the largest difference that counts as the same.
+        check: of :func:`~ptne_env.bench.check.check`.
     """
     shown = [("differs", text) for text in check.differences[:_SHOWN_DIFFERENCES]]
     if (hidden := len(check.differences) - _SHOWN_DIFFERENCES) > 0:
         shown.append(("differs", f"{hidden} more numbers or texts"))
-    found = [*(shown or [("agree", "every number follows from the stored jobs")])]
-    found += [("not repeated", text) for text in check.missing]
     rebuilt = text_table(
-        "Tables that were rebuilt from the stored jobs",
+        "Tables that were rebuilt from the samples",
         "",
         ("verdict", ""),
-        ((str(index + 1), *texts) for index, texts in enumerate(found)),
+        ((str(index + 1), *texts) for index, texts in enumerate(shown or [("agree", "every number follows")])),
     )
     rows = {
         f"{repetition.job.track.name}: {repetition.job.policy.name}"
@@ -72,24 +69,24 @@ def check_tables(check: Check, tolerance: float) -> tuple[Table, Table]:
     }
     columns = {
         "largest difference": lambda repetition: Cell.of(repetition.difference),
-        "published score": lambda repetition: Cell.of(repetition.published),
-        "fresh score": lambda repetition: Cell.of(repetition.fresh),
-        "p": lambda repetition: Cell.of(repetition.probability),
-        "verdict": lambda repetition: Cell.words(_verdict(repetition, tolerance)),
+        "verdict": lambda repetition: Cell.words(_verdict(repetition, same_arithmetic=check.same_arithmetic)),
     }
+    notes = [f"{name}: {row.reason}" for name, row in rows.items() if row.reason is not None]
+    if not check.same_arithmetic:
+        notes.append(
+            "Processor, BLAS or libraries are others: rounding differs, and jobs agree where intervals overlap."
+        )
     jobs = Table(
-        "Jobs that were run again, on the published episodes and on fresh ones",
+        f"{len(check.repetitions)} of {check.jobs} jobs were run again",
         "job",
         tuple(rows),
         tuple(Column(label, {name: cell(row) for name, row in rows.items()}) for label, cell in columns.items()),
-        tuple(f"failed: {name}: {row.failure}" for name, row in rows.items() if row.failure is not None),
+        tuple(notes),
     )
     return rebuilt, jobs
 
 
-def _verdict(repetition: Repetition, tolerance: float) -> str:
-    if repetition.knows_episodes:
-        return "too good: better on the published episodes than on fresh ones"
-    if repetition.difference > tolerance:
-        return "differs" if repetition.failure is None else "fails"
-    return "reproduces" if repetition.failure is None else "fails again"
+def _verdict(repetition: Repetition, *, same_arithmetic: bool) -> str:
+    if not repetition.agrees:
+        return "differs" if repetition.reason is None else "fails"
+    return "reproduces" if same_arithmetic else "agrees within its intervals"

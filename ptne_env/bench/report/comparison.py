@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import platform
 from collections.abc import Callable
+from dataclasses import replace
 
 from ptne_env._version import __version__
 from ptne_env.bench.report.page import Page, Part
 from ptne_env.bench.report.tables import answer, answer_table, leaderboard_table, ranked, track_tables
 from ptne_env.bench.report.traces import Scene, scene
-from ptne_env.evaluation.policy_specs import POLICIES
+from ptne_env.bench.suite import LAW
+from ptne_env.evaluation.entries import POLICIES
 from ptne_env.evaluation.results import Results
-from ptne_env.evaluation.suite import LAW, Track
+from ptne_env.evaluation.tracks import Track
 from ptne_env.world.catalogue import DESCRIPTIONS
 
 SHOWN = 3
@@ -45,14 +47,14 @@ def page(results: Results, command: str = "", progress: Callable[[str, int], Non
     board = leaderboard_table(results)
     facts = {
         "command": command,
-        "suite": results.suite.name,
+        "suite": results.name,
         "seed": str(results.seed),
         "split": results.split,
         "ptne_env": __version__,
         "Python": platform.python_version(),
     }
     return Page(
-        title=f"{results.suite.name}, seed {results.seed}",
+        title=f"{results.name}, seed {results.seed}",
         question=_QUESTION,
         answer=answer(results),
         parts=(
@@ -79,16 +81,15 @@ def page(results: Results, command: str = "", progress: Callable[[str, int], Non
 def _scene(results: Results, track: Track) -> Scene:
     names = [name for name in ranked(results) if (track.name, name) in results.samples]
     names.sort(key=lambda name: (name != LAW, name in POLICIES))
-    episodes = results.suite.episode_set(
-        track.name, min(EPISODES, results.episodes[track.name]), seed=results.seed, split=results.split
-    )
+    whole = results.episode_sets[track.name]
+    episodes = replace(whole, count=min(EPISODES, whole.count))
     specs = [results.policies[name] for name in names[:SHOWN]]
     return scene(track.world, episodes, specs, None if track.teammates is None else track.teammates.join)
 
 
 def _part(results: Results, track: Track, found: Scene) -> Part:
     scenario, game = track.scenario, track.world.game
-    about = DESCRIPTIONS.get(track.name, "") if results.suite.is_comparison else track.change
+    about = DESCRIPTIONS.get(track.name, "") if results.is_comparison else track.change
     median = f"median and 10–90 % band over {found.episodes} episodes" if found.episodes > 1 else "one episode"
     return Part(
         track.name,

@@ -5,10 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 
+from ptne_env.bench.leaderboard import leaderboard
+from ptne_env.bench.suite import LAW
 from ptne_env.evaluation.metrics import METRICS, number, share
 from ptne_env.evaluation.results import Results
 from ptne_env.evaluation.statistics import Summary, estimate
-from ptne_env.evaluation.suite import LAW, Track
+from ptne_env.evaluation.tracks import Track
 
 FIRST_MARGIN = 0.1
 """A policy whose interval comes within this many digits of the best mean of a track shares the first place there."""
@@ -135,7 +137,7 @@ def answer_table(results: Results) -> Table:
     episodes = " to ".join(str(count) for count in dict.fromkeys([counts[0], counts[-1]]))
     return Table(
         f"Digits at the deadline ± half of the 95 % interval, {episodes} episodes",
-        "scenario" if results.suite.is_comparison else "track",
+        "scenario" if results.is_comparison else "track",
         (*(track.name for track in results.tracks), *([mean] if len(results.tracks) > 1 else [])),
         tuple(columns),
         (ORACLE_NOTE,) * any(spec.is_oracle for spec in results.policies.values()),
@@ -152,7 +154,7 @@ def answer(results: Results) -> tuple[str, ...]:
     if not any(firsts.values()):
         return ("No policy without an oracle's information has a result.",)
     best = max(firsts, key=lambda name: len(firsts[name]))
-    noun = "scenario" if results.suite.is_comparison else "track"
+    noun = "scenario" if results.is_comparison else "track"
     where = f"{len(firsts[best])} of {count} {noun}s" if count > 1 else results.tracks[0].name
     sentence = f"{best} comes closest to the Nash equilibrium by the deadline on {where}"
     sentences = [f"{sentence}, or within {FIRST_MARGIN:g} digits of the closest." if count > 1 else f"{sentence}."]
@@ -222,10 +224,7 @@ def track_tables(results: Results, track: Track) -> list[Table]:
     names = [name for name in ranked(results) if (track.name, name) in results.samples]
     blocks: dict[str, list[Column]] = {}
     for metric in METRICS.values():
-        cells = {
-            _marked(results, name): Cell.of(results.summary(track.name, name, metric.name), metric.format)
-            for name in names
-        }
+        cells = {_marked(results, name): Cell.of(results.summary(track.name, name, metric.name)) for name in names}
         if (column := Column(metric.label, cells, metric.meaning)).is_filled:
             blocks.setdefault(metric.block, []).append(column)
     rows = tuple(_marked(results, name) for name in names)
@@ -252,7 +251,7 @@ def leaderboard_table(results: Results) -> Table | None:
     Args:
         results: of a comparison or of another suite.
     """
-    board = results.leaderboard
+    board = leaderboard(results)
     if board is None:
         return None
     rows = {_marked(results, row.policy): row for row in board.overall}
@@ -261,7 +260,7 @@ def leaderboard_table(results: Results) -> Table | None:
         return Column(label, {name: cell(row) for name, row in rows.items()}, meaning)
 
     return Table(
-        f"{results.suite.name}: all tracks; a policy counts as zero input where it cannot act or failed",
+        f"{results.name}: all tracks; a policy counts as zero input where it cannot act or failed",
         "policy",
         tuple(rows),
         (

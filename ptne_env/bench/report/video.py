@@ -13,8 +13,8 @@ import numpy as np
 from ptne_env.bench.report.page import Page, Part
 from ptne_env.bench.report.traces import scene
 from ptne_env.envs.rendering import Renderer, pixels
+from ptne_env.evaluation.entries import PolicySpec
 from ptne_env.evaluation.episodes import EpisodeSet
-from ptne_env.evaluation.policy_specs import PolicySpec
 from ptne_env.evaluation.rollout import rollout
 from ptne_env.perception.encoder import make_encoder
 from ptne_env.shared.arrays import FloatArray, require_count

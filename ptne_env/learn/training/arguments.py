@@ -12,7 +12,7 @@ from typing import Annotated, Any, TypeVar
 from pydantic import BeforeValidator, ConfigDict, Field, PositiveInt, ValidationError
 from pydantic.dataclasses import dataclass
 
-from ptne_env.evaluation.suite import world_names
+from ptne_env.bench.suite import world_names
 from ptne_env.learn.training import CONFIGURATIONS, configurations
 from ptne_env.perception.observation import InterfaceKind
 from ptne_env.shared.files import DamagedFileError, require_file

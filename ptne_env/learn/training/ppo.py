@@ -24,9 +24,9 @@ from stable_baselines3.common.utils import LinearSchedule
 from torch import nn
 
 from ptne_env import learn as policies
+from ptne_env.bench import find_scenario
 from ptne_env.envs.sb3 import PlayerVecEnv
 from ptne_env.evaluation import PolicySpec, episode_seed, evaluate
-from ptne_env.evaluation.suite import find_scenario
 from ptne_env.learn.training import checkpoint
 from ptne_env.learn.training.arguments import Arguments
 from ptne_env.learn.training.checkpoint import CHECKPOINT, Record, Summary, finish, finished, plain, require_same

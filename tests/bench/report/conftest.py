@@ -3,7 +3,8 @@
 import pytest
 
 from ptne_env import FactorySpec, PolicySpec, evaluate, get_scenario
-from ptne_env.evaluation import Suite, Track, run_suite
+from ptne_env.bench import Suite, run_suite
+from ptne_env.evaluation import Track
 
 
 @pytest.fixture(scope="session")

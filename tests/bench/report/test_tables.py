@@ -10,6 +10,7 @@ from rich.cells import cell_len
 from rich.console import Console
 
 from ptne_env import evaluate, get_scenario, laws, theory
+from ptne_env.bench.check import Check, Repetition
 from ptne_env.bench.report import answer_tables, certificate_tables, check_tables, result_tables, show
 from ptne_env.bench.report.tables import (
     Cell,
@@ -21,7 +22,6 @@ from ptne_env.bench.report.tables import (
     track_tables,
 )
 from ptne_env.evaluation import METRICS, get_policy_spec
-from ptne_env.evaluation.check import Check, Repetition
 from ptne_env.evaluation.metrics import number, share
 from ptne_env.evaluation.statistics import Summary
 

@@ -9,7 +9,8 @@ from sample_laws import condition_on
 from worlds import channel_part, fixed_part
 
 from ptne_env import Interface, evaluate, get_scenario
-from ptne_env.evaluation import POLICIES, run_suite
+from ptne_env.bench import run_suite
+from ptne_env.evaluation import POLICIES
 from ptne_env.field import laws as field_laws
 from ptne_env.laws import proximal
 from ptne_env.perception.encoder import make_encoder

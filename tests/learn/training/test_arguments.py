@@ -9,7 +9,7 @@ from extras import need_sb3
 
 need_sb3("pydantic")
 
-from ptne_env.evaluation.suite import find_scenario
+from ptne_env.bench import find_scenario
 from ptne_env.learn.training import configurations
 from ptne_env.learn.training.arguments import Arguments
 
