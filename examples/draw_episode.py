@@ -1,8 +1,8 @@
 """Draw an episode: the estimates of all players, and their error over time.
 
 The scenario ``energy-switching-transformed`` under the paper's static law, from the paper's start, with a hold phase
-after the deadline. Thick lines are the strategies, thin ones the estimates of them by the other players, dotted ones the
-Nash equilibrium.
+after the deadline. Thick lines are the strategies, thin ones the estimates of them by the other players, dotted ones
+the Nash equilibrium.
 
 Writes run.png to the current folder, the picture of the README.
 

@@ -14,12 +14,12 @@ from ptne_env import FactorySpec, get_scenario
 
 def channel(name: str, **arguments: Any) -> dict[str, FactorySpec]:
     """The change of a scenario that puts a channel between the players."""
-    return {"channel": FactorySpec.of(f"ptne_env.world.channel:{name}", **arguments)}
+    return {"channel": FactorySpec.of(f"channel:{name}", **arguments)}
 
 
 def chain(*stages: dict[str, FactorySpec]) -> dict[str, FactorySpec]:
     """Several channels in sequence, in the order of the arguments."""
-    return channel("Chain", stages=[stage["channel"] for stage in stages])
+    return channel("chain", stages=[stage["channel"] for stage in stages])
 
 
 def push(bound: float) -> dict[str, FactorySpec]:
@@ -29,14 +29,14 @@ def push(bound: float) -> dict[str, FactorySpec]:
 
 FAULTS: dict[str, dict[str, dict[str, Any]]] = {
     "none": {"": {}},
-    "messages lost": {f"{share:.0%}": channel("Loss", probability=share) for share in (0.3, 0.6, 0.9)},
-    "messages late": {f"{steps} steps": channel("Delay", steps=steps) for steps in (1, 3, 9)},
-    "messages noisy": {f"σ = {std:g}": channel("AdditiveNoise", std=std) for std in (1e-3, 1e-2, 1e-1)},
+    "messages lost": {f"{share:.0%}": channel("loss", probability=share) for share in (0.3, 0.6, 0.9)},
+    "messages late": {f"{steps} steps": channel("delay", steps=steps) for steps in (1, 3, 9)},
+    "messages noisy": {f"σ = {std:g}": channel("noise", std=std) for std in (1e-3, 1e-2, 1e-1)},
     "strategies pushed": {f"±{bound:g} per second": push(bound) for bound in (0.01, 0.1, 1.0)},
     "inputs saturate": {f"at {limit:g}": {"input_limit": limit} for limit in (10.0, 2.0, 1.0)},
     "all of it": {
         "a little": {
-            **chain(channel("Delay", steps=1), channel("Loss", probability=0.3), channel("AdditiveNoise", std=1e-3)),
+            **chain(channel("delay", steps=1), channel("loss", probability=0.3), channel("noise", std=1e-3)),
             **push(0.01),
             "input_limit": 10.0,
         }

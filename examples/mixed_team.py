@@ -10,7 +10,7 @@ from ptne_env import FactorySpec, get_scenario
 from ptne_env.bench import Suite, run_suite
 from ptne_env.evaluation import Teammates, Track
 
-PAPER = FactorySpec.of("ptne_env.laws:Static", kappa=2.0)
+PAPER = FactorySpec.of("law:static", kappa=2.0)
 POLICY = "static-tuned"
 
 

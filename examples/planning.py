@@ -75,7 +75,7 @@ def play(env: ptne_env.NashSeekingEnv, *, planning: bool) -> float:
 def main() -> None:
     """Compare the fixed gains with the planned gains on two graphs."""
     for scenario in ("energy", "energy-switching-transformed"):
-        env = ptne_env.parallel_env(scenario)
+        env = ptne_env.parallel_env(scenario, start="paper")
         law, planner = (play(env, planning=planning) for planning in (False, True))
         print(f"{scenario}: the static law reaches {law:.2f} digits, the planner {planner:.2f}")
 

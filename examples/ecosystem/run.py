@@ -1,7 +1,7 @@
 """Run the examples of this folder, each in a virtual environment of its framework, because their pins conflict.
 
-An example is ``<framework>_<idea>.py``, and ``requirements/<framework>.txt`` lists its packages. The environments lie in
-``.ecosystem/`` and are made once.
+An example is ``<framework>_<idea>.py``, and ``requirements/<framework>.txt`` lists its packages. The environments lie
+in ``.ecosystem/`` and are made once.
 
 Prints, for every example, the digits that the law gains through the framework, their largest difference to those of
 ``ptne_env.evaluate``, and the digits before and after training.
