@@ -4,35 +4,35 @@ from __future__ import annotations
 
 import numpy as np
 
-from ptne_env.laws.base import AdaptiveLaw, consensus
-from ptne_env.perception.observation import Observation
-from ptne_env.shared.arrays import FloatArray
+from ptne_env.laws.base import Law, consensus
+from ptne_env.perception.observation import Observation, ObservationLayout
+from ptne_env.shared.arrays import FloatArray, require_non_negative
 
 
-def adaptive_inputs(observation: Observation, memory: FloatArray, gamma: float) -> tuple[FloatArray, FloatArray]:
+class AdaptiveLaw(Law):
+    """A law with gains that adapt: its memory.
+
+    Args:
+        layout: of the environment.
+        gamma: γ ≥ 0, the rate of adaptation. The paper does not give it; 0.1 needs Θ ≲ 0.04 to stay stable.
+        initial_gain: of every gain at t = 0, ≥ 0.
+
+    Raises:
+        ValueError: for a negative number.
+    """
+
+    def __init__(self, layout: ObservationLayout, gamma: float = 0.01, initial_gain: float = 0.5) -> None:
+        super().__init__(layout)
+        self.gamma = require_non_negative("gamma", gamma)
+        self.initial_gain = require_non_negative("initial_gain", initial_gain)
+
+
+class Adaptive(AdaptiveLaw):
     """u^i = −R_i^T ∂J_i/∂x_i(x^i) − Σ_j κ_ij a_ij (x^i − x^j), dκ_ij/dτ = γ a_ij ‖x^i − x^j‖².
 
     Eqs. (36) and (47) of the paper: on a switching topology a_ij is that of the active graph. The gains take an Euler
     step of Θ_k like the estimates. Both ends of a link see the same differences, so κ_ij = κ_ji needs no message.
-    The memory is κ_ij per neighbour slot, shape (R, D), in natural units; γ = ``gamma`` on all links.
-    """
-    differences = observation.relative_estimates
-    inputs = consensus(memory * observation.weights, differences) - observation.gradient
-    squared = np.einsum("rdn,rdn->rd", differences, differences)
-    growth = gamma * observation.weights * squared * observation.unit**2
-    return inputs, memory + observation.theta * growth
-
-
-class Adaptive(AdaptiveLaw):
-    """The adaptive law of the paper, :func:`adaptive_inputs`.
-
-    Args:
-        layout: of the environment.
-        gamma: γ ≥ 0. The paper does not give it; 0.1 needs Θ ≲ 0.04 to stay stable.
-        initial_gain: κ_ij(0) ≥ 0.
-
-    Raises:
-        ValueError: for a negative gain.
+    The memory is κ_ij per neighbour slot, shape (R, D), in natural units; γ is the same on all links.
     """
 
     def initial_memory(self, rows: int) -> FloatArray:
@@ -40,7 +40,11 @@ class Adaptive(AdaptiveLaw):
         return np.full((rows, self.layout.slots), self.initial_gain)
 
     def inputs(self, observation: Observation, memory: FloatArray) -> tuple[FloatArray, FloatArray]:
-        return adaptive_inputs(observation, memory, self.gamma)
+        differences = observation.relative_estimates
+        inputs = consensus(memory * observation.weights, differences) - observation.gradient
+        squared = np.einsum("rdn,rdn->rd", differences, differences)
+        growth = self.gamma * observation.weights * squared * observation.unit**2
+        return inputs, memory + observation.theta * growth
 
     def gains(self, memory: FloatArray) -> FloatArray:
         """κ_ij of every link, in both directions."""

@@ -1,9 +1,4 @@
-"""The base class of all laws, and the terms that their equations share.
-
-The law itself is a pure function of a parsed :class:`~ptne_env.perception.observation.Observation` of R players, of memory with a
-row per player, and of parameters. It returns the inputs u^i, float64 in the observation's unit, shape (R, n), and the
-memory for the next step. Classes check parameters and adapt the function to ``predict``.
-"""
+"""The base class of all laws, and the terms that their equations share."""
 
 from __future__ import annotations
 
@@ -16,10 +11,7 @@ import numpy.typing as npt
 
 from ptne_env.perception.observation import Interface, LayoutError, Observation, ObservationLayout
 from ptne_env.perception.policy import pair
-from ptne_env.shared.arrays import BoolArray, Float32Array, FloatArray, require_non_negative
-
-_BLOCK = 2**18
-"""Numbers in the observations and memories of the players that decide at a time: their copies fit the cache."""
+from ptne_env.shared.arrays import BoolArray, Float32Array, FloatArray
 
 
 class Law(ABC):
@@ -70,26 +62,11 @@ class Law(ABC):
             ValueError: when observations or memory have another shape than this law needs.
         """
         array = np.asarray(observation)
-        observations = np.atleast_2d(array)
-        memory = self._continued(state, len(observations), episode_start)
-        size = max(_BLOCK // (observations.shape[1] + (0 if memory is None else memory[:1].size)), 1)
-        if len(observations) <= size:
-            actions, memory = self._decide(observations, memory)
-            return (actions[0] if array.ndim == 1 else actions), memory
-        actions = np.empty((len(observations), self.layout.action_size), dtype=np.float32)
-        fresh = None if memory is None else np.empty_like(memory)
-        for first in range(0, len(observations), size):
-            rows = slice(first, first + size)
-            actions[rows], part = self._decide(observations[rows], None if memory is None else memory[rows])
-            if fresh is not None:
-                fresh[rows] = part
-        return actions, fresh
-
-    def _decide(self, observations: npt.NDArray[np.float32], memory: Any) -> tuple[Float32Array, Any]:
-        """Actions of R players, and their memory for the next step."""
-        parsed = self.layout.read(observations)
+        parsed = self.layout.read(np.atleast_2d(array))
+        memory = self._continued(state, len(parsed.player), episode_start)
         inputs, memory = pair(self.inputs(parsed, memory), f"{type(self).__name__}.inputs returns (inputs, memory)")
-        return self._actions(inputs, parsed), memory
+        actions = self.layout.write(inputs, parsed)
+        return (actions[0] if array.ndim == 1 else actions), memory
 
     def _continued(self, memory: Any, rows: int, episode_start: BoolArray | None) -> Any:
         """``memory`` with a fresh row wherever an episode starts, for R = ``rows`` players."""
@@ -139,27 +116,6 @@ class Law(ABC):
         With these gains frozen, the law is one without memory.
         """
         return None
-
-    def _actions(self, inputs: FloatArray, observation: Observation) -> Float32Array:
-        return self.layout.write(inputs, observation)
-
-
-class AdaptiveLaw(Law):
-    """A law with gains that adapt: its memory.
-
-    Args:
-        layout: of the environment.
-        gamma: γ ≥ 0, the rate of adaptation.
-        initial_gain: of every gain at t = 0, ≥ 0.
-
-    Raises:
-        ValueError: for a negative number.
-    """
-
-    def __init__(self, layout: ObservationLayout, gamma: float = 0.01, initial_gain: float = 0.5) -> None:
-        super().__init__(layout)
-        self.gamma = require_non_negative("gamma", gamma)
-        self.initial_gain = require_non_negative("initial_gain", initial_gain)
 
 
 def consensus(weights: FloatArray, relative_estimates: FloatArray) -> FloatArray:

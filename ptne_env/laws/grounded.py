@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from ptne_env.laws.base import AdaptiveLaw, Law, consensus
+from ptne_env.laws.adaptive import AdaptiveLaw
+from ptne_env.laws.base import Law, consensus
 from ptne_env.perception.observation import Observation, ObservationLayout
 from ptne_env.shared.arrays import FloatArray, require_non_negative
 
@@ -20,35 +21,11 @@ def grounded_error(observation: Observation, layout: ObservationLayout) -> Float
     return error
 
 
-def grounded_inputs(observation: Observation, layout: ObservationLayout, kappa: float) -> FloatArray:
+class Grounded(Law):
     """u^i_i = −∂J_i/∂x_i(x^i); for j ≠ i, u^i_j = −κ ξ^i_j, with :func:`grounded_error`.
 
     M. Ye and G. Hu, "Distributed Nash equilibrium seeking by a consensus based approach", IEEE Transactions on
     Automatic Control 62(9), 2017, in effective time. A strategy follows its own gradient alone.
-    """
-    own = layout.own_mask[observation.player]
-    return np.where(own, -observation.gradient, kappa * grounded_error(observation, layout))
-
-
-def adaptive_grounded_inputs(
-    observation: Observation, memory: FloatArray, layout: ObservationLayout, gamma: float
-) -> tuple[FloatArray, FloatArray]:
-    """u^i_i = −∂J_i/∂x_i(x^i); for j ≠ i, u^i_j = −θ_ij ξ^i_j and dθ_ij/dτ = γ ‖ξ^i_j‖².
-
-    M. Ye and G. Hu, "Adaptive approaches for fully distributed Nash equilibrium seeking in networked games",
-    Automatica, 2021: the node-based law, in effective time. Every player tunes the gains of its own consensus errors,
-    so no gain must be known. (The edge-based law of that paper is of the kind of :class:`~ptne_env.laws.Adaptive`.)
-    The memory is θ_ij, one gain per component, shape (R, n), in natural units, and takes an Euler step of Θ_k.
-    """
-    error = grounded_error(observation, layout)
-    own = layout.own_mask[observation.player]
-    growth = gamma * error**2 * observation.unit**2
-    inputs = np.where(own, -observation.gradient, memory * error)
-    return inputs, memory + observation.theta * np.where(own, 0.0, growth)
-
-
-class Grounded(Law):
-    """Ye and Hu's law with a fixed gain, :func:`grounded_inputs`.
 
     Args:
         layout: of the environment.
@@ -63,19 +40,18 @@ class Grounded(Law):
         self.kappa = require_non_negative("kappa", kappa)
 
     def inputs(self, observation: Observation, memory: None) -> tuple[FloatArray, None]:
-        return grounded_inputs(observation, self.layout, self.kappa), memory
+        own = self.layout.own_mask[observation.player]
+        error = grounded_error(observation, self.layout)
+        return np.where(own, -observation.gradient, self.kappa * error), memory
 
 
 class AdaptiveGrounded(AdaptiveLaw):
-    """Ye and Hu's node-based law with adaptive gains, :func:`adaptive_grounded_inputs`.
+    """u^i_i = −∂J_i/∂x_i(x^i); for j ≠ i, u^i_j = −θ_ij ξ^i_j and dθ_ij/dτ = γ ‖ξ^i_j‖².
 
-    Args:
-        layout: of the environment.
-        gamma: γ ≥ 0.
-        initial_gain: θ_ij(0) ≥ 0.
-
-    Raises:
-        ValueError: for a negative gain.
+    M. Ye and G. Hu, "Adaptive approaches for fully distributed Nash equilibrium seeking in networked games",
+    Automatica, 2021: the node-based law, in effective time. Every player tunes the gains of its own consensus errors,
+    so no gain must be known. (The edge-based law of that paper is of the kind of :class:`~ptne_env.laws.Adaptive`.)
+    The memory is θ_ij, one gain per component, shape (R, n), in natural units, and takes an Euler step of Θ_k.
     """
 
     def initial_memory(self, rows: int) -> FloatArray:
@@ -83,7 +59,11 @@ class AdaptiveGrounded(AdaptiveLaw):
         return np.full((rows, self.layout.dimension), self.initial_gain)
 
     def inputs(self, observation: Observation, memory: FloatArray) -> tuple[FloatArray, FloatArray]:
-        return adaptive_grounded_inputs(observation, memory, self.layout, self.gamma)
+        error = grounded_error(observation, self.layout)
+        own = self.layout.own_mask[observation.player]
+        growth = self.gamma * error**2 * observation.unit**2
+        inputs = np.where(own, -observation.gradient, memory * error)
+        return inputs, memory + observation.theta * np.where(own, 0.0, growth)
 
     def gains(self, memory: FloatArray) -> FloatArray:
         """θ_ij of every player and component that it does not own."""

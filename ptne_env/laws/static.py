@@ -7,29 +7,10 @@ from ptne_env.perception.observation import Observation, ObservationLayout
 from ptne_env.shared.arrays import FloatArray, require_non_negative, require_positive
 
 
-def static_inputs(observation: Observation, kappa: float, gradient_gain: float = 1.0) -> FloatArray:
-    """u^i = −g R_i^T ∂J_i/∂x_i(x^i) − κ Σ_j a_ij (x^i − x^j), the static law.
-
-    Eq. (10) of the paper, Theorem 1; the environment's dynamics supply the time gain c + 1/(T − t).
-    With κ = ``kappa`` and g = ``gradient_gain``; g ≠ 1 is the same law for the costs g J_i.
-    """
-    inputs = consensus(observation.weights, observation.relative_estimates)
-    inputs *= kappa
-    inputs -= gradient_gain * observation.gradient
-    return inputs
-
-
-def corollary_one_inputs(observation: Observation, kappa: float) -> FloatArray:
-    """u^i = (Δt_k/Θ_k) (−R_i^T ∂J_i/∂x_i(x^i) − κ Σ_j a_ij (x^i − x^j)), so that dx^i/dt has no time gain.
-
-    Corollary 1, which prints e^i − e^j where x^i − x^j is meant (docs/errata.md, 5). The environment multiplies every
-    input by Θ_k, so the law divides by it. At κ = 1 it is Gadjov and Pavel's law.
-    """
-    return static_inputs(observation, kappa) * (observation.dt / step_length(observation))
-
-
 class Static(Law):
-    """The static law of the paper, :func:`static_inputs`.
+    """u^i = −g R_i^T ∂J_i/∂x_i(x^i) − κ Σ_j a_ij (x^i − x^j), the static law of the paper, eq. (10), Theorem 1.
+
+    The environment's dynamics supply the time gain c + 1/(T − t). g ≠ 1 is the same law for the costs g J_i.
 
     Args:
         layout: of the environment.
@@ -46,7 +27,8 @@ class Static(Law):
         self.gradient_gain = require_positive("gradient_gain", gradient_gain)
 
     def inputs(self, observation: Observation, memory: None) -> tuple[FloatArray, None]:
-        return static_inputs(observation, self.kappa, self.gradient_gain), memory
+        pull = consensus(observation.weights, observation.relative_estimates)
+        return self.kappa * pull - self.gradient_gain * observation.gradient, memory
 
 
 class FixedGain(Static):
@@ -58,8 +40,11 @@ class FixedGain(Static):
     """
 
 
-class CorollaryOne(Law):
-    """The static law without the time gain, :func:`corollary_one_inputs`.
+class CorollaryOne(Static):
+    """u^i = (Δt_k/Θ_k) (−R_i^T ∂J_i/∂x_i(x^i) − κ Σ_j a_ij (x^i − x^j)), so that dx^i/dt has no time gain.
+
+    Corollary 1, which prints e^i − e^j where x^i − x^j is meant (docs/errata.md, 5). The environment multiplies every
+    input by Θ_k, so the law divides by it. At κ = 1 it is Gadjov and Pavel's law.
 
     Args:
         layout: of the environment.
@@ -70,8 +55,8 @@ class CorollaryOne(Law):
     """
 
     def __init__(self, layout: ObservationLayout, kappa: float = 10.0) -> None:
-        super().__init__(layout)
-        self.kappa = require_non_negative("kappa", kappa)
+        super().__init__(layout, kappa)
 
     def inputs(self, observation: Observation, memory: None) -> tuple[FloatArray, None]:
-        return corollary_one_inputs(observation, self.kappa), memory
+        inputs, _ = super().inputs(observation, memory)
+        return inputs * (observation.dt / step_length(observation)), memory

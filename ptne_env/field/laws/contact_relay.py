@@ -27,8 +27,8 @@ from ptne_env.field.laws.contacts import (
     noise_level,
 )
 from ptne_env.field.laws.identification import RESOLUTION, Model, blank, identify
+from ptne_env.field.laws.memory import Memory
 from ptne_env.laws.base import Law, per_step
-from ptne_env.laws.memory import Memory
 from ptne_env.perception.observation import Observation, ObservationLayout
 from ptne_env.shared.arrays import BoolArray, FloatArray, IntArray, require_positive, row_maxima
 

@@ -8,9 +8,9 @@ import numpy as np
 
 from ptne_env.field.laws.best_response import largest
 from ptne_env.field.laws.identification import RESOLUTION
+from ptne_env.field.laws.memory import Memory
 from ptne_env.field.laws.routed import Routes, no_routes, routed_copies, routed_inputs
 from ptne_env.laws.base import Law, per_step
-from ptne_env.laws.memory import Memory
 from ptne_env.perception.observation import Observation, ObservationLayout
 from ptne_env.shared.arrays import FloatArray, require_non_negative, require_positive
 

@@ -52,6 +52,7 @@ from ptne_env.field.laws.estimators import (
     settling,
     without_liars,
 )
+from ptne_env.field.laws.memory import Memory, rows_in, taken_rows, with_rows
 from ptne_env.field.laws.reactions import (
     Condition,
     Planes,
@@ -62,7 +63,6 @@ from ptne_env.field.laws.reactions import (
     reckoned_estimate,
 )
 from ptne_env.laws.base import Law, per_step, step_length
-from ptne_env.laws.memory import Memory, rows_in, taken_rows, with_rows
 from ptne_env.perception.observation import Observation, ObservationLayout
 from ptne_env.shared.arrays import BoolArray, FloatArray, require_positive
 

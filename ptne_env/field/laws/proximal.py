@@ -19,8 +19,8 @@ from ptne_env.field.laws.best_response import (
     with_own,
 )
 from ptne_env.field.laws.identification import RESOLUTION, Model, blank, identify
+from ptne_env.field.laws.memory import Memory
 from ptne_env.laws.base import Law, consensus, per_step
-from ptne_env.laws.memory import Memory
 from ptne_env.perception.observation import Observation, ObservationLayout
 from ptne_env.shared.arrays import FloatArray, require_positive
 

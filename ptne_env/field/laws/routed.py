@@ -8,8 +8,8 @@ import numpy as np
 
 from ptne_env.field.laws.best_response import within_reach
 from ptne_env.field.laws.contacts import Contacts, contacts, copies, no_contacts
+from ptne_env.field.laws.memory import Memory
 from ptne_env.laws.base import Law, per_step
-from ptne_env.laws.memory import Memory
 from ptne_env.perception.observation import Observation, ObservationLayout
 from ptne_env.shared.arrays import BoolArray, FloatArray, require_positive
 
