@@ -123,8 +123,8 @@ def compared_track(scenario: str | Scenario | Track, hold_steps: int = 0) -> Tra
     """The track of a comparison. A track in which nothing is random has one episode.
 
     Args:
-        scenario: a name of the catalogue, which is run from random starts; a ``"module:object"`` that is a scenario or
-            a function that makes one, or a scenario, which is run as it is; or a track.
+        scenario: a name of the catalogue; a ``"module:object"`` that is a scenario or a function that makes one; a
+            scenario; or a track.
         hold_steps: steps after the deadline for a scenario of the catalogue.
 
     Raises:
@@ -136,8 +136,6 @@ def compared_track(scenario: str | Scenario | Track, hold_steps: int = 0) -> Tra
         scenario = named_scenario(scenario)
     elif isinstance(scenario, str):
         scenario = get_scenario(scenario, hold_steps=hold_steps)
-        if not Track(scenario.name, scenario, "").world.is_random:
-            scenario = scenario.replace(start="random")
     track = Track(scenario.name, scenario, "Random episodes.")
     if track.world.is_random:
         return track

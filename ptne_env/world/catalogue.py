@@ -1,4 +1,4 @@
-"""The catalogue: the named scenarios."""
+"""The catalogue: the named scenarios. All start at random; ``start="paper"`` is the paper's start of its two examples."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Any
 
 from ptne_env.shared.names import unknown_name
 from ptne_env.shared.parts import FactorySpec
-from ptne_env.world.scenario import PAPER_START, UNIFORM_START, Scenario
+from ptne_env.world.scenario import UNIFORM_START, Scenario
 
 
 def _game(name: str, **arguments: Any) -> FactorySpec:
@@ -36,29 +36,29 @@ _TAME = 10.0
 _SCENARIOS = (
     # The paper's examples.
     (
-        Scenario(name="energy", game=_ENERGY, topology=_RING, start=PAPER_START),
+        Scenario(name="energy", game=_ENERGY, topology=_RING, start=UNIFORM_START),
         "The paper's first example: five buildings buy electricity at a price that rises with the total; a fixed ring.",
     ),
     (
-        Scenario(name="energy-switching", game=_ENERGY, topology=_PHYSICAL, start=PAPER_START),
+        Scenario(name="energy-switching", game=_ENERGY, topology=_PHYSICAL, start=UNIFORM_START),
         "The energy game on links that change every 0.1 s; at no time do they connect all players.",
     ),
     (
-        Scenario(name="energy-switching-transformed", game=_ENERGY, topology=_TRANSFORMED, start=PAPER_START),
+        Scenario(name="energy-switching-transformed", game=_ENERGY, topology=_TRANSFORMED, start=UNIFORM_START),
         "The energy game on links that change faster and faster before the deadline: every 0.25 of transformed time.",
     ),
     (
-        Scenario(name="non-quadratic", game=_CORRECTED, topology=_RING, start=PAPER_START, action_limit=_TAME),
+        Scenario(name="non-quadratic", game=_CORRECTED, topology=_RING, start=UNIFORM_START, action_limit=_TAME),
         "The paper's second example, whose costs are not quadratic, with a misprint corrected; a fixed ring.",
     ),
     (
         Scenario(
-            name="non-quadratic-switching", game=_CORRECTED, topology=_PHYSICAL, start=PAPER_START, action_limit=_TAME
+            name="non-quadratic-switching", game=_CORRECTED, topology=_PHYSICAL, start=UNIFORM_START, action_limit=_TAME
         ),
         "The corrected second example on links that change every 0.1 s.",
     ),
     (
-        Scenario(name="non-quadratic-printed", game=_PRINTED, topology=_RING, start=PAPER_START, action_limit=_TAME),
+        Scenario(name="non-quadratic-printed", game=_PRINTED, topology=_RING, start=UNIFORM_START, action_limit=_TAME),
         "The second example as it is printed, whose equilibrium is not the printed one.",
     ),
     # Families of games, for training and evaluation.

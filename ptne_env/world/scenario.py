@@ -18,7 +18,6 @@ from ptne_env.shared.parts import PARTS, FactorySpec, Part
 if TYPE_CHECKING:  # so that the registries can read the catalogue without importing what builds a world
     from ptne_env.world.clock import Spacing
 
-PAPER_START = FactorySpec.of("start:paper")
 UNIFORM_START = FactorySpec.of("start:uniform", low=-20.0, high=20.0)
 
 PART_FIELDS = ("game", "topology", "start", "transformation", "channel", "disturbance", "sensor")

@@ -91,8 +91,3 @@ class PaperStart(Start):
         component = player[:, None]
         rest = 5.0 * (num_players - 1 - component - (component < player))
         return np.where(component == player, -2.0 * (player + 1), rest)
-
-
-def paper_start() -> PaperStart:
-    """The start of both examples."""
-    return PaperStart()

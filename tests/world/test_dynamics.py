@@ -172,8 +172,8 @@ PUSH = "disturbance:uniform"
 
 
 def test_a_disturbance_is_bounded_and_pushes_only_the_strategies():
-    plain = World(get_scenario("energy", hold_steps=30))
-    pushed = World(get_scenario("energy", hold_steps=30, disturbance=FactorySpec.of(PUSH, bound=2.0)))
+    plain = World(get_scenario("energy", start="paper", hold_steps=30))
+    pushed = World(get_scenario("energy", start="paper", hold_steps=30, disturbance=FactorySpec.of(PUSH, bound=2.0)))
     states = [begin(plain, [1, 2]), begin(pushed, [1, 2])]
     shares = []
     for k in range(430):

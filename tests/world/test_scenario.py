@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from worlds import BLOCKS, FROM_THE_PAPER, PAPER_START
+from worlds import BLOCKS, FROM_THE_PAPER
 
 import ptne_env
 from ptne_env import CATALOGUE, FactorySpec, Scenario, get_scenario
@@ -85,7 +85,7 @@ def test_the_catalogue_lists_its_scenarios_in_order():
         "random-affine",
         "weakly-monotone",
     ]
-    assert list(CATALOGUE)[:6] == FROM_THE_PAPER
+    assert all(scenario.start.target == "start:uniform" for scenario in CATALOGUE.values())
 
 
 @pytest.mark.parametrize("name", FROM_THE_PAPER)
@@ -96,7 +96,6 @@ def test_catalogue_has_the_settings_of_the_paper(name):
     assert clock.spacing == "effective"
     assert type(clock.transformation).__name__ == "Exponential"
     assert scenario.input_limit == 1000.0
-    assert np.array_equal(World(scenario).start.draw(5, 5, np.random.default_rng(0)), PAPER_START.T)
     assert isinstance(game, EnergyGame if name.startswith("energy") else NonQuadraticGame)
     if not name.startswith("energy"):
         assert game.variant == ("printed" if name.endswith("printed") else "corrected")

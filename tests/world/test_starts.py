@@ -5,7 +5,7 @@ from worlds import PAPER_START
 from ptne_env import get_scenario
 from ptne_env.games import RandomEnergy
 from ptne_env.world import graphs, switching
-from ptne_env.world.starts import FixedStart, UniformStart, paper_start
+from ptne_env.world.starts import FixedStart, PaperStart, UniformStart
 from ptne_env.world.world import World
 
 SIX = {"game": RandomEnergy(players=6), "topology": switching.fixed(graphs.cycle(6))}
@@ -16,7 +16,7 @@ def generator(seed=0):
 
 
 def test_paper_start_is_the_table_of_the_paper():
-    assert np.array_equal(paper_start().draw(5, 5, generator()), PAPER_START.T)
+    assert np.array_equal(PaperStart().draw(5, 5, generator()), PAPER_START.T)
 
 
 def test_columns_of_a_draw_are_rows_of_the_table():
@@ -66,7 +66,7 @@ def test_start_for_another_game_is_refused_with_a_hint():
 
 @pytest.mark.parametrize("players", [2, 6, 9])
 def test_the_papers_start_goes_on_for_other_numbers_of_players(players):
-    estimates = paper_start().draw(players, players, generator()).T
+    estimates = PaperStart().draw(players, players, generator()).T
     for player, row in enumerate(estimates):
         assert row[player] == -2.0 * (player + 1)
         assert np.delete(row, player).tolist() == [5.0 * rest for rest in range(players - 2, -1, -1)]
@@ -74,7 +74,7 @@ def test_the_papers_start_goes_on_for_other_numbers_of_players(players):
 
 def test_the_papers_start_needs_one_component_per_player():
     with pytest.raises(ValueError, match="the game has 3 players and 6 components; choose start='random'"):
-        paper_start().draw(3, 6, generator())
+        PaperStart().draw(3, 6, generator())
 
 
 @pytest.mark.parametrize(

@@ -12,7 +12,7 @@ from ptne_env.theory import MonotonicityConstants, closed_loop_matrix, gain_boun
 from ptne_env.theory.paper.continuous import Run, exact_static, plain_timeline, prescribed_timeline, simulate
 from ptne_env.world.clock import Exponential, TimeTransformation
 from ptne_env.world.graphs import cycle
-from ptne_env.world.starts import paper_start
+from ptne_env.world.starts import PaperStart
 from ptne_env.world.switching import SwitchingTopology, TopologyClock, fixed, paper_topology
 
 DEADLINE = 1.2
@@ -51,7 +51,7 @@ class Experiments:
         self.non_quadratic = NonQuadraticGame("corrected")
         self.ring = fixed(cycle(5))
         self.transformation: TimeTransformation = Exponential(DEADLINE)
-        self.start: FloatArray = paper_start().draw(5, 5, np.random.default_rng(0)).T
+        self.start: FloatArray = PaperStart().draw(5, 5, np.random.default_rng(0)).T
 
     @cached_property
     def constants(self) -> MonotonicityConstants:

@@ -9,7 +9,7 @@ from ptne_env.theory import closed_loop_matrix
 from ptne_env.theory.paper.continuous import exact_static, plain_timeline, prescribed_timeline, simulate
 from ptne_env.world.clock import Exponential, HyperbolicTangent, Rational
 from ptne_env.world.graphs import cycle, path
-from ptne_env.world.starts import paper_start
+from ptne_env.world.starts import PaperStart
 from ptne_env.world.switching import SwitchingTopology, fixed, paper_topology
 
 DEADLINE, GAIN = 1.2, 20.0
@@ -18,7 +18,7 @@ LAMBDA = Exponential(DEADLINE)
 
 @pytest.fixture(scope="module")
 def start():
-    return paper_start().draw(5, 5, np.random.default_rng(0)).T
+    return PaperStart().draw(5, 5, np.random.default_rng(0)).T
 
 
 def relative_mismatch(run, other):
