@@ -401,7 +401,7 @@ def test_impossible_initial_estimates_are_refused(estimates, message):
 
 
 def test_paper_start_puts_each_players_own_strategy_on_the_diagonal():
-    world = World(get_scenario("energy"))
+    world = World(get_scenario("energy", start="paper"))
     state = dynamics.initial_state(world, start(world))
     assert np.array_equal(state.estimates[:, :, 0], PAPER_START.T)
     assert dynamics.strategies(world, state)[:, 0].tolist() == [-2, -4, -6, -8, -10]
