@@ -33,9 +33,9 @@ class NashSeekingTask(TaskClass):
     def get_env_fun(
         self,
         num_envs: int,
-        continuous_actions: bool,
+        continuous_actions: bool,  # noqa: ARG002, FBT001
         seed: int | None,
-        device: str,  # noqa: ARG002, FBT001
+        device: str,  # noqa: ARG002
     ) -> Callable[[], EnvBase]:
         """A function that makes one batched environment, which stays on the CPU."""
         return partial(TorchRLEnv, self.name, num_envs, seed=seed, **self.config)

@@ -1,0 +1,1 @@
+"""More games and laws, of the literature and our own."""

@@ -1,0 +1,1 @@
+"""What a policy sees: interfaces, layouts, and the encoder that connects them to a running world."""

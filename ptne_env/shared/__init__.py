@@ -1,0 +1,1 @@
+"""Shared by all: arrays, parts, random numbers, files, names."""

@@ -1,0 +1,1 @@
+"""The physics: parts of a scenario, the world that builds them, and the transition."""
