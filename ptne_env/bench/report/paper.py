@@ -61,9 +61,9 @@ def paper_page(reproduction: Reproduction, command: str) -> str:
     stated = len(claims.rows)
     failed = [name for name in failing if name in claims.rows]
     answer = f"{stated - len(failed)} of {stated} claims hold when measured. Failing: {'; '.join(failed) or 'none'}."
-    pictures = {path.stem: path.read_bytes() for path in reproduction.figures if path.suffix == ".svg"}
+    pictures = {path.stem: path.read_bytes() for path in reproduction.figures}
     figures = (
-        Part(f"{spec.number}: {spec.original or spec.name}", picture=pictures[spec.name], caption=spec.caption)
+        Part(f"{spec.number}: {spec.name}", picture=pictures[spec.name], caption=spec.caption)
         for spec in FIGURES
     )
     return Page(

@@ -1,7 +1,7 @@
 """The paper's claims, each decided by a measurement.
 
-The verdict is computed: ``holds`` when the measurement meets the stated criterion, otherwise ``fails``; ``finding``
-gives the deciding numbers.
+The verdict is computed: ``holds`` when the measurement meets a condition, otherwise ``fails``; ``finding`` gives the
+deciding numbers.
 """
 
 from __future__ import annotations
@@ -38,7 +38,6 @@ class Claim:
     Attributes:
         name: short, as in the paper or in docs/errata.md.
         statement: the claim.
-        criterion: the condition on the measurement for the claim to hold.
         verdict: ``"holds"`` or ``"fails"``.
         finding: the measurement in one sentence.
         measured: the numbers of the measurement, JSON-serialisable and finite.
@@ -46,7 +45,6 @@ class Claim:
 
     name: str
     statement: str
-    criterion: str
     verdict: Literal["holds", "fails"]
     finding: str
     measured: Mapping[str, Any] = field(default_factory=dict)
@@ -63,9 +61,9 @@ Check: TypeAlias = Callable[[Experiments], Iterator[Claim]]
 """A measurement that decides some claims."""
 
 
-def decided(name: str, statement: str, criterion: str, met: bool, finding: str, **measured: Any) -> Claim:  # noqa: FBT001
-    """The claim, which holds if its criterion is ``met``."""
-    return Claim(name, statement, criterion, "holds" if met else "fails", finding, measured)
+def decided(name: str, statement: str, met: bool, finding: str, **measured: Any) -> Claim:  # noqa: FBT001
+    """The claim, which holds if the condition on its measurement is ``met``."""
+    return Claim(name, statement, "holds" if met else "fails", finding, measured)
 
 
 def lemma_1(experiments: Experiments) -> Iterator[Claim]:
@@ -96,12 +94,10 @@ def lemma_1(experiments: Experiments) -> Iterator[Claim]:
     yield decided(
         "Lemma 1",
         "a λ with (7a)–(7c) turns the loop in t into the loop in s with ψ(s) = ξ(λ(s))",
-        "the conditions hold for all three λ, and solutions in t, s and τ agree to 1e-8 of the error up to s = 5",
         not violated and mismatch <= 1e-8,
         f"conditions {'violated' if violated else 'hold'}; largest relative mismatch {mismatch:.1e}",
         mismatch=mismatches,
         violated=violated,
-        s_end=5.0,
     )
 
 
@@ -123,12 +119,8 @@ def proposition_1(experiments: Experiments) -> Iterator[Claim]:
     yield decided(
         "Proposition 1",
         "on a connected graph the only equilibrium of the loop is 1⊗x*",
-        "on four connected graphs M is invertible and the rest point is within 1e-10 of x*",
         min(smallest.values()) > 1e-6 and farthest <= 1e-10,
         f"farthest rest point {farthest:.1e} from x*; a disconnected mode has {kernel} directions of rest points",
-        distance=distances,
-        smallest_singular_value=smallest,
-        kernel_dimension_when_disconnected=kernel,
     )
 
 
@@ -144,7 +136,6 @@ def theorem_1(experiments: Experiments) -> Iterator[Claim]:
     yield decided(
         "Theorem 1",
         "the static law reaches x* at T from any start if κ > (ι²/ε + ι)/λ2",
-        f"5 % above the condition the error at T is below {VANISHED:g}; V falls from any start (sym M > 0)",
         at_deadline <= VANISHED and dissipation > 0 and rate > 0,
         f"κ = {kappa:.3f}: error {at_deadline:.1e} at s = 60, r = {rate:.3f}, λ_min(sym M) = {dissipation:.3f}",
         kappa=kappa,
@@ -159,11 +150,8 @@ def theorem_1(experiments: Experiments) -> Iterator[Claim]:
     yield decided(
         "Corollary 1",
         "without the time gain the same law converges exponentially",
-        "the error falls by e^{−r t} with r the spectral abscissa, to 1 %",
         bound < 10.0 and abscissa > 0 and abs(rate - abscissa) <= 0.01 * abscissa,
         f"κ = 10 > {bound:.3f}: measured rate {rate:.4f}/s, spectral abscissa {abscissa:.4f}/s",
-        measured_rate=rate,
-        spectral_abscissa=abscissa,
     )
 
 
@@ -179,20 +167,16 @@ def theorem_2(experiments: Experiments) -> Iterator[Claim]:
     yield decided(
         "Theorem 2, hold",
         "the equilibrium is maintained and u stays zero from T on",
-        f"for 0.4 s after T neither error nor ‖u‖ exceeds its value at T, and both are below {VANISHED:g}",
         held <= min(VANISHED, distance[k]) and input_held <= min(VANISHED, inputs[k]),
         f"largest error after T {held:.1e}, largest ‖u‖ {input_held:.1e}",
         error_at_deadline=float(distance[k]),
         largest_error_after=held,
-        largest_input_after=input_held,
     )
     yield decided(
         "Theorem 2, boundedness of u",
         "u is uniformly bounded",
-        "‖u‖ is largest at the start and vanishes towards T",
         peak <= inputs[0] * (1 + 1e-9) and exponents["input"] > 0,
         f"largest ‖u‖ {peak:.4g} at t = 0; ‖u‖ ~ (T−t)^{exponents['input']:.3f}",
-        peak_input=peak,
         exponent=exponents["input"],
     )
     for name, statement, symbol, quantity in (
@@ -207,7 +191,6 @@ def theorem_2(experiments: Experiments) -> Iterator[Claim]:
         yield decided(
             f"Theorem 2, {name}",
             statement,
-            f"‖{symbol}‖ stays bounded towards T: its exponent of (T−t) is not negative",
             exponents[quantity] >= -1e-3,
             f"‖{symbol}‖ ~ (T−t)^{exponents[quantity]:.3f}; above the gain condition (T−t)^{conditioned[quantity]:.3f}",
             exponent=exponents[quantity],
@@ -271,7 +254,6 @@ def _adaptive_claim(name: str, statement: str, run: Run) -> Claim:
     return decided(
         name,
         statement,
-        f"the error at T is below {VANISHED:g}; no κ_ij ever decreases or grows by over 0.1 % from s = 30 to 60",
         at_deadline <= VANISHED and smallest_growth >= 0 and change <= 1e-3,
         f"error {at_deadline:.1e} at T; κ_ij {'never decreases' if smallest_growth >= 0 else 'decreases'}, "
         f"ends between {gains[k].min():.2f} and {gains[k].max():.2f}, last change {100 * change:.2g} %",

@@ -16,7 +16,7 @@ import numpy.typing as npt
 from scipy import integrate, linalg
 
 from ptne_env.games import Game
-from ptne_env.shared.arrays import FloatArray, require_count, require_non_negative, require_positive
+from ptne_env.shared.arrays import FloatArray
 from ptne_env.theory import closed_loop_matrix
 from ptne_env.world.clock import TimeTransformation
 from ptne_env.world.distances import SUCCESS_DISTANCE
@@ -80,15 +80,7 @@ def plain_timeline(topology: SwitchingTopology, horizon: float, *, samples: int 
         topology: on the physical clock.
         horizon: end in seconds.
         samples: evenly spaced instants, to which the switches are added.
-
-    Raises:
-        ValueError: when the horizon is not positive, there are fewer than 2 samples, or the topology switches on the
-            transformed clock.
     """
-    require_positive("horizon", horizon, " (seconds)")
-    require_count("samples", samples, 2)
-    if not topology.is_fixed and topology.clock == "transformed":
-        raise ValueError("without a prescribed time there is no transformed clock; give a physical topology")
     switches = topology.switches(0.0, horizon)
     t = np.union1d(np.linspace(0.0, horizon, samples), switches)
     segments = _segments(topology, switches, switches, (0.0, horizon), (0.0, horizon))
@@ -113,16 +105,7 @@ def prescribed_timeline(
         s_end: transformed time at which the approach stops; the state there stands for the state at T.
         hold: seconds after T.
         samples: instants of the approach, to which the switches are added; the hold phase has the same density.
-
-    Raises:
-        ValueError: when a number is out of range, or there is a hold phase with c = 0.
     """
-    require_non_negative("constant (c)", constant)
-    require_positive("s_end", s_end)
-    require_non_negative("hold", hold)
-    require_count("samples", samples, 2)
-    if hold > 0 and constant == 0:
-        raise ValueError("a hold phase needs c > 0: with c = 0 nothing moves after the deadline")
     deadline, physical = transformation.deadline, topology.clock == "physical"
     end = float(transformation.effective_time(s_end, constant))
     # The approach stops at s_end, so switches in physical time after it do not happen.
@@ -205,13 +188,6 @@ class Run:
         norms = np.linalg.norm(self.errors, axis=(1, 2))
         return norms / (np.sqrt(self.game.num_players) * float(self.game.equilibrium_scale[0]))
 
-    @cached_property
-    def inputs(self) -> FloatArray:
-        """u^i at each instant, shape (S, N, n); at a switch with the graph before it."""
-        loop = _Loop(self.game, self.topology)
-        modes = self._modes()
-        return np.stack([loop.slopes(e, k, int(m))[0] for e, k, m in zip(self.errors, self.gains, modes, strict=True)])
-
     def strategy_distance_at(self, t: float) -> float:
         """The strategies' distance at the last sample up to ``t`` seconds; at T, the end of the approach."""
         return float(self.strategy_distance[np.searchsorted(self.timeline.t, t, side="right") - 1])
@@ -229,11 +205,6 @@ class Run:
             return None
         levels = np.log(self.strategy_distance[[last + 1, last]])
         return float(np.interp(np.log(threshold), levels, self.timeline.t[[last + 1, last]]))
-
-    def _modes(self) -> npt.NDArray[np.int64]:
-        ends = np.array([segment.end for segment in self.timeline.segments])
-        modes = np.array([segment.mode for segment in self.timeline.segments])
-        return modes[np.minimum(np.searchsorted(ends, self.timeline.tau), modes.size - 1)]
 
 
 class _Loop:
@@ -280,17 +251,13 @@ def simulate(
         gamma: γ_ij ≥ 0, the same for all links.
 
     Raises:
-        ValueError: when a gain is negative or a shape does not fit.
         ArithmeticError: when the integrator fails or the run diverges.
     """
-    require_non_negative("gamma", gamma)
     players, dimension = game.num_players, game.dimension
     edges = topology.union.edges
     gains = np.broadcast_to(np.asarray(initial_gain, dtype=np.float64), (len(edges),))
-    if not (np.all(np.isfinite(gains)) and np.all(gains >= 0)):
-        raise ValueError(f"initial_gain must be finite and at least 0, got {initial_gain!r}")
     loop, size = _Loop(game, topology), players * dimension
-    state = np.concatenate([_initial_error(game, start), gains])
+    state = np.concatenate([(np.asarray(start) - game.nash_equilibrium).ravel(), gains])
     states = np.empty((timeline.tau.size, state.size))
 
     for segment in timeline.segments:
@@ -330,14 +297,9 @@ def exact_static(
         start: x^i(0), shape (N, n).
         timeline: the instants.
         kappa: κ ≥ 0.
-
-    Raises:
-        ValueError: when F is not affine, κ < 0 or a shape does not fit.
     """
-    if not game.is_affine:
-        raise ValueError(f"the matrix exponential needs a game with affine F; {type(game).__name__} is not affine")
     matrices = [closed_loop_matrix(game, graph, kappa) for graph in topology.graphs]
-    state = _initial_error(game, start)
+    state = (np.asarray(start) - game.nash_equilibrium).ravel()
     states = np.empty((timeline.tau.size, state.size))
     for segment in timeline.segments:
         inside = (timeline.tau >= segment.start) & (timeline.tau <= segment.end)
@@ -347,11 +309,3 @@ def exact_static(
         state = propagators[-1] @ state
     gains = np.full((timeline.tau.size, len(topology.union.edges)), float(kappa))
     return Run(game, topology, timeline, states.reshape(-1, game.num_players, game.dimension), gains)
-
-
-def _initial_error(game: Game, start: npt.ArrayLike) -> FloatArray:
-    """x^i(0) − x* of all players, shape (N n,)."""
-    estimates, shape = np.asarray(start, dtype=np.float64), (game.num_players, game.dimension)
-    if estimates.shape != shape:
-        raise ValueError(f"start must have the shape {shape}, got {estimates.shape}")
-    return (estimates - game.nash_equilibrium).ravel()

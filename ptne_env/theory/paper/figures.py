@@ -1,4 +1,4 @@
-"""The paper's figures and two figures of errata, drawn with matplotlib's object-oriented interface."""
+"""The paper's figures, drawn with matplotlib's object-oriented interface."""
 
 from __future__ import annotations
 
@@ -6,12 +6,11 @@ import io
 import textwrap
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 import networkx as nx
 import numpy as np
 
-from ptne_env.shared.arrays import FloatArray
 from ptne_env.shared.style import COLOURS, FAINT, INK, drawing
 from ptne_env.theory.paper.continuous import Run
 from ptne_env.theory.paper.experiments import DEADLINE, DWELLS, GAIN, GAMMA, HOLD, KAPPA, Experiments
@@ -38,9 +37,7 @@ class FigureSpec:
         caption: the content, printed below the figure after its number.
         size: width and height in inches.
         draw: fills the figure.
-        number: of the paper's figure as printed, ``"Fig. 1"``, or of the erratum.
-        original: the paper's caption; empty where the figure is ours.
-        claims: names of the claims that the figure illustrates.
+        number: of the paper's figure as printed, ``"Fig. 1"``.
     """
 
     name: str
@@ -48,48 +45,36 @@ class FigureSpec:
     size: tuple[float, float]
     draw: Callable[[Figure, Experiments], None]
     number: str
-    original: str = ""
-    claims: tuple[str, ...] = ()
 
 
-def draw(spec: FigureSpec, experiments: Experiments, kind: Literal["png", "svg"]) -> bytes:
-    """The figure with its caption as the bytes of a file.
+def draw(spec: FigureSpec, experiments: Experiments) -> bytes:
+    """The figure with its caption as the bytes of an SVG file.
 
     Args:
         spec: an entry of :data:`FIGURES`.
         experiments: the runs.
-        kind: ``"png"`` (200 dots per inch) or ``"svg"``.
 
     Raises:
         ImportError: naming the extra to install when matplotlib is missing.
     """
     width, height = spec.size
-    caption = f"The paper's {spec.number}. {spec.caption}" if spec.original else f"{spec.number}. {spec.caption}"
-    lines = textwrap.wrap(caption, int(15.5 * width))
+    lines = textwrap.wrap(f"{spec.number}. {spec.caption}", int(15.5 * width))
     band = 0.17 * len(lines) + 0.12  # inches for the caption below the axes
-    options: dict[str, Any] = {"dpi": 200} if kind == "png" else {"metadata": {"Date": None}}
+    share = band / (height + band)
     buffer = io.BytesIO()
     with drawing("figures", {"svg.fonttype": "none"}):
-        figure = _drawn(spec, experiments, band)
+        from matplotlib.backends.backend_agg import FigureCanvasAgg
+        from matplotlib.figure import Figure
+        from matplotlib.layout_engine import ConstrainedLayoutEngine
+
+        layout = ConstrainedLayoutEngine(rect=(0, share, 1, 1 - share), w_pad=0.09, h_pad=0.07)
+        figure = Figure(figsize=(width, height + band), layout=layout)
+        FigureCanvasAgg(figure)
+        spec.draw(figure, experiments)
         place = 0.5, 0.08 / (height + band)
         figure.text(*place, "\n".join(lines), ha="center", va="bottom", color=INK, fontsize=8.5)
-        figure.savefig(buffer, format=kind, **options)
+        figure.savefig(buffer, format="svg", metadata={"Date": None})
     return buffer.getvalue()
-
-
-def _drawn(spec: FigureSpec, experiments: Experiments, band: float) -> Figure:
-    """The figure above ``band`` inches of free space."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-    from matplotlib.layout_engine import ConstrainedLayoutEngine
-
-    width, height = spec.size
-    share = band / (height + band)
-    layout = ConstrainedLayoutEngine(rect=(0, share, 1, 1 - share), w_pad=0.09, h_pad=0.07)
-    figure = Figure(figsize=(width, height + band), layout=layout)
-    FigureCanvasAgg(figure)
-    spec.draw(figure, experiments)
-    return figure
 
 
 # --- shared by several figures --------------------------------------------------------------------------------------
@@ -155,15 +140,8 @@ def _gains(axes: Axes, run: Run, title: str) -> None:
     _mark_deadline(axes, top=0.86)
 
 
-def draw_network(axes: Axes, graph: Graph, union: Graph, first: int = 0) -> None:
-    """The players on a circle, clockwise from the top; links of the union that are down are grey.
-
-    Args:
-        axes: to draw in.
-        graph: the links that are up.
-        union: all links.
-        first: number of the first player: 0 as in the names of agents, 1 as in the paper.
-    """
+def _draw_network(axes: Axes, graph: Graph, union: Graph) -> None:
+    """The players on a circle, clockwise from the top; links of the union that are down are grey."""
     angles = np.pi / 2 - 2 * np.pi * np.arange(graph.num_players) / graph.num_players
     places = {i: np.array([np.cos(angle), np.sin(angle)]) for i, angle in enumerate(angles)}
     down = [edge for edge in union.edges if edge not in graph.edges]
@@ -171,7 +149,7 @@ def draw_network(axes: Axes, graph: Graph, union: Graph, first: int = 0) -> None
     nx.draw_networkx_edges(pair, places, edgelist=down, ax=axes, edge_color=FAINT, style="dotted", width=1.0)
     nx.draw_networkx_edges(pair, places, edgelist=graph.edges, ax=axes, edge_color=INK, width=1.8)
     nx.draw_networkx_nodes(pair, places, ax=axes, node_color=COLOURS[: graph.num_players], node_size=330)
-    labels = {i: str(i + first) for i in places}
+    labels = {i: str(i + 1) for i in places}
     nx.draw_networkx_labels(pair, places, labels, ax=axes, font_size=10, font_color="white", font_weight="bold")
     axes.set_aspect("equal")
     axes.margins(0.18)
@@ -195,23 +173,8 @@ def _time_transformation(figure: Figure, _: Experiments) -> None:
 
 
 def _graph(figure: Figure, _: Experiments) -> None:
-    from matplotlib.colors import to_rgba
-
-    left, right = figure.subplots(1, 2)
     graph = cycle(5)
-    draw_network(left, graph, graph, first=1)
-    left.set_title(r"(a) fixed graph $\mathcal{G}$")
-    laplacian = graph.laplacian
-    cells = np.array([to_rgba(COLOURS[0], 0.25), (0, 0, 0, 0), to_rgba(COLOURS[1], 0.45)])  # on a light or a dark page
-    right.imshow(cells[np.sign(laplacian).astype(int) + 1])
-    for (i, j), value in np.ndenumerate(laplacian):
-        right.text(j, i, f"{value:.0f}".replace("-", "−"), ha="center", va="center", color=INK, fontsize=10)
-    right.set_xticks(range(5), [str(i + 1) for i in range(5)])
-    right.set_yticks(range(5), [str(i + 1) for i in range(5)])
-    right.tick_params(length=0)
-    right.grid(visible=False)
-    right.spines[:].set_visible(False)
-    right.set_title(rf"(b) Laplacian $\mathcal{{L}}$, $\lambda_2={graph.algebraic_connectivity:.3f}$")
+    _draw_network(figure.subplots(), graph, graph)
 
 
 def _comparison(figure: Figure, experiments: Experiments) -> None:
@@ -233,7 +196,7 @@ def _switching_graphs(figure: Figure, experiments: Experiments) -> None:
     topology = experiments.switching["physical"].topology
     period, dwell = topology.period, topology.dwells[0]
     for m, (axes, graph) in enumerate(zip(figure.subplots(1, 4), topology.graphs, strict=True)):
-        draw_network(axes, graph, topology.union, first=1)
+        _draw_network(axes, graph, topology.union)
         interval = f"[{m * dwell:.1f}, {(m + 1) * dwell:.1f})"
         axes.set_title(rf"$\mathcal{{G}}_{m + 1}$: $t$ mod {period:g} s in {interval}", fontsize=8.5)
 
@@ -247,47 +210,9 @@ def _switching_gains(figure: Figure, experiments: Experiments) -> None:
         _gains(axes, run, _CLOCK_NAMES[clock])
 
 
-def _erratum_2(figure: Figure, experiments: Experiments) -> None:
-    axes, runs = figure.subplots(), experiments.by_period
-    errors = [run.estimate_distance[-1] for run in runs.values()]
-    axes.loglog(list(runs), errors, "o-", color=COLOURS[1], label="topology dwells in $t$, period Γ")
-    transformed = experiments.switching["transformed"]
-    error = float(transformed.estimate_distance[transformed.timeline.deadline_index])
-    axes.axhline(error, color=COLOURS[0], linestyle="--", label="topology dwells 0.25 in $s$")
-    axes.set(xlabel="period Γ of the topology in $t$ [s]", ylabel="relative error of the estimates at $T$")
-    axes.set_xticks(list(runs), [f"{period:g}" for period in runs])
-    axes.minorticks_off()
-    axes.set_ylim(1e-8, 10)
-    axes.legend(loc="center right")
-
-
-def _erratum_3(figure: Figure, experiments: Experiments) -> None:
-    run = experiments.static_exact
-    # T − t = T e^{−s} is exact where T − t itself has long been rounded away.
-    upto = slice(0, int(np.searchsorted(run.timeline.s, 20.0)))
-    s = run.timeline.s[upto]
-    remaining: FloatArray = experiments.transformation.derivative(s)
-    inputs = np.linalg.norm(run.inputs[upto], axis=(1, 2))
-    axes = figure.subplots()
-    axes.loglog(remaining, inputs, color=COLOURS[0], label=r"$\Vert \mathbf{u}\Vert$")
-    velocities = (GAIN + 1 / remaining) * inputs
-    axes.loglog(remaining, velocities, "--", color=COLOURS[1], label=r"$\Vert g\,\mathbf{u}\Vert$, the velocity")
-    axes.invert_xaxis()
-    axes.set(xlabel="time left $T-t$ [s]", ylabel="norm over all players")
-    axes.minorticks_off()
-    axes.legend(loc="upper center")
-
-
 _STATIC = f"static law, κ = {KAPPA:g}, c = {GAIN:g}/s, T = {DEADLINE:g} s"
 _READING = "Thick lines: the players' own strategies; thin: the estimates of others; dotted: the Nash equilibrium."
 _ONE, _TWO = "One run from the paper's start.", "Two runs, one per row, from the paper's start."
-
-_SIMULATED = (
-    "Simulated results of the proposed {}algorithm in ({}): (a) all players' estimated strategies x^i_j(t), i, j ∈ V; "
-)
-_GAINS_OF = "The plot of all players' dynamic gain κ_ij(t), i, j ∈ V generated by ({})."
-_RELATIVE = "and (b) relative errors of all players' actions."
-_SWITCHING_CLAIMS = "Theorem 4, dwelling in t (as stated)", "Theorem 4, dwelling in s"
 
 FIGURES: tuple[FigureSpec, ...] = (
     FigureSpec(
@@ -296,17 +221,13 @@ FIGURES: tuple[FigureSpec, ...] = (
         (6.6, 2.5),
         _time_transformation,
         "Fig. 1",
-        "The illustration of the time transformation function λ(s) and λ'(s).",
-        ("Lemma 1",),
     ),
     FigureSpec(
         "graph",
-        "The fixed graph of the runs and its Laplacian. The paper's drawing is not available; the 5-cycle is ours.",
-        (6.0, 2.7),
+        "The fixed graph of the runs. The paper's drawing is not available; the 5-cycle is ours.",
+        (2.7, 2.7),
         _graph,
         "Fig. 2",
-        "The communication network for a group of five players in the game: (a) fixed graph G; (b) Laplacian matrix L.",
-        ("Proposition 1", "Erratum 4, the gain of the simulations"),
     ),
     FigureSpec(
         "static",
@@ -314,8 +235,6 @@ FIGURES: tuple[FigureSpec, ...] = (
         (8.2, 3.3),
         lambda figure, experiments: _runs(figure, {"": experiments.static}),
         "Fig. 3",
-        _SIMULATED.format("prescribed-time NE seeking ", 10) + "and (b) relative errors.",
-        ("Theorem 1", "Theorem 2, hold", "Theorem 2, boundedness of u"),
     ),
     FigureSpec(
         "corollary-one",
@@ -323,8 +242,6 @@ FIGURES: tuple[FigureSpec, ...] = (
         (8.2, 6.0),
         _comparison,
         "Fig. 4",
-        "Simulated results of the algorithms in Corollary 1 and of Gadjov and Pavel, respectively.",
-        ("Corollary 1", "Erratum 5a, Corollary 1's coupling", "Erratum 5b, Corollary 1's assumptions"),
     ),
     FigureSpec(
         "adaptive",
@@ -332,8 +249,6 @@ FIGURES: tuple[FigureSpec, ...] = (
         (8.2, 3.3),
         lambda figure, experiments: _runs(figure, {"": experiments.adaptive}),
         "Fig. 5",
-        _SIMULATED.format("", 36) + _RELATIVE,
-        ("Theorem 3",),
     ),
     FigureSpec(
         "adaptive-gains",
@@ -343,8 +258,6 @@ FIGURES: tuple[FigureSpec, ...] = (
             figure.subplots(), experiments.adaptive, rf"fixed graph, $\gamma={GAMMA:g}$"
         ),
         "Fig. 6",
-        _GAINS_OF.format(36),
-        ("Theorem 3",),
     ),
     FigureSpec(
         "switching-graphs",
@@ -353,8 +266,6 @@ FIGURES: tuple[FigureSpec, ...] = (
         (8.2, 2.1),
         _switching_graphs,
         "Fig. 7",
-        "The jointly switching topologies G_i with P = {1, 2, 3, 4}.",
-        _SWITCHING_CLAIMS,
     ),
     FigureSpec(
         "switching",
@@ -363,8 +274,6 @@ FIGURES: tuple[FigureSpec, ...] = (
         (8.2, 6.2),
         lambda figure, experiments: _runs(figure, _by_clock(experiments.switching)),
         "Fig. 8",
-        _SIMULATED.format("", 47) + _RELATIVE,
-        (*_SWITCHING_CLAIMS, "Erratum 2, switching in t"),
     ),
     FigureSpec(
         "switching-gains",
@@ -372,8 +281,6 @@ FIGURES: tuple[FigureSpec, ...] = (
         (8.2, 3.0),
         _switching_gains,
         "Fig. 9",
-        _GAINS_OF.format(47),
-        (*_SWITCHING_CLAIMS, "Erratum 5c, the switching law after T"),
     ),
     FigureSpec(
         "non-quadratic",
@@ -381,28 +288,6 @@ FIGURES: tuple[FigureSpec, ...] = (
         (8.2, 6.2),
         lambda figure, experiments: _runs(figure, _by_clock(experiments.non_quadratic_switching)),
         "Fig. 10",
-        _SIMULATED.format("", 47) + _RELATIVE,
-        ("Erratum 1, equilibrium of Example 2", "Erratum 1, assumptions of Example 2"),
-    ),
-    FigureSpec(
-        "erratum-2",
-        "The error at T when the topology dwells in t, against its period: a run per point. Not in the paper.",
-        (5.2, 3.2),
-        _erratum_2,
-        "Erratum 2",
-        claims=("Erratum 2, switching in t",),
-    ),
-    FigureSpec(
-        "erratum-3",
-        f"Input and velocity near T, Example 1, {_STATIC}. One run. Not in the paper.",
-        (5.2, 3.2),
-        _erratum_3,
-        "Erratum 3",
-        claims=(
-            "Erratum 3, velocity near T",
-            "Theorem 2, smoothness of u",
-            "Theorem 2, boundedness of the plant's input",
-        ),
     ),
 )
-"""All figures, in the order of the paper; the last two are ours."""
+"""All figures, in the order of the paper."""

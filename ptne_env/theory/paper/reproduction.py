@@ -40,7 +40,7 @@ class Reproduction:
     Attributes:
         table: the rows of Table I.
         claims: every claim and erratum with its verdict.
-        figures: the figure files, a PNG and an SVG per figure.
+        figures: the figure files, an SVG per figure.
         results: the JSON file with all numbers.
         seconds: duration.
     """
@@ -66,7 +66,7 @@ def reproduce(out: Path, *, progress: Callable[[int, int, str], None] | None = N
     """Run every experiment of the paper and write its table, figures and claims to ``out``.
 
     Args:
-        out: directory for the figures (PNG and SVG) and ``results.json``; created if missing.
+        out: directory for the figures (SVG) and ``results.json``; created if missing.
         progress: called as ``progress(done, total, part)`` before each part and at the end.
 
     Raises:
@@ -94,9 +94,8 @@ def reproduce(out: Path, *, progress: Callable[[int, int, str], None] | None = N
     figures: list[Path] = []
     for spec in FIGURES:
         announce(f"Figure {spec.name}")
-        figures += [out / f"{spec.name}.png", out / f"{spec.name}.svg"]
-        write_atomically(figures[-2], draw(spec, experiments, "png"))
-        write_atomically(figures[-1], draw(spec, experiments, "svg"))
+        figures.append(out / f"{spec.name}.svg")
+        write_atomically(figures[-1], draw(spec, experiments))
     announce("Done")
     results = out / RESULTS_FILE
     reproduction = Reproduction(table, tuple(claims), tuple(figures), results, time.perf_counter() - began)

@@ -34,13 +34,12 @@ def test_verdicts(claims):
         "Theorem 2, boundedness of the plant's input",
         "Theorem 4, dwelling in t (as stated)",
     }
-    assert len(claims) == 25
+    assert len(claims) == 20
 
 
 def test_every_claim_is_plain_json_with_a_finding(claims):
     for claim in claims.values():
         assert claim.statement
-        assert claim.criterion
         assert claim.finding
         json.dumps(claim.measured, allow_nan=False)
 
@@ -152,23 +151,6 @@ def test_erratum_5_misprints(claims):
     assert max(assumptions["rates"]) < -0.3
     constant = claims["Erratum 5c, the switching law after T"].measured
     assert constant["growth_with_constant"] / constant["growth_as_printed"] == pytest.approx(20, rel=0.05)
-    error = claims["Erratum 5d, error bound in the proof of Theorem 2"].measured
-    assert error["error_over_printed_bound"] > 1e3
-    assert error["error_over_right_bound"] <= 1 + 1e-9
-    bound = claims["Erratum 5e, input bound in the proof of Theorem 2"].measured
-    assert bound["input_over_printed_bound"] > 2
-    assert bound["input_over_right_bound"] <= 1
-
-
-def test_erratum_5_misprints_of_the_proofs(claims):
-    deadline = claims["Erratum 5f, (20) and (21)"].measured
-    assert deadline["largest_ratio_20"] == pytest.approx(math.sqrt(0.8))  # a strategy less its mean share
-    assert deadline["largest_ratio_21"] == pytest.approx(0.905, abs=1e-3)
-    minus = claims["Erratum 5g, (43)"].measured
-    assert minus["measured"] == pytest.approx(minus["with_minus"], rel=1e-3)
-    assert minus["as_printed"] > 0 > minus["with_minus"]
-    theta = claims["Erratum 5h, (49)"].measured
-    assert theta["as_printed"] + 0.5 < theta["change"] < theta["with_theta"]
 
 
 def test_erratum_6_digits(claims):
