@@ -44,7 +44,7 @@ def bench():
     policy = policies.load(names[0])
     results = ptne_env.evaluate(["static", names[0]], ["random-energy"], episodes=3)
     assert results.record("random-energy", names[0], "digits")["mean"] > 1
-    page = [command, "compare", "--scenario", "energy", "--policy", "static", "--episodes", "2", "--out", "out"]
+    page = [command, "compare", "energy", "--policy", "static", "--episodes", "2", "--out", "out"]
     subprocess.run(page, capture_output=True, check=True)  # noqa: S603
     assert "</html>" in Path("out/report.html").read_text(encoding="utf-8")
     return policy.name

@@ -64,9 +64,9 @@ def ran(words):
 
 
 COMMANDS = {
-    "policy": "compare --scenario energy --policy static,evil:make",
-    "archive": "compare --scenario energy --policy evil.zip",
-    "pattern": "compare --scenario energy --policy mine=ev*.zip",
+    "policy": "compare energy --policy static,evil:make",
+    "archive": "compare energy --policy evil.zip",
+    "pattern": "compare energy --policy mine=ev*.zip",
     "suite": "compare --suite evil:suite",
     "scenario": "compare evil:scenario --policy static",
     "law": "certify energy --law evil:Law",
@@ -130,7 +130,7 @@ def test_no_process_of_a_command_imports_modules_of_the_current_folder(tmp_path)
     for name in ("joblib", "multiprocessing", "numpy", "ptne_env"):
         text = f"import os\n\nos.mkdir({str(tmp_path / name)!r})\n"
         (here / f"{name}.py").write_text(text, encoding="utf-8")
-    command = "compare --scenario energy --episodes 1 --no-report --jobs 2 --policy static,trusted:Grounded --trust"
+    command = "compare energy --episodes 1 --no-report --jobs 2 --policy static,trusted:Grounded --trust"
     program = "import sys; del sys.path[0]; from ptne_env.cli import main; main()"
     run_python("-c", program, "-q", *command.split(), folder=here, modules=[elsewhere])
     assert sorted(path.name for path in tmp_path.iterdir()) == ["elsewhere", "here"]

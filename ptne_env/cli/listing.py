@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from enum import StrEnum
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 from rich.padding import Padding
@@ -18,6 +18,9 @@ from ptne_env.evaluation import METRICS, POLICIES
 from ptne_env.world.catalogue import CATALOGUE, DESCRIPTIONS
 from ptne_env.world.world import World
 
+Entry = tuple[str, str, str]
+"""A name, a sentence, and facts; some have none."""
+
 
 class Kind(StrEnum):
     """The kinds of names, in the order in which they are listed."""
@@ -28,51 +31,38 @@ class Kind(StrEnum):
     SUITES = "suites"
 
 
-def _scenarios() -> dict[str, dict[str, Any]]:
-    found = {}
+def _scenarios() -> Iterator[Entry]:
     for name, scenario in CATALOGUE.items():
         world = World(scenario)
         graphs = "a fixed graph" if world.topology.is_fixed else f"{len(world.topology.graphs)} graphs"
         facts = f"{type(world.game).__name__}, {world.game.num_players} players, {graphs}, T = {scenario.deadline:g} s"
-        found[name] = {"description": DESCRIPTIONS[name], "facts": facts, **scenario.to_dict()}
-    return found
+        yield name, DESCRIPTIONS[name], facts
 
 
-def _policies() -> dict[str, dict[str, Any]]:
-    found = {}
+def _policies() -> Iterator[Entry]:
     for spec in POLICIES.values():
-        data = spec.to_dict()
-        source = data["training_seeds"][0]
-        arguments = ", ".join(f"{name} = {value}" for name, value in source.get("arguments", {}).items())
-        found[spec.name] = {
-            "description": spec.description,
-            "facts": f"{source['target']} ({arguments})",
-            **data,
-        }
-    return found
+        source = spec.to_dict()["training_seeds"][0]
+        arguments = ", ".join(f"{name} = {value}" for name, value in source["arguments"].items())
+        places = "" if spec.scenarios is None else f"; for {', '.join(sorted(spec.scenarios))}"
+        yield spec.name, spec.description, f"{source['target']} {arguments}".strip() + places
 
 
-def _metrics() -> dict[str, dict[str, Any]]:
-    return {
-        name: {
-            "description": metric.meaning,
-            "facts": "; ".join(filter(None, (metric.unit, metric.direction and f"{metric.direction} is better"))),
-            "unit": metric.unit,
-            "direction": metric.direction,
-        }
-        for name, metric in METRICS.items()
-    }
+def _metrics() -> Iterator[Entry]:
+    for name, metric in METRICS.items():
+        yield (
+            name,
+            metric.meaning,
+            ", ".join(filter(None, (metric.unit, metric.direction and f"{metric.direction} is better"))),
+        )
 
 
-def _suites() -> dict[str, dict[str, Any]]:
-    return {
-        f"{name}/{track.name}": {"description": track.change, "facts": "", **track.to_dict()}
-        for name in SUITES
-        for track in get_suite(name).tracks
-    }
+def _suites() -> Iterator[Entry]:
+    for name in SUITES:
+        for track in get_suite(name).tracks:
+            yield f"{name}/{track.name}", track.change, ""
 
 
-_LISTS: dict[Kind, Callable[[], dict[str, dict[str, Any]]]] = {
+_LISTS: dict[Kind, Callable[[], Iterator[Entry]]] = {
     Kind.SCENARIOS: _scenarios,
     Kind.POLICIES: _policies,
     Kind.METRICS: _metrics,
@@ -87,13 +77,18 @@ def list_(
 ) -> None:
     """Show the scenarios, policies, metrics and tracks of suites, each with a sentence."""
     check_writable(json)
-    listed = {each: _LISTS[each]() for each in kind or Kind}
-    write_json(json, json_text(listed))
+    listed = {each: list(_LISTS[each]()) for each in kind or Kind}
+    found = {
+        each: {name: {"description": sentence, "facts": facts} for name, sentence, facts in entries}
+        for each, entries in listed.items()
+    }
+    write_json(json, json_text(found))
     screen = console()
     for each, entries in listed.items():
         screen.print(Text(f"{each.capitalize()}\n", style="italic"))
-        for name, entry in entries.items():
+        for name, *texts in entries:
             screen.print(Text(name, style="bold"))
-            for text in filter(None, (Text(entry["description"]), Text(entry["facts"], style="dim"))):
-                screen.print(Padding(text, (0, 0, 0, 4)))
+            for text, style in zip(texts, ("", "dim"), strict=True):
+                if text:
+                    screen.print(Padding(Text(text, style), (0, 0, 0, 4)))
         screen.print()

@@ -22,7 +22,7 @@ def render(
     *,
     out: Annotated[
         Path,
-        typer.Option(help="The video: .gif, .mp4 (needs ffmpeg), or .html, a page to scrub through. Made if missing."),
+        typer.Option(help="The video, a .gif, or a page to scrub through, a .html."),
     ],
     seed: options.Seed = 0,
     hold_steps: options.HoldSteps = None,

@@ -20,9 +20,9 @@ def certificate_tables(certificate: Certificate) -> tuple[Table, Table]:
     assumptions = text_table(
         f"{certificate.scenario}: what the paper assumes",
         "",
-        ("verdict", "assumption", "value", "of"),
+        ("verdict", "assumption", "decided by"),
         (
-            (check.name, check.verdict, check.statement, number(check.value), check.meaning)
+            (check.name, check.verdict, check.statement, f"{number(check.value)}: {check.meaning}")
             for check in certificate.assumptions
         ),
     )

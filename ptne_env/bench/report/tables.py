@@ -155,9 +155,10 @@ def answer(results: Results) -> tuple[str, ...]:
         return ("No policy without an oracle's information has a result.",)
     best = max(firsts, key=lambda name: len(firsts[name]))
     noun = "scenario" if results.is_comparison else "track"
-    where = f"{len(firsts[best])} of {count} {noun}s" if count > 1 else results.tracks[0].name
-    sentence = f"{best} comes closest to the Nash equilibrium by the deadline on {where}"
-    sentences = [f"{sentence}, or within {FIRST_MARGIN:g} digits of the closest." if count > 1 else f"{sentence}."]
+    where = f"on {results.tracks[0].name}"
+    if count > 1:
+        where = f"or within {FIRST_MARGIN:g} digits of the closest, on {len(firsts[best])} of {count} {noun}s"
+    sentences = [f"{best} comes closest to the Nash equilibrium by the deadline{',' * (count > 1)} {where}."]
     reached = [digits for track in results.tracks if LAW in (digits := _reached(results, track))]
     gaps = [max(digits.values())[0] - digits[LAW][0] for digits in reached]
     if gaps and best != LAW:

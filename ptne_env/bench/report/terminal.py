@@ -22,6 +22,9 @@ _HEADING_WIDTH = 10
 _TEXT_WIDTH = 100
 """Sentences are broken into lines of at most this length."""
 
+_TEXT_COLUMN = 24
+"""Room that a column of words asks for at most; rich wraps them."""
+
 _STYLES = {"holds": "green", "agree": "green", "reproduces": "green", "fails": "red", "differs": "red"}
 """Colours of cells with one of these words."""
 
@@ -41,8 +44,8 @@ def show(table: Table, width: int, *, whole: bool = True) -> Group:
     for column in table.columns:
         texts = [_heading(column), *(part for row in table.rows for part in (column[row].text, column[row].interval))]
         needed = 3 + max(cell_len(line) for text in texts for line in text.splitlines())
-        if any(cell.is_text for cell in column.cells.values()):  # rich wraps words
-            needed = min(needed, 30)
+        if any(cell.is_text for cell in column.cells.values()):
+            needed = min(needed, _TEXT_COLUMN)
         if needed > left or not pieces:
             pieces.append([])
             left = room

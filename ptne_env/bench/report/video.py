@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
+import io
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from subprocess import CalledProcessError
-from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -27,7 +26,7 @@ from ptne_env.world.world import World
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-FORMATS = (".gif", ".mp4", ".html")
+FORMATS = (".gif", ".html")
 """Suffixes of the files that videos are written to."""
 
 PER_SECOND = 20
@@ -51,7 +50,7 @@ def save_video(
     Args:
         scenario: the world.
         spec: the policy.
-        path: the file: ``.gif``, ``.mp4`` (which needs the program ffmpeg) or ``.html`` (the player of the report).
+        path: the file: ``.gif`` or ``.html`` (the player of the report).
         seed: of the episode, where one is drawn.
         pictures: number of pictures of a video, evenly spaced in steps; a page shows every step.
         progress: called with the number of pictures that are drawn and of all.
@@ -59,7 +58,7 @@ def save_video(
     Raises:
         ValueError: for another suffix, or a policy that cannot act in the scenario.
         ImportError: when a library is missing, naming the extra to install.
-        OSError: when the file cannot be written, or ffmpeg is missing or fails.
+        OSError: when the file cannot be written.
     """
     suffix = path.suffix.lower()
     if suffix not in FORMATS:
@@ -72,11 +71,8 @@ def save_video(
         page = Page(f"{scenario.name}: {spec.name}", (player,), scenes={scenario.name: scene(world, episode, [spec])})
         write_atomically(path, page.html())
         return
-    write = _write_gif if suffix == ".gif" else _write_mp4
-    with TemporaryDirectory() as folder, drawing("videos"):
-        draft = Path(folder) / path.name  # neither Pillow nor ffmpeg replaces files atomically
-        write(draft, _pictures(world, spec, episode.initial_state(world), pictures, progress))
-        write_atomically(path, draft.read_bytes())
+    with drawing("videos"):
+        write_atomically(path, _gif(_pictures(world, spec, episode.initial_state(world), pictures, progress)))
 
 
 def _pictures(
@@ -103,30 +99,14 @@ def _pictures(
                 progress(1 + wanted.index(step), len(wanted))
 
 
-def _write_gif(path: Path, figures: Iterator[Figure]) -> None:
+def _gif(figures: Iterator[Figure]) -> bytes:
     from PIL import Image
 
     # Matplotlib's PillowWriter gives every picture its own palette: colours flicker, and files are ten times larger.
-
     images = [Image.fromarray(pixels(figure)) for figure in figures]
     palette = images[-1].quantize(colors=256)  # the last picture has every colour
     images = [image.quantize(palette=palette, dither=Image.Dither.NONE) for image in images]
     durations = [1000 // PER_SECOND] * (len(images) - 1) + [1000 * _HOLD]
-    images[0].save(path, save_all=True, append_images=images[1:], duration=durations, loop=0)
-
-
-def _write_mp4(path: Path, figures: Iterator[Figure]) -> None:
-    from matplotlib.animation import FFMpegWriter
-
-    if not FFMpegWriter.isAvailable():
-        raise FileNotFoundError("an .mp4 needs the program ffmpeg in the PATH: install it, or write a .gif or .html")
-    hold = ["-vf", f"tpad=stop_mode=clone:stop_duration={_HOLD}"]
-    writer = FFMpegWriter(PER_SECOND, extra_args=[*hold, "-movflags", "+faststart"])
-    figure = next(figures)
-    try:
-        with writer.saving(figure, str(path), figure.dpi):
-            writer.grab_frame()
-            for _ in figures:
-                writer.grab_frame()
-    except CalledProcessError as error:
-        raise OSError(f"ffmpeg failed: {error.stderr.strip()}") from error
+    buffer = io.BytesIO()
+    images[0].save(buffer, "gif", save_all=True, append_images=images[1:], duration=durations, loop=0)
+    return buffer.getvalue()
