@@ -55,49 +55,28 @@ _LOUDEST = 0.03
 
 
 class LastMove(NamedTuple):
-    """What :func:`own_side` remembers of the step before, per player.
+    """What R players remember of their own side."""
 
-    Attributes:
-        model: the identified rows of dF.
-        estimate: the own estimates, shape (n,).
-        gradient: the own gradient, shape (m,).
-        asked: the displacement that was asked for, shape (n,).
-        radius: of the trust region, shape (1,).
-    """
-
-    model: Model
-    estimate: FloatArray
-    gradient: FloatArray
-    asked: FloatArray
-    radius: FloatArray
+    model: Model  # the identified rows of dF
+    estimate: FloatArray  # own estimates, shape (R, n)
+    gradient: FloatArray  # own gradient, shape (R, m)
+    asked: FloatArray  # the displacement that was asked for, shape (R, n)
+    radius: FloatArray  # of the trust region, shape (R, 1)
 
 
 class Own(NamedTuple):
-    """The own side of R players: their models of their own gradients, and the limits of their own displacements.
+    """The own side of R players: their models of their own gradients, and the limits of their own displacements."""
 
-    Attributes:
-        model: the identified rows of dF.
-        gradient: ∂J_i/∂x_i(x^i), 0 where padded, shape (R, m).
-        blocks: own components, padded with n, shape (R, m).
-        moved: the last displacement of the estimates, shape (R, n).
-        held: own components that a bound holds, shape (R, m).
-        radius: of the trust region, shape (R, 1).
-        error: of the last prediction of the own gradient, shape (R, 1).
-        failed: whether it failed, shape (R, 1).
-        is_probe: whether the own components move one after the other, in the first m steps, shape (R, 1).
-        turn: the own components that move in this step, shape (R, m).
-    """
-
-    model: Model
-    gradient: FloatArray
-    blocks: IntArray
-    moved: FloatArray
-    held: BoolArray
-    radius: FloatArray
-    error: FloatArray
-    failed: BoolArray
-    is_probe: BoolArray
-    turn: BoolArray
+    model: Model  # the identified rows of dF
+    gradient: FloatArray  # ∂J_i/∂x_i(x^i), 0 where padded, shape (R, m)
+    blocks: IntArray  # own components, padded with n, shape (R, m)
+    moved: FloatArray  # the last displacement of the estimates, shape (R, n)
+    held: BoolArray  # own components that a bound holds, shape (R, m)
+    radius: FloatArray  # of the trust region, shape (R, 1)
+    error: FloatArray  # of the last prediction of the own gradient, shape (R, 1)
+    failed: BoolArray  # whether it failed, shape (R, 1)
+    is_probe: BoolArray  # whether the own components move one after the other, in the first m steps, shape (R, 1)
+    turn: BoolArray  # the own components that move in this step, shape (R, m)
 
     def response(self, drift: FloatArray) -> FloatArray:
         """The best response Δx_i to the own estimates after a displacement ``drift`` (R, n) of the others, (R, m)."""
@@ -138,25 +117,12 @@ def own_side(observation: Observation, was: LastMove, steps: FloatArray, layout:
     return Own(model, gradient, blocks, moved, held, radius, error, failed, is_probe, turn)
 
 
-def no_move(layout: ObservationLayout) -> LastMove:
-    """The own memory of one player at the start of an episode: a model of zeros with the deviation :data:`SPREAD`."""
-    outputs, n = max(layout.action_dims), layout.dimension
-    model = blank(1, outputs, n if n <= LARGEST_ROW else outputs, SPREAD)
-    return LastMove(model, np.zeros((1, n)), np.zeros((1, outputs)), np.zeros((1, n)), np.zeros((1, 1)))
-
-
 class Unrest(NamedTuple):
-    """What :func:`copy_weight` remembers, shapes (1,).
+    """Whether messages come to rest, shapes (R, 1)."""
 
-    Attributes:
-        least: the smallest change of messages from step to step.
-        mark: the smallest change when the count of steps last began.
-        steps: in which messages have not come to rest.
-    """
-
-    least: FloatArray
-    mark: FloatArray
-    steps: FloatArray
+    least: FloatArray  # the smallest change of messages from step to step
+    mark: FloatArray  # the smallest change when the count of steps last began
+    steps: FloatArray  # in which messages have not come to rest
 
 
 def copy_weight(
@@ -166,18 +132,10 @@ def copy_weight(
 
     Where the smallest change of messages from step to step, σ, has not halved for ``patience`` steps, w_k = p/(p + k)
     averages over the k steps since, where p is ``forgetting``. A difference above 8 σ is no noise, and starts the count
-    again; so does an eighth of the σ at which it began.
-
-    Args:
-        messages: of this step.
-        was: the memory so far.
-        mean: of the differences to the sources, shape (R, n).
-        patience: steps.
-        forgetting: p.
+    again; so does an eighth of the σ at which it began. ``mean`` (R, n) is that of the differences to the sources.
     """
-    lasts = messages.lasted
-    change = np.where(lasts, row_maxima(messages.change), 0.0)
-    change = np.where(lasts.any(axis=1, keepdims=True), largest(change), np.inf)
+    change = np.where(messages.lasted, row_maxima(messages.change), 0.0)
+    change = np.where(messages.lasted.any(axis=1, keepdims=True), largest(change), np.inf)
     least = np.minimum(was.least, change)
     calmer = least <= was.mark / np.where(was.steps > patience, _SIGNAL, 2.0)
     steps = np.where(calmer | (largest(mean) > _SIGNAL * least), 0.0, was.steps + 1)
@@ -185,53 +143,40 @@ def copy_weight(
     return weight, Unrest(least, np.where(calmer, least, was.mark), steps)
 
 
-def no_unrest() -> Unrest:
-    """The memory of :func:`copy_weight` of one player at the start of an episode."""
-    return Unrest(np.full((1, 1), UNLIMITED), np.full((1, 1), UNLIMITED), np.zeros((1, 1)))
+class Relayed(NamedTuple):
+    """What R relays remember."""
 
-
-def fresher_copies(
-    observation: Observation,
-    was: Contacts,
-    asked: FloatArray,
-    steps: FloatArray,
-    noise: FloatArray,
-    layout: ObservationLayout,
-) -> tuple[BoolArray, Contacts]:
-    """The neighbours with fresher copies, :func:`~ptne_env.field.laws.contacts.contacts`, where noise is no news.
-
-    Args:
-        observation: of R players.
-        was: the contacts so far.
-        asked: the last displacement that was asked for, shape (R, n).
-        steps: number of steps so far, shape (R, 1).
-        noise: σ_i, shape (R, 1).
-        layout: of the observations.
-    """
-    player = observation.player
-    loudest = np.minimum(_ABOVE_NOISE * noise, _LOUDEST * largest(observation.own_estimate))
-    drift = np.where(layout.own_mask[player], 0.0, asked)
-    return contacts(observation, was, steps > 0, drift, layout.neighbour_components[player], loudest[:, :, None])
-
-
-class RelayMemory(NamedTuple):
-    """What a player of :class:`ContactRelay` remembers.
-
-    Attributes:
-        own: its last move.
-        contacts: with its neighbours.
-        messages: of the step before, shape (D, n).
-        unrest: of messages.
-        noise: σ_i, shape (1,).
-        steps: number of steps so far, shape (1,).
-    """
-
+    steps: FloatArray  # number of steps so far, shape (R, 1)
     own: LastMove
     contacts: Contacts
-    messages: FloatArray
+    messages: FloatArray  # of the step before, shape (R, D, n)
+    noise: FloatArray  # σ_i, shape (R, 1)
     unrest: Unrest
-    noise: FloatArray
-    steps: FloatArray
+
+
+def nothing_relayed(layout: ObservationLayout) -> Relayed:
+    """The memory of one relay at the start of an episode: its model is 0, with the deviation :data:`SPREAD`."""
+    outputs, n, none = max(layout.action_dims), layout.dimension, np.zeros((1, 1))
+    model = blank(1, outputs, n if n <= LARGEST_ROW else outputs, SPREAD)
+    own = LastMove(model, np.zeros((1, n)), np.zeros((1, outputs)), np.zeros((1, n)), none)
+    unrest = Unrest(none + UNLIMITED, none + UNLIMITED, none)
+    return Relayed(none, own, no_contacts(layout), np.zeros((1, layout.slots, n)), none, unrest)
+
+
+def heard(
+    observation: Observation, was: Relayed, layout: ObservationLayout
+) -> tuple[Messages, FloatArray, BoolArray, Contacts]:
+    """The messages of this step, their noise σ_i (R, 1), the neighbours with fresher copies (R, D, n), and contacts.
+
+    The neighbours are those of :func:`~ptne_env.field.laws.contacts.contacts`, for which noise is no news.
+    """
+    is_own, leaders = layout.own_mask[observation.player], layout.neighbour_components[observation.player]
+    messages = heard_messages(observation, was.contacts.live, was.messages)
+    noise = noise_level(messages, was.noise, was.steps, leaders | is_own[:, None])
+    loudest = np.minimum(_ABOVE_NOISE * noise, _LOUDEST * largest(observation.own_estimate))
+    drift = np.where(is_own, 0.0, was.own.asked)
+    sources, met = contacts(observation, was.contacts, was.steps > 0, drift, leaders, loudest[:, :, None])
+    return messages, noise, sources, met
 
 
 class ContactRelay(Law):
@@ -261,10 +206,7 @@ class ContactRelay(Law):
         super().__init__(layout)
         self.patience = require_positive("patience", patience)
         self.forgetting = require_positive("forgetting", forgetting)
-        none, messages = np.zeros((1, 1)), np.zeros((1, layout.slots, layout.dimension))
-        self._memory: Memory[Any] = Memory(
-            RelayMemory(no_move(layout), no_contacts(layout), messages, no_unrest(), none, none)
-        )
+        self._memory: Memory[Any] = Memory(nothing_relayed(layout))
 
     def initial_memory(self, rows: int) -> FloatArray:
         """Nothing identified, nothing heard; shape (R, size)."""
@@ -272,22 +214,12 @@ class ContactRelay(Law):
 
     def inputs(self, observation: Observation, memory: FloatArray) -> tuple[FloatArray, FloatArray]:
         layout, was = self.layout, self._memory.unpack(memory)
-        is_own, leaders = layout.own_mask[observation.player], layout.neighbour_components[observation.player]
-        messages = heard_messages(observation, was.contacts.live, was.messages)
-        noise = noise_level(messages, was.noise, was.steps, leaders | is_own[:, None])
-        sources, met = fresher_copies(observation, was.contacts, was.own.asked, was.steps, noise, layout)
+        messages, noise, sources, met = heard(observation, was, layout)
         mean = copies(observation, sources)
         weight, unrest = copy_weight(messages, was.unrest, mean, self.patience, self.forgetting)
-
         own = own_side(observation, was.own, was.steps, layout)
-        drift = np.where(own.is_probe | is_own, 0.0, weight * mean)
+        drift = np.where(own.is_probe | layout.own_mask[observation.player], 0.0, weight * mean)
         displacement = with_own(drift, own.response(drift), own.blocks)
-        fresh = RelayMemory(
-            own=own.remembered(observation, displacement, layout),
-            contacts=met,
-            messages=messages.content,
-            unrest=unrest,
-            noise=noise,
-            steps=was.steps + 1,
-        )
+        last = own.remembered(observation, displacement, layout)
+        fresh = Relayed(was.steps + 1, last, met, messages.content, noise, unrest)
         return per_step(displacement, observation), self._memory.pack(fresh)

@@ -1,6 +1,8 @@
 """Estimators of :class:`~ptne_env.field.laws.ObserverRelay`: noise and rounding, private means, damping, pushes.
 
-Each has a record of what it remembers per player; constants are those of :mod:`ptne_env.field.laws.constants`.
+Each has a record of what it remembers. Shapes are those of R players: ``steps`` (the number so far), ``noise`` (σ_i),
+``scale`` (the largest own estimate) and ``doubt`` (the recent error of predictions of the own gradient, as a
+displacement) are (R, 1); lengths are in natural units. Constants are in :mod:`ptne_env.field.laws.constants`.
 """
 
 from __future__ import annotations
@@ -13,48 +15,25 @@ from ptne_env.field.laws.best_response import UNLIMITED, largest, own_block, own
 from ptne_env.field.laws.constants import C
 from ptne_env.field.laws.contact_relay import Own
 from ptne_env.field.laws.contacts import Messages
-from ptne_env.perception.observation import Observation
 from ptne_env.shared.arrays import BoolArray, FloatArray, fold, row_maxima
 
 _GOLDEN_RATIO = (5**0.5 - 1) / 2
 
 
 class Damage(NamedTuple):
-    """Why messages do not come to rest, shapes (R, 1); lengths are in natural units.
+    """Why messages do not come to rest, shapes (R, 1)."""
 
-    Attributes:
-        width: the smallest change of a message, the step of rounding where messages are rounded.
-        level: σ_i when it last halved.
-        since: steps since then.
-        noisy: whether messages carry noise.
-    """
-
-    width: FloatArray
-    level: FloatArray
-    since: FloatArray
-    noisy: FloatArray
-
-
-NO_DAMAGE = Damage(np.full((1, 1), UNLIMITED), np.full((1, 1), UNLIMITED), np.zeros((1, 1)), np.zeros((1, 1)))
-"""The damage that one player has seen at the start of an episode."""
+    width: FloatArray  # the smallest change of a message: the step of rounding, where messages are rounded
+    level: FloatArray  # σ_i when it last halved
+    since: FloatArray  # steps since then
+    noisy: FloatArray  # whether messages carry noise
 
 
 def damage(
-    observation: Observation, messages: Messages, was: Damage, noise: FloatArray, steps: FloatArray
+    messages: Messages, was: Damage, noise: FloatArray, steps: FloatArray, scale: FloatArray
 ) -> tuple[Damage, BoolArray, BoolArray]:
-    """Whether messages carry noise, and whether all messages of this step are multiples of a step of rounding.
-
-    Args:
-        observation: of R players.
-        messages: of this step.
-        was: the damage so far.
-        noise: σ_i of :func:`~ptne_env.field.laws.contacts.noise_level`, shape (R, 1).
-        steps: number of steps so far, shape (R, 1).
-
-    Returns:
-        What is remembered, whether messages carry noise and whether they are rounded, shapes (R, 1).
-    """
-    live, scale = messages.live, largest(observation.own_estimate)
+    """What is remembered, whether messages carry noise, and whether they are rounded: all multiples of one step."""
+    live = messages.live
     moved = messages.lasted[:, :, None] & (messages.change > C.moved * scale[:, :, None])
     smallest = np.where(moved, messages.change, UNLIMITED).min(axis=(1, 2))[:, None]
     width = np.minimum(was.width, smallest)
@@ -71,31 +50,21 @@ def damage(
 
 
 class Samples(NamedTuple):
-    """What a player knows of its neighbours' messages, in natural units, shapes (R, D, n); all 0 at the start.
+    """What a player knows of its neighbours' messages, shapes (R, D, n); all 0 at the start."""
 
-    Attributes:
-        mean: private mean.
-        smooth: mean of means, for rounded messages.
-        quick: mean of the last messages.
-        count: the number of messages that the mean counts for.
-        variance: of the messages.
-        present: variance of the last messages.
-        lies: steps in which statements about the own strategy were far off, less the others, shape (R, D).
-    """
-
-    mean: FloatArray
-    smooth: FloatArray
-    quick: FloatArray
-    count: FloatArray
-    variance: FloatArray
-    present: FloatArray
-    lies: FloatArray
+    mean: FloatArray  # private mean
+    smooth: FloatArray  # mean of means, for rounded messages
+    quick: FloatArray  # mean of the last messages
+    count: FloatArray  # number of messages that the mean counts for
+    variance: FloatArray  # of the messages
+    present: FloatArray  # variance of the last messages
+    lies: FloatArray  # steps in which statements about the own strategy were far off, less the others, shape (R, D)
 
 
 def sampled(
     messages: Messages, was: Samples, estimate: FloatArray, is_own: BoolArray, is_rounded: BoolArray
 ) -> tuple[Samples, FloatArray]:
-    """Private means of messages that never come to rest, with those of this step, and the means to believe, (R, D, n).
+    """Private means of messages that never come to rest, and the means to believe, shape (R, D, n).
 
     Averages that are stated would be averaged again by their receivers, and arrive late and correlated. So the
     estimates carry raw copies, every player averages in its own memory, and means are stated near the end alone.
@@ -103,13 +72,6 @@ def sampled(
     The weight of the k-th sample is p/(p + k). Where a quick mean leaves the mean, the mean lags and becomes the quick
     mean. Rounded messages of a dithered strategy are averaged twice, so that the weights vanish at both ends: the
     dither is no noise, and its mean over a smooth window is closer to 0.
-
-    Args:
-        messages: of this step.
-        was: the samples so far.
-        estimate: own estimates, shape (R, n).
-        is_own: own components, shape (R, n).
-        is_rounded: whether messages are rounded, shape (R, 1).
     """
     live, lasted, content = messages.live[:, :, None], messages.was_live[:, :, None], messages.content
     rounded = is_rounded[:, :, None]
@@ -140,11 +102,7 @@ def sampled(
 def belief(weights: FloatArray, samples: Samples, means: FloatArray, otherwise: FloatArray) -> FloatArray:
     """Σ_j w_j m_j / Σ_j w_j with w_j = weights × count/variance, and ``otherwise`` (R, n) where that is 0/0.
 
-    Args:
-        weights: ≥ 0, shape (R, D, n).
-        samples: of the messages.
-        means: m_j, shape (R, D, n).
-        otherwise: values without a mean.
+    Weights and means m_j have the shape (R, D, n).
     """
     weights = weights * samples.count / np.maximum(samples.variance, C.smallest_variance)
     total = fold(np.add, weights, axis=1)
@@ -155,11 +113,8 @@ def belief(weights: FloatArray, samples: Samples, means: FloatArray, otherwise: 
 def without_liars(sources: BoolArray, others: BoolArray, owners: BoolArray, lies: FloatArray) -> BoolArray:
     """Sources of which none lies, as far as there are any; else live neighbours that do not lie; else all sources.
 
-    Args:
-        sources: live neighbours with fresher copies, shape (R, D, n).
-        others: live neighbours, without own components, shape (R, D, n).
-        owners: whether j owns c: owners do not lie about themselves, shape (R, D, n).
-        lies: of each neighbour, as in :class:`Samples`, shape (R, D).
+    Shapes are (R, D, n), ``others`` being all live neighbours and ``owners`` those that own c, who do not lie about
+    themselves; ``lies`` are those of :class:`Samples`.
     """
     suspect = (lies >= C.lying_steps)[:, :, None] & ~owners
     if not suspect.any():
@@ -172,72 +127,47 @@ def without_liars(sources: BoolArray, others: BoolArray, owners: BoolArray, lies
 def mature(count: FloatArray, sources: BoolArray, is_own: BoolArray, lies: FloatArray) -> BoolArray:
     """Whether a mean of a neighbour that is no source counts: it is old, and so are all sources' means, (R, D, n).
 
-    Args:
-        count: the number of messages that each mean counts for, shape (R, D, n).
-        sources: live neighbours with fresher copies, shape (R, D, n).
-        is_own: own components, shape (R, n).
-        lies: of each neighbour, as in :class:`Samples`, shape (R, D): no neighbour counts that seems to lie.
+    No neighbour counts that seems to lie. ``count`` and ``lies`` are those of :class:`Samples`.
     """
     is_old = count > C.old
     has_young = fold(np.logical_or, sources & ~is_old, axis=1)[:, None]
     return np.asarray(is_old & ~has_young & ~is_own[:, None] & (lies == 0)[:, :, None])
 
 
-def dither(step: FloatArray) -> FloatArray:
-    """Evenly spread numbers in [−½, ½), shape (R, 1): the fractional part of step × golden ratio, minus ½.
+def dither(steps: FloatArray) -> FloatArray:
+    """Evenly spread numbers in [−½, ½), shape (R, 1): the fractional part of steps × golden ratio, minus ½.
 
     A strategy that moves by ``dither`` × the step of rounding is rounded up in the share of steps by which it lies
     above the multiple below, so the mean of its rounded messages is the strategy.
     """
-    return (step * _GOLDEN_RATIO) % 1.0 - 0.5
+    return (steps * _GOLDEN_RATIO) % 1.0 - 0.5
 
 
 class Damping(NamedTuple):
-    """What :func:`settled` remembers, shapes (R, 1).
+    """Whether responses of all players at once settle, shapes (R, 1)."""
 
-    Attributes:
-        factor: of the best response, in (0, 1].
-        before: the largest response of the window before.
-        now: the largest response of this window so far.
-    """
-
-    factor: FloatArray
-    before: FloatArray
-    now: FloatArray
+    factor: FloatArray  # of the best response, in (0, 1]
+    before: FloatArray  # the largest response of the window before
+    now: FloatArray  # the largest response of this window so far
 
 
-class Settling(NamedTuple):
-    """How R players respond in this step, where best responses of all at once need not settle.
+class Tempered(NamedTuple):
+    """How R players respond in a step."""
 
-    Attributes:
-        factor: of the best response, in (0, 1], shape (R, 1).
-        expected: the expected change of the own gradient, shape (R, m).
-        is_loose: whether the own rows of dF are not diagonally dominant, shape (R, 1).
-    """
-
-    factor: FloatArray
-    expected: FloatArray
-    is_loose: BoolArray
+    factor: FloatArray  # of the best response, in (0, 1], shape (R, 1)
+    expected: FloatArray  # change of the own gradient, shape (R, m)
+    is_loose: BoolArray  # whether the own rows of dF are not diagonally dominant, shape (R, 1)
 
     def response(self, own: Own, drift: FloatArray) -> FloatArray:
         """The damped best response to the own estimates after a displacement ``drift`` (R, n) of the others, (R, m)."""
         return self.factor * own._replace(gradient=own.gradient + self.expected).response(drift)
 
 
-def settling(own: Own, was: Damping, last_gradient: FloatArray, steps: FloatArray, dimension: int) -> Settling:
-    """The damping of this step; see :func:`settled`.
-
-    Args:
-        own: the own side of R players.
-        was: the damping so far.
-        last_gradient: the own gradient of the step before, shape (R, m).
-        steps: number of steps so far, shape (R, 1).
-        dimension: n.
-    """
+def tempered(own: Own, was: Damping, last_gradient: FloatArray, steps: FloatArray, dimension: int) -> Tempered:
+    """Damping where own rows of dF are loose; ``last_gradient`` (R, m) is the own one of the step before."""
     _, outputs, regressors = own.model.rows.shape
-    rest = np.zeros_like(own.gradient)
     if regressors != dimension:  # own blocks alone are known
-        return Settling(np.ones_like(own.radius), rest, np.zeros_like(own.is_probe))
+        return Tempered(np.ones_like(own.radius), np.zeros_like(own.gradient), np.zeros_like(own.is_probe))
     size = np.abs(own.model.rows)
     is_padding = own.blocks == dimension
     block = np.abs(own_block(own.model.rows, own_places(own.blocks, own.model, dimension)))
@@ -247,10 +177,10 @@ def settling(own: Own, was: Damping, last_gradient: FloatArray, steps: FloatArra
     is_loose = (beside > curvature) & (steps > outputs + 1)
     factor = np.where(is_loose, was.factor, 1.0)
     is_optimistic = is_loose & (factor < C.optimistic)
-    return Settling(factor, np.where(is_optimistic, own.gradient - last_gradient, 0.0), is_loose)
+    return Tempered(factor, np.where(is_optimistic, own.gradient - last_gradient, 0.0), is_loose)
 
 
-def settled(
+def damped(
     was: Damping,
     is_loose: BoolArray,
     response: FloatArray,
@@ -259,20 +189,11 @@ def settled(
     scale: FloatArray,
     doubt: FloatArray,
 ) -> Damping:
-    """The damping after a step.
+    """The damping after a ``response`` (R, n).
 
     It falls by a fifth where own rows are loose and the largest response of ten steps is not smaller than 0.8 times
     that of the ten steps before, unless noise or a gradient that changes by itself explains it. It rises again where
     that response is smaller than half of the one before.
-
-    Args:
-        was: the damping so far.
-        is_loose: of this step, shape (R, 1).
-        response: the own displacement, shape (R, n).
-        steps: number of steps so far, shape (R, 1).
-        noise: σ_i, shape (R, 1).
-        scale: the largest own estimate, shape (R, 1).
-        doubt: the recent error of predictions of the own gradient, as a displacement, shape (R, 1).
     """
     size = np.maximum(was.now, largest(response))
     ends = (steps % C.window == 0) & (steps > 0)
@@ -286,15 +207,10 @@ def settled(
 
 
 class Push(NamedTuple):
-    """What moves the own strategy beside the own inputs; all 0 at the start.
+    """What moves the own strategy beside the own inputs; all 0 at the start."""
 
-    Attributes:
-        velocity: shape (R, n).
-        steps: since it last changed, shape (R, 1).
-    """
-
-    velocity: FloatArray
-    steps: FloatArray
+    velocity: FloatArray  # shape (R, n)
+    steps: FloatArray  # since it last changed, shape (R, 1)
 
 
 def observed_push(was: Push, residual: FloatArray, last_dt: FloatArray, scale: FloatArray) -> Push:
@@ -303,7 +219,7 @@ def observed_push(was: Push, residual: FloatArray, last_dt: FloatArray, scale: F
     Args:
         was: the push so far.
         residual: the last displacement of own components beside the displacement that was asked for, 0 for the others
-            and for components that a bound holds; natural units, shape (R, n).
+            and for components that a bound holds, shape (R, n).
         last_dt: Δt of the last step, shape (R, 1).
         scale: the largest own estimate, shape (R, 1).
     """

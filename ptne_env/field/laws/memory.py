@@ -6,7 +6,7 @@ from typing import Any, Generic, TypeVar
 
 import numpy as np
 
-from ptne_env.shared.arrays import BoolArray, FloatArray, IntArray
+from ptne_env.shared.arrays import BoolArray, FloatArray
 
 Record = TypeVar("Record", bound=tuple[Any, ...])
 
@@ -45,29 +45,17 @@ class Memory(Generic[Record]):
         return taken(self._start)  # type: ignore[no-any-return]
 
 
-def rows_in(mask: BoolArray) -> IntArray | slice:
-    """The rows in a mask (R,) as an index; of all rows, one that copies nothing."""
-    return slice(None) if mask.all() else np.flatnonzero(mask)
-
-
-def taken_rows(record: Record, rows: IntArray | slice) -> Record:
-    """The rows of every array in a record."""
-    return _like(record, (taken_rows(part, rows) if isinstance(part, tuple) else part[rows] for part in record))
-
-
-def with_rows(record: Record, rows: IntArray | slice, fresh: Record) -> Record:
-    """A record with the arrays of ``fresh`` in ``rows``, the inverse of :func:`taken_rows`."""
-    if isinstance(rows, slice):  # all of them
+def chosen(mask: BoolArray, fresh: Record, old: Record) -> Record:
+    """The rows of ``fresh`` in a mask (R, 1), the rows of ``old`` elsewhere, array by array."""
+    if mask.all():
         return fresh
 
-    def replaced(old: Any, new: Any) -> Any:
-        if isinstance(old, tuple):
-            return with_rows(old, rows, new)
-        result = old.copy()
-        result[rows] = new
-        return result
+    def choice(new: Any, before: Any) -> Any:
+        if isinstance(new, tuple):
+            return chosen(mask, new, before)
+        return np.where(mask.reshape(-1, *(1,) * (new.ndim - 1)), new, before)
 
-    return _like(record, map(replaced, record, fresh))
+    return _like(fresh, map(choice, fresh, old))  # type: ignore[no-any-return]
 
 
 def _arrays(record: tuple[Any, ...]) -> list[Any]:

@@ -14,6 +14,7 @@ import numpy as np
 
 from ptne_env.field.laws.best_response import largest, own_block, with_own
 from ptne_env.field.laws.constants import C
+from ptne_env.field.laws.contact_relay import Own
 from ptne_env.field.laws.contacts import Messages
 from ptne_env.field.laws.identification import Model, identify
 from ptne_env.perception.observation import Observation, ObservationLayout
@@ -21,65 +22,21 @@ from ptne_env.shared.arrays import BoolArray, FloatArray, IntArray, row_maxima
 
 
 class Planes(NamedTuple):
-    """What a player knows of its neighbours' reactions, with the m components of the largest own block.
+    """What R players know of their neighbours' reactions, with the m components of the largest own block."""
 
-    Attributes:
-        slopes: R, shape (D, m, n).
-        covariance: of the rows of R, shape (D, n, n).
-        anchor: the last sample, shape (D, n).
-        samples: their number, shape (D,).
-        error: the recent error of predictions by the plane, shape (D,).
-    """
-
-    slopes: FloatArray
-    covariance: FloatArray
-    anchor: FloatArray
-    samples: FloatArray
-    error: FloatArray
+    slopes: FloatArray  # R, shape (R, D, m, n)
+    covariance: FloatArray  # of the rows of R, shape (R, D, n, n)
+    anchor: FloatArray  # the last sample, shape (R, D, n)
+    samples: FloatArray  # their number, shape (R, D)
+    error: FloatArray  # the recent error of predictions by the plane, shape (R, D)
 
 
 def no_planes(layout: ObservationLayout) -> Planes:
     """The planes of one player at the start of an episode."""
     slots, n, m = layout.slots, layout.dimension, max(layout.action_dims)
-    covariance = C.plane_spread**2 * (np.eye(n) + C.plane_common * np.ones((n, n)))
+    covariance = np.tile(C.plane_spread**2 * (np.eye(n) + C.plane_common * np.ones((n, n))), (1, slots, 1, 1))
     none = np.zeros((1, slots))
-    return Planes(
-        slopes=np.zeros((1, slots, m, n)),
-        covariance=np.tile(covariance, (1, slots, 1, 1)),
-        anchor=np.zeros((1, slots, n)),
-        samples=none,
-        error=none,
-    )
-
-
-class Reactions(NamedTuple):
-    """The joint solution of the own first-order condition and the planes of the neighbours, for R players.
-
-    Attributes:
-        point: the solution, shape (R, n).
-        error: the largest recent error of its planes, in natural units, shape (R, 1).
-        is_trusted: whether it counts, shape (R, 1).
-    """
-
-    point: FloatArray
-    error: FloatArray
-    is_trusted: BoolArray
-
-
-class Condition(NamedTuple):
-    """The own first-order condition ∂J_i + G_i Δx = 0 of R players.
-
-    Attributes:
-        rows: G_i, shape (R, m, n).
-        gradient: ∂J_i, shape (R, m).
-        blocks: own components, padded with n, shape (R, m).
-        doubt: the largest recent error of predictions of the own gradient, as a displacement, shape (R, 1).
-    """
-
-    rows: FloatArray
-    gradient: FloatArray
-    blocks: IntArray
-    doubt: FloatArray
+    return Planes(np.zeros((1, slots, m, n)), covariance, np.zeros((1, slots, n)), none, none)
 
 
 def reckoned_estimate(seen: FloatArray, reckoned: FloatArray, steps: FloatArray) -> FloatArray:
@@ -96,7 +53,7 @@ def learned_planes(
     here: FloatArray,
     layout: ObservationLayout,
 ) -> Planes:
-    """The planes of the neighbours with the present messages.
+    """The planes of the neighbours with this step's messages.
 
     Args:
         observation: of R players.
@@ -116,9 +73,8 @@ def learned_planes(
     is_sample = is_rest & ~is_first & (length > C.new_sample * scale)
     is_kept = is_sample | (is_rest & is_first)
 
-    blocks = layout.own_components[neighbours]
     regressors = np.where(layout.own_mask[neighbours], 0.0, moved)
-    theirs = _entries(moved, blocks)
+    theirs = _entries(moved, layout.own_components[neighbours])
     error = row_maxima(np.abs(theirs - np.einsum("rdmn,rdn->rdm", was.slopes, regressors)))
     is_known = messages.live & is_warm & (was.samples >= C.plane_samples)
     fresh = was._replace(
@@ -140,42 +96,41 @@ def learned_planes(
 def joint_solution(
     player: IntArray,
     known: Planes,
-    steps: FloatArray,
     here: FloatArray,
     planned: FloatArray,
-    own: Condition,
+    own: Own,
+    doubt: FloatArray,
     layout: ObservationLayout,
-) -> Reactions:
-    """The joint solution of the own first-order condition and the planes of the neighbours.
+) -> tuple[FloatArray, BoolArray]:
+    """The solution of the own first-order condition and the planes of the neighbours, (R, n), and whether it counts.
 
     Args:
         player: index of each of R players, shape (R,).
         known: the planes with this step's messages.
-        steps: number of steps so far, shape (R, 1).
         here: own estimates, shape (R, n).
         planned: the next estimates without the joint solution, which fixes all components that no plane does, (R, n).
-        own: the own first-order condition at ``here``.
+        own: the own side with whole rows: the condition is ∂J_i + G_i Δx = 0.
+        doubt: the recent error of predictions of the own gradient, as a displacement, shape (R, 1).
         layout: of the observations.
     """
     neighbours, scale = np.array(layout.neighbours)[player], largest(here)
-    planes = np.where(layout.own_mask[neighbours][:, :, None], 0.0, known.slopes)  # own components react to others
+    slopes = np.where(layout.own_mask[neighbours][:, :, None], 0.0, known.slopes)  # own components react to others
     error, is_known = known.error, known.samples >= C.plane_samples
-    is_tame = np.abs(planes).sum(axis=3).max(axis=2) < 1
+    is_tame = np.abs(slopes).sum(axis=3).max(axis=2) < 1
     counts = is_known & is_tame & (error < C.worst * scale) & (neighbours != player[:, None])
     blocks = np.where(counts[:, :, None], layout.own_components[neighbours], layout.dimension)
-    point = _joint(planes, known.anchor, blocks, planned, here, own)
-    largest_error = np.where(is_known, error, 0.0).max(axis=1, keepdims=True)
+    point = _joint(slopes, known.anchor, blocks, planned, here, own)
     jump = largest(point - planned)
-    doubt = np.maximum(largest_error, own.doubt)
+    doubt = np.maximum(np.where(is_known, error, 0.0).max(axis=1, keepdims=True), doubt)
     is_trusted = (jump >= np.maximum(C.nearest * scale, C.trusted * doubt)) & (jump <= C.farthest * scale)
-    return Reactions(point, doubt, is_trusted & _is_dominant(own) & (steps >= C.start))
+    return point, is_trusted & _is_dominant(own)
 
 
-def _is_dominant(own: Condition) -> BoolArray:
+def _is_dominant(own: Own) -> BoolArray:
     """Whether every own row of G is diagonally dominant, shape (R, 1): then joint solutions of all players contract."""
-    size, places = np.abs(own.rows), np.minimum(own.blocks, own.rows.shape[2] - 1)
+    size, places = np.abs(own.model.rows), np.minimum(own.blocks, own.model.rows.shape[2] - 1)
     diagonal = np.take_along_axis(size, places[:, :, None], axis=2)[:, :, 0]
-    is_padding = own.blocks == own.rows.shape[2]
+    is_padding = own.blocks == own.model.rows.shape[2]
     return np.asarray((is_padding | (size.sum(axis=2) < 2 * diagonal)).all(axis=1, keepdims=True))
 
 
@@ -186,7 +141,7 @@ def _entries(array: FloatArray, blocks: IntArray) -> FloatArray:
 
 
 def _joint(
-    planes: FloatArray, anchor: FloatArray, blocks: IntArray, planned: FloatArray, here: FloatArray, own: Condition
+    slopes: FloatArray, anchor: FloatArray, blocks: IntArray, planned: FloatArray, here: FloatArray, own: Own
 ) -> FloatArray:
     """The solution of x_j − R x_{−j} = r for the neighbours in ``blocks``, of the own condition, and x = planned else.
 
@@ -195,15 +150,15 @@ def _joint(
     rows, n = planned.shape
     equations, values = np.broadcast_to(np.eye(n), (rows, n, n)).copy(), planned
     identity = np.concatenate([np.eye(n), np.zeros((1, n))])
-    for slot in range(planes.shape[1]):
+    for slot in range(slopes.shape[1]):
         places = blocks[:, slot]
-        plane = identity[places] - np.where((places < n)[:, :, None], planes[:, slot], 0.0)
+        plane = identity[places] - np.where((places < n)[:, :, None], slopes[:, slot], 0.0)
         right = np.einsum("rmn,rn->rm", plane, anchor[:, slot])
         equations, values = with_own(equations, plane, places), with_own(values, right, places)
-    curvature = own_block(own.rows, own.blocks).diagonal(axis1=1, axis2=2)
+    curvature = own_block(own.model.rows, own.blocks).diagonal(axis1=1, axis2=2)
     places = np.where(np.abs(curvature) > C.curved, own.blocks, n)
-    right = np.einsum("rmn,rn->rm", own.rows, here) - own.gradient
-    return _solve(with_own(equations, own.rows, places), with_own(values, right, places), planned)
+    right = np.einsum("rmn,rn->rm", own.model.rows, here) - own.gradient
+    return _solve(with_own(equations, own.model.rows, places), with_own(values, right, places), planned)
 
 
 def _solve(equations: FloatArray, values: FloatArray, otherwise: FloatArray) -> FloatArray:
