@@ -13,7 +13,7 @@ import numpy as np
 import ptne_env
 from ptne_env import Interface, PolicySpec, laws
 from ptne_env.envs.gymnasium import JointEnv
-from ptne_env.learn.blocks import in_blocks
+from ptne_env.learn.learned import in_blocks
 from ptne_env.perception.policy import Policy
 from ptne_env.world import distances
 

@@ -10,20 +10,14 @@ import numpy as np
 import numpy.typing as npt
 from gymnasium import spaces
 
-from ptne_env.learn.blocks import in_blocks
-from ptne_env.learn.metadata import PolicyFileError, PolicyLayoutError
-from ptne_env.perception.observation import (
-    LOG_SCALE_UNIT,
-    SMALLEST_SCALE,
-    Interface,
-    ObservationLayout,
-)
+from ptne_env.learn.learned import PolicyFileError, PolicyLayoutError, in_blocks
+from ptne_env.perception.observation import LOG_SCALE_UNIT, SMALLEST_SCALE, Interface, ObservationLayout
 from ptne_env.shared.arrays import BoolArray, Float32Array
 from ptne_env.shared.files import require_file
 
 
 class ArchivePolicy:
-    """The policy network of a saved model of any Stable-Baselines3 algorithm; see :class:`ptne_env.perception.policy.Policy`.
+    """The policy network of a saved model of any algorithm of Stable-Baselines3.
 
     :func:`load_archive` makes one.
 
@@ -45,12 +39,11 @@ class ArchivePolicy:
         Raises:
             PolicyLayoutError: naming the differences.
         """
-        mine = (self._network.observation_space.shape[0], self._network.action_space.shape[0])
-        theirs = (layout.size, layout.action_size)
-        if mine != theirs:
+        mine = (*self._network.observation_space.shape, *self._network.action_space.shape)
+        if mine != (layout.size, layout.action_size):
             raise PolicyLayoutError(
-                f"{self.path.name} has observations of length {mine[0]} and actions of length {mine[1]}, the "
-                f"environment's are of {theirs[0]} and {theirs[1]}"
+                f"{self.path.name} has observations and actions of lengths {mine[0]} and {mine[1]}, the environment's "
+                f"have {layout.size} and {layout.action_size}"
             )
 
     def predict(
@@ -74,16 +67,9 @@ class ArchivePolicy:
 
 
 def recognised_interface(model: Any) -> Interface | None:
-    """The interface that a model was trained with, by its spaces; ``None`` for one without spaces of one player.
-
-    Args:
-        model: with the attributes ``observation_space`` and ``action_space``, as the models and policies of
-            Stable-Baselines3 have them.
-    """
+    """The interface of a model or policy of Stable-Baselines3, by its spaces; ``None`` where they are no player's."""
     observations, actions = getattr(model, "observation_space", None), getattr(model, "action_space", None)
-    if not (isinstance(observations, spaces.Box) and isinstance(actions, spaces.Box)):
-        return None
-    if len(observations.shape) != 1 or len(actions.shape) != 1:
+    if not all(isinstance(space, spaces.Box) and len(space.shape) == 1 for space in (observations, actions)):
         return None
     # The only entry of an observation that goes down to this number is the logarithm of the scale.
     is_scaled = np.isclose(observations.low, math.log10(SMALLEST_SCALE) / LOG_SCALE_UNIT).any()
@@ -93,7 +79,7 @@ def recognised_interface(model: Any) -> Interface | None:
 def load_archive(path: str, layout: ObservationLayout | None = None) -> ArchivePolicy:
     """Load a model that Stable-Baselines3 saved. This executes code that is stored in the file.
 
-    Torch is set to one thread, so that the same bits come out on every machine of a kind.
+    Torch is set to one thread, so that the same bits come out in every run.
 
     Args:
         path: the archive.
@@ -111,11 +97,10 @@ def load_archive(path: str, layout: ObservationLayout | None = None) -> ArchiveP
     except ImportError as error:
         raise ImportError('Stable-Baselines3 archives need an extra: pip install "ptne-env[sb3]"') from error
 
-    file = Path(path)
-    require_file(file)
+    require_file(path)
     torch.set_num_threads(1)
     try:
-        stored, parameters, _ = load_from_zip_file(file, device="cpu")
+        stored, parameters, _ = load_from_zip_file(path, device="cpu")
         data: dict[str, Any] = stored or {}
         arguments = dict(data["policy_kwargs"])
         if data.get("use_sde"):
@@ -125,7 +110,7 @@ def load_archive(path: str, layout: ObservationLayout | None = None) -> ArchiveP
     except Exception as error:  # unpickling foreign bytes may raise anything
         raise PolicyFileError(f"{path} is not an archive of a Stable-Baselines3 model: {error!r}") from error
     network.set_training_mode(mode=False)
-    policy = ArchivePolicy(file, network)
+    policy = ArchivePolicy(Path(path), network)
     if layout is not None:
         policy.require(layout)
     return policy

@@ -1,24 +1,25 @@
-"""Learned policies in ONNX files, which are read as data: no file executes code, and no file is large.
+"""Learned policies in ONNX files, which are read as data: no file executes code, and no network is large.
 
 onnxruntime runs the networks, without torch.
 """
 
 from __future__ import annotations
 
-import hashlib
 import importlib.util
+import json
 import math
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from hashlib import sha256
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
 
-from ptne_env.learn.blocks import in_blocks
-from ptne_env.learn.metadata import Metadata, PolicyFileError
-from ptne_env.perception.observation import ObservationLayout
-from ptne_env.shared.arrays import BoolArray, Float32Array
-from ptne_env.shared.files import require_file
+from ptne_env.perception.observation import Interface, LayoutError, ObservationLayout
+from ptne_env.shared.arrays import BoolArray, Float32Array, require_count, require_finite, require_printable
+from ptne_env.shared.files import DamagedFileError, require_file
 from ptne_env.shared.names import unknown_name
 
 if TYPE_CHECKING:
@@ -28,20 +29,130 @@ _FOLDER = Path(__file__).parent
 _METADATA, _DIGEST, _UNKNOWN = "ptne_env", "sha256", "0" * 64
 
 LARGEST_FILE = 16 << 20
-"""Bytes of the largest file that is read; the shipped ones have 0.1 MB."""
+"""Bytes of the largest file that is read; the shipped ones have 30 kB."""
 
-LARGEST_VALUE = 1 << 20
-"""Numbers in the largest array that a network may compute for a row."""
+LARGEST_ARRAY, MOST_OPERATIONS = 1 << 20, 1000
+"""Numbers in the largest array that a network may compute for a row, and its operations."""
 
-MOST_NODES = 1000
-"""Operations in the largest network."""
-
-OPERATORS = frozenset(
-    "Abs Add Cast Clip Concat Constant Div Elu Exp Flatten Gather Gemm Identity LayerNormalization LeakyRelu MatMul Max "
-    "Mean Min Mul Neg Pow ReduceMax ReduceMean ReduceSum Relu Reshape Selu Sigmoid Slice Softmax Softplus Split Sqrt "
-    "Squeeze Sub Sum Tanh Transpose Unsqueeze".split()
-)
+OPERATORS = {
+    "Add", "Cast", "Clip", "Concat", "Constant", "Div", "Elu", "Flatten", "Gather", "Gemm", "Identity", "LeakyRelu",
+    "MatMul", "Max", "Min", "Mul", "Relu", "Reshape", "Selu", "Sigmoid", "Slice", "Softplus", "Squeeze", "Sub", "Tanh",
+    "Unsqueeze",
+}  # fmt: skip
 """The operations of a network: arithmetic, without loops, branches, other files, and arrays out of nothing."""
+
+
+LAYOUT_VERSION = 1
+"""Version of the meaning of observations and actions; files of another version are refused."""
+
+
+class PolicyFileError(DamagedFileError):
+    """A file is not a policy of this library, is damaged, or was made for other observations."""
+
+
+class PolicyLayoutError(PolicyFileError, LayoutError):
+    """A policy file was made for another layout."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Metadata:
+    """The description of a policy.
+
+    Attributes:
+        interface: of the policy.
+        action_dims: n_i of each player it was trained with.
+        slots: D, neighbour slots per player.
+        scenarios: names of the scenarios, families of games or tracks (``"ptne-v1/delay"``) it was trained on.
+        steps: agent-steps of training.
+        seed: of training.
+        digits: mean digits on the validation episodes after training.
+        versions: of the libraries that wrote it.
+        layout_version: version of the meaning of observations and actions.
+
+    Raises:
+        ValueError, TypeError, AttributeError: for a value of a wrong type or out of range.
+    """
+
+    interface: Interface
+    action_dims: tuple[int, ...]
+    slots: int
+    scenarios: tuple[str, ...]
+    steps: int
+    seed: int
+    digits: float
+    versions: Mapping[str, str]
+    layout_version: int = LAYOUT_VERSION
+
+    def __post_init__(self) -> None:
+        for name in ("slots", "steps", "seed", "layout_version"):
+            require_count(name, getattr(self, name), 0)
+        for dim in self.action_dims:
+            require_count("action_dims", dim, 1)
+        require_finite("digits", self.digits)
+        for text in (*self.scenarios, *self.versions, *self.versions.values()):
+            require_printable("a name or version", text)
+
+    def to_json(self) -> str:
+        """The description as a JSON text."""
+        data = asdict(self) | {"interface": self.interface.kind}
+        return json.dumps(data, allow_nan=False, sort_keys=True)
+
+    @classmethod
+    def from_json(cls, text: str) -> Metadata:
+        """The inverse of :meth:`to_json`.
+
+        Raises:
+            PolicyFileError: when the text is damaged or of another layout version.
+        """
+        try:
+            data: dict[str, Any] = json.loads(text)
+            data["interface"] = Interface(data["interface"])
+            for name in ("action_dims", "scenarios"):
+                data[name] = tuple(data[name])
+            metadata = cls(**data)
+        except (AttributeError, KeyError, TypeError, ValueError, RecursionError) as error:
+            raise PolicyFileError(f"the policy's metadata is damaged or of another version: {error!r}") from error
+        if metadata.layout_version != LAYOUT_VERSION:
+            raise PolicyFileError(
+                f"the policy was made for layout version {metadata.layout_version}, this library has {LAYOUT_VERSION}; "
+                "use the version of ptne_env that made it, or train it again"
+            )
+        return metadata
+
+    def require(self, layout: ObservationLayout) -> None:
+        """Check that the policy can act in an environment of this layout.
+
+        Raises:
+            PolicyLayoutError: naming the differences.
+        """
+        needs = {
+            "interface": (self.interface.kind, layout.interface.kind),
+            "action_dims": (self.action_dims, layout.action_dims),
+            "neighbour slots": (self.slots, layout.slots),
+        }
+        differences = [
+            f"{name}: policy {mine}, environment {theirs}" for name, (mine, theirs) in needs.items() if mine != theirs
+        ]
+        if differences:
+            raise PolicyLayoutError(f"the policy was made for another layout; {'; '.join(differences)}")
+
+
+BLOCK = 32
+"""Rows in a block: twice the smallest batch, 16, from which on torch's products have the same bits in every batch, and
+a multiple of the numbers in a vector register, at most 16."""
+
+
+def in_blocks(array: npt.NDArray[Any], axis: int = 0) -> npt.NDArray[Any]:
+    """``array`` with zeros appended along ``axis`` up to a multiple of :data:`BLOCK`; itself if it has that length.
+
+    A network then decides each row alike in every batch. Libraries of linear algebra take other code for small batches,
+    and for the last numbers of an array that fill no vector register, which changes the last bits of a row's result.
+    """
+    missing = -array.shape[axis] % BLOCK
+    if not missing:
+        return array
+    shape = (*array.shape[:axis], missing, *array.shape[axis + 1 :])
+    return np.concatenate([array, np.zeros(shape, dtype=array.dtype)], axis=axis)
 
 
 class LearnedPolicy:
@@ -100,13 +211,13 @@ def shipped_path(name: str) -> Path | None:
 def sealed(model: onnx.ModelProto, metadata: Metadata) -> bytes:
     """The content of a policy file: a network from observations (R, size) to actions, float32, and its description.
 
-    The SHA-256 of the content is in it, so that :func:`load` detects damage.
+    Its SHA-256 is in it, so that :func:`load` detects damage.
     """
     from onnx import helper
 
     helper.set_model_props(model, {_METADATA: metadata.to_json(), _DIGEST: _UNKNOWN})
     content: bytes = model.SerializeToString()
-    return content.replace(_UNKNOWN.encode(), hashlib.sha256(content).hexdigest().encode())
+    return content.replace(_UNKNOWN.encode(), sha256(content).hexdigest().encode())
 
 
 def load(path_or_name: str | Path, layout: ObservationLayout | None = None) -> LearnedPolicy:
@@ -131,19 +242,19 @@ def load(path_or_name: str | Path, layout: ObservationLayout | None = None) -> L
         if not path.is_file():
             raise ValueError(unknown_name("learned policy", str(path_or_name), shipped(), "an .onnx file"))
     require_file(path)
-    policy = _read(path)
+    if path.stat().st_size > LARGEST_FILE:
+        raise PolicyFileError(f"{path} has more than {LARGEST_FILE >> 20} MiB")
+    policy = _opened(path, path.read_bytes())
     if layout is not None:
         policy.require(layout)
     return policy
 
 
-def _read(path: Path) -> LearnedPolicy:
-    """The policy in a file, after a trial with one row."""
+def _opened(path: Path, content: bytes) -> LearnedPolicy:
+    """The policy in a file, checked and tried with one row."""
     import onnx
+    import onnxruntime
 
-    if path.stat().st_size > LARGEST_FILE:
-        raise PolicyFileError(f"{path} has more than {LARGEST_FILE >> 20} MiB")
-    content = path.read_bytes()
     try:
         model = onnx.load_model_from_string(content)
     except Exception as error:  # of protobuf
@@ -151,19 +262,23 @@ def _read(path: Path) -> LearnedPolicy:
     properties = {each.key: each.value for each in model.metadata_props}
     if not {_METADATA, _DIGEST} <= properties.keys():
         raise PolicyFileError(f"{path} is damaged, or an ONNX file without the metadata of a ptne_env policy")
-    digest = properties[_DIGEST].encode()
-    if hashlib.sha256(content.replace(digest, _UNKNOWN.encode())).hexdigest().encode() != digest:
-        raise PolicyFileError(f"{path} is damaged: its content has another SHA-256 than it says")
+    digest = properties[_DIGEST]
+    if sha256(content.replace(digest.encode(), _UNKNOWN.encode())).hexdigest() != digest:
+        raise PolicyFileError(f"{path} is damaged: it does not have the SHA-256 that it names")
     metadata = Metadata.from_json(properties[_METADATA])
     if reason := _refusal(model):
         raise PolicyFileError(f"{path} {reason}")
+    options = onnxruntime.SessionOptions()
+    options.intra_op_num_threads = 1  # the networks are small, and one thread gives the same bits in every run
+    options.log_severity_level = 4
     try:
-        policy = LearnedPolicy(path.stem, _open(content), metadata)
+        session = onnxruntime.InferenceSession(content, options, providers=["CPUExecutionProvider"], enable_fallback=0)
+        policy = LearnedPolicy(path.stem, session, metadata)
         actions, _ = policy.predict(np.zeros((1, policy.observation_size), dtype=np.float32))
     except Exception as error:  # onnxruntime raises its own classes, which are not public
         raise PolicyFileError(f"{path} cannot decide a batch of any number of rows of observations: {error}") from error
-    if getattr(actions, "dtype", None) != np.float32 or actions.shape != (1, metadata.action_size):
-        raise PolicyFileError(f"{path} does not answer with actions of {metadata.action_size} float32 numbers")
+    if actions.dtype != np.float32 or actions.shape != (1, sum(metadata.action_dims)):
+        raise PolicyFileError(f"{path} does not answer with actions of {sum(metadata.action_dims)} float32 numbers")
     return policy
 
 
@@ -177,24 +292,15 @@ def _refusal(model: onnx.ModelProto) -> str | None:
         return "refers to other files"
     if others := {f"{node.domain}.{node.op_type}".strip(".") for node in graph.node} - OPERATORS:
         return f"has operations that are not allowed: {', '.join(sorted(others))}"
-    if len(graph.node) > MOST_NODES or model.functions or graph.sparse_initializer:
-        return f"has more than {MOST_NODES} operations, functions or sparse arrays"
+    if len(graph.node) > MOST_OPERATIONS or model.functions or graph.sparse_initializer:
+        return f"has more than {MOST_OPERATIONS} operations, functions or sparse arrays"
     try:
         graph = onnx.shape_inference.infer_shapes(model, check_type=True, strict_mode=True, data_prop=True).graph
     except Exception as error:  # noqa: BLE001 - of onnx
         return f"is no valid network: {error}"
-    shapes = {each.name: each.type.tensor_type.shape.dim for each in (*graph.input, *graph.value_info, *graph.output)}
+    values = (*graph.input, *graph.value_info, *graph.output)
+    shapes = {each.name: [max(dim.dim_value, 1) for dim in each.type.tensor_type.shape.dim] for each in values}
     for name in [each.name for each in graph.input] + [name for node in graph.node for name in node.output]:
-        if name not in shapes or math.prod(max(dim.dim_value, 1) for dim in shapes[name]) > LARGEST_VALUE:
-            return f"computes an array of unknown size, or of more than {LARGEST_VALUE} numbers, {name!r}"
+        if math.prod(shapes.get(name, [LARGEST_ARRAY + 1])) > LARGEST_ARRAY:
+            return f"computes an array of unknown size or of more than {LARGEST_ARRAY} numbers, {name!r}"
     return None
-
-
-def _open(content: bytes) -> Any:
-    """The ``onnxruntime.InferenceSession`` of a file's content, on one thread."""
-    import onnxruntime
-
-    options = onnxruntime.SessionOptions()
-    options.intra_op_num_threads = 1  # the networks are small, and one thread gives the same bits in every run
-    options.log_severity_level = 4
-    return onnxruntime.InferenceSession(content, options, providers=["CPUExecutionProvider"], enable_fallback=0)

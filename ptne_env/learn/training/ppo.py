@@ -1,16 +1,17 @@
 """PPO of Stable-Baselines3 on a scenario, with a network that all players share.
 
-Run it with ``ptne train random-energy-switching --out DIR`` or ``python baselines/train.py``. ``DIR`` then holds
-``policy.onnx`` (load it with :func:`ptne_env.learn.load`), ``summary.json``, TensorBoard logs, and, while it runs,
-``checkpoint.npz``; the same command resumes an interrupted run from it, and ends as if it had not been interrupted.
+Run it with ``ptne train random-energy --out DIR``. ``DIR`` then holds ``policy.onnx`` (load it with
+:func:`ptne_env.learn.load`), ``summary.json``, ``configuration.json``, the evaluations of the learning curve
+(``evaluations.npz``), and models of Stable-Baselines3 in ``checkpoints``. The same command resumes an interrupted run
+from the last of them. An uninterrupted run ends with the same policy on the same machine; a resumed one draws other
+games and other noise from there on, so it ends with another policy.
 """
 
 from __future__ import annotations
 
-from collections import deque
+import json
 from collections.abc import Callable
-from dataclasses import replace
-from functools import partial
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from time import monotonic
@@ -19,34 +20,55 @@ from typing import Any
 import numpy as np
 import torch
 from stable_baselines3 import PPO
-from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.callbacks import BaseCallback, CheckpointCallback, EvalCallback
 from stable_baselines3.common.utils import LinearSchedule
-from torch import nn
 
-from ptne_env import learn as policies
 from ptne_env.bench import find_scenario
 from ptne_env.envs.sb3 import PlayerVecEnv
-from ptne_env.evaluation import PolicySpec, episode_seed, evaluate
-from ptne_env.learn.training import checkpoint
-from ptne_env.learn.training.arguments import Arguments
-from ptne_env.learn.training.checkpoint import CHECKPOINT, Record, Summary, finish, finished, plain, require_same
+from ptne_env.evaluation import PolicySpec, evaluate
+from ptne_env.learn.learned import load
+from ptne_env.learn.training.configuration import Configuration
 from ptne_env.learn.training.export import to_onnx
-from ptne_env.learn.training.features import Products
-from ptne_env.perception.observation import ObservationLayout
+from ptne_env.shared.files import read_json, write_atomically
+from ptne_env.world.scenario import Scenario
 
 Progress = Callable[[int, int, float], None]
-"""Called with agent-steps done, agent-steps in all, and the digits that players gain per episode, exploration included:
-the mean over the rollouts of the last episode length, or over those since the start of the process."""
+"""Called with agent-steps done, agent-steps in all, and mean digits of the last evaluation, -inf before the first."""
+
+EVALUATIONS = 10
+"""Evaluations of the learning curve, and checkpoints, in a run."""
+
+GAMES, VALIDATION_EPISODES = 20, 200
+"""Games of an evaluation, and episodes on which the exported policy is validated."""
+
+_POLICY, _SUMMARY, _CONFIGURATION, _CHECKPOINTS = "policy.onnx", "summary.json", "configuration.json", "checkpoints"
+_EVALUATION_SEED = 1_000_000
 
 
-def train(arguments: Arguments, out: Path, progress: Progress | None = None) -> Summary:
-    """Train, validate and export; resume where an interrupted run with the same arguments stopped.
+@dataclass(frozen=True)
+class Summary:
+    """A finished run.
 
-    A resumed run ends with the same policy as an undisturbed one, bit for bit. A finished run is not repeated.
+    Attributes:
+        agent_steps: done.
+        resumed_at: agent-steps at which the run was resumed last; 0 for an uninterrupted one.
+        seconds: of training since then.
+        digits: mean digits of the exported policy on the validation episodes.
+    """
+
+    agent_steps: int
+    resumed_at: int
+    seconds: float
+    digits: float
+
+
+def train(configuration: Configuration, out: Path, progress: Progress | None = None) -> Summary:
+    """Train, validate and export; resume an interrupted run. A finished run is not repeated.
+
     The global generators of Python, NumPy and PyTorch are seeded.
 
     Args:
-        arguments: of the run.
+        configuration: of the run.
         out: folder for all files of the run; made if missing.
         progress: called after every rollout.
 
@@ -54,166 +76,125 @@ def train(arguments: Arguments, out: Path, progress: Progress | None = None) -> 
         The summary, also in ``out/summary.json``.
 
     Raises:
-        ValueError: for arguments that do not fit each other or name an unknown scenario, and when ``out`` holds a run
-            with other arguments, or a damaged one; no file is written then.
+        ValueError: for values that do not fit each other or an unknown scenario, when ``out`` holds a run with another
+            configuration or a damaged one, and when the trained policy fails on a validation episode.
     """
+    if is_finished(configuration, out):
+        return Summary(**read_json(out / _SUMMARY, "the summary of a training run"))
     began = monotonic()
-    path = out / CHECKPOINT
-    done = finished(arguments, out)
-    if done is not None:
-        path.unlink(missing_ok=True)  # of an interruption after the end
-        return done
     torch.set_num_threads(1)  # the networks are small: a second thread costs more time than it saves
-    env = make_env(arguments)
-    layout = env.get_attr("layout")[0]
-    model = PPO("MlpPolicy", env, tensorboard_log=str(out / "tensorboard"), **settings(arguments, layout))
-    past = Record(arguments=plain(arguments), agent_steps=0, seconds=0.0, parts=1)
-    if path.exists():
-        past, arrays = checkpoint.read(path)
-        require_same(arguments, past.arguments, out)
-        checkpoint.restore(model, arrays)
-        past = replace(past, parts=past.parts + 1)
-        model.num_timesteps = past.agent_steps
+    scenario = find_scenario(configuration.scenario)
+    env = PlayerVecEnv(scenario, configuration.envs)
+    model = PPO("MlpPolicy", env, **settings(configuration, env.num_envs))
+    checkpoints = out / _CHECKPOINTS
+    model.num_timesteps = resumed_at = _restore(model, checkpoints)
+    write_atomically(out / _CONFIGURATION, json.dumps(asdict(configuration), indent=2) + "\n")
+    calls = max(1, configuration.steps // (EVALUATIONS * env.num_envs))  # steps of all environments together
+    evaluation = EvalCallback(
+        PlayerVecEnv(scenario, GAMES, seed=_EVALUATION_SEED),
+        n_eval_episodes=GAMES * env.layout.num_players,
+        eval_freq=calls,
+        log_path=str(out),
+        verbose=0,
+    )
+    callbacks = [CheckpointCallback(calls, str(checkpoints)), evaluation, _Report(configuration, evaluation, progress)]
+    if configuration.steps > resumed_at:
+        model.learn(configuration.steps - resumed_at, callback=callbacks, reset_num_timesteps=False)
 
-    def record() -> Record:
-        seconds = past.seconds + monotonic() - began
-        return replace(past, agent_steps=model.num_timesteps, seconds=seconds)
+    def exported(digits: float) -> bytes:
+        return to_onnx(model, env.layout, scenario=configuration.scenario, seed=configuration.seed, digits=digits)
 
-    def save() -> None:
-        checkpoint.save(path, model, record())
-
-    remaining = arguments.steps - model.num_timesteps
-    if remaining > 0:
-        callback = _Segments(arguments, save, progress)
-        model.learn(remaining, callback=callback, reset_num_timesteps=False, tb_log_name="ppo")
-    save()  # a run that is interrupted during the validation resumes there
-    export = partial(to_onnx, model, layout, scenarios=arguments.scenarios, seed=arguments.seed)
-    digits = _validate(export(digits=0.0), arguments)
-    return finish(out, export(digits=digits), record(), digits)
+    digits = _validated(exported(0.0), scenario)
+    write_atomically(out / _POLICY, exported(digits))
+    summary = Summary(model.num_timesteps, resumed_at, monotonic() - began, digits)
+    write_atomically(out / _SUMMARY, json.dumps(asdict(summary), indent=2) + "\n")
+    return summary
 
 
-def make_env(arguments: Arguments) -> PlayerVecEnv:
-    """The environments that a run trains in.
+def is_finished(configuration: Configuration, out: Path) -> bool:
+    """Whether a folder holds the finished run of a configuration.
 
     Raises:
-        ValueError: for an unknown scenario or track, scenarios that no policy can share, or a number of environments
-            that they cannot share evenly.
+        ValueError: when it holds a run of another configuration.
     """
-    share, rest = divmod(arguments.envs, len(arguments.scenarios))
-    if rest:
-        raise ValueError(
-            f"{arguments.envs} environments cannot be shared evenly by {len(arguments.scenarios)} scenarios"
-        )
-    parts = [
-        PlayerVecEnv(
-            find_scenario(name),
-            share,
-            interface=arguments.interface,
-            max_cycles=None,
-        )
-        for name in arguments.scenarios
-    ]
-    if len(parts) > 1:
-        raise ValueError("a policy is trained on one scenario")
-    return parts[0]
+    path = out / _CONFIGURATION
+    if not path.exists():
+        return False
+    theirs = read_json(path, "the configuration of a training run")
+    mine: dict[str, Any] = json.loads(json.dumps(asdict(configuration)))
+    different = [name for name in sorted(mine.keys() | theirs.keys()) if mine.get(name) != theirs.get(name)]
+    if different:
+        differences = ", ".join(f"{name} is {theirs.get(name)} there and {mine.get(name)} here" for name in different)
+        raise ValueError(f"{out} holds another run: {differences}; choose another folder, or remove this one")
+    return (out / _SUMMARY).exists() and (out / _POLICY).exists()
 
 
-def settings(arguments: Arguments, layout: ObservationLayout) -> dict[str, Any]:
-    """The keyword arguments of PPO.
+def settings(configuration: Configuration, members: int) -> dict[str, Any]:
+    """The keyword arguments of PPO for a ``VecEnv`` of ``members``.
 
     Raises:
         ValueError: when a minibatch would hold one sample.
     """
-    samples = arguments.rollout * arguments.envs * layout.num_players
-    if arguments.minibatches >= samples:
+    samples = configuration.rollout * members
+    if configuration.minibatches >= samples:
         raise ValueError(
-            f"minibatches must be fewer than the {samples} samples of a rollout, got {arguments.minibatches}"
+            f"minibatches must be fewer than the {samples} samples of a rollout, got {configuration.minibatches}"
         )
-    network: dict[str, Any] = {
-        "net_arch": list(arguments.hidden),
-        "activation_fn": nn.Tanh,
-        "log_std_init": arguments.log_std,
-        "optimizer_kwargs": {"fused": True},  # one call instead of a dozen per tensor; the networks are small
-    }
-    if arguments.products:
-        network |= {"features_extractor_class": Products, "features_extractor_kwargs": Products.of(layout)}
     return {
-        "learning_rate": LinearSchedule(arguments.learning_rate, 0.0, 1.0),
-        "n_steps": arguments.rollout,
-        "batch_size": -(-samples // arguments.minibatches),
-        "n_epochs": arguments.epochs,
-        "gamma": arguments.discount,
-        "gae_lambda": arguments.trace,
-        "clip_range": arguments.clip,
-        "policy_kwargs": network,
-        "seed": arguments.seed,
+        "learning_rate": LinearSchedule(configuration.learning_rate, 0.0, 1.0),
+        "n_steps": configuration.rollout,
+        "batch_size": -(-samples // configuration.minibatches),
+        "n_epochs": configuration.epochs,
+        "gamma": configuration.discount,
+        "gae_lambda": 0.9,
+        "policy_kwargs": {"net_arch": list(configuration.hidden), "log_std_init": configuration.log_std},
+        "seed": configuration.seed,
         "device": "cpu",
     }
 
 
-def _validate(exported: bytes, arguments: Arguments) -> float:
+def _restore(model: PPO, checkpoints: Path) -> int:
+    """Load network and optimiser of the last checkpoint; the agent-steps done, 0 without a checkpoint.
+
+    Only arrays are read, which execute no code.
+    """
+    done = {int(path.stem.split("_")[2]): path for path in checkpoints.glob("rl_model_*_steps.zip")}
+    if not done:
+        return 0
+    last = max(done)
+    try:
+        model.set_parameters(str(done[last]), device="cpu")
+    except Exception as error:  # zip files and torch raise many classes
+        raise ValueError(f"{done[last]} is damaged: remove it, and the run goes on from an earlier one") from error
+    return last
+
+
+def _validated(exported: bytes, scenario: Scenario) -> float:
     """The mean digits of an exported policy on the validation episodes.
 
     Raises:
         ValueError: when it fails there, with the reason.
     """
     with TemporaryDirectory() as folder:
-        file = Path(folder) / "policy.onnx"
+        file = Path(folder) / _POLICY
         file.write_bytes(exported)
-        policy = policies.load(file)
-    results = evaluate(
-        [PolicySpec("ppo", policy)],
-        [find_scenario(name) for name in arguments.scenarios],
-        episodes=arguments.validation_episodes,
-        split="validation",
-    )
-    for (name, _), reason in results.failures.items():
-        raise ValueError(f"the trained policy fails on {name!r}: {reason}")
-    return float(np.mean([samples["digits"].mean() for samples in results.samples.values()]))
+        policy = load(file)
+    results = evaluate([PolicySpec("ppo", policy)], [scenario], episodes=VALIDATION_EPISODES, split="validation")
+    for reason in results.failures.values():
+        raise ValueError(f"the trained policy fails on {scenario.name!r}: {reason}")
+    return float(np.mean(results.samples[scenario.name, "ppo"]["digits"]))
 
 
-class _Segments(BaseCallback):
-    """A run as a chain of segments, and a report of digits after every rollout.
+class _Report(BaseCallback):
+    """Tells the progress after every rollout."""
 
-    A segment begins every few rollouts: all generators are seeded by the seed and the agent-steps of the run, the
-    environments start new episodes, and a checkpoint is written. So a segment depends on nothing but the network and
-    its optimiser, and a run that is resumed at a checkpoint continues as an undisturbed one.
-
-    Args:
-        arguments: of the run.
-        save: writes a checkpoint.
-        progress: see :func:`train`.
-    """
-
-    def __init__(self, arguments: Arguments, save: Callable[[], None], progress: Progress | None) -> None:
+    def __init__(self, configuration: Configuration, evaluation: EvalCallback, progress: Progress | None) -> None:
         super().__init__()
-        self._arguments, self._save, self._progress = arguments, save, progress
-        self._lengths = np.empty(0)
-        self._gained: deque[float] = deque()
-
-    def _on_training_start(self) -> None:
-        """Members of different scenarios have episodes of different lengths."""
-        scenarios = self.training_env.get_attr("scenario")
-        self._lengths = np.array([scenario.steps + scenario.hold_steps for scenario in scenarios])
-        self._gained = deque(maxlen=-(-int(self._lengths.max()) // self._arguments.rollout))
+        self._steps, self._evaluation, self._progress = configuration.steps, evaluation, progress
 
     def _on_step(self) -> bool:
         return True
 
-    def _on_rollout_start(self) -> None:
-        env, done = self.training_env, self.model.num_timesteps
-        if done % (self._arguments.checkpoint_rollouts * self._arguments.rollout * env.num_envs) == 0:
-            number = episode_seed(self._arguments.seed, done, split="train")
-            self.model.set_random_seed(int(np.random.SeedSequence(number).generate_state(1)[0]))  # takes 32 bits
-            env.seed(number)
-            self.model._last_obs = env.reset()  # type: ignore[assignment] # noqa: SLF001 - ``learn`` keeps them there
-            self.model._last_episode_starts = np.ones(env.num_envs, dtype=bool)  # noqa: SLF001
-            self._save()
-
     def _on_rollout_end(self) -> None:
-        rewards: np.ndarray = self.locals["rollout_buffer"].rewards  # of every step and member
-        self._gained.append(float((rewards.mean(axis=0) * self._lengths).mean()))
-        digits = float(np.mean(self._gained))
-        self.logger.record("rollout/digits_gained", digits)
         if self._progress is not None:
-            self._progress(self.num_timesteps, self._arguments.steps, digits)
+            self._progress(self.num_timesteps, self._steps, self._evaluation.last_mean_reward)
