@@ -89,7 +89,8 @@ def train(configuration: Configuration, out: Path, progress: Progress | None = N
     checkpoints = out / _CHECKPOINTS
     model.num_timesteps = resumed_at = _restore(model, checkpoints)
     write_atomically(out / _CONFIGURATION, json.dumps(asdict(configuration), indent=2) + "\n")
-    calls = max(1, configuration.steps // (EVALUATIONS * env.num_envs))  # steps of all environments together
+    rollouts = -(-configuration.steps // (configuration.rollout * env.num_envs))  # the last one is a whole one
+    calls = -(-rollouts * configuration.rollout // EVALUATIONS)  # steps of all environments together
     evaluation = EvalCallback(
         PlayerVecEnv(scenario, GAMES, seed=_EVALUATION_SEED),
         n_eval_episodes=GAMES * env.layout.num_players,

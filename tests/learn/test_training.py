@@ -1,0 +1,247 @@
+"""Training: what a configuration may hold, what a run leaves in its folder, and what it says about resumption."""
+
+import dataclasses
+import json
+
+import numpy as np
+import pytest
+from affine_games import SOAK
+from extras import need_sb3
+
+torch = need_sb3()
+
+from matplotlib import image
+from stable_baselines3 import A2C, PPO, SAC, TD3
+from stable_baselines3.common.evaluation import evaluate_policy
+
+import ptne_env
+from ptne_env import PolicySpec, learn
+from ptne_env.envs.sb3 import PlayerVecEnv
+from ptne_env.learn.training import configurations, defaults, ppo
+from ptne_env.learn.training.configuration import Configuration
+from ptne_env.learn.training.curve import draw, learning_curve
+from ptne_env.learn.training.export import to_onnx
+
+SCENARIO = ptne_env.get_scenario("random-energy", steps=40)
+SHORT = Configuration("test_training:SCENARIO", steps=700, envs=2, rollout=10, minibatches=2, hidden=(8,))
+"""Seven rollouts of a hundred agent-steps, in short episodes."""
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("steps", 0),
+        ("steps", 2.0),
+        ("envs", True),
+        ("minibatches", "5"),
+        ("epochs", 0),
+        ("learning_rate", 0.0),
+        ("learning_rate", float("inf")),
+        ("discount", 1.5),
+        ("log_std", 1.0),
+        ("hidden", 64),
+        ("hidden", [64, 0]),
+        ("seed", -1),
+        ("scenario", "\x1b[31mred"),
+    ],
+)
+def test_a_wrong_value_is_refused_by_name(name, value, tmp_path):
+    with pytest.raises(ValueError, match=name):
+        Configuration(**{"scenario": "random-energy", name: value})
+
+
+def test_a_configuration_is_a_file_or_a_scenario(tmp_path):
+    path = tmp_path / "mine.toml"
+    path.write_text('scenario = "robots"\nseed = 7\nhidden = [32]\n', encoding="utf-8")
+    assert Configuration.from_toml(path) == Configuration("robots", seed=7, hidden=(32,))
+    assert Configuration.from_toml(path, seed=0).seed == 0
+    for name in ("robots", "ptne-v1/delay", "nowhere:scenario"):  # nothing is imported
+        assert Configuration.from_toml(name, steps=3) == Configuration(name, steps=3)
+    for name in configurations():
+        assert Configuration.from_toml(name).scenario == name
+        assert f"ppo-{name}" in learn.shipped()
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        ('scenario = "energy"\nstep = 3', "mine.toml: unknown value 'step'; did you mean 'steps'"),
+        ("seed = 1", "mine.toml: scenario is missing"),
+        ('scenario = "energy"\nenvs = 0', "mine.toml: envs must be a whole number of at least 1, got 0"),
+        ("\0", "mine.toml is not a TOML file"),
+    ],
+)
+def test_a_wrong_file_is_refused_by_name(content, message, tmp_path):
+    path = tmp_path / "mine.toml"
+    path.write_text(content, encoding="utf-8")
+    with pytest.raises(ValueError, match=message):
+        Configuration.from_toml(path)
+
+
+def test_an_unknown_configuration_is_refused():
+    with pytest.raises(ValueError, match="unknown configuration 'nope'; choose from random-energy, .* or a .toml file"):
+        Configuration.from_toml("nope")
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory):
+    """The folder of an uninterrupted run, its summary and its reports."""
+    out, reports = tmp_path_factory.mktemp("run") / "out", []
+    return out, ppo.train(SHORT, out, lambda *report: reports.append(report)), reports
+
+
+def test_a_run_leaves_a_policy_that_reaches_the_digits_in_its_file(run):
+    out, summary, reports = run
+    policy = learn.load(out / "policy.onnx", PlayerVecEnv("random-energy").layout)
+    assert (policy.metadata.steps, policy.metadata.seed, policy.metadata.scenarios) == (700, 0, (SHORT.scenario,))
+    assert (summary.agent_steps, summary.resumed_at, summary.digits) == (700, 0, policy.metadata.digits)
+    assert json.loads((out / "summary.json").read_text()) == dataclasses.asdict(summary)
+    results = ptne_env.evaluate(
+        [PolicySpec("ppo", policy)], [SCENARIO], episodes=ppo.VALIDATION_EPISODES, split="validation"
+    )
+    assert results.record("random-energy", "ppo", "digits")["mean"] == pytest.approx(summary.digits, abs=1e-9)
+    assert [report[:2] for report in reports] == [(100 * done, 700) for done in range(1, 8)]
+    assert np.isfinite(reports[-1][2])
+
+
+def test_a_run_without_interruption_is_repeatable(run, tmp_path):
+    out, summary, _ = run
+    again = ppo.train(SHORT, tmp_path)
+    assert (tmp_path / "policy.onnx").read_bytes() == (out / "policy.onnx").read_bytes()
+    assert dataclasses.replace(again, seconds=summary.seconds) == summary
+    other = ppo.train(dataclasses.replace(SHORT, seed=1), tmp_path / "other")
+    assert other.digits != summary.digits
+
+
+def times(folder):
+    return {path: path.stat().st_mtime_ns for path in folder.rglob("*")}
+
+
+def test_a_finished_run_is_not_repeated_and_another_one_is_refused(run):
+    out, summary, _ = run
+    before = times(out)
+    assert ppo.train(SHORT, out, lambda *_: pytest.fail("it trains")) == summary
+    with pytest.raises(ValueError, match="holds another run: seed is 0 there and 1 here; choose another folder"):
+        ppo.train(dataclasses.replace(SHORT, seed=1), out)
+    assert times(out) == before
+
+
+class InterruptionError(Exception):
+    pass
+
+
+def interrupt(done, *_):
+    if done == 500:
+        raise InterruptionError
+
+
+def test_an_interrupted_run_goes_on_from_its_last_checkpoint_and_says_so(tmp_path):
+    with pytest.raises(InterruptionError):
+        ppo.train(SHORT, tmp_path, interrupt)
+    checkpoints = sorted((tmp_path / "checkpoints").iterdir(), key=lambda path: path.stat().st_mtime_ns)
+    last = int(checkpoints[-1].stem.split("_")[2])
+    assert 400 <= last <= 500
+    reports = []
+    summary = ppo.train(SHORT, tmp_path, lambda done, *_: reports.append(done))
+    assert (summary.resumed_at, reports[0]) == (last, last + 100)
+    assert summary.agent_steps == reports[-1] >= SHORT.steps
+
+
+def test_a_resumed_run_has_the_network_and_optimiser_of_the_checkpoint(tmp_path, monkeypatch):
+    with pytest.raises(InterruptionError):
+        ppo.train(SHORT, tmp_path, interrupt)
+    path = max((tmp_path / "checkpoints").iterdir(), key=lambda path: path.stat().st_mtime_ns)
+    stored, resumed = PPO.load(path, device="cpu"), []
+    monkeypatch.setattr(PPO, "learn", lambda self, *_, **__: resumed.append(self))
+    ppo.train(SHORT, tmp_path)
+    mine, theirs = (torch.utils._pytree.tree_leaves(model.get_parameters()) for model in (resumed[0], stored))
+    pairs = [(a, b) for a, b in zip(mine, theirs, strict=True) if isinstance(a, torch.Tensor)]
+    assert len(pairs) > 20  # weights, and the moments of each
+    assert all(torch.equal(a, b) for a, b in pairs)
+
+
+def test_a_damaged_checkpoint_is_refused_by_name(tmp_path):
+    (tmp_path / "checkpoints").mkdir()
+    (tmp_path / "checkpoints" / "rl_model_100_steps.zip").write_bytes(b"PK\x03\x04")
+    with pytest.raises(ValueError, match="rl_model_100_steps.zip is damaged: remove it"):
+        ppo.train(SHORT, tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"scenario": "random-enery"}, "unknown scenario 'random-enery'"),
+        ({"scenario": "ptne-v1/mixed-team"}, "more than its scenario"),
+        ({"minibatches": 100}, "minibatches must be fewer than the 100 samples of a rollout, got 100"),
+    ],
+)
+def test_a_start_that_fails_leaves_no_files(change, message, tmp_path):
+    with pytest.raises(ValueError, match=message):
+        ppo.train(dataclasses.replace(SHORT, **change), tmp_path / "out")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_policy_that_fails_in_its_validation_is_not_kept(tmp_path, monkeypatch):
+    def broken(model, *arguments, **named):
+        with torch.no_grad():
+            model.policy.action_net.bias.fill_(float("nan"))
+        return to_onnx(model, *arguments, **named)
+
+    monkeypatch.setattr(ppo, "to_onnx", broken)
+    with pytest.raises(ValueError, match="the trained policy fails on 'random-energy': .*finite"):
+        ppo.train(SHORT, tmp_path)
+    assert not (tmp_path / "policy.onnx").exists()
+
+
+@pytest.mark.parametrize("algorithm", [PPO, A2C])
+@pytest.mark.parametrize("kind", ["scaled", "physical"])
+def test_the_exported_policy_acts_like_the_model_over_whole_episodes(kind, algorithm, tmp_path):
+    env = PlayerVecEnv("random-energy-switching", 2, interface=kind, seed=4)
+    model = algorithm("MlpPolicy", env, seed=1, device="cpu", policy_kwargs={"net_arch": [16, 16]})
+    with torch.no_grad():  # large weights, so that actions are clipped too
+        for parameter in model.policy.action_net.parameters():
+            parameter.mul_(200.0)
+    path = tmp_path / "policy.onnx"
+    path.write_bytes(to_onnx(model, env.layout, scenario="random-energy-switching", seed=1, digits=0.0))
+    policy = learn.load(path, env.layout)
+    observations, clipped = env.reset(), 0
+    for _ in range(401):
+        expected, _ = model.predict(observations, deterministic=True)
+        actions, _ = policy.predict(observations)
+        np.testing.assert_allclose(actions, expected, rtol=0, atol=1e-5 * max(np.abs(expected).max(), 1.0))
+        clipped += int((np.abs(actions) == env.layout.action_bound).sum())
+        observations, _, _, _ = env.step(actions)
+    assert clipped > 0 or kind == "physical"
+
+
+def test_the_picture_shows_every_run(run, tmp_path):
+    out, _, _ = run
+    steps, digits = learning_curve(out)
+    assert list(steps) == [70 * done for done in range(1, 11)]
+    assert np.isfinite(digits).all()
+    draw({"one": out, "two": out}, tmp_path / "curve.png", title="Training")
+    picture = image.imread(tmp_path / "curve.png")
+    assert picture.shape[:2] == (600, 960)
+    colours = set(map(tuple, (255 * picture[..., :3]).astype(int).reshape(-1, 3)))
+    assert (213, 94, 0) in colours  # of the second run, which covers the first
+    (tmp_path / "evaluations.npz").write_bytes(b"PK")
+    with pytest.raises(ValueError, match=r"evaluations\.npz is no learning curve"):
+        learning_curve(tmp_path)
+
+
+@pytest.mark.skipif(not SOAK, reason="takes a minute for each training; PTNE_SOAK=1 runs it")
+@pytest.mark.parametrize(
+    ("algorithm", "settings", "envs", "steps", "least"),
+    [
+        (PPO, {"device": "cpu"}, 1, 100_000, 5.5),
+        (PPO, defaults.PPO, 32, 150_000, 4.0),
+        (SAC, defaults.SAC, 16, 40_000, 4.0),
+        (TD3, defaults.TD3, 16, 60_000, 4.0),
+    ],
+    ids=["PPO without settings", "PPO", "SAC", "TD3"],
+)
+def test_learners_gain_digits(algorithm, settings, envs, steps, least):
+    env = PlayerVecEnv("random-energy", envs, seed=0)
+    model = algorithm("MlpPolicy", env, seed=0, **settings).learn(steps)
+    games = PlayerVecEnv("random-energy", 20, seed=1_000_000)
+    assert evaluate_policy(model, games, n_eval_episodes=games.num_envs)[0] > least
