@@ -24,7 +24,7 @@ from ptne_env.world.switching import SwitchingTopology
 
 RELATIVE_TOLERANCE = 1e-13
 ABSOLUTE_TOLERANCE = 1e-16
-MAX_STEP = 0.05
+MAX_STEP = 0.1
 """In τ; longer steps of DOP853 would limit the accuracy of the samples interpolated between them."""
 
 
