@@ -12,11 +12,9 @@ from ptne_env.games.base import Game, NoBestResponseError
 from ptne_env.games.family import GameFamily
 from ptne_env.games.variational import solve_box
 from ptne_env.shared.arrays import (
-    BoolArray,
     FloatArray,
     frozen,
     ordered_sum,
-    replaced,
     require_count,
     require_non_negative,
     require_positive,
@@ -42,6 +40,7 @@ class AffineGame(Game):
     """
 
     is_affine = True
+    parameters = ("matrix", "offset")
 
     def __init__(
         self,
@@ -62,8 +61,6 @@ class AffineGame(Game):
                 f"{name}: the players have {n} components, so matrix is ({n}, {n}) and offset ({n},), with a last axis "
                 f"for games where there are several; got {np.shape(matrix)} and {np.shape(offset)}"
             )
-        if self.low is not None and self.low.shape[1] not in (1, games):
-            raise ValueError(f"{name}: bounds for {self.low.shape[1]} games do not fit {games} games")
         if not (np.isfinite(matrices).all() and np.isfinite(offsets).all()):
             raise ValueError(f"{name} needs finite parameters")
         self.matrix, self.offset = frozen(matrices), frozen(offsets)
@@ -97,16 +94,6 @@ class AffineGame(Game):
         if np.linalg.cond(blocks).max() > 1e12:
             return None
         return frozen(np.moveaxis(np.linalg.inv(blocks), 0, 2))
-
-    @cached_property
-    def _is_flat_outwards(self) -> bool:
-        """Whether some A_ii is singular and its player's box is not bounded."""
-        if self._own_inverse is not None or self.low is None or self.high is None:
-            return False
-        open_ended = ~(np.isfinite(self.low) & np.isfinite(self.high)).all(axis=1)
-        blocks = np.moveaxis(self.matrix, 2, 0)
-        own = [self.owners == player for player in np.unique(self.owners[open_ended])]
-        return any(np.linalg.cond(blocks[:, mask][:, :, mask]).max() > 1e12 for mask in own)
 
     @cached_property
     def _is_separable(self) -> bool:
@@ -143,31 +130,19 @@ class AffineGame(Game):
         """−A_ii⁻¹ (Σ_{j≠i} A_ij x_j + b_i), or the minimiser in the box: (n, B) to (n, B).
 
         Raises:
-            NoBestResponseError: when some A_ii is singular and no box confines its player.
+            NoBestResponseError: when some A_ii is singular.
         """
-        pressure = self._pressure(strategies)
-        if self._own_inverse is not None:
-            response = -times(self._own_inverse, pressure)
-            if self.low is None or self._is_separable:
-                return self.project(response)
-        else:
-            response = strategies
-        if self.low is None or self.high is None or self._is_flat_outwards:
+        if self._own_inverse is None:
             raise NoBestResponseError(f"{type(self).__name__}: some J_i has a flat direction, so no best response")
+        pressure = self._pressure(strategies)
+        response = -times(self._own_inverse, pressure)
+        if self.low is None or self.high is None or self._is_separable:
+            return self.project(response)
         blocks = np.broadcast_to(self._own_blocks, (*self._own_blocks.shape[:2], strategies.shape[1]))
         return solve_box(lambda x: times(blocks, x) + pressure, lambda _: blocks, self.low, self.high, response)
 
-    def merged(self, fresh: Game, mask: BoolArray) -> Game:
-        """The batch of games with those in ``mask`` (G,) replaced by those of ``fresh``, in order."""
-        if fresh is self:
-            return self
-        if type(self) is not AffineGame or type(fresh) is not AffineGame or self.action_dims != fresh.action_dims:
-            raise TypeError(
-                f"AffineGame.merged() needs affine games of the same players, got {type(self).__name__} and "
-                f"{type(fresh).__name__}; a subclass defines its own"
-            )
-        matrix, offset = replaced(self.matrix, fresh.matrix, mask), replaced(self.offset, fresh.offset, mask)
-        return AffineGame(matrix, offset, self.action_dims, *_merged_box(self, fresh, mask))
+    def _with(self, **parameters: FloatArray) -> Game:
+        return type(self)(**parameters, action_dims=self.action_dims, low=self.low, high=self.high)
 
     def _solve_nash_equilibria(self) -> FloatArray:
         if self.has_bounds:
@@ -277,18 +252,3 @@ class WeaklyMonotoneGame(AffineGame):
 def times(matrix: FloatArray, vectors: FloatArray) -> FloatArray:
     """Matrix-vector products with the same order of additions for any B: (n, n, 1 or B) and (n, B) to (n, B)."""
     return ordered_sum(matrix * vectors[None], axis=1)
-
-
-def _merged_box(old: Game, fresh: Game, mask: BoolArray) -> tuple[FloatArray | None, FloatArray | None]:
-    if old.low is None or old.high is None or fresh.low is None or fresh.high is None:
-        if old.has_bounds or fresh.has_bounds:
-            raise TypeError("games with and without bounds do not merge")
-        return None, None
-    if np.array_equal(old.low, fresh.low) and np.array_equal(old.high, fresh.high):
-        return old.low, old.high
-    sides = []
-    for before, after in ((old.low, fresh.low), (old.high, fresh.high)):
-        side = np.repeat(before, mask.size // before.shape[1], axis=1)
-        side[:, mask] = after
-        sides.append(side)
-    return sides[0], sides[1]

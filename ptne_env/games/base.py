@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from functools import cached_property
-from typing import Any
+from typing import ClassVar
 
 import numpy as np
 import numpy.typing as npt
@@ -30,12 +30,12 @@ class Game(Part, ABC):
 
     Args:
         action_dims: n_i of each player, each at least 1.
-        low: smallest strategies, one number for all or (n,), and (n, G) for a batch; ``None`` without lower bounds,
-            −inf for single components without.
+        low: smallest strategies, one number for all or (n,); ``None`` without lower bounds, −inf for single components
+            without.
         high: largest strategies, likewise with +inf.
 
     Attributes:
-        low, high: the box, shape (n, 1) or (n, G) each and read-only, or both ``None``. The dynamics keep the real
+        low, high: the box of all games, shape (n, 1) each and read-only, or both ``None``. The dynamics keep the real
             strategies in it; estimates of others are not bounded.
 
     Raises:
@@ -46,8 +46,8 @@ class Game(Part, ABC):
     is_affine: bool = False
     """Whether the pseudo-gradient F is affine, so that exact oracles apply."""
 
-    in_plane: bool = False
-    """Whether strategies are positions in the plane, two coordinates per player: pages show them on a map."""
+    parameters: ClassVar[tuple[str, ...]] = ()
+    """Arguments and attributes with one column per game, on the last axis; none for a class of single games."""
 
     low: FloatArray | None
     high: FloatArray | None
@@ -158,15 +158,25 @@ class Game(Part, ABC):
         """G, the number of games. One game serves any number of environments, G games serve G environments."""
         return 1
 
-    def merged(self, fresh: Game, mask: BoolArray) -> Game:  # noqa: ARG002 - the signature is the interface
-        """The batch of games with those in ``mask`` (G,) replaced by those of ``fresh``; a single game is unchanged.
+    def merged(self, fresh: Game, mask: BoolArray) -> Game:
+        """The batch of games with those in ``mask`` (G,) replaced by those of ``fresh``, in order; a game by itself.
 
         Raises:
             TypeError: when ``fresh`` is another kind of game.
         """
-        if fresh is not self:
-            raise TypeError(f"{type(self).__name__} is a single game and merges with itself only")
-        return self
+        if fresh is self:
+            return self
+        if not self.parameters or type(self) is not type(fresh) or self.action_dims != fresh.action_dims:
+            raise TypeError(
+                f"{type(self).__name__}.merged() needs a batch of such games of the same players, got "
+                f"{type(fresh).__name__}"
+            )
+        columns = {name: replaced(getattr(self, name), getattr(fresh, name), mask) for name in self.parameters}
+        return self._with(**columns)
+
+    def _with(self, **parameters: FloatArray) -> Game:
+        """The batch of games with other parameters, which are given by name."""
+        return type(self)(**parameters)
 
     @cached_property
     def nash_equilibria(self) -> FloatArray:
@@ -225,7 +235,7 @@ class Game(Part, ABC):
         if self.low is not None and self.high is not None:
             is_bounded = np.isfinite(self.low) & np.isfinite(self.high)
             middle = (np.where(is_bounded, self.low, 0.0) + np.where(is_bounded, self.high, 0.0)) / 2
-            start = np.repeat(middle, self.batch_size // middle.shape[1], axis=1)
+            start = np.repeat(middle, self.batch_size, axis=1)
             return solve_box(self.pseudo_gradient, self.jacobian, self.low, self.high, start)
 
         def field(x: FloatArray) -> FloatArray:
@@ -243,41 +253,19 @@ class Game(Part, ABC):
         return point[:, None]
 
 
-def merged_parameters(
-    kind: type[Game], old: Game, fresh: Game, mask: BoolArray, names: tuple[str, ...]
-) -> dict[str, npt.NDArray[Any]]:
-    """The parameters of ``old`` with the games in ``mask`` (G,) replaced by those of ``fresh``, in order, by name.
-
-    Raises:
-        TypeError: when a game is not exactly of the class ``kind``, or the players differ.
-    """
-    if not (type(old) is type(fresh) is kind) or old.action_dims != fresh.action_dims:
-        raise TypeError(
-            f"{kind.__name__}.merged() needs games of that class and of the same players, got {type(old).__name__} and "
-            f"{type(fresh).__name__}; a subclass defines its own"
-        )
-    return {name: replaced(getattr(old, name), getattr(fresh, name), mask) for name in names}
-
-
 def _box(
     low: npt.ArrayLike | None, high: npt.ArrayLike | None, dimension: int
 ) -> tuple[FloatArray, FloatArray] | tuple[None, None]:
-    """The bounds as (n, 1) or (n, G) arrays."""
+    """The bounds as (n, 1) arrays."""
     if low is None and high is None:
         return None, None
-    sides = [
-        np.asarray(default if side is None else side, dtype=np.float64)
-        for side, default in ((low, -np.inf), (high, np.inf))
-    ]
-    try:
-        lows, highs = np.broadcast_arrays(
-            *(side if side.ndim == 2 else np.broadcast_to(side, dimension)[:, None] for side in sides)
-        )
-    except ValueError as error:
-        raise ValueError(
-            f"the bounds have the shapes {sides[0].shape} and {sides[1].shape}; give one number for all, or one per "
-            f"component ({dimension} here, and game)"
-        ) from error
-    if lows.ndim != 2 or len(lows) != dimension or not np.all(lows < highs):  # NaN is refused too
-        raise ValueError(f"a box needs low < high in each of the {dimension} components, got {low!r} and {high!r}")
-    return frozen(lows), frozen(highs)
+    sides = []
+    for side, default in ((low, -np.inf), (high, np.inf)):
+        given = np.asarray(default if side is None else side, dtype=np.float64)
+        if given.shape not in ((), (dimension,), (dimension, 1)):
+            raise ValueError(f"a bound has the shape {given.shape}; give one number for all, or ({dimension},)")
+        sides.append(frozen(np.broadcast_to(given.reshape(-1, 1), (dimension, 1))))
+    lows, highs = sides
+    if not np.all(lows < highs):  # NaN is refused too
+        raise ValueError(f"a box needs low < high in each of the {dimension} components, got {lows!r} and {highs!r}")
+    return lows, highs

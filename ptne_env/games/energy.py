@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ptne_env.games.base import Game
-from ptne_env.shared.arrays import BoolArray, FloatArray, frozen, ordered_sum, replaced
+from ptne_env.shared.arrays import FloatArray, frozen, ordered_sum
 
 
 class EnergyGame(Game):
@@ -30,6 +30,7 @@ class EnergyGame(Game):
     """
 
     is_affine = True
+    parameters = ("curvature", "target", "coupling")
 
     def __init__(
         self,
@@ -106,21 +107,8 @@ class EnergyGame(Game):
         others = ordered_sum(strategies) - strategies
         return -(self.intercept + self.coupling * others) / (2 * (self.curvature + self.coupling))
 
-    def merged(self, fresh: Game, mask: BoolArray) -> EnergyGame:
-        """The batch of games with those in ``mask`` (G,) replaced by those of ``fresh``, in order."""
-        if fresh is self:
-            return self
-        if type(self) is not EnergyGame or type(fresh) is not EnergyGame:
-            raise TypeError(
-                f"EnergyGame.merged() needs energy games, got {type(self).__name__} and {type(fresh).__name__}; "
-                "a subclass defines its own"
-            )
-        return EnergyGame(
-            replaced(self.curvature, fresh.curvature, mask),
-            replaced(self.target, fresh.target, mask),
-            replaced(self.coupling, fresh.coupling, mask),
-            self.base_price,
-        )
+    def _with(self, **parameters: FloatArray) -> EnergyGame:
+        return type(self)(**parameters, base_price=self.base_price)
 
     def _solve_nash_equilibria(self) -> FloatArray:
         """Sherman–Morrison on (diag(2a + c) + c 11ᵀ) x = 2ab − d."""

@@ -1,31 +1,12 @@
 import numpy as np
 import pytest
 from sample_games import generators
-from worlds import make_env
 
 from ptne_env.games import AffineGame, NoBestResponseError, RandomAffine, require_strong_monotonicity
-from ptne_env.games.energy import EnergyGame
 
 
 def skew_part(game):
     return (game.matrix - game.matrix.transpose(1, 0, 2)) / 2
-
-
-def test_boxes_of_single_games_merge():
-    def games(low, count):
-        return AffineGame(np.repeat(np.eye(2)[:, :, None], count, 2), np.ones((2, count)), low=low, high=9.0)
-
-    merged = games(np.zeros((2, 3)), 3).merged(games(np.full((2, 1), -4.0), 1), np.array([False, True, False]))
-    assert merged.low.tolist() == [[0.0, -4.0, 0.0]] * 2
-    assert merged.nash_equilibria.tolist() == [[0.0, -1.0, 0.0]] * 2
-
-
-@pytest.mark.parametrize("other", [EnergyGame(), RandomAffine(players=3).representative])
-def test_other_games_do_not_merge(other):
-    with pytest.raises(TypeError, match="needs affine games of the same players"):
-        RandomAffine().representative.merged(other, np.array([True]))
-    with pytest.raises(TypeError, match="with and without bounds"):
-        RandomAffine().representative.merged(RandomAffine(low=-5.0, high=5.0).representative, np.array([True]))
 
 
 @pytest.mark.parametrize(
@@ -57,28 +38,6 @@ def test_bounds_hold_about_half_of_the_components():
     assert 0.3 < games.held_at_equilibrium.mean() < 0.7
 
 
-def test_every_episode_draws_an_affine_game():
-    env = make_env("random-affine")
-    env.reset(seed=0)
-    first = env.nash_equilibrium
-    env.reset()
-    assert not np.array_equal(env.nash_equilibrium, first)
-    env.reset(seed=0)
-    assert np.array_equal(env.nash_equilibrium, first)
-
-
-def test_best_response_of_a_flat_cost_needs_a_box():
-    matrix, offset, x = np.array([[0.0, 1.0], [-1.0, 0.0]]), np.array([-1.0, 1.0]), np.array([[0.0], [5.0]])
-    game = AffineGame(matrix, offset)
-    assert not game.has_best_response
-    with pytest.raises(NoBestResponseError, match="flat direction"):
-        game.best_response(x)
-    boxed = AffineGame(matrix, offset, low=-2.0, high=3.0)
-    # J_1 falls where −1 + x_2 < 0, and J_2 where 1 − x_1 < 0
-    assert boxed.best_response(x)[:, 0] == pytest.approx([-2.0, -2.0])
-    assert boxed.nash_equilibrium == pytest.approx([1.0, 1.0], abs=1e-12)
-
-
 @pytest.mark.parametrize(
     ("build", "message"),
     [
@@ -86,7 +45,7 @@ def test_best_response_of_a_flat_cost_needs_a_box():
         (lambda: AffineGame(np.eye(2), [1.0, 2.0], (1, 2)), r"matrix is \(3, 3\)"),
         (lambda: AffineGame([[1.0, 1.0, 0], [0.0, 1.0, 0], [0, 0, 1]], np.ones(3), (2, 1)), "A_ii is not symmetric"),
         (lambda: AffineGame(-np.eye(2), [1.0, 2.0]), "not convex in x_i"),
-        (lambda: AffineGame(np.eye(2), [1.0, 2.0], low=np.zeros((2, 3)), high=1.0), "3 games do not fit 1"),
+        (lambda: AffineGame(np.eye(2), [1.0, 2.0], low=np.zeros((2, 3)), high=1.0), r"shape \(2, 3\); give one"),
         (lambda: RandomAffine(epsilon=0.0, asymmetry=0.0), "epsilon must be a finite number above 0"),
         (lambda: RandomAffine(asymmetry=-1.0), "asymmetry must be a finite number of at least 0"),
         (lambda: RandomAffine(players=1), "players must be a whole number of at least 2"),
@@ -96,6 +55,14 @@ def test_best_response_of_a_flat_cost_needs_a_box():
 def test_invalid_games_are_refused(build, message):
     with pytest.raises(ValueError, match=message):
         build()
+
+
+def test_a_flat_cost_has_no_best_response():
+    game = AffineGame([[0.0, 1.0], [-1.0, 0.0]], [-1.0, 1.0], low=-2.0, high=3.0)
+    assert not game.has_best_response
+    with pytest.raises(NoBestResponseError, match="flat direction"):
+        game.best_response(np.zeros((2, 1)))
+    assert game.nash_equilibrium == pytest.approx([1.0, 1.0], abs=1e-12)
 
 
 def test_singular_game_has_no_single_equilibrium():

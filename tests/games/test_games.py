@@ -151,14 +151,6 @@ def test_batch_equals_single_environments_bit_for_bit(game):
         assert np.array_equal(alone[:, 0], game.own_gradients(estimates)[:, b])
 
 
-@any_game
-def test_own_gradients_do_not_change_the_estimates(game):
-    estimates = np.random.default_rng(7).uniform(0, 2, (game.dimension, game.num_players, 3))
-    before = estimates.copy()
-    game.own_gradients(estimates)
-    assert np.array_equal(estimates, before)
-
-
 @pytest.mark.parametrize("name", EPSILON)
 def test_monotonicity_constant_is_that_of_the_docstring(name):
     constants = theory.monotonicity_constants(GAMES[name])
@@ -171,15 +163,6 @@ def test_monotonicity_constant_is_at_least_that_of_the_docstring(name):
     constants = theory.monotonicity_constants(GAMES[name])
     assert constants.exact == GAMES[name].is_affine
     assert constants.epsilon >= BELOW[name] - 1e-12
-
-
-@each_game
-def test_pseudo_gradient_is_monotone_between_sampled_points(game):
-    first, second = sampled(game, 200, seed=8), sampled(game, 200, seed=9)
-    rise = ((game.pseudo_gradient(first) - game.pseudo_gradient(second)) * (first - second)).sum(axis=0)
-    distance = ((first - second) ** 2).sum(axis=0)
-    floor = theory.monotonicity_constants(game).epsilon if game.is_affine else 0.4 + 1e-12
-    assert np.all(rise >= floor * distance - 1e-9 * (1 + distance))
 
 
 # --- single games -----------------------------------------------------------------------------------------------------
@@ -254,12 +237,6 @@ def test_rates_satisfy_first_order_conditions_of_free_users():
             assert slope < -0.1
         else:
             assert slope == pytest.approx(0, abs=1e-12)
-
-
-def test_rate_control_is_strongly_monotone_in_its_box():
-    assert theory.monotonicity_constants(RateControl()).epsilon >= 0.4
-    with pytest.raises(ValueError, match="cannot be decided"):
-        require_strong_monotonicity(RateControl())
 
 
 def test_oligopoly_divides_demand_like_a_current():

@@ -37,8 +37,6 @@ class ConnectivityControl(AffineGame):
         ValueError: when shapes disagree or a number is out of range.
     """
 
-    in_plane = True
-
     def __init__(
         self,
         posts: Sequence[Sequence[float]] = _POSTS,

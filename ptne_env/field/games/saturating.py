@@ -9,10 +9,10 @@ import numpy as np
 import numpy.typing as npt
 
 from ptne_env.games.affine import AffineGame, RandomAffine, times
-from ptne_env.games.base import Game, merged_parameters
+from ptne_env.games.base import Game
 from ptne_env.games.family import GameFamily, require_strong_monotonicity
 from ptne_env.games.variational import solve_box
-from ptne_env.shared.arrays import BoolArray, FloatArray, frozen, ordered_sum, require_non_negative
+from ptne_env.shared.arrays import FloatArray, frozen, ordered_sum, require_non_negative
 
 
 class SaturatingGame(AffineGame):
@@ -34,6 +34,7 @@ class SaturatingGame(AffineGame):
     """
 
     is_affine = False
+    parameters = ("matrix", "prices", "shift", "equilibrium")
 
     def __init__(
         self,
@@ -102,13 +103,8 @@ class SaturatingGame(AffineGame):
         low, high = (np.full((self.dimension, batch), bound) for bound in (-np.inf, np.inf))
         return solve_box(field, slopes, low, high, strategies)
 
-    def merged(self, fresh: Game, mask: BoolArray) -> Game:
-        """The batch of games with those in ``mask`` (G,) replaced by those of ``fresh``, in order."""
-        if fresh is self:
-            return self
-        names = ("matrix", "prices", "shift", "equilibrium")
-        parameters = merged_parameters(SaturatingGame, self, fresh, mask, names)
-        return SaturatingGame(action_dims=self.action_dims, **parameters)
+    def _with(self, **parameters: FloatArray) -> Game:
+        return type(self)(**parameters, action_dims=self.action_dims)
 
     def _solve_nash_equilibria(self) -> FloatArray:
         return self.equilibrium
