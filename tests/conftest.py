@@ -10,7 +10,6 @@ os.environ.update(dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL
 os.environ.setdefault("MPLBACKEND", "Agg")
 
 import pytest
-from filelock import FileLock
 from hypothesis import settings
 
 settings.register_profile("fast", derandomize=True, deadline=None, max_examples=25)
@@ -29,6 +28,8 @@ def build_once(tmp_path_factory):
         folder = folder.parent
 
     def value_of(name, build):
+        from filelock import FileLock
+
         file = folder / f"{name}.pickle"
         with FileLock(f"{file}.lock"):
             if not file.exists():
