@@ -54,12 +54,9 @@ def largest(array: FloatArray) -> FloatArray:
 
 
 def own_curvatures(own: FloatArray, model: Model, places: IntArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """The eigenvalues of symmetric own blocks, (R, m), three standard deviations of each, and the eigenvectors.
+    """The eigenvalues of symmetric own blocks (R, m, m), shape (R, m), three standard deviations, and the eigenvectors.
 
-    Args:
-        own: the blocks, shape (R, m, m).
-        model: with the covariance of the rows, of q regressors.
-        places: of own components among the regressors, padded with q, shape (R, m).
+    ``places`` (R, m) are those of own components among the regressors of the model.
     """
     if own.shape[1] == 1:  # the eigenvector is 1
         variance = np.take_along_axis(model.covariance.diagonal(axis1=1, axis2=2), places, axis=1)
@@ -121,14 +118,8 @@ def trust_radius(
     """The radius of the trust region: the largest |Δx_i| of the coming step, shape (R, 1).
 
     It is twice the largest own displacement so far, until a prediction of the own gradient fails by more than half of
-    the gradient before; then it is half of the last displacement.
-
-    Args:
-        radius: of the last step, shape (R, 1).
-        own_moved: the last own displacement, shape (R, m).
-        prediction: its error and whether it failed, by :func:`~ptne_env.field.laws.identification.identify`.
-        last_gradient: the own gradient before the displacement, shape (R, m).
-        estimate: own estimates, shape (R, n).
+    the gradient before; then it is half of the last displacement. ``prediction`` is its error and whether it failed, by
+    :func:`~ptne_env.field.laws.identification.identify`; ``own_moved`` (R, m) is the last own displacement.
     """
     length, (error, failed) = largest(own_moved), prediction
     is_bad = failed & (error > _ACCURACY * largest(last_gradient))

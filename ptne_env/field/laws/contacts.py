@@ -17,19 +17,12 @@ _DIFFERENT = 1e-3
 
 
 class Messages(NamedTuple):
-    """What R players hear in a step, in natural units.
+    """What R players hear in a step, in natural units."""
 
-    Attributes:
-        live: live links, shape (R, D).
-        was_live: links that were live in the step before, shape (R, D).
-        content: the neighbours' estimates x^j, shape (R, D, n).
-        change: their change since the step before, absolute; it means something where the link lasted, shape (R, D, n).
-    """
-
-    live: BoolArray
-    was_live: BoolArray
-    content: FloatArray
-    change: FloatArray
+    live: BoolArray  # live links, shape (R, D)
+    was_live: BoolArray  # links that were live in the step before, shape (R, D)
+    content: FloatArray  # the neighbours' estimates x^j, shape (R, D, n)
+    change: FloatArray  # |change| since the step before; it means something where the link lasted, shape (R, D, n)
 
     @property
     def lasted(self) -> BoolArray:
@@ -45,25 +38,15 @@ def heard_messages(observation: Observation, was_live: FloatArray, before: Float
 
 
 class Contacts(NamedTuple):
-    """What :func:`contacts` remembers, per player.
+    """What R players remember of their contacts."""
 
-    Attributes:
-        live: whether links were live in the step before, shape (D,).
-        heard: whether they ever were, shape (D,).
-        moved: own moves since the last contact, shape (D, n).
-        seen: relative estimates at its end, infinite before the first, shape (D, n).
-        source: whether the neighbour is a source, shape (D, n).
-        votes: for the neighbour less those against it, shape (D, n).
-        news: whether there is news of a component, shape (n,).
-    """
-
-    live: FloatArray
-    heard: FloatArray
-    moved: FloatArray
-    seen: FloatArray
-    source: FloatArray
-    votes: FloatArray
-    news: FloatArray
+    live: FloatArray  # whether links were live in the step before, shape (R, D)
+    heard: FloatArray  # whether they ever were, shape (R, D)
+    moved: FloatArray  # own moves since the last contact, shape (R, D, n)
+    seen: FloatArray  # relative estimates at its end, infinite before the first, shape (R, D, n)
+    source: FloatArray  # whether the neighbour is a source, shape (R, D, n)
+    votes: FloatArray  # for the neighbour less those against it, shape (R, D, n)
+    news: FloatArray  # whether there is news of a component, shape (R, n)
 
 
 def no_contacts(layout: ObservationLayout) -> Contacts:
@@ -76,16 +59,8 @@ def noise_level(messages: Messages, noise: FloatArray, steps: FloatArray, owned:
     """σ_i, the smallest change of messages from step to step about components that their sender does not own.
 
     The first one is that of the first step, in which these estimates rest; a player without links then takes messages
-    for perfect. Of several neighbours, the one with the smallest change counts.
-
-    Args:
-        messages: of this step.
-        noise: σ_i so far, shape (R, 1).
-        steps: number of steps so far, shape (R, 1).
-        owned: whether j or i owns c, shape (R, D, n).
-
-    Returns:
-        σ_i in natural units, shape (R, 1).
+    for perfect. Of several neighbours, the one with the smallest change counts. ``noise`` is σ_i so far, and ``owned``
+    says whether j or i owns c, shape (R, D, n). σ_i and the number of steps have the shape (R, 1).
     """
     change = row_maxima(np.where(owned, 0.0, messages.change))
     least = np.where(messages.lasted, change, np.inf).min(axis=1, keepdims=True)
@@ -184,13 +159,7 @@ def contradictions(
     as with a neighbour that averages, and both have never heard the owner. A neighbour contradicts only as long as it
     is right about the own strategy: so a liar does not.
 
-    Args:
-        observation: of R players.
-        messages: of this step.
-        steps: this number so far, shape (R, D, n).
-        drift: the last moves of the estimates of others, 0 for own components, shape (R, n).
-        sources: the live sources, shape (R, D, n).
-        own: own components, shape (R, n).
+    ``steps`` is this number so far; ``drift``, ``sources`` and ``own`` (R, n) are as for :func:`contacts`.
     """
     scale = np.abs(observation.own_estimate).max(axis=1)[:, None, None]
     rests = messages.change <= _MOVED * scale

@@ -23,15 +23,10 @@ _REST = 1e-60
 
 
 class Model(NamedTuple):
-    """The identified rows of R players, with q regressors each.
+    """The identified rows of R players, with q regressors each."""
 
-    Attributes:
-        rows: estimate of the m rows, in units of gradient per strategy, shape (R, m, q).
-        covariance: P, the same for all rows of a player, in squared units of the rows, shape (R, q, q).
-    """
-
-    rows: FloatArray
-    covariance: FloatArray
+    rows: FloatArray  # estimate of the m rows, in units of gradient per strategy, shape (R, m, q)
+    covariance: FloatArray  # P, the same for all rows of a player, in squared units of the rows, shape (R, q, q)
 
 
 def blank(players: int, outputs: int, regressors: int, spread: float) -> Model:

@@ -25,69 +25,32 @@ _VISIBLE = 8.0
 
 
 class Roles(NamedTuple):
-    """What a player of :class:`MultiRate` remembers.
+    """What R players remember."""
 
-    Attributes:
-        routes: of the copies.
-        gradient: the own gradient in the step before, shape (n,).
-        estimate: the own estimates in the step before, shape (n,).
-        is_price: whether the player is an operator, shape (1,).
-    """
-
-    routes: Routes
-    gradient: FloatArray
-    estimate: FloatArray
-    is_price: FloatArray
-
-
-def multi_rate_inputs(
-    observation: Observation, was: Roles, layout: ObservationLayout, step: float, price_step: float, lead: float
-) -> tuple[FloatArray, Roles]:
-    """x^i_c ← mean of x^j_c over the live sources j; x_i ← x_i − η g_i, and μ ← μ − η_μ (g_μ + δ (g_μ − g_μ⁻)).
-
-    With g_i = ∂J_i/∂x_i(x^i) now and g_i⁻ a step before, η = ``step``, η_μ = ``price_step`` and δ = ``lead``. Three
-    layers run at once and at their own rates: copies of strategies and prices, one link per step
-    (:func:`~ptne_env.field.laws.routed.routed_copies`); descent of the players, −g_i = −∂J_i/∂x_i − C_iᵀ μ; and ascent
-    of the prices, −g_μ = C x − b, which the environment keeps at 0 at least. With the lead, a price is a proportional
-    and integral feedback of the violation, which damps its oscillation with the strategies and makes up for delays.
-
-    A player learns its role in the first two steps, in which copies rest and it moves by −η g_i and back: the cost of
-    an operator is linear, so its gradient does not answer. A bound holds at most one of the two moves. A player that
-    cannot move is no operator.
-
-    Args:
-        observation: of R players.
-        was: the memory so far.
-        layout: of the observations.
-        step: η.
-        price_step: η_μ.
-        lead: δ.
-
-    Returns:
-        Inputs, shape (R, n), and the memory for the next step.
-    """
-    gradient, estimate, before, count = observation.gradient, observation.own_estimate, was.gradient, was.routes.steps
-    change, moved = (largest(part) for part in (gradient - before, estimate - was.estimate))
-    resolution = RESOLUTION * (largest(gradient) + largest(before) + largest(estimate))
-    is_informative = (count > 0) & (count <= _PROBES) & (_FLAT * moved > _VISIBLE * resolution)
-    is_price = np.where(is_informative, change <= _FLAT * moved, was.is_price > 0)
-    ahead = np.where(is_price, gradient + lead * (gradient - before), gradient)
-    drift, routes = routed_copies(observation, was.routes, layout, moves=count >= _PROBES)
-    inputs = routed_inputs(observation._replace(gradient=ahead), drift, np.where(is_price, price_step, step))
-    probe = per_step(np.where(count == 0, -gradient, before) * step, observation)
-    return np.where(count < _PROBES, probe, inputs), Roles(routes, gradient, estimate, is_price.astype(np.float64))
+    routes: Routes  # of the copies
+    gradient: FloatArray  # own gradient in the step before, shape (R, n)
+    estimate: FloatArray  # own estimates in the step before, shape (R, n)
+    is_price: FloatArray  # whether the player is an operator, shape (R, 1)
 
 
 class MultiRate(Law):
-    """Primal-dual gradient play with copies from live sources, :func:`multi_rate_inputs`.
+    """x^i_c ← mean of x^j_c over the live sources j; x_i ← x_i − η g_i, and μ ← μ − η_μ (g_μ + δ (g_μ − g_μ⁻)).
 
-    For games with a coupled constraint C x ≤ b and prices μ ≥ 0, :func:`ptne_env.field.games.priced`, in the spirit of L.
-    Mudrik, I. Kaminer, S. Kragelund and A. H. Clark, "Prescribed-time distributed generalized Nash equilibrium
+    With g_i = ∂J_i/∂x_i(x^i) now and g_i⁻ a step before. Three layers run at once and at their own rates: copies of
+    strategies and prices, one link per step (:func:`~ptne_env.field.laws.routed.routed_copies`); descent of the
+    players, −g_i = −∂J_i/∂x_i − C_iᵀ μ; and ascent of the prices, −g_μ = C x − b, which the environment keeps at 0 at
+    least. With the lead δ, a price is a proportional and integral feedback of the violation, which damps its
+    oscillation with the strategies and makes up for delays.
+
+    For games with a coupled constraint C x ≤ b and prices μ ≥ 0, :func:`ptne_env.field.games.priced`, in the spirit of
+    L. Mudrik, I. Kaminer, S. Kragelund and A. H. Clark, "Prescribed-time distributed generalized Nash equilibrium
     seeking", arXiv:2603.16865, 2026, where the observer of the strategies and the multipliers contract faster than the
     strategies. The construction is ours: they descend along Hessian-gradient products of a Fischer–Burmeister function
     in continuous time, with a copy of the multipliers per player, and their theorem is not claimed for this law.
 
-    In games without operator it is :class:`~ptne_env.field.laws.RoutedUnknown` after its two probing steps.
+    A player learns its role in the first two steps, in which copies rest and it moves by −η g_i and back: the cost of
+    an operator is linear, so its gradient does not answer. A bound holds at most one of the two moves. A player that
+    cannot move is no operator. In games without operator the law is then :class:`~ptne_env.field.laws.RoutedUnknown`.
 
     Args:
         layout: of the environment, interface ``physical``.
@@ -108,10 +71,8 @@ class MultiRate(Law):
         super().__init__(layout)
         self.step, self.price_step = require_positive("step", step), require_positive("price_step", price_step)
         self.lead = require_non_negative("lead", lead)
-        n = layout.dimension
-        self._memory: Memory[Any] = Memory(
-            Roles(no_routes(layout), np.zeros((1, n)), np.zeros((1, n)), np.zeros((1, 1)))
-        )
+        none = np.zeros((1, layout.dimension))
+        self._memory: Memory[Any] = Memory(Roles(no_routes(layout), none, none, np.zeros((1, 1))))
 
     def initial_memory(self, rows: int) -> FloatArray:
         """Nothing seen, shape (R, size)."""
@@ -119,5 +80,17 @@ class MultiRate(Law):
 
     def inputs(self, observation: Observation, memory: FloatArray) -> tuple[FloatArray, FloatArray]:
         was = self._memory.unpack(memory)
-        inputs, roles = multi_rate_inputs(observation, was, self.layout, self.step, self.price_step, self.lead)
-        return inputs, self._memory.pack(roles)
+        gradient, estimate, before = observation.gradient, observation.own_estimate, was.gradient
+        steps = was.routes.steps
+        change, moved = largest(gradient - before), largest(estimate - was.estimate)
+        resolution = RESOLUTION * (largest(gradient) + largest(before) + largest(estimate))
+        is_informative = (steps > 0) & (steps <= _PROBES) & (_FLAT * moved > _VISIBLE * resolution)
+        is_price = np.where(is_informative, change <= _FLAT * moved, was.is_price > 0)
+
+        ahead = np.where(is_price, gradient + self.lead * (gradient - before), gradient)
+        drift, routes = routed_copies(observation, was.routes, self.layout, moves=steps >= _PROBES)
+        rate = np.where(is_price, self.price_step, self.step)
+        inputs = routed_inputs(observation._replace(gradient=ahead), drift, rate)
+        probe = per_step(np.where(steps == 0, -gradient, before) * self.step, observation)
+        fresh = Roles(routes, gradient, estimate, is_price.astype(np.float64))
+        return np.where(steps < _PROBES, probe, inputs), self._memory.pack(fresh)

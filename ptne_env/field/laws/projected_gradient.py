@@ -1,10 +1,4 @@
-"""Laws of discrete time: iterations that mix with the neighbours and then take a projected gradient step.
-
-An iteration evaluates the gradient at the mixed estimates, while an environment shows gradients at the present ones. So
-an iteration takes two steps of the environment, a mixing step and a descent step, and is then exact. The deadline plays
-no part: these laws move their estimates to the next iterate within the step, u = Δx/Θ, as far as the input limit lets
-them.
-"""
+"""A law of discrete time: it mixes with the neighbours, and then takes a projected gradient step."""
 
 from __future__ import annotations
 
@@ -16,32 +10,16 @@ from ptne_env.perception.observation import LayoutError, Observation, Observatio
 from ptne_env.shared.arrays import FloatArray, frozen, require_positive
 
 
-def projected_gradient_inputs(
-    observation: Observation,
-    memory: FloatArray,
-    layout: ObservationLayout,
-    step: float,
-    mixing: float,
-    box: tuple[FloatArray, FloatArray] | None = None,
-) -> tuple[FloatArray, FloatArray]:
+class ProjectedGradient(Law):
     """x̂^i = Σ_j w_ij x^j, then x^i_i ← Π_i[x̂^i_i − α ∂J_i/∂x_i(x̂^i)] and x^i_j ← x̂^i_j, with W = I − h L.
 
     M. Bianchi and S. Grammatico, "Fully distributed Nash equilibrium seeking over time-varying communication networks
     with linear convergence rate", IEEE Control Systems Letters 5(2), 2021.
-    With α = ``step`` and h = ``mixing``; ``box`` holds the lower and upper bounds of Π, shape (n,) each. The memory is
-    the number of steps done, shape (R, 1).
-    """
-    mixed = mixing * consensus(observation.weights, observation.relative_estimates)
-    descent = -step * observation.gradient
-    if box is not None:
-        target = np.clip(observation.own_estimate + descent, *box)
-        descent = np.where(layout.own_mask[observation.player], target - observation.own_estimate, 0.0)
-    descends = memory % 2 == 1
-    return per_step(np.where(descends, descent, mixed), observation), memory + 1
 
-
-class ProjectedGradient(Law):
-    """Bianchi and Grammatico's projected gradient with consensus, :func:`projected_gradient_inputs`.
+    An iteration evaluates the gradient at the mixed estimates, while an environment shows gradients at the present ones.
+    So an iteration takes two steps, a mixing step and a descent step, and is then exact. The deadline plays no part: the
+    law moves its estimates to the next iterate within the step, as far as the input limit lets it. The memory is the
+    number of steps done, shape (R, 1).
 
     Args:
         layout: of the environment; ``physical`` when strategies are bounded.
@@ -50,7 +28,7 @@ class ProjectedGradient(Law):
         lower, upper: box Π_i, a number or an entry per component, shape (n,); no projection if left out.
 
     Raises:
-        ValueError: for a parameter out of range, or bounds under ``scaled``, where strategies are not observed.
+        ValueError: for a parameter out of range, or bounds where strategies are not observed.
     """
 
     def __init__(
@@ -62,21 +40,23 @@ class ProjectedGradient(Law):
         upper: npt.ArrayLike = np.inf,
     ) -> None:
         super().__init__(layout)
-        self.step = require_positive("step", step)
-        self.mixing = require_positive("mixing", mixing)
+        self.step, self.mixing = require_positive("step", step), require_positive("mixing", mixing)
         self.lower, self.upper = (frozen(np.broadcast_to(bound, layout.dimension)) for bound in (lower, upper))
         if not np.all(self.lower < self.upper):
             raise ValueError("ProjectedGradient needs lower < upper for every component")
         self._is_bounded = bool(np.isfinite(self.lower).any() or np.isfinite(self.upper).any())
         if self._is_bounded and "own_estimate" not in layout.slices:
-            raise LayoutError(
-                "bounds need the own strategy, which 'scaled' does not show; use the interface 'physical'"
-            )
+            raise LayoutError("bounds need the own strategy, which only 'physical' shows")
 
     def initial_memory(self, rows: int) -> FloatArray:
         """Number of steps done: 0, shape (R, 1)."""
         return np.zeros((rows, 1))
 
     def inputs(self, observation: Observation, memory: FloatArray) -> tuple[FloatArray, FloatArray]:
-        box = (self.lower, self.upper) if self._is_bounded else None
-        return projected_gradient_inputs(observation, memory, self.layout, self.step, self.mixing, box)
+        mixed = self.mixing * consensus(observation.weights, observation.relative_estimates)
+        descent = -self.step * observation.gradient
+        if self._is_bounded:
+            target = np.clip(observation.own_estimate + descent, self.lower, self.upper)
+            is_own = self.layout.own_mask[observation.player]
+            descent = np.where(is_own, target - observation.own_estimate, 0.0)
+        return per_step(np.where(memory % 2 == 1, descent, mixed), observation), memory + 1

@@ -53,16 +53,7 @@ def learned_planes(
     here: FloatArray,
     layout: ObservationLayout,
 ) -> Planes:
-    """The planes of the neighbours with this step's messages.
-
-    Args:
-        observation: of R players.
-        messages: of this step.
-        was: the planes so far.
-        steps: number of steps so far, shape (R, 1).
-        here: own estimates, shape (R, n).
-        layout: of the observations.
-    """
+    """The planes of the neighbours with this step's messages, from the own estimates ``here`` (R, n)."""
     neighbours, scale, is_warm = np.array(layout.neighbours)[observation.player], largest(here), steps >= C.warm_up
     content = here[:, None] + observation.relative_estimates
     rest = np.where(messages.was_live, row_maxima(messages.change), np.inf)
@@ -106,7 +97,7 @@ def joint_solution(
 
     Args:
         player: index of each of R players, shape (R,).
-        known: the planes with this step's messages.
+        known: planes of the neighbours.
         here: own estimates, shape (R, n).
         planned: the next estimates without the joint solution, which fixes all components that no plane does, (R, n).
         own: the own side with whole rows: the condition is ∂J_i + G_i Δx = 0.

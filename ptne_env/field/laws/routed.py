@@ -15,17 +15,11 @@ from ptne_env.shared.arrays import BoolArray, FloatArray, require_positive
 
 
 class Routes(NamedTuple):
-    """What a routed player remembers.
+    """What R routed players remember."""
 
-    Attributes:
-        contacts: with its neighbours.
-        drift: the last moves of the others' estimates, shape (n,).
-        steps: number of steps done, shape (1,).
-    """
-
-    contacts: Contacts
-    drift: FloatArray
-    steps: FloatArray
+    contacts: Contacts  # with their neighbours
+    drift: FloatArray  # the last moves of the others' estimates, shape (R, n)
+    steps: FloatArray  # number of steps done, shape (R, 1)
 
 
 def no_routes(layout: ObservationLayout) -> Routes:
@@ -39,13 +33,7 @@ def routed_copies(
     """x^i_c ← mean of x^j_c over the live sources j of c, else x^i_c: displacements (R, n), and the memory.
 
     A player has no source of its own components. Own links show the others' sources,
-    :func:`~ptne_env.field.laws.contacts.contacts`.
-
-    Args:
-        observation: of R players.
-        was: the memory so far.
-        layout: of the observations.
-        moves: whether the others' estimates move in this step, shape (R, 1).
+    :func:`~ptne_env.field.laws.contacts.contacts`. ``moves`` says whether the others' estimates move, shape (R, 1).
     """
     player = observation.player
     leaders, is_own = layout.neighbour_components[player], layout.own_mask[player]
@@ -60,14 +48,7 @@ def routed_inputs(observation: Observation, drift: FloatArray, step: float | Flo
     On a fixed graph where the sources are the neighbours that are nearer to the owner of c, x^i_c is the owner's
     strategy d_ic steps ago, d_ic being the hop count: gradient play with delays, x_i(k+1) = x_i(k) − η ∂J_i/∂x_i(x_1(k −
     d_i1), …, x_N(k − d_iN)).
-
-    Args:
-        observation: of R players.
-        drift: displacements of the others' estimates, :func:`routed_copies`, shape (R, n).
-        step: η, one number for all or one per player, shape (R, 1).
-
-    Returns:
-        Inputs, shape (R, n).
+    ``drift`` (R, n) is that of :func:`routed_copies`, and η one number for all or one per player, shape (R, 1).
     """
     return per_step(drift - step * observation.gradient, observation)
 
