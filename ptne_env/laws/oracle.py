@@ -13,7 +13,7 @@ class CentralisedOracle(Law):
     """u^i = (x − x^i)/Θ − g F(x): pseudo-gradient play dx/dτ = −g F(x) on the real strategies x.
 
     Every player knows the real strategies and moves its estimates onto them within the step. The law needs the
-    interface ``full``, which ``parallel_env`` refuses, and every table marks it; the input limit is that of every policy.
+    interface ``full``, which ``parallel_env`` refuses, and every table marks it; the input limit stays.
 
     Args:
         layout: with :attr:`interface`.

@@ -1,4 +1,4 @@
-"""The relay: best responses from an identified model of the own gradient, and copies of estimates, one link per step."""
+"""The relay: best responses from an identified model of the own gradient, and copies, one link per step."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Memories as records: named arrays with a row per player, which travel from step to step as one flat row per player."""
+"""Memories as records: named arrays, which travel from step to step as one flat row per player."""
 
 from __future__ import annotations
 

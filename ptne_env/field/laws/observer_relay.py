@@ -94,7 +94,9 @@ class ObserverRelay(Law):
         """Nothing identified, heard or observed; shape (R, size)."""
         return self._memory.initial(rows)
 
-    def inputs(self, observation: Observation, memory: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def inputs(  # noqa: PLR0915 - the whole law
+        self, observation: Observation, memory: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
         layout, was = self.layout, self._memory.unpack(memory)
         is_own, owners = layout.own_mask[observation.player], layout.neighbour_components[observation.player]
         estimate, steps = observation.own_estimate, was.relay.steps

@@ -16,10 +16,10 @@ class ProjectedGradient(Law):
     M. Bianchi and S. Grammatico, "Fully distributed Nash equilibrium seeking over time-varying communication networks
     with linear convergence rate", IEEE Control Systems Letters 5(2), 2021.
 
-    An iteration evaluates the gradient at the mixed estimates, while an environment shows gradients at the present ones.
-    So an iteration takes two steps, a mixing step and a descent step, and is then exact. The deadline plays no part: the
-    law moves its estimates to the next iterate within the step, as far as the input limit lets it. The memory is the
-    number of steps done, shape (R, 1).
+    An iteration evaluates the gradient at the mixed estimates, while an environment shows gradients at the present
+    ones. So an iteration takes two steps, a mixing step and a descent step, and is then exact. The deadline plays no
+    part: the law moves its estimates to the next iterate within the step, as far as the input limit lets it. The memory
+    is the number of steps done, shape (R, 1).
 
     Args:
         layout: of the environment; ``physical`` when strategies are bounded.

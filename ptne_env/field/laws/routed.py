@@ -46,8 +46,9 @@ def routed_inputs(observation: Observation, drift: FloatArray, step: float | Flo
     """Copies, and x^i_i ← x^i_i − η ∂J_i/∂x_i(x^i), with η = ``step``.
 
     On a fixed graph where the sources are the neighbours that are nearer to the owner of c, x^i_c is the owner's
-    strategy d_ic steps ago, d_ic being the hop count: gradient play with delays, x_i(k+1) = x_i(k) − η ∂J_i/∂x_i(x_1(k −
-    d_i1), …, x_N(k − d_iN)).
+    strategy d_ic steps ago, d_ic being the hop count: gradient play with delays,
+    x_i(k+1) = x_i(k) − η ∂J_i/∂x_i(x_1(k − d_i1), …, x_N(k − d_iN)).
+
     ``drift`` (R, n) is that of :func:`routed_copies`, and η one number for all or one per player, shape (R, 1).
     """
     return per_step(drift - step * observation.gradient, observation)
