@@ -1,4 +1,4 @@
-"""The switch between numpy and the compiled step of :mod:`ptne_env.world.kernels`, whose numbers are the same bit for bit.
+"""The switch between numpy and the compiled step of :mod:`ptne_env.world.kernels`, whose numbers are the same.
 
 Nothing depends on the switch but the time. The compiled step needs the extra ``pip install "ptne-env[fast]"``, and runs
 where a world :func:`qualifies`. It is loaded after the steps that it could have made have taken as long as the load.
@@ -7,8 +7,6 @@ where a world :func:`qualifies`. It is loaded after the steps that it could have
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable
-from contextlib import suppress
 from functools import cache
 from types import ModuleType
 from typing import Any, TypeAlias
@@ -18,7 +16,6 @@ import numpy.typing as npt
 
 from ptne_env.games import AffineGame, EnergyGame, Game
 from ptne_env.perception.encoder import Encoder, PhysicalEncoder
-from ptne_env.perception.observation import SMALLEST_SCALE
 from ptne_env.shared.arrays import BoolArray, Float32Array, FloatArray, IntArray
 from ptne_env.world import dynamics
 from ptne_env.world.dynamics import State
@@ -33,9 +30,7 @@ LARGEST_ALONE, LARGEST_TOGETHER = 5_000, 200_000
 _TILE, _TILE_ENTRIES = 64, 8192
 """Largest number of environments in a tile, and of estimates n N times environments: its numbers stay in a cache."""
 
-_SINGLE, _ANY = np.dtype(np.float32), float(np.inf)
-
-_Arrays: TypeAlias = tuple[tuple[npt.NDArray[Any], ...], tuple[npt.NDArray[Any], ...]]
+_Arrays: TypeAlias = tuple[npt.NDArray[Any], ...]
 
 _spent = 0.0
 """Seconds so far; minus infinity keeps numpy for good."""
@@ -63,8 +58,7 @@ def _load() -> ModuleType | None:
             return None
         from ptne_env.world import kernels as compiled
 
-        _first_call(compiled.is_inside, np.zeros((1, 1, 1), dtype=np.float32), 1.0)
-        _first_call(compiled.show_entry, np.zeros((1, 1, 1), dtype=np.float32), 0, np.zeros((1, 1)))
+        compiled.is_inside(np.zeros((1, 1, 1), dtype=np.float32), 1.0)
     except ModuleNotFoundError as error:
         if error.name != "numba":
             _refuse(error)
@@ -73,13 +67,6 @@ def _load() -> ModuleType | None:
         _refuse(error)
         return None
     return compiled
-
-
-def _first_call(function: Callable[..., bool], *arguments: Any) -> bool:
-    """The result of a compiled function, although the disk may be full: it is compiled before it is written."""
-    with suppress(OSError):
-        return function(*arguments)
-    return function(*arguments)
 
 
 def _refuse(reason: Exception | str) -> None:
@@ -118,7 +105,7 @@ def _is_known(game: Game) -> bool:
 
 
 class FusedStep:
-    """The compiled step of environments of one world under one interface, and the state that it has reached.
+    """The compiled step of environments of one world under ``physical``, and the state that it has reached.
 
     A step is decoding, transition, distances and observation in one pass. States stand in two sets of arrays that take
     turns, and become a :class:`~ptne_env.world.dynamics.State` when it is asked for.
@@ -131,32 +118,22 @@ class FusedStep:
     def __init__(self, encoder: Encoder, num_envs: int) -> None:
         self._encoder = encoder
         world, layout = encoder.world, encoder.layout
-        n, players = layout.dimension, layout.num_players
-        theta, ages = world.theta.reshape(-1, world.theta.shape[-1]), encoder.clock_table[4, 0]
-        self._schedule = world.modes[:, None].astype(np.int16), ages[:, None].copy()
+        theta = world.theta.reshape(-1, world.theta.shape[-1])
+        self._schedule = world.modes[:, None].astype(np.int16), encoder.clock_table[4, 0][:, None].copy()
         rows, padded = encoder.gradient_rows, encoder.gradient_mask
         mask = np.ones(rows.shape) if padded is None else padded[:, :, 0]
-        order = np.tile(np.arange(n), (players, 1))
-        places = np.concatenate([world.neighbours, rows, mask, order.T]).astype(np.int64)
+        places = np.concatenate([world.neighbours, rows, mask]).astype(np.int64)
         # Copies, because numba compiles a function once more for arrays that are read-only or in another order.
-        self._tables = (
-            *(table.copy() for table in (theta, encoder.clock_table, world.mode_weights, world.game.owners)),
-            places,
-            layout.input_limit,
-            1.0,
-            SMALLEST_SCALE,
-            RANGE_LIMIT,
-        )
-        self._bound = layout.action_bound
-        self._shape = n, players, num_envs
-        self._tile = min(_TILE, max(8, _TILE_ENTRIES // (n * players)), num_envs)
-        self._none = np.empty((0, 0))
+        tables = (table.copy() for table in (theta, encoder.clock_table, world.mode_weights, world.game.owners))
+        self._tables = (*tables, places, RANGE_LIMIT)
+        self._bound, self._shape = layout.action_bound, (layout.dimension, layout.num_players, num_envs)
+        self._tile = min(_TILE, max(8, _TILE_ENTRIES // (layout.dimension * layout.num_players)), num_envs)
         self._constants: tuple[Any, ...] = ()
         self._is_checked = False
         self._game: Game | None = None
         self._draws: EpisodeRandomness | None = None
         self._diverged = np.zeros(0, dtype=np.bool_)
-        self._now: tuple[npt.NDArray[Any], ...] = ()
+        self._now: _Arrays = ()
         self._sets: list[_Arrays] = []
 
     def accepts(self, actions: npt.NDArray[np.floating]) -> bool:
@@ -164,50 +141,38 @@ class FusedStep:
         compiled = kernels()
         if compiled is None or actions.dtype != np.float32 or not actions.flags.carray:
             return False
-        return compiled.is_inside(actions, self._bound)
+        return bool(compiled.is_inside(actions, self._bound))
 
     def move(
-        self,
-        state: State | None,
-        actions: npt.NDArray[np.floating],
-        out: Float32Array,
-        *,
-        has_constants: bool = False,
-        are_inside: bool = True,
+        self, state: State | None, actions: npt.NDArray[np.floating], out: Float32Array
     ) -> tuple[IntArray, FloatArray, BoolArray] | None:
         """Make a step, and write the observations of the next state.
 
         Args:
             state: x_k, which is left as it is; ``None`` for the state that the step before has reached.
-            actions: shape (B, N, n).
+            actions: within the action box, shape (B, N, n).
             out: where to write, shape (B, N, size), C-contiguous.
-            has_constants: whether ``out`` holds the one-hots already.
-            are_inside: whether the actions are known to be finite and within the action box.
 
         Returns:
             For each environment the index of the coming step, shape (B,); d^i of every player, shape (N, B) with
             players next to each other in memory; and whether the episode has reached its end, shape (B,). The step
-            after the next overwrites them. ``None`` where the actions have to be clipped, or numpy has to make the
-            step, because no state is there yet, the kernels are not loaded, an environment is out of range, or a drawn
-            game has formulas of its own; nothing has changed then, except the content of ``out``.
+            after the next overwrites them. ``None`` where numpy has to make the step, because no state is there yet,
+            the kernels are not loaded, an environment is out of range, or a drawn game has formulas of its own; nothing
+            has changed then, except the content of ``out``.
         """
         compiled = kernels()
         if compiled is None or not (self._now if state is None else self._load(state)):
             return None
-        if actions.dtype is not _SINGLE or not actions.flags.carray:  # read-only arrays are another type to numba
-            if not are_inside:
-                return None
+        if actions.dtype != np.float32 or not actions.flags.carray:  # read-only arrays are another type to numba
             actions = np.array(actions, dtype=np.float32, order="C")
         step = compiled.step if self._is_checked else self._first_step
-        after, results = self._sets[0]
-        bound = _ANY if are_inside else self._bound
-        if not step(actions, bound, out, has_constants, *self._now, *after, *results, *self._constants):
+        after = self._sets[0]
+        if not step(actions, out, *self._now, *after, *self._constants):
             return None
-        instants, _, _ = after
-        gradients, distance, is_last = results
-        if state is not None and not (self._is_checked or self._is_confirmed(state, after, gradients, actions, out)):
+        if state is not None and not (self._is_checked or self._is_confirmed(state, after, actions, out)):
             return None
-        self._now = after
+        instants, estimates, _, distance, is_last = after
+        self._now = instants, estimates
         self._sets.reverse()
         return instants, distance.T, is_last
 
@@ -215,10 +180,9 @@ class FusedStep:
         """The state that the last step has reached, whose arrays no step will change; ``None`` before the first."""
         if self._game is None:
             return None
-        (instants, estimates, _), (gradients, *_) = self._sets[1]
-        state = State(instants, self._game, estimates, gradients, self._diverged, randomness=self._draws)
+        instants, estimates, gradients, *_ = self._sets[1]
         self._sets[1] = self._new_arrays()
-        return state
+        return State(instants, self._game, estimates, gradients, self._diverged, randomness=self._draws)
 
     def _load(self, state: State) -> bool:
         """Start from a state; ``False`` where numpy has to make the step."""
@@ -234,29 +198,28 @@ class FusedStep:
                 graphs = draws.modes, draws.time_since_switch
             self._constants = *graphs, *self._read(game), *self._tables
         self._diverged = state.diverged
-        step, estimates = (np.require(array, requirements=["C", "A", "W"]) for array in (state.step, state.estimates))
-        self._now = step, estimates, self._none
+        self._now = tuple(np.require(array, requirements=["C", "A", "W"]) for array in (state.step, state.estimates))
         self._sets = self._sets or [self._new_arrays(), self._new_arrays()]
         return True
 
     def _new_arrays(self) -> _Arrays:
-        """Memory for the instants, estimates and σ of a state, and the own gradients, d^i and ends of a step."""
+        """Memory for the instants and estimates of a state, and the own gradients, d^i and ends of a step."""
         n, players, batch = self._shape
-        state = np.empty(batch, np.int64), np.empty(self._shape), self._none
-        return state, (np.empty((n, batch)), np.empty((batch, players)), np.empty(batch, np.bool_))
+        gradients, distance = np.empty((n, batch)), np.empty((batch, players))
+        return np.empty(batch, np.int64), np.empty(self._shape), gradients, distance, np.empty(batch, np.bool_)
 
     def _first_step(self, *arguments: Any) -> bool:
         """The first step, or ``False`` and a warning where it cannot be compiled."""
         from ptne_env.world.kernels import step
 
         try:
-            return _first_call(step, *arguments)
-        except Exception as error:  # noqa: BLE001 - a broken compiler may raise anything
+            return bool(step(*arguments))
+        except Exception as error:  # noqa: BLE001 - a broken compiler, or a full disk, may raise anything
             _refuse(error)
             return False
 
     def _read(self, game: Game) -> tuple[Any, ...]:
-        """The numbers of the games, as the pass takes them."""
+        """The numbers of the games, as the step takes them."""
         box = [] if game.low is None or game.high is None else [game.low, game.high]
         tables = [game.nash_equilibria, game.equilibrium_scale[None], *box]
         if isinstance(game, AffineGame):
@@ -265,26 +228,16 @@ class FusedStep:
             tables += [np.broadcast_to(game.coupling, (1, game.batch_size)), game.slope, game.intercept]
         columns = self._tile if game.batch_size == 1 else self._shape[2]  # one per environment, or a tile of the same
         table = np.concatenate([np.broadcast_to(rows, (len(rows), columns)) for rows in tables])
-        return table, game.dimension if box else 0, isinstance(game, AffineGame), self._tile
+        return table, 2 * game.dimension if box else 0, isinstance(game, AffineGame), self._tile
 
     def _is_confirmed(
-        self,
-        before: State,
-        after: tuple[npt.NDArray[Any], ...],
-        gradients: FloatArray,
-        actions: npt.NDArray[np.floating],
-        observed: Float32Array,
+        self, before: State, after: _Arrays, actions: npt.NDArray[np.floating], observed: Float32Array
     ) -> bool:
         """Whether numpy comes to the same bits here: nothing is assumed of processors and compilers."""
         self._is_checked, encoder = True, self._encoder
         expected = dynamics.step(encoder.world, before, encoder.inputs(actions, before))
-        pairs = (
-            (after[0], expected.step),
-            (after[1], expected.estimates),
-            (gradients, expected.own_gradients),
-            (observed, encoder.observe(expected)),
-        )
-        agrees = all(ours.tobytes() == numpys.tobytes() for ours, numpys in pairs)
+        numpys = expected.step, expected.estimates, expected.own_gradients, encoder.observe(expected)
+        agrees = all(a.tobytes() == b.tobytes() for a, b in zip((*after[:3], observed), numpys, strict=True))
         if not agrees:
             _refuse("its numbers are not those of numpy")
         return agrees

@@ -3,13 +3,12 @@
 import copy
 import math
 import pickle
-import warnings
 
 import numpy as np
 import pytest
 from extras import need_numba
 from processes import run_python
-from worlds import BLOCKS, FAULTY
+from worlds import FAULTY
 
 from ptne_env import CATALOGUE, VectorParallelEnv, parallel_env
 from ptne_env.bench.suite import ptne_v1
@@ -53,10 +52,14 @@ def compiled(monkeypatch):
 
 
 def vector_env(scenario, num_envs, *, by_numpy=False, **arguments):
-    env = VectorParallelEnv(scenario, num_envs, **arguments)
+    env = VectorParallelEnv(scenario, num_envs, interface="physical", **arguments)
     for block in env._blocks:
         block._fused = None if by_numpy else block._fused
     return env
+
+
+def one_env(scenario):
+    return parallel_env(scenario, interface="physical")
 
 
 def bits(array):
@@ -92,28 +95,25 @@ def kernel_calls(monkeypatch):
     return calls
 
 
-@pytest.mark.parametrize("interface", ["physical"])
 @pytest.mark.parametrize("name", WORLDS)
-def test_a_world_steps_bit_for_bit_the_same_compiled(name, interface, compiled, monkeypatch):
-    calls, num_envs = kernel_calls(monkeypatch), 2 if "crowd" in name else 4
-    envs = [vector_env(WORLDS[name], num_envs, by_numpy=flag, interface=interface) for flag in (False, True)]
-    steps = 3 if "crowd" in name else 12
+def test_a_world_steps_bit_for_bit_the_same_compiled(name, compiled, monkeypatch):
+    calls, num_envs = kernel_calls(monkeypatch), 4
+    envs = [vector_env(WORLDS[name], num_envs, by_numpy=flag) for flag in (False, True)]
+    steps = 12
     check_equal(envs, steps)
     assert len(calls) == (0 if name in NUMPY_ALONE else steps * len(envs[0]._blocks))
 
 
-@pytest.mark.parametrize("interface", ["physical"])
 @pytest.mark.parametrize("num_envs", [1, 63, 64, 65, 130])
 @pytest.mark.parametrize("name", ["energy", "random-energy-switching", "ev-charging"])
-def test_batches_of_any_size_are_the_same_compiled(name, num_envs, interface, compiled):
-    envs = [vector_env(WORLDS[name], num_envs, by_numpy=flag, interface=interface) for flag in (False, True)]
+def test_batches_of_any_size_are_the_same_compiled(name, num_envs, compiled):
+    envs = [vector_env(WORLDS[name], num_envs, by_numpy=flag) for flag in (False, True)]
     check_equal(envs, 4)
 
 
-@pytest.mark.parametrize("interface", ["physical"])
-def test_players_with_clocks_of_their_own_and_random_graphs_are_the_same_compiled(interface, compiled, monkeypatch):
+def test_players_with_clocks_of_their_own_and_random_graphs_are_the_same_compiled(compiled, monkeypatch):
     calls, scenario = kernel_calls(monkeypatch), FAULTY.replace(**WITHOUT_FAULTS)
-    check_equal([vector_env(scenario, 70, by_numpy=flag, interface=interface) for flag in (False, True)], 20)
+    check_equal([vector_env(scenario, 70, by_numpy=flag) for flag in (False, True)], 20)
     assert len(calls) == 20
 
 
@@ -132,22 +132,14 @@ def test_episodes_end_at_the_same_step_compiled(compiled, monkeypatch):
     assert len(calls) == step + 1
 
 
-def test_a_game_with_formulas_of_its_own_is_stepped_by_numpy(compiled, monkeypatch):
-    calls = kernel_calls(monkeypatch)
-    vector_env(BLOCKS, 2).reset(seed=0)
-    check_equal([vector_env(BLOCKS, 2, by_numpy=flag) for flag in (False, True)], 3)
-    assert calls == []
-
-
 def test_every_reward_is_the_same_compiled(compiled):
     reward = {"digits": 1.0, "tracking": 0.1, "payoff": 1e-3, "regret": 1e-3}
     check_equal([vector_env("random-energy", 5, by_numpy=flag, reward=reward) for flag in (False, True)], 12)
 
 
 @pytest.mark.parametrize("sign", [-1, 1])
-@pytest.mark.parametrize("interface", ["physical"])
-def test_environments_that_diverge_are_left_to_numpy(interface, sign, compiled):
-    arguments = {"interface": interface, "input_limit": 1e9}
+def test_environments_that_diverge_are_left_to_numpy(sign, compiled):
+    arguments = {"input_limit": 1e9}
     envs = [vector_env("random-energy", 5, by_numpy=flag, **arguments) for flag in (False, True)]
     for env in envs:
         env.reset(seed=0)
@@ -161,27 +153,16 @@ def test_environments_that_diverge_are_left_to_numpy(interface, sign, compiled):
         assert bits(ours.rewards) == bits(expected.rewards)
 
 
-def test_a_state_out_of_range_is_left_to_numpy(compiled, monkeypatch):
-    calls, block = kernel_calls(monkeypatch), vector_env("energy", 2)._blocks[0]
-    state = block.reset([0, 1])
-    block.set_state(state._replace(diverged=np.array([True, False]), any_diverged=True))
-    outcome = block.step(np.ones((2, 5, 5), dtype=np.float32), out=block.observe())
-    assert outcome.diverged.tolist() == outcome.terminated.tolist() == [True, False]
-    assert bits(block.current.estimates[:, :, 0]) == bits(state.estimates[:, :, 0])
-    assert calls == []
-
-
 def test_a_new_episode_of_the_same_game_has_new_graphs_compiled(compiled, monkeypatch):
-    scenario = WORLDS["ptne-v1 unseen-graphs without faults"]  # one game, and random graphs
+    scenario = WORLDS["ptne-v1 unseen-graphs"].replace(game=CATALOGUE["energy"].game)
     calls, envs = kernel_calls(monkeypatch), [vector_env(scenario, 2, by_numpy=flag) for flag in (False, True)]
     for seed in range(3):
         check_equal(envs, 8, seed)
     assert len(calls) == 24
 
 
-@pytest.mark.parametrize("interface", ["physical"])
-def test_numpy_and_the_compiled_step_may_take_turns_in_an_episode(interface, compiled, monkeypatch):
-    mixed, pure = (parallel_env("random-energy", interface=interface) for _ in range(2))
+def test_numpy_and_the_compiled_step_may_take_turns_in_an_episode(compiled, monkeypatch):
+    mixed, pure = (one_env("random-energy") for _ in range(2))
     pure._simulation._fused = None
     generator, calls = np.random.default_rng(0), kernel_calls(monkeypatch)
     mixed.reset(seed=1), pure.reset(seed=1)
@@ -194,9 +175,8 @@ def test_numpy_and_the_compiled_step_may_take_turns_in_an_episode(interface, com
     assert len(calls) == 13
 
 
-@pytest.mark.parametrize("interface", ["physical"])
-def test_actions_outside_the_box_are_clipped_and_counted_alike_compiled(interface, compiled, monkeypatch):
-    calls, (ours, numpys) = kernel_calls(monkeypatch), [parallel_env("energy", interface=interface) for _ in range(2)]
+def test_actions_outside_the_box_are_clipped_and_counted_alike_compiled(compiled, monkeypatch):
+    calls, (ours, numpys) = kernel_calls(monkeypatch), [one_env("energy") for _ in range(2)]
     numpys._simulation._fused = None
     ours.reset(seed=0), numpys.reset(seed=0)
     for dtype in (np.float32, np.float64):
@@ -228,10 +208,9 @@ def state_bits(state):
     return [bits(array) for array in (state.step, state.estimates, state.own_gradients, state.diverged)]
 
 
-@pytest.mark.parametrize("interface", ["physical"])
 @pytest.mark.parametrize("pause", [1, 2, 3])
-def test_a_state_that_was_handed_out_never_changes_compiled(pause, interface, compiled, monkeypatch):
-    calls, (asked, alone) = kernel_calls(monkeypatch), [parallel_env("energy", interface=interface) for _ in range(2)]
+def test_a_state_that_was_handed_out_never_changes_compiled(pause, compiled, monkeypatch):
+    calls, (asked, alone) = kernel_calls(monkeypatch), [one_env("energy") for _ in range(2)]
     asked.reset(seed=0), alone.reset(seed=0)
     handed = [(asked.get_state(), state_bits(asked.get_state()))]
     for step, (ours, expected) in enumerate(zip(random_steps(asked, 1, 12), random_steps(alone, 1, 12), strict=True)):
@@ -246,10 +225,9 @@ def test_a_state_that_was_handed_out_never_changes_compiled(pause, interface, co
     assert len(calls) == 24
 
 
-@pytest.mark.parametrize("interface", ["physical"])
 @pytest.mark.parametrize("duplicate", [copy.deepcopy, lambda env: pickle.loads(pickle.dumps(env))])  # noqa: S301 - our own bytes
-def test_copies_in_the_middle_of_an_episode_go_on_alone_compiled(duplicate, interface, compiled, monkeypatch):
-    calls, env = kernel_calls(monkeypatch), parallel_env("random-energy", interface=interface)
+def test_copies_in_the_middle_of_an_episode_go_on_alone_compiled(duplicate, compiled, monkeypatch):
+    calls, env = kernel_calls(monkeypatch), one_env("random-energy")
     env.reset(seed=0)
     list(random_steps(env, 1, 3))
     first, second = duplicate(env), duplicate(env)
@@ -260,10 +238,9 @@ def test_copies_in_the_middle_of_an_episode_go_on_alone_compiled(duplicate, inte
     assert len(calls) == 18
 
 
-@pytest.mark.parametrize("interface", ["physical"])
 @pytest.mark.parametrize("width", [0.5, 2.0])
-def test_a_refused_action_leaves_the_state_as_it_was_compiled(width, interface, compiled):
-    ours, expected = [parallel_env("energy", interface=interface) for _ in range(2)]
+def test_a_refused_action_leaves_the_state_as_it_was_compiled(width, compiled):
+    ours, expected = [one_env("energy") for _ in range(2)]
     ours.reset(seed=0), expected.reset(seed=0)
     for turn in range(3):
         assert list(random_steps(ours, turn, 2)) == list(random_steps(expected, turn, 2))
@@ -291,21 +268,8 @@ def test_episodes_are_cut_at_the_same_step_compiled(compiled, monkeypatch):
     assert len(calls) == 4
 
 
-@pytest.mark.parametrize("interface", ["physical"])
-def test_an_episode_goes_on_from_a_state_that_was_set_compiled(interface, compiled):
-    env = parallel_env("random-energy", interface=interface)
-    env.reset(seed=0)
-    start = env.get_state()
-    expected = list(random_steps(env, 1, 4))
-    env.reset(seed=5)
-    list(random_steps(env, 2, 3))
-    env.set_state(start)
-    assert list(random_steps(env, 1, 4)) == expected
-
-
-@pytest.mark.parametrize("interface", ["physical"])
-def test_a_state_from_outside_in_another_memory_order_is_the_same_compiled(interface, compiled):
-    envs = [vector_env("random-energy", 6, by_numpy=flag, interface=interface) for flag in (False, True)]
+def test_a_state_from_outside_in_another_memory_order_is_the_same_compiled(compiled):
+    envs = [vector_env("random-energy", 6, by_numpy=flag) for flag in (False, True)]
     table = np.random.default_rng(0).uniform(-5, 5, (6, 5, 5))
     first, second = (env.reset(seed=3, estimates=table) for env in envs)
     assert bits(first) == bits(second)
@@ -315,12 +279,11 @@ def test_a_state_from_outside_in_another_memory_order_is_the_same_compiled(inter
     assert bits(outcome.rewards) == bits(expected.rewards)
 
 
-@pytest.mark.parametrize("interface", ["physical"])
-def test_all_worlds_share_one_compiled_step(interface, compiled):
+def test_all_worlds_share_one_compiled_step(compiled):
     signatures = set()
     for name in ("energy", "cournot", "ev-charging", "ptne-v1 unseen-graphs", "ptne-v1 markov", "ptne-v1 wrong-clock"):
         for num_envs in (1, 3):
-            env = vector_env(WORLDS[name], num_envs, interface=interface)
+            env = vector_env(WORLDS[name], num_envs)
             known = set(fused.kernels().step.signatures)
             for estimates in (None, np.zeros((env.num_players, env.layout.dimension))):
                 env.reset(seed=0, estimates=estimates)
@@ -341,7 +304,7 @@ import warnings, sys
 warnings.simplefilter("error")
 import numpy as np, ptne_env
 from ptne_env.world import fused
-env = ptne_env.parallel_env("energy")
+env = ptne_env.parallel_env("energy", interface="physical")
 def play(steps):
     env.reset(seed=0)
     for _ in range(steps):
@@ -391,7 +354,7 @@ def test_a_processor_that_rounds_differently_is_one_warning_and_the_numpy_path(c
 
     def inexact(actions, *arguments):
         in_range = step(actions, *arguments)
-        arguments[7][0, 0, 0] = np.nextafter(arguments[7][0, 0, 0], 1)  # the next estimates
+        arguments[4][0, 0, 0] = np.nextafter(arguments[4][0, 0, 0], 1)  # the next estimates
         return in_range
 
     monkeypatch.setattr(kernels, "step", inexact)
@@ -406,58 +369,14 @@ def test_a_processor_that_rounds_differently_is_one_warning_and_the_numpy_path(c
     ]
 
 
-@pytest.mark.parametrize("folder", ["none can be written", "the disk is full"])
-def test_a_cache_that_cannot_be_written_is_no_error(folder, monkeypatch):
-    need_numba()
-    from numba.core import caching
-
-    from ptne_env.world.kernels import kept_on_disk
-
-    def refuse(*_):
-        raise OSError(28, "No space left on device")
-
-    if folder == "the disk is full":
-        monkeypatch.setattr(caching.IndexDataCacheFile, "save", refuse)
-    else:
-        monkeypatch.setattr(caching.CacheImpl, "_locator_classes", [])
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        assert fused._first_call(kept_on_disk(lambda value: value > folder.count("n")), 9)
-
-
-def test_a_full_disk_is_met_before_the_first_step_and_not_within_it(compiled, monkeypatch):
+def test_read_only_actions_and_states_are_not_compiled_for_again(compiled):
     from ptne_env.world import kernels
 
-    written = []
-
-    def show_entry(*arguments):
-        if not written:
-            written.append(arguments)
-            raise OSError(28, "No space left on device")
-        return whole(*arguments)
-
-    whole = kernels.show_entry
-    monkeypatch.setattr(kernels, "show_entry", show_entry)
-    fused._load.cache_clear()
-    ours, expected = (
-        vector_env("energy", 3, interface="scaled"),
-        vector_env("energy", 3, by_numpy=True, interface="scaled"),
-    )
-    assert bits(ours.reset(seed=0)) == bits(expected.reset(seed=0))
-    actions = np.full((3, 5, 5), 0.5, dtype=np.float32)
-    assert bits(ours.step(actions).observations) == bits(expected.step(actions).observations)
-    assert written
-
-
-@pytest.mark.parametrize("interface", ["physical"])
-def test_read_only_actions_and_states_are_not_compiled_for_again(interface, compiled):
-    from ptne_env.world import kernels
-
-    env = vector_env("energy", 3, interface=interface)
+    env = vector_env("energy", 3)
     env.reset(seed=0)
     actions = np.zeros((3, 5, 5), dtype=np.float32)
     env.step(actions)
-    functions = kernels.step, kernels.is_inside, kernels.show_entry
+    functions = kernels.step, kernels.is_inside
     compilations = [len(function.signatures) for function in functions]
     actions.flags.writeable = False
     env.step(actions)
