@@ -43,8 +43,7 @@ def _policies() -> Iterator[Entry]:
     for spec in POLICIES.values():
         source = spec.to_dict()["training_seeds"][0]
         arguments = ", ".join(f"{name} = {value}" for name, value in source["arguments"].items())
-        places = "" if spec.scenarios is None else f"; for {', '.join(sorted(spec.scenarios))}"
-        yield spec.name, spec.description, f"{source['target']} {arguments}".strip() + places
+        yield spec.name, spec.description, f"{source['target']} {arguments}".strip()
 
 
 def _metrics() -> Iterator[Entry]:

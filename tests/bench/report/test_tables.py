@@ -11,6 +11,7 @@ from rich.console import Console
 
 from ptne_env import evaluate, get_scenario, laws, theory
 from ptne_env.bench.check import Check, Repetition
+from ptne_env.bench.leaderboard import leaderboard
 from ptne_env.bench.report import answer_tables, certificate_tables, check_tables, result_tables, show
 from ptne_env.bench.report.tables import (
     Cell,
@@ -134,7 +135,7 @@ def test_a_policy_that_cannot_act_is_named_with_the_reason(suite):
 def test_the_leaderboard_has_the_scores_of_a_suite_alone(suite, comparison):
     assert leaderboard_table(comparison) is None
     table = leaderboard_table(suite)
-    scores = {row.policy: row.score.mean for row in suite.leaderboard.overall}
+    scores = {row.policy: row.score.mean for row in leaderboard(suite).overall}
     assert {row.removesuffix(" *"): table.columns[0][row].value for row in table.rows} == scores
 
 
