@@ -19,6 +19,7 @@ from ptne_env.evaluation import COMPARED, POLICIES, PolicySpec, Results, evaluat
 from ptne_env.evaluation.entries import foreign_names
 from ptne_env.evaluation.run import EPISODES
 from ptne_env.shared.files import write_atomically
+from ptne_env.shared.names import unknown_name
 from ptne_env.world.catalogue import CATALOGUE
 
 _HOLD_STEPS = 25
@@ -179,6 +180,8 @@ def _results(
     for name in places:
         if name in POLICIES:
             raise ValueError(f"{name!r} is a policy, no scenario: write --policy {name}")
+        if name not in CATALOGUE and ":" not in name:
+            raise ValueError(unknown_name("scenario", name, world_names()))
     return evaluate(
         policies or COMPARED,
         places or CATALOGUE,

@@ -26,16 +26,17 @@ def reproduce(
 
     Simulates the laws in continuous time, with the matrix exponential as the exact reference where the game is affine.
     """
+    from ptne_env.bench.report.paper import paper_page, paper_tables  # it takes a second
     from ptne_env.theory import paper
 
     page = out / "index.html"
     check_writable(json, page)
     with progress("reproducing") as advance:
         reproduction = paper.reproduce(out, progress=advance)
-    write_atomically(page, report.paper_page(reproduction, shlex.join(["ptne", "reproduce", "--out", str(out)])))
+    write_atomically(page, paper_page(reproduction, shlex.join(["ptne", "reproduce", "--out", str(out)])))
     write_json(json, json_text(reproduction.to_dict()))
     screen = console()
-    for table in report.paper_tables(reproduction):
+    for table in paper_tables(reproduction):
         screen.print(report.show(table, screen.width))
     say(f"{len(reproduction.figures)} figures and {reproduction.results.name} written to {out}")
     say(f"Report written to {page}: open it in a browser")

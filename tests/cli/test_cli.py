@@ -114,7 +114,7 @@ def test_a_missing_file_is_called_a_missing_file(words, run, tmp_path):
         need_sb3()
     outcome = run(words)
     assert outcome.code == ExitCode.FILE
-    assert outcome.err.startswith("Error: there is no file 'missing.file")
+    assert re.search(r"^Error: .*'missing\.file", outcome.err)
     assert not any(tmp_path.iterdir())
 
 
@@ -431,10 +431,8 @@ def test_a_terminal_gets_colours_and_none_with_no_color(tmp_path):
     ("words", "expected"),
     [
         (["ptne", ""], set(COMMANDS)),
-        (["ptne", "compare", "random-energy-"], {"random-energy-switching"}),
         (["ptne", "compare", "--policy", "static,gr"], {"static,grounded"}),
         (["ptne", "compare", "--suite", "ptne-v1", "large"], {"large-20", "large-50"}),
-        (["ptne", "render", "energy", "grou"], {"grounded"}),
         (["ptne", "train", "random-e"], {"random-energy"}),
     ],
     ids=lambda value: " ".join(value) if isinstance(value, list) else "",

@@ -63,8 +63,7 @@ def paper_page(reproduction: Reproduction, command: str) -> str:
     answer = f"{stated - len(failed)} of {stated} claims hold when measured. Failing: {'; '.join(failed) or 'none'}."
     pictures = {path.stem: path.read_bytes() for path in reproduction.figures}
     figures = (
-        Part(f"{spec.number}: {spec.name}", picture=pictures[spec.name], caption=spec.caption)
-        for spec in FIGURES
+        Part(f"{spec.number}: {spec.name}", picture=pictures[spec.name], caption=spec.caption) for spec in FIGURES
     )
     return Page(
         title="The paper reproduced",
