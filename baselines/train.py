@@ -1,12 +1,27 @@
-"""Train one policy: ``python baselines/train.py random-energy --out runs/random-energy --seed 0``.
+"""Train every shipped configuration, and ship the policies: ``python baselines/train.py [--out runs]``.
 
-The same as ``ptne train``. What it does is one file, ``ptne_env/learn/training/ppo.py``, with the configurations beside it.
+A run that is in the folder already is not repeated. It takes some minutes; each policy goes to
+``ptne_env/learn/ppo-CONFIGURATION.onnx``.
 """
 
-import sys
+import argparse
+import shutil
+from pathlib import Path
 
-from ptne_env.cli import main
+from ptne_env import learn
+from ptne_env.learn.training import configurations, ppo
+from ptne_env.learn.training.configuration import Configuration
+
+
+def main(out: Path) -> None:
+    """Train and copy."""
+    for name in configurations():
+        summary = ppo.train(Configuration.from_toml(name), out / name)
+        shutil.copyfile(out / name / "policy.onnx", Path(learn.__file__).parent / f"ppo-{name}.onnx")
+        print(f"ppo-{name}: {summary.digits:.2f} digits")
+
 
 if __name__ == "__main__":
-    sys.argv.insert(1, "train")
-    main()
+    parser = argparse.ArgumentParser()
+    parser.add_argument("--out", type=Path, default=Path("runs"))
+    main(parser.parse_args().out)
