@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import cached_property
+from typing import ClassVar
 
 import numpy as np
 import numpy.typing as npt
@@ -40,7 +41,7 @@ class AffineGame(Game):
     """
 
     is_affine = True
-    parameters = ("matrix", "offset")
+    parameters: ClassVar[tuple[str, ...]] = ("matrix", "offset")
 
     def __init__(
         self,

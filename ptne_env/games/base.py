@@ -176,7 +176,7 @@ class Game(Part, ABC):
 
     def _with(self, **parameters: FloatArray) -> Game:
         """The batch of games with other parameters, which are given by name."""
-        return type(self)(**parameters)
+        return type(self)(**parameters)  # type: ignore[arg-type]  # of a subclass that names parameters
 
     @cached_property
     def nash_equilibria(self) -> FloatArray:

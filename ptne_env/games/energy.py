@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import cached_property
+from typing import ClassVar
 
 import numpy as np
 import numpy.typing as npt
@@ -30,7 +31,7 @@ class EnergyGame(Game):
     """
 
     is_affine = True
-    parameters = ("curvature", "target", "coupling")
+    parameters: ClassVar[tuple[str, ...]] = ("curvature", "target", "coupling")
 
     def __init__(
         self,

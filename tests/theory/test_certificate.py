@@ -66,6 +66,7 @@ def test_exact_digits_are_those_of_an_episode_of_random_games(seed):
     fields |= {
         "transformation": str(generator.choice(["exponential", "tanh"])),
         "s_end": float(generator.uniform(5, 8)),
+        "spacing": str(generator.choice(["effective", "transformed"])),
     }
     scenario = affine_scenario(matrix, offset, fixed_part(adjacency), input_limit=1e6, **fields)
     law = FactorySpec.of(["law:static", "law:grounded"][seed % 2], kappa=float(2 ** generator.uniform(-1, 3)))

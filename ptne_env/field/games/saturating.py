@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import cached_property
+from typing import ClassVar
 
 import numpy as np
 import numpy.typing as npt
@@ -34,7 +35,7 @@ class SaturatingGame(AffineGame):
     """
 
     is_affine = False
-    parameters = ("matrix", "prices", "shift", "equilibrium")
+    parameters: ClassVar[tuple[str, ...]] = ("matrix", "prices", "shift", "equilibrium")
 
     def __init__(
         self,
