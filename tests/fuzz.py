@@ -123,21 +123,21 @@ def a_topology(rng, players):
     named = rng.choice(("path", "star", "complete", *(["cycle"] if players > 2 else [])))
     jumps = {"transition": np.full((modes, modes), 1 / modes), "dwells": dwells[1]}
     kinds = {
-        "fixed": {"graph": rng.choice((whole, graph(named, players=players)))},
         "periodic": {"graphs": graphs, "dwells": [rng.uniform(0.1, 2) for _ in graphs], "clock": clock},
-        "random_dwells": {"graphs": graphs, "dwells": dwells, "clock": clock},
         "markov": {"graphs": graphs, "clock": clock, **jumps},
-        "random_edges": {
+        "random-edges": {
             "graph": whole,
             "probability": rng.uniform(0.3, 1),
             "dwells": dwells,
             "modes": 8,
             "clock": clock,
         },
-        "random_graphs": {"players": players, "probability": rng.uniform(0.5, 1), "modes": rng.randint(2, 5)},
+        "random-graphs": {"players": players, "probability": rng.uniform(0.5, 1), "modes": rng.randint(2, 5)},
     }
-    kind = rng.choice(("fixed", *kinds))
-    return FactorySpec.of(f"ptne_env.world.switching:{kind}", **kinds[kind])
+    kind = rng.choice(("whole", "named", *kinds))
+    if kind == "whole":
+        return whole
+    return graph(named, players=players) if kind == "named" else FactorySpec.of(f"topology:{kind}", **kinds[kind])
 
 
 def a_channel(rng):
@@ -547,10 +547,7 @@ def relabelled(rng, tally):
         scenario = Scenario(
             name="relabelled",
             game=FactorySpec.of("game:energy", curvature=curvature[order], target=target[order], coupling=coupling),
-            topology=FactorySpec.of(
-                "ptne_env.world.switching:fixed",
-                graph=FactorySpec.of("ptne_env.world.graphs:Graph", adjacency=matrix[np.ix_(order, order)]),
-            ),
+            topology=FactorySpec.of("ptne_env.world.graphs:Graph", adjacency=matrix[np.ix_(order, order)]),
             start="random",
         )
         env = parallel_env(scenario, interface=kind)

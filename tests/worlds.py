@@ -37,9 +37,7 @@ PAPER_START = np.array(
 BLOCKS = Scenario(
     name="blocks",
     game=FactorySpec.of("sample_games:BlockGame", action_dims=(2, 1, 3)),
-    topology=FactorySpec.of(
-        "ptne_env.world.switching:fixed", graph=FactorySpec.of("ptne_env.world.graphs:path", players=3)
-    ),
+    topology=FactorySpec.of("ptne_env.world.graphs:path", players=3),
     start="random",
 )
 """Players of 2, 1 and 3 dimensions on a path."""
@@ -111,9 +109,7 @@ def energy_scenario(curvature, target, topology, **fields):
 
 def fixed_part(adjacency):
     """The part that builds the fixed topology of an adjacency matrix."""
-    return FactorySpec.of(
-        "ptne_env.world.switching:fixed", graph=FactorySpec.of("ptne_env.world.graphs:Graph", adjacency=adjacency)
-    )
+    return FactorySpec.of("ptne_env.world.graphs:Graph", adjacency=adjacency)
 
 
 def loop_matrix(game, adjacency, kappa, gradient_gain=1.0):

@@ -26,7 +26,7 @@ def _many(players: int, stride: int) -> dict[str, Any]:
     coupling = (0.25 / players, 1.5 / players)
     return {
         "game": part("game:random-energy", players=players, coupling=coupling),
-        "topology": part("topology:fixed", graph=graph),
+        "topology": graph,
     }
 
 

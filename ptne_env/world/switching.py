@@ -10,7 +10,6 @@ from typing import Literal, TypeAlias
 import networkx as nx
 import numpy as np
 import numpy.typing as npt
-from scipy.sparse.csgraph import minimum_spanning_tree
 
 from ptne_env.shared.arrays import FloatArray, IntArray, frozen, require_count, require_positive, require_probability
 from ptne_env.shared.parts import Part
@@ -123,8 +122,9 @@ class SwitchingTopology(Part):
         """The schedule at ``instants`` (any shape) of the topology's clock.
 
         Raises:
-            ValueError: when an instant is negative.
+            ValueError: when an instant is negative, or every episode draws its own schedule.
         """
+        self._require_certain("schedule")
         times = _instants(instants)
         if self.is_fixed:
             return Schedule(np.zeros(times.shape, dtype=np.int64), np.zeros(times.shape))
@@ -153,7 +153,12 @@ class SwitchingTopology(Part):
         )
 
     def switches(self, start: float, end: float) -> FloatArray:
-        """The switching instants in the open interval (start, end), in the unit of the clock."""
+        """The switching instants in the open interval (start, end), in the unit of the clock.
+
+        Raises:
+            ValueError: when every episode draws its own.
+        """
+        self._require_certain("switching instants")
         if self.is_fixed:
             return np.empty(0)
         periods = np.arange(np.floor(start / self.period), np.floor(end / self.period) + 1)
@@ -161,36 +166,18 @@ class SwitchingTopology(Part):
         slack = _BOUNDARY_TOLERANCE * min(self.dwells)
         return instants[(instants > start + slack) & (instants < end - slack)]
 
-
-class RandomTopology(SwitchingTopology):
-    """A topology whose schedule every episode draws with :meth:`draw`; it has no schedule of its own."""
-
-    is_random = True
-
-    def schedule(self, instants: npt.ArrayLike) -> Schedule:  # noqa: ARG002 - the signature is the interface
-        """Does not exist without a draw.
-
-        Raises:
-            ValueError: always.
-        """
-        raise ValueError("this topology is random and has no schedule of its own: draw one per episode, see draw()")
-
-    def switches(self, start: float, end: float) -> FloatArray:  # noqa: ARG002 - the signature is the interface
-        """Do not exist without a draw.
-
-        Raises:
-            ValueError: always.
-        """
-        raise ValueError(
-            "this topology is random and has no switching instants of its own: draw a schedule, see draw()"
-        )
+    def _require_certain(self, wanted: str) -> None:
+        if self.is_random:
+            raise ValueError(
+                f"this topology is random and has no {wanted} of its own: draw one per episode, see draw()"
+            )
 
 
-class MarkovTopology(RandomTopology):
+class MarkovTopology(SwitchingTopology):
     """A topology whose modes follow a Markov chain, with every dwell time drawn uniformly from a range.
 
     In mode m the topology dwells for U(shortest, longest) and then switches to mode m' with probability
-    ``transition[m][m']``; m' may be m again, which counts as a switch.
+    ``transition[m][m']``; m' may be m again, which counts as a switch. The first mode is drawn uniformly.
 
     Args:
         graphs: the modes, at least two, all on the same players.
@@ -198,7 +185,6 @@ class MarkovTopology(RandomTopology):
             every other.
         dwells: a dwell time or a range (shortest, longest), for all modes.
         clock: ``"physical"`` or ``"transformed"``.
-        first: the mode at the start; drawn uniformly by default.
 
     Attributes:
         shortest, longest: range of the dwells, in the unit of the clock.
@@ -208,13 +194,10 @@ class MarkovTopology(RandomTopology):
         ValueError: when these do not hold, or as :class:`SwitchingTopology`.
     """
 
+    is_random = True
+
     def __init__(
-        self,
-        graphs: Sequence[Graph],
-        transition: npt.ArrayLike,
-        dwells: Dwells,
-        clock: TopologyClock = "physical",
-        first: int | None = None,
+        self, graphs: Sequence[Graph], transition: npt.ArrayLike, dwells: Dwells, clock: TopologyClock = "physical"
     ) -> None:
         bounds = dwells if isinstance(dwells, Sequence) else (dwells, dwells)
         if len(bounds) != 2:
@@ -235,9 +218,6 @@ class MarkovTopology(RandomTopology):
                 "the Markov chain is reducible: some mode cannot be reached from some other; connect every mode to "
                 "every other by positive probabilities, or remove it"
             )
-        if first is not None and not 0 <= require_count("first", first, 0) < modes:
-            raise ValueError(f"first is a mode 0..{modes - 1}, got {first}")
-        self.first = first
 
     @property
     def joint_connectivity(self) -> JointConnectivity:
@@ -265,11 +245,7 @@ class MarkovTopology(RandomTopology):
         ends = np.cumsum(self.shortest + (self.longest - self.shortest) * unit, axis=0)
         ladder = np.cumsum(self.transition, axis=1)
         ladder[:, -1] = 1.0
-        if self.first is None:
-            mode = (choices[0] * len(self.graphs)).astype(np.int64)
-        else:
-            mode = np.full(len(generators), self.first)
-
+        mode = (choices[0] * len(self.graphs)).astype(np.int64)
         slack = _BOUNDARY_TOLERANCE * self.shortest
         modes = np.broadcast_to(mode, (times.size, mode.size)).copy()
         starts = np.zeros(modes.shape)
@@ -284,7 +260,7 @@ class MarkovTopology(RandomTopology):
         return Schedule(modes, np.clip((times[:, None] - starts) / self.mean_dwell, 0.0, 1.0))
 
 
-class EpisodeTopology(RandomTopology):
+class EpisodeTopology(SwitchingTopology):
     """A topology that draws one graph for a whole episode, uniformly from a pool, and never switches within it.
 
     Args:
@@ -293,6 +269,8 @@ class EpisodeTopology(RandomTopology):
     Raises:
         ValueError: for fewer graphs, or graphs on different players.
     """
+
+    is_random = True
 
     def __init__(self, graphs: Sequence[Graph]) -> None:
         if len(graphs) < 2:
@@ -305,15 +283,6 @@ class EpisodeTopology(RandomTopology):
         """``always`` where every graph of the pool is connected, else ``never``: some episode does not connect."""
         return "always" if all(graph.is_connected for graph in self.graphs) else "never"
 
-    @property
-    def mean_dwell(self) -> float:
-        """Infinite."""
-        return float("inf")
-
-    def switches(self, start: float, end: float) -> FloatArray:  # noqa: ARG002 - the signature is the interface
-        """None: an empty array."""
-        return np.empty(0)
-
     def draw(self, instants: npt.ArrayLike, generators: Sequence[np.random.Generator]) -> Schedule:
         """The schedules of B episodes: the graph drawn by each generator at all ``instants`` (K,)."""
         shape = (np.size(instants), len(generators))
@@ -324,24 +293,6 @@ class EpisodeTopology(RandomTopology):
 def fixed(graph: Graph) -> SwitchingTopology:
     """The topology that never switches."""
     return SwitchingTopology([graph])
-
-
-def periodic(graphs: Sequence[Graph], dwells: Sequence[float], clock: TopologyClock = "physical") -> SwitchingTopology:
-    """The topology that repeats ``graphs`` with their ``dwells``, in the unit of ``clock``."""
-    return SwitchingTopology(graphs, dwells, clock)
-
-
-def random_dwells(graphs: Sequence[Graph], dwells: Dwells, clock: TopologyClock = "physical") -> SwitchingTopology:
-    """The topology that repeats ``graphs`` in order, each for a time drawn from the range ``dwells``."""
-    following = np.roll(np.eye(len(graphs)), 1, axis=1)
-    return MarkovTopology(graphs, following, dwells, clock, first=0)
-
-
-def markov(
-    graphs: Sequence[Graph], transition: npt.ArrayLike, dwells: Dwells, clock: TopologyClock = "physical"
-) -> SwitchingTopology:
-    """The topology whose next graph after each dwell is drawn from a row of ``transition``."""
-    return MarkovTopology(graphs, transition, dwells, clock)
 
 
 def random_edges(
@@ -406,49 +357,6 @@ def random_graphs(players: int, probability: float, modes: int = 100, seed: int 
         if len(pool) == count:
             return EpisodeTopology(pool)
     raise ValueError(f"hardly any graph of {players} players is connected with probability {probability}; raise it")
-
-
-def random_subgraphs(
-    graph: Graph,
-    probability: float,
-    dwells: Dwells | None = None,
-    modes: int = 100,
-    seed: int = 0,
-    clock: TopologyClock = "physical",
-) -> SwitchingTopology:
-    """The topology that draws connected subgraphs of ``graph``, one for every episode or one for every dwell.
-
-    Each subgraph has a random spanning tree of ``graph``, and every other link with ``probability``. They come from a
-    pool, which is a function of the arguments, so it belongs to the scenario and is the same in every episode. Players
-    have no more neighbours than in ``graph``: with a sparse one, such as :func:`~ptne_env.world.graphs.random_regular`, games
-    of hundreds of players stay fast.
-
-    Args:
-        graph: all possible links; connected.
-        probability: of a link outside the tree, in [0, 1].
-        dwells: a dwell time or a range (shortest, longest); ``None`` keeps the drawn graph for the whole episode.
-        modes: graphs in the pool, at least 2.
-        seed: of the pool.
-        clock: of the dwells, ``"physical"`` or ``"transformed"``.
-
-    Raises:
-        ValueError: when the graph is disconnected, a number is out of range, or as :class:`MarkovTopology`.
-    """
-    require_probability("probability", probability)
-    count = require_count("modes", modes, 2)
-    if not graph.is_connected:
-        raise ValueError("a disconnected graph has no connected subgraph; add links between its components")
-    i, j = np.nonzero(np.triu(graph.adjacency))
-    generator = np.random.default_rng(require_count("seed", seed, 0))
-    pool = []
-    for _ in range(count):
-        up = np.zeros_like(graph.adjacency)
-        up[i, j] = 1 + generator.random(i.size)  # the spanning tree of least random weights
-        up = (minimum_spanning_tree(up).toarray() > 0) | ((up > 0) & (generator.random(up.shape) < probability))
-        pool.append(Graph(graph.adjacency * (up | up.T)))
-    if dwells is None:
-        return EpisodeTopology(pool)
-    return MarkovTopology(pool, np.full((count, count), 1 / count), dwells, clock)
 
 
 def paper_topology(dwell: float = 0.1, clock: TopologyClock = "physical") -> SwitchingTopology:

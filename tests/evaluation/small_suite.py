@@ -8,9 +8,7 @@ from ptne_env.evaluation import Suite, Track
 
 BASE = ptne_env.get_scenario("random-energy", steps=120, deadline=0.2)
 COMPLETE = BASE.replace(
-    topology=FactorySpec.of(
-        "ptne_env.world.switching:fixed", graph=FactorySpec.of("ptne_env.world.graphs:complete", players=5)
-    )
+    topology=FactorySpec.of("ptne_env.world.graphs:complete", players=5)
 )
 SMALL = Suite("small-v1", (Track("ring", BASE, "The base."), Track("complete", COMPLETE, "All links.")), episodes=5)
 

@@ -286,7 +286,7 @@ def test_jobs_that_cannot_be_hashed_are_not_stored_unless_they_are_run_again(wri
 
 def test_the_modules_of_the_parts_of_a_track_are_hashed(write):
     write({"parts": "from ptne_env import graphs\n\ndef ring():\n    return graphs.cycle(5)\n"})
-    ring = BASE.replace(topology=FactorySpec.of("ptne_env.world.switching:fixed", graph=FactorySpec.of("parts:ring")))
+    ring = BASE.replace(topology=FactorySpec.of("parts:ring"))
     suite = Suite("mine", (Track("mine", ring, "Own graph."), Track("ring", BASE, "The base.")))
 
     def keys():

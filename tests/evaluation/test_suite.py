@@ -201,7 +201,7 @@ def test_a_class_that_a_notebook_defines_again_makes_another_world(monkeypatch):
     notebook = ModuleType("notebook")
     monkeypatch.setitem(sys.modules, "notebook", notebook)
     notebook.ring = lambda: graphs.cycle(5)
-    ring = FactorySpec.of("ptne_env.world.switching:fixed", graph=FactorySpec.of("notebook:ring"))
+    ring = FactorySpec.of("notebook:ring")
     track = Track("own", BASE.replace(topology=ring), "Own graph.")
     before = track.world
     assert track.world is before

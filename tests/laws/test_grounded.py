@@ -9,7 +9,7 @@ from worlds import BLOCKS, energy_scenario, make_env, play, stack, world_and_enc
 from ptne_env import FactorySpec, get_scenario, laws, theory
 from ptne_env.world import dynamics
 
-RING = FactorySpec.of("ptne_env.world.switching:fixed", graph=FactorySpec.of("ptne_env.world.graphs:cycle", players=5))
+RING = FactorySpec.of("ptne_env.world.graphs:cycle", players=5)
 HVAC = energy_scenario(1.0, (50.0, 55.0, 60.0, 65.0, 70.0), RING).replace(
     game=FactorySpec.of("ptne_env.games:EnergyGame", target=(50, 55, 60, 65, 70), coupling=0.04, base_price=5.0)
 )

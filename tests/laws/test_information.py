@@ -51,7 +51,7 @@ def topology_spec(modes, weights):
             adjacency[i, j] = adjacency[j, i] = weights[min(i, j), max(i, j)]
         graphs.append(FactorySpec.of("ptne_env.world.graphs:Graph", adjacency=adjacency))
     if len(graphs) == 1:
-        return FactorySpec.of("ptne_env.world.switching:fixed", graph=graphs[0])
+        return graphs[0]
     return FactorySpec.of(
         "topology:periodic", graphs=graphs, dwells=[0.1] * len(graphs), clock="physical"
     )

@@ -144,9 +144,7 @@ def test_weights_and_relative_estimates_follow_from_the_state(name):
 def test_padded_slots_hold_the_player_itself_with_weight_zero():
     star = get_scenario(
         "energy",
-        topology=FactorySpec.of(
-            "ptne_env.world.switching:fixed", graph=FactorySpec.of("ptne_env.world.graphs:star", players=5)
-        ),
+        topology=FactorySpec.of("ptne_env.world.graphs:star", players=5),
     )
     world = World(star)
     assert world.slots == 4
@@ -300,9 +298,7 @@ def large_energy_scenario(players=11, **fields):
             curvature=generator.uniform(0.5, 2, players),
             target=generator.uniform(5, 30, players),
         ),
-        topology=FactorySpec.of(
-            "ptne_env.world.switching:fixed", graph=FactorySpec.of("ptne_env.world.graphs:cycle", players=players)
-        ),
+        topology=FactorySpec.of("ptne_env.world.graphs:cycle", players=players),
         start="random",
         **fields,
     )

@@ -29,9 +29,7 @@ def scenarios(draw):
     return Scenario(
         name=draw(st.text(max_size=10).filter(str.isprintable)),
         game=FactorySpec.of("ptne_env.games:EnergyGame", target=target, coupling=draw(finite)),
-        topology=FactorySpec.of(
-            "ptne_env.world.switching:fixed", graph=FactorySpec.of("ptne_env.world.graphs:complete", players=players)
-        ),
+        topology=FactorySpec.of("ptne_env.world.graphs:complete", players=players),
         start=FactorySpec.of("ptne_env.world.starts:UniformStart", low=-draw(finite), high=draw(finite)),
         transformation=draw(st.sampled_from(["exponential", "tanh"])),
         deadline=draw(finite),
@@ -220,9 +218,7 @@ REFUSED = {
         "for 3 players and dimension 3.*choose start='random'",
     ),
     "disconnected graph": (
-        lambda: get_scenario(
-            "energy", topology=FactorySpec.of("ptne_env.world.switching:fixed", graph=edges(5, (0, 1), (2, 3)))
-        ),
+        lambda: get_scenario("energy", topology=edges(5, (0, 1), (2, 3))),
         "graph is disconnected.*add links",
     ),
     "topology that is not jointly connected": (

@@ -29,7 +29,7 @@ def test_paper_topology_has_four_disconnected_modes_with_union_cycle():
 
 def test_disconnected_union_is_not_jointly_connected():
     pairs = [graphs.from_edges(4, [(0, 1)]), graphs.from_edges(4, [(2, 3)])]
-    assert not switching.periodic(pairs, [1.0, 1.0]).is_jointly_connected
+    assert not SwitchingTopology(pairs, [1.0, 1.0]).is_jointly_connected
 
 
 @given(
@@ -132,7 +132,7 @@ def walked(topology, instants, generator):
     choices, units = generator.random((2, count))
     modes, since = [], []
     for instant in instants:
-        mode = topology.first if topology.first is not None else int(choices[0] * len(topology.graphs))
+        mode = int(choices[0] * len(topology.graphs))
         start, dwell = 0.0, 0
         while True:
             end = start + topology.shortest + (topology.longest - topology.shortest) * units[dwell]
@@ -147,12 +147,11 @@ def walked(topology, instants, generator):
 @pytest.mark.parametrize(
     "topology",
     [
-        switching.markov(PAIRS, CHAIN, (0.2, 0.7)),
-        switching.markov(PAIRS, CHAIN, 0.25),
-        switching.random_dwells(PAIRS, (0.2, 0.7)),
+        MarkovTopology(PAIRS, CHAIN, (0.2, 0.7)),
+        MarkovTopology(PAIRS, CHAIN, 0.25),
         switching.random_edges(graphs.complete(4), 0.3, (0.2, 0.7), modes=5),
     ],
-    ids=["markov", "markov, dwells known", "dwells", "edges"],
+    ids=["markov", "markov, dwells known", "edges"],
 )
 def test_drawn_schedule_agrees_with_a_walk_through_the_draws(topology):
     instants = np.linspace(0, 12, 97)
@@ -162,11 +161,11 @@ def test_drawn_schedule_agrees_with_a_walk_through_the_draws(topology):
         modes, since = walked(topology, instants.tolist(), generator)
         assert schedule.modes[:, b].tolist() == modes
         assert schedule.time_since_switch[:, b] == pytest.approx(np.array(since), abs=1e-9)
-    assert len({tuple(column) for column in schedule.modes.T}) > 1 or topology.first is not None
+    assert len({tuple(column) for column in schedule.modes.T}) > 1
 
 
 def test_schedules_of_episodes_do_not_depend_on_each_other():
-    topology, instants = switching.markov(PAIRS, CHAIN, (0.2, 0.7)), np.linspace(0, 12, 97)
+    topology, instants = MarkovTopology(PAIRS, CHAIN, (0.2, 0.7)), np.linspace(0, 12, 97)
     together = topology.draw(instants, generators(5))
     for b in range(5):
         alone = topology.draw(instants, generators(1, seed=b))
@@ -175,7 +174,7 @@ def test_schedules_of_episodes_do_not_depend_on_each_other():
 
 
 def test_modes_follow_the_chain_and_dwells_are_uniform():
-    topology = switching.markov(PAIRS, CHAIN, 1.0)
+    topology = MarkovTopology(PAIRS, CHAIN, 1.0)
     modes = topology.draw(np.arange(60) + 0.5, generators(300)).modes
     assert stats.chisquare(np.bincount(modes[0], minlength=3)).pvalue > FALSE_ALARM
     for mode in range(3):
@@ -185,9 +184,10 @@ def test_modes_follow_the_chain_and_dwells_are_uniform():
         assert not following[~possible].any()
         assert stats.chisquare(following[possible], expected[possible]).pvalue > FALSE_ALARM
 
-    order = switching.random_dwells(PAIRS, (0.5, 1.5))
+    order = MarkovTopology(PAIRS, np.roll(np.eye(3), 1, axis=1), (0.5, 1.5))
     instants = np.linspace(0, 1.5, 3001)
-    first = (order.draw(instants, generators(400)).modes == 0).sum(axis=0) * 0.0005  # the first dwell of each episode
+    modes = order.draw(instants, generators(400)).modes
+    first = (modes == modes[0]).sum(axis=0) * 0.0005  # the first dwell of each episode
     assert stats.kstest(first - 0.5, "uniform").pvalue > FALSE_ALARM
     assert set(np.diff(order.draw(np.linspace(0, 30, 3001), generators(5)).modes, axis=0).ravel()) == {0, 1, -2}
 
@@ -214,7 +214,6 @@ def test_every_episode_draws_its_graph_and_keeps_it():
         alone = topology.draw(instants, generators(1, seed=b))
         assert np.array_equal(alone.modes[:, 0], schedule.modes[:, b])
     assert topology.shortest_dwell == topology.mean_dwell == topology.period == np.inf
-    assert topology.switches(0, 10).size == 0
 
 
 def test_random_graphs_are_uniform_over_connected_graphs():
@@ -243,12 +242,12 @@ def test_joint_connectivity_of_every_kind_of_topology():
     even = np.full((2, 2), 0.5)
     assert switching.fixed(graphs.path(4)).joint_connectivity == "always"
     assert switching.fixed(apart[0]).joint_connectivity == "never"
-    assert switching.periodic(PAIRS, [1] * 3).joint_connectivity == "always"
-    assert switching.periodic(apart, [1, 1]).joint_connectivity == "never"
-    assert switching.random_dwells(PAIRS, (0.5, 1)).joint_connectivity == "always"
-    assert switching.markov(PAIRS, CHAIN, 1.0).joint_connectivity == "almost surely"
-    assert switching.markov(connected, even, 1.0).joint_connectivity == "always"
-    assert switching.markov(apart, even, 1.0).joint_connectivity == "never"
+    assert SwitchingTopology(PAIRS, [1] * 3).joint_connectivity == "always"
+    assert SwitchingTopology(apart, [1, 1]).joint_connectivity == "never"
+    assert MarkovTopology(PAIRS, np.roll(np.eye(3), 1, axis=1), (0.5, 1)).joint_connectivity == "always"
+    assert MarkovTopology(PAIRS, CHAIN, 1.0).joint_connectivity == "almost surely"
+    assert MarkovTopology(connected, even, 1.0).joint_connectivity == "always"
+    assert MarkovTopology(apart, even, 1.0).joint_connectivity == "never"
     assert switching.random_edges(graphs.cycle(4), 0.5, 1.0).joint_connectivity == "almost surely"
     assert switching.random_edges(graphs.cycle(4), 1.0, 1.0, modes=2).joint_connectivity == "always"
     assert switching.random_edges(graphs.cycle(4), 1e-9, 1.0).joint_connectivity == "never"
@@ -258,7 +257,7 @@ def test_joint_connectivity_of_every_kind_of_topology():
 
 def test_almost_sure_connectivity_has_no_window():
     """For every window there is an episode whose union over that window is not connected."""
-    topology = switching.markov(PAIRS, np.full((3, 3), 1 / 3), 1.0)
+    topology = MarkovTopology(PAIRS, np.full((3, 3), 1 / 3), 1.0)
     modes = topology.draw(np.arange(40) + 0.5, generators(2000)).modes
     disconnected = [len(set(modes[:5, b])) < 3 for b in range(2000)]
     probability = (3 * 2**5 - 3) / 3**5  # a mode or two are missing among five
@@ -266,7 +265,7 @@ def test_almost_sure_connectivity_has_no_window():
 
 
 def test_random_topology_has_no_schedule_without_a_draw():
-    topology = switching.markov(PAIRS, CHAIN, (0.2, 0.7))
+    topology = MarkovTopology(PAIRS, CHAIN, (0.2, 0.7))
     assert topology.is_random
     assert not topology.is_fixed
     assert (topology.shortest_dwell, topology.mean_dwell) == (0.2, pytest.approx(0.45))
@@ -296,7 +295,6 @@ def test_draw_of_a_periodic_topology_is_its_schedule():
         ({"dwells": (0.7, 0.2)}, "the shortest dwell comes first"),
         ({"dwells": (0.1, 0.2, 0.3)}, "a time or a range"),
         ({"dwells": 0.0}, "dwell time must be a finite number above 0"),
-        ({"first": 2}, "first is a mode 0..1, got 2"),
         ({"graphs": [graphs.path(3)], "transition": [[1.0]]}, "at least two graphs"),
     ],
 )
@@ -310,52 +308,6 @@ def test_invalid_markov_topologies_are_refused(arguments, message):
 def test_invalid_link_probabilities_are_refused(probability):
     with pytest.raises(ValueError, match="probability must be"):
         switching.random_edges(graphs.cycle(4), probability, 1.0)
-
-
-@pytest.mark.parametrize("clock", ["physical", "transformed"])
-def test_random_subgraphs_are_connected_and_switch_on_either_clock(clock):
-    host = graphs.random_regular(50, 6, seed=1)
-    kept = switching.random_subgraphs(host, 0.3, modes=20, seed=2)
-    switching_ones = switching.random_subgraphs(host, 0.3, dwells=(0.1, 0.2), modes=20, seed=2, clock=clock)
-    assert kept.graphs == switching_ones.graphs
-    assert kept.joint_connectivity == switching_ones.joint_connectivity == "always"
-    assert len(set(kept.graphs)) == 20
-    assert (kept.union.adjacency <= host.adjacency).all()
-    assert kept.union.largest_degree <= 6
-    assert switching_ones.clock == clock
-    schedules = switching_ones.draw(np.linspace(0, 2, 50), generators(2)).modes.T
-    assert not np.array_equal(*schedules)
-    assert len(set(schedules[0].tolist())) > 5
-    links = np.mean([len(graph.edges) for graph in kept.graphs])
-    tree, others = 49, 150 - 49
-    assert abs(links - (tree + 0.3 * others)) < 6 * np.sqrt(others * 0.21 / 20)
-
-
-def test_random_subgraphs_keep_weights_and_end_in_trees():
-    weighted = graphs.Graph([[0, 2.0, 3.0], [2.0, 0, 5.0], [3.0, 5.0, 0]])
-    trees = switching.random_subgraphs(weighted, 0.0, modes=30)
-    assert {len(graph.edges) for graph in trees.graphs} == {2}
-    assert len(set(trees.graphs)) == 3
-    assert trees.union == weighted
-    assert set(switching.random_subgraphs(weighted, 1.0, modes=2).graphs) == {weighted}
-
-
-def test_random_subgraphs_of_a_disconnected_graph_are_refused():
-    with pytest.raises(ValueError, match="add links between its components"):
-        switching.random_subgraphs(graphs.from_edges(4, [(0, 1), (2, 3)]), 0.5)
-
-
-def test_a_game_of_200_players_on_random_sparse_graphs_is_small():
-    host = FactorySpec.of("ptne_env.world.graphs:random_regular", players=200, degree=4)
-    world = World(
-        get_scenario(
-            "random-energy",
-            topology=FactorySpec.of("ptne_env.world.switching:random_subgraphs", graph=host, probability=0.5, modes=10),
-            game=FactorySpec.of("ptne_env.games:RandomEnergy", players=200),
-        )
-    )
-    assert world.slots <= 4
-    assert world.topology.is_random
 
 
 def random_scenario(**arguments):
