@@ -48,11 +48,6 @@ def test_gain_has_its_closed_form(deadline, fraction):
     assert HyperbolicTangent(deadline).gain(t, 20.0) == pytest.approx(20 + deadline / (deadline**2 - t**2), rel=1e-9)
 
 
-@pytest.mark.parametrize("kind", TRANSFORMATIONS)
-def test_gain_is_the_constant_from_the_deadline_on(kind):
-    assert kind(1.2).gain([1.2, 1.3, 100.0], 20.0).tolist() == [20.0, 20.0, 20.0]
-
-
 @given(transformations, st.floats(0, 40), st.floats(0, 40))
 def test_effective_time_has_an_inverse(transformation, constant, s):
     tau = transformation.effective_time(s, constant)
@@ -124,11 +119,6 @@ NAIVE = {
         "derivative": lambda s: 2 / (1 + np.asarray(s) ** 2) ** 1.5,
         "inverse": lambda t: np.asarray(t) / np.sqrt(4 - np.asarray(t) ** 2),
     },
-    "s/(1 + s³)^(1/3)": {
-        "time": lambda s: 2 * np.asarray(s) / np.cbrt(1 + np.asarray(s) ** 3),
-        "derivative": lambda s: 2 / (1 + np.asarray(s) ** 3) ** (4 / 3),
-        "inverse": lambda t: np.asarray(t) / np.cbrt(8 - np.asarray(t) ** 3),
-    },
     "sinh s/cosh s": {
         "time": lambda s: 2 * np.sinh(s) / np.cosh(s),
         "derivative": lambda s: 2 / np.cosh(s) ** 2,
@@ -143,25 +133,11 @@ def test_formula_that_overflows_far_out_satisfies_the_lemma(name):
     assert abs(check_time_transformation(Broken(**NAIVE[name]))) < 1e-4
 
 
-def test_transformation_that_falls_far_out_without_overflow_is_refused():
-    exponential = Exponential(2.0)
-    falling = Broken(time=lambda s: np.where(np.asarray(s) < 1e100, exponential.time(s), 1.0))
-    with pytest.raises(LemmaViolationError, match="λ\\(s\\) → T"):
-        check_time_transformation(falling)
-
-
 @pytest.mark.parametrize("name", BROKEN)
 def test_violated_condition_of_the_lemma_is_named(name):
     transformation, condition = BROKEN[name]
     with pytest.raises(LemmaViolationError, match=f"violates {condition} of Lemma 1"):
         check_time_transformation(transformation)
-
-
-@pytest.mark.parametrize("deadline", [0.0, -1.0, float("nan"), float("inf")])
-@pytest.mark.parametrize("kind", TRANSFORMATIONS)
-def test_deadline_must_be_positive(kind, deadline):
-    with pytest.raises(ValueError, match="deadline must be a finite number above 0"):
-        kind(deadline)
 
 
 # --- table of steps ---------------------------------------------------------------------------------------------------
@@ -242,13 +218,6 @@ def test_default_episode_stops_0_03_percent_short_of_the_deadline():
     assert clock.shortfall == pytest.approx(3.35e-4, rel=2e-3)
 
 
-def test_tables_are_read_only():
-    clock = StepClock(Exponential(1.2), gain=20.0, steps=4, s_end=8.0)
-    for table in (clock.t, clock.s, clock.theta, clock.dt):
-        with pytest.raises(ValueError, match="read-only"):
-            table[0] = 1.0
-
-
 def test_without_constant_gain_theta_is_the_transformed_step():
     clock = StepClock(Exponential(1.2), gain=0.0, steps=10, s_end=5.0)
     assert clock.theta[:-1] == pytest.approx(np.full(10, 0.5))
@@ -298,20 +267,6 @@ def test_shifted_clock_integrates_the_gain_of_its_shown_time(kind, shift):
     assert local.s.max() <= clock.s_end
     before = local.t < clock.time_reached
     assert clock.transformation.time(local.s[before]) == pytest.approx(local.t[before], abs=1e-9)
-
-
-def test_clock_without_shift_is_the_table_itself():
-    clock = StepClock(Exponential(1.2), gain=5.0, steps=30, s_end=4.0)
-    local = clock.shifted(0.0)
-    assert local.t is clock.t
-    assert local.s is clock.s
-    assert local.theta is clock.theta
-
-
-def test_small_shift_makes_a_small_difference():
-    clock = StepClock(Exponential(1.2), gain=20.0, steps=400, s_end=8.0, hold_steps=20)
-    for shift in (1e-9, -1e-9):
-        assert clock.shifted(shift).theta == pytest.approx(clock.theta, rel=1e-4)
 
 
 def test_fast_clock_uses_its_gain_early_and_a_slow_clock_late():
