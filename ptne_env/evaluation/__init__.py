@@ -8,9 +8,9 @@ from ptne_env.evaluation.episodes import EpisodeSet as EpisodeSet
 from ptne_env.evaluation.episodes import episode_seed as episode_seed
 from ptne_env.evaluation.metrics import METRICS as METRICS
 from ptne_env.evaluation.metrics import Metric as Metric
-from ptne_env.evaluation.metrics import Rollout as Rollout
 from ptne_env.evaluation.metrics import register as register
 from ptne_env.evaluation.results import Results as Results
+from ptne_env.evaluation.rollout import Rollout as Rollout
 from ptne_env.evaluation.rollout import rollout as rollout
 from ptne_env.evaluation.run import evaluate as evaluate
 from ptne_env.evaluation.tracks import Teammates as Teammates

@@ -1,25 +1,21 @@
 """Metrics: each declared once, with its name, meaning, unit, direction, range, and how it follows from a rollout.
 
-A rollout records the :data:`SERIES`, one number per episode at each instant or step, and a metric is a function of
-them. Tables, CSV files, pages, ``ptne list`` and docs read :data:`METRICS`. :func:`register` adds a metric.
+A metric is a function of the series that a rollout records. Tables, CSV files, pages, ``ptne list`` and docs read
+:data:`METRICS`. :func:`register` adds a metric.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Literal, TypeAlias
 
 import numpy as np
 
-from ptne_env.shared.arrays import BoolArray, FloatArray, IntArray, ordered_sum
-from ptne_env.world import distances, dynamics
-from ptne_env.world.clock import StepClock
-from ptne_env.world.dynamics import State
-from ptne_env.world.rewards import REWARD_LIMIT
-from ptne_env.world.world import World
+from ptne_env.evaluation.rollout import Rollout
+from ptne_env.shared.arrays import FloatArray, ordered_sum
+from ptne_env.world import distances
 
 FINE_DISTANCE = 1e-6
 """The relative distance of fine settling."""
@@ -35,180 +31,6 @@ Statistic: TypeAlias = Literal["mean", "cvar"]
 
 Block: TypeAlias = Literal["How close", "At what cost"]
 """The tables in which metrics stand."""
-
-
-@dataclass(frozen=True)
-class Rollout:
-    """B episodes of one policy.
-
-    Attributes:
-        world: in which they ran.
-        series: by name of :data:`SERIES`, each of shape (instants or steps, B).
-        diverged: whether the episode left the range, shape (B,).
-        seconds_per_decision: wall time of the policy per player and step.
-    """
-
-    world: World
-    series: dict[str, FloatArray]
-    diverged: BoolArray
-    seconds_per_decision: float
-
-    def __getitem__(self, series: str) -> FloatArray:
-        """A series by name, shape (instants or steps, B).
-
-        Raises:
-            KeyError: when there is no such series.
-        """
-        return self.series[series]
-
-
-# --- series ---------------------------------------------------------------------------------------------------------
-
-
-class Moment:
-    """One instant of a rollout of B episodes, with the intermediate results that several series share.
-
-    Attributes:
-        world: of the rollout.
-        state: at the instant.
-        step: index of the instant.
-        player_distances: ‖x^i − x*‖/‖x*‖, at the range limit in a diverged episode; shape (N, B).
-        inputs: u that are held from the instant on, shape (n, N, B). They, and what follows from them, exist before
-            the deadline only.
-    """
-
-    def __init__(self, world: World, state: State, inputs: FloatArray | None, step: int) -> None:
-        self.world, self.state, self.step = world, state, step
-        self._has_diverged = state.any_diverged
-        self.player_distances = self.limited(distances.player_distances(state.estimates, state.game))
-        if inputs is not None and step < world.clock.steps:
-            self.inputs = inputs
-
-    @cached_property
-    def magnitudes(self) -> FloatArray:
-        """|u|, 0 in a diverged episode; shape (n, N, B)."""
-        magnitudes = np.abs(self.inputs)
-        if self._has_diverged:
-            magnitudes *= ~self.state.diverged
-        return magnitudes
-
-    @cached_property
-    def squared_input(self) -> FloatArray:
-        """‖u‖², shape (B,)."""
-        return _squared(self.magnitudes)
-
-    @cached_property
-    def largest_input(self) -> FloatArray:
-        """The largest |u| of any component, shape (B,)."""
-        largest: FloatArray = self.magnitudes.max(axis=(0, 1))
-        return largest
-
-    @property
-    def strategies(self) -> FloatArray:
-        """The real strategies x, shape (n, B)."""
-        return dynamics.strategies(self.world, self.state)
-
-    @property
-    def scaled_magnitudes(self) -> FloatArray | None:
-        """|u| times each player's own Θ over the true Θ; ``None`` where all clocks are right."""
-        theta = self.world.theta
-        if theta.ndim == 1:
-            return None
-        return self.magnitudes * (theta[:, [self.step]] / self.world.clock.theta[self.step])
-
-    def limited(self, distance: FloatArray) -> FloatArray:
-        """``distance`` (..., B) with the range limit where an episode has diverged."""
-        if not self._has_diverged:
-            return distance
-        return np.where(self.state.diverged, dynamics.distance_limit(self.state.game), distance)
-
-
-def _squared(array: FloatArray) -> FloatArray:
-    """The sum of squares over components and players: (n, N, B) to (B,)."""
-    total: FloatArray = (array**2).sum(axis=(0, 1))
-    return total
-
-
-def _strategy_distance(at: Moment) -> FloatArray:
-    return at.limited(distances.strategy_distance(at.strategies, at.state.game))
-
-
-def _estimate_distance(at: Moment) -> FloatArray:
-    return np.sqrt(ordered_sum(at.player_distances**2) / len(at.player_distances))
-
-
-def _mean_digits(at: Moment) -> FloatArray:
-    return ordered_sum(distances.digits(at.player_distances)) / len(at.player_distances)
-
-
-def _consensus_error(at: Moment) -> FloatArray:
-    return at.limited(distances.consensus_error(at.state.estimates, at.state.game))
-
-
-def _regret(at: Moment) -> FloatArray:
-    state = at.state
-    if not state.game.has_best_response:
-        return np.full(dynamics.batch_size(state), np.nan)
-    with np.errstate(over="ignore", invalid="ignore"):  # only a diverged environment overflows
-        regrets = np.clip(state.game.regrets(at.strategies), 0, REWARD_LIMIT)
-    return ordered_sum(np.where(state.diverged, REWARD_LIMIT, regrets))
-
-
-def _velocity_energy(at: Moment) -> FloatArray:
-    theta, dt, scaled = at.world.clock.theta[at.step], at.world.clock.dt[at.step], at.scaled_magnitudes
-    energy: FloatArray = theta**2 / dt * (at.squared_input if scaled is None else _squared(scaled))
-    return energy
-
-
-def _peak_velocity(at: Moment) -> FloatArray:
-    theta, dt, scaled = at.world.clock.theta[at.step], at.world.clock.dt[at.step], at.scaled_magnitudes
-    peak: FloatArray = theta / dt * (at.largest_input if scaled is None else scaled.max(axis=(0, 1)))
-    return peak
-
-
-def _saturated(at: Moment) -> IntArray:
-    # The action box is float32, so an input at the limit may be the float32 just below it.
-    limit = np.nextafter(np.float32(at.world.input_limit), np.float32(0))
-    count: IntArray = (at.magnitudes >= limit).sum(axis=(0, 1))
-    return count
-
-
-def _messages(at: Moment) -> IntArray:
-    links: IntArray = (dynamics.weights(at.world, at.state) > 0).sum(axis=(0, 1))
-    return ~at.state.diverged * links
-
-
-When: TypeAlias = Literal["instants", "steps", "deadline", "ends"]
-"""Every instant, every step to the deadline, the instant T, or the first and the last instant."""
-
-SERIES: dict[str, tuple[When, Callable[[Moment], FloatArray | IntArray]]] = {
-    "strategy_distance": ("instants", _strategy_distance),
-    "estimate_distance": ("instants", _estimate_distance),
-    "mean_digits": ("ends", _mean_digits),
-    "consensus_error": ("deadline", _consensus_error),
-    "regret": ("deadline", _regret),
-    "input_energy": ("steps", lambda at: at.world.clock.dt[at.step] * at.squared_input),
-    "velocity_energy": ("steps", _velocity_energy),
-    "peak_input": ("steps", lambda at: at.largest_input),
-    "peak_velocity": ("steps", _peak_velocity),
-    "saturated": ("steps", _saturated),
-    "components": ("steps", lambda at: ~at.state.diverged * at.magnitudes[..., 0].size),
-    "messages": ("steps", _messages),
-}
-"""The recorded series by name: when, and a number per episode, shape (B,). Efforts are those of episodes in range."""
-
-
-def instants(series: str, clock: StepClock) -> Sequence[int]:
-    """The indices of the instants at which a series is recorded, in order."""
-    return {
-        "instants": range(clock.total_steps + 1),
-        "steps": range(clock.steps),
-        "deadline": range(clock.steps, clock.steps + 1),
-        "ends": (0, clock.total_steps),
-    }[SERIES[series][0]]
-
-
-# --- metrics --------------------------------------------------------------------------------------------------------
 
 
 def number(value: float | None) -> str:
@@ -391,7 +213,7 @@ for _metric in (
            "higher", value=_digits_after_hold, range=_DIGITS),
     Metric("digits_gained", "digits gained",
            "mean over players of the summed digits reward, to the end of the episode", "higher",
-           value=lambda rollout: rollout["mean_digits"][1] - rollout["mean_digits"][0]),
+           value=lambda rollout: rollout["mean_digits"][-1] - rollout["mean_digits"][0]),
     Metric("log_error_area", "mean log10 error", "mean of log10 of the estimate distance over [0, T]", "lower",
            value=_log_error_area, range=(-MOST_DIGITS, math.inf)),
     Metric("input_energy", "input energy", "Σ Δt ‖u‖² to the deadline", "lower", "At what cost",

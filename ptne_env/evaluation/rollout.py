@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from time import perf_counter
 from typing import Any
 
@@ -10,12 +11,89 @@ import numpy as np
 import numpy.typing as npt
 
 from ptne_env.evaluation.audit import Witness
-from ptne_env.evaluation.metrics import SERIES, Moment, Rollout, instants
 from ptne_env.perception.encoder import Encoder
 from ptne_env.perception.policy import Policy, PolicyError, decision, describe
-from ptne_env.shared.arrays import BoolArray, Float32Array, FloatArray
-from ptne_env.world import dynamics
+from ptne_env.shared.arrays import BoolArray, Float32Array, FloatArray, ordered_sum
+from ptne_env.world import distances, dynamics
 from ptne_env.world.dynamics import State
+from ptne_env.world.rewards import REWARD_LIMIT
+from ptne_env.world.world import World
+
+
+@dataclass(frozen=True)
+class Rollout:
+    """B episodes of one policy.
+
+    Attributes:
+        world: in which they ran.
+        series: numbers per episode by name, as :func:`at_instant`, :func:`at_deadline` and :func:`in_step` record them,
+            each of shape (instants, B), (1, B) or (steps to the deadline, B).
+        diverged: whether the episode left the range, shape (B,).
+        seconds_per_decision: wall time of the policy per player and step.
+    """
+
+    world: World
+    series: dict[str, FloatArray]
+    diverged: BoolArray
+    seconds_per_decision: float
+
+    def __getitem__(self, series: str) -> FloatArray:
+        """A series by name, shape (instants or steps, B).
+
+        Raises:
+            KeyError: when there is no such series.
+        """
+        return self.series[series]
+
+
+def at_instant(world: World, state: State) -> dict[str, FloatArray]:
+    """The series of every instant: relative distances of strategies and estimates, and the mean digits of players."""
+    players = _limited(state, distances.player_distances(state.estimates, state.game))
+    return {
+        "strategy_distance": _limited(
+            state, distances.strategy_distance(dynamics.strategies(world, state), state.game)
+        ),
+        "estimate_distance": np.sqrt(ordered_sum(players**2) / len(players)),
+        "mean_digits": ordered_sum(distances.digits(players)) / len(players),
+    }
+
+
+def at_deadline(world: World, state: State) -> dict[str, FloatArray]:
+    """The series of the deadline alone: the consensus error, and the regret where the game has best responses."""
+    regret = np.full(dynamics.batch_size(state), np.nan)
+    if state.game.has_best_response:
+        with np.errstate(over="ignore", invalid="ignore"):  # only a diverged environment overflows
+            regrets = np.clip(state.game.regrets(dynamics.strategies(world, state)), 0, REWARD_LIMIT)
+        regret = ordered_sum(np.where(state.diverged, REWARD_LIMIT, regrets))
+    return {
+        "consensus_error": _limited(state, distances.consensus_error(state.estimates, state.game)),
+        "regret": regret,
+    }
+
+
+def in_step(world: World, state: State, inputs: FloatArray, step: int) -> dict[str, FloatArray]:
+    """The series of every step to the deadline: the efforts of the episodes in range, and their messages."""
+    dt, acting = world.clock.dt[step], ~state.diverged
+    magnitudes = np.abs(inputs) * acting
+    speeds = magnitudes * world.theta[..., [step]] / dt  # by each player's own clock
+    # The action box is float32, so an input at the limit may be the float32 just below it.
+    limit = np.nextafter(np.float32(world.input_limit), np.float32(0))
+    return {
+        "input_energy": dt * (magnitudes**2).sum(axis=(0, 1)),
+        "velocity_energy": dt * (speeds**2).sum(axis=(0, 1)),
+        "peak_input": magnitudes.max(axis=(0, 1)),
+        "peak_velocity": speeds.max(axis=(0, 1)),
+        "saturated": (magnitudes >= limit).sum(axis=(0, 1)),
+        "components": acting * magnitudes[..., 0].size,
+        "messages": acting * (dynamics.weights(world, state) > 0).sum(axis=(0, 1)),
+    }
+
+
+def _limited(state: State, distance: FloatArray) -> FloatArray:
+    """``distance`` (..., B) with the range limit where an episode has diverged."""
+    if not state.any_diverged:
+        return distance
+    return np.where(state.diverged, dynamics.distance_limit(state.game), distance)
 
 
 class Member:
@@ -102,7 +180,6 @@ def rollout(
     teammates: Member | None = None,
     watch: Callable[[State, FloatArray | None], None] | None = None,
     witnesses: Sequence[Witness] = (),
-    series: Iterable[str] | None = None,
 ) -> Rollout:
     """Run ``policy`` from the state ``start`` at t = 0 to the end of every episode.
 
@@ -113,7 +190,6 @@ def rollout(
         teammates: decide for their players in place of ``policy``, which decides for the other players only.
         watch: called with every state and the inputs (n, N, B) that are held from it, ``None`` with the last state.
         witnesses: audit the decisions of ``policy``.
-        series: names of those that are recorded; all if left out.
 
     Raises:
         PolicyError: when a policy raises, returns actions of another shape or actions that are not finite, or does not
@@ -123,8 +199,7 @@ def rollout(
     clock, players = world.clock, range(world.game.num_players)
     taken = set() if teammates is None else set(teammates.players.tolist())
     member = Member(policy, encoder, [player for player in players if player not in taken], witnesses)
-    recorded = {name: instants(name, clock) for name in (SERIES if series is None else series)}
-    values = {name: np.empty((len(chosen), batch)) for name, chosen in recorded.items()}
+    recorded: dict[str, list[FloatArray]] = {}
     state = start
     for step in range(clock.total_steps + 1):
         inputs = member.decide(state) if step < clock.total_steps else None
@@ -132,11 +207,15 @@ def rollout(
             inputs += teammates.decide(state)
         if watch is not None:
             watch(state, inputs)
-        moment = Moment(world, state, inputs, step)
-        for name, chosen in recorded.items():
-            if step in chosen:
-                values[name][chosen.index(step)] = SERIES[name][1](moment)
+        found = at_instant(world, state)
+        if step == clock.steps:
+            found |= at_deadline(world, state)
+        if inputs is not None and step < clock.steps:
+            found |= in_step(world, state, inputs, step)
+        for name, values in found.items():
+            recorded.setdefault(name, []).append(values)
         if inputs is not None:
             state = dynamics.step(world, state, inputs)
+    series = {name: np.array(values, dtype=np.float64) for name, values in recorded.items()}
     seconds = member.seconds / (clock.total_steps * len(member.players) * batch)
-    return Rollout(world, values, state.diverged, seconds)
+    return Rollout(world, series, state.diverged, seconds)

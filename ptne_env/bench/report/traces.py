@@ -120,7 +120,7 @@ def _trace(world: World, start: State, spec: PolicySpec, teammates: Callable[[Wo
 
     team = None if teammates is None else teammates(world)
     policy = spec.build(encoder.layout)
-    distance = rollout(policy, encoder, start, team, watch, series=["estimate_distance"])["estimate_distance"]
+    distance = rollout(policy, encoder, start, team, watch)["estimate_distance"]
     every = np.stack(estimates, axis=-1)
     return Trace(
         errors=np.quantile(distance, QUANTILES, axis=1),
