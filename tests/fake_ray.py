@@ -1,7 +1,5 @@
-"""Of Ray what the cluster backend uses: a task is a thread, and its machine dies when it raises SystemExit."""
+"""Of Ray what workers use: a task runs when its result is asked for, and its machine dies when it raises SystemExit."""
 
-import threading
-from concurrent.futures import Future
 from types import SimpleNamespace
 
 
@@ -30,25 +28,21 @@ def init(address, **_):
     addresses.append(address)
 
 
-def cluster_resources():
-    return {"CPU": 2.0}
+def wait(tasks, num_returns):
+    return tasks[:num_returns], tasks[num_returns:]
+
+
+def get(task):
+    function, arguments, max_retries = task
+    for _ in range(1 + max_retries):
+        try:
+            return function(*arguments)
+        except SystemExit:
+            continue
+        except ValueError as error:
+            raise RayTaskError(error) from error
+    raise RayError("the node died")
 
 
 def remote(num_cpus, max_retries):
-    def work(future, function, call):
-        for _ in range(1 + max_retries):
-            try:
-                future.set_result(function(call))
-            except SystemExit:
-                continue
-            except ValueError as error:
-                future.set_exception(RayTaskError(error))
-            return
-        future.set_exception(RayError("the node died"))
-
-    def submit(function, call):
-        future = Future()
-        threading.Thread(target=work, args=(future, function, call)).start()
-        return SimpleNamespace(future=lambda: future)
-
-    return lambda function: SimpleNamespace(remote=lambda call: submit(function, call))
+    return lambda function: SimpleNamespace(remote=lambda *arguments: (function, arguments, max_retries))

@@ -83,11 +83,6 @@ class PolicySpec:
         return self.interface.kind == "full"
 
     @property
-    def is_learned(self) -> bool:
-        """Whether it was trained: the policies in files."""
-        return any(spec.target in _LIBRARIES for spec in self.specs)
-
-    @property
     def is_repeatable(self) -> bool:
         """Whether every training seed is a factory spec, so that another process can make it again."""
         return all(isinstance(source, FactorySpec) for source in self.training_seeds)
@@ -196,99 +191,88 @@ def _shipped_file(path_or_name: str) -> Path:
     return shipped if shipped.is_file() else Path(path_or_name)
 
 
-_TABLE: Mapping[str, tuple[str, dict[str, Any], str]] = {
-    "static": (
-        "law:static",
-        {"kappa": 2.0},
-        "The paper's static law: down the slope of the own cost, and towards the neighbours with the gain κ.",
-    ),
-    "adaptive": (
+def _entry(target: str, description: str, **arguments: Any) -> tuple[str, str, dict[str, Any]]:
+    return target, description, arguments
+
+
+def _network(scenario: str) -> tuple[str, str, dict[str, Any]]:
+    return _entry(LOADER, f"A network that PPO trained on {scenario}.", path_or_name=f"ppo-{scenario}")
+
+
+_COMPARED = {
+    "static": _entry("law:static", "The paper's static law: down the own cost, and towards the neighbours.", kappa=2.0),
+    "adaptive": _entry(
         "law:adaptive",
-        {"gamma": 0.01, "initial_gain": 0.5},
         "The paper's adaptive law: the gain of a link grows as long as its two players disagree.",
+        gamma=0.01,
+        initial_gain=0.5,
     ),
-    "corollary-one": (
-        "law:corollary-one",
-        {"kappa": 10.0},
-        "The static law without the time gain, with a κ as large as its corollary needs.",
-    ),
-    "gadjov-pavel": (
-        "law:corollary-one",
-        {"kappa": 1.0},
-        "Gadjov and Pavel's law: the static law without the time gain, with κ = 1.",
-    ),
-    "grounded": (
+    "corollary-one": _entry("law:corollary-one", "The static law without the time gain, with a large κ.", kappa=10.0),
+    "gadjov-pavel": _entry("law:corollary-one", "Gadjov and Pavel's law: Corollary 1 with κ = 1.", kappa=1.0),
+    "grounded": _entry(
         "law:grounded",
-        {"kappa": 2.0},
         "Ye and Hu's law: estimates follow the neighbours, and the own strategy follows the own cost alone.",
+        kappa=2.0,
     ),
-    "zero-input": ("law:zero-input", {}, "Does nothing: strategies stay at the start."),
-    "random": ("law:random", {"seed": 0}, "Random inputs."),
-    "oracle": (
+    "zero-input": _entry("law:zero-input", "Does nothing: strategies stay at the start."),
+    "random": _entry("law:random", "Random inputs.", seed=0),
+    "oracle": _entry(
         "law:oracle",
-        {"gradient_gain": 1.0},
         "Gradient play with the true strategies of all players, which players do not have.",
+        gradient_gain=1.0,
     ),
-    "routed-unknown": (
+    "routed-unknown": _entry(
         "law:routed-unknown",
-        {"step": 0.3},
         "Copies news of each player from the neighbours that have them first, and takes gradient steps.",
+        step=0.3,
     ),
-    "observer-relay": (
-        "law:observer-relay",
-        {},
-        "The contact relay with filters against noise, rounding, pushes and reactions of others.",
+    "observer-relay": _entry(
+        "law:observer-relay", "The contact relay with filters against noise, rounding, pushes and reactions of others."
     ),
-    "ppo-random-energy": (
-        LOADER,
-        {"path_or_name": "ppo-random-energy"},
-        "A network that PPO trained on random-energy.",
+    "ppo-random-energy": _network("random-energy"),
+    "ppo-random-energy-switching-transformed": _network("random-energy-switching-transformed"),
+}
+_OTHERS = {
+    "static-tuned": _entry("law:static", "The static law with tuned weights.", kappa=3.0, gradient_gain=3.5),
+    "fixed-gain": _entry(
+        "law:fixed-gain", "The static law with the κ of Bianchi and Grammatico's weaker condition.", kappa=5.0
     ),
-    "ppo-random-energy-switching-transformed": (
-        LOADER,
-        {"path_or_name": "ppo-random-energy-switching-transformed"},
-        "A network that PPO trained on random-energy-switching-transformed.",
-    ),
-    # The policies above are compared by default; suites run those below too.
-    "static-tuned": (
-        "law:static",
-        {"kappa": 3.0, "gradient_gain": 3.5},
-        "The static law with tuned weights of the own cost and of the neighbours.",
-    ),
-    "fixed-gain": (
-        "law:fixed-gain",
-        {"kappa": 5.0},
-        "The static law with the κ that Bianchi and Grammatico's weaker condition asks for.",
-    ),
-    "adaptive-grounded": (
+    "adaptive-grounded": _entry(
         "law:adaptive-grounded",
-        {"gamma": 0.0001, "initial_gain": 3.0},
         "Ye and Hu's adaptive law: the grounded law, with gains that every player tunes by itself.",
+        gamma=0.0001,
+        initial_gain=3.0,
     ),
-    "projected-gradient": (
+    "projected-gradient": _entry(
         "law:projected-gradient",
-        {"step": 0.5, "mixing": 0.45},
         "Bianchi and Grammatico's discrete law: average with the neighbours, then take a gradient step.",
+        step=0.5,
+        mixing=0.45,
     ),
-    "contact-relay": (
+    "contact-relay": _entry(
         "law:contact-relay",
-        {"patience": 30.0, "forgetting": 2.0},
         "Copies news as routed-unknown, and takes best responses by an identified model of the own gradient.",
+        patience=30.0,
+        forgetting=2.0,
     ),
-    "multi-rate": (
+    "multi-rate": _entry(
         "law:multi-rate",
-        {"step": 0.2, "price_step": 0.2, "lead": 2.0},
         "Gradient play with prices for a shared constraint, on copies as those of routed-unknown.",
+        step=0.2,
+        price_step=0.2,
+        lead=2.0,
     ),
-    "proximal-best-response": (
+    "proximal-best-response": _entry(
         "law:proximal-best-response",
-        {"step": 4.0, "mixing": 0.45},
         "Bianchi, Belgioioso and Grammatico's law: proximal best responses, and averages with neighbours.",
+        step=4.0,
+        mixing=0.45,
     ),
 }
-"""By name: the part, its arguments, and a sentence."""
+_TABLE = _COMPARED | _OTHERS
+"""By name: the part, a sentence, and the arguments."""
 
-COMPARED = tuple(_TABLE)[: tuple(_TABLE).index("static-tuned")]
+COMPARED = tuple(_COMPARED)
 """The default policies of a comparison: laws of the paper, references, the strongest laws, learned policies."""
 
 
@@ -310,7 +294,7 @@ class _Policies(Mapping[str, PolicySpec]):
 
 @cache
 def _named_policy(name: str) -> PolicySpec:
-    target, arguments, description = _TABLE[name]
+    target, description, arguments = _TABLE[name]
     return PolicySpec(name, FactorySpec.of(target, **arguments), description=description)
 
 

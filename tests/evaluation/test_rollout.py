@@ -29,7 +29,7 @@ def test_metrics_of_a_batch_are_those_of_single_episodes_in_the_environment(name
     samples = measure(batch)
     clock = world.clock
     for episode in range(3):
-        env = ptne_env.parallel_env(scenario)
+        env = ptne_env.parallel_env(scenario, interface="physical")
         observations, _ = env.reset(seed=episode_seed(3, episode))
         policy, memory = law(env.layout), None
         gained, input_energy, velocity_energy, peak = 0.0, 0.0, 0.0, 0.0
@@ -164,15 +164,6 @@ def test_settling_time_is_the_first_instant_after_which_the_distance_stays_insid
         ]
     )
     np.testing.assert_array_equal(settling_time(times, distance), [0.0, 3.0, np.nan, 3.0])
-
-
-def test_a_rollout_records_the_series_that_are_named():
-    world = World(ptne_env.get_scenario("energy", start="random"))
-    encoder = make_encoder(world, Interface("physical"))
-    start, law = EpisodeSet(3).initial_state(world), laws.Static(encoder.layout)
-    some = rollout(law, encoder, start, series=["estimate_distance"]).series
-    assert list(some) == ["estimate_distance"]
-    np.testing.assert_array_equal(some["estimate_distance"], rollout(law, encoder, start)["estimate_distance"])
 
 
 def test_saturated_components_are_counted_at_the_limit_alone():

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from ptne_env.evaluation.statistics import estimate, improvements, performance_profile, summaries, tail_values
+from ptne_env.evaluation.statistics import estimate, improvements, performance_profile, tail_values
 
 # Scores of two algorithms, runs in rows and tasks in columns, and the values of rliable 1.2.0
 # (probability_of_improvement, run_score_deviation).
@@ -74,9 +74,7 @@ def test_tail_values_have_the_mean_of_the_worst_tenth(episodes):
 
 
 def test_a_cvar_with_missing_values_has_none():
-    found = summaries({"a": (np.array([[1.0, np.nan]]), "cvar"), "b": (np.array([[1.0, np.nan]]), "mean")})
-    assert found["a"].mean is None
-    assert found["b"].mean == 1.0
+    assert np.isnan(tail_values(np.array([[1.0, np.nan]]))).all()
 
 
 def test_performance_profile_is_that_of_rliable():
@@ -120,7 +118,7 @@ TAIL = -np.sqrt(2) * stats.norm.pdf(stats.norm.ppf(0.1)) / 0.1
         pytest.param(mean_of, 0.0, 5, 40, 2, 0.5, normal, (0.93, 0.97), id="five training seeds, two tracks"),
         pytest.param(mean_of, 0.0, 5, 40, 1, 2.0, normal, (0.93, 0.97), id="five training seeds far apart"),
         pytest.param(
-            mean_of, 0.0, 5, 40, 20, 0.1, exponential, (0.93, 0.97), id="skewed training seeds near each other"
+            mean_of, 0.0, 5, 40, 4, 0.1, exponential, (0.93, 0.97), id="skewed training seeds near each other"
         ),
         pytest.param(mean_of, 0.0, 5, 40, 1, 2.0, exponential, (0.86, 0.92), id="skewed training seeds far apart"),
         pytest.param(improvement_of, 0.5, 1, 100, 2, 0.0, normal, (0.93, 0.97), id="probability of improvement"),

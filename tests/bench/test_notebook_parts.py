@@ -9,7 +9,7 @@ import numpy as np
 from pathlib import Path
 from ptne_env import FactorySpec, PolicySpec, evaluate, get_scenario, laws
 from ptne_env.evaluation import METRICS
-from ptne_env.evaluation.workers import Workers
+from ptne_env.bench import Runner, Workers
 from ptne_env.games import AffineGame
 
 SCALE = 1.0
@@ -24,18 +24,18 @@ class Mine(laws.Static):
     pass
 
 
-def run(**options):
+def run(jobs=1):
     scenario = get_scenario("energy", name="contest", game=Contest(0.25), start="random")
     three = PolicySpec("three", FactorySpec.of(Mine, kappa=3.0))
     policies = ["static", "__main__:Mine", three, PolicySpec("own", Mine)]
-    results = evaluate(policies, scenario, episodes=2, against_laws=False, **options)
+    results = evaluate(policies, scenario, episodes=2, run=Runner(Path("out"), Workers(jobs)))
     assert not results.failures, results.failures
     return [record for record in results.records if not METRICS[record["metric"]].is_timing]
 """
 
 SAME = """
 first = run()
-assert run(workers=Workers(2)) == first
+assert run(jobs=2) == first
 Contest.__init__.__defaults__ = (0.5,)
 
 
@@ -44,15 +44,8 @@ class Contest(Contest):
         super().__init__(2 * pull)
 
 
-again = run(workers=Workers(2))
+again = run(jobs=2)
 assert again == run() != first
-"""
-
-STORED = """
-try:
-    run(folder=Path("out"))
-except ValueError as error:
-    print(error)
 """
 
 LOCKED = """
@@ -68,7 +61,7 @@ class Contest(Contest):
 
 
 try:
-    run(workers=Workers(2))
+    run(jobs=2)
 except ValueError as error:
     print(error)
 """
@@ -81,18 +74,7 @@ def test_workers_get_the_present_definitions(kind, tmp_path):
     else:
         (tmp_path / "program.py").write_text(DEFINITIONS + SAME, encoding="utf-8")
         run_python("-W", "error", "program.py", folder=tmp_path)
-
-
-def test_results_of_a_notebook_are_stored_under_no_key(tmp_path):
-    done = run_python("-c", DEFINITIONS + STORED, folder=tmp_path)
-    assert "a notebook or an interactive session has no source file; define it in a module" in done.stdout
-    assert not any(tmp_path.iterdir())
-
-
-def test_results_of_a_program_are_stored_with_the_hash_of_its_file(tmp_path):
-    (tmp_path / "program.py").write_text(DEFINITIONS + STORED, encoding="utf-8")
-    assert run_python("program.py", folder=tmp_path).stdout == ""
-    assert len(list((tmp_path / "out" / "jobs").iterdir())) == 3  # the object alone has no key
+    assert not (tmp_path / "out").exists()  # a change of these definitions would not be seen
 
 
 def test_a_definition_that_cannot_be_sent_to_workers_is_named(tmp_path):

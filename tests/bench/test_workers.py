@@ -9,13 +9,14 @@ import time
 from pathlib import Path
 
 import pytest
-from processes import run_python, start_python
-from ptne_env.evaluation.suite import REFERENCES
+from processes import start_python
 from small_suite import SMALL, stored, untimed
 
-import ptne_env
-from ptne_env.evaluation import Suite, Track, Workers, get_policy_spec, run_suite
-from ptne_env.evaluation.jobs import Job, run_job
+from ptne_env import evaluate
+from ptne_env.bench import Runner, Workers, run_suite
+from ptne_env.bench.run import _run_job
+from ptne_env.evaluation import get_policy_spec
+from ptne_env.evaluation.jobs import Job
 
 
 def square(number):
@@ -66,22 +67,23 @@ def test_a_dead_process_is_an_error():
     assert dict(Workers(2).run(square, [(2,), (3,)])) == {0: 4, 1: 9}  # and the next run has new ones
 
 
-def test_a_suite_that_lost_a_process_goes_on_with_the_same_results(tmp_path):
+def test_results_do_not_depend_on_the_number_of_processes_and_a_run_that_lost_one_goes_on(tmp_path):
     def kill_one(*_):
         children = Path(f"/proc/self/task/{os.getpid()}/children").read_text(encoding="utf-8").split()
         worker = next(child for child in children if b"popen_loky" in Path(f"/proc/{child}/cmdline").read_bytes())
         os.kill(int(worker), signal.SIGKILL)
 
+    policies = ["grounded", "random"]
     with pytest.raises(ChildProcessError, match="died"):
-        run_suite(SMALL, ["grounded", "adaptive"], folder=tmp_path, workers=Workers(2), progress=kill_one)
-    assert 0 < len(stored(tmp_path)) < len(SMALL.tracks) * (2 + len(REFERENCES))
-    again = run_suite(SMALL, ["grounded", "adaptive"], folder=tmp_path, workers=Workers(2))
-    assert untimed(again) == untimed(run_suite(SMALL, ["grounded", "adaptive"]))
+        run_suite(SMALL, policies, run=Runner(tmp_path, Workers(2), kill_one))
+    assert 0 < len(stored(tmp_path)) < len(SMALL.tracks) * 5
+    again = run_suite(SMALL, policies, run=Runner(tmp_path, Workers(2)))
+    assert untimed(again) == untimed(run_suite(SMALL, policies))
 
 
 SLEEPER = """
 import time
-from ptne_env.evaluation import Workers
+from ptne_env.bench import Workers
 list(Workers(2).run(time.sleep, [(60,), (60,)]))
 """
 
@@ -116,11 +118,10 @@ def test_workers_print_nothing_after_ctrl_c(delay):
 
 
 def test_a_worker_with_other_files_is_refused():
-    suite = Suite("small", (Track("ring", ptne_env.get_scenario("random-energy", steps=40), "The base."),))
-    job = Job(suite.tracks[0], get_policy_spec("static"), 0, suite.episode_set("ring", 2))
-    assert run_job(job, job.key).samples["digits"].shape == (2,)
+    job = Job(SMALL.tracks[0], get_policy_spec("static"), 0, SMALL.episode_set("ring", 2))
+    assert _run_job(job, job.key, {}).samples["digits"].shape == (2,)
     with pytest.raises(ValueError, match="another version of the library.*'static'.*install the same"):
-        run_job(job, "0" * 64)
+        _run_job(job, "0" * 64, {})
 
 
 def test_no_jobs_are_refused():
@@ -128,12 +129,6 @@ def test_no_jobs_are_refused():
         Workers(0)
 
 
-@pytest.fixture
-def no_cluster(monkeypatch):
-    monkeypatch.delitem(sys.modules, "ptne_env.evaluation.cluster", raising=False)
-
-
-@pytest.mark.usefixtures("no_cluster")
 def test_without_ray_the_error_names_the_extra(monkeypatch):
     monkeypatch.setitem(sys.modules, "ray", None)
     with pytest.raises(ImportError, match=r"ptne-env\[ray\]"):
@@ -141,7 +136,7 @@ def test_without_ray_the_error_names_the_extra(monkeypatch):
 
 
 @pytest.fixture
-def fake_ray(monkeypatch, no_cluster):
+def fake_ray(monkeypatch):
     monkeypatch.setitem(sys.modules, "ray", importlib.import_module("fake_ray"))
     yield sys.modules["ray"]
     sys.modules["ray"].addresses.clear()
@@ -185,28 +180,8 @@ def test_an_error_of_a_task_on_a_cluster_is_raised():
         list(Workers(4, "auto").run(square, [(1,), (-1,), (2,)]))
 
 
-OWN_SUITE = """
-import numpy as np
-import ptne_env
-from ptne_env.evaluation import Metric, Suite, Track, register
-
-register(Metric("own", "own", "always 7", value=lambda rollout: np.full(len(rollout.diverged), 7.0)))
-SUITE = Suite("own-v1", (Track("ring", ptne_env.get_scenario("random-energy", steps=40), "The base."),), episodes=2)
-"""
-
-
-def test_a_metric_of_a_suites_module_reaches_workers_stored_results_and_checks(tmp_path):
-    def ptne(*arguments):
-        return run_python("-m", "ptne_env.cli", *arguments, folder=tmp_path)
-
-    def compare(jobs):
-        wanted = ["--suite=own_part:SUITE", "--policy=grounded", "--trust"]
-        ptne("compare", *wanted, f"--jobs={jobs}", "--no-report", "--out=out")
-        return (tmp_path / "out" / "results.csv").read_text(encoding="utf-8")
-
-    (tmp_path / "own_part.py").write_text(OWN_SUITE, encoding="utf-8")
-    for _ in range(2):  # the second run finds all jobs stored, and its workers have not imported the module
-        assert compare(jobs=2).count(",own,7.0,") == 4
-    ptne("check", "out", "--sample=99", "--trust")
-    (tmp_path / "own_part.py").write_text(OWN_SUITE.replace("7.0", "8.0"), encoding="utf-8")
-    assert compare(jobs=1).count(",own,8.0,") == 4
+def test_a_comparison_on_the_cluster_is_the_one_of_this_process(fake_ray):
+    here, there = (
+        evaluate("static", SMALL.tracks[0], episodes=2, run=run) for run in (Runner(), Runner(None, Workers(1, "auto")))
+    )
+    assert untimed(here) == untimed(there)

@@ -1,0 +1,184 @@
+"""Entries: policies by name, file, address and pattern, and what a spec may declare."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from extras import need_sb3
+from small_suite import BASE
+
+import ptne_env
+from ptne_env import FactorySpec, Interface, PolicySpec, evaluate, laws
+from ptne_env.evaluation import COMPARED, POLICIES, get_policy_spec
+from ptne_env.evaluation.entries import foreign_names
+from ptne_env.learn import shipped_path
+from ptne_env.perception.encoder import make_encoder
+from ptne_env.shared.parts import is_part
+from ptne_env.world.world import World
+
+
+def test_every_named_policy_can_be_made_and_is_its_own_dict_and_back():
+    assert {*COMPARED} < {*POLICIES}
+    for name, spec in POLICIES.items():
+        assert spec.name == name
+        assert spec.description.endswith(".")
+        assert PolicySpec.from_dict(spec.to_dict()) == spec
+        assert not spec.is_own
+    assert {name for name, spec in POLICIES.items() if spec.is_oracle} == {"oracle"}
+
+
+def test_several_training_seeds_are_their_own_dict_and_back_and_objects_are_not():
+    several = PolicySpec("several", (FactorySpec.of("law:static", kappa=1.0), FactorySpec.of("law:static", kappa=2.0)))
+    assert PolicySpec.from_dict(several.to_dict()) == several
+    with pytest.raises(ValueError, match="was an object"):
+        PolicySpec.from_dict(PolicySpec("mine", laws.Static(ptne_env.parallel_env("energy").layout)).to_dict())
+    with pytest.raises(ValueError, match="no training seed"):
+        PolicySpec("none", ())
+
+
+def test_what_a_policy_declares_cannot_be_overridden():
+    assert PolicySpec("oracle-2", FactorySpec.of("law:oracle")).interface == Interface("full")
+    for policy in (laws.CentralisedOracle, FactorySpec.of("law:oracle")):
+        with pytest.raises(ValueError, match="declares the interface .*'full'.*cannot act through .*'physical'"):
+            PolicySpec("honest", policy, Interface("physical"))
+    data = POLICIES["oracle"].to_dict() | {"interface": {"kind": "physical"}}
+    with pytest.raises(ValueError, match="declares the interface"):
+        PolicySpec.from_dict(data)
+    with pytest.raises(ValueError, match="different interfaces"):
+        PolicySpec("both", (laws.Static, laws.CentralisedOracle))
+
+
+def test_a_policy_that_declares_nothing_acts_through_the_scaled_interface():
+    assert PolicySpec("mine", lambda layout: laws.ZeroInput(layout)).interface == Interface("scaled")
+    assert PolicySpec("mine", laws.Static).interface == Interface("physical")
+
+
+def test_a_pattern_names_the_training_seeds_of_one_policy(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    for folder in ("lr=0.1", "runs/lr=0.1", "runs/lr=0.2"):
+        (tmp_path / folder).mkdir(parents=True)
+        (tmp_path / folder / "policy.onnx").write_bytes(shipped_path("ppo-random-energy").read_bytes())
+    for path in ("lr=0.1/policy.onnx", "runs/lr=0.1/policy.onnx"):  # a path with an equals sign is a file
+        assert get_policy_spec(path).policy == FactorySpec.of("policy:file", path_or_name=path)
+        assert get_policy_spec(path).is_own
+    assert len(get_policy_spec("mine=runs/lr=*/policy.onnx").training_seeds) == 2
+    with pytest.raises(FileNotFoundError, match=r"there is no file 'none-\*.onnx', which 'mine=none-\*.onnx' asks for"):
+        get_policy_spec("mine=none-*.onnx")
+    (tmp_path / "evil.py").touch()
+    with pytest.raises(ValueError, match="policy files end in .onnx or .zip"):
+        get_policy_spec("mine=*.py")
+
+
+@pytest.mark.parametrize("policy", [laws.Static, 5, None, FactorySpec.of("law:static")])
+def test_an_object_that_is_no_spec_is_refused_with_the_way_to_wrap_it(policy):
+    with pytest.raises(ValueError, match=r"a policy is a string or a PolicySpec, got .*PolicySpec\(name, policy\)"):
+        evaluate([policy], ["energy"], episodes=1)
+
+
+@pytest.mark.parametrize(
+    ("name", "foreign"),
+    [
+        ("evil:make", ["evil:make"]),
+        ("evil:suite/track", ["evil:suite"]),
+        ("ptne_env.shared.files:write_atomically", ["ptne_env.shared.files:write_atomically"]),
+        ("model.zip", ["model.zip"]),
+        ("mine=runs/*.zip", ["runs/*.zip"]),
+        ("mine=runs/*.onnx", []),
+        ("C:/mine.onnx", []),
+        ("law:static", []),
+        ("static", []),
+        ("ptne-v1/delay", []),
+        (None, []),
+    ],
+)
+def test_names_that_run_foreign_code_are_found_without_an_import(name, foreign):
+    assert foreign_names(name) == foreign
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"training_seeds": 3},
+        {"training_seeds": [{"target": 3, "arguments": {}}]},
+        {"training_seeds": [3]},
+        {"training_seeds": []},
+        {"interface": {"kind": "scaled", "colour": "red"}},
+        {"interface": None},
+    ],
+)
+def test_data_of_another_form_are_no_policy(change):
+    with pytest.raises(ValueError, match="policy|part|training seed"):
+        PolicySpec.from_dict(POLICIES["static"].to_dict() | change)
+
+
+@pytest.fixture(scope="module")
+def archive(tmp_path_factory):
+    """An untrained model, saved as Stable-Baselines3 does."""
+    need_sb3()
+    from stable_baselines3 import PPO
+
+    from ptne_env.envs.sb3 import PlayerVecEnv
+
+    path = tmp_path_factory.mktemp("archive") / "model.zip"
+    PPO("MlpPolicy", PlayerVecEnv(BASE, 2), n_steps=20, batch_size=20, device="cpu", seed=0).save(path)
+    return str(path)
+
+
+def test_an_archive_acts_as_its_model_does_once_it_is_trusted(archive):
+    from stable_baselines3 import PPO
+
+    with pytest.raises(ValueError, match=r"executes code .* if you trust it: .*get_policy_spec\('.*', trust=True\)"):
+        get_policy_spec(archive)
+    policy = get_policy_spec(archive, trust=True)
+    assert policy.interface == Interface("scaled")
+    assert policy.is_own
+    assert not is_part(policy.policy.target)
+    env = ptne_env.parallel_env(BASE)
+    observations, _ = env.reset(seed=0)
+    rows = np.stack(list(observations.values()))
+    ours, _ = policy.build(env.layout).predict(rows, deterministic=True)
+    theirs, _ = PPO.load(archive, device="cpu").predict(rows, deterministic=True)
+    np.testing.assert_array_equal(ours, theirs)
+
+
+def test_files_that_are_no_archives_or_missing_are_refused(tmp_path):
+    need_sb3()
+    (tmp_path / "bad.zip").write_bytes(b"no archive")
+    with pytest.raises(ValueError, match="not an archive"):
+        get_policy_spec(str(tmp_path / "bad.zip"), trust=True)
+    with pytest.raises(FileNotFoundError, match="there is no file"):
+        get_policy_spec("none.zip", trust=True)
+
+
+def test_a_model_with_another_interface_is_refused_with_advice():
+    layout = make_encoder(World(BASE), Interface("physical")).layout
+    model = SimpleNamespace(
+        observation_space=layout.observation_space(),
+        predict=lambda rows, *_, **__: (np.zeros((len(rows), layout.action_size), np.float32), None),
+    )
+    with pytest.raises(ValueError, match=r"shape \(28,\).*'scaled' has \(24,\).*PolicySpec\(name, model, "):
+        evaluate(PolicySpec("mine", model), BASE, episodes=1)
+    assert evaluate(PolicySpec("mine", model, Interface("physical")), BASE, episodes=1).samples
+
+
+class Broken(laws.Static):
+    """A law with a mistake of its own."""
+
+    def __init__(self, layout):
+        raise ValueError("a mistake of my own")
+
+
+def test_only_a_layout_error_makes_a_policy_not_applicable():
+    broken = [
+        PolicySpec("broken", Broken),
+        PolicySpec("nothing", lambda layout: object()),
+        PolicySpec("uncalled", object),
+        PolicySpec("alone", SimpleNamespace(predict=lambda rows, *_, **__: np.zeros((len(rows), 5)))),
+    ]
+    results = evaluate(["static", *broken], [BASE], episodes=1)
+    failures = {policy: reason for (_, policy), reason in results.failures.items()}
+    assert failures["broken"].startswith("it cannot be built: ValueError: a mistake of my own")
+    assert failures["nothing"] == "it is a object without predict(observation, state, ...)"
+    assert "; it is called with the layout" in failures["uncalled"]
+    assert failures["alone"] == "step 0: predict returns (actions, state), got a ndarray alone"
+    assert not results.not_applicable

@@ -1,0 +1,111 @@
+"""Tracks: worlds, team rules, and scenarios by address."""
+
+import sys
+from types import ModuleType
+
+import numpy as np
+import pytest
+from small_suite import BASE, SMALL
+
+import ptne_env
+from ptne_env import FactorySpec, Interface, Scenario, laws
+from ptne_env.evaluation import EpisodeSet, Teammates, Track, rollout
+from ptne_env.evaluation.rollout import Member
+from ptne_env.evaluation.tracks import compared_tracks, named_scenario
+from ptne_env.perception.encoder import make_encoder
+from ptne_env.world import graphs
+from ptne_env.world.world import World
+
+
+def test_a_team_of_two_static_laws_is_the_static_law():
+    world = World(BASE)
+    encoder = make_encoder(world, Interface("physical"))
+    start = EpisodeSet(4).initial_state(world)
+    alone = rollout(laws.Static(encoder.layout), encoder, start)
+    team = rollout(laws.Static(encoder.layout), encoder, start, Member(laws.Static(encoder.layout), encoder, (1, 3)))
+    np.testing.assert_array_equal(alone["estimate_distance"], team["estimate_distance"])
+
+
+class Watching:
+    """The static law, keeping its observations."""
+
+    def __init__(self, layout):
+        self.law, self.layout, self.seen = laws.Static(layout), layout, []
+
+    def predict(self, observation, state=None, episode_start=None, deterministic=False):
+        self.seen.append(observation.copy())
+        return self.law.predict(observation, state, episode_start, deterministic)
+
+
+def test_members_of_a_team_see_their_own_players_through_their_own_interface():
+    world = World(BASE)
+    physical, local = make_encoder(world, Interface("physical")), make_encoder(world, Interface("scaled"))
+    one, other = Watching(physical.layout), Watching(local.layout)
+    start = EpisodeSet(2).initial_state(world)
+    rollout(one, physical, start, Member(other, local, (1, 3)))
+    for policy, players in ((one, [0, 2, 4]), (other, [1, 3])):
+        assert len(policy.seen) == BASE.steps
+        for rows in policy.seen:
+            assert policy.layout.select(rows, "player").argmax(axis=1).tolist() == players * 2
+
+
+def test_teammates_act_in_place_of_the_policy():
+    world = World(BASE)
+    encoder = make_encoder(world, Interface("physical"))
+    start = EpisodeSet(2).initial_state(world)
+    zero, law = laws.ZeroInput(encoder.layout), laws.Static(encoder.layout)
+    none, some, others = (
+        rollout(zero, encoder, start, team)["input_energy"].sum(axis=0)
+        for team in (None, Member(law, encoder, (1, 3)), Member(law, encoder, (0, 2, 4)))
+    )
+    assert np.all(none == 0)
+    assert np.all(some > 0)
+    assert np.all(others > 0)
+
+
+@pytest.mark.parametrize("players", [(), (0, 0), (5,), (0, 1, 2, 3, 4)])
+def test_teammates_are_some_of_the_players(players):
+    with pytest.raises(ValueError, match="teammates are some"):
+        Track("team", BASE, "A team.", teammates=Teammates(FactorySpec.of("ptne_env.laws:ZeroInput"), players))
+
+
+def test_a_track_is_its_own_dict_and_back():
+    team = Teammates(FactorySpec.of("law:static", kappa=3.0), (1, 3))
+    for track in (*SMALL.tracks, Track("team", BASE, "A team.", teammates=team, episodes=7)):
+        assert Track.from_dict(track.to_dict()) == track
+
+
+def test_wrong_tracks_are_refused():
+    with pytest.raises(ValueError, match="is ranked by digits, got 'digits_after_hold'"):
+        Track("nominal", BASE, "The base.", "digits_after_hold")
+    with pytest.raises(ValueError, match="printable"):
+        Track("\x1b[2K", BASE, "The base.")
+
+
+def test_a_scenario_is_found_by_address(monkeypatch):
+    monkeypatch.setitem(sys.modules, "mine", mine := ModuleType("mine"))
+    mine.scenario, mine.number = BASE, 5
+    mine.make = lambda: BASE
+    assert named_scenario("mine:scenario") == named_scenario("mine:make") == BASE
+    with pytest.raises(ValueError, match="'mine:number' is a int, not a Scenario"):
+        named_scenario("mine:number")
+    assert [track.name for track in compared_tracks(["mine:scenario", "energy"])] == [BASE.name, "energy"]
+
+
+def test_a_track_in_which_nothing_is_random_has_one_episode():
+    fixed, random = compared_tracks([ptne_env.get_scenario("energy", start="paper", name="paper"), "energy"])
+    assert (fixed.episodes, random.episodes) == (1, None)
+    assert isinstance(random.scenario, Scenario)
+
+
+def test_a_class_that_a_notebook_defines_again_makes_another_world(monkeypatch):
+    notebook = ModuleType("notebook")
+    monkeypatch.setitem(sys.modules, "notebook", notebook)
+    notebook.ring = lambda: graphs.cycle(5)
+    ring = FactorySpec.of("topology:fixed", graph=FactorySpec.of("notebook:ring"))
+    track = Track("own", BASE.replace(topology=ring), "Own graph.")
+    before = track.world
+    assert track.world is before
+    notebook.ring = lambda: graphs.complete(5)
+    assert track.world is not before
+    assert len(track.world.topology.graphs[0].edges) == 10

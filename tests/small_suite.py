@@ -1,0 +1,20 @@
+"""A suite of two short tracks that several tests share."""
+
+import ptne_env
+from ptne_env.bench import Suite
+from ptne_env.evaluation import METRICS, Track
+from ptne_env.world.graphs import complete
+
+BASE = ptne_env.get_scenario("random-energy", steps=120, deadline=0.2)
+COMPLETE = BASE.replace(topology=complete(5))
+SMALL = Suite("small-v1", (Track("ring", BASE, "The base."), Track("complete", COMPLETE, "All links.")), episodes=5)
+
+
+def stored(folder):
+    """The job files of a results folder by name."""
+    return {path.name: path for path in (folder / "jobs").glob("*.json")}
+
+
+def untimed(results):
+    """The records that another run repeats."""
+    return [record for record in results.records if not METRICS[record["metric"]].is_timing]
