@@ -16,13 +16,13 @@ from extras import need_sb3
 from processes import run_python
 from typer.testing import CliRunner
 
-from ptne_env import FactorySpec, PolicySpec, Scenario, get_scenario
+from ptne_env import Scenario, get_scenario
 from ptne_env.bench import Suite, run_suite
-from ptne_env.bench.check import check, foreign_code
+from ptne_env.bench.check import check
 from ptne_env.cli import app, options
 from ptne_env.evaluation import Track, get_policy_spec
 from ptne_env.evaluation.provenance import content_hash
-from ptne_env.perception.observation import Interface
+from ptne_env.evaluation.results import read_results
 from ptne_env.shared.parts import foreign_targets
 from ptne_env.world.world import World
 
@@ -136,63 +136,53 @@ def test_no_process_of_a_command_imports_modules_of_the_current_folder(tmp_path)
     assert sorted(path.name for path in tmp_path.iterdir()) == ["elsewhere", "here"]
 
 
-@pytest.fixture
-def results(tmp_path):
-    """Changes the results of a run of the static law, with a checksum that fits."""
-    data = run_suite(SMALL, ["static"], tracks=["ring"], episodes=1, folder=tmp_path).to_dict()
-
-    def changed(**changes):
-        content = {key: value for key, value in (data | changes).items() if key not in ("checksum", "timings")}
-        signed = content | {"checksum": content_hash(content), "timings": data["timings"]}  # which needs no secret
-        (tmp_path / "results.json").write_text(json.dumps(signed), encoding="utf-8")
-        return tmp_path
-
-    return changed, data
-
-
 CALL = {"target": "test_security:mark", "arguments": {"word": "called"}}
 
 
+@pytest.fixture(scope="module")
+def data():
+    return run_suite(SMALL, ["grounded"]).to_dict()
+
+
+@pytest.fixture
+def results(data, tmp_path):
+    """Writes the results of a run with a change, and with a checksum that fits, which needs no secret."""
+
+    def write(change=lambda data: None):
+        changed = json.loads(json.dumps(data))
+        change(changed)
+        content = {key: value for key, value in changed.items() if key not in ("checksum", "timings")}
+        (tmp_path / "results.json").write_text(json.dumps(changed | {"checksum": content_hash(content)}))
+        return tmp_path
+
+    return write
+
+
 @pytest.mark.parametrize(
-    "source",
+    "change",
     [
-        CALL,
-        {"target": "ptne_env.laws:Static", "arguments": {"kappa": CALL}},
-        {
-            "target": "ptne_env.laws:Static",
-            "arguments": {"kappa": [1.0, [{"target": "os:getcwd", "arguments": {"of": CALL}}]]},
-        },
-        {"target": "ptne_env.shared.parts:resolve", "arguments": {"target": "test_security:mark"}},
-        {"target": "ptne_env.learn.archive:load_archive", "arguments": {"path": "model.zip"}},
+        lambda data: data["policies"][0]["training_seeds"].__setitem__(0, CALL),
+        lambda data: data["policies"][0]["training_seeds"][0]["arguments"].update(kappa=[1.0, [CALL]]),
+        lambda data: data["tracks"][0]["scenario"].update(game=CALL),
+        lambda data: data["tracks"][0]["scenario"]["topology"]["arguments"].update(graph=CALL),
+        lambda data: data["tracks"][0].update(teammates={"policy": CALL, "players": [0]}),
     ],
 )
-def test_a_check_runs_nothing_of_results_without_trust(source, results):
-    change, _ = results
-    policy = PolicySpec("static", FactorySpec.of("ptne_env.laws:Static"), Interface("physical")).to_dict()
-    folder = change(policies=[policy | {"training_seeds": [source | {"files": {}}]}])
-    assert foreign_code(folder)
+def test_a_check_runs_nothing_of_results_without_trust(change, results):
+    folder = results(change)
+    assert foreign_targets(read_results(folder)) == ["test_security:mark"]
     with pytest.raises(ValueError, match=r"names code outside this library.*--trust"):
-        check(folder, suite=SMALL)
+        check(folder)
     error = CliRunner().invoke(app, ["check", str(folder)]).exception
     assert "would run code from outside the library: say --trust" in str(error)
     assert CALLED == []
 
 
-def test_a_check_makes_no_suite_without_trust(results):
-    change, data = results
-    folder = change(suite=data["suite"] | {"target": "test_security:mark"})
-    assert foreign_code(folder) == ["test_security:mark"]
-    with pytest.raises(ValueError, match=r"names code outside this library.*test_security:mark.*--trust"):
-        check(folder)
-    assert CALLED == []
-    with pytest.raises(ValueError, match="is a dict, not a Suite"):
-        check(folder, trust=True)
-    assert CALLED == [{}]
-
-
-def test_results_of_the_library_need_no_trust(results):
-    change, _ = results
-    assert foreign_code(change()) == []
+def test_an_archive_in_results_is_foreign_and_results_of_the_library_need_no_trust(results):
+    archive = {"target": "ptne_env.learn.archive:load_archive", "arguments": {"path": "model.zip"}}
+    folder = results(lambda data: data["policies"][0]["training_seeds"].__setitem__(0, archive))
+    assert foreign_targets(read_results(folder)) == [archive["target"]]
+    assert foreign_targets(read_results(results())) == []
 
 
 def test_a_world_calls_the_addresses_of_its_scenario_with_their_arguments():

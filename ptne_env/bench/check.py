@@ -127,7 +127,7 @@ def _with_files(policy: Mapping[str, Any], folder: Path) -> dict[str, Any]:
     here = {file_hash(file): str(file) for file in folder.rglob("*.onnx")}
     seeds = []
     for seed in policy["training_seeds"]:
-        if seed["target"] == LOADER and seed["sha256"] in here:
+        if seed.get("target") == LOADER and seed["sha256"] in here:
             seed = {**seed, "arguments": {**seed["arguments"], "path_or_name": here[seed["sha256"]]}}  # noqa: PLW2901
         seeds.append(seed)
     return {**policy, "training_seeds": seeds}

@@ -7,9 +7,9 @@ import signal
 import socket
 import tempfile
 import warnings
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from multiprocessing.resource_tracker import ensure_running
 from pickle import PicklingError
@@ -88,15 +88,12 @@ def _on_processes(
     )
     calls = (delayed(_numbered)(index, function, task) for index, task in enumerate(tasks))
     try:
-        with _ctrl_c_waits():
-            results = run(calls)
-        try:
-            for result in results:  # noqa: UP028 - yield from would close them with joblib's warnings
+        with ExitStack() as stack:
+            with _ctrl_c_waits():
+                results = run(calls)
+                stack.callback(_end, results)  # also when Ctrl-C comes at the end of this block
+            for result in results:  # noqa: UP028 - yield from would close them before _end does
                 yield result
-        finally:
-            with warnings.catch_warnings():
-                warnings.simplefilter("ignore")  # joblib counts the results that are lost
-                results.close()
     except BrokenProcessPool as error:
         raise ChildProcessError(_LOST) from error
     except PicklingError as error:
@@ -105,6 +102,13 @@ def _on_processes(
             f"a class or function of this program or notebook cannot be sent to other processes ({reason}): define "
             "it in a module, or run one job at a time"
         ) from error
+
+
+def _end(results: Generator[Any, None, None]) -> None:
+    """End the tasks that are unfinished after an error, Ctrl-C, or a caller that wants no more results."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # joblib counts the results that are lost
+        results.close()
 
 
 def _numbered(index: int, function: Callable[..., Result], task: tuple[Any, ...]) -> tuple[int, Result]:

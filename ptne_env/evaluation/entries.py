@@ -182,7 +182,7 @@ def _source_to_dict(source: PolicySource) -> dict[str, Any]:
         path = dict(source.arguments).get(_argument(source)) if source.target in _LIBRARIES else None
         return {**source.to_dict(), "sha256": path and file_hash(_shipped_file(path))}
     named = source if isinstance(source, type) else type(source)
-    return {"target": f"{named.__module__}:{named.__qualname__}"}
+    return {"object": f"{named.__module__}:{named.__qualname__}"}
 
 
 def _shipped_file(path_or_name: str) -> Path:
