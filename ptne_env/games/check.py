@@ -33,11 +33,6 @@ class GameReport:
     radially_unbounded: tuple[bool, ...]
     epsilon: float
 
-    def __repr__(self) -> str:
-        """The verdicts before the numbers that decide them."""
-        verdicts = {name: getattr(self, name) for name in ("gradients_agree", "assumption_3_holds")}
-        return f"GameReport({', '.join(f'{name}={value!r}' for name, value in (verdicts | vars(self)).items())})"
-
     @property
     def gradients_agree(self) -> bool:
         """Whether the own-gradients are the derivatives of the costs, to 1e-6."""

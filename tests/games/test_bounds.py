@@ -65,16 +65,6 @@ def test_one_bound_is_enough_and_the_other_is_infinite():
     assert game.held_at_equilibrium[:, 0].tolist() == [True, False, False, False, False]
 
 
-def test_a_box_around_the_equilibrium_changes_nothing():
-    free, wide = EnergyGame(), BoxedEnergy(-100.0, 100.0)
-    assert wide.nash_equilibrium == pytest.approx(free.nash_equilibrium, abs=1e-12)
-    assert not wide.held_at_equilibrium.any()
-    assert not free.held_at_equilibrium.any()
-    x = np.ones((5, 1))
-    assert free.project(x) is x
-    assert np.array_equal(free.natural_residual(x), free.pseudo_gradient(x))
-
-
 @pytest.mark.parametrize("name", BOXED)
 def test_only_strategies_are_projected_into_the_box(name):
     scenario = get_scenario(name, start="random")

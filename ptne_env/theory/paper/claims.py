@@ -96,7 +96,6 @@ def lemma_1(experiments: Experiments) -> Iterator[Claim]:
         "a λ with (7a)–(7c) turns the loop in t into the loop in s with ψ(s) = ξ(λ(s))",
         not violated and mismatch <= 1e-8,
         f"conditions {'violated' if violated else 'hold'}; largest relative mismatch {mismatch:.1e}",
-        mismatch=mismatches,
         violated=violated,
     )
 
@@ -138,10 +137,7 @@ def theorem_1(experiments: Experiments) -> Iterator[Claim]:
         "the static law reaches x* at T from any start if κ > (ι²/ε + ι)/λ2",
         at_deadline <= VANISHED and dissipation > 0 and rate > 0,
         f"κ = {kappa:.3f}: error {at_deadline:.1e} at s = 60, r = {rate:.3f}, λ_min(sym M) = {dissipation:.3f}",
-        kappa=kappa,
-        gain_bound=bound,
         rate=rate,
-        dissipation=dissipation,
         error_at_deadline=at_deadline,
     )
     corollary = experiments.corollary_one
@@ -259,9 +255,6 @@ def _adaptive_claim(name: str, statement: str, run: Run) -> Claim:
         f"ends between {gains[k].min():.2f} and {gains[k].max():.2f}, last change {100 * change:.2g} %",
         error_at_deadline=at_deadline,
         error_at_s={f"{value:g}": float(distance[np.searchsorted(s, value)]) for value in (8, 15, 30, 60)},
-        smallest_gain_increment=smallest_growth,
-        relative_gain_change=change,
-        final_gains=gains[k].tolist(),
     )
 
 

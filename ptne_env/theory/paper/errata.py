@@ -206,7 +206,6 @@ def _missing_assumption() -> Claim:
         satisfied and epsilon < 0 and max(rates) < 0,
         f"J_i = x_i²/2 + 2 x_1 x_2 has ε = {epsilon:.3g} and rates {min(rates):.3f} to {max(rates):.3f}: it diverges",
         epsilon=epsilon,
-        kappa=gains,
         rates=rates,
     )
 

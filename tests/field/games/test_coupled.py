@@ -69,19 +69,6 @@ def test_equilibrium_in_a_half_space_has_a_closed_form():
     assert priced(game, row, [limit + 20.0]).nash_equilibrium == pytest.approx([*free, 0.0], abs=1e-10)
 
 
-def test_no_player_gains_in_its_part_of_the_constraint():
-    game = CoupledConstraint(RandomEnergy(), lines=1, tightness=(0.2, 0.2)).draw(generators([4]))
-    _, _, rows, limit = parts_of(game, 1)
-    x, energy = game.nash_equilibrium[:5], RandomEnergy().draw(generators([4]))
-    generator = np.random.default_rng(0)
-    for _ in range(200):
-        moved, player = x.copy(), generator.integers(5)
-        moved[player] += generator.normal()
-        if rows @ moved <= limit:
-            assert energy.costs(moved[:, None])[player] >= energy.costs(x[:, None])[player] - 1e-9
-    assert rows @ x == pytest.approx(limit)
-
-
 def test_constraint_is_active_in_most_draws():
     prices = CoupledConstraint(RandomEnergy()).draw(generators(range(500))).nash_equilibria[PLAYERS:]
     assert 0.45 < (prices > 0).mean() < 0.65
@@ -113,9 +100,7 @@ def test_operator_has_no_best_response_and_regret_is_unknown():
 SCENARIO = get_scenario(
     "random-energy",
     name="coupled",
-    game=FactorySpec.of(
-        "ptne_env.field.games:CoupledConstraint", game=FactorySpec.of("ptne_env.games:RandomEnergy", players=4), lines=1
-    ),
+    game=FactorySpec.of("game:coupled", game=FactorySpec.of("game:random-energy", players=4), lines=1),
 )
 
 
@@ -127,11 +112,10 @@ def test_environment_plays_a_priced_game_and_prices_stay_above_zero():
     assert env.strategies[-1] == 0.0
 
 
-@pytest.mark.parametrize("law", ["static", "routed-unknown", "contact-relay", "multi-rate", "proximal-best-response"])
-def test_priced_games_have_certificates(law):
-    certificate = theory.certify(SCENARIO, f"law:{law}")
-    assert certificate.assumptions[4].verdict == "fails"  # F is monotone only
-    assert certificate.condition is not None
+def test_certificates_of_priced_games_say_that_they_are_monotone_only():
+    certificate = theory.certify(SCENARIO, "law:multi-rate")
+    assert certificate.assumptions[4].verdict == "fails"
+    assert certificate.condition.name.startswith("gradient play with delays")
 
 
 @pytest.mark.parametrize(
