@@ -22,7 +22,7 @@ def installed():
 
 def play():
     """An episode under the law of the paper; environments from both registries."""
-    env = pettingzoo.make("parallel", "ptne/energy-v0")
+    env = pettingzoo.make("parallel", "ptne/energy-v0", interface="physical")
     law, memory = ptne_env.laws.Static(env.layout), None
     observations, _ = env.reset(seed=0)
     while env.agents:
@@ -34,16 +34,16 @@ def play():
 
 def bench():
     """The command line, and a shipped policy."""
-    from ptne_env import learn as policies
+    from ptne_env import learn
 
     command = Path(sysconfig.get_path("scripts")) / "ptne"
     listed = subprocess.run([command, "list"], capture_output=True, text=True, check=True).stdout  # noqa: S603
-    names = policies.shipped()
+    names = learn.shipped()
     assert names
     assert "energy-switching" in listed
-    policy = policies.load(names[0])
-    results = ptne_env.evaluate(["static", names[0]], ["random-energy"], episodes=3)
-    assert results.record("random-energy", names[0], "digits")["mean"] > 1
+    policy = learn.load(names[0])
+    results = ptne_env.evaluate(["static", names[0]], policy.metadata.scenarios[0], episodes=3)
+    assert results.record(policy.metadata.scenarios[0], names[0], "digits")["mean"] > 1
     page = [command, "compare", "energy", "--policy", "static", "--episodes", "2", "--out", "out"]
     subprocess.run(page, capture_output=True, check=True)  # noqa: S603
     assert "</html>" in Path("out/report.html").read_text(encoding="utf-8")
