@@ -28,10 +28,7 @@ class ArchivePolicy:
     def __init__(self, path: Path, network: Any) -> None:
         self.path = path
         self._network = network
-        interface = recognised_interface(network)
-        if interface is None:
-            raise PolicyFileError(f"{path} was not trained on one player's observations and actions of ptne_env")
-        self.interface = interface
+        self.interface = _interface(path, network)
 
     def require(self, layout: ObservationLayout) -> None:
         """Check that the policy can act in an environment of this layout.
@@ -66,11 +63,11 @@ class ArchivePolicy:
         return (actions[0] if np.ndim(observation) == 1 else actions[: len(rows)]), state
 
 
-def recognised_interface(model: Any) -> Interface | None:
-    """The interface of a model or policy of Stable-Baselines3, by its spaces; ``None`` where they are no player's."""
-    observations, actions = getattr(model, "observation_space", None), getattr(model, "action_space", None)
+def _interface(path: Path, network: Any) -> Interface:
+    """The interface of a network's training, recognised by its spaces."""
+    observations, actions = network.observation_space, network.action_space
     if not all(isinstance(space, spaces.Box) and len(space.shape) == 1 for space in (observations, actions)):
-        return None
+        raise PolicyFileError(f"{path} was not trained on one player's observations and actions of ptne_env")
     # The only entry of an observation that goes down to this number is the logarithm of the scale.
     is_scaled = np.isclose(observations.low, math.log10(SMALLEST_SCALE) / LOG_SCALE_UNIT).any()
     return Interface("scaled" if is_scaled else "physical")

@@ -18,7 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ptne_env.perception.observation import Interface, LayoutError, ObservationLayout
-from ptne_env.shared.arrays import BoolArray, Float32Array, require_count, require_finite, require_printable
+from ptne_env.shared.arrays import BoolArray, Float32Array, require_count
 from ptne_env.shared.files import DamagedFileError, require_file
 from ptne_env.shared.names import unknown_name
 
@@ -41,7 +41,6 @@ OPERATORS = {
 }  # fmt: skip
 """The operations of a network: arithmetic, without loops, branches, other files, and arrays out of nothing."""
 
-
 LAYOUT_VERSION = 1
 """Version of the meaning of observations and actions; files of another version are refused."""
 
@@ -62,35 +61,24 @@ class Metadata:
         interface: of the policy.
         action_dims: n_i of each player it was trained with.
         slots: D, neighbour slots per player.
-        scenarios: names of the scenarios, families of games or tracks (``"ptne-v1/delay"``) it was trained on.
-        steps: agent-steps of training.
-        seed: of training.
-        digits: mean digits on the validation episodes after training.
-        versions: of the libraries that wrote it.
+        training: how it was trained, such as scenario, agent-steps, seed and versions; nothing depends on it.
         layout_version: version of the meaning of observations and actions.
 
     Raises:
-        ValueError, TypeError, AttributeError: for a value of a wrong type or out of range.
+        ValueError, TypeError: for a value of a wrong type or out of range.
     """
 
     interface: Interface
     action_dims: tuple[int, ...]
     slots: int
-    scenarios: tuple[str, ...]
-    steps: int
-    seed: int
-    digits: float
-    versions: Mapping[str, str]
+    training: Mapping[str, Any]
     layout_version: int = LAYOUT_VERSION
 
     def __post_init__(self) -> None:
-        for name in ("slots", "steps", "seed", "layout_version"):
-            require_count(name, getattr(self, name), 0)
+        require_count("slots", self.slots, 0)
+        require_count("layout_version", self.layout_version, 0)
         for dim in self.action_dims:
             require_count("action_dims", dim, 1)
-        require_finite("digits", self.digits)
-        for text in (*self.scenarios, *self.versions, *self.versions.values()):
-            require_printable("a name or version", text)
 
     def to_json(self) -> str:
         """The description as a JSON text."""
@@ -106,11 +94,9 @@ class Metadata:
         """
         try:
             data: dict[str, Any] = json.loads(text)
-            data["interface"] = Interface(data["interface"])
-            for name in ("action_dims", "scenarios"):
-                data[name] = tuple(data[name])
+            data |= {"interface": Interface(data["interface"]), "action_dims": tuple(data["action_dims"])}
             metadata = cls(**data)
-        except (AttributeError, KeyError, TypeError, ValueError, RecursionError) as error:
+        except (KeyError, TypeError, ValueError, RecursionError) as error:
             raise PolicyFileError(f"the policy's metadata is damaged or of another version: {error!r}") from error
         if metadata.layout_version != LAYOUT_VERSION:
             raise PolicyFileError(

@@ -16,11 +16,7 @@ def metadata(**changes):
         "interface": Interface("scaled"),
         "action_dims": (1,) * 5,
         "slots": 2,
-        "scenarios": ("random-energy",),
-        "steps": 1,
-        "seed": 0,
-        "digits": 0.5,
-        "versions": {"ptne_env": "0"},
+        "training": {"scenario": "random-energy", "seed": 0},
     }
     return Metadata(**values | changes)
 

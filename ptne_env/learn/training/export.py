@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import io
 import warnings
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import onnx
@@ -21,15 +21,13 @@ if TYPE_CHECKING:
     from stable_baselines3.common.on_policy_algorithm import OnPolicyAlgorithm
 
 
-def to_onnx(model: OnPolicyAlgorithm, layout: ObservationLayout, *, scenario: str, seed: int, digits: float) -> bytes:
+def to_onnx(model: OnPolicyAlgorithm, layout: ObservationLayout, **training: Any) -> bytes:
     """The deterministic actor as an ONNX file: observations (R, size) float32 to clipped mean actions, float32.
 
     Args:
         model: PPO or A2C with an ``MlpPolicy`` on a flat observation.
         layout: of the environments it was trained in.
-        scenario: it was trained on, for the metadata.
-        seed: of training, for the metadata.
-        digits: on the validation episodes, for the metadata.
+        **training: how it was trained, for the metadata.
     """
     content = io.BytesIO()
     with warnings.catch_warnings():
@@ -44,16 +42,10 @@ def to_onnx(model: OnPolicyAlgorithm, layout: ObservationLayout, *, scenario: st
             dynamic_axes={"observation": {0: "rows"}, "action": {0: "rows"}},
             dynamo=False,
         )
-    versions = {library.__name__: library.__version__ for library in (stable_baselines3, torch, np)}
+    training |= {"ptne_env": __version__}
+    training |= {library.__name__: library.__version__ for library in (stable_baselines3, torch, np)}
     metadata = Metadata(
-        interface=layout.interface,
-        action_dims=layout.action_dims,
-        slots=layout.slots,
-        scenarios=(scenario,),
-        steps=int(model.num_timesteps),
-        seed=seed,
-        digits=digits,
-        versions={"ptne_env": __version__, **versions},
+        interface=layout.interface, action_dims=layout.action_dims, slots=layout.slots, training=training
     )
     return sealed(onnx.load_from_string(content.getvalue()), metadata)
 

@@ -102,11 +102,9 @@ def train(configuration: Configuration, out: Path, progress: Progress | None = N
     if configuration.steps > resumed_at:
         model.learn(configuration.steps - resumed_at, callback=callbacks, reset_num_timesteps=False)
 
-    def exported(digits: float) -> bytes:
-        return to_onnx(model, env.layout, scenario=configuration.scenario, seed=configuration.seed, digits=digits)
-
-    digits = _validated(exported(0.0), scenario)
-    write_atomically(out / _POLICY, exported(digits))
+    exported = to_onnx(model, env.layout, **asdict(configuration))
+    digits = _validated(exported, scenario)
+    write_atomically(out / _POLICY, exported)
     summary = Summary(model.num_timesteps, resumed_at, monotonic() - began, digits)
     write_atomically(out / _SUMMARY, json.dumps(asdict(summary), indent=2) + "\n")
     return summary
