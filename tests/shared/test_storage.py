@@ -22,7 +22,6 @@ from ptne_env.bench.store import Store
 from ptne_env.evaluation import Track
 from ptne_env.evaluation.provenance import content_hash
 from ptne_env.evaluation.results import FORMAT, read_results
-from ptne_env.learn import Metadata, PolicyFileError
 from ptne_env.shared.files import read_json, write_atomically
 from ptne_env.world.world import World
 
@@ -151,13 +150,6 @@ def test_a_changed_scenario_is_another_one_or_refused(data):
         assert Scenario.from_json(scenario.to_json()) == scenario
 
 
-@given(st.data())
-def test_changed_metadata_are_read_or_refused(data):
-    whole = json.loads(policies.load(policies.shipped()[0]).metadata.to_json())
-    with contextlib.suppress(PolicyFileError):
-        Metadata.from_json(json.dumps(changed(whole, data)))
-
-
 def test_a_job_under_the_name_of_another_is_run_again(results):
     store = Store(results.parent)
     jobs = run_suite(SMALL, ["grounded"], folder=results.parent).jobs
@@ -169,14 +161,6 @@ def test_a_job_under_the_name_of_another_is_run_again(results):
         check(results, suite=SMALL, sample=100)
     run_suite(SMALL, ["grounded"], folder=results.parent)
     assert json.loads(first.read_bytes())["samples"] == json.loads(kept)["samples"]
-
-
-def test_a_policy_of_a_later_version_is_refused_with_advice():
-    data = json.loads(policies.load(policies.shipped()[0]).metadata.to_json())
-    with pytest.raises(PolicyFileError, match="made for layout version 2, this library has 1; use the version"):
-        Metadata.from_json(json.dumps(data | {"layout_version": 2}))
-    with pytest.raises(PolicyFileError, match="damaged or of a later version.*unheard_of"):
-        Metadata.from_json(json.dumps(data | {"unheard_of": 1}))
 
 
 def test_a_policy_that_cannot_be_read_is_not_called_damaged(tmp_path, monkeypatch):
