@@ -1,40 +1,48 @@
-"""Published environments follow their golden trajectories; see golden.py."""
+"""Behaviour is what it was when the golden trajectories were written; see golden.py."""
 
-import gymnasium
+import golden
 import pytest
-from golden import DATA, MODES, difference, load, main, trajectory
 
-import ptne_env
+from ptne_env.world import dynamics
 
-GOLDEN = load()
-
-
-def test_every_registered_environment_has_golden_trajectories():
-    registered = {name.removeprefix("ptne/") for name in gymnasium.registry if name.startswith("ptne/")}
-    assert {name.replace("-joint-v", "-v") for name in registered} == set(GOLDEN)
-    assert all(set(modes) == set(MODES) for modes in GOLDEN.values())
+KEPT = golden.load()
+ADVICE = (
+    f"behaviour has changed: raise PHYSICS in ptne_env/world/dynamics.py to {KEPT['physics'] + 1}, "
+    "and run python tests/golden.py"
+)
 
 
-@pytest.mark.parametrize("environment_id", sorted(GOLDEN))
-def test_environment_follows_its_golden_trajectories(environment_id):
-    for mode, kept in GOLDEN[environment_id].items():
-        assert difference(kept, trajectory(environment_id, mode)) == "", mode
+def test_golden_trajectories_are_of_this_physics_and_of_every_scenario():
+    assert KEPT["physics"] == dynamics.PHYSICS, "PHYSICS was raised: run python tests/golden.py"
+    assert list(KEPT["trajectories"]) == golden.CASES, "a scenario is new, or gone: run python tests/golden.py"
 
 
-@pytest.mark.parametrize("change", [{"gain": 20.000001}, {"deadline": 1.2000001}, {"steps": 401}, {"slots": 3}])
-def test_a_small_change_of_an_environment_is_a_difference(change, monkeypatch):
-    build = ptne_env.parallel_env
-    monkeypatch.setattr(ptne_env, "parallel_env", lambda scenario, **fields: build(scenario, **fields, **change))
-    assert difference(GOLDEN["energy-v0"]["physical"], trajectory("energy-v0", "physical"))
+@pytest.mark.parametrize("case", golden.CASES)
+def test_behaviour_is_that_of_the_golden_trajectory(case):
+    name, kind = case.rsplit(", ", 1)
+    found = golden.difference(KEPT["trajectories"][case], golden.trajectory(golden.SCENARIOS[name], kind))
+    assert not found, f"{ADVICE}; {found}"
 
 
-def test_a_golden_trajectory_is_never_replaced(monkeypatch, tmp_path, capsys):
-    kept = DATA.read_text(encoding="utf-8")
+@pytest.mark.parametrize("name", golden.CONTRACTIVE)
+def test_the_static_law_ends_with_the_golden_digits(name):
+    assert golden.end(golden.SCENARIOS[name]) == pytest.approx(KEPT["ends"][name], abs=0.01), ADVICE
+
+
+@pytest.mark.parametrize("change", [{"gain": 20.000001}, {"deadline": 1.2000001}, {"steps": 401}])
+@pytest.mark.parametrize("kind", ["physical", "scaled"])
+def test_a_small_change_of_physics_is_a_difference(change, kind):
+    scenario = golden.SCENARIOS["energy"].replace(**change)
+    assert golden.difference(KEPT["trajectories"][f"energy, {kind}"], golden.trajectory(scenario, kind))
+
+
+def test_the_file_is_not_written_where_behaviour_changed_and_physics_did_not(monkeypatch, tmp_path, capsys):
     path = tmp_path / "golden.json"
-    path.write_text(kept.replace('"length": "400"', '"length": "399"', 1), encoding="utf-8")
-    changed = path.read_bytes()
-    monkeypatch.setattr("golden.DATA", path)
-    monkeypatch.setattr(ptne_env, "CATALOGUE", {"energy": ptne_env.CATALOGUE["energy"]})
-    assert main() == 1
-    assert path.read_bytes() == changed
-    assert "energy-v0, physical: length is off by 1" in capsys.readouterr().out
+    path.write_bytes(golden.DATA.read_bytes())
+    monkeypatch.setattr(golden, "DATA", path)
+    monkeypatch.setattr(golden, "measured", lambda: KEPT | {"ends": KEPT["ends"] | {"energy": 0.0}})
+    assert golden.main() == 1
+    assert path.read_bytes() == (golden.Path(golden.__file__).parent / "data" / "golden.json").read_bytes()
+    assert "raise PHYSICS" in capsys.readouterr().out
+    monkeypatch.setattr(golden, "PHYSICS", KEPT["physics"] + 1)
+    assert golden.main() == 0
