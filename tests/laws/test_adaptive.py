@@ -3,7 +3,6 @@ import pytest
 from worlds import make_env, play, while_running, world_and_encoder
 
 from ptne_env import laws
-from ptne_env.world import dynamics
 
 
 def gains_along(env, law, **reset):
@@ -57,12 +56,3 @@ def test_without_growth_it_is_the_static_law():
 def test_negative_gains_are_refused(name):
     with pytest.raises(ValueError, match=f"{name} must be a finite number of at least 0"):
         laws.Adaptive(world_and_encoder("energy")[1].layout, **{name: -0.1})
-
-
-def test_memory_of_another_shape_is_refused_with_advice():
-    world, encoder = world_and_encoder("energy")
-    observation = encoder.observe(dynamics.initial_state(world, np.zeros((5, 5, 1))))[0]
-    law = laws.Adaptive(encoder.layout)
-    _, memory = law.predict(observation)
-    with pytest.raises(ValueError, match=r"memory has the shape \(5, 2\).*need \(3, 2\); pass state=None"):
-        law.predict(observation[:3], state=memory)
