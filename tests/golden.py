@@ -35,12 +35,15 @@ SCENARIOS = {
         topology=FactorySpec.of("topology:random-graphs", players=5, probability=0.5),
     ),
 }
-CASES = [f"{name}, {kind}" for name in SCENARIOS for kind in ("physical", "scaled")]
 CONTRACTIVE = ["energy", "random-energy", "hvac-ye-hu", "random-affine", "robots"]
 """Scenarios whose ends are compared; on switching graphs the law amplifies rounding."""
 
 INSTANTS = (1, 2, 5, 20, 50, 100)
 SEED = 20260101
+WIDTHS = {"physical": 5.0, "scaled": 0.5}
+"""Half-widths of the random actions."""
+
+CASES = [f"{name}, {kind}" for name in SCENARIOS for kind in WIDTHS]
 NUMBERS = ("estimates", "own gradients", "return", "observations")
 TOLERANCES = dict(zip(NUMBERS, (1e-9, 1e-9, 1e-9, 1e-5), strict=True))
 
@@ -61,7 +64,7 @@ def trajectory(scenario, kind):
     found, total = {name: [] for name in NUMBERS}, 0.0
     for k in range(1, min(INSTANTS[-1], world.clock.total_steps) + 1):
         observations = encoder.observe(state)
-        drawn = generator.uniform(-0.5, 0.5, (2, world.game.num_players, encoder.layout.action_size))
+        drawn = WIDTHS[kind] * generator.uniform(-1, 1, (2, world.game.num_players, encoder.layout.action_size))
         state = dynamics.step(world, state, encoder.decode(drawn.astype(np.float32), state))
         total = total + reward.total(reward.step(state))
         if k in INSTANTS:
@@ -117,9 +120,7 @@ def main():
     """Write the file, unless behaviour has changed and PHYSICS has not."""
     found = measured()
     if DATA.exists() and load()["physics"] == PHYSICS and (reasons := changes(load(), found)):
-        print(
-            f"behaviour changed: raise PHYSICS in ptne_env/world/dynamics.py to {PHYSICS + 1}, and run this again:"
-        )
+        print(f"behaviour changed: raise PHYSICS in ptne_env/world/dynamics.py to {PHYSICS + 1}, and run this again:")
         print(*(f"{case}: {reason}" for case, reason in reasons.items()), sep="\n")
         return 1
     write_atomically(DATA, json.dumps(found, indent=0) + "\n")
