@@ -70,8 +70,10 @@ def main() -> None:
         raise
     except (ConnectionError, ChildProcessError) as error:
         _fail(str(error), ExitCode.FAILED)
-    except (OSError, DamagedFileError) as error:
-        _fail(_reason(error), ExitCode.FILE)
+    except OSError as error:  # its own message has the number of an error of the operating system
+        _fail(str(error) if error.filename is None else f"{str(error.filename)!r}: {error.strerror}", ExitCode.FILE)
+    except DamagedFileError as error:
+        _fail(str(error), ExitCode.FILE)
     except ValueError as error:
         _fail(str(error), ExitCode.USAGE)
     except ImportError as error:
@@ -80,12 +82,6 @@ def main() -> None:
         message = "\n".join([f"{type(error).__name__}: {error}", *getattr(error, "__notes__", ())])
         hint = "" if output.debug else "\n'ptne --debug' before the command shows where it comes from"
         _fail(message + hint, ExitCode.FAILED)
-
-
-def _reason(error: Exception) -> str:
-    """The message of an error, without the number of one of the operating system."""
-    filename, reason = getattr(error, "filename", None), getattr(error, "strerror", None)
-    return str(error) if filename is None else f"{str(filename)!r}: {reason}"
 
 
 def _fail(message: str, code: ExitCode) -> None:

@@ -28,11 +28,6 @@ _PAGE_SHARE = 25
 """The part of the bar, in percent, that belongs to the figures of the page."""
 
 
-def _complete_track(context: typer.Context) -> list[str]:
-    suite: str = context.params.get("suite") or ""
-    return [track.name for track in get_suite(suite).tracks] if suite in SUITES else world_names()
-
-
 def _complete_policy(incomplete: str) -> list[str]:
     """Names of policies, after a comma too."""
     done, comma, _ = incomplete.rpartition(",")
@@ -47,7 +42,7 @@ def compare(
             metavar="[SCENARIO]...",
             help="Scenarios by name or 'module:object', or tracks of one suite, such as ptne-v1/delay; with --suite "
             "the names of tracks. All if left out. See 'ptne list'.",
-            autocompletion=_complete_track,
+            autocompletion=world_names,
         ),
     ] = None,
     *,
@@ -64,8 +59,8 @@ def compare(
         typer.Option(
             help="A policy by name, an .onnx file, a Stable-Baselines3 .zip, 'module:object' that is called with the "
             "layout and returns something with predict(), or 'name=pattern' for the files of several training seeds; "
-            "separate several by commas, or repeat. If left out: the paper's laws, two strong ones, and learned "
-            "policies on scenarios that they were trained on; with --suite, all laws and all learned policies.",
+            "separate several by commas, or repeat. If left out: the paper's laws, references, the strongest laws and "
+            "two learned policies; with --suite, every policy that 'ptne list' shows.",
             autocompletion=_complete_policy,
         ),
     ] = None,

@@ -84,8 +84,8 @@ def progress(description: str, total: int | None = None) -> Iterator[Callable[..
     """A bar with the remaining time on stderr.
 
     Yields:
-        A function of the number of finished steps, the total and a description; arguments that are left out stay as
-        they are, and without a number one more step is finished.
+        A function of the number of finished steps, one more if left out, the total and a description, as they were if
+        left out.
     """
     columns = (
         TextColumn("{task.description}", table_column=Column(ratio=1, no_wrap=True, overflow="ellipsis")),

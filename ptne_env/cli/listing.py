@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from enum import StrEnum
 from typing import Annotated
 
@@ -31,42 +31,26 @@ class Kind(StrEnum):
     SUITES = "suites"
 
 
-def _scenarios() -> Iterator[Entry]:
-    for name, scenario in CATALOGUE.items():
-        world = World(scenario)
-        graphs = "a fixed graph" if world.topology.is_fixed else f"{len(world.topology.graphs)} graphs"
-        facts = f"{type(world.game).__name__}, {world.game.num_players} players, {graphs}, T = {scenario.deadline:g} s"
-        yield name, DESCRIPTIONS[name], facts
-
-
-def _policies() -> Iterator[Entry]:
-    for spec in POLICIES.values():
-        source = spec.to_dict()["training_seeds"][0]
-        arguments = ", ".join(f"{name} = {value}" for name, value in source["arguments"].items())
-        yield spec.name, spec.description, f"{source['target']} {arguments}".strip()
-
-
-def _metrics() -> Iterator[Entry]:
-    for name, metric in METRICS.items():
-        yield (
-            name,
-            metric.meaning,
-            ", ".join(filter(None, (metric.unit, metric.direction and f"{metric.direction} is better"))),
-        )
-
-
-def _suites() -> Iterator[Entry]:
-    for name in SUITES:
-        for track in get_suite(name).tracks:
-            yield f"{name}/{track.name}", track.change, ""
-
-
-_LISTS: dict[Kind, Callable[[], Iterator[Entry]]] = {
-    Kind.SCENARIOS: _scenarios,
-    Kind.POLICIES: _policies,
-    Kind.METRICS: _metrics,
-    Kind.SUITES: _suites,
-}
+def _entries(kind: Kind) -> Iterator[Entry]:
+    match kind:
+        case Kind.SCENARIOS:
+            for name, scenario in CATALOGUE.items():
+                world = World(scenario)
+                graphs = "a fixed graph" if world.topology.is_fixed else f"{len(world.topology.graphs)} graphs"
+                facts = f"{world.game.num_players} players, {graphs}, T = {scenario.deadline:g} s"
+                yield name, DESCRIPTIONS[name], f"{type(world.game).__name__}, {facts}"
+        case Kind.POLICIES:
+            for spec in POLICIES.values():
+                source = spec.to_dict()["training_seeds"][0]
+                arguments = ", ".join(f"{name} = {value}" for name, value in source["arguments"].items())
+                yield spec.name, spec.description, f"{source['target']} {arguments}".strip()
+        case Kind.METRICS:
+            for name, metric in METRICS.items():
+                better = metric.direction and f"{metric.direction} is better"
+                yield name, metric.meaning, ", ".join(filter(None, (metric.unit, better)))
+        case Kind.SUITES:
+            for name in SUITES:
+                yield from ((f"{name}/{track.name}", track.change, "") for track in get_suite(name).tracks)
 
 
 @app.command("list")
@@ -76,7 +60,7 @@ def list_(
 ) -> None:
     """Show the scenarios, policies, metrics and tracks of suites, each with a sentence."""
     check_writable(json)
-    listed = {each: list(_LISTS[each]()) for each in kind or Kind}
+    listed = {each: list(_entries(each)) for each in kind or Kind}
     found = {
         each: {name: {"description": sentence, "facts": facts} for name, sentence, facts in entries}
         for each, entries in listed.items()
