@@ -104,7 +104,7 @@ def test_scrambling_hidden_information_changes_no_action(player, law, kind, mode
 
 @pytest.mark.parametrize("name", [name for name, spec in POLICIES.items() if name != "oracle"])
 def test_policies_decide_row_by_row_without_the_links_of_others(name):
-    """Each player's twin sees its own rows alone, and is built from a layout that hides the neighbours of all others."""
+    """Each player's twin sees its own rows alone, and its layout hides the neighbours of all others."""
     scenario = energy_scenario(CURVATURE, TARGET, topology_spec(MODES, np.ones((5, 5))))
     spec = POLICIES[name]
     world, encoder = world_and_encoder(scenario, kind=spec.interface.kind)
