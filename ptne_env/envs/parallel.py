@@ -92,7 +92,8 @@ class NashSeekingEnv(ParallelEnv[str, Float32Array, Float32Array]):
             -OBSERVATION_BOUND, OBSERVATION_BOUND, (players * (n + players) + 4,), dtype=np.float32
         )
         self._renderer = Renderer(self.world, render_mode) if render_mode else None
-        self._table_shape, self._actions_shape = (1, players, self.layout.size), (1, players, self.layout.action_size)
+        self._actions_shape = (1, players, self.layout.action_size)
+        self._table = None
         self._np_random: np.random.Generator | None = None
 
     @property
@@ -174,7 +175,8 @@ class NashSeekingEnv(ParallelEnv[str, Float32Array, Float32Array]):
             self._render_human()
         first = {"diverged": np.False_, "clipped": np.int64(0), "is_success": self._simulation.succeeded()[0]}
         first |= dict.fromkeys(self._simulation.reward_names, np.float64(0))
-        return self._by_agent(self._simulation.observe()), {agent: first.copy() for agent in self.agents}
+        observations = dict(zip(self.agents, self._simulation.observe()[0], strict=True))
+        return observations, {agent: first.copy() for agent in self.agents}
 
     def step(
         self, actions: dict[str, Float32Array]
@@ -203,15 +205,17 @@ class NashSeekingEnv(ParallelEnv[str, Float32Array, Float32Array]):
             inside, clipped = self._simulation.clip(self._stack(actions))
         except NonFiniteActionError:
             raise self._complaint(actions) from None
-        table = np.empty(self._table_shape, dtype=np.float32)
+        table, rows = self._table or self._new_table()
         outcome = self._simulation.step(inside, table)
-        observations = self._by_agent(table)
+        observations = dict(zip(agents, map(np.ndarray.copy, rows), strict=True))
         diverged, is_success = outcome.diverged[0], outcome.is_success[0]
+        names, terms = self._simulation.reward_names, list(outcome.terms.values())
+        first = names[0]
         infos: dict[str, AgentInfo] = {
-            agent: {"diverged": diverged, "clipped": count, "is_success": is_success}
-            for agent, count in zip(agents, clipped[0], strict=True)
+            agent: {"diverged": diverged, "clipped": count, "is_success": is_success, first: value}
+            for agent, count, value in zip(agents, clipped[0], terms[0].ravel(), strict=True)
         }
-        for name, term in zip(self._simulation.reward_names, outcome.terms.values(), strict=True):
+        for name, term in zip(names[1:], terms[1:], strict=True):
             for info, value in zip(infos.values(), term.ravel(), strict=True):
                 info[name] = value
         rewards = dict(zip(agents, outcome.rewards.ravel().tolist(), strict=True))
@@ -277,9 +281,10 @@ class NashSeekingEnv(ParallelEnv[str, Float32Array, Float32Array]):
         if self.render_mode == "human" and self._renderer is not None:
             self._renderer.draw()
 
-    def _by_agent(self, table: Float32Array) -> dict[str, Float32Array]:
-        """Copies of rows, because a row leads to all others of its array by the attribute ``base``."""
-        return {agent: row.copy() for agent, row in zip(self.possible_agents, table[0], strict=True)}
+    def _new_table(self):
+        table = np.empty((1, len(self.possible_agents), self.layout.size), dtype=np.float32)
+        self._table = table, list(table[0])
+        return self._table
 
     def _stack(self, actions: Mapping[str, Any]) -> npt.NDArray[np.floating]:
         """All actions in the order of the agents, shape (1, N, action size)."""

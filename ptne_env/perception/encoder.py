@@ -5,7 +5,6 @@ from __future__ import annotations
 import copy
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -25,9 +24,6 @@ from ptne_env.world.world import World
 
 _PADDING = 16
 """Columns by which the rows of an observation workspace are longer than a batch that is larger than that."""
-
-_SCRATCH_ENTRIES = 32_768
-"""Numbers in the float64 scratch of a workspace, or one neighbour slot if that is more: it stays in a core's cache."""
 
 _WORKSPACES = 2
 """Observation workspaces of an encoder, one per batch size: a vector environment has blocks of two sizes."""
@@ -49,20 +45,16 @@ class Clipped(NamedTuple):
     clipped: IntArray
 
 
-@dataclass
-class _Workspace:
+class _Workspace(NamedTuple):
     """Memory in which an encoder assembles the observations of one batch size.
 
     Attributes:
         fields: views of each slice, environments last; ``everything`` is (B, N size).
-        relative: some neighbour slots at a time: the slots, their part of the fields, and a float64 scratch of that
-            shape (slots, n, N, B), which all of them share.
-        step: of the clock that stands in the fields, where all environments share one.
+        scratch: own gradients, then relative estimates in float64, (m + D n, N, B).
     """
 
     fields: dict[str, Float32Array]
-    relative: list[tuple[slice, Float32Array, FloatArray]]
-    step: int | None = None
+    scratch: FloatArray
 
 
 class Encoder(ABC):
@@ -106,7 +98,6 @@ class Encoder(ABC):
         own = layout.own_components.T
         self.gradient_rows = np.minimum(own, game.dimension - 1)
         self.gradient_mask = (own < game.dimension)[:, :, None] if (own == game.dimension).any() else None
-        self._slot_shape = (layout.slots, layout.dimension, layout.num_players)
         self._workspaces: dict[int, _Workspace] = {}
 
     def __getstate__(self) -> dict[str, Any]:
@@ -128,15 +119,12 @@ class Encoder(ABC):
         """
         batch, world = dynamics.batch_size(state), self.world
         workspace = self._workspaces.get(batch) or self._prepare(batch)
-        fields, steps = workspace.fields, dynamics.shared_step(state)
+        fields = workspace.fields
         link_weights = None if world.has_constant_weights else dynamics.weights(world, state)
         self._write_differences(workspace, state, link_weights)
         if link_weights is not None:
             fields["weights"][...] = self._in_slots(link_weights)
-        step = steps.item() if steps.size == 1 else None
-        if step is None or step != workspace.step:  # blocks of a vector environment are often in lockstep
-            fields["clock_and_age"][...] = self.clock_table.take(steps, axis=2)
-            workspace.step = step
+        fields["clock_and_age"][...] = self.clock_table.take(dynamics.shared_step(state), axis=2)
         if world.topology.is_random:
             fields["time_since_switch"][...] = dynamics.time_since_switch(world, state)
         if out is None:
@@ -163,9 +151,9 @@ class Encoder(ABC):
 
         Actions are rounded to float32, as the space declares.
         """
-        fields = np.empty(actions.shape[::-1])
-        fields[...] = actions.astype(np.float32, copy=False).T
-        return self._inputs_from_actions(fields, state)
+        inputs = np.empty(actions.shape[::-1])
+        inputs[...] = actions.astype(np.float32, copy=False).T
+        return self._inputs_from_actions(inputs, state)
 
     def decode(self, actions: npt.NDArray[np.floating], state: State) -> FloatArray:
         """:meth:`clip`, then :meth:`inputs`.
@@ -181,12 +169,7 @@ class Encoder(ABC):
 
     @abstractmethod
     def _inputs_from_actions(self, actions: FloatArray, state: State) -> FloatArray:
-        """Inputs u (n, N, B) within the input limit, from actions (n, N, B)."""
-
-    def _limited(self, inputs: FloatArray) -> FloatArray:
-        limit = self.layout.input_limit
-        np.minimum(inputs, limit, out=inputs)  # np.clip does the same, but for one environment its wrapper costs more
-        return np.maximum(inputs, -limit, out=inputs)
+        """Inputs u (n, N, B) within the input limit, from actions (n, N, B), which may be overwritten."""
 
     def _order_slots(self) -> IntArray | None:
         """See :attr:`slot_order`."""
@@ -208,14 +191,14 @@ class Encoder(ABC):
     def _prepare(self, batch: int) -> _Workspace:
         """The workspace of a batch size. Slices that never change are written here."""
         layout, world = self.layout, self.world
-        slots, n, players = self._slot_shape
+        slots, n, players = layout.slots, layout.dimension, layout.num_players
         # Rows of a power-of-two length fall on the same cache lines when they are transposed; padding parts them.
         row = batch + _PADDING if batch > _PADDING else batch
         buffer = np.zeros((players, layout.size, row), dtype=np.float32)
         columns = buffer.transpose(1, 0, 2)[:, :, :batch]
         fields = {name: columns[part] for name, part in layout.slices.items()}
-        fields["relative_estimates"] = fields["relative_estimates"].reshape(slots, n, players, batch)
         fields["gradient_and_relative_estimates"] = columns[: layout.slices["relative_estimates"].stop]
+        fields["relative_estimates"] = fields["relative_estimates"].reshape(slots, n, players, batch)
         fields["clock_and_age"] = columns[layout.slices["clock"].start : layout.slices["time_since_switch"].stop]
         fields["everything"] = buffer.reshape(-1, row)[:, :batch].T
         fields["player"][...] = np.eye(players, dtype=np.float32)[:, :, None]
@@ -223,11 +206,8 @@ class Encoder(ABC):
             fields["weights"][...] = self._in_slots(world.mode_weights)
         while len(self._workspaces) >= _WORKSPACES:
             self._workspaces.pop(next(iter(self._workspaces)))
-        at_once = max(1, min(slots, _SCRATCH_ENTRIES // (n * players * batch)))
-        scratch = np.empty((at_once, n, players, batch))
-        parts = [slice(first, min(first + at_once, slots)) for first in range(0, slots, at_once)]
-        relative = [(part, fields["relative_estimates"][part], scratch[: part.stop - part.start]) for part in parts]
-        self._workspaces[batch] = workspace = _Workspace(fields, relative)
+        scratch = np.empty((len(self.gradient_rows) + slots * n, players, batch))
+        self._workspaces[batch] = workspace = _Workspace(fields, scratch)
         return workspace
 
 
@@ -235,13 +215,13 @@ class PhysicalEncoder(Encoder):
     """The interface ``physical``: natural units, player order, actions are inputs."""
 
     def _write_differences(self, workspace: _Workspace, state: State, link_weights: FloatArray | None) -> None:
-        fields = workspace.fields
+        fields, shown = workspace.fields, workspace.fields["relative_estimates"]
         fields["own_estimate"][...] = state.estimates
         fields["own_gradient"][...] = self._own_gradients(state)
-        for slots, shown, scratch in workspace.relative:
-            shown[...] = dynamics.relative_estimates(self.world, state, link_weights, slots=slots, out=scratch)
+        relative = workspace.scratch[len(self.gradient_rows) :].reshape(shown.shape)
+        shown[...] = dynamics.relative_estimates(self.world, state, link_weights, out=relative)
 
-    def _inputs_from_actions(self, actions: FloatArray, state: State) -> FloatArray:  # noqa: ARG002 - other kinds need it
+    def _inputs_from_actions(self, actions: FloatArray, state: State) -> FloatArray:  # noqa: ARG002 - the other kind needs it
         return actions  # the action box is the input limit
 
 
@@ -273,40 +253,37 @@ class ScaledEncoder(Encoder):
         self._order = world.order_components(self.layout.ego_order)
         # Rows of an (n N, B) array in ego order, in the order of the players' components.
         self._player_rows = self.layout.ego_place.T * self.layout.num_players + np.arange(self.layout.num_players)
-        self._scaled: tuple[State, FloatArray] | None = None
+        self._scale_of: tuple[State, FloatArray] | None = None
 
     def __getstate__(self) -> dict[str, Any]:
         """Copies and pickles have no scale of a state that they never observed."""
-        return {**super().__getstate__(), "_scaled": None}
+        return {**super().__getstate__(), "_scale_of": None}
 
     def _write_differences(self, workspace: _Workspace, state: State, link_weights: FloatArray | None) -> None:
-        differences, scale = self._differences(state, link_weights)
-        self.remember_scale(state, scale)
+        differences, scale = self._differences(state, link_weights, workspace.scratch)
+        self._scale_of = (state, scale)
         differences *= 1 / scale  # in float64, and cast in a second pass: faster than numpy's casting output
         workspace.fields["gradient_and_relative_estimates"][...] = differences
         workspace.fields["log_scale"][...] = np.log10(scale) / self.layout.units[0]
 
-    def scale(self, state: State) -> FloatArray:
-        """σ_i of every player, shape (N, B)."""
-        if self._scaled is None or self._scaled[0] is not state:
-            self._scaled = (state, self._differences(state)[1])
-        return self._scaled[1]
-
-    def remember_scale(self, state: State, scale: FloatArray) -> None:
-        """Keep the σ_i of a state that was observed elsewhere, shape (N, B)."""
-        self._scaled = (state, scale)
-
     def _inputs_from_actions(self, actions: FloatArray, state: State) -> FloatArray:
-        actions *= INPUT_PER_ACTION * self.scale(state)
-        return self._limited(actions.reshape(-1, dynamics.batch_size(state)).take(self._player_rows, axis=0))
+        if self._scale_of is None or self._scale_of[0] is not state:
+            self._scale_of = (state, self._differences(state)[1])
+        actions *= INPUT_PER_ACTION * self._scale_of[1]
+        inputs = actions.reshape(-1, dynamics.batch_size(state)).take(self._player_rows, axis=0)
+        limit = self.layout.input_limit
+        np.minimum(inputs, limit, out=inputs)  # np.clip does the same, but for one environment its wrapper costs more
+        return np.maximum(inputs, -limit, out=inputs)
 
-    def _differences(self, state: State, link_weights: FloatArray | None = None) -> tuple[FloatArray, FloatArray]:
+    def _differences(
+        self, state: State, link_weights: FloatArray | None = None, out: FloatArray | None = None
+    ) -> tuple[FloatArray, FloatArray]:
         """Own gradients, then x^j − x^i in ego order, (m + D n, N, B), and the scale σ_i, (N, B)."""
-        gradients, (slots, n, players) = self._own_gradients(state), self._slot_shape
-        own, batch = len(gradients), dynamics.batch_size(state)
-        differences = np.empty((own + slots * n, players, batch))
-        differences[:own] = gradients
-        relative = differences[own:].reshape(slots, n, players, batch)
+        layout, own, batch = self.layout, len(self.gradient_rows), dynamics.batch_size(state)
+        shape = layout.slots, layout.dimension, layout.num_players, batch
+        differences = np.empty((own + shape[0] * shape[1], *shape[2:])) if out is None else out
+        differences[:own] = self._own_gradients(state)
+        relative = differences[own:].reshape(shape)
         dynamics.relative_estimates(self.world, state, link_weights, order=self._order, out=relative)
         by_slot = relative.swapaxes(1, 2)
         by_slot[...] = self._in_slots(by_slot)
@@ -319,11 +296,7 @@ class ScaledEncoder(Encoder):
         return np.argsort(np.where(distance == 0, players, distance), axis=0, kind="stable")  # padded slots are last
 
 
-_ENCODERS: Mapping[str, type[Encoder]] = {
-    "scaled": ScaledEncoder,
-    "physical": PhysicalEncoder,
-    "full": FullEncoder,
-}
+_ENCODERS: Mapping[str, type[Encoder]] = {"scaled": ScaledEncoder, "physical": PhysicalEncoder, "full": FullEncoder}
 
 
 def make_encoder(world: World, interface: Interface) -> Encoder:
