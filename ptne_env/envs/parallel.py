@@ -93,8 +93,13 @@ class NashSeekingEnv(ParallelEnv[str, Float32Array, Float32Array]):
         )
         self._renderer = Renderer(self.world, render_mode) if render_mode else None
         self._actions_shape = (1, players, self.layout.action_size)
-        self._table = None
+        self._table: tuple[Float32Array, list[Float32Array]] | None = None
+        self._unclipped = [np.int64(0)] * players
         self._np_random: np.random.Generator | None = None
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Copies and pickles have no table of observations, whose rows would come apart."""
+        return {**self.__dict__, "_table": None}
 
     @property
     def layout(self) -> ObservationLayout:
@@ -201,22 +206,21 @@ class NashSeekingEnv(ParallelEnv[str, Float32Array, Float32Array]):
             if self._simulation.state is None or actions != {}:
                 raise RuntimeError("no episode is running: call reset() before step()")
             return {}, {}, {}, {}, {}
+        table, rows = self._table or self._new_table()
         try:
-            inside, clipped = self._simulation.clip(self._stack(actions))
+            outcome = self._simulation.step(self._stack(actions), table)
         except NonFiniteActionError:
             raise self._complaint(actions) from None
-        table, rows = self._table or self._new_table()
-        outcome = self._simulation.step(inside, table)
-        observations = dict(zip(agents, map(np.ndarray.copy, rows), strict=True))
+        clipped = self._unclipped if outcome.clipped is None else outcome.clipped[0]
         diverged, is_success = outcome.diverged[0], outcome.is_success[0]
-        names, terms = self._simulation.reward_names, list(outcome.terms.values())
-        first = names[0]
-        infos: dict[str, AgentInfo] = {
-            agent: {"diverged": diverged, "clipped": count, "is_success": is_success, first: value}
-            for agent, count, value in zip(agents, clipped[0], terms[0].ravel(), strict=True)
-        }
-        for name, term in zip(names[1:], terms[1:], strict=True):
-            for info, value in zip(infos.values(), term.ravel(), strict=True):
+        name, *others = self._simulation.reward_names
+        values, *terms = outcome.terms.values()
+        observations, infos = dict[str, Float32Array](), dict[str, AgentInfo]()
+        for agent, row, count, value in zip(agents, rows, clipped, values.ravel(), strict=True):
+            observations[agent] = row.copy()
+            infos[agent] = {"diverged": diverged, "clipped": count, "is_success": is_success, name: value}
+        for name, values in zip(others, terms, strict=True):
+            for info, value in zip(infos.values(), values.ravel(), strict=True):
                 info[name] = value
         rewards = dict(zip(agents, outcome.rewards.ravel().tolist(), strict=True))
         terminated, truncated = outcome.terminated.item(), outcome.truncated.item()
@@ -281,7 +285,8 @@ class NashSeekingEnv(ParallelEnv[str, Float32Array, Float32Array]):
         if self.render_mode == "human" and self._renderer is not None:
             self._renderer.draw()
 
-    def _new_table(self):
+    def _new_table(self) -> tuple[Float32Array, list[Float32Array]]:
+        """The table that observations are written to, and its rows: views cost as much as copies."""
         table = np.empty((1, len(self.possible_agents), self.layout.size), dtype=np.float32)
         self._table = table, list(table[0])
         return self._table

@@ -12,9 +12,9 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from ptne_env.perception.encoder import Clipped, Encoder, make_encoder
+from ptne_env.perception.encoder import Encoder, make_encoder
 from ptne_env.perception.observation import Interface, ObservationLayout
-from ptne_env.shared.arrays import BoolArray, Float32Array, FloatArray, as_plain, require_count
+from ptne_env.shared.arrays import BoolArray, Float32Array, FloatArray, IntArray, as_plain, require_count
 from ptne_env.shared.names import suggestion
 from ptne_env.shared.random_streams import RandomStreams
 from ptne_env.world import distances, dynamics, fused
@@ -23,6 +23,9 @@ from ptne_env.world.dynamics import State
 from ptne_env.world.rewards import Reward
 from ptne_env.world.scenario import Scenario
 from ptne_env.world.world import RANGE_LIMIT, World
+
+
+_SINGLE = np.dtype(np.float32)
 
 
 class StepResult(NamedTuple):
@@ -35,6 +38,7 @@ class StepResult(NamedTuple):
         truncated: shape (B,).
         diverged: whether each environment is out of range, shape (B,).
         is_success: whether all estimates of each environment are within 0.5 % of the equilibrium, shape (B,).
+        clipped: entries of each player's action that were outside the box, shape (B, N); ``None`` for none.
     """
 
     rewards: FloatArray
@@ -43,6 +47,7 @@ class StepResult(NamedTuple):
     truncated: BoolArray
     diverged: BoolArray
     is_success: BoolArray
+    clipped: IntArray | None
 
 
 class Start(NamedTuple):
@@ -221,24 +226,24 @@ class Simulation:
         self._state = state if mask.all() else dynamics.merge(self.current, state, mask)
         self._reward.reset(self._state)
 
-    def clip(self, actions: npt.NDArray[np.floating]) -> Clipped:
-        """Clip actions to the action box and count, as :meth:`Encoder.clip`; of any number of environments."""
-        if self._fused is not None and self._fused.accepts(actions):
-            return Clipped(actions, np.zeros(actions.shape[:2], dtype=np.int64))
-        return self.encoder.clip(actions)
-
     def step(self, actions: npt.NDArray[np.floating], out: Float32Array, restart: Start | None = None) -> StepResult:
         """Hold all players' inputs for one step.
 
         Args:
-            actions: clipped, shape (B, N, action size).
+            actions: shape (B, N, action size); entries beyond the limits are clipped and counted.
             out: where the observations are written, (B, N, size), float32 and C-contiguous.
             restart: the start of environments that start afresh instead of moving: their rewards are 0.
 
         Raises:
             RuntimeError: before the first reset.
+            NonFiniteActionError: when an action holds NaN or infinity; nothing is stepped.
         """
-        moved = None if self._fused is None else self._fused.move(self._state, actions, out)
+        moved, clipped = None, None
+        if self._fused is not None and actions.dtype is _SINGLE:
+            moved = self._fused.move(self._state, actions, out)
+        if moved is None:
+            actions, clipped = self.encoder.clip(actions)
+            moved = None if self._fused is None else self._fused.move(self._state, actions, out)
         if moved is None:
             began, before = perf_counter(), self.current
             self._state = state = dynamics.step(self.world, before, self.encoder.inputs(actions, before))
@@ -259,7 +264,8 @@ class Simulation:
             terminated, truncated, diverged = terminated & moves, truncated & moves, diverged & moves
         if moved is None or restart is not None:
             self.encoder.observe(self.current, out)
-        return StepResult(self._reward.total(terms), terms, terminated, truncated, diverged, self.succeeded())
+        total, is_success = self._reward.total(terms), self.succeeded()
+        return StepResult(total, terms, terminated, truncated, diverged, is_success, clipped)
 
     def observe(self, out: Float32Array | None = None) -> Float32Array:
         """Observations of all players, shape (B, N, size), float32, owned by the caller."""

@@ -173,11 +173,9 @@ class VectorParallelEnv:
             raise ValueError(f"actions are numbers of shape {shape}, got {actions.dtype} of shape {actions.shape}")
         if actions.dtype.kind != "f":
             actions = actions.astype(np.float64)
-        actions, clipped = self._blocks[0].clip(actions)  # refuses non-finite numbers before any block has moved
-        drawn: Sequence[Start | None] = [None] * len(self._blocks)
-        if restart is not None:
-            clipped[restart] = 0
-            drawn = self._draw(restart)
+        if not np.isfinite(actions).all():  # before any block has moved
+            raise ValueError("actions must be numbers without NaN or infinity")
+        drawn: Sequence[Start | None] = [None] * len(self._blocks) if restart is None else self._draw(restart)
         observations = self._new_observations()
         outcomes = [
             block.step(actions[part], observations[part], start)
@@ -186,6 +184,12 @@ class VectorParallelEnv:
         terminated = np.concatenate([outcome.terminated for outcome in outcomes])
         truncated = np.concatenate([outcome.truncated for outcome in outcomes])
         self._over = terminated | truncated
+        clipped = np.zeros((self.num_envs, self.num_players), dtype=np.int64)
+        for outcome, part in zip(outcomes, self._slices, strict=True):
+            if outcome.clipped is not None:
+                clipped[part] = outcome.clipped
+        if restart is not None:
+            clipped[restart] = 0
         infos = {
             "diverged": np.concatenate([outcome.diverged for outcome in outcomes]),
             "clipped": clipped,

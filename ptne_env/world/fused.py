@@ -32,6 +32,8 @@ _TILE, _TILE_ENTRIES = 64, 8192
 
 _Arrays: TypeAlias = tuple[npt.NDArray[Any], ...]
 
+_SINGLE = np.dtype(np.float32)
+
 _spent = 0.0
 """Seconds so far; minus infinity keeps numpy for good."""
 
@@ -125,8 +127,8 @@ class FusedStep:
         places = np.concatenate([world.neighbours, rows, mask]).astype(np.int64)
         # Copies, because numba compiles a function once more for arrays that are read-only or in another order.
         tables = (table.copy() for table in (theta, encoder.clock_table, world.mode_weights, world.game.owners))
-        self._tables = (*tables, places, RANGE_LIMIT)
-        self._bound, self._shape = layout.action_bound, (layout.dimension, layout.num_players, num_envs)
+        self._tables = (*tables, places, layout.action_bound, RANGE_LIMIT)
+        self._shape = layout.dimension, layout.num_players, num_envs
         self._tile = min(_TILE, max(8, _TILE_ENTRIES // (layout.dimension * layout.num_players)), num_envs)
         self._constants: tuple[Any, ...] = ()
         self._is_checked = False
@@ -136,13 +138,6 @@ class FusedStep:
         self._now: _Arrays = ()
         self._sets: list[_Arrays] = []
 
-    def accepts(self, actions: npt.NDArray[np.floating]) -> bool:
-        """Whether all actions (B, N, n) are finite and within the box; ``False`` too where only numpy can tell."""
-        compiled = kernels()
-        if compiled is None or actions.dtype != np.float32 or not actions.flags.carray:
-            return False
-        return bool(compiled.is_inside(actions, self._bound))
-
     def move(
         self, state: State | None, actions: npt.NDArray[np.floating], out: Float32Array
     ) -> tuple[IntArray, FloatArray, BoolArray] | None:
@@ -150,20 +145,20 @@ class FusedStep:
 
         Args:
             state: x_k, which is left as it is; ``None`` for the state that the step before has reached.
-            actions: within the action box, shape (B, N, n).
+            actions: shape (B, N, n); rounded to float32.
             out: where to write, shape (B, N, size), C-contiguous.
 
         Returns:
             For each environment the index of the coming step, shape (B,); d^i of every player, shape (N, B) with
             players next to each other in memory; and whether the episode has reached its end, shape (B,). The step
             after the next overwrites them. ``None`` where numpy has to make the step, because no state is there yet,
-            the kernels are not loaded, an environment is out of range, or a drawn game has formulas of its own; nothing
-            has changed then, except the content of ``out``.
+            the kernels are not loaded, an action is outside the action box, an environment is out of range, or a drawn
+            game has formulas of its own; nothing has changed then, except the content of ``out``.
         """
         compiled = kernels()
         if compiled is None or not (self._now if state is None else self._load(state)):
             return None
-        if actions.dtype != np.float32 or not actions.flags.carray:  # read-only arrays are another type to numba
+        if actions.dtype is not _SINGLE or not actions.flags.carray:  # read-only arrays are another type to numba
             actions = np.array(actions, dtype=np.float32, order="C")
         step = compiled.step if self._is_checked else self._first_step
         after = self._sets[0]

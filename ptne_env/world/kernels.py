@@ -163,10 +163,15 @@ def step(
     # Games, row by row: x*, ‖x*‖, the box in 2 n rows or none, and A transposed and b, or c, 2a + c and d − 2ab.
     game: Any, boxes: int, is_affine: bool, tile: int,
     # World: Θ and the clock as observed, by instant; a_ij by slot; owners of components. For each player: neighbour by
-    # slot, own gradients, and 1 or 0 for places that are own or padded. The range.
-    theta: Any, clock: Any, weights: Any, owners: Any, places: Any, largest: float,
+    # slot, own gradients, and 1 or 0 for places that are own or padded. The half-width of the action box; the range.
+    theta: Any, clock: Any, weights: Any, owners: Any, places: Any, bound: float, largest: float,
 ) -> bool:  # fmt: skip
-    """Everything that a step does to B environments; ``False`` if an environment left the range."""
+    """Everything that a step does to B environments.
+
+    ``False`` if an action is outside the box, before anything is written, or if an environment left the range.
+    """
+    if not is_inside(actions, bound):
+        return False
     n, players, batch = estimates.shape
     slots, end, size = len(weights), theta.shape[1] - 1, observations.shape[2]
     box, formula = game[n + 1 : n + 1 + boxes], game[n + 1 + boxes :]
