@@ -9,8 +9,8 @@ input of a stage on link (i, j) in step k, y its output, σ a parameter, and ξ 
 over episodes, stages, steps, directed links and (for noise) components. Before the start, every stage had the input of
 the start, and receivers hold that.
 
-Random numbers are hashes of an episode's key and of their purpose (:mod:`ptne_env.shared.counter_random`). They do not depend
-on the policy or on the number of environments.
+Random numbers are hashes of an episode's key and of their purpose (:mod:`ptne_env.shared.counter_random`). They do not
+depend on the policy or on the number of environments.
 """
 
 # ruff: noqa: ARG002 - a stage may ignore arguments of the interface
@@ -44,6 +44,10 @@ Gap: TypeAlias = Literal["hold", "drop"]
 
 Memory: TypeAlias = tuple[Any, ...]
 """Memory of a channel: arrays with environments last, and tuples of them."""
+
+
+Transmitted: TypeAlias = "tuple[Messages, Memory]"
+"""Messages received in a step, and the memory for the next step."""
 
 
 @dataclass(frozen=True)
@@ -123,9 +127,7 @@ class Channel(Part, ABC):
     is_random: bool = True
 
     @abstractmethod
-    def transmit(
-        self, messages: Messages, memory: Memory | None, randomness: LinkRandomness
-    ) -> tuple[Messages, Memory]:
+    def transmit(self, messages: Messages, memory: Memory | None, randomness: LinkRandomness) -> Transmitted:
         """The messages received in a step, and the memory for the next step.
 
         Args:
@@ -154,9 +156,7 @@ class Chain(Channel):
         self.is_perfect = all(stage.is_perfect for stage in self.stages)
         self.is_random = any(stage.is_random for stage in self.stages)
 
-    def transmit(
-        self, messages: Messages, memory: Memory | None, randomness: LinkRandomness
-    ) -> tuple[Messages, Memory]:
+    def transmit(self, messages: Messages, memory: Memory | None, randomness: LinkRandomness) -> Transmitted:
         """The output of the last stage."""
         remembered = []
         for index, stage in enumerate(self.stages):
@@ -184,9 +184,7 @@ class AdditiveNoise(Channel):
     def __init__(self, std: float) -> None:
         self.std = require_non_negative("std", std)
 
-    def transmit(
-        self, messages: Messages, memory: Memory | None, randomness: LinkRandomness
-    ) -> tuple[Messages, Memory]:
+    def transmit(self, messages: Messages, memory: Memory | None, randomness: LinkRandomness) -> Transmitted:
         """Messages plus noise."""
         noise = randomness.normals()
         noise *= self.std
@@ -215,9 +213,7 @@ class Delay(Channel):
         self.longest = require_count("longest", steps if longest is None else longest, self.steps)
         self.is_random = self.longest > self.steps
 
-    def transmit(
-        self, messages: Messages, memory: Memory | None, randomness: LinkRandomness
-    ) -> tuple[Messages, Memory]:
+    def transmit(self, messages: Messages, memory: Memory | None, randomness: LinkRandomness) -> Transmitted:
         """The last arrivals."""
         lags = np.full(messages.live.shape, self.steps)
         if self.is_random:
@@ -247,7 +243,7 @@ class _Losing(Channel):
             raise ValueError(f"gap is one of {', '.join(map(repr, get_args(Gap)))}, got {gap!r}")
         self.gap: Gap = gap
 
-    def _lose(self, messages: Messages, lost: BoolArray, memory: Memory | None) -> tuple[Messages, Memory]:
+    def _lose(self, messages: Messages, lost: BoolArray, memory: Memory | None) -> Transmitted:
         if self.gap == "drop":
             return replace(messages, live=messages.live & ~lost), ()
         held, received = (messages.values, messages.live) if memory is None else memory
@@ -272,9 +268,7 @@ class Loss(_Losing):
         super().__init__(gap)
         self.probability = require_probability("probability", probability)
 
-    def transmit(
-        self, messages: Messages, memory: Memory | None, randomness: LinkRandomness
-    ) -> tuple[Messages, Memory]:
+    def transmit(self, messages: Messages, memory: Memory | None, randomness: LinkRandomness) -> Transmitted:
         """Messages, without those lost."""
         return self._lose(messages, randomness.uniforms() < self.probability, memory or None)
 
@@ -306,9 +300,7 @@ class BurstLoss(_Losing):
         self.loss_bad = require_probability("loss_bad", loss_bad)
         self.loss_good = require_probability("loss_good", loss_good)
 
-    def transmit(
-        self, messages: Messages, memory: Memory | None, randomness: LinkRandomness
-    ) -> tuple[Messages, Memory]:
+    def transmit(self, messages: Messages, memory: Memory | None, randomness: LinkRandomness) -> Transmitted:
         """Messages, without those lost."""
         turn = randomness.uniforms()
         if memory is None:
@@ -335,9 +327,7 @@ class UniformQuantiser(Channel):
     def __init__(self, width: float) -> None:
         self.width = require_positive("width", width)
 
-    def transmit(
-        self, messages: Messages, memory: Memory | None, randomness: LinkRandomness
-    ) -> tuple[Messages, Memory]:
+    def transmit(self, messages: Messages, memory: Memory | None, randomness: LinkRandomness) -> Transmitted:
         """Rounded messages."""
         return replace(messages, values=np.rint(messages.values / self.width) * self.width), ()
 
@@ -360,9 +350,7 @@ class OneWayLinks(Channel):
     def __init__(self, share: float) -> None:
         self.share = require_probability("share", share)
 
-    def transmit(
-        self, messages: Messages, memory: Memory | None, randomness: LinkRandomness
-    ) -> tuple[Messages, Memory]:
+    def transmit(self, messages: Messages, memory: Memory | None, randomness: LinkRandomness) -> Transmitted:
         """Messages with weight 0 in closed directions."""
         closed = self._closed(messages.weights > 0, randomness) if memory is None else memory[0]
         return replace(messages, weights=messages.weights * ~closed), (closed,)
@@ -418,9 +406,7 @@ class Lying(Channel):
         self.size = require_positive("size", size)
         self.player = None if player is None else require_count("player", player, 0)
 
-    def transmit(
-        self, messages: Messages, memory: Memory | None, randomness: LinkRandomness
-    ) -> tuple[Messages, Memory]:
+    def transmit(self, messages: Messages, memory: Memory | None, randomness: LinkRandomness) -> Transmitted:
         """Messages, those of the liar with its offset."""
         senders, owners = randomness.senders, randomness.owners
         players = senders.shape[1]

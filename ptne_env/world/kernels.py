@@ -118,7 +118,9 @@ def _keep(target: Any, rows: Any, largest: float, first: int, width: int) -> boo
 
 
 @_part
-def _show(shown: Any, i: int, x: Any, gradients: Any, weight: Any, shared: Any, places: Any, width: int) -> None:
+def _show(  # noqa: C901 - one loop per slice
+    shown: Any, i: int, x: Any, gradients: Any, weight: Any, shared: Any, places: Any, width: int
+) -> None:
     """The observations of player i in a tile of environments."""
     n, slots = len(x), len(weight)
     m, at = (len(places) - slots) // 2, 0

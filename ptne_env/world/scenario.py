@@ -30,38 +30,40 @@ _ARRAYS = {
 """The parts that an array makes: their target, and the argument that is the array."""
 
 
-def _as_factory(field: str, value: Any) -> FactorySpec:
+def _as_spec(field: str, value: Any) -> FactorySpec:
+    """The spec that a value of a field stands for."""
     if isinstance(value, FactorySpec):
         return value
     if isinstance(value, Mapping):
         return FactorySpec.from_dict(value)
     if isinstance(value, str):
-        if (field, value) == ("start", "random"):
-            return UNIFORM_START
-        if ":" in value:
-            return FactorySpec.of(value)
-        known = [name.partition(":")[2] for name in PARTS if name.startswith(f"{field}:")]
-        if value in known:
-            return FactorySpec.of(f"{field}:{value}")
-        known += ["random"] * (field == "start")
-        raise ValueError(unknown_name(field, value, known, "'module:object', an object or a FactorySpec"))
+        return UNIFORM_START if (field, value) == ("start", "random") else FactorySpec.of(_target(field, value))
     if isinstance(value, Part | type | FunctionType):
         return FactorySpec.naming(value)
-    if isinstance(value, np.ndarray) and field in _ARRAYS:
-        target, argument = _ARRAYS[field]
-        return FactorySpec.of(target, **{argument: value})
-    raise ValueError(
-        f"{field} is an object of the library's class for it, a 'module:object' string or a FactorySpec, "
-        f"got a {type(value).__name__}"
-    )
+    if not (isinstance(value, np.ndarray) and field in _ARRAYS):
+        raise ValueError(
+            f"{field} is an object of the library's class for it, the id of a part, a 'module:object' string or a "
+            f"FactorySpec, got a {type(value).__name__}"
+        )
+    target, argument = _ARRAYS[field]
+    return FactorySpec.of(target, **{argument: value})
+
+
+def _target(field: str, name: str) -> str:
+    """The target that a string of a field names."""
+    known = [target.partition(":")[2] for target in PARTS if target.startswith(f"{field}:")]
+    if ":" in name or name in known:
+        return name if ":" in name else f"{field}:{name}"
+    known += ["random"] * (field == "start")
+    raise ValueError(unknown_name(field, name, known, "'module:object', an object or a FactorySpec"))
 
 
 @dataclass(frozen=True, kw_only=True)
 class Scenario:
     """The physics of an experiment. Two scenarios are equal when every field is, and can be dictionary keys.
 
-    A scenario only names its parts; :class:`~ptne_env.world.world.World` builds and checks them. ``game``, ``topology``,
-    ``start``, ``transformation``, ``channel``, ``disturbance`` and ``sensor`` accept a
+    A scenario only names its parts; :class:`~ptne_env.world.world.World` builds and checks them. ``game``,
+    ``topology``, ``start``, ``transformation``, ``channel``, ``disturbance`` and ``sensor`` accept a
     :class:`~ptne_env.shared.parts.FactorySpec`, the id of a part, whole or without its kind (``game="energy"``), a
     ``"module:object"`` string, or the part itself (``game=MyGame(2.0)``), its class or a function that makes it, and
     hold a FactorySpec afterwards, which :meth:`~ptne_env.shared.parts.FactorySpec.naming` explains.
@@ -72,8 +74,8 @@ class Scenario:
             draws one game.
         topology: builds a :class:`~ptne_env.world.switching.SwitchingTopology` on the game's players, or a
             :class:`~ptne_env.world.graphs.Graph` that never changes; also the array a_ij of such a graph, (N, N).
-        start: builds a :class:`~ptne_env.world.starts.Start`; ``"paper"`` or ``"random"`` (every estimate U(−20, 20)); also
-            an array (N, n), row i being x^i(0).
+        start: builds a :class:`~ptne_env.world.starts.Start`; ``"paper"`` or ``"random"`` (every estimate U(−20, 20));
+            also an array (N, n), row i being x^i(0).
         transformation: builds λ from ``deadline``; ``"exponential"`` (paper), ``"rational"`` or ``"tanh"``.
         deadline: T in seconds.
         gain: c in 1/s, the constant part of the prescribed-time gain.
@@ -83,9 +85,9 @@ class Scenario:
         hold_steps: steps after the deadline.
         input_limit: largest |u| of every component, the same for every policy.
         channel: builds a :class:`~ptne_env.world.channel.Channel`, the path of messages; ``"perfect"``.
-        disturbance: builds a :class:`~ptne_env.world.faults.Disturbance` of the strategies' velocities; none if ``None``.
-        clock_shifts: seconds by which each player's clock is fast (see :meth:`~ptne_env.world.clock.StepClock.read`); empty
-            where all clocks are right.
+        disturbance: builds a :class:`~ptne_env.world.faults.Disturbance` of the strategies' velocities, if any.
+        clock_shifts: seconds by which each player's clock is fast (see
+            :meth:`~ptne_env.world.clock.StepClock.shifted`); empty where all clocks are right.
         slots: neighbour slots per player, unused ones being padded, so that graphs of different degrees have one
             layout; the largest degree in the union graph if ``None``.
         sensor: builds a :class:`~ptne_env.world.faults.Sensor` of the own gradients; exact if ``None``.
@@ -99,7 +101,7 @@ class Scenario:
     name: str
     game: FactorySpec
     topology: FactorySpec
-    start: FactorySpec
+    start: FactorySpec = UNIFORM_START
     transformation: FactorySpec = FactorySpec("transformation:exponential")
     deadline: float = 1.2
     gain: float = 20.0
@@ -120,7 +122,7 @@ class Scenario:
         for field in PART_FIELDS:
             value = getattr(self, field)
             if value is not None or field not in ("disturbance", "sensor"):
-                object.__setattr__(self, field, _as_factory(field, value))
+                object.__setattr__(self, field, _as_spec(field, value))
         if not isinstance(self.clock_shifts, (tuple, list)):
             raise ValueError(f"clock_shifts is one number of seconds per player, or empty, got {self.clock_shifts!r}")
         object.__setattr__(self, "clock_shifts", tuple(self.clock_shifts))

@@ -281,7 +281,7 @@ REFUSED = {
         lambda: Scenario.from_dict(get_scenario("energy").to_dict() | {"colour": 1}),
         r"unknown keys \['colour'\]",
     ),
-    "missing key": (lambda: Scenario.from_dict({"name": "x"}), r"missing keys \['game', 'start', 'topology'\]"),
+    "missing key": (lambda: Scenario.from_dict({"name": "x"}), r"missing keys \['game', 'topology'\]"),
     "not an object": (lambda: Scenario.from_json("[1, 2]"), "expected a JSON object, got list"),
     "not JSON": (lambda: Scenario.from_json("{"), "Expecting"),
 }
