@@ -12,7 +12,8 @@ from scipy.optimize import elementwise
 
 import ptne_env
 from ptne_env import FactorySpec, get_scenario, theory
-from ptne_env.games import Game, check_game
+from ptne_env.games import Game
+from ptne_env.theory import check_game
 
 Array = np.ndarray
 

@@ -84,7 +84,9 @@ def test_commands_ask_before_they_run_code_from_outside_the_library(command, evi
         need_sb3()
     happened, error = ran(COMMANDS[command])
     assert not happened
-    assert re.search(r"'(ev\*\.zip|evil\.zip|evil:\w+)' would run code from outside the library: say --trust", str(error))
+    assert re.search(
+        r"'(ev\*\.zip|evil\.zip|evil:\w+)' would run code from outside the library: say --trust", str(error)
+    )
     happened, _ = ran(f"{COMMANDS[command]} --trust")
     assert happened
 

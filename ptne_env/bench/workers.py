@@ -15,7 +15,7 @@ from multiprocessing.resource_tracker import ensure_running
 from pickle import PicklingError
 from typing import Any, TypeVar
 
-from ptne_env.shared.processes import end_with_parent
+from ptne_env.bench.processes import end_with_parent
 
 Result = TypeVar("Result")
 

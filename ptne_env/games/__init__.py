@@ -5,8 +5,6 @@ from ptne_env.games.affine import RandomAffine as RandomAffine
 from ptne_env.games.affine import WeaklyMonotoneGame as WeaklyMonotoneGame
 from ptne_env.games.base import Game as Game
 from ptne_env.games.base import NoBestResponseError as NoBestResponseError
-from ptne_env.games.check import GameReport as GameReport
-from ptne_env.games.check import check_game as check_game
 from ptne_env.games.energy import EnergyGame as EnergyGame
 from ptne_env.games.family import GameFamily as GameFamily
 from ptne_env.games.family import RandomEnergy as RandomEnergy

@@ -8,6 +8,8 @@ from ptne_env.theory.assumptions import check_assumptions as check_assumptions
 from ptne_env.theory.certificate import Certificate as Certificate
 from ptne_env.theory.certificate import build_law as build_law
 from ptne_env.theory.certificate import certify as certify
+from ptne_env.theory.check_game import GameReport as GameReport
+from ptne_env.theory.check_game import check_game as check_game
 from ptne_env.theory.closed_loop import closed_loop_matrix as closed_loop_matrix
 from ptne_env.theory.closed_loop import decay_rate as decay_rate
 from ptne_env.theory.closed_loop import decay_rate_in_time as decay_rate_in_time

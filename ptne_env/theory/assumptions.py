@@ -7,7 +7,8 @@ from typing import Literal, TypeAlias
 
 import numpy as np
 
-from ptne_env.games import Game, check_game
+from ptne_env.games import Game
+from ptne_env.theory.check_game import check_game
 from ptne_env.theory.constants import MonotonicityConstants, jacobian_at_equilibrium
 from ptne_env.world.clock import LemmaViolationError, check_time_transformation
 from ptne_env.world.world import World

@@ -6,8 +6,9 @@ from sample_games import BlockGame
 from worlds import begin, make_env
 
 from ptne_env import FactorySpec, get_scenario, theory
-from ptne_env.games import EnergyGame, Game, check_game
+from ptne_env.games import EnergyGame, Game
 from ptne_env.laws import Static
+from ptne_env.theory import check_game
 from ptne_env.world import dynamics
 from ptne_env.world.world import World
 

@@ -11,10 +11,10 @@ from ptne_env.games import (
     RandomAffine,
     RandomEnergy,
     SingleGame,
-    check_game,
     require_strong_monotonicity,
 )
 from ptne_env.shared.random_streams import RandomStreams
+from ptne_env.theory import check_game
 from ptne_env.world.world import World
 
 PARAMETERS = ("curvature", "target", "coupling")

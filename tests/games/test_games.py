@@ -12,9 +12,9 @@ from ptne_env.games import (
     NonQuadraticGame,
     RandomAffine,
     WeaklyMonotoneGame,
-    check_game,
     require_strong_monotonicity,
 )
+from ptne_env.theory import check_game
 
 HVAC = EnergyGame(target=(50, 55, 60, 65, 70), coupling=0.04, base_price=5.0)
 GAMES = {

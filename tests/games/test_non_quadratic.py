@@ -3,7 +3,8 @@ import math
 import numpy as np
 import pytest
 
-from ptne_env.games import NoBestResponseError, NonQuadraticGame, check_game
+from ptne_env.games import NoBestResponseError, NonQuadraticGame
+from ptne_env.theory import check_game
 
 
 def test_printed_variant_does_not_have_the_printed_equilibrium():

@@ -2,7 +2,8 @@ import numpy as np
 import pytest
 from sample_games import BlockGame, CubicGame, ForgetfulEnergyGame
 
-from ptne_env.games import EnergyGame, check_game
+from ptne_env.games import EnergyGame
+from ptne_env.theory import check_game
 
 
 class ConcaveGame(EnergyGame):

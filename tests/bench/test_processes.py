@@ -7,7 +7,7 @@ from processes import PATIENCE, start_python
 
 CHILD = """
 import sys, time
-from ptne_env.shared.processes import end_with_parent
+from ptne_env.bench.processes import end_with_parent
 end_with_parent(*map(int, sys.argv[1:]))
 print("working", flush=True)
 time.sleep(60)
