@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import shlex
 import sys
 from pathlib import Path
@@ -113,11 +112,10 @@ def compare(
     page = None if folder is None or not with_report else folder / "report.html"
     check_writable(json, page, *files)
     named = [get_policy_spec(name, trust=trust) for name in names]
+    workers = Workers(jobs, ray)
     share = 100 if page is None else 100 - _PAGE_SHARE
     with progress(f"{title}: making the jobs") as advance:
-        runner = Runner(
-            folder, Workers(jobs, ray), lambda job, done, total: advance(round(share * done / total), 100, job), rerun
-        )
+        runner = Runner(folder, workers, lambda job, done, total: advance(round(share * done / total), 100, job), rerun)
         results = _results(suite, places, named, episodes, seed, hold_steps, runner)
         text = results.to_json()
         write_json(json, text)
@@ -125,11 +123,11 @@ def compare(
             write_atomically(files[0], text + "\n")
             write_atomically(files[1], results.to_csv())
         if page is not None:
-            begun = itertools.count()
             made = report.page(
                 results,
                 shlex.join(["ptne", *sys.argv[1:]]),
-                lambda name, total: advance(share + round(_PAGE_SHARE * next(begun) / total), 100, f"figures: {name}"),
+                workers,
+                lambda name, done, total: advance(share + _PAGE_SHARE * done // total, 100, f"figures: {name}"),
             )
             write_atomically(page, made)
     screen = console()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import platform
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 from ptne_env._version import __version__
@@ -11,13 +11,15 @@ from ptne_env.bench.report.page import Page, Part
 from ptne_env.bench.report.tables import answer, answer_table, leaderboard_table, ranked, track_tables
 from ptne_env.bench.report.traces import Scene, scene
 from ptne_env.bench.suite import LAW
-from ptne_env.evaluation.entries import POLICIES
+from ptne_env.bench.workers import Workers
+from ptne_env.evaluation.entries import POLICIES, PolicySpec
+from ptne_env.evaluation.episodes import EpisodeSet
 from ptne_env.evaluation.results import Results
 from ptne_env.evaluation.tracks import Track
 from ptne_env.world.catalogue import DESCRIPTIONS
 
 SHOWN = 3
-"""Policies that the figures of a track show: the paper's law, the user's own and learned ones, then the best."""
+"""Policies that the figures of a track show: the paper's law, the user's own, then the best."""
 
 EPISODES = 20
 """Episodes behind the errors over time; tracks with fewer have them all."""
@@ -28,22 +30,29 @@ _QUESTION = (
 )
 
 
-def page(results: Results, command: str = "", progress: Callable[[str, int], None] | None = None) -> str:
+def page(
+    results: Results,
+    command: str = "",
+    workers: Workers = Workers(),  # noqa: B008 - immutable
+    progress: Callable[[str, int, int], None] | None = None,
+) -> str:
     """Results as one HTML file with everything that it needs inside.
 
     Args:
         results: of a comparison or of another suite.
         command: that repeats the results; empty where none does.
-        progress: called with the name of a track and the number of tracks before the figures of the track are made.
+        workers: run the episodes of the figures.
+        progress: called with the name of a track, and the numbers of finished tracks and of all.
 
     Raises:
         ImportError: when Jinja or Plotly is missing, naming the extra to install.
     """
-    scenes = {}
-    for track in results.tracks:
+    order, found = ranked(results), {}
+    for index, made in workers.run(_scene, [_task(results, track, order) for track in results.tracks]):
+        found[index] = made
         if progress is not None:
-            progress(track.name, len(results.tracks))
-        scenes[track.name] = _scene(results, track)
+            progress(results.tracks[index].name, len(found), len(results.tracks))
+    scenes = {track.name: found[index] for index, track in enumerate(results.tracks)}
     board = leaderboard_table(results)
     facts = {
         "command": command,
@@ -78,13 +87,16 @@ def page(results: Results, command: str = "", progress: Callable[[str, int], Non
     ).html()
 
 
-def _scene(results: Results, track: Track) -> Scene:
-    names = [name for name in ranked(results) if (track.name, name) in results.samples]
+def _task(results: Results, track: Track, order: Sequence[str]) -> tuple[Track, EpisodeSet, list[PolicySpec]]:
+    """The arguments of :func:`_scene`: the policies of ``order`` that act on a track, those that are shown."""
+    names = [name for name in order if (track.name, name) in results.samples]
     names.sort(key=lambda name: (name != LAW, name in POLICIES))
     whole = results.episode_sets[track.name]
-    episodes = replace(whole, count=min(EPISODES, whole.count))
-    specs = [results.policies[name] for name in names[:SHOWN]]
-    return scene(track.world, episodes, specs, None if track.teammates is None else track.teammates.join)
+    return track, replace(whole, count=min(EPISODES, whole.count)), [results.policies[name] for name in names[:SHOWN]]
+
+
+def _scene(track: Track, episodes: EpisodeSet, policies: Sequence[PolicySpec]) -> Scene:
+    return scene(track.world, episodes, policies, None if track.teammates is None else track.teammates.join)
 
 
 def _part(results: Results, track: Track, found: Scene) -> Part:
