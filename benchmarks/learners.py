@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+import numpy as np
 import torch
 from stable_baselines3 import PPO, SAC, TD3
 from stable_baselines3.common.evaluation import evaluate_policy
@@ -35,7 +36,8 @@ class Training(NamedTuple):
         env = PlayerVecEnv("random-energy", self.num_envs, interface=self.interface, seed=seed)
         model = _ALGORITHMS[self.algorithm]("MlpPolicy", env, seed=seed, **settings).learn(self.steps)
         games = PlayerVecEnv("random-energy", 20, interface=self.interface, seed=1_000_000)
-        return float(evaluate_policy(model, games, n_eval_episodes=games.num_envs, warn=False)[0])
+        gained, _ = evaluate_policy(model, games, n_eval_episodes=games.num_envs, warn=False)
+        return float(np.mean(gained))
 
 
 TRAININGS = (

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import io
 import warnings
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 import onnx
@@ -18,6 +18,7 @@ from ptne_env.learn.learned import Metadata, sealed
 from ptne_env.perception.observation import ObservationLayout
 
 if TYPE_CHECKING:
+    from gymnasium import spaces
     from stable_baselines3.common.on_policy_algorithm import OnPolicyAlgorithm
 
 
@@ -36,7 +37,7 @@ def to_onnx(model: OnPolicyAlgorithm, layout: ObservationLayout, **training: Any
         torch.onnx.export(
             _Actor(model.policy).eval(),
             (torch.zeros(2, layout.size),),
-            content,
+            content,  # type: ignore[arg-type]  # this exporter takes open files
             input_names=["observation"],
             output_names=["action"],
             dynamic_axes={"observation": {0: "rows"}, "action": {0: "rows"}},
@@ -56,9 +57,12 @@ class _Actor(nn.Module):
     def __init__(self, policy: ActorCriticPolicy) -> None:
         super().__init__()
         self.policy = policy
-        self.low, self.high = (torch.as_tensor(bound) for bound in (policy.action_space.low, policy.action_space.high))
+        box = cast("spaces.Box", policy.action_space)
+        self.low, self.high = torch.as_tensor(box.low), torch.as_tensor(box.high)
 
     def forward(self, observations: torch.Tensor) -> torch.Tensor:
         features = self.policy.extract_features(observations, self.policy.pi_features_extractor)
-        actions = self.policy.action_net(self.policy.mlp_extractor.forward_actor(features))
+        actions: torch.Tensor = self.policy.action_net(
+            self.policy.mlp_extractor.forward_actor(cast("torch.Tensor", features))
+        )
         return torch.maximum(torch.minimum(actions, self.high), self.low)
