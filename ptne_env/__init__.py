@@ -26,36 +26,30 @@ if TYPE_CHECKING:
     from ptne_env.world.catalogue import get_scenario as get_scenario
     from ptne_env.world.scenario import Scenario as Scenario
 else:
-    # Each name is imported when it is first asked for (PEP 562): together they take long.
+    # A name is imported when it is first asked for (PEP 562), because together they take long.
     _HOMES = {
-        "CATALOGUE": "world.catalogue",
-        "PolicySpec": "evaluation",
-        "Interface": "perception.observation",
-        "ObservationLayout": "perception.observation",
-        "NashSeekingEnv": "envs.parallel",
-        "FactorySpec": "shared.parts",
-        "Policy": "perception.policy",
-        "Results": "evaluation",
-        "Scenario": "world.scenario",
-        "VectorParallelEnv": "envs.vector",
-        "evaluate": "evaluation",
-        "get_scenario": "world.catalogue",
         "laws": "laws",
-        "parallel_env": "envs.parallel",
+        "envs.parallel": "NashSeekingEnv parallel_env",
+        "envs.vector": "VectorParallelEnv",
+        "evaluation": "PolicySpec Results evaluate",
+        "perception.observation": "Interface ObservationLayout",
+        "perception.policy": "Policy",
+        "shared.parts": "FactorySpec",
+        "world.catalogue": "CATALOGUE get_scenario",
+        "world.scenario": "Scenario",
     }
-    __all__ = list(_HOMES)
+    __all__ = [name for names in _HOMES.values() for name in names.split()]
 
     def __getattr__(name: str) -> object:
         from importlib import import_module, util
 
         if not name.startswith("_") and util.find_spec(f"{__name__}.{name}"):
-            value = import_module(f"{__name__}.{name}")
-        elif name in _HOMES:
-            value = getattr(import_module(f"{__name__}.{_HOMES[name]}"), name)
-        else:
-            raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-        globals()[name] = value
-        return value
+            return import_module(f"{__name__}.{name}")
+        for module, names in _HOMES.items():
+            if name in names.split():
+                globals()[name] = value = getattr(import_module(f"{__name__}.{module}"), name)
+                return value
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
     def __dir__() -> list[str]:
         return sorted({*globals(), *__all__})

@@ -24,7 +24,6 @@ from ptne_env.world.rewards import Reward
 from ptne_env.world.scenario import Scenario
 from ptne_env.world.world import RANGE_LIMIT, World
 
-
 _SINGLE = np.dtype(np.float32)
 
 

@@ -1,6 +1,7 @@
 """Observations and actions: units, named slices, spaces, and how a policy reads and writes them.
 
-A layout is all that a policy knows about the world. An :class:`~ptne_env.perception.encoder.Encoder` connects it to a running one.
+A layout is all that a policy knows about the world. An :class:`~ptne_env.perception.encoder.Encoder` connects it to a
+running one.
 """
 
 from __future__ import annotations
