@@ -1,0 +1,206 @@
+"""Run all policies on the catalogue and on ptne-v1, and write every published table: ``python baselines/publish.py``.
+
+It writes ``results.csv`` beside this file, and from it every table of README, docs and baselines that stands between
+``<!-- table NAME -->`` and ``<!-- end -->``. Finished jobs are kept in the folder ``--out`` and not run again.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import re
+from collections.abc import Callable, Iterable, Sequence
+from pathlib import Path
+
+from ptne_env import CATALOGUE, evaluate
+from ptne_env.bench import Runner, Workers, leaderboard, run_suite
+from ptne_env.evaluation import COMPARED, POLICIES, Results
+from ptne_env.evaluation.metrics import share
+from ptne_env.shared.files import write_atomically
+
+ROOT = Path(__file__).parents[1]
+RESULTS = ROOT / "baselines" / "results.csv"
+METRICS = ("digits", "digits_after_hold", "digits_cvar", "settling_time", "settled_share", "diverged_share")
+"""The metrics in the file."""
+
+SHOWN = ("static", "static-tuned", "grounded", "routed-unknown", "contact-relay", "observer-relay", "ppo-random-energy")
+"""The policies of the short tables, before the oracle."""
+
+ALL = "all"
+"""The track of scores, which are over all tracks."""
+
+Row = dict[str, str]
+
+
+def rows_of(results: Results) -> Iterable[Row]:
+    """The rows of ``results.csv``: the chosen metrics, and scores and ranks of a suite."""
+    for record in results.records:
+        if record["metric"] in METRICS and record["mean"] is not None:
+            numbers = {key: f"{record[key]:.7g}" for key in ("mean", "low", "high")}
+            yield {"suite": results.name, **{key: str(value) for key, value in record.items()}, **numbers}
+    board = leaderboard(results)
+    for row in () if board is None else board.overall:
+        for metric, found in (("score", row.score), ("improvement", row.improvement)):
+            numbers = {key: f"{getattr(found, key):.7g}" for key in ("mean", "low", "high")}
+            yield {"suite": results.name, "track": ALL, "policy": row.policy, "metric": metric, **numbers}
+        if row.mean_rank is not None:
+            mean = f"{row.mean_rank:.7g}"
+            yield {"suite": results.name, "track": ALL, "policy": row.policy, "metric": "rank", "mean": mean}
+
+
+class Published:
+    """The rows of ``results.csv``."""
+
+    def __init__(self, rows: Sequence[Row]) -> None:
+        self.rows = rows
+        self._cells = {(row["suite"], row["track"], row["policy"], row["metric"]): row for row in rows}
+
+    def names(self, key: str, suite: str) -> list[str]:
+        """The tracks or policies of a suite, in the order of the file."""
+        return list(dict.fromkeys(row[key] for row in self.rows if row["suite"] == suite and row["track"] != ALL))
+
+    def digits(self, suite: str, track: str, policy: str) -> Row | None:
+        """The metric that ranks a track."""
+        after = self._cells.get((suite, track, policy, "digits_after_hold"))
+        return after if track == "hold" and after else self._cells.get((suite, track, policy, "digits"))
+
+    def cell(self, suite: str, policy: str, metric: str) -> Row | None:
+        """A number over all tracks."""
+        return self._cells.get((suite, ALL, policy, metric))
+
+
+def plain(row: Row | None) -> str:
+    """The mean; a dash where there is none."""
+    return "–" if row is None else f"{float(row['mean']):.2f}"
+
+
+def with_interval(row: Row | None, write: Callable[[float], str] = "{:.2f}".format) -> str:
+    """The mean with its 95 % interval."""
+    if row is None:
+        return "–"
+    mean, low, high = (write(float(row[key])) for key in ("mean", "low", "high"))
+    return mean if low == high else f"{mean} [{low}, {high}]"
+
+
+def markdown(headings: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    """A table whose first column is text."""
+    return "\n".join(
+        f"| {' | '.join(cells)} |" for cells in (headings, ["---", *["---:"] * (len(headings) - 1)], *rows)
+    )
+
+
+def by_track(found: Published, suite: str, policies: Sequence[str], tracks: Sequence[str] | None = None) -> str:
+    """A row per track and a column per policy."""
+    chosen = found.names("track", suite) if tracks is None else tracks
+    rows = [[track, *(plain(found.digits(suite, track, policy)) for policy in policies)] for track in chosen]
+    return markdown([suite.replace("comparison", "scenario"), *policies], rows)
+
+
+def headline(found: Published) -> str:
+    """The score on ptne-v1, and the digits on some of its tracks, of a few policies."""
+    tracks = ("nominal", "switching-transformed", "delay", "noise", "large-50", "robots")
+    rows = [
+        [
+            policy,
+            with_interval(found.cell("ptne-v1", policy, "score"), share),
+            *(plain(found.digits("ptne-v1", track, policy)) for track in tracks),
+        ]
+        for policy in ("zero-input", *SHOWN, "oracle")
+    ]
+    return markdown(["policy", "score on ptne-v1", *tracks], rows)
+
+
+def overall(found: Published) -> str:
+    """Scores and ranks of all policies on ptne-v1."""
+    rows = [
+        [
+            row["policy"],
+            with_interval(row, share),
+            with_interval(found.cell("ptne-v1", row["policy"], "improvement"), share),
+            plain(found.cell("ptne-v1", row["policy"], "rank")),
+        ]
+        for row in found.rows
+        if row["metric"] == "score"
+    ]
+    return markdown(["policy", "score", "P(better than static)", "mean rank"], rows)
+
+
+def every(found: Published, suite: str) -> str:
+    """All policies on every track, the best first, with intervals."""
+    rows = []
+    for track in found.names("track", suite):
+        cells = {policy: found.digits(suite, track, policy) for policy in found.names("policy", suite)}
+        known = {policy: cell for policy, cell in cells.items() if cell is not None}
+        ranked = sorted(known, key=lambda policy: -float(known[policy]["mean"]))
+        rows += [[track, policy, with_interval(known[policy])] for policy in ranked]
+    return markdown([suite.replace("comparison", "scenario"), "policy", "digits"], rows)
+
+
+TABLES: dict[str, Callable[[Published], str]] = {
+    "headline": headline,
+    "ptne-v1": lambda found: by_track(found, "ptne-v1", [*SHOWN, "oracle"]),
+    "ptne-v1-overall": overall,
+    "ptne-v1-tracks": lambda found: every(found, "ptne-v1"),
+    "catalogue": lambda found: by_track(found, "comparison", [name for name in SHOWN if name in COMPARED] + ["oracle"]),
+    "catalogue-all": lambda found: every(found, "comparison"),
+}
+"""The tables by name."""
+
+
+def filled(text: str, found: Published) -> str:
+    """A document with its tables.
+
+    Raises:
+        KeyError: for a table of an unknown name.
+    """
+    return re.sub(
+        r"(<!-- table ([\w-]+) -->\n).*?(<!-- end -->)",
+        lambda match: f"{match[1]}{TABLES[match[2]](found)}\n{match[3]}",
+        text,
+        flags=re.DOTALL,
+    )
+
+
+def documents() -> list[Path]:
+    """The documents with tables."""
+    return [ROOT / "README.md", *sorted(ROOT.glob("docs/*.md")), *sorted(ROOT.glob("baselines/*.md"))]
+
+
+def read() -> Published:
+    """The published numbers."""
+    with RESULTS.open(encoding="utf-8", newline="") as file:
+        return Published(list(csv.DictReader(file)))
+
+
+def run(out: Path, episodes: int | None, workers: Workers) -> None:
+    """Run everything that is not stored, and write ``results.csv``."""
+
+    def show(job: str, done: int, total: int) -> None:
+        print(f"{done / total:7.1%}  {job}", flush=True)
+
+    runner = Runner(out, workers, show)
+    compared = evaluate(COMPARED, CATALOGUE, episodes=episodes or 100, run=runner)
+    suite = run_suite("ptne-v1", POLICIES.values(), episodes=episodes, run=runner)
+    columns = ["suite", "track", "policy", "metric", "mean", "low", "high", "episodes"]
+    lines = [columns, *([row.get(key, "") for key in columns] for each in (compared, suite) for row in rows_of(each))]
+    write_atomically(RESULTS, "".join(f"{','.join(line)}\n" for line in lines))
+    write_atomically(out / "results.json", suite.to_json())
+
+
+def main() -> None:
+    """Run, and write the tables."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--out", type=Path, default=ROOT / "results" / "published")
+    parser.add_argument("--episodes", type=int, help="the suite's own number, and 100 of a scenario, if left out")
+    parser.add_argument("--jobs", type=int, default=-1)
+    parser.add_argument("--tables", action="store_true", help="write the tables of results.csv alone")
+    given = parser.parse_args()
+    if not given.tables:
+        run(given.out, given.episodes, Workers(given.jobs))
+    found = read()
+    for document in documents():
+        write_atomically(document, filled(document.read_text(encoding="utf-8"), found))
+
+
+if __name__ == "__main__":
+    main()

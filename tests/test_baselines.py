@@ -1,0 +1,53 @@
+"""The published numbers: documents show those of results.csv, and three random ones are computed again."""
+
+import random
+import sys
+from pathlib import Path
+
+import pytest
+from scipy import stats
+
+from ptne_env import CATALOGUE
+from ptne_env.bench import get_suite
+from ptne_env.evaluation import POLICIES, EpisodeSet
+from ptne_env.evaluation.jobs import Job
+from ptne_env.evaluation.tracks import compared_track
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "baselines"))
+import publish
+
+EPISODES = 20
+"""The first episodes of the published ones."""
+
+
+def test_every_table_of_the_documents_is_that_of_the_published_numbers():
+    found = publish.read()
+    for document in publish.documents():
+        text = document.read_text(encoding="utf-8")
+        assert text.count("<!-- table ") == text.count("<!-- end -->")
+        assert publish.filled(text, found) == text, f"make publish writes {document.name} anew"
+
+
+def job_of(row):
+    """The first episodes of a published cell."""
+    if row["suite"] == "comparison":
+        track, names = compared_track(row["track"]), None
+    else:
+        track, names = get_suite(row["suite"]).track(row["track"]), (row["suite"], row["track"])
+    return Job(track, POLICIES[row["policy"]], 0, EpisodeSet(EPISODES, 0, "test", names))
+
+
+def test_three_random_published_numbers_are_computed_again_within_their_statistic():
+    rows = [row for row in publish.read().rows if row["metric"] == "digits" and not row["track"].startswith("large")]
+    for row in random.SystemRandom().sample(rows, 3):
+        digits = job_of(row).compute().samples["digits"]
+        # The mean of 20 of the published episodes differs from that of all by at most a t quantile of its own error.
+        spread = stats.t.ppf(1 - 1e-5, EPISODES - 1) * digits.std(ddof=1) / EPISODES**0.5
+        assert float(row["mean"]) == pytest.approx(digits.mean(), abs=spread + 0.05), row
+
+
+def test_the_published_numbers_are_of_all_policies_scenarios_and_tracks():
+    found = publish.read()
+    assert set(found.names("track", "comparison")) == {*CATALOGUE}
+    assert set(found.names("track", "ptne-v1")) == {track.name for track in get_suite("ptne-v1").tracks}
+    assert set(found.names("policy", "ptne-v1")) == {*POLICIES}
