@@ -11,11 +11,8 @@ from ptne_env.bench.suite import LAW, ZERO
 from ptne_env.evaluation.entries import PolicySpec
 from ptne_env.evaluation.metrics import MOST_DIGITS
 from ptne_env.evaluation.results import Results
-from ptne_env.evaluation.statistics import Summary, estimate, improvements, performance_profile
+from ptne_env.evaluation.statistics import Summary, estimate, improvements
 from ptne_env.shared.arrays import FloatArray
-
-THRESHOLDS = tuple(round(0.05 * step, 2) for step in range(25))
-"""Scores for which performance profiles are given."""
 
 
 @dataclass(frozen=True)
@@ -46,14 +43,12 @@ class OverallRow:
         score: mean over the tracks.
         improvement: probability of improvement over the paper's law, paired by episode, mean over tracks.
         mean_rank: over the tracks; ``None`` for oracles.
-        profile: share of scores above each of :data:`THRESHOLDS`, mean over tracks.
     """
 
     policy: str
     score: Summary
     improvement: Summary
     mean_rank: float | None
-    profile: tuple[float, ...]
 
 
 @dataclass(frozen=True)
@@ -106,7 +101,6 @@ def leaderboard(results: Results) -> Leaderboard | None:
             estimate([spread[track.name, name] for track in tracks]),
             estimate([better[track.name, name] for track in tracks]).within(0, 1),
             None if policy.is_oracle else float(np.mean([ranks[track.name, name] for track in tracks])),
-            tuple(performance_profile([plain[track.name, name] for track in tracks], np.array(THRESHOLDS)).tolist()),
         )
         for name, policy in policies.items()
     ]

@@ -7,17 +7,19 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from ptne_env.bench.store import Store
+from ptne_env.bench.store import Store, key_of
 from ptne_env.bench.suite import Suite, get_suite
 from ptne_env.bench.workers import Workers
 from ptne_env.evaluation.entries import PolicySpec, get_policy_spec
 from ptne_env.evaluation.episodes import Split
 from ptne_env.evaluation.jobs import Job, JobResult, Run, run_serially
 from ptne_env.evaluation.metrics import METRICS, Metric, adopt
-from ptne_env.evaluation.provenance import content_hash
 from ptne_env.evaluation.results import Results
 from ptne_env.evaluation.run import compare, several
 from ptne_env.shared.files import require_writable
+
+_STEP_COST = 5_000
+"""Numbers of estimates that take about as long as what a step needs whatever their number."""
 
 
 @dataclass
@@ -31,8 +33,8 @@ class Runner:
         folder: in which the results of finished jobs are stored, so that they are not run again; nothing is stored if
             ``None``.
         workers: run the jobs. Only the measured times of policies depend on it.
-        progress: called with ``"track: policy"``, the work that is done and all work when a job is done, both in
-            :attr:`~ptne_env.evaluation.jobs.Job.cost`.
+        progress: called with ``"track: policy"``, the work that is done and all work when a job is done, both as
+            :func:`cost_of`.
         rerun: whether stored jobs are run again.
     """
 
@@ -51,12 +53,12 @@ class Runner:
         """
         store = None if self.folder is None else Store(self.folder)
         found: dict[int, JobResult] = {}
-        total, done = sum(job.cost for job in jobs), 0
+        total, done = sum(map(cost_of, jobs)), 0
 
         def finish(index: int, result: JobResult) -> None:
             nonlocal done
             found[index] = result
-            done += jobs[index].cost
+            done += cost_of(jobs[index])
             if self.progress is not None:
                 self.progress(f"{jobs[index].track.name}: {jobs[index].policy.name}", done, total)
 
@@ -69,13 +71,19 @@ class Runner:
                 finish(index, stored)
         if store is not None and missing:
             require_writable(store.path("0"))
-        missing.sort(key=lambda index: jobs[index].cost)  # quick jobs first, so that progress shows at once
+        missing.sort(key=lambda index: cost_of(jobs[index]))  # quick jobs first, so that progress shows at once
         own = {name: metric for name, metric in METRICS.items() if metric.is_own}
-        for place, result in self.workers.run(_run_job, [(jobs[index], jobs[index].key, own) for index in missing]):
+        for place, result in self.workers.run(_run_job, [(jobs[index], key_of(jobs[index]), own) for index in missing]):
             if store is not None:
                 store.save(jobs[missing[place]], result)
             finish(missing[place], result)
         return [found[index] for index in range(len(jobs))]
+
+
+def cost_of(job: Job) -> int:
+    """A rough measure of its work: the numbers in all estimates of all steps and episodes, and as much per step."""
+    game, clock = job.track.world.game, job.track.world.clock
+    return clock.total_steps * (game.dimension * game.num_players * job.episodes.count + _STEP_COST)
 
 
 def _run_job(job: Job, key: str | None, metrics: dict[str, Metric]) -> JobResult:
@@ -85,7 +93,7 @@ def _run_job(job: Job, key: str | None, metrics: dict[str, Metric]) -> JobResult
         ValueError: when the job has another ``key`` there, because the worker's libraries or files differ.
     """
     adopt(metrics)
-    if key is not None and content_hash(job.to_dict()) != key:
+    if key is not None and key_of(job) != key:
         raise ValueError(
             f"a worker on {platform.node()} has another version of the library, its dependencies or the files of "
             f"policy {job.policy.name!r} than the machine that asks: install the same on both"

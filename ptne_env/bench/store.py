@@ -3,12 +3,45 @@
 from __future__ import annotations
 
 import json
+from dataclasses import asdict
 from pathlib import Path
+from typing import Any
 from uuid import uuid4
 
+import numpy as np
+
 from ptne_env.evaluation.jobs import Job, JobResult
-from ptne_env.evaluation.provenance import content_hash
+from ptne_env.evaluation.metrics import METRICS
+from ptne_env.evaluation.provenance import content_hash, versions
+from ptne_env.evaluation.results import to_json_list
 from ptne_env.shared.files import DamagedFileError, read_json, write_atomically
+from ptne_env.shared.parts import foreign_targets
+from ptne_env.world.dynamics import PHYSICS
+
+
+def content_of(job: Job) -> dict[str, Any]:
+    """Everything that the numbers of a job depend on, as a JSON object. Names of policies do not count."""
+    policy, track = job.policy.to_dict(), job.track.to_dict()
+    return {
+        "physics": PHYSICS,
+        "versions": versions(job.policy.libraries),
+        "track": {key: track[key] for key in ("scenario", "metric", "teammates")},
+        "policy": {"interface": policy["interface"], **policy["training_seeds"][job.training_seed]},
+        "episodes": asdict(job.episodes),
+        "metrics": sorted(name for name, metric in METRICS.items() if metric.value is not None),
+    }
+
+
+def key_of(job: Job) -> str | None:
+    """The hash of :func:`content_of`, by which the result of a job is stored.
+
+    ``None`` where code of the user takes part: an object, a ``"module:object"`` or a metric, whose change no key shows.
+    Such a job runs every time.
+    """
+    content = content_of(job)
+    own_metric = any(metric.is_own for metric in METRICS.values())
+    is_own = not job.policy.is_repeatable or foreign_targets(content) or own_metric
+    return None if is_own else content_hash(content)
 
 
 class Store:
@@ -34,15 +67,18 @@ class Store:
         Raises:
             OSError: when there is a file that cannot be read.
         """
-        if job.key is None:
+        key = key_of(job)
+        if key is None:
             return None
         try:
-            content = read_json(self.path(job.key), "the result of a job")
-            if content.pop("checksum", None) != content_hash(content) or content["key"] != job.key:
+            content = read_json(self.path(key), "the result of a job")
+            if content.pop("checksum", None) != content_hash(content) or content["key"] != key:
                 return None
-            return JobResult.from_dict(content["result"], job)
-        except (FileNotFoundError, DamagedFileError, KeyError, ValueError):
+            reason, lists = content["not_applicable"], content["samples"]
+            samples = {name: np.array(lists[name], dtype=np.float64) for name in METRICS if name in lists}
+        except (FileNotFoundError, DamagedFileError, KeyError, TypeError, ValueError):
             return None
+        return JobResult(samples, reason)
 
     def save(self, job: Job, result: JobResult) -> None:
         """Write the file of a job.
@@ -50,11 +86,13 @@ class Store:
         Raises:
             OSError: when it cannot be written.
         """
-        if job.key is None or result.failure is not None:
+        key = key_of(job)
+        if key is None or result.failure is not None:
             return
-        path = self.path(job.key)
+        path = self.path(key)
         if path.exists() and not path.is_file():  # such as a folder, which no file can replace
             path.rename(path.with_name(f"{path.name}.damaged-{uuid4().hex}"))
-        content = {"key": job.key, "job": job.to_dict(), "result": result.to_dict()}
+        samples = {name: to_json_list(values) for name, values in result.samples.items()}
+        content = {"key": key, "job": content_of(job), "samples": samples, "not_applicable": result.not_applicable}
         text = json.dumps(content | {"checksum": content_hash(content)}, allow_nan=False, ensure_ascii=False)
         write_atomically(path, text)

@@ -11,10 +11,10 @@ import typer
 from ptne_env.bench import report
 from ptne_env.bench.check import SAMPLE
 from ptne_env.bench.check import check as run_check
+from ptne_env.bench.files import read_results
 from ptne_env.cli import options
 from ptne_env.cli.app import ExitCode, app
 from ptne_env.cli.console import check_writable, console, json_text, progress, say, write_json
-from ptne_env.evaluation.results import read_results
 from ptne_env.shared.parts import foreign_targets
 
 

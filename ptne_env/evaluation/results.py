@@ -10,7 +10,6 @@ from collections.abc import Collection, Mapping
 from dataclasses import asdict, dataclass
 from functools import cached_property
 from html import escape
-from pathlib import Path
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -18,19 +17,14 @@ import numpy as np
 from ptne_env._version import __version__
 from ptne_env.evaluation.entries import PolicySpec
 from ptne_env.evaluation.episodes import EpisodeSet, Split
-from ptne_env.evaluation.jobs import to_json_list
 from ptne_env.evaluation.metrics import METRICS, number
 from ptne_env.evaluation.provenance import arithmetic, content_hash, versions
 from ptne_env.evaluation.statistics import Summary, estimate, tail_values
 from ptne_env.evaluation.tracks import Track
 from ptne_env.shared.arrays import FloatArray
-from ptne_env.shared.files import DamagedFileError, read_json
 
 FORMAT = 6
 """Version of the meaning of ``results.json``; a file of another one is refused."""
-
-LARGEST_FILE = 32 * 2**20
-"""Most bytes of a file of results."""
 
 _FORMULA = re.compile(r"(^|[,;\t]\s*)([=+\-@\t\r])")
 """The beginning of a text, or of a part of it, that a spreadsheet reads as a formula."""
@@ -162,36 +156,6 @@ class Results:
         """:meth:`to_dict` as a JSON text without NaN or Infinity."""
         return json.dumps(self.to_dict(), separators=(",", ":"), allow_nan=False, ensure_ascii=False)
 
-    @classmethod
-    def from_dict(cls, data: Mapping[str, Any]) -> Results:
-        """The inverse of :meth:`to_dict`; tables are computed again from the samples. Parts that it names are imported.
-
-        Raises:
-            ValueError: when the data are no results, or a policy or scenario was an object of another process.
-        """
-        try:
-            policies = [PolicySpec.from_dict(policy) for policy in data["policies"]]
-            samples: dict[Place, Samples] = {}
-            for kind in ("samples", "timings"):
-                for track, found in data[kind].items():
-                    for policy, metrics in found.items():
-                        count, known = data["episodes"][track]["count"], samples.setdefault((track, policy), {})
-                        for metric, values in metrics.items():
-                            array = np.array(values, dtype=np.float64)
-                            known[metric] = np.repeat(array, count, axis=1) if kind == "timings" else array
-            return cls(
-                data["name"],
-                data["suite"],
-                tuple(Track.from_dict(track) for track in data["tracks"]),
-                {policy.name: policy for policy in policies},
-                {name: _episode_set(chosen) for name, chosen in data["episodes"].items()},
-                samples,
-                {(item["track"], item["policy"]): item["reason"] for item in data["not_applicable"]},
-                {(item["track"], item["policy"]): item["reason"] for item in data["failures"]},
-            )
-        except (KeyError, TypeError, AttributeError, IndexError) as error:
-            raise ValueError(f"not results: {type(error).__name__}: {error}") from error
-
     def to_csv(self) -> str:
         """The records as CSV, each with the version, the name of the suite, the seed and the split.
 
@@ -295,27 +259,7 @@ def _reasons(reasons: Mapping[Place, str]) -> list[dict[str, str]]:
     return [{"track": track, "policy": policy, "reason": reason} for (track, policy), reason in reasons.items()]
 
 
-def _episode_set(data: Mapping[str, Any]) -> EpisodeSet:
-    return EpisodeSet(**{**data, "track": data["track"] and tuple(data["track"])})
-
-
-def read_results(path: Path) -> dict[str, Any]:
-    """The content of a file that holds :meth:`Results.to_dict`; nothing that it names is imported.
-
-    Args:
-        path: of the file, or of its folder.
-
-    Raises:
-        OSError: when it cannot be read.
-        ValueError: when it is damaged, too large, something else or of another format.
-    """
-    path = path / "results.json" if path.is_dir() else path
-    if path.is_file() and path.stat().st_size > LARGEST_FILE:
-        raise ValueError(f"{path} is larger than {LARGEST_FILE // 2**20} MiB: it is no file of results")
-    data = read_json(path, "a file of results")
-    if data.get("format") != FORMAT:
-        raise ValueError(f"{path} is no file of results of format {FORMAT}, which this library reads: run it again")
-    content = {key: value for key, value in data.items() if key not in ("checksum", "timings")}
-    if data.get("checksum") != content_hash(content):
-        raise DamagedFileError(f"{path} was damaged or changed after it was written: run it again")
-    return data
+def to_json_list(values: FloatArray) -> list[Any]:
+    """Numbers as a list of any depth, in which NaN is ``None``."""
+    found: list[Any] = np.where(np.isfinite(values), values, None).tolist()
+    return found

@@ -108,12 +108,3 @@ def improvements(scores: FloatArray, others: FloatArray) -> FloatArray:
         Shape (training seeds, episodes); the mean is the probability of improvement P(x > y) + P(x = y)/2.
     """
     return (np.sign(scores - others) + 1) / 2
-
-
-def performance_profile(scores: Scores, thresholds: FloatArray) -> FloatArray:
-    """The share of scores above each threshold, the mean over tracks: (thresholds,).
-
-    rliable's score distribution, P(score > τ) over τ (R. Agarwal et al., "Deep reinforcement learning at the edge of
-    the statistical precipice", NeurIPS 2021), rows being runs and tracks being tasks.
-    """
-    return np.mean([(track.ravel()[:, None] > thresholds).mean(axis=0) for track in scores], axis=0)

@@ -14,7 +14,7 @@ from small_suite import untimed
 
 from ptne_env import evaluate
 from ptne_env.bench import Runner, Workers
-from ptne_env.evaluation.results import read_results
+from ptne_env.bench.files import read_results
 
 ray = pytest.importorskip("ray")
 pytestmark = pytest.mark.filterwarnings("default")  # Ray's own

@@ -9,7 +9,7 @@ from small_suite import BASE, SMALL, stored, untimed
 
 from ptne_env import PolicySpec, evaluate, laws
 from ptne_env.bench import Runner, run_suite
-from ptne_env.bench.store import Store
+from ptne_env.bench.store import Store, key_of
 from ptne_env.evaluation import METRICS, EpisodeSet, Metric, Track, get_policy_spec, register
 from ptne_env.evaluation.jobs import Job, JobResult
 from ptne_env.evaluation.provenance import content_hash
@@ -64,22 +64,23 @@ def damaged(whole, randomness):
 def test_a_damaged_result_is_run_again_or_gives_exactly_the_stored_numbers(tmp_path):
     store, result = Store(tmp_path), JOB.compute()
     store.save(JOB, result)
-    path = store.path(JOB.key)
+    path = store.path(key_of(JOB))
     whole, randomness, refused = path.read_bytes(), random.Random(7), 0  # noqa: S311 - damages
     for _ in range(300):
         path.write_bytes(damaged(whole, randomness))
         found = store.find(JOB)
         refused += found is None
-        assert found is None or found.to_dict() == result.to_dict()
+        if found is not None:
+            np.testing.assert_equal(found.samples, result.samples)
     assert refused > 250
 
 
 def test_a_stored_result_of_another_job_or_form_is_run_again(tmp_path):
     store = Store(tmp_path)
     store.save(JOB, JOB.compute())
-    path = store.path(JOB.key)
+    path = store.path(key_of(JOB))
     data = json.loads(path.read_text(encoding="utf-8"))
-    for change in ({"key": "0" * 64}, {"result": {"samples": {}, "not_applicable": None}}, {"result": 3}):
+    for change in ({"key": "0" * 64}, {"samples": 3}, {"samples": {"digits": "x"}}):
         content = {key: value for key, value in (data | change).items() if key != "checksum"}
         path.write_text(json.dumps(content | {"checksum": content_hash(content)}), encoding="utf-8")
         assert store.find(JOB) is None
@@ -87,7 +88,7 @@ def test_a_stored_result_of_another_job_or_form_is_run_again(tmp_path):
 
 def test_a_folder_in_the_place_of_a_result_is_moved_away_and_a_file_in_that_of_the_folder_is_an_error(tmp_path):
     store = Store(tmp_path)
-    store.path(JOB.key).mkdir(parents=True)
+    store.path(key_of(JOB)).mkdir(parents=True)
     results = evaluate("static", BASE, episodes=4, run=Runner(tmp_path))
     assert results.samples
     (tmp_path / "file").touch()

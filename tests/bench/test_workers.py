@@ -15,6 +15,7 @@ from small_suite import SMALL, stored, untimed
 from ptne_env import evaluate
 from ptne_env.bench import Runner, Workers, run_suite
 from ptne_env.bench.run import _run_job
+from ptne_env.bench.store import key_of
 from ptne_env.evaluation import get_policy_spec
 from ptne_env.evaluation.jobs import Job
 
@@ -119,7 +120,7 @@ def test_workers_print_nothing_after_ctrl_c(delay):
 
 def test_a_worker_with_other_files_is_refused():
     job = Job(SMALL.tracks[0], get_policy_spec("static"), 0, SMALL.episode_set("ring", 2))
-    assert _run_job(job, job.key, {}).samples["digits"].shape == (2,)
+    assert _run_job(job, key_of(job), {}).samples["digits"].shape == (2,)
     with pytest.raises(ValueError, match="another version of the library.*'static'.*install the same"):
         _run_job(job, "0" * 64, {})
 

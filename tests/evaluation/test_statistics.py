@@ -4,19 +4,9 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from ptne_env.evaluation.statistics import estimate, improvements, performance_profile, tail_values
-
-# Scores of two algorithms, runs in rows and tasks in columns, and the values of rliable 1.2.0
-# (probability_of_improvement, run_score_deviation).
-X = np.array([[1.06, 0.93, 1.32], [1.05, 0.73, 1.18], [1.65, 1.47, 0.65], [0.37, 0.69, 1.02], [-0.16, 0.89, 0.38],
-              [0.63, 0.73, 0.84]])  # fmt: skip
+from ptne_env.evaluation.statistics import estimate, improvements, tail_values
 
 REPETITIONS = 20_000 if os.environ.get("PTNE_SOAK") else 1000
-
-
-def by_task(scores):
-    """rliable's matrix as scores per track, of one training seed."""
-    return [column[None] for column in scores.T]
 
 
 def test_a_constant_sample_has_low_equal_high_equal_mean_exactly():
@@ -75,11 +65,6 @@ def test_tail_values_have_the_mean_of_the_worst_tenth(episodes):
 
 def test_a_cvar_with_missing_values_has_none():
     assert np.isnan(tail_values(np.array([[1.0, np.nan]]))).all()
-
-
-def test_performance_profile_is_that_of_rliable():
-    profile = performance_profile(by_task(X), np.array([0.0, 0.73, 1.0, 2.0]))
-    assert profile.tolist() == pytest.approx([17 / 18, 10 / 18, 7 / 18, 0], abs=1e-15)
 
 
 def test_paired_improvement_compares_the_same_episodes():

@@ -18,10 +18,11 @@ from ptne_env import Scenario
 from ptne_env import learn as policies
 from ptne_env.bench import Suite, run_suite
 from ptne_env.bench.check import check
+from ptne_env.bench.files import read_results
 from ptne_env.bench.store import Store
 from ptne_env.evaluation import Track
 from ptne_env.evaluation.provenance import content_hash
-from ptne_env.evaluation.results import FORMAT, read_results
+from ptne_env.evaluation.results import FORMAT
 from ptne_env.shared.files import read_json, write_atomically
 from ptne_env.world.world import World
 

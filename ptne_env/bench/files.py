@@ -1,0 +1,74 @@
+"""Reading files of results."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ptne_env.evaluation.entries import PolicySpec
+from ptne_env.evaluation.episodes import EpisodeSet
+from ptne_env.evaluation.provenance import content_hash
+from ptne_env.evaluation.results import FORMAT, Place, Results, Samples
+from ptne_env.evaluation.tracks import Track
+from ptne_env.shared.files import DamagedFileError, read_json
+
+LARGEST_FILE = 32 * 2**20
+"""Most bytes of a file of results."""
+
+
+def read_results(path: Path) -> dict[str, Any]:
+    """The content of a file that holds :meth:`~ptne_env.evaluation.results.Results.to_dict`; nothing is imported.
+
+    Args:
+        path: of the file, or of its folder.
+
+    Raises:
+        OSError: when it cannot be read.
+        ValueError: when it is damaged, too large, something else or of another format.
+    """
+    path = path / "results.json" if path.is_dir() else path
+    if path.is_file() and path.stat().st_size > LARGEST_FILE:
+        raise ValueError(f"{path} is larger than {LARGEST_FILE // 2**20} MiB: it is no file of results")
+    data = read_json(path, "a file of results")
+    if data.get("format") != FORMAT:
+        raise ValueError(f"{path} is no file of results of format {FORMAT}, which this library reads: run it again")
+    content = {key: value for key, value in data.items() if key not in ("checksum", "timings")}
+    if data.get("checksum") != content_hash(content):
+        raise DamagedFileError(f"{path} was damaged or changed after it was written: run it again")
+    return data
+
+
+def results_of(data: Mapping[str, Any]) -> Results:
+    """The results in a file; tables are computed again from the samples. Parts that the data name are imported.
+
+    Raises:
+        ValueError: when the data are no results, or a policy or scenario was an object of another process.
+    """
+    try:
+        samples: dict[Place, Samples] = {}
+        for kind in ("samples", "timings"):
+            for track, found in data[kind].items():
+                for policy, metrics in found.items():
+                    count, known = data["episodes"][track]["count"], samples.setdefault((track, policy), {})
+                    for metric, values in metrics.items():
+                        array = np.array(values, dtype=np.float64)
+                        known[metric] = np.repeat(array, count, axis=1) if kind == "timings" else array
+        return Results(
+            data["name"],
+            data["suite"],
+            tuple(Track.from_dict(track) for track in data["tracks"]),
+            {policy["name"]: PolicySpec.from_dict(policy) for policy in data["policies"]},
+            {name: _episode_set(chosen) for name, chosen in data["episodes"].items()},
+            samples,
+            {(item["track"], item["policy"]): item["reason"] for item in data["not_applicable"]},
+            {(item["track"], item["policy"]): item["reason"] for item in data["failures"]},
+        )
+    except (KeyError, TypeError, AttributeError, IndexError) as error:
+        raise ValueError(f"not results: {type(error).__name__}: {error}") from error
+
+
+def _episode_set(data: Mapping[str, Any]) -> EpisodeSet:
+    return EpisodeSet(**{**data, "track": data["track"] and tuple(data["track"])})

@@ -1,0 +1,52 @@
+"""Files of results: all that repeats them, and files that are damaged or of another form."""
+
+import json
+
+import pytest
+
+import ptne_env
+from ptne_env import evaluate
+from ptne_env.bench.files import read_results, results_of
+
+
+@pytest.fixture(scope="module")
+def results():
+    return evaluate(["static", "random"], ["energy"], episodes=3, seed=2)
+
+
+def test_json_holds_everything_and_no_nan_and_reads_back(results, tmp_path):
+    data = json.loads(results.to_json(), parse_constant=lambda name: pytest.fail(f"{name} in the file"))
+    assert data["versions"]["ptne_env"] == ptne_env.__version__
+    assert {"simd", "blas"} <= data["arithmetic"].keys()
+    assert data["policies"][0]["training_seeds"][0]["arguments"] == {"kappa": 2.0}
+    again = results_of(data)
+    assert again.records == results.records
+    assert again.to_json() == results.to_json()
+    assert again.tracks == results.tracks
+    assert again.policies == results.policies
+    (tmp_path / "results.json").write_text(results.to_json(), encoding="utf-8")
+    assert read_results(tmp_path) == data
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda text: text[: len(text) // 2], "cut off"),
+        (lambda text: text.replace('"seed":2', '"seed":3', 1), "damaged or changed"),
+        (lambda text: text.replace('"format":6', '"format":5', 1), "no file of results of format"),
+        (lambda text: "{}", "no file of results"),
+        (lambda text: text.replace('"name"', '"seed":1,"seed":2,"name"', 1), "a key twice"),
+        (lambda text: text + " " * 2**25, "larger than 32 MiB"),
+    ],
+)
+def test_damaged_foreign_and_huge_files_are_refused(results, tmp_path, change, message):
+    path = tmp_path / "results.json"
+    path.write_text(change(results.to_json()), encoding="utf-8")
+    with pytest.raises(ValueError, match=message):
+        read_results(path)
+
+
+@pytest.mark.parametrize("change", [{"policies": 3}, {"tracks": [{}]}, {"episodes": {}}, {"samples": {"energy": 1}}])
+def test_data_of_another_form_are_no_results(results, change):
+    with pytest.raises(ValueError, match="not results"):
+        results_of(json.loads(results.to_json()) | change)
