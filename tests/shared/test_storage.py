@@ -18,6 +18,10 @@ from ptne_env.shared.files import write_atomically
 from ptne_env.world.world import World
 
 
+def contents(folder):
+    return {path.relative_to(folder): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+
+
 def changed(value, data):
     """A JSON value with one thing in it replaced or left out."""
     change = data.draw(st.sampled_from(("go on", "go on", "go on", "leave out", "replace")))
