@@ -67,25 +67,6 @@ class BlockGame(Game):
         return response
 
 
-class AffineGame(BlockGame):
-    """A block game of any monotonicity: F(x) = A x + q with λ_min of the symmetric part of A equal to ``epsilon``.
-
-    ``skew`` is the size of the part of A between players that is antisymmetric, as in a pursuit.
-    """
-
-    def __init__(self, action_dims, epsilon, spread, skew, seed):
-        super().__init__(action_dims, seed)
-        generator = np.random.default_rng(seed)
-        n = self.dimension
-        root = generator.normal(size=(n, n))
-        symmetric = root @ root.T * spread / n
-        symmetric += (epsilon - np.linalg.eigvalsh(symmetric)[0]) * np.eye(n)
-        between = self.owners[:, None] != self.owners
-        antisymmetric = np.triu(generator.normal(size=(n, n)) * skew / np.sqrt(n)) * between
-        self.matrix = symmetric + antisymmetric - antisymmetric.T
-        self.offset = -self.matrix @ generator.uniform(-10, 10, n)
-
-
 class RestingGame(Game):
     """J_i = ½ ‖x_i − p_i‖²: the equilibrium is the point p."""
 
