@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 from affine_games import loop_start, run
-from sample_laws import condition_on
 from worlds import BLOCKS, energy_scenario, make_env, play, stack, world_and_encoder
 
 from ptne_env import FactorySpec, get_scenario, laws, theory
@@ -92,13 +91,3 @@ def test_gains_of_ye_and_hu_grow_until_the_network_converges():
     assert history[-1] == pytest.approx(history[3000], rel=1e-3)
     target = np.tile(world.game.nash_equilibrium, 5)
     assert np.linalg.norm(stack(state.estimates) - target) < 1e-3 * np.linalg.norm(target)
-
-
-def test_conditions_of_ye_and_hu():
-    scenario = get_scenario("energy")
-    fixed = condition_on(scenario, laws.Grounded)
-    assert not fixed.holds  # sufficient only: the law converges all the same
-    assert condition_on(scenario, laws.Grounded, kappa=1.01 * fixed.bound).holds
-    assert condition_on(scenario, laws.AdaptiveGrounded).holds
-    assert "gains adapt" in condition_on(scenario, laws.AdaptiveGrounded, gamma=0.0).name
-    assert "every graph" in condition_on("energy-switching", laws.AdaptiveGrounded).name

@@ -42,12 +42,3 @@ def test_oracle_obeys_the_input_limit():
     state = dynamics.initial_state(world, world.draw_estimates([RandomStreams.from_seed(1)]))
     actions, _ = laws.CentralisedOracle(encoder.layout).predict(encoder.observe(state)[0])
     assert np.abs(actions).max() == 3.0
-
-
-def test_laws_of_players_act_alike_through_full_and_physical():
-    world, encoder = world_and_encoder("energy", kind="full")
-    _, plain = world_and_encoder("energy")
-    state = dynamics.initial_state(world, world.draw_estimates([RandomStreams.from_seed(1)]))
-    full, _ = laws.Static(encoder.layout).predict(encoder.observe(state)[0])
-    physical, _ = laws.Static(plain.layout).predict(plain.observe(state)[0])
-    assert np.array_equal(full, physical)

@@ -3,7 +3,6 @@ import pytest
 from worlds import BLOCKS, BLOCKS_SWITCHING, loop_matrix, make_env, play, world_and_encoder
 
 from ptne_env import FactorySpec, get_scenario, laws
-from ptne_env.world import dynamics
 
 AFFINE = {
     "energy": get_scenario("energy"),
@@ -45,14 +44,6 @@ def test_gradient_gain_is_the_law_for_scaled_costs():
     assert np.abs(plain - other).max() <= 2e-6 * np.abs(plain).max()
 
 
-def test_kappa_zero_is_gradient_play_without_consensus():
-    env = make_env("energy", steps=10)
-    states, _ = play(env, laws.Static(env.layout, kappa=0.0))
-    off_diagonal = ~np.eye(5, dtype=bool)
-    assert np.all(states[:, off_diagonal] == states[0, off_diagonal])
-    assert np.all(states[-1].diagonal() != states[0].diagonal())
-
-
 @pytest.mark.parametrize("kappa", [-1.0, float("nan"), float("inf")])
 @pytest.mark.parametrize("law", [laws.Static, laws.CorollaryOne, laws.Grounded])
 def test_negative_or_infinite_kappa_is_refused(law, kappa):
@@ -65,22 +56,6 @@ def test_negative_or_infinite_kappa_is_refused(law, kappa):
 def test_gradient_gain_must_be_positive(gain):
     with pytest.raises(ValueError, match="gradient_gain must be a finite number above 0"):
         laws.Static(world_and_encoder("energy")[1].layout, gradient_gain=gain)
-
-
-def test_corollary_one_is_the_static_input_over_the_time_gain():
-    world, encoder = world_and_encoder("energy")
-    state = dynamics.initial_state(world, np.random.default_rng(0).uniform(-20, 20, (5, 5, 1)))
-    for _ in range(200):
-        state = dynamics.step(world, state, np.zeros_like(state.estimates))
-    k = int(state.step[0])
-    observation = encoder.observe(state)[0]
-    static = encoder.inputs(
-        encoder.clip(laws.Static(encoder.layout, kappa=3.0).predict(observation)[0][None]).actions, state
-    )
-    slow = encoder.inputs(
-        encoder.clip(laws.CorollaryOne(encoder.layout, kappa=3.0).predict(observation)[0][None]).actions, state
-    )
-    assert slow == pytest.approx(static * world.clock.dt[k] / world.clock.theta[k], rel=1e-5, abs=1e-6)
 
 
 def test_corollary_one_moves_as_if_there_were_no_time_gain():

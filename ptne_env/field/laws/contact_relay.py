@@ -6,6 +6,7 @@ from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
+from ptne_env.field.laws import contacts
 from ptne_env.field.laws.best_response import (
     LARGEST_ROW,
     UNLIMITED,
@@ -16,15 +17,6 @@ from ptne_env.field.laws.best_response import (
     trust_radius,
     with_own,
     within_reach,
-)
-from ptne_env.field.laws.contacts import (
-    Contacts,
-    Messages,
-    contacts,
-    copies,
-    heard_messages,
-    no_contacts,
-    noise_level,
 )
 from ptne_env.field.laws.identification import RESOLUTION, Model, blank, identify
 from ptne_env.field.laws.memory import Memory
@@ -126,7 +118,7 @@ class Unrest(NamedTuple):
 
 
 def copy_weight(
-    messages: Messages, was: Unrest, mean: FloatArray, patience: float, forgetting: float
+    messages: contacts.Messages, was: Unrest, mean: FloatArray, patience: float, forgetting: float
 ) -> tuple[FloatArray, Unrest]:
     """The weight w_k of a copy, (R, 1), and the memory: 1 until messages show noise, which never comes to rest.
 
@@ -148,7 +140,7 @@ class Relayed(NamedTuple):
 
     steps: FloatArray  # number of steps so far, shape (R, 1)
     own: LastMove
-    contacts: Contacts
+    contacts: contacts.Contacts
     messages: FloatArray  # of the step before, shape (R, D, n)
     noise: FloatArray  # σ_i, shape (R, 1)
     unrest: Unrest
@@ -160,22 +152,22 @@ def nothing_relayed(layout: ObservationLayout) -> Relayed:
     model = blank(1, outputs, n if n <= LARGEST_ROW else outputs, SPREAD)
     own = LastMove(model, np.zeros((1, n)), np.zeros((1, outputs)), np.zeros((1, n)), none)
     unrest = Unrest(none + UNLIMITED, none + UNLIMITED, none)
-    return Relayed(none, own, no_contacts(layout), np.zeros((1, layout.slots, n)), none, unrest)
+    return Relayed(none, own, contacts.no_contacts(layout), np.zeros((1, layout.slots, n)), none, unrest)
 
 
 def heard(
     observation: Observation, was: Relayed, layout: ObservationLayout
-) -> tuple[Messages, FloatArray, BoolArray, Contacts]:
+) -> tuple[contacts.Messages, FloatArray, BoolArray, contacts.Contacts]:
     """The messages of this step, their noise σ_i (R, 1), the neighbours with fresher copies (R, D, n), and contacts.
 
     The neighbours are those of :func:`~ptne_env.field.laws.contacts.contacts`, for which noise is no news.
     """
     is_own, leaders = layout.own_mask[observation.player], layout.neighbour_components[observation.player]
-    messages = heard_messages(observation, was.contacts.live, was.messages)
-    noise = noise_level(messages, was.noise, was.steps, leaders | is_own[:, None])
+    messages = contacts.heard_messages(observation, was.contacts.live, was.messages)
+    noise = contacts.noise_level(messages, was.noise, was.steps, leaders | is_own[:, None])
     loudest = np.minimum(_ABOVE_NOISE * noise, _LOUDEST * largest(observation.own_estimate))
     drift = np.where(is_own, 0.0, was.own.asked)
-    sources, met = contacts(observation, was.contacts, was.steps > 0, drift, leaders, loudest[:, :, None])
+    sources, met = contacts.contacts(observation, was.contacts, was.steps > 0, drift, leaders, loudest[:, :, None])
     return messages, noise, sources, met
 
 
@@ -215,7 +207,7 @@ class ContactRelay(Law):
     def inputs(self, observation: Observation, memory: FloatArray) -> tuple[FloatArray, FloatArray]:
         layout, was = self.layout, self._memory.unpack(memory)
         messages, noise, sources, met = heard(observation, was, layout)
-        mean = copies(observation, sources)
+        mean = contacts.copies(observation, sources)
         weight, unrest = copy_weight(messages, was.unrest, mean, self.patience, self.forgetting)
         own = own_side(observation, was.own, was.steps, layout)
         drift = np.where(own.is_probe | layout.own_mask[observation.player], 0.0, weight * mean)

@@ -55,7 +55,7 @@ class Samples(NamedTuple):
     mean: FloatArray  # private mean
     smooth: FloatArray  # mean of means, for rounded messages
     quick: FloatArray  # mean of the last messages
-    count: FloatArray  # number of messages that the mean counts for
+    number: FloatArray  # of messages that the mean counts for
     variance: FloatArray  # of the messages
     present: FloatArray  # variance of the last messages
     lies: FloatArray  # steps in which statements about the own strategy were far off, less the others, shape (R, D)
@@ -75,10 +75,10 @@ def sampled(
     """
     live, lasted, content = messages.live[:, :, None], messages.was_live[:, :, None], messages.content
     rounded = is_rounded[:, :, None]
-    old = np.where(lasted, was.count, np.minimum(was.count, C.reconnected))
+    old = np.where(lasted, was.number, np.minimum(was.number, C.reconnected))
     forgetting = np.where(rounded, C.forgetting_rounded, C.forgetting_noisy)
     mean = np.where(live, was.mean + forgetting / (forgetting + old) * (content - was.mean), was.mean)
-    count = np.where(live, old + 1, old)
+    number = np.where(live, old + 1, old)
 
     change = messages.change**2 / 2
     weight, heard = 1 / (1 + old), live & lasted
@@ -87,24 +87,24 @@ def sampled(
     quick = was.quick + C.quick * (content - was.quick)
     quick = np.where(live, np.where(old < 1 / C.quick, mean, quick), was.quick)
     limit = C.lag**2 * C.quick / (2 - C.quick) * np.minimum(variance, C.present_limit * present)
-    lags = ((quick - mean) ** 2 > limit) & live & (count > 2 / C.quick) & ~rounded
-    mean, count = np.where(lags, quick, mean), np.where(lags, 1 / C.quick, count)
+    lags = ((quick - mean) ** 2 > limit) & live & (number > 2 / C.quick) & ~rounded
+    mean, number = np.where(lags, quick, mean), np.where(lags, 1 / C.quick, number)
     smooth = was.smooth + C.forgetting_smooth / (C.forgetting_smooth + old) * (mean - was.smooth)
     smooth = np.where(live, np.where((old == 0) | lags, mean, smooth), was.smooth)
     shown = np.where(rounded, smooth, mean)
 
-    gap = np.where(is_own[:, None] & (count > C.lying_samples), np.abs(shown - estimate[:, None]), 0.0)
+    gap = np.where(is_own[:, None] & (number > C.lying_samples), np.abs(shown - estimate[:, None]), 0.0)
     is_off = (gap > C.lying_deviations * np.sqrt(variance + C.smallest_variance)).any(axis=2)
     lies = np.where(is_off, np.minimum(was.lies + 1, C.lying_limit), np.maximum(was.lies - 1, 0.0))
-    return Samples(mean, smooth, quick, count, variance, present, lies), shown
+    return Samples(mean, smooth, quick, number, variance, present, lies), shown
 
 
 def belief(weights: FloatArray, samples: Samples, means: FloatArray, otherwise: FloatArray) -> FloatArray:
-    """Σ_j w_j m_j / Σ_j w_j with w_j = weights × count/variance, and ``otherwise`` (R, n) where that is 0/0.
+    """Σ_j w_j m_j / Σ_j w_j with w_j = weights × number/variance, and ``otherwise`` (R, n) where that is 0/0.
 
     Weights and means m_j have the shape (R, D, n).
     """
-    weights = weights * samples.count / np.maximum(samples.variance, C.smallest_variance)
+    weights = weights * samples.number / np.maximum(samples.variance, C.smallest_variance)
     total = fold(np.add, weights, axis=1)
     mean = fold(np.add, weights * means, axis=1) / np.where(total > 0, total, 1.0)
     return np.where(total > 0, mean, otherwise)
@@ -124,12 +124,12 @@ def without_liars(sources: BoolArray, others: BoolArray, owners: BoolArray, lies
     return np.where(has_clean, clean, np.where(has_source & has_other, other, sources))
 
 
-def mature(count: FloatArray, sources: BoolArray, is_own: BoolArray, lies: FloatArray) -> BoolArray:
+def mature(number: FloatArray, sources: BoolArray, is_own: BoolArray, lies: FloatArray) -> BoolArray:
     """Whether a mean of a neighbour that is no source counts: it is old, and so are all sources' means, (R, D, n).
 
-    No neighbour counts that seems to lie. ``count`` and ``lies`` are those of :class:`Samples`.
+    No neighbour counts that seems to lie. ``number`` and ``lies`` are those of :class:`Samples`.
     """
-    is_old = count > C.old
+    is_old = number > C.old
     has_young = fold(np.logical_or, sources & ~is_old, axis=1)[:, None]
     return np.asarray(is_old & ~has_young & ~is_own[:, None] & (lies == 0)[:, :, None])
 

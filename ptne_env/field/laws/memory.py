@@ -42,7 +42,7 @@ class Memory(Generic[Record]):
             first += like.size
             return part
 
-        return taken(self._start)  # type: ignore[no-any-return]
+        return taken(self._start)
 
 
 def chosen(mask: BoolArray, fresh: Record, old: Record) -> Record:
@@ -55,7 +55,7 @@ def chosen(mask: BoolArray, fresh: Record, old: Record) -> Record:
             return chosen(mask, new, before)
         return np.where(mask.reshape(-1, *(1,) * (new.ndim - 1)), new, before)
 
-    return _like(fresh, map(choice, fresh, old))  # type: ignore[no-any-return]
+    return _like(fresh, map(choice, fresh, old))
 
 
 def _arrays(record: tuple[Any, ...]) -> list[Any]:

@@ -107,7 +107,7 @@ class ObserverRelay(Law):
         broke = np.maximum(was.broke, (messages.was_live & ~messages.live).any(axis=1, keepdims=True))
         damage, is_noisy, is_rounded = estimators.damage(messages, was.damage, noise, steps, scale)
         is_uneasy = is_noisy | is_rounded
-        samples = was.samples._replace(count=np.where(is_uneasy[:, :, None], was.samples.count, 0.0))
+        samples = was.samples._replace(number=np.where(is_uneasy[:, :, None], was.samples.number, 0.0))
         means = samples.mean
         if is_uneasy.any():
             found = estimators.sampled(messages, samples, estimate, is_own, is_rounded)
@@ -158,7 +158,7 @@ class ObserverRelay(Law):
         drift = np.minimum(weight + C.kept * broke, 1.0) * copy
         from_sources = estimators.belief(sources.astype(np.float64), samples, means, estimate)
         is_settled = is_rounded | (np.abs(from_sources - estimate) <= C.settled * noise)
-        beside = C.beside * estimators.mature(samples.count, sources, is_own, was.samples.lies)
+        beside = C.beside * estimators.mature(samples.number, sources, is_own, was.samples.lies)
         belief = estimators.belief(np.maximum(sources, beside), samples, means, estimate + drift) - estimate
         closes = self._closes(observation, was, is_rounded)
         stated = np.where(is_uneasy & closes & is_settled, belief, drift)

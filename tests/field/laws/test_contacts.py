@@ -7,7 +7,6 @@ from worlds import begin, fixed_part, world_and_encoder
 
 from ptne_env import FactorySpec, evaluate, get_scenario
 from ptne_env.bench import get_suite
-from ptne_env.evaluation import Track
 from ptne_env.field import laws as field_laws
 from ptne_env.field.laws.contacts import Contacts, contacts
 
@@ -145,8 +144,3 @@ def test_sources_are_found_where_episodes_draw_their_graphs_where_links_switch_a
 def test_a_step_must_be_positive():
     with pytest.raises(ValueError, match="step must be a finite number above 0"):
         field_laws.RoutedUnknown(world_and_encoder("energy")[1].layout, step=0.0)
-
-
-def test_a_track_of_one_law_is_audited_with_the_links_of_one_player():
-    results = evaluate(["multi-rate"], [Track("energy", get_scenario("energy", steps=40), "Audited.")], episodes=3)
-    assert not results.failures

@@ -99,17 +99,17 @@ def weights_of_samples(steps, forgetting):
 def test_the_mean_has_the_variance_of_its_weights(steps):
     *_, samples, means = watch(noisy(3.0, steps, slots=1, n=4000), is_rounded=False)
     expected = STD**2 * (weights_of_samples(steps, 2.0) ** 2).sum()
-    assert np.var(means[samples.count == steps]) == pytest.approx(expected, rel=0.1)
+    assert np.var(means[samples.number == steps]) == pytest.approx(expected, rel=0.1)
     assert means.mean() == pytest.approx(3.0, abs=2e-3)
     assert np.median(samples.variance) == pytest.approx(STD**2, rel=0.3)
-    assert (samples.count == steps).mean() > 0.9  # few of them seem to lag
+    assert (samples.number == steps).mean() > 0.9  # few of them seem to lag
 
 
 def test_a_mean_that_lags_becomes_the_quick_mean():
     content = np.concatenate([noisy(3.0, 150, n=40), noisy(3.0 + 10 * STD, 40, n=40, seed=1)])
     *_, samples, means = watch(content, is_rounded=False)
     assert np.abs(means - 3.0 - 10 * STD).max() < 2.5 * STD
-    assert (samples.count < 60).all()
+    assert (samples.number < 60).all()
 
 
 def test_the_mean_of_rounded_messages_of_a_dithered_strategy_is_the_strategy():

@@ -75,15 +75,6 @@ def test_without_a_displacement_nothing_is_learned_or_forgotten(generator):
         np.testing.assert_array_equal(old, new)
 
 
-def test_each_player_learns_from_its_own_row_alone_bit_for_bit(generator):
-    _, displacements, changes = draw(generator, 9)
-    together, _ = feed(blank(ROWS, OUTPUTS, REGRESSORS, SPREAD), displacements, changes)
-    for chosen in ([2], [3, 0], [1, 2, 3]):
-        alone, _ = feed(blank(len(chosen), OUTPUTS, REGRESSORS, SPREAD), displacements[:, chosen], changes[:, chosen])
-        np.testing.assert_array_equal(alone.rows, together.rows[chosen])
-        np.testing.assert_array_equal(alone.covariance, together.covariance[chosen])
-
-
 def test_covariance_stays_positive_over_a_long_run(generator):
     model = blank(ROWS, OUTPUTS, REGRESSORS, 10.0)
     for step in range(400):
