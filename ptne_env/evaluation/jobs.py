@@ -19,7 +19,6 @@ from ptne_env.perception.encoder import make_encoder
 from ptne_env.perception.observation import LayoutError
 from ptne_env.perception.policy import PolicyError
 from ptne_env.shared.arrays import FloatArray
-from ptne_env.shared.counter_random import Draws
 from ptne_env.world.dynamics import State
 from ptne_env.world.world import World
 
@@ -59,9 +58,8 @@ class Job:
             witnesses = []
             if thorough or self.policy.is_own:
                 witnesses = self._witnesses(encoder.layout, deciding, thorough=thorough)
-            with _draws(world, self.episodes).kept():
-                start = _initial_state(world, self.episodes)
-                samples = measure(rollout(policy, encoder, start, teammates, witnesses=witnesses))
+            start = _initial_state(world, self.episodes)
+            samples = measure(rollout(policy, encoder, start, teammates, witnesses=witnesses))
         except LayoutError as error:
             return JobResult(not_applicable=str(error))
         except PolicyError as error:
@@ -87,11 +85,6 @@ def _rounded(values: FloatArray) -> FloatArray:
 @lru_cache(maxsize=2)  # jobs with the same episodes follow each other
 def _initial_state(world: World, episodes: EpisodeSet) -> State:
     return episodes.initial_state(world)
-
-
-@lru_cache(maxsize=1)
-def _draws(world: World, episodes: EpisodeSet) -> Draws:  # noqa: ARG001 - whose numbers are kept
-    return Draws()
 
 
 @dataclass(frozen=True)

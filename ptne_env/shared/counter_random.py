@@ -8,9 +8,6 @@ The generator is counter-based in the sense of Salmon, Moraes, Dror & Shaw, "Par
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
-from contextvars import ContextVar
 from typing import TypeAlias
 
 import numpy as np
@@ -66,51 +63,9 @@ def uniforms(keys: CounterArray, counters: CounterArray) -> FloatArray:
 
 def normals(keys: CounterArray, counters: CounterArray) -> FloatArray:
     """N(0, 1) for every key and counter, by inversion; none is larger than 8.3. A new array."""
-    draws = _kept_draws.get()
-    return _drawn(keys, counters) if draws is None else draws.normals(keys, counters)
-
-
-def _drawn(keys: CounterArray, counters: CounterArray) -> FloatArray:
     numbers = uniforms(keys, counters)
     special.ndtri(numbers, out=numbers)
     return numbers
-
-
-class Draws:
-    """The normal numbers of episodes that run again and again, such as those of a job of each policy.
-
-    Args:
-        limit: bytes of the numbers that are kept: the first ones. Others are drawn again.
-    """
-
-    def __init__(self, limit: int = 2**27) -> None:
-        self._free = limit
-        self._found: dict[bytes, tuple[CounterArray, FloatArray]] = {}
-
-    @contextmanager
-    def kept(self) -> Iterator[None]:
-        """In the block, :func:`normals` copies numbers that are kept, and keeps those that it draws."""
-        token = _kept_draws.set(self)
-        try:
-            yield
-        finally:
-            _kept_draws.reset(token)
-
-    def normals(self, keys: CounterArray, counters: CounterArray) -> FloatArray:
-        """As :func:`normals`."""
-        name = keys.tobytes()
-        if name in self._found:
-            known, numbers = self._found[name]
-            if np.array_equal(known, counters):
-                return numbers.copy()
-        numbers = _drawn(keys, counters)
-        if numbers.nbytes + counters.nbytes <= self._free:
-            self._free -= numbers.nbytes + counters.nbytes
-            self._found[name] = counters.copy(), numbers.copy()
-        return numbers
-
-
-_kept_draws: ContextVar[Draws | None] = ContextVar("kept_draws", default=None)
 
 
 def draw_key(generator: np.random.Generator) -> int:

@@ -181,9 +181,8 @@ def _target(definition: Any) -> str:
         raise ValueError(
             f"{name} is defined inside a function or a class: define it at the top of a module or notebook"
         )
-    main = sys.modules[_MAIN]
-    if module == _MAIN and not hasattr(main, name):  # it was sent from another process
-        setattr(main, name, definition)
+    if module == _MAIN and not hasattr(sys.modules[_MAIN], name):  # it was sent from another process
+        setattr(sys.modules[_MAIN], name, definition)
     if getattr(sys.modules.get(module), name, None) is not definition:
         raise ValueError(
             f"module {module!r} has no {name}, or another one since this object was made: define {name} at the top of "
@@ -302,14 +301,9 @@ class FactorySpec:
             )
         return spec
 
-    @property
-    def is_local(self) -> bool:
-        """Whether the target is defined in the program or notebook that runs, which other processes do not import."""
-        return self.target.partition(":")[0] == _MAIN
-
     def __reduce__(self) -> tuple[Any, ...]:
-        """A spec with a local target takes the definition along: cloudpickle, which workers use, sends it by value."""
-        if not self.is_local:
+        """A spec takes a target in a notebook along, which workers cannot import: cloudpickle sends it by value."""
+        if self.target.partition(":")[0] != _MAIN:
             return FactorySpec, (self.target, self.arguments)
         return _arrived, (self.target, self.arguments, self.resolve())
 

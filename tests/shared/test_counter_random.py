@@ -130,24 +130,3 @@ def test_keys_from_a_generator_have_64_bits():
     assert len(set(keys)) == 200
     assert max(keys) > 2**63
     assert counter_random.draw_key(np.random.default_rng(1)) == keys[1]
-
-
-def test_kept_draws_are_those_of_their_keys_and_counters(monkeypatch):
-    keys, counters, limit = key_array(5, 6), np.arange(4, dtype=np.uint64)[:, None], 100
-    expected, others = counter_random.normals(keys, counters), counter_random.normals(keys, counters + np.uint64(1))
-    draws, drawn = counter_random.Draws(limit), []
-    uniforms = counter_random.uniforms
-    monkeypatch.setattr(counter_random, "uniforms", lambda *given: drawn.append(given) or uniforms(*given))
-    with draws.kept():
-        for _ in range(3):
-            numbers = counter_random.normals(keys, counters)
-            assert np.array_equal(numbers, expected)
-            numbers[:] = 0  # the numbers that are kept are no numbers of the caller
-        assert len(drawn) == 1
-        assert np.array_equal(counter_random.normals(keys, counters + np.uint64(1)), others)
-        large = np.arange(100, dtype=np.uint64)[:, None]
-        for count in (3, 4):  # above the limit
-            counter_random.normals(key_array(7), large)
-            assert len(drawn) == count
-    counter_random.normals(keys, counters)
-    assert len(drawn) == 5

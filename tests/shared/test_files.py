@@ -1,10 +1,12 @@
 import errno
 import os
 import stat
+import subprocess
+from pathlib import Path
 
 import pytest
 
-from ptne_env.shared.files import require_file, require_writable, write_atomically
+from ptne_env.shared.files import DamagedFileError, read_json, require_file, require_writable, write_atomically
 
 
 def test_folders_are_made_and_text_is_written_as_utf8(tmp_path):
@@ -21,18 +23,47 @@ def test_the_file_gets_the_permissions_of_any_new_file(tmp_path):
     assert len(modes) == 1
 
 
-def test_a_failure_leaves_the_old_file_and_no_litter(tmp_path, monkeypatch):
+@pytest.mark.parametrize("call", ["fsync", "fdopen", "chmod"])
+def test_a_full_disk_is_an_error_with_the_file_name_and_keeps_the_old_file(tmp_path, monkeypatch, call):
     path = tmp_path / "file"
     write_atomically(path, "old")
 
-    def fail(*_):
-        raise OSError("disk full")
+    def fail(*_, **__):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))  # as a file object raises it: without a name
 
-    monkeypatch.setattr(os, "fsync", fail)
-    with pytest.raises(OSError, match="disk full"):
+    monkeypatch.setattr(Path if call == "chmod" else os, call, fail)
+    with pytest.raises(OSError, match="No space left on device.*file'$"):
         write_atomically(path, "new")
+    monkeypatch.undo()
     assert path.read_text(encoding="utf-8") == "old"
     assert [found.name for found in tmp_path.iterdir()] == ["file"]
+
+
+def test_a_pipe_is_written_to_and_not_replaced(tmp_path):
+    pipe = tmp_path / "pipe"
+    os.mkfifo(pipe)
+    reader = subprocess.Popen(["cat", str(pipe)], stdout=subprocess.PIPE)  # noqa: S603, S607 - our own command
+    write_atomically(pipe, "through the pipe")
+    assert reader.communicate(timeout=30)[0] == b"through the pipe"
+    assert pipe.is_fifo()
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        (b"\xff\xfe\x00", "cut off, damaged or something else"),
+        (b'{"a": 1', "cut off, damaged or something else"),
+        (b"[" * 100_000, "cut off, damaged or something else"),
+        (b"[]", "expected a JSON object, got list"),
+        (b'{"a": NaN}', "NaN is not JSON"),
+        (b'{"a": 1, "a": 2}', "an object has a key twice"),
+    ],
+)
+def test_a_damaged_json_file_is_refused_by_name(tmp_path, content, message):
+    path = tmp_path / "file.json"
+    path.write_bytes(content)
+    with pytest.raises(DamagedFileError, match=f"file.json is not a note: .*{message}"):
+        read_json(path, "a note")
 
 
 def test_an_obstacle_to_writing_is_found_beforehand(tmp_path):

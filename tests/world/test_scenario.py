@@ -55,6 +55,18 @@ def test_json_round_trip_gives_an_equal_scenario(scenario):
     assert np.array_equal(World(again).game.nash_equilibrium, World(scenario).game.nash_equilibrium)
 
 
+@given(st.sampled_from(sorted(CATALOGUE["energy"].to_dict())), st.none() | st.integers(-3, 50) | st.text(max_size=3))
+@pytest.mark.filterwarnings("ignore:.*short of the deadline")
+def test_a_changed_scenario_is_another_one_or_refused(field, value):
+    try:
+        scenario = Scenario.from_json(json.dumps({**CATALOGUE["energy"].to_dict(), field: value}))
+        World(scenario)  # which refuses numbers out of range
+    except ValueError as error:
+        assert str(error)  # noqa: PT017 - it has to say something
+    else:
+        assert Scenario.from_json(scenario.to_json()) == scenario
+
+
 @pytest.mark.parametrize("name", CATALOGUE)
 def test_catalogue_survives_json_and_pickle(name):
     scenario = CATALOGUE[name]
