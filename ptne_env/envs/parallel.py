@@ -39,7 +39,7 @@ class NashSeekingEnv(ParallelEnv[str, Float32Array, Float32Array]):
 
     Args:
         scenario: a name of the catalogue (``ptne list`` shows them) or a scenario.
-        interface: ``"scaled"`` or ``"physical"``; see :class:`~ptne_env.perception.observation.ObservationLayout`.
+        interface: ``"scaled"`` or ``"physical"``, or that of a policy, such as ``laws.Static.interface``; see :class:`~ptne_env.perception.observation.ObservationLayout`.
         reward: a term's name (``digits``, ``tracking``, ``payoff``, ``regret``) or weights by name.
         max_cycles: steps after which the episode is truncated.
         render_mode: ``None``, ``"human"`` or ``"rgb_array"``.
@@ -67,7 +67,7 @@ class NashSeekingEnv(ParallelEnv[str, Float32Array, Float32Array]):
         self,
         scenario: str | Scenario = "energy",
         *,
-        interface: InterfaceKind = "scaled",
+        interface: InterfaceKind | Interface = "scaled",
         reward: str | Mapping[str, float] = "digits",
         max_cycles: int | None = None,
         render_mode: str | None = None,
@@ -81,7 +81,7 @@ class NashSeekingEnv(ParallelEnv[str, Float32Array, Float32Array]):
         self.metadata = {**type(self).metadata, "name": name}  # type: ignore[misc]  # PettingZoo reads the name from each instance
         self.render_mode = render_mode
         self.world = World(self.scenario)
-        encoder = player_encoder(self.world, Interface(interface))
+        encoder = player_encoder(self.world, interface)
         self._simulation = Simulation(encoder, reward=reward, max_cycles=max_cycles)
         self.possible_agents = [f"player_{index}" for index in range(self.world.game.num_players)]
         self.agents: list[str] = []

@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ptne_env.perception.encoder import Encoder, make_encoder
-from ptne_env.perception.observation import Interface, ObservationLayout
+from ptne_env.perception.observation import Interface, InterfaceKind, ObservationLayout
 from ptne_env.shared.arrays import BoolArray, Float32Array, FloatArray, IntArray, as_plain, require_count
 from ptne_env.shared.names import suggestion
 from ptne_env.shared.random_streams import RandomStreams
@@ -84,12 +84,14 @@ def changed_scenario(scenario: str | Scenario, changes: Mapping[str, Any], made:
     return get_scenario(scenario, **changes)
 
 
-def player_encoder(world: World, interface: Interface) -> Encoder:
+def player_encoder(world: World, interface: InterfaceKind | Interface) -> Encoder:
     """The encoder of an environment, which shows no more than players see.
 
     Raises:
-        ValueError: for the interface ``full``.
+        ValueError: for an unknown interface, and for ``full``.
     """
+    if not isinstance(interface, Interface):
+        interface = Interface(interface)
     if interface.kind == "full":
         raise ValueError(
             "the interface 'full' shows information that players lack and is for oracles in evaluations only; choose "

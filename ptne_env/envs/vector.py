@@ -74,14 +74,14 @@ class VectorParallelEnv:
         scenario: str | Scenario = "energy",
         num_envs: int = 1,
         *,
-        interface: InterfaceKind = "scaled",
+        interface: InterfaceKind | Interface = "scaled",
         reward: str | Mapping[str, float] = "digits",
         max_cycles: int | None = None,
         **overrides: Any,
     ) -> None:
         self.scenario = changed_scenario(scenario, overrides, VectorParallelEnv)
         self.num_envs = require_count("num_envs", num_envs, 1)
-        encoder = player_encoder(World(self.scenario), Interface(interface))
+        encoder = player_encoder(World(self.scenario), interface)
         self.layout: ObservationLayout = encoder.layout
         self.num_players = self.layout.num_players
         largest = max(1, min(BLOCK_SIZE, BLOCK_ENTRIES // (self.num_players * self.layout.size)))

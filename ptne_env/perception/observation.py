@@ -48,8 +48,7 @@ class Interface:
 
     Attributes:
         kind: ``"scaled"`` (scale-free numbers of order one, in ego order), ``"physical"`` (natural units, player order)
-            or ``"full"`` (``physical`` and information that players lack; for oracles only). Another interface gives
-            its own, so that environments take the word or what a policy brings.
+            or ``"full"`` (``physical`` and information that players lack; for oracles only).
 
     Raises:
         ValueError: for another kind.
@@ -58,8 +57,6 @@ class Interface:
     kind: InterfaceKind = "scaled"
 
     def __post_init__(self) -> None:
-        if isinstance(self.kind, Interface):
-            object.__setattr__(self, "kind", self.kind.kind)
         if self.kind not in get_args(InterfaceKind):
             raise ValueError(f"unknown interface {self.kind!r}; choose from {', '.join(get_args(InterfaceKind))}")
 
