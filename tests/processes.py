@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import IO
 
-PATIENCE = 5.0
+PATIENCE = 30.0
 """Seconds after a kill within which every process of a program has to end."""
 
 KILLS = [(number, of_group) for number in (signal.SIGKILL, signal.SIGTERM, signal.SIGINT) for of_group in (False, True)]

@@ -179,3 +179,19 @@ def world_and_encoder(scenario, **interface):
     """A world, of a name from the paper's start, and its encoder, in natural units if ``kind`` is left out."""
     world = World(from_the_paper(scenario))
     return world, make_encoder(world, Interface(**{"kind": "physical", **interface}))
+
+
+def large_energy_scenario(players=11, **fields):
+    """So many players that a sum over them may be taken in more than one order."""
+    generator = np.random.default_rng(8)
+    return Scenario(
+        name="large",
+        game=FactorySpec.of(
+            "ptne_env.games:EnergyGame",
+            curvature=generator.uniform(0.5, 2, players),
+            target=generator.uniform(5, 30, players),
+        ),
+        topology=FactorySpec.of("ptne_env.world.graphs:cycle", players=players),
+        start="random",
+        **fields,
+    )

@@ -4,8 +4,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from test_dynamics import large_energy_scenario
-from worlds import BLOCKS_SWITCHING, FAULTY, channel_part, make_env
+from worlds import BLOCKS_SWITCHING, FAULTY, channel_part, large_energy_scenario, make_env
 
 from ptne_env import VectorParallelEnv, get_scenario
 from ptne_env.envs import vector as vector_module

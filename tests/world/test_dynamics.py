@@ -4,9 +4,19 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
 from scipy.linalg import expm
-from worlds import BLOCKS, BLOCKS_SWITCHING, FAULTY, PAPER_START, begin, loop_matrix, quantity, stack
+from worlds import (
+    BLOCKS,
+    BLOCKS_SWITCHING,
+    FAULTY,
+    PAPER_START,
+    begin,
+    large_energy_scenario,
+    loop_matrix,
+    quantity,
+    stack,
+)
 
-from ptne_env import CATALOGUE, FactorySpec, Scenario, get_scenario
+from ptne_env import CATALOGUE, FactorySpec, get_scenario
 from ptne_env.shared.random_streams import RandomStreams
 from ptne_env.world import dynamics
 from ptne_env.world.world import RANGE_LIMIT, World
@@ -286,22 +296,6 @@ def test_time_stands_still_after_the_last_step():
     after = dynamics.step(world, state, np.ones_like(state.estimates))
     assert after.step[0] == 5
     assert np.array_equal(after.estimates, state.estimates)
-
-
-def large_energy_scenario(players=11, **fields):
-    """So many players that a sum over them may be taken in more than one order."""
-    generator = np.random.default_rng(8)
-    return Scenario(
-        name="large",
-        game=FactorySpec.of(
-            "ptne_env.games:EnergyGame",
-            curvature=generator.uniform(0.5, 2, players),
-            target=generator.uniform(5, 30, players),
-        ),
-        topology=FactorySpec.of("ptne_env.world.graphs:cycle", players=players),
-        start="random",
-        **fields,
-    )
 
 
 BATCHED = {

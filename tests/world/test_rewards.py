@@ -1,7 +1,6 @@
 import numpy as np
 import pytest
-from test_dynamics import large_energy_scenario
-from worlds import BLOCKS, constant_actions, make_env, play, while_running
+from worlds import BLOCKS, constant_actions, large_energy_scenario, make_env, play, while_running
 
 import ptne_env
 from ptne_env import get_scenario, laws
