@@ -74,6 +74,5 @@ def test_random_sessions_find_the_fault(fault, monkeypatch):
 def test_a_soak_prints_violations_with_their_world_and_fails(monkeypatch, capsys):
     monkeypatch.setattr(Encoder, "clip", clip_nan)
     monkeypatch.setattr("soak.CHUNK", 8)
-    monkeypatch.setattr("soak.ENOUGH", 1)
     assert main(["--episodes", "1000", "--each", "5", "--jobs", "1"]) == 1
-    assert "AssertionError: a wrong call was accepted (--world 0)" in capsys.readouterr().out
+    assert "--world 0: " in capsys.readouterr().out

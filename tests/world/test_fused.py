@@ -132,11 +132,6 @@ def test_episodes_end_at_the_same_step_compiled(compiled, monkeypatch):
     assert len(calls) == step + 1
 
 
-def test_every_reward_is_the_same_compiled(compiled):
-    reward = {"digits": 1.0, "tracking": 0.1, "payoff": 1e-3, "regret": 1e-3}
-    check_equal([vector_env("random-energy", 5, by_numpy=flag, reward=reward) for flag in (False, True)], 12)
-
-
 @pytest.mark.parametrize("sign", [-1, 1])
 def test_environments_that_diverge_are_left_to_numpy(sign, compiled):
     arguments = {"input_limit": 1e9}
@@ -151,14 +146,6 @@ def test_environments_that_diverge_are_left_to_numpy(sign, compiled):
         assert ours.infos["diverged"][2] == (step == 0)
         assert bits(ours.observations) == bits(expected.observations)
         assert bits(ours.rewards) == bits(expected.rewards)
-
-
-def test_a_new_episode_of_the_same_game_has_new_graphs_compiled(compiled, monkeypatch):
-    scenario = WORLDS["ptne-v1 unseen-graphs"].replace(game=CATALOGUE["energy"].game)
-    calls, envs = kernel_calls(monkeypatch), [vector_env(scenario, 2, by_numpy=flag) for flag in (False, True)]
-    for seed in range(3):
-        check_equal(envs, 8, seed)
-    assert len(calls) == 24
 
 
 def test_numpy_and_the_compiled_step_may_take_turns_in_an_episode(compiled, monkeypatch):
@@ -252,51 +239,6 @@ def test_a_refused_action_leaves_the_state_as_it_was_compiled(width, compiled):
             assert state_bits(ours.get_state()) == state_bits(expected.get_state())
 
 
-def test_episodes_are_cut_at_the_same_step_compiled(compiled, monkeypatch):
-    calls = kernel_calls(monkeypatch)
-    envs = [vector_env("energy", 3, by_numpy=flag, max_cycles=4) for flag in (False, True)]
-    for env in envs:
-        env.reset(seed=0)
-        env.step(np.zeros((3, 5, 5), dtype=np.float32))
-        env.reset(mask=[False, True, False])
-    cut = []
-    for _ in range(3):
-        outcome, expected = (env.step(np.zeros((3, 5, 5), dtype=np.float32)) for env in envs)
-        assert bits(outcome.truncated) == bits(expected.truncated)
-        cut.append(outcome.truncated.tolist())
-    assert cut == [[False] * 3, [False] * 3, [True, False, True]]
-    assert len(calls) == 4
-
-
-def test_a_state_from_outside_in_another_memory_order_is_the_same_compiled(compiled):
-    envs = [vector_env("random-energy", 6, by_numpy=flag) for flag in (False, True)]
-    table = np.random.default_rng(0).uniform(-5, 5, (6, 5, 5))
-    first, second = (env.reset(seed=3, estimates=table) for env in envs)
-    assert bits(first) == bits(second)
-    actions = np.full((5, 5, 6), 0.1, dtype=np.float16).T
-    outcome, expected = (env.step(actions) for env in envs)
-    assert bits(outcome.observations) == bits(expected.observations)
-    assert bits(outcome.rewards) == bits(expected.rewards)
-
-
-def test_all_worlds_share_one_compiled_step(compiled):
-    signatures = set()
-    for name in ("energy", "cournot", "ev-charging", "ptne-v1 unseen-graphs", "ptne-v1 markov", "ptne-v1 wrong-clock"):
-        for num_envs in (1, 3):
-            env = vector_env(WORLDS[name], num_envs)
-            known = set(fused.kernels().step.signatures)
-            for estimates in (None, np.zeros((env.num_players, env.layout.dimension))):
-                env.reset(seed=0, estimates=estimates)
-                env.step(np.zeros((num_envs, env.num_players, env.layout.action_size), dtype=np.float32))
-            signatures |= set(fused.kernels().step.signatures) - known
-    assert len(signatures) <= 1
-
-
-def test_one_environment_of_a_large_world_is_left_to_numpy():
-    crowd, pair = (vector_env(WORLDS["ptne-v1 large-50"], num_envs) for num_envs in (1, 2))
-    assert (crowd._blocks[0]._fused is None, pair._blocks[0]._fused is None) == (True, False)
-
-
 # --- the switch -------------------------------------------------------------------------------------------------------
 
 PLAY = """
@@ -367,21 +309,3 @@ def test_a_processor_that_rounds_differently_is_one_warning_and_the_numpy_path(c
     assert [bits(result.observations) for result in results] == [
         bits(expected.step(actions).observations) for _ in range(3)
     ]
-
-
-def test_read_only_actions_and_states_are_not_compiled_for_again(compiled):
-    from ptne_env.world import kernels
-
-    env = vector_env("energy", 3)
-    env.reset(seed=0)
-    actions = np.zeros((3, 5, 5), dtype=np.float32)
-    env.step(actions)
-    functions = kernels.step, kernels.is_inside
-    compilations = [len(function.signatures) for function in functions]
-    actions.flags.writeable = False
-    env.step(actions)
-    state = env._blocks[0].current
-    state.estimates.flags.writeable = state.step.flags.writeable = False
-    env._blocks[0].set_state(state)
-    env.step(np.zeros_like(actions))
-    assert [len(function.signatures) for function in functions] == compilations

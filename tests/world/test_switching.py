@@ -27,11 +27,6 @@ def test_paper_topology_has_four_disconnected_modes_with_union_cycle():
     assert topology.mean_dwell == pytest.approx(0.1)
 
 
-def test_disconnected_union_is_not_jointly_connected():
-    pairs = [graphs.from_edges(4, [(0, 1)]), graphs.from_edges(4, [(2, 3)])]
-    assert not SwitchingTopology(pairs, [1.0, 1.0]).is_jointly_connected
-
-
 @given(
     st.lists(st.floats(0.05, 2.0), min_size=2, max_size=5),
     st.lists(st.floats(0.0, 50.0), min_size=1, max_size=20),
@@ -100,11 +95,6 @@ def test_inconsistent_topologies_are_refused(arguments, message):
         SwitchingTopology(**arguments)
 
 
-def test_instant_before_the_start_is_refused():
-    with pytest.raises(ValueError, match="starts at 0"):
-        switching.paper_topology().schedule([-0.1])
-
-
 FALSE_ALARM = 1e-6
 """Probability of a false alarm of each statistical test below; seeds are fixed."""
 
@@ -162,15 +152,6 @@ def test_drawn_schedule_agrees_with_a_walk_through_the_draws(topology):
         assert schedule.modes[:, b].tolist() == modes
         assert schedule.time_since_switch[:, b] == pytest.approx(np.array(since), abs=1e-9)
     assert len({tuple(column) for column in schedule.modes.T}) > 1
-
-
-def test_schedules_of_episodes_do_not_depend_on_each_other():
-    topology, instants = MarkovTopology(PAIRS, CHAIN, (0.2, 0.7)), np.linspace(0, 12, 97)
-    together = topology.draw(instants, generators(5))
-    for b in range(5):
-        alone = topology.draw(instants, generators(1, seed=b))
-        assert np.array_equal(alone.modes[:, 0], together.modes[:, b])
-        assert np.array_equal(alone.time_since_switch[:, 0], together.time_since_switch[:, b])
 
 
 def test_modes_follow_the_chain_and_dwells_are_uniform():
@@ -255,15 +236,6 @@ def test_joint_connectivity_of_every_kind_of_topology():
     assert EpisodeTopology([graphs.path(4), apart[0]]).joint_connectivity == "never"
 
 
-def test_almost_sure_connectivity_has_no_window():
-    """For every window there is an episode whose union over that window is not connected."""
-    topology = MarkovTopology(PAIRS, np.full((3, 3), 1 / 3), 1.0)
-    modes = topology.draw(np.arange(40) + 0.5, generators(2000)).modes
-    disconnected = [len(set(modes[:5, b])) < 3 for b in range(2000)]
-    probability = (3 * 2**5 - 3) / 3**5  # a mode or two are missing among five
-    assert stats.binomtest(sum(disconnected), 2000, probability).pvalue > FALSE_ALARM
-
-
 def test_random_topology_has_no_schedule_without_a_draw():
     topology = MarkovTopology(PAIRS, CHAIN, (0.2, 0.7))
     assert topology.is_random
@@ -274,14 +246,6 @@ def test_random_topology_has_no_schedule_without_a_draw():
             call()
     with pytest.raises(ValueError, match="starts at 0"):
         topology.draw([-1.0, 0.0], generators(1))
-
-
-def test_draw_of_a_periodic_topology_is_its_schedule():
-    topology, instants = switching.paper_topology(), np.linspace(0, 1, 31)
-    drawn, schedule = topology.draw(instants, generators(3)), topology.schedule(instants)
-    for b in range(3):
-        assert np.array_equal(drawn.modes[:, b], schedule.modes)
-        assert np.array_equal(drawn.time_since_switch[:, b], schedule.time_since_switch)
 
 
 @pytest.mark.parametrize(
