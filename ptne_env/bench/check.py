@@ -142,7 +142,7 @@ def _differences_of_rules(results: Results, data: Mapping[str, Any]) -> Iterator
             yield f"the files of policy {spec.name} are not those that were run"
         if spec.name in (ZERO, LAW, ORACLE) and spec != POLICIES[spec.name]:
             yield f"policy {spec.name} is not the reference policy of this name"
-    if results.target not in SUITES:
+    if results.target is None or results.target not in SUITES:
         return
     suite = get_suite(results.target)
     for name in {reference.name for reference in suite.references} - results.policies.keys():

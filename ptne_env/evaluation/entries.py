@@ -59,23 +59,15 @@ class PolicySpec:
             raise ValueError(
                 f"the training seeds of policy {self.name!r} have different interfaces: they are no one policy"
             )
-        (own,) = declared
-        if own is not None and self.interface not in (None, own):
-            raise ValueError(
-                f"policy {self.name!r} declares the interface {own}: it cannot act through {self.interface}"
-            )
-        object.__setattr__(self, "interface", own or self.interface or Interface())
+        (own,), given = declared, self.interface
+        if own is not None and given not in (None, own):
+            raise ValueError(f"policy {self.name!r} declares the interface {own}: it cannot act through {given}")
+        object.__setattr__(self, "interface", next(each for each in (own, given, Interface()) if each is not None))
 
     @property
     def training_seeds(self) -> tuple[PolicySource, ...]:
         """The policy of each training seed; one where nothing was trained."""
         return self.policy if isinstance(self.policy, tuple) else (self.policy,)
-
-    @property
-    def specs(self) -> list[FactorySpec]:
-        """The factory specs of the training seeds, nested ones too; none of policies that were given as objects."""
-        sources = (source for source in self.training_seeds if isinstance(source, FactorySpec))
-        return [part for source in sources for part in source.nested()]
 
     @property
     def is_oracle(self) -> bool:
@@ -90,18 +82,18 @@ class PolicySpec:
     @property
     def is_own(self) -> bool:
         """Whether any of it is the user's: an object, code from outside the library, or a file that does not ship."""
-        foreign = not self.is_repeatable or any(map(foreign_targets, self.specs))
+        foreign = not self.is_repeatable or any(map(foreign_targets, self.training_seeds))
         return foreign or any(Path(path).suffix for path in self.files)  # shipped files go by their names
 
     @property
     def files(self) -> list[str]:
         """The paths, or the names of shipped files, that policies are loaded from, one per training seed in a file."""
-        return [str(dict(spec.arguments)[_argument(spec)]) for spec in self.specs if spec.target in _LIBRARIES]
+        return [path for path in map(_file_of, self.training_seeds) if path is not None]
 
     @property
     def libraries(self) -> tuple[str, ...]:
         """The libraries that it computes with, beside those that every result depends on."""
-        return tuple(library for spec in self.specs for library in _LIBRARIES.get(spec.target, ()))
+        return _LIBRARIES.get(getattr(self.training_seeds[0], "target", ""), ())
 
     def build(self, layout: ObservationLayout, training_seed: int = 0) -> Policy:
         """The policy of a training seed for a layout.
@@ -172,14 +164,16 @@ def _declared_interface(source: PolicySource) -> Interface | None:
     return getattr(found, "interface", None)
 
 
-def _argument(spec: FactorySpec) -> str:
-    """The argument that names the file of a policy."""
-    return "path" if spec.target == ARCHIVE else "path_or_name"
+def _file_of(source: PolicySource) -> str | None:
+    """The path, or the name of a shipped file, that a policy is loaded from."""
+    if not isinstance(source, FactorySpec) or source.target not in _LIBRARIES:
+        return None
+    return str(dict(source.arguments)["path" if source.target == ARCHIVE else "path_or_name"])
 
 
 def _source_to_dict(source: PolicySource) -> dict[str, Any]:
     if isinstance(source, FactorySpec):
-        path = dict(source.arguments).get(_argument(source)) if source.target in _LIBRARIES else None
+        path = _file_of(source)
         return {**source.to_dict(), "sha256": path and file_hash(_shipped_file(path))}
     named = source if isinstance(source, type) else type(source)
     return {"object": f"{named.__module__}:{named.__qualname__}"}

@@ -261,5 +261,6 @@ def _reasons(reasons: Mapping[Place, str]) -> list[dict[str, str]]:
 
 def to_json_list(values: FloatArray) -> list[Any]:
     """Numbers as a list of any depth, in which NaN is ``None``."""
-    found: list[Any] = np.where(np.isfinite(values), values, None).tolist()
-    return found
+    found = values.astype(object)
+    found[~np.isfinite(values)] = None
+    return list(found.tolist())

@@ -4,6 +4,7 @@ import re
 
 import numpy as np
 import pytest
+from extras import need_onnx
 from small_suite import BASE
 
 import ptne_env
@@ -55,9 +56,10 @@ def test_a_witness_of_own_links_gets_rows_of_one_player(episodes):
 )
 def test_policies_that_ship_pass_the_thorough_audit_by_which_a_run_takes_them_on_trust(scenario):
     track, episodes = Track("t", scenario, "A change."), EpisodeSet(2, 0)
-    results = {policy.name: Job(track, policy, 0, episodes).compute(thorough=True) for policy in POLICIES.values()}
+    laws_alone = [POLICIES[name] for name in POLICIES if not name.startswith("ppo-")]
+    results = {policy.name: Job(track, policy, 0, episodes).compute(thorough=True) for policy in laws_alone}
     assert {name: result.failure for name, result in results.items() if result.failure} == {}
-    assert sum(result.not_applicable is None for result in results.values()) >= len(POLICIES) - 3
+    assert not any(result.not_applicable for result in results.values())
 
 
 class Mixing(laws.Static):
@@ -118,6 +120,7 @@ def test_decisions_that_are_not_row_wise_or_use_other_links_fail_the_audit(polic
 
 
 def test_policies_of_the_user_are_audited_and_those_that_ship_are_not(tmp_path, monkeypatch):
+    need_onnx()
     own = tmp_path / "mine.onnx"
     own.write_bytes(shipped_path("ppo-random-energy").read_bytes())
     audited = []
