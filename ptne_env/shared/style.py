@@ -21,8 +21,6 @@ LIGHT: Mapping[str, str] = MappingProxyType(
         "line": "#d5dae1",
         "grid": "#e4e8ed",
         "accent": "#0b5cad",
-        "holds": "#0a6b3d",
-        "fails": "#b3261e",
     }
 )
 """Colours of a page by role; letters have contrast 4.5:1 on ``ground`` and ``panel``. Pictures use four of them."""
@@ -36,8 +34,6 @@ DARK: Mapping[str, str] = MappingProxyType(
         "line": "#3a424c",
         "grid": "#2b3138",
         "accent": "#7db8f2",
-        "holds": "#6fd39b",
-        "fails": "#ff9d94",
     }
 )
 """The same roles for a dark page."""

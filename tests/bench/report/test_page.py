@@ -12,11 +12,14 @@ import pytest
 from ptne_env import get_scenario
 from ptne_env.bench.report import page
 from ptne_env.bench.report.page import Page, Part
+from ptne_env.bench.report.paper import paper_page
 from ptne_env.bench.report.tables import answer, text_table
 from ptne_env.bench.report.traces import scene
 from ptne_env.evaluation import EpisodeSet, get_policy_spec
 from ptne_env.evaluation.metrics import number
 from ptne_env.shared.style import COLOURS, DARK, LIGHT
+from ptne_env.theory.paper import Claim, Reproduction, TableRow
+from ptne_env.theory.paper.figures import FIGURES
 from ptne_env.world.world import World
 
 VOID = {"meta", "link", "input", "br", "img", "hr"}
@@ -175,3 +178,18 @@ def test_a_page_of_words_and_pictures_needs_no_plotly():
     assert "plotly-data" not in text
     assert "&lt;b&gt;" in text
     assert "data:image/svg+xml;base64,PHN2Zy8+" in text
+
+
+def test_the_page_of_the_paper_has_its_table_figures_and_verdicts(tmp_path):
+    rows = (TableRow("Proposed", 2.0, 20.0, 1.2, None, 0.1),)
+    claims = (Claim("Theorem 1", "It converges.", "holds", "r = 0.28"), Claim("Erratum 1", "A misprint.", "fails", "0"))
+    figures = [tmp_path / f"{spec.name}.svg" for spec in FIGURES]
+    for path in figures:
+        path.write_text("<svg/>", encoding="utf-8")
+    made = Reproduction(rows, claims, tuple(figures), tmp_path / "results.json", 1.0)
+    outline = Outline(paper_page(made, "ptne reproduce --out paper"))
+    assert outline.wrong == []
+    (answered,) = (text for attributes, text in outline.all("p") if attributes.get("class") == "answer")
+    assert answered == "1 of 1 claims hold when measured. Failing: none."
+    assert len(outline.all("img")) == len(FIGURES)
+    assert {"never", "r = 0.28", "holds", "not confirmed"} <= {text for _, text in outline.all("td")}
