@@ -319,4 +319,4 @@ def relay_condition(law: ContactRelay, constants: ProblemConstants) -> Condition
 
 @condition.register
 def observer_relay_condition(law: ObserverRelay, constants: ProblemConstants) -> None:
-    """No theorem: its gates follow evidence, and it extrapolates its own gradient."""
+    """No theorem: what it follows depends on what it observes, and it extrapolates its own gradient."""
