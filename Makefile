@@ -13,7 +13,7 @@ CORE    = tests/shared tests/games tests/world tests/perception tests/laws tests
 .PHONY: compare test lint types unit core publish reproduce docs soak smoke ray lowest newest clean
 
 compare: $(VENV)/.bench
-	$(BIN)/ptne compare --out $(OUT)/comparison
+	$(BIN)/ptne compare --episodes 50 --out $(OUT)/comparison
 
 test: lint types unit
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 from ptne_env.bench.check import Check, Repetition
 from ptne_env.bench.report.tables import Cell, Column, Table, text_table
 from ptne_env.evaluation.metrics import number
@@ -67,7 +69,7 @@ def check_tables(check: Check) -> tuple[Table, Table]:
         + f", training seed {repetition.job.training_seed}" * (repetition.job.training_seed > 0): repetition
         for repetition in check.repetitions
     }
-    columns = {
+    columns: dict[str, Callable[[Repetition], Cell]] = {
         "largest difference": lambda repetition: Cell.of(repetition.difference),
         "verdict": lambda repetition: Cell.words(_verdict(repetition, same_arithmetic=check.same_arithmetic)),
     }
