@@ -79,7 +79,6 @@ def test_only_public_modules_and_names_are_attributes():
             getattr(ptne_env, missing)
 
 
-@pytest.mark.skipif(not hasattr(pettingzoo, "parallel_registry"), reason="needs PettingZoo 1.27")
 def test_exactly_the_catalogue_is_registered_with_pettingzoo():
     parallel = {name for name in pettingzoo.parallel_registry if name.startswith("ptne/")}
     assert parallel == {f"ptne/{scenario}-v0" for scenario in ptne_env.CATALOGUE}

@@ -180,7 +180,10 @@ class NashSeekingEnv(ParallelEnv[str, Float32Array, Float32Array]):
             self._render_human()
         first = {"diverged": np.False_, "clipped": np.int64(0), "is_success": self._simulation.succeeded()[0]}
         first |= dict.fromkeys(self._simulation.reward_names, np.float64(0))
-        observations = dict(zip(self.agents, self._simulation.observe()[0], strict=True))
+        rows = map(
+            np.ndarray.copy, self._simulation.observe()[0]
+        )  # a row leads to all others by its attribute ``base``
+        observations = dict(zip(self.agents, rows, strict=True))
         return observations, {agent: first.copy() for agent in self.agents}
 
     def step(

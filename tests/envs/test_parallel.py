@@ -1,81 +1,14 @@
-import copy
-import pickle
+"""The PettingZoo environment's own facts; what all adapters promise is in test_adapters.py."""
 
 import numpy as np
 import pytest
 from extras import need_sb3
-from worlds import BLOCKS, PAPER_START, constant_actions, make_env, play, while_running
+from test_adapters import same
+from worlds import BLOCKS, FAULTY, PAPER_START, constant_actions, make_env, play, while_running
 
 import ptne_env
-from ptne_env import CATALOGUE, get_scenario, laws
-from ptne_env.bench import get_suite
+from ptne_env import laws
 from ptne_env.envs.turn_based import aec_env
-from ptne_env.world import dynamics
-
-INTERFACES = [
-    {"interface": interface, "action_mode": mode} for interface in ("physical", "scaled") for mode in ("input", "gains")
-]
-
-
-def name_of(scenario):
-    return getattr(scenario, "name", scenario)
-
-
-def random_actions(env, generator):
-    """Float32 actions, some of them outside the box."""
-    bound, size = 1.2 * env.layout.action_bound, env.layout.action_size
-    return {agent: generator.uniform(-bound, bound, size).astype(np.float32) for agent in env.agents}
-
-
-def go_on(env, steps, generator):
-    """All that ``steps`` random steps return, and the views of the whole after each."""
-    return [
-        (*env.step(random_actions(env, generator)), env.state(), env.estimates, env.time)
-        for _ in range(steps)
-        if env.agents
-    ]
-
-
-def same(first, second):
-    """Equality of nested records, bit for bit and type for type."""
-    if isinstance(first, dict):
-        return list(first) == list(second) and all(same(first[key], second[key]) for key in first)
-    if isinstance(first, list | tuple):
-        return len(first) == len(second) and all(same(a, b) for a, b in zip(first, second, strict=True))
-    if isinstance(first, np.ndarray):
-        return first.dtype == second.dtype and np.array_equal(first, second)
-    return type(first) is type(second) and first == second
-
-
-def arrays_in(value):
-    if isinstance(value, np.ndarray):
-        yield value
-    elif isinstance(value, dict):
-        for item in value.values():
-            yield from arrays_in(item)
-    elif isinstance(value, list | tuple):
-        for item in value:
-            yield from arrays_in(item)
-
-
-# --- determinism ------------------------------------------------------------------------------------------------------
-
-
-def seeded_episode(name, seed, **arguments):
-    env = make_env(name, start="random", steps=150, input_limit=5.0, **arguments)
-    first = env.reset(seed=seed)
-    episode = go_on(env, 150, np.random.default_rng(0))
-    following = env.reset()
-    return [first, episode, following, go_on(env, 5, np.random.default_rng(1))]
-
-
-@pytest.mark.parametrize("arguments", INTERFACES, ids=lambda arguments: "-".join(arguments.values()))
-@pytest.mark.parametrize("name", CATALOGUE)
-def test_same_seed_and_actions_repeat_whole_episodes_bit_for_bit(name, arguments):
-    record = seeded_episode(name, 4, **arguments)
-    assert same(record, seeded_episode(name, 4, **arguments))
-    assert not same(record, seeded_episode(name, 5, **arguments))
-    assert len(record[1]) > 1
 
 
 def test_a_reset_without_seed_draws_new_starts():
@@ -88,21 +21,6 @@ def test_a_reset_without_seed_draws_new_starts():
     assert len({start.tobytes() for start in starts}) == 4
     env.reset(seed=0)
     assert np.array_equal(env.estimates, starts[0])
-
-
-def test_environments_without_seed_differ():
-    first, second = make_env("energy", start="random"), make_env("energy", start="random")
-    first.reset()
-    second.reset()
-    assert not np.array_equal(first.estimates, second.estimates)
-
-
-def test_paper_start_needs_no_seed():
-    env = make_env("energy")
-    env.reset()
-    assert np.array_equal(env.estimates, PAPER_START)
-    env.reset(seed=99)
-    assert np.array_equal(env.estimates, PAPER_START)
 
 
 def test_options_set_the_start():
@@ -127,9 +45,6 @@ def test_given_estimates_draw_no_random_numbers():
     assert np.array_equal(env.estimates, undisturbed.estimates)
 
 
-# --- the end of an episode --------------------------------------------------------------------------------------------
-
-
 def ends(env, **reset):
     """Length, terminated, truncated and infos of an episode of zeros."""
     env.reset(**reset)
@@ -140,27 +55,6 @@ def ends(env, **reset):
         assert len(set(terminations.values())) == len(set(truncations.values())) == 1
         assert terminations.keys() == truncations.keys() == infos.keys() == set(env.possible_agents)
     return length, terminations["player_0"], truncations["player_0"], infos["player_0"]
-
-
-@pytest.mark.parametrize(
-    ("max_cycles", "length", "terminated", "truncated"),
-    [(None, 12, True, False), (13, 12, True, False), (12, 12, True, False), (11, 11, False, True), (1, 1, False, True)],
-)
-def test_reaching_the_end_is_termination_and_an_earlier_cut_is_truncation(max_cycles, length, terminated, truncated):
-    env = make_env("energy", steps=8, hold_steps=4, max_cycles=max_cycles)
-    assert ends(env)[:3] == (length, terminated, truncated)
-    assert ends(env)[:3] == (length, terminated, truncated)  # the count starts afresh
-
-
-def test_nothing_ends_before_the_last_step():
-    env = make_env("energy", steps=5)
-    env.reset()
-    for _ in range(4):
-        _, _, terminations, truncations, infos = env.step(constant_actions(env, 0.0))
-        assert not any(terminations.values())
-        assert not any(truncations.values())
-        assert not any(info["is_success"] for info in infos.values())
-        assert env.agents == env.possible_agents
 
 
 @pytest.mark.parametrize("max_cycles", [None, 3])
@@ -187,9 +81,8 @@ def crash(env):
     return env.step(constant_actions(env, env.layout.action_bound))
 
 
-@pytest.mark.parametrize("interface", ["physical", "scaled"])
-def test_divergence_ends_the_episode_with_finite_values(interface):
-    env = make_env("non-quadratic", input_limit=1e7, interface=interface, action_scale=1e7)
+def test_divergence_ends_the_episode_with_finite_values():
+    env = make_env("non-quadratic", input_limit=1e7)
     observations, rewards, terminations, truncations, infos = crash(env)
     assert all(terminations.values())
     assert not any(truncations.values())
@@ -202,36 +95,9 @@ def test_divergence_ends_the_episode_with_finite_values(interface):
         assert rewards[agent] < 0
     assert env.state_space.contains(env.state())
     assert np.all(np.isfinite(env.estimates))
-    observations, _ = env.reset()
-    assert np.array_equal(env.estimates, PAPER_START)
+    env.reset()
     _, _, _, _, infos = env.step(constant_actions(env, 0.0))
     assert not infos["player_0"]["diverged"]
-
-
-# --- observations, infos and spaces -----------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("arguments", INTERFACES, ids=lambda arguments: "-".join(arguments.values()))
-@pytest.mark.parametrize("name", [*CATALOGUE, "blocks"])
-def test_spaces_contain_all_that_an_episode_returns(name, arguments):
-    scenario = BLOCKS if name == "blocks" else name
-    env = make_env(scenario, start="random", steps=150, hold_steps=5, input_limit=20.0, **arguments)
-    generator = np.random.default_rng(0)
-    observations, infos = env.reset(seed=0)
-    assert list(infos) == env.possible_agents
-    for _ in range(env.world.clock.total_steps + 1):
-        for agent in env.possible_agents:
-            assert observations[agent].dtype == np.float32
-            assert env.observation_space(agent).contains(observations[agent])
-        assert env.state().dtype == np.float32
-        assert env.state_space.contains(env.state())
-        if not env.agents:
-            break
-        observations, rewards, terminations, truncations, infos = env.step(random_actions(env, generator))
-        for agent in env.possible_agents:
-            assert type(rewards[agent]) is float
-            assert type(terminations[agent]) is type(truncations[agent]) is bool
-            assert all(np.isfinite(value) for value in infos[agent].values())
 
 
 def test_spaces_belong_to_one_agent_of_one_environment_and_stay_the_same():
@@ -309,174 +175,6 @@ def test_estimates_at_the_deadline_are_those_of_the_last_step():
     assert np.linalg.norm(states[-1] - equilibrium) < 0.5 * np.linalg.norm(states[400] - equilibrium)
 
 
-# --- aliasing ---------------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("interface", ["physical", "scaled"])
-@pytest.mark.parametrize("name", ["energy", "energy-switching", BLOCKS], ids=name_of)
-def test_returned_arrays_never_change_and_are_not_shared(name, interface):
-    env = make_env(name, interface=interface, steps=30, start="random", input_limit=5.0)
-    record = [env.reset(seed=0)]
-    kept = [copy.deepcopy(record[0])]
-    generator = np.random.default_rng(0)
-    for _ in while_running(env):
-        result = (*env.step(random_actions(env, generator)), env.state(), env.estimates, env.strategies)
-        record.append(result)
-        kept.append(copy.deepcopy(result))
-    env.reset()
-    assert same(record, kept)
-    arrays = list(arrays_in(record))
-    for index, array in enumerate(arrays):
-        assert not any(np.shares_memory(array, other) for other in arrays[index + 1 : index + 40])
-        assert not np.shares_memory(array, env._simulation.state.estimates)
-
-
-@pytest.mark.parametrize("name", ["energy", "energy-switching"])
-def test_writing_into_returned_arrays_changes_nothing(name):
-    env, undisturbed = (make_env(name, steps=30, start="random", input_limit=5.0) for _ in range(2))
-    generators = [np.random.default_rng(0) for _ in range(2)]
-    record = undisturbed.reset(seed=0)
-    vandalised = env.reset(seed=0)
-    for _ in while_running(undisturbed):
-        assert same(record, vandalised)
-        for array in [*arrays_in(vandalised), env.state(), env.estimates, env.strategies, env.nash_equilibrium]:
-            array[...] = np.float32(77)
-        for value in vandalised:
-            value.clear()
-        actions = random_actions(env, generators[0])
-        vandalised = env.step(actions)
-        for action in actions.values():
-            action[:] = 55
-        record = undisturbed.step(random_actions(undisturbed, generators[1]))
-    assert same(record, vandalised)
-
-
-def pickled(env):
-    return pickle.loads(pickle.dumps(env))  # noqa: S301 - our own bytes
-
-
-@pytest.mark.parametrize("duplicate", [copy.copy, copy.deepcopy, pickled], ids=["copy", "deepcopy", "pickle"])
-@pytest.mark.parametrize("name", ["energy", "energy-switching-transformed", BLOCKS], ids=name_of)
-def test_a_copy_continues_identically_and_independently(name, duplicate):
-    env = make_env(name, steps=150, start="random", input_limit=5.0, reward={"digits": 1.0, "payoff": 0.1})
-    env.reset(seed=0)
-    go_on(env, 25, np.random.default_rng(1))
-    twin = duplicate(env)
-    ours = [go_on(env, 150, np.random.default_rng(2)), env.reset(), go_on(env, 3, np.random.default_rng(3))]
-    theirs = [go_on(twin, 150, np.random.default_rng(2)), twin.reset(), go_on(twin, 3, np.random.default_rng(3))]
-    assert len(ours[0]) == 125
-    assert same(ours, theirs)
-
-
-# --- bad input --------------------------------------------------------------------------------------------------------
-
-
-def changed(agent, action):
-    def change(actions):
-        return {**actions, agent: action}
-
-    return change
-
-
-def without(agent):
-    return lambda actions: {name: action for name, action in actions.items() if name != agent}
-
-
-def spoiled(value):
-    action = np.zeros(5, dtype=np.float32)
-    action[3] = value
-    return action
-
-
-BAD_ACTIONS = {
-    "NaN": (changed("player_2", spoiled(np.nan)), "action of player_2 is not finite; expected numbers without NaN"),
-    "infinite": (changed("player_4", spoiled(np.inf)), "action of player_4 is not finite"),
-    "minus infinite": (changed("player_0", spoiled(-np.inf)), "action of player_0 is not finite"),
-    "too short": (
-        changed("player_1", np.zeros(4, dtype=np.float32)),
-        r"action of player_1 has the shape \(4,\); expected \(5,\)",
-    ),
-    "too deep": (changed("player_1", np.zeros((1, 5), dtype=np.float32)), r"shape \(1, 5\); expected \(5,\)"),
-    "scalar": (changed("player_1", np.float32(0)), r"shape \(\); expected \(5,\)"),
-    "masked": (
-        changed("player_3", np.ma.masked_array(np.zeros(5, dtype=np.float32), mask=[1, 0, 0, 0, 0])),
-        "player_3 is a masked array; expected a plain one",
-    ),
-    "booleans": (changed("player_3", np.zeros(5, dtype=np.bool_)), "player_3 has the dtype bool; expected numbers"),
-    "strings": (changed("player_3", np.array(["a"] * 5)), "player_3 has the dtype <U1; expected numbers"),
-    "objects": (changed("player_3", np.array([None] * 5)), "player_3 has the dtype object; expected numbers"),
-    "complex": (changed("player_3", np.zeros(5, dtype=np.complex64)), "dtype complex64; expected numbers"),
-    "nothing": (changed("player_3", None), "player_3 has the dtype object; expected numbers"),
-    "missing agent": (without("player_3"), "one action per live agent; missing: player_3; unknown: none; live: pl"),
-    "unknown agent": (changed("player_9", spoiled(0)), "missing: none; unknown: player_9; live: player_0, player_1"),
-    "a list": (lambda actions: list(actions.values()), "a dictionary with one action per agent, got a list"),
-    "no agents": (lambda actions: {}, "missing: player_0, player_1, player_2, player_3, player_4"),
-}
-
-
-@pytest.mark.parametrize("name", BAD_ACTIONS)
-def test_a_bad_action_is_refused_by_agent_and_changes_nothing(name):
-    spoil, message = BAD_ACTIONS[name]
-    env, undisturbed = (make_env("energy-switching", start="random", steps=60, input_limit=9.0) for _ in range(2))
-    for each in (env, undisturbed):
-        each.reset(seed=0)
-        go_on(each, 20, np.random.default_rng(0))
-    with pytest.raises(ValueError, match=message):
-        env.step(spoil(constant_actions(env, 0.5)))
-    generators = [np.random.default_rng(1) for _ in range(2)]
-    ours = [go_on(env, 60, generators[0]), env.reset(), go_on(env, 3, generators[0])]
-    theirs = [go_on(undisturbed, 60, generators[1]), undisturbed.reset(), go_on(undisturbed, 3, generators[1])]
-    assert len(ours[0]) == 40
-    assert same(ours, theirs)
-
-
-BAD_RESETS = {
-    "estimates of another shape": ({"options": {"estimates": np.zeros((5, 4))}}, r"shape \(N, n\) = \(5, 5\), got \(5"),
-    "estimates that are NaN": ({"options": {"estimates": np.full((5, 5), np.nan)}}, "must be finite and within"),
-    "estimates of unequal rows": ({"options": {"estimates": [[1.0, 2.0], [3.0]]}}, r"\(N, n\) table of numbers"),
-    "estimates that are words": ({"options": {"estimates": [["a"]]}}, r"\(N, n\) table of numbers"),
-    "estimates that are nothing": ({"options": {"estimates": [[None, {}]]}}, r"\(N, n\) table of numbers"),
-    "estimates out of range": ({"options": {"estimates": np.full((5, 5), 1e6)}}, "must be finite and within"),
-    "negative seed": ({"seed": -1}, "a seed is a whole number of at least 0 or None"),
-    "fractional seed": ({"seed": 1.5}, "a seed is a whole number of at least 0 or None"),
-    "good seed, bad estimates": ({"seed": 3, "options": {"estimates": [[1.0]]}}, r"got \(1, 1\)"),
-    "good seed, estimates out of range": (
-        {"seed": 3, "options": {"estimates": np.full((5, 5), -1e6)}},
-        "must be finite and within",
-    ),
-}
-
-
-@pytest.mark.parametrize("scenario", ["energy", "random-energy"])
-@pytest.mark.parametrize("name", BAD_RESETS)
-def test_a_bad_reset_is_refused_and_changes_nothing(name, scenario):
-    arguments, message = BAD_RESETS[name]
-    env, undisturbed = (make_env(scenario, start="random", steps=30, input_limit=9.0) for _ in range(2))
-    for each in (env, undisturbed):
-        each.reset(seed=0)
-        go_on(each, 10, np.random.default_rng(0))
-    with pytest.raises(ValueError, match=message):
-        env.reset(**arguments)
-    generators = [np.random.default_rng(1) for _ in range(2)]
-    ours = [go_on(env, 60, generators[0]), env.reset(), go_on(env, 3, generators[0])]
-    theirs = [go_on(undisturbed, 60, generators[1]), undisturbed.reset(), go_on(undisturbed, 3, generators[1])]
-    assert len(ours[0]) == 20
-    assert same(ours, theirs)
-
-
-def test_a_step_before_reset_or_after_the_end_asks_for_reset():
-    env = make_env("energy", steps=1)
-    actions = {agent: np.zeros(5, dtype=np.float32) for agent in env.possible_agents}
-    with pytest.raises(RuntimeError, match=r"call reset\(\) before step\(\)"):
-        env.step(actions)
-    env.reset()
-    env.step(actions)
-    arrived = env.estimates
-    with pytest.raises(RuntimeError, match=r"no episode is running: call reset\(\)"):
-        env.step(actions)
-    assert np.array_equal(env.estimates, arrived)
-
-
 @pytest.mark.parametrize(
     "view", [lambda env: env.estimates, lambda env: env.strategies, lambda env: env.time, lambda env: env.state()]
 )
@@ -485,41 +183,11 @@ def test_properties_before_reset_ask_for_reset(view):
         view(make_env("energy"))
 
 
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        ({"scenario": "enrgy"}, "unknown scenario 'enrgy'; did you mean 'energy'"),
-        ({"interface": "global"}, "unknown interface 'global'; choose from physical, local, learner, full"),
-        ({"interface": "full"}, "for oracles in evaluations only; choose 'physical', 'local' or 'learner'"),
-        ({"action_mode": "torque"}, "unknown action mode 'torque'; choose from input, gains"),
-        ({"action_scale": -1.0}, "action_scale must be a finite number above 0"),
-        ({"reward": "score"}, "unknown reward 'score'; choose from digits, tracking, payoff, regret"),
-        ({"max_cycles": 0}, "max_cycles must be a whole number of at least 1"),
-        ({"max_cycles": 1.5}, "max_cycles must be a whole number"),
-        ({"steps": 0}, r"steps \(K\) must be a whole number of at least 1"),
-        ({"deadline": 0.0}, r"deadline must be .* above 0 \(T, in seconds\)"),
-    ],
-)
-def test_invalid_arguments_are_refused_with_advice(arguments, message):
-    with pytest.raises(ValueError, match=message):
-        ptne_env.parallel_env(**arguments)
-
-
-def test_float64_actions_are_accepted():
-    env, other = make_env("energy"), make_env("energy")
-    env.reset()
-    other.reset()
-    actions = random_actions(env, np.random.default_rng(0))
-    env.step(actions)
-    other.step({agent: action.astype(np.float64) for agent, action in actions.items()})
-    assert np.array_equal(env.estimates, other.estimates)
-
-
 def test_order_of_the_actions_does_not_matter():
     env, other = make_env("energy"), make_env("energy")
     env.reset()
     other.reset()
-    actions = random_actions(env, np.random.default_rng(0))
+    actions = {agent: np.full(5, index, dtype=np.float32) for index, agent in enumerate(env.agents)}
     env.step(actions)
     other.step(dict(reversed(actions.items())))
     assert np.array_equal(env.estimates, other.estimates)
@@ -537,13 +205,6 @@ def test_reward_and_interface_do_not_change_the_physics():
     assert all(np.array_equal(ends_at[0], other) for other in ends_at)
 
 
-def test_custom_scenario_is_an_environment_too():
-    scenario = get_scenario("energy", name="my own", steps=7)
-    env = ptne_env.parallel_env(scenario, hold_steps=2)
-    assert env.scenario == scenario.replace(hold_steps=2)
-    assert ends(env)[0] == 9
-
-
 def test_a_start_with_gradients_out_of_range_is_refused():
     env = ptne_env.parallel_env("non-quadratic")
     env.reset(seed=0)
@@ -551,9 +212,6 @@ def test_a_start_with_gradients_out_of_range_is_refused():
     with pytest.raises(ValueError, match="start closer"):
         env.reset(options={"estimates": np.full((5, 5), 200.0)})
     np.testing.assert_array_equal(env.estimates, before)
-
-
-# --- state ------------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("name", ["energy-switching", "random-energy-switching"])
@@ -591,42 +249,13 @@ def test_setting_a_state_sets_the_live_agents():
     assert env.agents == []
 
 
-def test_planning_on_a_state_leaves_the_environment_alone():
-    env = ptne_env.parallel_env("energy")
-    env.reset(seed=1)
-    state, estimates = env.get_state(), env.estimates
-    for _ in range(3):
-        state = dynamics.step(env.world, state, np.ones_like(state.estimates))
-    assert np.array_equal(env.estimates, estimates)
-    assert env.get_state().step[0] == 0
-
-
-def test_a_state_of_another_size_is_refused_and_the_state_stays():
-    env, other = ptne_env.parallel_env("energy"), ptne_env.parallel_env("robots")
-    env.reset(seed=1)
-    other.reset(seed=1)
-    before = env.get_state()
-    with pytest.raises(ValueError, match=r"estimates of shape \(5, 5, 1\), got \(10, 5, 1\)"):
-        env.set_state(other.get_state())
-    assert env.get_state() is before
-
-
-@pytest.mark.parametrize(
-    ("track", "other", "message"),
-    [
-        ("nominal", "markov", "random draws, active graphs"),
-        ("markov", "unseen-graphs", "active graphs"),
-        ("noise", "nominal", "random draws, received messages"),
-        ("nominal", "noise", "random draws, received messages"),
-    ],
-)
-def test_a_state_of_another_world_is_refused(track, other, message):
-    suite = get_suite("ptne-v1")
-    env, foreign = (ptne_env.parallel_env(suite.track(name).scenario) for name in (track, other))
+@pytest.mark.parametrize(("name", "other"), [("random-energy", FAULTY), (FAULTY, "random-energy")], ids=str)
+def test_a_state_of_another_world_is_refused(name, other):
+    env, foreign = ptne_env.parallel_env(name), ptne_env.parallel_env(other)
     env.reset(seed=1)
     foreign.reset(seed=1)
     before = env.get_state()
-    with pytest.raises(ValueError, match=f"of another world: its {message} are not those of scenario '{track}'"):
+    with pytest.raises(ValueError, match="another world: its random draws, active graphs, received messages are not"):
         env.set_state(foreign.get_state())
     assert env.get_state() is before
 
@@ -673,39 +302,6 @@ def test_an_agents_observation_leads_to_no_other_array(make):
             assert all(array.size == observation.size for array in reachable(observation))
 
 
-@pytest.mark.parametrize("copied", [copy.copy, copy.deepcopy, pickled])
-def test_a_copy_in_mid_episode_observes_on_its_own(copied):
-    env, undisturbed = (ptne_env.parallel_env("energy") for _ in range(2))
-    for each in (env, undisturbed):
-        each.reset(seed=0)
-    twin = copied(env)
-    actions = {agent: np.ones(5, dtype=np.float32) for agent in env.agents}
-    expected = [undisturbed.step(actions)[0] for _ in range(2)]
-    for each in (env, twin):
-        for observations in expected:
-            mine = each.step(actions)[0]
-            assert all(np.array_equal(mine[agent], observations[agent]) for agent in mine)
-
-
-@pytest.mark.parametrize("copied", [copy.copy, copy.deepcopy, pickled])
-def test_a_copy_of_the_turn_based_form_steps_on_its_own(copied):
-    env, undisturbed = (aec_env("random-energy") for _ in range(2))
-    for each in (env, undisturbed):
-        each.reset(seed=0)
-        each.step(np.ones(5, dtype=np.float32))
-    twin = copied(env)
-    assert twin.agent_selection == "player_1"
-    for each in (undisturbed, env, twin):
-        for _ in range(7):
-            each.step(np.ones(5, dtype=np.float32))
-    expected = undisturbed.last()
-    assert same(env.last(), expected)
-    assert same(twin.last(), expected)
-
-
-# --- the habits of other libraries ------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("reward", ["digits", {"tracking": 1.0, "payoff": 1e-3}])
 def test_infos_are_the_same_numpy_scalars_from_reset_to_end(reward):
     env = make_env("random-energy", steps=4, reward=reward)
@@ -720,20 +316,6 @@ def test_infos_are_the_same_numpy_scalars_from_reset_to_end(reward):
     expected = [("diverged", np.bool_), ("clipped", np.int64), ("is_success", np.bool_), *terms]
     assert seen == [expected] * 25
     assert all(info["clipped"] == 5 for info in infos.values())
-
-
-def test_an_info_that_a_caller_changes_is_not_that_of_another_agent():
-    env = make_env("energy")
-    infos = env.reset(seed=0)[1]
-    infos["player_0"]["note"] = 1
-    assert "note" not in infos["player_1"]
-
-
-def test_an_unknown_keyword_is_a_type_error_that_names_similar_ones_or_all():
-    with pytest.raises(TypeError, match="parallel_env.* unexpected keyword argument 'stps'; did you mean 'steps'"):
-        ptne_env.parallel_env("energy", stps=3)
-    with pytest.raises(TypeError, match="unexpected keyword argument 'frameskip'; choose from scenario, interface, .*"):
-        aec_env("energy", frameskip=1)
 
 
 def test_the_generator_for_wrappers_is_seeded_and_changes_no_episode():
@@ -760,18 +342,6 @@ def test_no_actions_after_the_end_return_empty_dictionaries():
     assert env.step({}) == ({}, {}, {}, {}, {})
 
 
-@pytest.mark.parametrize("dtype", [np.int64, np.int8, np.uint16])
-def test_integer_actions_are_the_same_as_floats(dtype):
-    env, other = make_env("energy"), make_env("energy")
-    for each in (env, other):
-        each.reset(seed=0)
-    actions = {agent: np.arange(5, dtype=dtype) for agent in env.agents}
-    floats = {agent: action.astype(np.float32) for agent, action in actions.items()}
-    assert same(env.step(actions), other.step(floats))
-    actions["player_2"] = floats["player_2"]
-    assert same(env.step(actions), other.step(floats))
-
-
 def test_frame_skip_of_supersuit_repeats_actions():
     supersuit = need_sb3("supersuit")
     env, plain = supersuit.frame_skip_v0(make_env("energy"), (2, 4)), make_env("energy")
@@ -783,29 +353,6 @@ def test_frame_skip_of_supersuit_repeats_actions():
     for _ in range(skipped):
         plain.step(constant_actions(plain, 1.0))
     assert np.array_equal(env.unwrapped.estimates, plain.estimates)
-
-
-def test_black_death_of_supersuit_ends():
-    env = need_sb3("supersuit").black_death_v3(make_env("energy", steps=3))
-    env.reset(seed=0)
-    steps = 0
-    while env.agents:
-        env.step({agent: np.zeros(5, dtype=np.float32) for agent in env.agents})
-        steps += 1
-        assert steps < 10
-    assert steps == 4  # the wrapper asks once more after the end
-
-
-@pytest.mark.parametrize("name", ["non-quadratic", "non-quadratic-switching", "non-quadratic-printed"])
-def test_random_play_of_the_non_quadratic_game_stays_in_range(name):
-    env = make_env(name)
-    env.reset(seed=0)
-    generator = np.random.default_rng(0)
-    high = env.action_space("player_0").high
-    while env.agents:
-        infos = env.step({agent: generator.uniform(-high, high).astype(np.float32) for agent in env.agents})[4]
-    assert not infos["player_0"]["diverged"]
-    assert int(env.get_state().step[0]) == 400
 
 
 def test_inputs_beyond_the_action_space_are_not_clipped_up_to_the_input_limit():

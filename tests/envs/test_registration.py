@@ -1,19 +1,13 @@
 """Every scenario is found by the names that PettingZoo's users type."""
 
-from types import SimpleNamespace
-
 import gymnasium
 import pettingzoo
 import pytest
 
 import ptne_env
-from ptne_env.envs import registration
 from ptne_env.envs.registration import register_environments
 
-with_registries = pytest.mark.skipif(not hasattr(pettingzoo, "register"), reason="needs PettingZoo 1.27")
 
-
-@with_registries
 @pytest.mark.parametrize("scenario", list(ptne_env.CATALOGUE))
 def test_make_and_parallel_env_give_the_same_environment(scenario):
     by_id = pettingzoo.make("parallel", f"ptne/{scenario}-v0", hold_steps=3)
@@ -24,7 +18,6 @@ def test_make_and_parallel_env_give_the_same_environment(scenario):
     assert isinstance(pettingzoo.make("aec", f"ptne/{scenario}-v0"), pettingzoo.AECEnv)
 
 
-@with_registries
 def test_registration_is_idempotent_and_silent():
     before = dict(pettingzoo.parallel_registry)
     register_environments()  # a warning would be an error
@@ -36,15 +29,5 @@ def test_a_parallel_environment_is_not_claimed_to_be_a_gymnasium_one():
     assert not [name for name in gymnasium.registry if "energy-v0" in name]
 
 
-@with_registries
 def test_max_cycles_reaches_the_environment_through_make():
     assert pettingzoo.make("parallel", "ptne/energy-v0", max_cycles=9).max_cycles == 9
-
-
-def test_an_older_pettingzoo_has_no_registries_and_gymnasium_gets_the_environments(monkeypatch):
-    monkeypatch.setattr(registration, "pettingzoo", SimpleNamespace())
-    monkeypatch.setattr(gymnasium, "registry", {})
-    registered = []
-    monkeypatch.setattr(gymnasium, "register", lambda name, **_: registered.append(name))
-    register_environments()
-    assert registered == [f"ptne/{scenario}-joint-v0" for scenario in ptne_env.CATALOGUE]
