@@ -2,7 +2,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from worlds import BLOCKS, BLOCKS_SWITCHING, FAULTY, begin, large_energy_scenario, world_and_encoder
+from worlds import BLOCKS, BLOCKS_SWITCHING, FAULTY, begin, world_and_encoder
 
 from ptne_env import CATALOGUE, Interface, get_scenario, laws
 from ptne_env.perception.observation import OBSERVATION_BOUND
