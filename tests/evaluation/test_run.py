@@ -10,6 +10,7 @@ import ptne_env
 from ptne_env import FactorySpec, PolicySpec, evaluate, laws
 from ptne_env.evaluation import COMPARED, Track, get_policy_spec
 from ptne_env.perception.observation import LayoutError
+from ptne_env.world.world import World
 
 
 class Picky(laws.Static):
@@ -59,7 +60,7 @@ def test_a_policy_may_be_a_class_a_factory_spec_a_callable_or_an_object():
 
 
 def test_every_default_law_acts_in_every_game_of_the_catalogue():
-    fixed = (each for each in ptne_env.CATALOGUE.values() if each.topology.target == "topology:fixed")
+    fixed = (each for each in ptne_env.CATALOGUE.values() if World(each).topology.is_fixed)
     scenarios = [scenario.replace(steps=15) for scenario in fixed]
     policies = [name for name in COMPARED if not name.startswith("ppo-")]
     results = evaluate(policies, scenarios, episodes=1)
