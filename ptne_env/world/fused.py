@@ -231,7 +231,7 @@ class FusedStep:
         """Whether numpy comes to the same bits here: nothing is assumed of processors and compilers."""
         self._is_checked, encoder = True, self._encoder
         expected = dynamics.step(encoder.world, before, encoder.inputs(actions, before))
-        numpys = expected.step, expected.estimates, expected.own_gradients, encoder.observe(expected)
+        numpys: _Arrays = expected.step, expected.estimates, expected.own_gradients, encoder.observe(expected)
         agrees = all(a.tobytes() == b.tobytes() for a, b in zip((*after[:3], observed), numpys, strict=True))
         if not agrees:
             _refuse("its numbers are not those of numpy")
