@@ -14,7 +14,7 @@ from rich.console import Console
 
 from ptne_env import get_scenario, laws
 from ptne_env.bench import Suite, run_suite
-from ptne_env.bench.report import result_tables
+from ptne_env.bench.report.terminal import result_tables
 from ptne_env.evaluation import Track
 from ptne_env.games import AffineGame
 from ptne_env.perception.observation import Observation, ObservationLayout

@@ -195,3 +195,13 @@ def large_energy_scenario(players=11, **fields):
         start="random",
         **fields,
     )
+
+
+SHORT = {"steps": 6, "start": "random", "input_limit": 5.0}
+"""Arguments of environments with short episodes."""
+
+
+def random_actions(env, generator):
+    bound = 1.2 * env.layout.action_bound
+    shape = (env.num_envs, env.num_players, env.layout.action_size)
+    return generator.uniform(-bound, bound, shape).astype(np.float32)

@@ -20,7 +20,7 @@ from torchrl.envs import EnvBase, check_env_specs
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 from yardstick import EPISODES, LAW, SCENARIO, Acting, digits, report
 
-from ptne_env.envs.torchrl import TorchRLEnv
+from ptne_env.learn.torchrl import TorchRLEnv
 from ptne_env.world.world import World
 
 

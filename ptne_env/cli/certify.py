@@ -8,7 +8,9 @@ import typer
 from threadpoolctl import threadpool_limits
 
 from ptne_env import theory
-from ptne_env.bench import find_scenario, report
+from ptne_env.bench import find_scenario
+from ptne_env.bench.report.certificates import certificate_tables
+from ptne_env.bench.report.terminal import show
 from ptne_env.cli import options
 from ptne_env.cli.app import app
 from ptne_env.cli.console import check_writable, console, json_text, say, write_json
@@ -50,8 +52,8 @@ def certify(
         certificate = theory.certify(chosen, law=_law(law, kappa))
     write_json(json, json_text(certificate.to_dict()))
     screen = console()
-    for table in report.certificate_tables(certificate):
-        screen.print(report.show(table, screen.width))
+    for table in certificate_tables(certificate):
+        screen.print(show(table, screen.width))
     if json is not None:
         say(f"Certificate written to {json}")
 

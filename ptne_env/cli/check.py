@@ -8,10 +8,11 @@ from typing import Annotated
 
 import typer
 
-from ptne_env.bench import report
 from ptne_env.bench.check import SAMPLE
 from ptne_env.bench.check import check as run_check
 from ptne_env.bench.files import read_results
+from ptne_env.bench.report.certificates import check_tables
+from ptne_env.bench.report.terminal import show
 from ptne_env.cli import options
 from ptne_env.cli.app import ExitCode, app
 from ptne_env.cli.console import check_writable, console, json_text, progress, say, write_json
@@ -53,8 +54,8 @@ def check(
     found = {"differences": outcome.differences, "jobs": rows, "of": outcome.jobs}
     write_json(json, json_text({**found, "same_arithmetic": outcome.same_arithmetic}))
     screen = console()
-    for table in report.check_tables(outcome):
-        screen.print(report.show(table, screen.width))
+    for table in check_tables(outcome):
+        screen.print(show(table, screen.width))
     say(f"{len(rows)} of {outcome.jobs} jobs were run again")
     if not outcome.passes:
         raise typer.Exit(ExitCode.FAILED)

@@ -9,7 +9,9 @@ from typing import Annotated
 
 import typer
 
-from ptne_env.bench import Runner, Workers, report, run_suite
+from ptne_env.bench import Runner, Workers, run_suite
+from ptne_env.bench.report import comparison
+from ptne_env.bench.report.terminal import answer_tables, result_tables
 from ptne_env.bench.suite import SUITES, get_suite, world_names
 from ptne_env.cli import options
 from ptne_env.cli.app import ExitCode, app
@@ -123,7 +125,7 @@ def compare(
             write_atomically(files[0], text + "\n")
             write_atomically(files[1], results.to_csv())
         if page is not None:
-            made = report.page(
+            made = comparison.page(
                 results,
                 shlex.join(["ptne", *sys.argv[1:]]),
                 workers,
@@ -132,8 +134,8 @@ def compare(
             write_atomically(page, made)
     screen = console()
     if details:
-        screen.print(report.result_tables(results, screen.width))
-    screen.print(report.answer_tables(results, screen.width))
+        screen.print(result_tables(results, screen.width))
+    screen.print(answer_tables(results, screen.width))
     for (place, name), reason in results.failures.items():
         say(f"Failed: {name} on {place}: {reason}")
     if files:

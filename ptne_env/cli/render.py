@@ -7,7 +7,8 @@ from typing import Annotated
 
 import typer
 
-from ptne_env.bench import find_scenario, report
+from ptne_env.bench import find_scenario
+from ptne_env.bench.report.video import save_video
 from ptne_env.cli import options
 from ptne_env.cli.app import app
 from ptne_env.cli.console import check_writable, progress, say
@@ -36,5 +37,5 @@ def render(
     if hold_steps is not None:
         chosen = chosen.replace(hold_steps=hold_steps)
     with progress(f"{scenario}: {policy}") as advance:
-        report.save_video(chosen, spec, out, seed=seed, pictures=pictures, progress=advance)
+        save_video(chosen, spec, out, seed=seed, pictures=pictures, progress=advance)
     say(f"Video written to {out}")

@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from ptne_env.bench import report
+from ptne_env.bench.report.terminal import show
 from ptne_env.cli import options
 from ptne_env.cli.app import app
 from ptne_env.cli.console import check_writable, console, json_text, progress, say, write_json
@@ -37,6 +37,6 @@ def reproduce(
     write_json(json, json_text(reproduction.to_dict()))
     screen = console()
     for table in paper_tables(reproduction):
-        screen.print(report.show(table, screen.width))
+        screen.print(show(table, screen.width))
     say(f"{len(reproduction.figures)} figures and {reproduction.results.name} written to {out}")
     say(f"Report written to {page}: open it in a browser")

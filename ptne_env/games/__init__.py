@@ -1,8 +1,6 @@
 """Noncooperative games: the costs that players minimise."""
 
 from ptne_env.games.affine import AffineGame as AffineGame
-from ptne_env.games.affine import RandomAffine as RandomAffine
-from ptne_env.games.affine import WeaklyMonotoneGame as WeaklyMonotoneGame
 from ptne_env.games.base import Game as Game
 from ptne_env.games.base import NoBestResponseError as NoBestResponseError
 from ptne_env.games.energy import EnergyGame as EnergyGame

@@ -27,14 +27,14 @@ PARTS: Mapping[str, str] = {
     "game:non-quadratic": "ptne_env.games:NonQuadraticGame",
     "game:oligopoly": "ptne_env.field.games:Oligopoly",
     "game:priced": "ptne_env.field.games:priced",
-    "game:random-affine": "ptne_env.games:RandomAffine",
+    "game:random-affine": "ptne_env.field.games:RandomAffine",
     "game:random-energy": "ptne_env.games:RandomEnergy",
     "game:random-saturating": "ptne_env.field.games:RandomSaturating",
     "game:rate-control": "ptne_env.field.games:RateControl",
     "game:robots": "ptne_env.field.games:ConnectivityControl",
     "game:saturating": "ptne_env.field.games:SaturatingGame",
     "game:single": "ptne_env.games:SingleGame",
-    "game:weakly-monotone": "ptne_env.games:WeaklyMonotoneGame",
+    "game:weakly-monotone": "ptne_env.field.games:WeaklyMonotoneGame",
     "topology:circulant": "ptne_env.world.graphs:circulant",
     "topology:complete": "ptne_env.world.graphs:complete",
     "topology:cycle": "ptne_env.world.graphs:cycle",
@@ -84,6 +84,7 @@ PARTS: Mapping[str, str] = {
     "law:static": "ptne_env.laws:Static",
     "law:zero-input": "ptne_env.laws:ZeroInput",
     "policy:file": "ptne_env.learn:load",
+    "renderer:pictures": "ptne_env.bench.report.rendering:Renderer",
 }
 """The parts that ship, by id. Adding one takes its class or function and one line here; tests import each."""
 
@@ -91,6 +92,9 @@ _IDS = {target: name for name, target in PARTS.items()}
 
 LOADER = "policy:file"
 """The part that reads a policy file, which is data."""
+
+RENDERER = "renderer:pictures"
+"""The part that draws a running episode; it needs matplotlib, so the environments find it by name."""
 
 _MAIN = "__main__"
 """Name of the module of the program or notebook that runs."""

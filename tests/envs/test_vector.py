@@ -3,13 +3,11 @@
 import numpy as np
 import pytest
 from test_adapters import same
-from worlds import make_env
+from worlds import SHORT, make_env, random_actions
 
 from ptne_env import VectorParallelEnv
 from ptne_env.envs import vector as vector_module
 from ptne_env.envs.vector import VectorStep
-
-SHORT = {"steps": 6, "start": "random", "input_limit": 5.0}
 
 
 @pytest.fixture(params=[1024, 2], ids=["one block", "blocks of two"])
@@ -20,12 +18,6 @@ def block_size(request, monkeypatch):
 
 def make(name="random-energy", num_envs=5, **arguments):
     return VectorParallelEnv(name, num_envs, **{"interface": "physical", **SHORT, **arguments})
-
-
-def random_actions(env, generator):
-    bound = 1.2 * env.layout.action_bound
-    shape = (env.num_envs, env.num_players, env.layout.action_size)
-    return generator.uniform(-bound, bound, shape).astype(np.float32)
 
 
 def go_on(env, steps, seed=1):

@@ -5,15 +5,16 @@ import pytest
 from sample_games import BlockGame
 
 from ptne_env import theory
-from ptne_env.field.games import ConnectivityControl, ElectricVehicleCharging, NetworkedCournot, Oligopoly, RateControl
-from ptne_env.games import (
-    AffineGame,
-    EnergyGame,
-    NonQuadraticGame,
+from ptne_env.field.games import (
+    ConnectivityControl,
+    ElectricVehicleCharging,
+    NetworkedCournot,
+    Oligopoly,
     RandomAffine,
+    RateControl,
     WeaklyMonotoneGame,
-    require_strong_monotonicity,
 )
+from ptne_env.games import AffineGame, EnergyGame, NonQuadraticGame, require_strong_monotonicity
 from ptne_env.theory import check_game
 
 HVAC = EnergyGame(target=(50, 55, 60, 65, 70), coupling=0.04, base_price=5.0)

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ptne_env.bench.report.page import Page, Part
+from ptne_env.bench.report.rendering import Renderer, pixels
 from ptne_env.bench.report.traces import scene
-from ptne_env.envs.rendering import Renderer, pixels
 from ptne_env.evaluation.entries import PolicySpec
 from ptne_env.evaluation.episodes import EpisodeSet
 from ptne_env.evaluation.rollout import rollout

@@ -1,5 +1,7 @@
 """More games: of markets, networks and robots, in which laws and policies are compared."""
 
+from ptne_env.field.games.affine import RandomAffine as RandomAffine
+from ptne_env.field.games.affine import WeaklyMonotoneGame as WeaklyMonotoneGame
 from ptne_env.field.games.charging import ElectricVehicleCharging as ElectricVehicleCharging
 from ptne_env.field.games.coupled import CoupledConstraint as CoupledConstraint
 from ptne_env.field.games.coupled import priced as priced

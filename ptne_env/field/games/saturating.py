@@ -9,7 +9,8 @@ from typing import ClassVar
 import numpy as np
 import numpy.typing as npt
 
-from ptne_env.games.affine import AffineGame, RandomAffine, times
+from ptne_env.field.games.affine import RandomAffine
+from ptne_env.games.affine import AffineGame, times
 from ptne_env.games.base import Game
 from ptne_env.games.family import GameFamily, require_strong_monotonicity
 from ptne_env.games.variational import solve_box

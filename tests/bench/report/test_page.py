@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from ptne_env import get_scenario
-from ptne_env.bench.report import page
+from ptne_env.bench.report.comparison import page
 from ptne_env.bench.report.page import Page, Part
 from ptne_env.bench.report.paper import paper_page
 from ptne_env.bench.report.tables import answer, text_table

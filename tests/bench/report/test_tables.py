@@ -12,7 +12,7 @@ from rich.console import Console
 from ptne_env import evaluate, get_scenario, laws, theory
 from ptne_env.bench.check import Check, Repetition
 from ptne_env.bench.leaderboard import leaderboard
-from ptne_env.bench.report import answer_tables, certificate_tables, check_tables, result_tables, show
+from ptne_env.bench.report.certificates import certificate_tables, check_tables
 from ptne_env.bench.report.tables import (
     Cell,
     answer,
@@ -22,6 +22,7 @@ from ptne_env.bench.report.tables import (
     text_table,
     track_tables,
 )
+from ptne_env.bench.report.terminal import answer_tables, result_tables, show
 from ptne_env.evaluation import METRICS, get_policy_spec
 from ptne_env.evaluation.metrics import number, share
 from ptne_env.evaluation.statistics import Summary

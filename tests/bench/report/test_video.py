@@ -7,7 +7,7 @@ import pytest
 from PIL import Image
 
 from ptne_env import get_scenario
-from ptne_env.bench.report import save_video
+from ptne_env.bench.report.video import save_video
 from ptne_env.evaluation import get_policy_spec
 
 

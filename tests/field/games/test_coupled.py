@@ -9,8 +9,8 @@ from scipy import optimize
 from worlds import make_env
 
 from ptne_env import FactorySpec, evaluate, get_scenario, theory
-from ptne_env.field.games import CoupledConstraint, NetworkedCournot, priced
-from ptne_env.games import EnergyGame, NoBestResponseError, NonQuadraticGame, RandomAffine, RandomEnergy
+from ptne_env.field.games import CoupledConstraint, NetworkedCournot, RandomAffine, priced
+from ptne_env.games import EnergyGame, NoBestResponseError, NonQuadraticGame, RandomEnergy
 
 PLAYERS = 5
 

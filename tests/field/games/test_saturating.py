@@ -6,8 +6,8 @@ from sample_games import generators
 from scipy import optimize
 
 from ptne_env import theory
-from ptne_env.field.games import RandomSaturating, SaturatingGame
-from ptne_env.games import RandomAffine, RandomEnergy
+from ptne_env.field.games import RandomAffine, RandomSaturating, SaturatingGame
+from ptne_env.games import RandomEnergy
 
 FAMILIES = {
     "saturating, energy": RandomSaturating(RandomEnergy(4)),

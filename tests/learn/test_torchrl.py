@@ -8,12 +8,12 @@ need_torchrl()
 
 import torch
 from tensordict import TensorDict
-from test_vector import SHORT, random_actions
 from torchrl.envs import PettingZooWrapper, check_env_specs
+from worlds import SHORT, random_actions
 
 import ptne_env
 from ptne_env import VectorParallelEnv
-from ptne_env.envs.torchrl import TorchRLEnv
+from ptne_env.learn.torchrl import TorchRLEnv
 
 OBSERVATION, ACTION, REWARD = ("player", "observation"), ("player", "action"), ("player", "reward")
 
