@@ -1,1 +1,1 @@
-"""Adapters, without physics, to PettingZoo, Gymnasium, Stable-Baselines3 and TorchRL, one module each."""
+"""Adapters, without physics, to PettingZoo, Gymnasium and Stable-Baselines3, one module each."""
