@@ -17,12 +17,6 @@ from ptne_env.evaluation.rollout import Rollout
 from ptne_env.shared.arrays import FloatArray, ordered_sum
 from ptne_env.world import distances
 
-FINE_DISTANCE = 1e-6
-"""The relative distance of fine settling."""
-
-NUMBER_BITS = 32
-"""Bits of a number in a message: estimates are sent as float32."""
-
 MOST_DIGITS = 12.0
 """The digits of a distance at the floor: no more are counted."""
 
@@ -123,31 +117,24 @@ def measure(rollout: Rollout) -> dict[str, FloatArray]:
     return {metric.name: metric.value(rollout) for metric in METRICS.values() if metric.value is not None}
 
 
-def settling_time(
-    times: FloatArray, strategy_distance: FloatArray, threshold: float = distances.SUCCESS_DISTANCE
-) -> FloatArray:
-    """First instant after which the distance stays within ``threshold`` to the end.
+def settling_time(times: FloatArray, strategy_distance: FloatArray) -> FloatArray:
+    """First instant after which the distance stays within the paper's 0.5 % to the end.
 
     Args:
         times: of the instants, shape (instants,).
         strategy_distance: shape (instants, B).
-        threshold: relative distance.
 
     Returns:
         Seconds, shape (B,); NaN for an episode that ends outside.
     """
-    outside = strategy_distance > threshold
+    outside = strategy_distance > distances.SUCCESS_DISTANCE
     last_outside = np.where(outside.any(axis=0), len(times) - 1 - outside[::-1].argmax(axis=0), -1)
     settled = last_outside < len(times) - 1
     return np.where(settled, times[np.minimum(last_outside + 1, len(times) - 1)], np.nan)
 
 
-def _settling(rollout: Rollout, threshold: float) -> FloatArray:
-    return settling_time(rollout.world.clock.t, rollout["strategy_distance"], threshold)
-
-
-def _settled(rollout: Rollout, threshold: float) -> FloatArray:
-    return np.isfinite(_settling(rollout, threshold)).astype(np.float64)
+def _settling(rollout: Rollout) -> FloatArray:
+    return settling_time(rollout.world.clock.t, rollout["strategy_distance"])
 
 
 def _at_deadline(rollout: Rollout, series: str) -> FloatArray:
@@ -160,21 +147,8 @@ def _digits_after_hold(rollout: Rollout) -> FloatArray:
     return distances.digits(rollout["estimate_distance"][-1])
 
 
-def _log_error_area(rollout: Rollout) -> FloatArray:
-    """The mean over [0, T] by the trapezoidal rule."""
-    clock = rollout.world.clock
-    to_deadline = slice(clock.steps + 1)
-    log_errors = -distances.digits(rollout["estimate_distance"][to_deadline])
-    area = ordered_sum(np.diff(clock.t[to_deadline])[:, None] * (log_errors[1:] + log_errors[:-1]) / 2)
-    return area / clock.deadline
-
-
 def _saturated_share(rollout: Rollout) -> FloatArray:
     return ordered_sum(rollout["saturated"]) / np.maximum(ordered_sum(rollout["components"]), 1)
-
-
-def _bits(rollout: Rollout) -> FloatArray:
-    return ordered_sum(rollout["messages"]) * rollout.world.game.dimension * NUMBER_BITS
 
 
 def _microseconds(rollout: Rollout) -> FloatArray:
@@ -201,25 +175,16 @@ for _metric in (
            value=lambda rollout: rollout["regret"][0], range=_POSITIVE),
     Metric("settling_time", "settling time",
            "first instant after which the strategy distance stays within 0.5 %, in seconds", "lower", unit="s",
-           value=lambda rollout: _settling(rollout, distances.SUCCESS_DISTANCE), range=_POSITIVE),
+           value=_settling, range=_POSITIVE),
     Metric("settled_share", "settled share", "share of episodes that settled by the end", "higher",
-           value=lambda rollout: _settled(rollout, distances.SUCCESS_DISTANCE), range=_SHARE),
-    Metric("settling_time_1e_6", "settling to 1e-6",
-           "first instant after which the strategy distance stays within 1e-6, in seconds", "lower", unit="s",
-           value=lambda rollout: _settling(rollout, FINE_DISTANCE), range=_POSITIVE),
-    Metric("settled_share_1e_6", "settled to 1e-6", "share of episodes that settled to 1e-6 by the end", "higher",
-           value=lambda rollout: _settled(rollout, FINE_DISTANCE), range=_SHARE),
+           value=lambda rollout: np.isfinite(_settling(rollout)).astype(np.float64), range=_SHARE),
     Metric("digits_after_hold", "digits after hold", "−log10 of the estimate distance after the hold phase, at most 12",
            "higher", value=_digits_after_hold, range=_DIGITS),
     Metric("digits_gained", "digits gained",
            "mean over players of the summed digits reward, to the end of the episode", "higher",
            value=lambda rollout: rollout["mean_digits"][-1] - rollout["mean_digits"][0]),
-    Metric("log_error_area", "mean log10 error", "mean of log10 of the estimate distance over [0, T]", "lower",
-           value=_log_error_area, range=(-MOST_DIGITS, math.inf)),
     Metric("input_energy", "input energy", "Σ Δt ‖u‖² to the deadline", "lower", "At what cost",
            lambda rollout: ordered_sum(rollout["input_energy"]), range=_POSITIVE),
-    Metric("velocity_energy", "velocity energy", "Σ Θ² ‖u‖²/Δt to the deadline", "lower", "At what cost",
-           lambda rollout: ordered_sum(rollout["velocity_energy"]), range=_POSITIVE),
     Metric("peak_input", "peak |u|", "largest |u| to the deadline", "lower", "At what cost",
            lambda rollout: rollout["peak_input"].max(axis=0), range=_POSITIVE),
     Metric("peak_velocity", "peak velocity", "largest Θ|u|/Δt to the deadline, per second", "lower", "At what cost",
@@ -228,10 +193,6 @@ for _metric in (
            "At what cost", _saturated_share, range=_SHARE),
     Metric("diverged_share", "diverged share", "share of episodes that left the range", "lower", "At what cost",
            lambda rollout: rollout.diverged.astype(np.float64), range=_SHARE),
-    Metric("messages", "messages", "estimates sent over live links until the deadline", "lower", "At what cost",
-           lambda rollout: ordered_sum(rollout["messages"]), range=_POSITIVE),
-    Metric("bits", "bits", f"bits in these messages, {NUMBER_BITS} per number", "lower", "At what cost", _bits,
-           range=_POSITIVE),
     Metric("microseconds_per_decision", "µs per decision",
            "microseconds of the policy per player and step, all episodes in one batch", "lower", "At what cost",
            _microseconds, is_timing=True, range=_POSITIVE),

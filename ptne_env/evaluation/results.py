@@ -9,7 +9,6 @@ import re
 from collections.abc import Collection, Mapping
 from dataclasses import asdict, dataclass
 from functools import cached_property
-from html import escape
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -167,18 +166,6 @@ class Results:
         writer.writerows({key: _cell(value) for key, value in row.items()} for row in self._rows())
         return buffer.getvalue()
 
-    def to_dataframe(self) -> Any:
-        """The rows of :meth:`to_csv` as a ``pandas.DataFrame``; NaN where a record has no value.
-
-        Raises:
-            ImportError: when pandas is not installed.
-        """
-        try:
-            import pandas as pd
-        except ImportError as error:
-            raise ImportError("a data frame needs pandas: pip install pandas (or use to_csv or records)") from error
-        return pd.DataFrame(self._rows()).astype(dict.fromkeys(("mean", "low", "high"), float))
-
     def _rows(self) -> list[Record]:
         common = {"seed": self.seed, "split": self.split, "version": __version__, "suite": self.name}
         return [record | common for record in self.records]
@@ -215,21 +202,6 @@ class Results:
             lines += [f"  {policy:<{width}}  {_with_interval(summary)}" for policy, summary in found.items()]
             lines += [f"  {name} failed: {why}" for (on, name), why in self.failures.items() if on == track.name]
         return "\n".join(lines)
-
-    def _repr_html_(self) -> str:
-        """A table for notebooks: policies × tracks, the metric that ranks each track, with its 95 % interval."""
-        ranked = [self.ranked(track) for track in self.tracks]
-        head = "".join(f"<th>{escape(track.name)}</th>" for track in self.tracks)
-        rows = "".join(
-            f"<tr><th>{escape(self._label(policy))}</th>"
-            + "".join(f"<td>{_with_interval(found[policy]) if policy in found else '–'}</td>" for found in ranked)
-            + "</tr>"
-            for policy in dict.fromkeys(policy for found in ranked for policy in found)
-        )
-        return (
-            f"<table><caption>{escape(repr(self))}; digits with 95 % intervals</caption>"
-            f"<thead><tr><th>policy</th>{head}</tr></thead><tbody>{rows}</tbody></table>"
-        )
 
 
 _NAMED = 4

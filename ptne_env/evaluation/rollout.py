@@ -72,7 +72,7 @@ def at_deadline(world: World, state: State) -> dict[str, FloatArray]:
 
 
 def in_step(world: World, state: State, inputs: FloatArray, step: int) -> dict[str, FloatArray]:
-    """The series of every step to the deadline: the efforts of the episodes in range, and their messages."""
+    """The series of every step to the deadline: the efforts of the episodes in range."""
     dt, acting = world.clock.dt[step], ~state.diverged
     magnitudes = np.abs(inputs) * acting
     speeds = magnitudes * world.theta[..., [step]] / dt  # by each player's own clock
@@ -80,12 +80,10 @@ def in_step(world: World, state: State, inputs: FloatArray, step: int) -> dict[s
     limit = np.nextafter(np.float32(world.input_limit), np.float32(0))
     return {
         "input_energy": dt * (magnitudes**2).sum(axis=(0, 1)),
-        "velocity_energy": dt * (speeds**2).sum(axis=(0, 1)),
         "peak_input": magnitudes.max(axis=(0, 1)),
         "peak_velocity": speeds.max(axis=(0, 1)),
         "saturated": (magnitudes >= limit).sum(axis=(0, 1)),
         "components": acting * magnitudes[..., 0].size,
-        "messages": acting * (dynamics.weights(world, state) > 0).sum(axis=(0, 1)),
     }
 
 

@@ -20,7 +20,7 @@ except ImportError as error:  # pragma: no cover - exercised in an environment w
 
 from ptne_env.envs.vector import VectorParallelEnv
 from ptne_env.perception.observation import ObservationLayout
-from ptne_env.shared.arrays import BoolArray, FloatArray
+from ptne_env.shared.arrays import BoolArray
 from ptne_env.shared.random_streams import require_seed
 from ptne_env.world.scenario import Scenario
 
@@ -126,11 +126,11 @@ class TorchRLEnv(EnvBase):
                 "break_when_any_done=False, which resets an environment at its end, and without break_when_all_done"
             )
         outcome = self.vector.step(tensordict[GROUP, "action"].numpy(force=True))
-        entries = {"observation": outcome.observations, "reward": outcome.rewards[:, :, None]}
+        entries: dict[str, Any] = {"observation": outcome.observations, "reward": outcome.rewards[:, :, None]}
         return self._output(entries, outcome.infos, outcome.terminated, outcome.truncated)
 
     def _output(
-        self, entries: dict[str, FloatArray], infos: dict[str, Any], terminated: BoolArray, truncated: BoolArray
+        self, entries: dict[str, Any], infos: dict[str, Any], terminated: BoolArray, truncated: BoolArray
     ) -> TensorDict:
         """Tensors of the group, and the flags of every environment and of its players."""
         players = self.vector.num_players

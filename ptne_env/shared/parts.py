@@ -48,7 +48,6 @@ PARTS: Mapping[str, str] = {
     "topology:periodic": "ptne_env.world.switching:SwitchingTopology",
     "topology:random-edges": "ptne_env.world.switching:random_edges",
     "topology:random-graphs": "ptne_env.world.switching:random_graphs",
-    "topology:random-regular": "ptne_env.world.graphs:random_regular",
     "topology:star": "ptne_env.world.graphs:star",
     "topology:union": "ptne_env.world.graphs:union",
     "start:fixed": "ptne_env.world.starts:FixedStart",

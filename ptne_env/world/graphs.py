@@ -67,10 +67,6 @@ class Graph(Part):
         """Pairs (i, j) with i < j and a_ij > 0."""
         return [(int(i), int(j)) for i, j in np.argwhere(np.triu(self.adjacency) > 0)]
 
-    def to_networkx(self) -> nx.Graph[int]:
-        """The graph as a networkx graph, weights in ``weight``."""
-        return nx.from_numpy_array(self.adjacency)
-
     def __eq__(self, other: object) -> bool:
         return isinstance(other, Graph) and np.array_equal(self.adjacency, other.adjacency)
 
@@ -104,31 +100,6 @@ def complete(players: int) -> Graph:
 def circulant(players: int, offsets: Sequence[int]) -> Graph:
     """Each player linked to those that are one of the ``offsets`` before or behind it on a circle, N ≥ 2."""
     return from_networkx(nx.circulant_graph(require_count("players", players, 2), list(offsets)))
-
-
-def random_regular(players: int, degree: int, seed: int = 0) -> Graph:
-    """A connected graph, drawn uniformly among those in which every player has ``degree`` neighbours.
-
-    Args:
-        players: N > degree.
-        degree: at least 2, and even where N is odd.
-        seed: of the draw.
-
-    Raises:
-        ValueError: when there is no such graph.
-    """
-    count, wanted = require_count("players", players, 3), require_count("degree", degree, 2)
-    if wanted >= count or count * wanted % 2:
-        raise ValueError(
-            f"no graph of {players} players has {degree} neighbours for each: the degree is below {players} and the "
-            "product of the two is even"
-        )
-    generator = np.random.default_rng(require_count("seed", seed, 0))
-    while True:
-        drawn = nx.random_regular_graph(wanted, count, seed=int(generator.integers(2**32)))
-        graph = from_edges(count, drawn.edges)
-        if graph.is_connected:
-            return graph
 
 
 def from_edges(players: int, edges: Iterable[Sequence[int]]) -> Graph:

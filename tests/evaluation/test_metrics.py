@@ -21,7 +21,6 @@ def test_every_metric_of_a_run_lies_in_its_range():
         ("digits", 12.0, 12.1),
         ("settling_time", 0.0, -1.0),
         ("settled_share", 1.0, 1.5),
-        ("log_error_area", -12.0, -13.0),
     ],
 )
 def test_metrics_refuse_values_outside_their_range(metric, good, bad):

@@ -2,9 +2,7 @@
 
 import csv
 import io
-import sys
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -39,16 +37,6 @@ def test_the_printed_text_has_a_line_per_track_and_policy_the_best_first(results
     assert other.splitlines()[-1] == f"  mine failed: {reason}"
 
 
-def test_a_notebook_shows_a_table_in_which_names_are_text(results):
-    name = "<b>mine</b>"
-    samples = results.samples | {("energy", name): results.samples["energy", "static"]}
-    policies = results.policies | {name: results.policies["static"]}
-    html = replace(results, policies=policies, samples=samples)._repr_html_()
-    assert html.startswith("<table>")
-    assert name not in html
-    assert "<th>&lt;b&gt;mine&lt;/b&gt;</th>" in html
-
-
 def test_records_cover_every_track_policy_and_metric_once(results):
     keys = [(record["track"], record["policy"], record["metric"]) for record in results.records]
     assert len(set(keys)) == len(keys) == 2 * 4 * len(METRICS)
@@ -76,7 +64,7 @@ def test_timings_are_no_part_of_the_identity_of_results(results):
     assert first["timings"] != second["timings"]
 
 
-def test_csv_and_data_frame_repeat_the_records(results, monkeypatch):
+def test_csv_repeats_the_records(results):
     rows = list(csv.DictReader(io.StringIO(results.to_csv())))
     assert len(rows) == len(results.records)
     for row, record in zip(rows, results.records, strict=True):
@@ -86,18 +74,6 @@ def test_csv_and_data_frame_repeat_the_records(results, monkeypatch):
             "version": ptne_env.__version__,
             "suite": "comparison",
         }
-
-    class DataFrame(list):
-        """Records what pandas would get; pandas itself is no dependency of the tests."""
-
-        def astype(self, kinds):
-            return self if kinds == {"mean": float, "low": float, "high": float} else pytest.fail("other kinds")
-
-    monkeypatch.setitem(sys.modules, "pandas", SimpleNamespace(DataFrame=DataFrame))
-    assert [list(row) for row in results.to_dataframe()] == [list(row) for row in rows]
-    monkeypatch.setitem(sys.modules, "pandas", None)
-    with pytest.raises(ImportError, match="pip install pandas"):
-        results.to_dataframe()
 
 
 @pytest.mark.parametrize("name", ["=1+1", "+1", "-1", "@SUM(A1)", "fine; =1+1"])

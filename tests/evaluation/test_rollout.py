@@ -32,7 +32,7 @@ def test_metrics_of_a_batch_are_those_of_single_episodes_in_the_environment(name
         env = ptne_env.parallel_env(scenario, interface="physical")
         observations, _ = env.reset(seed=episode_seed(3, episode))
         policy, memory = law(env.layout), None
-        gained, input_energy, velocity_energy, peak = 0.0, 0.0, 0.0, 0.0
+        gained, input_energy, peak = 0.0, 0.0, 0.0
         for step in range(clock.total_steps):
             agents = env.agents
             actions, memory = policy.predict(np.stack([observations[agent] for agent in agents]), memory)
@@ -41,7 +41,6 @@ def test_metrics_of_a_batch_are_those_of_single_episodes_in_the_environment(name
             if step < clock.steps:
                 inputs = actions.astype(float)
                 input_energy += clock.dt[step] * (inputs**2).sum()
-                velocity_energy += clock.theta[step] ** 2 / clock.dt[step] * (inputs**2).sum()
                 peak = max(peak, np.abs(inputs).max())
             if step + 1 == clock.steps:
                 equilibrium = env.nash_equilibrium
@@ -57,7 +56,6 @@ def test_metrics_of_a_batch_are_those_of_single_episodes_in_the_environment(name
             "consensus_error": consensus,
             "digits_gained": gained,
             "input_energy": input_energy,
-            "velocity_energy": velocity_energy,
             "peak_input": peak,
         }
         for metric, value in expected.items():
@@ -80,7 +78,7 @@ def test_a_diverged_episode_has_the_digits_of_the_range_limit_and_finite_metrics
     np.testing.assert_allclose(samples["digits"], -np.log10(dynamics.distance_limit(world.game)[0]))
     assert (samples["settled_share"] == 0).all()
     assert (samples["diverged_share"] == 1).all()
-    missing = {"settling_time", "settling_time_1e_6", "digits_after_hold", "regret"}
+    missing = {"settling_time", "digits_after_hold", "regret"}
     for metric, values in samples.items():
         if metric not in missing:  # the game has neither hold phase nor best response
             assert np.isfinite(values).all(), metric
@@ -116,7 +114,7 @@ def test_saturated_share_counts_the_inputs_at_the_limit():
 def test_zero_input_spends_and_gains_nothing():
     _, still = run(ptne_env.get_scenario("energy", start="random"), laws.ZeroInput)
     samples = measure(still)
-    for metric in ("input_energy", "velocity_energy", "peak_input", "peak_velocity", "digits_gained"):
+    for metric in ("input_energy", "peak_input", "peak_velocity", "digits_gained"):
         assert (samples[metric] == 0).all(), metric
 
 

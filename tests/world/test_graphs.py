@@ -50,34 +50,18 @@ def test_connected_exactly_when_every_player_is_reached(matrix):
     assert graph.is_connected == (graph.algebraic_connectivity > 1e-9)
 
 
-@pytest.mark.parametrize(("players", "degree"), [(3, 2), (50, 6), (200, 3)])
-def test_random_regular_graphs_are_connected_with_equal_degrees(players, degree):
-    drawn = [graphs.random_regular(players, degree, seed=seed) for seed in (0, 0, 1)]
-    assert all(graph.is_connected for graph in drawn)
-    assert (drawn[0].adjacency.sum(axis=0) == degree).all()
-    assert drawn[0] == drawn[1]
-    assert players == 3 or drawn[0] != drawn[2]
-
-
-@pytest.mark.parametrize(("players", "degree"), [(5, 3), (4, 4), (5, 1)])
-def test_impossible_regular_graphs_are_refused(players, degree):
-    with pytest.raises(ValueError, match="degree"):
-        graphs.random_regular(players, degree)
-
-
 @given(adjacencies(players=4), adjacencies(players=4))
 def test_union_has_every_link_with_its_largest_weight(first, second):
     assert np.array_equal(graphs.union([Graph(first), Graph(second)]).adjacency, np.maximum(first, second))
 
 
-def test_networkx_round_trip_keeps_weights():
+def test_a_graph_of_networkx_keeps_its_weights():
     graph = nx.Graph()
     graph.add_nodes_from([0, 1, 2])
     graph.add_edge(0, 2, weight=2.5)
     graph.add_edge(1, 2)
     ours = graphs.from_networkx(graph)
     assert ours.adjacency.tolist() == [[0, 0, 2.5], [0, 0, 1], [2.5, 1, 0]]
-    assert graphs.from_networkx(ours.to_networkx()) == ours
 
 
 @pytest.mark.parametrize(
