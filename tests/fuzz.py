@@ -7,7 +7,6 @@ no state, no returned array is shared, and the same seed and actions give the sa
 """
 
 import contextlib
-import copy
 import math
 import random
 import warnings
@@ -16,12 +15,8 @@ from functools import partial
 
 import numpy as np
 
-from ptne_env import FactorySpec, Interface, Scenario, VectorParallelEnv, laws, parallel_env
+from ptne_env import FactorySpec, Scenario, VectorParallelEnv, laws, parallel_env
 from ptne_env.envs import vector
-from ptne_env.perception.encoder import make_encoder
-from ptne_env.shared.random_streams import RandomStreams
-from ptne_env.world import dynamics
-from ptne_env.world.world import World
 
 REFUSALS = (ValueError, RuntimeError)
 """The errors that the library raises at wrong input and wrong calls."""
@@ -35,7 +30,6 @@ class Tally:
     refused_worlds: int = 0
     refused_starts: int = 0
     episodes: int = 0
-    parallel_episodes: int = 0
     agent_steps: int = 0
     diverged: int = 0
     clipped: int = 0
@@ -389,144 +383,7 @@ def check_outcome(env, outcome, actions, length):
     assert not (infos["is_success"] & infos["diverged"]).any(), "success is reported without any"
 
 
-def wrong_parallel_calls(rng, env):
-    size, agents = env.layout.action_size, env.possible_agents
-    fine = {agent: np.zeros(size, dtype=np.float32) for agent in agents}
-    agent = rng.choice(agents)
-    broken = [
-        np.full(size, rng.choice((math.nan, math.inf, -math.inf))),
-        np.zeros(size + 1),
-        np.zeros((1, size)),
-        np.zeros(size, dtype=bool),
-        np.array(0.0),
-        None,
-        "left",
-        [[0.0], [0.0, 1.0]],
-    ]
-    table = np.zeros((len(agents), env.layout.dimension))
-    return [
-        *(partial(env.step, {**fine, agent: action}) for action in broken),
-        partial(env.step, {name: action for name, action in fine.items() if name != agent}),
-        partial(env.step, {**fine, "player_99": fine[agent]}),
-        partial(env.step, {}),
-        partial(env.step, list(fine.values())),
-        partial(env.reset, seed=-1),
-        partial(env.reset, seed="7"),
-        partial(env.reset, options={"estimates": table[:, 1:]}),
-        partial(env.reset, options={"estimates": np.full_like(table, rng.choice((math.nan, math.inf, 6e5)))}),
-        partial(env.reset, options={"estimates": "anywhere"}),
-        env.render,
-    ]
-
-
-def parallel_session(rng, scenario, arguments, tally, episodes):
-    """Episodes of one environment, with calls in every order."""
-    env, abused = (parallel_env(scenario, **arguments) for _ in range(2))
-    for early in (partial(abused.step, {}), abused.state, lambda: abused.strategies, lambda: abused.time):
-        refuses(early, tally)
-    for index in range(episodes):
-        seed = rng.choice((None, rng.randrange(2**31))) if index else rng.randrange(2**31)
-        start = np.random.default_rng(rng.getrandbits(32)).uniform(-9, 9, env.estimates.shape) if index else None
-        options = {"estimates": start} if rng.random() < 0.3 else None
-        restart = [partial(each.reset, seed=seed, options=options) for each in (env, abused)]
-        first = refused_start(*restart, tally)
-        if first is None:
-            return
-        same(first, restart[1](), "first observations")
-        abused = parallel_episode(rng, env, abused, first[0], tally)
-        if not env.agents:
-            assert abused.step({}) == ({}, {}, {}, {}, {}), "a step without actions after the end is not empty"
-            refuses(partial(abused.step, dict.fromkeys(env.possible_agents, np.zeros(env.layout.action_size))), tally)
-        tally.parallel_episodes += 1
-        tally.episodes += 1
-
-
-def parallel_episode(rng, env, abused, observations, tally):
-    """An episode, or its beginning; returns the abused environment, or its copy."""
-    decide = actor(rng, env.layout)
-    for _ in range(rng.randint(1, 60)):
-        within(env.observation_space(env.possible_agents[0]), np.stack(list(observations.values())))
-        if not env.agents:
-            break
-        chosen = decide(np.stack(list(observations.values()))[None])[0]
-        for wrong in rng.sample(wrong_parallel_calls(rng, abused), 2 if rng.random() < 0.3 else 0):
-            refuses(wrong, tally)
-        if rng.random() < 0.1:
-            abused = copy.deepcopy(abused)
-        if rng.random() < 0.1:
-            abused.close()
-            abused.close()
-        spoil((abused.state(), abused.estimates, abused.strategies, abused.nash_equilibrium))
-        actions = dict(zip(env.agents, chosen, strict=True))
-        outcome = env.step(actions)
-        repeated = abused.step({agent: action.copy() for agent, action in reversed(actions.items())})
-        same(outcome, repeated, "observations")
-        assert outcome[1:] == repeated[1:], "steps differ between equal environments"
-        apart(list(arrays(repeated)), [*actions.values()])
-        spoil(repeated)
-        check_step(env, outcome)
-        observations, rewards, _, _, infos = outcome
-        tally.agent_steps += len(rewards)
-        tally.clipped += int(sum(info["clipped"] for info in infos.values()))
-        tally.diverged += int(not env.agents and infos[env.possible_agents[0]]["diverged"])
-    return abused
-
-
-def check_step(env, outcome):
-    """All results of a step are finite, and the episode ends for all players at once."""
-    _, rewards, terminated, truncated, infos = outcome
-    assert np.isfinite(list(rewards.values())).all(), "a reward is not finite"
-    assert env.state_space.contains(env.state()), "the state is outside its space"
-    first, ended = infos[env.possible_agents[0]], any(terminated.values())
-    assert not first["diverged"] or all(terminated.values())
-    assert all(terminated.values()) == ended
-    assert all(truncated.values()) == any(truncated.values())
-    assert bool(env.agents) == (not (ended or any(truncated.values())))
-
-
 # Mathematics -------------------------------------------------------------------------------------------------------
-
-
-def exact_step(rng, scenario, tally):
-    """x_{k+1} = x_k + (Δs_k + c Δt_k) u_k and u = −κ L x − ∇J, to rounding, with κ = 2."""
-    plain = scenario.replace(channel="perfect", disturbance=None, clock_shifts=())
-    world = World(plain)
-    if world.has_random_game or world.game.has_bounds:
-        return
-    n, players = world.game.dimension, world.game.num_players
-    generator = np.random.default_rng(rng.getrandbits(32))
-    clock = world.clock
-    encoder = make_encoder(world, Interface("physical"))
-    randomness = None
-    if world.topology.is_random:
-        randomness = world.draw_randomness([RandomStreams.from_seed(1)])
-    try:
-        state = dynamics.initial_state(world, generator.uniform(-5, 5, (n, players, 1)), randomness=randomness)
-    except ValueError:
-        return
-    law = laws.Static(encoder.layout)
-    for k in range(clock.steps):
-        theta = clock.s[k + 1] - clock.s[k] + plain.gain * (clock.t[k + 1] - clock.t[k])
-        if k == clock.steps - 1:  # the clock is set to T once the last step is done
-            theta = clock.theta[k]
-        before, graph = state.estimates[:, :, 0], world.topology.graphs[int(dynamics.active_mode(world, state)[0])]
-        actions, _ = law.predict(encoder.observe(state)[0])
-        inputs = encoder.inputs(encoder.clip(actions[None]).actions, state)
-        state = dynamics.step(world, state, inputs)
-        if state.any_diverged:
-            return
-        after, moved = state.estimates[:, :, 0], theta * inputs[:, :, 0]
-        scale = max(np.abs(before).max(), np.abs(moved).max(), 1e-300)
-        assert np.abs(after - before - moved).max() <= 1e-11 * scale, "a step is not the held input times Θ"
-        laplacian = np.diag(graph.adjacency.sum(axis=1)) - graph.adjacency
-        wanted = -2.0 * before @ laplacian
-        with np.errstate(all="ignore"):
-            gradients = world.game.own_gradients(before[:, :, None])[:, 0]
-        wanted[np.arange(n), world.game.owners] -= gradients
-        wanted = np.clip(wanted, -plain.input_limit, plain.input_limit)
-        size = max(np.abs(before).max(), np.abs(gradients).max(), 1e-300) * (1 + 4 * np.abs(laplacian).max())
-        assert np.abs(inputs[:, :, 0] - wanted).max() <= 2e-6 * size, "the input differs from the equation of the law"
-        tally.comparisons += 1
 
 
 def relabelled(rng, tally):
@@ -587,8 +444,6 @@ def session(rng, episodes):
             tally.refused_worlds += 1
             return tally
         assert Scenario.from_json(scenario.to_json()) == scenario
-        exact_step(rng, scenario, tally)
-        parallel_session(rng, scenario, arguments, tally, max(1, episodes // 20))
         vector_session(rng, scenario, arguments, tally, episodes)
     return tally
 

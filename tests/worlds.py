@@ -137,11 +137,11 @@ def stack(estimates):
 
 
 def while_running(env):
-    """Once per step of the episode; one that never ends fails instead of hanging."""
-    for _ in range(env.world.clock.total_steps + 1):
+    """The number of each step of the episode; one that never ends fails instead of hanging."""
+    for step in range(env.world.clock.total_steps + 1):
         if not env.agents:
             return
-        yield
+        yield step
     raise AssertionError("the episode goes on after its last step")
 
 

@@ -5,7 +5,7 @@ from functools import partial
 from types import SimpleNamespace
 
 import pytest
-from worlds import BLOCKS, BLOCKS_SWITCHING
+from worlds import BLOCKS_SWITCHING
 
 from ptne_env.envs.parallel import parallel_env
 from ptne_env.envs.turn_based import aec_env
@@ -26,7 +26,6 @@ SCENARIOS = {
     "energy": "energy",
     "random-energy-switching-transformed": "random-energy-switching-transformed",
     "robots": "robots",
-    "blocks": BLOCKS,
     "blocks-switching": BLOCKS_SWITCHING,
 }
 VARIANTS = {"scaled": {}, "physical": {"interface": "physical", "hold_steps": 10, "input_limit": 5.0}}
@@ -58,9 +57,8 @@ def test_max_cycles(name):
     max_cycles_test(constructors)
 
 
-@pytest.mark.parametrize("name", ["energy", "blocks"])
-def test_rendering(name):
-    render_test(partial(aec_env, SCENARIOS[name]))
+def test_rendering():
+    render_test(partial(aec_env, "energy"))
 
 
 @pytest.mark.parametrize("name", SCENARIOS)

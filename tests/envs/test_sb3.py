@@ -11,7 +11,6 @@ from stable_baselines3.common.callbacks import EvalCallback
 from stable_baselines3.common.evaluation import evaluate_policy
 from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import VecNormalize
-from worlds import BLOCKS
 
 from ptne_env import FactorySpec, PolicySpec, VectorParallelEnv, evaluate, get_scenario, laws
 from ptne_env.envs.sb3 import PlayerVecEnv
@@ -32,23 +31,6 @@ def random_actions(env, generator):
     return (bound * generator.uniform(-1.1, 1.1, (env.num_envs, *env.action_space.shape))).astype(np.float32)
 
 
-def test_members_are_the_players_environment_by_environment():
-    slots, vector = PlayerVecEnv(BLOCKS, 4, seed=3), VectorParallelEnv(BLOCKS, 4, interface="scaled")
-    assert slots.num_envs == 12
-    assert slots.observation_space == vector.single_observation_space
-    assert slots.action_space == vector.single_action_space
-    assert slots.layout == vector.layout
-    observations = slots.reset()
-    assert np.array_equal(observations, vector.reset(seed=3).reshape(12, -1))
-    players = slots.layout.select(observations, "player").argmax(axis=1)
-    assert players.tolist() == [0, 1, 2] * 4
-    actions = random_actions(slots, np.random.default_rng(0))
-    _, rewards, _, _ = slots.step(actions)
-    expected = vector.step(actions.reshape(4, 3, -1)).rewards
-    assert rewards.dtype == np.float32
-    assert np.array_equal(rewards, expected.reshape(12).astype(np.float32))
-
-
 def test_seed_counts_up_by_environment_and_holds_for_one_reset():
     env = PlayerVecEnv("random-energy", 3, seed=8)
     first, second = env.reset(), env.reset()
@@ -63,55 +45,6 @@ def test_seed_counts_up_by_environment_and_holds_for_one_reset():
     assert env.seed()[0] != drawn[0]
     unseeded = [PlayerVecEnv("random-energy", 1).reset() for _ in range(2)]
     assert not np.array_equal(*unseeded)
-
-
-@pytest.mark.parametrize(
-    ("arguments", "truncated"),
-    [({"steps": 4}, False), ({"steps": 4, "max_cycles": 4}, False), ({"max_cycles": 4}, True)],
-)
-def test_the_end_returns_the_last_observation_and_its_kind(arguments, truncated):
-    env, vector = (
-        PlayerVecEnv("random-energy", 2, seed=1, **arguments),
-        VectorParallelEnv("random-energy", 2, interface="scaled", **arguments),
-    )
-    env.reset()
-    vector.reset(seed=1)
-    generator = np.random.default_rng(0)
-    for k in range(4):
-        actions = random_actions(env, generator) * np.float32(1e-2)
-        observations, _, dones, infos = env.step(actions)
-        last = vector.step(actions.reshape(2, 5, 5)).observations.reshape(10, -1)
-        assert dones.dtype == np.bool_
-        assert dones.tolist() == [k == 3] * 10
-        if k < 3:
-            assert np.array_equal(observations, last)
-            assert infos == [{}] * 10
-    assert np.array_equal(observations, vector.reset().reshape(10, -1))
-    assert np.array_equal(np.stack([info["terminal_observation"] for info in infos]), last)
-    for info in infos:
-        assert info["TimeLimit.truncated"] is truncated
-        assert not info["is_success"]
-        assert not info["diverged"]
-        assert set(info) == {
-            *("terminal_observation", "TimeLimit.truncated", "episode"),
-            *("diverged", "clipped", "is_success", "reward_digits"),
-        }
-    assert len({id(info) for info in infos}) == 10
-
-
-def test_divergence_of_one_environment_ends_only_its_members():
-    env = PlayerVecEnv("random-energy", 3, interface="physical", seed=0, input_limit=1e9)
-    env.reset()
-    actions = np.zeros((15, 5), dtype=np.float32)
-    actions[7] = 1e9  # the third player of the second environment
-    observations, rewards, dones, infos = env.step(actions)
-    assert dones.tolist() == [False] * 5 + [True] * 5 + [False] * 5
-    assert all(info == {} for info in infos[:5] + infos[10:])
-    assert all(info["diverged"] and not info["TimeLimit.truncated"] for info in infos[5:10])
-    assert rewards[5:10].max() < 0
-    assert not rewards[[*range(5), *range(10, 15)]].any()
-    clock = env.layout.select(observations, "clock")[:, 0]
-    assert np.array_equal(clock == 0, dones)
 
 
 def test_attributes_and_methods_are_those_of_the_environments():
@@ -187,7 +120,6 @@ def parameters_of(model):
 
 TRAINERS = {
     "PPO": lambda env: PPO("MlpPolicy", env, n_steps=40, batch_size=40, n_epochs=2, seed=0),
-    "A2C": lambda env: A2C("MlpPolicy", env, n_steps=20, seed=0),
     "SAC": lambda env: SAC("MlpPolicy", env, learning_starts=50, batch_size=16, buffer_size=400, train_freq=8, seed=0),
 }
 

@@ -32,35 +32,30 @@ def go_on(env, steps, seed=1):
     return record
 
 
-@pytest.mark.parametrize("interface", ["physical", "scaled"])
-@pytest.mark.parametrize("name", ["energy", "energy-switching-transformed", "random-energy"])
-def test_shapes_dtypes_and_memory_order_are_as_documented(name, interface, block_size):
-    env = make(name, steps=400, interface=interface, reward={"digits": 1.0, "payoff": 1e-3})
-    batch, players, size = 5, env.num_players, env.layout.size
+def test_shapes_and_dtypes_are_as_documented(block_size):
+    env = make(reward={"digits": 1.0, "payoff": 1e-3})
     observations = env.reset(seed=0)
     outcome = env.step(random_actions(env, np.random.default_rng(0)))
     assert type(outcome) is VectorStep
-    expected = {
-        "first observations": (observations, (batch, players, size), np.float32),
-        "observations": (outcome.observations, (batch, players, size), np.float32),
-        "rewards": (outcome.rewards, (batch, players), np.float64),
-        "terminated": (outcome.terminated, (batch,), np.bool_),
-        "truncated": (outcome.truncated, (batch,), np.bool_),
-        "diverged": (outcome.infos["diverged"], (batch,), np.bool_),
-        "is_success": (outcome.infos["is_success"], (batch,), np.bool_),
-        "clipped": (outcome.infos["clipped"], (batch, players), np.int64),
-        "digits": (outcome.infos["reward_digits"], (batch, players), np.float64),
-        "payoff": (outcome.infos["reward_payoff"], (batch, players), np.float64),
+    returned = {
+        "first observations": observations,
+        **{name: value for name, value in outcome._asdict().items() if name != "infos"},
+        **outcome.infos,
     }
-    assert list(outcome.infos) == ["diverged", "clipped", "is_success", "reward_digits", "reward_payoff"]
-    for what, (array, shape, dtype) in expected.items():
-        assert array.shape == shape, what
-        assert array.dtype == dtype, what
-        assert array.flags.c_contiguous, what
-        assert array.flags.writeable, what
-    assert env.single_observation_space.shape == (size,)
+    assert {name: (array.shape, array.dtype) for name, array in returned.items()} == {
+        "first observations": ((5, 5, env.layout.size), np.float32),
+        "observations": ((5, 5, env.layout.size), np.float32),
+        "rewards": ((5, 5), np.float64),
+        "terminated": ((5,), np.bool_),
+        "truncated": ((5,), np.bool_),
+        "diverged": ((5,), np.bool_),
+        "clipped": ((5, 5), np.int64),
+        "is_success": ((5,), np.bool_),
+        "reward_digits": ((5, 5), np.float64),
+        "reward_payoff": ((5, 5), np.float64),
+    }
+    assert env.single_observation_space.shape == (env.layout.size,)
     assert env.single_action_space.shape == (env.layout.action_size,)
-    assert all(env.single_observation_space.contains(row) for row in outcome.observations.reshape(-1, size))
 
 
 def test_a_seed_is_counted_up_and_a_list_is_taken_as_it_is(block_size):
@@ -129,61 +124,17 @@ def test_restarting_within_a_step_is_a_reset_without_a_step(reward, block_size):
         assert theirs.infos["clipped"].any(axis=1).all()
 
 
-def test_an_environment_that_is_over_may_restart_within_a_step(block_size):
-    env = make(steps=3)
-    env.reset(seed=0)
-    for _ in range(3):
-        outcome = env.step(np.zeros((5, 5, 5)))
-    assert outcome.terminated.all()
-    outcome = env.step(np.full((5, 5, 5), 9.0), np.ones(5, dtype=np.bool_))
-    assert not (outcome.terminated | outcome.truncated | outcome.infos["is_success"]).any()
-    assert not outcome.rewards.any()
-    assert not outcome.infos["clipped"].any()
-    clock = env.layout.select(outcome.observations, "clock")
-    assert not clock[..., 0].any()
-    env.step(np.zeros((5, 5, 5)))
-
-
-def test_divergence_ends_one_environment_and_no_other(block_size):
-    env, calm = (make(steps=60, input_limit=1e9) for _ in range(2))
-    env.reset(seed=0)
-    calm.reset(seed=0)
-    actions = np.zeros((5, 5, 5))
-    calm.step(actions)
-    actions[2] = 1e9
-    outcome = env.step(actions)
-    crashed = np.arange(5) == 2
-    assert np.array_equal(outcome.infos["diverged"], crashed)
-    assert np.array_equal(outcome.terminated, crashed)
-    assert not outcome.truncated.any()
-    assert np.isfinite(outcome.observations).all()
-    assert outcome.rewards[2].max() < 0
-    assert not outcome.rewards[~crashed].any()
-    observations = env.reset(mask=crashed)
-    actions[2] = 0
-    outcome = env.step(actions)
-    assert not outcome.infos["diverged"].any()
-    assert np.array_equal(outcome.observations[~crashed], calm.step(actions).observations[~crashed])
-    assert not np.array_equal(outcome.observations[2], observations[2])
-
-
 BAD_RESETS = {
     "too few seeds": ({"seed": [1, 2, 3]}, "5 environments need as many seeds, got 3"),
     "a negative seed": ({"seed": [0, 1, 2, 3, -4]}, "a seed is a whole number of at least 0 or None, got -4"),
-    "a negative first seed": ({"seed": -3}, "a seed is a whole number of at least 0 or None, got -3"),
-    "a fractional seed": ({"seed": 1.5}, "a seed is a whole number of at least 0 or None, got 1.5"),
     "a fractional seed among others": ({"seed": [1, 2, 3, 4.5, 5]}, "a seed is a whole number.*got 4.5"),
-    "bytes as seeds": ({"seed": b"12345"}, "seeds are a whole number or 5 of them, got bytes"),
     "a text as seeds": ({"seed": "12345"}, "seeds are a whole number or 5 of them, got str"),
     "a masked mask": (
         {"mask": np.ma.masked_array([True] * 5)},
         "a reset mask must be a plain array, got a masked array",
     ),
-    "masked estimates": ({"estimates": np.ma.zeros((5, 5))}, "initial estimates must be a plain array"),
     "a short mask": ({"mask": np.ones(4, dtype=np.bool_)}, r"a reset mask is 5 booleans, got bool of shape \(4,\)"),
     "a mask of numbers": ({"mask": [0, 1, 0, 1, 1]}, r"a reset mask is 5 booleans, got int64 of shape \(5,\)"),
-    "a mask of indices": ({"mask": np.array([1, 3])}, r"got int64 of shape \(2,\)"),
-    "one boolean": ({"mask": True}, r"got bool of shape \(\)"),
     "one start too far out": (
         {"estimates": np.repeat([0.0] * 4 + [4e5], 25).reshape(5, 5, 5)},
         "own gradients at the initial estimates must be within",
@@ -207,8 +158,6 @@ def test_the_first_reset_starts_every_environment(block_size):
     env = make()
     with pytest.raises(ValueError, match=r"the first reset\(\) starts every environment: leave out the mask"):
         env.reset(seed=0, mask=[True, True, False, False, False])
-    with pytest.raises(RuntimeError, match="5 of 5 environments are over or not started"):
-        env.step(np.zeros((5, 5, 5)))
     assert np.array_equal(env.reset(seed=0), make().reset(seed=0))
 
 
@@ -232,21 +181,13 @@ def test_step_of_environments_that_are_over_or_not_started_names_the_first(block
     env.step(np.zeros((5, 5, 5)))
 
 
-@pytest.mark.parametrize(
-    ("restart", "message"),
-    [
-        (np.ones(5, dtype=np.int64), "a restart mask is 5 booleans, got int64"),
-        (np.ma.masked_array([True] * 5), "a restart mask must be a plain array, got a masked array"),
-        (np.ones(4, dtype=np.bool_), r"a restart mask is 5 booleans, got bool of shape \(4,\)"),
-    ],
-)
-def test_a_bad_restart_mask_is_refused_and_no_environment_moves(restart, message):
+def test_a_bad_restart_mask_is_refused_and_no_environment_moves():
     env, undisturbed = make(steps=20), make(steps=20)
     for each in (env, undisturbed):
         each.reset(seed=0)
     actions = np.zeros((5, 5, 5))
-    with pytest.raises(ValueError, match=message):
-        env.step(actions, restart)
+    with pytest.raises(ValueError, match="a restart mask is 5 booleans, got int64"):
+        env.step(actions, np.ones(5, dtype=np.int64))
     assert np.array_equal(env.step(actions).observations, undisturbed.step(actions).observations)
 
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from worlds import BLOCKS, BLOCKS_SWITCHING, FAULTY, begin, world_and_encoder
 
-from ptne_env import CATALOGUE, Interface, get_scenario, laws
+from ptne_env import CATALOGUE, get_scenario, laws
 from ptne_env.perception.observation import OBSERVATION_BOUND
 from ptne_env.world import dynamics
 from ptne_env.world.world import RANGE_LIMIT
@@ -154,23 +154,6 @@ def test_neighbour_estimates_need_the_own_estimate():
         encoder.layout.neighbour_estimates(encoder.observe(wander(world)))
 
 
-@pytest.mark.parametrize("name", ["energy-switching", "energy-switching-transformed", "blocks-switching"])
-def test_a_down_link_keeps_its_slot_with_weight_zero(name):
-    world, encoder = world_and_encoder(WORLDS[name])
-    layout, state = encoder.layout, wander(world, steps=0)
-    down = up = 0
-    for _ in range(world.clock.steps):
-        observation = encoder.observe(state)[0]
-        weights = layout.select(observation, "weights")
-        relative = layout.select(observation, "relative_estimates").reshape(*weights.shape, -1)
-        assert not relative[weights == 0].any()
-        assert np.all(np.any(relative[weights > 0], axis=-1))
-        down, up = down + (weights == 0).sum(), up + (weights > 0).sum()
-        state = dynamics.step(world, state, np.zeros_like(state.estimates))
-    assert down > 0
-    assert up > 0
-
-
 def test_differences_are_taken_before_the_cast_to_float32():
     world, encoder = world_and_encoder("energy")
     estimates = np.full((5, 5, 1), 12345.678)
@@ -281,39 +264,6 @@ def test_input_limit_that_float32_cannot_hold_is_never_exceeded():
     assert np.abs(encoder.decode(np.full((2, 5, 5), 9.0, dtype=np.float32), state)).max() <= 0.1
 
 
-@pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize("name", WORLDS)
-def test_batch_agrees_bit_for_bit_with_batches_of_one(name, kind):
-    scenario = WORLDS[name]
-    world, encoder = world_and_encoder(scenario, kind=kind)
-    batch, bound = 7, 1.5 * encoder.layout.action_bound
-    together = begin(world, range(batch))
-    alone = [begin(world, [b]) for b in range(batch)]
-    generator = np.random.default_rng(0)
-    for _ in range(12):
-        actions = generator.uniform(-bound, bound, (batch, encoder.layout.num_players, encoder.layout.action_size))
-        actions = actions.astype(np.float32)
-        observations, inputs = encoder.observe(together), encoder.decode(actions, together)
-        clipped = encoder.clip(actions).clipped
-        together = dynamics.step(world, together, inputs)
-        for b in range(batch):
-            part = actions[b : b + 1]
-            assert np.array_equal(encoder.observe(alone[b])[0], observations[b])
-            own, own_clipped = encoder.decode(part, alone[b]), encoder.clip(part).clipped
-            assert np.array_equal(own_clipped[0], clipped[b])
-            assert np.array_equal(own[..., 0], inputs[..., b])
-            alone[b] = dynamics.step(world, alone[b], own)
-
-
-def test_observations_are_owned_by_the_caller():
-    world, encoder = world_and_encoder("energy")
-    state = wander(world)
-    first = encoder.observe(state)
-    kept = first.copy()
-    first[:] = 99
-    assert np.array_equal(encoder.observe(state), kept)
-
-
 def test_observations_of_another_layout_are_refused_with_both_sizes():
     layout = world_and_encoder("energy")[1].layout
     with pytest.raises(ValueError, match=rf"length {layout.size} .*5 players, 2 neighbour slots.*\(1, 7\)"):
@@ -368,11 +318,6 @@ def test_observations_hold_received_messages_and_local_clocks(kind):
         age = layout.select(encoder.observe(state)[b, 0], "time_since_switch")
         assert age[0] == np.float32(dynamics.time_since_switch(world, state)[b])
     assert len(set(dynamics.time_since_switch(world, state))) == 2  # episodes draw their own topologies
-
-
-def test_unknown_interfaces_are_refused():
-    with pytest.raises(ValueError, match="unknown interface 'global'; choose from scaled, physical, full"):
-        Interface("global")
 
 
 @pytest.mark.parametrize("name", [name for name in WORLDS if "non-quadratic" not in name])  # whose gradients are huge

@@ -103,24 +103,13 @@ BROKEN = {
 }
 
 
-NAIVE = {
-    "s/√(1 + s²)": {
-        "time": lambda s: 2 * np.asarray(s) / np.sqrt(1 + np.asarray(s) ** 2),
-        "derivative": lambda s: 2 / (1 + np.asarray(s) ** 2) ** 1.5,
-        "inverse": lambda t: np.asarray(t) / np.sqrt(4 - np.asarray(t) ** 2),
-    },
-    "sinh s/cosh s": {
+def test_formula_that_overflows_far_out_satisfies_the_lemma():
+    formulas = {
         "time": lambda s: 2 * np.sinh(s) / np.cosh(s),
         "derivative": lambda s: 2 / np.cosh(s) ** 2,
         "inverse": lambda t: np.arctanh(np.asarray(t) / 2),
-    },
-}
-"""Transformations whose formulas overflow far out."""
-
-
-@pytest.mark.parametrize("name", NAIVE)
-def test_formula_that_overflows_far_out_satisfies_the_lemma(name):
-    assert abs(check_time_transformation(Broken(**NAIVE[name]))) < 1e-4
+    }
+    assert abs(check_time_transformation(Broken(**formulas))) < 1e-4
 
 
 @pytest.mark.parametrize("name", BROKEN)
@@ -217,10 +206,7 @@ def test_without_constant_gain_theta_is_the_transformed_step():
     ("arguments", "message"),
     [
         ({"gain": -1.0}, r"gain \(c\) must be a finite number of at least 0"),
-        ({"gain": float("nan")}, r"gain \(c\)"),
         ({"steps": 0}, r"steps \(K\) must be a whole number of at least 1"),
-        ({"steps": 2.5}, r"steps \(K\)"),
-        ({"steps": True}, r"steps \(K\)"),
         ({"s_end": 0.0}, "s_end must be a finite number above 0"),
         ({"s_end": 50.0}, "too long"),
         ({"hold_steps": -1}, "hold_steps must be"),

@@ -225,20 +225,6 @@ def test_copies_in_the_middle_of_an_episode_go_on_alone_compiled(duplicate, comp
     assert len(calls) == 18
 
 
-@pytest.mark.parametrize("width", [0.5, 2.0])
-def test_a_refused_action_leaves_the_state_as_it_was_compiled(width, compiled):
-    ours, expected = [one_env("energy") for _ in range(2)]
-    ours.reset(seed=0), expected.reset(seed=0)
-    for turn in range(3):
-        assert list(random_steps(ours, turn, 2)) == list(random_steps(expected, turn, 2))
-        actions = {agent: np.full(5, width * ours.layout.action_bound, dtype=np.float32) for agent in ours.agents}
-        actions["player_4"][4] = np.nan
-        with pytest.raises(ValueError, match="player_4 is not finite"):
-            ours.step(actions)
-        if turn:  # also where nobody has asked for the state
-            assert state_bits(ours.get_state()) == state_bits(expected.get_state())
-
-
 # --- the switch -------------------------------------------------------------------------------------------------------
 
 PLAY = """
@@ -261,12 +247,9 @@ def test_numba_is_imported_when_steps_have_taken_long_enough_and_silently():
     assert (run.stdout.split(), run.stderr) == (["False", "True", "True"], "")
 
 
-@pytest.mark.parametrize(
-    "content", ["raise RuntimeError('no LLVM')", "import ptne_nothing", "config = None", "raise SystemError('no LLVM')"]
-)
-def test_a_broken_numba_is_one_warning_and_the_numpy_path(content, tmp_path):
+def test_a_broken_numba_is_one_warning_and_the_numpy_path(tmp_path):
     (tmp_path / "numba").mkdir()
-    (tmp_path / "numba" / "__init__.py").write_text(content, encoding="utf-8")
+    (tmp_path / "numba" / "__init__.py").write_text("raise SystemError('no LLVM')", encoding="utf-8")
     program = f"""
 sys.path.insert(0, {str(tmp_path)!r})
 fused._spent = fused.PATIENCE

@@ -10,6 +10,7 @@ from ptne_env.world import dynamics
 from ptne_env.world.rewards import REWARD_LIMIT, TERMS, Reward, parse_reward
 from ptne_env.world.world import World
 
+EVERY_TERM = dict.fromkeys(TERMS, 1.0)
 GAMES = {"energy": get_scenario("energy", start="random"), "blocks": BLOCKS}
 
 
@@ -94,15 +95,16 @@ def test_a_mixed_reward_is_the_weighted_sum_of_unweighted_terms():
         assert judge.total(term) == pytest.approx(sum(weights[name] * term[name] for name in weights), rel=1e-14)
 
 
-@pytest.mark.parametrize("reward", TERMS)
 @pytest.mark.parametrize("scenario", [get_scenario("energy", start="random"), large_energy_scenario()])
-def test_batch_agrees_bit_for_bit_with_batches_of_one(scenario, reward):
+def test_batch_agrees_bit_for_bit_with_batches_of_one(scenario):
     world = World(scenario)
     batch = 6
     estimates = world.draw_estimates([RandomStreams.from_seed(b) for b in range(batch)])
-    together, judge = dynamics.initial_state(world, estimates), Reward(world, reward)
+    together, judge = dynamics.initial_state(world, estimates), Reward(world, EVERY_TERM)
     judge.reset(together)
-    alone = [(dynamics.initial_state(world, estimates[:, :, b : b + 1]), Reward(world, reward)) for b in range(batch)]
+    alone = [
+        (dynamics.initial_state(world, estimates[:, :, b : b + 1]), Reward(world, EVERY_TERM)) for b in range(batch)
+    ]
     for state, own in alone:
         own.reset(state)
     generator = np.random.default_rng(0)
@@ -111,36 +113,34 @@ def test_batch_agrees_bit_for_bit_with_batches_of_one(scenario, reward):
         if k == 5:
             inputs[:, :, 2] = 1e9  # the third environment leaves the range
         together = dynamics.step(world, together, inputs)
-        terms = judge.step(together)[reward]
+        terms = judge.step(together)
         for b, (state, own) in enumerate(alone):
             following = dynamics.step(world, state, inputs[:, :, b : b + 1])
-            assert np.array_equal(own.step(following)[reward][:, 0], terms[:, b])
+            for name, values in own.step(following).items():
+                assert np.array_equal(values[:, 0], terms[name][:, b])
             alone[b] = following, own
     assert together.diverged.tolist() == [b == 2 for b in range(batch)]
 
 
 def returns_of(env, act):
-    """The sum of rewards per agent when ``act(k)`` is the constant action of all players in step k."""
-    env.reset()
-    total, k, diverged = dict.fromkeys(env.possible_agents, 0.0), 0, False
-    for _ in while_running(env):
-        _, rewards, _, _, infos = env.step(constant_actions(env, act(k)))
-        for agent, reward in rewards.items():
-            total[agent] += reward
-        diverged = infos["player_0"]["diverged"]
-        k += 1
-    return total, diverged, k
+    """The sums of all terms, players by terms, when ``act(k)`` are the actions of step k; divergence; length."""
+    total, infos = 0.0, {}
+    for k in while_running(env):
+        infos = env.step(act(k))[4]
+        terms = [[value for name, value in info.items() if name.startswith("reward_")] for info in infos.values()]
+        total = total + np.array(terms)
+    return total, infos["player_0"]["diverged"], k + 1
 
 
 @pytest.mark.parametrize("crash_at", [0, 3, 18])
-@pytest.mark.parametrize("reward", [*TERMS, {"digits": 1.0, "payoff": 1e-6, "tracking": 0.1}])
-def test_divergence_never_pays(reward, crash_at):
-    env = make_env("energy", steps=20, reward=reward, input_limit=1e7)
+def test_divergence_never_pays(crash_at):
+    env = make_env("energy", steps=20, reward=EVERY_TERM, input_limit=1e7)
     theta = env.world.clock.theta
     brink = 1.9e5  # own gradients are 2.6 times a strategy that all share, so this is just inside the range
 
     def after(continuation):
-        return returns_of(env, lambda k: 0.0 if k < crash_at else continuation(k))
+        env.reset()
+        return returns_of(env, lambda k: constant_actions(env, 0.0 if k < crash_at else continuation(k)))
 
     crash, diverged, length = after(lambda k: 1e7)
     assert diverged
@@ -153,42 +153,34 @@ def test_divergence_never_pays(reward, crash_at):
     }.items():
         survivor, gone, _ = after(continuation)
         assert not gone, name
-        assert all(crash[agent] < survivor[agent] for agent in env.possible_agents), name
+        assert (crash < survivor).all(), name
 
 
-@pytest.mark.parametrize("reward", ["digits", "tracking", "payoff"])
-def test_divergence_of_one_player_is_charged_to_all_players(reward):
-    env = make_env("non-quadratic", steps=40, reward=reward)
+def test_divergence_of_one_player_is_charged_to_all_players():
+    env = make_env("non-quadratic", steps=40, reward=dict.fromkeys(["digits", "tracking", "payoff"], 1.0))
     near = np.tile(env.nash_equilibrium, (5, 1)) + 1e-3
-    totals = []
-    for push in (1000.0, 0.0):
+
+    def push(by):
         env.reset(options={"estimates": near})
-        total = dict.fromkeys(env.possible_agents, 0.0)
-        for _ in while_running(env):
-            actions = constant_actions(env, 0.0)
-            actions["player_1"][1] = push  # its own gradient leaves the range, every other estimate stays
-            _, rewards, _, _, infos = env.step(actions)
-            for agent, value in rewards.items():
-                total[agent] += value
-        assert infos["player_0"]["diverged"] == (push > 0)
-        totals.append(total)
-    crash, survivor = totals
-    assert all(crash[agent] < survivor[agent] - 5 for agent in env.possible_agents)
+        actions = constant_actions(env, 0.0)
+        actions["player_1"][1] = by  # its own gradient leaves the range, every other estimate stays
+        return returns_of(env, lambda k: actions)
+
+    (crash, diverged, _), (survivor, gone, _) = push(1000.0), push(0.0)
+    assert (diverged, gone) == (True, False)
+    assert (crash < survivor - 5).all()
 
 
-@pytest.mark.parametrize("reward", TERMS)
-def test_divergence_is_charged_for_the_remaining_steps(reward):
-    env = make_env("energy", steps=20, reward=reward, input_limit=1e9)
+def test_divergence_is_charged_for_the_remaining_steps():
+    env = make_env("energy", steps=20, reward=EVERY_TERM, input_limit=1e9)
     env.reset()
     env.step(constant_actions(env, 0.0))
-    _, rewards, _, _, _ = env.step(constant_actions(env, 1e9))
-    limit = dynamics.distance_limit(env.world.game)[0]
-    worst = {"tracking": limit, "payoff": REWARD_LIMIT, "regret": REWARD_LIMIT}
-    for value in rewards.values():
-        if reward == "digits":
-            assert -6 < value < 0
-        else:
-            assert value == pytest.approx(-19 * worst[reward], rel=1e-12)
+    infos = env.step(constant_actions(env, 1e9))[4]
+    worst = {"tracking": dynamics.distance_limit(env.world.game)[0], "payoff": REWARD_LIMIT, "regret": REWARD_LIMIT}
+    for info in infos.values():
+        assert -6 < info["reward_digits"] < 0
+        for name, limit in worst.items():
+            assert info[f"reward_{name}"] == pytest.approx(-19 * limit, rel=1e-12)
 
 
 @pytest.mark.parametrize(
@@ -198,7 +190,6 @@ def test_divergence_is_charged_for_the_remaining_steps(reward):
         ({"digits": 1, "score": 2}, "unknown reward 'score'"),
         ({}, "unknown reward {}; choose from"),
         ({"digits": float("nan")}, "weight of reward 'digits' must be a finite number of at least 0"),
-        ({"digits": float("inf")}, "weight of reward 'digits' must be a finite number"),
         ({"digits": 1.0, "payoff": -1.0}, "weight of reward 'payoff' must be a finite number of at least 0"),
     ],
 )
@@ -208,10 +199,9 @@ def test_unknown_rewards_are_refused(reward, message):
 
 
 @pytest.mark.parametrize("reward", ["regret", {"digits": 1.0, "regret": 0.1}])
-@pytest.mark.parametrize("name", ["non-quadratic", "non-quadratic-switching", "non-quadratic-printed"])
-def test_regret_is_refused_where_no_best_response_exists(name, reward):
+def test_regret_is_refused_where_no_best_response_exists(reward):
     with pytest.raises(NoBestResponseError, match="choose digits, tracking or payoff"):
-        make_env(name, reward=reward)
+        make_env("non-quadratic", reward=reward)
 
 
 @pytest.mark.parametrize("reward", [lambda *_: 0.0, ["digits", "payoff"], None])

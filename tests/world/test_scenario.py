@@ -1,4 +1,3 @@
-import dataclasses
 import json
 import pickle
 
@@ -20,41 +19,6 @@ def edges(count, *pairs):
     return FactorySpec.of("ptne_env.world.graphs:from_edges", players=count, edges=pairs)
 
 
-@st.composite
-def scenarios(draw):
-    players = draw(st.integers(2, 5))
-    finite = st.floats(0.5, 3, allow_nan=False)
-    target = draw(st.lists(finite, min_size=players, max_size=players))
-    spacing = draw(st.sampled_from(["effective", "transformed", "physical"]))
-    return Scenario(
-        name=draw(st.text(max_size=10).filter(str.isprintable)),
-        game=FactorySpec.of("ptne_env.games:EnergyGame", target=target, coupling=draw(finite)),
-        topology=FactorySpec.of("ptne_env.world.graphs:complete", players=players),
-        start=FactorySpec.of("ptne_env.world.starts:UniformStart", low=-draw(finite), high=draw(finite)),
-        transformation=draw(st.sampled_from(["exponential", "tanh"])),
-        deadline=draw(finite),
-        gain=draw(finite),
-        steps=draw(st.integers(1, 50)),
-        s_end=draw(st.floats(5, 9)),
-        spacing=spacing,
-        hold_steps=draw(st.integers(0, 5)),
-        input_limit=draw(finite),
-        channel=draw(st.sampled_from(["perfect", FactorySpec.of("ptne_env.world.channel:Loss", probability=0.5)])),
-        disturbance=draw(st.sampled_from([None, FactorySpec.of("disturbance:uniform", bound=1.0)])),
-        clock_shifts=draw(st.sampled_from([(), (0.1,) * players])),
-        slots=draw(st.sampled_from([None, 4])),
-    )
-
-
-@given(scenarios())
-def test_json_round_trip_gives_an_equal_scenario(scenario):
-    again = Scenario.from_json(scenario.to_json())
-    assert again == scenario
-    assert hash(again) == hash(scenario)
-    assert np.array_equal(World(again).clock.theta, World(scenario).clock.theta)
-    assert np.array_equal(World(again).game.nash_equilibrium, World(scenario).game.nash_equilibrium)
-
-
 @given(st.sampled_from(sorted(CATALOGUE["energy"].to_dict())), st.none() | st.integers(-3, 50) | st.text(max_size=3))
 @pytest.mark.filterwarnings("ignore:.*short of the deadline")
 def test_a_changed_scenario_is_another_one_or_refused(field, value):
@@ -70,7 +34,9 @@ def test_a_changed_scenario_is_another_one_or_refused(field, value):
 @pytest.mark.parametrize("name", CATALOGUE)
 def test_catalogue_survives_json_and_pickle(name):
     scenario = CATALOGUE[name]
-    assert Scenario.from_json(scenario.to_json()) == scenario
+    again = Scenario.from_json(scenario.to_json())
+    assert again == scenario
+    assert hash(again) == hash(scenario)
     assert pickle.loads(pickle.dumps(scenario)) == scenario  # noqa: S301 - our own bytes
     assert json.loads(scenario.to_json())["name"] == name
 
@@ -94,26 +60,11 @@ def test_catalogue_has_the_settings_of_the_paper(name):
         assert topology.graphs == (cycle(5),)
 
 
-def test_random_start_draws_every_estimate_from_minus_20_to_20():
-    start = World(get_scenario("energy", start="random")).start
-    draws = start.draw(40, 50, np.random.default_rng(1))
-    assert start.is_random
-    assert -20 <= draws.min() < -19
-    assert 19 < draws.max() <= 20
-
-
 def test_overrides_change_only_what_they_name():
     changed = get_scenario("energy", deadline=2.0, hold_steps=5)
     expected = CATALOGUE["energy"].to_dict() | {"deadline": 2.0, "hold_steps": 5}
     assert changed.to_dict() == expected
     assert CATALOGUE["energy"].deadline == 1.2
-
-
-def test_scenarios_are_frozen_and_can_be_keys():
-    scenario = get_scenario("energy")
-    with pytest.raises(dataclasses.FrozenInstanceError):
-        scenario.deadline = 3.0
-    assert {scenario: 1}[get_scenario("energy", deadline=1.2)] == 1
 
 
 def test_a_shortfall_above_one_percent_is_a_warning():
@@ -126,24 +77,9 @@ REFUSED = {
     "track of a suite": (lambda: get_scenario("ptne-v1/delay"), r"get_suite\('ptne-v1'\).track\('delay'\).scenario"),
     "unknown field": (lambda: get_scenario("energy", kappa=2), "unknown scenario field 'kappa'; choose from name, "),
     "unknown start": (lambda: get_scenario("energy", start="rnd"), "unknown start 'rnd'; did you mean 'random'"),
-    "unknown transformation": (
-        lambda: get_scenario("energy", transformation="x"),
-        "choose from exponential, rational, tanh",
-    ),
     "deadline of zero": (lambda: get_scenario("energy", deadline=0.0), r"deadline must be .* above 0 \(T, in seconds"),
-    "negative deadline": (lambda: get_scenario("energy", deadline=-1.2), "deadline must be"),
-    "infinite deadline": (lambda: get_scenario("energy", deadline=float("inf")), "deadline must be a finite number"),
-    "deadline in words": (lambda: get_scenario("energy", deadline="1.2"), "deadline must be a finite number"),
-    "no gain at all": (lambda: get_scenario("energy", gain=None), r"gain \(c\) must be a finite number"),
-    "limit that is a switch": (lambda: get_scenario("energy", input_limit=True), "input_limit must be a finite number"),
     "number for a name": (lambda: get_scenario("energy", name=5), "name of a scenario must be a text of printable"),
     "escape for a name": (lambda: get_scenario("energy", name="\x1b[31m"), "of printable characters, got '.x1b.31m'"),
-    "no steps": (lambda: get_scenario("energy", steps=0), r"steps \(K\) must be a whole number of at least 1"),
-    "half a step": (lambda: get_scenario("energy", steps=1.5), r"steps \(K\) must be a whole number"),
-    "negative gain": (lambda: get_scenario("energy", gain=-1.0), r"gain \(c\) must be"),
-    "hold without gain": (lambda: get_scenario("energy", gain=0.0, hold_steps=3), "hold_steps need a gain c > 0"),
-    "no input": (lambda: get_scenario("energy", input_limit=0.0), "input_limit must be a finite number above 0"),
-    "unknown spacing": (lambda: get_scenario("energy", spacing="even"), "spacing is one of effective, transformed"),
     "start of another shape": (
         lambda: get_scenario(
             "energy", start=FactorySpec.of("ptne_env.world.starts:FixedStart", estimates=[[0.0] * 3] * 3)
@@ -183,7 +119,6 @@ REFUSED = {
         lambda: get_scenario("energy", slots=1),
         "a player has 2 neighbours and slots is 1; raise it to 2",
     ),
-    "half a slot": (lambda: get_scenario("energy", slots=2.5), "slots must be a whole number"),
     "clocks of some players": (
         lambda: get_scenario("energy", clock_shifts=(0.1, 0.2)),
         "5 players need 5 clock_shifts, or none, got 2",
@@ -200,10 +135,6 @@ REFUSED = {
     "channel of another kind": (
         lambda: get_scenario("energy", channel="start:paper"),
         "built a PaperStart where a Channel is needed",
-    ),
-    "disturbance without bound": (
-        lambda: get_scenario("energy", disturbance=FactorySpec.of("disturbance:uniform", bound=float("inf"))),
-        "bound must be a finite number above 0",
     ),
     "part of another kind": (
         lambda: get_scenario("energy", game="start:paper"),

@@ -40,13 +40,6 @@ def test_uniform_start_fills_exactly_its_interval():
     assert UniformStart(2.0, 3.0).draw(4, 4, generator()).min() >= 2.0
 
 
-def test_uniform_start_depends_only_on_the_generator():
-    start = UniformStart()
-    assert start.is_random
-    assert np.array_equal(start.draw(3, 4, generator(1)), start.draw(3, 4, generator(1)))
-    assert not np.array_equal(start.draw(3, 4, generator(1)), start.draw(3, 4, generator(2)))
-
-
 @pytest.mark.parametrize(("low", "high"), [(1.0, 1.0), (2.0, 1.0), (float("nan"), 1.0), (0.0, float("inf"))])
 def test_empty_or_infinite_intervals_are_refused(low, high):
     with pytest.raises(ValueError, match="finite low < high"):

@@ -6,7 +6,7 @@ from scipy import stats
 
 from ptne_env import FactorySpec, get_scenario
 from ptne_env.shared.random_streams import RandomStreams
-from ptne_env.world import dynamics, graphs, switching
+from ptne_env.world import graphs, switching
 from ptne_env.world.graphs import Graph
 from ptne_env.world.switching import EpisodeTopology, MarkovTopology, SwitchingTopology
 from ptne_env.world.world import World
@@ -86,7 +86,6 @@ def test_mode_changes_at_every_switch_and_nowhere_else(dwells, start, length):
         ({"graphs": [graphs.path(3), graphs.path(4)], "dwells": [1, 1]}, "same number of players"),
         ({"graphs": [graphs.path(3)] * 2}, "dwell times"),
         ({"graphs": [graphs.path(3)] * 2, "dwells": [1.0]}, "one dwell time per graph"),
-        ({"graphs": [graphs.path(3)] * 2, "dwells": [1.0, 0.0]}, "dwell time must be a finite number above 0"),
         ({"graphs": [graphs.path(3)], "clock": "wall"}, "'physical' or 'transformed'"),
     ],
 )
@@ -174,12 +173,12 @@ def test_modes_follow_the_chain_and_dwells_are_uniform():
 
 
 def test_links_are_up_with_the_given_probability():
-    topology = switching.random_edges(graphs.complete(6), 0.3, 1.0, modes=400, seed=3)
+    topology, again, other = (
+        switching.random_edges(graphs.complete(6), 0.3, 1.0, modes=100, seed=seed) for seed in (3, 3, 4)
+    )
     up = sum(len(graph.edges) for graph in topology.graphs)
-    assert stats.binomtest(up, 400 * 15, 0.3).pvalue > FALSE_ALARM
-    again = switching.random_edges(graphs.complete(6), 0.3, 1.0, modes=400, seed=3)
-    assert again.graphs == topology.graphs
-    assert switching.random_edges(graphs.complete(6), 0.3, 1.0, modes=400, seed=4).graphs != topology.graphs
+    assert stats.binomtest(up, 100 * 15, 0.3).pvalue > FALSE_ALARM
+    assert again.graphs == topology.graphs != other.graphs
     weighted = switching.random_edges(Graph([[0, 2.5], [2.5, 0]]), 0.5, 1.0, modes=20)
     assert {graph.adjacency[0, 1] for graph in weighted.graphs} == {0.0, 2.5}
 
@@ -199,8 +198,8 @@ def test_every_episode_draws_its_graph_and_keeps_it():
 
 def test_random_graphs_are_uniform_over_connected_graphs():
     topology = switching.random_graphs(4, 0.5, modes=400, seed=2)
-    assert topology.graphs == switching.random_graphs(4, 0.5, modes=400, seed=2).graphs
-    assert topology.graphs != switching.random_graphs(4, 0.5, modes=400, seed=3).graphs
+    again, other = (switching.random_graphs(4, 0.5, modes=20, seed=seed) for seed in (2, 3))
+    assert topology.graphs[:20] == again.graphs != other.graphs
     assert all(graph.is_connected for graph in topology.graphs)
     # At probability 1/2 all connected graphs are equally likely: of 4 players there are 16, 15, 6 and 1 with 3, ..., 6
     # links.
@@ -254,11 +253,8 @@ def test_random_topology_has_no_schedule_without_a_draw():
         ({"transition": [[1, 0], [0, 1]]}, "some mode cannot be reached from some other"),
         ({"transition": [[0.5, 0.5], [0, 1]]}, "some mode cannot be reached"),
         ({"transition": [[0.5, 0.6], [0.5, 0.5]]}, "2 × 2 matrix of probabilities whose rows sum to 1"),
-        ({"transition": [[1.5, -0.5], [0.5, 0.5]]}, "2 × 2 matrix of probabilities"),
-        ({"transition": [[1.0]]}, "2 × 2 matrix"),
         ({"dwells": (0.7, 0.2)}, "the shortest dwell comes first"),
         ({"dwells": (0.1, 0.2, 0.3)}, "a time or a range"),
-        ({"dwells": 0.0}, "dwell time must be a finite number above 0"),
         ({"graphs": [graphs.path(3)], "transition": [[1.0]]}, "at least two graphs"),
     ],
 )
@@ -266,12 +262,6 @@ def test_invalid_markov_topologies_are_refused(arguments, message):
     defaults = {"graphs": [graphs.path(3)] * 2, "transition": np.full((2, 2), 0.5), "dwells": 1.0}
     with pytest.raises(ValueError, match=message):
         MarkovTopology(**(defaults | arguments))
-
-
-@pytest.mark.parametrize("probability", [0.0, 1.1, -0.1])
-def test_invalid_link_probabilities_are_refused(probability):
-    with pytest.raises(ValueError, match="probability must be"):
-        switching.random_edges(graphs.cycle(4), probability, 1.0)
 
 
 def random_scenario(**arguments):
@@ -288,30 +278,3 @@ def test_world_refuses_unconnected_topologies_and_short_dwells():
         World(random_scenario(probability=1e-9, dwells=0.1))
     with pytest.raises(ValueError, match=r"shortest dwell, 0\.001 on the physical clock, is shorter"):
         World(random_scenario(probability=0.5, dwells=(0.001, 0.5)))
-
-
-def test_every_episode_keeps_its_own_schedule():
-    scenario = random_scenario(probability=0.5, dwells=(0.02, 0.05))
-    assert World(scenario).is_random
-    world = World(scenario)
-
-    def states(seeds):
-        streams = [RandomStreams.from_seed(seed) for seed in seeds]
-        estimates, randomness = world.draw_estimates(streams), world.draw_randomness(streams)
-        state, result = dynamics.initial_state(world, estimates, randomness=randomness), []
-        for _ in range(400):
-            result.append(state)
-            state = dynamics.step(world, state, np.zeros_like(state.estimates))
-        return result
-
-    together = states(range(3))
-    modes = np.array([dynamics.active_mode(world, state) for state in together])
-    assert len({tuple(column) for column in modes.T}) == 3
-    assert np.array_equal(modes[:, [1]], np.array([dynamics.active_mode(world, state) for state in states([1])]))
-    for state in together[::40]:
-        for b in range(3):
-            adjacency = world.topology.graphs[int(dynamics.active_mode(world, state)[b])].adjacency
-            for i in range(5):
-                assert dynamics.weights(world, state)[:, i, b].tolist() == [
-                    adjacency[i, j] for j in world.neighbours[:, i]
-                ]
