@@ -24,6 +24,7 @@ from ptne_env.bench.report.tables import (
 )
 from ptne_env.bench.report.terminal import answer_tables, result_tables, show
 from ptne_env.evaluation import METRICS, get_policy_spec
+from ptne_env.evaluation.jobs import Job
 from ptne_env.evaluation.metrics import number, share
 from ptne_env.evaluation.statistics import Summary
 
@@ -142,22 +143,19 @@ def test_the_leaderboard_has_the_scores_of_a_suite_alone(suite, comparison):
 
 @pytest.mark.parametrize("width", [80, 120])
 def test_the_table_of_a_check_shows_every_verdict(suite, width):
-    job = suite.jobs[0]
-    jobs = [replace(job, policy=replace(job.policy, name=f"policy-{index}")) for index in range(5)]
-    repetitions = [
-        Repetition(jobs[0], 0.0, None, 1.0, 1.0, 0.5, knows_episodes=False),
-        Repetition(jobs[1], 0.0, None, 1.0, 1.0, 1e-5, knows_episodes=True),
-        Repetition(jobs[2], 0.1, None, 1.0, 1.0, 0.5, knows_episodes=False),
-        Repetition(jobs[3], np.inf, "step 0: no number", 1.0, None, None, knows_episodes=False),
-        Repetition(jobs[4], 0.0, "step 0: no number", None, None, None, knows_episodes=False),
-    ]
-    _, table = check_tables(Check((), tuple(repetitions)), 0.0)
-    verdicts = [table.columns[-1][row].text.partition(":")[0] for row in table.rows]
-    assert verdicts == ["reproduces", "too good", "differs", "fails", "fails again"]
+    track, spec = suite.tracks[0], next(iter(suite.policies.values()))
+    jobs = [Job(track, replace(spec, name=f"policy-{index}"), 0, suite.episode_sets[track.name]) for index in range(3)]
+    repetitions = (
+        Repetition(jobs[0], 0.0, agrees=True),
+        Repetition(jobs[1], 0.1, agrees=False),
+        Repetition(jobs[2], np.inf, agrees=False, reason="step 0: no number"),
+    )
+    rebuilt, table = check_tables(Check(tuple(map(str, range(12))), repetitions, 7, same_arithmetic=False))
+    verdicts = [table.columns[-1][row].text for row in table.rows]
+    assert len(set(verdicts)) == 3
     assert len(table.notes) == 2
-    rebuilt, _ = check_tables(Check(tuple(map(str, range(12))), (), ("a file",)), 0.0)
     texts = [tuple(column[row].text for column in rebuilt.columns) for row in rebuilt.rows]
-    assert texts[-2:] == [("differs", "2 more numbers or texts"), ("not repeated", "a file")]
+    assert texts[-1] == ("differs", "2 more numbers or texts")
     written(show(table, width), width)
 
 
