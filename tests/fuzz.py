@@ -143,7 +143,6 @@ def a_channel(rng):
             "Loss": {"probability": rng.choice((0.0, rng.random(), 1.0)), "gap": gap},
             "BurstLoss": {"to_bad": 0.2, "to_good": rng.uniform(0.1, 1), "loss_bad": 1.0, "loss_good": 0.1, "gap": gap},
             "UniformQuantiser": {"width": log_uniform(rng, 1e-6, 10)},
-            "OneWayLinks": {"share": rng.random()},
             "Lying": {"size": log_uniform(rng, 1e-3, 10)},
         }
         kind = rng.choice(sorted(arguments))
@@ -443,7 +442,7 @@ def session(rng, episodes):
             assert str(error).strip()  # noqa: PT017 - the message is the assertion
             tally.refused_worlds += 1
             return tally
-        assert Scenario.from_json(scenario.to_json()) == scenario
+        assert Scenario.from_dict(scenario.to_dict()) == scenario
         vector_session(rng, scenario, arguments, tally, episodes)
     return tally
 

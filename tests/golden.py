@@ -29,9 +29,9 @@ SCENARIOS = {
     "from the paper's start": ptne_env.get_scenario("energy", start="paper"),
     "faulty": FAULTY,
     "blocks": BLOCKS_SWITCHING,
-    "one-way liar": ptne_env.get_scenario(
+    "liar": ptne_env.get_scenario(
         "random-energy",
-        channel=channel_part("Chain", stages=[channel_part("OneWayLinks", share=0.7), channel_part("Lying", size=1.0)]),
+        channel=channel_part("Lying", size=1.0),
         topology=FactorySpec.of("topology:random-graphs", players=5, probability=0.5),
     ),
 }

@@ -11,7 +11,7 @@ from ptne_env.bench.suite import LAW, ZERO
 from ptne_env.evaluation.entries import PolicySpec
 from ptne_env.evaluation.metrics import MOST_DIGITS
 from ptne_env.evaluation.results import Results
-from ptne_env.evaluation.statistics import Summary, estimate, improvements
+from ptne_env.evaluation.statistics import Scores, Summary, estimate
 from ptne_env.shared.arrays import FloatArray
 
 
@@ -91,7 +91,7 @@ def leaderboard(results: Results) -> Leaderboard | None:
     better = {place: improvements(values, digits[place[0], LAW]) for place, values in digits.items()}
     ranks = _ranks(policies, digits)
     rows = tuple(
-        TrackRow(*place, ranks.get(place), estimate([spread[place]]), estimate([better[place]]).within(0, 1))
+        TrackRow(*place, ranks.get(place), estimate([spread[place]]), _probability([better[place]]))
         for place in digits
         if place in samples
     )
@@ -99,7 +99,7 @@ def leaderboard(results: Results) -> Leaderboard | None:
         OverallRow(
             name,
             estimate([spread[track.name, name] for track in tracks]),
-            estimate([better[track.name, name] for track in tracks]).within(0, 1),
+            _probability([better[track.name, name] for track in tracks]),
             None if policy.is_oracle else float(np.mean([ranks[track.name, name] for track in tracks])),
         )
         for name, policy in policies.items()
@@ -125,3 +125,24 @@ def _ranks(
         (track, name): 1 + sum(other > mean for (place, _), other in means.items() if place == track)
         for (track, name), mean in means.items()
     }
+
+
+def _probability(better: Scores) -> Summary:
+    """The mean of improvements, its interval cut to where a probability can be."""
+    found = estimate(better)
+    if found.low is None or found.high is None:
+        return found
+    return Summary(found.mean, max(found.low, 0.0), min(found.high, 1.0))
+
+
+def improvements(scores: FloatArray, others: FloatArray) -> FloatArray:
+    """1 where a score is better than the other policy's on the same episode, 1/2 where both are equal, else 0.
+
+    Args:
+        scores: shape (training seeds, episodes).
+        others: of a policy with one training seed, shape (1, episodes).
+
+    Returns:
+        Shape (training seeds, episodes); the mean is the probability of improvement P(x > y) + P(x = y)/2.
+    """
+    return (np.sign(scores - others) + 1) / 2

@@ -13,7 +13,7 @@ from ptne_env.bench.workers import Workers
 from ptne_env.evaluation.entries import PolicySpec, get_policy_spec
 from ptne_env.evaluation.episodes import Split
 from ptne_env.evaluation.jobs import Job, JobResult, Run, run_serially
-from ptne_env.evaluation.metrics import METRICS, Metric, adopt
+from ptne_env.evaluation.metrics import METRICS, Metric
 from ptne_env.evaluation.results import Results
 from ptne_env.evaluation.run import compare, several
 from ptne_env.shared.files import require_writable
@@ -92,7 +92,7 @@ def _run_job(job: Job, key: str | None, metrics: dict[str, Metric]) -> JobResult
     Raises:
         ValueError: when the job has another ``key`` there, because the worker's libraries or files differ.
     """
-    adopt(metrics)
+    METRICS.update(metrics)
     if key is not None and key_of(job) != key:
         raise ValueError(
             f"a worker on {platform.node()} has another version of the library, its dependencies or the files of "

@@ -15,7 +15,6 @@ from ptne_env.cli import options
 from ptne_env.cli.app import app
 from ptne_env.cli.console import check_writable, console, json_text, say, write_json
 from ptne_env.evaluation import POLICIES, get_policy_spec
-from ptne_env.evaluation.entries import foreign_names
 from ptne_env.shared.parts import FactorySpec
 
 
@@ -44,7 +43,7 @@ def certify(
     predicted at the deadline, and the largest stable step. docs/theory.md explains which of them are exact.
     """
     check_writable(json)
-    options.trusted(foreign_names(scenario, law), trust=trust)
+    options.trusted(options.foreign_names(scenario, law), trust=trust)
     chosen = find_scenario(scenario)
     if hold_steps is not None:
         chosen = chosen.replace(hold_steps=hold_steps)

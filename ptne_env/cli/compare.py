@@ -17,7 +17,6 @@ from ptne_env.cli import options
 from ptne_env.cli.app import ExitCode, app
 from ptne_env.cli.console import STDOUT, check_writable, console, progress, say, write_json
 from ptne_env.evaluation import COMPARED, POLICIES, PolicySpec, Results, evaluate, get_policy_spec
-from ptne_env.evaluation.entries import foreign_names
 from ptne_env.evaluation.run import EPISODES
 from ptne_env.shared.files import write_atomically
 from ptne_env.shared.names import unknown_name
@@ -107,7 +106,7 @@ def compare(
     """
     suite, places = _tracks_of(suite, scenario or [])
     names = [name for given in policy or () for name in given.split(",") if name]
-    trust = options.trusted(foreign_names(suite, *places, *names), trust=trust)
+    trust = options.trusted(options.foreign_names(suite, *places, *names), trust=trust)
     title = "comparison" if suite is None else get_suite(suite).name
     folder = out or (None if json == STDOUT else Path("results") / title)
     files = [] if folder is None else [folder / "results.json", folder / "results.csv"]

@@ -12,6 +12,7 @@ import typer
 from ptne_env.bench.suite import world_names
 from ptne_env.cli.console import keep_stdout
 from ptne_env.evaluation import POLICIES
+from ptne_env.shared.parts import is_part
 
 World: TypeAlias = Annotated[
     str,
@@ -50,6 +51,23 @@ Json: TypeAlias = Annotated[
         help="Write the results as JSON to this file; '-' for stdout, where nothing else is printed then.",
     ),
 ]
+
+
+def foreign_names(*names: str | None) -> list[str]:
+    """The names that run code from outside the library: a ``"module:object"``, or an archive. Nothing is imported.
+
+    Args:
+        names: of policies, scenarios, suites and tracks (``"module:object/track"``), as commands take them.
+    """
+    found = []
+    for name in filter(None, names):
+        path = name.partition("=")[2] or name
+        target = name.partition("/")[0]
+        if path.endswith(".zip"):
+            found.append(path)
+        elif ":" in target and not path.endswith(".onnx") and not is_part(target):
+            found.append(target)
+    return found
 
 
 def trusted(foreign: Iterable[str], *, trust: bool) -> bool:

@@ -13,7 +13,6 @@ from ptne_env.cli import options
 from ptne_env.cli.app import app
 from ptne_env.cli.console import check_writable, progress, say
 from ptne_env.evaluation import get_policy_spec
-from ptne_env.evaluation.entries import foreign_names
 
 
 @app.command()
@@ -32,7 +31,7 @@ def render(
 ) -> None:
     """Write an episode as a video: strategies, estimates, distances and live links over time."""
     check_writable(out)
-    trust = options.trusted(foreign_names(scenario, policy), trust=trust)
+    trust = options.trusted(options.foreign_names(scenario, policy), trust=trust)
     chosen, spec = find_scenario(scenario), get_policy_spec(policy, trust=trust)
     if hold_steps is not None:
         chosen = chosen.replace(hold_steps=hold_steps)

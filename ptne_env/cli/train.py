@@ -13,7 +13,6 @@ import typer
 from ptne_env.cli import options
 from ptne_env.cli.app import app
 from ptne_env.cli.console import check_writable, json_text, progress, say, write_json
-from ptne_env.evaluation.entries import foreign_names
 from ptne_env.learn import training
 
 if TYPE_CHECKING:
@@ -69,7 +68,7 @@ def train(
     given = {"seed": seed, "steps": steps}
     changes: dict[str, Any] = {name: value for name, value in given.items() if value is not None}
     chosen = Configuration.from_toml(configuration, **changes)
-    options.trusted(foreign_names(chosen.scenario), trust=trust)
+    options.trusted(options.foreign_names(chosen.scenario), trust=trust)
     runs = {out: chosen}
     if seeds is not None:
         series = [replace(chosen, seed=chosen.seed + index) for index in range(seeds)]

@@ -17,9 +17,9 @@ try:
 except ImportError as error:  # pragma: no cover - exercised in an environment without the extra
     raise ImportError('the Stable-Baselines3 adapter needs an extra: pip install "ptne-env[sb3]"') from error
 
-from ptne_env.envs.vector import VectorParallelEnv, VectorStep, member_actions
+from ptne_env.envs.vector import VectorParallelEnv, VectorStep
 from ptne_env.perception.observation import ObservationLayout
-from ptne_env.shared.arrays import BoolArray, Float32Array
+from ptne_env.shared.arrays import BoolArray, Float32Array, as_plain
 from ptne_env.world.scenario import Scenario
 
 Indices = int | Iterable[int] | None
@@ -98,7 +98,10 @@ class PlayerVecEnv(VecEnv):
             RuntimeError: before the first reset.
             ValueError: when the actions have another shape or dtype, or are not finite; no environment is stepped.
         """
-        outcome = self.vector.step(member_actions(self.vector, self._actions))
+        actions, shape = as_plain("actions", self._actions), (self.num_envs, self.layout.action_size)
+        if actions.shape != shape:
+            raise ValueError(f"actions of {self.num_envs} members have the shape {shape}, got {actions.shape}")
+        outcome = self.vector.step(actions.reshape(self.vector.num_envs, self._players, -1))
         observations, over = outcome.observations, outcome.terminated | outcome.truncated
         dones = np.repeat(over, self._players)
         rewards = outcome.rewards.reshape(-1).astype(np.float32)

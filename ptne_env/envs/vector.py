@@ -249,20 +249,3 @@ class VectorParallelEnv:
         if len(seed) != self.num_envs:
             raise ValueError(f"{self.num_envs} environments need as many seeds, got {len(seed)}")
         return [None if each is None else require_seed(each) for each in seed]
-
-
-def member_actions(vector: VectorParallelEnv, actions: Any) -> npt.NDArray[Any]:
-    """Actions of the players of all environments, one row each: (B·N, action size) to (B, N, action size).
-
-    Args:
-        vector: the environments; row b·N + i is player i of environment b.
-        actions: of the caller.
-
-    Raises:
-        ValueError: when they have another shape, or are masked.
-    """
-    given, count = as_plain("actions", actions), vector.num_envs * vector.num_players
-    shape = (count, vector.layout.action_size)
-    if given.shape != shape:
-        raise ValueError(f"actions of {count} members have the shape {shape}, got {given.shape}")
-    return given.reshape(vector.num_envs, vector.num_players, -1)

@@ -58,9 +58,7 @@ class Witness:
         Raises:
             PolicyError: when a decision differs.
         """
-        again, self._memory = decision(
-            self._policy, observations[self._rows], self._memory, self._starts, deterministic=True
-        )
+        again, self._memory = decision(self._policy, observations[self._rows], self._memory, self._starts)
         self._starts = np.zeros_like(self._starts)
         if not np.array_equal(np.asarray(again), actions[self._rows]):
             raise PolicyError(self._reason)

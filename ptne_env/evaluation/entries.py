@@ -15,7 +15,7 @@ from ptne_env.perception.policy import Policy, PolicyError, describe
 from ptne_env.shared.arrays import require_printable
 from ptne_env.shared.files import require_file
 from ptne_env.shared.names import unknown_name
-from ptne_env.shared.parts import LOADER, FactorySpec, foreign_targets, is_part
+from ptne_env.shared.parts import LOADER, FactorySpec, foreign_targets
 
 PolicySource: TypeAlias = FactorySpec | Policy | Callable[[ObservationLayout], Policy]
 """A factory spec or a callable that builds the policy from a layout, or the policy itself."""
@@ -300,7 +300,7 @@ def get_policy_spec(policy: str | PolicySpec, *, trust: bool = False) -> PolicyS
     """A policy by name, file, part, ``"module:object"`` or ``"name=pattern"``, or as it is.
 
     A string of the caller is code of the caller: a ``"module:object"`` is imported without a question. The command
-    line, whose strings may be copied from elsewhere, asks for all that :func:`foreign_names` finds.
+    line, whose strings may be copied from elsewhere, asks first.
 
     Args:
         policy: a name of :data:`POLICIES`, an ``.onnx`` file, a Stable-Baselines3 ``.zip``, the id of a law
@@ -349,20 +349,3 @@ def _file(path: str, *, trust: bool) -> FactorySpec:
             f"ptne_env.evaluation.get_policy_spec({path!r}, trust=True)"
         )
     return FactorySpec.of(ARCHIVE, path=path)
-
-
-def foreign_names(*names: str | None) -> list[str]:
-    """The names that run code from outside the library: a ``"module:object"``, or an archive. Nothing is imported.
-
-    Args:
-        names: of policies, scenarios, suites and tracks (``"module:object/track"``), as commands take them.
-    """
-    found = []
-    for name in filter(None, names):
-        path = name.partition("=")[2] or name
-        target = name.partition("/")[0]
-        if path.endswith(".zip"):
-            found.append(path)
-        elif ":" in target and not path.endswith(".onnx") and not is_part(target):
-            found.append(target)
-    return found

@@ -7,7 +7,7 @@ A metric is a function of the series that a rollout records. Tables, CSV files, 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal, TypeAlias
 
@@ -199,9 +199,3 @@ for _metric in (
 ):
     register(_metric)
 # fmt: on
-
-
-def adopt(metrics: Mapping[str, Metric]) -> None:
-    """Register the metrics of another process."""
-    for name, metric in metrics.items():
-        METRICS.setdefault(name, metric)

@@ -117,7 +117,7 @@ class Member:
         self.witnesses = witnesses
         self.seconds = 0.0
         self._memory: Any = None
-        self._episode_start: BoolArray | None = None
+        self._episode_start = np.zeros(0, dtype=np.bool_)  # before the first decision
 
     def decide(self, state: State) -> FloatArray:
         """Inputs u of shape (n, N, B), 0 for all other players.
@@ -129,7 +129,7 @@ class Member:
         layout, batch = self.encoder.layout, dynamics.batch_size(state)
         rows = len(self.players) * batch
         is_alone = len(self.players) == layout.num_players
-        if self._episode_start is None:
+        if not self._episode_start.size:
             self._episode_start = np.ones(rows, dtype=np.bool_)
         observations = self.encoder.observe(state)
         if not is_alone:
@@ -154,9 +154,7 @@ class Member:
     def _ask(self, observations: Float32Array) -> npt.NDArray[Any]:
         """The actions for observations of shape (R, size), checked and audited: shape (R, action size)."""
         started = perf_counter()
-        actions, self._memory = decision(
-            self.policy, observations, self._memory, self._episode_start, deterministic=True
-        )
+        actions, self._memory = decision(self.policy, observations, self._memory, self._episode_start)
         self.seconds += perf_counter() - started
         self._episode_start = np.zeros_like(self._episode_start)
         chosen, expected = np.asarray(actions), (len(observations), self.encoder.layout.action_size)

@@ -26,12 +26,6 @@ class Summary:
     low: float | None
     high: float | None
 
-    def within(self, lowest: float, highest: float) -> Summary:
-        """The same with its interval cut to where the quantity can be."""
-        if self.low is None or self.high is None:
-            return self
-        return Summary(self.mean, max(self.low, lowest), min(self.high, highest))
-
 
 def estimate(scores: Scores) -> Summary:
     """The mean over tracks of the means of a policy, with its two-level interval.
@@ -95,16 +89,3 @@ def tail_values(samples: FloatArray) -> FloatArray:
     if not np.isfinite(samples).all():
         return np.full_like(samples, np.nan)
     return quantile + np.minimum(samples - quantile, 0) * (episodes / count)
-
-
-def improvements(scores: FloatArray, others: FloatArray) -> FloatArray:
-    """1 where a score is better than the other policy's on the same episode, 1/2 where both are equal, else 0.
-
-    Args:
-        scores: shape (training seeds, episodes).
-        others: of a policy with one training seed, shape (1, episodes).
-
-    Returns:
-        Shape (training seeds, episodes); the mean is the probability of improvement P(x > y) + P(x = y)/2.
-    """
-    return (np.sign(scores - others) + 1) / 2

@@ -9,7 +9,7 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 import numpy.typing as npt
 
-from ptne_env.shared.arrays import BoolArray
+from ptne_env.shared.arrays import BoolArray, Float32Array
 
 _LONGEST_DESCRIPTION = 500
 
@@ -20,32 +20,25 @@ class PolicyError(RuntimeError):
 
 def describe(error: BaseException) -> str:
     """Class, message and place of an error of foreign code, in printable characters."""
-    text = printable(f"{type(error).__name__}: {error}")
+    text = _printable(f"{type(error).__name__}: {error}")
     if frames := extract_tb(error.__traceback__):
-        text += printable(f" ({Path(frames[-1].filename).name}, line {frames[-1].lineno})")
+        text += _printable(f" ({Path(frames[-1].filename).name}, line {frames[-1].lineno})")
     return text
 
 
-def printable(text: str) -> str:
+def _printable(text: str) -> str:
     """The beginning of a text of foreign code, with blanks for all characters that are not printable."""
     beginning = text[:_LONGEST_DESCRIPTION]
     return "".join(character if character.isprintable() else " " for character in beginning)
 
 
-def decision(
-    policy: Policy,
-    observation: npt.NDArray[np.float32],
-    state: Any,
-    episode_start: BoolArray | None,
-    *,
-    deterministic: bool,
-) -> tuple[Any, Any]:
-    """The answer of a policy: actions, and the memory for the next call; the arguments are those of ``predict``.
+def decision(policy: Policy, observation: Float32Array, state: Any, episode_start: BoolArray) -> tuple[Any, Any]:
+    """The deterministic answer of a policy: actions, and the memory for the next call; arguments as of ``predict``.
 
     Raises:
         PolicyError: when the answer is no pair.
     """
-    answer = policy.predict(observation, state, episode_start, deterministic=deterministic)
+    answer = policy.predict(observation, state, episode_start, deterministic=True)
     return pair(answer, "predict returns (actions, state)")
 
 

@@ -66,8 +66,3 @@ def normals(keys: CounterArray, counters: CounterArray) -> FloatArray:
     numbers = uniforms(keys, counters)
     special.ndtri(numbers, out=numbers)
     return numbers
-
-
-def draw_key(generator: np.random.Generator) -> int:
-    """A key from an ordinary generator."""
-    return int(generator.integers(0, 2**64, dtype=np.uint64))

@@ -62,7 +62,6 @@ PARTS: Mapping[str, str] = {
     "channel:liar": "ptne_env.world.channel:Lying",
     "channel:loss": "ptne_env.world.channel:Loss",
     "channel:noise": "ptne_env.world.channel:AdditiveNoise",
-    "channel:one-way": "ptne_env.world.channel:OneWayLinks",
     "channel:perfect": "ptne_env.world.channel:perfect",
     "channel:rounding": "ptne_env.world.channel:UniformQuantiser",
     "disturbance:uniform": "ptne_env.world.faults:UniformDisturbance",

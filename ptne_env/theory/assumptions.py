@@ -8,12 +8,23 @@ from typing import Literal, TypeAlias
 import numpy as np
 
 from ptne_env.games import Game
+from ptne_env.shared.arrays import frozen
 from ptne_env.theory.check_game import check_game
 from ptne_env.theory.constants import MonotonicityConstants, jacobian_at_equilibrium
-from ptne_env.world.clock import LemmaViolationError, check_time_transformation
+from ptne_env.world.clock import TimeTransformation
 from ptne_env.world.world import World
 
 Verdict: TypeAlias = Literal["holds", "fails", "sampled only"]
+
+_GRID = frozen(np.linspace(0.0, 6.0, 2001))
+"""Transformed times s at which a time transformation is checked."""
+
+_LIMIT_TOLERANCE = 1e-4
+"""A limit counts as 0 when it is within this fraction of T."""
+
+
+class LemmaViolationError(ValueError):
+    """The function violates a condition of Lemma 1."""
 
 
 @dataclass(frozen=True)
@@ -94,3 +105,52 @@ def _check_convexity(game: Game) -> tuple[float, str, Verdict]:
     pairs = zip(report.strictly_convex, report.radially_unbounded, strict=True)
     refuted = sum(not (convex and unbounded) for convex, unbounded in pairs)
     return float(refuted), "players whose J_i a sample refutes", "fails" if refuted else "sampled only"
+
+
+def check_time_transformation(transformation: TimeTransformation) -> float:
+    """Check the conditions (7a)–(7c) of Lemma 1, and that λ, λ' and λ^{-1} are consistent.
+
+    (7a), (7b) and the inverse are checked on a grid that ends where λ is within 1e-7 T of T, or at s = 6. The limits
+    (7c) are the values at s = 10, 100, …, 1e6, up to where a formula overflows; a slower λ, such as one that approaches
+    T with 1/ln s, is refused.
+
+    Returns:
+        1 − λ(s)/T at the last of these s.
+
+    Raises:
+        LemmaViolationError: naming the first condition that is violated.
+    """
+    deadline = transformation.deadline
+    reached = np.abs(deadline - transformation.time(_GRID)) < 1e-7 * deadline
+    grid = np.linspace(0.0, float(_GRID[max(int(reached.argmax()), 1)]), _GRID.size) if reached.any() else _GRID
+    time, derivative, step = transformation.time(grid), transformation.derivative(grid), grid[1]
+    simpson = (derivative[:-1] + 4 * transformation.derivative(grid[:-1] + step / 2) + derivative[1:]) / 6
+    mismatch = float(np.max(np.abs(np.diff(time) / step - simpson)))
+    far = 10.0 ** np.arange(1, 7)
+    with np.errstate(all="ignore"):  # formulas may overflow far out
+        remaining, slopes = 1 - transformation.time(far) / deadline, transformation.derivative(far) / deadline
+        valid = np.isfinite(remaining) & np.isfinite(slopes)
+        last = np.flatnonzero(valid)[-1] if valid.any() else 0
+        error = float(np.max(np.abs(transformation.inverse(time) - grid)))
+    rises = np.all(np.diff(time) > 0) and np.all(transformation.derivative(_GRID) > 0) and not np.any(slopes[valid] < 0)
+    conditions = (
+        ("(7a) λ(0) = 0", abs(time[0]) <= 1e-12 * deadline, f"λ(0) = {time[0]}"),
+        (
+            "(7a) λ'(0) = T",
+            abs(derivative[0] - deadline) <= 1e-9 * deadline,
+            f"λ'(0) = {derivative[0]}, T = {deadline}",
+        ),
+        ("(7a) λ is differentiable with derivative λ'", mismatch <= 1e-5 * deadline, f"off by {mismatch:.3g} s"),
+        ("(7b) λ is strictly increasing", rises, "λ decreases or stalls on [0, 6], or λ' is negative further out"),
+        (
+            "(7c) λ(s) → T",
+            abs(remaining[last]) <= _LIMIT_TOLERANCE,
+            f"T − λ(s) tends to {remaining[last] * deadline:.3g} s",
+        ),
+        ("(7c) λ'(s) → 0", abs(slopes[last]) <= _LIMIT_TOLERANCE, f"λ'(s) tends to {slopes[last] * deadline:.3g}"),
+        ("λ^{-1}(λ(s)) = s", error <= 1e-6, f"off by {error:.3g}"),
+    )
+    for condition, holds, found in conditions:
+        if not holds:
+            raise LemmaViolationError(f"{type(transformation).__name__} violates {condition} of Lemma 1: {found}")
+    return float(remaining[last])

@@ -18,11 +18,10 @@ depend on the policy or on the number of environments.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal, TypeAlias, get_args
 
-import networkx as nx
 import numpy as np
 
 from ptne_env.shared import counter_random
@@ -332,90 +331,27 @@ class UniformQuantiser(Channel):
         return replace(messages, values=np.rint(messages.values / self.width) * self.width), ()
 
 
-class OneWayLinks(Channel):
-    """Links that carry messages in one direction only, drawn per episode; all others carry them in both.
-
-    Each link is chosen with probability ``share``. In random order, each chosen link loses one direction, at random, or
-    the other one, unless the players would no longer all reach each other over directed links. So the directed graph
-    stays strongly connected: that of the links at the start where these connect all players, else the union graph, as
-    in switching topologies. A closed direction has weight 0.
-
-    Args:
-        share: in [0, 1].
-
-    Raises:
-        ValueError: when the share is not in [0, 1].
-    """
-
-    def __init__(self, share: float) -> None:
-        self.share = require_probability("share", share)
-
-    def transmit(self, messages: Messages, memory: Memory | None, randomness: LinkRandomness) -> Transmitted:
-        """Messages with weight 0 in closed directions."""
-        closed = self._closed(messages.weights > 0, randomness) if memory is None else memory[0]
-        return replace(messages, weights=messages.weights * ~closed), (closed,)
-
-    def _closed(self, up: BoolArray, randomness: LinkRandomness) -> BoolArray:
-        """Whether each direction of each link is closed, from the links ``up`` at the start; both (D, N, B)."""
-        senders, draws, closed = randomness.senders, randomness.uniforms(), np.zeros_like(up)
-        slots = {(j, i): (slot, i) for slot, row in enumerate(senders.tolist()) for i, j in enumerate(row) if i != j}
-        for episode in range(up.shape[2]):
-            present = [arc for arc, place in slots.items() if up[*place, episode]]
-            unit = {arc: float(draws[*place, episode]) for arc, place in slots.items()}
-            for arc in self._closed_arcs(senders.shape[1], present, unit):
-                closed[*slots[arc], episode] = True
-        return closed
-
-    def _closed_arcs(
-        self, players: int, present: list[tuple[int, int]], unit: dict[tuple[int, int], float]
-    ) -> Iterator[tuple[int, int]]:
-        """The closed arcs (sender, receiver) of one episode: arcs present at the start, a draw for every arc."""
-        arcs: nx.DiGraph[int] = nx.DiGraph()
-        arcs.add_edges_from(present)
-        arcs.add_nodes_from(range(players))
-        if not nx.is_strongly_connected(arcs):
-            arcs.add_edges_from(unit)
-        chosen = [(unit[arc], arc) for arc in unit if arc[0] < arc[1] and unit[arc] < self.share]
-        for _, (i, j) in sorted(chosen):
-            for arc in ((i, j), (j, i)) if unit[j, i] < 0.5 else ((j, i), (i, j)):
-                needed = arcs.has_edge(*arc)
-                if needed:
-                    arcs.remove_edge(*arc)
-                if not needed or nx.has_path(arcs, *arc):
-                    yield arc
-                    break
-                arcs.add_edge(*arc)
-
-
 class Lying(Channel):
     """One player lies: on components that are not its own, it adds a constant offset to the estimates that it sends.
 
-    The offset is U(−size, size) per component, drawn per episode and the same for every neighbour. The liar sends its
-    own strategy as it is, so the others reach the equilibrium if they do not use its estimates of third players.
+    Liar and offset, U(−size, size) per component, are drawn per episode; the offset is the same for every neighbour.
+    The liar sends its own strategy as it is, so the others reach the equilibrium if they do not use its estimates of
+    third players.
 
     Args:
         size: > 0, in the units of the strategies.
-        player: the liar; drawn per episode if ``None``.
 
     Raises:
-        ValueError: when the size is not positive or the player no whole number; in the first step, when there is no
-            such player.
+        ValueError: when the size is not positive.
     """
 
-    def __init__(self, size: float, player: int | None = None) -> None:
+    def __init__(self, size: float) -> None:
         self.size = require_positive("size", size)
-        self.player = None if player is None else require_count("player", player, 0)
 
     def transmit(self, messages: Messages, memory: Memory | None, randomness: LinkRandomness) -> Transmitted:
         """Messages, those of the liar with its offset."""
         senders, owners = randomness.senders, randomness.owners
-        players = senders.shape[1]
-        if self.player is not None and self.player >= players:
-            raise ValueError(f"the lying player is 0..{players - 1} in a game of {players} players, got {self.player}")
-        if self.player is None:
-            liar = (randomness.episode_uniforms(1) * players).astype(np.int64)[0]
-        else:
-            liar = np.full(messages.own.shape[2], self.player)
+        liar = (randomness.episode_uniforms(1) * senders.shape[1]).astype(np.int64)[0]
         offset = self.size * (2 * randomness.episode_uniforms(owners.size, purpose=1) - 1)
         foreign = owners[:, None] != senders[:, None, :]
         lies = foreign[..., None] & (senders[..., None] == liar)[:, None]

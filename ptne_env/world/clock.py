@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from typing import Literal, NamedTuple, TypeAlias, get_args
+from typing import Literal, TypeAlias, get_args
 
 import numpy as np
 import numpy.typing as npt
@@ -13,16 +13,6 @@ from ptne_env.shared.arrays import FloatArray, frozen, require_count, require_no
 from ptne_env.shared.parts import Part
 
 Spacing: TypeAlias = Literal["effective", "transformed", "physical"]
-
-_GRID = frozen(np.linspace(0.0, 6.0, 2001))
-"""Transformed times s at which a time transformation is checked."""
-
-_LIMIT_TOLERANCE = 1e-4
-"""A limit counts as 0 when it is within this fraction of T."""
-
-
-class LemmaViolationError(ValueError):
-    """The function violates a condition of Lemma 1."""
 
 
 class TimeTransformation(Part, ABC):
@@ -138,69 +128,6 @@ class HyperbolicTangent(TimeTransformation):
         return np.asarray(np.arctanh(np.asarray(t, dtype=np.float64) / self.deadline))
 
 
-def check_time_transformation(transformation: TimeTransformation) -> float:
-    """Check the conditions (7a)–(7c) of Lemma 1, and that λ, λ' and λ^{-1} are consistent.
-
-    (7a), (7b) and the inverse are checked on a grid that ends where λ is within 1e-7 T of T, or at s = 6. The limits
-    (7c) are the values at s = 10, 100, …, 1e6, up to where a formula overflows; a slower λ, such as one that approaches
-    T with 1/ln s, is refused.
-
-    Returns:
-        1 − λ(s)/T at the last of these s.
-
-    Raises:
-        LemmaViolationError: naming the first condition that is violated.
-    """
-    deadline = transformation.deadline
-    reached = np.abs(deadline - transformation.time(_GRID)) < 1e-7 * deadline
-    grid = np.linspace(0.0, float(_GRID[max(int(reached.argmax()), 1)]), _GRID.size) if reached.any() else _GRID
-    time, derivative, step = transformation.time(grid), transformation.derivative(grid), grid[1]
-    simpson = (derivative[:-1] + 4 * transformation.derivative(grid[:-1] + step / 2) + derivative[1:]) / 6
-    mismatch = float(np.max(np.abs(np.diff(time) / step - simpson)))
-    far = 10.0 ** np.arange(1, 7)
-    with np.errstate(all="ignore"):  # formulas may overflow far out
-        remaining, slopes = 1 - transformation.time(far) / deadline, transformation.derivative(far) / deadline
-        valid = np.isfinite(remaining) & np.isfinite(slopes)
-        last = np.flatnonzero(valid)[-1] if valid.any() else 0
-        error = float(np.max(np.abs(transformation.inverse(time) - grid)))
-    rises = np.all(np.diff(time) > 0) and np.all(transformation.derivative(_GRID) > 0) and not np.any(slopes[valid] < 0)
-    conditions = (
-        ("(7a) λ(0) = 0", abs(time[0]) <= 1e-12 * deadline, f"λ(0) = {time[0]}"),
-        (
-            "(7a) λ'(0) = T",
-            abs(derivative[0] - deadline) <= 1e-9 * deadline,
-            f"λ'(0) = {derivative[0]}, T = {deadline}",
-        ),
-        ("(7a) λ is differentiable with derivative λ'", mismatch <= 1e-5 * deadline, f"off by {mismatch:.3g} s"),
-        ("(7b) λ is strictly increasing", rises, "λ decreases or stalls on [0, 6], or λ' is negative further out"),
-        (
-            "(7c) λ(s) → T",
-            abs(remaining[last]) <= _LIMIT_TOLERANCE,
-            f"T − λ(s) tends to {remaining[last] * deadline:.3g} s",
-        ),
-        ("(7c) λ'(s) → 0", abs(slopes[last]) <= _LIMIT_TOLERANCE, f"λ'(s) tends to {slopes[last] * deadline:.3g}"),
-        ("λ^{-1}(λ(s)) = s", error <= 1e-6, f"off by {error:.3g}"),
-    )
-    for condition, holds, found in conditions:
-        if not holds:
-            raise LemmaViolationError(f"{type(transformation).__name__} violates {condition} of Lemma 1: {found}")
-    return float(remaining[last])
-
-
-class LocalClock(NamedTuple):
-    """A player's own clock, possibly shifted: the times it shows and the steps that follow from them.
-
-    Attributes:
-        t: time shown at each instant in seconds, shape (K+H+1,).
-        s: transformed time of that time, shape (K+H+1,).
-        theta: Θ^i_k, the integral of the player's gain over each step, shape (K+H+1,); 0 at the terminal instant.
-    """
-
-    t: FloatArray
-    s: FloatArray
-    theta: FloatArray
-
-
 class StepClock:
     """The table of an episode's steps: K steps to the deadline, then an optional hold phase.
 
@@ -299,8 +226,8 @@ class StepClock:
         """τ_K = s_end + c t_K = Σ Θ_k over the steps to the deadline."""
         return self.s_end + self.gain * self.time_reached
 
-    def shifted(self, shift: float) -> LocalClock:
-        """A clock that is ``shift`` seconds fast, or slow where it is negative.
+    def shifted(self, shift: float) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """The times that a clock shows which is ``shift`` seconds fast, or slow where it is negative, and its steps.
 
         All players share the instants t_k. A player with this clock reads t + δ and so applies the gain g(t + δ):
         Θ^i_k = S(t_k + Δt_k + δ) − S(t_k + δ) + c Δt_k, where S(t) = λ^{-1}(t) continues with its slope 1/T before 0
@@ -310,9 +237,13 @@ class StepClock:
 
         Args:
             shift: δ in seconds.
+
+        Returns:
+            The time shown at each instant in seconds, its transformed time, and Θ^i_k, 0 at the terminal instant; each
+            of shape (K+H+1,).
         """
         if shift == 0:
-            return LocalClock(self.t, self.s, self.theta)
+            return self.t, self.s, self.theta
 
         def transformed(times: FloatArray) -> FloatArray:
             s = np.minimum(self.transformation.inverse(np.clip(times, 0.0, self.time_reached)), self.s_end)
@@ -322,7 +253,7 @@ class StepClock:
         start = self.t + shift
         theta = transformed(start + self.dt) - transformed(start) + self.gain * self.dt
         shown = np.clip(start, 0.0, self.t[-1])
-        return LocalClock(frozen(shown), frozen(transformed(shown)), frozen(theta))
+        return shown, transformed(shown), theta
 
     @property
     def topology_times(self) -> dict[str, FloatArray]:

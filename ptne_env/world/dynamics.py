@@ -268,7 +268,6 @@ def relative_estimates(
     state: State,
     link_weights: FloatArray | None = None,
     *,
-    slots: slice = slice(None),
     order: ComponentOrder | None = None,
     out: FloatArray | None = None,
 ) -> FloatArray:
@@ -278,26 +277,24 @@ def relative_estimates(
         world: the world.
         state: the state.
         link_weights: :func:`weights` of the state, where the caller has them.
-        slots: the wanted neighbour slots; all if left out.
         order: of each player's components; the game's if left out.
         out: where to write, C-contiguous; a new array if left out.
     """
     rows, received = _rows(state.estimates), state.received
     own = state.estimates if order is None else rows.take(order.own, axis=0)
     if received is None:
-        senders = (order or world.component_order).senders[slots]
+        senders = (order or world.component_order).senders
         relative = rows.take(senders, axis=0, out=out, mode="clip")  # mode "raise" would copy once more
         relative -= own
     elif order is None:
-        relative = np.subtract(received.messages[slots], own, out=out)
+        relative = np.subtract(received.messages, own, out=out)
     else:
-        messages = received.messages[slots]
-        messages = messages.reshape(len(messages), -1, rows.shape[1])
+        messages = received.messages.reshape(world.slots, -1, rows.shape[1])
         relative = messages.take(order.own, axis=1, out=out, mode="clip")
         relative -= own
     if not world.has_constant_weights:
         link_weights = weights(world, state) if link_weights is None else link_weights
-        relative *= (link_weights[slots] > 0)[:, None]
+        relative *= (link_weights > 0)[:, None]
     return relative
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from types import FunctionType
@@ -163,19 +162,3 @@ class Scenario:
         if named:
             raise ValueError(f"not a scenario: {named[0]} is an object with the key 'target', got {data[named[0]]!r}")
         return cls(**data)
-
-    def to_json(self) -> str:
-        """The scenario as a JSON text."""
-        return json.dumps(self.to_dict(), indent=2, allow_nan=False)
-
-    @classmethod
-    def from_json(cls, text: str) -> Scenario:
-        """The inverse of :meth:`to_json`.
-
-        Raises:
-            ValueError: when the text is not JSON or not a scenario.
-        """
-        data = json.loads(text)
-        if not isinstance(data, dict):
-            raise ValueError(f"not a scenario: expected a JSON object, got {type(data).__name__}")
-        return cls.from_dict(data)

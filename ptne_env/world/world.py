@@ -191,7 +191,7 @@ class World:
         if self.topology.is_random:
             schedule = self.topology.draw(self._topology_times, [stream.graph for stream in streams])
             modes, age = schedule.modes.astype(np.int16), schedule.time_since_switch.astype(np.float32)
-        keys = [[counter_random.draw_key(stream.channel) for stream in streams] for _ in range(2)]
+        keys = [[stream.channel.integers(0, 2**64, dtype=np.uint64) for stream in streams] for _ in range(2)]
         return EpisodeRandomness(modes, age, *np.array(keys, dtype=np.uint64))
 
     def order_components(self, order: IntArray) -> ComponentOrder:

@@ -8,6 +8,7 @@ from small_suite import SMALL
 
 from ptne_env import FactorySpec, PolicySpec, evaluate
 from ptne_env.bench import leaderboard, run_suite
+from ptne_env.bench.leaderboard import improvements
 from ptne_env.evaluation import Results, get_policy_spec
 
 
@@ -104,3 +105,9 @@ def test_a_policy_for_one_track_has_its_digits_there_and_nothing_elsewhere():
     assert board.row("complete", "ppo-random-energy") is None
     score = board.row("ring", "ppo-random-energy").score.mean
     assert overall(board)["ppo-random-energy"].score.mean == pytest.approx(score / 2)
+
+
+def test_paired_improvement_compares_the_same_episodes():
+    x, y = np.array([[1.0, 2.0, 3.0, 4.0]]), np.array([[0.5, 1.5, 3.0, 5.0]])
+    assert improvements(x, y).tolist() == [[1, 1, 0.5, 0]]
+    assert improvements(np.vstack([x, x + 9]), y).mean() == pytest.approx((2.5 / 4 + 1) / 2)

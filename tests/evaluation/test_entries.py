@@ -10,7 +10,6 @@ from small_suite import BASE
 import ptne_env
 from ptne_env import FactorySpec, Interface, PolicySpec, evaluate, laws
 from ptne_env.evaluation import COMPARED, POLICIES, get_policy_spec
-from ptne_env.evaluation.entries import foreign_names
 from ptne_env.learn import shipped_path
 from ptne_env.perception.encoder import make_encoder
 from ptne_env.shared.parts import is_part
@@ -75,26 +74,6 @@ def test_a_pattern_names_the_training_seeds_of_one_policy(tmp_path, monkeypatch)
 def test_an_object_that_is_no_spec_is_refused_with_the_way_to_wrap_it(policy):
     with pytest.raises(ValueError, match=r"a policy is a string or a PolicySpec, got .*PolicySpec\(name, policy\)"):
         evaluate([policy], ["energy"], episodes=1)
-
-
-@pytest.mark.parametrize(
-    ("name", "foreign"),
-    [
-        ("evil:make", ["evil:make"]),
-        ("evil:suite/track", ["evil:suite"]),
-        ("ptne_env.shared.files:write_atomically", ["ptne_env.shared.files:write_atomically"]),
-        ("model.zip", ["model.zip"]),
-        ("mine=runs/*.zip", ["runs/*.zip"]),
-        ("mine=runs/*.onnx", []),
-        ("C:/mine.onnx", []),
-        ("law:static", []),
-        ("static", []),
-        ("ptne-v1/delay", []),
-        (None, []),
-    ],
-)
-def test_names_that_run_foreign_code_are_found_without_an_import(name, foreign):
-    assert foreign_names(name) == foreign
 
 
 @pytest.mark.parametrize(

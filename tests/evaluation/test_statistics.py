@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from ptne_env.evaluation.statistics import estimate, improvements, tail_values
+from ptne_env.evaluation.statistics import estimate, tail_values
 
 REPETITIONS = 20_000 if os.environ.get("PTNE_SOAK") else 1000
 
@@ -67,12 +67,6 @@ def test_a_cvar_with_missing_values_has_none():
     assert np.isnan(tail_values(np.array([[1.0, np.nan]]))).all()
 
 
-def test_paired_improvement_compares_the_same_episodes():
-    x, y = np.array([[1.0, 2.0, 3.0, 4.0]]), np.array([[0.5, 1.5, 3.0, 5.0]])
-    assert improvements(x, y).tolist() == [[1, 1, 0.5, 0]]
-    assert improvements(np.vstack([x, x + 9]), y).mean() == pytest.approx((2.5 / 4 + 1) / 2)
-
-
 def normal(generator, size):
     return generator.normal(size=size)
 
@@ -83,10 +77,6 @@ def exponential(generator, size):
 
 def mean_of(scores, others):
     return estimate([x - y for x, y in zip(scores, others, strict=True)])
-
-
-def improvement_of(scores, others):
-    return estimate([improvements(x, y) for x, y in zip(scores, others, strict=True)])
 
 
 def tail_of(scores, others):
@@ -106,7 +96,6 @@ TAIL = -np.sqrt(2) * stats.norm.pdf(stats.norm.ppf(0.1)) / 0.1
             mean_of, 0.0, 5, 40, 4, 0.1, exponential, (0.93, 0.97), id="skewed training seeds near each other"
         ),
         pytest.param(mean_of, 0.0, 5, 40, 1, 2.0, exponential, (0.86, 0.92), id="skewed training seeds far apart"),
-        pytest.param(improvement_of, 0.5, 1, 100, 2, 0.0, normal, (0.93, 0.97), id="probability of improvement"),
         pytest.param(tail_of, TAIL, 1, 200, 1, 0.0, normal, (0.90, 0.97), id="CVaR"),
     ],
 )

@@ -134,26 +134,6 @@ def test_oracle_sees_the_real_strategies_and_the_pseudo_gradient_besides(name):
         assert np.array_equal(layout.select(observations, "pseudo_gradient")[:, i], gradient.T.astype(np.float32))
 
 
-@pytest.mark.parametrize("name", WORLDS)
-def test_neighbour_estimates_repeat_the_own_one_on_a_down_link(name):
-    world, encoder = world_and_encoder(WORLDS[name])
-    state = wander(world)
-    seen = encoder.layout.neighbour_estimates(encoder.observe(state))
-    assert seen.dtype == np.float64
-    for i in range(encoder.layout.num_players):
-        for slot, j in enumerate(encoder.layout.neighbours[i]):
-            for b in range(2):
-                alive = world.topology.graphs[int(dynamics.active_mode(world, state)[b])].adjacency[i, j] > 0
-                expected = state.estimates[:, j if alive else i, b]
-                assert seen[b, i, slot] == pytest.approx(expected, rel=2e-7, abs=4e-6)
-
-
-def test_neighbour_estimates_need_the_own_estimate():
-    world, encoder = world_and_encoder("energy", kind="scaled")
-    with pytest.raises(ValueError, match="'scaled' layout has no 'own_estimate'; it has own_gradient, "):
-        encoder.layout.neighbour_estimates(encoder.observe(wander(world)))
-
-
 def test_differences_are_taken_before_the_cast_to_float32():
     world, encoder = world_and_encoder("energy")
     estimates = np.full((5, 5, 1), 12345.678)
@@ -310,10 +290,10 @@ def test_observations_hold_received_messages_and_local_clocks(kind):
             assert reading.weights[row] == pytest.approx(weights[:, i, b], rel=1e-6)
             found = reading.relative_estimates[row] * reading.unit[row]
             assert found == pytest.approx(relative[:, :, i, b], rel=1e-5, abs=1e-5)
-            own = world.clock.shifted(shift)
+            t, s, theta = world.clock.shifted(shift)
             observed = layout.select(encoder.observe(state)[b, i], "clock")
             dt = world.clock.dt[25] / world.clock.deadline
-            expected = [own.t[25] / world.clock.deadline, own.s[25], own.theta[25], dt]
+            expected = [t[25] / world.clock.deadline, s[25], theta[25], dt]
             assert observed == pytest.approx(expected, rel=1e-6)
         age = layout.select(encoder.observe(state)[b, 0], "time_since_switch")
         assert age[0] == np.float32(dynamics.time_since_switch(world, state)[b])

@@ -6,7 +6,6 @@ Statistical tests have a false-alarm probability of at most ``FALSE_ALARM`` per 
 import math
 from dataclasses import replace
 
-import networkx as nx
 import numpy as np
 import pytest
 from scipy import stats
@@ -155,49 +154,7 @@ def test_zero_faults_are_the_perfect_channel():
             states = [dynamics.step(plain, states[0], inputs[0]), dynamics.step(faulty, states[1], inputs[1])]
 
 
-# --- one-way links and lies -------------------------------------------------------------------------------------------
-
-
-def open_arcs(world, state, b):
-    """The directed graph of the arcs (sender, receiver) with positive weight in environment b."""
-    arcs = nx.DiGraph()
-    arcs.add_nodes_from(range(world.game.num_players))
-    weights = dynamics.weights(world, state)[:, :, b]
-    arcs.add_edges_from((int(world.neighbours[d, i]), i) for d, i in np.argwhere(weights > 0).tolist())
-    return arcs
-
-
-POOL = FactorySpec.of("topology:random-graphs", players=5, probability=0.5)
-
-
-@pytest.mark.parametrize("share", [0.0, 0.5, 1.0])
-@pytest.mark.parametrize("topology", [None, POOL])
-def test_one_way_links_leave_a_strongly_connected_graph(topology, share):
-    part = channel_part("OneWayLinks", share=share)
-    world = World(FIXED.replace(channel=part, **({} if topology is None else {"topology": topology})))
-    state = begin(world, range(40))
-    one_way = total = 0
-    for b in range(40):
-        arcs = open_arcs(world, state, b)
-        assert nx.is_strongly_connected(arcs)
-        links = arcs.to_undirected()
-        assert links.size() == len(world.topology.graphs[int(dynamics.active_mode(world, state)[b])].edges)
-        one_way, total = one_way + sum(not arcs.has_edge(j, i) for i, j in arcs.edges), total + links.size()
-    if topology is None:  # in a cycle all links can be one-way
-        assert stats.binomtest(one_way, total, share).pvalue > FALSE_ALARM
-    assert (one_way == 0) == (share == 0)
-    later = dynamics.step(world, state, np.zeros_like(state.estimates))
-    np.testing.assert_array_equal(dynamics.weights(world, later), dynamics.weights(world, state))
-
-
-def test_a_closed_arc_delivers_nothing():
-    world = World(FIXED.replace(channel=channel_part("OneWayLinks", share=1.0)))
-    state = begin(world, range(5))
-    closed = dynamics.weights(world, state) == 0
-    assert closed.sum() == 25  # one of the two directions of each of the five links, in each of five episodes
-    relative = dynamics.relative_estimates(world, state)
-    assert not relative.swapaxes(0, 1)[:, closed].any()
-    assert relative.swapaxes(0, 1)[:, ~closed].all()
+# --- lies -------------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("scenario", [FIXED, BLOCKS_SWITCHING])
@@ -225,15 +182,6 @@ def test_one_player_lies_about_components_of_others_alone(scenario):
     assert liars == set(range(world.game.num_players))
     assert 2.5 < np.abs(told).max() < 3
     assert stats.kstest(told, stats.uniform(-3, 6).cdf).pvalue > FALSE_ALARM
-
-
-def test_the_lying_player_can_be_given():
-    world = World(FIXED.replace(channel=channel_part("Lying", size=3.0, player=2)))
-    state = begin(world, range(10))
-    lies = state.received.messages != dynamics.sent_messages(world, state.estimates)
-    assert set(world.neighbours[np.nonzero(lies.any(axis=(1, 3)))].tolist()) == {2}
-    with pytest.raises(ValueError, match=r"the lying player is 0\.\.4 in a game of 5 players, got 5"):
-        begin(World(FIXED.replace(channel=channel_part("Lying", size=3.0, player=5))), [0])
 
 
 # --- statistics of draws ----------------------------------------------------------------------------------------------
@@ -385,7 +333,6 @@ REFUSED = {
     "delays in the wrong order": ("Delay", {"steps": 3, "longest": 2}, "longest must be a whole number of at least 3"),
     "unknown gap": ("Loss", {"probability": 0.1, "gap": "zero"}, "gap is one of 'hold', 'drop', got 'zero'"),
     "no way out": ("BurstLoss", {"to_bad": 0.1, "to_good": 0.0}, "to_good must be a finite number above 0"),
-    "no player": ("Lying", {"size": 1, "player": -1}, "player must be"),
     "no channel": ("Chain", {"stages": (3,)}, "the stages of a chain are channels, got a int"),
     "unknown argument": ("Loss", {"rate": 0.1}, "refuses its arguments"),
 }

@@ -179,7 +179,7 @@ def test_players_with_wrong_clocks_integrate_their_own_gain():
         moved = [dynamics.step(world, state, held) for world, state in zip((plain, wrong), states, strict=True)]
         for i, shift in enumerate(shifts):
             change = (moved[1].estimates - states[1].estimates)[:, i, 0]
-            assert change == pytest.approx(np.full(5, plain.clock.shifted(shift).theta[k]), abs=1e-13)
+            assert change == pytest.approx(np.full(5, plain.clock.shifted(shift)[2][k]), abs=1e-13)
         states = moved
     right = [0, 3]
     assert np.array_equal(states[0].estimates[:, right], states[1].estimates[:, right])

@@ -145,7 +145,7 @@ def _draw_network(axes: Axes, graph: Graph, union: Graph) -> None:
     angles = np.pi / 2 - 2 * np.pi * np.arange(graph.num_players) / graph.num_players
     places = {i: np.array([np.cos(angle), np.sin(angle)]) for i, angle in enumerate(angles)}
     down = [edge for edge in union.edges if edge not in graph.edges]
-    pair = union.to_networkx()
+    pair = nx.from_numpy_array(union.adjacency)
     nx.draw_networkx_edges(pair, places, edgelist=down, ax=axes, edge_color=FAINT, style="dotted", width=1.0)
     nx.draw_networkx_edges(pair, places, edgelist=graph.edges, ax=axes, edge_color=INK, width=1.8)
     nx.draw_networkx_nodes(pair, places, ax=axes, node_color=COLOURS[: graph.num_players], node_size=330)
