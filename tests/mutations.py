@@ -82,8 +82,8 @@ MUTATIONS = (
     Mutation(
         "termination at the deadline",
         "envs/simulation.py",
-        "~terminated & (instants >= self.max_cycles)",
-        "terminated | (instants >= self.max_cycles)",
+        "return StepResult(total, terms, terminated, truncated,",
+        "return StepResult(total, terms, truncated, terminated,",
         "envs/test_parallel.py",
     ),
     Mutation(

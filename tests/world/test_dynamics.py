@@ -199,6 +199,7 @@ def test_graph_of_a_step_is_the_one_at_its_start(name):
             now = clock.t[k]
         mode, dwelt = int(dynamics.active_mode(world, state)[0]), now / dwell + 1e-9
         assert mode == int(np.floor(dwelt)) % 4
+        assert np.array_equal(dynamics.graph_weights(world, state)[..., 0], world.mode_weights[..., mode])
         assert world.time_since_switch[k] == pytest.approx(dwelt % 1.0, abs=1e-6)
         seen.add(mode)
         state = dynamics.step(world, state, np.zeros_like(state.estimates))
@@ -322,3 +323,14 @@ def test_strategies_of_unequal_dimensions_are_the_own_blocks():
     world = World(BLOCKS)
     estimates = np.arange(18.0).reshape(6, 3, 1)
     assert dynamics.strategies(world, dynamics.initial_state(world, estimates))[:, 0].tolist() == [0, 3, 7, 11, 14, 17]
+
+
+def test_a_step_projects_the_strategies_into_the_box_and_leaves_estimates_of_others_outside():
+    world = World(get_scenario("ev-charging"))
+    players, dimension = world.game.num_players, world.game.dimension
+    inside = dynamics.initial_state(world, np.zeros((dimension, players, 1)))
+    outside = dynamics.step(world, inside, np.full((dimension, players, 1), -500.0))
+    free = -500.0 * world.theta[0]
+    assert np.array_equal(dynamics.strategies(world, outside), world.game.project(np.full((dimension, 1), free)))
+    others = np.arange(players) != world.game.owners[:, None]
+    assert outside.estimates[others] == pytest.approx(free)
