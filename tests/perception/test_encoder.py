@@ -5,7 +5,6 @@ import pytest
 from worlds import BLOCKS, BLOCKS_SWITCHING, FAULTY, begin, world_and_encoder
 
 from ptne_env import CATALOGUE, get_scenario, laws
-from ptne_env.perception.observation import OBSERVATION_BOUND
 from ptne_env.world import dynamics
 from ptne_env.world.world import RANGE_LIMIT
 
@@ -184,17 +183,6 @@ def test_space_contains_every_observation_also_at_the_edge_of_the_range(name, ki
             assert space.contains(row)
 
 
-def test_entries_with_units_are_bounded_by_a_million():
-    _, encoder = world_and_encoder("energy")
-    space, layout = encoder.layout.observation_space(), encoder.layout
-    for name in ("own_gradient", "own_estimate", "relative_estimates"):
-        assert np.all(layout.select(space.high, name) == OBSERVATION_BOUND)
-        assert np.all(layout.select(space.low, name) == -OBSERVATION_BOUND)
-    assert space.dtype == encoder.layout.action_space().dtype == np.float32
-    assert np.all(space.low < space.high)
-    assert OBSERVATION_BOUND == 1e6
-
-
 # --- actions ----------------------------------------------------------------------------------------------------------
 
 
@@ -239,16 +227,6 @@ def test_a_local_action_uses_the_scale_of_its_own_state():
     encoder.observe(first)
     assert np.array_equal(encoder.decode(actions, second), expected[1])
     assert np.array_equal(encoder.decode(actions, first), expected[0])
-
-
-def test_a_float64_action_is_rounded_to_float32():
-    world, encoder = world_and_encoder("energy")
-    state = wander(world)
-    actions = np.random.default_rng(0).uniform(-10, 10, (2, 5, 5))
-    assert np.array_equal(
-        encoder.decode(actions, state),
-        encoder.decode(actions.astype(np.float32), state),
-    )
 
 
 def test_input_limit_that_float32_cannot_hold_is_never_exceeded():

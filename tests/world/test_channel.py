@@ -54,7 +54,6 @@ def wandering(scenario, batch, steps=None, seed=0):
 
 # --- batches, seeds, policies -----------------------------------------------------------------------------------------
 
-FAULTS = {"bursts": SWITCHING.replace(channel=STAGES["bursts, hold"]), "all at once": FAULTY}
 RECEIVED = ("weights", "relative_estimates", "messages", "active_mode", "time_since_switch", "estimates")
 
 
@@ -62,9 +61,8 @@ def column(array, b, batch):
     return array[..., b : b + 1] if array.shape[-1] == batch else array
 
 
-@pytest.mark.parametrize("name", FAULTS)
-def test_batch_equals_single_environments_through_restarts(name):
-    world, batch = World(FAULTS[name]), 5
+def test_batch_equals_single_environments_through_restarts():
+    world, batch = World(FAULTY), 5
     together, alone = begin(world, range(batch)), [begin(world, [b]) for b in range(batch)]
     generator = np.random.default_rng(0)
     for k in range(50):

@@ -15,7 +15,7 @@ from worlds import (
     stack,
 )
 
-from ptne_env import CATALOGUE, FactorySpec, get_scenario
+from ptne_env import FactorySpec, get_scenario
 from ptne_env.shared.random_streams import RandomStreams
 from ptne_env.world import dynamics
 from ptne_env.world.world import RANGE_LIMIT, World
@@ -230,8 +230,16 @@ def test_time_stands_still_after_the_last_step():
 
 
 BATCHED = {
-    **{name: get_scenario(name, start="random", input_limit=1e9) for name in CATALOGUE},
-    "blocks": BLOCKS,
+    **{
+        name: get_scenario(name, start="random", input_limit=1e9)
+        for name in (
+            "energy",
+            "non-quadratic-switching",
+            "random-energy-switching-transformed",
+            "robots",
+            "ev-charging",
+        )
+    },
     "blocks-switching": BLOCKS_SWITCHING,
     "large": large_energy_scenario(),
     "faulty": FAULTY.replace(input_limit=1e9),

@@ -52,11 +52,6 @@ def test_tables_that_are_not_finite_rectangles_are_refused(table):
         FixedStart(table)
 
 
-def test_start_for_another_game_is_refused_with_a_hint():
-    with pytest.raises(ValueError, match="for 2 players and dimension 2.*choose start='random'"):
-        FixedStart([[1.0, 2.0], [3.0, 4.0]]).draw(3, 3, generator())
-
-
 @pytest.mark.parametrize("players", [2, 6, 9])
 def test_the_papers_start_goes_on_for_other_numbers_of_players(players):
     estimates = PaperStart().draw(players, players, generator()).T
