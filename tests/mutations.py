@@ -161,17 +161,8 @@ def outcome(mutation, folder):
             f"{mutation.fact}: {mutation.file} holds {text.count(mutation.before)} times {mutation.before!r}"
         )
     file.write_text(text.replace(mutation.before, mutation.after), encoding="utf-8")
-    command = [
-        sys.executable,
-        "-P",
-        "-m",
-        "pytest",
-        "-x",
-        "-q",
-        "-p",
-        "no:cacheprovider",
-        str(ROOT / "tests" / mutation.tests),
-    ]
+    options = ["-x", "-q", "-p", "no:cacheprovider"]
+    command = [sys.executable, "-P", "-m", "pytest", *options, str(ROOT / "tests" / mutation.tests)]
     started = time.perf_counter()
     finished = subprocess.run(  # noqa: S603 - of this interpreter
         command, cwd=ROOT, env={**os.environ, "PYTHONPATH": str(folder)}, capture_output=True, text=True, check=False

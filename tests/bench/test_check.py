@@ -73,9 +73,7 @@ def test_numbers_of_another_policy_are_found_by_running_jobs_again(written):
     ("change", "difference"),
     [
         (lambda data: data["records"][0].update(mean=11.0), "the record of digits of "),
-        (lambda data: data["records"][3].update(high=11.0), "the record of "),
         (lambda data: data["records"].pop(), "is missing, or there are too many"),
-        (lambda data: data["records"].append(data["records"][0]), "is missing, or there are too many"),
         (lambda data: samples_of(data)["digits"][0].__setitem__(2, 12.5), "digits of grounded on ring is outside"),
         (lambda data: samples_of(data)["settling_time"][0].__setitem__(2, -1.0), "settling_time of .* is outside"),
         (lambda data: samples_of(data)["digits"][0].__setitem__(2, 3.0), "the record of digits of grounded"),
@@ -165,16 +163,8 @@ def test_policy_files_lie_beside_the_results(tmp_path):
         check(there)
 
 
-def test_results_of_objects_and_of_foreign_code_are_refused(tmp_path, written):
+def test_results_of_objects_are_refused(tmp_path):
     path = tmp_path / "objects.json"
     path.write_text(evaluate(PolicySpec("mine", laws.Static), SMALL.tracks[0], episodes=1).to_json())
     with pytest.raises(ValueError, match="policy 'mine' was an object"):
         check(path)
-
-    def foreign(data):
-        data["tracks"][0]["scenario"]["game"]["arguments"]["players"] = {"target": "evil:make", "arguments": {}}
-
-    with pytest.raises(
-        ValueError, match=r"names code outside this library, which a check executes: evil:make.*--trust"
-    ):
-        check(written(foreign))

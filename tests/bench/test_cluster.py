@@ -10,10 +10,8 @@ import uuid
 from pathlib import Path
 
 import pytest
-from small_suite import untimed
 
-from ptne_env import evaluate
-from ptne_env.bench import Runner, Workers
+from ptne_env.bench import Workers
 from ptne_env.bench.files import read_results
 
 ray = pytest.importorskip("ray")
@@ -55,14 +53,6 @@ def mark(folder, number):
     return number**2, ray.get_runtime_context().get_node_id()
 
 
-def refuse(number):
-    raise ValueError(f"no {number}")
-
-
-def die():
-    os._exit(1)
-
-
 def test_a_dead_node_costs_only_its_running_tasks(cluster, tmp_path):
     tasks = [(str(tmp_path), number) for number in range(12)]
     found, nodes = {}, set()
@@ -92,24 +82,3 @@ def test_a_suite_whose_node_was_killed_ends_like_a_local_one(cluster, tmp_path):
     subprocess.run(local, check=True, stdout=subprocess.DEVNULL, timeout=300)  # noqa: S603
     first, second = (read_results(tmp_path / name) for name in ("ray", "local"))
     assert first["checksum"] == second["checksum"]
-
-
-def test_a_comparison_on_the_cluster_is_the_one_of_this_process(cluster):
-    here, there = (
-        evaluate(["static", "random", "ppo-random-energy"], ["random-energy"], episodes=3, run=Runner(None, workers))
-        for workers in (Workers(), Workers(-1, cluster.address))
-    )
-    assert untimed(here) == untimed(there)
-
-
-def test_errors_come_back_as_they_were_raised_and_a_deadly_task_ends_the_run(cluster):
-    workers = Workers(-1, cluster.address)
-    with pytest.raises(ValueError, match="no 7"):
-        list(workers.run(refuse, [(7,), (7,)]))
-    with pytest.raises(ChildProcessError, match="lost 4 times"):
-        list(workers.run(die, [(), ()]))
-
-
-def test_an_address_without_a_cluster_is_named():
-    with pytest.raises(ConnectionError, match=r"no Ray cluster answers at 127.0.0.1:1: "):
-        list(Workers(-1, "127.0.0.1:1").run(refuse, [(1,), (2,)]))

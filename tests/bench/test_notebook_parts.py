@@ -1,6 +1,5 @@
 """Parts that are defined in a program or a notebook, which other processes cannot import."""
 
-import pytest
 from processes import run_python
 
 DEFINITIONS = """
@@ -67,17 +66,8 @@ except ValueError as error:
 """
 
 
-@pytest.mark.parametrize("kind", ["notebook", "program"])
-def test_workers_get_the_present_definitions(kind, tmp_path):
-    if kind == "notebook":
-        run_python("-W", "error", "-c", DEFINITIONS + SAME, folder=tmp_path)
-    else:
-        (tmp_path / "program.py").write_text(DEFINITIONS + SAME, encoding="utf-8")
-        run_python("-W", "error", "program.py", folder=tmp_path)
+def test_workers_get_the_present_definitions_and_one_that_cannot_be_sent_is_named(tmp_path):
+    done = run_python("-W", "error", "-c", DEFINITIONS + SAME + LOCKED, folder=tmp_path)
     assert not (tmp_path / "out").exists()  # a change of these definitions would not be seen
-
-
-def test_a_definition_that_cannot_be_sent_to_workers_is_named(tmp_path):
-    done = run_python("-c", DEFINITIONS + LOCKED, folder=tmp_path)
     assert "cannot be sent to other processes (TypeError: cannot pickle '_thread.lock' object)" in done.stdout
     assert "define it in a module, or run one job at a time" in done.stdout

@@ -12,11 +12,10 @@ import ptne_env
 from ptne_env import laws
 from ptne_env.bench import Suite, find_scenario, get_suite, run_suite
 from ptne_env.bench.suite import SUITES, world_names
-from ptne_env.evaluation import POLICIES, PolicySpec, Track, rollout
+from ptne_env.evaluation import POLICIES, PolicySpec, Track
 from ptne_env.evaluation.episodes import track_seed
 from ptne_env.perception.encoder import make_encoder
 from ptne_env.shared.parts import foreign_targets
-from ptne_env.world.world import World
 
 
 def test_every_track_of_ptne_v1_is_a_valid_world_of_the_library_with_a_sentence():
@@ -52,26 +51,6 @@ def test_episode_sets_of_tracks_share_no_episode():
         for episode in range(5)
     }
     assert len(seeds) == len(suite.tracks) * 3 * 3 * 5
-
-
-@pytest.mark.parametrize("name", ["switching-physical", "saturated"])
-def test_an_environment_replays_an_episode_of_a_track(name):
-    suite = get_suite("ptne-v1")
-    track = suite.track(name)
-    world = World(track.scenario)
-    encoder = make_encoder(world, laws.Static.interface)
-    start = suite.episode_set(name, 3).initial_state(world)
-    found = rollout(laws.Static(encoder.layout), encoder, start)
-
-    env = ptne_env.parallel_env(track.scenario, interface="physical")
-    law = laws.Static(env.layout)
-    observations, _ = env.reset(seed=suite.episode_set(name).episode_seed(2))
-    np.testing.assert_array_equal(env.estimates.T, start.estimates[:, :, 2])
-    while env.agents:
-        actions = {agent: law.predict(observation)[0] for agent, observation in observations.items()}
-        observations, *_ = env.step(actions)
-    error = np.linalg.norm(env.strategies - env.nash_equilibrium) / np.linalg.norm(env.nash_equilibrium)
-    assert error == pytest.approx(found["strategy_distance"][-1, 2], rel=1e-12)
 
 
 def test_wrong_suites_are_refused():

@@ -37,6 +37,7 @@ def test_several_training_seeds_are_their_own_dict_and_back_and_objects_are_not(
 
 
 def test_what_a_policy_declares_cannot_be_overridden():
+    assert PolicySpec("mine", object).interface == Interface("scaled")  # declares none
     assert PolicySpec("oracle-2", FactorySpec.of("law:oracle")).interface == Interface("full")
     for policy in (laws.CentralisedOracle, FactorySpec.of("law:oracle")):
         with pytest.raises(ValueError, match="declares the interface .*'full'.*cannot act through .*'physical'"):
@@ -46,11 +47,6 @@ def test_what_a_policy_declares_cannot_be_overridden():
         PolicySpec.from_dict(data)
     with pytest.raises(ValueError, match="different interfaces"):
         PolicySpec("both", (laws.Static, laws.CentralisedOracle))
-
-
-def test_a_policy_that_declares_nothing_acts_through_the_scaled_interface():
-    assert PolicySpec("mine", object).interface == Interface("scaled")
-    assert PolicySpec("mine", laws.Static).interface == Interface("physical")
 
 
 def test_a_pattern_names_the_training_seeds_of_one_policy(tmp_path, monkeypatch):
@@ -120,15 +116,6 @@ def test_an_archive_acts_as_its_model_does_once_it_is_trusted(archive):
     ours, _ = policy.build(env.layout).predict(rows, deterministic=True)
     theirs, _ = PPO.load(archive, device="cpu").predict(rows, deterministic=True)
     np.testing.assert_array_equal(ours, theirs)
-
-
-def test_files_that_are_no_archives_or_missing_are_refused(tmp_path):
-    need_sb3()
-    (tmp_path / "bad.zip").write_bytes(b"no archive")
-    with pytest.raises(ValueError, match="not an archive"):
-        get_policy_spec(str(tmp_path / "bad.zip"), trust=True)
-    with pytest.raises(FileNotFoundError, match="there is no file"):
-        get_policy_spec("none.zip", trust=True)
 
 
 def test_a_model_with_another_interface_is_refused_with_advice():

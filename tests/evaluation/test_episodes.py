@@ -26,11 +26,6 @@ def test_more_episodes_extend_a_set_and_leave_its_beginning_alone():
         np.testing.assert_array_equal(getattr(longer.game, parameter)[..., :3], getattr(shorter.game, parameter))
 
 
-def test_episode_sets_of_different_seeds_share_no_episode():
-    seeds = {episode_seed(seed, episode) for seed in range(20) for episode in range(50)}
-    assert len(seeds) == 20 * 50
-
-
 @pytest.mark.parametrize(("seed", "episode"), [(-1, 0), (0, -1), (0, 2**32)])
 def test_a_seed_or_episode_out_of_range_is_refused(seed, episode):
     with pytest.raises(ValueError, match="at least 0|below 2"):

@@ -11,7 +11,7 @@ from ptne_env.evaluation.rollout import rollout
 from ptne_env.perception.encoder import make_encoder
 from ptne_env.perception.observation import Interface
 from ptne_env.perception.policy import PolicyError
-from ptne_env.world import distances, dynamics
+from ptne_env.world import dynamics
 from ptne_env.world.world import World
 
 
@@ -103,33 +103,6 @@ def test_a_diverging_episode_leaves_the_others_of_its_batch_alone():
     np.testing.assert_array_equal(mixed["estimate_distance"][:, [0, 2]], calm["estimate_distance"][:, [0, 2]])
 
 
-def test_saturated_share_counts_the_inputs_at_the_limit():
-    _, free = run(ptne_env.get_scenario("energy"), laws.Static, episodes=1)
-    _, tight = run(ptne_env.get_scenario("energy", input_limit=1.3), laws.Static, episodes=1)
-    assert measure(free)["saturated_share"][0] == 0
-    assert 0.05 < measure(tight)["saturated_share"][0] < 1
-    assert measure(tight)["peak_input"][0] == np.float32(1.3)
-
-
-def test_zero_input_spends_and_gains_nothing():
-    _, still = run(ptne_env.get_scenario("energy", start="random"), laws.ZeroInput)
-    samples = measure(still)
-    for metric in ("input_energy", "peak_input", "peak_velocity", "digits_gained"):
-        assert (samples[metric] == 0).all(), metric
-
-
-def test_the_oracle_follows_centralised_pseudo_gradient_play_exactly():
-    scenario = ptne_env.get_scenario("energy", start="random", s_end=5.0, gain=1.0)
-    world, batch = run(scenario, laws.CentralisedOracle, Interface("full"), episodes=2)
-    for episode in range(2):
-        estimates = EpisodeSet(2, 3).initial_state(world).estimates[:, :, episode]
-        x = np.diagonal(estimates).copy()[:, None]
-        for theta in world.clock.theta[: world.clock.steps]:
-            x = x - theta * world.game.pseudo_gradient(x)
-        expected = distances.strategy_distance(x, world.game)[0]
-        assert batch["strategy_distance"][-1, episode] == pytest.approx(expected, rel=1e-6)
-
-
 class Answering:
     def __init__(self, answer):
         self.answer = answer
@@ -169,6 +142,7 @@ def test_saturated_components_are_counted_at_the_limit_alone():
     world, found = run(scenario, lambda layout: laws.Static(layout, kappa=4.0))
     total = found["saturated"].sum(axis=0)
     assert (total > 0).all()
+    assert ((measure(found)["saturated_share"] > 0) & (measure(found)["saturated_share"] < 1)).all()
     assert (found["saturated"] <= world.game.num_players * world.game.dimension).all()
     assert (found["saturated"][found["peak_input"] < np.float32(19.9)] == 0).all()
     assert (found["saturated"][found["peak_input"] >= np.float32(20.0)] > 0).all()

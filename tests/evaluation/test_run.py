@@ -69,19 +69,6 @@ def test_every_default_law_acts_in_every_game_of_the_catalogue():
     assert len(results.samples) == len(policies) * len(scenarios)
 
 
-def test_the_reference_policies_bracket_the_law():
-    names = ["zero-input", "static", "oracle"]
-    results = evaluate(names, ["energy-switching", "non-quadratic"], episodes=2)
-    for scenario in results.episodes:
-        digits = [results.record(scenario, name, "digits")["mean"] for name in names]
-        assert digits == sorted(digits)
-
-
-def test_scenarios_that_draw_games_draw_another_in_every_episode():
-    results = evaluate(["static"], ["random-energy", "random-energy-switching"], episodes=3)
-    assert len({float(value) for samples in results.samples.values() for value in samples["digits"][0]}) == 6
-
-
 def test_a_comparison_takes_tracks_and_runs_the_jobs_by_what_it_is_given():
     asked = []
 

@@ -13,7 +13,6 @@ from ptne_env.evaluation import EpisodeSet, Teammates, Track, rollout
 from ptne_env.evaluation.rollout import Member
 from ptne_env.evaluation.tracks import compared_tracks, named_scenario
 from ptne_env.perception.encoder import make_encoder
-from ptne_env.world import graphs
 from ptne_env.world.world import World
 
 
@@ -96,16 +95,3 @@ def test_a_track_in_which_nothing_is_random_has_one_episode():
     fixed, random = compared_tracks([ptne_env.get_scenario("energy", start="paper", name="paper"), "energy"])
     assert (fixed.episodes, random.episodes) == (1, None)
     assert isinstance(random.scenario, Scenario)
-
-
-def test_a_class_that_a_notebook_defines_again_makes_another_world(monkeypatch):
-    notebook = ModuleType("notebook")
-    monkeypatch.setitem(sys.modules, "notebook", notebook)
-    notebook.ring = lambda: graphs.cycle(5)
-    ring = FactorySpec.of("topology:fixed", graph=FactorySpec.of("notebook:ring"))
-    track = Track("own", BASE.replace(topology=ring), "Own graph.")
-    before = track.world
-    assert track.world is before
-    notebook.ring = lambda: graphs.complete(5)
-    assert track.world is not before
-    assert len(track.world.topology.graphs[0].edges) == 10

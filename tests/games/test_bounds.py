@@ -3,16 +3,12 @@
 import numpy as np
 import pytest
 from sample_games import BlockGame
-from worlds import begin, make_env
+from worlds import make_env
 
-from ptne_env import FactorySpec, get_scenario, theory
+from ptne_env import get_scenario, theory
 from ptne_env.games import EnergyGame, Game
-from ptne_env.laws import Static
 from ptne_env.theory import check_game
-from ptne_env.world import dynamics
 from ptne_env.world.world import World
-
-BOXED = ("cournot", "ev-charging", "rate-control")
 
 
 class BoxedEnergy(EnergyGame):
@@ -66,65 +62,11 @@ def test_one_bound_is_enough_and_the_other_is_infinite():
     assert game.held_at_equilibrium[:, 0].tolist() == [True, False, False, False, False]
 
 
-@pytest.mark.parametrize("name", BOXED)
-def test_only_strategies_are_projected_into_the_box(name):
-    scenario = get_scenario(name, start="random")
-    world = World(scenario)
-    state, generator = begin(world, range(4)), np.random.default_rng(0)
-    own = np.arange(world.game.dimension), world.game.owners
-    outside = 0
-    for _ in range(20):
-        assert np.array_equal(dynamics.strategies(world, state), world.game.project(dynamics.strategies(world, state)))
-        shared = np.repeat(state.estimates.transpose(1, 0, 2).reshape(-1, 1, 4), 1, axis=1)
-        outside += np.sum(shared < 0)
-        inputs = generator.normal(size=state.estimates.shape) * 20
-        following = dynamics.step(world, state, inputs)
-        free = state.estimates + world.clock.theta[state.step] * inputs
-        expected = free.copy()
-        expected[own] = world.game.project(free[own])
-        assert np.array_equal(following.estimates, expected)
-        state = following
-    assert outside > 0
-
-
 def test_start_outside_the_box_is_projected():
     env = make_env("ev-charging")
     env.reset(options={"estimates": np.full((5, 20), 50.0)})
     assert np.array_equal(env.strategies, np.full(20, 2.0))
     assert np.sum(env.estimates == 50.0) == 5 * 20 - 20
-
-
-def test_batch_in_a_box_equals_single_environments_bit_for_bit():
-    scenario = get_scenario("random-affine", game=FactorySpec.of("game:random-affine", low=-4.0, high=4.0), steps=50)
-    world = World(scenario)
-    law = np.random.default_rng(1).normal(size=(5, 5, 6))
-    many = begin(world, range(6))
-    alone = [begin(world, [seed]) for seed in range(6)]
-    for _ in range(10):
-        many = dynamics.step(world, many, law - many.estimates)
-        for b in range(6):
-            alone[b] = dynamics.step(world, alone[b], law[..., b : b + 1] - alone[b].estimates)
-            assert np.array_equal(alone[b].estimates[..., 0], many.estimates[..., b])
-            assert np.array_equal(alone[b].own_gradients[:, 0], many.own_gradients[:, b])
-
-
-def test_static_law_reaches_a_boxed_equilibrium_at_the_certified_rate():
-    certificate = theory.certify(get_scenario("rate-control"))
-    scenario = get_scenario("rate-control", steps=2000, s_end=30.0, gain=100.0)
-    world = World(scenario)
-    env = make_env(scenario)
-    law, errors = Static(env.layout), []
-    observations, _ = env.reset(seed=0)
-    equilibrium = world.game.nash_equilibrium
-    while env.agents:
-        actions, _ = law.predict(np.stack([observations[agent] for agent in env.agents]))
-        observations, *_ = env.step(dict(zip(env.agents, actions, strict=True)))
-        errors.append(np.linalg.norm(env.estimates - equilibrium))
-    errors = np.array(errors)
-    tau = np.cumsum(world.clock.theta[: len(errors)])
-    late = (errors < 1e-7 * errors[0]) & (errors > 1e-10 * errors[0])  # where the slowest mode dominates
-    slope = np.polyfit(tau[late], np.log(errors[late]), 1)[0]
-    assert -slope == pytest.approx(certificate.rate, rel=0.05)
 
 
 def test_check_samples_only_inside_the_box():

@@ -14,15 +14,11 @@ PARAMETERS = ("curvature", "target", "coupling")
 
 DRAWN = {
     "energy, 2 players": RandomEnergy(2),
-    "energy, 11 players": RandomEnergy(11),
     "affine": RandomAffine(),
-    "affine, planar": RandomAffine(players=3, action_dim=2),
-    "affine in a box": RandomAffine(low=-5.0, high=5.0),
     "affine, planar, in a box": RandomAffine(players=3, action_dim=2, low=-5.0, high=5.0),
     "affine, players of different dimensions": RandomAffine(action_dim=(1, 2, 3, 1, 2)),
     "merely monotone": RandomAffine(epsilon=0.0),
     "coupled constraint on energy": CoupledConstraint(RandomEnergy()),
-    "coupled constraint on one game": CoupledConstraint(EnergyGame(), lines=1),
     "saturating": RandomSaturating(RandomEnergy(4)),
     "saturating, players of different dimensions": RandomSaturating(RandomAffine(players=3, action_dim=(2, 1, 3))),
 }
@@ -205,13 +201,9 @@ class TwistedFamily(RandomEnergy):
     ("arguments", "message"),
     [
         ({"players": 1}, "players must be a whole number of at least 2, got 1"),
-        ({"players": 2.5}, "players must be a whole number"),
         ({"curvature": (2.0, 1.0)}, r"finite range low < high for curvature, got \(2.0, 1.0\)"),
-        ({"target": (3.0, 3.0)}, r"finite range low < high for target, got \(3.0, 3.0\)"),
         ({"coupling": (0.1, float("inf"))}, "finite range low < high for coupling"),
-        ({"coupling": (float("nan"), 0.1)}, "finite range low < high for coupling"),
         ({"curvature": (0.0, 1.0)}, "curvature > 0"),
-        ({"curvature": (-1.0, 1.0)}, "curvature > 0"),
         ({"coupling": (-0.1, 0.1)}, "coupling ≥ 0"),
         ({"base_price": float("nan")}, "finite parameters"),
     ],

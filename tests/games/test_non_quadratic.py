@@ -7,16 +7,17 @@ from ptne_env.games import NoBestResponseError, NonQuadraticGame
 from ptne_env.theory import check_game
 
 
-def test_printed_variant_does_not_have_the_printed_equilibrium():
-    found = NonQuadraticGame("printed").nash_equilibrium
-    assert found == pytest.approx([-3.38629, 1.38629, 0, -0.5, 2.5], abs=5e-6)
-    assert found == pytest.approx([-2 - 2 * math.log(2), 2 * math.log(2), 0, -0.5, 2.5], abs=1e-10)
-
-
-def test_corrected_variant_has_the_printed_equilibrium():
-    found = NonQuadraticGame("corrected").nash_equilibrium
-    assert found == pytest.approx([-4.6589, 4.1589, 0, -2, 2.5], abs=5e-5)
-    assert found == pytest.approx([-0.5 - 6 * math.log(2), 6 * math.log(2), 0, -2, 2.5], abs=1e-10)
+@pytest.mark.parametrize(
+    ("variant", "printed", "exact"),
+    [
+        ("printed", [-3.38629, 1.38629, 0, -0.5, 2.5], [-2 - 2 * math.log(2), 2 * math.log(2), 0, -0.5, 2.5]),
+        ("corrected", [-4.6589, 4.1589, 0, -2, 2.5], [-0.5 - 6 * math.log(2), 6 * math.log(2), 0, -2, 2.5]),
+    ],
+)
+def test_the_corrected_variant_alone_has_the_printed_equilibrium(variant, printed, exact):
+    found = NonQuadraticGame(variant).nash_equilibrium
+    assert found == pytest.approx(printed, abs=5e-5)
+    assert found == pytest.approx(exact, abs=1e-10)
 
 
 @pytest.mark.parametrize(("variant", "slope"), [("printed", 1.0), ("corrected", 4.0)])

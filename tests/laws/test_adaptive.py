@@ -1,6 +1,6 @@
 import numpy as np
 import pytest
-from worlds import make_env, play, while_running, world_and_encoder
+from worlds import make_env, while_running, world_and_encoder
 
 from ptne_env import laws
 
@@ -43,13 +43,6 @@ def test_gain_of_a_link_grows_only_while_it_is_alive():
     grown = np.diff(gains, axis=0) > 0
     assert not grown[~alive].any()
     assert grown[alive][:50].all()
-
-
-def test_without_growth_it_is_the_static_law():
-    env = make_env("energy")
-    adaptive, _ = play(env, laws.Adaptive(env.layout, gamma=0.0, initial_gain=2.0))
-    static, _ = play(env, laws.Static(env.layout, kappa=2.0))
-    assert np.array_equal(adaptive, static)
 
 
 @pytest.mark.parametrize("name", ["gamma", "initial_gain"])

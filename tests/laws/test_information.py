@@ -9,8 +9,6 @@ from affine_games import SOAK
 from worlds import energy_scenario, fixed_part, make_env, play, world_and_encoder
 
 from ptne_env import FactorySpec, laws
-from ptne_env.evaluation import POLICIES
-from ptne_env.evaluation.audit import with_links_of
 from ptne_env.field import laws as field_laws
 from ptne_env.world import dynamics
 
@@ -99,24 +97,6 @@ def test_scrambling_hidden_information_changes_no_action(player, law, kind, mode
         assert np.array_equal(actions[player], other_actions[player])
         strangers = [j for j in range(5) if j not in visible]
         assert not np.array_equal(observations[strangers], other_observations[strangers])
-        state = dynamics.step(world, state, encoder.decode(actions[None], state))
-
-
-@pytest.mark.parametrize("name", [name for name, spec in POLICIES.items() if name != "oracle"])
-def test_policies_decide_row_by_row_without_the_links_of_others(name):
-    """Each player's twin sees its own rows alone, and its layout hides the neighbours of all others."""
-    scenario = energy_scenario(CURVATURE, TARGET, topology_spec(MODES, np.ones((5, 5))))
-    spec = POLICIES[name]
-    world, encoder = world_and_encoder(scenario, kind=spec.interface.kind)
-    policy, memory = spec.build(encoder.layout), None
-    alone, memories = [spec.build(with_links_of(encoder.layout, player)) for player in range(5)], [None] * 5
-    state = dynamics.initial_state(world, np.random.default_rng(0).uniform(-20, 20, (5, 5, 1)))
-    for _ in range(STEPS):
-        observations = encoder.observe(state)[0]
-        actions, memory = policy.predict(observations, state=memory)
-        for i in range(5):
-            action, memories[i] = alone[i].predict(observations[i : i + 1], state=memories[i])
-            assert np.array_equal(action[0], actions[i])
         state = dynamics.step(world, state, encoder.decode(actions[None], state))
 
 

@@ -4,7 +4,7 @@ import inspect
 
 import numpy as np
 import pytest
-from worlds import BLOCKS, make_env, play, world_and_encoder
+from worlds import BLOCKS, make_env, world_and_encoder
 
 from ptne_env import Policy, laws
 from ptne_env.field import laws as field_laws
@@ -117,13 +117,6 @@ def test_observations_and_memories_of_another_scenario_are_refused():
     _, memory = law.predict(observations)
     with pytest.raises(ValueError, match=r"memory has the shape \(15, 2\).*need \(3, 2\); pass state=None"):
         law.predict(observations[:3], state=memory)
-
-
-def test_zero_input_stays_at_the_start():
-    env = make_env("energy", steps=10)
-    states, steps = play(env, laws.ZeroInput(env.layout), seed=1)
-    assert np.array_equal(states[0], states[-1])
-    assert [reward for step in steps for reward in step[1].values()] == [0.0] * 50
 
 
 @pytest.mark.parametrize("kind", ["physical", "scaled"])

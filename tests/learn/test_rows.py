@@ -25,7 +25,7 @@ from ptne_env.shared.random_streams import RandomStreams
 from ptne_env.world import dynamics
 from ptne_env.world.world import World
 
-STEPS, EPISODES = 20, 8
+STEPS, EPISODES = 6, 4
 WORLDS = [World(get_scenario(name)) for name in ("random-energy", "random-energy-switching", "robots")]
 
 

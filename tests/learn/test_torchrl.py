@@ -29,10 +29,9 @@ def acting(env, tensordict, generator):
     return tensordict, actions
 
 
-@pytest.mark.parametrize("arguments", [{}, {"interface": "physical"}, {"max_cycles": 2}], ids=str)
-@pytest.mark.parametrize("name", ["energy", "random-energy"])
-def test_torchrl_finds_no_fault_in_the_specifications(name, arguments):
-    check_env_specs(make(name, **arguments), seed=0)
+@pytest.mark.parametrize("arguments", [{"interface": "physical"}, {"max_cycles": 2}], ids=str)
+def test_torchrl_finds_no_fault_in_the_specifications(arguments):
+    check_env_specs(make(**arguments), seed=0)
 
 
 def test_keys_shapes_and_dtypes_are_those_of_the_wrapper_of_pettingzoo():
@@ -106,33 +105,6 @@ def test_a_seed_counts_up_by_environment_and_holds_for_one_start_of_each():
     assert not torch.equal(by_reset.reset()[OBSERVATION], starts[0])
     alone = ptne_env.parallel_env("random-energy", **SHORT)
     assert np.array_equal(alone.reset(seed=8)[0]["player_2"], starts[0][1, 2])
-    by_reset.set_seed(7)
-    first = by_reset.reset(named([True, False, False]))[OBSERVATION]
-    then = by_reset.reset(named([True, True, True]))[OBSERVATION]
-    assert torch.equal(first[0], starts[0][0])
-    assert torch.equal(then[1:], starts[0][1:])
-    assert not torch.equal(then[0], starts[0][0])
-
-
-@pytest.mark.parametrize(
-    ("change", "complaint"),
-    [
-        (lambda actions: actions[:, :4], "actions are numbers of shape"),
-        (lambda actions: actions > 0, "actions are numbers of shape"),
-        (lambda actions: actions * torch.nan, "without NaN or infinity"),
-    ],
-    ids=["shape", "booleans", "no numbers"],
-)
-def test_actions_that_are_refused_leave_the_state_as_it_was(change, complaint):
-    env, untouched = make(), make()
-    start, expected = env.reset(seed=1), untouched.reset(seed=1)
-    good = torch.from_numpy(random_actions(env.vector, np.random.default_rng(0)))
-    start["player"] = TensorDict({"action": change(good)}, (3,))
-    with pytest.raises(ValueError, match=complaint):
-        env.step(start)
-    for each in (start, expected):
-        each["player"] = TensorDict({"action": good}, (3,))
-    assert torch.equal(env.step(start)["next"][OBSERVATION], untouched.step(expected)["next"][OBSERVATION])
 
 
 def test_a_rollout_that_steps_some_environments_alone_is_refused_and_steps_none():

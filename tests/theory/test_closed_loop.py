@@ -11,7 +11,7 @@ from ptne_env import get_scenario, laws, theory
 from ptne_env.games import EnergyGame
 from ptne_env.theory.closed_loop import NoClosedLoopError
 from ptne_env.world.clock import Exponential, HyperbolicTangent, Rational
-from ptne_env.world.graphs import Graph, complete, cycle, path
+from ptne_env.world.graphs import Graph, cycle, path
 from ptne_env.world.switching import SwitchingTopology, fixed, paper_topology
 from ptne_env.world.world import World
 
@@ -65,20 +65,6 @@ def test_measured_matrix_at_frozen_gains_is_that_of_the_weighted_graph():
     np.testing.assert_allclose(measured, expected, atol=1e-12)
 
 
-def test_measured_matrix_of_the_grounded_law_follows_leaders():
-    world, law = build("energy", laws.Grounded, kappa=3.0)
-    game, graph = world.game, world.topology.graphs[0]
-    error = np.random.default_rng(0).normal(size=(5, 5))
-    expected = np.zeros((5, 5))
-    for i in range(5):
-        expected[i] = 3.0 * sum(graph.adjacency[i, j] * (error[i] - error[j]) for j in range(5))
-        for j in range(5):
-            expected[i, j] += 3.0 * graph.adjacency[i, j] * (error[i, j] - error[j, j])
-        expected[i, i] = game.jacobian(np.zeros((5, 1)))[i, :, 0] @ error[i]
-    matrix = theory.law_matrix(law, game, graph)
-    np.testing.assert_allclose(matrix @ error.ravel(), expected.ravel(), atol=1e-9)
-
-
 def test_laws_without_a_closed_loop_give_the_reason():
     world, sign = build("energy", Sign)
     with pytest.raises(NoClosedLoopError, match="Sign is not linear"):
@@ -100,11 +86,6 @@ def test_rate_on_the_cycle_is_that_of_the_matrix_exponential():
     matrix = matrices(fixed(cycle(5)))[0]
     late, later = (np.linalg.norm(linalg.expm(-matrix * tau), 2) for tau in (60.0, 80.0))
     assert np.log(late / later) / 20 == pytest.approx(RATE, rel=1e-6)
-
-
-def test_rate_of_a_large_gain_is_that_of_gradient_play_shared_by_all():
-    # As κ → ∞ all estimates agree and follow x̄' = −F(x̄)/N.
-    assert rate_of_the_static_law(fixed(complete(5)), 1e5) == pytest.approx(2.1 / 5, rel=1e-4)
 
 
 def test_rate_in_t_is_that_of_the_last_graph():

@@ -62,7 +62,7 @@ def test_matrix_of_the_proof_by_hand():
 
 
 @pytest.mark.parametrize("graph", [path, cycle, complete])
-@pytest.mark.parametrize("players", [3, 8, 12])
+@pytest.mark.parametrize("players", [3, 12])
 def test_inequality_24_holds_for_the_worst_errors(graph, players):
     game = pursuit(players)
     assert slack(game, graph(players), reduced_matrix(game, graph(players))) >= -1e-9

@@ -84,7 +84,7 @@ def episode(law, scenario, seeds=(0,), **arguments):
     return world, run(world, encoder, law(encoder.layout, **arguments), begin(world, seeds))
 
 
-@pytest.mark.parametrize("seed", range(100 if SOAK else 6))
+@pytest.mark.parametrize("seed", range(100 if SOAK else 3))
 def test_a_copy_is_what_the_owner_had_as_many_steps_ago_as_there_are_links(seed):
     matrix, offset, adjacency = random_affine(np.random.default_rng(seed), 3 + seed % 4)
     hops, step = hops_of(adjacency), 0.5 / np.diag(matrix).max()
@@ -133,7 +133,9 @@ def test_news_that_never_move_reach_players_without_news():
 def test_sources_are_found_where_episodes_draw_their_graphs_where_links_switch_and_where_messages_are_noisy():
     tracks = [get_suite("ptne-v1").track(name) for name in ("unseen-graphs", "noise")]
     laws = ["routed-unknown", "contact-relay", "static"]
-    results = evaluate(laws, [*tracks, get_scenario("random-energy-switching-transformed")], episodes=8, seed=87235)
+    results = evaluate(
+        laws, [*tracks, get_scenario("random-energy-switching-transformed")], episodes=20 if SOAK else 4, seed=87235
+    )
     digits = {place: samples["digits"].mean() for place, samples in results.samples.items()}
     assert min(digits["unseen-graphs", name] for name in laws[:2]) > 10
     assert digits["noise", "contact-relay"] > digits["noise", "static"] + 0.3

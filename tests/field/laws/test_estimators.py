@@ -85,26 +85,6 @@ def test_messages_that_converge_slowly_or_late_carry_no_noise_and_are_not_rounde
     assert not watch(carry(converging(rate)))[0].any()
 
 
-def weights_of_samples(steps, forgetting):
-    """The weight of each of ``steps`` samples in the mean m ← m + p/(p + k) (x − m)."""
-    weights = np.zeros(steps)
-    for k in range(steps):
-        share = forgetting / (forgetting + k)
-        weights *= 1 - share
-        weights[k] = share
-    return weights
-
-
-@pytest.mark.parametrize("steps", [40, 120])
-def test_the_mean_has_the_variance_of_its_weights(steps):
-    *_, samples, means = watch(noisy(3.0, steps, slots=1, n=4000), is_rounded=False)
-    expected = STD**2 * (weights_of_samples(steps, 2.0) ** 2).sum()
-    assert np.var(means[samples.number == steps]) == pytest.approx(expected, rel=0.1)
-    assert means.mean() == pytest.approx(3.0, abs=2e-3)
-    assert np.median(samples.variance) == pytest.approx(STD**2, rel=0.3)
-    assert (samples.number == steps).mean() > 0.9  # few of them seem to lag
-
-
 def test_a_mean_that_lags_becomes_the_quick_mean():
     content = np.concatenate([noisy(3.0, 150, n=40), noisy(3.0 + 10 * STD, 40, n=40, seed=1)])
     *_, samples, means = watch(content, is_rounded=False)
@@ -157,22 +137,6 @@ def test_liars_are_no_sources_where_others_remain(sources, owners, lies, kept):
     others = np.ones((1, 3, 1), dtype=bool)
     found = estimators.without_liars(source, others, owner, np.array([lies], dtype=float))
     np.testing.assert_array_equal(found, expected)
-
-
-@pytest.mark.parametrize(
-    ("count", "is_own", "lies", "expected"),
-    [
-        ((50, 50), False, 0, True),
-        ((30, 50), False, 0, False),  # the source's mean is young
-        ((50, 30), False, 0, False),  # the neighbour's is
-        ((50, 50), True, 0, False),
-        ((50, 50), False, 1, False),
-    ],
-)
-def test_old_means_of_other_neighbours_count_beside_old_means_of_sources(count, is_own, lies, expected):
-    sources, own = np.array([[[True], [False]]]), np.array([[is_own]])
-    found = estimators.mature(np.reshape(count, (1, 2, 1)), sources, own, np.array([[0.0, lies]]))
-    assert found[0, 1, 0] == expected
 
 
 # --- damping --------------------------------------------------------------------------------------------------------

@@ -42,15 +42,6 @@ def test_model_is_the_regularised_least_squares_fit(generator):
         assert model.rows[row] == pytest.approx(target @ np.linalg.inv(information), abs=1e-8)
 
 
-def test_rows_are_exact_after_as_many_exact_differences_as_regressors(generator):
-    rows, displacements, _ = draw(generator, REGRESSORS)
-    changes = np.einsum("rmq,srq->srm", rows, displacements)
-    model = blank(ROWS, OUTPUTS, REGRESSORS, SPREAD)
-    for displacement, change in zip(displacements, changes, strict=True):
-        model, _, _ = identify(model, displacement, change, np.full((ROWS, 1), 1e-14))
-    assert model.rows == pytest.approx(rows, abs=1e-5)
-
-
 def test_changed_rows_are_learned_in_the_direction_of_the_displacement_alone(generator):
     rows, displacements, changes = draw(generator, 30)
     before, _ = feed(blank(ROWS, OUTPUTS, REGRESSORS, SPREAD), displacements, changes)

@@ -4,7 +4,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from affine_games import affine_scenario, loop_start, random_affine, run
+from affine_games import SOAK, affine_scenario, loop_start, random_affine, run
 from worlds import channel_part, fixed_part
 
 from ptne_env import Interface, evaluate, get_scenario
@@ -36,7 +36,7 @@ def proximal_point(jacobian, offset, owners, adjacency, estimates, step, mixing)
     return following
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", range(2))
 def test_iteration_is_the_proximal_point_once_rows_are_identified(seed):
     matrix, offset, adjacency = random_affine(np.random.default_rng(seed), 4)
     mixing = 0.9 / adjacency.sum(axis=1).max()
@@ -75,7 +75,7 @@ def test_large_games_identify_the_own_block_alone(monkeypatch):
 
 
 def test_trust_region_keeps_steps_short_where_gradients_are_not_affine():
-    results = evaluate(["proximal-best-response"], ["non-quadratic"], episodes=40)
+    results = evaluate(["proximal-best-response"], ["non-quadratic"], episodes=40 if SOAK else 8)
     samples = results.samples["non-quadratic", "proximal-best-response"]
     assert not samples["diverged_share"].any()
     assert samples["digits"].mean() > 10
@@ -83,18 +83,16 @@ def test_trust_region_keeps_steps_short_where_gradients_are_not_affine():
 
 def test_law_reaches_many_digits_and_does_not_diverge():
     lossy = get_scenario("random-energy", name="lossy", channel=channel_part("Loss", probability=0.3))
-    noisy = get_scenario("random-energy", name="noisy", channel=channel_part("AdditiveNoise", std=0.1))
-    scenarios = [get_scenario("random-energy"), get_scenario("random-affine"), lossy, noisy]
-    results = evaluate(["grounded", "proximal-best-response"], scenarios, episodes=8)
+    scenarios = [get_scenario("random-energy"), get_scenario("random-affine"), lossy]
+    results = evaluate(["grounded", "proximal-best-response"], scenarios, episodes=5)
     digits = {
         (name, law): results.samples[name, law]["digits"]
-        for name in ("random-energy", "random-affine", "lossy", "noisy")
+        for name in ("random-energy", "random-affine", "lossy")
         for law in ("grounded", "proximal-best-response")
     }
     assert digits["random-energy", "proximal-best-response"].min() > 11
     assert digits["random-affine", "proximal-best-response"].mean() > digits["random-affine", "grounded"].mean()
     assert digits["lossy", "proximal-best-response"].min() > 6
-    assert digits["noisy", "proximal-best-response"].min() > 1
 
 
 def test_wrong_numbers_and_interfaces_are_named():

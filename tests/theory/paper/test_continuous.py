@@ -8,9 +8,9 @@ from ptne_env.games import EnergyGame
 from ptne_env.theory import closed_loop_matrix
 from ptne_env.theory.paper.continuous import exact_static, plain_timeline, prescribed_timeline, simulate
 from ptne_env.world.clock import Exponential, HyperbolicTangent, Rational
-from ptne_env.world.graphs import cycle, path
+from ptne_env.world.graphs import cycle
 from ptne_env.world.starts import PaperStart
-from ptne_env.world.switching import SwitchingTopology, fixed, paper_topology
+from ptne_env.world.switching import fixed, paper_topology
 
 DEADLINE, GAIN = 1.2, 20.0
 LAMBDA = Exponential(DEADLINE)
@@ -141,15 +141,3 @@ def test_distances_and_settling_time(start):
     assert run.settling_time(1e-9) is None
     assert run.settling_time(100.0) == 0.0
     assert run.strategy_distance_at(7.5) == run.strategy_distance[500]
-
-
-def test_weight_of_a_link_acts_like_its_gain(start):
-    weighted = type(cycle(5))(cycle(5).adjacency * 3.0)
-    timeline = plain_timeline(fixed(weighted), 2.0, samples=5)
-    by_weight = simulate(EnergyGame(), fixed(weighted), start, timeline, initial_gain=1.0)
-    by_gain = simulate(EnergyGame(), fixed(cycle(5)), start, timeline, initial_gain=3.0)
-    np.testing.assert_allclose(by_weight.errors, by_gain.errors, atol=1e-10)
-    mixed = SwitchingTopology([weighted, path(5)], [0.5, 0.5])
-    run = simulate(EnergyGame(), mixed, start, plain_timeline(mixed, 2.0, samples=5), initial_gain=1.0)
-    exact = exact_static(EnergyGame(), mixed, start, run.timeline, kappa=1.0)
-    np.testing.assert_allclose(run.errors, exact.errors, atol=1e-9)
