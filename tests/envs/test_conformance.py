@@ -58,6 +58,7 @@ def test_max_cycles(name):
 
 
 def test_rendering():
+    pytest.importorskip("matplotlib", reason="needs the extra 'bench': pip install 'ptne-env[bench]'")
     render_test(partial(aec_env, "energy"))
 
 
