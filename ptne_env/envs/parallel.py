@@ -99,7 +99,7 @@ class NashSeekingEnv(ParallelEnv[str, Float32Array, Float32Array]):
         self._np_random: np.random.Generator | None = None
 
     def __getstate__(self) -> dict[str, Any]:
-        """Copies and pickles have no table of observations, whose rows would come apart."""
+        """Copies and pickles have no table of observations: its rows, which are views, would become separate arrays."""
         return {**self.__dict__, "_table": None}
 
     @property
@@ -181,9 +181,8 @@ class NashSeekingEnv(ParallelEnv[str, Float32Array, Float32Array]):
             self._render_human()
         first = {"diverged": np.False_, "clipped": np.int64(0), "is_success": self._simulation.succeeded()[0]}
         first |= dict.fromkeys(self._simulation.reward_names, np.float64(0))
-        rows = map(
-            np.ndarray.copy, self._simulation.observe()[0]
-        )  # a row leads to all others by its attribute ``base``
+        # Copies, because a view gives its policy the observations of all players, in the attribute ``base``.
+        rows = map(np.ndarray.copy, self._simulation.observe()[0])
         observations = dict(zip(self.agents, rows, strict=True))
         return observations, {agent: first.copy() for agent in self.agents}
 
@@ -290,7 +289,7 @@ class NashSeekingEnv(ParallelEnv[str, Float32Array, Float32Array]):
             self._renderer.draw()
 
     def _new_table(self) -> tuple[Float32Array, list[Float32Array]]:
-        """The table that observations are written to, and its rows: views cost as much as copies."""
+        """The table that observations are written to, and its rows, made once because making views takes time."""
         table = np.empty((1, len(self.possible_agents), self.layout.size), dtype=np.float32)
         self._table = table, list(table[0])
         return self._table

@@ -54,7 +54,7 @@ class Metric:
         name: key of records, CSV and JSON files.
         heading: of a column.
         meaning: in one sentence or phrase.
-        direction: of better values; ``None`` where neither is better.
+        direction: ``"higher"`` or ``"lower"``, whichever is better; ``None`` where neither is.
         block: the table in which it stands.
         value: of a rollout, shape (B,), NaN in an episode without a value; ``None`` where it follows from others.
         unit: empty for a pure number.

@@ -116,7 +116,7 @@ class Game(Part, ABC):
     def regrets(self, strategies: FloatArray) -> FloatArray:
         """J_i(x) − min over y in the box of J_i(y, x_{-i}) ≥ 0 of every player: (n, B) to (N, B).
 
-        Their sum over players is the Nikaido–Isoda gap, 0 exactly at an equilibrium.
+        Their sum over players is the Nikaido–Isoda regret, 0 exactly at an equilibrium.
 
         Raises:
             NoBestResponseError: as :meth:`best_response`.

@@ -23,7 +23,7 @@ from ptne_env.world.dynamics import State
 from ptne_env.world.world import World
 
 _PADDING = 16
-"""Columns by which the rows of an observation workspace are longer than a batch that is larger than that."""
+"""Unused columns at the end of each row of a workspace, in batches of more environments than this."""
 
 _WORKSPACES = 2
 """Observation workspaces of an encoder, one per batch size: a vector environment has blocks of two sizes."""
@@ -68,7 +68,8 @@ class Encoder(ABC):
         world: as given.
         interface: as given.
         layout: of observations and actions; policies are built from it.
-        clock_table: t/T, s, Θ_k, Δt_k/T and the age of the graph as observed, shape (5, 1 or N, K+H+1), float32.
+        clock_table: t/T, s, Θ_k, Δt_k/T and the time since the last switch as observed, float32, shape (5, 1, K+H+1),
+            or (5, N, K+H+1) where players have clocks of their own.
         slot_order: the world's neighbour slot in each slot of the layout, shape (D, N); ``None`` for the same slots.
         gradient_rows: row of the own gradients in each place of a player's own block, shape (m, N).
         gradient_mask: False in padded places, shape (m, N, 1); ``None`` where no place is padded.
@@ -78,7 +79,7 @@ class Encoder(ABC):
         self.world = world
         self.interface = interface
         game, clock = world.game, world.clock
-        # All observations of an instant share the clock and the age of the graph; (5, 1 or N, K+H+1).
+        # All environments at the same step share the clock and the time since the last switch.
         t, s, theta = world.local_clocks
         shared = [np.broadcast_to(row, t.shape) for row in (clock.dt / clock.deadline, world.time_since_switch)]
         self.clock_table = np.stack([t / clock.deadline, s, theta, *shared]).astype(np.float32)
@@ -101,7 +102,7 @@ class Encoder(ABC):
         self._workspaces: dict[int, _Workspace] = {}
 
     def __getstate__(self) -> dict[str, Any]:
-        """Copies and pickles have no workspace: its parts are views of one buffer and would come apart."""
+        """Copies and pickles have no workspaces: their views of one buffer would become separate arrays."""
         return {**self.__dict__, "_workspaces": {}}
 
     def with_shared_tables(self) -> Encoder:
@@ -192,7 +193,8 @@ class Encoder(ABC):
         """The workspace of a batch size. Slices that never change are written here."""
         layout, world = self.layout, self.world
         slots, n, players = layout.slots, layout.dimension, layout.num_players
-        # Rows of a power-of-two length fall on the same cache lines when they are transposed; padding parts them.
+        # Transposing rows whose length is a power of two uses the same few cache lines again and again; unused columns
+        # avoid that.
         row = batch + _PADDING if batch > _PADDING else batch
         buffer = np.zeros((players, layout.size, row), dtype=np.float32)
         columns = buffer.transpose(1, 0, 2)[:, :, :batch]
@@ -256,7 +258,7 @@ class ScaledEncoder(Encoder):
         self._scale_of: tuple[State, FloatArray] | None = None
 
     def __getstate__(self) -> dict[str, Any]:
-        """Copies and pickles have no scale of a state that they never observed."""
+        """Copies and pickles forget the state that was observed last, and its scale."""
         return {**super().__getstate__(), "_scale_of": None}
 
     def _write_differences(self, workspace: _Workspace, state: State, link_weights: FloatArray | None) -> None:

@@ -3,7 +3,9 @@
 >>> state = initial_state(world, estimates)
 >>> state = step(world, state, inputs)
 
-Arrays are float64 with environments last. Every function here depends on its arguments alone.
+Arrays are float64 with environments last. Every function here depends on its arguments alone. In shapes, B counts
+environments, N players, n components of x, D neighbour slots, K steps to the deadline, H steps of the hold phase, and G
+games: 1, or B where every environment has its own.
 """
 
 from __future__ import annotations
@@ -22,7 +24,8 @@ from ptne_env.world.faults import Disturbance, Sensor
 from ptne_env.world.world import RANGE_LIMIT, ComponentOrder, EpisodeRandomness, World
 
 PHYSICS = 1
-"""Version of the behaviour of worlds. Golden trajectories force it up when it changes; stored results depend on it."""
+"""Version of the behaviour of worlds, part of the key of stored results. When the behaviour changes, tests of stored
+trajectories (``tests/data/golden.json``) fail until this number rises and they are written anew."""
 
 
 class Received(NamedTuple):
@@ -111,7 +114,8 @@ def initial_state(
             f"scenario {name!r} draws more than games and starts: pass the draws of {batch} environments, see "
             "World.draw_randomness()"
         )
-    # A copy, because the state is not the caller's, in the order of a drawn one, on which the last bits of sums depend.
+    # A copy, so that the caller cannot change the state. It is C-contiguous, as drawn estimates are: the last bits of
+    # sums depend on the order in memory.
     estimates = np.array(estimates, dtype=np.float64, order="C")
     _project_strategies(estimates, game)
     step, diverged = np.zeros(batch, dtype=np.int64), np.zeros(batch, dtype=np.bool_)
@@ -186,7 +190,7 @@ def step(world: World, state: State, inputs: FloatArray) -> State:
 
 
 def merge(state: State, fresh: State, mask: BoolArray) -> State:
-    """``state`` with the environments in ``mask`` (B,) replaced by those of ``fresh``, in order."""
+    """``state`` with the environments in ``mask`` (B,) replaced, in order, by all those of ``fresh``."""
 
     def merged(old: Array, new: Array) -> Array:
         return replaced(old, new, mask)
@@ -214,7 +218,7 @@ def batch_size(state: State) -> int:
 
 
 def shared_step(state: State) -> IntArray:
-    """``state.step``, but one entry for environments in lockstep, the usual case: shape (1,) or (B,)."""
+    """``state.step``, shape (B,); one entry, shape (1,), where all environments are at the same step, as usual."""
     steps = state.step
     in_lockstep = steps.size == 1 or np.count_nonzero(steps != steps[0]) == 0
     return steps[:1] if in_lockstep else steps
@@ -239,7 +243,7 @@ def active_mode(world: World, state: State) -> IntArray:
 
 
 def time_since_switch(world: World, state: State) -> FloatArray:
-    """Over the topology's mean dwell, clipped to 1, 0 for a fixed graph; shape (B,)."""
+    """Time since the last switch over the mean dwell, clipped to [0, 1]; 0 for a fixed graph; shape (B,)."""
     if state.randomness is None or state.randomness.time_since_switch is None:
         return world.time_since_switch[state.step]
     return state.randomness.time_since_switch[state.step, np.arange(state.step.size)].astype(np.float64)
@@ -299,7 +303,7 @@ def relative_estimates(
 
 
 def distance_limit(game: Game) -> FloatArray:
-    """The relative distance charged to a diverged environment, no less than any in range; shape (G,)."""
+    """The relative distance that a diverged environment is given: no state in range is farther from x*; shape (G,)."""
     scale = game.equilibrium_scale
     return (RANGE_LIMIT * np.sqrt(game.dimension) + scale) / scale
 

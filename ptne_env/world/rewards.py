@@ -7,7 +7,7 @@ digits     log10 d^i_k − log10 d^i_{k+1} with d^i = ‖x^i − x*‖/‖x*‖ 
 tracking   −d^i_{k+1}
 payoff     −J_i at the real strategies after the step
 regret     −(J_i(x) − min over y of J_i(y, x_{-i})) after the step; over players it sums to minus the Nikaido–Isoda
-           gap. Only for games whose best response exists everywhere.
+           regret. Only for games whose best response exists everywhere.
 ========== =====================================================================================================
 
 Rewards use x*, which no observation shows: a privilege of training.

@@ -40,7 +40,8 @@ class EpisodeRandomness:
 
     Attributes:
         modes: active graph at each instant, shape (K+H+1, B), int16.
-        time_since_switch: over the mean dwell, clipped to 1, shape (K+H+1, B), float32.
+        time_since_switch: time since the last switch over the mean dwell, clipped to [0, 1], shape (K+H+1, B),
+            float32.
         channel_keys: keys of the channel's random numbers, shape (B,).
         disturbance_keys: keys of the disturbance's random numbers, shape (B,); the sensor has children of them.
     """
@@ -85,7 +86,8 @@ class World:
             gives it, and a padded slot holds the player itself with weight 0.
         mode_weights: a_ij per slot and mode, shape (D, N, modes).
         modes: active mode at each instant, shape (K+H+1,); zeros where every episode draws its own.
-        time_since_switch: over the mean dwell, clipped to 1, 0 for a fixed graph; shape (K+H+1,); zeros likewise.
+        time_since_switch: time since the last switch over the mean dwell, clipped to [0, 1], 0 for a fixed graph; shape
+            (K+H+1,); zeros likewise.
         theta: Θ_k of each step, shape (K+H+1,), or (N, K+H+1) where the players' clocks disagree.
         local_clocks: t, s and Θ of each step by the players' clocks, shape (3, 1, K+H+1), or (3, N, K+H+1) where they
             disagree.

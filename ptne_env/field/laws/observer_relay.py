@@ -75,7 +75,10 @@ class ObserverRelay(Law):
     reactions is followed as soon as it is trusted. Where the own gradient was not predicted, as in games that are not
     affine, a short gradient step is added: best responses are short while the model changes.
 
-    :meth:`inputs` is the whole law, from top to bottom.
+    A *source* is a neighbour whose copy of a component is copied; a *liar* states strategies of others falsely; a
+    *push* moves the own strategy beside the inputs; a *plane* is the linear best response of a neighbour, learned from
+    its messages. ``C`` holds the constants. :meth:`inputs` is the whole law, from top to bottom;
+    ``docs/mathematics.md`` explains it.
 
     Args:
         layout: of the environment, interface ``physical``.
@@ -202,7 +205,8 @@ class ObserverRelay(Law):
 
     def _closes(self, observation: Observation, was: State, is_rounded: BoolArray) -> BoolArray:
         """Whether the end of the episode is near: little transformed time is left, or one step; shape (R, 1)."""
-        # Δs_k = Θ_k − c Δt_k of the coming step, with c = (Θ − Δs)/Δt of the last one; 0 in the first.
+        # Δs_k = Θ_k − c Δt_k of the coming step, with c, the constant part of the gain, = (Θ − Δs)/Δt of
+        # the last one; 0 in the first step.
         gain = (was.theta - (observation.transformed - was.transformed)) / np.where(was.dt > 0, was.dt, 1.0)
         coming = np.where(was.dt > 0, np.maximum(observation.theta - gain * observation.dt, 0.0), 0.0)
         left = self.layout.largest_clock[1] - observation.transformed
