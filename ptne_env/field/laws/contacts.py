@@ -56,7 +56,7 @@ def no_contacts(layout: ObservationLayout) -> Contacts:
 
 
 def noise_level(messages: Messages, noise: FloatArray, steps: FloatArray, owned: BoolArray) -> FloatArray:
-    """σ_i, the smallest change of messages from step to step about components that their sender does not own.
+    """σ_i, the smallest change from one step to the next in what senders say about components of others.
 
     The first one is that of the first step, in which these estimates rest; a player without links then takes messages
     for perfect. Of several neighbours, the one with the smallest change counts. ``noise`` is σ_i so far, and ``owned``

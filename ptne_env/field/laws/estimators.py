@@ -214,7 +214,7 @@ class Push(NamedTuple):
 
 
 def observed_push(was: Push, residual: FloatArray, last_dt: FloatArray, scale: FloatArray) -> Push:
-    """The velocity of the push as the mean of ``residual``/Δt over the steps since it last changed.
+    """The velocity of the push: the mean of ``residual``/Δt over the steps since the push last changed.
 
     Args:
         was: the push so far.
