@@ -68,8 +68,8 @@ def test_a_dead_node_costs_only_its_running_tasks(cluster, tmp_path):
 
 
 def test_a_suite_whose_node_was_killed_ends_like_a_local_one(cluster, tmp_path):
-    command = [sys.executable, "-m", "ptne_env.cli", "compare", "--suite", "ptne-v1", "--policy", ",".join(POLICIES)]
-    command += [part for track in TRACKS for part in ("--track", track)] + ["--episodes", "40", "--no-report"]
+    command = [sys.executable, "-m", "ptne_env.cli", "compare", *TRACKS, "--suite", "ptne-v1"]
+    command += ["--policy", ",".join(POLICIES), "--episodes", "40", "--no-report"]
     remote = [*command, "--out", str(tmp_path / "ray"), "--ray", cluster.address]
     with (tmp_path / "errors").open("w+") as errors:
         process = subprocess.Popen(remote, stdout=subprocess.DEVNULL, stderr=errors)  # noqa: S603
