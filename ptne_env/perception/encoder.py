@@ -51,10 +51,12 @@ class _Workspace(NamedTuple):
     Attributes:
         fields: views of each slice, environments last; ``everything`` is (B, N size).
         scratch: own gradients, then relative estimates in float64, (m + D n, N, B).
+        relative: the view of ``scratch`` that holds the relative estimates, (D, n, N, B).
     """
 
     fields: dict[str, Float32Array]
     scratch: FloatArray
+    relative: FloatArray
 
 
 class Encoder(ABC):
@@ -209,7 +211,8 @@ class Encoder(ABC):
         while len(self._workspaces) >= _WORKSPACES:
             self._workspaces.pop(next(iter(self._workspaces)))
         scratch = np.empty((len(self.gradient_rows) + slots * n, players, batch))
-        self._workspaces[batch] = workspace = _Workspace(fields, scratch)
+        relative = scratch[len(self.gradient_rows) :].reshape(slots, n, players, batch)
+        self._workspaces[batch] = workspace = _Workspace(fields, scratch, relative)
         return workspace
 
 
@@ -217,11 +220,10 @@ class PhysicalEncoder(Encoder):
     """The interface ``physical``: natural units, player order, actions are inputs."""
 
     def _write_differences(self, workspace: _Workspace, state: State, link_weights: FloatArray | None) -> None:
-        fields, shown = workspace.fields, workspace.fields["relative_estimates"]
+        fields, relative = workspace.fields, workspace.relative
         fields["own_estimate"][...] = state.estimates
         fields["own_gradient"][...] = self._own_gradients(state)
-        relative = workspace.scratch[len(self.gradient_rows) :].reshape(shown.shape)
-        shown[...] = dynamics.relative_estimates(self.world, state, link_weights, out=relative)
+        fields["relative_estimates"][...] = dynamics.relative_estimates(self.world, state, link_weights, out=relative)
 
     def _inputs_from_actions(self, actions: FloatArray, state: State) -> FloatArray:  # noqa: ARG002 - the other kind needs it
         return actions  # the action box is the input limit
