@@ -258,5 +258,8 @@ def _adaptive_claim(name: str, statement: str, run: Run) -> Claim:
 
 def _solve(derivative: Callable[..., FloatArray], initial: FloatArray, instants: FloatArray) -> FloatArray:
     span = (float(instants[0]), float(instants[-1]))
-    solution = integrate.solve_ivp(derivative, span, initial, method="DOP853", t_eval=instants, rtol=1e-12, atol=1e-14)
+    step = float(np.diff(instants).min())  # interpolation within longer steps is less accurate than the steps are
+    solution = integrate.solve_ivp(
+        derivative, span, initial, method="DOP853", t_eval=instants, rtol=1e-12, atol=1e-14, max_step=step
+    )
     return np.asarray(solution.y.T)
