@@ -61,7 +61,9 @@ def tuned(law: str, episodes: int, evaluations: int) -> dict[str, str]:
 def main() -> None:
     """Tune, print, and write the table."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("law", nargs="*", choices=[*LAWS, []], help="all if left out")
+    parser.add_argument(
+        "law", nargs="*", metavar="LAW", choices=[*LAWS, []], help=f"of {', '.join(LAWS)}; all if left out"
+    )
     parser.add_argument("--episodes", type=int, default=20)
     parser.add_argument("--evaluations", type=int, default=100)
     given = parser.parse_args()

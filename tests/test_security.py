@@ -7,6 +7,7 @@ import shlex
 import sys
 import zipfile
 from contextlib import nullcontext
+from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -14,6 +15,7 @@ import pytest
 import typer
 from extras import need_sb3
 from processes import run_python
+from small_suite import write_results
 from typer.testing import CliRunner
 
 from ptne_env import Scenario, get_scenario
@@ -22,7 +24,6 @@ from ptne_env.bench.check import check
 from ptne_env.bench.files import read_results
 from ptne_env.cli import app, options
 from ptne_env.evaluation import Track, get_policy_spec
-from ptne_env.evaluation.provenance import content_hash
 from ptne_env.shared.parts import foreign_targets
 from ptne_env.world.world import World
 
@@ -150,14 +151,7 @@ def data():
 def results(data, tmp_path):
     """Writes the results of a run with a change, and with a checksum that fits, which needs no secret."""
 
-    def write(change=lambda data: None):
-        changed = json.loads(json.dumps(data))
-        change(changed)
-        content = {key: value for key, value in changed.items() if key not in ("checksum", "timings")}
-        (tmp_path / "results.json").write_text(json.dumps(changed | {"checksum": content_hash(content)}))
-        return tmp_path
-
-    return write
+    return partial(write_results, tmp_path, data)
 
 
 @pytest.mark.parametrize(

@@ -2,9 +2,10 @@
 
 import json
 import re
+from functools import partial
 
 import pytest
-from small_suite import SMALL
+from small_suite import SMALL, write_results
 
 from ptne_env import FactorySpec, PolicySpec, evaluate, laws
 from ptne_env.bench import check as checks
@@ -24,14 +25,7 @@ def data():
 def written(data, tmp_path):
     """Writes results with a change, and with the checksum that fits."""
 
-    def write(change=lambda data: None):
-        changed = json.loads(json.dumps(data))
-        change(changed)
-        content = {key: value for key, value in changed.items() if key not in ("checksum", "timings")}
-        (tmp_path / "results.json").write_text(json.dumps(changed | {"checksum": content_hash(content)}))
-        return tmp_path
-
-    return write
+    return partial(write_results, tmp_path, data)
 
 
 def samples_of(data, policy="grounded", track="ring"):
