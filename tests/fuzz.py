@@ -175,6 +175,7 @@ def a_scenario(rng):
         hold_steps=rng.choice((0, 0, rng.randint(1, 6))),
         input_limit=log_uniform(rng, 0.1, 1e6),
         channel=a_channel(rng) if rng.random() < 0.4 else "perfect",
+        message_range=rng.uniform(1, 100) if rng.random() < 0.2 else None,
         disturbance=FactorySpec.of("disturbance:uniform", **disturbance) if rng.random() < 0.3 else None,
         clock_shifts=tuple(rng.uniform(-0.02, 0.02) for _ in range(players)) if wrong_clocks else (),
         slots=rng.choice((None, None, players)),

@@ -92,6 +92,7 @@ class Encoder(ABC):
             action_dims=game.action_dims,
             neighbours=tuple(map(tuple, self._in_slots(world.neighbours).T.tolist())),
             input_limit=world.input_limit,
+            message_range=world.message_range,
             action_limit=world.scenario.action_limit,
             deadline=clock.deadline,
             largest_weight=float(world.mode_weights.max()),

@@ -130,6 +130,7 @@ class ObservationLayout:
         deadline: T in seconds.
         largest_weight: largest a_ij that a player can observe.
         largest_clock: largest t/T, s, Θ_k and Δt_k/T.
+        message_range: R; messages are clipped to ±R before they are sent. Infinite where links have no range.
         action_limit: of the action space, where it is smaller than the action bound; else ``None``.
     """
 
@@ -140,6 +141,7 @@ class ObservationLayout:
     deadline: float
     largest_weight: float
     largest_clock: tuple[float, float, float, float]
+    message_range: float = np.inf
     action_limit: float | None = None
 
     @property

@@ -63,6 +63,7 @@ PARTS: Mapping[str, str] = {
     "channel:loss": "ptne_env.world.channel:Loss",
     "channel:noise": "ptne_env.world.channel:AdditiveNoise",
     "channel:perfect": "ptne_env.world.channel:perfect",
+    "channel:range": "ptne_env.world.channel:Range",
     "channel:rounding": "ptne_env.world.channel:UniformQuantiser",
     "disturbance:uniform": "ptne_env.world.faults:UniformDisturbance",
     "sensor:noise": "ptne_env.world.faults:GradientNoise",

@@ -1,4 +1,4 @@
-"""Communication channels: noise, delay, loss, rounding and falsehood of messages, link by link.
+"""Communication channels: range, noise, delay, loss, rounding and falsehood of messages, link by link.
 
 In every step sender j puts its estimate x^j on each of its live links. From the sequence of these messages a channel
 determines, for receiver i in every step, a received value per component, whether a message is present at all, and its
@@ -168,6 +168,29 @@ class Chain(Channel):
 def perfect() -> Channel:
     """The identity: y = v."""
     return Chain()
+
+
+class Range(Channel):
+    """The range of a link: y = min(max(v, −R), R) per component.
+
+    Where what follows is noise or rounding of a fixed size, R bounds the ratio of signal to noise. So a sender that
+    plays louder than it has to gains at most the logarithm of R over its strategy.
+
+    Args:
+        limit: R > 0, in the units of the strategies.
+
+    Raises:
+        ValueError: when the limit is not positive.
+    """
+
+    is_random = False
+
+    def __init__(self, limit: float) -> None:
+        self.limit = require_positive("limit", limit)
+
+    def transmit(self, messages: Messages, memory: Memory | None, randomness: LinkRandomness) -> Transmitted:
+        """Clipped messages."""
+        return replace(messages, values=np.clip(messages.values, -self.limit, self.limit)), ()
 
 
 class AdditiveNoise(Channel):

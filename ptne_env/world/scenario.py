@@ -90,6 +90,8 @@ class Scenario:
         slots: neighbour slots per player, unused ones being padded, so that graphs of different degrees have one
             layout; the largest degree in the union graph if ``None``.
         sensor: builds a :class:`~ptne_env.world.faults.Sensor` of the own gradients; exact if ``None``.
+        message_range: R, the range of every link: messages are clipped to ±R before the channel, and players know R. No
+            range if ``None``.
         action_limit: largest |action| of the action spaces under ``physical``, for games that random inputs up to the
             input limit drive out of range; inputs beyond it are allowed. The input limit if ``None``.
 
@@ -114,6 +116,7 @@ class Scenario:
     clock_shifts: tuple[float, ...] = ()
     slots: int | None = None
     sensor: FactorySpec | None = None
+    message_range: float | None = None
     action_limit: float | None = None
 
     def __post_init__(self) -> None:

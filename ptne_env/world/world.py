@@ -16,7 +16,7 @@ from ptne_env.shared.arrays import FloatArray, IntArray, frozen, require_count, 
 from ptne_env.shared.counter_random import CounterArray
 from ptne_env.shared.parts import FactorySpec
 from ptne_env.shared.random_streams import RandomStreams
-from ptne_env.world.channel import Channel
+from ptne_env.world.channel import Chain, Channel, Range
 from ptne_env.world.clock import StepClock, TimeTransformation
 from ptne_env.world.faults import Disturbance, Sensor
 from ptne_env.world.graphs import Graph
@@ -82,6 +82,7 @@ class World:
         topology, start, clock, channel: the other parts.
         disturbance: of the velocities; ``None`` where there is none.
         sensor: of the own gradients; ``None`` where they are exact.
+        message_range: R, to which the channel clips messages first; infinite where links have no range.
         neighbours: player in each slot, shape (D, N); D is the largest degree in the union graph unless the scenario
             gives it, and a padded slot holds the player itself with weight 0.
         mode_weights: a_ij per slot and mode, shape (D, N, modes).
@@ -127,6 +128,10 @@ class World:
         )
         self.start: Start = self._build(scenario.start, Start)
         self.channel: Channel = self._build(scenario.channel, Channel)
+        self.message_range = np.inf
+        if scenario.message_range is not None:
+            self.message_range = require_positive("message_range", scenario.message_range)
+            self.channel = Chain([Range(self.message_range), self.channel])
         disturbance, sensor = scenario.disturbance, scenario.sensor
         self.disturbance: Disturbance | None = None if disturbance is None else self._build(disturbance, Disturbance)
         self.sensor: Sensor | None = None if sensor is None else self._build(sensor, Sensor)

@@ -34,6 +34,7 @@ STAGES = {
     "bursts, hold": channel_part("BurstLoss", to_bad=0.2, to_good=0.3, loss_good=0.1),
     "bursts, drop": channel_part("BurstLoss", to_bad=0.2, to_good=0.3, loss_bad=0.8, gap="drop"),
     "uniform levels": channel_part("UniformQuantiser", width=0.25),
+    "range": channel_part("Range", limit=2.0),
 }
 CHANNELS = STAGES | {
     "everything": EVERY_FAULT,
@@ -150,6 +151,31 @@ def test_zero_faults_are_the_perfect_channel():
             actions = np.random.default_rng(0).uniform(-1, 1, (3, 5, 5)).astype(np.float32)
             inputs = [encoder.decode(actions, state) for encoder, state in zip(encoders, states, strict=True)]
             states = [dynamics.step(plain, states[0], inputs[0]), dynamics.step(faulty, states[1], inputs[1])]
+
+
+# --- range ------------------------------------------------------------------------------------------------------------
+
+
+def test_messages_are_clipped_to_the_range():
+    world, states = wandering(FIXED.replace(message_range=4.0), 3, steps=20)
+    for state in states:
+        sent = dynamics.sent_messages(world, state.estimates)
+        assert (np.abs(sent) > 4.0).any()
+        assert np.array_equal(state.received.messages, np.clip(sent, -4.0, 4.0))
+
+
+def test_noise_comes_after_the_range_and_players_know_it():
+    noisy = FIXED.replace(channel=STAGES["additive noise"], message_range=4.0)
+    world = World(noisy)
+    state = begin(world, range(50))
+    sent = dynamics.sent_messages(world, state.estimates)
+    noise = state.received.messages - np.clip(sent, -4.0, 4.0)
+    assert stats.kstest(noise.ravel() / 0.3, "norm").pvalue > FALSE_ALARM
+    assert np.abs(state.received.messages).max() > 4.5
+    for kind in ("physical", "scaled", "full"):
+        assert make_encoder(world, Interface(kind)).layout.message_range == 4.0
+        assert make_encoder(World(FIXED), Interface(kind)).layout.message_range == math.inf
+    assert World(FIXED).channel.is_perfect
 
 
 # --- lies -------------------------------------------------------------------------------------------------------------
@@ -332,6 +358,7 @@ REFUSED = {
     "unknown gap": ("Loss", {"probability": 0.1, "gap": "zero"}, "gap is one of 'hold', 'drop', got 'zero'"),
     "no way out": ("BurstLoss", {"to_bad": 0.1, "to_good": 0.0}, "to_good must be a finite number above 0"),
     "no channel": ("Chain", {"stages": (3,)}, "the stages of a chain are channels, got a int"),
+    "no range": ("Range", {"limit": 0.0}, "limit must be a finite number above 0"),
     "unknown argument": ("Loss", {"rate": 0.1}, "refuses its arguments"),
 }
 

@@ -128,6 +128,11 @@ REFUSED = {
         lambda: get_scenario("energy", clock_shifts=(float("inf"), 0, 0, 0, 0)),
         "a clock shift must be a finite number",
     ),
+    "range of zero": (lambda: get_scenario("energy", message_range=0.0), "message_range must be .* above 0"),
+    "range that is none": (
+        lambda: get_scenario("energy", message_range=float("inf")),
+        "message_range must be a finite",
+    ),
     "unknown channel": (
         lambda: get_scenario("energy", channel="noisy"),
         "unknown channel 'noisy'; did you mean 'noise'",
