@@ -42,8 +42,9 @@ def bench():
     assert names
     assert "energy-switching" in listed
     policy = learn.load(names[0])
-    results = ptne_env.evaluate(["static", names[0]], policy.metadata.scenarios[0], episodes=3)
-    assert results.record(policy.metadata.scenarios[0], names[0], "digits")["mean"] > 1
+    scenario = policy.metadata.training["scenario"]
+    results = ptne_env.evaluate(["static", names[0]], scenario, episodes=3)
+    assert results.record(scenario, names[0], "digits")["mean"] > 1
     page = [command, "compare", "energy", "--policy", "static", "--episodes", "2", "--out", "out"]
     subprocess.run(page, capture_output=True, check=True)  # noqa: S603
     assert "</html>" in Path("out/report.html").read_text(encoding="utf-8")
