@@ -7,76 +7,17 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from gymnasium import spaces
 
-from ptne_env.learn.learned import PolicyFileError, PolicyLayoutError, in_blocks
+from ptne_env.learn.learned import LearnedPolicy, PolicyFileError
 from ptne_env.perception.observation import LOG_SCALE_UNIT, SMALLEST_SCALE, Interface, ObservationLayout
-from ptne_env.shared.arrays import BoolArray, Float32Array
 from ptne_env.shared.files import require_file
 
 
-class ArchivePolicy:
-    """The policy network of a saved model of any algorithm of Stable-Baselines3.
+def load_archive(path: str, layout: ObservationLayout | None = None) -> LearnedPolicy:
+    """The policy network of a model of any algorithm of Stable-Baselines3. This executes code that is in the file.
 
-    :func:`load_archive` makes one.
-
-    Attributes:
-        interface: of the policy, recognised by its spaces.
-    """
-
-    def __init__(self, path: Path, network: Any) -> None:
-        self.path = path
-        self._network = network
-        self.interface = _interface(path, network)
-
-    def require(self, layout: ObservationLayout) -> None:
-        """Check that the policy can act in an environment of this layout.
-
-        Raises:
-            PolicyLayoutError: naming the differences.
-        """
-        mine = (*self._network.observation_space.shape, *self._network.action_space.shape)
-        if mine != (layout.size, layout.action_size):
-            raise PolicyLayoutError(
-                f"{self.path.name} has observations and actions of lengths {mine[0]} and {mine[1]}, the environment's "
-                f"have {layout.size} and {layout.action_size}"
-            )
-
-    def predict(
-        self,
-        observation: npt.NDArray[np.float32],
-        state: Any = None,
-        episode_start: BoolArray | None = None,
-        deterministic: bool = False,  # noqa: FBT001, FBT002 - Stable-Baselines3's signature
-    ) -> tuple[Float32Array, Any]:
-        """The network's actions; see :meth:`ptne_env.perception.policy.Policy.predict`."""
-        rows = np.atleast_2d(observation)
-        actions, state = self._network.predict(
-            in_blocks(rows),
-            None if state is None else tuple(in_blocks(part, axis=1) for part in state),
-            None if episode_start is None else in_blocks(np.atleast_1d(episode_start)),
-            deterministic,
-        )
-        if state is not None:  # of a recurrent network: arrays of shape (layers, rows, units)
-            state = tuple(part[:, : len(rows)] for part in state)
-        return (actions[0] if np.ndim(observation) == 1 else actions[: len(rows)]), state
-
-
-def _interface(path: Path, network: Any) -> Interface:
-    """The interface of a network's training, recognised by its spaces."""
-    observations, actions = network.observation_space, network.action_space
-    if not all(isinstance(space, spaces.Box) and len(space.shape) == 1 for space in (observations, actions)):
-        raise PolicyFileError(f"{path} was not trained on one player's observations and actions of ptne_env")
-    # The only entry of an observation that goes down to this number is the logarithm of the scale.
-    is_scaled = np.isclose(observations.low, math.log10(SMALLEST_SCALE) / LOG_SCALE_UNIT).any()
-    return Interface("scaled" if is_scaled else "physical")
-
-
-def load_archive(path: str, layout: ObservationLayout | None = None) -> ArchivePolicy:
-    """Load a model that Stable-Baselines3 saved. This executes code that is stored in the file.
-
-    Torch is set to one thread, so that the same bits come out in every run.
+    Torch is set to one thread, so that the same bits come out in every run. The interface is recognised by the spaces.
 
     Args:
         path: the archive.
@@ -107,7 +48,14 @@ def load_archive(path: str, layout: ObservationLayout | None = None) -> ArchiveP
     except Exception as error:  # unpickling foreign bytes may raise anything
         raise PolicyFileError(f"{path} is not an archive of a Stable-Baselines3 model: {error!r}") from error
     network.set_training_mode(mode=False)
-    policy = ArchivePolicy(Path(path), network)
+    observations, actions = network.observation_space, network.action_space
+    if not all(isinstance(space, spaces.Box) and len(space.shape) == 1 for space in (observations, actions)):
+        raise PolicyFileError(f"{path} was not trained on one player's observations and actions of ptne_env")
+    # The only entry of an observation that goes down to this number is the logarithm of the scale.
+    is_scaled = np.isclose(observations.low, math.log10(SMALLEST_SCALE) / LOG_SCALE_UNIT).any()
+    interface = Interface("scaled" if is_scaled else "physical")
+    made_for = {"interface": interface, "size": len(observations.low), "action_size": len(actions.low)}
+    policy = LearnedPolicy(Path(path).stem, made_for, network.predict)
     if layout is not None:
         policy.require(layout)
     return policy

@@ -1,14 +1,11 @@
-"""Learned policies in ONNX files, which are read as data: no file executes code, and no network is large.
-
-onnxruntime runs the networks, without torch.
-"""
+"""Learned policies in ONNX files, read as data, without torch: no file executes code, and no network is large."""
 
 from __future__ import annotations
 
 import importlib.util
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass
 from hashlib import sha256
 from pathlib import Path
@@ -82,8 +79,7 @@ class Metadata:
 
     def to_json(self) -> str:
         """The description as a JSON text."""
-        data = asdict(self) | {"interface": self.interface.kind}
-        return json.dumps(data, allow_nan=False, sort_keys=True)
+        return json.dumps(asdict(self) | {"interface": self.interface.kind}, allow_nan=False, sort_keys=True)
 
     @classmethod
     def from_json(cls, text: str) -> Metadata:
@@ -105,82 +101,73 @@ class Metadata:
             )
         return metadata
 
-    def require(self, layout: ObservationLayout) -> None:
-        """Check that the policy can act in an environment of this layout.
-
-        Raises:
-            PolicyLayoutError: naming the differences.
-        """
-        needs = {
-            "interface": (self.interface.kind, layout.interface.kind),
-            "action_dims": (self.action_dims, layout.action_dims),
-            "neighbour slots": (self.slots, layout.slots),
-        }
-        differences = [
-            f"{name}: policy {mine}, environment {theirs}" for name, (mine, theirs) in needs.items() if mine != theirs
-        ]
-        if differences:
-            raise PolicyLayoutError(f"the policy was made for another layout; {'; '.join(differences)}")
-
 
 BLOCK = 32
 """Rows in a block: twice the smallest batch, 16, from which on torch's products have the same bits in every batch, and
 a multiple of the numbers in a vector register, at most 16."""
 
 
-def in_blocks(array: npt.NDArray[Any], axis: int = 0) -> npt.NDArray[Any]:
-    """``array`` with zeros appended along ``axis`` up to a multiple of :data:`BLOCK`; itself if it has that length.
+def in_blocks(array: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    """``array`` with rows of zeros appended up to a multiple of :data:`BLOCK`; itself if it has that length.
 
     A network then decides each row alike in every batch. Libraries of linear algebra take other code for small batches,
     and for the last numbers of an array that fill no vector register, which changes the last bits of a row's result.
     """
-    missing = -array.shape[axis] % BLOCK
-    if not missing:
-        return array
-    shape = (*array.shape[:axis], missing, *array.shape[axis + 1 :])
-    return np.concatenate([array, np.zeros(shape, dtype=array.dtype)], axis=axis)
+    missing = -len(array) % BLOCK
+    return np.concatenate([array, np.zeros((missing, *array.shape[1:]), dtype=array.dtype)]) if missing else array
 
 
 class LearnedPolicy:
-    """A feed-forward policy, acting by its mean action; see :class:`ptne_env.perception.policy.Policy`.
+    """A policy from a file; see :class:`ptne_env.perception.policy.Policy`.
 
-    :func:`load` makes one.
+    :func:`load` and :func:`ptne_env.learn.archive.load_archive` make one.
 
     Attributes:
         name: of the file, without its ending.
-        metadata: description in the file.
         interface: of the policy.
-        observation_size: length of an observation.
+        metadata: description in the file; ``None`` of an archive, which has none.
     """
 
-    def __init__(self, name: str, session: Any, metadata: Metadata) -> None:
+    def __init__(
+        self,
+        name: str,
+        made_for: Mapping[str, Any],
+        decide: Callable[..., tuple[Float32Array, Any]],
+        metadata: Metadata | None = None,
+    ) -> None:
         self.name = name
+        self.interface: Interface = made_for["interface"]
         self.metadata = metadata
-        self.interface = metadata.interface
-        self._session = session
-        self._input, (_, self.observation_size) = session.get_inputs()[0].name, session.get_inputs()[0].shape
+        self._made_for = made_for  # attributes of a layout, among them its size
+        self._decide = decide  # as predict, for whole blocks
 
     def require(self, layout: ObservationLayout) -> None:
-        """Check that the policy can act in an environment of this layout; see :meth:`Metadata.require`."""
-        self.metadata.require(layout)
+        """Check that the policy can act in an environment of this layout.
+
+        Raises:
+            PolicyLayoutError: naming the attributes in which it differs.
+        """
+        pairs = [(name, mine, getattr(layout, name)) for name, mine in self._made_for.items()]
+        if found := [f"{name}: policy {mine}, environment {theirs}" for name, mine, theirs in pairs if mine != theirs]:
+            raise PolicyLayoutError(f"policy {self.name!r} was made for another layout; {'; '.join(found)}")
 
     def predict(
         self,
         observation: npt.NDArray[np.float32],
         state: Any = None,
-        episode_start: BoolArray | None = None,  # noqa: ARG002 - Stable-Baselines3's signature
-        deterministic: bool = False,  # noqa: ARG002, FBT001, FBT002 - Stable-Baselines3's signature
+        episode_start: BoolArray | None = None,
+        deterministic: bool = False,  # noqa: FBT001, FBT002 - Stable-Baselines3's signature
     ) -> tuple[Float32Array, Any]:
-        """The mean actions, clipped to the action box; see :meth:`ptne_env.perception.policy.Policy.predict`.
+        """Actions in the action box, of a network in an ONNX file its mean actions; see ``Policy.predict``.
 
         Raises:
             PolicyFileError: when observations have another length than the policy was made for.
         """
-        rows = np.atleast_2d(np.asarray(observation, dtype=np.float32))
-        size = self.observation_size
+        rows, size = np.atleast_2d(np.asarray(observation, dtype=np.float32)), self._made_for["size"]
         if rows.ndim != 2 or rows.shape[1] != size:
             raise PolicyFileError(f"policy {self.name!r} takes observations of length {size}, got {rows.shape}")
-        actions = self._session.run(None, {self._input: in_blocks(rows)})[0]
+        starts = None if episode_start is None else in_blocks(np.atleast_1d(episode_start))
+        actions, state = self._decide(in_blocks(rows), state, starts, deterministic)
         return (actions[0] if np.ndim(observation) == 1 else actions[: len(rows)]), state
 
 
@@ -189,9 +176,15 @@ def shipped() -> list[str]:
     return sorted(path.stem for path in _FOLDER.glob("*.onnx"))
 
 
-def shipped_path(name: str) -> Path | None:
-    """The file of a policy in the library; ``None`` for another name."""
-    return _FOLDER / f"{name}.onnx" if name in shipped() else None
+def shipped_path(name: str) -> Path:
+    """The file of a policy in the library.
+
+    Raises:
+        ValueError: for another name.
+    """
+    if name not in shipped():
+        raise ValueError(unknown_name("learned policy", name, shipped(), "an .onnx file"))
+    return _FOLDER / f"{name}.onnx"
 
 
 def sealed(model: onnx.ModelProto, metadata: Metadata) -> bytes:
@@ -222,11 +215,8 @@ def load(path_or_name: str | Path, layout: ObservationLayout | None = None) -> L
     """
     if not all(map(importlib.util.find_spec, ("onnx", "onnxruntime"))):
         raise ImportError('learned policies need onnx and onnxruntime: pip install "ptne-env[bench]"')
-    path = Path(path_or_name)
-    if path.suffix != ".onnx":
-        path = _FOLDER / f"{path_or_name}.onnx"
-        if not path.is_file():
-            raise ValueError(unknown_name("learned policy", str(path_or_name), shipped(), "an .onnx file"))
+    is_file = Path(path_or_name).suffix == ".onnx"
+    path = Path(path_or_name) if is_file else shipped_path(str(path_or_name))
     require_file(path)
     if path.stat().st_size > LARGEST_FILE:
         raise PolicyFileError(f"{path} has more than {LARGEST_FILE >> 20} MiB")
@@ -259,13 +249,18 @@ def _opened(path: Path, content: bytes) -> LearnedPolicy:
     options.log_severity_level = 4
     try:
         session = onnxruntime.InferenceSession(content, options, providers=["CPUExecutionProvider"], enable_fallback=0)
-        policy = LearnedPolicy(path.stem, session, metadata)
-        actions, _ = policy.predict(np.zeros((1, policy.observation_size), dtype=np.float32))
+        (taken,) = session.get_inputs()
+        (actions,) = session.run(None, {taken.name: np.zeros((BLOCK, taken.shape[1]), dtype=np.float32)})
     except Exception as error:  # onnxruntime raises its own classes, which are not public
         raise PolicyFileError(f"{path} cannot decide a batch of any number of rows of observations: {error}") from error
-    if actions.dtype != np.float32 or actions.shape != (1, sum(metadata.action_dims)):
+    if actions.dtype != np.float32 or actions.shape != (BLOCK, sum(metadata.action_dims)):
         raise PolicyFileError(f"{path} does not answer with actions of {sum(metadata.action_dims)} float32 numbers")
-    return policy
+
+    def decide(rows: Float32Array, state: Any, *_: Any) -> tuple[Float32Array, Any]:
+        return session.run(None, {taken.name: rows})[0], state
+
+    made_for = {name: getattr(metadata, name) for name in ("interface", "action_dims", "slots")}
+    return LearnedPolicy(path.stem, made_for | {"size": taken.shape[1]}, decide, metadata)
 
 
 def _refusal(model: onnx.ModelProto) -> str | None:

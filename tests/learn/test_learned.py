@@ -1,6 +1,7 @@
 """Reading policy files: they are data, and what is damaged, foreign, large or made for something else is refused."""
 
 import json
+import sys
 import time
 
 import numpy as np
@@ -40,9 +41,12 @@ def test_a_policy_acts_in_the_environment_of_its_layout(tmp_path, layout):
 @pytest.mark.parametrize(
     ("changes", "named"),
     [
-        ({"interface": Interface("physical")}, "interface: policy physical, environment scaled"),
+        (
+            {"interface": Interface("physical")},
+            r"interface: policy Interface\(kind='physical'\), environment Interface\(kind='scaled'\)",
+        ),
         ({"action_dims": (1,) * 6}, "action_dims"),
-        ({"slots": 3}, "neighbour slots: policy 3, environment 2"),
+        ({"slots": 3}, "slots: policy 3, environment 2"),
     ],
 )
 def test_another_layout_is_refused_and_named(tmp_path, layout, changes, named):
@@ -125,6 +129,13 @@ def test_a_missing_policy_names_the_shipped_ones():
         learn.load("no-such-policy")
     with pytest.raises(FileNotFoundError, match=r"there is no file 'missing\.onnx'"):
         learn.load("missing.onnx")
+
+
+@pytest.mark.parametrize("module", ["onnx", "onnxruntime"])
+def test_without_onnx_the_extra_to_install_is_named(monkeypatch, module):
+    monkeypatch.setitem(sys.modules, module, None)
+    with pytest.raises(ImportError, match=r'pip install "ptne-env\[bench\]"'):
+        learn.load("ppo-random-energy")
 
 
 def product(weights, size=OBSERVATION):

@@ -1,5 +1,6 @@
 """A policy decides every row alike, bit for bit, in every batch: other rows, another order, another number of rows."""
 
+import sys
 from functools import partial
 
 import numpy as np
@@ -133,21 +134,30 @@ def test_another_archive_or_layout_is_refused(tmp_path):
     path = tmp_path / "model.zip"
     PPO("MlpPolicy", scaled, device="cpu").save(path)
     assert load_archive(str(path)).interface == scaled.layout.interface
-    with pytest.raises(PolicyFileError, match=r"model.zip has observations .* of lengths 24 and 5, the environment's"):
+    with pytest.raises(PolicyFileError, match=r"'model' was made for another layout; size: policy 24, environment"):
         load_archive(str(path), PlayerVecEnv("robots", 1).layout)
     for content in (b"", b"not a zip", path.read_bytes()[:-300]):
         path.write_bytes(content)
         with pytest.raises(PolicyFileError, match="is not an archive of a Stable-Baselines3 model"):
             load_archive(str(path))
     PPO("MlpPolicy", "Pendulum-v1", device="cpu").save(path)
-    with pytest.raises(PolicyFileError, match="actions of lengths 3 and 1"):
+    with pytest.raises(PolicyFileError, match="interface: .*'physical'.*; size: policy 3, .*action_size: policy 1,"):
         load_archive(str(path), scaled.layout)
+    PPO("MlpPolicy", "CartPole-v1", device="cpu").save(path)
+    with pytest.raises(PolicyFileError, match="was not trained on one player's observations and actions"):
+        load_archive(str(path))
+
+
+def test_without_stable_baselines3_the_extra_to_install_is_named(monkeypatch):
+    monkeypatch.setitem(sys.modules, "stable_baselines3.common.save_util", None)
+    with pytest.raises(ImportError, match=r'pip install "ptne-env\[sb3\]"'):
+        load_archive("model.zip")
 
 
 @pytest.mark.parametrize("rows", [1, BLOCK - 1, BLOCK, BLOCK + 1])
 def test_blocks_keep_the_rows_and_append_zeros(rows):
-    array = np.random.default_rng(0).normal(size=(2, rows, 3))
-    padded = in_blocks(array, axis=1)
-    assert padded.shape[1] % BLOCK == 0
-    np.testing.assert_array_equal(padded[:, :rows], array)
-    assert not padded[:, rows:].any()
+    array = np.random.default_rng(0).normal(size=(rows, 3))
+    padded = in_blocks(array)
+    assert len(padded) % BLOCK == 0
+    np.testing.assert_array_equal(padded[:rows], array)
+    assert not padded[rows:].any()
