@@ -1,4 +1,4 @@
-"""The suite ptne-v1: twenty tracks that each change one thing of the base."""
+"""The suite ptne-v1: tracks that each change one thing of the base."""
 
 from __future__ import annotations
 
@@ -10,110 +10,118 @@ from ptne_env.world.catalogue import get_scenario
 
 part = FactorySpec.of
 
-BASE = get_scenario("random-energy")
-
-PAIRS = ([(0, 1), (2, 3)], [(1, 2), (3, 4)], [(2, 3), (4, 0)], [(3, 4), (0, 1)])
-"""The links of the four graphs of the Markov chain, which are the paper's modes."""
+RANGE = 100.0
+"""R of every track, 3 to 5 times the largest start or equilibrium: starts are U(−20, 20), equilibria within ±33."""
 
 
-def _track(name: str, change: str, *, metric: str = "digits", episodes: int | None = None, **changes: Any) -> Track:
-    return Track(name, BASE.replace(name=name, **changes), change, metric, episodes=episodes)
+def _noisy(std: float, *stages: FactorySpec) -> FactorySpec:
+    """A channel of stages, the last of which is noise."""
+    noise = part("channel:noise", std=std)
+    return part("channel:chain", stages=[*stages, noise]) if stages else noise
 
 
-def _many(players: int, stride: int) -> dict[str, Any]:
-    """Players on a circulant graph of degree 4, their total coupling that of five."""
-    graph = part("topology:circulant", players=players, offsets=(1, stride))
-    coupling = (0.25 / players, 1.5 / players)
-    return {
-        "game": part("game:random-energy", players=players, coupling=coupling),
-        "topology": graph,
-    }
+def _graphs(players: int, probability: float) -> FactorySpec:
+    """Every episode draws one of 100 connected random graphs, in which each pair is linked with a probability."""
+    return part("topology:random-graphs", players=players, probability=probability)
+
+
+def _switching(shortest: float, longest: float, clock: str) -> FactorySpec:
+    """Every link of a graph of seven links is up with probability 0.4, drawn again after every dwell."""
+    edges = [(0, 1), (1, 2), (2, 3), (3, 4), (4, 0), (0, 2), (0, 3)]
+    graph = part("topology:edges", players=5, edges=edges)
+    return part(
+        "topology:random-edges", graph=graph, probability=0.4, dwells=(shortest, longest), modes=64, clock=clock
+    )
+
+
+BASE = get_scenario("random-energy").replace(
+    topology=_graphs(5, 0.4), slots=4, channel=_noisy(0.001), message_range=RANGE, steps=300
+)
+"""Random energy games of five players, each on a graph of its own; messages carry noise."""
+
+
+def _track(
+    name: str,
+    change: str,
+    *,
+    teammates: Teammates | None = None,
+    episodes: int | None = None,
+    scored: bool = True,
+    **changes: Any,
+) -> Track:
+    return Track(name, BASE.replace(name=name, **changes), change, teammates, episodes, scored)
 
 
 TRACKS = (
-    _track("nominal", "The base: random energy games of five players on the 5-cycle, T = 1.2, c = 20."),
+    _track(
+        "nominal",
+        "The sanity track: the 5-cycle, and messages without noise.",
+        scored=False,
+        channel="perfect",
+        message_range=None,
+    ),
+    _track("base", "Base."),
     _track(
         "switching-physical",
-        "The graph switches between four disconnected ones, every 0.1 s of physical time.",
-        topology=get_scenario("random-energy-switching").topology,
+        "Links go up and down at random, every 0.05 to 0.15 s of physical time.",
+        topology=_switching(0.05, 0.15, "physical"),
     ),
     _track(
         "switching-transformed",
-        "The graph switches between four disconnected ones, every 0.25 of transformed time.",
-        topology=get_scenario("random-energy-switching-transformed").topology,
+        "Links go up and down at random, every 0.1 to 0.4 of transformed time.",
+        topology=_switching(0.1, 0.4, "transformed"),
     ),
     _track(
-        "markov",
-        "Every 0.1 of transformed time one of the same four graphs is drawn, independently of the one before.",
-        topology=part(
-            "topology:markov",
-            graphs=[part("topology:edges", players=5, edges=edges) for edges in PAIRS],
-            transition=[[0.25] * 4] * 4,
-            dwells=0.1,
-            clock="transformed",
+        "rough-links",
+        "Messages travel for 1 to 7 steps, a third of them is lost in bursts, and the rest carries noise 0.05.",
+        channel=_noisy(
+            0.05, part("channel:delay", steps=1, longest=7), part("channel:bursts", to_bad=0.05, to_good=0.1)
         ),
     ),
+    _track("rounding", "Messages are rounded to multiples of 0.5.", channel=part("channel:rounding", width=0.5)),
     _track(
-        "noise",
-        "Messages carry Gaussian noise of standard deviation 0.05.",
-        channel=part("channel:noise", std=0.05),
+        "liar",
+        "One player adds a constant of up to 1 to all that it says of other players.",
+        channel=_noisy(0.001, part("channel:liar", size=1.0)),
     ),
     _track(
-        "delay",
-        "Messages travel for 1 to 7 steps, drawn each, and may overtake each other.",
-        channel=part("channel:delay", steps=1, longest=7),
+        "short-deadline",
+        "A tenth of the time in a tenth of the steps, and inputs are limited: T = 0.12, 30 steps.",
+        deadline=0.12,
+        steps=30,
+        input_limit=20.0,
     ),
     _track(
-        "burst-loss",
-        "A third of the messages is lost, in bursts of 10 steps on average; receivers hold the last one.",
-        channel=part("channel:bursts", to_bad=0.05, to_good=0.1),
-    ),
-    _track("quantised", "Messages are rounded to multiples of 0.1.", channel=part("channel:rounding", width=0.1)),
-    _track("saturated", "Inputs are limited to 2, which binds in the first half of an episode.", input_limit=2.0),
-    _track("coarse-step", "150 steps to the deadline instead of 400.", steps=150),
-    _track("large-20", "20 players, on a circulant graph of degree 4; total coupling as in the base.", **_many(20, 4)),
-    _track(
-        "large-50",
-        "50 players, on a circulant graph of degree 4; total coupling as in the base.",
-        episodes=40,  # they take half of the time of all tracks
-        **_many(50, 7),
-    ),
-    _track(
-        "unseen-graphs",
-        "Every episode draws one of 100 connected random graphs, in which half of all pairs are linked; 4 slots.",
-        topology=part("topology:random-graphs", players=5, probability=0.5, modes=100, seed=0),
-        slots=4,
-    ),
-    _track(
-        "non-quadratic",
-        "The paper's Example 2, whose pseudo-gradient is not Lipschitz.",
-        game=part("game:non-quadratic", variant="corrected"),
-    ),
-    _track(
-        "weakly-monotone",
-        "A game whose pseudo-gradient is monotone but not strongly monotone.",
-        game=part("game:weakly-monotone"),
-    ),
-    _track(
-        "wrong-clock", "The players' clocks are up to 0.2 s fast or slow.", clock_shifts=(-0.2, 0.1, 0.0, 0.2, -0.1)
-    ),
-    _track("short-deadline", "A quarter of the time: T = 0.3 at the same c.", deadline=0.3),
-    _track(
-        "hold",
-        "100 steps follow the deadline, in which the strategies are pushed by U(−1, 1) per second.",
-        metric="digits_after_hold",
-        hold_steps=100,
-        disturbance=part("disturbance:uniform", bound=1.0, dwell=25, after_deadline_only=True),
-    ),
-    Track(
-        "mixed-team",
-        BASE.replace(name="mixed-team"),
-        "Players 2 and 4 of 5 follow the paper's static law, beside every policy.",
+        "strangers",
+        "Players 2 and 4 of 5 follow the paper's static law.",
         teammates=Teammates(part("law:static", kappa=2.0), (1, 3)),
     ),
     _track(
-        "robots",
-        "Five robots in the plane keep posts and connectivity: two components per player.",
-        game=part("game:robots"),
+        "monotone",
+        "Random affine games that are monotone and not strongly monotone.",
+        game=part("game:random-affine", epsilon=0.0),
+    ),
+    _track("curved", "Prices saturate with a strong bend.", game=part("game:random-saturating", bend=20.0)),
+    _track(
+        "uneven-box",
+        "Random affine games of players with 1, 2, 3, 1 and 2 components in a box.",
+        game=part("game:random-affine", action_dim=(1, 2, 3, 1, 2), low=-5.0, high=5.0),
+    ),
+    _track(
+        "coupled",
+        "Two shared constraints, priced by a sixth player: a variational generalised Nash equilibrium.",
+        game=part("game:coupled", game=part("game:random-energy", players=5), lines=2),
+        topology=_graphs(6, 0.4),
+        slots=5,
+    ),
+    _track(
+        "crowd-50",
+        "50 players on a sparse graph.",
+        game=part("game:random-energy", players=50, coupling=(0.005, 0.03)),
+        topology=part("topology:circulant", players=50, offsets=(1, 7)),
+        slots=None,
+        gain=5.0,
+        steps=200,
+        episodes=10,
     ),
 )

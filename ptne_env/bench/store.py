@@ -25,7 +25,7 @@ def content_of(job: Job) -> dict[str, Any]:
     return {
         "physics": PHYSICS,
         "versions": versions(job.policy.libraries),
-        "track": {key: track[key] for key in ("scenario", "metric", "teammates")},
+        "track": {key: track[key] for key in ("scenario", "teammates")},
         "policy": {"interface": policy["interface"], **policy["training_seeds"][job.training_seed]},
         "episodes": asdict(job.episodes),
         "metrics": sorted(name for name, metric in METRICS.items() if metric.value is not None),

@@ -210,11 +210,7 @@ _COMPARED = {
     ),
     "zero-input": _entry("law:zero-input", "Does nothing: strategies stay at the start."),
     "random": _entry("law:random", "Random inputs.", seed=0),
-    "oracle": _entry(
-        "law:oracle",
-        "Gradient play with the true strategies of all players, which players do not have.",
-        gradient_gain=1.0,
-    ),
+    "oracle": _entry("law:oracle", "Moves all estimates to the equilibrium, which players do not know, at once."),
     "routed-unknown": _entry(
         "law:routed-unknown",
         "Copies news of each player from the neighbours that have them first, and takes gradient steps.",

@@ -13,7 +13,7 @@ from typing import Literal, TypeAlias
 
 import numpy as np
 
-from ptne_env.evaluation.rollout import Rollout
+from ptne_env.evaluation.rollout import Rollout, regret_instants
 from ptne_env.shared.arrays import FloatArray, ordered_sum
 from ptne_env.world import distances
 
@@ -147,6 +147,13 @@ def _digits_after_hold(rollout: Rollout) -> FloatArray:
     return distances.digits(rollout["estimate_distance"][-1])
 
 
+def _mean_regret(rollout: Rollout) -> FloatArray:
+    """(1/T)∫ regret dt over the regret of the start, by the trapezoid rule; NaN where nothing is to be regretted."""
+    times, regrets = rollout.world.clock.t[regret_instants(rollout.world)], rollout["regret"]
+    mean = ordered_sum(np.diff(times)[:, None] * (regrets[1:] + regrets[:-1]) / 2) / times[-1]
+    return np.divide(mean, regrets[0], out=np.full_like(mean, np.nan), where=regrets[0] > 0)
+
+
 def _saturated_share(rollout: Rollout) -> FloatArray:
     return ordered_sum(rollout["saturated"]) / np.maximum(ordered_sum(rollout["components"]), 1)
 
@@ -163,6 +170,8 @@ for _metric in (
            value=lambda rollout: distances.digits(_at_deadline(rollout, "estimate_distance"))),
     Metric("digits_cvar", "CVaR (10 %)", "mean digits of the worst tenth of the episodes (conditional value at risk)",
            "higher", source="digits", statistic="cvar", range=_DIGITS),
+    Metric("mean_regret", "mean regret", "mean over time of the regret until the deadline; 1 is that of the start",
+           "lower", value=_mean_regret, range=_POSITIVE),
     Metric("strategy_distance", "strategy distance", "‖x − x*‖/‖x*‖ at the deadline (the paper's plots)", "lower",
            value=lambda rollout: _at_deadline(rollout, "strategy_distance"), range=_POSITIVE),
     Metric("estimate_distance", "estimate distance",
@@ -172,7 +181,7 @@ for _metric in (
            value=lambda rollout: rollout["consensus_error"][0], range=_POSITIVE),
     Metric("regret", "regret",
            "Nikaido–Isoda regret Σ_i [J_i(x) − min over y of J_i(y, x_{-i})] at the deadline", "lower",
-           value=lambda rollout: rollout["regret"][0], range=_POSITIVE),
+           value=lambda rollout: rollout["regret"][-1], range=_POSITIVE),
     Metric("settling_time", "settling time",
            "first instant after which the strategy distance stays within 0.5 %, in seconds", "lower", unit="s",
            value=_settling, range=_POSITIVE),

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import json
+import math
 import re
 from collections.abc import Collection, Mapping
 from dataclasses import asdict, dataclass
@@ -22,7 +23,7 @@ from ptne_env.evaluation.statistics import Summary, estimate, tail_values
 from ptne_env.evaluation.tracks import Track
 from ptne_env.shared.arrays import FloatArray
 
-FORMAT = 6
+FORMAT = 7
 """Version of the meaning of ``results.json``; a file of another one is refused."""
 
 _FORMULA = re.compile(r"(^|[,;\t]\s*)([=+\-@\t\r])")
@@ -36,6 +37,15 @@ Samples: TypeAlias = dict[str, FloatArray]
 
 Place: TypeAlias = tuple[str, str]
 """Names of a track and of a policy."""
+
+
+def standing(digits: Summary | None, mean_regret: Summary | None) -> tuple[float, float]:
+    """The key by which policies are ranked, the least first: digits to two decimals, then the mean regret.
+
+    So of several policies with all twelve digits, the one that was fast stands first. No value is the worst.
+    """
+    reached = -math.inf if digits is None or digits.mean is None else round(digits.mean, 2)
+    return -reached, math.inf if mean_regret is None or mean_regret.mean is None else mean_regret.mean
 
 
 @dataclass(frozen=True, eq=False)
@@ -172,11 +182,15 @@ class Results:
 
     # --- texts ------------------------------------------------------------------------------------------------------
 
-    def ranked(self, track: Track) -> dict[str, Summary]:
-        """The metric that ranks a track, of the policies that have a value there, the best first."""
-        found = {policy: self.summary(track.name, policy, track.metric) for policy in self.policies_on(track.name)}
-        means = {policy: summary.mean for policy, summary in found.items() if summary and summary.mean is not None}
-        return {policy: found[policy] for policy in sorted(means, key=lambda policy: -means[policy])}  # type: ignore[misc]
+    def standing(self, track: str, policy: str) -> tuple[float, float]:
+        """:func:`standing` of a policy on a track."""
+        return standing(self.summary(track, policy, "digits"), self.summary(track, policy, "mean_regret"))
+
+    def ranked(self, track: str) -> dict[str, Summary]:
+        """The digits on a track of the policies that have a value there, the best first."""
+        found = {name: self.summary(track, name, "digits") for name in self.policies_on(track)}
+        ordered = sorted(found, key=lambda name: self.standing(track, name))
+        return {name: digits for name in ordered if (digits := found[name]) is not None and digits.mean is not None}
 
     def _label(self, policy: str) -> str:
         return f"{policy} (oracle)" if self.policies[policy].is_oracle else policy
@@ -190,16 +204,22 @@ class Results:
         )
 
     def __str__(self) -> str:
-        """A line per track and policy, the best first: the metric that ranks the track, with its 95 % interval.
+        """A line per track and policy, the best first: digits with their 95 % interval, and the mean regret.
 
         Policies that failed come last on a track, with the reason.
         """
         lines = [repr(self)]
         for track in self.tracks:
-            lines += ["", f"{track.name}, {self.episodes[track.name]} episodes: {METRICS[track.metric].heading}"]
-            found = {self._label(name): summary for name, summary in self.ranked(track).items()}
+            lines += ["", f"{track.name}, {self.episodes[track.name]} episodes: digits, mean regret"]
+            found = {
+                self._label(name): (_with_interval(digits), self.summary(track.name, name, "mean_regret"))
+                for name, digits in self.ranked(track.name).items()
+            }
             width = max(map(len, found), default=0)
-            lines += [f"  {policy:<{width}}  {_with_interval(summary)}" for policy, summary in found.items()]
+            lines += [
+                f"  {policy:<{width}}  {digits}, {number(regret.mean if regret else None)}"
+                for policy, (digits, regret) in found.items()
+            ]
             lines += [f"  {name} failed: {why}" for (on, name), why in self.failures.items() if on == track.name]
         return "\n".join(lines)
 

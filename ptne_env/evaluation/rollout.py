@@ -13,11 +13,14 @@ import numpy.typing as npt
 from ptne_env.evaluation.audit import Witness
 from ptne_env.perception.encoder import Encoder
 from ptne_env.perception.policy import Policy, PolicyError, decision, describe
-from ptne_env.shared.arrays import BoolArray, Float32Array, FloatArray, ordered_sum
+from ptne_env.shared.arrays import BoolArray, Float32Array, FloatArray, IntArray, ordered_sum
 from ptne_env.world import distances, dynamics
 from ptne_env.world.dynamics import State
 from ptne_env.world.rewards import REWARD_LIMIT
 from ptne_env.world.world import World
+
+REGRET_INTERVALS = 20
+"""Intervals between the instants at which regrets are recorded: in every step they would take as long as a law."""
 
 
 @dataclass(frozen=True)
@@ -26,8 +29,9 @@ class Rollout:
 
     Attributes:
         world: in which they ran.
-        series: numbers per episode by name, as :func:`at_instant`, :func:`at_deadline` and :func:`in_step` record them,
-            each of shape (instants, B), (1, B) or (steps to the deadline, B).
+        series: numbers per episode by name, as :func:`at_instant`, :func:`regret`, :func:`at_deadline` and
+            :func:`in_step` record them, each of shape (instants, B), (instants of regrets, B), (1, B) or (steps to the
+            deadline, B).
         diverged: whether the episode left the range, shape (B,).
         seconds_per_decision: wall time of the policy per player and step.
     """
@@ -58,17 +62,24 @@ def at_instant(world: World, state: State) -> dict[str, FloatArray]:
     }
 
 
-def at_deadline(world: World, state: State) -> dict[str, FloatArray]:
-    """The series of the deadline alone: the consensus error, and the regret where the game has best responses."""
-    regret = np.full(dynamics.batch_size(state), np.nan)
-    if state.game.has_best_response:
-        with np.errstate(over="ignore", invalid="ignore"):  # only a diverged environment overflows
-            regrets = np.clip(state.game.regrets(dynamics.strategies(world, state)), 0, REWARD_LIMIT)
-        regret = ordered_sum(np.where(state.diverged, REWARD_LIMIT, regrets))
-    return {
-        "consensus_error": _limited(state, distances.consensus_error(state.estimates, state.game)),
-        "regret": regret,
-    }
+def regret_instants(world: World) -> IntArray:
+    """The instants at which regrets are recorded, evenly spaced in steps, from the start to the deadline."""
+    steps = world.clock.steps
+    return np.unique(np.linspace(0, steps, min(steps, REGRET_INTERVALS) + 1).round().astype(np.int64))
+
+
+def regret(world: World, state: State) -> dict[str, FloatArray]:
+    """The series of the instants of regrets: the sum over players; NaN where the game has no best response."""
+    if not state.game.has_best_response:
+        return {"regret": np.full(dynamics.batch_size(state), np.nan)}
+    with np.errstate(over="ignore", invalid="ignore"):  # only a diverged environment overflows
+        regrets = np.clip(state.game.regrets(dynamics.strategies(world, state)), 0, REWARD_LIMIT)
+    return {"regret": ordered_sum(np.where(state.diverged, REWARD_LIMIT, regrets))}
+
+
+def at_deadline(state: State) -> dict[str, FloatArray]:
+    """The series of the deadline alone: the consensus error."""
+    return {"consensus_error": _limited(state, distances.consensus_error(state.estimates, state.game))}
 
 
 def in_step(world: World, state: State, inputs: FloatArray, step: int) -> dict[str, FloatArray]:
@@ -196,6 +207,7 @@ def rollout(
     taken = set() if teammates is None else set(teammates.players.tolist())
     member = Member(policy, encoder, [player for player in players if player not in taken], witnesses)
     recorded: dict[str, list[FloatArray]] = {}
+    observed = set(regret_instants(world).tolist())
     state = start
     for step in range(clock.total_steps + 1):
         inputs = member.decide(state) if step < clock.total_steps else None
@@ -204,8 +216,10 @@ def rollout(
         if watch is not None:
             watch(state, inputs)
         found = at_instant(world, state)
+        if step in observed:
+            found |= regret(world, state)
         if step == clock.steps:
-            found |= at_deadline(world, state)
+            found |= at_deadline(state)
         if inputs is not None and step < clock.steps:
             found |= in_step(world, state, inputs, step)
         for name, values in found.items():

@@ -45,10 +45,11 @@ def estimate(scores: Scores) -> Summary:
             value.
 
     Returns:
-        A constant has low = high = mean; all are ``None`` where no episode has a value.
+        A constant has low = high = mean; all are ``None`` where no episode has a value, and
+        without a track.
     """
     found = [np.where(np.isfinite(track), track, np.nan)[np.isfinite(track).any(axis=1)] for track in scores]
-    if not all(track.size for track in found):
+    if not found or not all(track.size for track in found):
         return Summary(None, None, None)
     lowest, highest = (float(pick([pick(track) for track in found])) for pick in (np.nanmin, np.nanmax))
     if lowest == highest:

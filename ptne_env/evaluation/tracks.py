@@ -57,27 +57,23 @@ class Track:
         name: unique in a comparison or suite; part of the seeds of its episodes in a suite.
         scenario: the physics.
         change: its difference from the base of the suite, in one sentence.
-        metric: by which policies are ranked, higher being better: ``"digits"`` or ``"digits_after_hold"``.
         teammates: players that follow a fixed policy; ``None`` where every player follows the policy that is run.
         episodes: its own number of episodes; that of the comparison or suite if ``None``.
+        scored: whether it counts for the score of a suite.
 
     Raises:
-        ValueError: for another metric, a metric that the scenario does not have, or teammates that are not some of the
-            players.
+        ValueError: when teammates are not some of the players.
     """
 
     name: str
     scenario: Scenario
     change: str
-    metric: str = "digits"
     teammates: Teammates | None = None
     episodes: int | None = None
+    scored: bool = True
 
     def __post_init__(self) -> None:
         require_printable("the name of a track", self.name)
-        choices = ("digits", "digits_after_hold") if self.scenario.hold_steps else ("digits",)
-        if self.metric not in choices:
-            raise ValueError(f"track {self.name!r} is ranked by {' or '.join(choices)}, got {self.metric!r}")
         if self.episodes is not None:
             require_count(f"episodes of track {self.name!r}", self.episodes, 1)
         if self.teammates is not None:
@@ -101,9 +97,9 @@ class Track:
             "name": self.name,
             "scenario": self.scenario.to_dict(),
             "change": self.change,
-            "metric": self.metric,
             "teammates": None if self.teammates is None else self.teammates.to_dict(),
             "episodes": self.episodes,
+            "scored": self.scored,
         }
 
     @classmethod

@@ -12,7 +12,6 @@ import numpy.typing as npt
 
 from ptne_env.perception.observation import (
     INPUT_PER_ACTION,
-    OBSERVATION_BOUND,
     SMALLEST_SCALE,
     Interface,
     ObservationLayout,
@@ -235,16 +234,8 @@ class FullEncoder(PhysicalEncoder):
 
     def _write_differences(self, workspace: _Workspace, state: State, link_weights: FloatArray | None) -> None:
         super()._write_differences(workspace, state, link_weights)
-        fields, game = workspace.fields, state.game
-        strategies = dynamics.strategies(self.world, state)
-        fields["relative_strategies"][...] = strategies[:, None, :] - state.estimates
-        with np.errstate(over="ignore"):
-            pseudo_gradient = game.pseudo_gradient(strategies)
-        if game.has_bounds:
-            theta = self.world.clock.theta[dynamics.shared_step(state)]
-            theta = np.where(theta > 0, theta, 1.0)  # terminal step: no movement follows
-            pseudo_gradient = (strategies - game.project(strategies - theta * pseudo_gradient)) / theta
-        fields["pseudo_gradient"][...] = np.clip(pseudo_gradient, -OBSERVATION_BOUND, OBSERVATION_BOUND)[:, None]
+        equilibria = state.game.nash_equilibria[:, None]
+        workspace.fields["relative_equilibrium"][...] = equilibria - state.estimates
 
 
 class ScaledEncoder(Encoder):

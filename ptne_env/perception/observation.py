@@ -74,9 +74,7 @@ class Observation(NamedTuple):
         dt: Δt_k of the coming step in seconds, shape (R, 1).
         elapsed: t/T by the player's clock, shape (R, 1).
         transformed: s by that clock, shape (R, 1).
-        relative_strategies: x − x^i, shape (R, n); empty (R, 0) unless the interface is ``full``.
-        pseudo_gradient: F(x), or in a box (x − Π(x − Θ F(x)))/Θ, which stays inside; shape (R, n), and empty (R, 0)
-            unless the interface is ``full``.
+        relative_equilibrium: x* − x^i, shape (R, n); empty (R, 0) unless the interface is ``full``.
         own_estimate: x^i in natural units, shape (R, n); empty (R, 0) under ``scaled``.
     """
 
@@ -89,8 +87,7 @@ class Observation(NamedTuple):
     dt: FloatArray
     elapsed: FloatArray
     transformed: FloatArray
-    relative_strategies: FloatArray
-    pseudo_gradient: FloatArray
+    relative_equilibrium: FloatArray
     own_estimate: FloatArray
 
 
@@ -100,21 +97,20 @@ class ObservationLayout:
 
     An observation is a flat float32 vector of named slices, in the order of :attr:`slices`:
 
-    ======================= ======== =======================================================================
-    name                    size     content
-    ======================= ======== =======================================================================
-    ``own_gradient``        m        ∂J_i/∂x_i(x^i), padded with 0 to the largest n_i
-    ``own_estimate``        n        x^i (not under ``scaled``)
-    ``relative_estimates``  D n      x^j − x^i per neighbour slot, taken in float64; 0 where the link is down; x^j is
-                                     what the channel delivers
-    ``weights``             D        a_ij per neighbour slot; 0 where the link is down, or the message is lost
-    ``log_scale``           1        log10 σ_i, over 10 (only under ``scaled``)
-    ``clock``               4        t/T, s, Θ_k, Δt_k/T, the first three by the player's own clock
-    ``time_since_switch``   1        over the topology's mean dwell, clipped to 1; 0 for a fixed graph
-    ``player``              N        one-hot
-    ``relative_strategies`` n        x − x^i (only under ``full``)
-    ``pseudo_gradient``     n        F(x) at the real strategies, as far as a box lets them move (only under ``full``)
-    ======================= ======== =======================================================================
+    ======================== ======== =======================================================================
+    name                     size     content
+    ======================== ======== =======================================================================
+    ``own_gradient``         m        ∂J_i/∂x_i(x^i), padded with 0 to the largest n_i
+    ``own_estimate``         n        x^i (not under ``scaled``)
+    ``relative_estimates``   D n      x^j − x^i per neighbour slot, taken in float64; 0 where the link is down; x^j is
+                                      what the channel delivers
+    ``weights``              D        a_ij per neighbour slot; 0 where the link is down, or the message is lost
+    ``log_scale``            1        log10 σ_i, over 10 (only under ``scaled``)
+    ``clock``                4        t/T, s, Θ_k, Δt_k/T, the first three by the player's own clock
+    ``time_since_switch``    1        over the topology's mean dwell, clipped to 1; 0 for a fixed graph
+    ``player``               N        one-hot
+    ``relative_equilibrium`` n       x* − x^i (only under ``full``)
+    ======================== ======== =======================================================================
 
     Under ``scaled``, gradient and relative estimates are divided by σ_i = max(‖own gradient‖_∞, max over live links
     ‖x^j − x^i‖_∞, 1e-30), components and neighbour slots are in ego order (the own ones first, then cyclically), s in
@@ -171,7 +167,7 @@ class ObservationLayout:
             sizes["log_scale"] = 1
         sizes |= {"clock": 4, "time_since_switch": 1, "player": self.num_players}
         if self.interface.kind == "full":
-            sizes |= {"relative_strategies": n, "pseudo_gradient": n}
+            sizes["relative_equilibrium"] = n
         ends = np.cumsum(list(sizes.values()))
         return {name: slice(int(end) - size, int(end)) for (name, size), end in zip(sizes.items(), ends, strict=True)}
 
@@ -323,8 +319,7 @@ class ObservationLayout:
             dt=np.asarray(clock[:, 3:4], dtype=np.float64) * self.deadline,
             elapsed=np.asarray(clock[:, :1], dtype=np.float64),
             transformed=s_unit * np.asarray(clock[:, 1:2], dtype=np.float64),
-            relative_strategies=values.get("relative_strategies", unseen),
-            pseudo_gradient=values.get("pseudo_gradient", unseen),
+            relative_equilibrium=values.get("relative_equilibrium", unseen),
             own_estimate=values.get("own_estimate", unseen),
         )
 

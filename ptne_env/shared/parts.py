@@ -75,7 +75,7 @@ PARTS: Mapping[str, str] = {
     "law:grounded": "ptne_env.laws:Grounded",
     "law:multi-rate": "ptne_env.field.laws:MultiRate",
     "law:observer-relay": "ptne_env.field.laws:ObserverRelay",
-    "law:oracle": "ptne_env.laws:CentralisedOracle",
+    "law:oracle": "ptne_env.laws:Oracle",
     "law:projected-gradient": "ptne_env.field.laws:ProjectedGradient",
     "law:proximal-best-response": "ptne_env.field.laws:ProximalBestResponse",
     "law:random": "ptne_env.laws:RandomPolicy",

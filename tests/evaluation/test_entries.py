@@ -39,14 +39,14 @@ def test_several_training_seeds_are_their_own_dict_and_back_and_objects_are_not(
 def test_what_a_policy_declares_cannot_be_overridden():
     assert PolicySpec("mine", object).interface == Interface("scaled")  # declares none
     assert PolicySpec("oracle-2", FactorySpec.of("law:oracle")).interface == Interface("full")
-    for policy in (laws.CentralisedOracle, FactorySpec.of("law:oracle")):
+    for policy in (laws.Oracle, FactorySpec.of("law:oracle")):
         with pytest.raises(ValueError, match="declares the interface .*'full'.*cannot act through .*'physical'"):
             PolicySpec("honest", policy, Interface("physical"))
     data = POLICIES["oracle"].to_dict() | {"interface": {"kind": "physical"}}
     with pytest.raises(ValueError, match="declares the interface"):
         PolicySpec.from_dict(data)
     with pytest.raises(ValueError, match="different interfaces"):
-        PolicySpec("both", (laws.Static, laws.CentralisedOracle))
+        PolicySpec("both", (laws.Static, laws.Oracle))
 
 
 def test_a_pattern_names_the_training_seeds_of_one_policy(tmp_path, monkeypatch):

@@ -30,10 +30,11 @@ def test_the_printed_text_has_a_line_per_track_and_policy_the_best_first(results
     reason = "step 3: it answered with an action that is not finite"
     _, energy, other = str(replace(results, failures={("non-quadratic", "mine"): reason})).split("\n\n")
     title, *lines = energy.splitlines()
-    assert title == "energy, 6 episodes: digits"
+    assert title == "energy, 6 episodes: digits, mean regret"
     assert [line.split("  ")[1] for line in lines] == ["oracle (oracle)", "static", "zero-input", "random"]
     mean, low, high = (number(results.record("energy", "static", "digits")[key]) for key in ("mean", "low", "high"))
-    assert lines[1].endswith(f"  {mean} [{low}, {high}]")
+    regret = number(results.record("energy", "static", "mean_regret")["mean"])
+    assert lines[1].endswith(f"  {mean} [{low}, {high}], {regret}")
     assert other.splitlines()[-1] == f"  mine failed: {reason}"
 
 

@@ -70,6 +70,29 @@ def test_digits_after_hold_exist_only_with_a_hold_phase():
     assert measure(with_hold)["digits"] == measure(without)["digits"]
 
 
+def test_mean_regret_is_the_mean_over_time_relative_to_the_start():
+    scenario = ptne_env.get_scenario("energy", start="random")
+    found = {law.__name__: measure(run(scenario, law)[1]) for law in (laws.ZeroInput, laws.Static, laws.Grounded)}
+    assert found["ZeroInput"]["mean_regret"] == pytest.approx(1.0)
+    assert (found["Grounded"]["mean_regret"] < found["Static"]["mean_regret"]).all()
+    world, batch = run(scenario, laws.Static)
+    states = []
+    encoder = make_encoder(world, Interface("physical"))
+    start = EpisodeSet(4, 3).initial_state(world)
+    rollout(laws.Static(encoder.layout), encoder, start, watch=lambda state, _: states.append(state))
+    chosen = np.arange(0, 401, 20)
+    regrets = [world.game.regrets(dynamics.strategies(world, states[step])).sum(axis=0) for step in chosen]
+    assert batch["regret"] == pytest.approx(np.array(regrets), rel=1e-9)
+    mean = np.trapezoid(regrets, world.clock.t[chosen], axis=0) / 1.2
+    assert measure(batch)["mean_regret"] == pytest.approx(mean / regrets[0], rel=1e-9)
+
+
+def test_mean_regret_does_not_exist_without_best_responses():
+    _, batch = run(ptne_env.get_scenario("non-quadratic", steps=7), laws.Static)
+    assert batch["regret"].shape == (8, 4)
+    assert np.isnan(measure(batch)["mean_regret"]).all()
+
+
 def test_a_diverged_episode_has_the_digits_of_the_range_limit_and_finite_metrics():
     scenario = ptne_env.get_scenario("non-quadratic", start="random")
     world, batch = run(scenario, laws.RandomPolicy)
@@ -78,7 +101,7 @@ def test_a_diverged_episode_has_the_digits_of_the_range_limit_and_finite_metrics
     np.testing.assert_allclose(samples["digits"], -np.log10(dynamics.distance_limit(world.game)[0]))
     assert (samples["settled_share"] == 0).all()
     assert (samples["diverged_share"] == 1).all()
-    missing = {"settling_time", "digits_after_hold", "regret"}
+    missing = {"settling_time", "digits_after_hold", "regret", "mean_regret"}
     for metric, values in samples.items():
         if metric not in missing:  # the game has neither hold phase nor best response
             assert np.isfinite(values).all(), metric

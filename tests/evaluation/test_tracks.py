@@ -70,13 +70,11 @@ def test_teammates_are_some_of_the_players(players):
 
 def test_a_track_is_its_own_dict_and_back():
     team = Teammates(FactorySpec.of("law:static", kappa=3.0), (1, 3))
-    for track in (*SMALL.tracks, Track("team", BASE, "A team.", teammates=team, episodes=7)):
+    for track in (*SMALL.tracks, Track("team", BASE, "A team.", teammates=team, episodes=7, scored=False)):
         assert Track.from_dict(track.to_dict()) == track
 
 
 def test_wrong_tracks_are_refused():
-    with pytest.raises(ValueError, match="is ranked by digits, got 'digits_after_hold'"):
-        Track("nominal", BASE, "The base.", "digits_after_hold")
     with pytest.raises(ValueError, match="printable"):
         Track("\x1b[2K", BASE, "The base.")
 

@@ -20,7 +20,7 @@ LAWS = [
     laws.FixedGain,
     laws.AdaptiveGrounded,
     laws.ZeroInput,
-    laws.CentralisedOracle,
+    laws.Oracle,
     field_laws.ProjectedGradient,
     field_laws.RoutedUnknown,
     field_laws.MultiRate,

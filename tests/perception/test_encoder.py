@@ -116,21 +116,15 @@ def test_player_at_rest_observes_the_smallest_scale():
 
 
 @pytest.mark.parametrize("name", WORLDS)
-def test_oracle_sees_the_real_strategies_and_the_pseudo_gradient_besides(name):
+def test_oracle_sees_the_equilibrium_besides(name):
     world, encoder = world_and_encoder(WORLDS[name], kind="full")
     state, layout = wander(world), encoder.layout
     observations = encoder.observe(state)
     plain = world_and_encoder(WORLDS[name])[1].observe(state)
     assert np.array_equal(observations[:, :, : plain.shape[2]], plain)
-    strategies = dynamics.strategies(world, state)
     for i in range(layout.num_players):
-        relative = (strategies - state.estimates[:, i]).T.astype(np.float32)
-        assert np.array_equal(layout.select(observations, "relative_strategies")[:, i], relative)
-        gradient = state.game.pseudo_gradient(strategies)
-        if state.game.has_bounds:  # as far as the box lets the players follow it
-            theta = world.clock.theta[state.step]
-            gradient = (strategies - state.game.project(strategies - theta * gradient)) / theta
-        assert np.array_equal(layout.select(observations, "pseudo_gradient")[:, i], gradient.T.astype(np.float32))
+        relative = (state.game.nash_equilibria - state.estimates[:, i]).T.astype(np.float32)
+        assert np.array_equal(layout.select(observations, "relative_equilibrium")[:, i], relative)
 
 
 @pytest.mark.parametrize("name", WORLDS)

@@ -10,7 +10,6 @@ from worlds import begin
 from ptne_env import FactorySpec, get_scenario
 from ptne_env.perception.encoder import make_encoder
 from ptne_env.perception.observation import Interface
-from ptne_env.world import dynamics
 from ptne_env.world.faults import GradientNoise
 from ptne_env.world.world import RANGE_LIMIT, World
 
@@ -73,8 +72,8 @@ def test_laws_see_the_sensor_and_oracles_see_the_truth():
     oracle = make_encoder(world, Interface("full"))
     seen, select = oracle.observe(state)[0], oracle.layout.select
     np.testing.assert_allclose(select(seen, "own_gradient"), state.own_gradients, rtol=1e-6)
-    exact = world.game.pseudo_gradient(dynamics.strategies(world, state))
-    np.testing.assert_allclose(select(seen, "pseudo_gradient"), np.tile(exact.T, (5, 1)), rtol=1e-6)
+    exact = world.game.nash_equilibrium - state.estimates[:, :, 0].T
+    np.testing.assert_allclose(select(seen, "relative_equilibrium"), exact, rtol=1e-6)
 
 
 def test_readings_stay_within_the_range():

@@ -14,7 +14,7 @@ from ptne_env import CATALOGUE, VectorParallelEnv, parallel_env
 from ptne_env.bench.suite import ptne_v1
 from ptne_env.world import fused
 
-WITHOUT_FAULTS = {"channel": "perfect", "disturbance": None, "sensor": None}
+WITHOUT_FAULTS = {"message_range": None, "channel": "perfect", "disturbance": None, "sensor": None}
 
 
 def _worlds():
@@ -36,7 +36,7 @@ NUMPY_ALONE = {
     "non-quadratic-switching",
     "non-quadratic-printed",
     "rate-control",
-    "ptne-v1 non-quadratic",
+    "ptne-v1 curved without faults",
     *(name.removesuffix(" without faults") for name in WORLDS if name.endswith("faults")),
 }
 """The worlds without a compiled step: games that are not affine, and channels, disturbances, and sensors."""

@@ -8,7 +8,7 @@ from dataclasses import replace
 
 from ptne_env._version import __version__
 from ptne_env.bench.report.page import Page, Part
-from ptne_env.bench.report.tables import answer, answer_table, leaderboard_table, ranked, track_tables
+from ptne_env.bench.report.tables import answer, answer_table, leaderboard_table, ordered, regret_table, track_tables
 from ptne_env.bench.report.traces import Scene, scene
 from ptne_env.bench.suite import LAW
 from ptne_env.bench.workers import Workers
@@ -47,7 +47,7 @@ def page(
     Raises:
         ImportError: when Jinja or Plotly is missing, naming the extra to install.
     """
-    order, found = ranked(results), {}
+    order, found = ordered(results), {}
     for index, made in workers.run(_scene, [_task(results, track, order) for track in results.tracks]):
         found[index] = made
         if progress is not None:
@@ -71,7 +71,7 @@ def page(
                 "Results",
                 "Digits are −log10 of the relative distance of all players' estimates from the equilibrium, counted up "
                 "to 12. A click on a heading sorts.",
-                (answer_table(results), *([] if board is None else [board])),
+                (answer_table(results), regret_table(results), *([] if board is None else [board])),
             ),
             Part(
                 "Episode player",

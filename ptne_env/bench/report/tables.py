@@ -5,10 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 
-from ptne_env.bench.leaderboard import leaderboard
+import numpy as np
+
+from ptne_env.bench.leaderboard import Row, leaderboard
 from ptne_env.bench.suite import LAW
-from ptne_env.evaluation.metrics import METRICS, number, share
-from ptne_env.evaluation.results import Results
+from ptne_env.evaluation.metrics import METRICS, number
+from ptne_env.evaluation.results import Results, standing
 from ptne_env.evaluation.statistics import Summary, estimate
 from ptne_env.evaluation.tracks import Track
 
@@ -17,6 +19,13 @@ FIRST_MARGIN = 0.1
 
 ORACLE_NOTE = "* an oracle: it uses information that players lack, and has no rank"
 """The meaning of the mark beside a name."""
+
+
+MEAN_REGRET = "mean regret"
+"""Name of the row and column of the metric."""
+
+REGRET_NOTE = "mean regret: what the way to the deadline costs the players; 1 is standing still at the start"
+"""The meaning of :data:`MEAN_REGRET`."""
 
 
 def decimals(value: float | None) -> str:
@@ -61,6 +70,11 @@ class Cell:
             return cls()
         half, text = decimals(summary.high - summary.mean), decimals(summary.mean)
         return cls(text if half == "0.00" else f"{text} ±{half}", summary.mean)
+
+    @classmethod
+    def plain(cls, summary: Summary) -> Cell:
+        """The cell of a mean without its interval."""
+        return cls() if summary.mean is None else cls(number(summary.mean), summary.mean)
 
     @classmethod
     def words(cls, text: str) -> Cell:
@@ -115,33 +129,57 @@ class Table:
 
 
 def answer_table(results: Results) -> Table:
-    """The metric of every track, such as digits: a row per track and a column per policy, the paper's law first.
+    """The digits on every track: a row per track and a column per policy, in the order of :func:`ordered`.
 
-    The last row is the mean over all tracks, of the policies that play all of them.
+    The last rows are the means of digits, the score of a suite, and of the mean regrets over all scored tracks. In a
+    comparison only policies that play all of them have one.
 
     Args:
         results: of a comparison or of another suite.
     """
-    mean = f"mean of {len(results.tracks)}"
+    tracks, overall = [track.name for track in results.tracks], _overall(results)
+    score = f"mean of {len(tracks)}" if results.is_comparison else "score"
     columns = []
-    for name in ranked(results):
-        cells = {
-            track.name: Cell.plus_minus(results.summary(track.name, name, track.metric)) for track in results.tracks
-        }
+    for name in ordered(results):
+        cells = {track: Cell.plus_minus(results.summary(track, name, "digits")) for track in tracks}
         cells |= {track: Cell("failed") for track, policy in results.failures if policy == name}
-        if len(cells) > 1 and all(cell.value is not None for cell in cells.values()):
-            cells[mean] = Cell.plus_minus(mean_digits(results, name))
+        if name in overall:
+            digits, regret = overall[name]
+            cells |= {score: Cell.plus_minus(digits), MEAN_REGRET: Cell.plain(regret)}
         if results.policies[name].is_oracle or any(cell != Cell() for cell in cells.values()):
             columns.append(Column(_marked(results, name), cells, f"digits of {name}"))
-    counts = sorted({results.episodes[track.name] for track in results.tracks})
+    counts = sorted({results.episodes[track] for track in tracks})
     episodes = " to ".join(str(count) for count in dict.fromkeys([counts[0], counts[-1]]))
+    notes = [REGRET_NOTE]
+    if unscored := [track.name for track in results.tracks if not track.scored]:
+        notes.append(f"not in the score: {', '.join(unscored)}")
+    if any(spec.is_oracle for spec in results.policies.values()):
+        notes.append(ORACLE_NOTE)
     return Table(
         f"Digits at the deadline ± half of the 95 % interval, {episodes} episodes",
         "scenario" if results.is_comparison else "track",
-        (*(track.name for track in results.tracks), *([mean] if len(results.tracks) > 1 else [])),
+        (*tracks, score, MEAN_REGRET) if len(tracks) > 1 and overall else (*tracks, MEAN_REGRET),
         tuple(columns),
-        (ORACLE_NOTE,) * any(spec.is_oracle for spec in results.policies.values()),
+        tuple(notes),
     )
+
+
+def regret_table(results: Results) -> Table:
+    """The mean regret on every track: a row per track and a column per policy, in the order of :func:`ordered`.
+
+    Args:
+        results: of a comparison or of another suite.
+    """
+    tracks = [track.name for track in results.tracks]
+    columns = (
+        Column(
+            _marked(results, name),
+            {track: Cell.of(results.summary(track, name, "mean_regret")) for track in tracks},
+            f"mean regret of {name}",
+        )
+        for name in ordered(results)
+    )
+    return Table("Mean regret until the deadline", "track", tuple(tracks), tuple(columns), (REGRET_NOTE,))
 
 
 def answer(results: Results) -> tuple[str, ...]:
@@ -150,16 +188,17 @@ def answer(results: Results) -> tuple[str, ...]:
     Args:
         results: of a comparison or of another suite.
     """
-    firsts, count = first_places(results), len(results.tracks)
+    firsts = first_places(results)
+    tracks = [track.name for track in results.tracks if track.scored] or [track.name for track in results.tracks]
     if not any(firsts.values()):
         return ("No policy without an oracle's information has a result.",)
-    best = max(firsts, key=lambda name: len(firsts[name]))
-    noun = "scenario" if results.is_comparison else "track"
-    where = f"on {results.tracks[0].name}"
+    best = next(name for name in _best_first(results) if name in firsts)
+    noun, count = "scenario" if results.is_comparison else "track", len(tracks)
+    where = f"on {tracks[0]}"
     if count > 1:
         where = f"or within {FIRST_MARGIN:g} digits of the closest, on {len(firsts[best])} of {count} {noun}s"
     sentences = [f"{best} comes closest to the Nash equilibrium by the deadline{',' * (count > 1)} {where}."]
-    reached = [digits for track in results.tracks if LAW in (digits := _reached(results, track))]
+    reached = [digits for track in tracks if LAW in (digits := _reached(results, track))]
     gaps = [max(digits.values())[0] - digits[LAW][0] for digits in reached]
     if gaps and best != LAW:
         sentences.append(
@@ -170,21 +209,20 @@ def answer(results: Results) -> tuple[str, ...]:
     return tuple(sentences)
 
 
-def _reached(results: Results, track: Track) -> dict[str, tuple[float, float]]:
+def _reached(results: Results, track: str) -> dict[str, tuple[float, float]]:
     """The mean, and the upper end of its interval, of the policies with values on a track, oracles apart."""
     found = {}
-    for name, spec in results.policies.items():
-        summary = results.summary(track.name, name, track.metric)
-        if summary is not None and summary.mean is not None and summary.high is not None and not spec.is_oracle:
+    for name, summary in results.ranked(track).items():
+        if summary.mean is not None and summary.high is not None and not results.policies[name].is_oracle:
             found[name] = summary.mean, summary.high
     return found
 
 
 def first_places(results: Results) -> dict[str, list[str]]:
-    """The tracks on which each policy, oracles apart, is the best or within :data:`FIRST_MARGIN` of it."""
+    """The scored tracks on which each policy, oracles apart, is the best or within :data:`FIRST_MARGIN` of it."""
     firsts: dict[str, list[str]] = {name: [] for name, spec in results.policies.items() if not spec.is_oracle}
     for track in results.tracks:
-        found = _reached(results, track)
+        found = _reached(results, track.name) if track.scored else {}
         best = max((mean for mean, _ in found.values()), default=0.0)
         for name, (_, high) in found.items():
             if high >= best - FIRST_MARGIN:
@@ -192,27 +230,47 @@ def first_places(results: Results) -> dict[str, list[str]]:
     return firsts
 
 
-def ranked(results: Results) -> list[str]:
-    """The names of the policies: the paper's law, then those with the most first places and digits, then oracles."""
-    firsts = first_places(results)
+def ordered(results: Results) -> list[str]:
+    """The names of the policies: the best law, the best other policy, the paper's law, oracles, then the rest by rank.
 
-    def key(name: str) -> tuple[bool, bool, int, float]:
-        mean = mean_digits(results, name).mean
-        return results.policies[name].is_oracle, name != LAW, -len(firsts.get(name, ())), -(mean or 0.0)
+    So the numbers that say most find room in a narrow terminal.
+    """
+    names = _best_first(results)
+    oracles = [name for name in names if results.policies[name].is_oracle]
+    others = [name for name in names if name not in oracles]
+    laws = [name for name in others if not (results.policies[name].is_own or results.policies[name].files)]
+    head = [*laws[:1], *[name for name in others if name not in laws][:1], *[LAW] * (LAW in names), *oracles]
+    return list(dict.fromkeys([*head, *others]))
+
+
+def _best_first(results: Results) -> list[str]:
+    """The names of the policies by rank: in a suite by the score, in a comparison by first places and mean digits."""
+    board = leaderboard(results)
+    if board is not None:
+        return [row.policy for row in board]
+    firsts, overall = first_places(results), _overall(results)
+
+    def key(name: str) -> tuple[bool, int, float, float]:
+        return results.policies[name].is_oracle, -len(firsts.get(name, ())), *standing(*overall.get(name, (None, None)))
 
     return sorted(results.policies, key=key)
 
 
-def mean_digits(results: Results, policy: str) -> Summary:
-    """The mean of a policy over the tracks on which it was run, with its 95 % interval.
-
-    Args:
-        results: of a comparison or of another suite.
-        policy: its name.
-    """
-    places = ((results.samples.get((track.name, policy)), track.metric) for track in results.tracks)
-    scores = [samples[metric] for samples, metric in places if samples is not None]
-    return estimate(scores) if scores else Summary(None, None, None)
+def _overall(results: Results) -> dict[str, tuple[Summary, Summary]]:
+    """The means of digits and of mean regrets over tracks: of a suite's scored ones, or of all of a comparison."""
+    board = leaderboard(results)
+    if board is not None:
+        return {row.policy: (row.score, row.mean_regret) for row in board}
+    tracks = [track.name for track in results.tracks]
+    found = {name: [results.samples.get((track, name)) for track in tracks] for name in results.policies}
+    return {
+        name: (
+            estimate([each["digits"] for each in samples]),
+            estimate([each["mean_regret"] for each in samples if np.isfinite(each["mean_regret"]).any()]),
+        )
+        for name, given in found.items()
+        if len(samples := [each for each in given if each is not None]) == len(tracks)
+    }
 
 
 def track_tables(results: Results, track: Track) -> list[Table]:
@@ -222,7 +280,7 @@ def track_tables(results: Results, track: Track) -> list[Table]:
         results: of a comparison or of another suite.
         track: one of its tracks.
     """
-    names = [name for name in ranked(results) if (track.name, name) in results.samples]
+    names = [name for name in ordered(results) if (track.name, name) in results.samples]
     blocks: dict[str, list[Column]] = {}
     for metric in METRICS.values():
         cells = {_marked(results, name): Cell.of(results.summary(track.name, name, metric.name)) for name in names}
@@ -255,23 +313,21 @@ def leaderboard_table(results: Results) -> Table | None:
     board = leaderboard(results)
     if board is None:
         return None
-    rows = {_marked(results, row.policy): row for row in board.overall}
+    rows = {_marked(results, row.policy): row for row in board}
 
-    def column(label: str, meaning: str, cell: Callable[..., Cell]) -> Column:
+    def column(label: str, meaning: str, cell: Callable[[Row], Cell]) -> Column:
         return Column(label, {name: cell(row) for name, row in rows.items()}, meaning)
 
     return Table(
-        f"{results.name}: all tracks; a policy counts as zero input where it cannot act or failed",
+        f"{results.name}: all scored tracks; a policy counts as zero input where it cannot act or failed",
         "policy",
         tuple(rows),
         (
-            column("score", "mean over tracks: 0 is zero input, 1 is 12 digits", lambda row: Cell.of(row.score, share)),
-            column("mean rank", "over tracks, oracles apart", lambda row: Cell.of(row.mean_rank)),
+            column("score", "mean digits over tracks", lambda row: Cell.plus_minus(row.score)),
             column(
-                f"P(better than {LAW})",
-                "paired by episode, mean over tracks",
-                lambda row: Cell.of(row.improvement, share),
+                MEAN_REGRET, "mean over tracks whose games have best responses", lambda row: Cell.of(row.mean_regret)
             ),
+            column("mean rank", "over tracks, oracles apart", lambda row: Cell.of(row.mean_rank)),
         ),
     )
 
