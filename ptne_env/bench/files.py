@@ -1,7 +1,8 @@
-"""Reading files of results."""
+"""Reading JSON files so that damage is detected; files of results."""
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -13,10 +14,45 @@ from ptne_env.evaluation.episodes import EpisodeSet
 from ptne_env.evaluation.provenance import content_hash
 from ptne_env.evaluation.results import FORMAT, Place, Results, Samples
 from ptne_env.evaluation.tracks import Track
-from ptne_env.shared.files import DamagedFileError, read_json
+from ptne_env.shared.files import DamagedFileError
 
 LARGEST_FILE = 32 * 2**20
 """Most bytes of a file of results."""
+
+
+def read_json(path: Path, kind: str) -> dict[str, Any]:
+    """The JSON object in a file.
+
+    Args:
+        path: of the file.
+        kind: of file, for the message, such as "a file of results".
+
+    Raises:
+        OSError: when there is no such file, or it cannot be read.
+        DamagedFileError: naming ``path``, when it holds no JSON object, or part of one.
+    """
+    if path.exists() and not path.is_file():  # a pipe or a device may never end
+        raise DamagedFileError(f"{path} is not {kind}: it is no file")
+    data = path.read_bytes()
+    try:
+        value = json.loads(data, object_pairs_hook=_object, parse_constant=_refuse)
+    except (ValueError, RecursionError) as error:
+        raise DamagedFileError(f"{path} is not {kind}: it is cut off, damaged or something else ({error})") from error
+    if not isinstance(value, dict):
+        raise DamagedFileError(f"{path} is not {kind}: expected a JSON object, got {type(value).__name__}")
+    return value
+
+
+def _object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    """A JSON object; readers differ in which of two values of one key they take."""
+    value = dict(pairs)
+    if len(value) < len(pairs):
+        raise ValueError("an object has a key twice")
+    return value
+
+
+def _refuse(constant: str) -> None:
+    raise ValueError(f"{constant} is not JSON")
 
 
 def read_results(path: Path) -> dict[str, Any]:

@@ -10,11 +10,12 @@ from uuid import uuid4
 
 import numpy as np
 
+from ptne_env.bench.files import read_json
 from ptne_env.evaluation.jobs import Job, JobResult
 from ptne_env.evaluation.metrics import METRICS
 from ptne_env.evaluation.provenance import content_hash, versions
 from ptne_env.evaluation.results import to_json_list
-from ptne_env.shared.files import DamagedFileError, read_json, write_atomically
+from ptne_env.shared.files import DamagedFileError, write_atomically
 from ptne_env.shared.parts import foreign_targets
 from ptne_env.world.dynamics import PHYSICS
 

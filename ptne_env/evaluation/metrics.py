@@ -9,11 +9,12 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Literal, TypeAlias
+from typing import Literal, TypeAlias, get_args
 
 import numpy as np
 
 from ptne_env.evaluation.rollout import Rollout, regret_instants
+from ptne_env.perception.policy import describe
 from ptne_env.shared.arrays import FloatArray, ordered_sum
 from ptne_env.world import distances
 
@@ -25,6 +26,8 @@ Statistic: TypeAlias = Literal["mean", "cvar"]
 
 Block: TypeAlias = Literal["How close", "At what cost"]
 """The tables in which metrics stand."""
+
+_CHOICES = {"direction": ("higher", "lower", None), "block": get_args(Block), "statistic": get_args(Statistic)}
 
 
 def number(value: float | None) -> str:
@@ -62,6 +65,9 @@ class Metric:
         source: the metric whose episodes it summarises; its own where left out.
         statistic: over episodes: the mean, or the mean of the worst tenth ("cvar").
         is_timing: whether it is a measured time, which another run does not repeat; such metrics are kept apart.
+
+    Raises:
+        ValueError: for another direction, block or statistic, or a value that cannot be called.
     """
 
     name: str
@@ -77,6 +83,12 @@ class Metric:
     is_timing: bool = False
 
     def __post_init__(self) -> None:
+        for name, choices in _CHOICES.items():
+            if (given := getattr(self, name)) not in choices:
+                expected = " or ".join(map(repr, choices))
+                raise ValueError(f"the {name} of metric {self.name!r} is {expected}, got {given!r}")
+        if not (self.value is None or callable(self.value)):
+            raise ValueError(f"the value of metric {self.name!r} is a function of a Rollout, got {self.value!r}")
         object.__setattr__(self, "source", self.source or self.name)
 
     @property
@@ -104,17 +116,33 @@ def register(metric: Metric) -> Metric:
     """Add a metric to :data:`METRICS`; workers get it too.
 
     Raises:
-        ValueError: when the name is taken.
+        ValueError: when the name is taken, or the metric follows from nothing.
     """
     if metric.name in METRICS:
         raise ValueError(f"there is a metric {metric.name!r} already: choose another name")
+    if metric.value is None and metric.source not in METRICS:
+        raise ValueError(f"metric {metric.name!r} needs a value, a function of a Rollout, or the source of one")
     METRICS[metric.name] = metric
     return metric
 
 
 def measure(rollout: Rollout) -> dict[str, FloatArray]:
-    """Every metric that follows from a rollout, by name, one value per episode: shape (B,)."""
-    return {metric.name: metric.value(rollout) for metric in METRICS.values() if metric.value is not None}
+    """Every metric that follows from a rollout, by name, one value per episode: shape (B,).
+
+    Raises:
+        ValueError: naming the metric, when its function raises or returns something else.
+    """
+    measured, shape = {}, rollout.diverged.shape
+    for name, metric in METRICS.items():
+        if metric.value is None:
+            continue
+        try:
+            measured[name] = np.asarray(metric.value(rollout), dtype=np.float64)
+        except Exception as error:
+            raise ValueError(f"metric {name!r} raised {describe(error)}") from error
+        if (found := measured[name].shape) != shape:
+            raise ValueError(f"metric {name!r} must return one number per episode, shape {shape}, got shape {found}")
+    return measured
 
 
 def settling_time(times: FloatArray, strategy_distance: FloatArray) -> FloatArray:

@@ -14,6 +14,7 @@ from ptne_env.evaluation.audit import Witness
 from ptne_env.perception.encoder import Encoder
 from ptne_env.perception.policy import Policy, PolicyError, decision, describe
 from ptne_env.shared.arrays import BoolArray, Float32Array, FloatArray, IntArray, ordered_sum
+from ptne_env.shared.names import unknown_name
 from ptne_env.world import distances, dynamics
 from ptne_env.world.dynamics import State
 from ptne_env.world.rewards import REWARD_LIMIT
@@ -45,8 +46,10 @@ class Rollout:
         """A series by name, shape (instants or steps, B).
 
         Raises:
-            KeyError: when there is no such series.
+            KeyError: naming the series that there are, when there is no such one.
         """
+        if series not in self.series:
+            raise KeyError(unknown_name("series", series, self.series))
         return self.series[series]
 
 

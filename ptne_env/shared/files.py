@@ -1,12 +1,10 @@
-"""Atomic writes, and reads that detect damage."""
+"""Atomic writes, and checks before files are read and written."""
 
 from __future__ import annotations
 
-import json
 import os
 import tempfile
 from pathlib import Path
-from typing import Any
 
 
 class DamagedFileError(ValueError):
@@ -48,41 +46,6 @@ def _replace(path: Path, data: bytes) -> None:
     except BaseException:
         Path(temporary).unlink(missing_ok=True)
         raise
-
-
-def read_json(path: Path, kind: str) -> dict[str, Any]:
-    """The JSON object in a file.
-
-    Args:
-        path: of the file.
-        kind: of file, for the message, such as "a file of results".
-
-    Raises:
-        OSError: when there is no such file, or it cannot be read.
-        DamagedFileError: naming ``path``, when it holds no JSON object, or part of one.
-    """
-    if path.exists() and not path.is_file():  # a pipe or a device may never end
-        raise DamagedFileError(f"{path} is not {kind}: it is no file")
-    data = path.read_bytes()
-    try:
-        value = json.loads(data, object_pairs_hook=_object, parse_constant=_refuse)
-    except (ValueError, RecursionError) as error:
-        raise DamagedFileError(f"{path} is not {kind}: it is cut off, damaged or something else ({error})") from error
-    if not isinstance(value, dict):
-        raise DamagedFileError(f"{path} is not {kind}: expected a JSON object, got {type(value).__name__}")
-    return value
-
-
-def _object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    """A JSON object; readers differ in which of two values of one key they take."""
-    value = dict(pairs)
-    if len(value) < len(pairs):
-        raise ValueError("an object has a key twice")
-    return value
-
-
-def _refuse(constant: str) -> None:
-    raise ValueError(f"{constant} is not JSON")
 
 
 def require_file(path: str | Path) -> None:

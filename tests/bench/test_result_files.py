@@ -6,7 +6,8 @@ import pytest
 
 import ptne_env
 from ptne_env import evaluate
-from ptne_env.bench.files import read_results, results_of
+from ptne_env.bench.files import read_json, read_results, results_of
+from ptne_env.shared.files import DamagedFileError
 
 
 @pytest.fixture(scope="module")
@@ -33,7 +34,7 @@ def test_json_holds_everything_and_no_nan_and_reads_back(results, tmp_path):
     [
         (lambda text: text[: len(text) // 2], "cut off"),
         (lambda text: text.replace('"seed":2', '"seed":3', 1), "damaged or changed"),
-        (lambda text: text.replace('"format":6', '"format":5', 1), "no file of results of format"),
+        (lambda text: text.replace('"format":', '"format":9', 1), "no file of results of format"),
         (lambda text: "{}", "no file of results"),
         (lambda text: text.replace('"name"', '"seed":1,"seed":2,"name"', 1), "a key twice"),
         (lambda text: text + " " * 2**25, "larger than 32 MiB"),
@@ -50,3 +51,21 @@ def test_damaged_foreign_and_huge_files_are_refused(results, tmp_path, change, m
 def test_data_of_another_form_are_no_results(results, change):
     with pytest.raises(ValueError, match="not results"):
         results_of(json.loads(results.to_json()) | change)
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        (b"\xff\xfe\x00", "cut off, damaged or something else"),
+        (b'{"a": 1', "cut off, damaged or something else"),
+        (b"[" * 100_000, "cut off, damaged or something else"),
+        (b"[]", "expected a JSON object, got list"),
+        (b'{"a": NaN}', "NaN is not JSON"),
+        (b'{"a": 1, "a": 2}', "an object has a key twice"),
+    ],
+)
+def test_a_damaged_json_file_is_refused_by_name(tmp_path, content, message):
+    path = tmp_path / "file.json"
+    path.write_bytes(content)
+    with pytest.raises(DamagedFileError, match=f"file.json is not a note: .*{message}"):
+        read_json(path, "a note")

@@ -1,11 +1,11 @@
-"""Metrics: their ranges."""
+"""Metrics: their ranges, and those that a user declares wrongly."""
 
 import numpy as np
 import pytest
 from small_suite import BASE
 
 from ptne_env import evaluate
-from ptne_env.evaluation import METRICS
+from ptne_env.evaluation import METRICS, Metric, register
 
 
 def test_every_metric_of_a_run_lies_in_its_range():
@@ -26,3 +26,41 @@ def test_every_metric_of_a_run_lies_in_its_range():
 def test_metrics_refuse_values_outside_their_range(metric, good, bad):
     assert METRICS[metric].admits(np.array([good, np.nan]))
     assert not METRICS[metric].admits(np.array([good, bad]))
+
+
+@pytest.mark.parametrize(
+    ("value", "message"),
+    [
+        (lambda rollout: rollout["strategy_distance"], r"one number per episode, shape \(3,\), got shape \(\d+, 3\)"),
+        (lambda rollout: 1.0, r"one number per episode, shape \(3,\), got shape \(\)"),
+        (lambda rollout: None, r"one number per episode, shape \(3,\), got shape \(\)"),
+        (lambda rollout: rollout["strategy_distances"][0], r"unknown series 'strategy_distances'; did you mean 'str"),
+        (lambda rollout: rollout["speed"][0], r"unknown series 'speed'; choose from strategy_distance, estimate_dist"),
+        (lambda rollout: rollout.speed, r"has no attribute 'speed' \(test_metrics.py, line \d+\)"),
+        (lambda: 1.0, r"raised TypeError: .*positional argument"),
+        (lambda rollout: ["x"] * 3, r"raised ValueError: could not convert"),
+    ],
+)
+def test_a_metric_that_fails_is_named_with_what_was_expected(monkeypatch, value, message):
+    monkeypatch.setitem(METRICS, "mine", Metric("mine", "mine", "a number", value=value))
+    with pytest.raises(ValueError, match=f"metric 'mine' .*{message}"):
+        evaluate("static", BASE, episodes=3)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"direction": "up"}, "direction of metric 'mine' is 'higher' or 'lower' or None, got 'up'"),
+        ({"block": "At what price"}, "block of metric 'mine' is 'How close' or 'At what cost', got 'At what price'"),
+        ({"statistic": "median"}, "statistic of metric 'mine' is 'mean' or 'cvar', got 'median'"),
+        ({"value": 3.0}, "value of metric 'mine' is a function of a Rollout, got 3.0"),
+        ({}, "metric 'mine' needs a value, a function of a Rollout, or the source"),
+        ({"source": "digit"}, "metric 'mine' needs a value, a function of a Rollout, or the source"),
+        ({"name": "digits"}, "there is a metric 'digits' already"),
+    ],
+)
+def test_a_metric_that_is_declared_wrongly_is_refused(arguments, message):
+    declared = {"name": "mine", "heading": "mine", "meaning": "a number"} | arguments
+    with pytest.raises(ValueError, match=message):
+        register(Metric(**declared))
+    assert "mine" not in METRICS

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from ptne_env.shared.files import DamagedFileError, read_json, require_file, require_writable, write_atomically
+from ptne_env.shared.files import require_file, require_writable, write_atomically
 
 
 def test_folders_are_made_and_text_is_written_as_utf8(tmp_path):
@@ -46,24 +46,6 @@ def test_a_pipe_is_written_to_and_not_replaced(tmp_path):
     write_atomically(pipe, "through the pipe")
     assert reader.communicate(timeout=30)[0] == b"through the pipe"
     assert pipe.is_fifo()
-
-
-@pytest.mark.parametrize(
-    ("content", "message"),
-    [
-        (b"\xff\xfe\x00", "cut off, damaged or something else"),
-        (b'{"a": 1', "cut off, damaged or something else"),
-        (b"[" * 100_000, "cut off, damaged or something else"),
-        (b"[]", "expected a JSON object, got list"),
-        (b'{"a": NaN}', "NaN is not JSON"),
-        (b'{"a": 1, "a": 2}', "an object has a key twice"),
-    ],
-)
-def test_a_damaged_json_file_is_refused_by_name(tmp_path, content, message):
-    path = tmp_path / "file.json"
-    path.write_bytes(content)
-    with pytest.raises(DamagedFileError, match=f"file.json is not a note: .*{message}"):
-        read_json(path, "a note")
 
 
 def test_an_obstacle_to_writing_is_found_beforehand(tmp_path):

@@ -24,12 +24,13 @@ from stable_baselines3.common.callbacks import BaseCallback, CheckpointCallback,
 from stable_baselines3.common.utils import LinearSchedule
 
 from ptne_env.bench import find_scenario
+from ptne_env.bench.files import read_json
 from ptne_env.envs.sb3 import PlayerVecEnv
 from ptne_env.evaluation import PolicySpec, evaluate
 from ptne_env.learn.learned import load
 from ptne_env.learn.training.configuration import Configuration
 from ptne_env.learn.training.export import to_onnx
-from ptne_env.shared.files import read_json, write_atomically
+from ptne_env.shared.files import write_atomically
 from ptne_env.world.scenario import Scenario
 
 Progress = Callable[[int, int, float], None]
