@@ -1,5 +1,5 @@
 # Two commands, each complete on a fresh machine with Python 3.11 or newer and make:
-#   make compare   installs the package in .venv, runs laws and learned policies, ends with the answer
+#   make compare   installs the package in .venv, runs laws and learned policies on ptne-v1, ends with the answer
 #   make test      installs test tools with PyTorch, runs linters, types and tests
 
 PYTHON ?= python3
@@ -13,7 +13,7 @@ CORE    = tests/shared tests/games tests/world tests/perception tests/laws tests
 .PHONY: compare test lint types unit core publish reproduce docs soak smoke ray lowest newest clean
 
 compare: $(VENV)/.bench
-	$(BIN)/ptne compare --episodes 50 --out $(OUT)/comparison
+	$(BIN)/ptne compare --out $(OUT)/ptne-v1
 
 test: lint types unit
 

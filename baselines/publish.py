@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import argparse
 import csv
+import math
 import re
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
@@ -15,12 +16,12 @@ from pathlib import Path
 from ptne_env import CATALOGUE, evaluate
 from ptne_env.bench import Runner, Workers, leaderboard, run_suite
 from ptne_env.evaluation import COMPARED, POLICIES, Results
-from ptne_env.evaluation.metrics import share
+from ptne_env.evaluation.metrics import number
 from ptne_env.shared.files import write_atomically
 
 ROOT = Path(__file__).parents[1]
 RESULTS = ROOT / "baselines" / "results.csv"
-METRICS = ("digits", "digits_after_hold", "digits_cvar", "settling_time", "settled_share", "diverged_share")
+METRICS = ("digits", "mean_regret", "digits_cvar", "settling_time", "settled_share", "diverged_share")
 """The metrics in the file."""
 
 SHOWN = ("static", "static-tuned", "grounded", "routed-unknown", "contact-relay", "observer-relay", "ppo-random-energy")
@@ -38,14 +39,12 @@ def rows_of(results: Results) -> Iterable[Row]:
         if record["metric"] in METRICS and record["mean"] is not None:
             numbers = {key: f"{record[key]:.7g}" for key in ("mean", "low", "high")}
             yield {"suite": results.name, **{key: str(value) for key, value in record.items()}, **numbers}
-    board = leaderboard(results)
-    for row in () if board is None else board.overall:
-        for metric, found in (("score", row.score), ("improvement", row.improvement)):
-            numbers = {key: f"{getattr(found, key):.7g}" for key in ("mean", "low", "high")}
-            yield {"suite": results.name, "track": ALL, "policy": row.policy, "metric": metric, **numbers}
+    for row in leaderboard(results) or ():
+        common = {"suite": results.name, "track": ALL, "policy": row.policy}
+        for metric, found in (("score", row.score), ("mean_regret", row.mean_regret)):
+            yield {**common, "metric": metric, **{key: f"{getattr(found, key):.7g}" for key in ("mean", "low", "high")}}
         if row.mean_rank is not None:
-            mean = f"{row.mean_rank:.7g}"
-            yield {"suite": results.name, "track": ALL, "policy": row.policy, "metric": "rank", "mean": mean}
+            yield {**common, "metric": "rank", "mean": f"{row.mean_rank:.7g}"}
 
 
 class Published:
@@ -59,14 +58,20 @@ class Published:
         """The tracks or policies of a suite, in the order of the file."""
         return list(dict.fromkeys(row[key] for row in self.rows if row["suite"] == suite and row["track"] != ALL))
 
-    def digits(self, suite: str, track: str, policy: str) -> Row | None:
-        """The metric that ranks a track."""
-        after = self._cells.get((suite, track, policy, "digits_after_hold"))
-        return after if track == "hold" and after else self._cells.get((suite, track, policy, "digits"))
+    def cell(self, suite: str, track: str, policy: str, metric: str = "digits") -> Row | None:
+        """A number on a track, or over all (:data:`ALL`)."""
+        return self._cells.get((suite, track, policy, metric))
 
-    def cell(self, suite: str, policy: str, metric: str) -> Row | None:
-        """A number over all tracks."""
-        return self._cells.get((suite, ALL, policy, metric))
+    def ranked(self, suite: str, track: str) -> list[str]:
+        """The policies that act on a track, the best first: by digits to two decimals, then by mean regret."""
+
+        def key(policy: str) -> tuple[float, float]:
+            regret = self.cell(suite, track, policy, "mean_regret")
+            return -round(float(found[policy]["mean"]), 2), math.inf if regret is None else float(regret["mean"])
+
+        cells = {policy: self.cell(suite, track, policy) for policy in self.names("policy", suite)}
+        found = {policy: cell for policy, cell in cells.items() if cell is not None}
+        return sorted(found, key=key)
 
 
 def plain(row: Row | None) -> str:
@@ -74,11 +79,11 @@ def plain(row: Row | None) -> str:
     return "–" if row is None else f"{float(row['mean']):.2f}"
 
 
-def with_interval(row: Row | None, write: Callable[[float], str] = "{:.2f}".format) -> str:
+def with_interval(row: Row | None) -> str:
     """The mean with its 95 % interval."""
     if row is None:
         return "–"
-    mean, low, high = (write(float(row[key])) for key in ("mean", "low", "high"))
+    mean, low, high = (f"{float(row[key]):.2f}" for key in ("mean", "low", "high"))
     return mean if low == high else f"{mean} [{low}, {high}]"
 
 
@@ -89,51 +94,66 @@ def markdown(headings: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
     )
 
 
-def by_track(found: Published, suite: str, policies: Sequence[str], tracks: Sequence[str] | None = None) -> str:
-    """A row per track and a column per policy."""
-    chosen = found.names("track", suite) if tracks is None else tracks
-    rows = [[track, *(plain(found.digits(suite, track, policy)) for policy in policies)] for track in chosen]
+def regret(row: Row | None) -> str:
+    """A mean regret with three significant digits; a dash where there is none."""
+    return "–" if row is None else number(float(row["mean"]))
+
+
+def by_track(found: Published, suite: str, policies: Sequence[str]) -> str:
+    """A row per track and a column per policy; of a suite also the scores and mean regrets over all scored tracks."""
+    rows = [
+        [track, *(plain(found.cell(suite, track, policy)) for policy in policies)]
+        for track in found.names("track", suite)
+    ]
+    if found.cell(suite, ALL, policies[0], "score") is not None:
+        rows.append(["**score**", *(plain(found.cell(suite, ALL, policy, "score")) for policy in policies)])
+        rows.append(["mean regret", *(regret(found.cell(suite, ALL, policy, "mean_regret")) for policy in policies)])
     return markdown([suite.replace("comparison", "scenario"), *policies], rows)
 
 
 def headline(found: Published) -> str:
-    """The score on ptne-v1, and the digits on some of its tracks, of a few policies."""
-    tracks = ("nominal", "switching-transformed", "delay", "noise", "large-20", "robots")
+    """The score and mean regret on ptne-v1, and the digits on some of its tracks, of a few policies."""
+    tracks = ("switching-physical", "rough-links", "rounding", "liar", "curved", "crowd-50")
     rows = [
         [
             policy,
-            with_interval(found.cell("ptne-v1", policy, "score"), share),
-            *(plain(found.digits("ptne-v1", track, policy)) for track in tracks),
+            with_interval(found.cell("ptne-v1", ALL, policy, "score")),
+            regret(found.cell("ptne-v1", ALL, policy, "mean_regret")),
+            *(plain(found.cell("ptne-v1", track, policy)) for track in tracks),
         ]
         for policy in ("zero-input", *SHOWN, "oracle")
     ]
-    return markdown(["policy", "score on ptne-v1", *tracks], rows)
+    return markdown(["policy", "score on ptne-v1", "mean regret", *tracks], rows)
 
 
 def overall(found: Published) -> str:
-    """Scores and ranks of all policies on ptne-v1."""
+    """Scores, mean regrets and ranks of all policies on ptne-v1."""
     rows = [
         [
             row["policy"],
-            with_interval(row, share),
-            with_interval(found.cell("ptne-v1", row["policy"], "improvement"), share),
-            plain(found.cell("ptne-v1", row["policy"], "rank")),
+            with_interval(row),
+            regret(found.cell("ptne-v1", ALL, row["policy"], "mean_regret")),
+            plain(found.cell("ptne-v1", ALL, row["policy"], "rank")),
         ]
         for row in found.rows
         if row["metric"] == "score"
     ]
-    return markdown(["policy", "score", "P(better than static)", "mean rank"], rows)
+    return markdown(["policy", "score", "mean regret", "mean rank"], rows)
 
 
 def every(found: Published, suite: str) -> str:
-    """All policies on every track, the best first, with intervals."""
-    rows = []
-    for track in found.names("track", suite):
-        cells = {policy: found.digits(suite, track, policy) for policy in found.names("policy", suite)}
-        known = {policy: cell for policy, cell in cells.items() if cell is not None}
-        ranked = sorted(known, key=lambda policy: -float(known[policy]["mean"]))
-        rows += [[track, policy, with_interval(known[policy])] for policy in ranked]
-    return markdown([suite.replace("comparison", "scenario"), "policy", "digits"], rows)
+    """All policies on every track, the best first: digits with intervals, and mean regrets."""
+    rows = [
+        [
+            track,
+            policy,
+            with_interval(found.cell(suite, track, policy)),
+            regret(found.cell(suite, track, policy, "mean_regret")),
+        ]
+        for track in found.names("track", suite)
+        for policy in found.ranked(suite, track)
+    ]
+    return markdown([suite.replace("comparison", "scenario"), "policy", "digits", "mean regret"], rows)
 
 
 TABLES: dict[str, Callable[[Published], str]] = {

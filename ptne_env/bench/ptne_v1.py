@@ -11,7 +11,7 @@ from ptne_env.world.catalogue import get_scenario
 part = FactorySpec.of
 
 RANGE = 100.0
-"""R of every track, 3 to 5 times the largest start or equilibrium: starts are U(−20, 20), equilibria within ±33."""
+"""R, 3 to 5 times the largest start or equilibrium: starts are U(−20, 20), equilibria of energy games within ±33."""
 
 
 def _noisy(std: float, *stages: FactorySpec) -> FactorySpec:
@@ -25,14 +25,8 @@ def _graphs(players: int, probability: float) -> FactorySpec:
     return part("topology:random-graphs", players=players, probability=probability)
 
 
-def _switching(shortest: float, longest: float, clock: str) -> FactorySpec:
-    """Every link of a graph of seven links is up with probability 0.4, drawn again after every dwell."""
-    edges = [(0, 1), (1, 2), (2, 3), (3, 4), (4, 0), (0, 2), (0, 3)]
-    graph = part("topology:edges", players=5, edges=edges)
-    return part(
-        "topology:random-edges", graph=graph, probability=0.4, dwells=(shortest, longest), modes=64, clock=clock
-    )
-
+LINKS = ((0, 1), (1, 2), (2, 3), (3, 4), (4, 0), (0, 2), (0, 3))
+"""The links that go up and down at random: the 5-cycle and two chords."""
 
 BASE = get_scenario("random-energy").replace(
     topology=_graphs(5, 0.4), slots=4, channel=_noisy(0.001), message_range=RANGE, steps=300
@@ -55,21 +49,28 @@ def _track(
 TRACKS = (
     _track(
         "nominal",
-        "The sanity track: the 5-cycle, and messages without noise.",
+        "The base without noise and range: a check that a policy works at all.",
         scored=False,
         channel="perfect",
         message_range=None,
     ),
-    _track("base", "Base."),
     _track(
         "switching-physical",
-        "Links go up and down at random, every 0.05 to 0.15 s of physical time.",
-        topology=_switching(0.05, 0.15, "physical"),
+        "The paper's four graphs in turn, each disconnected, for 0.1 s of physical time.",
+        topology=part("topology:paper", dwell=0.1, clock="physical"),
     ),
     _track(
         "switching-transformed",
-        "Links go up and down at random, every 0.1 to 0.4 of transformed time.",
-        topology=_switching(0.1, 0.4, "transformed"),
+        "Links go up and down at random, every 0.1 to 0.4 of transformed time; noise is 0.3.",
+        topology=part(
+            "topology:random-edges",
+            graph=part("topology:edges", players=5, edges=LINKS),
+            probability=0.4,
+            dwells=(0.1, 0.4),
+            modes=64,
+            clock="transformed",
+        ),
+        channel=_noisy(0.3),
     ),
     _track(
         "rough-links",
@@ -81,42 +82,48 @@ TRACKS = (
     _track("rounding", "Messages are rounded to multiples of 0.5.", channel=part("channel:rounding", width=0.5)),
     _track(
         "liar",
-        "One player adds a constant of up to 1 to all that it says of other players.",
-        channel=_noisy(0.001, part("channel:liar", size=1.0)),
+        "One player adds a constant of up to 20 to all that it says of other players.",
+        channel=_noisy(0.001, part("channel:liar", size=20.0)),
     ),
     _track(
         "short-deadline",
-        "A tenth of the time in a tenth of the steps, and inputs are limited: T = 0.12, 30 steps.",
+        "T = 0.12 in 30 steps, a tenth of the time, and inputs are limited to 50.",
         deadline=0.12,
         steps=30,
-        input_limit=20.0,
+        input_limit=50.0,
     ),
     _track(
         "strangers",
-        "Players 2 and 4 of 5 follow the paper's static law.",
-        teammates=Teammates(part("law:static", kappa=2.0), (1, 3)),
+        "Two of five players follow the paper's static law with a small gain, beside every policy; noise is 0.01.",
+        teammates=Teammates(part("law:static", kappa=0.4), (1, 3)),
+        channel=_noisy(0.01),
     ),
     _track(
         "monotone",
         "Random affine games that are monotone and not strongly monotone.",
         game=part("game:random-affine", epsilon=0.0),
     ),
-    _track("curved", "Prices saturate with a strong bend.", game=part("game:random-saturating", bend=20.0)),
+    _track(
+        "curved",
+        "Random games whose prices saturate, so that curvature is up to 20 times as large near some strategies.",
+        game=part("game:random-saturating", bend=20.0),
+    ),
     _track(
         "uneven-box",
-        "Random affine games of players with 1, 2, 3, 1 and 2 components in a box.",
+        "Random affine games of players with 1, 2, 3, 1 and 2 components, whose strategies are confined to a box.",
         game=part("game:random-affine", action_dim=(1, 2, 3, 1, 2), low=-5.0, high=5.0),
     ),
     _track(
         "coupled",
-        "Two shared constraints, priced by a sixth player: a variational generalised Nash equilibrium.",
+        "Two constraints that five players share, priced by a sixth: a variational generalised Nash equilibrium.",
         game=part("game:coupled", game=part("game:random-energy", players=5), lines=2),
         topology=_graphs(6, 0.4),
         slots=5,
+        message_range=1.5 * RANGE,  # prices are up to 45
     ),
     _track(
         "crowd-50",
-        "50 players on a sparse graph.",
+        "50 players on a circulant graph of degree 4, their total coupling that of five.",
         game=part("game:random-energy", players=50, coupling=(0.005, 0.03)),
         topology=part("topology:circulant", players=50, offsets=(1, 7)),
         slots=None,

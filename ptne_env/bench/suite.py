@@ -114,7 +114,7 @@ def world_names() -> list[str]:
 
 
 def find_scenario(name: str) -> Scenario:
-    """A scenario of the catalogue by name, of a track, such as ``"ptne-v1/delay"``, or by ``"module:object"``.
+    """A scenario of the catalogue by name, of a track, such as ``"ptne-v1/liar"``, or by ``"module:object"``.
 
     The object is a scenario, or a function without arguments that makes one.
 

@@ -22,6 +22,9 @@ from ptne_env.shared.files import write_atomically
 from ptne_env.shared.names import unknown_name
 from ptne_env.world.catalogue import CATALOGUE
 
+SUITE = "ptne-v1"
+"""The suite that is run where neither a suite nor a scenario is named."""
+
 _HOLD_STEPS = 25
 
 _PAGE_SHARE = 25
@@ -40,8 +43,8 @@ def compare(
         list[str] | None,
         typer.Argument(
             metavar="[SCENARIO]...",
-            help="Scenarios by name or 'module:object', or tracks of one suite, such as ptne-v1/delay; with --suite "
-            "the names of tracks. All if left out. See 'ptne list'.",
+            help="Scenarios by name or 'module:object', or tracks of one suite, such as ptne-v1/liar; with --suite "
+            "the names of tracks. All tracks of the suite if left out. See 'ptne list'.",
             autocompletion=world_names,
         ),
     ] = None,
@@ -49,8 +52,8 @@ def compare(
     suite: Annotated[
         str | None,
         typer.Option(
-            help="Run the tracks of a suite, such as ptne-v1, instead of scenarios; 'module:object' runs code of that "
-            "module.",
+            help="Run the tracks of a suite instead of scenarios; 'module:object' runs code of that module.",
+            show_default=f"{SUITE}, where no scenario is named",
             autocompletion=lambda: list(SUITES),
         ),
     ] = None,
@@ -59,8 +62,8 @@ def compare(
         typer.Option(
             help="A policy by name, an .onnx file, a Stable-Baselines3 .zip, 'module:object' that is called with the "
             "layout and returns something with predict(), or 'name=pattern' for the files of several training seeds; "
-            "separate several by commas, or repeat. If left out: the paper's laws, references, the strongest laws and "
-            "two learned policies; with --suite, every policy that 'ptne list' shows.",
+            "separate several by commas, or repeat. If left out: every policy that 'ptne list' shows; on scenarios, "
+            "the paper's laws, references, the strongest laws and learned policies.",
             autocompletion=_complete_policy,
         ),
     ] = None,
@@ -82,7 +85,7 @@ def compare(
         typer.Option(
             help="Folder of results.json, results.csv, report.html and the finished jobs, from which an interrupted "
             "run goes on. With '--json -' nothing is written unless it is given.",
-            show_default="results/comparison, or results/SUITE",
+            show_default="results/SUITE, or results/comparison",
         ),
     ] = None,
     details: Annotated[bool, typer.Option("--details", help="Print the tables of all metrics too.")] = False,
@@ -96,7 +99,7 @@ def compare(
     json: options.Json = None,
     trust: options.Trust = False,
 ) -> None:
-    """Run policies on scenarios and print how close they come to the equilibrium by the deadline.
+    """Run policies on a suite or on scenarios, and print how close they come to the equilibrium by the deadline.
 
     The output is one table, one or two sentences and the place of the page, which has all metrics, the error over time
     and an episode to play.
@@ -147,6 +150,8 @@ def compare(
 
 def _tracks_of(suite: str | None, names: list[str]) -> tuple[str | None, list[str]]:
     """The suite that the names belong to, ``None`` for scenarios, and the names without it."""
+    if not names:
+        return suite or SUITE, []
     suites = {name.rpartition("/")[0] or suite for name in names} or {suite}
     if len(suites) > 1 or suite not in (None, *suites):
         raise ValueError(
@@ -165,7 +170,7 @@ def _results(
     hold_steps: int | None,
     run: Runner,
 ) -> Results:
-    """The results on tracks of a suite, or on scenarios; on all without places, and of the default policies without."""
+    """The results on tracks of a suite, on all without places, or on scenarios."""
     if suite is not None:
         if hold_steps is not None:
             raise ValueError("a suite fixes the steps after the deadline: leave out --hold-steps")
@@ -178,7 +183,7 @@ def _results(
             raise ValueError(unknown_name("scenario", name, world_names()))
     return evaluate(
         policies or COMPARED,
-        places or CATALOGUE,
+        places,
         episodes=episodes or EPISODES,
         seed=seed,
         hold_steps=_HOLD_STEPS if hold_steps is None else hold_steps,

@@ -18,7 +18,7 @@ World: TypeAlias = Annotated[
     str,
     typer.Argument(
         metavar="SCENARIO",
-        help="A scenario by name, or a track such as ptne-v1/delay; see 'ptne list'. 'module:object' runs code of that "
+        help="A scenario by name, or a track such as ptne-v1/liar; see 'ptne list'. 'module:object' runs code of that "
         "module.",
         autocompletion=world_names,
     ),

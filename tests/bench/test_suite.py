@@ -75,7 +75,7 @@ def test_scenarios_and_suites_are_found_by_name_and_address(monkeypatch):
     with pytest.raises(ValueError, match="unknown scenario 'delay'"):
         find_scenario("delay")
     with pytest.raises(ValueError, match="some of its players follow a fixed policy"):
-        find_scenario("ptne-v1/mixed-team")
+        find_scenario("ptne-v1/strangers")
 
 
 def test_a_run_includes_the_reference_policies_and_refuses_their_names():

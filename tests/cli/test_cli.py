@@ -70,8 +70,8 @@ def test_every_command_has_help(command, run):
     [
         ("compare energie", "unknown scenario 'energie'; did you mean 'energy'?"),
         ("compare energy static", "'static' is a policy, no scenario: write --policy static"),
-        ("compare energy ptne-v1/delay", "of scenarios, or of the tracks of one suite"),
-        ("compare ptne-v1/delay --suite ptne-v2", "of scenarios, or of the tracks of one suite"),
+        ("compare energy ptne-v1/liar", "of scenarios, or of the tracks of one suite"),
+        ("compare ptne-v1/liar --suite ptne-v2", "of scenarios, or of the tracks of one suite"),
         ("compare nominal", "unknown scenario 'nominal'; did you mean 'ptne-v1/nominal'?"),
         ("compare --policy Grounded", "unknown policy 'Grounded'; did you mean 'grounded'"),
         ("compare --episodes 0", "--episodes"),
@@ -79,7 +79,7 @@ def test_every_command_has_help(command, run):
         ("compare --suite ptne-v0", "unknown suite 'ptne-v0'; did you mean 'ptne-v1'?"),
         ("compare --suite ptne-v1 nominl", "did you mean 'nominal'?"),
         ("compare --suite ptne-v1 --hold-steps 3", "leave out --hold-steps"),
-        ("render delay static --out x.gif", "unknown scenario 'delay'; did you mean 'ptne-v1/delay'?"),
+        ("render liar static --out x.gif", "unknown scenario 'liar'; did you mean 'ptne-v1/liar'?"),
         ("render energy static --out run.avi", "a video is written to .gif, .html"),
         ("certify energie", "unknown scenario 'energie'"),
         ("certify energy --kappa -1", "kappa"),
@@ -236,11 +236,11 @@ def test_details_print_the_tables_of_all_metrics(run):
 
 def test_tracks_are_named_with_their_suite_or_after_it(run, tmp_path):
     words = "--policy zero-input --episodes 1 --jobs 1 --no-report"
-    assert run(f"compare ptne-v1/delay {words} --out one").code == 0
-    assert run(f"compare --suite ptne-v1 delay {words} --out two").code == 0
+    assert run(f"compare ptne-v1/liar {words} --out one").code == 0
+    assert run(f"compare --suite ptne-v1 liar {words} --out two").code == 0
     found = [json.loads((tmp_path / name / "results.json").read_text(encoding="utf-8")) for name in ("one", "two")]
     assert found[0]["checksum"] == found[1]["checksum"]
-    assert list(found[0]["episodes"]) == ["delay"]
+    assert list(found[0]["episodes"]) == ["liar"]
 
 
 TALKATIVE = """
@@ -297,7 +297,7 @@ def test_json_on_stdout_is_json_alone_when_other_code_prints(words, own_module):
 
 def test_list_names_everything_and_writes_json(run, tmp_path):
     outcome = run("list --json listed.json")
-    for name in ("energy-switching-transformed", "corollary-one", "oracle", "input_energy", "ptne-v1/mixed-team"):
+    for name in ("energy-switching-transformed", "corollary-one", "oracle", "input_energy", "ptne-v1/strangers"):
         assert name in outcome.out.splitlines()
     listed = json.loads((tmp_path / "listed.json").read_text(encoding="utf-8"))
     assert set(listed) == {"scenarios", "policies", "metrics", "suites"}
@@ -393,7 +393,7 @@ def is_alive(group):
 @pytest.mark.parametrize(
     "words",
     [
-        "compare --suite ptne-v1 delay noise --policy adaptive,grounded --jobs 2 --out out",
+        "compare --suite ptne-v1 liar rounding --policy adaptive,grounded --jobs 2 --out out",
         "render energy static --out out.gif --pictures 400",
     ],
 )
@@ -419,7 +419,7 @@ def test_a_terminal_gets_colours_and_none_with_no_color(tmp_path):
     [
         (["ptne", ""], set(COMMANDS)),
         (["ptne", "compare", "--policy", "static,gr"], {"static,grounded"}),
-        (["ptne", "compare", "ptne-v1/large"], {"ptne-v1/large-20", "ptne-v1/large-50"}),
+        (["ptne", "compare", "ptne-v1/sw"], {"ptne-v1/switching-physical", "ptne-v1/switching-transformed"}),
         (["ptne", "train", "random-e"], {"random-energy"}),
     ],
     ids=lambda value: " ".join(value) if isinstance(value, list) else "",

@@ -17,7 +17,7 @@ from ptne_env.cli.options import foreign_names
         ("C:/mine.onnx", []),
         ("law:static", []),
         ("static", []),
-        ("ptne-v1/delay", []),
+        ("ptne-v1/liar", []),
         (None, []),
     ],
 )

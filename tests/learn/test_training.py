@@ -51,7 +51,7 @@ def test_a_configuration_is_a_file_or_a_scenario(tmp_path):
     path.write_text('scenario = "robots"\nseed = 7\nhidden = [32]\n', encoding="utf-8")
     assert Configuration.from_toml(path) == Configuration("robots", seed=7, hidden=(32,))
     assert Configuration.from_toml(path, seed=0).seed == 0
-    for name in ("robots", "ptne-v1/delay", "nowhere:scenario"):  # nothing is imported
+    for name in ("robots", "ptne-v1/liar", "nowhere:scenario"):  # nothing is imported
         assert Configuration.from_toml(name, steps=3) == Configuration(name, steps=3)
     for name in configurations():
         assert Configuration.from_toml(name).scenario == name
@@ -164,7 +164,7 @@ def test_a_damaged_checkpoint_is_refused_by_name(tmp_path):
     ("change", "message"),
     [
         ({"scenario": "random-enery"}, "unknown scenario 'random-enery'"),
-        ({"scenario": "ptne-v1/mixed-team"}, "more than its scenario"),
+        ({"scenario": "ptne-v1/strangers"}, "more than its scenario"),
         ({"minibatches": 100}, "minibatches must be fewer than the 100 samples of a rollout, got 100"),
     ],
 )

@@ -20,7 +20,7 @@ class Configuration:
     """The definition of a training run. Agent-steps count every player of every environment.
 
     Attributes:
-        scenario: name of a scenario or family of games, of a track such as ``"ptne-v1/delay"``, or ``"module:object"``.
+        scenario: name of a scenario or family of games, of a track such as ``"ptne-v1/liar"``, or ``"module:object"``.
         steps: agent-steps of training.
         envs: environments stepped together.
         rollout: steps of every environment between updates.

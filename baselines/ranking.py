@@ -1,0 +1,68 @@
+"""How much the tracks of ptne-v1 differ, and how sure its ranking is: ``python baselines/ranking.py``.
+
+It prints the pairs of scored tracks with the largest Spearman correlations over all entries that act on both, and
+Kendall's τ between the rankings by score with two seeds of the episodes. Oracles are no entries. Finished jobs are kept
+in the folder ``--out``, which is that of ``publish.py``, and not run again.
+"""
+
+from __future__ import annotations
+
+import argparse
+from itertools import combinations
+from pathlib import Path
+
+from scipy import stats
+
+from ptne_env.bench import Runner, Workers, leaderboard, run_suite
+from ptne_env.evaluation import POLICIES, Results
+
+SEEDS = (0, 1)
+"""Of the episodes of the two rankings."""
+
+
+def correlations(results: Results) -> list[tuple[float, str, str]]:
+    """Spearman's correlation of every pair of scored tracks, the largest first, by digits to two decimals."""
+    found = {
+        track.name: {
+            name: round(digits.mean, 2)
+            for name, digits in results.ranked(track.name).items()
+            if digits.mean is not None and not results.policies[name].is_oracle
+        }
+        for track in results.tracks
+        if track.scored
+    }
+    pairs = []
+    for first, second in combinations(found, 2):
+        both = found[first].keys() & found[second].keys()
+        values = [[found[track][name] for name in both] for track in (first, second)]
+        pairs.append((float(stats.spearmanr(*values).statistic), first, second))
+    return sorted(pairs, reverse=True)
+
+
+def agreement(first: Results, second: Results) -> float:
+    """Kendall's τ between the rankings by score of two runs."""
+    orders = [
+        [row.policy for row in leaderboard(results) or () if row.mean_rank is not None] for results in (first, second)
+    ]
+    return float(stats.kendalltau(range(len(orders[0])), [orders[1].index(name) for name in orders[0]]).statistic)
+
+
+def main() -> None:
+    """Run what is missing, and print."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--out", type=Path, default=Path(__file__).parents[1] / "results" / "published")
+    parser.add_argument("--episodes", type=int, help="the suite's own number if left out")
+    parser.add_argument("--jobs", type=int, default=-1)
+    parser.add_argument("--pairs", type=int, default=10)
+    given = parser.parse_args()
+    runner = Runner(given.out, Workers(given.jobs))
+    first, second = (
+        run_suite("ptne-v1", POLICIES.values(), episodes=given.episodes, seed=seed, run=runner) for seed in SEEDS
+    )
+    for value, *tracks in correlations(first)[: given.pairs]:
+        print(f"Spearman {value:.3f}  {' and '.join(tracks)}")
+    print(f"Kendall's tau between seeds {SEEDS[0]} and {SEEDS[1]}: {agreement(first, second):.3f}")
+
+
+if __name__ == "__main__":
+    main()
