@@ -1,76 +1,115 @@
 """Tune the constants of laws on validation episodes of ptne-v1: ``python baselines/tune.py [LAW]...``.
 
-The constants are those of the entries of ``ptne_env/evaluation/entries.py``; ``tuned.csv`` beside this file is its
-output. The score of constants is the mean digits over some tracks, so that no law is tuned for one world.
+``tuned.csv`` beside this file is its output: the best constants found, and beside them those of the entries in
+``ptne_env/evaluation/entries.py``. The score of constants is the mean digits over some tracks, so that no law is tuned
+for one world.
 """
 
 from __future__ import annotations
 
 import argparse
 import csv
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 from scipy.optimize import differential_evolution
 
 from ptne_env import FactorySpec, PolicySpec
-from ptne_env.bench import run_suite
+from ptne_env.bench import Runner, Workers, get_suite
+from ptne_env.evaluation import POLICIES
+from ptne_env.evaluation.run import compare
 
-LAWS: dict[str, dict[str, tuple[float, float]]] = {
-    "static": {"kappa": (0.5, 10.0), "gradient_gain": (0.5, 10.0)},
-    "fixed-gain": {"kappa": (0.5, 10.0)},
+TUNED: dict[str, dict[str, tuple[float, float]]] = {
+    "static-tuned": {"kappa": (0.5, 10.0), "gradient_gain": (0.1, 10.0)},
     "grounded": {"kappa": (0.5, 20.0)},
     "adaptive-grounded": {"gamma": (1e-5, 1e-1), "initial_gain": (0.5, 20.0)},
     "projected-gradient": {"step": (0.02, 2.0), "mixing": (0.05, 0.5)},
     "routed-unknown": {"step": (0.02, 2.0)},
+    "contact-relay": {"patience": (3.0, 100.0), "forgetting": (0.5, 20.0)},
     "proximal-best-response": {"step": (0.2, 20.0), "mixing": (0.05, 0.5)},
 }
-"""The range of each constant, searched on a logarithmic scale, by law."""
+"""The range of each constant, searched on a logarithmic scale, by entry."""
 
-TRACKS = ("nominal", "switching-transformed", "markov", "noise", "delay", "coarse-step", "unseen-graphs", "robots")
-COLUMNS = ("law", "constants", "digits")
+TRACKS = ("switching-physical", "switching-transformed", "rough-links", "rounding")
+"""Tracks of ptne-v1 with noise on the way."""
 
-
-def digits(law: str, constants: dict[str, float], episodes: int) -> float:
-    """The mean digits of a law over the tracks."""
-    spec = PolicySpec("candidate", FactorySpec.of(f"law:{law}", **constants))
-    results = run_suite("ptne-v1", [spec], tracks=TRACKS, episodes=episodes, split="validation")
-    return float(np.mean([results.record(track, "candidate", "digits")["mean"] for track in TRACKS]))
+COLUMNS = ("policy", "constants", "digits", "constants of the entry", "digits of the entry")
+Constants = dict[str, float]
 
 
-def tuned(law: str, episodes: int, evaluations: int) -> dict[str, str]:
-    """The best constants of a law, as a row of the table."""
-    ranges = LAWS[law]
+class Search:
+    """The search for the constants of one entry.
 
-    def constants(point: np.ndarray) -> dict[str, float]:
-        return {name: float(f"{np.exp(value):.3g}") for name, value in zip(ranges, point, strict=True)}
+    Args:
+        name: of the entry.
+        episodes: validation episodes per track.
+        runner: runs the jobs of all candidates of a generation at once.
+    """
 
-    population = max(4, evaluations // 5)
-    found = differential_evolution(
-        lambda point: -digits(law, constants(point), episodes),
-        [tuple(np.log(limits)) for limits in ranges.values()],
-        popsize=max(1, population // len(ranges)),
-        maxiter=4,
-        polish=False,
-        rng=0,
-    )
-    text = " ".join(f"{name}={value:g}" for name, value in constants(found.x).items())
-    return dict(zip(COLUMNS, (law, text, f"{-found.fun:.2f}"), strict=True))
+    def __init__(self, name: str, episodes: int, runner: Runner) -> None:
+        self.ranges, self.law, self.runner = TUNED[name], POLICIES[name].policy, runner
+        self.entry = {constant: dict(self.law.arguments)[constant] for constant in self.ranges}
+        suite = get_suite("ptne-v1")
+        self.tracks = [suite.track(track) for track in TRACKS]
+        self.episodes = {track: suite.episode_set(track, episodes, split="validation") for track in TRACKS}
+
+    def constants(self, point: np.ndarray) -> Constants:
+        """The constants at a point of the search, with three digits."""
+        return {name: float(f"{np.exp(value):.3g}") for name, value in zip(self.ranges, point, strict=True)}
+
+    def digits(self, candidates: Sequence[Constants]) -> np.ndarray:
+        """The mean digits over the tracks of each candidate."""
+        specs = [
+            PolicySpec(str(number), FactorySpec.of(self.law.target, **dict(self.law.arguments) | constants))
+            for number, constants in enumerate(candidates)
+        ]
+        results = compare("ptne-v1", self.tracks, specs, self.episodes, self.runner)
+        return np.mean(
+            [[results.record(track, spec.name, "digits")["mean"] for spec in specs] for track in TRACKS], axis=0
+        )
+
+    def best(self, generations: int) -> tuple[Constants, float]:
+        """The best constants found, from those of the entry on, and their digits."""
+        found = differential_evolution(
+            lambda points: -self.digits([self.constants(point) for point in np.atleast_2d(points.T)]),
+            [tuple(np.log(limits)) for limits in self.ranges.values()],
+            x0=np.log(list(self.entry.values())),
+            popsize=5,
+            maxiter=generations,
+            polish=False,
+            rng=0,
+            vectorized=True,
+            updating="deferred",
+        )
+        return self.constants(found.x), -float(found.fun)
+
+
+def tuned(name: str, episodes: int, generations: int, runner: Runner) -> dict[str, str]:
+    """The row of the table of one entry."""
+    search = Search(name, episodes, runner)
+    constants, digits = search.best(generations)
+    (before,) = search.digits([search.entry])
+    as_text = [" ".join(f"{key}={value:g}" for key, value in each.items()) for each in (constants, search.entry)]
+    return dict(zip(COLUMNS, (name, as_text[0], f"{digits:.2f}", as_text[1], f"{before:.2f}"), strict=True))
 
 
 def main() -> None:
-    """Tune, print, and write the table."""
+    """Tune and print; write the table when all laws were tuned."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument(
-        "law", nargs="*", metavar="LAW", choices=[*LAWS, []], help=f"of {', '.join(LAWS)}; all if left out"
-    )
-    parser.add_argument("--episodes", type=int, default=20)
-    parser.add_argument("--evaluations", type=int, default=100)
+    parser.add_argument("law", nargs="*", metavar="LAW", help=f"of {', '.join(TUNED)}; all if left out")
+    parser.add_argument("--episodes", type=int, default=10)
+    parser.add_argument("--generations", type=int, default=4)
+    parser.add_argument("--jobs", type=int, default=-1)
     given = parser.parse_args()
-    rows = []
-    for law in given.law or LAWS:
-        rows.append(tuned(law, given.episodes, given.evaluations))
-        print(*rows[-1].values(), flush=True)
+    if unknown := set(given.law) - TUNED.keys():
+        parser.error(f"no constants of {', '.join(sorted(unknown))} are tuned; choose from {', '.join(TUNED)}")
+    runner, rows = Runner(None, Workers(given.jobs)), []
+    for name in given.law or TUNED:
+        rows.append(tuned(name, given.episodes, given.generations, runner))
+        print(*rows[-1].values(), sep="  ", flush=True)
+    if given.law:
+        return
     with (Path(__file__).parent / "tuned.csv").open("w", encoding="utf-8", newline="") as file:
         writer = csv.DictWriter(file, COLUMNS, lineterminator="\n")
         writer.writeheader()
