@@ -14,20 +14,25 @@ import numpy as np
 from ptne_env.laws import Law, Static
 from ptne_env.perception.encoder import make_encoder
 from ptne_env.perception.observation import Interface
+from ptne_env.shared.arrays import FloatArray
 from ptne_env.shared.parts import FactorySpec
 from ptne_env.theory.assumptions import AssumptionCheck, check_assumptions
 from ptne_env.theory.closed_loop import NoClosedLoopError, decay_rate, decay_rate_in_time, gain_growth
 from ptne_env.theory.conditions import Condition, condition, problem_constants
 from ptne_env.theory.sampled import LoopClock, SampledLoop, distance, sampled_loop, start_error
+from ptne_env.world import distances
 from ptne_env.world.channel import Chain
 from ptne_env.world.scenario import Scenario
-from ptne_env.world.world import SHORTFALL_WARNING, World
+from ptne_env.world.world import RANGE_LIMIT, SHORTFALL_WARNING, World
 
 LawSource: TypeAlias = FactorySpec | str | Callable[..., Law] | Law
 """A law, or what builds one from a layout: a spec, its target, or a callable such as the law's class."""
 
 _MOST_DIGITS = 308.0
 """Digits are clipped to ± this number, so that a certificate holds no infinity."""
+
+_TOLERANCE = 5e-4
+"""By how much the digits of an episode may differ from exact ones."""
 
 
 @dataclass(frozen=True)
@@ -49,8 +54,9 @@ class Certificate:
             these adapt; ``None`` for a random topology.
         digits: predicted −log10 ‖**x** − 1⊗x*‖/(√N ‖x*‖) at T from the scenario's start, of the sampled loop, the
             product of (I − h_k M_k), over perfect links; ``None`` where the loop is not linear or gains adapt.
-        digits_are_exact: whether an episode has these digits, up to 12 of them: the graphs are not random, no step
-            amplifies errors, no input saturates, and nothing disturbs. ``notes`` gives the reason where it has not.
+        digits_are_exact: whether every episode has these digits, up to 12 of them: nothing is random and nothing
+            disturbs, no step amplifies errors, rounding does not show, and no input, estimate or message reaches its
+            limit. Where an episode may have others, ``notes`` gives each reason.
         largest_step: the largest step to T, Θ_k (Δt_k on the physical clock).
         largest_stable_step: the step beyond which explicit steps on some mode's M amplify an error; ``None`` when no
             step is stable.
@@ -124,7 +130,7 @@ def certify(scenario: Scenario, law: LawSource = Static) -> Certificate:
         digits_are_exact=prediction.digits_are_exact,
         largest_step=loop.largest_step,
         largest_stable_step=loop.largest_stable_step,
-        notes=(*prediction.notes(), *_scenario_notes(world)),
+        notes=(*prediction.notes(), *_scenario_notes(world, covers_range=prediction.is_linear)),
     )
 
 
@@ -165,6 +171,8 @@ def _faults(world: World) -> list[str]:
     """All that disturbs an episode, and that no number includes."""
     channel = world.channel
     stages = channel.stages if isinstance(channel, Chain) else (channel,)
+    if world.message_range < math.inf:
+        stages = stages[1:]  # the first one is the range, which has a note of its own
     faults = [f"the channel's {type(stage).__name__}" for stage in stages if not stage.is_perfect]
     if world.disturbance is not None:
         faults.append(f"the disturbance {type(world.disturbance).__name__}")
@@ -181,12 +189,9 @@ class _Prediction:
         game = world.game
         estimates = world.start.draw(game.num_players, game.dimension, np.random.default_rng(0))
         self.is_linear = game.is_affine and not game.has_bounds and not law.has_memory
-        self.error, self.peak_input = np.zeros(0), 0.0  # **x** − 1⊗x* at T, and the largest |u|
+        self.path = np.zeros((0, 0))  # **x** − 1⊗x* at every instant, shape (K+1, Nn)
         if self.is_linear:
-            path = loop.errors(start_error(estimates, game))
-            finite = path[np.isfinite(path).all(axis=1)]
-            inputs = np.diff(finite, axis=0) / world.clock.theta[: len(finite) - 1, None]
-            self.error, self.peak_input = path[-1], float(np.abs(inputs).max())
+            self.path = loop.errors(start_error(estimates, game))
 
     @property
     def rate(self) -> float | None:
@@ -201,7 +206,7 @@ class _Prediction:
     def digits(self) -> float | None:
         if not self.is_linear:
             return None
-        found = np.clip(distance(self.error, self.world.game), 10.0**-_MOST_DIGITS, 10.0**_MOST_DIGITS)
+        found = np.clip(distance(self.path[-1], self.world.game), 10.0**-_MOST_DIGITS, 10.0**_MOST_DIGITS)
         return float(-np.log10(found))
 
     @cached_property
@@ -212,15 +217,52 @@ class _Prediction:
             return not any(matrix.any() for matrix in self.loop.matrices)  # a law that never moves amplifies nothing
         return self.loop.largest_step < stable
 
-    @property
-    def saturates(self) -> bool:
-        """Whether the start asks for an input above the limit."""
-        return self.peak_input > self.world.scenario.input_limit
+    @cached_property
+    def deviations(self) -> list[str]:
+        """Why an episode may have other digits than the linear loop, apart from what disturbs it."""
+        return list(self._deviations())
+
+    def _deviations(self) -> Iterator[str]:
+        world, layout, game = self.world, self.law.layout, self.world.game
+        path = self.path[np.isfinite(self.path).all(axis=1)]
+        inputs = np.diff(path, axis=0) / world.clock.theta[: len(path) - 1, None]
+        estimates = path.reshape(-1, game.num_players, game.dimension).T + game.nash_equilibria[:, None]
+        reach, peak = float(np.abs(estimates).max()), float(np.abs(inputs).max(initial=0.0))
+        if len(path) < len(self.path):
+            yield "the sampled loop diverges from this start before T: the steps are too long for the law"
+        elif not self.is_stable:
+            yield (
+                "the largest step amplifies errors, also those of the rounding to float32: the digits are those of "
+                "exact arithmetic, and an episode may have others"
+            )
+        elif self._is_rounded(path):
+            yield "rounding leaves errors at T that the digits, which are those of exact arithmetic, ignore"
+        if max(reach, np.abs(game.own_gradients(estimates)).max()) > RANGE_LIMIT:
+            yield f"an estimate or a gradient leaves ±{RANGE_LIMIT:g} on the way, where an episode ends"
+        if peak > layout.input_limit:
+            yield f"the start asks for |u| = {peak:.4g}, above the input limit, which the digits ignore"
+        if layout.interface.kind == "scaled":
+            yield "the law acts through 'scaled', whose actions have a box of their own, which the digits ignore"
+        if reach > world.message_range:
+            yield f"messages of up to {reach:.4g} leave the range of links; the digits ignore that they are clipped"
+        if world.start.is_random:
+            yield "the start is random: the digits are those of one draw, with seed 0"
+        if world.topology.is_random:
+            yield "the topology is random: no rate, and digits of one draw, with seed 0"
+
+    def _is_rounded(self, path: FloatArray) -> bool:
+        """Whether rounding may change the digits at T."""
+        game = self.world.game
+        at_rest = np.repeat(game.nash_equilibria[:, None], game.num_players, axis=1)
+        residual = float(np.abs(game.own_gradients(at_rest)).max())
+        moved = 2 * self.loop.rounding(path, np.tile(game.nash_equilibrium, game.num_players), residual)
+        ends = distance(np.concatenate([path[-1:], path[-1] - moved, path[-1] + moved]), game)
+        return float(np.ptp(distances.digits(ends))) > _TOLERANCE
 
     @property
     def digits_are_exact(self) -> bool:
-        is_calm = not _faults(self.world) and not self.world.topology.is_random
-        return self.is_linear and is_calm and self.is_stable and not self.saturates
+        is_certain = not self.world.is_random and not _faults(self.world)
+        return self.is_linear and is_certain and not self.deviations
 
     def notes(self) -> Iterator[str]:
         """Limits of these numbers."""
@@ -232,20 +274,8 @@ class _Prediction:
                 "F is not affine, or a box confines the strategies: rate and largest stable step are those of the "
                 "linearisation at x*, of the components that no bound holds; no digits"
             )
-        elif not np.isfinite(self.error).all():
-            yield "the sampled loop diverges from this start before T: the steps are too long for the law"
-        elif not self.is_stable:
-            yield (
-                "the largest step amplifies errors, also those of the rounding to float32: the digits are those of "
-                "exact arithmetic, and an episode may have others"
-            )
-        if self.saturates:
-            yield f"the start asks for |u| = {self.peak_input:.4g}, above the input limit, which the digits ignore"
-        if self.is_linear and self.world.start.is_random:
-            yield "the start is random: the digits are those of one draw, with seed 0"
-        if topology.is_random:
-            yield "the topology is random: no rate, and digits of one draw, with seed 0"
-        elif not topology.is_fixed:
+        yield from self.deviations if self.is_linear else ()
+        if not topology.is_fixed and not topology.is_random:
             yield (
                 "the topology switches: the rate is that of the limit t → T, and the largest stable step the smallest "
                 "over the modes, which does not prove that their products are stable"
@@ -256,7 +286,7 @@ class _Prediction:
             yield f"the velocity g(t) u grows without bound as t → T, for r < {growth:.2g}{energy} (docs/errata.md, 3)"
 
 
-def _scenario_notes(world: World) -> Iterator[str]:
+def _scenario_notes(world: World, *, covers_range: bool = False) -> Iterator[str]:
     """Limits that hold for every law."""
     scenario, topology = world.scenario, world.topology
     if world.has_random_game:
@@ -269,5 +299,7 @@ def _scenario_notes(world: World) -> Iterator[str]:
         )
     for fault in _faults(world):
         yield f"no number includes {fault}"
+    if world.message_range < math.inf and not covers_range:
+        yield "no number includes the range of links, to which messages are clipped"
     if world.clock.shortfall > SHORTFALL_WARNING:
         yield f"the last step ends {world.clock.shortfall:.2%} of T short of the deadline; raise s_end to come closer"

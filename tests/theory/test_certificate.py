@@ -1,31 +1,39 @@
 """Certificates against played episodes; and they claim no more than is shown."""
 
+import itertools
 import json
 import math
+import random
 
+import fuzz
 import numpy as np
 import pytest
-from affine_games import SOAK, affine_scenario, random_affine
+from affine_games import SOAK, random_affine
 from sample_laws import Damped, Sign, condition_on
 from worlds import fixed_part, world_and_encoder
 
-from ptne_env import CATALOGUE, FactorySpec, get_scenario, laws, theory
+from ptne_env import CATALOGUE, FactorySpec, get_scenario, laws, parallel_env, theory
 from ptne_env.evaluation import get_policy_spec
 from ptne_env.evaluation.rollout import rollout
+from ptne_env.perception.encoder import make_encoder
+from ptne_env.shared.random_streams import RandomStreams
+from ptne_env.theory.sampled import sampled_loop
 from ptne_env.world import dynamics
 from ptne_env.world.clock import Exponential
+from ptne_env.world.distances import digits
 from ptne_env.world.world import World
 
 
-def played_digits(scenario, law):
-    """Digits at T of an episode in the environment, from the start that a certificate predicts."""
+def played_digits(scenario, law, seed):
+    """Digits at T of the episode that an environment plays after ``reset(seed=seed)``; NaN where it cannot start."""
     world = World(scenario)
     built = theory.build_law(law, world)
-    _, encoder = world_and_encoder(scenario, kind=built.layout.interface.kind)
-    game = world.game
-    start = world.start.draw(game.num_players, game.dimension, np.random.default_rng(0))[:, :, None]
-    played = rollout(built, encoder, dynamics.initial_state(world, start))
-    return -math.log10(played["estimate_distance"][world.clock.steps, 0])
+    try:
+        start = dynamics.draw_initial_state(world, [RandomStreams.from_seed(seed)])
+    except ValueError:
+        return math.nan
+    played = rollout(built, make_encoder(world, built.layout.interface), start)
+    return float(digits(played["estimate_distance"][world.clock.steps, 0]))
 
 
 @pytest.mark.parametrize("name", CATALOGUE)
@@ -49,48 +57,87 @@ def test_certificate_of_the_energy_scenario():
     assert "velocity g(t) u grows without bound as t → T, for r < 1; the control energy is infinite" in velocity
 
 
-@pytest.mark.parametrize(
-    ("name", "law"),
-    [
-        ("energy", "law:static"),
-        ("energy-switching", "law:grounded"),
-        ("energy-switching-transformed", "law:fixed-gain"),
-        ("oligopoly", "law:corollary-one"),
-    ],
-)
-def test_exact_digits_are_those_of_an_episode(name, law):
-    scenario = get_scenario(name, input_limit=1e6)
-    certificate = theory.certify(scenario, law)
-    assert certificate.digits_are_exact
-    assert min(certificate.digits, 12) == pytest.approx(min(played_digits(scenario, law), 12), abs=1e-3)
+def a_calm_scenario(rng):
+    """A scenario in which nothing is random, and nothing disturbs but, at times, the range of links."""
+    players, modes, reach = rng.randint(2, 6), rng.randint(1, 3), fuzz.log_uniform(rng, 1e-2, 1e4)
+    generator = np.random.default_rng(rng.getrandbits(32))
+    matrix, offset, _ = random_affine(generator, players, coupling=rng.uniform(0.1, 3))
+    edges = fuzz.some_edges(rng, players)
+    parts = [fixed_part(fuzz.adjacency(rng, players, edges[mode::modes])) for mode in range(modes)]
+    times = {"dwells": [rng.uniform(0.1, 2) for _ in parts], "clock": rng.choice(("physical", "transformed"))}
+    start = [[rng.uniform(-reach, reach) for _ in range(players)] for _ in range(players)]
+    return fuzz.a_scenario(rng).replace(
+        game=FactorySpec.of("affine_games:AffineGame", matrix=matrix, offset=offset * fuzz.log_uniform(rng, 1e-4, 100)),
+        topology=FactorySpec.of("topology:periodic", graphs=parts, **times) if modes > 1 else parts[0],
+        start=FactorySpec.of("start:fixed", estimates=start),
+        input_limit=fuzz.log_uniform(rng, 1e3, 1e9),
+        message_range=rng.choice((None, None, reach * rng.uniform(0.9, 3))),
+        channel="perfect",
+        disturbance=None,
+        clock_shifts=(),
+    )
 
 
-@pytest.mark.parametrize("seed", range(200 if SOAK else 4))
-def test_exact_digits_are_those_of_an_episode_of_random_games(seed):
-    generator = np.random.default_rng([20, seed])
-    matrix, offset, adjacency = random_affine(generator, 3 + seed % 4, coupling=2.0)
-    fields = {"deadline": float(generator.uniform(0.5, 2.5)), "gain": float(generator.uniform(0.0, 25.0))}
-    fields |= {
-        "transformation": str(generator.choice(["exponential", "tanh"])),
-        "s_end": float(generator.uniform(5, 8)),
-        "spacing": str(generator.choice(["effective", "transformed"])),
-    }
-    scenario = affine_scenario(matrix, offset, fixed_part(adjacency), input_limit=1e6, **fields)
-    law = FactorySpec.of(["law:static", "law:grounded"][seed % 2], kappa=float(2 ** generator.uniform(-1, 3)))
-    stable = theory.certify(scenario, law)
-    if stable.largest_stable_step is not None:
-        ratio = stable.largest_step / stable.largest_stable_step
-        scenario = scenario.replace(steps=max(20, math.ceil(scenario.steps * ratio * generator.uniform(0.5, 2.0))))
+def a_case(rng):
+    """A random scenario and law, most of them with steps around the largest stable one."""
+    scenario = (a_calm_scenario if rng.random() < 0.7 else fuzz.a_scenario)(rng)
+    law = FactorySpec.of(f"law:{rng.choice(('static', 'grounded', 'corollary-one'))}", kappa=2 ** rng.uniform(-2, 4))
+    found = theory.certify(scenario, law)
+    if found.largest_stable_step is not None:
+        longer = scenario.steps * found.largest_step / found.largest_stable_step * rng.uniform(0.8, 2)
+        scenario = scenario.replace(steps=round(min(max(longer, 5), 2000)))
+    return scenario, law
+
+
+@pytest.mark.filterwarnings("ignore:.*short of the deadline")
+def test_exact_digits_are_those_of_every_episode_of_random_scenarios():
+    wanted, tried, exact, broken = 200 if SOAK else 12, 0, 0, []
+    for seed in itertools.count():
+        rng = random.Random(seed)  # noqa: S311 - worlds, not secrets
+        try:
+            scenario, law = a_case(rng)
+            certificate = theory.certify(scenario, law)
+        except ValueError:  # parts that do not fit together
+            continue
+        tried += 1
+        if certificate.digits_are_exact:
+            exact += 1
+            played = played_digits(scenario, law, seed)
+            if not abs(min(certificate.digits, 12) - played) <= 1e-3:
+                broken.append((seed, certificate.digits, played))
+        if tried == wanted:
+            break
+    print(f"{exact} of {tried} certificates exact, {len(broken)} broken")
+    assert not broken
+    assert exact >= 0.25 * tried
+
+
+def test_digits_that_rounding_decides_are_not_exact():
+    """The start is a mode that vanishes fast; rounding adds the slow ones."""
+    scenario = get_scenario("energy", gain=0.0, input_limit=1e6)
+    world = World(scenario)
+    rates, modes = np.linalg.eig(sampled_loop(world, theory.build_law(laws.Static, world)).matrices[0])
+    start = world.game.nash_equilibrium + 10 * modes[:, rates.real.argmax()].real.reshape(5, 5)
+    scenario = scenario.replace(start=FactorySpec.of("start:fixed", estimates=start))
+    certificate = theory.certify(scenario)
+    assert certificate.digits > 12
+    assert played_digits(scenario, laws.Static, 0) < 11
+    assert not certificate.digits_are_exact
+    assert any("rounding leaves errors at T" in note for note in certificate.notes)
+
+
+def test_a_law_in_scaled_units_has_no_exact_digits():
+    scenario = get_scenario("energy", start="paper", steps=800)
+    law = laws.Static(parallel_env(scenario).layout)
+    assert theory.certify(scenario).digits_are_exact
     certificate = theory.certify(scenario, law)
-    stable = certificate.largest_stable_step is not None and certificate.largest_step < certificate.largest_stable_step
-    assert certificate.digits_are_exact is stable
-    if stable:
-        assert min(certificate.digits, 12) == pytest.approx(min(played_digits(scenario, law), 12), abs=1e-3)
+    assert not certificate.digits_are_exact
+    assert any("acts through 'scaled'" in note for note in certificate.notes)
 
 
 @pytest.mark.parametrize(("factor", "grows"), [(0.97, False), (1.4, True)])
 def test_the_largest_stable_step_separates_settling_from_growth_in_episodes(factor, grows):
-    scenario = get_scenario("energy", input_limit=1e30)
+    scenario = get_scenario("energy", start="paper", input_limit=1e30)
     certificate = theory.certify(scenario)
     ratio = certificate.largest_step / certificate.largest_stable_step
     scenario = scenario.replace(steps=round(scenario.steps * ratio / factor))
@@ -193,8 +240,12 @@ RANDOM_GRAPH = FactorySpec.of(
         ),
         ({"sensor": FactorySpec.of("sensor:noise", std=0.1)}, "no number includes the sensor GradientNoise", False),
         ({"clock_shifts": (0.0, 0.01, 0.0, 0.0, 0.0)}, "clocks that disagree", False),
-        ({"game": FactorySpec.of("game:random-energy", players=5)}, "draws games", True),
-        ({"start": "random"}, "start is random", True),
+        ({"game": FactorySpec.of("game:random-energy", players=5)}, "draws games", False),
+        ({"start": "random"}, "start is random", False),
+        ({"start": "paper"}, "velocity", True),
+        ({"start": "paper", "message_range": 20.0}, "messages of up to 21.06 leave the range of links", False),
+        ({"start": "paper", "message_range": 22.0}, "velocity", True),
+        ({"start": FactorySpec.of("start:uniform", low=1e5, high=4e5)}, "leaves ±500000 on the way", False),
         ({"topology": RANDOM_GRAPH}, "the topology is random: no rate", False),
         ({"input_limit": 10.0}, "above the input limit", False),
     ],
