@@ -1,4 +1,10 @@
-"""Benchmarks: suites, their leaderboards, runs on many processes or machines, and checks of published results."""
+"""Benchmarks.
+
+- ``suite``, ``ptne_v1``: what a suite is, and ours; ``leaderboard``: scores and ranks in it
+- ``run``, ``workers``, ``processes``: many jobs on cores or machines; ``store``: what is done is not run again
+- ``files``, ``check``: results in files, and whether they can be believed
+- ``report``: tables, pages and videos
+"""
 
 from ptne_env.bench.leaderboard import leaderboard as leaderboard
 from ptne_env.bench.run import Runner as Runner

@@ -1,8 +1,9 @@
-"""Reading JSON files so that damage is detected; files of results."""
+"""JSON files, whose damage is detected; files of results; a try before long work whether a file can be written."""
 
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -14,7 +15,7 @@ from ptne_env.evaluation.episodes import EpisodeSet
 from ptne_env.evaluation.provenance import content_hash
 from ptne_env.evaluation.results import FORMAT, Place, Results, Samples
 from ptne_env.evaluation.tracks import Track
-from ptne_env.shared.files import DamagedFileError
+from ptne_env.shared.files import DamagedFileError, temporary_file
 
 LARGEST_FILE = 32 * 2**20
 """Most bytes of a file of results."""
@@ -53,6 +54,30 @@ def _object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
 
 def _refuse(constant: str) -> None:
     raise ValueError(f"{constant} is not JSON")
+
+
+def require_writable(path: Path) -> None:
+    """Try before long work whether its result can be written atomically; nothing is left behind.
+
+    Raises:
+        OSError: naming ``path``, when it is a folder, its parent is no folder, or no file can be made there.
+    """
+    if path.is_dir():
+        raise IsADirectoryError(f"cannot write {path}: it is a folder")
+    if path.exists() and not path.is_file():  # such as /dev/null, which is written to directly
+        return
+    target = Path(os.path.realpath(path))
+    folder = target.parent
+    while not folder.exists():
+        folder = folder.parent
+    if not folder.is_dir():
+        raise NotADirectoryError(f"cannot write {path}: {folder} is not a folder")
+    try:
+        handle, temporary = temporary_file(folder, target.name)
+    except OSError as error:
+        raise type(error)(f"cannot write {path}: {error.strerror} (in the folder {folder})") from error
+    os.close(handle)
+    Path(temporary).unlink()
 
 
 def read_results(path: Path) -> dict[str, Any]:

@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from ptne_env.bench.files import require_writable
 from ptne_env.bench.store import Store, key_of
 from ptne_env.bench.suite import Suite, get_suite
 from ptne_env.bench.workers import Workers
@@ -16,7 +17,6 @@ from ptne_env.evaluation.jobs import Job, JobResult, Run, run_serially
 from ptne_env.evaluation.metrics import METRICS, Metric
 from ptne_env.evaluation.results import Results
 from ptne_env.evaluation.run import compare, several
-from ptne_env.shared.files import require_writable
 
 _STEP_COST = 5_000
 """Numbers of estimates that take about as long as what a step needs whatever their number."""

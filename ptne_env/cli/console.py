@@ -17,7 +17,8 @@ from rich.segment import Segment
 from rich.table import Column
 from rich.text import Text
 
-from ptne_env.shared.files import require_writable, write_atomically
+from ptne_env.bench.files import require_writable
+from ptne_env.shared.files import write_atomically
 
 _PIPE_WIDTH = 172
 """Width of tables where the output is no terminal; rich would cut them to 80 columns."""

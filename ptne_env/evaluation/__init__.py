@@ -1,4 +1,11 @@
-"""Evaluation: episode sets, rollouts, metrics, statistics and comparisons of policies."""
+"""Comparisons of policies.
+
+- ``run``: ``evaluate``, which makes ``jobs``, one per policy and track, and collects their ``results``
+- ``entries``: policies by name; ``tracks``, ``episodes``: what they play, and from which seeds
+- ``rollout``: plays and records; ``audit``: whether a policy decides each row from that row alone
+- ``metrics``, ``statistics``: numbers of an episode, and means with intervals
+- ``provenance``: versions, hashes and the arithmetic of the machine
+"""
 
 from ptne_env.evaluation.entries import COMPARED as COMPARED
 from ptne_env.evaluation.entries import POLICIES as POLICIES

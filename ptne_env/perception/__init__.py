@@ -1,1 +1,6 @@
-"""What a policy sees: interfaces, layouts, and the encoder that connects them to a running world."""
+"""What a policy sees, and how it answers.
+
+- ``observation``: interfaces, and the layout of observations and actions, which is all that a policy knows
+- ``encoder``: writes the observations of a running world, and turns actions into inputs
+- ``policy``: the signature ``predict``
+"""

@@ -1,4 +1,4 @@
-"""Atomic writes, and checks before files are read and written."""
+"""Atomic writes, and a check before files are read."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def write_atomically(path: Path, content: str | bytes) -> None:
 
 def _replace(path: Path, data: bytes) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
-    handle, temporary = _temporary_file(path.parent, path.name)
+    handle, temporary = temporary_file(path.parent, path.name)
     try:
         with os.fdopen(handle, "wb") as file:
             file.write(data)
@@ -61,29 +61,6 @@ def require_file(path: str | Path) -> None:
         raise FileNotFoundError(f"there is no file {str(path)!r}")
 
 
-def require_writable(path: Path) -> None:
-    """Try before long work whether :func:`write_atomically` can write its result; nothing is left behind.
-
-    Raises:
-        OSError: naming ``path``, when it is a folder, its parent is no folder, or no file can be made there.
-    """
-    if path.is_dir():
-        raise IsADirectoryError(f"cannot write {path}: it is a folder")
-    if path.exists() and not path.is_file():  # such as /dev/null, which is written to directly
-        return
-    target = Path(os.path.realpath(path))
-    folder = target.parent
-    while not folder.exists():
-        folder = folder.parent
-    if not folder.is_dir():
-        raise NotADirectoryError(f"cannot write {path}: {folder} is not a folder")
-    try:
-        handle, temporary = _temporary_file(folder, target.name)
-    except OSError as error:
-        raise type(error)(f"cannot write {path}: {error.strerror} (in the folder {folder})") from error
-    os.close(handle)
-    Path(temporary).unlink()
-
-
-def _temporary_file(folder: Path, name: str) -> tuple[int, str]:
+def temporary_file(folder: Path, name: str) -> tuple[int, str]:
+    """A new file beside the file ``name``: its handle and its path."""
     return tempfile.mkstemp(dir=folder, prefix=f".{name}.")
