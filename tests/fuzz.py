@@ -115,10 +115,9 @@ def a_topology(rng, players):
     modes = rng.randint(2, 3)
     graphs = [graph("Graph", adjacency=adjacency(rng, players, edges[index::modes])) for index in range(modes)]
     named = rng.choice(("path", "star", "complete", *(["cycle"] if players > 2 else [])))
-    jumps = {"transition": np.full((modes, modes), 1 / modes), "dwells": dwells[1]}
     kinds = {
         "periodic": {"graphs": graphs, "dwells": [rng.uniform(0.1, 2) for _ in graphs], "clock": clock},
-        "markov": {"graphs": graphs, "clock": clock, **jumps},
+        "random": {"graphs": graphs, "clock": clock, "dwells": dwells[1]},
         "random-edges": {
             "graph": whole,
             "probability": rng.uniform(0.3, 1),

@@ -30,11 +30,15 @@ class Row:
 
 
 def leaderboard(results: Results) -> tuple[Row, ...] | None:
-    """The rows of a suite, the best first and oracles last; ``None`` for a comparison, and without a scored track."""
+    """The rows of a suite, the best first and oracles last; ``None`` for a comparison, and without a scored track.
+
+    A policy that acts on no scored track has no row.
+    """
     tracks = [track.name for track in results.tracks if track.scored]
     if results.is_comparison or not tracks:
         return None
-    ranked = [name for name, policy in results.policies.items() if not policy.is_oracle]
+    acting = [name for name in results.policies if any((track, name) in results.samples for track in tracks)]
+    ranked = [name for name in acting if not results.policies[name].is_oracle]
     ranks: dict[str, list[int]] = {name: [] for name in ranked}
     for track in tracks:
         standings = {name: results.standing(track, _counted(results, track, name)) for name in ranked}
@@ -47,7 +51,7 @@ def leaderboard(results: Results) -> tuple[Row, ...] | None:
             _over_tracks(results, tracks, name, "mean_regret"),
             float(np.mean(ranks[name])) if name in ranks else None,
         )
-        for name in results.policies
+        for name in acting
     ]
     return tuple(sorted(rows, key=lambda row: (row.mean_rank is None, *standing(row.score, row.mean_regret))))
 

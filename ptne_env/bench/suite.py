@@ -84,7 +84,7 @@ def ptne_v1() -> Suite:
     """The suite ``ptne-v1``."""
     from ptne_env.bench.ptne_v1 import TRACKS
 
-    return Suite("ptne-v1", TRACKS)
+    return Suite("ptne-v1", TRACKS, episodes=60)
 
 
 SUITES: Mapping[str, str] = {"ptne-v1": "ptne_env.bench.suite:ptne_v1"}

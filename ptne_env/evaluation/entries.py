@@ -220,9 +220,9 @@ _COMPARED = {
         "law:observer-relay", "The contact relay with filters against noise, rounding, pushes and reactions of others."
     ),
     "ppo-random-energy": _network("random-energy"),
-    "ppo-random-energy-switching-transformed": _network("random-energy-switching-transformed"),
 }
 _OTHERS = {
+    "ppo-ptne-v1": _network("ptne-v1"),
     "static-tuned": _entry("law:static", "The static law with tuned weights.", kappa=3.0, gradient_gain=3.5),
     "fixed-gain": _entry(
         "law:fixed-gain", "The static law with the κ of Bianchi and Grammatico's weaker condition.", kappa=5.0

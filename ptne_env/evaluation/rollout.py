@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ptne_env.evaluation.audit import Witness
+from ptne_env.games import NoBestResponseError
 from ptne_env.perception.encoder import Encoder
 from ptne_env.perception.policy import Policy, PolicyError, decision, describe
 from ptne_env.shared.arrays import BoolArray, Float32Array, FloatArray, IntArray, ordered_sum
@@ -76,10 +77,11 @@ def regret_instants(world: World) -> IntArray:
 
 def regret(world: World, state: State) -> dict[str, FloatArray]:
     """The series of the instants of regrets: the sum over players; NaN where the game has no best response."""
-    if not state.game.has_best_response:
+    try:
+        with np.errstate(over="ignore", invalid="ignore"):  # only a diverged environment overflows
+            regrets = np.clip(state.game.regrets(dynamics.strategies(world, state)), 0, REWARD_LIMIT)
+    except NoBestResponseError:
         return {"regret": np.full(dynamics.batch_size(state), np.nan)}
-    with np.errstate(over="ignore", invalid="ignore"):  # only a diverged environment overflows
-        regrets = np.clip(state.game.regrets(dynamics.strategies(world, state)), 0, REWARD_LIMIT)
     return {"regret": ordered_sum(np.where(state.diverged, REWARD_LIMIT, regrets))}
 
 

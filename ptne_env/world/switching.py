@@ -7,11 +7,10 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Literal, TypeAlias
 
-import networkx as nx
 import numpy as np
 import numpy.typing as npt
 
-from ptne_env.shared.arrays import FloatArray, IntArray, frozen, require_count, require_positive, require_probability
+from ptne_env.shared.arrays import FloatArray, IntArray, require_count, require_positive, require_probability
 from ptne_env.shared.parts import Part
 from ptne_env.world.graphs import Graph, from_edges, union
 
@@ -173,22 +172,18 @@ class SwitchingTopology(Part):
             )
 
 
-class MarkovTopology(SwitchingTopology):
-    """A topology whose modes follow a Markov chain, with every dwell time drawn uniformly from a range.
+class RandomTopology(SwitchingTopology):
+    """A topology that draws a graph uniformly from a pool for every dwell, and the dwell time uniformly from a range.
 
-    In mode m the topology dwells for U(shortest, longest) and then switches to mode m' with probability
-    ``transition[m][m']``; m' may be m again, which counts as a switch. The first mode is drawn uniformly.
+    The same graph may follow itself, which counts as a switch.
 
     Args:
-        graphs: the modes, at least two, all on the same players.
-        transition: row-stochastic matrix of shape (modes, modes), irreducible: every mode can be reached from
-            every other.
-        dwells: a dwell time or a range (shortest, longest), for all modes.
+        graphs: the pool, at least two, all on the same players.
+        dwells: a dwell time or a range (shortest, longest).
         clock: ``"physical"`` or ``"transformed"``.
 
     Attributes:
         shortest, longest: range of the dwells, in the unit of the clock.
-        transition: as given, read-only.
 
     Raises:
         ValueError: when these do not hold, or as :class:`SwitchingTopology`.
@@ -196,9 +191,7 @@ class MarkovTopology(SwitchingTopology):
 
     is_random = True
 
-    def __init__(
-        self, graphs: Sequence[Graph], transition: npt.ArrayLike, dwells: Dwells, clock: TopologyClock = "physical"
-    ) -> None:
+    def __init__(self, graphs: Sequence[Graph], dwells: Dwells, clock: TopologyClock = "physical") -> None:
         bounds = dwells if isinstance(dwells, Sequence) else (dwells, dwells)
         if len(bounds) != 2:
             raise ValueError(f"dwells are a time or a range (shortest, longest), got {dwells!r}")
@@ -206,30 +199,15 @@ class MarkovTopology(SwitchingTopology):
         if self.shortest > self.longest:
             raise ValueError(f"the shortest dwell comes first, got the range {tuple(bounds)!r}")
         super().__init__(graphs, [(self.shortest + self.longest) / 2] * len(graphs), clock)
-        modes = len(self.graphs)
-        if modes < 2:
+        if len(self.graphs) < 2:
             raise ValueError("a random topology needs at least two graphs; use fixed() for one")
-        self.transition = frozen(transition)
-        fits = self.transition.shape == (modes, modes) and self.transition.min() >= 0
-        if not (fits and np.allclose(self.transition.sum(axis=1), 1, rtol=0, atol=1e-9)):
-            raise ValueError(f"transition is a {modes} × {modes} matrix of probabilities whose rows sum to 1")
-        if not nx.is_strongly_connected(nx.from_numpy_array(self.transition > 0, create_using=nx.DiGraph)):
-            raise ValueError(
-                "the Markov chain is reducible: some mode cannot be reached from some other; connect every mode to "
-                "every other by positive probabilities, or remove it"
-            )
 
     @property
     def joint_connectivity(self) -> JointConnectivity:
-        """Decided by the union of all modes, as the chain visits each infinitely often with probability 1.
-
-        The answer is ``always`` where every mode is connected or the order of the modes is certain. Other chains are
-        ``almost surely`` connected, even if each of their paths connects within some window.
-        """
+        """Decided by the union of the pool, of which each graph comes infinitely often with probability 1."""
         if not self.union.is_connected:
             return "never"
-        certain = bool(np.all((self.transition == 0) | (self.transition == 1)))
-        return "always" if certain or all(graph.is_connected for graph in self.graphs) else "almost surely"
+        return "always" if all(graph.is_connected for graph in self.graphs) else "almost surely"
 
     @property
     def shortest_dwell(self) -> float:
@@ -243,19 +221,16 @@ class MarkovTopology(SwitchingTopology):
         count = int(np.max(times, initial=0.0) / self.shortest) + 2
         choices, unit = np.stack([generator.random((2, count)) for generator in generators], axis=-1)
         ends = np.cumsum(self.shortest + (self.longest - self.shortest) * unit, axis=0)
-        ladder = np.cumsum(self.transition, axis=1)
-        ladder[:, -1] = 1.0
-        mode = (choices[0] * len(self.graphs)).astype(np.int64)
+        drawn = (choices * len(self.graphs)).astype(np.int64)
         slack = _BOUNDARY_TOLERANCE * self.shortest
-        modes = np.broadcast_to(mode, (times.size, mode.size)).copy()
+        modes = np.broadcast_to(drawn[0], (times.size, len(generators))).copy()
         starts = np.zeros(modes.shape)
         for dwell, end in enumerate(ends[:-1], 1):
             first = int(np.searchsorted(times, end.min() - slack))
             if first == times.size:
                 break
-            mode = (choices[dwell] >= ladder[mode].T).sum(axis=0)
             started = times[first:, None] >= end - slack
-            np.copyto(modes[first:], mode, where=started)
+            np.copyto(modes[first:], drawn[dwell], where=started)
             np.copyto(starts[first:], end, where=started)
         return Schedule(modes, np.clip((times[:, None] - starts) / self.mean_dwell, 0.0, 1.0))
 
@@ -313,7 +288,7 @@ def random_edges(
         clock: ``"physical"`` or ``"transformed"``.
 
     Raises:
-        ValueError: when the probability is not in (0, 1], or as :class:`MarkovTopology`.
+        ValueError: when the probability is not in (0, 1], or as :class:`RandomTopology`.
     """
     require_probability("probability", require_positive("probability", probability))
     count = require_count("modes", modes, 2)
@@ -325,7 +300,7 @@ def random_edges(
         i, j = links[mask].T
         adjacency[i, j] = adjacency[j, i] = graph.adjacency[i, j]
         pool.append(Graph(adjacency))
-    return MarkovTopology(pool, np.full((count, count), 1 / count), dwells, clock)
+    return RandomTopology(pool, dwells, clock)
 
 
 def random_graphs(players: int, probability: float, modes: int = 100, seed: int = 0) -> SwitchingTopology:

@@ -8,7 +8,7 @@ from ptne_env import FactorySpec, get_scenario
 from ptne_env.shared.random_streams import RandomStreams
 from ptne_env.world import graphs, switching
 from ptne_env.world.graphs import Graph
-from ptne_env.world.switching import EpisodeTopology, MarkovTopology, SwitchingTopology
+from ptne_env.world.switching import EpisodeTopology, RandomTopology, SwitchingTopology
 from ptne_env.world.world import World
 
 
@@ -98,21 +98,10 @@ FALSE_ALARM = 1e-6
 """Probability of a false alarm of each statistical test below; seeds are fixed."""
 
 PAIRS = [graphs.from_edges(4, [(0, 1)]), graphs.from_edges(4, [(1, 2)]), graphs.from_edges(4, [(2, 3)])]
-CHAIN = [[0.5, 0.3, 0.2], [0.1, 0.2, 0.7], [0.6, 0.4, 0.0]]
 
 
 def generators(count, seed=0):
     return [RandomStreams.from_seed(seed + index).graph for index in range(count)]
-
-
-def following(row, choice):
-    """The mode that a number from [0, 1) selects in a row of the transition matrix."""
-    total = 0.0
-    for mode, probability in enumerate(row):
-        total += probability
-        if choice < total:
-            return mode
-    return len(row) - 1
 
 
 def walked(topology, instants, generator):
@@ -127,7 +116,7 @@ def walked(topology, instants, generator):
             end = start + topology.shortest + (topology.longest - topology.shortest) * units[dwell]
             if instant < end - 1e-9 * topology.shortest:
                 break
-            start, dwell, mode = end, dwell + 1, following(topology.transition[mode].tolist(), choices[dwell + 1])
+            start, dwell, mode = end, dwell + 1, int(choices[dwell + 1] * len(topology.graphs))
         modes.append(mode)
         since.append(min((instant - start) / topology.mean_dwell, 1.0))
     return modes, since
@@ -136,11 +125,11 @@ def walked(topology, instants, generator):
 @pytest.mark.parametrize(
     "topology",
     [
-        MarkovTopology(PAIRS, CHAIN, (0.2, 0.7)),
-        MarkovTopology(PAIRS, CHAIN, 0.25),
+        RandomTopology(PAIRS, (0.2, 0.7)),
+        RandomTopology(PAIRS, 0.25),
         switching.random_edges(graphs.complete(4), 0.3, (0.2, 0.7), modes=5),
     ],
-    ids=["markov", "markov, dwells known", "edges"],
+    ids=["pool", "pool, dwells known", "edges"],
 )
 def test_drawn_schedule_agrees_with_a_walk_through_the_draws(topology):
     instants = np.linspace(0, 12, 97)
@@ -153,23 +142,14 @@ def test_drawn_schedule_agrees_with_a_walk_through_the_draws(topology):
     assert len({tuple(column) for column in schedule.modes.T}) > 1
 
 
-def test_modes_follow_the_chain_and_dwells_are_uniform():
-    topology = MarkovTopology(PAIRS, CHAIN, 1.0)
+def test_modes_and_dwells_are_uniform():
+    topology = RandomTopology(PAIRS, 1.0)
     modes = topology.draw(np.arange(60) + 0.5, generators(300)).modes
-    assert stats.chisquare(np.bincount(modes[0], minlength=3)).pvalue > FALSE_ALARM
-    for mode in range(3):
-        following = np.bincount(modes[1:][modes[:-1] == mode], minlength=3)
-        expected = np.array(CHAIN[mode]) * following.sum()
-        possible = expected > 0
-        assert not following[~possible].any()
-        assert stats.chisquare(following[possible], expected[possible]).pvalue > FALSE_ALARM
-
-    order = MarkovTopology(PAIRS, np.roll(np.eye(3), 1, axis=1), (0.5, 1.5))
-    instants = np.linspace(0, 1.5, 3001)
-    modes = order.draw(instants, generators(400)).modes
-    first = (modes == modes[0]).sum(axis=0) * 0.0005  # the first dwell of each episode
+    pairs = np.bincount(3 * modes[:-1].ravel() + modes[1:].ravel(), minlength=9)  # so they are independent too
+    assert stats.chisquare(pairs).pvalue > FALSE_ALARM
+    since = RandomTopology(PAIRS, (0.5, 1.5)).draw(np.linspace(0, 1.5, 3001), generators(400)).time_since_switch
+    first = np.diff(since, axis=0).argmin(axis=0) * 0.0005  # the first dwell of each episode
     assert stats.kstest(first - 0.5, "uniform").pvalue > FALSE_ALARM
-    assert set(np.diff(order.draw(np.linspace(0, 30, 3001), generators(5)).modes, axis=0).ravel()) == {0, 1, -2}
 
 
 def test_links_are_up_with_the_given_probability():
@@ -219,15 +199,13 @@ def test_random_graphs_are_uniform_over_connected_graphs():
 def test_joint_connectivity_of_every_kind_of_topology():
     connected = [graphs.path(4), graphs.cycle(4)]
     apart = [graphs.from_edges(4, [(0, 1)]), graphs.from_edges(4, [(2, 3)])]
-    even = np.full((2, 2), 0.5)
     assert switching.fixed(graphs.path(4)).joint_connectivity == "always"
     assert switching.fixed(apart[0]).joint_connectivity == "never"
     assert SwitchingTopology(PAIRS, [1] * 3).joint_connectivity == "always"
     assert SwitchingTopology(apart, [1, 1]).joint_connectivity == "never"
-    assert MarkovTopology(PAIRS, np.roll(np.eye(3), 1, axis=1), (0.5, 1)).joint_connectivity == "always"
-    assert MarkovTopology(PAIRS, CHAIN, 1.0).joint_connectivity == "almost surely"
-    assert MarkovTopology(connected, even, 1.0).joint_connectivity == "always"
-    assert MarkovTopology(apart, even, 1.0).joint_connectivity == "never"
+    assert RandomTopology(PAIRS, 1.0).joint_connectivity == "almost surely"
+    assert RandomTopology(connected, 1.0).joint_connectivity == "always"
+    assert RandomTopology(apart, 1.0).joint_connectivity == "never"
     assert switching.random_edges(graphs.cycle(4), 0.5, 1.0).joint_connectivity == "almost surely"
     assert switching.random_edges(graphs.cycle(4), 1.0, 1.0, modes=2).joint_connectivity == "always"
     assert switching.random_edges(graphs.cycle(4), 1e-9, 1.0).joint_connectivity == "never"
@@ -236,7 +214,7 @@ def test_joint_connectivity_of_every_kind_of_topology():
 
 
 def test_random_topology_has_no_schedule_without_a_draw():
-    topology = MarkovTopology(PAIRS, CHAIN, (0.2, 0.7))
+    topology = RandomTopology(PAIRS, (0.2, 0.7))
     assert topology.is_random
     assert not topology.is_fixed
     assert (topology.shortest_dwell, topology.mean_dwell) == (0.2, pytest.approx(0.45))
@@ -250,18 +228,15 @@ def test_random_topology_has_no_schedule_without_a_draw():
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ({"transition": [[1, 0], [0, 1]]}, "some mode cannot be reached from some other"),
-        ({"transition": [[0.5, 0.5], [0, 1]]}, "some mode cannot be reached"),
-        ({"transition": [[0.5, 0.6], [0.5, 0.5]]}, "2 × 2 matrix of probabilities whose rows sum to 1"),
         ({"dwells": (0.7, 0.2)}, "the shortest dwell comes first"),
         ({"dwells": (0.1, 0.2, 0.3)}, "a time or a range"),
-        ({"graphs": [graphs.path(3)], "transition": [[1.0]]}, "at least two graphs"),
+        ({"graphs": [graphs.path(3)]}, "at least two graphs"),
     ],
 )
-def test_invalid_markov_topologies_are_refused(arguments, message):
-    defaults = {"graphs": [graphs.path(3)] * 2, "transition": np.full((2, 2), 0.5), "dwells": 1.0}
+def test_invalid_random_topologies_are_refused(arguments, message):
+    defaults = {"graphs": [graphs.path(3)] * 2, "dwells": 1.0}
     with pytest.raises(ValueError, match=message):
-        MarkovTopology(**(defaults | arguments))
+        RandomTopology(**(defaults | arguments))
 
 
 def random_scenario(**arguments):

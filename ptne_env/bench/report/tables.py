@@ -24,7 +24,7 @@ ORACLE_NOTE = "* an oracle: it uses information that players lack, and has no ra
 MEAN_REGRET = "mean regret"
 """Name of the row and column of the metric."""
 
-REGRET_NOTE = "mean regret: what the way to the deadline costs the players; 1 is standing still at the start"
+REGRET_NOTE = "mean regret: of the way to the deadline; 1 is standing still at the start"
 """The meaning of :data:`MEAN_REGRET`."""
 
 
@@ -146,8 +146,7 @@ def answer_table(results: Results) -> Table:
         if name in overall:
             digits, regret = overall[name]
             cells |= {score: Cell.plus_minus(digits), MEAN_REGRET: Cell.plain(regret)}
-        if results.policies[name].is_oracle or any(cell != Cell() for cell in cells.values()):
-            columns.append(Column(_marked(results, name), cells, f"digits of {name}"))
+        columns.append(Column(_marked(results, name), cells, f"digits of {name}"))
     counts = sorted({results.episodes[track] for track in tracks})
     episodes = " to ".join(str(count) for count in dict.fromkeys([counts[0], counts[-1]]))
     notes = [REGRET_NOTE]
@@ -231,9 +230,9 @@ def first_places(results: Results) -> dict[str, list[str]]:
 
 
 def ordered(results: Results) -> list[str]:
-    """The names of the policies: the best law, the best other policy, the paper's law, oracles, then the rest by rank.
+    """The policies: the best law, the best other policy, the paper's law, oracles, then the rest by rank.
 
-    So the numbers that say most find room in a narrow terminal.
+    So the numbers that say most find room in a narrow terminal. Policies that act nowhere are left out.
     """
     names = _best_first(results)
     oracles = [name for name in names if results.policies[name].is_oracle]
@@ -245,15 +244,13 @@ def ordered(results: Results) -> list[str]:
 
 def _best_first(results: Results) -> list[str]:
     """The names of the policies by rank: in a suite by the score, in a comparison by first places and mean digits."""
-    board = leaderboard(results)
-    if board is not None:
-        return [row.policy for row in board]
-    firsts, overall = first_places(results), _overall(results)
+    overall, acting = _overall(results), {name for _, name in (*results.samples, *results.failures)}
+    firsts = first_places(results) if results.is_comparison else {}
 
     def key(name: str) -> tuple[bool, int, float, float]:
         return results.policies[name].is_oracle, -len(firsts.get(name, ())), *standing(*overall.get(name, (None, None)))
 
-    return sorted(results.policies, key=key)
+    return sorted((name for name in results.policies if name in acting), key=key)
 
 
 def _overall(results: Results) -> dict[str, tuple[Summary, Summary]]:
