@@ -38,7 +38,7 @@ class Runner:
         rerun: whether stored jobs are run again.
     """
 
-    folder: Path | None = None
+    folder: str | Path | None = None
     workers: Workers = Workers()  # noqa: RUF009 - immutable
     progress: Callable[[str, int, int], None] | None = None
     rerun: bool = False
@@ -51,7 +51,7 @@ class Runner:
             ValueError, ImportError, ConnectionError, ChildProcessError: as
                 :meth:`~ptne_env.bench.workers.Workers.run`.
         """
-        store = None if self.folder is None else Store(self.folder)
+        store = None if self.folder is None else Store(Path(self.folder))
         found: dict[int, JobResult] = {}
         total, done = sum(map(cost_of, jobs)), 0
 

@@ -36,13 +36,13 @@ class PolicySpec:
         policy: a :class:`~ptne_env.shared.parts.FactorySpec` or a callable that builds the policy from a layout (such
             as the class of a law), or a policy itself, such as a Stable-Baselines3 model; or a tuple of these, one per
             training seed.
-        interface: makes its observations and decodes its actions. What the policy declares as its attribute
-            ``interface`` cannot be overridden; if it declares nothing and this is left out, it is ``scaled``.
+        interface: makes its observations and decodes its actions; its kind will do. What the policy declares as its
+            attribute ``interface`` cannot be overridden; if it declares nothing and this is left out, it is ``scaled``.
         description: one sentence, for lists; no part of the policy.
 
     Raises:
-        ValueError: when there is no training seed, training seeds have different interfaces, the policy declares
-            another interface, or its factory spec cannot be imported.
+        ValueError: when there is no training seed, or one is none of these, training seeds have different interfaces,
+            the policy declares another interface, or its factory spec cannot be imported.
     """
 
     name: str
@@ -54,6 +54,14 @@ class PolicySpec:
         require_printable("the name of a policy", self.name)
         if not self.training_seeds:
             raise ValueError(f"policy {self.name!r} has no training seed")
+        for source in self.training_seeds:
+            if not (isinstance(source, FactorySpec) or callable(source) or hasattr(source, "predict")):
+                raise ValueError(
+                    f"policy {self.name!r} is {source!r}: give a FactorySpec, a class or function that is called with "
+                    "the layout, or an object with predict; get_policy_spec('static') is the policy of a name"
+                )
+        if isinstance(self.interface, str):
+            object.__setattr__(self, "interface", Interface(self.interface))
         declared = {_declared_interface(source) for source in self.training_seeds}
         if len(declared) > 1:
             raise ValueError(
@@ -124,7 +132,8 @@ class PolicySpec:
                 "one: PolicySpec(name, model, ptne_env.Interface('physical'))"
             )
         if not hasattr(built, "predict"):
-            raise PolicyError(f"it is a {type(built).__name__} without predict(observation, state, ...)")
+            made = "it is" if built is source else "called with the layout, it returned"
+            raise PolicyError(f"{made} a {type(built).__name__} without predict(observation, state, ...)")
         policy: Policy = built
         return policy
 

@@ -44,11 +44,6 @@ def number(value: float | None) -> str:
     return f"{mantissa}e{int(exponent)}"
 
 
-def share(value: float | None) -> str:
-    """A score or a probability, whose zero is a matter of rounding, with three decimals; a dash where there is none."""
-    return "–" if value is None else f"{value + 0.0:.3f}".replace("-0.000", "0.000")
-
-
 @dataclass(frozen=True)
 class Metric:
     """A number per episode, or a statistic of such numbers.
@@ -116,8 +111,11 @@ def register(metric: Metric) -> Metric:
     """Add a metric to :data:`METRICS`; workers get it too.
 
     Raises:
+        TypeError: for anything but a metric.
         ValueError: when the name is taken, or the metric follows from nothing.
     """
+    if not isinstance(metric, Metric):
+        raise TypeError(f"register takes Metric(name, heading, meaning, direction, value=function), got {metric!r}")
     if metric.name in METRICS:
         raise ValueError(f"there is a metric {metric.name!r} already: choose another name")
     if metric.value is None and metric.source not in METRICS:
@@ -145,24 +143,12 @@ def measure(rollout: Rollout) -> dict[str, FloatArray]:
     return measured
 
 
-def settling_time(times: FloatArray, strategy_distance: FloatArray) -> FloatArray:
-    """First instant after which the distance stays within the paper's 0.5 % to the end.
-
-    Args:
-        times: of the instants, shape (instants,).
-        strategy_distance: shape (instants, B).
-
-    Returns:
-        Seconds, shape (B,); NaN for an episode that ends outside.
-    """
-    outside = strategy_distance > distances.SUCCESS_DISTANCE
+def settling_time(rollout: Rollout) -> FloatArray:
+    """First instant after which strategies stay within the paper's 0.5 % to the end; NaN where they end outside."""
+    times, outside = rollout.world.clock.t, rollout["strategy_distance"] > distances.SUCCESS_DISTANCE
     last_outside = np.where(outside.any(axis=0), len(times) - 1 - outside[::-1].argmax(axis=0), -1)
     settled = last_outside < len(times) - 1
     return np.where(settled, times[np.minimum(last_outside + 1, len(times) - 1)], np.nan)
-
-
-def _settling(rollout: Rollout) -> FloatArray:
-    return settling_time(rollout.world.clock.t, rollout["strategy_distance"])
 
 
 def _at_deadline(rollout: Rollout, series: str) -> FloatArray:
@@ -212,9 +198,9 @@ for _metric in (
            value=lambda rollout: rollout["regret"][-1], range=_POSITIVE),
     Metric("settling_time", "settling time",
            "first instant after which the strategy distance stays within 0.5 %, in seconds", "lower", unit="s",
-           value=_settling, range=_POSITIVE),
+           value=settling_time, range=_POSITIVE),
     Metric("settled_share", "settled share", "share of episodes that settled by the end", "higher",
-           value=lambda rollout: np.isfinite(_settling(rollout)).astype(np.float64), range=_SHARE),
+           value=lambda rollout: np.isfinite(settling_time(rollout)).astype(np.float64), range=_SHARE),
     Metric("digits_after_hold", "digits after hold", "−log10 of the estimate distance after the hold phase, at most 12",
            "higher", value=_digits_after_hold, range=_DIGITS),
     Metric("digits_gained", "digits gained",

@@ -7,7 +7,8 @@ import io
 import json
 import math
 import re
-from collections.abc import Collection, Mapping
+import textwrap
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from functools import cached_property
 from typing import Any, TypeAlias
@@ -196,12 +197,9 @@ class Results:
         return f"{policy} (oracle)" if self.policies[policy].is_oracle else policy
 
     def __repr__(self) -> str:
-        return (
-            f"<Results of {self.name}: {_counted(self.policies, 'policies')} on "
-            f"{_counted(self.episodes, 'tracks')}, seed {self.seed}"
-            + f", {len(self.failures)} failed" * bool(self.failures)
-            + ">"
-        )
+        policies, tracks = (textwrap.shorten(", ".join(each), 60) for each in (self.policies, self.episodes))
+        failed = f", {len(self.failures)} failed" * bool(self.failures)
+        return f"<Results of {self.name}: {policies} on {tracks}, seed {self.seed}{failed}>"
 
     def __str__(self) -> str:
         """A line per track and policy, the best first: digits with their 95 % interval, and the mean regret.
@@ -222,15 +220,6 @@ class Results:
             ]
             lines += [f"  {name} failed: {why}" for (on, name), why in self.failures.items() if on == track.name]
         return "\n".join(lines)
-
-
-_NAMED = 4
-"""Names that a short text spells out."""
-
-
-def _counted(names: Collection[str], kind: str) -> str:
-    """The names where they are few, else their number."""
-    return ", ".join(names) if len(names) <= _NAMED else f"{len(names)} {kind}"
 
 
 def _with_interval(summary: Summary) -> str:

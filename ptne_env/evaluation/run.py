@@ -46,9 +46,12 @@ def evaluate(
 
     Raises:
         ValueError: for unknown or repeated names, or when no policy fits any track.
+        TypeError: for an argument of a wrong kind.
         OSError, ImportError, ConnectionError, ChildProcessError: of ``run``.
     """
     require_count("episodes", episodes, 1)
+    if not callable(run):
+        raise TypeError(f"run takes jobs, as ptne_env.bench.Runner(folder, Workers(4)) does; got {run!r}")
     tracks = compared_tracks(several(scenarios), hold_steps)
     sets = {track.name: EpisodeSet(track.episodes or episodes, seed, split) for track in tracks}
     return compare("comparison", tracks, [get_policy_spec(policy) for policy in several(policies)], sets, run)

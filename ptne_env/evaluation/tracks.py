@@ -55,7 +55,7 @@ class Track:
 
     Attributes:
         name: unique in a comparison or suite; part of the seeds of its episodes in a suite.
-        scenario: the physics.
+        scenario: the physics, or its name in the catalogue.
         change: its difference from the base of the suite, in one sentence.
         teammates: players that follow a fixed policy; ``None`` where every player follows the policy that is run.
         episodes: its own number of episodes; that of the comparison or suite if ``None``.
@@ -74,6 +74,7 @@ class Track:
 
     def __post_init__(self) -> None:
         require_printable("the name of a track", self.name)
+        object.__setattr__(self, "scenario", get_scenario(self.scenario))
         if self.episodes is not None:
             require_count(f"episodes of track {self.name!r}", self.episodes, 1)
         if self.teammates is not None:
@@ -124,14 +125,14 @@ def compared_track(scenario: str | Scenario | Track, hold_steps: int = 0) -> Tra
         hold_steps: steps after the deadline for a scenario of the catalogue.
 
     Raises:
-        ValueError: for an unknown name, or an object that is no scenario.
+        ValueError: for an unknown name, or a ``"module:object"`` that is no scenario.
+        TypeError: for another object, such as an environment.
     """
     if isinstance(scenario, Track):
         return scenario
     if isinstance(scenario, str) and ":" in scenario:
         scenario = named_scenario(scenario)
-    elif isinstance(scenario, str):
-        scenario = get_scenario(scenario, hold_steps=hold_steps)
+    scenario = get_scenario(scenario, **{"hold_steps": hold_steps} if isinstance(scenario, str) else {})
     track = Track(scenario.name, scenario, "Random episodes.")
     if track.world.is_random:
         return track

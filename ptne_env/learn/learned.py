@@ -149,7 +149,7 @@ class LearnedPolicy:
         """
         pairs = [(name, mine, getattr(layout, name)) for name, mine in self._made_for.items()]
         if found := [f"{name}: policy {mine}, environment {theirs}" for name, mine, theirs in pairs if mine != theirs]:
-            raise PolicyLayoutError(f"policy {self.name!r} was made for another layout; {'; '.join(found)}")
+            raise PolicyLayoutError(f"the policy was made for another layout; {'; '.join(found)}")
 
     def predict(
         self,

@@ -64,3 +64,8 @@ def test_a_metric_that_is_declared_wrongly_is_refused(arguments, message):
     with pytest.raises(ValueError, match=message):
         register(Metric(**declared))
     assert "mine" not in METRICS
+
+
+def test_something_else_than_a_metric_is_not_registered():
+    with pytest.raises(TypeError, match="register takes Metric"):
+        register(len)

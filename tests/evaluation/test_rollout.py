@@ -1,5 +1,7 @@
 """The batched rollout against the environment, step by step."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
@@ -7,7 +9,7 @@ import ptne_env
 from ptne_env import laws
 from ptne_env.evaluation.episodes import EpisodeSet, episode_seed
 from ptne_env.evaluation.metrics import measure, settling_time
-from ptne_env.evaluation.rollout import rollout
+from ptne_env.evaluation.rollout import Rollout, rollout
 from ptne_env.perception.encoder import make_encoder
 from ptne_env.perception.observation import Interface
 from ptne_env.perception.policy import PolicyError
@@ -157,7 +159,9 @@ def test_settling_time_is_the_first_instant_after_which_the_distance_stays_insid
             [0.001, 0.001, 1.0, 0.001],
         ]
     )
-    np.testing.assert_array_equal(settling_time(times, distance), [0.0, 3.0, np.nan, 3.0])
+    world = SimpleNamespace(clock=SimpleNamespace(t=times))
+    found = settling_time(Rollout(world, {"strategy_distance": distance}, np.zeros(4, dtype=bool), 0.0))
+    np.testing.assert_array_equal(found, [0.0, 3.0, np.nan, 3.0])
 
 
 def test_saturated_components_are_counted_at_the_limit_alone():

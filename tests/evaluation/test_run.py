@@ -81,9 +81,30 @@ def test_a_comparison_takes_tracks_and_runs_the_jobs_by_what_it_is_given():
     assert asked == [("ring", "static", 1), ("ring", "grounded", 1), ("all", "static", 2), ("all", "grounded", 2)]
 
 
-def test_an_environment_in_the_place_of_a_scenario_is_refused():
-    with pytest.raises(TypeError, match=r"got a NashSeekingEnv; the scenario of an environment is env\.scenario"):
-        evaluate("static", ptne_env.parallel_env("energy"))
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (
+            {"scenarios": ptne_env.parallel_env("energy")},
+            r"got a NashSeekingEnv; the scenario of an environment is env",
+        ),
+        (
+            {"scenarios": [ptne_env.parallel_env("energy")]},
+            r"such as env.scenario of an environment; got a NashSeeking",
+        ),
+        ({"policies": laws.Static}, r"a policy of your own is PolicySpec\(name, policy\)"),
+        ({"run": 4}, r"run takes jobs, as ptne_env.bench.Runner\(folder, Workers\(4\)\) does; got 4"),
+    ],
+)
+def test_arguments_of_another_kind_are_refused(arguments, message):
+    with pytest.raises(TypeError, match=message):
+        evaluate(**{"policies": "static", "scenarios": "energy"} | arguments)
+
+
+def test_an_interface_may_be_given_by_its_kind_and_a_track_its_scenario_by_name():
+    spec = PolicySpec("mine", laws.Static, "physical")
+    assert spec == PolicySpec("mine", spec.policy, ptne_env.Interface("physical"))
+    assert evaluate(spec, Track("mine", "energy", "The paper's."), episodes=1).samples
 
 
 @pytest.mark.parametrize(

@@ -134,7 +134,7 @@ def test_another_archive_or_layout_is_refused(tmp_path):
     path = tmp_path / "model.zip"
     PPO("MlpPolicy", scaled, device="cpu").save(path)
     assert load_archive(str(path)).interface == scaled.layout.interface
-    with pytest.raises(PolicyFileError, match=r"'model' was made for another layout; size: policy 24, environment"):
+    with pytest.raises(PolicyFileError, match=r"the policy was made for another layout; size: policy 24, environment"):
         load_archive(str(path), PlayerVecEnv("robots", 1).layout)
     for content in (b"", b"not a zip", path.read_bytes()[:-300]):
         path.write_bytes(content)

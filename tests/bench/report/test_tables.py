@@ -25,7 +25,7 @@ from ptne_env.bench.report.tables import (
 from ptne_env.bench.report.terminal import answer_tables, result_tables, show
 from ptne_env.evaluation import METRICS, get_policy_spec
 from ptne_env.evaluation.jobs import Job
-from ptne_env.evaluation.metrics import number, share
+from ptne_env.evaluation.metrics import number
 from ptne_env.evaluation.statistics import Summary
 
 
@@ -195,7 +195,6 @@ def test_numbers_have_three_digits(value, text):
     assert number(value) == text
 
 
-def test_shares_have_three_decimals_and_digits_two_without_a_negative_zero():
-    assert [share(value) for value in (None, 0.5, -1e-9)] == ["–", "0.500", "0.000"]
+def test_digits_have_two_decimals_without_a_negative_zero():
     summaries = [Summary(-0.001, -0.001, -0.001), Summary(-1.5, -1.75, -1.25), Summary(None, None, None), None]
     assert [Cell.plus_minus(summary).text for summary in summaries] == ["0.00", "−1.50 ±0.25", "–", "–"]
