@@ -1,8 +1,8 @@
 """Tune the constants of laws on validation episodes of ptne-v1: ``python baselines/tune.py [LAW]...``.
 
-``tuned.csv`` beside this file is its output: the best constants found, and beside them those of the entries in
-``ptne_env/evaluation/entries.py``. The score of constants is the mean digits over some tracks, so that no law is tuned
-for one world.
+``tuned.csv`` beside this file is its output: the best constants found, and beside them those that the entries in
+``ptne_env/evaluation/entries.py`` had before. The score of constants is the mean digits over some tracks, so that no
+law is tuned for one world.
 """
 
 from __future__ import annotations
@@ -34,7 +34,8 @@ TUNED: dict[str, dict[str, tuple[float, float]]] = {
 TRACKS = ("switching-physical", "switching-transformed", "rough-links", "rounding")
 """Tracks of ptne-v1 with noise on the way."""
 
-COLUMNS = ("policy", "constants", "digits", "constants of the entry", "digits of the entry")
+OUTPUT = Path(__file__).parent / "tuned.csv"
+COLUMNS = ("policy", "constants", "digits", "constants before", "digits before")
 Constants = dict[str, float]
 
 
@@ -110,7 +111,7 @@ def main() -> None:
         print(*rows[-1].values(), sep="  ", flush=True)
     if given.law:
         return
-    with (Path(__file__).parent / "tuned.csv").open("w", encoding="utf-8", newline="") as file:
+    with OUTPUT.open("w", encoding="utf-8", newline="") as file:
         writer = csv.DictWriter(file, COLUMNS, lineterminator="\n")
         writer.writeheader()
         writer.writerows(rows)

@@ -1,5 +1,6 @@
 """The published numbers: documents show those of results.csv, and three random ones are computed again."""
 
+import csv
 import random
 import sys
 from pathlib import Path
@@ -8,13 +9,14 @@ import pytest
 from scipy import stats
 
 from ptne_env import CATALOGUE
-from ptne_env.bench import get_suite
+from ptne_env.bench import Runner, get_suite
 from ptne_env.evaluation import POLICIES, EpisodeSet
 from ptne_env.evaluation.jobs import Job
 from ptne_env.evaluation.tracks import compared_track
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "baselines"))
 import publish
+import tune
 
 EPISODES = 20
 """The first episodes of the published ones."""
@@ -51,3 +53,12 @@ def test_the_published_numbers_are_of_all_policies_scenarios_and_tracks():
     assert set(found.names("track", "comparison")) == {*CATALOGUE}
     assert set(found.names("track", "ptne-v1")) == {track.name for track in get_suite("ptne-v1").tracks}
     assert set(found.names("policy", "ptne-v1")) == {*POLICIES}
+
+
+def test_constants_are_tuned_from_those_of_the_entry_on():
+    search = tune.Search("grounded", 1, Runner())
+    constants, digits = search.best(generations=0)
+    assert constants.keys() == tune.TUNED["grounded"].keys()
+    assert digits >= search.digits([search.entry])[0]
+    with tune.OUTPUT.open(encoding="utf-8", newline="") as file:
+        assert [row["policy"] for row in csv.DictReader(file)] == [*tune.TUNED]

@@ -232,7 +232,7 @@ _COMPARED = {
 }
 _OTHERS = {
     "ppo-ptne-v1": _network("ptne-v1"),
-    "static-tuned": _entry("law:static", "The static law with tuned weights.", kappa=3.0, gradient_gain=3.5),
+    "static-tuned": _entry("law:static", "The static law with tuned weights.", kappa=2.2, gradient_gain=2.94),
     "fixed-gain": _entry(
         "law:fixed-gain", "The static law with the κ of Bianchi and Grammatico's weaker condition.", kappa=5.0
     ),
@@ -245,14 +245,14 @@ _OTHERS = {
     "projected-gradient": _entry(
         "law:projected-gradient",
         "Bianchi and Grammatico's discrete law: average with the neighbours, then take a gradient step.",
-        step=0.5,
-        mixing=0.45,
+        step=0.47,
+        mixing=0.357,
     ),
     "contact-relay": _entry(
         "law:contact-relay",
         "Copies news as routed-unknown, and takes best responses by an identified model of the own gradient.",
-        patience=30.0,
-        forgetting=2.0,
+        patience=12.6,
+        forgetting=5.89,
     ),
     "multi-rate": _entry(
         "law:multi-rate",
