@@ -61,7 +61,7 @@ class PolicySpec:
                     "the layout, or an object with predict; get_policy_spec('static') is the policy of a name"
                 )
         if isinstance(self.interface, str):
-            object.__setattr__(self, "interface", Interface(self.interface))
+            object.__setattr__(self, "interface", Interface(self.interface))  # type: ignore[arg-type]  # it checks itself
         declared = {_declared_interface(source) for source in self.training_seeds}
         if len(declared) > 1:
             raise ValueError(

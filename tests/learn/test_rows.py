@@ -16,6 +16,7 @@ from sb3_contrib import RecurrentPPO
 from stable_baselines3 import PPO, SAC
 
 from ptne_env import get_scenario, learn
+from ptne_env.bench import get_suite
 from ptne_env.envs.sb3 import PlayerVecEnv
 from ptne_env.evaluation import POLICIES, get_policy_spec
 from ptne_env.learn.archive import load_archive
@@ -28,6 +29,7 @@ from ptne_env.world.world import World
 
 STEPS, EPISODES = 6, 4
 WORLDS = [World(get_scenario(name)) for name in ("random-energy", "random-energy-switching", "robots")]
+WORLDS.append(World(get_suite("ptne-v1").track("liar").scenario))
 
 
 def parts_of(rows, rng):
