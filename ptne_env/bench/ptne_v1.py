@@ -87,10 +87,10 @@ TRACKS = (
     ),
     _track(
         "short-deadline",
-        "T = 0.12 in 30 steps, a tenth of the time, and inputs are limited to 50.",
+        "A tenth of the time in 30 steps, and inputs that are limited to 5 and so have little time to spare.",
         deadline=0.12,
         steps=30,
-        input_limit=50.0,
+        input_limit=5.0,
     ),
     _track(
         "strangers",
