@@ -8,6 +8,7 @@ in the folder ``--out``, which is that of ``publish.py``, and not run again.
 from __future__ import annotations
 
 import argparse
+from collections.abc import Mapping
 from itertools import combinations
 from pathlib import Path
 
@@ -20,23 +21,31 @@ SEEDS = (0, 1)
 """Of the episodes of the two rankings."""
 
 
-def correlations(results: Results) -> list[tuple[float, str, str]]:
-    """Spearman's correlation of every pair of scored tracks, the largest first, by digits to two decimals."""
-    found = {
+def correlations(digits: Mapping[str, Mapping[str, float]]) -> list[tuple[float, str, str]]:
+    """Spearman's correlation of every pair of tracks over the policies that act on both, the largest first.
+
+    Args:
+        digits: mean digits by track and policy; they count to two decimals.
+    """
+    pairs = []
+    for first, second in combinations(digits, 2):
+        both = digits[first].keys() & digits[second].keys()
+        values = [[round(digits[track][name], 2) for name in both] for track in (first, second)]
+        pairs.append((float(stats.spearmanr(*values).statistic), first, second))
+    return sorted(pairs, reverse=True)
+
+
+def digits_of(results: Results) -> dict[str, dict[str, float]]:
+    """The mean digits on every scored track of all policies but oracles."""
+    return {
         track.name: {
-            name: round(digits.mean, 2)
+            name: digits.mean
             for name, digits in results.ranked(track.name).items()
             if digits.mean is not None and not results.policies[name].is_oracle
         }
         for track in results.tracks
         if track.scored
     }
-    pairs = []
-    for first, second in combinations(found, 2):
-        both = found[first].keys() & found[second].keys()
-        values = [[found[track][name] for name in both] for track in (first, second)]
-        pairs.append((float(stats.spearmanr(*values).statistic), first, second))
-    return sorted(pairs, reverse=True)
 
 
 def agreement(first: Results, second: Results) -> float:
@@ -59,7 +68,7 @@ def main() -> None:
     first, second = (
         run_suite("ptne-v1", POLICIES.values(), episodes=given.episodes, seed=seed, run=runner) for seed in SEEDS
     )
-    for value, *tracks in correlations(first)[: given.pairs]:
+    for value, *tracks in correlations(digits_of(first))[: given.pairs]:
         print(f"Spearman {value:.3f}  {' and '.join(tracks)}")
     print(f"Kendall's tau between seeds {SEEDS[0]} and {SEEDS[1]}: {agreement(first, second):.3f}")
 

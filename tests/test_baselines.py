@@ -16,6 +16,7 @@ from ptne_env.evaluation.tracks import compared_track
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "baselines"))
 import publish
+import ranking
 import tune
 
 EPISODES = 20
@@ -62,3 +63,13 @@ def test_constants_are_tuned_from_those_of_the_entry_on():
     assert digits >= search.digits([search.entry])[0]
     with tune.OUTPUT.open(encoding="utf-8", newline="") as file:
         assert [row["policy"] for row in csv.DictReader(file)] == [*tune.TUNED]
+
+
+def test_no_two_scored_tracks_rank_alike_and_the_best_law_is_a_digit_below_the_oracle():
+    digits = {track.name: {} for track in get_suite("ptne-v1").tracks if track.scored}
+    for row in publish.read().rows:
+        if row["suite"] == "ptne-v1" and row["metric"] == "digits" and row["track"] in digits:
+            digits[row["track"]][row["policy"]] = float(row["mean"])
+    for found in digits.values():
+        assert found.pop("oracle") >= max(found.values()) + 1
+    assert ranking.correlations(digits)[0][0] <= 0.95
