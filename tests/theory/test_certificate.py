@@ -123,7 +123,7 @@ def test_digits_that_rounding_decides_are_not_exact():
     assert certificate.digits > 12
     assert played_digits(scenario, laws.Static, 0) < 11
     assert not certificate.digits_are_exact
-    assert any("rounding leaves errors at T" in note for note in certificate.notes)
+    assert any("rounding shows at T" in note for note in certificate.notes)
 
 
 def test_a_law_in_scaled_units_has_no_exact_digits():
