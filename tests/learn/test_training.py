@@ -54,7 +54,7 @@ def test_a_configuration_is_a_file_or_a_scenario(tmp_path):
     for name in ("robots", "ptne-v1/liar", "nowhere:scenario"):  # nothing is imported
         assert Configuration.from_toml(name, steps=3) == Configuration(name, steps=3)
     for name in configurations():
-        assert Configuration.from_toml(name).scenario == name
+        assert Configuration.from_toml(name).scenario.partition("/")[0] == name
         assert f"ppo-{name}" in learn.shipped()
 
 
@@ -75,7 +75,7 @@ def test_a_wrong_file_is_refused_by_name(content, message, tmp_path):
 
 
 def test_an_unknown_configuration_is_refused():
-    with pytest.raises(ValueError, match="unknown configuration 'nope'; choose from random-energy, .* or a .toml file"):
+    with pytest.raises(ValueError, match="unknown configuration 'nope'; choose from .*random-energy, or a .toml file"):
         Configuration.from_toml("nope")
 
 
