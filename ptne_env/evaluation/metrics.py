@@ -182,10 +182,10 @@ _DIGITS, _SHARE, _POSITIVE = (-math.inf, MOST_DIGITS), (0.0, 1.0), (0.0, math.in
 for _metric in (
     Metric("digits", "digits", "−log10 of the estimate distance at the deadline, at most 12", "higher", range=_DIGITS,
            value=lambda rollout: distances.digits(_at_deadline(rollout, "estimate_distance"))),
-    Metric("digits_cvar", "CVaR (10 %)", "mean digits of the worst tenth of the episodes (conditional value at risk)",
-           "higher", source="digits", statistic="cvar", range=_DIGITS),
     Metric("mean_regret", "mean regret", "mean over time of the regret until the deadline; 1 is that of the start",
            "lower", value=_mean_regret, range=_POSITIVE),
+    Metric("digits_cvar", "CVaR (10 %)", "mean digits of the worst tenth of the episodes (conditional value at risk)",
+           "higher", source="digits", statistic="cvar", range=_DIGITS),
     Metric("strategy_distance", "strategy distance", "‖x − x*‖/‖x*‖ at the deadline (the paper's plots)", "lower",
            value=lambda rollout: _at_deadline(rollout, "strategy_distance"), range=_POSITIVE),
     Metric("estimate_distance", "estimate distance",

@@ -17,7 +17,7 @@ from ptne_env.bench.files import read_results
 ray = pytest.importorskip("ray")
 pytestmark = pytest.mark.filterwarnings("default")  # Ray's own
 
-TRACKS, POLICIES = ("nominal", "switching-physical"), ("grounded", "adaptive", "ppo-random-energy")
+TRACKS, POLICIES = ("nominal", "switching-physical"), ("grounded", "adaptive", "ppo-ptne-v1")
 
 
 @pytest.fixture

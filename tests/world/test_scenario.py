@@ -74,7 +74,7 @@ def test_a_shortfall_above_one_percent_is_a_warning():
 
 REFUSED = {
     "unknown scenario": (lambda: get_scenario("enrgy"), "unknown scenario 'enrgy'; did you mean 'energy'"),
-    "track of a suite": (lambda: get_scenario("ptne-v1/liar"), r"get_suite\('ptne-v1'\).track\('delay'\).scenario"),
+    "track of a suite": (lambda: get_scenario("ptne-v1/liar"), r"get_suite\('ptne-v1'\).track\('liar'\).scenario"),
     "unknown field": (lambda: get_scenario("energy", kappa=2), "unknown scenario field 'kappa'; choose from name, "),
     "unknown start": (lambda: get_scenario("energy", start="rnd"), "unknown start 'rnd'; did you mean 'random'"),
     "deadline of zero": (lambda: get_scenario("energy", deadline=0.0), r"deadline must be .* above 0 \(T, in seconds"),

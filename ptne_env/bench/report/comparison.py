@@ -70,7 +70,7 @@ def page(
             Part(
                 "Results",
                 "Digits are −log10 of the relative distance of all players' estimates from the equilibrium, counted up "
-                "to 12. A click on a heading sorts.",
+                "to 12. The mean regret is what the way there costs the players. A click on a heading sorts.",
                 (answer_table(results), regret_table(results), *([] if board is None else [board])),
             ),
             Part(

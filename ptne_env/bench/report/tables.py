@@ -72,9 +72,9 @@ class Cell:
         return cls(text if half == "0.00" else f"{text} ±{half}", summary.mean)
 
     @classmethod
-    def plain(cls, summary: Summary) -> Cell:
+    def plain(cls, summary: Summary | None) -> Cell:
         """The cell of a mean without its interval."""
-        return cls() if summary.mean is None else cls(number(summary.mean), summary.mean)
+        return cls() if summary is None or summary.mean is None else cls(number(summary.mean), summary.mean)
 
     @classmethod
     def words(cls, text: str) -> Cell:
@@ -173,7 +173,7 @@ def regret_table(results: Results) -> Table:
     columns = (
         Column(
             _marked(results, name),
-            {track: Cell.of(results.summary(track, name, "mean_regret")) for track in tracks},
+            {track: Cell.plain(results.summary(track, name, "mean_regret")) for track in tracks},
             f"mean regret of {name}",
         )
         for name in ordered(results)
