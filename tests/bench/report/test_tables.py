@@ -133,7 +133,8 @@ def test_a_policy_that_cannot_act_is_named_with_the_reason(suite):
     plain, robots = (track_tables(suite, track)[0] for track in suite.tracks)
     assert "ppo-random-energy" in plain.rows
     assert "ppo-random-energy" not in robots.rows
-    assert robots.notes[0].startswith("n/a: ppo-random-energy: policy 'ppo-random-energy' was made for another layout")
+    assert robots.notes[0].startswith("n/a: ppo-random-energy: ")
+    assert "was made for another layout" in robots.notes[0]
 
 
 def test_the_leaderboard_has_the_scores_of_a_suite_alone(suite, comparison):
