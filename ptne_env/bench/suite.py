@@ -87,7 +87,10 @@ def ptne_v1() -> Suite:
     return Suite("ptne-v1", TRACKS, episodes=60)
 
 
-SUITES: Mapping[str, str] = {"ptne-v1": "ptne_env.bench.suite:ptne_v1"}
+SUITES: Mapping[str, str] = {
+    "ptne-v1": "ptne_env.bench.suite:ptne_v1",
+    "robustness": "ptne_env.bench.robustness:robustness",
+}
 """The published suites: name, and the ``"module:object"`` that makes each."""
 
 
