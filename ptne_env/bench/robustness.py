@@ -103,14 +103,14 @@ def _game(players: int, drawn: dict[str, float]) -> tuple[FactorySpec, float, fl
     low = float(f"{stiffness / math.sqrt(ratio):.3g}")
     near = f", equilibria ±{scale:g}"
     if kind == "energy":
-        coupling = low * players**-0.5
+        coupling = float(f"{low * players**-0.5:.3g}")
         arguments = {
-            "curvature": (low / 2, low / 2 * ratio),
+            "curvature": (low, float(f"{low * ratio:.3g}")),
             "target": (-scale, scale),
-            "coupling": (coupling / 5, coupling),
+            "coupling": (0.0, coupling),
             "base_price": 0.0,
         }
-        largest = low * ratio + coupling * (1 + players)
+        largest = 2 * low * ratio + coupling * (1 + players)
         return part("game:random-energy", players=players, **arguments), largest, size, f"energy, ratio {ratio:g}{near}"
     dims = 1 if drawn["components"] < 0.7 or players > 8 else 2 + (drawn["components"] > 0.9)
     bend = _between(drawn["bend"], 1, 20) if kind == "saturating" else 0.0
@@ -185,15 +185,17 @@ def _channel(size: float, steps: int, drawn: dict[str, float]) -> tuple[list[Fac
         )
     )
     onset, longest = round(steps * (0.2 + 0.6 * drawn["onset"])), int(_maybe(drawn["delay"], 0.3, 2, 11))
-    loss, bursts = _maybe(drawn["loss"], 0.25, 0.05, 0.6), drawn["burst"] < 0.3
-    lossy = ("channel:bursts", {"to_bad": 0.1 * loss / (1 - loss), "to_good": 0.1})
+    loss = _maybe(drawn["loss"], 0.25, 0.05, 0.6)
+    lost = (f"loss {loss:.2g}", "channel:loss", {"probability": loss})
+    if drawn["burst"] < 0.3:
+        lost = (f"loss {loss:.2g} in bursts", "channel:bursts", {"to_bad": 0.1 * loss / (1 - loss), "to_good": 0.1})
     found = (
         (bias, f"bias {bias:.2g}", "channel:bias", {"bound": bias}),
         (noise, f"noise {noise:.2g}", "channel:noise", {"std": noise}),
         (tails, f"heavy tails {tails:.2g}", "channel:heavy-tails", {"scale": tails}),
         (late, f"noise {late:.2g} from step {onset}", "channel:late-noise", {"std": late, "step": onset}),
         (rounding, f"rounding {rounding:.2g}", "channel:rounding", {"width": rounding}),
-        (loss, f"loss {loss:.2g}{' in bursts' * bursts}", *(lossy if bursts else ("channel:loss", {"probability": loss}))),
+        (loss, *lost),
         (longest, f"delay 0 to {longest}", "channel:delay", {"steps": 0, "longest": longest}),
     )
     chosen = [(told, _stage(target, arguments)) for value, told, target, arguments in found if value]
