@@ -59,7 +59,7 @@ def _track(name: str, drawn: dict[str, float], generator: np.random.Generator) -
     game, largest, size, told = _game(players, drawn)
     links = _links(players, drawn["links"], generator)
     kind = ("fixed", "fixed", "episode", "physical", "transformed")[int(drawn["graph"] * 5)] if players > 2 else "fixed"
-    probability = min(1.0, 1.5 * math.log(players + 1) / players)
+    probability = round(min(1.0, 1.5 * math.log(players + 1) / players), 2)
     degree = (players - 1) * probability if kind == "episode" else 2 * len(links) / players
     # The paper's law with κ = 2 is stable up to Θ = 2/(ι + 2 λ_max(L)), about; the steps are 0.25 to 0.8 of that.
     step = _between(drawn["pace"], 0.5, 1.6) / (largest + 2 * min(players, degree + 3))
