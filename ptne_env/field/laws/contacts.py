@@ -16,6 +16,9 @@ _DIFFERENT = 1e-3
 """Copies at rest that differ by more than this share of the largest own estimate are different."""
 
 
+ANCHOR = True
+
+
 class Messages(NamedTuple):
     """What R players hear in a step, in natural units."""
 
@@ -132,13 +135,16 @@ def contacts(
         wakes[starts] = np.where(first, is_newcomer[rows], np.where(i_has & j_has, both, j_has & ~i_has))
 
     source = np.where(_any_slot(wakes), wakes, source)
+    # While the own copy rests, changes of the neighbour's add up from where it was.
+    rests = links & linked
+    rests = ANCHOR & rests[:, :, None] & ~source & (i_moved <= floor)
     owners = leaders & (live | heard)
     source = np.where(_any_slot(owners), owners & live, source)
     return source, Contacts(
         live=links.astype(np.float64),
         heard=np.maximum(was.heard, links),
-        moved=np.where(live, 0.0, mine),
-        seen=np.where(live, relative, was.seen),
+        moved=np.where(live & ~rests, 0.0, mine),
+        seen=np.where(live, np.where(rests, seen, relative), was.seen),
         source=source.astype(np.float64),
         votes=votes,
         news=np.maximum(was.news, _any_slot(source)[:, 0]),
