@@ -56,6 +56,13 @@ class LastMove(NamedTuple):
     radius: FloatArray  # of the trust region, shape (R, 1)
 
 
+def no_move(layout: ObservationLayout) -> LastMove:
+    """The own side of one player at the start of an episode: its model is 0, with the deviation :data:`SPREAD`."""
+    outputs, n, none = max(layout.action_dims), layout.dimension, np.zeros((1, 1))
+    model = blank(1, outputs, n if n <= LARGEST_ROW else outputs, SPREAD)
+    return LastMove(model, np.zeros((1, n)), np.zeros((1, outputs)), np.zeros((1, n)), none)
+
+
 class Own(NamedTuple):
     """The own side of R players: their models of their own gradients, and the limits of their own displacements."""
 
@@ -147,12 +154,10 @@ class Relayed(NamedTuple):
 
 
 def nothing_relayed(layout: ObservationLayout) -> Relayed:
-    """The memory of one relay at the start of an episode: its model is 0, with the deviation :data:`SPREAD`."""
-    outputs, n, none = max(layout.action_dims), layout.dimension, np.zeros((1, 1))
-    model = blank(1, outputs, n if n <= LARGEST_ROW else outputs, SPREAD)
-    own = LastMove(model, np.zeros((1, n)), np.zeros((1, outputs)), np.zeros((1, n)), none)
+    """The memory of one relay at the start of an episode."""
+    none, messages = np.zeros((1, 1)), np.zeros((1, layout.slots, layout.dimension))
     unrest = Unrest(none + UNLIMITED, none + UNLIMITED, none)
-    return Relayed(none, own, contacts.no_contacts(layout), np.zeros((1, layout.slots, n)), none, unrest)
+    return Relayed(none, no_move(layout), contacts.no_contacts(layout), messages, none, unrest)
 
 
 def heard(

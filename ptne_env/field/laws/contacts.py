@@ -12,12 +12,6 @@ from ptne_env.shared.arrays import BoolArray, FloatArray, IntArray, fold, ordere
 _MOVED = 1e-5
 """Relative change of a float32 message above which it has moved, and is not only rounded otherwise."""
 
-_DIFFERENT = 1e-3
-"""Copies at rest that differ by more than this share of the largest own estimate are different."""
-
-
-ANCHOR = True
-
 
 class Messages(NamedTuple):
     """What R players hear in a step, in natural units."""
@@ -137,7 +131,7 @@ def contacts(
     source = np.where(_any_slot(wakes), wakes, source)
     # While the own copy rests, changes of the neighbour's add up from where it was.
     rests = links & linked
-    rests = ANCHOR & rests[:, :, None] & ~source & (i_moved <= floor)
+    rests = rests[:, :, None] & ~source & (i_moved <= floor)
     owners = leaders & (live | heard)
     source = np.where(_any_slot(owners), owners & live, source)
     return source, Contacts(
@@ -149,32 +143,6 @@ def contacts(
         votes=votes,
         news=np.maximum(was.news, _any_slot(source)[:, 0]),
     )
-
-
-def contradictions(
-    observation: Observation,
-    messages: Messages,
-    steps: FloatArray,
-    drift: FloatArray,
-    sources: BoolArray,
-    own: BoolArray,
-) -> FloatArray:
-    """Steps for which a neighbour has contradicted the own copy and its sources, while all of them rested, (R, D, n).
-
-    Where every player copies, copies at rest are equal. They differ where a player and its source follow each other,
-    as with a neighbour that averages, and both have never heard the owner. A neighbour contradicts only as long as it
-    is right about the own strategy: so a liar does not.
-
-    ``steps`` is this number so far; ``drift``, ``sources`` and ``own`` (R, n) are as for :func:`contacts`.
-    """
-    scale = np.abs(observation.own_estimate).max(axis=1)[:, None, None]
-    rests = messages.change <= _MOVED * scale
-    is_other = np.abs(observation.relative_estimates) > _DIFFERENT * scale
-    rests &= (np.abs(drift)[:, None] <= _MOVED * scale) & ~own[:, None]
-    knows = ~(is_other & own[:, None]).any(axis=2)
-    agrees = ~_any_slot(sources & (is_other | ~rests))
-    contradicts = rests & is_other & agrees & (messages.lasted & knows)[:, :, None] & ~sources
-    return np.where(contradicts, steps + 1, 0.0)
 
 
 def copies(observation: Observation, sources: BoolArray) -> FloatArray:

@@ -1,4 +1,4 @@
-"""Filters of messages: how noisy they are, whether they are rounded, and what they state beneath the noise."""
+"""Filters of messages: how much noise they carry, whether they are rounded, and what they state beneath it."""
 
 from __future__ import annotations
 
@@ -7,31 +7,39 @@ from typing import NamedTuple
 import numpy as np
 
 from ptne_env.field.laws.contacts import Messages
-from ptne_env.field.laws.identification import RESOLUTION
 from ptne_env.perception.observation import ObservationLayout
 from ptne_env.shared.arrays import BoolArray, FloatArray, row_maxima
 
-LEAP = 8.0
-MEDIAN = True
-CAP = 1 / 6
-
 RATES = (1 / 4, 1 / 16, 1 / 64, 1 / 256)
-"""Smallest weights of the present message in the means: from quick ones to slow ones."""
-
-_FALLS, _RISES = 1 / 8, 1 / 32
-"""Weights of the present step in the noise: moves of the start are forgotten sooner than noise is believed."""
+"""Smallest weights of the present message in the means, from quick ones to slow ones."""
 
 _DEVIATIONS = 3.0
 """Half-width of the interval around each mean, in standard deviations: means agree where all intervals meet."""
 
-_NORMAL_MEDIAN = 0.3186
-"""Median of |ξ| for ξ ~ N(0, 1)."""
+_RECONNECTED = 1 / 6
+"""Smallest variance of a mean, in that of a message, when a link comes up again: the sender has moved meanwhile."""
 
-_FINE = 16 * RESOLUTION
-"""Noise and steps of rounding below this share of the largest estimate are those of float32."""
+_FALLS, _RISES, _LEAP = 1 / 8, 1 / 32, 4.0
+"""Weights of a step in the estimate of noise, which falls sooner than it rises; and the largest multiple of it that a
+step counts as. So the moves of the start are no noise for long, and noise may begin late."""
+
+_QUARTILE = 0.184
+"""Lower quartile of min(|ξ − ξ'|/√2, |ξ − 2 ξ' + ξ''|/√6) for independent normal ξ, ξ', ξ'', found by sampling."""
+
+_FINE = 2e-6
+"""Noise and steps of rounding below this share of the largest own estimate are those of float32."""
+
+_CALM = 10
+"""Steps in which noise does not halve before it counts: messages that converge halve their changes sooner."""
+
+_START = 20
+"""Steps before messages are taken for rounded."""
 
 _ON_GRID = 1e-2
 """Largest distance of a rounded message from a multiple of the step, in steps."""
+
+_FORGETTING = (3.0, 2.0)
+"""p of the weights p/(p + k) of rounded messages in their mean, and of that mean in the mean of means."""
 
 _GOLDEN_RATIO = (5**0.5 - 1) / 2
 
@@ -39,99 +47,140 @@ _GOLDEN_RATIO = (5**0.5 - 1) / 2
 class Filters(NamedTuple):
     """What R players remember of their neighbours' messages."""
 
-    age: FloatArray  # steps in which the link has been live without a break, shape (R, D)
+    age: FloatArray  # steps for which links have been live without a break, shape (R, D)
     last: FloatArray  # messages of the last step, shape (R, D, n)
-    before: FloatArray  # messages of the step before, shape (R, D, n)
+    before: FloatArray  # those of the step before it, shape (R, D, n)
     noise: FloatArray  # standard deviation of the noise of messages, shape (R, 1)
-    width: FloatArray  # the smallest change of a message, the step of rounding where they are rounded, shape (R, 1)
-    level: FloatArray
-    since: FloatArray
+    level: FloatArray  # the largest noise since it last halved, shape (R, 1)
+    calm: FloatArray  # steps since noise last halved, shape (R, 1)
+    width: FloatArray  # the smallest change of a message: the step of rounding, if they are rounded, shape (R, 1)
+    dithered: FloatArray  # steps for which messages have been rounded, shape (R, 1)
     means: FloatArray  # per rate, shape (R, L, D, n)
     variances: FloatArray  # of the means, in that of a message, shape (R, L, D, n)
 
 
+class Damage(NamedTuple):
+    """What R players know of the damage of messages, shapes (R, 1)."""
+
+    noise: FloatArray  # standard deviation, 0 where messages are exact
+    step: FloatArray  # of rounding, 0 where messages are not rounded, or noise hides it
+
+    @property
+    def deviation(self) -> FloatArray:
+        """Standard deviation of a message, 0 where messages are exact."""
+        return np.maximum(self.noise, self.step / np.sqrt(12))
+
+
 def no_filters(layout: ObservationLayout) -> Filters:
     """The filters of one player at the start of an episode."""
-    links, slots = np.zeros((1, layout.slots)), np.zeros((1, layout.slots, layout.dimension))
+    slots, none = np.zeros((1, layout.slots, layout.dimension)), np.zeros((1, 1))
     means = np.zeros((1, len(RATES), layout.slots, layout.dimension))
-    none = np.zeros((1, 1))
-    return Filters(links, slots, slots, none, none + np.inf, none, none, means, means + 1e6)
+    return Filters(slots[..., 0], slots, slots, none, none, none, none + np.inf, none, means, means + 1e6)
 
 
 def measured(
     messages: Messages, was: Filters, steps: FloatArray, owners: BoolArray, scale: FloatArray
-) -> tuple[Filters, FloatArray]:
-    """The filters with the noise of this step's messages, and the step of rounding, 0 where they are not rounded."""
+) -> tuple[Filters, Damage]:
+    """The filters with this step's messages, but for the means, and the damage of messages.
+
+    Noise is measured by second differences of messages from step to step, which are small where senders move smoothly,
+    and by first differences, which are small where senders rest after a jump; of both, and of all components and links,
+    the lower quartile counts. In the first step the estimates of others rest, and first differences are noise alone.
+    A message that repeats the one before was held on its way, and says nothing. Noise counts once it has not halved for
+    ten steps, or from the first step on, until it has vanished.
+
+    Args:
+        messages: of this step.
+        was: the filters so far.
+        steps: number of steps so far, shape (R, 1).
+        owners: whether the sender owns the component, (R, D, n).
+        scale: the largest own estimate, shape (R, 1).
+    """
     live, content = messages.live, messages.content
-    age = np.where(live, was.age + 1, 0.0)
-    first, second = content - was.last, content - 2 * was.last + was.before
-    is_start = steps == 1
-    change = np.abs(np.where(is_start[:, :, None], first * np.sqrt(3), second))
-    is_new = (first != 0).any(axis=2)
-    counts = live & (is_new | is_start) & (age >= np.where(is_start, 2, 3))
-    sample = _median(np.where(counts[:, :, None] & ~owners, change, np.inf)) / (_NORMAL_MEDIAN * np.sqrt(6))
-    most = np.maximum(LEAP * was.noise, _FINE * scale)
-    sample = np.where(is_start | ~np.isfinite(sample), sample, np.minimum(sample, most))
-    rate = np.where(is_start, 1.0, np.where(sample < was.noise, _FALLS, _RISES))
-    noise = np.where(np.isfinite(sample), was.noise + rate * (np.where(np.isfinite(sample), sample, 0) - was.noise), was.noise)
+    age, is_first = np.where(live, was.age + 1, 0.0), steps == 1
+    first, second = np.abs(content - was.last) / np.sqrt(2), np.abs(content - 2 * was.last + was.before) / np.sqrt(6)
+    says = live & ((first > 0).any(axis=2) | is_first) & (age >= np.where(is_first, 2, 3))
+    change = np.where(is_first[:, :, None], first * (_QUARTILE / 0.319), np.minimum(first, second))
+    sample, is_known = _quartile(np.where(says[:, :, None] & ~owners, change, np.inf))
+    sample = sample / _QUARTILE
+    most = np.where(is_first, np.inf, np.maximum(_LEAP * was.noise, _FINE * scale))
+    rate = np.where(is_first, 1.0, np.where(sample < was.noise, _FALLS, _RISES))
+    noise = np.where(is_known, was.noise + rate * (np.minimum(sample, most) - was.noise), was.noise)
 
-    level = np.maximum(was.level, noise)
-    halved = (noise < level / 2) & (steps > 1)
-    level, since = np.where(halved, noise, level), np.where(halved, 0.0, was.since + 1)
-    since = np.where(is_start, 100.0, since)
+    is_fine = noise <= _FINE * scale
+    halves = (noise < was.level / 2) & (was.calm < _CALM) & (steps > 1)
+    calm = np.where(halves | is_fine, 0.0, np.where(is_first, _CALM, was.calm + 1))
+    level = np.where(halves, noise, np.maximum(was.level, noise))
+
     moved = messages.lasted[:, :, None] & (messages.change > _FINE * scale[:, :, None])
-    smallest = np.where(moved, messages.change, np.inf).min(axis=(1, 2))[:, None]
-    width = np.minimum(was.width, smallest)
-    known = np.where(np.isfinite(width), width, 1.0)[:, :, None]
-    off = row_maxima(np.where(live[:, :, None], np.abs(content / known - np.round(content / known)), 0.0)).max(axis=1, keepdims=True)
-    is_rounded = np.isfinite(width) & (width > 100 * _FINE * scale) & (off < _ON_GRID) & live.any(axis=1, keepdims=True) & (steps >= 20)
-    step = np.where(is_rounded, width, 0.0)
-    last, before = (np.where(live[:, :, None], part, 0.0) for part in (content, was.last))
-    return was._replace(age=age, last=content, before=was.last, noise=noise, width=width, level=level, since=since), step
+    width = np.minimum(was.width, np.where(moved, messages.change, np.inf).min(axis=(1, 2))[:, None])
+    ticks = content / np.where(np.isfinite(width), width, np.inf)[:, :, None]
+    off = row_maxima(np.where(live[:, :, None], np.abs(ticks - np.round(ticks)), 0.0)).max(axis=1, keepdims=True)
+    is_rounded = np.isfinite(width) & (width > 100 * _FINE * scale) & (steps >= _START) & (off < _ON_GRID)
+    is_rounded &= live.any(axis=1, keepdims=True) & (noise < width)
+    fresh = was._replace(age=age, last=content, before=was.last, noise=noise, level=level, calm=calm, width=width)
+    fresh = fresh._replace(dithered=np.where(is_rounded, was.dithered + 1, 0.0))
+    audible = np.where((calm >= _CALM) & ~is_rounded, noise, 0.0)
+    return fresh, Damage(audible, np.where(is_rounded, width, 0.0))
 
 
-def filtered(messages: Messages, was: Filters, before: FloatArray, last: FloatArray, deviation: FloatArray) -> tuple[Filters, FloatArray, FloatArray]:
-    """Intersection of confidence intervals: the slowest mean that agrees with all quicker ones, and its variance.
+def filtered(
+    messages: Messages, was: Filters, fresh: Filters, damage: Damage
+) -> tuple[Filters, tuple[FloatArray, FloatArray]]:
+    """The slowest mean of each message that agrees with all quicker ones, and its variance in that of a message.
 
-    Both (R, D, n), the variance in that of a message.
+    Means agree as far as their confidence intervals have a point in common (A. Goldenshluger and A. Nemirovski, "On
+    spatially adaptive estimation of nonparametric regression", Mathematical Methods of Statistics 6(2), 1997). Means
+    that do not agree begin anew where the slowest that agrees is. The quickest "mean" is the median of three messages,
+    and a message counts as at most three deviations away from it: so single outliers move nothing.
+
+    Rounded messages of dithered strategies are averaged twice, so that the weights vanish at both ends: the dither is
+    no noise, and its mean over a smooth window is closer to 0.
+
+    ``was`` are the filters before this step, ``fresh`` those of :func:`measured`. Means and variances are (R, D, n).
     """
     live, content = messages.live[:, :, None], messages.content
-    lasted = (was.age >= 3)[:, :, None]
-    middle = np.maximum(np.minimum(content, last), np.minimum(np.maximum(content, last), before))
-    chosen = np.where(lasted, middle, content)
-    variance = np.ones_like(chosen)
-    renewed = (was.age == 1)[:, :, None]
-    if MEDIAN:
-        content = np.clip(content, chosen - 3 * deviation[:, :, None], chosen + 3 * deviation[:, :, None])
-    half = _DEVIATIONS * deviation[:, :, None]
+    low, high = np.minimum(content, was.last), np.maximum(content, was.last)
+    chosen = np.where((fresh.age >= 3)[:, :, None], np.clip(was.before, low, high), content)
+    half = _DEVIATIONS * damage.deviation[:, :, None]
     lower, upper = chosen - half, chosen + half
-    agrees = np.ones_like(lower, dtype=bool)
+    content = np.clip(content, lower, upper)
+    variance, agrees = np.ones_like(chosen), np.ones_like(chosen, dtype=np.bool_)
     means, variances = was.means.copy(), was.variances.copy()
+    renewed = np.where(fresh.age == 1, _RECONNECTED, 0.0)[:, :, None]
     for level, least in enumerate(RATES):
-        old, spread = means[:, level], variances[:, level]
-        spread = np.where(renewed, np.maximum(spread, CAP), spread)
-        rate = np.maximum(least, spread / (1 + spread))
-        spread = (1 - rate) ** 2 * spread + rate**2
-        mean = old + rate * (content - old)
-        mean, spread = np.where(live, mean, old), np.where(live, spread, variances[:, level])
+        mean, spread = was.means[:, level], np.maximum(was.variances[:, level], renewed)
+        rate = np.where(live, np.maximum(least, spread / (1 + spread)), 0.0)
+        mean, spread = mean + rate * (content - mean), (1 - rate) ** 2 * spread + rate**2
         wide = half * np.sqrt(spread)
         lower, upper = np.maximum(lower, mean - wide), np.minimum(upper, mean + wide)
-        agrees = agrees & (lower <= upper)
-        chosen = np.where(agrees, mean, chosen)
-        variance = np.where(agrees, spread, variance)
-        restart = live & ~agrees
-        means[:, level] = np.where(restart, chosen, mean)
-        variances[:, level] = np.where(restart, variance, spread)
-    return was._replace(means=means, variances=variances), chosen, variance
+        agrees &= lower <= upper
+        chosen, variance = np.where(agrees, mean, chosen), np.where(agrees, spread, variance)
+        starts = live & ~agrees
+        means[:, level], variances[:, level] = np.where(starts, chosen, mean), np.where(starts, variance, spread)
 
-
-def _median(array: FloatArray) -> FloatArray:
-    """The lower median of the finite entries of each row, (R, D, n) to (R, 1); infinite where there is none."""
-    ordered = np.sort(array.reshape(len(array), -1), axis=1)
-    number = np.isfinite(ordered).sum(axis=1, keepdims=True)
-    return np.take_along_axis(ordered, np.minimum(number // 4, ordered.shape[1] - 1), axis=1)
+    rounded = (damage.step > 0)[:, :, None]
+    if rounded.any():
+        k, (p, q) = fresh.dithered[:, :, None] - 1, _FORGETTING
+        mean = was.means[:, 0] + np.where(live, p / (p + k), 0.0) * (messages.content - was.means[:, 0])
+        smooth = was.means[:, 1] + np.where(live, q / (q + k), 0.0) * (mean - was.means[:, 1])
+        means[:, 0], means[:, 1] = np.where(rounded, mean, means[:, 0]), np.where(rounded, smooth, means[:, 1])
+        chosen, variance = np.where(rounded, smooth, chosen), np.where(rounded, 1.0, variance)
+    return fresh._replace(means=means, variances=variances), (chosen, variance)
 
 
 def dither(steps: FloatArray) -> FloatArray:
-    """Evenly spread numbers in [−½, ½), shape (R, 1): the fractional part of steps × golden ratio, minus ½."""
+    """Evenly spread numbers in [−½, ½), shape (R, 1): the fractional part of steps × golden ratio, minus ½.
+
+    A strategy that moves by ``dither`` × the step of rounding is rounded up in the share of steps by which it lies
+    above the multiple below, so the mean of its rounded messages is the strategy.
+    """
     return (steps * _GOLDEN_RATIO) % 1.0 - 0.5
+
+
+def _quartile(array: FloatArray) -> tuple[FloatArray, BoolArray]:
+    """The lower quartile of the finite entries of each row, (R, D, n) to (R, 1), and whether there are any."""
+    ordered = np.sort(array.reshape(len(array), -1), axis=1)
+    number = np.isfinite(ordered).sum(axis=1, keepdims=True)
+    found = np.take_along_axis(ordered, np.minimum(number // 4, ordered.shape[1] - 1), axis=1)
+    return np.where(number > 0, found, 0.0), number > 0

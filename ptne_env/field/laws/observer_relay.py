@@ -1,97 +1,101 @@
-"""The observer relay: the contact relay, with observers of noise, rounding, liars, pushes and neighbours' reactions."""
+"""The observer relay: best responses and copies as in the contact relay, beneath noise, rounding, lies and gaps."""
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
-from ptne_env.field.laws import estimators, reactions
-from ptne_env.field.laws.best_response import (
-    LARGEST_ROW,
-    UNLIMITED,
-    largest,
-    own_block,
-    own_places,
-    with_own,
-    within_reach,
-)
-from ptne_env.field.laws.constants import C
-from ptne_env.field.laws.contact_relay import SPREAD, Own, Relayed, copy_weight, heard, nothing_relayed, own_side
-from ptne_env.field.laws.contacts import contradictions, copies
+from ptne_env.field.laws import filters, reactions
+from ptne_env.field.laws.best_response import LARGEST_ROW, largest, own_block, own_places, with_own, within_reach
+from ptne_env.field.laws.contact_relay import LastMove, Own, no_move, own_side
+from ptne_env.field.laws.contacts import Contacts, contacts, heard_messages, no_contacts
+from ptne_env.field.laws.damping import Damping, damped, is_loose, tempered
 from ptne_env.field.laws.memory import Memory, chosen
 from ptne_env.laws.base import Law, per_step, step_length
 from ptne_env.perception.observation import Observation, ObservationLayout
-from ptne_env.shared.arrays import BoolArray, FloatArray
+from ptne_env.shared.arrays import BoolArray, FloatArray, fold
+
+RULES = ("noise", "rounding", "restraint", "statement", "other-paths", "trust", "damping", "reactions")
+"""The rules that ``without`` switches off."""
+
+_NEWS = 5.0
+"""A copy that has moved by more than this many deviations of a difference of two messages has news."""
+
+_NEAR = 2.0
+"""A copy follows its source at once where both of the last messages are farther than so many deviations away."""
+
+_HALF = 0.5
+"""Weight of a noisy copy otherwise."""
+
+_OTHER_PATHS, _OTHER_COPIES = 0.3, 0.03
+"""Weights of neighbours that are no source beside those that are: in beliefs, and in copies that travel on."""
+
+_LIE = 4.0
+"""Deviations by which a neighbour may be wrong about the own strategy."""
+
+_CLOSING = 1.0
+"""Transformed time before the end in which beliefs are stated; at least the last step."""
+
+_FADE = 0.7
+"""Share of the recent error of predictions that is left after a step: one good prediction proves little."""
 
 
 class State(NamedTuple):
     """What R players remember from step to step."""
 
-    relay: Relayed  # as the contact relay
-    contradicted: FloatArray  # steps for which a neighbour has contradicted, shape (R, D, n)
-    damage: estimators.Damage  # noise and rounding of messages
-    samples: estimators.Samples  # of messages that carry noise or are rounded
-    damping: estimators.Damping  # of responses
+    steps: FloatArray  # number of steps so far, shape (R, 1)
+    own: LastMove  # the own side
+    contacts: Contacts  # with the neighbours
+    filters: filters.Filters  # of their messages
+    damping: Damping  # of responses
     doubt: FloatArray  # the recent error of predictions of the own gradient, as a displacement, shape (R, 1)
     broke: FloatArray  # whether a link of the player ever broke, shape (R, 1)
     planes: reactions.Planes | tuple[()]  # the neighbours' reactions; empty in games with more than 32 components
-    push: estimators.Push  # what moves the own strategy beside the own inputs
-    sent: FloatArray  # the displacement that the last inputs make, shape (R, n)
     reckoned: FloatArray  # the own estimates by dead reckoning, in float64, shape (R, n)
-    transformed: FloatArray  # s by the player's clock, shape (R, 1)
-    theta: FloatArray  # Θ of the last step, shape (R, 1)
-    dt: FloatArray  # Δt of the last step, shape (R, 1)
-
-
-def start_of_episode(layout: ObservationLayout) -> State:
-    """The state of one player at the start of an episode."""
-    none, own = np.zeros((1, 1)), np.zeros((1, layout.dimension))
-    slots, links = np.zeros((1, layout.slots, layout.dimension)), np.zeros((1, layout.slots))
-    return State(
-        relay=nothing_relayed(layout),
-        contradicted=slots,
-        damage=estimators.Damage(none + UNLIMITED, none + UNLIMITED, none, none),
-        samples=estimators.Samples(slots, slots, slots, slots, slots, slots, links),
-        damping=estimators.Damping(none + 1, none, none),
-        doubt=none,
-        broke=none,
-        planes=reactions.no_planes(layout) if layout.dimension <= LARGEST_ROW else (),
-        push=estimators.Push(own, none),
-        sent=own,
-        reckoned=own,
-        transformed=none,
-        theta=none,
-        dt=none,
-    )
 
 
 class ObserverRelay(Law):
-    """:class:`~ptne_env.field.laws.ContactRelay` with observers of noise, rounding, liars, pushes and reactions.
+    """:class:`~ptne_env.field.laws.ContactRelay` with observers of noise, rounding, lies and neighbours' reactions.
 
-    Where messages carry noise or are rounded, raw copies travel, and a private mean of messages, the *belief*, is
-    stated near the end; where messages are rounded, the own strategy responds to it, and is dithered. Observed pushes
-    are compensated. Where links break, the joint solution of the own first-order condition and of the neighbours'
-    reactions is followed as soon as it is trusted. Where the own gradient was not predicted, as in games that are not
-    affine, a short gradient step is added: best responses are short while the model changes.
+    Of each neighbour's messages a player keeps private means; those of sources, weighted by their variances, are its
+    *belief*. While an episode lasts, its estimates are nearly raw copies, because news must travel fast and averages
+    that are sent on are averaged again; near the end they are the belief. Where links break and messages are exact, the
+    joint solution of the own first-order condition and of the neighbours' reactions is followed.
 
-    A *source* is a neighbour whose copy of a component is copied; a *liar* states strategies of others falsely; a
-    *push* moves the own strategy beside the inputs; a *plane* is the linear best response of a neighbour, learned from
-    its messages. ``C`` holds the constants. :meth:`inputs` is the whole law, from top to bottom;
+    A *source* is a neighbour with a fresher copy of a component. :meth:`inputs` is the whole law, from top to bottom;
     ``docs/mathematics.md`` explains it.
 
     Args:
         layout: of the environment, interface ``physical``.
+        without: rules that are switched off, of :data:`RULES`, to measure what they bring.
 
     Raises:
         LayoutError: for another interface.
+        ValueError: for an unknown rule.
     """
 
     needs: ClassVar[tuple[str, ...]] = ("own_estimate",)
 
-    def __init__(self, layout: ObservationLayout) -> None:
+    def __init__(self, layout: ObservationLayout, without: Collection[str] = ()) -> None:
         super().__init__(layout)
-        self._memory: Memory[Any] = Memory(start_of_episode(layout))
+        if unknown := set(without) - set(RULES):
+            raise ValueError(f"unknown rule {min(unknown)!r}; choose from {', '.join(RULES)}")
+        self.without = tuple(without)
+        none, own = np.zeros((1, 1)), np.zeros((1, layout.dimension))
+        start = State(
+            steps=none,
+            own=no_move(layout),
+            contacts=no_contacts(layout),
+            filters=filters.no_filters(layout),
+            damping=Damping(none + 1, none, none),
+            doubt=none,
+            broke=none,
+            planes=reactions.no_planes(layout) if layout.dimension <= LARGEST_ROW else (),
+            reckoned=own,
+        )
+        self._memory: Memory[Any] = Memory(start)
 
     def initial_memory(self, rows: int) -> FloatArray:
         """Nothing identified, heard or observed; shape (R, size)."""
@@ -100,115 +104,101 @@ class ObserverRelay(Law):
     def inputs(  # noqa: PLR0915 - the whole law
         self, observation: Observation, memory: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
-        layout, was = self.layout, self._memory.unpack(memory)
+        layout, was, without = self.layout, self._memory.unpack(memory), self.without
         is_own, owners = layout.own_mask[observation.player], layout.neighbour_components[observation.player]
-        estimate, steps = observation.own_estimate, was.relay.steps
-        scale, none = largest(estimate), np.zeros_like(estimate)
+        estimate, steps = observation.own_estimate, was.steps
+        scale, none, relative = largest(estimate), np.zeros_like(estimate), observation.relative_estimates
 
-        # What the neighbours say: exact, noisy or rounded.
-        messages, noise, sources, met = heard(observation, was.relay, layout)
-        broke = np.maximum(was.broke, (messages.was_live & ~messages.live).any(axis=1, keepdims=True))
-        damage, is_noisy, is_rounded = estimators.damage(messages, was.damage, noise, steps, scale)
-        is_uneasy = is_noisy | is_rounded
-        samples = was.samples._replace(number=np.where(is_uneasy[:, :, None], was.samples.number, 0.0))
-        means = samples.mean
-        if is_uneasy.any():
-            found = estimators.sampled(messages, samples, estimate, is_own, is_rounded)
-            samples, means = chosen(is_uneasy, found, (samples, means))
+        # What the neighbours say, and beneath noise or rounding, what they mean.
+        messages = heard_messages(observation, was.contacts.live, was.filters.last)
+        filters_now, damage = filters.measured(messages, was.filters, steps, owners, scale)
+        damage = filters.Damage(damage.noise * ("noise" not in without), damage.step * ("rounding" not in without))
+        deviation, is_damaged = damage.deviation[:, :, None], damage.deviation > 0
+        meant, variance = relative, np.ones_like(relative)
+        if is_damaged.any():
+            found = filters.filtered(messages, was.filters, filters_now, damage)
+            filters_now, (means, variance) = chosen(is_damaged, found, (filters_now, (messages.content, variance)))
+            meant = np.where(is_damaged[:, :, None], means - estimate[:, None], relative)
+        variance = np.where(is_damaged[:, :, None], variance * deviation**2, 1.0)
 
-        # Whom to copy: those with fresher copies, or who contradict these for long, but no liars.
-        drifted = np.where(is_own, 0.0, was.relay.own.asked)
-        contradicted = contradictions(observation, messages, was.contradicted, drifted, sources, is_own)
-        is_met = (owners & (was.relay.contacts.heard > 0)[:, :, None]).any(axis=1)
-        is_plain = (was.broke == 0) & (was.damage.noisy == 0)
-        convinces = (contradicted >= C.convincing) & (is_plain & ~is_met)[:, None]
-        sources = np.where(convinces.any(axis=1)[:, None], convinces, sources)
-        met = met._replace(source=sources.astype(np.float64))
-        others = messages.live[:, :, None] & ~is_own[:, None]
-        sources = estimators.without_liars(sources & others, others, owners, was.samples.lies)
-        copy = np.where(is_own, 0.0, copies(observation, sources))
+        # Whom to copy: neighbours with fresher copies, and a little those that are right about the own strategy.
+        drifted = np.where(is_own, 0.0, was.own.asked)
+        news = _NEWS * np.sqrt(2) * damage.noise[:, :, None]
+        sources, met = contacts(observation, was.contacts, steps > 0, drifted, owners, news)
+        live = messages.live[:, :, None] & ~is_own[:, None]
+        sources &= live
+        trust = 1.0 if "trust" in without else _trust(meant, variance, deviation**2, is_own, owners)
+        others = live & is_damaged[:, :, None] & sources.any(axis=1)[:, None] & ("other-paths" not in without)
+        copy = _mean(np.where(sources, 1.0, _OTHER_COPIES * others) * trust, relative)
+        belief = _mean(np.where(sources, 1.0, _OTHER_PATHS * others) * trust / variance, meant)
 
-        # How to respond: a model of the own gradient, damped where responses of all players at once do not settle.
-        own = own_side(observation, was.relay.own, steps, layout)
+        # The others' estimates: copies, slower within the noise, and the belief at the end.
+        far = np.minimum(np.abs(relative), np.abs(was.filters.last - estimate[:, None])) > _NEAR * deviation
+        is_far = (far & sources & (filters_now.age >= 2)[:, :, None]).any(axis=1)
+        contact = np.where(sources, filters_now.age[:, :, None], 0.0).max(axis=1)
+        is_slow = (damage.noise > 0) & ~is_far & (contact != 1) & ("restraint" not in without)
+        copy = np.where(is_slow, _HALF, 1.0) * copy
+        left = layout.largest_clock[1] - observation.transformed
+        closes = (left <= np.maximum(_CLOSING, 1.5 * observation.theta)) & ("statement" not in without)
+        drift = np.where(is_damaged & closes, belief, copy)
+        aim = np.where(closes | (damage.step > 0), belief, copy)
+
+        # The own strategy: a best response to them, damped where responses of all players at once do not settle.
+        own = own_side(observation, was.own, steps, layout)
+        rests = own.is_probe | is_own
+        drift, aim = np.where(rests, 0.0, drift), np.where(rests, 0.0, aim)
+        response = with_own(none, tempered(own, was.damping.factor, was.own.gradient, aim), own.blocks)
         doubt = self._doubt(own, was.doubt, steps)
-        tempered = estimators.tempered(own, was.damping, was.relay.own.gradient, steps, layout.dimension)
-        weight, unrest = copy_weight(messages, was.relay.unrest, copy, C.copy_patience, C.copy_forgetting)
-        weight = np.where(own.is_probe, 0.0, weight)
-        response = with_own(none, tempered.response(own, weight * copy), own.blocks)
-        damping = estimators.damped(was.damping, tempered.is_loose, response, steps, noise, scale, doubt)
+        loose = is_loose(own, steps, layout.dimension) & ("damping" not in without)
+        damping = damped(was.damping, loose, response, steps, damage.noise, doubt, scale)
+        planned = drift + response
 
         # What exact neighbours will do: planes of their reactions, solved with the own condition where links break.
+        broke = np.maximum(was.broke, (messages.was_live & ~messages.live).any(axis=1, keepdims=True))
         here = reactions.reckoned_estimate(estimate, was.reckoned, steps)
-        planes, joint = was.planes, here + weight * copy + response
-        is_trusted = np.zeros_like(is_uneasy)
-        if isinstance(planes, reactions.Planes) and not is_uneasy.all():
+        planes = was.planes
+        if isinstance(planes, reactions.Planes) and not is_damaged.all() and "reactions" not in without:
             learned = reactions.learned_planes(observation, messages, planes, steps, here, layout)
-            planes = chosen(~is_uneasy, learned, planes)
-            solves = ~is_uneasy & (broke > 0) & (steps >= C.start)
+            planes = chosen(~is_damaged, learned, planes)
+            solves = ~is_damaged & (broke > 0) & (steps >= reactions.START)
             if solves.any():
-                joint, counts = reactions.joint_solution(observation.player, planes, here, joint, own, doubt, layout)
-                is_trusted = solves & counts
+                point, counts = reactions.joint_solution(
+                    observation.player, planes, here, here + planned, own, doubt, layout
+                )
+                planned = np.where(solves & counts, point - here, planned)
 
-        # What moves the own strategy beside the own inputs.
-        is_held = with_own(none, own.held.astype(np.float64), own.blocks) > 0
-        residual = np.where(is_own & ~is_held & (steps > 0), own.moved - was.sent, 0.0)
-        push = estimators.observed_push(was.push, residual, was.dt, scale)
-
-        # The others' estimates: copies, slower where messages are noisy, or the belief near the end.
-        calm = C.patience + np.maximum(unrest.steps - C.delay, 0.0)
-        slower = np.where(tempered.factor < 1, 1.0, np.maximum(C.patience / calm, C.floor) ** 2)
-        weight = np.where(is_noisy, slower, np.where(is_rounded, 1.0, weight))
-        drift = np.minimum(weight + C.kept * broke, 1.0) * copy
-        from_sources = estimators.belief(sources.astype(np.float64), samples, means, estimate)
-        is_settled = is_rounded | (np.abs(from_sources - estimate) <= C.settled * noise)
-        beside = C.beside * estimators.mature(samples.number, sources, is_own, was.samples.lies)
-        belief = estimators.belief(np.maximum(sources, beside), samples, means, estimate + drift) - estimate
-        closes = self._closes(observation, was, is_rounded)
-        stated = np.where(is_uneasy & closes & is_settled, belief, drift)
-
-        # The own strategy: a best response to them, or to the belief, dithered where messages are rounded.
-        aim = np.where(is_own, 0.0, np.where(is_rounded | (is_noisy & closes), belief, drift))
-        response = with_own(none, tempered.response(own, aim), own.blocks)
-        descends = own.failed & ~is_uneasy & (broke == 0)
-        tick = np.where(is_rounded & ~closes & (damage.width < UNLIMITED), damage.width, 0.0)
-        strategy = response - descends / SPREAD * observation.gradient + tick * estimators.dither(steps)
-
-        planned = np.where(is_trusted, joint - here, np.where(is_own, strategy, stated))
-        displacement = np.where(is_own, planned - push.velocity * observation.dt, planned)
+        # Rounded messages tell the own strategy between two multiples if it is dithered.
+        shakes = is_own & ~(left <= np.maximum(_CLOSING / 2, 1.5 * observation.theta))
+        displacement = planned + np.where(shakes, damage.step, 0.0) * filters.dither(steps)
         sent = within_reach(displacement, observation, layout)
-        inputs = (sent / step_length(observation)).astype(np.float32)
-        last = own.remembered(observation, planned, layout)
-        fresh = State(
-            relay=Relayed(steps + 1, last, met, messages.content, noise, unrest),
-            contradicted=contradicted,
-            damage=damage,
-            samples=samples,
-            damping=damping,
-            doubt=doubt,
-            broke=broke,
-            planes=planes,
-            push=push,
-            sent=sent,
-            reckoned=here + inputs * observation.theta,
-            transformed=observation.transformed,
-            theta=observation.theta,
-            dt=observation.dt,
-        )
+        moved = (sent / step_length(observation)).astype(np.float32) * observation.theta
+        last = own.remembered(observation, displacement, layout)
+        fresh = State(steps + 1, last, met, filters_now, damping, doubt, broke, planes, here + moved)
         return per_step(displacement, observation), self._memory.pack(fresh)
 
     def _doubt(self, own: Own, was: FloatArray, steps: FloatArray) -> FloatArray:
         """The recent error of predictions of the own gradient, as a displacement, shape (R, 1)."""
         block = own_block(own.model.rows, own_places(own.blocks, own.model, self.layout.dimension))
-        curvature = np.maximum(np.abs(block.diagonal(axis1=1, axis2=2)), C.smallest_curvature)
-        error = own.error / curvature.min(axis=1, keepdims=True)
-        return np.where(steps <= C.start, 0.0, np.maximum(C.fade * was, error))
+        curvature = np.abs(block.diagonal(axis1=1, axis2=2)).min(axis=1, keepdims=True)
+        error = np.where(curvature > 0, own.error / np.where(curvature > 0, curvature, 1.0), 0.0)
+        return np.where(steps <= reactions.START, 0.0, np.maximum(_FADE * was, error))
 
-    def _closes(self, observation: Observation, was: State, is_rounded: BoolArray) -> BoolArray:
-        """Whether the end of the episode is near: little transformed time is left, or one step; shape (R, 1)."""
-        # Δs_k = Θ_k − c Δt_k of the coming step, with c, the constant part of the gain, = (Θ − Δs)/Δt of
-        # the last one; 0 in the first step.
-        gain = (was.theta - (observation.transformed - was.transformed)) / np.where(was.dt > 0, was.dt, 1.0)
-        coming = np.where(was.dt > 0, np.maximum(observation.theta - gain * observation.dt, 0.0), 0.0)
-        left = self.layout.largest_clock[1] - observation.transformed
-        ending = np.where(is_rounded, C.closing_rounded, C.closing)
-        return np.asarray(left <= np.maximum(ending, 1.5 * coming))  # half a step more against rounding
+
+def _mean(weights: FloatArray, values: FloatArray) -> FloatArray:
+    """Σ_j w_j v_j / Σ_j w_j, (R, D, n) to (R, n), and 0 where that is 0/0."""
+    total = fold(np.add, weights, axis=1)
+    return fold(np.add, weights * values, axis=1) / np.where(total > 0, total, 1.0)
+
+
+def _trust(
+    meant: FloatArray, variance: FloatArray, floor: FloatArray, is_own: BoolArray, owners: BoolArray
+) -> FloatArray:
+    """Weights of neighbours by their errors about the own strategy, 1 for what they own, shape (R, D, n).
+
+    The square of the share of noise, of variance ``floor`` (R, 1, 1), in noise and error together: who is wrong about
+    the own strategy by more than noise may be wrong about others, and a liar is wrong by far. ``meant`` (R, D, n) are
+    relative to the own estimates. Where messages are exact, all weights are 1.
+    """
+    error = np.where(is_own[:, None], meant**2 - _LIE**2 * variance, 0.0).max(axis=2, keepdims=True)
+    share = floor / np.where(floor > 0, floor + np.maximum(error, 0.0), 1.0)
+    return np.where(owners | (floor == 0), 1.0, share**2)

@@ -13,12 +13,38 @@ from typing import NamedTuple
 import numpy as np
 
 from ptne_env.field.laws.best_response import largest, own_block, with_own
-from ptne_env.field.laws.constants import C
 from ptne_env.field.laws.contact_relay import Own
 from ptne_env.field.laws.contacts import Messages
 from ptne_env.field.laws.identification import Model, identify
 from ptne_env.perception.observation import Observation, ObservationLayout
 from ptne_env.shared.arrays import BoolArray, FloatArray, IntArray, row_maxima
+
+START = 20
+"""Steps before planes are solved and errors of predictions are judged: until then, estimates move by more."""
+
+_WARM_UP = 3
+"""Steps in which players move for identification, not in answer to messages."""
+
+_PLANE_SPREAD, _PLANE_COMMON = 0.15, 1000.0
+"""Deviation of the entries of R before any sample, and the variance that all entries share, in that of each: players
+barely react to each other, and alike to all others."""
+
+_REST_CHANGE, _REST = 1e-2, 1e-7
+"""A message is at rest that changed less than the first share of its way since the last sample, or less than the second
+share of the largest own estimate."""
+
+_NEW_SAMPLE, _RESOLUTION = 1e-10, 1e-7
+"""Shares of the largest own estimate: a shorter displacement is no new sample; the deviation of a sample."""
+
+_SOFT, _FADE = 0.3, 0.7
+"""Share of a plane's recent error that counts as deviation of its samples; share of it that is left after a step."""
+
+_PLANE_SAMPLES, _WORST = 3, 0.1
+"""A plane counts after so many samples, and with a recent error below this share of the largest own estimate."""
+
+_NEAREST, _TRUSTED, _FARTHEST = 1e-7, 3.0, 0.5
+"""A joint solution is followed that is farther than the first share of the largest own estimate and than so many recent
+errors, and not farther than the last share."""
 
 
 class Planes(NamedTuple):
@@ -34,7 +60,7 @@ class Planes(NamedTuple):
 def no_planes(layout: ObservationLayout) -> Planes:
     """The planes of one player at the start of an episode."""
     slots, n, m = layout.slots, layout.dimension, max(layout.action_dims)
-    covariance = np.tile(C.plane_spread**2 * (np.eye(n) + C.plane_common * np.ones((n, n))), (1, slots, 1, 1))
+    covariance = np.tile(_PLANE_SPREAD**2 * (np.eye(n) + _PLANE_COMMON * np.ones((n, n))), (1, slots, 1, 1))
     none = np.zeros((1, slots))
     return Planes(np.zeros((1, slots, m, n)), covariance, np.zeros((1, slots, n)), none, none)
 
@@ -54,29 +80,29 @@ def learned_planes(
     layout: ObservationLayout,
 ) -> Planes:
     """The planes of the neighbours with this step's messages, from the own estimates ``here`` (R, n)."""
-    neighbours, scale, is_warm = np.array(layout.neighbours)[observation.player], largest(here), steps >= C.warm_up
+    neighbours, scale, is_warm = np.array(layout.neighbours)[observation.player], largest(here), steps >= _WARM_UP
     content = here[:, None] + observation.relative_estimates
     rest = np.where(messages.was_live, row_maxima(messages.change), np.inf)
     moved = content - was.anchor
     length = row_maxima(np.abs(moved))
     is_first = was.samples == 0
-    is_rest = messages.live & is_warm & (rest <= np.maximum(C.rest_change * length, C.rest * scale))
-    is_sample = is_rest & ~is_first & (length > C.new_sample * scale)
+    is_rest = messages.live & is_warm & (rest <= np.maximum(_REST_CHANGE * length, _REST * scale))
+    is_sample = is_rest & ~is_first & (length > _NEW_SAMPLE * scale)
     is_kept = is_sample | (is_rest & is_first)
 
     regressors = np.where(layout.own_mask[neighbours], 0.0, moved)
     theirs = _entries(moved, layout.own_components[neighbours])
     error = row_maxima(np.abs(theirs - np.einsum("rdmn,rdn->rdm", was.slopes, regressors)))
-    is_known = messages.live & is_warm & (was.samples >= C.plane_samples)
+    is_known = messages.live & is_warm & (was.samples >= _PLANE_SAMPLES)
     fresh = was._replace(
         anchor=np.where(is_kept[:, :, None], content, was.anchor),
         samples=was.samples + is_kept,
-        error=np.where(is_known, np.maximum(C.fade * was.error, error), was.error),
+        error=np.where(is_known, np.maximum(_FADE * was.error, error), was.error),
     )
     if not is_sample.any():
         return fresh
-    resolution = (np.broadcast_to(scale, is_sample.shape)[is_sample] * C.resolution) ** 2
-    variance = resolution + (C.soft * was.error[is_sample]) ** 2
+    resolution = (np.broadcast_to(scale, is_sample.shape)[is_sample] * _RESOLUTION) ** 2
+    variance = resolution + (_SOFT * was.error[is_sample]) ** 2
     model = Model(was.slopes[is_sample], was.covariance[is_sample])
     model, _, _ = identify(model, regressors[is_sample], theirs[is_sample], variance[:, None])
     slopes, covariance = was.slopes.copy(), was.covariance.copy()
@@ -106,14 +132,14 @@ def joint_solution(
     """
     neighbours, scale = np.array(layout.neighbours)[player], largest(here)
     slopes = np.where(layout.own_mask[neighbours][:, :, None], 0.0, known.slopes)  # own components react to others
-    error, is_known = known.error, known.samples >= C.plane_samples
+    error, is_known = known.error, known.samples >= _PLANE_SAMPLES
     is_tame = np.abs(slopes).sum(axis=3).max(axis=2) < 1
-    counts = is_known & is_tame & (error < C.worst * scale) & (neighbours != player[:, None])
+    counts = is_known & is_tame & (error < _WORST * scale) & (neighbours != player[:, None])
     blocks = np.where(counts[:, :, None], layout.own_components[neighbours], layout.dimension)
     point = _joint(slopes, known.anchor, blocks, planned, here, own)
     jump = largest(point - planned)
     doubt = np.maximum(np.where(is_known, error, 0.0).max(axis=1, keepdims=True), doubt)
-    is_trusted = (jump >= np.maximum(C.nearest * scale, C.trusted * doubt)) & (jump <= C.farthest * scale)
+    is_trusted = (jump >= np.maximum(_NEAREST * scale, _TRUSTED * doubt)) & (jump <= _FARTHEST * scale)
     return point, is_trusted & _is_dominant(own)
 
 
@@ -147,7 +173,7 @@ def _joint(
         right = np.einsum("rmn,rn->rm", plane, anchor[:, slot])
         equations, values = with_own(equations, plane, places), with_own(values, right, places)
     curvature = own_block(own.model.rows, own.blocks).diagonal(axis1=1, axis2=2)
-    places = np.where(np.abs(curvature) > C.curved, own.blocks, n)
+    places = np.where(curvature != 0, own.blocks, n)
     right = np.einsum("rmn,rn->rm", own.model.rows, here) - own.gradient
     return _solve(with_own(equations, own.model.rows, places), with_own(values, right, places), planned)
 
