@@ -29,7 +29,7 @@ _QUARTILE = 0.184
 _FINE = 2e-6
 """Noise and steps of rounding below this share of the largest own estimate are those of float32."""
 
-_CALM = 10
+_CALM = 20
 """Steps in which noise does not halve before it counts: messages that converge halve their changes sooner."""
 
 _START = 20
@@ -117,7 +117,7 @@ def measured(
     ticks = content / np.where(np.isfinite(width), width, np.inf)[:, :, None]
     off = row_maxima(np.where(live[:, :, None], np.abs(ticks - np.round(ticks)), 0.0)).max(axis=1, keepdims=True)
     is_rounded = np.isfinite(width) & (width > 100 * _FINE * scale) & (steps >= _START) & (off < _ON_GRID)
-    is_rounded &= live.any(axis=1, keepdims=True) & (noise < width)
+    is_rounded &= live.any(axis=1, keepdims=True) & (noise < 3 * width)
     fresh = was._replace(age=age, last=content, before=was.last, noise=noise, level=level, calm=calm, width=width)
     fresh = fresh._replace(dithered=np.where(is_rounded, was.dithered + 1, 0.0))
     audible = np.where((calm >= _CALM) & ~is_rounded, noise, 0.0)

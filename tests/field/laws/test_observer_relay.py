@@ -2,12 +2,11 @@
 
 import numpy as np
 import pytest
-from affine_games import SOAK, affine_scenario, loop_start, random_affine, run
+from affine_games import affine_scenario, loop_start, random_affine, run
 from worlds import BLOCKS, FAULTY, begin, channel_part, fixed_part, world_and_encoder
 
 from ptne_env import FactorySpec, evaluate, get_scenario
 from ptne_env.bench import get_suite
-from ptne_env.evaluation import Teammates, Track
 from ptne_env.field import laws as field_laws
 from ptne_env.field.laws import contact_relay, observer_relay
 
@@ -29,40 +28,58 @@ def test_observers_see_nothing_on_a_fixed_graph_without_faults(seed):
     np.testing.assert_allclose(*found, rtol=0, atol=1e-9)
 
 
-GAINS = {"noise": 0.01, "quantised": 1.5, "hold": 4.0, "switching-physical": 2.0, "switching-transformed": 1.5}
+GAINS = {"rough-links": 0.0, "rounding": 1.5, "liar": 1.0, "monotone": 0.5, "coupled": 0.3}
 """Digits that observer-relay gains over contact-relay at least."""
 
 
 @pytest.mark.parametrize(("name", "gain"), GAINS.items())
 def test_observers_gain_digits(name, gain):
-    """Where links switch, the law amplifies rounding: means over episodes are far above the bound."""
-    track = get_suite("ptne-v1").track(name)
-    results = evaluate(PAIR, [track], episodes=16 if name == "noise" else 3, split="validation")
-    plain, observer = (results.samples[name, law][track.metric].mean() for law in PAIR)
+    results = evaluate(PAIR, [get_suite("ptne-v1").track(name)], episodes=6, split="validation")
+    plain, observer = (results.samples[name, law]["digits"].mean() for law in PAIR)
     assert observer > plain + gain
 
 
-def test_bounds_that_stop_strategies_are_no_pushes():
-    results = evaluate(["observer-relay"], [get_suite("ptne-v1").track("robots")], episodes=1)
-    assert results.samples["robots", "observer-relay"]["digits"].mean() > 11.9
+def test_planes_of_reactions_gain_digits_where_links_switch():
+    """The law amplifies rounding there: means over episodes are far above the bound."""
+    results = evaluate(PAIR, ["random-energy-switching"], episodes=4)
+    plain, observer = (results.samples["random-energy-switching", law]["digits"].mean() for law in PAIR)
+    assert observer > plain + 2
 
 
-def test_constant_pushes_are_compensated():
-    pushed = RANDOM.replace(name="pushed", disturbance=FactorySpec.of("disturbance:uniform", bound=2.0, dwell=40))
-    results = evaluate(PAIR, [pushed], episodes=4)
-    plain, observer = (results.samples["pushed", law]["digits"].mean() for law in PAIR)
-    assert observer > plain + 0.5
+BEND = RANDOM.replace(name="bend", game=FactorySpec.of("game:random-saturating", bend=20))
+
+PAIR_OF_PLAYERS = RANDOM.replace(
+    name="pair",
+    game=FactorySpec.of("game:random-energy", players=2),
+    topology=FactorySpec.of("topology:edges", players=2, edges=[[0, 1]]),
+    channel=channel_part("AdditiveNoise", std=0.01),
+)
 
 
-def test_a_player_leaves_sources_that_follow_it():
-    """Two leaves follow the static law; without the rule, the hub can copy from them the copy that they had from it."""
-    star = FactorySpec.of("ptne_env.world.graphs:from_edges", players=5, edges=[[0, 1], [0, 2], [0, 3], [2, 4]])
-    leaves = Teammates(FactorySpec.of("law:static", kappa=2.0), (1, 3))
-    track = Track("leaves", RANDOM.replace(topology=star), "Leaves average.", teammates=leaves)
-    results = evaluate(PAIR, [track], episodes=8 if SOAK else 5, split="validation")
-    plain, observer = (results.samples["leaves", law]["digits"] for law in PAIR)
-    assert (plain < 1).any()
-    assert (observer > 11).all()
+@pytest.mark.parametrize(("scenario", "digits"), [(BEND, 9.5), (PAIR_OF_PLAYERS, 4.2)], ids=["bend", "pair"])
+def test_strong_bends_and_two_players_with_noise(scenario, digits):
+    """A gradient step of fixed length left 2.2 digits of the first, and noise of own components 3.3 of the second."""
+    results = evaluate(["observer-relay"], [scenario], episodes=6)
+    assert results.samples[scenario.name, "observer-relay"]["digits"].mean() > digits
+
+
+def test_slow_moves_add_up_to_news():
+    """Inputs are so limited that no step moves a copy by more than noise."""
+    slow = RANDOM.replace(name="slow", deadline=0.3, input_limit=4.0, channel=channel_part("AdditiveNoise", std=0.02))
+    results = evaluate(["observer-relay"], [slow], episodes=4)
+    assert results.samples["slow", "observer-relay"]["digits"].min() > 2.5
+
+
+@pytest.mark.parametrize("rule", observer_relay.RULES)
+def test_every_rule_can_be_switched_off(rule):
+    world, encoder = world_and_encoder(FAULTY)
+    states = run(world, encoder, field_laws.ObserverRelay(encoder.layout, without=[rule]), begin(world, [0]), steps=30)
+    assert np.isfinite(states).all()
+
+
+def test_unknown_rules_are_named():
+    with pytest.raises(ValueError, match="unknown rule 'luck'; choose from noise, rounding"):
+        field_laws.ObserverRelay(world_and_encoder("energy")[1].layout, without=["luck"])
 
 
 def test_a_rotating_game_settles_with_damping_and_not_without():
@@ -72,7 +89,7 @@ def test_a_rotating_game_settles_with_damping_and_not_without():
     for law, settles in ((field_laws.ObserverRelay, True), (field_laws.ContactRelay, False)):
         states, world = episode(scenario, law, start)
         distance = np.abs(states[-1, ..., 0] - world.game.nash_equilibrium[:, None]).max()
-        assert bool(distance < 1e-4) is settles
+        assert bool(distance < 0.02) is settles
         assert settles or distance > 1
 
 
