@@ -14,6 +14,9 @@ _MARGIN = 3.0
 UNLIMITED = 1e6
 """A distance beyond all estimates."""
 
+_FLAT = 1e-12
+"""Smallest curvature, so that a linear cost gives a step as long as the trust region."""
+
 _ACCURACY = 0.5
 """Largest error of a good prediction, relative to the gradient before."""
 
@@ -79,14 +82,22 @@ def shortened(step: FloatArray, radius: FloatArray) -> FloatArray:
 
 
 def best_response(
-    model: Model, gradient: FloatArray, drift: FloatArray, places: IntArray, held: BoolArray, radius: FloatArray
+    model: Model,
+    gradient: FloatArray,
+    drift: FloatArray,
+    places: IntArray,
+    held: BoolArray,
+    radius: FloatArray,
+    is_fixed: BoolArray,
 ) -> FloatArray:
     """Δx_i = −D⁻¹ (∂J_i/∂x_i + G_{i,−i} Δx_{−i}) with the identified rows G, shape (R, m).
 
     D has the eigenvectors of the own block G_ii, and its eigenvalues or the largest row sum of |G_{i,−i}|, whichever is
     larger. In a game that is diagonally dominant this is the best response to the estimates of the next step; in others
     it is damped, because best responses of all players at once need not converge there. Where a curvature is not
-    certainly positive, it counts as the sum of its size and three standard deviations, at least 1: a gradient step.
+    certainly positive, it counts as the sum of its size and three standard deviations: a gradient step. Where it is
+    certainly negative, though costs are convex, the model is wrong; where the graph never changes, so that all steps of
+    others are smooth, the step is then as long as the trust region.
 
     Args:
         model: the identified rows, with q regressors.
@@ -95,6 +106,7 @@ def best_response(
         places: of own components among the regressors, padded with q, shape (R, m).
         held: whether a bound holds an own component; the others then move as if it stayed, shape (R, m).
         radius: largest |Δx_i|, shape (R, 1).
+        is_fixed: whether no link of the player ever broke, shape (R, 1).
     """
     rows = model.rows
     wanted = gradient + np.einsum("rmq,rq->rm", rows, drift)
@@ -102,9 +114,10 @@ def best_response(
     beside = with_own(np.abs(rows).swapaxes(1, 2), np.zeros_like(own), places)
     own = np.where(held[:, :, None] | held[:, None, :], own * np.eye(own.shape[1]), (own + own.swapaxes(1, 2)) / 2)
     curvature, doubt, vectors = own_curvatures(own, model, places)
-    gradient_step = np.maximum(np.abs(curvature) + doubt, 1.0)
-    curvature = np.where(curvature > doubt, curvature, gradient_step)
+    is_wrong = is_fixed & (curvature < -doubt)
+    curvature = np.where(curvature > doubt, curvature, np.abs(curvature) + doubt)
     curvature = np.maximum(curvature, np.add.reduce(beside, axis=1).max(axis=1, keepdims=True))
+    curvature = np.maximum(np.where(is_wrong, 0.0, curvature), _FLAT)
     return shortened(-np.einsum("rab,rb->ra", vectors, np.einsum("rba,rb->ra", vectors, wanted) / curvature), radius)
 
 

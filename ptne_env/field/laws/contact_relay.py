@@ -76,6 +76,7 @@ class Own(NamedTuple):
     failed: BoolArray  # whether it failed, shape (R, 1)
     is_probe: BoolArray  # whether the own components move one after the other, in the first m steps, shape (R, 1)
     turn: BoolArray  # the own components that move in this step, shape (R, m)
+    is_fixed: BoolArray  # whether no link of the player ever broke, shape (R, 1)
 
     def response(self, drift: FloatArray) -> FloatArray:
         """The best response Δx_i to the own estimates after a displacement ``drift`` (R, n) of the others, (R, m)."""
@@ -83,7 +84,7 @@ class Own(NamedTuple):
         places = own_places(self.blocks, self.model, drift.shape[1])
         shift = drift if is_whole else np.zeros((len(drift), outputs))
         radius = np.where(self.is_probe, UNLIMITED, self.radius)
-        step = best_response(self.model, self.gradient, shift, places, self.held, radius)
+        step = best_response(self.model, self.gradient, shift, places, self.held, radius, self.is_fixed)
         return np.where(self.turn, step, 0.0)
 
     def remembered(self, observation: Observation, displacement: FloatArray, layout: ObservationLayout) -> LastMove:
@@ -92,7 +93,9 @@ class Own(NamedTuple):
         return LastMove(self.model, observation.own_estimate, self.gradient, asked, self.radius)
 
 
-def own_side(observation: Observation, was: LastMove, steps: FloatArray, layout: ObservationLayout) -> Own:
+def own_side(
+    observation: Observation, was: LastMove, steps: FloatArray, layout: ObservationLayout, broke: FloatArray
+) -> Own:
     """The own side of R players, from the last displacement and the number of ``steps`` so far, shape (R, 1)."""
     estimate = observation.own_estimate
     blocks, is_own = layout.own_components[observation.player], layout.own_mask[observation.player]
@@ -113,7 +116,7 @@ def own_side(observation: Observation, was: LastMove, steps: FloatArray, layout:
     held = (np.abs(own_moved) < _HELD * asked) & (asked > _RESOLVED * scale)
     is_probe = steps < outputs
     turn = ~is_probe | (np.arange(outputs) == steps)
-    return Own(model, gradient, blocks, moved, held, radius, error, failed, is_probe, turn)
+    return Own(model, gradient, blocks, moved, held, radius, error, failed, is_probe, turn, broke == 0)
 
 
 class Unrest(NamedTuple):
@@ -214,7 +217,7 @@ class ContactRelay(Law):
         messages, noise, sources, met = heard(observation, was, layout)
         mean = contacts.copies(observation, sources)
         weight, unrest = copy_weight(messages, was.unrest, mean, self.patience, self.forgetting)
-        own = own_side(observation, was.own, was.steps, layout)
+        own = own_side(observation, was.own, was.steps, layout, np.ones_like(was.steps))
         drift = np.where(own.is_probe | layout.own_mask[observation.player], 0.0, weight * mean)
         displacement = with_own(drift, own.response(drift), own.blocks)
         last = own.remembered(observation, displacement, layout)

@@ -17,7 +17,7 @@ from ptne_env.laws.base import Law, per_step, step_length
 from ptne_env.perception.observation import Observation, ObservationLayout
 from ptne_env.shared.arrays import BoolArray, FloatArray, fold
 
-RULES = ("noise", "rounding", "restraint", "statement", "other-paths", "trust", "damping", "reactions")
+RULES = ("noise", "rounding", "restraint", "statement", "trust", "damping", "reactions")
 """The rules that ``without`` switches off."""
 
 _NEWS = 5.0
@@ -29,11 +29,11 @@ _NEAR = 2.0
 _HALF = 0.5
 """Weight of a noisy copy otherwise."""
 
-_OTHER_PATHS, _OTHER_COPIES = 0.3, 0.03
-"""Weights of neighbours that are no source beside those that are: in beliefs, and in copies that travel on."""
+_LIE, _GROSS = 4.0, 0.01
+"""Deviations by which a neighbour may be wrong about the own strategy, and share of the largest own estimate."""
 
-_LIE = 4.0
-"""Deviations by which a neighbour may be wrong about the own strategy."""
+_OTHERS, _DOUBTFUL = 0.03, 0.1
+"""Weight of neighbours that are no source where the trust in every source is below the second number."""
 
 _CLOSING = 1.0
 """Transformed time before the end in which beliefs are stated; at least the last step."""
@@ -127,10 +127,12 @@ class ObserverRelay(Law):
         sources, met = contacts(observation, was.contacts, steps > 0, drifted, owners, news)
         live = messages.live[:, :, None] & ~is_own[:, None]
         sources &= live
-        trust = 1.0 if "trust" in without else _trust(meant, variance, deviation**2, is_own, owners)
-        others = live & is_damaged[:, :, None] & sources.any(axis=1)[:, None] & ("other-paths" not in without)
-        copy = _mean(np.where(sources, 1.0, _OTHER_COPIES * others) * trust, relative)
-        belief = _mean(np.where(sources, 1.0, _OTHER_PATHS * others) * trust / variance, meant)
+        gross = np.where(is_damaged, damage.deviation**2 + (_GROSS * scale) ** 2, 0.0)[:, :, None]
+        trust = 1.0 if "trust" in without else _trust(meant, variance, gross, is_own, owners)
+        doubtful = is_damaged & (np.where(sources, trust, 0.0).max(axis=1) < _DOUBTFUL) & sources.any(axis=1)
+        shares = np.where(sources, 1.0, _OTHERS * (live & doubtful[:, None])) * trust
+        copy = _mean(shares, relative)
+        belief = _mean(shares / variance, meant)
 
         # The others' estimates: copies, slower within the noise, and the belief at the end.
         far = np.minimum(np.abs(relative), np.abs(was.filters.last - estimate[:, None])) > _NEAR * deviation
@@ -144,7 +146,8 @@ class ObserverRelay(Law):
         aim = np.where(closes | (damage.step > 0), belief, copy)
 
         # The own strategy: a best response to them, damped where responses of all players at once do not settle.
-        own = own_side(observation, was.own, steps, layout)
+        broke = np.maximum(was.broke, (messages.was_live & ~messages.live).any(axis=1, keepdims=True))
+        own = own_side(observation, was.own, steps, layout, broke)
         rests = own.is_probe | is_own
         drift, aim = np.where(rests, 0.0, drift), np.where(rests, 0.0, aim)
         response = with_own(none, tempered(own, was.damping.factor, was.own.gradient, aim), own.blocks)
@@ -154,7 +157,6 @@ class ObserverRelay(Law):
         planned = drift + response
 
         # What exact neighbours will do: planes of their reactions, solved with the own condition where links break.
-        broke = np.maximum(was.broke, (messages.was_live & ~messages.live).any(axis=1, keepdims=True))
         here = reactions.reckoned_estimate(estimate, was.reckoned, steps)
         planes = was.planes
         if isinstance(planes, reactions.Planes) and not is_damaged.all() and "reactions" not in without:
