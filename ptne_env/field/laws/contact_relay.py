@@ -24,11 +24,12 @@ from ptne_env.laws.base import Law, per_step
 from ptne_env.perception.observation import Observation, ObservationLayout
 from ptne_env.shared.arrays import BoolArray, FloatArray, IntArray, require_positive, row_maxima
 
-SPREAD = 10.0
-"""Standard deviation of the entries of dF before anything is identified, in units of gradient per strategy.
+SPREAD = 3.0
+"""Standard deviation of the entries of dF before anything is identified, in units of the first gradient per largest
+estimate: the first step is about a ninth of the largest estimate."""
 
-1/(3 ``SPREAD``) is the step of the first gradient steps. A tenth and ten times as much give the same digits.
-"""
+_BENT = 5.0
+"""Multiple of the largest known entry of dF that rounded estimates may meet."""
 
 _SIGNAL = 8.0
 """A difference to the neighbours above this many times their smallest change is no noise."""
@@ -57,9 +58,9 @@ class LastMove(NamedTuple):
 
 
 def no_move(layout: ObservationLayout) -> LastMove:
-    """The own side of one player at the start of an episode: its model is 0, with the deviation :data:`SPREAD`."""
+    """The own side of one player at the start of an episode: its model is 0, with the deviation 1."""
     outputs, n, none = max(layout.action_dims), layout.dimension, np.zeros((1, 1))
-    model = blank(1, outputs, n if n <= LARGEST_ROW else outputs, SPREAD)
+    model = blank(1, outputs, n if n <= LARGEST_ROW else outputs, 1.0)
     return LastMove(model, np.zeros((1, n)), np.zeros((1, outputs)), np.zeros((1, n)), none)
 
 
@@ -105,11 +106,15 @@ def own_side(
     own_moved = own_entries(moved, blocks)
 
     scale = largest(estimate) + largest(was.estimate)
-    deviation = RESOLUTION * (largest(gradient) + largest(was.gradient) + SPREAD * scale)
+    known = np.abs(was.model.rows).max(axis=(1, 2))[:, None]  # 0 at the start
+    deviation = RESOLUTION * (largest(gradient) + largest(was.gradient) + _BENT * known * scale)
     if not is_whole:
-        deviation = deviation + SPREAD * largest(np.where(is_own, 0.0, moved))
+        deviation = deviation + known * largest(np.where(is_own, 0.0, moved))
     shift = moved if is_whole else own_moved
-    model, error, failed = identify(was.model, shift, gradient - was.gradient, deviation**2)
+    model = Model(
+        was.model.rows, was.model.covariance * np.where(steps == 0, _first_spread(gradient, scale), 1.0)[:, :, None]
+    )
+    model, error, failed = identify(model, shift, gradient - was.gradient, deviation**2)
 
     radius = trust_radius(was.radius, own_moved, (error, failed), was.gradient, estimate)
     asked = np.abs(own_entries(was.asked, blocks))
@@ -117,6 +122,12 @@ def own_side(
     is_probe = steps < outputs
     turn = ~is_probe | (np.arange(outputs) == steps)
     return Own(model, gradient, blocks, moved, held, radius, error, failed, is_probe, turn, broke == 0)
+
+
+def _first_spread(gradient: FloatArray, scale: FloatArray) -> FloatArray:
+    """The variance of the entries of dF before the first step, from the first gradient (R, m) and estimates, (R, 1)."""
+    is_known = (scale > 0) & (gradient != 0).any(axis=1, keepdims=True)
+    return (SPREAD * np.where(is_known, largest(gradient) / np.where(scale > 0, scale, 1.0), 1.0)) ** 2
 
 
 class Unrest(NamedTuple):
@@ -217,7 +228,8 @@ class ContactRelay(Law):
         messages, noise, sources, met = heard(observation, was, layout)
         mean = contacts.copies(observation, sources)
         weight, unrest = copy_weight(messages, was.unrest, mean, self.patience, self.forgetting)
-        own = own_side(observation, was.own, was.steps, layout, np.ones_like(was.steps))
+        broken = ((was.contacts.heard > 0) & ~messages.live).any(axis=1, keepdims=True)
+        own = own_side(observation, was.own, was.steps, layout, broken.astype(np.float64))
         drift = np.where(own.is_probe | layout.own_mask[observation.player], 0.0, weight * mean)
         displacement = with_own(drift, own.response(drift), own.blocks)
         last = own.remembered(observation, displacement, layout)

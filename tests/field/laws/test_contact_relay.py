@@ -13,14 +13,14 @@ from ptne_env.field.laws.identification import Model
 RANDOM = get_scenario("random-energy")
 
 
-def response(rows, gradient, drift, held=False, radius=1e6, covariance=None):
+def response(rows, gradient, drift, held=False, radius=1e6, covariance=None, is_fixed=False):
     """Displacement of a player whose m own components come first, and who knows its rows."""
     rows = np.asarray(rows, dtype=float)[None]
     m, size = rows.shape[1:]
     model = Model(rows, np.zeros((1, size, size)) if covariance is None else covariance[None])
     places, is_held = np.arange(m)[None], np.broadcast_to(held, (1, m))
     arrays = np.array(gradient, dtype=float)[None], np.array(drift, dtype=float)[None]
-    return best_response(model, *arrays, places, is_held, np.full((1, 1), radius))[0]
+    return best_response(model, *arrays, places, is_held, np.full((1, 1), radius), np.full((1, 1), is_fixed))[0]
 
 
 def test_best_response_zeroes_the_own_gradient_at_the_next_estimates():
@@ -35,7 +35,7 @@ def test_best_response_zeroes_the_own_gradient_at_the_next_estimates():
     [
         ([[1.0, 2.0, -2.0]], [4.0], {}, [-1.0]),  # damped: the row sum beside the diagonal is 4
         ([[-2.0, 0.0]], [4.0], {}, [-2.0]),  # a negative curvature gives a gradient step
-        ([[-0.5, 0.0]], [4.0], {}, [-4.0]),
+        ([[-2.0, 0.0]], [4.0], {"is_fixed": True, "radius": 3.0}, [-3.0]),  # or one as long as the trust region
         ([[0.0, 0.0]], [6.0], {"covariance": 100.0 * np.eye(2)}, [-6 / 30]),  # and an unknown one a short step
         ([[1.0, 0.0], [0.0, 1.0]], [4.0, -2.0], {"radius": 1.0}, [-1.0, 0.5]),  # the trust region shortens
         ([[2.0, 1.0], [1.0, 2.0]], [-2.0, 1.0], {"held": [True, False]}, [1.0, -0.5]),  # as if the held one stayed

@@ -28,7 +28,7 @@ def test_observers_see_nothing_on_a_fixed_graph_without_faults(seed):
     np.testing.assert_allclose(*found, rtol=0, atol=1e-9)
 
 
-GAINS = {"rough-links": 0.0, "rounding": 1.5, "liar": 1.0, "monotone": 0.5, "coupled": 0.3}
+GAINS = {"rounding": 1.5, "liar": 1.0, "monotone": 0.5, "coupled": 0.3}
 """Digits that observer-relay gains over contact-relay at least."""
 
 

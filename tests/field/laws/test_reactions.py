@@ -33,6 +33,7 @@ def own_side(row, gradient=1.0):
         failed=flags,
         is_probe=flags,
         turn=~flags,
+        is_fixed=~flags,
     )
 
 
