@@ -126,7 +126,9 @@ def test_metadata_of_another_version_are_refused_with_advice():
 
 
 def test_a_missing_policy_names_the_shipped_ones():
-    with pytest.raises(ValueError, match="unknown learned policy 'no-such-policy'; choose from ppo-.*ppo-random-energy"):
+    with pytest.raises(
+        ValueError, match="unknown learned policy 'no-such-policy'; choose from ppo-.*ppo-random-energy"
+    ):
         learn.load("no-such-policy")
     with pytest.raises(FileNotFoundError, match=r"there is no file 'missing\.onnx'"):
         learn.load("missing.onnx")

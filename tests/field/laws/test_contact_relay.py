@@ -57,7 +57,7 @@ def test_relay_reaches_many_digits_in_games_and_with_messages_of_all_kinds():
     """Several components at a bound, curvature far from 1, costs that are not quadratic, and late messages."""
     late = RANDOM.replace(name="late", channel=channel_part("Delay", steps=1, longest=7))
     names = ["random-energy", "ev-charging", "cournot", "oligopoly", "non-quadratic", late]
-    results = evaluate(["contact-relay"], names, episodes=2)
+    results = evaluate(["contact-relay"], names, episodes=3)
     assert len(results.samples) == len(names)
     for samples in results.samples.values():
         assert np.median(samples["digits"]) > 10
