@@ -1,0 +1,54 @@
+"""What each rule of observer-relay brings: ``python baselines/ablation.py [EPISODES]`` prints digits without it.
+
+Mean digits over the scored tracks of the suite and over the worlds of the robustness set, on validation episodes, with
+every rule, and the change where one rule is off; and the track or world that loses most. Intervals are of 95 %, of the
+difference between paired episodes.
+"""
+
+import sys
+
+import numpy as np
+
+from ptne_env import FactorySpec, PolicySpec
+from ptne_env.bench import Suite, get_suite
+from ptne_env.bench.robustness import robustness
+from ptne_env.evaluation import evaluate
+from ptne_env.field.laws.observer_relay import RULES
+
+EPISODES = 4
+
+
+def spec(rule: str | None) -> PolicySpec:
+    """The law without a rule."""
+    without = {"without": [rule]} if rule else {}
+    return PolicySpec(f"no {rule}" if rule else "all", FactorySpec.of("law:observer-relay", **without))
+
+
+def rows(suite: Suite, episodes: int) -> list[str]:
+    """A row of the table per rule, of a suite."""
+    tracks = [track for track in suite.tracks if track.scored]
+    specs = [spec(None), *map(spec, RULES)]
+    samples = evaluate(specs, tracks, episodes=episodes, split="validation").samples
+    names = list(dict.fromkeys(track for track, _ in samples))
+    whole = {name: samples[name, "all"]["digits"].ravel() for name in names}
+    found = [f"| {suite.name} | all | {np.mean([digits.mean() for digits in whole.values()]):.2f} | |"]
+    for rule in RULES:
+        change = {name: samples[name, f"no {rule}"]["digits"].ravel() - whole[name] for name in names}
+        variance = sum(each.var(ddof=1) / each.size for each in change.values())
+        mean, half = np.mean([each.mean() for each in change.values()]), 1.96 * np.sqrt(variance) / len(names)
+        most = min(change, key=lambda name: change[name].mean())
+        found.append(
+            f"| {suite.name} | without {rule} | {mean:+.2f} ± {half:.2f} | {most} {change[most].mean():+.2f} |"
+        )
+    return found
+
+
+def main(episodes: int = EPISODES) -> None:
+    """Print the table."""
+    print("| set | observer-relay | digits | loses most |\n| --- | --- | ---: | --- |", flush=True)
+    for suite in (get_suite("ptne-v1"), robustness(1)):
+        print("\n".join(rows(suite, episodes)), flush=True)
+
+
+if __name__ == "__main__":
+    main(*map(int, sys.argv[1:]))
