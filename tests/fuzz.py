@@ -135,12 +135,11 @@ def a_topology(rng, players):
 
 def a_channel(rng):
     def stage():
-        gap = rng.choice(("hold", "drop"))
         arguments = {
             "AdditiveNoise": {"std": log_uniform(rng, 1e-6, 10)},
             "Delay": {"steps": rng.randint(0, 3), "longest": rng.randint(3, 5)},
-            "Loss": {"probability": rng.choice((0.0, rng.random(), 1.0)), "gap": gap},
-            "BurstLoss": {"to_bad": 0.2, "to_good": rng.uniform(0.1, 1), "loss_bad": 1.0, "loss_good": 0.1, "gap": gap},
+            "Loss": {"probability": rng.choice((0.0, rng.random(), 1.0))},
+            "BurstLoss": {"to_bad": 0.2, "to_good": rng.uniform(0.1, 1)},
             "UniformQuantiser": {"width": log_uniform(rng, 1e-6, 10)},
             "Lying": {"size": log_uniform(rng, 1e-3, 10)},
         }
@@ -154,12 +153,7 @@ def a_scenario(rng):
     """A scenario of random parts; raises ``ValueError`` if they do not fit together."""
     game, players = a_game(rng)
     reach = log_uniform(rng, 1e-3, 1e5)
-    wrong_clocks = rng.random() < 0.15
-    disturbance = {
-        "bound": log_uniform(rng, 1e-3, 100),
-        "dwell": rng.randint(1, 5),
-        "after_deadline_only": rng.random() < 0.3,
-    }
+    disturbance = {"bound": log_uniform(rng, 1e-3, 100), "dwell": rng.randint(1, 5)}
     return Scenario(
         name="fuzz",
         game=game,
@@ -170,13 +164,11 @@ def a_scenario(rng):
         gain=rng.choice((0.0, 20.0, log_uniform(rng, 0.1, 50))),
         steps=rng.randint(1, 40),
         s_end=rng.uniform(0.5, 12),
-        spacing=rng.choice(("effective", "transformed", "physical")),
         hold_steps=rng.choice((0, 0, rng.randint(1, 6))),
         input_limit=log_uniform(rng, 0.1, 1e6),
         channel=a_channel(rng) if rng.random() < 0.4 else "perfect",
         message_range=rng.uniform(1, 100) if rng.random() < 0.2 else None,
         disturbance=FactorySpec.of("disturbance:uniform", **disturbance) if rng.random() < 0.3 else None,
-        clock_shifts=tuple(rng.uniform(-0.02, 0.02) for _ in range(players)) if wrong_clocks else (),
         slots=rng.choice((None, None, players)),
     )
 

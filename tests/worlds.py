@@ -66,12 +66,12 @@ EVERY_FAULT = channel_part(
     stages=(
         channel_part("UniformQuantiser", width=0.01),
         channel_part("AdditiveNoise", std=0.1),
-        channel_part("Loss", probability=0.2, gap="hold"),
+        channel_part("Loss", probability=0.2),
         channel_part("Delay", steps=0, longest=3),
         channel_part(
             "Chain",
             stages=(
-                channel_part("BurstLoss", to_bad=0.1, to_good=0.4, loss_good=0.05, gap="drop"),
+                channel_part("BurstLoss", to_bad=0.1, to_good=0.4),
                 channel_part("UniformQuantiser", width=0.03),
             ),
         ),
@@ -88,15 +88,12 @@ FAULTY = CATALOGUE["random-energy"].replace(
         dwells=(0.3, 0.5),
         clock="transformed",
     ),
-    spacing="transformed",
     gain=2.0,
     steps=60,
     hold_steps=4,
     channel=EVERY_FAULT,
     disturbance=FactorySpec.of("disturbance:uniform", bound=3.0, dwell=2),
-    clock_shifts=(0.0, 0.01, -0.01, 0.0, 0.02),
     slots=4,
-    sensor=FactorySpec.of("sensor:noise", std=0.1, width=0.001),
 )
 """Everything that can go wrong."""
 

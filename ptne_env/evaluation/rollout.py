@@ -94,7 +94,7 @@ def in_step(world: World, state: State, inputs: FloatArray, step: int) -> dict[s
     """The series of every step to the deadline: the efforts of the episodes in range."""
     dt, acting = world.clock.dt[step], ~state.diverged
     magnitudes = np.abs(inputs) * acting
-    speeds = magnitudes * world.theta[..., [step]] / dt  # by each player's own clock
+    speeds = magnitudes * world.clock.theta[step] / dt
     # The action box is float32, so an input at the limit may be the float32 just below it.
     limit = np.nextafter(np.float32(world.input_limit), np.float32(0))
     return {

@@ -69,8 +69,8 @@ class Encoder(ABC):
         world: as given.
         interface: as given.
         layout: of observations and actions; policies are built from it.
-        clock_table: t/T, s, Θ_k, Δt_k/T and the time since the last switch as observed, float32, shape (5, 1, K+H+1),
-            or (5, N, K+H+1) where players have clocks of their own.
+        clock_table: t/T, s, Θ_k, Δt_k/T and the time since the last switch as observed, float32, shape (5, 1,
+            K+H+1), the same for all players.
         slot_order: the world's neighbour slot in each slot of the layout, shape (D, N); ``None`` for the same slots.
         gradient_rows: row of the own gradients in each place of a player's own block, shape (m, N).
         gradient_mask: False in padded places, shape (m, N, 1); ``None`` where no place is padded.
@@ -81,9 +81,8 @@ class Encoder(ABC):
         self.interface = interface
         game, clock = world.game, world.clock
         # All environments at the same step share the clock and the time since the last switch.
-        t, s, theta = world.local_clocks
-        shared = [np.broadcast_to(row, t.shape) for row in (clock.dt / clock.deadline, world.time_since_switch)]
-        self.clock_table = np.stack([t / clock.deadline, s, theta, *shared]).astype(np.float32)
+        times = [clock.t / clock.deadline, clock.s, clock.theta, clock.dt / clock.deadline, world.time_since_switch]
+        self.clock_table = np.stack(times)[:, None].astype(np.float32)
         self.slot_order = self._order_slots()
         largest_t, largest_s, largest_theta, largest_dt = self.clock_table[:4].max(axis=(1, 2)).tolist()
         self.layout = layout = ObservationLayout(

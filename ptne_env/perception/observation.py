@@ -106,7 +106,7 @@ class ObservationLayout:
                                       what the channel delivers
     ``weights``              D        a_ij per neighbour slot; 0 where the link is down, or the message is lost
     ``log_scale``            1        log10 σ_i, over 10 (only under ``scaled``)
-    ``clock``                4        t/T, s, Θ_k, Δt_k/T, the first three by the player's own clock
+    ``clock``                4        t/T, s, Θ_k, Δt_k/T
     ``time_since_switch``    1        over the topology's mean dwell, clipped to 1; 0 for a fixed graph
     ``player``               N        one-hot
     ``relative_equilibrium`` n       x* − x^i (only under ``full``)

@@ -69,7 +69,6 @@ PARTS: Mapping[str, str] = {
     "channel:range": "ptne_env.world.channel:Range",
     "channel:rounding": "ptne_env.world.channel:UniformQuantiser",
     "disturbance:uniform": "ptne_env.world.faults:UniformDisturbance",
-    "sensor:noise": "ptne_env.world.faults:GradientNoise",
     "law:adaptive": "ptne_env.laws:Adaptive",
     "law:adaptive-grounded": "ptne_env.laws:AdaptiveGrounded",
     "law:contact-relay": "ptne_env.field.laws:ContactRelay",

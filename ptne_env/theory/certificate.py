@@ -176,9 +176,7 @@ def _faults(world: World) -> list[str]:
     faults = [f"the channel's {type(stage).__name__}" for stage in stages if not stage.is_perfect]
     if world.disturbance is not None:
         faults.append(f"the disturbance {type(world.disturbance).__name__}")
-    if world.sensor is not None:
-        faults.append(f"the sensor {type(world.sensor).__name__}")
-    return faults + ["clocks that disagree"] * any(world.scenario.clock_shifts)
+    return faults
 
 
 class _Prediction:

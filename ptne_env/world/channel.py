@@ -20,7 +20,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Literal, TypeAlias, get_args
+from typing import Any, TypeAlias
 
 import numpy as np
 
@@ -38,9 +38,6 @@ from ptne_env.shared.arrays import (
 from ptne_env.shared.counter_random import CounterArray
 from ptne_env.shared.parts import Part
 
-Gap: TypeAlias = Literal["hold", "drop"]
-"""Reaction of a receiver to a lost message: ``hold`` the last message received, or ``drop`` the link for the step."""
-
 Memory: TypeAlias = tuple[Any, ...]
 """Memory of a channel: arrays with environments last, and tuples of them."""
 
@@ -57,13 +54,11 @@ class Messages:
         values: per slot, component and receiver, shape (D, n, N, B).
         live: whether a message is present on the link, shape (D, N, B).
         weights: a_ij, shape (D, N, B).
-        own: the receivers' own estimates x^i, shape (n, N, B).
     """
 
     values: FloatArray
     live: BoolArray
     weights: FloatArray
-    own: FloatArray
 
 
 class LinkRandomness:
@@ -257,81 +252,61 @@ class Delay(Channel):
         return replace(messages, values=held, live=received), (held, received, past[:last], past_lags[:last])
 
 
-class _Losing(Channel):
-    """Reaction of receivers to lost messages."""
-
-    def __init__(self, gap: Gap) -> None:
-        if gap not in get_args(Gap):
-            raise ValueError(f"gap is one of {', '.join(map(repr, get_args(Gap)))}, got {gap!r}")
-        self.gap: Gap = gap
-
-    def _lose(self, messages: Messages, lost: BoolArray, memory: Memory | None) -> Transmitted:
-        if self.gap == "drop":
-            return replace(messages, live=messages.live & ~lost), ()
-        held, received = (messages.values, messages.live) if memory is None else memory
-        arrives = messages.live & ~lost
-        held = np.where(arrives[:, None], messages.values, held)
-        received = received | arrives
-        return replace(messages, values=held, live=np.where(lost, received, messages.live)), (held, received)
-
-
-class Loss(_Losing):
-    """Messages are lost independently: where U < p, y is the last message received (``hold``) or a_ij = 0 (``drop``).
+class Loss(Channel):
+    """Messages are lost independently: where U < p, y is the last message received.
 
     Args:
         probability: p in [0, 1].
-        gap: ``"hold"`` or ``"drop"``.
 
     Raises:
-        ValueError: when p is not a probability, or the gap is unknown.
+        ValueError: when p is not a probability.
     """
 
-    def __init__(self, probability: float, gap: Gap = "hold") -> None:
-        super().__init__(gap)
+    def __init__(self, probability: float) -> None:
         self.probability = require_probability("probability", probability)
 
     def transmit(self, messages: Messages, memory: Memory | None, randomness: LinkRandomness) -> Transmitted:
-        """Messages, without those lost."""
-        return self._lose(messages, randomness.uniforms() < self.probability, memory or None)
+        """Messages, with the last received in place of those lost."""
+        return _hold(messages, randomness.uniforms() < self.probability, memory)
 
 
-class BurstLoss(_Losing):
-    """Losses in bursts: the chain of Gilbert (1960) and Elliott (1963), one per directed link.
+class BurstLoss(Channel):
+    """Losses in bursts: the chain of Gilbert (1960), one per directed link.
 
-    In every step a good link turns bad with probability p, a bad link turns good with probability r; then a message is
-    lost with probability ``loss_bad`` on a bad and ``loss_good`` on a good link. At the start a link is bad with the
-    stationary probability p/(p + r). A burst lasts 1/r steps on average.
+    In every step a good link turns bad with probability p, a bad link turns good with probability r; messages on bad
+    links are lost, and y is the last message received. At the start a link is bad with the stationary probability
+    p/(p + r). A burst lasts 1/r steps on average.
 
     Args:
         to_bad: p in (0, 1].
         to_good: r in (0, 1].
-        loss_bad: in [0, 1].
-        loss_good: in [0, 1].
-        gap: as for :class:`Loss`.
 
     Raises:
-        ValueError: when a number is not a probability, p or r is 0, or the gap is unknown.
+        ValueError: when a number is not a probability, or is 0.
     """
 
-    def __init__(
-        self, to_bad: float, to_good: float, loss_bad: float = 1.0, loss_good: float = 0.0, gap: Gap = "hold"
-    ) -> None:
-        super().__init__(gap)
+    def __init__(self, to_bad: float, to_good: float) -> None:
         self.to_bad = require_probability("to_bad", require_positive("to_bad", to_bad))
         self.to_good = require_probability("to_good", require_positive("to_good", to_good))
-        self.loss_bad = require_probability("loss_bad", loss_bad)
-        self.loss_good = require_probability("loss_good", loss_good)
 
     def transmit(self, messages: Messages, memory: Memory | None, randomness: LinkRandomness) -> Transmitted:
-        """Messages, without those lost."""
+        """Messages, with the last received in place of those lost."""
         turn = randomness.uniforms()
         if memory is None:
             bad = turn < self.to_bad / (self.to_bad + self.to_good)
         else:
             bad = np.where(memory[0], turn >= self.to_good, turn < self.to_bad)
-        lost = randomness.uniforms(purpose=1) < np.where(bad, self.loss_bad, self.loss_good)
-        received, held = self._lose(messages, lost, (memory and memory[1]) or None)
+        received, held = _hold(messages, bad, None if memory is None else memory[1])
         return received, (bad, held)
+
+
+def _hold(messages: Messages, lost: BoolArray, memory: Memory | None) -> Transmitted:
+    """Messages, with the last received in place of those ``lost`` (D, N, B)."""
+    held, received = (messages.values, messages.live) if memory is None else memory
+    arrives = messages.live & ~lost
+    held = np.where(arrives[:, None], messages.values, held)
+    received = received | arrives
+    return replace(messages, values=held, live=np.where(lost, received, messages.live)), (held, received)
 
 
 class UniformQuantiser(Channel):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from typing import Literal, TypeAlias, get_args
 
 import numpy as np
 import numpy.typing as npt
@@ -11,8 +10,6 @@ import scipy
 
 from ptne_env.shared.arrays import FloatArray, frozen, require_count, require_non_negative, require_positive
 from ptne_env.shared.parts import Part
-
-Spacing: TypeAlias = Literal["effective", "transformed", "physical"]
 
 
 class TimeTransformation(Part, ABC):
@@ -141,7 +138,6 @@ class StepClock:
         gain: c ≥ 0 in 1/s, the constant part of the prescribed-time gain.
         steps: K ≥ 1.
         s_end: transformed time at which the steps to the deadline stop, > 0.
-        spacing: the time divided evenly: τ (``effective``), s (``transformed``) or t (``physical``).
         hold_steps: H ≥ 0 steps after the deadline.
 
     Attributes:
@@ -162,16 +158,12 @@ class StepClock:
         gain: float,
         steps: int,
         s_end: float,
-        spacing: Spacing = "effective",
         hold_steps: int = 0,
     ) -> None:
-        if spacing not in get_args(Spacing):
-            raise ValueError(f"spacing is one of {', '.join(get_args(Spacing))}, got {spacing!r}")
         self.transformation = transformation
         self.gain = require_non_negative("gain (c)", gain)
         self.steps = require_count("steps (K)", steps, 1)
         self.s_end = require_positive("s_end", s_end)
-        self.spacing: Spacing = spacing
         self.hold_steps = require_count("hold_steps", hold_steps, 0)
         if self.hold_steps and self.gain == 0:
             raise ValueError("hold_steps need a gain c > 0: with c = 0 nothing moves after the deadline")
@@ -195,14 +187,9 @@ class StepClock:
         self.dt = frozen(np.concatenate([dt, hold_dt, [0.0]]))
 
     def _grid(self) -> FloatArray:
-        fractions = np.linspace(0.0, 1.0, self.steps + 1)
-        if self.spacing == "effective":
-            end = float(self.transformation.effective_time(self.s_end, self.gain))
-            s = self.transformation.from_effective_time(fractions * end, self.gain)
-        elif self.spacing == "transformed":
-            s = fractions * self.s_end
-        else:
-            s = self.transformation.inverse(fractions * float(self.transformation.time(self.s_end)))
+        """The s of instants that divide the effective time evenly, so that every Θ_k is the same."""
+        end = float(self.transformation.effective_time(self.s_end, self.gain))
+        s = self.transformation.from_effective_time(np.linspace(0.0, 1.0, self.steps + 1) * end, self.gain)
         s[0], s[-1] = 0.0, self.s_end
         return s
 
@@ -225,35 +212,6 @@ class StepClock:
     def effective_time(self) -> float:
         """τ_K = s_end + c t_K = Σ Θ_k over the steps to the deadline."""
         return self.s_end + self.gain * self.time_reached
-
-    def shifted(self, shift: float) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """The times that a clock shows which is ``shift`` seconds fast, or slow where it is negative, and its steps.
-
-        All players share the instants t_k. A player with this clock reads t + δ and so applies the gain g(t + δ):
-        Θ^i_k = S(t_k + Δt_k + δ) − S(t_k + δ) + c Δt_k, where S(t) = λ^{-1}(t) continues with its slope 1/T before 0
-        and stays s_end from λ(s_end) on, as for all players. So a fast clock reaches the end of its gain before T,
-        with long last steps, and a slow clock has part of its gain left at T. The player observes t + δ, clipped to
-        the episode, and S of that. A shift of 0 gives this table, bit for bit.
-
-        Args:
-            shift: δ in seconds.
-
-        Returns:
-            The time shown at each instant in seconds, its transformed time, and Θ^i_k, 0 at the terminal instant; each
-            of shape (K+H+1,).
-        """
-        if shift == 0:
-            return self.t, self.s, self.theta
-
-        def transformed(times: FloatArray) -> FloatArray:
-            s = np.minimum(self.transformation.inverse(np.clip(times, 0.0, self.time_reached)), self.s_end)
-            s = np.where(times >= self.time_reached, self.s_end, s)
-            return np.where(times < 0, times / self.deadline, s)
-
-        start = self.t + shift
-        theta = transformed(start + self.dt) - transformed(start) + self.gain * self.dt
-        shown = np.clip(start, 0.0, self.t[-1])
-        return shown, transformed(shown), theta
 
     @property
     def topology_times(self) -> dict[str, FloatArray]:

@@ -20,7 +20,7 @@ from ptne_env.shared.arrays import Array, BoolArray, FloatArray, IntArray, repla
 from ptne_env.shared.random_streams import RandomStreams
 from ptne_env.world import channel as channels
 from ptne_env.world.channel import LinkRandomness, Memory, Messages
-from ptne_env.world.faults import Disturbance, Sensor
+from ptne_env.world.faults import Disturbance
 from ptne_env.world.world import RANGE_LIMIT, ComponentOrder, EpisodeRandomness, World
 
 PHYSICS = 1
@@ -49,7 +49,7 @@ class State(NamedTuple):
         step: index of the coming step, 0..K+H, shape (B,), int64.
         game: the games being played at this instant, one for all or one per environment.
         estimates: x^i in column i, shape (n, N, B); the diagonal blocks are the strategies.
-        own_gradients: ∂J_i/∂x_i(x^i) as the sensor reads them, blocks stacked, shape (n, B).
+        own_gradients: ∂J_i/∂x_i(x^i), blocks stacked, shape (n, B).
         diverged: whether the environment has left the range; it stays where it is from then on. Shape (B,).
         any_diverged: whether any environment has.
         randomness: draws of the episodes besides game and start; ``None`` where a scenario draws nothing else.
@@ -168,7 +168,7 @@ def step(world: World, state: State, inputs: FloatArray) -> State:
         state: x_k; left as it is.
         inputs: u_k, held for the step, finite, shape (n, N, B).
     """
-    theta = world.theta[..., shared_step(state)]
+    theta = world.clock.theta[shared_step(state)]
     if state.any_diverged:
         theta = np.where(state.diverged, 0.0, theta)
     estimates = theta * inputs
@@ -331,16 +331,8 @@ def _complete(
         any_diverged = bool(diverged.any())
         estimates = np.clip(np.nan_to_num(estimates, nan=RANGE_LIMIT), -RANGE_LIMIT, RANGE_LIMIT)
         gradients = np.clip(np.nan_to_num(gradients, nan=RANGE_LIMIT), -RANGE_LIMIT, RANGE_LIMIT)
-    if world.sensor is not None:
-        gradients = _sensed(world.sensor, gradients, step, randomness)
     state = State(step, game, estimates, gradients, diverged, any_diverged, randomness)
     return state if world.channel.is_perfect else state._replace(received=_transmit(world, state, memory))
-
-
-def _sensed(sensor: Sensor, gradients: FloatArray, step: IntArray, randomness: EpisodeRandomness | None) -> FloatArray:
-    """The own gradients (n, B) as players observe them, within the range that observations are bounded by."""
-    keys = np.zeros(step.size, dtype=np.uint64) if randomness is None else randomness.sensor_keys
-    return np.clip(sensor.read(gradients, keys, step), -RANGE_LIMIT, RANGE_LIMIT)
 
 
 def _fits_topology(world: World, state: State, batch: int) -> bool:
@@ -365,7 +357,7 @@ def _transmit(world: World, state: State, memory: Memory | None) -> Received:
     link_weights = graph_weights(world, state)
     link_weights = np.broadcast_to(link_weights, (*link_weights.shape[:2], batch))
     randomness = LinkRandomness(keys, state.step, world.neighbours, world.game.owners)
-    sent = Messages(sent_messages(world, state.estimates), link_weights > 0, link_weights, state.estimates)
+    sent = Messages(sent_messages(world, state.estimates), link_weights > 0, link_weights)
     received, memory = world.channel.transmit(sent, memory, randomness)
     values = received.values
     if not _in_range(values):  # noise may leave the range that observations are bounded by
@@ -377,10 +369,7 @@ def _transmit(world: World, state: State, memory: Memory | None) -> Received:
 def _disturb(world: World, disturbance: Disturbance, estimates: FloatArray, state: State) -> None:
     """Add Δt w to the real strategies, in place."""
     steps = shared_step(state)
-    early = steps < world.clock.steps
-    if disturbance.after_deadline_only and early.all():
-        return
-    dt = np.where(state.diverged | (early & disturbance.after_deadline_only), 0.0, world.clock.dt[steps])
+    dt = np.where(state.diverged, 0.0, world.clock.dt[steps])
     keys = (
         np.zeros(batch_size(state), dtype=np.uint64) if state.randomness is None else state.randomness.disturbance_keys
     )

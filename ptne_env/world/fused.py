@@ -84,7 +84,7 @@ def _refuse(reason: Exception | str) -> None:
 def qualifies(encoder: Encoder, num_envs: int) -> bool:
     """Whether a number of environments of a world, under an interface, have a compiled step.
 
-    They have one in worlds that are not too large, without channel, disturbance and sensor, for games whose own
+    They have one in worlds that are not too large, without channel and disturbance, for games whose own
     gradients are those of :class:`~ptne_env.games.AffineGame` or :class:`~ptne_env.games.EnergyGame`, under
     ``physical``.
     """
@@ -93,7 +93,6 @@ def qualifies(encoder: Encoder, num_envs: int) -> bool:
         type(encoder) is PhysicalEncoder
         and world.channel.is_perfect
         and world.disturbance is None
-        and world.sensor is None
         and world.slots * encoder.layout.dimension * encoder.layout.num_players
         <= (LARGEST_ALONE if num_envs == 1 else LARGEST_TOGETHER)
         and _is_known(world.game)
@@ -120,7 +119,7 @@ class FusedStep:
     def __init__(self, encoder: Encoder, num_envs: int) -> None:
         self._encoder = encoder
         world, layout = encoder.world, encoder.layout
-        theta = world.theta.reshape(-1, world.theta.shape[-1])
+        theta = world.clock.theta[None]
         self._schedule = world.modes[:, None].astype(np.int16), encoder.clock_table[4, 0][:, None].copy()
         rows, padded = encoder.gradient_rows, encoder.gradient_mask
         mask = np.ones(rows.shape) if padded is None else padded[:, :, 0]

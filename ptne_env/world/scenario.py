@@ -6,7 +6,7 @@ import dataclasses
 from collections.abc import Mapping
 from dataclasses import dataclass
 from types import FunctionType
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -14,12 +14,9 @@ from ptne_env.shared.arrays import require_printable
 from ptne_env.shared.names import unknown_name
 from ptne_env.shared.parts import PARTS, FactorySpec, Part
 
-if TYPE_CHECKING:  # so that the registries can read the catalogue without importing what builds a world
-    from ptne_env.world.clock import Spacing
-
 UNIFORM_START = FactorySpec.of("start:uniform", low=-20.0, high=20.0)
 
-PART_FIELDS = ("game", "topology", "start", "transformation", "channel", "disturbance", "sensor")
+PART_FIELDS = ("game", "topology", "start", "transformation", "channel", "disturbance")
 """The fields that name a part; each is the kind of the ids of its parts."""
 
 _ARRAYS = {
@@ -62,7 +59,7 @@ class Scenario:
     """The physics of an experiment. Two scenarios are equal when every field is, and can be dictionary keys.
 
     A scenario only names its parts; :class:`~ptne_env.world.world.World` builds and checks them. ``game``,
-    ``topology``, ``start``, ``transformation``, ``channel``, ``disturbance`` and ``sensor`` accept a
+    ``topology``, ``start``, ``transformation``, ``channel`` and ``disturbance`` accept a
     :class:`~ptne_env.shared.parts.FactorySpec`, the id of a part, whole or without its kind (``game="energy"``), a
     ``"module:object"`` string, or the part itself (``game=MyGame(2.0)``), its class or a function that makes it, and
     hold a FactorySpec afterwards, which :meth:`~ptne_env.shared.parts.FactorySpec.naming` explains.
@@ -80,16 +77,12 @@ class Scenario:
         gain: c in 1/s, the constant part of the prescribed-time gain.
         steps: K, steps to the deadline.
         s_end: transformed time of the last step's end.
-        spacing: ``"effective"``, ``"transformed"`` or ``"physical"``; see :class:`~ptne_env.world.clock.StepClock`.
         hold_steps: steps after the deadline.
         input_limit: largest |u| of every component, the same for every policy.
         channel: builds a :class:`~ptne_env.world.channel.Channel`, the path of messages; ``"perfect"``.
         disturbance: builds a :class:`~ptne_env.world.faults.Disturbance` of the strategies' velocities, if any.
-        clock_shifts: seconds by which each player's clock is fast (see
-            :meth:`~ptne_env.world.clock.StepClock.shifted`); empty where all clocks are right.
         slots: neighbour slots per player, unused ones being padded, so that graphs of different degrees have one
             layout; the largest degree in the union graph if ``None``.
-        sensor: builds a :class:`~ptne_env.world.faults.Sensor` of the own gradients; exact if ``None``.
         message_range: R, the range of every link: messages are clipped to ±R before the channel, and players know R. No
             range if ``None``.
         action_limit: largest |action| of the action spaces under ``physical``, for games that random inputs up to the
@@ -108,14 +101,11 @@ class Scenario:
     gain: float = 20.0
     steps: int = 400
     s_end: float = 8.0
-    spacing: Spacing = "effective"
     hold_steps: int = 0
     input_limit: float = 1000.0
     channel: FactorySpec = FactorySpec("channel:perfect")
     disturbance: FactorySpec | None = None
-    clock_shifts: tuple[float, ...] = ()
     slots: int | None = None
-    sensor: FactorySpec | None = None
     message_range: float | None = None
     action_limit: float | None = None
 
@@ -123,11 +113,8 @@ class Scenario:
         require_printable("the name of a scenario", self.name)
         for field in PART_FIELDS:
             value = getattr(self, field)
-            if value is not None or field not in ("disturbance", "sensor"):
+            if value is not None or field != "disturbance":
                 object.__setattr__(self, field, _as_spec(field, value))
-        if not isinstance(self.clock_shifts, (tuple, list)):
-            raise ValueError(f"clock_shifts is one number of seconds per player, or empty, got {self.clock_shifts!r}")
-        object.__setattr__(self, "clock_shifts", tuple(self.clock_shifts))
 
     def replace(self, **changes: Any) -> Scenario:
         """A copy with some fields changed.
@@ -144,7 +131,6 @@ class Scenario:
     def to_dict(self) -> dict[str, Any]:
         """A JSON object with one entry per field."""
         values = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
-        values["clock_shifts"] = list(self.clock_shifts)
         return {name: value.to_dict() if isinstance(value, FactorySpec) else value for name, value in values.items()}
 
     @classmethod

@@ -11,14 +11,13 @@ import numpy as np
 import numpy.typing as npt
 
 from ptne_env.games import Game, GameFamily, SingleGame, require_strong_monotonicity
-from ptne_env.shared import counter_random
-from ptne_env.shared.arrays import FloatArray, IntArray, frozen, require_count, require_finite, require_positive
+from ptne_env.shared.arrays import FloatArray, IntArray, frozen, require_count, require_positive
 from ptne_env.shared.counter_random import CounterArray
 from ptne_env.shared.parts import FactorySpec
 from ptne_env.shared.random_streams import RandomStreams
 from ptne_env.world.channel import Chain, Channel, Range
 from ptne_env.world.clock import StepClock, TimeTransformation
-from ptne_env.world.faults import Disturbance, Sensor
+from ptne_env.world.faults import Disturbance
 from ptne_env.world.graphs import Graph
 from ptne_env.world.scenario import Scenario
 from ptne_env.world.starts import Start
@@ -30,9 +29,6 @@ RANGE_LIMIT = 5e5
 SHORTFALL_WARNING = 0.01
 """A scenario whose last step ends more than this fraction of T short of the deadline gets a warning."""
 
-_SENSOR = int.from_bytes(b"sensor")
-"""Child stream of the sensor: drawing a key of its own would change the draws of existing scenarios."""
-
 
 @dataclass(frozen=True)
 class EpisodeRandomness:
@@ -43,18 +39,13 @@ class EpisodeRandomness:
         time_since_switch: time since the last switch over the mean dwell, clipped to [0, 1], shape (K+H+1, B),
             float32.
         channel_keys: keys of the channel's random numbers, shape (B,).
-        disturbance_keys: keys of the disturbance's random numbers, shape (B,); the sensor has children of them.
+        disturbance_keys: keys of the disturbance's random numbers, shape (B,).
     """
 
     modes: npt.NDArray[np.int16] | None
     time_since_switch: npt.NDArray[np.float32] | None
     channel_keys: CounterArray
     disturbance_keys: CounterArray
-
-    @property
-    def sensor_keys(self) -> CounterArray:
-        """Keys of the sensor's random numbers, shape (B,)."""
-        return counter_random.child_keys(self.disturbance_keys, _SENSOR)
 
 
 class ComponentOrder(NamedTuple):
@@ -81,7 +72,6 @@ class World:
         game: the game, or a typical member of the family; states hold the games that are played.
         topology, start, clock, channel: the other parts.
         disturbance: of the velocities; ``None`` where there is none.
-        sensor: of the own gradients; ``None`` where they are exact.
         message_range: R, to which the channel clips messages first; infinite where links have no range.
         neighbours: player in each slot, shape (D, N); D is the largest degree in the union graph unless the scenario
             gives it, and a padded slot holds the player itself with weight 0.
@@ -89,17 +79,14 @@ class World:
         modes: active mode at each instant, shape (K+H+1,); zeros where every episode draws its own.
         time_since_switch: time since the last switch over the mean dwell, clipped to [0, 1], 0 for a fixed graph; shape
             (K+H+1,); zeros likewise.
-        theta: Θ_k of each step, shape (K+H+1,), or (N, K+H+1) where the players' clocks disagree.
-        local_clocks: t, s and Θ of each step by the players' clocks, shape (3, 1, K+H+1), or (3, N, K+H+1) where they
-            disagree.
         has_constant_weights: whether every player has the weights of one graph in every step.
         component_order: components in the order of the game.
         strategy_rows: rows of ``estimates.reshape(n N, B)`` that are strategies, shape (n,).
 
     Raises:
         ValueError: when a part cannot be built, a number is out of range, the game and the graphs disagree on the
-            number of players, the graphs can never be (jointly) connected, a dwell is shorter than the longest step,
-            there are too few slots, or not as many clock shifts as players.
+            number of players, the graphs can never be (jointly) connected, a dwell is shorter than the longest step, or
+            there are too few slots.
     """
 
     def __init__(self, scenario: Scenario) -> None:
@@ -113,7 +100,6 @@ class World:
             gain=scenario.gain,
             steps=scenario.steps,
             s_end=scenario.s_end,
-            spacing=scenario.spacing,
             hold_steps=scenario.hold_steps,
         )
         built = scenario.game.build()
@@ -132,9 +118,8 @@ class World:
         if scenario.message_range is not None:
             self.message_range = require_positive("message_range", scenario.message_range)
             self.channel = Chain([Range(self.message_range), self.channel])
-        disturbance, sensor = scenario.disturbance, scenario.sensor
+        disturbance = scenario.disturbance
         self.disturbance: Disturbance | None = None if disturbance is None else self._build(disturbance, Disturbance)
-        self.sensor: Sensor | None = None if sensor is None else self._build(sensor, Sensor)
         self._check_topology()
         # A fixed start whose table has the wrong shape fails here and not at the first reset.
         self.start.draw(self.game.num_players, self.game.dimension, np.random.default_rng(0))
@@ -166,7 +151,7 @@ class World:
     @property
     def has_episode_randomness(self) -> bool:
         """Whether an episode draws anything besides its game and its start."""
-        parts = (self.topology, self.channel, self.disturbance, self.sensor)
+        parts = (self.topology, self.channel, self.disturbance)
         return any(part.is_random for part in parts if part is not None)
 
     @property
@@ -241,8 +226,8 @@ class World:
         if topology.shortest_dwell < longest * (1 - 1e-9):
             raise ValueError(
                 f"scenario {name!r}: the shortest dwell, {topology.shortest_dwell:.4g} on the {topology.clock} clock, "
-                f"is shorter than the longest step, {longest:.4g}, so graphs would be skipped; use more steps, another "
-                "spacing or longer dwells"
+                f"is shorter than the longest step, {longest:.4g}, so graphs would be skipped; use more steps or "
+                "longer dwells"
             )
 
     def _tabulate_neighbours(self) -> None:
@@ -267,17 +252,6 @@ class World:
         self.strategy_rows = components * players + self.game.owners
 
     def _tabulate_time(self) -> None:
-        shifts, players = self.scenario.clock_shifts, self.game.num_players
-        if len(shifts) not in (0, players):
-            raise ValueError(
-                f"scenario {self.scenario.name!r}: {players} players need {players} clock_shifts, or none, got "
-                f"{len(shifts)}"
-            )
-        shifts = tuple(require_finite("a clock shift", shift) for shift in shifts)
-        if not any(shifts):
-            shifts = (0.0,)
-        self.local_clocks = frozen(np.stack([self.clock.shifted(shift) for shift in shifts], axis=1))
-        self.theta = self.clock.theta if len(shifts) == 1 else self.local_clocks[2]
         self._topology_times = self.clock.topology_times[self.topology.clock]
         if self.topology.is_random:
             schedule = Schedule(

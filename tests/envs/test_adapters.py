@@ -291,10 +291,10 @@ def test_an_unknown_keyword_is_a_type_error_that_names_similar_ones_or_all(adapt
 
 BATCH, STEPS, SEED, CRASHING = 5, 27, 11, 1
 WORLDS = {
-    "switching": ("energy-switching", {"start": "random", "spacing": "physical", "steps": 13}),
-    "cut": ("random-energy-switching", {"spacing": "physical", "steps": 13, "max_cycles": 11}),
-    "non-quadratic": ("non-quadratic-switching", {"start": "random", "spacing": "physical", "steps": 13}),
-    "blocks": (BLOCKS_SWITCHING, {"spacing": "transformed", "steps": 30, "max_cycles": 8}),
+    "switching": ("energy-switching", {"start": "random", "steps": 17}),
+    "cut": ("random-energy-switching", {"steps": 17, "max_cycles": 11}),
+    "non-quadratic": ("non-quadratic-switching", {"start": "random", "steps": 17}),
+    "blocks": (BLOCKS_SWITCHING, {"gain": 0.0, "steps": 30, "max_cycles": 8}),
     "faulty": (FAULTY, {"max_cycles": 8}),
     "crashing": ("random-energy", {"max_cycles": 14, "input_limit": 1e9}),
 }

@@ -74,7 +74,6 @@ def a_calm_scenario(rng):
         message_range=rng.choice((None, None, reach * rng.uniform(0.9, 3))),
         channel="perfect",
         disturbance=None,
-        clock_shifts=(),
     )
 
 
@@ -238,8 +237,6 @@ RANDOM_GRAPH = FactorySpec.of(
             "no number includes the disturbance UniformDisturbance",
             False,
         ),
-        ({"sensor": FactorySpec.of("sensor:noise", std=0.1)}, "no number includes the sensor GradientNoise", False),
-        ({"clock_shifts": (0.0, 0.01, 0.0, 0.0, 0.0)}, "clocks that disagree", False),
         ({"game": FactorySpec.of("game:random-energy", players=5)}, "draws games", False),
         ({"start": "random"}, "start is random", False),
         ({"start": "paper"}, "velocity", True),

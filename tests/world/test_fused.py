@@ -14,7 +14,7 @@ from ptne_env import CATALOGUE, VectorParallelEnv, parallel_env
 from ptne_env.bench.suite import ptne_v1
 from ptne_env.world import fused
 
-WITHOUT_FAULTS = {"message_range": None, "channel": "perfect", "disturbance": None, "sensor": None}
+WITHOUT_FAULTS = {"message_range": None, "channel": "perfect", "disturbance": None}
 
 
 def _worlds():
@@ -39,7 +39,7 @@ NUMPY_ALONE = {
     "ptne-v1 curved without faults",
     *(name.removesuffix(" without faults") for name in WORLDS if name.endswith("faults")),
 }
-"""The worlds without a compiled step: games that are not affine, and channels, disturbances, and sensors."""
+"""The worlds without a compiled step: games that are not affine, and channels and disturbances."""
 
 
 @pytest.fixture

@@ -46,7 +46,6 @@ def test_catalogue_has_the_settings_of_the_paper(name):
     scenario = CATALOGUE[name]
     clock, game, topology = World(scenario).clock, World(scenario).game, World(scenario).topology
     assert (clock.deadline, clock.gain, clock.steps, clock.s_end, clock.hold_steps) == (1.2, 20.0, 400, 8.0, 0)
-    assert clock.spacing == "effective"
     assert type(clock.transformation).__name__ == "Exponential"
     assert scenario.input_limit == 1000.0
     assert isinstance(game, EnergyGame if name.startswith("energy") else NonQuadraticGame)
@@ -103,7 +102,7 @@ REFUSED = {
         lambda: get_scenario(
             "energy-switching", topology=FactorySpec.of("ptne_env.world.switching:paper_topology", dwell=0.003)
         ),
-        "shorter than the longest step.*use more steps, another spacing or longer dwells",
+        "shorter than the longest step.*use more steps or longer dwells",
     ),
     "transformed dwell shorter than the longest step": (
         lambda: get_scenario("energy-switching-transformed", steps=20),
@@ -118,15 +117,6 @@ REFUSED = {
     "too few slots": (
         lambda: get_scenario("energy", slots=1),
         "a player has 2 neighbours and slots is 1; raise it to 2",
-    ),
-    "clocks of some players": (
-        lambda: get_scenario("energy", clock_shifts=(0.1, 0.2)),
-        "5 players need 5 clock_shifts, or none, got 2",
-    ),
-    "one clock for all": (lambda: get_scenario("energy", clock_shifts=0.1), "clock_shifts is one number of seconds"),
-    "clock that is infinitely fast": (
-        lambda: get_scenario("energy", clock_shifts=(float("inf"), 0, 0, 0, 0)),
-        "a clock shift must be a finite number",
     ),
     "range of zero": (lambda: get_scenario("energy", message_range=0.0), "message_range must be .* above 0"),
     "range that is none": (

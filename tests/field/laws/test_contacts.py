@@ -108,7 +108,7 @@ def test_owner_is_the_only_source_from_the_first_meeting_on():
     """Player 0 first hears of component 1 through player 2, then meets player 1 itself, and then player 2 alone."""
     modes = [[(1, 2)], [(0, 2)], [(1, 2), (0, 2)], [(0, 1)], [(0, 2)], [(1, 2)]]
     scenario = affine_scenario(
-        np.eye(3) + 0.1, np.ones(3), switching(3, modes, (0.1,) * 6), spacing="transformed", s_end=20.0, input_limit=1e5
+        np.eye(3) + 0.1, np.ones(3), switching(3, modes, (0.1,) * 6), gain=0.0, s_end=20.0, input_limit=1e5
     )
     world, states = episode(field_laws.RoutedUnknown, scenario)
     for k, (before, after) in enumerate(zip(states[:, 1, :, 0], states[1:, 1, :, 0], strict=False)):
@@ -124,7 +124,7 @@ def test_owner_is_the_only_source_from_the_first_meeting_on():
 def test_news_that_never_move_reach_players_without_news():
     """Player 2 settles before player 0 meets player 1, whose copy of its strategy never moves again."""
     topology = switching(3, [[(1, 2)], [(0, 1)]], (10.0, 10.0))
-    scenario = affine_scenario(np.eye(3), np.ones(3), topology, spacing="transformed", s_end=20.0, input_limit=1e5)
+    scenario = affine_scenario(np.eye(3), np.ones(3), topology, gain=0.0, s_end=20.0, input_limit=1e5)
     _, states = episode(field_laws.RoutedUnknown, scenario, step=1.0)
     assert states[-1, 2, 0, 0] == pytest.approx(states[-1, 2, 2, 0], abs=1e-4)
 
