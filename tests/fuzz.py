@@ -175,7 +175,7 @@ def a_scenario(rng):
 
 def some_arguments(rng):
     """Random arguments of an environment: interface, action mode, reward, length."""
-    reward = rng.choice(("digits", "tracking", "payoff", "regret", {"digits": 1.0, "tracking": 0.5}, {"payoff": 2.0}))
+    reward = rng.choice(("digits", "payoff", {"digits": 1.0, "payoff": 0.5}, {"payoff": 2.0}))
     return {
         "interface": rng.choice(("physical", "scaled")),
         "reward": reward,

@@ -33,7 +33,6 @@ def certify(
     kappa: Annotated[
         float | None, typer.Option(help="Consensus gain κ of the law.", show_default="the law's own; static: 2")
     ] = None,
-    hold_steps: options.HoldSteps = None,
     json: options.Json = None,
     trust: options.Trust = False,
 ) -> None:
@@ -45,8 +44,6 @@ def certify(
     check_writable(json)
     options.trusted(options.foreign_names(scenario, law), trust=trust)
     chosen = find_scenario(scenario)
-    if hold_steps is not None:
-        chosen = chosen.replace(hold_steps=hold_steps)
     with threadpool_limits(1):  # on matrices of this size several BLAS threads wait for each other
         certificate = theory.certify(chosen, law=_law(law, kappa))
     write_json(json, json_text(certificate.to_dict()))

@@ -25,8 +25,6 @@ from ptne_env.world.catalogue import CATALOGUE
 SUITE = "ptne-v1"
 """The suite that is run where neither a suite nor a scenario is named."""
 
-_HOLD_STEPS = 25
-
 _PAGE_SHARE = 25
 """The part of the bar, in percent, that belongs to the figures of the page."""
 
@@ -76,10 +74,6 @@ def compare(
         ),
     ] = None,
     seed: options.Seed = 0,
-    hold_steps: Annotated[
-        int | None,
-        typer.Option(min=0, help="Steps after the deadline; a suite has its own.", show_default=str(_HOLD_STEPS)),
-    ] = None,
     out: Annotated[
         Path | None,
         typer.Option(
@@ -120,7 +114,7 @@ def compare(
     share = 100 if page is None else 100 - _PAGE_SHARE
     with progress(f"{title}: making the jobs") as advance:
         runner = Runner(folder, workers, lambda job, done, total: advance(round(share * done / total), 100, job), rerun)
-        results = _results(suite, places, named, episodes, seed, hold_steps, runner)
+        results = _results(suite, places, named, episodes, seed, runner)
         text = results.to_json()
         write_json(json, text)
         if folder is not None:
@@ -167,13 +161,10 @@ def _results(
     policies: list[PolicySpec],
     episodes: int | None,
     seed: int,
-    hold_steps: int | None,
     run: Runner,
 ) -> Results:
     """The results on tracks of a suite, on all without places, or on scenarios."""
     if suite is not None:
-        if hold_steps is not None:
-            raise ValueError("a suite fixes the steps after the deadline: leave out --hold-steps")
         chosen = policies or list(POLICIES.values())
         return run_suite(suite, chosen, tracks=places or None, episodes=episodes, seed=seed, run=run)
     for name in places:
@@ -181,11 +172,4 @@ def _results(
             raise ValueError(f"{name!r} is a policy, no scenario: write --policy {name}")
         if name not in CATALOGUE and ":" not in name:
             raise ValueError(unknown_name("scenario", name, world_names()))
-    return evaluate(
-        policies or COMPARED,
-        places,
-        episodes=episodes or EPISODES,
-        seed=seed,
-        hold_steps=_HOLD_STEPS if hold_steps is None else hold_steps,
-        run=run,
-    )
+    return evaluate(policies or COMPARED, places, episodes=episodes or EPISODES, seed=seed, run=run)

@@ -31,9 +31,6 @@ Policy: TypeAlias = Annotated[
     ),
 ]
 Seed: TypeAlias = Annotated[int, typer.Option(min=0, help="Seed of the random starts, games and noise.")]
-HoldSteps: TypeAlias = Annotated[
-    int | None, typer.Option(min=0, help="Steps after the deadline.", show_default="the scenario's own")
-]
 Trust: TypeAlias = Annotated[
     bool,
     typer.Option(

@@ -25,7 +25,6 @@ def render(
         typer.Option(help="The video, a .gif, or a page to scrub through, a .html."),
     ],
     seed: options.Seed = 0,
-    hold_steps: options.HoldSteps = None,
     pictures: Annotated[int, typer.Option(min=2, help="Pictures of a video; a page shows every step.")] = 100,
     trust: options.Trust = False,
 ) -> None:
@@ -33,8 +32,6 @@ def render(
     check_writable(out)
     trust = options.trusted(options.foreign_names(scenario, policy), trust=trust)
     chosen, spec = find_scenario(scenario), get_policy_spec(policy, trust=trust)
-    if hold_steps is not None:
-        chosen = chosen.replace(hold_steps=hold_steps)
     with progress(f"{scenario}: {policy}") as advance:
         save_video(chosen, spec, out, seed=seed, pictures=pictures, progress=advance)
     say(f"Video written to {out}")

@@ -155,12 +155,6 @@ def _at_deadline(rollout: Rollout, series: str) -> FloatArray:
     return rollout[series][rollout.world.clock.steps]
 
 
-def _digits_after_hold(rollout: Rollout) -> FloatArray:
-    if not rollout.world.clock.hold_steps:
-        return np.full(rollout.diverged.shape, np.nan)
-    return distances.digits(rollout["estimate_distance"][-1])
-
-
 def _mean_regret(rollout: Rollout) -> FloatArray:
     """(1/T)∫ regret dt over the regret of the start, by the trapezoid rule; NaN where nothing is to be regretted."""
     times, regrets = rollout.world.clock.t[regret_instants(rollout.world)], rollout["regret"]
@@ -191,8 +185,6 @@ for _metric in (
     Metric("estimate_distance", "estimate distance",
            "‖𝐱 − 1⊗x*‖/(√N ‖x*‖) at the deadline (as in the theorems)", "lower",
            value=lambda rollout: _at_deadline(rollout, "estimate_distance"), range=_POSITIVE),
-    Metric("consensus_error", "consensus error", "‖𝐱 − 1⊗x̄‖/(√N ‖x*‖) at the deadline", "lower",
-           value=lambda rollout: rollout["consensus_error"][0], range=_POSITIVE),
     Metric("regret", "regret",
            "Nikaido–Isoda regret Σ_i [J_i(x) − min over y of J_i(y, x_{-i})] at the deadline", "lower",
            value=lambda rollout: rollout["regret"][-1], range=_POSITIVE),
@@ -201,8 +193,6 @@ for _metric in (
            value=settling_time, range=_POSITIVE),
     Metric("settled_share", "settled share", "share of episodes that settled by the end", "higher",
            value=lambda rollout: np.isfinite(settling_time(rollout)).astype(np.float64), range=_SHARE),
-    Metric("digits_after_hold", "digits after hold", "−log10 of the estimate distance after the hold phase, at most 12",
-           "higher", value=_digits_after_hold, range=_DIGITS),
     Metric("digits_gained", "digits gained",
            "mean over players of the summed digits reward, to the end of the episode", "higher",
            value=lambda rollout: rollout["mean_digits"][-1] - rollout["mean_digits"][0]),
@@ -210,8 +200,6 @@ for _metric in (
            lambda rollout: ordered_sum(rollout["input_energy"]), range=_POSITIVE),
     Metric("peak_input", "peak |u|", "largest |u| to the deadline", "lower", "At what cost",
            lambda rollout: rollout["peak_input"].max(axis=0), range=_POSITIVE),
-    Metric("peak_velocity", "peak velocity", "largest Θ|u|/Δt to the deadline, per second", "lower", "At what cost",
-           lambda rollout: rollout["peak_velocity"].max(axis=0), unit="1/s", range=_POSITIVE),
     Metric("saturated_share", "saturated share", "share of input components at the input limit", "lower",
            "At what cost", _saturated_share, range=_SHARE),
     Metric("diverged_share", "diverged share", "share of episodes that left the range", "lower", "At what cost",

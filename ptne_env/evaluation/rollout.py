@@ -31,9 +31,8 @@ class Rollout:
 
     Attributes:
         world: in which they ran.
-        series: numbers per episode by name, as :func:`at_instant`, :func:`regret`, :func:`at_deadline` and
-            :func:`in_step` record them, each of shape (instants, B), (instants of regrets, B), (1, B) or (steps to the
-            deadline, B).
+        series: numbers per episode by name, as :func:`at_instant`, :func:`regret` and :func:`in_step` record them, of
+            shape (instants, B), (instants of regrets, B) and (steps to the deadline, B).
         diverged: whether the episode left the range, shape (B,).
         seconds_per_decision: wall time of the policy per player and step.
     """
@@ -85,22 +84,15 @@ def regret(world: World, state: State) -> dict[str, FloatArray]:
     return {"regret": ordered_sum(np.where(state.diverged, REWARD_LIMIT, regrets))}
 
 
-def at_deadline(state: State) -> dict[str, FloatArray]:
-    """The series of the deadline alone: the consensus error."""
-    return {"consensus_error": _limited(state, distances.consensus_error(state.estimates, state.game))}
-
-
 def in_step(world: World, state: State, inputs: FloatArray, step: int) -> dict[str, FloatArray]:
     """The series of every step to the deadline: the efforts of the episodes in range."""
     dt, acting = world.clock.dt[step], ~state.diverged
     magnitudes = np.abs(inputs) * acting
-    speeds = magnitudes * world.clock.theta[step] / dt
     # The action box is float32, so an input at the limit may be the float32 just below it.
     limit = np.nextafter(np.float32(world.input_limit), np.float32(0))
     return {
         "input_energy": dt * (magnitudes**2).sum(axis=(0, 1)),
         "peak_input": magnitudes.max(axis=(0, 1)),
-        "peak_velocity": speeds.max(axis=(0, 1)),
         "saturated": (magnitudes >= limit).sum(axis=(0, 1)),
         "components": acting * magnitudes[..., 0].size,
     }
@@ -226,8 +218,6 @@ def rollout(
         found = at_instant(world, state)
         if step in observed:
             found |= regret(world, state)
-        if step == clock.steps:
-            found |= at_deadline(state)
         if inputs is not None and step < clock.steps:
             found |= in_step(world, state, inputs, step)
         for name, values in found.items():

@@ -25,7 +25,6 @@ def evaluate(
     *,
     episodes: int = EPISODES,
     seed: int = 0,
-    hold_steps: int = 0,
     split: Split = "test",
     run: Run = run_serially,
 ) -> Results:
@@ -39,7 +38,6 @@ def evaluate(
         scenarios: scenarios, names of the catalogue, ``"module:object"`` or tracks; one of them, or several.
         episodes: number of random starts; a track in which nothing is random has one episode.
         seed: of the episode sets.
-        hold_steps: steps after the deadline for the scenarios given by name.
         split: ``"test"``, ``"validation"`` or ``"train"``, which share no episode.
         run: gives the results of jobs: one after the other in this process, or as :class:`ptne_env.bench.Runner` does,
             which stores them in a folder, runs many at a time and shows progress.
@@ -52,7 +50,7 @@ def evaluate(
     require_count("episodes", episodes, 1)
     if not callable(run):
         raise TypeError(f"run takes jobs, as ptne_env.bench.Runner(folder, Workers(4)) does; got {run!r}")
-    tracks = compared_tracks(several(scenarios), hold_steps)
+    tracks = compared_tracks(several(scenarios))
     sets = {track.name: EpisodeSet(track.episodes or episodes, seed, split) for track in tracks}
     return compare("comparison", tracks, [get_policy_spec(policy) for policy in several(policies)], sets, run)
 

@@ -116,13 +116,12 @@ def _world(scenario: Scenario, definitions: tuple[Any, ...]) -> World:  # noqa: 
     return World(scenario)
 
 
-def compared_track(scenario: str | Scenario | Track, hold_steps: int = 0) -> Track:
+def compared_track(scenario: str | Scenario | Track) -> Track:
     """The track of a comparison. A track in which nothing is random has one episode.
 
     Args:
         scenario: a name of the catalogue; a ``"module:object"`` that is a scenario or a function that makes one; a
             scenario; or a track.
-        hold_steps: steps after the deadline for a scenario of the catalogue.
 
     Raises:
         ValueError: for an unknown name, or a ``"module:object"`` that is no scenario.
@@ -132,7 +131,7 @@ def compared_track(scenario: str | Scenario | Track, hold_steps: int = 0) -> Tra
         return scenario
     if isinstance(scenario, str) and ":" in scenario:
         scenario = named_scenario(scenario)
-    scenario = get_scenario(scenario, **{"hold_steps": hold_steps} if isinstance(scenario, str) else {})
+    scenario = get_scenario(scenario)
     track = Track(scenario.name, scenario, "Random episodes.")
     if track.world.is_random:
         return track
@@ -152,13 +151,13 @@ def named_scenario(target: str) -> Scenario:
     return made
 
 
-def compared_tracks(scenarios: Iterable[str | Scenario | Track], hold_steps: int = 0) -> tuple[Track, ...]:
+def compared_tracks(scenarios: Iterable[str | Scenario | Track]) -> tuple[Track, ...]:
     """The tracks of a comparison, as :func:`compared_track` makes them.
 
     Raises:
         ValueError: for repeated names, or none.
     """
-    tracks = tuple(compared_track(scenario, hold_steps) for scenario in scenarios)
+    tracks = tuple(compared_track(scenario) for scenario in scenarios)
     names = [track.name for track in tracks]
     if not names:
         raise ValueError("a comparison needs at least one scenario")

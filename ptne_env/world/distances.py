@@ -58,13 +58,6 @@ def _over_players(distances: FloatArray) -> FloatArray:
     return np.sqrt(ordered_sum(distances**2) / len(distances))
 
 
-def consensus_error(estimates: FloatArray, game: Game) -> FloatArray:
-    """‖𝐱 − 1⊗x̄‖/(√N ‖x*‖) with x̄ the mean of all estimates: (n, N, B) to (B,)."""
-    players = estimates.shape[1]
-    deviations = estimates - ordered_sum(estimates, axis=1)[:, None] / players
-    return np.sqrt(ordered_sum(ordered_sum(deviations**2)) / players) / game.equilibrium_scale
-
-
 def digits(distance: FloatArray) -> FloatArray:
     """−log10 of a distance, floored at 1e-12; any shape."""
     # The natural logarithm is vectorised in numpy and several times as fast as log10.

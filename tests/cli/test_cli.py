@@ -78,7 +78,6 @@ def test_every_command_has_help(command, run):
         ("compare --jobs 0", "0 jobs"),
         ("compare --suite ptne-v0", "unknown suite 'ptne-v0'; did you mean 'ptne-v1'?"),
         ("compare --suite ptne-v1 nominl", "did you mean 'nominal'?"),
-        ("compare --suite ptne-v1 --hold-steps 3", "leave out --hold-steps"),
         ("render liar static --out x.gif", "unknown scenario 'liar'; did you mean 'ptne-v1/liar'?"),
         ("render energy static --out run.avi", "a video is written to .gif, .html"),
         ("certify energie", "unknown scenario 'energie'"),
@@ -218,7 +217,7 @@ def test_compare_prints_one_screen_and_writes_results_and_a_page(run, tmp_path):
 
 def test_the_command_on_the_page_repeats_the_results_from_the_stored_jobs(run, tmp_path):
     folder = tmp_path / "results" / "comparison"
-    assert run(f"{COMPARISON} --seed 4 --hold-steps 5").code == 0
+    assert run(f"{COMPARISON} --seed 4").code == 0
     first = (folder / "results.json").read_bytes()
     page = (folder / "report.html").read_text(encoding="utf-8")
     command = html.unescape(re.search(r"<dt>command</dt>\s*<dd>(.*?)</dd>", page)[1])
@@ -321,7 +320,7 @@ def test_certify_knows_graphs_on_which_no_gain_is_enough(scenario, run):
 
 
 def test_render_writes_a_page(run, tmp_path):
-    assert "Video written to videos/run.html" in run("render energy static --out videos/run.html --hold-steps 5").out
+    assert "Video written to videos/run.html" in run("render energy static --out videos/run.html").out
     assert "energy: static" in (tmp_path / "videos" / "run.html").read_text(encoding="utf-8")
 
 
