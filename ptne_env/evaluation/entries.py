@@ -233,9 +233,6 @@ _COMPARED = {
 _OTHERS = {
     "ppo-ptne-v1": _network("ptne-v1"),
     "static-tuned": _entry("law:static", "The static law with tuned weights.", kappa=2.2, gradient_gain=2.94),
-    "fixed-gain": _entry(
-        "law:fixed-gain", "The static law with the κ of Bianchi and Grammatico's weaker condition.", kappa=5.0
-    ),
     "adaptive-grounded": _entry(
         "law:adaptive-grounded",
         "Ye and Hu's adaptive law: the grounded law, with gains that every player tunes by itself.",
@@ -253,13 +250,6 @@ _OTHERS = {
         "Copies news as routed-unknown, and takes best responses by an identified model of the own gradient.",
         patience=12.6,
         forgetting=5.89,
-    ),
-    "multi-rate": _entry(
-        "law:multi-rate",
-        "Gradient play with prices for a shared constraint, on copies as those of routed-unknown.",
-        step=0.2,
-        price_step=0.2,
-        lead=2.0,
     ),
     "proximal-best-response": _entry(
         "law:proximal-best-response",

@@ -31,15 +31,6 @@ class Static(Law):
         return self.kappa * pull - self.gradient_gain * observation.gradient, memory
 
 
-class FixedGain(Static):
-    """The static law with Bianchi and Grammatico's condition on κ, which is weaker than the paper's, eq. (15).
-
-    M. Bianchi and S. Grammatico, "Continuous-time fully distributed generalized Nash equilibrium seeking for
-    multi-integrator agents", Automatica, 2021: their controller with a fixed gain for single integrators, without
-    constraints and in effective time.
-    """
-
-
 class CorollaryOne(Static):
     """u^i = (Δt_k/Θ_k) (−R_i^T ∂J_i/∂x_i(x^i) − κ Σ_j a_ij (x^i − x^j)), so that dx^i/dt has no time gain.
 

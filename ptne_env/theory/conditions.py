@@ -17,13 +17,12 @@ import numpy as np
 
 from ptne_env.field.laws import (
     ContactRelay,
-    MultiRate,
     ObserverRelay,
     ProjectedGradient,
     ProximalBestResponse,
     RoutedUnknown,
 )
-from ptne_env.laws import Adaptive, AdaptiveGrounded, CorollaryOne, FixedGain, Grounded, Law, Static
+from ptne_env.laws import Adaptive, AdaptiveGrounded, CorollaryOne, Grounded, Law, Static
 from ptne_env.shared.arrays import FloatArray, IntArray
 from ptne_env.theory.closed_loop import last_modes
 from ptne_env.theory.constants import (
@@ -32,7 +31,7 @@ from ptne_env.theory.constants import (
     jacobian_at_equilibrium,
     monotonicity_constants,
 )
-from ptne_env.theory.delayed_play import coupling_radius, hop_delays, multi_rate_radius
+from ptne_env.theory.delayed_play import coupling_radius, delayed_play_radius, hop_delays
 from ptne_env.world.graphs import Graph, union
 from ptne_env.world.world import World
 
@@ -168,21 +167,6 @@ def corollary_one_condition(law: CorollaryOne, constants: ProblemConstants) -> C
 
 
 @condition.register
-def fixed_gain_condition(law: FixedGain, constants: ProblemConstants) -> Condition:
-    """κ > ((ι_F + ι)²/(4ε) + ι)/λ2, with κ divided by the gradient gain.
-
-    It holds exactly where the bound [[ε/N, −(ι_F + ι)/(2√N)], [·, κ λ2 − ι]] of the loop on consensus and
-    disagreement is positive definite, and then (𝐱 − 1⊗x*)ᵀ M (𝐱 − 1⊗x*) > 0.
-    """
-    bound = np.inf
-    if constants.epsilon > 0 and constants.connectivity > 0:
-        total = constants.iota_strategies + constants.iota_estimates
-        bound = (total**2 / (4 * constants.epsilon) + constants.iota_estimates) / constants.connectivity
-    name = "κ > ((ι_F + ι)²/(4ε) + ι)/λ2"
-    return Condition.above(name, law.kappa / law.gradient_gain, bound, exact=constants.exact)
-
-
-@condition.register
 def adaptive_condition(law: Adaptive, constants: ProblemConstants) -> Condition:
     """ε > 0, and the graphs that act as s → ∞ are (jointly) connected (Theorems 3 and 4); γ > 0 on all links."""
     connectivity = min(graph.algebraic_connectivity for graph in constants.recurring)
@@ -256,35 +240,13 @@ def projected_gradient_condition(law: ProjectedGradient, constants: ProblemConst
 @condition.register
 def routed_condition(law: RoutedUnknown, constants: ProblemConstants) -> Condition:
     """A fixed graph, ε > 0, and ρ < 1 of gradient play with delays equal to hop counts, exactly where it converges."""
-    steps = np.full(len(constants.owners), law.step)
-    return decisive(
-        _fixed_graph(constants), _strongly_monotone(constants), _delayed_play_settles(constants, steps, 0 * steps)
-    )
-
-
-@condition.register
-def multi_rate_condition(law: MultiRate, constants: ProblemConstants) -> Condition:
-    """A fixed graph, F monotone, and ρ < 1 of primal-dual play with delays, the hop counts, as if no bound were active.
-
-    Operators are the players whose own block of dF is 0. The loop is exact where all prices of x* are positive and no
-    other bound is active.
-    """
-    own = constants.owners[:, None] == constants.owners
-    is_price = ~np.any(np.where(own, constants.jacobian, 0.0), axis=1)
-    steps, leads = np.where(is_price, law.price_step, law.step), np.where(is_price, law.lead, 0.0)
-    monotone = Condition.above("F is monotone: ε ≥ 0", constants.epsilon, -np.finfo(float).tiny, exact=constants.exact)
-    return decisive(_fixed_graph(constants), monotone, _delayed_play_settles(constants, steps, leads))
-
-
-def _delayed_play_settles(constants: ProblemConstants, steps: FloatArray, leads: FloatArray) -> Condition:
-    """ρ < 1 of :func:`~ptne_env.theory.delayed_play.multi_rate_radius`, necessary too where F is affine."""
     together = union(constants.graphs)
-    if not together.is_connected:
-        return Condition.above("the graphs are jointly connected: λ2 > 0", together.algebraic_connectivity, 0.0)
-    delays = hop_delays(together, constants.owners)
-    radius = multi_rate_radius(constants.jacobian, delays, steps, leads)
+    radius = np.inf
+    if together.is_connected:
+        radius = delayed_play_radius(constants.jacobian, hop_delays(together, constants.owners), law.step)
     name = "gradient play with delays settles: ρ < 1"
-    return Condition.below(name, radius, 1.0, exact=constants.exact, necessary=constants.exact)
+    settles = Condition.below(name, radius, 1.0, exact=constants.exact, necessary=constants.exact)
+    return decisive(_fixed_graph(constants), _strongly_monotone(constants), settles)
 
 
 @condition.register

@@ -21,28 +21,23 @@ def hop_delays(graph: Graph, owners: IntArray) -> IntArray:
     return hops[np.ix_(owners, owners)].astype(np.int64)
 
 
-def multi_rate_radius(jacobian: FloatArray, delays: IntArray, steps: FloatArray, leads: FloatArray) -> float:
-    """Spectral radius of e_c(k+1) = e_c(k) − η_c [(1 + δ_c) (dF e)_c(k) − δ_c (dF e)_c(k−1)], with delays in dF e.
+def delayed_play_radius(jacobian: FloatArray, delays: IntArray, step: float) -> float:
+    """Spectral radius of e_c(k+1) = e_c(k) − η Σ_b dF_cb e_b(k − d_cb).
 
-    There (dF e)_c(k) = Σ_b dF_cb e_b(k − d_cb). It is the loop of :class:`~ptne_env.field.laws.MultiRate` and, with
-    one η and δ = 0, of :class:`~ptne_env.field.laws.RoutedUnknown`, on a fixed graph after the first steps, where no
-    bound becomes or ceases to be active: below 1 exactly where the law settles. The estimates of the other players are
-    late copies, which add zeros to the eigenvalues.
+    It is the loop of :class:`~ptne_env.field.laws.RoutedUnknown` on a fixed graph after the first steps, where no bound
+    becomes or ceases to be active: below 1 exactly where the law settles. The estimates of the other players are late
+    copies, which add zeros to the eigenvalues.
 
     Args:
         jacobian: dF, shape (n, n).
         delays: d_cb, shape (n, n).
-        steps: η_c, shape (n,).
-        leads: δ_c, shape (n,).
+        step: η.
     """
-    n = len(jacobian)
-    longest = int(delays.max()) + bool(np.any(leads))
+    n, longest = len(jacobian), int(delays.max())
     matrix = np.eye(n * (longest + 1), k=-n)  # of (e(k), e(k−1), …)
     matrix[:n, :n] = np.eye(n)
-    for extra, weights in ((0, steps * (1 + leads)), (1, -steps * leads)):
-        for delay in range(extra, longest + 1):
-            here = np.where(delays + extra == delay, jacobian, 0.0)
-            matrix[:n, delay * n : (delay + 1) * n] -= weights[:, None] * here
+    for delay in range(longest + 1):
+        matrix[:n, delay * n : (delay + 1) * n] -= step * np.where(delays == delay, jacobian, 0.0)
     return float(np.abs(np.linalg.eigvals(matrix)).max())
 
 

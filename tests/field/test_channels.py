@@ -19,7 +19,7 @@ def errors(channel, steps):
     for step in range(steps):
         values = np.full(SHAPE, 7.0)
         live = np.ones((3, PLAYERS, BATCH), dtype=bool)
-        messages = Messages(values, live, live.astype(float), values[0])
+        messages = Messages(values, live, live.astype(float))
         randomness = LinkRandomness(keys, np.full(BATCH, step), SENDERS, np.arange(PLAYERS))
         received, memory = channel.transmit(messages, memory, randomness)
         assert np.all(values == 7.0)

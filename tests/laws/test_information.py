@@ -24,7 +24,6 @@ RELATIVE = {
 }
 """Laws that need no absolute strategies, so that they also act through the interface ``scaled``."""
 ABSOLUTE = {
-    "multi-rate": field_laws.MultiRate,
     "proximal-best-response": field_laws.ProximalBestResponse,
     "contact-relay": field_laws.ContactRelay,
     "observer-relay": field_laws.ObserverRelay,

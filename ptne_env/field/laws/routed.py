@@ -11,51 +11,24 @@ from ptne_env.field.laws.contacts import Contacts, contacts, copies, no_contacts
 from ptne_env.field.laws.memory import Memory
 from ptne_env.laws.base import Law, per_step
 from ptne_env.perception.observation import Observation, ObservationLayout
-from ptne_env.shared.arrays import BoolArray, FloatArray, require_positive
+from ptne_env.shared.arrays import FloatArray, require_positive
 
 
 class Routes(NamedTuple):
-    """What R routed players remember."""
+    """What R players remember."""
 
     contacts: Contacts  # with their neighbours
     drift: FloatArray  # the last moves of the others' estimates, shape (R, n)
     steps: FloatArray  # number of steps done, shape (R, 1)
 
 
-def no_routes(layout: ObservationLayout) -> Routes:
-    """The memory of one player at the start of an episode."""
-    return Routes(no_contacts(layout), np.zeros((1, layout.dimension)), np.zeros((1, 1)))
-
-
-def routed_copies(
-    observation: Observation, was: Routes, layout: ObservationLayout, *, moves: BoolArray | bool = True
-) -> tuple[FloatArray, Routes]:
-    """x^i_c ← mean of x^j_c over the live sources j of c, else x^i_c: displacements (R, n), and the memory.
-
-    A player has no source of its own components. Own links show the others' sources,
-    :func:`~ptne_env.field.laws.contacts.contacts`. ``moves`` says whether the others' estimates move, shape (R, 1).
-    """
-    player = observation.player
-    leaders, is_own = layout.neighbour_components[player], layout.own_mask[player]
-    sources, fresh = contacts(observation, was.contacts, was.steps > 0, was.drift, leaders)
-    drift = np.where(moves, copies(observation, sources & ~is_own[:, None]), 0.0)
-    return drift, Routes(fresh, within_reach(drift, observation, layout), was.steps + 1)
-
-
-def routed_inputs(observation: Observation, drift: FloatArray, step: float | FloatArray) -> FloatArray:
-    """Copies, and x^i_i ← x^i_i − η ∂J_i/∂x_i(x^i), with η = ``step``.
-
-    On a fixed graph where the sources are the neighbours that are nearer to the owner of c, x^i_c is the owner's
-    strategy d_ic steps ago, d_ic being the hop count: gradient play with delays,
-    x_i(k+1) = x_i(k) − η ∂J_i/∂x_i(x_1(k − d_i1), …, x_N(k − d_iN)).
-
-    ``drift`` (R, n) is that of :func:`routed_copies`, and η one number for all or one per player, shape (R, 1).
-    """
-    return per_step(drift - step * observation.gradient, observation)
-
-
 class RoutedUnknown(Law):
-    """Copies and a gradient step: :func:`routed_copies` and :func:`routed_inputs`.
+    """x^i_c ← mean of x^j_c over the live sources j of c, else x^i_c, and x^i_i ← x^i_i − η ∂J_i/∂x_i(x^i).
+
+    A player has no source of its own components; own links show the others' sources,
+    :func:`~ptne_env.field.laws.contacts.contacts`. On a fixed graph where the sources are the neighbours that are
+    nearer to the owner of c, x^i_c is the owner's strategy d_ic steps ago, d_ic being the hop count: gradient play with
+    delays, x_i(k+1) = x_i(k) − η ∂J_i/∂x_i(x_1(k − d_i1), …, x_N(k − d_iN)).
 
     Args:
         layout: of the environment.
@@ -68,12 +41,17 @@ class RoutedUnknown(Law):
     def __init__(self, layout: ObservationLayout, step: float = 0.3) -> None:
         super().__init__(layout)
         self.step = require_positive("step", step)
-        self._memory: Memory[Any] = Memory(no_routes(layout))
+        start = Routes(no_contacts(layout), np.zeros((1, layout.dimension)), np.zeros((1, 1)))
+        self._memory: Memory[Any] = Memory(start)
 
     def initial_memory(self, rows: int) -> FloatArray:
         """No contact and no step done, shape (R, size)."""
         return self._memory.initial(rows)
 
     def inputs(self, observation: Observation, memory: FloatArray) -> tuple[FloatArray, FloatArray]:
-        drift, routes = routed_copies(observation, self._memory.unpack(memory), self.layout)
-        return routed_inputs(observation, drift, self.step), self._memory.pack(routes)
+        was, player = self._memory.unpack(memory), observation.player
+        leaders, is_own = self.layout.neighbour_components[player], self.layout.own_mask[player]
+        sources, fresh = contacts(observation, was.contacts, was.steps > 0, was.drift, leaders)
+        drift = copies(observation, sources & ~is_own[:, None])
+        routes = Routes(fresh, within_reach(drift, observation, self.layout), was.steps + 1)
+        return per_step(drift - self.step * observation.gradient, observation), self._memory.pack(routes)
