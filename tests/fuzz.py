@@ -164,6 +164,7 @@ def a_scenario(rng):
         gain=rng.choice((0.0, 20.0, log_uniform(rng, 0.1, 50))),
         steps=rng.randint(1, 40),
         s_end=rng.uniform(0.5, 12),
+        spacing=rng.choice(("effective", "transformed", "physical")),
         hold_steps=rng.choice((0, 0, rng.randint(1, 6))),
         input_limit=log_uniform(rng, 0.1, 1e6),
         channel=a_channel(rng) if rng.random() < 0.4 else "perfect",
@@ -175,7 +176,7 @@ def a_scenario(rng):
 
 def some_arguments(rng):
     """Random arguments of an environment: interface, action mode, reward, length."""
-    reward = rng.choice(("digits", "payoff", {"digits": 1.0, "payoff": 0.5}, {"payoff": 2.0}))
+    reward = rng.choice(("digits", "tracking", "payoff", "regret", {"digits": 1.0, "tracking": 0.5}, {"payoff": 2.0}))
     return {
         "interface": rng.choice(("physical", "scaled")),
         "reward": reward,

@@ -41,7 +41,7 @@ class NashSeekingEnv(ParallelEnv[str, Float32Array, Float32Array]):
         scenario: a name of the catalogue (``ptne list`` shows them) or a scenario.
         interface: ``"scaled"`` or ``"physical"``, or that of a policy, such as ``laws.Static.interface``; see
             :class:`~ptne_env.perception.observation.ObservationLayout`.
-        reward: a term's name (``digits``, ``payoff``) or weights by name.
+        reward: a term's name (``digits``, ``tracking``, ``payoff``, ``regret``) or weights by name.
         max_cycles: steps after which the episode is truncated.
         render_mode: ``None``, ``"human"`` or ``"rgb_array"``.
         **overrides: fields of the scenario to change, such as ``start="random"``, ``hold_steps=50``, ``deadline=2.0``.

@@ -155,6 +155,12 @@ def _at_deadline(rollout: Rollout, series: str) -> FloatArray:
     return rollout[series][rollout.world.clock.steps]
 
 
+def _digits_after_hold(rollout: Rollout) -> FloatArray:
+    if not rollout.world.clock.hold_steps:
+        return np.full(rollout.diverged.shape, np.nan)
+    return distances.digits(rollout["estimate_distance"][-1])
+
+
 def _mean_regret(rollout: Rollout) -> FloatArray:
     """(1/T)∫ regret dt over the regret of the start, by the trapezoid rule; NaN where nothing is to be regretted."""
     times, regrets = rollout.world.clock.t[regret_instants(rollout.world)], rollout["regret"]
@@ -193,6 +199,8 @@ for _metric in (
            value=settling_time, range=_POSITIVE),
     Metric("settled_share", "settled share", "share of episodes that settled by the end", "higher",
            value=lambda rollout: np.isfinite(settling_time(rollout)).astype(np.float64), range=_SHARE),
+    Metric("digits_after_hold", "digits after hold", "−log10 of the estimate distance after the hold phase, at most 12",
+           "higher", value=_digits_after_hold, range=_DIGITS),
     Metric("digits_gained", "digits gained",
            "mean over players of the summed digits reward, to the end of the episode", "higher",
            value=lambda rollout: rollout["mean_digits"][-1] - rollout["mean_digits"][0]),

@@ -145,6 +145,15 @@ class Game(Part, ABC):
         return None
 
     @property
+    def has_best_response(self) -> bool:
+        """Whether :meth:`best_response` exists everywhere; by default decided at the equilibrium."""
+        try:
+            self.best_response(self.nash_equilibria)
+        except NoBestResponseError:
+            return False
+        return True
+
+    @property
     def batch_size(self) -> int:
         """G, the number of games. One game serves any number of environments, G games serve G environments."""
         return 1

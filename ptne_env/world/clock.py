@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from typing import Literal, TypeAlias, get_args
 
 import numpy as np
 import numpy.typing as npt
@@ -10,6 +11,8 @@ import scipy
 
 from ptne_env.shared.arrays import FloatArray, frozen, require_count, require_non_negative, require_positive
 from ptne_env.shared.parts import Part
+
+Spacing: TypeAlias = Literal["effective", "transformed", "physical"]
 
 
 class TimeTransformation(Part, ABC):
@@ -138,6 +141,7 @@ class StepClock:
         gain: c ≥ 0 in 1/s, the constant part of the prescribed-time gain.
         steps: K ≥ 1.
         s_end: transformed time at which the steps to the deadline stop, > 0.
+        spacing: the time divided evenly: τ (``effective``), s (``transformed``) or t (``physical``).
         hold_steps: H ≥ 0 steps after the deadline.
 
     Attributes:
@@ -158,12 +162,16 @@ class StepClock:
         gain: float,
         steps: int,
         s_end: float,
+        spacing: Spacing = "effective",
         hold_steps: int = 0,
     ) -> None:
+        if spacing not in get_args(Spacing):
+            raise ValueError(f"spacing is one of {', '.join(get_args(Spacing))}, got {spacing!r}")
         self.transformation = transformation
         self.gain = require_non_negative("gain (c)", gain)
         self.steps = require_count("steps (K)", steps, 1)
         self.s_end = require_positive("s_end", s_end)
+        self.spacing: Spacing = spacing
         self.hold_steps = require_count("hold_steps", hold_steps, 0)
         if self.hold_steps and self.gain == 0:
             raise ValueError("hold_steps need a gain c > 0: with c = 0 nothing moves after the deadline")
@@ -187,9 +195,14 @@ class StepClock:
         self.dt = frozen(np.concatenate([dt, hold_dt, [0.0]]))
 
     def _grid(self) -> FloatArray:
-        """The s of instants that divide the effective time evenly, so that every Θ_k is the same."""
-        end = float(self.transformation.effective_time(self.s_end, self.gain))
-        s = self.transformation.from_effective_time(np.linspace(0.0, 1.0, self.steps + 1) * end, self.gain)
+        fractions = np.linspace(0.0, 1.0, self.steps + 1)
+        if self.spacing == "effective":
+            end = float(self.transformation.effective_time(self.s_end, self.gain))
+            s = self.transformation.from_effective_time(fractions * end, self.gain)
+        elif self.spacing == "transformed":
+            s = fractions * self.s_end
+        else:
+            s = self.transformation.inverse(fractions * float(self.transformation.time(self.s_end)))
         s[0], s[-1] = 0.0, self.s_end
         return s
 

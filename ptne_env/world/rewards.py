@@ -4,7 +4,10 @@
 term       value for player i at step k
 ========== =====================================================================================================
 digits     log10 d^i_k − log10 d^i_{k+1} with d^i = ‖x^i − x*‖/‖x*‖ floored at 1e-12; the return is digits gained
+tracking   −d^i_{k+1}
 payoff     −J_i at the real strategies after the step
+regret     −(J_i(x) − min over y of J_i(y, x_{-i})) after the step; over players it sums to minus the Nikaido–Isoda
+           regret. Only for games whose best response exists everywhere.
 ========== =====================================================================================================
 
 Rewards use x*, which no observation shows: a privilege of training.
@@ -19,16 +22,17 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from ptne_env.games import NoBestResponseError
 from ptne_env.shared.arrays import FloatArray, require_non_negative
 from ptne_env.world import distances, dynamics
 from ptne_env.world.dynamics import State
 from ptne_env.world.world import RANGE_LIMIT, World
 
-TERMS = ("digits", "payoff")
+TERMS = ("digits", "tracking", "payoff", "regret")
 """The names of the reward terms."""
 
 REWARD_LIMIT = RANGE_LIMIT**2
-"""Payoffs and regrets are clipped to ±REWARD_LIMIT, the order of a quadratic cost at the range limit."""
+"""Payoff and regret are clipped to ±REWARD_LIMIT, the order of a quadratic cost at the range limit."""
 
 
 def parse_reward(reward: str | Mapping[str, float]) -> dict[str, float]:
@@ -60,18 +64,23 @@ class Reward:
     Attributes:
         weights: by term.
         is_plain: whether the reward is one term, of weight 1.
-        needs_state: whether a term depends on more than distances: the payoff.
+        needs_state: whether a term depends on more than distances.
         distances: d^i at the present instant, shape (N, B), with the limit where an environment has diverged; to be
             read before the next step, which may overwrite them.
 
     Raises:
-        ValueError: as :func:`parse_reward`.
+        ValueError: for an unknown term, or ``regret`` on a game without best response.
     """
 
     def __init__(self, world: World, reward: str | Mapping[str, float] = "digits") -> None:
         self.weights = parse_reward(reward)
         self.world = world
-        self.needs_state = "payoff" in self.weights
+        self.needs_state = not self.weights.keys() <= {"digits", "tracking"}
+        if "regret" in self.weights and not world.game.has_best_response:
+            raise NoBestResponseError(
+                f"reward 'regret' needs a best response, which {type(world.game).__name__} does not have "
+                "everywhere; choose digits, tracking or payoff"
+            )
         (self._first, weight), *others = self.weights.items()
         self.is_plain = weight == 1 and not others
         self.distances = self._digits = np.empty((0, 0))
@@ -84,9 +93,12 @@ class Reward:
     def step(self, state: State) -> dict[str, FloatArray]:
         """The value of each term for the step that ended in ``state``, each of shape (N, B)."""
         terms = self.advance(self._measured(state), state)
-        if state.any_diverged and self.needs_state:  # the digits need nothing: their distance stays at its limit
+        if state.any_diverged:
             remaining = 1 + self.world.clock.total_steps - state.step
-            terms["payoff"] = np.where(state.diverged, -REWARD_LIMIT * remaining, terms["payoff"])
+            worst = self._worst(state)
+            for name, value in terms.items():
+                if name in worst:
+                    terms[name] = np.where(state.diverged, worst[name] * remaining, value)
         return terms
 
     def advance(self, distance: FloatArray, state: State | None = None) -> dict[str, FloatArray]:
@@ -99,8 +111,8 @@ class Reward:
         self.distances = distance
         before, self._digits = self._digits, distances.digits(distance)
         if self.is_plain:  # a comprehension would take longer
-            return {self._first: self._term(self._first, before, state)}
-        return {name: self._term(name, before, state) for name in self.weights}
+            return {self._first: self._term(self._first, distance, before, state)}
+        return {name: self._term(name, distance, before, state) for name in self.weights}
 
     def total(self, terms: Mapping[str, FloatArray]) -> FloatArray:
         """The weighted sum of the terms, shape (N, B)."""
@@ -112,6 +124,11 @@ class Reward:
             total += weight * terms[name]
         return total
 
+    def _worst(self, state: State) -> dict[str, FloatArray | float]:
+        """Reward per remaining step at the range limit; the digits' is 0 once the distance is at its limit."""
+        limit = dynamics.distance_limit(state.game)
+        return {"tracking": -limit, "payoff": -REWARD_LIMIT, "regret": -REWARD_LIMIT}
+
     def _measured(self, state: State) -> FloatArray:
         """d^i, shape (N, B), with the limit where an environment has diverged."""
         distance = distances.player_distances(state.estimates, state.game)
@@ -119,11 +136,14 @@ class Reward:
             distance = np.where(state.diverged, dynamics.distance_limit(state.game), distance)
         return distance
 
-    def _term(self, name: str, digits_before: FloatArray, state: State | None) -> FloatArray:
+    def _term(self, name: str, distance: FloatArray, digits_before: FloatArray, state: State | None) -> FloatArray:
         if name == "digits":
             return self._digits - digits_before
+        if name == "tracking":
+            return -distance
         if state is None:
             raise ValueError(f"the reward {name!r} needs the state, and not only distances: pass it")
+        game, strategies = state.game, dynamics.strategies(self.world, state)
         with np.errstate(over="ignore", invalid="ignore"):  # only a diverged environment overflows
-            costs = state.game.costs(dynamics.strategies(self.world, state))
-        return np.clip(-costs, -REWARD_LIMIT, REWARD_LIMIT)
+            loss = game.costs(strategies) if name == "payoff" else game.regrets(strategies)
+        return np.clip(-loss, -REWARD_LIMIT, REWARD_LIMIT)

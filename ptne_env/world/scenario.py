@@ -6,13 +6,16 @@ import dataclasses
 from collections.abc import Mapping
 from dataclasses import dataclass
 from types import FunctionType
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from ptne_env.shared.arrays import require_printable
 from ptne_env.shared.names import unknown_name
 from ptne_env.shared.parts import PARTS, FactorySpec, Part
+
+if TYPE_CHECKING:  # so that the registries can read the catalogue without importing what builds a world
+    from ptne_env.world.clock import Spacing
 
 UNIFORM_START = FactorySpec.of("start:uniform", low=-20.0, high=20.0)
 
@@ -77,6 +80,7 @@ class Scenario:
         gain: c in 1/s, the constant part of the prescribed-time gain.
         steps: K, steps to the deadline.
         s_end: transformed time of the last step's end.
+        spacing: ``"effective"``, ``"transformed"`` or ``"physical"``; see :class:`~ptne_env.world.clock.StepClock`.
         hold_steps: steps after the deadline.
         input_limit: largest |u| of every component, the same for every policy.
         channel: builds a :class:`~ptne_env.world.channel.Channel`, the path of messages; ``"perfect"``.
@@ -101,6 +105,7 @@ class Scenario:
     gain: float = 20.0
     steps: int = 400
     s_end: float = 8.0
+    spacing: Spacing = "effective"
     hold_steps: int = 0
     input_limit: float = 1000.0
     channel: FactorySpec = FactorySpec("channel:perfect")

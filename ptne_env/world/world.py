@@ -100,6 +100,7 @@ class World:
             gain=scenario.gain,
             steps=scenario.steps,
             s_end=scenario.s_end,
+            spacing=scenario.spacing,
             hold_steps=scenario.hold_steps,
         )
         built = scenario.game.build()
@@ -226,8 +227,8 @@ class World:
         if topology.shortest_dwell < longest * (1 - 1e-9):
             raise ValueError(
                 f"scenario {name!r}: the shortest dwell, {topology.shortest_dwell:.4g} on the {topology.clock} clock, "
-                f"is shorter than the longest step, {longest:.4g}, so graphs would be skipped; use more steps or "
-                "longer dwells"
+                f"is shorter than the longest step, {longest:.4g}, so graphs would be skipped; use more steps, another "
+                "spacing or longer dwells"
             )
 
     def _tabulate_neighbours(self) -> None:

@@ -188,7 +188,7 @@ def test_reaching_the_end_is_termination_and_an_earlier_cut_is_truncation(adapte
 
 
 def test_returned_arrays_never_change_and_share_no_memory(adapter):
-    env = adapter.make("random-energy-switching", reward={"digits": 1.0, "payoff": 0.1})
+    env = adapter.make("random-energy-switching", reward={"digits": 1.0, "tracking": 0.1})
     record = [adapter.reset(env, 0)]
     kept = copy.deepcopy(record)
     generator = np.random.default_rng(0)
@@ -270,7 +270,7 @@ def test_a_step_before_reset_asks_for_one(adapter):
     [
         ({"name": "enrgy"}, "unknown scenario 'enrgy'; did you mean 'energy'"),
         ({"interface": "global"}, "unknown interface 'global'; choose from scaled, physical, full"),
-        ({"reward": "score"}, "unknown reward 'score'; choose from digits, payoff"),
+        ({"reward": "score"}, "unknown reward 'score'; choose from digits, tracking, payoff, regret"),
         ({"max_cycles": 0}, "max_cycles must be a whole number of at least 1"),
         ({"steps": 0}, r"steps \(K\) must be a whole number of at least 1"),
     ],
@@ -376,7 +376,7 @@ def check_players(env, first, steps, actions):
 
 @pytest.mark.parametrize(
     ("interface", "reward"),
-    [("physical", "digits"), ("scaled", {"digits": 1.0, "payoff": 1e-3})],
+    [("physical", "digits"), ("scaled", {"digits": 1.0, "payoff": 1e-3, "tracking": 0.5})],
     ids=["physical", "scaled"],
 )
 @pytest.mark.parametrize("world", WORLDS)

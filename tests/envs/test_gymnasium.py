@@ -20,7 +20,7 @@ MODES = {"NEXT_STEP": AutoresetMode.NEXT_STEP, "SAME_STEP": AutoresetMode.SAME_S
 
 @pytest.mark.parametrize("name", CATALOGUE)
 def test_make_finds_every_scenario_by_module_and_id(name):
-    env = gymnasium.make(f"ptne_env:ptne/{name}-joint-v0", hold_steps=3, interface="scaled", reward="payoff")
+    env = gymnasium.make(f"ptne_env:ptne/{name}-joint-v0", hold_steps=3, interface="scaled", reward="tracking")
     assert isinstance(env.unwrapped, JointEnv)
     assert env.unwrapped.parallel.scenario == ptne_env.get_scenario(name, hold_steps=3)
     assert env.unwrapped.layout.interface == ptne_env.Interface("scaled")
@@ -70,7 +70,7 @@ CASES = {
     "ends together": {"steps": 5},
     "cut": {"steps": 60, "max_cycles": 6},
     "crashing": {"max_cycles": 9, "input_limit": 1e9, "interface": "physical"},
-    "mixture": {"steps": 7, "reward": {"digits": 1.0, "payoff": 1e-3}},
+    "mixture": {"steps": 7, "reward": {"digits": 1.0, "payoff": 1e-3, "regret": 0.1}},
 }
 
 

@@ -234,7 +234,7 @@ def test_an_agents_observation_leads_to_no_other_array(make):
             assert all(array.size == observation.size for array in reachable(observation))
 
 
-@pytest.mark.parametrize("reward", ["digits", {"digits": 1.0, "payoff": 1e-3}])
+@pytest.mark.parametrize("reward", ["digits", {"tracking": 1.0, "payoff": 1e-3}])
 def test_infos_are_the_same_numpy_scalars_from_reset_to_end(reward):
     env = make_env("random-energy", steps=4, reward=reward)
     infos, seen = env.reset(seed=0)[1], []

@@ -104,7 +104,7 @@ def test_a_mask_restarts_only_its_environments(block_size):
     assert np.array_equal(env.reset()[~mask], undisturbed.reset()[~mask])  # the seeds of others did not count
 
 
-@pytest.mark.parametrize("reward", ["digits", {"digits": 1.0, "payoff": 1e-3}])
+@pytest.mark.parametrize("reward", ["digits", {"tracking": 1.0, "payoff": 1e-3}])
 def test_restarting_within_a_step_is_a_reset_without_a_step(reward, block_size):
     env, by_hand = (make(steps=60, reward=reward) for _ in range(2))
     env.reset(seed=0)

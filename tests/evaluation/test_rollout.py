@@ -61,6 +61,14 @@ def test_metrics_of_a_batch_are_those_of_single_episodes_in_the_environment(name
             assert samples[metric][episode] == pytest.approx(value, rel=1e-9, abs=1e-12), metric
 
 
+def test_digits_after_hold_exist_only_with_a_hold_phase():
+    _, without = run(ptne_env.get_scenario("energy"), laws.Static, episodes=1)
+    _, with_hold = run(ptne_env.get_scenario("energy", hold_steps=40), laws.Static, episodes=1)
+    assert np.isnan(measure(without)["digits_after_hold"]).all()
+    assert measure(with_hold)["digits_after_hold"][0] > measure(with_hold)["digits"][0] + 0.3
+    assert measure(with_hold)["digits"] == measure(without)["digits"]
+
+
 def test_mean_regret_is_the_mean_over_time_relative_to_the_start():
     scenario = ptne_env.get_scenario("energy", start="random")
     found = {law.__name__: measure(run(scenario, law)[1]) for law in (laws.ZeroInput, laws.Static, laws.Grounded)}
@@ -92,9 +100,9 @@ def test_a_diverged_episode_has_the_digits_of_the_range_limit_and_finite_metrics
     np.testing.assert_allclose(samples["digits"], -np.log10(dynamics.distance_limit(world.game)[0]))
     assert (samples["settled_share"] == 0).all()
     assert (samples["diverged_share"] == 1).all()
-    missing = {"settling_time", "regret", "mean_regret"}
+    missing = {"settling_time", "digits_after_hold", "regret", "mean_regret"}
     for metric, values in samples.items():
-        if metric not in missing:  # the game has no best response
+        if metric not in missing:  # the game has neither hold phase nor best response
             assert np.isfinite(values).all(), metric
 
 

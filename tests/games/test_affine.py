@@ -60,6 +60,7 @@ def test_invalid_games_are_refused(build, message):
 
 def test_a_flat_cost_has_no_best_response():
     game = AffineGame([[0.0, 1.0], [-1.0, 0.0]], [-1.0, 1.0], low=-2.0, high=3.0)
+    assert not game.has_best_response
     with pytest.raises(NoBestResponseError, match="flat direction"):
         game.best_response(np.zeros((2, 1)))
     assert game.nash_equilibrium == pytest.approx([1.0, 1.0], abs=1e-12)

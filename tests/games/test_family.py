@@ -61,7 +61,7 @@ def test_batch_of_games_equals_single_draws_bit_for_bit(family):
         )
         assert np.array_equal(alone.nash_equilibrium, games.nash_equilibria[:, b])
         assert alone.equilibrium_scale[0] == games.equilibrium_scale[b]
-        responses = () if isinstance(family, CoupledConstraint) else ("regrets", "best_response")
+        responses = ("regrets", "best_response") if games.has_best_response else ()
         for of in ("costs", "pseudo_gradient", "natural_residual", "jacobian", *responses):
             together = getattr(games, of)(strategies)[..., b]
             assert np.array_equal(getattr(alone, of)(strategies[:, own].copy())[..., 0], together), of

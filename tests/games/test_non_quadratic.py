@@ -46,6 +46,7 @@ def test_best_response_and_regrets_are_refused_with_a_reason():
         game.best_response(x)
     with pytest.raises(NoBestResponseError, match="J2 is unbounded below"):
         game.regrets(x)
+    assert not game.has_best_response
 
 
 def test_unknown_variant_is_refused():

@@ -11,6 +11,7 @@ from ptne_env.world.clock import (
 )
 
 TRANSFORMATIONS = [Exponential, Rational, HyperbolicTangent]
+SPACINGS = ["effective", "transformed", "physical"]
 transformations = st.builds(lambda kind, deadline: kind(deadline), st.sampled_from(TRANSFORMATIONS), st.floats(0.1, 50))
 
 
@@ -45,10 +46,11 @@ def test_effective_time_has_an_inverse(transformation, constant, s):
 # --- table of steps ---------------------------------------------------------------------------------------------------
 
 clocks = st.builds(
-    lambda transformation, gain, steps, s_end, hold: StepClock(
-        transformation, gain=gain, steps=steps, s_end=s_end, hold_steps=hold
+    lambda transformation, spacing, gain, steps, s_end, hold: StepClock(
+        transformation, gain=gain, steps=steps, s_end=s_end, spacing=spacing, hold_steps=hold
     ),
     transformations,
+    st.sampled_from(SPACINGS),
     st.floats(0.1, 40),
     st.integers(1, 60),
     st.floats(0.5, 12),
@@ -76,7 +78,6 @@ def test_theta_is_ds_plus_c_dt_and_sums_to_the_effective_time(clock):
     assert clock.theta[:steps] == pytest.approx(ds + clock.gain * dt, rel=1e-12)
     assert clock.theta[:steps].sum() == pytest.approx(clock.s_end + clock.gain * clock.time_reached, rel=1e-12)
     assert clock.effective_time == pytest.approx(clock.theta[:steps].sum(), rel=1e-12)
-    assert np.ptp(clock.theta[:steps]) <= 1e-8 * clock.theta[0]
 
 
 @given(clocks)
@@ -102,6 +103,15 @@ def test_topology_clocks_continue_after_the_deadline(clock):
     )
 
 
+@pytest.mark.parametrize("kind", TRANSFORMATIONS)
+def test_each_spacing_divides_its_own_time_evenly(kind):
+    for spacing in SPACINGS:
+        clock = StepClock(kind(1.2), gain=20.0, steps=50, s_end=6.0, spacing=spacing)
+        increments = {"effective": clock.theta[:-1], "transformed": np.diff(clock.s), "physical": clock.dt[:-1]}
+        for name, values in increments.items():
+            assert (np.ptp(values) <= 1e-8 * values.mean()) == (name == spacing)
+
+
 def test_default_episode_stops_0_03_percent_short_of_the_deadline():
     clock = StepClock(Exponential(1.2), gain=20.0, steps=400, s_end=8.0)
     assert clock.shortfall == pytest.approx(np.exp(-8.0), rel=1e-9)
@@ -122,6 +132,7 @@ def test_without_constant_gain_theta_is_the_transformed_step():
         ({"s_end": 50.0}, "too long"),
         ({"hold_steps": -1}, "hold_steps must be"),
         ({"hold_steps": 3, "gain": 0.0}, "hold_steps need a gain c > 0"),
+        ({"spacing": "logarithmic"}, "effective, transformed, physical"),
     ],
 )
 def test_invalid_clocks_are_refused(arguments, message):

@@ -4,6 +4,7 @@ from worlds import BLOCKS, constant_actions, large_energy_scenario, make_env, wh
 
 import ptne_env
 from ptne_env import get_scenario
+from ptne_env.games import NoBestResponseError
 from ptne_env.shared.random_streams import RandomStreams
 from ptne_env.world import dynamics
 from ptne_env.world.rewards import REWARD_LIMIT, TERMS, Reward, parse_reward
@@ -54,6 +55,13 @@ def test_digits_count_no_further_than_twelve():
 
 
 @pytest.mark.parametrize("name", GAMES)
+def test_tracking_is_minus_the_distance_after_the_step(name):
+    world, _, states, terms = episode(GAMES[name], "tracking")
+    for state, term in zip(states[1:], terms, strict=True):
+        assert term["tracking"] == pytest.approx(-distance(world, state), rel=1e-12)
+
+
+@pytest.mark.parametrize("name", GAMES)
 def test_payoff_is_minus_the_cost_of_the_real_strategies(name):
     world, _, states, terms = episode(GAMES[name], "payoff")
     owners = world.game.owners
@@ -62,8 +70,22 @@ def test_payoff_is_minus_the_cost_of_the_real_strategies(name):
         assert np.array_equal(term["payoff"], -world.game.costs(strategies))
 
 
+@pytest.mark.parametrize("name", GAMES)
+def test_regret_is_minus_the_gain_of_a_best_response(name):
+    world, _, states, terms = episode(GAMES[name], "regret")
+    game, owners = world.game, world.game.owners
+    for state, term in zip(states[1:], terms, strict=True):
+        strategies = state.estimates[np.arange(owners.size), owners]
+        response = game.best_response(strategies)
+        for i in range(game.num_players):
+            deviated = np.where((owners == i)[:, None], response, strategies)
+            loss = game.costs(strategies)[i] - game.costs(deviated)[i]
+            assert term["regret"][i] == pytest.approx(-loss, abs=1e-10)
+        assert np.all(term["regret"] <= 1e-12)
+
+
 def test_a_mixed_reward_is_the_weighted_sum_of_unweighted_terms():
-    weights = {"digits": 2.0, "payoff": 1e-3}
+    weights = {"digits": 2.0, "tracking": 0.5, "payoff": 1e-3, "regret": 0.25}
     _, judge, _, terms = episode(GAMES["energy"], weights)
     alone = {name: episode(GAMES["energy"], name)[3] for name in weights}
     for k, term in enumerate(terms):
@@ -135,7 +157,7 @@ def test_divergence_never_pays(crash_at):
 
 
 def test_divergence_of_one_player_is_charged_to_all_players():
-    env = make_env("non-quadratic", steps=40, reward=EVERY_TERM)
+    env = make_env("non-quadratic", steps=40, reward=dict.fromkeys(["digits", "tracking", "payoff"], 1.0))
     near = np.tile(env.nash_equilibrium, (5, 1)) + 1e-3
 
     def push(by):
@@ -154,15 +176,17 @@ def test_divergence_is_charged_for_the_remaining_steps():
     env.reset()
     env.step(constant_actions(env, 0.0))
     infos = env.step(constant_actions(env, 1e9))[4]
+    worst = {"tracking": dynamics.distance_limit(env.world.game)[0], "payoff": REWARD_LIMIT, "regret": REWARD_LIMIT}
     for info in infos.values():
         assert -6 < info["reward_digits"] < 0
-        assert info["reward_payoff"] == pytest.approx(-19 * REWARD_LIMIT, rel=1e-12)
+        for name, limit in worst.items():
+            assert info[f"reward_{name}"] == pytest.approx(-19 * limit, rel=1e-12)
 
 
 @pytest.mark.parametrize(
     ("reward", "message"),
     [
-        ("score", "unknown reward 'score'; choose from digits, payoff"),
+        ("score", "unknown reward 'score'; choose from digits, tracking, payoff, regret"),
         ({"digits": 1, "score": 2}, "unknown reward 'score'"),
         ({}, "unknown reward {}; choose from"),
         ({"digits": float("nan")}, "weight of reward 'digits' must be a finite number of at least 0"),
@@ -174,14 +198,21 @@ def test_unknown_rewards_are_refused(reward, message):
         parse_reward(reward)
 
 
+@pytest.mark.parametrize("reward", ["regret", {"digits": 1.0, "regret": 0.1}])
+def test_regret_is_refused_where_no_best_response_exists(reward):
+    with pytest.raises(NoBestResponseError, match="choose digits, tracking or payoff"):
+        make_env("non-quadratic", reward=reward)
+
+
 @pytest.mark.parametrize("reward", [lambda *_: 0.0, ["digits", "payoff"], None])
 def test_a_reward_of_another_type_is_refused_with_the_way_to_define_one(reward):
     with pytest.raises(TypeError, match="reward is one of digits, .* got .*; another reward is a wrapper"):
         ptne_env.parallel_env("energy", reward=reward)
 
 
-def test_a_reward_that_needs_the_state_says_so():
-    judge = Reward(World(GAMES["energy"]), "payoff")
+@pytest.mark.parametrize("reward", ["payoff", "regret"])
+def test_a_reward_that_needs_the_state_says_so(reward):
+    judge = Reward(World(GAMES["energy"]), reward)
     assert judge.needs_state
-    with pytest.raises(ValueError, match="'payoff' needs the state"):
+    with pytest.raises(ValueError, match=f"'{reward}' needs the state"):
         judge.advance(np.ones((5, 1)))

@@ -102,7 +102,7 @@ REFUSED = {
         lambda: get_scenario(
             "energy-switching", topology=FactorySpec.of("ptne_env.world.switching:paper_topology", dwell=0.003)
         ),
-        "shorter than the longest step.*use more steps or longer dwells",
+        "shorter than the longest step.*use more steps, another spacing",
     ),
     "transformed dwell shorter than the longest step": (
         lambda: get_scenario("energy-switching-transformed", steps=20),

@@ -73,6 +73,7 @@ def test_bounds_of_the_players_stay():
 def test_operator_has_no_best_response_and_regret_is_unknown():
     family = CoupledConstraint(RandomEnergy())
     game = family.draw(generators([0]))
+    assert not game.has_best_response
     with pytest.raises(NoBestResponseError, match="flat direction"):
         game.regrets(np.zeros((7, 1)))
     results = evaluate(["static"], [SCENARIO], episodes=2)
