@@ -140,6 +140,19 @@ def test_relative_estimates_are_zero_on_a_down_link(name):
                 assert seen[b, i, slot] == pytest.approx(expected, rel=1e-6)
 
 
+def test_the_layout_tells_the_estimates_of_live_neighbours():
+    world, encoder = world_and_encoder(BLOCKS_SWITCHING)
+    state = wander(world)
+    layout, weights = encoder.layout, dynamics.weights(world, state)
+    told = layout.neighbour_estimates(encoder.observe(state)).reshape(2, layout.num_players, layout.slots, -1)
+    for environment, player, slot in np.ndindex(told.shape[:3]):
+        sender = layout.neighbours[player][slot] if weights[slot, player, environment] else player
+        assert told[environment, player, slot] == pytest.approx(state.estimates[:, sender, environment], rel=1e-6)
+    scaled = world_and_encoder(BLOCKS_SWITCHING, kind="scaled")[1]
+    with pytest.raises(ValueError, match="has no 'own_estimate'"):
+        scaled.layout.neighbour_estimates(scaled.observe(state))
+
+
 def test_differences_are_taken_before_the_cast_to_float32():
     world, encoder = world_and_encoder("energy")
     estimates = np.full((5, 5, 1), 12345.678)
