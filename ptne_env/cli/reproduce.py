@@ -27,12 +27,12 @@ def reproduce(
     Simulates the laws in continuous time, with the matrix exponential as the exact reference where the game is affine.
     """
     from ptne_env.bench.report.paper import paper_page, paper_tables  # it takes a second
-    from ptne_env.theory import paper
+    from ptne_env.bench.report.reproduction import reproduce as run
 
     page = out / "index.html"
     check_writable(json, page)
     with progress("reproducing") as advance:
-        reproduction = paper.reproduce(out, progress=advance)
+        reproduction = run(out, progress=advance)
     write_atomically(page, paper_page(reproduction, shlex.join(["ptne", "reproduce", "--out", str(out)])))
     write_json(json, json_text(reproduction.to_dict()))
     screen = console()

@@ -12,10 +12,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from ptne_env.bench.report.style import COLOURS, DARK, LIGHT
 from ptne_env.bench.report.tables import Table
 from ptne_env.bench.report.traces import Scene
 from ptne_env.shared.arrays import FloatArray
-from ptne_env.shared.style import COLOURS, DARK, LIGHT
 from ptne_env.world import distances
 
 if TYPE_CHECKING:

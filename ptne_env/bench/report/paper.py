@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
+from ptne_env.bench.report.figures import FIGURES
 from ptne_env.bench.report.page import Page, Part
+from ptne_env.bench.report.reproduction import Reproduction
 from ptne_env.bench.report.tables import Cell, Column, Table, text_table
-from ptne_env.theory.paper import Claim, Reproduction
-from ptne_env.theory.paper.figures import FIGURES
+from ptne_env.theory.paper import Claim
 
 _QUESTION = (
     "Do the control laws of Z. Feng and G. Hu, Prescribed-Time Fully Distributed Nash Equilibrium Seeking in "
@@ -19,7 +20,7 @@ def paper_tables(reproduction: Reproduction) -> tuple[Table, Table, Table]:
     """Table I beside the paper's, the claims with their verdicts, and the errata.
 
     Args:
-        reproduction: of :func:`ptne_env.theory.paper.reproduce`.
+        reproduction: of :func:`~ptne_env.bench.report.reproduction.reproduce`.
     """
     rows = {row.algorithm: row for row in reproduction.table}
     columns = {
@@ -50,7 +51,7 @@ def paper_page(reproduction: Reproduction, command: str) -> str:
     """The reproduction as one HTML file.
 
     Args:
-        reproduction: of :func:`ptne_env.theory.paper.reproduce`.
+        reproduction: of :func:`~ptne_env.bench.report.reproduction.reproduce`.
         command: that repeats it.
 
     Raises:

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
+from ptne_env.bench.report.style import COLOURS, FAINT, INK, drawing
 from ptne_env.shared.arrays import FloatArray
-from ptne_env.shared.style import COLOURS, FAINT, INK, drawing
 from ptne_env.world import distances, dynamics
 from ptne_env.world.dynamics import State
 from ptne_env.world.world import World

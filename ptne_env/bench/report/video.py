@@ -11,6 +11,7 @@ import numpy as np
 
 from ptne_env.bench.report.page import Page, Part
 from ptne_env.bench.report.rendering import Renderer, pixels
+from ptne_env.bench.report.style import drawing
 from ptne_env.bench.report.traces import scene
 from ptne_env.evaluation.entries import PolicySpec
 from ptne_env.evaluation.episodes import EpisodeSet
@@ -18,7 +19,6 @@ from ptne_env.evaluation.rollout import rollout
 from ptne_env.perception.encoder import make_encoder
 from ptne_env.shared.arrays import FloatArray, require_count
 from ptne_env.shared.files import write_atomically
-from ptne_env.shared.style import drawing
 from ptne_env.world.dynamics import State
 from ptne_env.world.scenario import Scenario
 from ptne_env.world.world import World

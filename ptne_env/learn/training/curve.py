@@ -8,9 +8,9 @@ from pathlib import Path
 
 import numpy as np
 
+from ptne_env.bench.report.style import COLOURS, drawing
 from ptne_env.shared.arrays import FloatArray
 from ptne_env.shared.files import write_atomically
-from ptne_env.shared.style import COLOURS, drawing
 
 
 def learning_curve(folder: Path) -> tuple[FloatArray, FloatArray]:

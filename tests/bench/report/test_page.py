@@ -11,15 +11,16 @@ import pytest
 
 from ptne_env import get_scenario
 from ptne_env.bench.report.comparison import page
+from ptne_env.bench.report.figures import FIGURES
 from ptne_env.bench.report.page import Page, Part
 from ptne_env.bench.report.paper import paper_page
+from ptne_env.bench.report.reproduction import Reproduction
+from ptne_env.bench.report.style import COLOURS, DARK, LIGHT
 from ptne_env.bench.report.tables import answer, text_table
 from ptne_env.bench.report.traces import scene
 from ptne_env.evaluation import EpisodeSet, get_policy_spec
 from ptne_env.evaluation.metrics import number
-from ptne_env.shared.style import COLOURS, DARK, LIGHT
-from ptne_env.theory.paper import Claim, Reproduction, TableRow
-from ptne_env.theory.paper.figures import FIGURES
+from ptne_env.theory.paper import Claim, TableRow
 from ptne_env.world.world import World
 
 VOID = {"meta", "link", "input", "br", "img", "hr"}

@@ -1,7 +1,8 @@
 import pytest
 
-import ptne_env.theory.paper.reproduction as module
-from ptne_env.theory.paper import Experiments, reproduce
+import ptne_env.bench.report.reproduction as module
+from ptne_env.bench.report.reproduction import reproduce
+from ptne_env.theory.paper import Experiments
 
 
 @pytest.fixture(scope="session")

@@ -3,9 +3,8 @@ import xml.etree.ElementTree as ET
 
 import pytest
 
-from ptne_env.theory.paper import reproduce
-from ptne_env.theory.paper.figures import FIGURES, draw
-from ptne_env.theory.paper.reproduction import CHECKS
+from ptne_env.bench.report.figures import FIGURES, draw
+from ptne_env.bench.report.reproduction import CHECKS, reproduce
 
 
 def test_every_figure_is_written(reproduction):

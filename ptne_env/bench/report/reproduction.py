@@ -1,4 +1,4 @@
-"""Reproduction of the whole paper: Table I, figures, claims and errata, as files."""
+"""The paper reproduced as files: Table I, figures, claims and errata."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from pathlib import Path
 from typing import Any
 
 from ptne_env._version import __version__
+from ptne_env.bench.report.figures import FIGURES, draw
 from ptne_env.shared.files import write_atomically
 from ptne_env.theory.paper.claims import CLAIMS, Claim
 from ptne_env.theory.paper.errata import ERRATA
 from ptne_env.theory.paper.experiments import DEADLINE, GAIN, GAMMA, INITIAL_GAIN, S_END, Experiments
-from ptne_env.theory.paper.figures import FIGURES, draw
 from ptne_env.theory.paper.table import TableRow, table_one
 
 RESULTS_FILE = "results.json"
