@@ -143,10 +143,10 @@ def test_relative_estimates_are_zero_on_a_down_link(name):
 def test_the_layout_tells_the_estimates_of_live_neighbours():
     world, encoder = world_and_encoder(BLOCKS_SWITCHING)
     state = wander(world)
-    layout, weights = encoder.layout, dynamics.weights(world, state)
+    layout, live = encoder.layout, dynamics.weights(world, state) > 0
     told = layout.neighbour_estimates(encoder.observe(state)).reshape(2, layout.num_players, layout.slots, -1)
     for environment, player, slot in np.ndindex(told.shape[:3]):
-        sender = layout.neighbours[player][slot] if weights[slot, player, environment] else player
+        sender = layout.neighbours[player][slot] if live[slot, player, environment % live.shape[2]] else player
         assert told[environment, player, slot] == pytest.approx(state.estimates[:, sender, environment], rel=1e-6)
     scaled = world_and_encoder(BLOCKS_SWITCHING, kind="scaled")[1]
     with pytest.raises(ValueError, match="has no 'own_estimate'"):
