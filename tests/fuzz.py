@@ -34,7 +34,6 @@ class Tally:
     diverged: int = 0
     clipped: int = 0
     errors: int = 0
-    comparisons: int = 0
 
     def add(self, other):
         for field in fields(self):
@@ -375,51 +374,6 @@ def check_outcome(env, outcome, actions, length):
     assert not (infos["is_success"] & infos["diverged"]).any(), "success is reported without any"
 
 
-# Mathematics -------------------------------------------------------------------------------------------------------
-
-
-def relabelled(rng, tally):
-    """New numbers for the players permute dynamics, laws and rewards, and change nothing else."""
-    players = rng.randint(2, 6)
-    generator = np.random.default_rng(rng.getrandbits(32))
-    curvature, target = generator.uniform(0.5, 2, players), generator.uniform(-20, 20, players)
-    coupling, matrix = rng.uniform(0, 0.3), adjacency(rng, players, some_edges(rng, players))
-    start = generator.uniform(-10, 10, (players, players))
-    new = np.array(rng.sample(range(players), players))  # player i is called new[i]
-    old = np.argsort(new)
-    kind = rng.choice(("physical", "scaled"))
-    law = rng.choice((laws.Static, laws.Adaptive, laws.Grounded, None))
-    inputs = generator.uniform(-1, 1, (10, players, players))  # under "scaled" components are in ego order: no inputs
-    law = law or (laws.Static if kind == "scaled" else None)
-
-    def run(order):
-        scenario = Scenario(
-            name="relabelled",
-            game=FactorySpec.of("game:energy", curvature=curvature[order], target=target[order], coupling=coupling),
-            topology=FactorySpec.of("ptne_env.world.graphs:Graph", adjacency=matrix[np.ix_(order, order)]),
-            start="random",
-        )
-        env = parallel_env(scenario, interface=kind)
-        policy, memory = law(env.layout) if law else None, None
-        observations, _ = env.reset(seed=0, options={"estimates": start[np.ix_(order, order)]})
-        path, returns = [], 0.0
-        for k in range(10):
-            if policy:
-                actions, memory = policy.predict(np.stack(list(observations.values())), memory)
-            else:
-                actions = inputs[k][np.ix_(order, order)]
-            observations, rewards, *_ = env.step(dict(zip(env.agents, actions, strict=True)))
-            path.append(env.estimates)
-            returns = returns + np.array(list(rewards.values()))
-        return np.array(path), returns
-
-    (plain, returns), (renamed, other_returns) = run(np.arange(players)), run(old)
-    moved, paid = np.abs(renamed[:, new][:, :, new] - plain).max(), np.abs(other_returns[new] - returns).max()
-    assert moved <= 1e-5 * np.abs(plain).max(), "names matter to the dynamics"
-    assert paid <= 1e-3 * (1 + np.abs(returns).max()), "names matter to the rewards"
-    tally.comparisons += 1
-
-
 def session(rng, episodes):
     """The tally of one random world and all its use.
 
@@ -428,7 +382,6 @@ def session(rng, episodes):
     """
     tally = Tally(worlds=1)
     with no_warnings():
-        relabelled(rng, tally)
         try:
             scenario, arguments = a_world(rng)
         except ValueError as error:  # parts that do not fit together

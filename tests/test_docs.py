@@ -116,12 +116,6 @@ def test_commands_scripts_and_make_targets_exist(document):
             assert importlib.util.find_spec(words[1]), words
 
 
-@pytest.mark.parametrize("arguments", ["compare --scenarios energy", "contrast", "train --out DIR"])
-def test_an_unknown_command_or_option_is_an_error_here(arguments):
-    with pytest.raises(Exception, match=r"(?i)no such|missing"):
-        parse(arguments.split())
-
-
 # --- links and names --------------------------------------------------------------------------------------------------
 
 

@@ -48,18 +48,12 @@ def share_observations(env, buffers={}):  # noqa: B006 - sharing is the fault
     return buffers.setdefault(shape, np.empty(shape, dtype=np.float32))
 
 
-OBSERVE, IS_OVER = Encoder.observe, dynamics.is_over
+IS_OVER = dynamics.is_over
 FAULTS = {
     "NaN is accepted": (Encoder, "clip", clip_nan),
     "observations are overwritten": (VectorParallelEnv, "_new_observations", share_observations),
     "episodes end late": (dynamics, "is_over", lambda world, state: IS_OVER(world, state) & (state.step % 2 == 0)),
-    "player 0 is special": (Encoder, "observe", lambda encoder, state, out=None: special(OBSERVE(encoder, state, out))),
 }
-
-
-def special(observations):
-    observations[:, 0, :1] *= 1.001
-    return observations
 
 
 @pytest.mark.parametrize("fault", FAULTS)

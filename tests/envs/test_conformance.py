@@ -60,12 +60,3 @@ def test_max_cycles(name):
 def test_rendering():
     pytest.importorskip("matplotlib", reason="needs the extra 'bench': pip install 'ptne-env[bench]'")
     render_test(partial(aec_env, "energy"))
-
-
-@pytest.mark.parametrize("name", SCENARIOS)
-def test_constructors_make_both_forms(name):
-    turn_based, parallel = aec_env(SCENARIOS[name]), parallel_env(SCENARIOS[name])
-    assert turn_based.possible_agents == parallel.possible_agents
-    assert parallel.metadata["is_parallelizable"] is True
-    assert parallel.metadata["name"] == f"ptne_{name.replace('-', '_')}_v0"
-    assert parallel.scenario.name == name

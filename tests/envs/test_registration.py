@@ -1,6 +1,5 @@
 """Every scenario is found by the names that PettingZoo's users type."""
 
-import gymnasium
 import pettingzoo
 import pytest
 
@@ -22,12 +21,3 @@ def test_registration_is_idempotent_and_silent():
     before = dict(pettingzoo.parallel_registry)
     register_environments()  # a warning would be an error
     assert dict(pettingzoo.parallel_registry) == before
-
-
-def test_a_parallel_environment_is_not_claimed_to_be_a_gymnasium_one():
-    assert not isinstance(ptne_env.parallel_env(), gymnasium.Env)
-    assert not [name for name in gymnasium.registry if "energy-v0" in name]
-
-
-def test_max_cycles_reaches_the_environment_through_make():
-    assert pettingzoo.make("parallel", "ptne/energy-v0", max_cycles=9).max_cycles == 9

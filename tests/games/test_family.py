@@ -86,11 +86,6 @@ def test_merged_replaces_the_masked_games_in_a_copy(family):
 
 
 @each_family
-def test_own_gradients_are_the_derivatives_of_the_costs(family):
-    assert check_game(family.representative, samples=16).gradients_agree
-
-
-@each_family
 def test_declared_monotonicity_agrees_with_sampled_slopes(family):
     slopes = [check_game(family.draw(generators([seed])), samples=32).epsilon for seed in range(10)]
     if family.is_strongly_monotone is not False:
@@ -233,13 +228,3 @@ def test_draws_of_games_starts_and_graphs_do_not_depend_on_each_other():
     assert all(np.array_equal(ours[1], theirs[1]) for ours, theirs in zip(games, expected, strict=True))
     assert not same_games(games[0][0], expected[0][0])
     assert not same_games(expected[0][0], expected[1][0])  # another episode is another game
-
-
-def test_given_start_does_not_change_the_drawn_game():
-    env, undisturbed = make_env("random-energy"), make_env("random-energy")
-    for each in (env, undisturbed):
-        each.reset(seed=0)
-    env.reset(options={"estimates": np.zeros((5, 5))})
-    undisturbed.reset()
-    assert np.array_equal(env.nash_equilibrium, undisturbed.nash_equilibrium)
-    assert not env.estimates.any()

@@ -142,19 +142,6 @@ def test_regrets_are_zero_only_at_the_equilibrium(game):
     assert regrets.sum(axis=0).min() > 1e-3
 
 
-@each_game
-def test_batch_equals_single_environments_bit_for_bit(game):
-    points = sampled(game, 7, seed=5)
-    estimates = np.random.default_rng(6).uniform(0, 2, (game.dimension, game.num_players, 7))
-    for of in ("costs", "regrets", "best_response", "pseudo_gradient", "natural_residual", "jacobian"):
-        many = getattr(game, of)(points)
-        for b in range(7):
-            assert np.array_equal(getattr(game, of)(points[:, b : b + 1])[..., 0], many[..., b]), of
-    for b in range(7):
-        alone = game.own_gradients(np.ascontiguousarray(estimates[..., b : b + 1]))
-        assert np.array_equal(alone[:, 0], game.own_gradients(estimates)[:, b])
-
-
 @pytest.mark.parametrize("name", EPSILON | BELOW)
 def test_monotonicity_constant_is_that_of_the_docstring_or_more(name):
     constants = theory.monotonicity_constants(GAMES[name])

@@ -119,9 +119,3 @@ def test_relabelling_the_players_permutes_the_results(law, kind):
     assert np.abs(relabelled[:, new][:, :, new] - plain).max() <= 1e-6 * np.abs(plain).max()
     if law != "zero-input":
         assert np.abs(relabelled - plain).max() > 1  # the labels do matter to the arrays
-
-
-def test_layouts_of_players_do_not_depend_on_the_game():
-    _, encoder = world_and_encoder(energy_scenario(CURVATURE, TARGET, topology_spec([RING], np.ones((5, 5)))))
-    _, other = world_and_encoder(energy_scenario(CURVATURE + 1, TARGET * 2, topology_spec([RING], np.ones((5, 5)))))
-    assert encoder.layout == other.layout

@@ -127,19 +127,6 @@ def test_oracle_sees_the_equilibrium_besides(name):
         assert np.array_equal(layout.select(observations, "relative_equilibrium")[:, i], relative)
 
 
-@pytest.mark.parametrize("name", WORLDS)
-def test_relative_estimates_are_zero_on_a_down_link(name):
-    world, encoder = world_and_encoder(WORLDS[name])
-    state, layout = wander(world), encoder.layout
-    seen = layout.select(encoder.observe(state), "relative_estimates").reshape(2, layout.num_players, layout.slots, -1)
-    for i in range(layout.num_players):
-        for slot, j in enumerate(layout.neighbours[i]):
-            for b in range(2):
-                alive = world.topology.graphs[int(dynamics.active_mode(world, state)[b])].adjacency[i, j] > 0
-                expected = state.estimates[:, j if alive else i, b] - state.estimates[:, i, b]
-                assert seen[b, i, slot] == pytest.approx(expected, rel=1e-6)
-
-
 def test_the_layout_tells_the_estimates_of_live_neighbours():
     world, encoder = world_and_encoder(BLOCKS_SWITCHING)
     state = wander(world)

@@ -1,6 +1,6 @@
 import numpy as np
 import pytest
-from worlds import BLOCKS, constant_actions, large_energy_scenario, make_env, while_running
+from worlds import BLOCKS, constant_actions, make_env, while_running
 
 import ptne_env
 from ptne_env import get_scenario
@@ -93,33 +93,6 @@ def test_a_mixed_reward_is_the_weighted_sum_of_unweighted_terms():
         for name in weights:
             assert np.array_equal(term[name], alone[name][k][name])
         assert judge.total(term) == pytest.approx(sum(weights[name] * term[name] for name in weights), rel=1e-14)
-
-
-@pytest.mark.parametrize("scenario", [get_scenario("energy", start="random"), large_energy_scenario()])
-def test_batch_agrees_bit_for_bit_with_batches_of_one(scenario):
-    world = World(scenario)
-    batch = 6
-    estimates = world.draw_estimates([RandomStreams.from_seed(b) for b in range(batch)])
-    together, judge = dynamics.initial_state(world, estimates), Reward(world, EVERY_TERM)
-    judge.reset(together)
-    alone = [
-        (dynamics.initial_state(world, estimates[:, :, b : b + 1]), Reward(world, EVERY_TERM)) for b in range(batch)
-    ]
-    for state, own in alone:
-        own.reset(state)
-    generator = np.random.default_rng(0)
-    for k in range(10):
-        inputs = generator.normal(size=estimates.shape)
-        if k == 5:
-            inputs[:, :, 2] = 1e9  # the third environment leaves the range
-        together = dynamics.step(world, together, inputs)
-        terms = judge.step(together)
-        for b, (state, own) in enumerate(alone):
-            following = dynamics.step(world, state, inputs[:, :, b : b + 1])
-            for name, values in own.step(following).items():
-                assert np.array_equal(values[:, 0], terms[name][:, b])
-            alone[b] = following, own
-    assert together.diverged.tolist() == [b == 2 for b in range(batch)]
 
 
 def returns_of(env, act):

@@ -118,6 +118,14 @@ REFUSED = {
         lambda: get_scenario("energy", slots=1),
         "a player has 2 neighbours and slots is 1; raise it to 2",
     ),
+    "disturbance without an end": (
+        lambda: get_scenario("energy", disturbance=FactorySpec.of("disturbance:uniform", bound=float("inf"))),
+        "bound must be a finite number above 0",
+    ),
+    "disturbance that lasts for no step": (
+        lambda: get_scenario("energy", disturbance=FactorySpec.of("disturbance:uniform", bound=1.0, dwell=0)),
+        "dwell must be a whole number of at least 1",
+    ),
     "range of zero": (lambda: get_scenario("energy", message_range=0.0), "message_range must be .* above 0"),
     "range that is none": (
         lambda: get_scenario("energy", message_range=float("inf")),

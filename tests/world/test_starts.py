@@ -2,13 +2,7 @@ import numpy as np
 import pytest
 from worlds import PAPER_START
 
-from ptne_env import get_scenario
-from ptne_env.games import RandomEnergy
-from ptne_env.world import graphs, switching
 from ptne_env.world.starts import FixedStart, PaperStart, UniformStart
-from ptne_env.world.world import World
-
-SIX = {"game": RandomEnergy(players=6), "topology": switching.fixed(graphs.cycle(6))}
 
 
 def generator(seed=0):
@@ -63,16 +57,3 @@ def test_the_papers_start_goes_on_for_other_numbers_of_players(players):
 def test_the_papers_start_needs_one_component_per_player():
     with pytest.raises(ValueError, match="the game has 3 players and 6 components; choose start='random'"):
         PaperStart().draw(3, 6, generator())
-
-
-@pytest.mark.parametrize(
-    "changed",
-    [
-        get_scenario("energy", **SIX),
-        get_scenario("energy", **SIX, start="random"),
-        get_scenario("energy", **SIX).replace(start="random"),
-        get_scenario("energy", start="random").replace(**SIX),
-    ],
-)
-def test_another_number_of_players_needs_no_order_of_changes(changed):
-    assert World(changed).game.num_players == 6

@@ -4,12 +4,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
 
-from ptne_env import FactorySpec, get_scenario
 from ptne_env.shared.random_streams import RandomStreams
 from ptne_env.world import graphs, switching
 from ptne_env.world.graphs import Graph
 from ptne_env.world.switching import EpisodeTopology, RandomTopology, SwitchingTopology
-from ptne_env.world.world import World
 
 
 def test_paper_topology_has_four_disconnected_modes_with_union_cycle():
@@ -237,19 +235,3 @@ def test_invalid_random_topologies_are_refused(arguments, message):
     defaults = {"graphs": [graphs.path(3)] * 2, "dwells": 1.0}
     with pytest.raises(ValueError, match=message):
         RandomTopology(**(defaults | arguments))
-
-
-def random_scenario(**arguments):
-    part = FactorySpec.of(
-        "ptne_env.world.switching:random_edges",
-        graph=FactorySpec.of("ptne_env.world.graphs:cycle", players=5),
-        **arguments,
-    )
-    return get_scenario("energy", topology=part, start="random")
-
-
-def test_world_refuses_unconnected_topologies_and_short_dwells():
-    with pytest.raises(ValueError, match="not jointly connected.*add links"):
-        World(random_scenario(probability=1e-9, dwells=0.1))
-    with pytest.raises(ValueError, match=r"shortest dwell, 0\.001 on the physical clock, is shorter"):
-        World(random_scenario(probability=0.5, dwells=(0.001, 0.5)))

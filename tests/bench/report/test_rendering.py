@@ -57,17 +57,6 @@ def test_reset_clears_the_picture():
     assert np.array_equal(env.render(), first)
 
 
-def test_caller_owns_the_picture():
-    env = make_env("energy", render_mode="rgb_array")
-    env.reset()
-    first = env.render()
-    kept = first.copy()
-    env.step(constant_actions(env, 5.0))
-    second = env.render()
-    assert np.array_equal(first, kept)
-    assert not np.shares_memory(first, second)
-
-
 @pytest.mark.parametrize("mode", ["rgb_array", "human"])
 def test_closing_twice_leaves_no_figure_open(mode):
     before = plt.get_fignums()
@@ -113,14 +102,3 @@ def test_missing_matplotlib_names_the_extra_to_install(monkeypatch):
     monkeypatch.setattr(builtins, "__import__", without)
     with pytest.raises(ImportError, match=r'pip install "ptne-env\[bench\]"'):
         env.render()
-
-
-def test_drawing_does_not_change_the_episode():
-    drawn, plain = make_env("energy", render_mode="rgb_array"), make_env("energy")
-    for env in (drawn, plain):
-        env.reset(seed=0)
-        for _ in range(3):
-            env.step(constant_actions(env, 1.0))
-            if env is drawn:
-                env.render()
-    assert np.array_equal(drawn.estimates, plain.estimates)
