@@ -1,7 +1,7 @@
 """Mixed teams: some players follow one law, the others another.
 
-Prints the digits at the deadline on the benchmark's games for every number of players, from none to all, that follow
-the tuned static law while the others keep the paper's gains; 50 episodes each.
+Prints the digits at the deadline in random energy games for every number of players, from none to all, that follow the
+tuned static law while the others keep the paper's gains; 50 episodes each.
 
 Run it with: python examples/mixed_team.py
 """
