@@ -52,13 +52,6 @@ def require_probability(name: str, value: float) -> float:
     return float(value)
 
 
-def require_finite(name: str, value: float) -> float:
-    """Return ``value`` as a float, or raise ``ValueError`` when it is not a finite number."""
-    if not _is_finite(value):
-        raise ValueError(f"{name} must be a finite number, got {value!r}")
-    return float(value)
-
-
 def require_count(name: str, value: int, minimum: int) -> int:
     """Return ``value``, or raise ``ValueError`` when it is not a whole number of at least ``minimum``."""
     if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < minimum:  # type: ignore[redundant-expr]  # callers may pass any type
