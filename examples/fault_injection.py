@@ -1,4 +1,4 @@
-"""Fault injection: the digits of a law when messages are lost, late or noisy, or when inputs saturate.
+"""The digits of a law when messages are lost, late or noisy, when strategies are pushed, and when inputs saturate.
 
 Prints the digits of the paper's static law at the deadline as each fault grows alone, then with several at once; 30
 episodes each, the same games and starts for all.

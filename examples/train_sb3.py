@@ -1,7 +1,7 @@
 """Train PPO of Stable-Baselines3 for some seconds, and compare it with the law.
 
 Every player of every environment becomes one environment of a vector environment, and all of them share one network. It
-acts through the interface ``learner``, in which an action is relative to the player's distance from rest.
+acts through the interface ``scaled``, in which gradients, differences and actions have no unit.
 ``ptne train`` trains for minutes, with checkpoints, and exports a file that runs without PyTorch.
 
 Prints the digits gained in an episode, by Stable-Baselines3's own evaluation on 20 games outside of the training: those

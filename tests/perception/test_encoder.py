@@ -63,7 +63,7 @@ def test_a_physical_observation_follows_the_table_of_slices(name):
 
 
 @pytest.mark.parametrize("name", WORLDS)
-def test_local_observation_is_scaled_and_in_ego_order(name):
+def test_scaled_observation_has_no_unit_and_in_ego_order(name):
     world, encoder = world_and_encoder(WORLDS[name], kind="scaled")
     state, layout, game = wander(world), encoder.layout, world.game
     n = game.dimension
@@ -91,7 +91,7 @@ def test_local_observation_is_scaled_and_in_ego_order(name):
 
 
 @pytest.mark.parametrize("factor", [1e-9, 1e-3, 1e3])
-def test_a_scaled_error_changes_only_the_scale_of_a_local_observation(factor):
+def test_a_scaled_error_changes_only_the_scale_of_a_scaled_observation(factor):
     world, encoder = world_and_encoder("energy", kind="scaled")
     equilibrium = world.game.nash_equilibrium[:, None, None]
     error = np.random.default_rng(0).integers(-8, 8, (5, 5, 1)) / 8
@@ -193,7 +193,7 @@ def test_physical_action_is_the_input_clipped_to_the_limit():
 
 
 @pytest.mark.parametrize("name", ["energy", "blocks", "blocks-switching"])
-def test_local_action_is_in_units_of_the_scale_and_in_ego_order(name):
+def test_scaled_action_is_in_units_of_the_scale_and_in_ego_order(name):
     world, encoder = world_and_encoder(get_scenario(WORLDS[name], input_limit=30.0), kind="scaled")
     state, game, n = wander(world), world.game, encoder.layout.dimension
     actions = np.random.default_rng(0).uniform(-1.5, 1.5, (2, game.num_players, n)).astype(np.float32)
@@ -212,7 +212,7 @@ def test_local_action_is_in_units_of_the_scale_and_in_ego_order(name):
     assert encoder.layout.action_space().high.tolist() == [1.0] * n
 
 
-def test_a_local_action_uses_the_scale_of_its_own_state():
+def test_a_scaled_action_uses_the_scale_of_its_own_state():
     world, encoder = world_and_encoder("energy", kind="scaled")
     first, second = wander(world, steps=0), wander(world, steps=80)
     actions = np.random.default_rng(0).uniform(-1, 1, (2, 5, 5)).astype(np.float32)
