@@ -1,0 +1,57 @@
+"""Attacks: what playing loud and code gain over observer-relay through channels of the suite."""
+
+from functools import cache, partial
+
+import pytest
+from attacks import CODER, LOUD, RESIDUAL, Equations, Loud, Residuals, played, room
+
+from ptne_env.bench import get_suite
+from ptne_env.evaluation import Track
+from ptne_env.field.laws import ObserverRelay
+
+EPISODES = 5
+
+
+@cache
+def track(name, **changes):
+    """A track of ptne-v1, or the same with another world."""
+    found = get_suite("ptne-v1").track(name)
+    return Track(name, found.scenario.replace(**changes), found.change)
+
+
+@cache
+def relayed(at):
+    return played(at, ObserverRelay, EPISODES)
+
+
+def gained(at, attack):
+    """What an attack gains over observer-relay: mean digits at T, and over the second half of the steps."""
+    return (played(at, attack, EPISODES) - relayed(at)).mean(axis=1)
+
+
+@pytest.mark.parametrize("name", ["switching-transformed", "rounding", "monotone"])
+def test_loud_play_and_equations_in_code_gain_at_most_what_the_range_allows(name):
+    _, allowed = room(track(name), EPISODES)
+    assert gained(track(name), LOUD.get(name, Loud))[0] <= allowed + 0.1
+    assert gained(track(name), CODER)[0] <= allowed + 0.1
+
+
+def test_without_a_range_loud_play_gains_what_its_loudness_allows():
+    endless = track("switching-transformed", message_range=None, input_limit=1e5)
+    assert gained(endless, partial(Loud, gain=100.0))[0] > 1.9
+
+
+def test_without_noise_equations_in_code_are_ahead_in_the_second_half():
+    early = partial(CODER, switch=60)
+    assert gained(track("switching-physical", message_range=None, channel="perfect"), early)[1] > 0.3
+    assert gained(track("switching-physical"), early)[1] < 0
+
+
+def test_residuals_in_code_gain_digits_through_a_narrow_channel():
+    """So no document may say that code is useless."""
+    assert gained(track("rounding"), RESIDUAL["rounding"]).min() > 1
+
+
+@pytest.mark.parametrize("attack", [Loud, CODER, partial(Equations, width=0.005), Residuals])
+def test_attacks_decide_each_row_from_its_own_observations_and_links(attack):
+    played(track("rounding", steps=60), attack, EPISODES, audit=True)
