@@ -87,7 +87,7 @@ TRACKS = (
     ),
     _track(
         "short-deadline",
-        "A tenth of the time in 30 steps, and inputs that are limited to 5 and so have little time to spare.",
+        "A tenth of the time in 30 steps, and inputs up to 5: the way alone takes most of the time.",
         deadline=0.12,
         steps=30,
         input_limit=5.0,

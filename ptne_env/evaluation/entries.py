@@ -226,7 +226,8 @@ _COMPARED = {
         step=0.3,
     ),
     "observer-relay": _entry(
-        "law:observer-relay", "The contact relay with filters against noise, rounding, pushes and reactions of others."
+        "law:observer-relay",
+        "The contact relay that filters noise and rounding, weighs neighbours by their errors, and expects reactions.",
     ),
     "ppo-random-energy": _network("random-energy"),
 }
