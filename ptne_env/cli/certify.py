@@ -30,9 +30,6 @@ def certify(
             autocompletion=lambda: list(POLICIES),
         ),
     ] = "static",
-    kappa: Annotated[
-        float | None, typer.Option(help="Consensus gain κ of the law.", show_default="the law's own; static: 2")
-    ] = None,
     json: options.Json = None,
     trust: options.Trust = False,
 ) -> None:
@@ -45,7 +42,7 @@ def certify(
     options.trusted(options.foreign_names(scenario, law), trust=trust)
     chosen = find_scenario(scenario)
     with threadpool_limits(1):  # on matrices of this size several BLAS threads wait for each other
-        certificate = theory.certify(chosen, law=_law(law, kappa))
+        certificate = theory.certify(chosen, law=_law(law))
     write_json(json, json_text(certificate.to_dict()))
     screen = console()
     for table in certificate_tables(certificate):
@@ -54,14 +51,9 @@ def certify(
         say(f"Certificate written to {json}")
 
 
-def _law(name: str, kappa: float | None) -> FactorySpec:
-    """The spec of a law, with another κ if one is given."""
+def _law(name: str) -> FactorySpec:
+    """The spec of a law."""
     spec = get_policy_spec(name).policy
     if not isinstance(spec, FactorySpec):
         raise ValueError(f"{name!r} is no law: choose from {', '.join(POLICIES)}, or a 'module:object'")
-    if kappa is None:
-        return spec
-    arguments = dict(spec.arguments)
-    if "kappa" not in arguments and ":" not in name:
-        raise ValueError(f"the law {name!r} has no kappa: leave out --kappa")
-    return FactorySpec.of(spec.target, **{**arguments, "kappa": kappa})
+    return spec

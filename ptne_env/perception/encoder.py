@@ -91,7 +91,6 @@ class Encoder(ABC):
             neighbours=tuple(map(tuple, self._in_slots(world.neighbours).T.tolist())),
             input_limit=world.input_limit,
             message_range=world.message_range,
-            action_limit=world.scenario.action_limit,
             deadline=clock.deadline,
             largest_weight=float(world.mode_weights.max()),
             largest_clock=(largest_t, largest_s, largest_theta, largest_dt),

@@ -127,7 +127,6 @@ class ObservationLayout:
         largest_weight: largest a_ij that a player can observe.
         largest_clock: largest t/T, s, Θ_k and Δt_k/T.
         message_range: R; messages are clipped to ±R before they are sent. Infinite where links have no range.
-        action_limit: of the action space, where it is smaller than the action bound; else ``None``.
     """
 
     interface: Interface
@@ -138,7 +137,6 @@ class ObservationLayout:
     largest_weight: float
     largest_clock: tuple[float, float, float, float]
     message_range: float = np.inf
-    action_limit: float | None = None
 
     @property
     def num_players(self) -> int:
@@ -216,15 +214,8 @@ class ObservationLayout:
         return spaces.Box(low, high, dtype=np.float32)
 
     def action_space(self) -> spaces.Box:
-        """A new Box for one player's action, float32, symmetric about 0.
-
-        Its half-width is the action bound, or the action limit of the scenario, if it is smaller and actions have
-        units. Actions between the two are allowed, but random ones would soon leave the range.
-        """
-        bound = self.action_bound
-        if self.action_limit is not None and self.interface.kind != "scaled":
-            bound = min(bound, self.action_limit)
-        return spaces.Box(-bound, bound, (self.action_size,), dtype=np.float32)
+        """A new Box for one player's action, float32, within ± the action bound."""
+        return spaces.Box(-self.action_bound, self.action_bound, (self.action_size,), dtype=np.float32)
 
     @cached_property
     def own_components(self) -> IntArray:

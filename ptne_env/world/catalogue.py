@@ -31,9 +31,6 @@ _RANDOM_ENERGY = FactorySpec.of("game:random-energy", players=5)
 _CORRECTED = FactorySpec.of("game:non-quadratic", variant="corrected")
 _PRINTED = FactorySpec.of("game:non-quadratic", variant="printed")
 _HVAC = FactorySpec.of("game:energy", target=(50.0, 55.0, 60.0, 65.0, 70.0), coupling=0.04, base_price=5.0)
-_TAME = 10.0
-"""Random inputs of this size stay in range in the non-quadratic game; those of 1000 leave it in three steps."""
-
 # fmt: off
 # The paper's examples.
 _named("energy", "energy", _RING,
@@ -43,12 +40,11 @@ _named("energy-switching", "energy", _PHYSICAL,
 _named("energy-switching-transformed", "energy", _TRANSFORMED,
        "The energy game on links that change faster and faster before the deadline: every 0.25 of transformed time.")
 _named("non-quadratic", _CORRECTED, _RING,
-       "The paper's second example, whose costs are not quadratic, with a misprint corrected; a fixed ring.",
-       action_limit=_TAME)
+       "The paper's second example, whose costs are not quadratic, with a misprint corrected; a fixed ring.")
 _named("non-quadratic-switching", _CORRECTED, _PHYSICAL,
-       "The corrected second example on links that change every 0.1 s.", action_limit=_TAME)
+       "The corrected second example on links that change every 0.1 s.")
 _named("non-quadratic-printed", _PRINTED, _RING,
-       "The second example as it is printed, whose equilibrium is not the printed one.", action_limit=_TAME)
+       "The second example as it is printed, whose equilibrium is not the printed one.")
 # Families of games, for training and evaluation.
 _named("random-energy", _RANDOM_ENERGY, _RING,
        "Another energy game in every episode, for training; a fixed ring.", s_end=6.0)

@@ -89,8 +89,6 @@ class Scenario:
             layout; the largest degree in the union graph if ``None``.
         message_range: R, the range of every link: messages are clipped to ±R before the channel, and players know R. No
             range if ``None``.
-        action_limit: largest |action| of the action spaces under ``physical``, for games that random inputs up to the
-            input limit drive out of range; inputs beyond it are allowed. The input limit if ``None``.
 
     Raises:
         ValueError: when the name is no string, or a part is named in none of the ways above.
@@ -112,7 +110,6 @@ class Scenario:
     disturbance: FactorySpec | None = None
     slots: int | None = None
     message_range: float | None = None
-    action_limit: float | None = None
 
     def __post_init__(self) -> None:
         require_printable("the name of a scenario", self.name)

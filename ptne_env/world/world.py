@@ -92,8 +92,6 @@ class World:
     def __init__(self, scenario: Scenario) -> None:
         self.scenario = scenario
         self.input_limit = require_positive("input_limit", scenario.input_limit)
-        if scenario.action_limit is not None:
-            require_positive("action_limit", scenario.action_limit)
         deadline = require_positive("deadline", scenario.deadline, " (T, in seconds)")
         self.clock = StepClock(
             self._build(scenario.transformation, TimeTransformation, deadline=deadline),

@@ -80,9 +80,7 @@ def test_every_command_has_help(command, run):
         ("render liar static --out x.gif", "unknown scenario 'liar'; did you mean 'ptne-v1/liar'?"),
         ("render energy static --out run.avi", "a video is written to .gif, .html"),
         ("certify energie", "unknown scenario 'energie'"),
-        ("certify energy --kappa -1", "kappa"),
         ("certify energy --law statik", "unknown policy 'statik'; did you mean 'static'"),
-        ("certify energy --law adaptive --kappa 2", "has no kappa"),
         ("reproduce --points 3", "No such option"),
         ("list everything", "'everything' is not one of"),
         ("no-such-command", "No such command"),
@@ -310,7 +308,7 @@ def test_certify_prints_the_numbers_of_the_paper_and_json(run, tmp_path):
         assert text in printed
     data = json.loads((tmp_path / "found.json").read_text(encoding="utf-8"))
     assert data["rate"] == pytest.approx(0.280, abs=5e-4)
-    assert "kappa=4.0" in run("certify energy --law grounded --kappa 4").out
+    assert "kappa=2.0" in run("certify energy --law grounded").out
 
 
 def test_render_writes_a_page(run, tmp_path):

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from test_adapters import same
-from worlds import BLOCKS, FAULTY, PAPER_START, constant_actions, make_env, while_running
+from worlds import BLOCKS, FAULTY, constant_actions, make_env, while_running
 
 import ptne_env
 from ptne_env import laws
@@ -269,12 +269,3 @@ def test_no_actions_after_the_end_return_empty_dictionaries():
     env.reset()
     env.step(constant_actions(env, 0.0))
     assert env.step({}) == ({}, {}, {}, {}, {})
-
-
-def test_inputs_beyond_the_action_space_are_not_clipped_up_to_the_input_limit():
-    env = make_env("non-quadratic")
-    env.reset()
-    infos = env.step(constant_actions(env, 30.0))[4]
-    assert env.action_space("player_0").high.tolist() == [10.0] * 5
-    assert infos["player_0"]["clipped"] == 0
-    assert (env.estimates - PAPER_START).max() == pytest.approx(30 * env.world.clock.theta[0])
