@@ -112,7 +112,8 @@ class ObserverRelay(Law):
         # What the neighbours say, and beneath noise or rounding, what they mean.
         messages = heard_messages(observation, was.contacts.live, was.filters.last)
         filters_now, damage = filters.measured(messages, was.filters, steps, owners, scale)
-        damage = filters.Damage(damage.noise * ("noise" not in without), damage.step * ("rounding" not in without))
+        tells = (was.broke == 0) & ("rounding" not in without)  # a dither's mean needs links that last
+        damage = filters.Damage(damage.noise * ("noise" not in without), damage.step * tells)
         deviation, is_damaged = damage.deviation[:, :, None], damage.deviation > 0
         meant, variance = relative, np.ones_like(relative)
         if is_damaged.any():
@@ -162,7 +163,8 @@ class ObserverRelay(Law):
         if isinstance(planes, reactions.Planes) and not is_damaged.all() and "reactions" not in without:
             learned = reactions.learned_planes(observation, messages, planes, steps, here, layout)
             planes = chosen(~is_damaged, learned, planes)
-            solves = ~is_damaged & (broke > 0) & (steps >= reactions.START)
+            is_free = ~own.held.any(axis=1, keepdims=True)  # planes bend at bounds
+            solves = ~is_damaged & (broke > 0) & (steps >= reactions.START) & is_free
             if solves.any():
                 point, counts = reactions.joint_solution(
                     observation.player, planes, here, here + planned, own, doubt, layout
