@@ -20,6 +20,10 @@ settle."""
 _FACTOR, _LEAST = 0.8, 0.3
 """Factor of a response that does not shrink, and the smallest: a player that hardly moves is of no use to others."""
 
+_RECENT, _ASTRAY = 0.95, 0.35
+"""Share of a sum of responses that is left after a step; and share of their length below which they lead nowhere."""
+
+_LEAD = 0.5
 _NOISE, _ERRORS, _SHARE = 2.0, 100.0, 1e-6
 """A response counts above so many deviations of noise, recent errors of predictions, and this share of estimates."""
 
@@ -30,6 +34,8 @@ class Damping(NamedTuple):
     factor: FloatArray  # of the best response, in (0, 1]
     before: FloatArray  # the largest response of the window before
     now: FloatArray  # the largest response of this window so far
+    way: FloatArray  # recent responses, added up, shape (R, n)
+    length: FloatArray  # the sum of their sizes
 
 
 def is_loose(own: Own, steps: FloatArray, dimension: int) -> BoolArray:
@@ -51,7 +57,7 @@ def tempered(own: Own, factor: FloatArray, last_gradient: FloatArray, drift: Flo
     The gradient changes in the coming step as it did in the last one, from ``last_gradient`` (R, m), so that players
     who chase each other come to rest. ``drift`` (R, n) is the coming displacement of the others; the result (R, m).
     """
-    expected = np.where(factor < 1, own.gradient - last_gradient, 0.0)
+    expected = np.where(factor < 1, _LEAD * (own.gradient - last_gradient), 0.0)
     return factor * own._replace(gradient=own.gradient + expected).response(drift)
 
 
@@ -73,7 +79,10 @@ def damped(
     ends = (steps % _WINDOW == 0) & (steps > 0)
     counts = size > np.maximum(np.maximum(_NOISE * noise, _ERRORS * doubt), _SHARE * scale)
     sticks = ends & loose & (steps > 2 * _WINDOW) & counts & (size > _SHRINKS * was.before)
-    settles = ends & (size < _SETTLES * was.before)
+    way, length = _RECENT * was.way + response, _RECENT * was.length + largest(response)
+    leads = largest(way) >= _ASTRAY * length
+    sticks &= ~leads
+    settles = ends & (leads | (size < _SETTLES * was.before))
     factor = np.where(sticks, _FACTOR, np.where(settles, 1 / _FACTOR, 1.0)) * was.factor
     factor = np.clip(np.where(loose, factor, 1.0), _LEAST, 1.0)
-    return Damping(factor, np.where(ends, size, was.before), np.where(ends, 0.0, size))
+    return Damping(factor, np.where(ends, size, was.before), np.where(ends, 0.0, size), way, length)

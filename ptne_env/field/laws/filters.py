@@ -29,6 +29,9 @@ _QUARTILE = 0.184
 _FINE = 2e-6
 """Noise and steps of rounding below this share of the largest own estimate are those of float32."""
 
+_REPEATS = 3e-7
+"""A message that moves less than this share of the largest own estimate is the one before, in float32."""
+
 _CALM = 20
 """Steps in which noise does not halve before it counts: messages that converge halve their changes sooner."""
 
@@ -99,7 +102,7 @@ def measured(
     live, content = messages.live, messages.content
     age, is_first = np.where(live, was.age + 1, 0.0), steps == 1
     first, second = np.abs(content - was.last) / np.sqrt(2), np.abs(content - 2 * was.last + was.before) / np.sqrt(6)
-    says = live & ((first > 0).any(axis=2) | is_first) & (age >= np.where(is_first, 2, 3))
+    says = live & ((first > _REPEATS * scale[:, :, None]).any(axis=2) | is_first) & (age >= np.where(is_first, 2, 3))
     change = np.where(is_first[:, :, None], first * (_QUARTILE / 0.319), np.minimum(first, second))
     sample, is_known = _quartile(np.where(says[:, :, None] & ~owners, change, np.inf))
     sample = sample / _QUARTILE
@@ -109,7 +112,8 @@ def measured(
 
     is_fine = noise <= _FINE * scale
     halves = (noise < was.level / 2) & (was.calm < _CALM) & (steps > 1)
-    calm = np.where(halves | is_fine, 0.0, np.where(is_first, _CALM, was.calm + 1))
+    counts = is_known & (sample <= _LEAP * was.noise)  # noise that is far from what it measures is not known yet
+    calm = np.where(halves | is_fine, 0.0, np.where(is_first, _CALM, was.calm + counts))
     level = np.where(halves, noise, np.maximum(was.level, noise))
 
     moved = messages.lasted[:, :, None] & (messages.change > _FINE * scale[:, :, None])

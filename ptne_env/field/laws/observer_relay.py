@@ -89,7 +89,7 @@ class ObserverRelay(Law):
             own=no_move(layout),
             contacts=no_contacts(layout),
             filters=filters.no_filters(layout),
-            damping=Damping(none + 1, none, none),
+            damping=Damping(none + 1, none, none, own, none),
             doubt=none,
             broke=none,
             planes=reactions.no_planes(layout) if layout.dimension <= LARGEST_ROW else (),
