@@ -23,7 +23,6 @@ _FACTOR, _LEAST = 0.8, 0.3
 _RECENT, _ASTRAY = 0.95, 0.35
 """Share of a sum of responses that is left after a step; and share of their length below which they lead nowhere."""
 
-_LEAD = 0.5
 _NOISE, _ERRORS, _SHARE = 2.0, 100.0, 1e-6
 """A response counts above so many deviations of noise, recent errors of predictions, and this share of estimates."""
 
@@ -36,6 +35,7 @@ class Damping(NamedTuple):
     now: FloatArray  # the largest response of this window so far
     way: FloatArray  # recent responses, added up, shape (R, n)
     length: FloatArray  # the sum of their sizes
+    change: FloatArray  # the last change of the own gradient, shape (R, m)
 
 
 def is_loose(own: Own, steps: FloatArray, dimension: int) -> BoolArray:
@@ -51,20 +51,24 @@ def is_loose(own: Own, steps: FloatArray, dimension: int) -> BoolArray:
     return np.asarray((others > curvature) & (steps > outputs + 1))
 
 
-def tempered(own: Own, factor: FloatArray, last_gradient: FloatArray, drift: FloatArray) -> FloatArray:
-    """The best response times ``factor``; where it is below 1, to the gradient that is expected after this step.
+def tempered(own: Own, was: Damping, last_gradient: FloatArray, drift: FloatArray) -> FloatArray:
+    """The best response times the factor; where it is below 1, to the gradient that is expected after this step.
 
-    The gradient changes in the coming step as it did in the last one, from ``last_gradient`` (R, m), so that players
-    who chase each other come to rest. ``drift`` (R, n) is the coming displacement of the others; the result (R, m).
+    The gradient changes in the coming step as it did in the last one, from ``last_gradient`` (R, m), and in the one
+    before, as far as both agree: so players who chase each other come to rest, and noise is not amplified. ``drift``
+    (R, n) is the coming displacement of the others; the result (R, m).
     """
-    expected = np.where(factor < 1, _LEAD * (own.gradient - last_gradient), 0.0)
-    return factor * own._replace(gradient=own.gradient + expected).response(drift)
+    factor, last_change = was.factor, was.change
+    change = own.gradient - last_gradient
+    steady = np.where(change * last_change > 0, np.sign(change) * np.minimum(np.abs(change), np.abs(last_change)), 0.0)
+    return factor * own._replace(gradient=own.gradient + np.where(factor < 1, steady, 0.0)).response(drift)
 
 
 def damped(
     was: Damping,
     loose: BoolArray,
     response: FloatArray,
+    change: FloatArray,
     steps: FloatArray,
     noise: FloatArray,
     doubt: FloatArray,
@@ -85,4 +89,4 @@ def damped(
     settles = ends & (leads | (size < _SETTLES * was.before))
     factor = np.where(sticks, _FACTOR, np.where(settles, 1 / _FACTOR, 1.0)) * was.factor
     factor = np.clip(np.where(loose, factor, 1.0), _LEAST, 1.0)
-    return Damping(factor, np.where(ends, size, was.before), np.where(ends, 0.0, size), way, length)
+    return Damping(factor, np.where(ends, size, was.before), np.where(ends, 0.0, size), way, length, change)

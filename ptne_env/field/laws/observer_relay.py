@@ -89,7 +89,7 @@ class ObserverRelay(Law):
             own=no_move(layout),
             contacts=no_contacts(layout),
             filters=filters.no_filters(layout),
-            damping=Damping(none + 1, none, none, own, none),
+            damping=Damping(none + 1, none, none, own, none, np.zeros((1, max(layout.action_dims)))),
             doubt=none,
             broke=none,
             planes=reactions.no_planes(layout) if layout.dimension <= LARGEST_ROW else (),
@@ -151,10 +151,10 @@ class ObserverRelay(Law):
         own = own_side(observation, was.own, steps, layout, broke)
         rests = own.is_probe | is_own
         drift, aim = np.where(rests, 0.0, drift), np.where(rests, 0.0, aim)
-        response = with_own(none, tempered(own, was.damping.factor, was.own.gradient, aim), own.blocks)
+        response = with_own(none, tempered(own, was.damping, was.own.gradient, aim), own.blocks)
         doubt = self._doubt(own, was.doubt, steps)
         loose = is_loose(own, steps, layout.dimension) & ("damping" not in without)
-        damping = damped(was.damping, loose, response, steps, damage.noise, doubt, scale)
+        damping = damped(was.damping, loose, response, own.gradient - was.own.gradient, steps, damage.noise, doubt, scale)
         planned = drift + response
 
         # What exact neighbours will do: planes of their reactions, solved with the own condition where links break.
