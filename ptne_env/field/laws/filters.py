@@ -35,6 +35,9 @@ _REPEATS = 3e-7
 _CALM = 20
 """Steps in which noise does not halve before it counts: messages that converge halve their changes sooner."""
 
+_CALMEST, _TURNS = 60.0, 1 / 3
+"""The most such steps; and share of changes that turn back, of which noise has two thirds: without it, moves count."""
+
 _START = 20
 """Steps before messages are taken for rounded."""
 
@@ -113,7 +116,11 @@ def measured(
     is_fine = noise <= _FINE * scale
     halves = (noise < was.level / 2) & (was.calm < _CALM) & (steps > 1)
     counts = is_known & (sample <= _LEAP * was.noise)  # noise that is far from what it measures is not known yet
-    calm = np.where(halves | is_fine, 0.0, np.where(is_first, _CALM, was.calm + counts))
+    # Noise turns back and forth, but moves do not, even if they are held for some steps on their way.
+    turns = says[:, :, None] & ((content - was.last) * (was.last - was.before) < 0)
+    alternates = turns.sum(axis=(1, 2)) >= _TURNS * content.shape[2] * says.sum(axis=1)
+    step = counts * np.where(alternates[:, None], 1.0, -1.0)
+    calm = np.where(halves | is_fine, 0.0, np.where(is_first, _CALMEST, np.clip(was.calm + step, 0.0, _CALMEST)))
     level = np.where(halves, noise, np.maximum(was.level, noise))
 
     moved = messages.lasted[:, :, None] & (messages.change > _FINE * scale[:, :, None])
