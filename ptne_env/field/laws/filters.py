@@ -117,9 +117,10 @@ def measured(
     halves = (noise < was.level / 2) & (was.calm < _CALM) & (steps > 1)
     counts = is_known & (sample <= _LEAP * was.noise)  # noise that is far from what it measures is not known yet
     # Noise turns back and forth, but moves do not, even if they are held for some steps on their way.
-    turns = says[:, :, None] & ((content - was.last) * (was.last - was.before) < 0)
-    alternates = turns.sum(axis=(1, 2)) >= _TURNS * content.shape[2] * says.sum(axis=1)
-    step = counts * np.where(alternates[:, None], 1.0, -1.0)
+    turn = np.where(says[:, :, None], (content - was.last) * (was.last - was.before), 0.0)
+    moves = np.abs(turn) > (_REPEATS * scale[:, :, None]) ** 2
+    turns = (moves & (turn < 0)).sum(axis=(1, 2)) - _TURNS * moves.sum(axis=(1, 2))
+    step = counts * np.sign(turns)[:, None]
     calm = np.where(halves | is_fine, 0.0, np.where(is_first, _CALMEST, np.clip(was.calm + step, 0.0, _CALMEST)))
     level = np.where(halves, noise, np.maximum(was.level, noise))
 

@@ -154,7 +154,9 @@ class ObserverRelay(Law):
         response = with_own(none, tempered(own, was.damping, was.own.gradient, aim), own.blocks)
         doubt = self._doubt(own, was.doubt, steps)
         loose = is_loose(own, steps, layout.dimension) & ("damping" not in without)
-        damping = damped(was.damping, loose, response, own.gradient - was.own.gradient, steps, damage.noise, doubt, scale)
+        damping = damped(
+            was.damping, loose, response, own.gradient - was.own.gradient, steps, damage.noise, doubt, scale
+        )
         planned = drift + response
 
         # What exact neighbours will do: planes of their reactions, solved with the own condition where links break.

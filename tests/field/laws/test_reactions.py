@@ -40,12 +40,18 @@ def own_side(row, gradient=1.0):
 # --- damping --------------------------------------------------------------------------------------------------------
 
 
-def after(responses, is_loose=True, noise=0.0, doubt=0.0):
-    """The damping after each of these responses."""
-    known, found = Damping(numbers(1), numbers(0), numbers(0)), []
-    for step, response in enumerate(responses):
+def undamped(factor=1.0, change=0.0):
+    """The damping at the start, with another factor or last change of the gradient."""
+    return Damping(numbers(factor), *[numbers(0)] * 4, numbers(change))
+
+
+def after(responses, is_loose=True, noise=0.0, doubt=0.0, turns=True):
+    """The damping after each of these responses, which change their sign in every step or not."""
+    known, found = undamped(), []
+    for step, size in enumerate(responses):
+        response = size * (-1) ** step if turns else size
         loose, errors = np.full((1, 1), is_loose), (numbers(noise), numbers(doubt), numbers(SCALE))
-        known = damping.damped(known, loose, numbers(response), numbers(step), *errors)
+        known = damping.damped(known, loose, numbers(response), numbers(0), numbers(step), *errors)
         found.append(known.factor.item())
     return np.array(found)
 
@@ -57,6 +63,11 @@ def test_damping_falls_by_a_fifth_every_ten_steps_in_which_responses_do_not_shri
     assert after([1.0] * 400)[-1] == 0.3
     assert after(5 * 0.97 ** np.arange(200))[-1] == 1  # a quarter per window
     assert after(5 * 0.985 ** np.arange(200))[-1] == pytest.approx(0.3)  # a seventh per window
+
+
+def test_responses_that_lead_somewhere_are_not_damped():
+    """A slow approach, as through late messages, is no rotation; damping would make it slower."""
+    assert (after([1.0] * 400, turns=False) == 1).all()
 
 
 def test_damping_recovers_where_responses_halve_in_ten_steps():
@@ -90,8 +101,10 @@ def test_rows_that_are_not_diagonally_dominant_are_loose(row, steps, loose):
 
 def test_the_response_is_damped_and_answers_the_expected_gradient():
     own, drift = own_side([2.0, 0.0], gradient=4.0), np.zeros((1, 2))
-    assert damping.tempered(own, numbers(1), numbers(5), drift).item() == pytest.approx(-2.0)
-    assert damping.tempered(own, numbers(0.5), numbers(5), drift).item() == pytest.approx(-0.75)
+    assert damping.tempered(own, undamped(), numbers(5), drift).item() == pytest.approx(-2.0)
+    assert damping.tempered(own, undamped(0.5, -2), numbers(5), drift).item() == pytest.approx(-0.75)
+    turns = damping.tempered(own, undamped(0.5, 2), numbers(5), drift)  # the last two changes do not agree
+    assert turns.item() == pytest.approx(-1.0)
 
 
 # --- reactions ------------------------------------------------------------------------------------------------------
