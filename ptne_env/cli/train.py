@@ -53,13 +53,14 @@ def train(
 ) -> None:
     """Train a policy with PPO, and export it as policy.onnx.
 
-    Prints the command that compares the policy; evaluations.npz holds the learning curve.
+    Draws the learning curve, learning-curve.png, and prints the command that compares the policy.
 
     An interrupted run goes on from its last checkpoint when the same command is given again. It ends with another
     policy than an uninterrupted one.
     """
     try:
         from ptne_env.learn.training.configuration import Configuration
+        from ptne_env.learn.training.curve import draw
         from ptne_env.learn.training.ppo import is_finished
     except ImportError as error:
         raise ImportError('training needs an extra: pip install "ptne-env[sb3]"') from error
@@ -72,7 +73,8 @@ def train(
     if seeds is not None:
         series = [replace(chosen, seed=chosen.seed + index) for index in range(seeds)]
         runs = {out / f"seed-{each.seed}": each for each in series}
-    check_writable(json, *(folder / "policy.onnx" for folder in runs))
+    picture = out / "learning-curve.png"
+    check_writable(json, picture, *(folder / "policy.onnx" for folder in runs))
     ended = [folder for folder, each in runs.items() if is_finished(each, folder)]
     summaries = _train(runs)
     found = [asdict(summary) for summary in summaries.values()]
@@ -83,6 +85,9 @@ def train(
     if seeds is not None:
         mean = sum(reached) / len(reached)
         say(f"Mean of {seeds} seeds: {mean:.2f} digits, from {min(reached):.2f} to {max(reached):.2f}")
+    names = {f"seed {each.seed}, {summaries[folder].digits:.2f} digits": folder for folder, each in runs.items()}
+    draw(names, picture, title=f"Training of {configuration.removesuffix('.toml')}")
+    say(f"Learning curve written to {picture}")
     trained = f"trained={out}/seed-*/policy.onnx" if seeds is not None else str(out / "policy.onnx")
     say(f"To compare:  ptne compare {chosen.scenario} --policy {shlex.quote(f'static,{trained}')}")
 

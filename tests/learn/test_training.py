@@ -11,6 +11,7 @@ from extras import need_sb3
 
 torch = need_sb3()
 
+from matplotlib import image
 from stable_baselines3 import A2C, PPO, SAC, TD3
 from stable_baselines3.common.evaluation import evaluate_policy
 
@@ -19,6 +20,7 @@ from ptne_env import PolicySpec, learn
 from ptne_env.envs.sb3 import PlayerVecEnv
 from ptne_env.learn.training import configurations, defaults, ppo
 from ptne_env.learn.training.configuration import Configuration
+from ptne_env.learn.training.curve import draw, learning_curve
 from ptne_env.learn.training.export import to_onnx
 
 SCENARIO = ptne_env.get_scenario("random-energy", steps=40)
@@ -96,8 +98,6 @@ def test_a_run_leaves_a_policy_that_reaches_the_digits_in_its_file(run):
     assert results.record("random-energy", "ppo", "digits")["mean"] == pytest.approx(summary.digits, abs=1e-9)
     assert [report[:2] for report in reports] == [(100 * done, 700) for done in range(1, 8)]
     assert np.isfinite(reports[-1][2])
-    with np.load(out / "evaluations.npz") as file:
-        assert file["timesteps"].tolist() == [70 * done for done in range(1, 11)]
 
 
 def test_a_run_without_interruption_is_repeatable(run, tmp_path):
@@ -204,6 +204,21 @@ def test_the_exported_policy_acts_like_the_model_over_whole_episodes(kind, algor
         clipped += int((np.abs(actions) == env.layout.action_bound).sum())
         observations, _, _, _ = env.step(actions)
     assert clipped > 0 or kind == "physical"
+
+
+def test_the_picture_shows_every_run(run, tmp_path):
+    out, _, _ = run
+    steps, digits = learning_curve(out)
+    assert list(steps) == [70 * done for done in range(1, 11)]
+    assert np.isfinite(digits).all()
+    draw({"one": out, "two": out}, tmp_path / "curve.png", title="Training")
+    picture = image.imread(tmp_path / "curve.png")
+    assert picture.shape[:2] == (600, 960)
+    colours = set(map(tuple, (255 * picture[..., :3]).astype(int).reshape(-1, 3)))
+    assert (213, 94, 0) in colours  # of the second run, which covers the first
+    (tmp_path / "evaluations.npz").write_bytes(b"PK")
+    with pytest.raises(ValueError, match=r"evaluations\.npz is no learning curve"):
+        learning_curve(tmp_path)
 
 
 @pytest.mark.skipif(not SOAK, reason="takes a minute for each training; PTNE_SOAK=1 runs it")
