@@ -78,18 +78,18 @@ def test_every_law_has_a_condition_on_every_scenario_or_none_at_all(law, scenari
         assert not found.holds  # F is not monotone there
 
 
-@pytest.mark.parametrize(("step", "settles"), [(0.2, True), (0.3, False)])
-def test_the_routed_law_settles_exactly_where_its_condition_holds(step, settles):
+@pytest.mark.parametrize(("step", "holds"), [(0.2, True), (0.3, False), (3.0, False)])
+def test_the_routed_law_settles_where_its_condition_holds_and_shortens_longer_steps(step, holds):
     """Gradient play with delays equal to hop counts, on four firms: ρ = 1 at η = 0.264."""
     scenario = get_scenario("oligopoly", input_limit=1e9, steps=300)
     found = condition_on(scenario, "law:routed-unknown", step=step)
-    assert found.holds is settles
-    assert found.necessary
+    assert found.holds is holds
+    assert not found.necessary
     world = World(scenario)
     encoder = make_encoder(world, field_laws.RoutedUnknown.interface)
     states = run(world, encoder, field_laws.RoutedUnknown(encoder.layout, step), loop_start(world, size=1.0))[..., 0]
     errors = np.linalg.norm(states - world.game.nash_equilibrium[:, None], axis=(1, 2))
-    assert bool(errors[-1] < 1e-3 * errors[20]) is settles
+    assert errors[-1] < 1e-3 * errors[20]
 
 
 def test_the_coupling_radius_promises_that_late_best_responses_settle():

@@ -6,12 +6,16 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ptne_env.field.laws.best_response import within_reach
+from ptne_env.field.laws.best_response import largest, within_reach
 from ptne_env.field.laws.contacts import Contacts, contacts, copies, no_contacts
+from ptne_env.field.laws.identification import RESOLUTION
 from ptne_env.field.laws.memory import Memory
 from ptne_env.laws.base import Law, per_step
 from ptne_env.perception.observation import Observation, ObservationLayout
 from ptne_env.shared.arrays import FloatArray, require_positive
+
+_VISIBLE = 8.0
+"""Resolutions of observations that a change of the gradient must exceed to be seen."""
 
 
 class Routes(NamedTuple):
@@ -20,6 +24,9 @@ class Routes(NamedTuple):
     contacts: Contacts  # with their neighbours
     drift: FloatArray  # the last moves of the others' estimates, shape (R, n)
     steps: FloatArray  # number of steps done, shape (R, 1)
+    gradient: FloatArray  # own gradient in the step before, in natural units, shape (R, n)
+    moved: FloatArray  # the own move of that step, 0 where others' estimates moved more, shape (R, 1)
+    curvature: FloatArray  # L, shape (R, 1)
 
 
 class RoutedUnknown(Law):
@@ -30,9 +37,12 @@ class RoutedUnknown(Law):
     nearer to the owner of c, x^i_c is the owner's strategy d_ic steps ago, d_ic being the hop count: gradient play with
     delays, x_i(k+1) = x_i(k) − η ∂J_i/∂x_i(x_1(k − d_i1), …, x_N(k − d_iN)).
 
+    The step is the smaller one of η and 1/L, where L is the largest ‖Δ∂J_i/∂x_i‖/‖Δx_i‖ so far, of steps in which the
+    own strategy moved more than the estimates of others: gradient steps above 2/L go too far.
+
     Args:
         layout: of the environment.
-        step: η > 0.
+        step: η > 0, the largest step.
 
     Raises:
         ValueError: for a step that is not positive.
@@ -41,8 +51,8 @@ class RoutedUnknown(Law):
     def __init__(self, layout: ObservationLayout, step: float = 0.3) -> None:
         super().__init__(layout)
         self.step = require_positive("step", step)
-        start = Routes(no_contacts(layout), np.zeros((1, layout.dimension)), np.zeros((1, 1)))
-        self._memory: Memory[Any] = Memory(start)
+        each, none = np.zeros((1, layout.dimension)), np.zeros((1, 1))
+        self._memory: Memory[Any] = Memory(Routes(no_contacts(layout), each, none, each, none, none))
 
     def initial_memory(self, rows: int) -> FloatArray:
         """No contact and no step done, shape (R, size)."""
@@ -53,5 +63,13 @@ class RoutedUnknown(Law):
         leaders, is_own = self.layout.neighbour_components[player], self.layout.own_mask[player]
         sources, fresh = contacts(observation, was.contacts, was.steps > 0, was.drift, leaders)
         drift = copies(observation, sources & ~is_own[:, None])
-        routes = Routes(fresh, within_reach(drift, observation, self.layout), was.steps + 1)
-        return per_step(drift - self.step * observation.gradient, observation), self._memory.pack(routes)
+        gradient = observation.gradient * observation.unit
+        change = largest(gradient - was.gradient)
+        change = change - _VISIBLE * RESOLUTION * (largest(gradient) + largest(was.gradient))
+        curvature = np.where(was.moved > 0, change / np.where(was.moved > 0, was.moved, 1.0), 0.0)
+        curvature = np.maximum(was.curvature, curvature)
+        own = observation.gradient / np.maximum(1 / self.step, curvature)
+        moved = np.where(largest(own) > largest(drift), largest(own), 0.0) * observation.unit
+        asked = within_reach(drift, observation, self.layout)
+        routes = Routes(fresh, asked, was.steps + 1, gradient, moved, curvature)
+        return per_step(drift - own, observation), self._memory.pack(routes)
