@@ -46,8 +46,8 @@ class Certificate:
         scenario: name.
         law: class and arguments.
         assumptions: Lemma 1 and Assumptions 1–4 of the paper, each with the number that decides it.
-        condition: the condition of the law's own theorem, sufficient for convergence and sometimes necessary; ``None``
-            for a law without a theorem.
+        condition: the condition of the law's own theorem, sufficient for convergence; ``None`` for a law without a
+            theorem.
         clock: ``"effective"``, or ``"physical"`` for a law that undoes the time gain.
         rate: r with which the error decays like e^{−r s} as t → T (e^{−r t} on the physical clock); 0 or less when it
             does not vanish. Of the linearisation at x* where the loop is not linear; at the gains at the start where

@@ -1,6 +1,6 @@
 """Conditions of the laws' theorems: numbers of a scenario against the numbers that each theorem needs.
 
-:func:`condition` finds the condition of a law by its class. Conditions are sufficient for convergence; most are not
+:func:`condition` finds the condition of a law by its class. Conditions are sufficient for convergence, not
 necessary. A law of your own registers its condition::
 
     @condition.register
@@ -94,7 +94,6 @@ class Condition:
         bound: the number that it is compared with; infinite where no number would do.
         holds: whether the scenario meets the condition.
         exact: whether the numbers are exact; otherwise they come from samples or a linearisation and prove nothing.
-        necessary: whether the law does not settle where the condition fails (if no bound is active).
     """
 
     name: str
@@ -102,7 +101,6 @@ class Condition:
     bound: float
     holds: bool
     exact: bool = True
-    necessary: bool = False
 
     @classmethod
     def above(cls, name: str, value: float, bound: float, *, exact: bool = True) -> Condition:
@@ -110,9 +108,9 @@ class Condition:
         return cls(name, float(value), float(bound), bool(value > bound), exact)
 
     @classmethod
-    def below(cls, name: str, value: float, bound: float, *, exact: bool = True, necessary: bool = False) -> Condition:
+    def below(cls, name: str, value: float, bound: float, *, exact: bool = True) -> Condition:
         """The condition value < bound."""
-        return cls(name, float(value), float(bound), bool(value < bound), exact, necessary)
+        return cls(name, float(value), float(bound), bool(value < bound), exact)
 
 
 def decisive(*conditions: Condition) -> Condition:
@@ -239,10 +237,7 @@ def projected_gradient_condition(law: ProjectedGradient, constants: ProblemConst
 
 @condition.register
 def routed_condition(law: RoutedUnknown, constants: ProblemConstants) -> Condition:
-    """A fixed graph, ε > 0, and ρ < 1 of gradient play with delays equal to hop counts.
-
-    It is not necessary, because the law shortens steps that are too long.
-    """
+    """A fixed graph, ε > 0, and ρ < 1 of gradient play with delays equal to hop counts, if no step is shortened."""
     together = union(constants.graphs)
     radius = np.inf
     if together.is_connected:

@@ -84,7 +84,6 @@ def test_the_routed_law_settles_where_its_condition_holds_and_shortens_longer_st
     scenario = get_scenario("oligopoly", input_limit=1e9, steps=300)
     found = condition_on(scenario, "law:routed-unknown", step=step)
     assert found.holds is holds
-    assert not found.necessary
     world = World(scenario)
     encoder = make_encoder(world, field_laws.RoutedUnknown.interface)
     states = run(world, encoder, field_laws.RoutedUnknown(encoder.layout, step), loop_start(world, size=1.0))[..., 0]

@@ -33,9 +33,7 @@ def certificate_tables(certificate: Certificate) -> tuple[Table, Table]:
     stable = "none" if certificate.largest_stable_step is None else number(certificate.largest_stable_step)
     rows = {"the law's own condition": "it promises nothing"}
     if (condition := certificate.condition) is not None:
-        verdict = "holds" if condition.holds else "fails"
-        if not condition.holds:
-            verdict += " (the law does not settle)" if condition.necessary else " (sufficient, not necessary)"
+        verdict = "holds" if condition.holds else "fails (sufficient, not necessary)"
         rows = {condition.name: f"{number(condition.value)} against {number(condition.bound)}: {verdict}"}
     if certificate.rate is not None:
         rows[f"rate r, error ~ e^(−r {clock})"] = number(certificate.rate)
