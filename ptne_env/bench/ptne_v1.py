@@ -100,8 +100,10 @@ TRACKS = (
     ),
     _track(
         "monotone",
-        "Random affine games that are monotone and not strongly monotone.",
+        "Random affine games that are monotone and not strongly monotone; all start within ±10, where equilibria are.",
         game=part("game:random-affine", epsilon=0.0),
+        start=part("start:uniform", low=-10.0, high=10.0),
+        message_range=0.5 * RANGE,  # else there is more room for loud equilibria than for loud starts
     ),
     _track(
         "curved",

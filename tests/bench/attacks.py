@@ -230,14 +230,14 @@ def played(track, law, episodes, seed=0, *, audit=False):
 
 
 def room(track, episodes, seed=0):
-    """log10 of R over the largest start or equilibrium of the episodes, and over the largest equilibrium."""
+    """log10 of R over the largest start or equilibrium of the episodes."""
     start = beginning(track, episodes, seed)
-    largest, equilibria = np.abs(start.estimates).max(), np.abs(start.game.nash_equilibria).max()
-    return tuple(np.log10(track.world.message_range / size) for size in (max(largest, equilibria), equilibria))
+    largest = max(np.abs(values).max() for values in (start.estimates, start.game.nash_equilibria))
+    return np.log10(track.world.message_range / largest)
 
 
-LOUD = {"monotone": partial(Loud, gain=9.0), "rough-links": partial(Loud, wait=25)}
-"""Where not :class:`Loud` itself: equilibria of random affine games are within ±10, and delays are long."""
+LOUD = {"monotone": partial(Loud, gain=5.0), "rough-links": partial(Loud, wait=25)}
+"""Where not :class:`Loud` itself: the range of monotone is 5 times its strategies, and delays are long."""
 
 CODER = partial(Equations, size=1.0)
 """The coder as it was: entries of order one."""
@@ -256,13 +256,13 @@ RESIDUAL = {
 
 def main(episodes):
     """Print the table."""
-    print("| track | room (by equilibria) | observer-relay | loud | coder | coder that fills the range | residual |")
+    print("| track | room | observer-relay | loud | coder | coder that fills the range | residual |")
     print("| --- " + "| ---: " * 6 + "|")
     for track in get_suite("ptne-v1").tracks:
         if track.scored:
             count, name = min(episodes, track.episodes or episodes), track.name
             base = played(track, ObserverRelay, count).mean(axis=1)
-            cells = ["{:.2f} ({:.2f})".format(*room(track, count)), "{:.2f} / {:.2f}".format(*base)]
+            cells = [f"{room(track, count):.2f}", "{:.2f} / {:.2f}".format(*base)]
             attacks = LOUD.get(name, Loud), CODER, Equations, RESIDUAL.get(name, Residuals)
             gains = (played(track, attack, count).mean(axis=1) - base for attack in attacks)
             cells += ["{:+.2f} / {:+.2f}".format(*gain) for gain in gains]
