@@ -1,4 +1,4 @@
-"""What each rule of observer-relay brings: ``python baselines/ablation.py [EPISODES]`` prints digits without it.
+"""What each rule of observer-relay brings: ``python baselines/ablation.py [EPISODES]`` writes ``ablation.md``.
 
 Mean digits over the scored tracks of the suite and over the worlds of the robustness set, on validation episodes, with
 every rule, and the change where one rule is off; and the track or world that loses most. Intervals are of 95 %, of the
@@ -6,6 +6,7 @@ difference between paired episodes.
 """
 
 import sys
+from pathlib import Path
 
 import numpy as np
 
@@ -44,10 +45,14 @@ def rows(suite: Suite, episodes: int) -> list[str]:
 
 
 def main(episodes: int = EPISODES) -> None:
-    """Print the table."""
-    print("| set | observer-relay | digits | loses most |\n| --- | --- | ---: | --- |", flush=True)
+    """Write the table beside this file, and print it."""
+    lines = [__doc__.split("\n\n", 1)[1], "| set | observer-relay | digits | loses most |", "| --- | --- | ---: | --- |"]
     for suite in (get_suite("ptne-v1"), robustness(1)):
-        print("\n".join(rows(suite, episodes)), flush=True)
+        lines += rows(suite, episodes)
+        print("\n".join(lines), flush=True)
+    title = "# What each rule of observer-relay brings\n\n"
+    command = f"`python baselines/ablation.py {episodes}` writes this page. "
+    Path(__file__).with_suffix(".md").write_text(title + command + "\n".join(lines) + "\n")
 
 
 if __name__ == "__main__":

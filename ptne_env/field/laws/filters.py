@@ -32,10 +32,10 @@ _FINE = 2e-6
 _REPEATS = 3e-7
 """A message that moves less than this share of the largest own estimate is the one before, in float32."""
 
-_CALM = 20
+_CALM = 60
 """Steps in which noise does not halve before it counts: messages that converge halve their changes sooner."""
 
-_CALMEST, _TURNS = 60.0, 1 / 3
+_CALMEST, _TURNS = 120.0, 1 / 3
 """The most such steps; and share of changes that turn back, of which noise has two thirds: without it, moves count."""
 
 _START = 20
@@ -93,7 +93,7 @@ def measured(
     and by first differences, which are small where senders rest after a jump; of both, and of all components and links,
     the lower quartile counts. In the first step the estimates of others rest, and first differences are noise alone.
     A message that repeats the one before was held on its way, and says nothing. Noise counts once it has not halved for
-    ten steps, or from the first step on, until it has vanished.
+    60 steps, or from the first step on, until it has vanished.
 
     Args:
         messages: of this step.
