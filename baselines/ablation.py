@@ -46,7 +46,11 @@ def rows(suite: Suite, episodes: int) -> list[str]:
 
 def main(episodes: int = EPISODES) -> None:
     """Write the table beside this file, and print it."""
-    lines = [__doc__.split("\n\n", 1)[1], "| set | observer-relay | digits | loses most |", "| --- | --- | ---: | --- |"]
+    lines = [
+        __doc__.split("\n\n", 1)[1],
+        "| set | observer-relay | digits | loses most |",
+        "| --- | --- | ---: | --- |",
+    ]
     for suite in (get_suite("ptne-v1"), robustness(1)):
         lines += rows(suite, episodes)
         print("\n".join(lines), flush=True)

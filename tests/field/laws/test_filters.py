@@ -101,3 +101,22 @@ def test_the_mean_of_rounded_messages_of_a_dithered_strategy_is_the_strategy():
 
 def test_damage_of_rounding_is_that_of_a_uniform_error():
     assert Damage(numbers(0), numbers(np.sqrt(12))).deviation.item() == pytest.approx(1)
+
+
+def held(content, longest=4):
+    """The messages as they arrive after random delays: the last arrival is held, in float32 of the own estimates."""
+    generator, newest = np.random.default_rng(2), 0
+    found = []
+    for k in range(len(content)):
+        newest = max(newest, k - int(generator.integers(longest + 1)))
+        own = SCALE * (1 + 1e-9 * generator.normal())
+        found.append(own + (content[newest] - own).astype(np.float32))
+    return np.array(found)
+
+
+def test_late_noise_is_heard_through_delays_and_a_slow_drift_through_delays_is_none():
+    rng = np.random.default_rng(0)
+    late = SCALE + (np.arange(1000) > 200)[:, None, None] * 0.02 * rng.normal(size=(1000, 2, 8))
+    assert watch(held(late))[0][-1, 0] == pytest.approx(0.02, rel=0.5)
+    drift = SCALE + 1e-3 * np.arange(600.0)[:, None, None] * rng.uniform(0.5, 1, size=(2, 8))
+    assert (watch(held(drift))[0][:, 0] == 0).all()

@@ -56,9 +56,19 @@ PAIR_OF_PLAYERS = RANDOM.replace(
 )
 
 
-@pytest.mark.parametrize(("scenario", "digits"), [(BEND, 9.5), (PAIR_OF_PLAYERS, 4.2)], ids=["bend", "pair"])
-def test_strong_bends_and_two_players_with_noise(scenario, digits):
-    """A gradient step of fixed length left 2.2 digits of the first, and noise of own components 3.3 of the second."""
+BIASED = RANDOM.replace(name="biased", channel=FactorySpec.of("channel:bias", bound=0.1))
+
+LATE = RANDOM.replace(name="late", channel=FactorySpec.of("channel:late-noise", std=0.05, step=150))
+
+
+@pytest.mark.parametrize(
+    ("scenario", "digits"),
+    [(BEND, 10.0), (PAIR_OF_PLAYERS, 4.2), (BIASED, 2.2), (LATE, 2.9)],
+    ids=["bend", "pair", "biased", "late"],
+)
+def test_worlds_that_break_fixed_steps_and_floors_of_noise(scenario, digits):
+    """A gradient step of fixed length left 2.2 digits of the first and 1.2 of the third, a floor of noise that never
+    rises 2.4 of the last, and noise of own components 3.3 of the second."""
     results = evaluate(["observer-relay"], [scenario], episodes=6)
     assert results.samples[scenario.name, "observer-relay"]["digits"].mean() > digits
 
