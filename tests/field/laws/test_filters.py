@@ -114,9 +114,13 @@ def held(content, longest=4):
     return np.array(found)
 
 
-def test_late_noise_is_heard_through_delays_and_a_slow_drift_through_delays_is_none():
+def test_late_noise_is_heard_through_delays():
     rng = np.random.default_rng(0)
     late = SCALE + (np.arange(1000) > 200)[:, None, None] * 0.02 * rng.normal(size=(1000, 2, 8))
-    assert watch(held(late))[0][-1, 0] == pytest.approx(0.02, rel=0.5)
-    drift = SCALE + 1e-3 * np.arange(600.0)[:, None, None] * rng.uniform(0.5, 1, size=(2, 8))
-    assert (watch(held(drift))[0][:, 0] == 0).all()
+    assert watch(held(late))[0][-1, 0] == pytest.approx(0.02, rel=0.2)
+
+
+def test_strategies_that_chase_each_other_forever_are_no_noise():
+    turns = np.cos(0.5 * np.arange(400.0)[:, None, None] + np.random.default_rng(0).uniform(0, 6, (2, 3)))
+    turns[:3] = turns[3]  # estimates of others rest in the first step
+    assert (watch(SCALE + turns)[0][:, 0] == 0).all()
