@@ -131,6 +131,9 @@ class ObserverRelay(Law):
         gross = np.where(is_damaged, damage.deviation**2 + (_GROSS * scale) ** 2, 0.0)[:, :, None]
         trust = 1.0 if "trust" in without else _trust(meant, variance, gross, is_own, owners)
         doubtful = is_damaged & (np.where(sources, trust, 0.0).max(axis=1) < _DOUBTFUL) & sources.any(axis=1)
+        # Neighbours whose messages never change are no sources; their mean is better than the start.
+        is_silent = np.isinf(filters_now.width) & (filters_now.age >= reactions.START).any(axis=1, keepdims=True)
+        doubtful |= is_silent & ~sources.any(axis=1)
         shares = np.where(sources, 1.0, _OTHERS * (live & doubtful[:, None])) * trust
         copy = _mean(shares, relative)
         belief = _mean(shares / variance, meant)

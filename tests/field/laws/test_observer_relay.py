@@ -125,3 +125,16 @@ def test_own_blocks_are_enough_in_large_games(scenario, law, monkeypatch):
     assert np.isfinite(states).all()
     if scenario is BLOCKS:
         assert np.abs(states[-1, ..., 0] - world.game.nash_equilibrium[:, None]).max() < 1e-8
+
+
+def test_estimates_follow_neighbours_whose_messages_never_change():
+    """Rounding hides all, so no message is news, and a copy in the middle is better than a far start."""
+    world = get_scenario(
+        "random-energy",
+        steps=100,
+        start=FactorySpec.of("start:uniform", low=-400.0, high=400.0),
+        channel=FactorySpec.of("channel:rounding", width=1000.0),
+    )
+    results = evaluate(["observer-relay", "contact-relay"], [world], episodes=4)
+    observer, contact = (results.summary("random-energy", name, "digits").mean for name in results.policies)
+    assert observer > contact + 0.5
