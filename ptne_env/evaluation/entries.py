@@ -252,6 +252,10 @@ _OTHERS = {
         patience=12.6,
         forgetting=5.89,
     ),
+    "residual-coder": _entry(
+        "law:residual-coder",
+        "The observer relay among players who tell each other small digits in code, where all of them understand it.",
+    ),
     "proximal-best-response": _entry(
         "law:proximal-best-response",
         "Bianchi, Belgioioso and Grammatico's law: proximal best responses, and averages with neighbours.",

@@ -75,6 +75,7 @@ PARTS: Mapping[str, str] = {
     "law:corollary-one": "ptne_env.laws:CorollaryOne",
     "law:grounded": "ptne_env.laws:Grounded",
     "law:observer-relay": "ptne_env.field.laws:ObserverRelay",
+    "law:residual-coder": "ptne_env.field.laws:ResidualCoder",
     "law:oracle": "ptne_env.laws:Oracle",
     "law:projected-gradient": "ptne_env.field.laws:ProjectedGradient",
     "law:proximal-best-response": "ptne_env.field.laws:ProximalBestResponse",

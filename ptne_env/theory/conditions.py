@@ -20,6 +20,7 @@ from ptne_env.field.laws import (
     ObserverRelay,
     ProjectedGradient,
     ProximalBestResponse,
+    ResidualCoder,
     RoutedUnknown,
 )
 from ptne_env.laws import Adaptive, AdaptiveGrounded, CorollaryOne, Grounded, Law, Static
@@ -278,5 +279,5 @@ def relay_condition(law: ContactRelay, constants: ProblemConstants) -> Condition
 
 
 @condition.register
-def observer_relay_condition(law: ObserverRelay, constants: ProblemConstants) -> None:
+def observer_relay_condition(law: ObserverRelay | ResidualCoder, constants: ProblemConstants) -> None:
     """No theorem: what it follows depends on what it observes, and it extrapolates its own gradient."""

@@ -13,14 +13,14 @@ import numpy as np
 from ptne_env.bench import get_suite
 from ptne_env.evaluation.audit import Witness, rows_of_one, with_links_of
 from ptne_env.evaluation.rollout import rollout
-from ptne_env.field.laws import ObserverRelay
+from ptne_env.field.laws import ObserverRelay, ResidualCoder
 from ptne_env.laws import Law
 from ptne_env.laws.base import per_step
 from ptne_env.perception.encoder import make_encoder
 from ptne_env.world import distances
 
 FILL = 0.95  # of the range, so that nothing is clipped
-EXACTLY = 1e6  # times that an equation counts as heard whose residuals were heard
+OWN = 1e6  # times that the own equations count as heard
 
 
 class Attack(Law):
@@ -89,15 +89,14 @@ class Equations(Attack):
     component c carries entry k mod (n + 3) of equation c: n coefficients, the constant in units of 64 and two
     checksums; or 0 where it knows no equation. From step ``switch`` on it rests at the solution. A player follows
     observer-relay if it has learned nothing in four rounds, or then lacks an equation. The largest entry is sent as
-    ``size``, by default so that it fills the range. Where ``width`` is positive, every other round carries the entries
-    modulo this width, so amplified that they fill the range.
+    ``size``, by default so that it fills the range.
     """
 
-    def __init__(self, layout, switch=150, width=0.0, size=np.inf):
+    def __init__(self, layout, switch=150, size=np.inf):
         n, self.entries = layout.dimension, layout.dimension + 3
         points, codes = (self.entries, n + max(layout.action_dims)), (layout.slots, n, self.entries)
         super().__init__(layout, points, codes, (n, n + 1), (n,))
-        self.switch, self.width, self.size = switch, width, min(size, self.most)
+        self.switch, self.size = switch, min(size, self.most)
         angles = np.arange(1.0, n + 2)
         self.checks = np.stack([np.cos(angles), np.sin(angles)], axis=1) / 2
 
@@ -115,16 +114,14 @@ class Equations(Attack):
         elif number + self.entries < self.switch:
             place = number % self.entries
             if number == 0:
-                equations, heard = self._fitted(observation.player, points), EXACTLY * own
+                equations, heard = self._fitted(observation.player, points), OWN * own
             else:
                 content = np.where(observation.weights[:, :, None] > 0, estimate[:, None], 0.0)
                 codes[..., place - 1] = (content + observation.relative_estimates) / self.size
                 if place == 0:
-                    equations, heard = self._learned(codes, equations, heard, self._is_residual(number - 1))
-            coded, tells = self._checked(equations)[:, :, place], heard > 0
-            if self._is_residual(number):
-                coded, tells = _folded(coded, self.width) * 2 / self.width, heard >= EXACTLY
-            moved = self.size * np.where(tells, coded, 0.0) - estimate
+                    equations, heard = self._learned(codes, equations, heard)
+            coded = self._checked(equations)[:, :, place]
+            moved = self.size * np.where(heard > 0, coded, 0.0) - estimate
             follows = (number >= 4 * self.entries) & ((heard == 0) | own).all(axis=1, keepdims=True)
         else:
             target = np.einsum("rab,rb->ra", np.linalg.pinv(equations[:, :, :n]), 64 * equations[:, :, n])
@@ -134,27 +131,18 @@ class Equations(Attack):
             moved, after = np.where(follows, relayed, moved), np.where(follows, after, before)
         return self.answer(moved, observation, step + 1, points, codes, equations, heard, after)
 
-    def _is_residual(self, number):
-        return self.width > 0 and number // self.entries % 2 == 1
-
     def _checked(self, equations):
         """Equations (R, n, n + 1) and their checksums, (R, n, n + 3)."""
         return np.concatenate([equations, equations @ self.checks], axis=2)
 
-    def _learned(self, codes, equations, heard, is_residual):
+    def _learned(self, codes, equations, heard):
         """The means of all intact equations, and how often each was heard, after a round."""
-        tolerance, wanted, weight = 2e-4, heard < EXACTLY, heard
-        if is_residual:
-            known = self._checked(equations)[:, None]
-            codes = known + _folded(self.width / 2 * codes - known, self.width)
-            tolerance, wanted, weight = self.width * 4e-4, wanted & (heard > 0), 0.0
         whole, largest = codes[..., :-2], np.abs(codes).max(axis=3)
         error = np.abs(whole @ self.checks - codes[..., -2:]).max(axis=3)
-        intact = (error <= tolerance * (1 + largest)) & (largest > 0.3) & wanted[:, None]
+        intact = (error <= 2e-4 * (1 + largest)) & (largest > 0.3) & (heard < OWN)[:, None]
         count, total = intact.sum(axis=1), np.where(intact[..., None], whole, 0.0).sum(axis=1)
-        weight = np.where(count > 0, weight, 1.0)[:, :, None]
-        mean = (weight * equations + total) / (weight + count[:, :, None])
-        return mean, np.where((count > 0) & is_residual, EXACTLY, heard + count)
+        mean = (heard[:, :, None] * equations + total) / np.maximum(heard + count, 1)[:, :, None]
+        return mean, heard + count
 
     def _fitted(self, player, points):
         """The own equations, whose largest entry is 1, in the places of own components; 0 elsewhere."""
@@ -164,52 +152,6 @@ class Equations(Attack):
         result = np.zeros((len(points), n + 1, n + 1))  # with a row for padding
         result[np.arange(len(points))[:, None], own] = fit / np.maximum(np.abs(fit).max(axis=2, keepdims=True), 1e-9)
         return result[:, :n]
-
-
-class Residuals(Attack):
-    """A residual coder: messages are z, and in the steps between A_p (z mod g_p), which fills the range.
-
-    A receiver that knows z to g_p/2 then knows it to the resolution of the channel over A_p. A player reads its own
-    gradient at z only, and moves z as observer-relay does after the last part of a message. The widths are g_p, ``own``
-    are the lowest and highest own strategy that can be played, and from step ``until`` on nothing is coded or moved.
-    """
-
-    def __init__(self, layout, widths=(0.02,), own=(-np.inf, np.inf), until=np.inf):
-        n, slots = layout.dimension, layout.slots
-        super().__init__(layout, (n,), (n,), (slots,), (slots, n))
-        self.widths, self.own, self.until = (0.0, *widths), own, until
-
-    def _code(self, part, owns):
-        """Centre and amplification of a part."""
-        low, high = (np.where(owns, np.clip(end, *self.own), end) for end in (-self.most, self.most))
-        return (low + high) / 2, (high - low) / self.widths[part]
-
-    def inputs(self, observation, memory):
-        step, z, gradient, live, heard, after = self.split(memory)
-        number, estimate = int(step[0, 0]), observation.own_estimate
-        part, following = number % len(self.widths), (number + 1) % len(self.widths)
-        hears, content = observation.weights > 0, estimate[:, None] + observation.relative_estimates
-        if part == 0:
-            z, gradient, live, heard = estimate, observation.gradient, hears, content
-        else:
-            centre, gain = self._code(part, self.layout.neighbour_components[observation.player])
-            live, heard = live * hears, heard + _folded((content - centre) / gain - heard, self.widths[part])
-        target = z
-        if number < self.until and following == 0:
-            relative, weights = np.where(live[:, :, None] > 0, heard - z[:, None], 0.0), observation.weights * live
-            seen = observation._replace(own_estimate=z, relative_estimates=relative, weights=weights, gradient=gradient)
-            moved, after = self.moved(seen, after)
-            target = z = z + moved
-        elif number < self.until:
-            centre, gain = self._code(following, self.layout.own_mask[observation.player])
-            coded = centre + gain * _folded(z, self.widths[following])
-            target = np.where(self.is_last(observation), z, coded)
-        return self.answer(target - estimate, observation, step + 1, z, gradient, live, heard, after)
-
-
-def _folded(values, width):
-    """The values less the nearest multiple of a width, within ±width/2."""
-    return values - width * np.round(values / width)
 
 
 def beginning(track, episodes, seed=0):
@@ -242,28 +184,17 @@ LOUD = {"monotone": partial(Loud, gain=5.0), "rough-links": partial(Loud, wait=2
 CODER = partial(Equations, size=1.0)
 """The coder as it was: entries of order one."""
 
-RESIDUAL = {
-    "switching-physical": partial(Equations, width=0.005, switch=180),
-    "switching-transformed": partial(Residuals, widths=(5.0, 0.3)),
-    "rounding": partial(Residuals, widths=(1.1, 0.01), until=100),
-    "liar": partial(Equations, width=0.005),
-    "monotone": partial(Equations, width=0.005),
-    "uneven-box": partial(Residuals, widths=(0.02, 0.001), own=(-4.8, 4.8), until=100),
-    "coupled": partial(Residuals, own=(0.0, np.inf), until=150),
-}
-"""The strongest coder of residuals on a track; :class:`Residuals` on the others."""
-
 
 def main(episodes):
     """Print the table."""
-    print("| track | room | observer-relay | loud | coder | coder that fills the range | residual |")
+    print("| track | room | observer-relay | loud | coder | coder that fills the range | residual-coder |")
     print("| --- " + "| ---: " * 6 + "|")
     for track in get_suite("ptne-v1").tracks:
         if track.scored:
             count, name = min(episodes, track.episodes or episodes), track.name
             base = played(track, ObserverRelay, count).mean(axis=1)
             cells = [f"{room(track, count):.2f}", "{:.2f} / {:.2f}".format(*base)]
-            attacks = LOUD.get(name, Loud), CODER, Equations, RESIDUAL.get(name, Residuals)
+            attacks = LOUD.get(name, Loud), CODER, Equations, ResidualCoder
             gains = (played(track, attack, count).mean(axis=1) - base for attack in attacks)
             cells += ["{:+.2f} / {:+.2f}".format(*gain) for gain in gains]
             print(f"| {name} | {' | '.join(cells)} |", flush=True)

@@ -3,7 +3,7 @@
 from functools import cache, partial
 
 import pytest
-from attacks import CODER, LOUD, RESIDUAL, Equations, Loud, Residuals, played, room
+from attacks import CODER, LOUD, Loud, played, room
 
 from ptne_env.bench import get_suite
 from ptne_env.evaluation import Track
@@ -36,9 +36,10 @@ def test_loud_play_and_equations_in_code_gain_at_most_what_the_range_allows(name
     assert gained(track(name), CODER)[0] <= allowed
 
 
-def test_without_a_range_loud_play_gains_what_its_loudness_allows():
+def test_without_a_range_loud_play_gains_a_digit_more():
     endless = track("switching-transformed", message_range=None, input_limit=1e5)
-    assert gained(endless, partial(Loud, gain=100.0))[0] > 1.9
+    allowed = room(track("switching-transformed"), EPISODES) + 0.1
+    assert gained(endless, partial(Loud, gain=100.0))[0] > allowed + 1
 
 
 def test_equations_in_code_tell_the_equilibrium_without_noise_and_gain_nothing_with_it():
@@ -47,11 +48,6 @@ def test_equations_in_code_tell_the_equilibrium_without_noise_and_gain_nothing_w
     assert gained(track("switching-physical"), early).max() < 0
 
 
-def test_residuals_in_code_gain_digits_through_a_narrow_channel():
-    """So no document may say that code is useless."""
-    assert gained(track("rounding"), RESIDUAL["rounding"]).min() > 1
-
-
-@pytest.mark.parametrize("attack", [Loud, CODER, partial(Equations, width=0.005), Residuals])
+@pytest.mark.parametrize("attack", [Loud, CODER])
 def test_attacks_decide_each_row_from_its_own_observations_and_links(attack):
     played(track("rounding", steps=60), attack, EPISODES, audit=True)

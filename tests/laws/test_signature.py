@@ -25,6 +25,7 @@ LAWS = [
     field_laws.ProximalBestResponse,
     field_laws.ContactRelay,
     field_laws.ObserverRelay,
+    field_laws.ResidualCoder,
 ]
 
 
