@@ -74,9 +74,9 @@ TRACKS = (
     ),
     _track(
         "rough-links",
-        "Messages travel for 1 to 7 steps, a third of them is lost in bursts, and the rest carries noise 0.05.",
+        "Messages travel for 1 to 7 steps, a third of them is lost in bursts, and the rest carries noise 0.2.",
         channel=_noisy(
-            0.05, part("channel:delay", steps=1, longest=7), part("channel:bursts", to_bad=0.05, to_good=0.1)
+            0.2, part("channel:delay", steps=1, longest=7), part("channel:bursts", to_bad=0.05, to_good=0.1)
         ),
     ),
     _track("rounding", "Messages are rounded to multiples of 0.5.", channel=part("channel:rounding", width=0.5)),
@@ -94,9 +94,9 @@ TRACKS = (
     ),
     _track(
         "strangers",
-        "Two of five players follow the paper's static law with a small gain, beside every policy; noise is 0.01.",
+        "Two of five players follow the paper's static law with a small gain, beside every policy; noise is 0.02.",
         teammates=Teammates(part("law:static", kappa=0.4), (1, 3)),
-        channel=_noisy(0.01),
+        channel=_noisy(0.02),
     ),
     _track(
         "monotone",
@@ -112,13 +112,14 @@ TRACKS = (
     ),
     _track(
         "uneven-box",
-        "Random affine games of players with 1, 2, 3, 1 and 2 components, whose strategies are confined to a box.",
+        "Random affine games of players with 1, 2, 3, 1 and 2 components, confined to a box; noise is 0.03.",
         game=part("game:random-affine", action_dim=(1, 2, 3, 1, 2), low=-5.0, high=5.0),
+        channel=_noisy(0.03),
     ),
     _track(
         "coupled",
-        "Two constraints that five players share, priced by a sixth: a variational generalised Nash equilibrium.",
-        game=part("game:coupled", game=part("game:random-energy", players=5), lines=2),
+        "Four constraints that five players share, priced by a sixth: a variational generalised Nash equilibrium.",
+        game=part("game:coupled", game=part("game:random-energy", players=5), lines=4),
         topology=_graphs(6, 0.4),
         slots=5,
         message_range=1.5 * RANGE,  # prices are up to 45
