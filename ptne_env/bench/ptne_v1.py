@@ -94,9 +94,9 @@ TRACKS = (
     ),
     _track(
         "strangers",
-        "Two of five players follow the paper's static law with a small gain, beside every policy; noise is 0.02.",
+        "Two of five players follow the paper's static law with a small gain, beside every policy; noise is 0.03.",
         teammates=Teammates(part("law:static", kappa=0.4), (1, 3)),
-        channel=_noisy(0.02),
+        channel=_noisy(0.03),
     ),
     _track(
         "monotone",
