@@ -79,7 +79,7 @@ TRACKS = (
             0.2, part("channel:delay", steps=1, longest=7), part("channel:bursts", to_bad=0.05, to_good=0.1)
         ),
     ),
-    _track("rounding", "Messages are rounded to multiples of 0.1.", channel=part("channel:rounding", width=0.1)),
+    _track("rounding", "Messages are rounded to multiples of 0.5.", channel=part("channel:rounding", width=0.5)),
     _track(
         "liar",
         "One player adds a constant of up to 20 to all that it says of other players.",
@@ -94,8 +94,8 @@ TRACKS = (
     ),
     _track(
         "strangers",
-        "Two of five players follow the paper's static law with a small gain, beside every policy; noise is 0.01.",
-        teammates=Teammates(part("law:static", kappa=0.4), (1, 3)),
+        "One of five players is a stranger to every policy: it follows the paper's static law; noise is 0.01.",
+        teammates=Teammates(part("law:static", kappa=0.4), (3,)),
         channel=_noisy(0.01),
     ),
     _track(
