@@ -1,4 +1,7 @@
-"""Run all policies on the catalogue and on ptne-v1, and write every published table: ``python baselines/publish.py``.
+"""Run all policies on catalogue, suite and random worlds, and write every published table.
+
+``python baselines/publish.py`` runs them on the catalogue, on ptne-v1, and on the random worlds of two seeds: those of
+seed 1 were seen while laws were designed, those of seed 2 were not.
 
 It writes ``results.csv`` beside this file, and from it every table of README, docs and baselines that stands between
 ``<!-- table NAME -->`` and ``<!-- end -->``. Finished jobs are kept in the folder ``--out`` and not run again.
@@ -15,6 +18,7 @@ from pathlib import Path
 
 from ptne_env import CATALOGUE, evaluate
 from ptne_env.bench import Runner, Workers, leaderboard, run_suite
+from ptne_env.bench.robustness import robustness
 from ptne_env.evaluation import COMPARED, POLICIES, Results
 from ptne_env.evaluation.metrics import number
 from ptne_env.shared.files import write_atomically
@@ -24,8 +28,17 @@ RESULTS = ROOT / "baselines" / "results.csv"
 METRICS = ("digits", "mean_regret", "digits_cvar", "settling_time", "settled_share", "diverged_share")
 """The metrics in the file."""
 
-SHOWN = ("static", "static-tuned", "grounded", "routed-unknown", "contact-relay", "observer-relay", "ppo-ptne-v1")
+SHOWN = ("static", "grounded", "routed-unknown", "contact-relay", "observer-relay", "residual-coder", "ppo-ptne-v1")
 """The policies of the short tables of the suite, before the oracle."""
+
+SHOWN_ON_WORLDS = ("static", "grounded", "proximal-best-response", "routed-unknown", "contact-relay", "observer-relay")
+"""The policies of the tables of random worlds."""
+
+WORLDS = {"robustness": robustness(1), "robustness-2": robustness(2)}
+"""The random worlds: seen and fresh."""
+
+NEAR = 0.5
+"""Digits by which a policy may miss the best one and is near."""
 
 SHOWN_ON_SCENARIOS = ("static", "grounded", "routed-unknown", "observer-relay", "ppo-random-energy", "oracle")
 """The policies of the short table of the catalogue."""
@@ -139,9 +152,55 @@ def overall(found: Published) -> str:
             plain(found.cell("ptne-v1", ALL, row["policy"], "rank")),
         ]
         for row in found.rows
-        if row["metric"] == "score"
+        if (row["suite"], row["metric"]) == ("ptne-v1", "score")
     ]
     return markdown(["policy", "score", "mean regret", "mean rank"], rows)
+
+
+def best_on(found: Published, suite: str, world: str) -> tuple[str, float]:
+    """The policy with the most digits on a random world, oracles apart, and its digits."""
+    cells = {name: found.cell(suite, world, name) for name in found.names("policy", suite) if name != "oracle"}
+    digits = {name: float(cell["mean"]) for name, cell in cells.items() if cell is not None}
+    return max(digits.items(), key=lambda item: item[1])
+
+
+def fails(found: Published, suite: str, world: str, policy: str) -> bool:
+    """Whether a policy is worse than the paper's law by more than both intervals, or diverges more often."""
+    cells = [
+        {metric: found.cell(suite, world, name, metric) for metric in ("digits", "diverged_share")}
+        for name in (policy, "static")
+    ]
+    own, law = ({metric: cell for metric, cell in each.items() if cell is not None} for each in cells)
+    is_worse = float(own["digits"]["high"]) < float(law["digits"]["low"])
+    return is_worse or float(own["diverged_share"]["mean"]) > float(law["diverged_share"]["mean"])
+
+
+def sturdy(found: Published, suite: str) -> str:
+    """How far each policy stays behind the best one of each random world, the least worst shortfall first."""
+    rows = []
+    for policy in found.names("policy", suite):
+        behind, failures = [], 0
+        for world in found.names("track", suite):
+            cell = found.cell(suite, world, policy)
+            if cell is not None and policy != "oracle":
+                behind.append(best_on(found, suite, world)[1] - float(cell["mean"]))
+                failures += fails(found, suite, world, policy)
+        if behind:
+            near = sum(shortfall <= NEAR for shortfall in behind)
+            mean, worst = sum(behind) / len(behind), max(behind)
+            rows.append((mean, [policy, f"{near} of {len(behind)}", f"{mean:.2f}", f"{worst:.2f}", str(failures)]))
+    headings = ["policy", f"within {NEAR} of the best", "mean shortfall", "worst shortfall", "failures"]
+    return markdown(headings, [row for _, row in sorted(rows)])
+
+
+def worlds(found: Published, suite: str) -> str:
+    """A row per random world: its description, the digits of some policies, and the best policy."""
+    rows = []
+    for track in WORLDS[suite].tracks:
+        name, digits = best_on(found, suite, track.name)
+        shown = [plain(found.cell(suite, track.name, policy)) for policy in SHOWN_ON_WORLDS]
+        rows.append([f"{track.name}: {track.change}", *shown, f"{name} {digits:.2f}"])
+    return markdown(["world", *SHOWN_ON_WORLDS, "best"], rows)
 
 
 def every(found: Published, suite: str) -> str:
@@ -164,6 +223,10 @@ TABLES: dict[str, Callable[[Published], str]] = {
     "ptne-v1": lambda found: by_track(found, "ptne-v1", [*SHOWN, "oracle"]),
     "ptne-v1-overall": overall,
     "ptne-v1-tracks": lambda found: every(found, "ptne-v1"),
+    "robustness": lambda found: sturdy(found, "robustness"),
+    "robustness-fresh": lambda found: sturdy(found, "robustness-2"),
+    "robustness-worlds": lambda found: worlds(found, "robustness"),
+    "robustness-fresh-worlds": lambda found: worlds(found, "robustness-2"),
     "catalogue": lambda found: by_track(found, "comparison", SHOWN_ON_SCENARIOS),
     "catalogue-all": lambda found: every(found, "comparison"),
 }
@@ -204,8 +267,10 @@ def run(out: Path, episodes: int | None, workers: Workers) -> None:
     runner = Runner(out, workers, show)
     compared = evaluate(COMPARED, CATALOGUE, episodes=episodes or 100, run=runner)
     suite = run_suite("ptne-v1", POLICIES.values(), episodes=episodes, run=runner)
+    drawn = [run_suite(each, POLICIES.values(), episodes=episodes, run=runner) for each in WORLDS.values()]
+    rows = [row for each in (compared, suite, *drawn) for row in rows_of(each)]
     columns = ["suite", "track", "policy", "metric", "mean", "low", "high", "episodes"]
-    lines = [columns, *([row.get(key, "") for key in columns] for each in (compared, suite) for row in rows_of(each))]
+    lines = [columns, *([row.get(key, "") for key in columns] for row in rows)]
     write_atomically(RESULTS, "".join(f"{','.join(line)}\n" for line in lines))
     write_atomically(out / "results.json", suite.to_json())
 
