@@ -1,7 +1,8 @@
-"""Comparable environments of other libraries: MPE2, MPE2 through SuperSuit, and VMAS; each is optional."""
+"""Comparable environments of other libraries: MPE2, MPE2 through SuperSuit, VMAS and JaxMARL; each is optional."""
 
 from __future__ import annotations
 
+import contextlib
 import warnings
 from collections.abc import Sequence
 from typing import Any
@@ -109,6 +110,46 @@ def vmas(num_envs: int) -> list[Contender]:
         )
 
     return [contender(1), contender(2)]
+
+
+def jaxmarl(num_envs: int, steps: int) -> Contender:
+    """JaxMARL's ``MPE_simple_spread_v3`` with 5 agents, some steps in one compiled scan; episodes start again in it.
+
+    Raises:
+        MissingPeerError: when JaxMARL is not installed.
+    """
+    try:
+        with contextlib.redirect_stdout(None):
+            import jaxmarl as library
+    except ImportError as error:
+        raise _missing("JaxMARL", "jaxmarl", error) from error
+    import jax
+
+    with warnings.catch_warnings(), jax.enable_x64(False):  # noqa: FBT003 - as its users have it
+        warnings.simplefilter("ignore")
+        env: Any = library.make("MPE_simple_spread_v3", num_agents=PLAYERS)
+        key = jax.random.key(0)
+        _, first = jax.vmap(env.reset)(jax.random.split(key, num_envs))
+
+    def move(carry: Any, key: Any) -> Any:
+        state, seen = carry
+        of_actions, of_steps = jax.random.split(key)
+        draws = jax.random.randint(of_actions, (PLAYERS, num_envs), 0, 5)
+        actions = dict(zip(env.agents, draws, strict=True))
+        observed, state, paid, _, _ = jax.vmap(env.step)(jax.random.split(of_steps, num_envs), state, actions)
+        return (state, [old + observed[agent] for old, agent in zip(seen, env.agents, strict=True)]), paid
+
+    @jax.jit
+    def run(state: Any, key: Any) -> Any:
+        observed = jax.vmap(env.get_obs)(state)
+        start = state, [observed[agent] for agent in env.agents]
+        return jax.lax.scan(move, start, jax.random.split(key, steps))
+
+    def step() -> None:
+        with jax.enable_x64(False):  # noqa: FBT003 - as its users have it
+            jax.block_until_ready(run(first, key))
+
+    return Contender("JaxMARL simple_spread", num_envs * PLAYERS * steps, step)
 
 
 def iter_forever(pool: Sequence[Any]) -> Any:

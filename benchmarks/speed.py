@@ -1,8 +1,8 @@
 """Speed of our environments and of their peers, as a table in Markdown: ``python -m benchmarks.speed [--quick]``.
 
 Agent-steps per second with random actions and full observations. Contenders take turns; figures are medians with their
-range. With the extra ``[fast]`` our steps are compiled. Missing peers are left out and named. The run takes about two
-minutes on two cores; ``--quick`` takes seconds and only checks that everything runs.
+range. Missing peers are left out and named. The run takes about two minutes on two cores; ``--quick`` takes seconds and
+only checks that everything runs.
 """
 
 from __future__ import annotations
@@ -22,7 +22,6 @@ from ptne_env import parallel_env
 from ptne_env.envs.vector import VectorParallelEnv
 from ptne_env.perception.observation import InterfaceKind
 from ptne_env.shared.arrays import Float32Array
-from ptne_env.world import fused
 
 INTERFACES: tuple[InterfaceKind, ...] = ("scaled", "physical")
 
@@ -143,8 +142,6 @@ def groups(*, is_quick: bool) -> Iterator[tuple[str, list[Contender], list[str]]
 
 def table(*, is_quick: bool = False) -> list[str]:
     """The lines of the table, and the notes."""
-    if not is_quick:
-        fused.PATIENCE = 0.0  # compile at once
     lines = ["| Agent-steps per second | median | range | times the fastest peer |", "| --- | ---: | --- | ---: |"]
     left_out = []
     for title, contenders, notes in groups(is_quick=is_quick):

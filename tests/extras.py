@@ -13,9 +13,9 @@ def need_onnx():
     return pytest.importorskip("onnxruntime", reason="needs the extra 'bench': pip install 'ptne-env[bench]'")
 
 
-def need_numba():
-    """Skip what asks, unless the extra ``fast`` is installed."""
-    return pytest.importorskip("numba", reason="needs the extra 'fast': pip install 'ptne-env[fast]'")
+def need_jax():
+    """Skip what asks, unless the extra ``jax`` is installed."""
+    return pytest.importorskip("jax", reason="needs the extra 'jax': pip install 'ptne-env[jax]'")
 
 
 def need_torchrl():

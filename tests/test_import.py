@@ -15,7 +15,7 @@ import ptne_env
 SOURCE = Path(ptne_env.__file__)
 HEAVY = (
     *("torch", "matplotlib", "plotly", "scipy.stats", "stable_baselines3", "pandas", "onnxruntime", "networkx"),
-    *("numba", "torchrl", "tensordict"),
+    *("jax", "torchrl", "tensordict"),
 )
 
 PUBLIC = {

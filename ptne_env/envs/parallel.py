@@ -95,7 +95,6 @@ class NashSeekingEnv(ParallelEnv[str, Float32Array, Float32Array]):
         self._renderer = FactorySpec.of(RENDERER, mode=render_mode).build(world=self.world) if render_mode else None
         self._actions_shape = (1, players, self.layout.action_size)
         self._table: tuple[Float32Array, list[Float32Array]] | None = None
-        self._unclipped = [np.int64(0)] * players
         self._np_random: np.random.Generator | None = None
 
     def __getstate__(self) -> dict[str, Any]:
@@ -214,12 +213,11 @@ class NashSeekingEnv(ParallelEnv[str, Float32Array, Float32Array]):
             outcome = self._simulation.step(self._stack(actions), table)
         except NonFiniteActionError:
             raise self._complaint(actions) from None
-        clipped = self._unclipped if outcome.clipped is None else outcome.clipped[0]
         diverged, is_success = outcome.diverged[0], outcome.is_success[0]
         name, *others = self._simulation.reward_names
         values, *terms = outcome.terms.values()
         observations, infos = dict[str, Float32Array](), dict[str, AgentInfo]()
-        for agent, row, count, value in zip(agents, rows, clipped, values.ravel(), strict=True):
+        for agent, row, count, value in zip(agents, rows, outcome.clipped[0], values.ravel(), strict=True):
             observations[agent] = row.copy()
             infos[agent] = {"diverged": diverged, "clipped": count, "is_success": is_success, name: value}
         for name, values in zip(others, terms, strict=True):

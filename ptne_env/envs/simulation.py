@@ -6,7 +6,6 @@ import copy
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import fields
 from inspect import Parameter, signature
-from time import perf_counter
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -17,14 +16,12 @@ from ptne_env.perception.observation import Interface, InterfaceKind, Observatio
 from ptne_env.shared.arrays import BoolArray, Float32Array, FloatArray, IntArray, as_plain, require_count
 from ptne_env.shared.names import suggestion
 from ptne_env.shared.random_streams import RandomStreams
-from ptne_env.world import distances, dynamics, fused
+from ptne_env.world import distances, dynamics
 from ptne_env.world.catalogue import get_scenario
 from ptne_env.world.dynamics import State
 from ptne_env.world.rewards import Reward
 from ptne_env.world.scenario import Scenario
 from ptne_env.world.world import RANGE_LIMIT, World
-
-_SINGLE = np.dtype(np.float32)
 
 
 class StepResult(NamedTuple):
@@ -37,7 +34,7 @@ class StepResult(NamedTuple):
         truncated: shape (B,).
         diverged: whether each environment is out of range, shape (B,).
         is_success: whether all estimates of each environment are within 0.5 % of the equilibrium, shape (B,).
-        clipped: entries of each player's action that were outside the box, shape (B, N); ``None`` for none.
+        clipped: entries of each player's action that were outside the box, shape (B, N).
     """
 
     rewards: FloatArray
@@ -46,7 +43,7 @@ class StepResult(NamedTuple):
     truncated: BoolArray
     diverged: BoolArray
     is_success: BoolArray
-    clipped: IntArray | None
+    clipped: IntArray
 
 
 class Start(NamedTuple):
@@ -156,18 +153,10 @@ class Simulation:
         self.max_cycles = None if max_cycles is None else require_count("max_cycles", max_cycles, 1)
         self._reward = Reward(self.world, reward)
         self.reward_names = [f"reward_{name}" for name in self._reward.weights]
-        self._fused = fused.FusedStep(encoder, self.num_envs) if fused.qualifies(encoder, self.num_envs) else None
         self._never = np.zeros(self.num_envs, dtype=np.bool_)
         self._never.flags.writeable = False
         self._streams: list[RandomStreams] = []
-        self._state: State | None = None  # and after a compiled step, which keeps the state
-
-    @property
-    def state(self) -> State | None:
-        """Of all environments; ``None`` before the first reset."""
-        if self._state is None and self._fused is not None:
-            self._state = self._fused.hand_over()
-        return self._state
+        self.state: State | None = None
 
     @property
     def current(self) -> State:
@@ -176,10 +165,9 @@ class Simulation:
         Raises:
             RuntimeError: before the first reset.
         """
-        state = self.state
-        if state is None:
+        if self.state is None:
             raise RuntimeError("the environment has no state yet: call reset() first")
-        return state
+        return self.state
 
     def set_state(self, state: State) -> None:
         """Continue from ``state``, of as many environments; the random generators stay as they are.
@@ -188,7 +176,7 @@ class Simulation:
             ValueError: as :func:`ptne_env.world.dynamics.require_state`; the state stays as it was.
         """
         dynamics.require_state(self.world, state, self.num_envs)
-        self._state = state
+        self.state = state
         self._reward.reset(state)
 
     def draw(
@@ -224,8 +212,8 @@ class Simulation:
     def begin(self, start: Start) -> None:
         """Start the episodes that were drawn; the first start is that of every environment."""
         self._streams, state, mask = start
-        self._state = state if mask.all() else dynamics.merge(self.current, state, mask)
-        self._reward.reset(self._state)
+        self.state = state if mask.all() else dynamics.merge(self.current, state, mask)
+        self._reward.reset(self.state)
 
     def step(self, actions: npt.NDArray[np.floating], out: Float32Array, restart: Start | None = None) -> StepResult:
         """Hold all players' inputs for one step.
@@ -239,32 +227,17 @@ class Simulation:
             RuntimeError: before the first reset.
             NonFiniteActionError: when an action holds NaN or infinity; nothing is stepped.
         """
-        moved, clipped = None, None
-        if self._fused is not None and actions.dtype is _SINGLE:
-            moved = self._fused.move(self._state, actions, out)
-        if moved is None:
-            actions, clipped = self.encoder.clip(actions)
-            moved = None if self._fused is None else self._fused.move(self._state, actions, out)
-        if moved is None:
-            began, before = perf_counter(), self.current
-            self._state = state = dynamics.step(self.world, before, self.encoder.inputs(actions, before))
-            terms = self._reward.step(state)
-            instants, terminated, diverged = state.step, dynamics.is_over(self.world, state), state.diverged
-            if self._fused is not None and not fused.spend(perf_counter() - began):
-                self._fused = None
-        else:
-            self._state = None
-            instants, distance, terminated = moved
-            diverged = self._never
-            terms = self._reward.advance(distance, self.current if self._reward.needs_state else None)
-        truncated = self._never if self.max_cycles is None else ~terminated & (instants >= self.max_cycles)
+        before, (actions, clipped) = self.current, self.encoder.clip(actions)
+        self.state = state = dynamics.step(self.world, before, self.encoder.inputs(actions, before))
+        terms = self._reward.step(state)
+        terminated, diverged = dynamics.is_over(self.world, state), state.diverged
+        truncated = self._never if self.max_cycles is None else ~terminated & (state.step >= self.max_cycles)
         if restart is not None:
             self.begin(restart)
             moves = ~restart.mask
             terms = {name: np.where(moves, term, 0.0) for name, term in terms.items()}
             terminated, truncated, diverged = terminated & moves, truncated & moves, diverged & moves
-        if moved is None or restart is not None:
-            self.encoder.observe(self.current, out)
+        self.encoder.observe(self.state, out)
         total, is_success = self._reward.total(terms), self.succeeded()
         return StepResult(total, terms, terminated, truncated, diverged, is_success, clipped)
 

@@ -184,10 +184,7 @@ class VectorParallelEnv:
         terminated = np.concatenate([outcome.terminated for outcome in outcomes])
         truncated = np.concatenate([outcome.truncated for outcome in outcomes])
         self._over = terminated | truncated
-        clipped = np.zeros((self.num_envs, self.num_players), dtype=np.int64)
-        for outcome, part in zip(outcomes, self._slices, strict=True):
-            if outcome.clipped is not None:
-                clipped[part] = outcome.clipped
+        clipped = np.concatenate([outcome.clipped for outcome in outcomes])
         if restart is not None:
             clipped[restart] = 0
         infos = {

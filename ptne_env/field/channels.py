@@ -9,10 +9,8 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import numpy as np
-from scipy import special
-
-from ptne_env.shared.arrays import require_count, require_non_negative
+from ptne_env.shared.arrays import array_namespace, require_count, require_non_negative
+from ptne_env.shared.counter_random import special_functions
 from ptne_env.world.channel import AdditiveNoise, Channel, LinkRandomness, Memory, Messages, Transmitted
 
 
@@ -31,8 +29,11 @@ class Bias(Channel):
 
     def transmit(self, messages: Messages, memory: Memory | None, randomness: LinkRandomness) -> Transmitted:
         """Messages plus the offsets, which are drawn in the first step."""
-        # The distribution function of a normal number is uniform.
-        offsets = memory[0] if memory else self.bound * (2 * special.ndtr(randomness.normals()) - 1)
+        if memory:
+            (offsets,) = memory
+        else:  # the distribution function of a normal number is uniform
+            normal = randomness.normals()
+            offsets = self.bound * (2 * special_functions(normal).ndtr(normal) - 1)
         return replace(messages, values=messages.values + offsets), (offsets,)
 
 
@@ -55,8 +56,9 @@ class HeavyTails(Channel):
     def transmit(self, messages: Messages, memory: Memory | None, randomness: LinkRandomness) -> Transmitted:
         """Messages plus noise."""
         normal = randomness.normals()
-        below, above = special.ndtr(normal), special.ndtr(-normal)
-        noise = self.scale * (below - above) / np.sqrt(2 * below * above)
+        ndtr = special_functions(normal).ndtr
+        below, above = ndtr(normal), ndtr(-normal)
+        noise = self.scale * (below - above) / array_namespace(normal).sqrt(2 * below * above)
         return replace(messages, values=messages.values + noise), ()
 
 
@@ -77,6 +79,7 @@ class LateNoise(AdditiveNoise):
 
     def transmit(self, messages: Messages, memory: Memory | None, randomness: LinkRandomness) -> Transmitted:
         """Messages, later plus noise."""
-        elapsed = memory[0] if memory else np.zeros(messages.live.shape[-1])
+        xp = array_namespace(messages.values)
+        elapsed = memory[0] if memory else xp.zeros(messages.live.shape[-1])
         noisy, _ = super().transmit(messages, None, randomness)
-        return replace(messages, values=np.where(elapsed < self.step, messages.values, noisy.values)), (elapsed + 1,)
+        return replace(messages, values=xp.where(elapsed < self.step, messages.values, noisy.values)), (elapsed + 1,)

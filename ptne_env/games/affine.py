@@ -13,8 +13,11 @@ from ptne_env.games.base import Game, NoBestResponseError
 from ptne_env.games.variational import solve_box
 from ptne_env.shared.arrays import (
     FloatArray,
+    array_namespace,
     frozen,
+    is_numpy,
     ordered_sum,
+    product,
 )
 
 
@@ -82,19 +85,22 @@ class AffineGame(Game):
     def _own_blocks(self) -> FloatArray:
         """A with all blocks but the A_ii set to 0."""
         same = self.owners[:, None] == self.owners
-        return frozen(np.where(same[:, :, None], self.matrix, 0.0))
+        return frozen(array_namespace(self.matrix).where(same[:, :, None], self.matrix, 0.0))
 
     @cached_property
     def _own_inverse(self) -> FloatArray | None:
         """The inverses of the A_ii, or ``None`` where one is singular."""
-        blocks = np.moveaxis(self._own_blocks, 2, 0)
-        if np.linalg.cond(blocks).max() > 1e12:
+        xp = array_namespace(self._own_blocks)
+        blocks = xp.moveaxis(self._own_blocks, 2, 0)
+        if is_numpy(blocks) and np.linalg.cond(blocks).max() > 1e12:
             return None
-        return frozen(np.moveaxis(np.linalg.inv(blocks), 0, 2))
+        return frozen(xp.moveaxis(xp.linalg.inv(blocks), 0, 2))
 
     @cached_property
     def _is_separable(self) -> bool:
         """Whether every A_ii is diagonal, so that each component has its own best response."""
+        if self.dimension == self.num_players:
+            return True
         return bool(np.all(self._own_blocks[~np.eye(self.dimension, dtype=bool)] == 0))
 
     def _pressure(self, strategies: FloatArray) -> FloatArray:
@@ -108,14 +114,13 @@ class AffineGame(Game):
     def summed(self, values: FloatArray) -> FloatArray:
         """Sums over the components of each player: (n, B) to (N, B)."""
         own = self.owners == np.arange(self.num_players)[:, None]
-        return ordered_sum(np.where(own[:, :, None], values, 0.0), axis=1)
+        return ordered_sum(array_namespace(values).where(own[:, :, None], values, 0.0), axis=1)
 
     def own_gradients(self, estimates: FloatArray) -> FloatArray:
         """Block i is Σ_j A_ij x^i_j + b_i: (n, N, B) to (n, B)."""
         # One column per component, that of its owner; already so where all players have one component.
         columns = estimates if self.dimension == self.num_players else estimates[:, self.owners]
-        terms = np.multiply(self.transposed, columns, order="C")  # the order of reduce()'s additions depends on it
-        gradients: FloatArray = np.add.reduce(terms, axis=0)
+        gradients: FloatArray = array_namespace(columns).add.reduce(product(self.transposed, columns), axis=0)
         gradients += self.offset
         return gradients
 

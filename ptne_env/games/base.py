@@ -11,7 +11,16 @@ import numpy.typing as npt
 import scipy
 
 from ptne_env.games.variational import natural_map, solve_box
-from ptne_env.shared.arrays import BoolArray, FloatArray, IntArray, frozen, ordered_sum, replaced, require_count
+from ptne_env.shared.arrays import (
+    BoolArray,
+    FloatArray,
+    IntArray,
+    array_namespace,
+    frozen,
+    ordered_sum,
+    replaced,
+    require_count,
+)
 from ptne_env.shared.parts import Part
 
 RESIDUAL_TOLERANCE = 1e-10
@@ -92,7 +101,7 @@ class Game(Part, ABC):
         """Π(x), the nearest strategies in the box: (n, B) to (n, B); the same array without a box."""
         if self.low is None or self.high is None:
             return strategies
-        return np.clip(strategies, self.low, self.high)
+        return array_namespace(strategies).clip(strategies, self.low, self.high)
 
     @abstractmethod
     def costs(self, strategies: FloatArray) -> FloatArray:
@@ -121,12 +130,12 @@ class Game(Part, ABC):
         Raises:
             NoBestResponseError: as :meth:`best_response`.
         """
-        response = self.best_response(strategies)
-        regrets = self.costs(strategies).copy()
+        xp, response, costs = array_namespace(strategies), self.best_response(strategies), self.costs(strategies)
+        regrets = []
         for player in range(self.num_players):
             own = (self.owners == player)[:, None]
-            regrets[player] -= self.costs(np.where(own, response, strategies))[player]
-        return regrets
+            regrets.append(costs[player] - self.costs(xp.where(own, response, strategies))[player])
+        return xp.stack(regrets)
 
     def pseudo_gradient(self, strategies: FloatArray) -> FloatArray:
         """F(x) = col(∂J_i/∂x_i(x)): (n, B) to (n, B)."""
@@ -200,8 +209,9 @@ class Game(Part, ABC):
     @cached_property
     def equilibrium_scale(self) -> FloatArray:
         """‖x*‖ of every game, by which distances are relative; 1 where x* = 0. Shape (G,), read-only."""
-        norms = np.sqrt(ordered_sum(self.nash_equilibria**2))
-        return frozen(np.where(norms == 0, 1.0, norms))
+        xp = array_namespace(self.nash_equilibria)
+        norms = xp.sqrt(ordered_sum(self.nash_equilibria**2))
+        return frozen(xp.where(norms == 0, 1.0, norms))
 
     @property
     def nash_equilibrium(self) -> FloatArray:

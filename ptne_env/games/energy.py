@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ptne_env.games.base import Game
-from ptne_env.shared.arrays import FloatArray, frozen, ordered_sum
+from ptne_env.shared.arrays import FloatArray, array_namespace, frozen, ordered_sum
 
 
 class EnergyGame(Game):
@@ -89,7 +89,7 @@ class EnergyGame(Game):
 
     def own_gradients(self, estimates: FloatArray) -> FloatArray:
         """2 a_i (x^i_i − b_i) + c Σ_j x^i_j + d + c x^i_i: (N, N, B) to (N, B)."""
-        gradients = np.add.reduce(estimates, axis=0)
+        gradients: FloatArray = array_namespace(estimates).add.reduce(estimates, axis=0)
         gradients *= self.coupling
         players, batch = self.num_players, estimates.shape[2]
         gradients += self.slope * estimates.reshape(-1, batch)[:: players + 1]  # the diagonal x^i_i

@@ -79,11 +79,21 @@ class RandomEnergy(GameFamily):
         """One energy game per generator."""
         size = self._low.size
         unit = np.stack([generator.random(size) for generator in generators], axis=-1)
-        return self._game(self._low[:, None] + (self._high - self._low)[:, None] * unit)
+        return self._game(self._numbers(unit))
 
-    def _game(self, parameters: FloatArray) -> EnergyGame:
-        curvature, target, coupling = np.split(parameters, [self.players, 2 * self.players])
-        return EnergyGame(curvature, target, coupling[0], self.base_price)
+    def parameters(self, unit: FloatArray) -> dict[str, FloatArray]:
+        """The parameters of games by name, from independent U(0, 1) of shape (2 N + 1, G)."""
+        return self._named(self._numbers(unit))
+
+    def _numbers(self, unit: FloatArray) -> FloatArray:
+        return self._low[:, None] + (self._high - self._low)[:, None] * unit
+
+    def _named(self, numbers: FloatArray) -> dict[str, FloatArray]:
+        players = self.players
+        return {"curvature": numbers[:players], "target": numbers[players:-1], "coupling": numbers[-1]}
+
+    def _game(self, numbers: FloatArray) -> EnergyGame:
+        return EnergyGame(**self._named(numbers), base_price=self.base_price)
 
 
 def require_strong_monotonicity(game: Game) -> None:

@@ -7,7 +7,7 @@ from typing import Literal
 import numpy as np
 
 from ptne_env.games.base import Game, NoBestResponseError
-from ptne_env.shared.arrays import FloatArray
+from ptne_env.shared.arrays import FloatArray, array_namespace
 
 _SLOPE_OF_FOURTH = {"printed": 1.0, "corrected": 4.0}
 
@@ -35,11 +35,11 @@ class NonQuadraticGame(Game):
 
     def costs(self, strategies: FloatArray) -> FloatArray:
         """J_i(x): (5, B) to (5, B)."""
-        x1, x2, x3, x4, x5 = strategies
-        return np.stack(
+        xp, (x1, x2, x3, x4, x5) = array_namespace(strategies), strategies
+        return xp.stack(
             [
                 x1**2 / 2 + x1 * (x2 + x3 + x4 + x5),
-                np.exp(x2 / 2) / 2 + x2 * x4,
+                xp.exp(x2 / 2) / 2 + x2 * x4,
                 x3**2 / 2 + x1**3,
                 self._slope * x4 + x4**2 + x3**3,
                 x5**2 - 5 * x5 + x1**3 * x2 + x3 * x4**4,
@@ -48,13 +48,16 @@ class NonQuadraticGame(Game):
 
     def own_gradients(self, estimates: FloatArray) -> FloatArray:
         """(Σ_j x^1_j, e^{x^2_2/2}/4 + x^2_4, x^3_3, w + 2 x^4_4, 2 x^5_5 − 5): (5, 5, B) to (5, B)."""
-        gradients = np.empty((5, estimates.shape[2]))
-        np.add.reduce(estimates[:, 0], axis=0, out=gradients[0])
-        gradients[1] = np.exp(estimates[1, 1] / 2) / 4 + estimates[3, 1]
-        gradients[2] = estimates[2, 2]
-        gradients[3] = self._slope + 2 * estimates[3, 3]
-        gradients[4] = 2 * estimates[4, 4] - 5
-        return gradients
+        xp = array_namespace(estimates)
+        return xp.stack(
+            [
+                xp.add.reduce(estimates[:, 0], axis=0),
+                xp.exp(estimates[1, 1] / 2) / 4 + estimates[3, 1],
+                estimates[2, 2],
+                self._slope + 2 * estimates[3, 3],
+                2 * estimates[4, 4] - 5,
+            ]
+        )
 
     def jacobian(self, strategies: FloatArray) -> FloatArray:
         """dF(x): (5, B) to (5, 5, B)."""

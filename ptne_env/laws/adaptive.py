@@ -2,11 +2,25 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from ptne_env.laws.base import Law, consensus
 from ptne_env.perception.observation import Observation, ObservationLayout
-from ptne_env.shared.arrays import FloatArray, require_non_negative
+from ptne_env.shared.arrays import FloatArray, array_namespace, require_non_negative
+
+
+def adaptive_inputs(observation: Observation, gains: FloatArray, gamma: Any) -> tuple[FloatArray, FloatArray]:
+    """−R_i^T ∂J_i/∂x_i(x^i) − Σ_j κ_ij a_ij (x^i − x^j), (..., n), and the next κ_ij by an Euler step, (..., D).
+
+    dκ_ij/dτ = γ a_ij ‖x^i − x^j‖², eqs. (36) and (47) of the paper.
+    """
+    differences = observation.relative_estimates
+    inputs = consensus(gains * observation.weights, differences) - observation.gradient
+    squared = array_namespace(differences).einsum("...dn,...dn->...d", differences, differences)
+    growth = gamma * observation.weights * squared * observation.unit**2
+    return inputs, gains + observation.theta * growth
 
 
 class AdaptiveLaw(Law):
@@ -40,11 +54,7 @@ class Adaptive(AdaptiveLaw):
         return np.full((rows, self.layout.slots), self.initial_gain)
 
     def inputs(self, observation: Observation, memory: FloatArray) -> tuple[FloatArray, FloatArray]:
-        differences = observation.relative_estimates
-        inputs = consensus(memory * observation.weights, differences) - observation.gradient
-        squared = np.einsum("rdn,rdn->rd", differences, differences)
-        growth = self.gamma * observation.weights * squared * observation.unit**2
-        return inputs, memory + observation.theta * growth
+        return adaptive_inputs(observation, memory, self.gamma)
 
     def gains(self, memory: FloatArray) -> FloatArray:
         """κ_ij of every link, in both directions."""

@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from ptne_env.perception.observation import Interface, LayoutError, Observation, ObservationLayout
 from ptne_env.perception.policy import pair
-from ptne_env.shared.arrays import BoolArray, Float32Array, FloatArray
+from ptne_env.shared.arrays import BoolArray, Float32Array, FloatArray, is_numpy
 
 
 class Law(ABC):
@@ -119,8 +119,10 @@ class Law(ABC):
 
 
 def consensus(weights: FloatArray, relative_estimates: FloatArray) -> FloatArray:
-    """Σ_j a_ij (x^j − x^i) over neighbour slots: (R, D) and (R, D, n) to (R, n)."""
-    return np.einsum("rd,rdn->rn", weights, relative_estimates)
+    """Σ_j a_ij (x^j − x^i) over neighbour slots: (..., D) and (..., D, n) to (..., n)."""
+    if is_numpy(weights):
+        return np.einsum("...d,...dn->...n", weights, relative_estimates)
+    return (weights[..., None] * relative_estimates).sum(-2)
 
 
 def step_length(observation: Observation) -> FloatArray:

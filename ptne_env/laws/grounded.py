@@ -2,23 +2,35 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from ptne_env.laws.adaptive import AdaptiveLaw
 from ptne_env.laws.base import Law, consensus
 from ptne_env.perception.observation import Observation, ObservationLayout
-from ptne_env.shared.arrays import FloatArray, require_non_negative
+from ptne_env.shared.arrays import BoolArray, FloatArray, array_namespace, require_non_negative
 
 
-def grounded_error(observation: Observation, layout: ObservationLayout) -> FloatArray:
-    """−ξ^i_j = Σ_k a_ik (x^k_j − x^i_j) + a_ij (x^j_j − x^i_j): leader–follower consensus, shape (R, n).
+def grounded_error(observation: Observation, leaders: BoolArray) -> FloatArray:
+    """−ξ^i_j = Σ_k a_ik (x^k_j − x^i_j) + a_ij (x^j_j − x^i_j): leader–follower consensus, shape (..., n).
 
     Per component of the joint strategy; player j, the owner of the component, leads the estimates of it.
+
+    Args:
+        observation: of the players.
+        leaders: whether a component is of the neighbour in a slot, shape (..., D, n).
     """
     error = consensus(observation.weights, observation.relative_estimates)
-    leaders = layout.neighbour_components[observation.player]
-    error += np.einsum("rd,rdn,rdn->rn", observation.weights, observation.relative_estimates, leaders)
+    error += consensus(observation.weights, observation.relative_estimates * leaders)
     return error
+
+
+def grounded_inputs(observation: Observation, own: BoolArray, leaders: BoolArray, kappa: Any) -> FloatArray:
+    """−∂J_i/∂x_i(x^i) in the own components (..., n), and −κ ξ^i_j (:func:`grounded_error`) in others; (..., n)."""
+    error = kappa * grounded_error(observation, leaders)
+    inputs: FloatArray = array_namespace(error).where(own, -observation.gradient, error)
+    return inputs
 
 
 class Grounded(Law):
@@ -40,9 +52,9 @@ class Grounded(Law):
         self.kappa = require_non_negative("kappa", kappa)
 
     def inputs(self, observation: Observation, memory: None) -> tuple[FloatArray, None]:
-        own = self.layout.own_mask[observation.player]
-        error = grounded_error(observation, self.layout)
-        return np.where(own, -observation.gradient, self.kappa * error), memory
+        player = observation.player
+        own, leaders = self.layout.own_mask[player], self.layout.neighbour_components[player]
+        return grounded_inputs(observation, own, leaders, self.kappa), memory
 
 
 class AdaptiveGrounded(AdaptiveLaw):
@@ -59,7 +71,7 @@ class AdaptiveGrounded(AdaptiveLaw):
         return np.full((rows, self.layout.dimension), self.initial_gain)
 
     def inputs(self, observation: Observation, memory: FloatArray) -> tuple[FloatArray, FloatArray]:
-        error = grounded_error(observation, self.layout)
+        error = grounded_error(observation, self.layout.neighbour_components[observation.player])
         own = self.layout.own_mask[observation.player]
         growth = self.gamma * error**2 * observation.unit**2
         inputs = np.where(own, -observation.gradient, memory * error)

@@ -2,13 +2,22 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 from ptne_env.laws.base import Law, consensus, step_length
 from ptne_env.perception.observation import Observation, ObservationLayout
 from ptne_env.shared.arrays import FloatArray, require_non_negative, require_positive
 
 
+def static_inputs(observation: Observation, kappa: Any, gradient_gain: Any = 1.0) -> FloatArray:
+    """−g R_i^T ∂J_i/∂x_i(x^i) − κ Σ_j a_ij (x^i − x^j), eq. (10) of the paper, shape (..., n)."""
+    pull = consensus(observation.weights, observation.relative_estimates)
+    inputs: FloatArray = kappa * pull - gradient_gain * observation.gradient
+    return inputs
+
+
 class Static(Law):
-    """u^i = −g R_i^T ∂J_i/∂x_i(x^i) − κ Σ_j a_ij (x^i − x^j), the static law of the paper, eq. (10), Theorem 1.
+    """The static law of the paper (Theorem 1), :func:`static_inputs`.
 
     The environment's dynamics supply the time gain c + 1/(T − t). g ≠ 1 is the same law for the costs g J_i.
 
@@ -27,8 +36,7 @@ class Static(Law):
         self.gradient_gain = require_positive("gradient_gain", gradient_gain)
 
     def inputs(self, observation: Observation, memory: None) -> tuple[FloatArray, None]:
-        pull = consensus(observation.weights, observation.relative_estimates)
-        return self.kappa * pull - self.gradient_gain * observation.gradient, memory
+        return static_inputs(observation, self.kappa, self.gradient_gain), memory
 
 
 class CorollaryOne(Static):

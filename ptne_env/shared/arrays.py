@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import sys
 from numbers import Real
 from typing import Any, TypeAlias, TypeVar
 
@@ -22,6 +23,43 @@ _MANY = 64
 
 _SHORT = 16
 """Longest row of which the maximum is found column by column."""
+
+
+def is_numpy(array: Any) -> bool:
+    """Whether an array is of numpy, and not of JAX, which may not know its numbers yet, and never changes them."""
+    return isinstance(array, np.ndarray)
+
+
+def array_namespace(array: Any) -> Any:
+    """The library of an array, numpy or ``jax.numpy``, so that a formula serves both: ``xp.exp(x)``."""
+    return np if is_numpy(array) else array.__array_namespace__()
+
+
+def without_gradient(array: Any) -> Any:
+    """The same array, which JAX does not differentiate."""
+    return array if is_numpy(array) else sys.modules["jax"].lax.stop_gradient(array)
+
+
+def rounded(array: Any) -> Any:
+    """The nearest whole numbers. JAX differentiates this as if nothing were rounded (straight-through)."""
+    if is_numpy(array):
+        return np.rint(array)
+    return array + without_gradient(array_namespace(array).rint(array) - array)
+
+
+def root(array: Any) -> Any:
+    """The square root. JAX differentiates it as 0 at 0."""
+    if is_numpy(array):
+        return np.sqrt(array)
+    xp = array_namespace(array)
+    return xp.where(array > 0, xp.sqrt(xp.where(array > 0, array, 1.0)), 0.0)
+
+
+def product(first: Any, second: Any) -> Any:
+    """``first * second``, in the order C, on which the order of a sum's additions depends."""
+    if is_numpy(second):
+        return np.multiply(first, second, order="C")
+    return first * second
 
 
 def _is_finite(value: object) -> bool:
@@ -82,7 +120,10 @@ def require_mask(name: str, value: npt.ArrayLike, size: int) -> BoolArray:
 
 
 def frozen(array: npt.ArrayLike) -> FloatArray:
-    """A read-only float64 copy, safe to share."""
+    """A read-only float64 copy, safe to share; an array of JAX as it is."""
+    given: Any = array
+    if hasattr(given, "__array_namespace__") and not is_numpy(given):
+        return given
     result = np.array(array, dtype=np.float64)
     result.flags.writeable = False
     return result
@@ -100,6 +141,8 @@ def fold(ufunc: np.ufunc, array: Array, axis: int) -> Array:
 
 def ordered_sum(array: FloatArray, axis: int = 0) -> FloatArray:
     """The sum along ``axis`` in order. Numpy's own order depends on the memory layout, so on the size of the batch."""
+    if not is_numpy(array):
+        return array.sum(axis)
     if array.dtype == np.float64 and array.size >= _MANY * array.shape[axis] > 0:
         return fold(np.add, array, axis)
     return np.add.accumulate(array, axis=axis).take(-1, axis=axis)

@@ -8,13 +8,14 @@ The generator is counter-based in the sense of Salmon, Moraes, Dror & Shaw, "Par
 
 from __future__ import annotations
 
-from typing import TypeAlias
+import sys
+from typing import Any, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
 from scipy import special
 
-from ptne_env.shared.arrays import FloatArray
+from ptne_env.shared.arrays import FloatArray, array_namespace, is_numpy
 
 CounterArray: TypeAlias = npt.NDArray[np.uint64]
 """Keys and counters: unsigned 64-bit numbers, whose arithmetic wraps."""
@@ -25,12 +26,17 @@ _SHIFTS = np.uint64(30), np.uint64(27), np.uint64(31)
 _DROPPED_BITS = np.uint64(12)
 
 
+def special_functions(array: Any) -> Any:
+    """``scipy.special``, or ``jax.scipy.special`` for an array of JAX."""
+    return special if is_numpy(array) else sys.modules["jax"].scipy.special
+
+
 def mix(values: CounterArray) -> CounterArray:
     """The finaliser of splitmix64, a bijection of the 64-bit numbers; every input bit affects every output bit."""
-    values = np.array(values, dtype=np.uint64, ndmin=1)  # a copy; scalars would warn where arrays wrap
-    shifted = np.empty_like(values)
+    xp = array_namespace(values)
+    values = xp.array(values, dtype=np.uint64, ndmin=1)  # a copy; scalars would warn where arrays wrap
     for shift, factor in zip(_SHIFTS, (_FIRST, _SECOND, None), strict=True):
-        values ^= np.right_shift(values, shift, out=shifted)
+        values ^= values >> shift
         if factor is not None:
             values *= factor
     return values
@@ -64,5 +70,5 @@ def uniforms(keys: CounterArray, counters: CounterArray) -> FloatArray:
 def normals(keys: CounterArray, counters: CounterArray) -> FloatArray:
     """N(0, 1) for every key and counter, by inversion; none is larger than 8.3. A new array."""
     numbers = uniforms(keys, counters)
-    special.ndtri(numbers, out=numbers)
-    return numbers
+    result: FloatArray = special_functions(numbers).ndtri(numbers)
+    return result

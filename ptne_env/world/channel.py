@@ -29,11 +29,13 @@ from ptne_env.shared.arrays import (
     BoolArray,
     FloatArray,
     IntArray,
+    array_namespace,
     replaced,
     require_count,
     require_non_negative,
     require_positive,
     require_probability,
+    rounded,
 )
 from ptne_env.shared.counter_random import CounterArray
 from ptne_env.shared.parts import Part
@@ -185,7 +187,8 @@ class Range(Channel):
 
     def transmit(self, messages: Messages, memory: Memory | None, randomness: LinkRandomness) -> Transmitted:
         """Clipped messages."""
-        return replace(messages, values=np.clip(messages.values, -self.limit, self.limit)), ()
+        xp = array_namespace(messages.values)
+        return replace(messages, values=xp.clip(messages.values, -self.limit, self.limit)), ()
 
 
 class AdditiveNoise(Channel):
@@ -232,22 +235,22 @@ class Delay(Channel):
 
     def transmit(self, messages: Messages, memory: Memory | None, randomness: LinkRandomness) -> Transmitted:
         """The last arrivals."""
-        lags = np.full(messages.live.shape, self.steps)
+        xp = array_namespace(messages.values)
+        lags = xp.full(messages.live.shape, self.steps)
         if self.is_random:
             lags += (randomness.uniforms() * (self.longest - self.steps + 1)).astype(np.int64)
-        lags[~messages.live] = -1  # never arrives
+        lags = xp.where(messages.live, lags, -1)  # a message that is not there never arrives
         if memory is None:
             held, received = messages.values, messages.live
-            past, past_lags = (messages.values,) * self.longest, (np.full_like(lags, -1),) * self.longest
+            past, past_lags = (messages.values,) * self.longest, (xp.full_like(lags, -1),) * self.longest
         else:
             held, received, past, past_lags = memory
         # Newest first: entry d was sent d steps ago. The arrays never change, so shifting the tuples copies nothing.
         past, past_lags = (messages.values, *past), (lags, *past_lags)
-        held, received = held.copy(), received.copy()
         for age in range(self.longest, self.steps - 1, -1):
             arrives = past_lags[age] == age
-            np.copyto(held, past[age], where=arrives[:, None])
-            received |= arrives
+            held = xp.where(arrives[:, None], past[age], held)
+            received = received | arrives
         last = self.longest
         return replace(messages, values=held, live=received), (held, received, past[:last], past_lags[:last])
 
@@ -291,22 +294,23 @@ class BurstLoss(Channel):
 
     def transmit(self, messages: Messages, memory: Memory | None, randomness: LinkRandomness) -> Transmitted:
         """Messages, with the last received in place of those lost."""
-        turn = randomness.uniforms()
+        xp, turn = array_namespace(messages.values), randomness.uniforms()
         if memory is None:
             bad = turn < self.to_bad / (self.to_bad + self.to_good)
         else:
-            bad = np.where(memory[0], turn >= self.to_good, turn < self.to_bad)
+            bad = xp.where(memory[0], turn >= self.to_good, turn < self.to_bad)
         received, held = _hold(messages, bad, None if memory is None else memory[1])
         return received, (bad, held)
 
 
 def _hold(messages: Messages, lost: BoolArray, memory: Memory | None) -> Transmitted:
     """Messages, with the last received in place of those ``lost`` (D, N, B)."""
+    xp = array_namespace(messages.values)
     held, received = (messages.values, messages.live) if memory is None else memory
     arrives = messages.live & ~lost
-    held = np.where(arrives[:, None], messages.values, held)
+    held = xp.where(arrives[:, None], messages.values, held)
     received = received | arrives
-    return replace(messages, values=held, live=np.where(lost, received, messages.live)), (held, received)
+    return replace(messages, values=held, live=xp.where(lost, received, messages.live)), (held, received)
 
 
 class UniformQuantiser(Channel):
@@ -326,7 +330,7 @@ class UniformQuantiser(Channel):
 
     def transmit(self, messages: Messages, memory: Memory | None, randomness: LinkRandomness) -> Transmitted:
         """Rounded messages."""
-        return replace(messages, values=np.rint(messages.values / self.width) * self.width), ()
+        return replace(messages, values=rounded(messages.values / self.width) * self.width), ()
 
 
 class Lying(Channel):

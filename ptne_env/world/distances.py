@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 from ptne_env.games import Game
-from ptne_env.shared.arrays import BoolArray, FloatArray, ordered_sum
+from ptne_env.shared.arrays import BoolArray, FloatArray, array_namespace, ordered_sum, root
 
 FLOOR = 1e-12
 """Lower bound of a distance before its logarithm is taken: at most twelve digits count."""
@@ -26,14 +26,14 @@ _FAILED.flags.writeable = False
 def player_distances(estimates: FloatArray, game: Game) -> FloatArray:
     """d^i = ‖x^i − x*‖/‖x*‖ of each player's estimate: (n, N, B) to (N, B)."""
     errors = estimates - game.nash_equilibria[:, None, :]
-    distances = np.sqrt(np.einsum("cib,cib->ib", errors, errors))
+    distances = root(array_namespace(errors).einsum("cib,cib->ib", errors, errors))
     distances /= game.equilibrium_scale
     return distances
 
 
 def strategy_distance(strategies: FloatArray, game: Game) -> FloatArray:
     """‖x − x*‖/‖x*‖, the paper's relative error: (n, B) to (B,)."""
-    return np.sqrt(ordered_sum((strategies - game.nash_equilibria) ** 2)) / game.equilibrium_scale
+    return root(ordered_sum((strategies - game.nash_equilibria) ** 2)) / game.equilibrium_scale
 
 
 def estimate_distance(estimates: FloatArray, game: Game) -> FloatArray:
@@ -55,12 +55,13 @@ def succeeded(distances: FloatArray) -> BoolArray:
 
 def _over_players(distances: FloatArray) -> FloatArray:
     """The distance of all estimates, from the d^i: (N, B) to (B,)."""
-    return np.sqrt(ordered_sum(distances**2) / len(distances))
+    return root(ordered_sum(distances**2) / len(distances))
 
 
 def digits(distance: FloatArray) -> FloatArray:
     """−log10 of a distance, floored at 1e-12; any shape."""
     # The natural logarithm is vectorised in numpy and several times as fast as log10.
-    result: FloatArray = np.log(np.maximum(distance, _FLOOR))
+    xp = array_namespace(distance)
+    result: FloatArray = xp.log(xp.maximum(distance, _FLOOR))
     result *= _DIGITS_PER_NAT
     return result

@@ -16,7 +16,16 @@ from typing import NamedTuple
 import numpy as np
 
 from ptne_env.games import Game
-from ptne_env.shared.arrays import Array, BoolArray, FloatArray, IntArray, replaced
+from ptne_env.shared.arrays import (
+    Array,
+    BoolArray,
+    FloatArray,
+    IntArray,
+    array_namespace,
+    is_numpy,
+    replaced,
+    without_gradient,
+)
 from ptne_env.shared.random_streams import RandomStreams
 from ptne_env.world import channel as channels
 from ptne_env.world.channel import LinkRandomness, Memory, Messages
@@ -116,10 +125,14 @@ def initial_state(
         )
     # A copy, so that the caller cannot change the state. It is C-contiguous, as drawn estimates are: the last bits of
     # sums depend on the order in memory.
-    estimates = np.array(estimates, dtype=np.float64, order="C")
-    _project_strategies(estimates, game)
-    step, diverged = np.zeros(batch, dtype=np.int64), np.zeros(batch, dtype=np.bool_)
-    return _complete(world, estimates, game, step, diverged, randomness)
+    return begin(world, np.array(estimates, dtype=np.float64, order="C"), game, randomness)
+
+
+def begin(world: World, estimates: FloatArray, game: Game, randomness: EpisodeRandomness | None) -> State:
+    """:func:`initial_state` without checks; numpy's estimates may be changed in place."""
+    batch, xp = estimates.shape[2], array_namespace(estimates)
+    step, diverged = xp.zeros(batch, dtype=np.int64), xp.zeros(batch, dtype=np.bool_)
+    return _complete(world, _projected(estimates, game), game, step, diverged, randomness)
 
 
 def require_state(world: World, state: State, batch: int) -> None:
@@ -170,12 +183,12 @@ def step(world: World, state: State, inputs: FloatArray) -> State:
     """
     theta = world.clock.theta[shared_step(state)]
     if state.any_diverged:
-        theta = np.where(state.diverged, 0.0, theta)
+        theta = array_namespace(theta).where(state.diverged, 0.0, theta)
     estimates = theta * inputs
     estimates += state.estimates
     if world.disturbance is not None:
-        _disturb(world, world.disturbance, estimates, state)
-    _project_strategies(estimates, state.game)
+        estimates = _disturbed(world, world.disturbance, estimates, state)
+    estimates = _projected(estimates, state.game)
     memory = None if state.received is None else state.received.memory
     return _complete(
         world,
@@ -220,7 +233,7 @@ def batch_size(state: State) -> int:
 def shared_step(state: State) -> IntArray:
     """``state.step``, shape (B,); one entry, shape (1,), where all environments are at the same step, as usual."""
     steps = state.step
-    in_lockstep = steps.size == 1 or np.count_nonzero(steps != steps[0]) == 0
+    in_lockstep = steps.size == 1 or (is_numpy(steps) and np.count_nonzero(steps != steps[0]) == 0)
     return steps[:1] if in_lockstep else steps
 
 
@@ -291,7 +304,7 @@ def relative_estimates(
         relative = rows.take(senders, axis=0, out=out, mode="clip")  # mode "raise" would copy once more
         relative -= own
     elif order is None:
-        relative = np.subtract(received.messages, own, out=out)
+        relative = received.messages - own if out is None else np.subtract(received.messages, own, out=out)
     else:
         messages = received.messages.reshape(world.slots, -1, rows.shape[1])
         relative = messages.take(order.own, axis=1, out=out, mode="clip")
@@ -320,19 +333,41 @@ def _complete(
     any_diverged: bool = False,
 ) -> State:
     """The state with these estimates: own gradients, divergence and received messages follow from them."""
-    if game.is_affine:
-        gradients = game.own_gradients(estimates)
-    else:
-        with np.errstate(over="ignore", invalid="ignore"):  # a diverging game may overflow; it is caught below
-            gradients = game.own_gradients(estimates)
+    gradients = _own_gradients(game, estimates)
     if not (_in_range(estimates) and _in_range(gradients)):
-        farthest = np.maximum(np.abs(estimates).max(axis=(0, 1)), np.abs(gradients).max(axis=0))
-        diverged = diverged | ~(farthest <= RANGE_LIMIT)
-        any_diverged = bool(diverged.any())
-        estimates = np.clip(np.nan_to_num(estimates, nan=RANGE_LIMIT), -RANGE_LIMIT, RANGE_LIMIT)
-        gradients = np.clip(np.nan_to_num(gradients, nan=RANGE_LIMIT), -RANGE_LIMIT, RANGE_LIMIT)
+        diverged = diverged | ~_near(estimates, gradients)
+        any_diverged = not is_numpy(diverged) or bool(diverged.any())
+        estimates, gradients = _clipped(estimates), _clipped(gradients)
     state = State(step, game, estimates, gradients, diverged, any_diverged, randomness)
     return state if world.channel.is_perfect else state._replace(received=_transmit(world, state, memory))
+
+
+def _own_gradients(game: Game, estimates: FloatArray) -> FloatArray:
+    """The own gradients, shape (n, B); not finite where a game overflows."""
+    if game.is_affine:
+        return game.own_gradients(estimates)
+    with np.errstate(over="ignore", invalid="ignore"):  # a diverging game may overflow; it is caught by the caller
+        gradients = game.own_gradients(estimates)
+    if is_numpy(estimates):
+        return gradients
+    # JAX multiplies a cotangent of 0 by a derivative that is not finite; so games that overflow get none.
+    gradients, xp = without_gradient(gradients), array_namespace(estimates)
+    is_near = _near(estimates, gradients)
+    safe: FloatArray = game.own_gradients(xp.where(is_near, estimates, game.nash_equilibria[:, None]))
+    return xp.where(is_near, safe, gradients)
+
+
+def _near(estimates: FloatArray, gradients: FloatArray) -> BoolArray:
+    """Whether each environment's estimates (n, N, B) and own gradients (n, B) are in range, shape (B,)."""
+    xp = array_namespace(estimates)
+    farthest = xp.maximum(xp.abs(estimates).max(axis=(0, 1)), xp.abs(gradients).max(axis=0))
+    return farthest <= RANGE_LIMIT
+
+
+def _clipped(array: FloatArray) -> FloatArray:
+    """The numbers of an array within ±RANGE_LIMIT, which also stands for NaN."""
+    xp = array_namespace(array)
+    return xp.clip(xp.nan_to_num(array, nan=RANGE_LIMIT), -RANGE_LIMIT, RANGE_LIMIT)
 
 
 def _fits_topology(world: World, state: State, batch: int) -> bool:
@@ -352,35 +387,47 @@ def _fits_channel(world: World, state: State, batch: int) -> bool:
 
 def _transmit(world: World, state: State, memory: Memory | None) -> Received:
     """The messages received in ``state`` through a channel that remembers ``memory`` of the step before."""
-    batch = batch_size(state)
-    keys = np.zeros(batch, dtype=np.uint64) if state.randomness is None else state.randomness.channel_keys
+    batch, xp = batch_size(state), array_namespace(state.estimates)
+    keys = xp.zeros(batch, dtype=np.uint64) if state.randomness is None else state.randomness.channel_keys
     link_weights = graph_weights(world, state)
-    link_weights = np.broadcast_to(link_weights, (*link_weights.shape[:2], batch))
+    link_weights = xp.broadcast_to(link_weights, (*link_weights.shape[:2], batch))
     randomness = LinkRandomness(keys, state.step, world.neighbours, world.game.owners)
     sent = Messages(sent_messages(world, state.estimates), link_weights > 0, link_weights)
     received, memory = world.channel.transmit(sent, memory, randomness)
     values = received.values
     if not _in_range(values):  # noise may leave the range that observations are bounded by
-        values = np.clip(values, -RANGE_LIMIT, RANGE_LIMIT)
+        values = xp.clip(values, -RANGE_LIMIT, RANGE_LIMIT)
     # A down link delivers nothing, including messages in transit.
     return Received(values, received.weights * (received.live & sent.live), memory)
 
 
-def _disturb(world: World, disturbance: Disturbance, estimates: FloatArray, state: State) -> None:
-    """Add Δt w to the real strategies, in place."""
-    steps = shared_step(state)
-    dt = np.where(state.diverged, 0.0, world.clock.dt[steps])
-    keys = (
-        np.zeros(batch_size(state), dtype=np.uint64) if state.randomness is None else state.randomness.disturbance_keys
-    )
-    _rows(estimates)[world.strategy_rows] += dt * disturbance.velocity(keys, state.step, world.game.dimension)
+def _disturbed(world: World, disturbance: Disturbance, estimates: FloatArray, state: State) -> FloatArray:
+    """The estimates, with Δt w added to the real strategies, perhaps in place."""
+    steps, xp = shared_step(state), array_namespace(estimates)
+    dt = xp.where(state.diverged, 0.0, world.clock.dt[steps])
+    batch = batch_size(state)
+    keys = xp.zeros(batch, dtype=np.uint64) if state.randomness is None else state.randomness.disturbance_keys
+    push = dt * disturbance.velocity(keys, state.step, world.game.dimension)
+    return _with_own(state.game, estimates, _own(state.game, estimates) + push)
 
 
-def _project_strategies(estimates: FloatArray, game: Game) -> None:
-    """Project the real strategies into the game's box, in place; estimates of other players stay."""
-    if game.has_bounds:
-        own = np.arange(game.dimension), game.owners
-        estimates[own] = game.project(estimates[own])
+def _projected(estimates: FloatArray, game: Game) -> FloatArray:
+    """The estimates, with the real strategies projected into the game's box, perhaps in place; others stay."""
+    return _with_own(game, estimates, game.project(_own(game, estimates))) if game.has_bounds else estimates
+
+
+def _own(game: Game, estimates: FloatArray) -> FloatArray:
+    """The real strategies in estimates (n, N, B), shape (n, B)."""
+    return estimates[np.arange(game.dimension), game.owners]
+
+
+def _with_own(game: Game, estimates: FloatArray, strategies: FloatArray) -> FloatArray:
+    """Estimates (n, N, B) with other real strategies (n, B); numpy's are changed in place."""
+    if is_numpy(estimates):
+        estimates[np.arange(game.dimension), game.owners] = strategies
+        return estimates
+    is_own = (game.owners[:, None] == np.arange(game.num_players))[:, :, None]
+    return array_namespace(estimates).where(is_own, strategies[:, None], estimates)
 
 
 def _merged_randomness(old: EpisodeRandomness, fresh: EpisodeRandomness, mask: BoolArray) -> EpisodeRandomness:
@@ -401,6 +448,8 @@ def _rows(estimates: FloatArray) -> FloatArray:
 
 def _in_range(array: FloatArray) -> bool:
     """Whether every entry is a number within ±RANGE_LIMIT."""
+    if not is_numpy(array):  # JAX does not know numbers before it runs
+        return False
     flat = array.reshape(-1)
     # Σ x² ≤ limit² is enough, costs one pass and is False for NaN. (einsum and not dot: BLAS would wake its threads.)
     if np.einsum("i,i->", flat, flat) <= RANGE_LIMIT**2:

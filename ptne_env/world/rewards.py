@@ -22,8 +22,8 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from ptne_env.games import NoBestResponseError
-from ptne_env.shared.arrays import FloatArray, require_non_negative
+from ptne_env.games import Game, NoBestResponseError
+from ptne_env.shared.arrays import FloatArray, array_namespace, require_non_negative
 from ptne_env.world import distances, dynamics
 from ptne_env.world.dynamics import State
 from ptne_env.world.world import RANGE_LIMIT, World
@@ -64,9 +64,7 @@ class Reward:
     Attributes:
         weights: by term.
         is_plain: whether the reward is one term, of weight 1.
-        needs_state: whether a term depends on more than distances.
-        distances: d^i at the present instant, shape (N, B), with the limit where an environment has diverged; to be
-            read before the next step, which may overwrite them.
+        distances: d^i at the present instant, shape (N, B), with the limit where an environment has diverged.
 
     Raises:
         ValueError: for an unknown term, or ``regret`` on a game without best response.
@@ -75,7 +73,6 @@ class Reward:
     def __init__(self, world: World, reward: str | Mapping[str, float] = "digits") -> None:
         self.weights = parse_reward(reward)
         self.world = world
-        self.needs_state = not self.weights.keys() <= {"digits", "tracking"}
         if "regret" in self.weights and not world.game.has_best_response:
             raise NoBestResponseError(
                 f"reward 'regret' needs a best response, which {type(world.game).__name__} does not have "
@@ -87,32 +84,23 @@ class Reward:
 
     def reset(self, state: State) -> None:
         """Measure the distances of ``state``, from which the next step is rewarded."""
-        self.distances = self._measured(state)
+        self.distances = measured(state)
         self._digits = distances.digits(self.distances)
 
     def step(self, state: State) -> dict[str, FloatArray]:
         """The value of each term for the step that ended in ``state``, each of shape (N, B)."""
-        terms = self.advance(self._measured(state), state)
+        before, self.distances = self._digits, measured(state)
+        self._digits = distances.digits(self.distances)
+        if self.is_plain:  # a comprehension would take longer
+            terms = {self._first: self._term(self._first, state, before)}
+        else:
+            terms = {name: self._term(name, state, before) for name in self.weights}
         if state.any_diverged:
             remaining = 1 + self.world.clock.total_steps - state.step
-            worst = self._worst(state)
             for name, value in terms.items():
-                if name in worst:
-                    terms[name] = np.where(state.diverged, worst[name] * remaining, value)
+                if name != "digits":
+                    terms[name] = np.where(state.diverged, worst(name, state.game) * remaining, value)
         return terms
-
-    def advance(self, distance: FloatArray, state: State | None = None) -> dict[str, FloatArray]:
-        """:meth:`step` of environments that are all in range.
-
-        Args:
-            distance: d^i after the step, shape (N, B).
-            state: after the step; may be left out unless :attr:`needs_state`.
-        """
-        self.distances = distance
-        before, self._digits = self._digits, distances.digits(distance)
-        if self.is_plain:  # a comprehension would take longer
-            return {self._first: self._term(self._first, distance, before, state)}
-        return {name: self._term(name, distance, before, state) for name in self.weights}
 
     def total(self, terms: Mapping[str, FloatArray]) -> FloatArray:
         """The weighted sum of the terms, shape (N, B)."""
@@ -124,26 +112,30 @@ class Reward:
             total += weight * terms[name]
         return total
 
-    def _worst(self, state: State) -> dict[str, FloatArray | float]:
-        """Reward per remaining step at the range limit; the digits' is 0 once the distance is at its limit."""
-        limit = dynamics.distance_limit(state.game)
-        return {"tracking": -limit, "payoff": -REWARD_LIMIT, "regret": -REWARD_LIMIT}
-
-    def _measured(self, state: State) -> FloatArray:
-        """d^i, shape (N, B), with the limit where an environment has diverged."""
-        distance = distances.player_distances(state.estimates, state.game)
-        if state.any_diverged:
-            distance = np.where(state.diverged, dynamics.distance_limit(state.game), distance)
-        return distance
-
-    def _term(self, name: str, distance: FloatArray, digits_before: FloatArray, state: State | None) -> FloatArray:
+    def _term(self, name: str, state: State, digits_before: FloatArray) -> FloatArray:
         if name == "digits":
             return self._digits - digits_before
         if name == "tracking":
-            return -distance
-        if state is None:
-            raise ValueError(f"the reward {name!r} needs the state, and not only distances: pass it")
-        game, strategies = state.game, dynamics.strategies(self.world, state)
-        with np.errstate(over="ignore", invalid="ignore"):  # only a diverged environment overflows
-            loss = game.costs(strategies) if name == "payoff" else game.regrets(strategies)
-        return np.clip(-loss, -REWARD_LIMIT, REWARD_LIMIT)
+            return -self.distances
+        return minus_loss(name, state.game, dynamics.strategies(self.world, state))
+
+
+def measured(state: State) -> FloatArray:
+    """d^i, shape (N, B), with the limit where an environment has diverged."""
+    distance = distances.player_distances(state.estimates, state.game)
+    if state.any_diverged:
+        distance = array_namespace(distance).where(state.diverged, dynamics.distance_limit(state.game), distance)
+    return distance
+
+
+def worst(name: str, game: Game) -> FloatArray | float:
+    """The reward per remaining step at the range limit, of the terms but the digits, whose is 0 there; shape (G,)."""
+    return -dynamics.distance_limit(game) if name == "tracking" else -REWARD_LIMIT
+
+
+def minus_loss(name: str, game: Game, strategies: FloatArray) -> FloatArray:
+    """The terms ``payoff`` and ``regret``: strategies (n, B) to (N, B)."""
+    with np.errstate(over="ignore", invalid="ignore"):  # only a diverged environment overflows
+        loss = game.costs(strategies) if name == "payoff" else game.regrets(strategies)
+    result: FloatArray = array_namespace(loss).clip(-loss, -REWARD_LIMIT, REWARD_LIMIT)
+    return result

@@ -181,11 +181,3 @@ def test_regret_is_refused_where_no_best_response_exists(reward):
 def test_a_reward_of_another_type_is_refused_with_the_way_to_define_one(reward):
     with pytest.raises(TypeError, match="reward is one of digits, .* got .*; another reward is a wrapper"):
         ptne_env.parallel_env("energy", reward=reward)
-
-
-@pytest.mark.parametrize("reward", ["payoff", "regret"])
-def test_a_reward_that_needs_the_state_says_so(reward):
-    judge = Reward(World(GAMES["energy"]), reward)
-    assert judge.needs_state
-    with pytest.raises(ValueError, match=f"'{reward}' needs the state"):
-        judge.advance(np.ones((5, 1)))

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from ptne_env.games.affine import AffineGame
-from ptne_env.shared.arrays import FloatArray, frozen, require_positive
+from ptne_env.shared.arrays import FloatArray, frozen, ordered_sum, require_positive
 
 
 class ElectricVehicleCharging(AffineGame):
@@ -59,7 +59,7 @@ class ElectricVehicleCharging(AffineGame):
     def costs(self, strategies: FloatArray) -> FloatArray:
         """J_i(x): (n, B) to (N, B)."""
         power = strategies.reshape(self.num_players, self.base_load.size, -1)
-        total = np.add.accumulate(power, axis=0)[-1]
+        total = ordered_sum(power)
         bill = self.price * (self.base_load[:, None] + total) * power
         missing = self.summed(strategies) - self.energy[:, None]
         return (

@@ -8,7 +8,7 @@ import numpy as np
 
 from ptne_env.games.affine import times
 from ptne_env.games.base import Game
-from ptne_env.shared.arrays import FloatArray, frozen
+from ptne_env.shared.arrays import FloatArray, array_namespace, frozen, product
 
 _ROUTES = ((0,), (0, 1), (1, 2), (2,), (0, 2))
 
@@ -58,13 +58,16 @@ class RateControl(Game):
 
     def costs(self, strategies: FloatArray) -> FloatArray:
         """J_i(x): (N, B) to (N, B)."""
-        return strategies * times(self._shared, strategies) - self.utility * np.log1p(strategies)
+        return strategies * times(self._shared, strategies) - self.utility * array_namespace(strategies).log1p(
+            strategies
+        )
 
     def own_gradients(self, estimates: FloatArray) -> FloatArray:
         """−w_i/(1 + x^i_i) + Σ_{l∈route i} a_l (x^i_i + Σ_{k uses l} x^i_k): (N, N, B) to (N, B)."""
-        own = np.einsum("iib->ib", estimates)
+        xp = array_namespace(estimates)
+        own = xp.einsum("iib->ib", estimates)
         # _shared is symmetric, so its row for player i is its column
-        load = np.add.reduce(np.multiply(self._shared, estimates, order="C"), axis=0)
+        load = xp.add.reduce(product(self._shared, estimates), axis=0)
         gradients: FloatArray = load + self._own * own - self.utility / (1 + own)
         return gradients
 
@@ -78,5 +81,7 @@ class RateControl(Game):
         """The root of 2 β x² + (α + 2 β) x + α − w = 0 in the box, β = Σ a_l, α the others' price: (N, B) to (N, B)."""
         others = times(self._shared, strategies) - self._own * strategies
         gap = others - 2 * self._own
-        root = (np.sqrt(gap**2 + 8 * self._own * self.utility) - others - 2 * self._own) / (4 * self._own)
+        root = (array_namespace(gap).sqrt(gap**2 + 8 * self._own * self.utility) - others - 2 * self._own) / (
+            4 * self._own
+        )
         return self.project(root)

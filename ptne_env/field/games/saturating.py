@@ -14,7 +14,7 @@ from ptne_env.games.affine import AffineGame, times
 from ptne_env.games.base import Game
 from ptne_env.games.family import GameFamily, require_strong_monotonicity
 from ptne_env.games.variational import solve_box
-from ptne_env.shared.arrays import FloatArray, frozen, ordered_sum, require_non_negative
+from ptne_env.shared.arrays import FloatArray, array_namespace, frozen, ordered_sum, require_non_negative
 
 
 class SaturatingGame(AffineGame):
@@ -65,17 +65,18 @@ class SaturatingGame(AffineGame):
 
     def _pull(self, strategies: FloatArray) -> FloatArray:
         """Mᵀ tanh(M x − r): (n, B) to (n, B)."""
-        return times(self._transposed_prices, np.tanh(times(self.prices, strategies) - self.shift))
+        xp = array_namespace(strategies)
+        return times(self._transposed_prices, xp.tanh(times(self.prices, strategies) - self.shift))
 
     def costs(self, strategies: FloatArray) -> FloatArray:
         """J_i(x): (n, B) to (N, B)."""
         load = times(self.prices, strategies) - self.shift
-        return super().costs(strategies) + ordered_sum(np.logaddexp(load, -load) - np.log(2))
+        return super().costs(strategies) + ordered_sum(array_namespace(load).logaddexp(load, -load) - np.log(2))
 
     def own_gradients(self, estimates: FloatArray) -> FloatArray:
         """Block i is that of F at x^i: (n, N, B) to (n, B)."""
         load = ordered_sum(self.prices[:, :, None] * estimates[None], axis=1) - self.shift[:, None]
-        shares = self._transposed_prices * np.tanh(load)[:, self.owners].transpose(1, 0, 2)
+        shares = self._transposed_prices * array_namespace(load).tanh(load)[:, self.owners].transpose(1, 0, 2)
         return super().own_gradients(estimates) + ordered_sum(shares, axis=1)
 
     def jacobian(self, strategies: FloatArray) -> FloatArray:

@@ -1,0 +1,284 @@
+"""The world as pure functions: draws, transition, observations, inputs and rewards of B environments at once."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from functools import partial
+from traceback import extract_tb
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from ptne_env.jax.records import Games, columns, uniforms
+from ptne_env.perception.encoder import make_encoder
+from ptne_env.perception.observation import INPUT_PER_ACTION, SMALLEST_SCALE, Interface, InterfaceKind
+from ptne_env.shared import counter_random
+from ptne_env.shared.arrays import require_count
+from ptne_env.shared.random_streams import RandomStreams
+from ptne_env.world import dynamics, rewards
+from ptne_env.world.catalogue import get_scenario
+from ptne_env.world.distances import FLOOR
+from ptne_env.world.dynamics import State
+from ptne_env.world.rewards import Reward
+from ptne_env.world.scenario import Scenario
+from ptne_env.world.starts import UniformStart
+from ptne_env.world.world import EpisodeRandomness
+from ptne_env.world.world import World as NumpyWorld
+
+_TABLES = ("mode_weights", "modes", "time_since_switch", "next_step", "is_last_step")
+"""The tables of a world that a step looks up by numbers that JAX knows only when it runs."""
+
+
+class World:
+    """B environments of a scenario as pure functions, which JAX compiles, maps, differentiates and scans.
+
+    All arrays have environments last, also observations and actions: a state's estimates are (n, N, B). Nothing here
+    keeps a state, so a world may be closed over by compiled functions.
+
+    Args:
+        scenario: a name of the catalogue, or a scenario.
+        interface: of :meth:`observe` and :meth:`inputs`.
+        dtype: of observations. With float64 digits are differentiated to full precision; players see float32.
+        pool: number of games, schedules of graphs and starts that numpy draws beforehand, where JAX cannot; a reset
+            chooses among them.
+
+    Attributes:
+        numpy: the world that this one is the twin of.
+        layout: of observations and actions, as for every policy.
+        dtype: as given.
+
+    Raises:
+        RuntimeError: when JAX's 64-bit numbers are switched off.
+        ValueError: for a scenario that cannot be built.
+    """
+
+    def __init__(
+        self,
+        scenario: str | Scenario,
+        *,
+        interface: InterfaceKind | Interface = "scaled",
+        dtype: Any = jnp.float32,
+        pool: int = 4096,
+    ) -> None:
+        require_x64()
+        self.numpy, self.dtype = NumpyWorld(get_scenario(scenario)), dtype
+        interface = interface if isinstance(interface, Interface) else Interface(interface)
+        self._encoder = make_encoder(self.numpy, interface)
+        self.layout = self._encoder.layout
+        self._world = copy.copy(self.numpy)
+        for name in _TABLES:
+            setattr(self._world, name, jnp.asarray(getattr(self._world, name)))
+        self._world.clock = copy.copy(self._world.clock)
+        for name in ("theta", "dt"):
+            setattr(self._world.clock, name, jnp.asarray(getattr(self._world.clock, name)))
+        self._games = Games(self.numpy, require_count("pool", pool, 1))
+        self._clock_table = jnp.asarray(self._encoder.clock_table)
+        self._starts, self._schedules = self._drawn_starts(pool), self._drawn_schedules(pool)
+
+    @partial(jax.jit, static_argnums=(0, 2))
+    def reset(self, key: jax.Array, num_envs: int = 1) -> State:
+        """The state at t = 0 of new episodes. That of an environment is the same for any number of them."""
+        require_x64()
+        seed = jax.random.bits(key, (1,), jnp.uint64)
+        of_episode = counter_random.words(seed, jnp.arange(num_envs, dtype=jnp.uint64))
+        keys = [counter_random.child_keys(of_episode, purpose) for purpose in range(5)]
+        game, start = self._games.draw(keys[0]), self.numpy.start
+        if isinstance(start, UniformStart):
+            unit = uniforms(keys[1], self.layout.dimension * self.layout.num_players)
+            estimates = start.low + (start.high - start.low) * unit.reshape(self.layout.dimension, -1, num_envs)
+        else:
+            estimates = columns(self._starts, keys[1])
+        randomness = None
+        if self.numpy.has_episode_randomness:
+            schedule = (None, None) if self._schedules is None else columns(self._schedules, keys[2])
+            randomness = EpisodeRandomness(*schedule, *keys[3:])
+        with self._naming_parts():
+            return dynamics.begin(self._world, estimates, game, randomness)
+
+    def state(self, state: State) -> State:
+        """A state of the numpy world, with the same game and draws."""
+        require_x64()
+        converted = state._replace(game=self._games.converted(state.game), any_diverged=True)
+        return jax.tree.map(jnp.asarray, converted)
+
+    @partial(jax.jit, static_argnums=0)
+    def step(self, state: State, inputs: jax.Array) -> State:
+        """The next state: x_{k+1} = x_k + Θ_k u_k with all parts of the world. Inputs u_k are (n, N, B).
+
+        An environment that leaves the range, or is given an input that is not finite, has diverged: it stays where it
+        is, and no gradient passes through it.
+        """
+        with self._naming_parts():
+            return dynamics.step(self._world, state, inputs)
+
+    def is_over(self, state: State) -> jax.Array:
+        """Whether each episode has reached its end or diverged, shape (B,)."""
+        return dynamics.is_over(self._world, state)
+
+    def restarted(self, key: jax.Array, state: State) -> State:
+        """The state, with a new episode in place of each that is over; costs nothing while none is."""
+        over = self.is_over(state)
+
+        def restart(state: State) -> State:
+            fresh = self.reset(key, over.size)
+            return jax.tree.map(lambda old, new: jnp.where(over, new, old), state, fresh)
+
+        return jax.lax.cond(over.any(), restart, lambda state: state, state)
+
+    @partial(jax.jit, static_argnums=0)
+    def observe(self, state: State) -> jax.Array:
+        """The observations of all players in the world's interface, shape (size, N, B)."""
+        if self._world.topology.is_random or state.received is not None:
+            return self._observed(state)
+        # Tables are read once where all environments are at the same step, as usual: reading per environment costs more
+        # than all else.
+        is_together = (state.step == state.step[0]).all()
+        return jax.lax.cond(
+            is_together, lambda state: self._observed(state._replace(step=state.step[:1])), self._observed, state
+        )
+
+    def _observed(self, state: State) -> jax.Array:
+        layout, world = self.layout, self._world
+        players, batch = state.estimates.shape[1:]
+        weights = dynamics.weights(world, state)
+        differences = self._differences(state, weights)
+        scale = _scale(differences)
+        own, clock = len(self._encoder.gradient_rows), self._clock_table[:, :, state.step]
+        if layout.interface.kind == "scaled":
+            differences = differences / scale
+        age = dynamics.time_since_switch(world, state)[None, None] if world.topology.is_random else clock[4:]
+        parts = {
+            "own_gradient": differences[:own],
+            "own_estimate": state.estimates,
+            "relative_estimates": differences[own:],
+            "weights": self._in_slots(weights),
+            "log_scale": jnp.log10(scale)[None] / layout.units[0],
+            "clock": clock[:4],
+            "time_since_switch": age,
+            "player": jnp.eye(players)[:, :, None],
+            "relative_equilibrium": state.game.nash_equilibria[:, None] - state.estimates,
+        }
+        chosen = (parts[name].astype(self.dtype) for name in layout.slices)
+        return jnp.concatenate([jnp.broadcast_to(part, (len(part), players, batch)) for part in chosen])
+
+    def inputs(self, state: State, actions: jax.Array) -> jax.Array:
+        """The inputs within the input limit that actions (n, N, B) in the world's interface ask for, (n, N, B)."""
+        layout, bound = self.layout, self.layout.action_bound
+        actions = jnp.clip(actions.astype(self.dtype), -bound, bound).astype(jnp.float64)
+        if layout.interface.kind != "scaled":
+            return actions
+        wanted = actions * (INPUT_PER_ACTION * _scale(self._differences(state, dynamics.weights(self._world, state))))
+        in_order = wanted[layout.ego_place.T, np.arange(layout.num_players)]
+        return jnp.clip(in_order, -layout.input_limit, layout.input_limit)
+
+    def rewards(self, before: State, after: State, reward: str | Mapping[str, float] = "digits") -> jax.Array:
+        """The rewards of the step from one state to the next, shape (N, B); see :mod:`ptne_env.world.rewards`.
+
+        An episode that diverges in the step is charged for all that remain, and no more afterwards.
+        """
+        total, distance = jnp.zeros(after.estimates.shape[1:]), rewards.measured(after)
+        remaining = 1 + self.numpy.clock.total_steps - after.step
+        for name, weight in Reward(self.numpy, reward).weights.items():
+            if name == "digits":  # one logarithm in place of two
+                ratio = jnp.maximum(rewards.measured(before), FLOOR) / jnp.maximum(distance, FLOOR)
+                total += weight * jnp.log(ratio) / np.log(10)
+                continue
+            if name == "tracking":
+                value = -distance
+            else:
+                game, strategies = after.game, dynamics.strategies(self._world, after)
+                # The costs of a diverged game may overflow, and would bring NaN into gradients.
+                strategies = jnp.where(after.diverged, game.nash_equilibria, strategies)
+                with self._naming_parts():
+                    value = rewards.minus_loss(name, game, strategies)
+            charge = jnp.where(before.diverged, 0.0, rewards.worst(name, after.game) * remaining)
+            total += weight * jnp.where(after.diverged, charge, value)
+        return total
+
+    def digits(self, state: State) -> jax.Array:
+        """The digits of each episode, −log10 of the relative distance of all its estimates, shape (B,)."""
+        squares = (rewards.measured(state) ** 2).mean(0)
+        return -jnp.log10(jnp.maximum(squares, FLOOR**2)) / 2
+
+    def _drawn_starts(self, pool: int) -> jax.Array | None:
+        """Starts from which a reset chooses, (n, N, P); ``None`` where JAX draws them."""
+        start = self.numpy.start
+        if isinstance(start, UniformStart):
+            return None
+        return jnp.asarray(self.numpy.draw_estimates(_streams(pool if start.is_random else 1)))
+
+    def _drawn_schedules(self, pool: int) -> tuple[jax.Array, jax.Array] | None:
+        """Modes and times since the switch of schedules from which a reset chooses, (K+H+1, P) each, or (1, P)."""
+        if not self.numpy.topology.is_random:
+            return None
+        drawn = self.numpy.draw_randomness(_streams(pool))
+        assert drawn is not None and drawn.modes is not None and drawn.time_since_switch is not None  # noqa: S101, PT018 - for mypy
+        # Beyond the last row JAX looks up the last one: enough for graphs that are drawn once per episode.
+        rows = 1 if (drawn.modes == drawn.modes[0]).all() and not drawn.time_since_switch.any() else len(drawn.modes)
+        return jnp.asarray(drawn.modes[:rows]), jnp.asarray(drawn.time_since_switch[:rows])
+
+    @contextmanager
+    def _naming_parts(self) -> Iterator[None]:
+        """Errors of parts that compute with numpy alone say so; those of this library compute with both."""
+        try:
+            yield
+        except (jax.errors.JAXTypeError, jax.errors.JAXIndexError, TypeError) as error:
+            frames = [frame for frame in extract_tb(error.__traceback__) if "/jax/_src/" not in frame.filename]
+            raise ValueError(
+                f"scenario {self.numpy.scenario.name!r} has a part that computes with numpy alone, and not with the "
+                f"library of its arrays, xp = array_namespace(x): {type(error).__name__} in {frames[-1].filename}, "
+                f"line {frames[-1].lineno}"
+            ) from error
+
+    def _differences(self, state: State, weights: jax.Array) -> jax.Array:
+        """Own gradients, then x^j − x^i per slot, in the interface's order and natural units: (m + D n, N, B)."""
+        encoder, layout = self._encoder, self.layout
+        gradients = state.own_gradients[encoder.gradient_rows]
+        if encoder.gradient_mask is not None:
+            gradients = gradients * encoder.gradient_mask
+        relative = dynamics.relative_estimates(self._world, state, weights)
+        if layout.interface.kind == "scaled":
+            slots: Any = encoder.slot_order
+            relative = relative[slots[:, None], layout.ego_order.T, np.arange(layout.num_players)]
+        return jnp.concatenate([gradients, relative.reshape(-1, *gradients.shape[1:])])
+
+    def _in_slots(self, weights: jax.Array) -> jax.Array:
+        order = self._encoder.slot_order
+        return weights if order is None else weights[order, np.arange(self.layout.num_players)]
+
+
+def require_x64() -> None:
+    """Check that JAX computes in float64, as the dynamics need it; the setting is never changed.
+
+    Raises:
+        RuntimeError: saying what to set.
+    """
+    if not jax.config.jax_enable_x64:
+        raise RuntimeError(
+            "the dynamics are float64, and JAX's 64-bit numbers are off: call "
+            'jax.config.update("jax_enable_x64", True) first, or set the variable JAX_ENABLE_X64=1'
+        )
+
+
+def _scale(differences: jax.Array) -> jax.Array:
+    """σ_i, the largest of the differences (m + D n, N, B), shape (N, B)."""
+    return jnp.maximum(jnp.abs(differences).max(0), SMALLEST_SCALE)
+
+
+def _streams(count: int) -> list[RandomStreams]:
+    return [RandomStreams.from_seed(seed) for seed in range(count)]
+
+
+def world(
+    scenario: str | Scenario = "energy", *, interface: InterfaceKind | Interface = "scaled", **changes: Any
+) -> World:
+    """The world of a scenario of the catalogue, or of a scenario, with some fields changed: a :class:`World`.
+
+    >>> world("random-energy-switching", steps=200, interface="physical")
+    """
+    own = {name: changes.pop(name) for name in ("dtype", "pool") if name in changes}
+    return World(get_scenario(scenario, **changes), interface=interface, **own)

@@ -1,0 +1,221 @@
+"""Policies as pure functions of one player's observation, the paper's laws among them, and the loop that runs them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import numpy.typing as npt
+
+from ptne_env.jax.environment import World
+from ptne_env.laws.adaptive import adaptive_inputs
+from ptne_env.laws.grounded import grounded_inputs
+from ptne_env.laws.static import static_inputs
+from ptne_env.perception.observation import Interface, LayoutError, Observation, ObservationLayout
+from ptne_env.shared.arrays import BoolArray, Float32Array
+from ptne_env.world.dynamics import State
+
+Act = Callable[[Any, jax.Array, Any], tuple[jax.Array, Any]]
+"""``act(params, observation, memory) -> (action, memory)`` of one player: (size,) to (n,)."""
+
+
+@dataclass(frozen=True)
+class Policy:
+    """A pure function with its parameters; a pytree, so that JAX differentiates and maps it by its parameters.
+
+    It has ``predict``, as every policy, so it may be an entry of :func:`ptne_env.evaluate`:
+    ``PolicySpec("mine", policy)``.
+
+    Attributes:
+        act: decides for one player, ``act(params, observation, memory) -> (action, memory)``, from its observation
+            (size,) and its own memory alone. Actions (n,) are in the units of the interface, and are clipped.
+        params: the first argument of ``act``; any pytree.
+        memory: of a player at the start of an episode; any pytree, ``()`` for none.
+        interface: of observations and actions.
+        layout: that ``act`` was made for; ``None`` where it does not matter.
+    """
+
+    act: Act
+    params: Any = ()
+    memory: Any = ()
+    interface: Interface = field(default_factory=Interface)
+    layout: ObservationLayout | None = None
+
+    def replace(self, **changes: Any) -> Policy:
+        """A copy with other ``params`` or another field."""
+        return replace(self, **changes)
+
+    def require(self, layout: ObservationLayout) -> None:
+        """Check that it was made for a layout like this one.
+
+        Raises:
+            LayoutError: when it was made for another.
+        """
+        own = self.layout
+        if own is not None and (own.interface, own.action_dims, own.slots) != (
+            layout.interface,
+            layout.action_dims,
+            layout.slots,
+        ):
+            raise LayoutError("this policy was made for other players, neighbour slots or another interface")
+
+    def predict(
+        self,
+        observation: npt.NDArray[np.float32],
+        state: Any = None,
+        episode_start: BoolArray | None = None,
+        deterministic: bool = False,  # noqa: ARG002, FBT001, FBT002 - Stable-Baselines3's signature
+    ) -> tuple[Float32Array, Any]:
+        """Actions for observations (R, size); see :meth:`ptne_env.perception.policy.Policy.predict`."""
+        rows = np.atleast_2d(observation)
+        starts = np.zeros(len(rows), dtype=np.bool_) if episode_start is None else np.reshape(episode_start, -1)
+        if state is None:
+            state = jax.tree.map(lambda leaf: np.broadcast_to(leaf, (len(rows), *np.shape(leaf))), self.memory)
+        actions, state = self._decide(self.params, self.memory, rows, state, starts)
+        actions = np.asarray(actions, dtype=np.float32)
+        return (actions[0] if np.ndim(observation) == 1 else actions), state
+
+    @cached_property
+    def _decide(self) -> Any:
+        def decide(params: Any, first: Any, rows: jax.Array, memory: Any, starts: jax.Array) -> Any:
+            def one(row: tuple[Any, ...]) -> tuple[jax.Array, Any]:
+                observation, remembered, is_start = row
+                remembered = jax.tree.map(lambda old, new: jnp.where(is_start, new, old), remembered, first)
+                return self.act(params, observation, remembered)
+
+            return jax.lax.map(one, (rows, memory, starts))  # row by row, so that no bit depends on other rows
+
+        return jax.jit(decide)
+
+
+jax.tree_util.register_dataclass(Policy, ["params", "memory"], ["act", "interface", "layout"])
+
+
+class Rollout(NamedTuple):
+    """Episodes of a policy.
+
+    Attributes:
+        state: at the end.
+        memory: of all players at the end, the last axes being (N, B).
+        rewards: of every step, shape (steps, N, B).
+        digits: of each episode after every step, shape (steps, B).
+    """
+
+    state: State
+    memory: Any
+    rewards: jax.Array
+    digits: jax.Array
+
+
+def rollout(
+    world: World,
+    policy: Policy,
+    key: jax.Array | State,
+    num_envs: int = 1,
+    *,
+    steps: int | None = None,
+    reward: str | Mapping[str, float] = "digits",
+    memory: Any = None,
+) -> Rollout:
+    """Run a policy through whole episodes: every player decides, all inputs are held for a step, and again.
+
+    Args:
+        world: with the interface of the policy.
+        policy: decides for all players.
+        key: draws the episodes; or the state from which they go on.
+        num_envs: B, if a key is given.
+        steps: number of steps; to the end of the episodes if left out.
+        reward: as for :meth:`World.rewards`.
+        memory: of all players, with which they go on; that of a start if left out.
+
+    Raises:
+        LayoutError: when the policy acts through another interface than the world's, or in another world.
+    """
+    if policy.interface != world.layout.interface:
+        raise LayoutError(f"the policy acts through {policy.interface}, and the world has {world.layout.interface}")
+    policy.require(world.layout)
+    of_player = jax.vmap(policy.act, in_axes=(None, -1, -1), out_axes=-1)
+    of_all = jax.vmap(of_player, in_axes=(None, -1, -1), out_axes=-1)
+
+    def step(carry: tuple[State, Any], _: None) -> tuple[tuple[State, Any], tuple[jax.Array, jax.Array]]:
+        state, memory = carry
+        actions, memory = of_all(policy.params, world.observe(state), memory)
+        after = world.step(state, world.inputs(state, actions))
+        return (after, memory), (world.rewards(state, after, reward), world.digits(after))
+
+    state = key if isinstance(key, State) else world.reset(key, num_envs)
+    if memory is None:
+        rows = state.estimates.shape[1:]
+        memory = jax.tree.map(
+            lambda leaf: jnp.broadcast_to(jnp.asarray(leaf)[..., None, None], (*jnp.shape(leaf), *rows)), policy.memory
+        )
+    count = world.numpy.clock.total_steps if steps is None else steps
+    # A gradient computes each step again instead of storing its numbers, which is faster, as they stay in the cache.
+    again = jax.checkpoint(step, prevent_cse=False)
+    (state, memory), (rewards, digits) = jax.lax.scan(again, (state, memory), length=count)
+    return Rollout(state, memory, rewards, digits)
+
+
+def static(layout: ObservationLayout, kappa: float = 2.0, gradient_gain: float = 1.0) -> Policy:
+    """The law :class:`ptne_env.laws.Static`; its parameters are κ and g."""
+
+    def act(params: Any, observation: jax.Array, memory: Any) -> tuple[jax.Array, Any]:
+        return static_inputs(read(layout, observation), **params), memory
+
+    return _law(layout, act, {"kappa": kappa, "gradient_gain": gradient_gain})
+
+
+def adaptive(layout: ObservationLayout, gamma: float = 0.01, initial_gain: float = 0.5) -> Policy:
+    """The law :class:`ptne_env.laws.Adaptive`; its parameter is γ, and its memory are the gains of its links."""
+
+    def act(params: Any, observation: jax.Array, gains: jax.Array) -> tuple[jax.Array, jax.Array]:
+        return adaptive_inputs(read(layout, observation), gains, **params)
+
+    return _law(layout, act, {"gamma": gamma}, np.full(layout.slots, initial_gain))
+
+
+def grounded(layout: ObservationLayout, kappa: float = 2.0) -> Policy:
+    """The law :class:`ptne_env.laws.Grounded`; its parameter is κ."""
+
+    def act(params: Any, observation: jax.Array, memory: Any) -> tuple[jax.Array, Any]:
+        player = observation[layout.slices["player"]]
+        own, leaders = (_of_player(table, player) for table in (layout.own_mask, layout.neighbour_components))
+        return grounded_inputs(read(layout, observation), own > 0, leaders, **params), memory
+
+    return _law(layout, act, {"kappa": kappa})
+
+
+def read(layout: ObservationLayout, observation: jax.Array) -> Observation:
+    """What one player sees, (size,), under ``physical`` or ``full``; see :meth:`ObservationLayout.read`, without R."""
+    seen = {name: observation[part].astype(jnp.float64) for name, part in layout.slices.items()}
+    places = layout.own_components[:, :, None] == np.arange(layout.dimension)  # (N, m, n)
+    elapsed, transformed, theta, dt = jnp.split(seen["clock"], 4)
+    return Observation(
+        player=seen["player"].argmax(),
+        gradient=(seen["own_gradient"][:, None] * _of_player(places, seen["player"])).sum(0),
+        relative_estimates=seen["relative_estimates"].reshape(layout.slots, layout.dimension),
+        weights=seen["weights"],
+        unit=jnp.ones(1),
+        theta=theta,
+        dt=dt * layout.deadline,
+        elapsed=elapsed,
+        transformed=transformed,
+        relative_equilibrium=seen.get("relative_equilibrium", jnp.empty(0)),
+        own_estimate=seen["own_estimate"],
+    )
+
+
+def _of_player(table: BoolArray, player: jax.Array) -> jax.Array:
+    """The row of a table (N, ...) of a player, who is one-hot, (N,): a product, which is faster than a look-up."""
+    return jnp.tensordot(player, table.astype(player.dtype), axes=1)
+
+
+def _law(layout: ObservationLayout, act: Act, params: Any, memory: Any = ()) -> Policy:
+    if layout.interface.kind == "scaled":
+        raise LayoutError("the laws act in natural units: make the world with interface='physical'")
+    return Policy(act, params, memory, layout.interface, layout)

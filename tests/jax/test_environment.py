@@ -1,0 +1,120 @@
+"""Draws, ends and refusals of the world on JAX."""
+
+from extras import need_jax
+
+need_jax()
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from processes import run_python
+from scipy import stats
+from worlds import FAULTY
+
+import ptne_env.jax
+from ptne_env.bench import get_suite
+from ptne_env.shared.random_streams import RandomStreams
+from ptne_env.world import dynamics
+from ptne_env.world.faults import Disturbance
+from ptne_env.world.starts import Start
+
+
+class NumpyPush(Disturbance):
+    """A disturbance that numpy alone can compute."""
+
+    def velocity(self, keys, step, dimension):
+        return np.float64(step) * np.ones((dimension, 1))
+
+
+class NumpyStart(Start):
+    """A start that numpy alone can draw."""
+
+    is_random = True
+
+    def draw(self, num_players, dimension, generator):
+        return generator.normal(size=(dimension, num_players))
+
+
+def key(seed=0):
+    return jax.random.key(seed)
+
+
+@pytest.mark.parametrize("track", ["nominal", "curved", "uneven-box", "switching-transformed"])
+def test_own_draws_have_the_distribution_of_numpys(track):
+    world = ptne_env.jax.World(get_suite("ptne-v1").track(track).scenario, pool=400)
+    streams = [RandomStreams.from_seed(seed) for seed in range(10_000, 10_300)]
+    found, expected = (
+        jax.jit(world.reset, static_argnums=1)(key(), 300),
+        dynamics.draw_initial_state(world.numpy, streams),
+    )
+    for each in (
+        lambda state: state.game.nash_equilibria[0],
+        lambda state: state.game.equilibrium_scale,
+        lambda state: state.estimates[0, 1],
+        lambda state: state.own_gradients[0],
+        lambda state: state.randomness.modes[-1],
+        lambda state: state.randomness.time_since_switch[-1],
+        lambda state: np.asarray(state.randomness.channel_keys) / 2**64,
+    ):
+        assert stats.ks_2samp(each(found), each(expected)).pvalue > 1e-3  # Kolmogorov and Smirnov
+
+
+def test_the_games_that_jax_draws_are_played_at_their_equilibria():
+    game = ptne_env.jax.world("random-energy").reset(key(), 50).game
+    assert np.abs(game.pseudo_gradient(game.nash_equilibria)).max() < 1e-12
+
+
+def test_an_episode_is_the_same_in_a_batch_of_any_size_and_another_for_another_key():
+    world = ptne_env.jax.World(get_suite("ptne-v1").track("rough-links").scenario, pool=20)
+    alone, together, other = world.reset(key(), 1), world.reset(key(), 3), world.reset(key(1), 1)
+    np.testing.assert_array_equal(alone.estimates, together.estimates[..., :1])
+    np.testing.assert_array_equal(alone.received.messages, together.received.messages[..., :1])
+    assert not np.any(other.estimates == alone.estimates)
+
+
+def test_starts_that_numpy_alone_can_draw_come_from_a_pool():
+    state = ptne_env.jax.world("energy", start=NumpyStart(), pool=5).reset(key(), 100)
+    assert len(np.unique(state.estimates[0, 1])) == 5
+
+
+def test_episodes_that_are_over_start_again_and_others_go_on():
+    world = ptne_env.jax.World(FAULTY.replace(steps=30, hold_steps=0), pool=4)
+    state = jax.jit(world.reset, static_argnums=1)(key(), 4)
+    state = state._replace(diverged=jnp.array([False, True, False, False]), step=state.step + 27)
+    step = jax.jit(lambda state: world.restarted(key(), world.step(state, jnp.zeros_like(state.estimates))))
+    after = step(state)
+    assert after.step.tolist() == [28, 0, 28, 28]
+    assert not after.diverged.any()
+    fresh = world.reset(key(), 4)
+    np.testing.assert_allclose(after.estimates[..., 1], fresh.estimates[..., 1])
+    np.testing.assert_allclose(after.received.messages[..., 1], fresh.received.messages[..., 1])
+    assert step(step(after)).step.tolist() == [0, 2, 0, 0]
+
+
+def test_a_world_without_64_bit_numbers_says_what_to_set_and_sets_nothing():
+    world = ptne_env.jax.world("energy")
+    with jax.enable_x64(False):
+        for call in (lambda: ptne_env.jax.world("energy"), lambda: world.reset(key())):
+            with pytest.raises(RuntimeError, match=r'jax.config.update\("jax_enable_x64", True\)'):
+                call()
+        assert not jax.config.jax_enable_x64
+
+
+def test_jax_is_imported_by_ptne_env_jax_alone_and_its_settings_stay():
+    imports = "import sys, ptne_env, ptne_env.bench, ptne_env.field.laws; assert 'jax' not in sys.modules"
+    run_python("-c", f"{imports}; import ptne_env.jax, jax; assert not jax.config.jax_enable_x64")
+
+
+def test_a_scenario_with_a_part_that_numpy_alone_can_compute_is_refused_by_name():
+    world = ptne_env.jax.world("energy", name="mine", disturbance=NumpyPush())
+    state = world.reset(key())
+    with pytest.raises(ValueError, match=r"scenario 'mine' has a part .*test_environment.py"):
+        world.step(state, state.estimates)
+
+
+def test_rollouts_map_over_seeds():
+    world = ptne_env.jax.world("energy-switching", interface="physical")
+    policy, keys = ptne_env.jax.static(world.layout), jax.random.split(key(), 3)
+    run = jax.jit(lambda key: ptne_env.jax.rollout(world, policy, key, 2, steps=5).digits)
+    np.testing.assert_allclose(jax.vmap(run)(keys)[2], run(keys[2]), rtol=1e-9)

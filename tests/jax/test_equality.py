@@ -1,0 +1,123 @@
+"""The world on JAX is the numpy world: the same numbers from the same state, game, draws and inputs."""
+
+import random
+
+from extras import need_jax
+
+need_jax()
+
+import jax
+import numpy as np
+import pytest
+from fuzz import a_scenario, no_warnings
+from worlds import FAULTY
+
+import ptne_env.jax
+from ptne_env import CATALOGUE
+from ptne_env.bench import get_suite
+from ptne_env.perception.encoder import make_encoder
+from ptne_env.shared.random_streams import RandomStreams
+from ptne_env.world import dynamics
+from ptne_env.world.rewards import Reward
+
+SCENARIOS = {
+    **CATALOGUE,
+    **{f"ptne-v1/{track.name}": track.scenario for track in get_suite("ptne-v1").tracks},
+    "faulty": FAULTY,
+}
+REWARD = {"digits": 1.0, "tracking": 0.5, "payoff": 0.1}
+STEPS = 50
+OPTIMISED = {"xla_backend_optimization_level": 3, "xla_cpu_use_fusion_emitters": True}
+
+
+def close(found, expected, scale=1.0):
+    """Equal to 1e-9, relative to each number or to a thousandth of the largest one."""
+    expected = np.asarray(expected)
+    slack = 1e-9 * scale * np.maximum(np.abs(expected), 1e-3 * np.abs(expected).max(initial=0))
+    assert np.all(np.abs(np.asarray(found) - expected) <= slack + 1e-15)
+
+
+def both(world, start, inputs, reward, options):
+    """Estimates, rewards and observations of every step, by numpy, then by JAX."""
+    state, twin = start, world.state(start)
+    encoder, payer, numpys = make_encoder(world.numpy, world.layout.interface), Reward(world.numpy, reward), []
+    payer.reset(state)
+    for held in inputs:
+        after, was = dynamics.step(world.numpy, state, held), state.diverged
+        paid = np.where(was, 0.0, payer.total(payer.step(after)))
+        numpys.append((after.estimates, paid, encoder.observe(after), after.diverged, after.own_gradients))
+        state = after
+
+    def step(state, held):
+        after = world.step(state, held)
+        paid = jax.numpy.where(state.diverged, 0.0, world.rewards(state, after, reward))
+        return after, (
+            after.estimates,
+            paid,
+            world.observe(after).transpose(2, 1, 0),
+            after.diverged,
+            after.own_gradients,
+        )
+
+    run = jax.jit(lambda state, inputs: jax.lax.scan(step, state, inputs)[1], compiler_options=options)
+    return map(np.array, zip(*numpys, strict=True)), run(twin, inputs)
+
+
+def compare(scenario, interface, reward=REWARD, size=0.3, options=None):
+    world = ptne_env.jax.World(scenario, interface=interface, pool=2)
+    start = dynamics.draw_initial_state(world.numpy, [RandomStreams.from_seed(seed) for seed in range(3)])
+    shape = min(STEPS, world.numpy.clock.total_steps), *start.estimates.shape
+    inputs = size * np.abs(start.own_gradients).mean() * np.random.default_rng(1).normal(size=shape)
+    numpys, twins = both(world, start, inputs, reward, options)
+    (estimates, rewards, observed, diverged, gradients), found = numpys, twins
+    close(found[0], estimates)
+    close(found[1], rewards)
+    np.testing.assert_allclose(found[2], observed, rtol=3e-7, atol=1e-7 * np.abs(observed).max())
+    assert np.array_equal(found[3], diverged)
+    close(found[4], gradients)
+    return diverged
+
+
+@pytest.mark.parametrize("name", SCENARIOS)
+def test_a_scenario_is_the_same_on_jax(name):
+    compare(SCENARIOS[name], "scaled" if len(name) % 2 else "physical")
+
+
+@pytest.mark.parametrize("name", ["random-energy-switching", "non-quadratic", "ptne-v1/uneven-box", "faulty"])
+def test_a_scenario_is_the_same_on_jax_with_all_optimisations(name):
+    compare(SCENARIOS[name], "physical", options=OPTIMISED)
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_a_random_scenario_is_the_same_on_jax(seed):
+    rng, found = random.Random(seed), None  # noqa: S311 - no secret
+    with no_warnings():
+        while found is None:
+            try:
+                scenario = a_scenario(rng)
+                found = compare(scenario, rng.choice(("physical", "scaled", "full")), size=rng.choice((0.3, 3.0)))
+            except ValueError:
+                continue
+
+
+@pytest.mark.parametrize("interface", ["physical", "scaled"])
+@pytest.mark.parametrize("name", ["ptne-v1/uneven-box", "ptne-v1/short-deadline"])
+def test_actions_become_the_same_inputs_on_jax(name, interface):
+    world = ptne_env.jax.World(SCENARIOS[name], interface=interface, pool=2)
+    start = dynamics.draw_initial_state(world.numpy, [RandomStreams.from_seed(seed) for seed in range(3)])
+    encoder, bound = make_encoder(world.numpy, world.layout.interface), world.layout.action_bound
+    shape = 3, world.layout.num_players, world.layout.action_size
+    actions = np.random.default_rng(2).uniform(-1.5 * bound, 1.5 * bound, shape)
+    close(jax.jit(world.inputs)(world.state(start), actions.T), encoder.decode(actions, start))
+
+
+def test_regret_is_the_same_on_jax_and_refused_where_it_is_on_numpy():
+    compare("random-energy", "physical", "regret")
+    world = ptne_env.jax.world("non-quadratic")
+    state = world.reset(jax.random.key(0))
+    with pytest.raises(ValueError, match="best response"):
+        world.rewards(state, state, "regret")
+
+
+def test_a_diverged_episode_is_charged_once_as_in_numpy():
+    assert compare("non-quadratic", "physical", size=30.0)[-1].any()
