@@ -20,6 +20,7 @@ from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 
 from ptne_env.envs.parallel import NashSeekingEnv
+from ptne_env.envs.simulation import require_options
 from ptne_env.envs.vector import VectorParallelEnv
 from ptne_env.perception.observation import ObservationLayout
 from ptne_env.shared.arrays import BoolArray, Float32Array, FloatArray, as_plain, ordered_sum
@@ -199,7 +200,7 @@ class JointVectorEnv(gymnasium.vector.VectorEnv[Float32Array, Float32Array, npt.
             ValueError: for a wrong number of seeds, estimates of another shape, or a mask of another shape or dtype or
                 without a True.
         """
-        options = options or {}
+        options = require_options(options, "estimates", "reset_mask")
         mask = options.get("reset_mask")
         if mask is not None and not np.any(mask):
             raise ValueError("options['reset_mask'] must name at least one environment to reset")

@@ -11,7 +11,13 @@ from gymnasium import spaces
 from numpy.ma import MaskedArray
 from pettingzoo import ParallelEnv
 
-from ptne_env.envs.simulation import Simulation, changed_scenario, initial_estimates, player_encoder
+from ptne_env.envs.simulation import (
+    Simulation,
+    changed_scenario,
+    initial_estimates,
+    player_encoder,
+    require_options,
+)
 from ptne_env.perception.encoder import NonFiniteActionError
 from ptne_env.perception.observation import OBSERVATION_BOUND, Interface, InterfaceKind, ObservationLayout
 from ptne_env.shared.arrays import Float32Array, FloatArray
@@ -164,12 +170,13 @@ class NashSeekingEnv(ParallelEnv[str, Float32Array, Float32Array]):
             seed: of all random draws from here on, and of :attr:`np_random`; ``None`` continues the generators of the
                 last seed.
             options: ``{"estimates": table}`` starts from the given estimates, shape (N, n), row i being x^i(0), and
-                draws none. Other keys are ignored.
+                draws none. The key ``options`` of PettingZoo's conformance tests is ignored.
 
         Raises:
-            ValueError: for an invalid seed, or estimates of the wrong shape or out of range.
+            TypeError: when the options are no dictionary.
+            ValueError: for an invalid seed, an unknown option, or estimates of the wrong shape or out of range.
         """
-        given = (options or {}).get("estimates")
+        given = require_options(options, "estimates").get("estimates")
         estimates = None if given is None else initial_estimates(self.layout, 1, given)
         self._simulation.begin(self._simulation.draw([seed], estimates=estimates))
         if seed is not None:

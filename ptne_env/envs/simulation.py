@@ -14,7 +14,7 @@ import numpy.typing as npt
 from ptne_env.perception.encoder import Encoder, make_encoder
 from ptne_env.perception.observation import Interface, InterfaceKind, ObservationLayout
 from ptne_env.shared.arrays import BoolArray, Float32Array, FloatArray, IntArray, as_plain, require_count
-from ptne_env.shared.names import suggestion
+from ptne_env.shared.names import suggestion, unknown_name
 from ptne_env.shared.random_streams import RandomStreams
 from ptne_env.world import distances, dynamics
 from ptne_env.world.catalogue import get_scenario
@@ -95,6 +95,29 @@ def player_encoder(world: World, interface: InterfaceKind | Interface) -> Encode
             "'scaled' or 'physical'"
         )
     return make_encoder(world, interface)
+
+
+def require_options(options: Any, *known: str) -> Mapping[str, Any]:
+    """The options of a reset; none where they are ``None``.
+
+    The key ``options`` is ignored, because PettingZoo's conformance tests pass it.
+
+    Args:
+        options: of the caller.
+        *known: the other keys.
+
+    Raises:
+        TypeError: when they are no dictionary.
+        ValueError: for an unknown key.
+    """
+    if options is None:
+        return {}
+    if not isinstance(options, Mapping):
+        raise TypeError(f"reset options are a dictionary, such as {{'estimates': table}}, got {options!r}")
+    for key in options:
+        if key not in (*known, "options"):
+            raise ValueError(unknown_name("reset option", key, known))
+    return options
 
 
 def initial_estimates(layout: ObservationLayout, num_envs: int, given: npt.ArrayLike) -> FloatArray:
