@@ -23,6 +23,7 @@ from ptne_env.perception.observation import OBSERVATION_BOUND, Interface, Interf
 from ptne_env.shared.arrays import Float32Array, FloatArray
 from ptne_env.shared.parts import RENDERER, FactorySpec
 from ptne_env.world import dynamics
+from ptne_env.world.catalogue import CATALOGUE
 from ptne_env.world.dynamics import State
 from ptne_env.world.scenario import Scenario
 from ptne_env.world.world import World
@@ -50,7 +51,8 @@ class NashSeekingEnv(ParallelEnv[str, Float32Array, Float32Array]):
         reward: a term's name (``digits``, ``tracking``, ``payoff``, ``regret``) or weights by name.
         max_cycles: steps after which the episode is truncated.
         render_mode: ``None``, ``"human"`` or ``"rgb_array"``.
-        **overrides: fields of the scenario to change, such as ``start="random"``, ``hold_steps=50``, ``deadline=2.0``.
+        **overrides: fields of the scenario to change, such as ``start="paper"``, ``hold_steps=50``, ``deadline=2.0``,
+            and ``players``, as in :func:`~ptne_env.world.catalogue.get_scenario`.
 
     Attributes:
         scenario: the physics.
@@ -84,7 +86,9 @@ class NashSeekingEnv(ParallelEnv[str, Float32Array, Float32Array]):
             modes = ", ".join(self.metadata["render_modes"])
             raise ValueError(f"unknown render_mode {render_mode!r}; choose None or one of {modes}")
         self.scenario = changed_scenario(scenario, overrides, NashSeekingEnv)
-        name = f"ptne_{self.scenario.name.replace('-', '_')}_v0"
+        published = CATALOGUE.get(self.scenario.name)
+        is_published = published is not None and published.game.target == self.scenario.game.target
+        name = f"ptne_{self.scenario.name.replace('-', '_') if is_published else 'custom'}_v0"
         self.metadata = {**type(self).metadata, "name": name}  # type: ignore[misc]  # PettingZoo reads the name from each instance
         self.render_mode = render_mode
         self.world = World(self.scenario)

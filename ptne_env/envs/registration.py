@@ -22,9 +22,10 @@ def register_environments() -> None:
         made: dict[str, object] = {"scenario": scenario}
         pettingzoo.register("parallel", name, entry_point="ptne_env.envs.parallel:parallel_env", kwargs=made)
         pettingzoo.register("aec", name, entry_point="ptne_env.envs.turn_based:aec_env", kwargs=made)
-        gymnasium.register(
-            f"{NAMESPACE}/{scenario}-joint-v0",
-            entry_point="ptne_env.envs.gymnasium:JointEnv",
-            vector_entry_point="ptne_env.envs.gymnasium:JointVectorEnv",
-            kwargs=made,
-        )
+        for joint in (f"{NAMESPACE}/{scenario}-joint-v0", name):  # Gymnasium knows the joint view alone
+            gymnasium.register(
+                joint,
+                entry_point="ptne_env.envs.gymnasium:JointEnv",
+                vector_entry_point="ptne_env.envs.gymnasium:JointVectorEnv",
+                kwargs=made,
+            )

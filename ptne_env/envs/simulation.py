@@ -73,11 +73,11 @@ def changed_scenario(scenario: str | Scenario, changes: Mapping[str, Any], made:
         ValueError: for an unknown name, or an invalid value.
     """
     own = [name for name, each in signature(made).parameters.items() if each.kind is not Parameter.VAR_KEYWORD]
-    known = [*own, *(field.name for field in fields(Scenario))]
+    known = [*own, "players", *(field.name for field in fields(Scenario))]
     for keyword in changes:
         if keyword not in known:  # TorchRL reads the first half of the message
-            problem = f"{made.__name__}() got an unexpected keyword argument {keyword!r}"
-            raise TypeError(f"{problem}; {suggestion(keyword, known)}")
+            advice = "episodes are seeded by reset(seed=...)" if keyword == "seed" else suggestion(keyword, known)
+            raise TypeError(f"the environment got an unexpected keyword argument {keyword!r}; {advice}")
     return get_scenario(scenario, **changes)
 
 

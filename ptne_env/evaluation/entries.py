@@ -296,7 +296,7 @@ POLICIES: Mapping[str, PolicySpec] = _Policies()
 """The laws, reference policies and learned policies by name, in the order in which tables list them."""
 
 
-def get_policy_spec(policy: str | PolicySpec, *, trust: bool = False) -> PolicySpec:
+def get_policy_spec(policy: Any, *, trust: bool = False) -> PolicySpec:
     """A policy by name, file, part, ``"module:object"`` or ``"name=pattern"``, or as it is.
 
     A string of the caller is code of the caller: a ``"module:object"`` is imported without a question. The command
@@ -305,7 +305,8 @@ def get_policy_spec(policy: str | PolicySpec, *, trust: bool = False) -> PolicyS
     Args:
         policy: a name of :data:`POLICIES`, an ``.onnx`` file, a Stable-Baselines3 ``.zip``, the id of a law
             (``"law:grounded"``) or a ``"module:object"`` that is called with the layout, or ``"name=pattern"`` (such as
-            ``"mine=runs/seed-*/policy.onnx"``), whose files are the training seeds of one policy.
+            ``"mine=runs/seed-*/policy.onnx"``), whose files are the training seeds of one policy; or an object or class
+            with ``predict``, whose class gives the name.
         trust: whether code that is stored in a ``.zip`` may be executed.
 
     Raises:
@@ -316,10 +317,12 @@ def get_policy_spec(policy: str | PolicySpec, *, trust: bool = False) -> PolicyS
     """
     if isinstance(policy, PolicySpec):
         return policy
+    if hasattr(policy, "predict"):
+        return PolicySpec((policy if isinstance(policy, type) else type(policy)).__name__, policy)
     if not isinstance(policy, str):
         raise ValueError(
-            f"a policy is a string or a PolicySpec, got {policy!r}: wrap a class, function or model as "
-            "PolicySpec(name, policy)"
+            f"a policy is a string, an object with predict, or a PolicySpec, got {policy!r}: wrap a function that is "
+            "called with the layout as PolicySpec(name, function)"
         )
     if policy in POLICIES:
         return POLICIES[policy]

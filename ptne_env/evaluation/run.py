@@ -12,6 +12,7 @@ from ptne_env.evaluation.episodes import EpisodeSet, Split
 from ptne_env.evaluation.jobs import Job, JobResult, Run, run_serially
 from ptne_env.evaluation.results import Results
 from ptne_env.evaluation.tracks import Track, compared_tracks
+from ptne_env.perception.policy import Policy
 from ptne_env.shared.arrays import require_count
 from ptne_env.world.scenario import Scenario
 
@@ -20,7 +21,7 @@ EPISODES = 100
 
 
 def evaluate(
-    policies: str | PolicySpec | Iterable[str | PolicySpec],
+    policies: str | PolicySpec | Policy | Iterable[str | PolicySpec | Policy],
     scenarios: str | Scenario | Track | Iterable[str | Scenario | Track],
     *,
     episodes: int = EPISODES,
@@ -34,7 +35,8 @@ def evaluate(
     costs that track: :attr:`~ptne_env.evaluation.results.Results.failures` holds the reason.
 
     Args:
-        policies: specs, or strings as :func:`~ptne_env.evaluation.entries.get_policy_spec` takes them; one or several.
+        policies: names, specs, or objects with ``predict``, as :func:`~ptne_env.evaluation.entries.get_policy_spec`
+            takes them; one or several.
         scenarios: scenarios, names of the catalogue, ``"module:object"`` or tracks; one of them, or several.
         episodes: number of random starts; a track in which nothing is random has one episode.
         seed: of the episode sets.
@@ -61,12 +63,13 @@ def several(given: Any) -> Iterable[Any]:
     Raises:
         TypeError: for an object that is none of the things to compare, such as an environment.
     """
-    if isinstance(given, str | PolicySpec | Scenario | Track):
+    if isinstance(given, str | PolicySpec | Scenario | Track) or hasattr(given, "predict"):
         return [given]
-    if not isinstance(given, Iterable):
+    if isinstance(given, type) or not isinstance(given, Iterable):
+        kind = f"the class {given.__name__}" if isinstance(given, type) else f"a {type(given).__name__}"
         raise TypeError(
-            f"expected names, policies or scenarios, got a {type(given).__name__}; the scenario of an environment is "
-            "env.scenario, and a policy of your own is PolicySpec(name, policy)"
+            f"expected names, policies or scenarios, got {kind}; the scenario of an environment is env.scenario, and a "
+            "policy is an object with predict, or PolicySpec(name, function of the layout)"
         )
     return given
 
@@ -97,7 +100,7 @@ def compare(
         raise ValueError("a comparison needs at least one policy")
     if len(specs) < len(policies):
         names = ", ".join(spec.name for spec in policies)
-        raise ValueError(f"a comparison needs different names, got {names}; a file gets another name by 'name=path'")
+        raise ValueError(f"a comparison needs different names, got {names}; a file gets another name by 'name=path', an object by PolicySpec(name, object)")
     jobs = [
         Job(track, spec, training_seed, episodes[track.name])
         for track in tracks

@@ -82,12 +82,18 @@ DESCRIPTIONS: Mapping[str, str] = {name: sentence for name, (_, sentence) in _SC
 """One sentence about each named scenario."""
 
 
-def get_scenario(scenario: str | Scenario, **overrides: Any) -> Scenario:
+def get_scenario(scenario: str | Scenario, *, players: int | None = None, **overrides: Any) -> Scenario:
     """A scenario by name (or as it is), with some fields changed: ``get_scenario("energy", start="random")``.
+
+    Args:
+        scenario: a name of the catalogue, or a scenario.
+        players: N of its game and of its topology, where both have the parameter ``players``, as ``random-energy`` on
+            a cycle has.
+        **overrides: the fields that change.
 
     Raises:
         TypeError: for anything but a name or a scenario.
-        ValueError: for an unknown name or field.
+        ValueError: for an unknown name or field, or another number of ``players`` where a part has a fixed size.
     """
     if isinstance(scenario, str):
         if scenario not in CATALOGUE:
@@ -102,4 +108,20 @@ def get_scenario(scenario: str | Scenario, **overrides: Any) -> Scenario:
     if not isinstance(scenario, Scenario):  # an environment, for example
         given = type(scenario).__name__
         raise TypeError(f"a scenario is a name or a Scenario, such as env.scenario of an environment; got a {given}")
-    return scenario.replace(**overrides)
+    scenario = scenario.replace(**overrides)
+    if players is None:
+        return scenario
+    changed = {field: _resized(scenario, field, players) for field in ("game", "topology") if field not in overrides}
+    return scenario.replace(**changed)
+
+
+def _resized(scenario: Scenario, field: str, players: int) -> FactorySpec:
+    """The game or the topology of a scenario, for another number of players."""
+    part: FactorySpec = getattr(scenario, field)
+    if "players" not in dict(part.arguments):
+        sized = {"game": "game:random-energy", "topology": "topology:cycle"}[field]
+        raise ValueError(
+            f"the {field} of {scenario.name!r} has a fixed number of players: pass another one beside players={players}"
+            f", such as {field}=FactorySpec.of({sized!r}, players={players})"
+        )
+    return FactorySpec.of(part.target, **{**dict(part.arguments), "players": players})
